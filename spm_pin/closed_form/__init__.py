@@ -1,0 +1,1 @@
+"""Witness 2: the closed form beyond the paper."""

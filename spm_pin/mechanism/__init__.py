@@ -1,0 +1,22 @@
+"""What the robot is: its dimensions, its states, and sets of states. NumPy and SciPy only."""
+
+from spm_pin.mechanism.branches import BRANCHES, FAMILIES
+from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
+from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose
+from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
+
+__all__ = [
+    "BRANCHES",
+    "FAMILIES",
+    "LEGS",
+    "Configuration",
+    "Degeneracy",
+    "Geometry",
+    "LegLimits",
+    "PoseLike",
+    "SolutionSet",
+    "Status",
+    "as_rigid_transform",
+    "pose",
+]

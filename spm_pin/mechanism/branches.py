@@ -1,0 +1,129 @@
+"""Which branch a configuration is: its family, its sign, and whether a real machine can be in it.
+
+Each stage's middle platform has either no torsion (mode T) or is turned half round (mode F) against the other
+end of that stage; a family names the lower stage's mode, then the upper's. A family holds at most two branches
+of one pose, told apart by a sign. Derivation: `docs/theory/inverse_displacement.md`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.configuration import Configuration
+
+__all__ = [
+    "BRANCHES",
+    "FAMILIES",
+    "branch_sign",
+    "determinants",
+    "family",
+    "leg_plane_determinant",
+    "physical",
+    "straightness",
+]
+
+FAMILIES = ("TT", "TF", "FT", "FF")
+BRANCHES = ("TT+", "TT-", "TF+", "TF-", "FT+", "FT-", "FF+", "FF-")
+"""Canonical order of the eight branches of an inverse displacement."""
+
+BoolArray = npt.NDArray[np.bool_]
+
+
+def leg_plane_determinant(points: FloatArray, directions: FloatArray) -> FloatArray:
+    """Return D(b; w) = c12 c23 c31 + c21 c32 c13 with c_ij = (b_i - b_j)·w_i, shape (...).
+
+    Minus the determinant of the 6 x 6 matrix of forces through the points b_i along two directions each
+    whose cross product is w_i; both arguments are (..., 3, 3), a row per leg.
+    """
+
+    def c(i: int, j: int) -> FloatArray:
+        difference = points[..., i, :] - points[..., j, :]
+        return np.asarray((difference * directions[..., i, :]).sum(axis=-1))
+
+    return c(0, 1) * c(1, 2) * c(2, 0) + c(1, 0) * c(2, 1) * c(0, 2)
+
+
+def determinants(configuration: Configuration) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return det J_b, det J_c and det K [m³], each of shape (...).
+
+    J_b holds the forces of the lower legs and of their revolute constraints, J_c those of the upper stage, K
+    the revolute constraints of both. det J_b and det J_c vanish at forward singularities, det K at inverse.
+    """
+    b = configuration.middle_joints
+    legs = configuration.leg_vectors / configuration.leg_lengths[..., None]
+    base_axes = configuration.geometry.revolute_axes
+    platform_axes = configuration.platform_axes
+    lower = leg_plane_determinant(b, np.cross(legs[..., :3, :], base_axes))
+    upper = leg_plane_determinant(b, np.cross(legs[..., 3:, :], platform_axes))
+    constraints = leg_plane_determinant(b, np.cross(base_axes, platform_axes))
+    return -lower, -upper, -constraints
+
+
+def _mean_radii(configuration: Configuration) -> tuple[FloatArray, FloatArray]:
+    """Return the means of b_i along the radial directions of {B} and of {m} [m]."""
+    radial = configuration.geometry.radial_directions
+    b = configuration.middle_joints
+    seen_from_m = (b - configuration.translation[..., None, :]) @ configuration.rotation
+    return (b * radial).sum(axis=(-1, -2)) / 3.0, (seen_from_m * radial).sum(axis=(-1, -2)) / 3.0
+
+
+def family(configuration: Configuration) -> npt.NDArray[np.intp]:
+    """Return the index in `FAMILIES` of each state, shape (...); -1 where it does not exist."""
+    lower, upper = _mean_radii(configuration)
+    index = 2 * (lower < 0.0) + (upper < 0.0)
+    return np.where(configuration.exists, index, -1).astype(np.intp)
+
+
+def branch_sign(configuration: Configuration) -> FloatArray:
+    """Return a number with the sign of the branch's label, zero at an inverse singularity, shape (...).
+
+    It is det K [m³] up to a sign that makes it continuous along any path of one family: with a and b the unit
+    quaternions of the middle platform seen from {B} and from {m}, their nonzero component in the mode's
+    coordinate taken positive, it is det K times the sign of that component of a b*.
+    """
+    exists = configuration.exists
+    index = family(configuration)
+    middle = np.where(exists[..., None, None], configuration.middle_pose.as_matrix()[..., :3, :3], np.eye(3))
+    lower = _positive(Rotation.from_matrix(middle), index >= 2)
+    upper = _positive(Rotation.from_matrix(np.swapaxes(configuration.rotation, -1, -2) @ middle), index % 2 == 1)
+    platform = _product_with_conjugate(lower, upper)
+    # The coordinate of a b* that cannot vanish in this family: the scalar part, in mixed families the z part.
+    kappa = np.select([index == 1, index == 2], [-platform[..., 2], platform[..., 2]], platform[..., 3])
+    return np.where(exists, determinants(configuration)[2] * np.sign(kappa), np.nan)
+
+
+def _positive(rotation: Rotation, half_turned: BoolArray) -> FloatArray:
+    quaternion = np.asarray(rotation.as_quat())
+    component = np.where(half_turned, quaternion[..., 2], quaternion[..., 3])
+    return quaternion * np.where(component < 0.0, -1.0, 1.0)[..., None]
+
+
+def _product_with_conjugate(a: FloatArray, b: FloatArray) -> FloatArray:
+    # Rotation's own product may change the sign, which is what is wanted here.
+    vector = b[..., 3:] * a[..., :3] - a[..., 3:] * b[..., :3] - np.cross(a[..., :3], b[..., :3])
+    return np.concatenate([vector, (a * b).sum(axis=-1, keepdims=True)], axis=-1)
+
+
+def straightness(configuration: Configuration) -> FloatArray:
+    """Return the sum of the cosines of the two stages' tilts, shape (...): 2 for a straight machine."""
+    normal = configuration.middle_pose.as_matrix()[..., :3, 2]
+    return np.asarray(normal[..., 2] + (normal * configuration.rotation[..., :, 2]).sum(axis=-1))
+
+
+def physical(configuration: Configuration) -> BoolArray:
+    """Tell which states a real machine can be in, leg limits aside, shape (...).
+
+    Those reached from the symmetric home without a forward singularity: no torsion in either stage, each
+    stage on the outer side of its platform, and det J_b and det J_c positive, as they are at home.
+    """
+    b = configuration.middle_joints
+    lower_radius, upper_radius = _mean_radii(configuration)
+    lower_height = b[..., 2].mean(axis=-1)
+    upward = configuration.rotation[..., :, 2]
+    upper_height = ((configuration.translation - b.mean(axis=-2)) * upward).sum(axis=-1)
+    det_lower, det_upper, _ = determinants(configuration)
+    positive = [lower_radius, upper_radius, lower_height, upper_height, det_lower, det_upper]
+    return np.asarray(np.logical_and.reduce([value > 0.0 for value in positive]))

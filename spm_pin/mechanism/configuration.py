@@ -1,0 +1,206 @@
+"""A configuration: the platform's pose and the middle joints; everything else is derived from them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import RigidTransform
+
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import FloatArray, first_offender, frozen, real_array
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
+
+__all__ = ["Configuration"]
+
+
+class Configuration:
+    """One state of the manipulator, or a batch of states; read-only.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The manipulator.
+    pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
+        Pose of the terminal platform {m} in the base {B}.
+    middle_joints : array_like, shape (..., 3, 3)
+        Centres of the compound ball joints b_1, b_2, b_3 as rows, in {B} [m]. A member that does not exist
+        is NaN throughout. Leading axes broadcast with those of `pose`.
+
+    Raises
+    ------
+    PoseError, ArgumentError
+        If an argument has the wrong shape or kind, or is not finite.
+
+    Notes
+    -----
+    Nothing here solves anything: the state may violate the mechanism's closure, and `closure_residual` says
+    by how much.
+    """
+
+    def __init__(self, geometry: Geometry, pose: PoseLike, middle_joints: npt.ArrayLike) -> None:
+        if not isinstance(geometry, Geometry):
+            raise ArgumentError("geometry", "a Geometry", type(geometry).__name__)
+        transform = as_rigid_transform(pose)
+        joints = real_array(
+            middle_joints, "middle_joints", (3, 3), "rows b_1, b_2, b_3 in {B} in metres", allow_nan=True
+        )
+        torn = np.isnan(joints).any(axis=(-1, -2)) & ~np.isnan(joints).all(axis=(-1, -2))
+        if torn.any():
+            expected = "all nine coordinates finite, or all NaN for a member that does not exist"
+            raise ArgumentError("middle_joints", expected, f"some NaN at index {first_offender(torn)}")
+        rotation, translation = transform.as_matrix()[..., :3, :3], transform.as_matrix()[..., :3, 3]
+        try:
+            shape = np.broadcast_shapes(rotation.shape[:-2], joints.shape[:-2])
+        except ValueError:
+            expected = f"leading axes that broadcast with those of the pose, {rotation.shape[:-2]}"
+            raise ArgumentError("middle_joints", expected, joints.shape[:-2]) from None
+        self._set(
+            geometry,
+            np.broadcast_to(rotation, (*shape, 3, 3)),
+            np.broadcast_to(translation, (*shape, 3)),
+            np.broadcast_to(joints, (*shape, 3, 3)),
+        )
+
+    def _set(self, geometry: Geometry, rotation: FloatArray, translation: FloatArray, joints: FloatArray) -> None:
+        self._geometry = geometry
+        self._rotation = frozen(rotation)
+        self._translation = frozen(translation)
+        self._middle_joints = frozen(joints)
+
+    @classmethod
+    def from_arrays(
+        cls, geometry: Geometry, rotation: FloatArray, translation: FloatArray, middle_joints: FloatArray
+    ) -> Configuration:
+        """Make a configuration from arrays known to be good, without a check or a copy.
+
+        For solvers: `rotation` (..., 3, 3), `translation` (..., 3) [m] and `middle_joints` (..., 3, 3) [m]
+        have equal leading axes.
+        """
+        self = cls.__new__(cls)
+        self._set(geometry, rotation, translation, middle_joints)
+        return self
+
+    def __getitem__(self, index: object) -> Configuration:
+        """Index the batch axes as NumPy would."""
+        if not self.shape:
+            raise IndexError("a single configuration has no batch axes to index")
+        batch = index if isinstance(index, tuple) else (index,)
+        if not any(part is Ellipsis for part in batch):
+            batch = (*batch, Ellipsis)
+        return Configuration.from_arrays(
+            self._geometry,
+            self._rotation[(*batch, slice(None), slice(None))],
+            self._translation[(*batch, slice(None))],
+            self._middle_joints[(*batch, slice(None), slice(None))],
+        )
+
+    def __iter__(self) -> Iterator[Configuration]:
+        if not self.shape:
+            raise TypeError("a single configuration has no batch axes to iterate over")
+        return (self[i] for i in range(self.shape[0]))
+
+    def __len__(self) -> int:
+        if not self.shape:
+            raise TypeError("a single configuration has no length")
+        return self.shape[0]
+
+    def __repr__(self) -> str:
+        if self.shape:
+            return f"<Configuration: {self.shape} states, {np.count_nonzero(self.exists)} exist>"
+        lengths = ", ".join(f"{length:.4f}" for length in self.leg_lengths)
+        return f"<Configuration: leg lengths ({lengths}) m>" if self.exists else "<Configuration: does not exist>"
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Batch shape."""
+        return self._middle_joints.shape[:-2]
+
+    @property
+    def geometry(self) -> Geometry:
+        """The manipulator."""
+        return self._geometry
+
+    @property
+    def rotation(self) -> FloatArray:
+        """Rotation R from {m} to {B}, shape (..., 3, 3)."""
+        return self._rotation
+
+    @property
+    def translation(self) -> FloatArray:
+        """Position of o in {B} [m], shape (..., 3)."""
+        return self._translation
+
+    @cached_property
+    def pose(self) -> RigidTransform:
+        """Pose of the terminal platform {m} in {B}; NaN where a member has no pose."""
+        return _transform(self._rotation, self._translation)
+
+    @property
+    def middle_joints(self) -> FloatArray:
+        """Ball joint centres b_1, b_2, b_3 as rows in {B} [m], shape (..., 3, 3)."""
+        return self._middle_joints
+
+    @property
+    def exists(self) -> npt.NDArray[np.bool_]:
+        """False for a member of the batch that does not exist, shape (...)."""
+        return ~np.isnan(self._middle_joints[..., 0, 0])
+
+    @cached_property
+    def platform_joints(self) -> FloatArray:
+        """Upper revolute joints c_1, c_2, c_3 as rows in {B} [m], shape (..., 3, 3). Eq. (2)."""
+        local = self._geometry.platform_joints
+        return frozen(local @ np.swapaxes(self._rotation, -1, -2) + self._translation[..., None, :])
+
+    @cached_property
+    def platform_axes(self) -> FloatArray:
+        """Unit revolute axes at c_1, c_2, c_3 as rows in {B}, shape (..., 3, 3). Eq. (4b)."""
+        return frozen(self._geometry.revolute_axes @ np.swapaxes(self._rotation, -1, -2))
+
+    @cached_property
+    def leg_vectors(self) -> FloatArray:
+        """a_i to b_i of the lower legs, then b_i to c_i of the upper legs, as rows in {B} [m], (..., 6, 3)."""
+        lower = self._middle_joints - self._geometry.base_joints
+        upper = self.platform_joints - self._middle_joints
+        return frozen(np.concatenate([lower, upper], axis=-2))
+
+    @cached_property
+    def leg_lengths(self) -> FloatArray:
+        """r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], shape (..., 6). Eq. (20)."""
+        return frozen(np.sqrt((self.leg_vectors**2).sum(axis=-1)))
+
+    @cached_property
+    def middle_pose(self) -> RigidTransform:
+        """Pose of the middle platform in {B}: origin at the triangle's centre, x along b_3 b_1, z its normal."""
+        b1, b2, b3 = (self._middle_joints[..., i, :] for i in range(3))
+        x = b1 - b3
+        y = 2.0 * b2 - b1 - b3
+        with np.errstate(invalid="ignore", divide="ignore"):
+            x = x / np.linalg.norm(x, axis=-1, keepdims=True)
+            y = y - (x * y).sum(axis=-1, keepdims=True) * x
+            y = y / np.linalg.norm(y, axis=-1, keepdims=True)
+        return _transform(np.stack([x, y, np.cross(x, y)], axis=-1), self._middle_joints.mean(axis=-2))
+
+    @cached_property
+    def closure_residual(self) -> FloatArray:
+        """Largest violation of the nine closure equations [m], shape (...); NaN where a member does not exist.
+
+        The distances of each b_i from the planes of its lower and of its upper leg, Eqs. (5b) and (5c), and
+        the errors of the middle platform's three sides, Eq. (12).
+        """
+        b = self._middle_joints
+        lower = (b * self._geometry.revolute_axes).sum(axis=-1)
+        upper = ((b - self.platform_joints) * self.platform_axes).sum(axis=-1)
+        sides = np.sqrt(((b - np.roll(b, -1, axis=-2)) ** 2).sum(axis=-1)) - self._geometry.middle_side
+        return frozen(np.abs(np.concatenate([lower, upper, sides], axis=-1)).max(axis=-1))
+
+
+def _transform(rotation: FloatArray, translation: FloatArray) -> RigidTransform:
+    matrix = np.zeros((*rotation.shape[:-2], 4, 4))
+    matrix[..., :3, :3] = rotation
+    matrix[..., :3, 3] = translation
+    matrix[..., 3, 3] = 1.0
+    return RigidTransform(matrix, normalize=False, copy=False)

@@ -1,0 +1,344 @@
+"""Several solutions of one problem side by side: the branches of a pose, or the assembly modes of leg lengths."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.errors import ArgumentError, NotOneSolutionError
+from spm_pin.mechanism.arguments import FloatArray, first_offender, real_array
+from spm_pin.mechanism.branches import BRANCHES, FAMILIES, branch_sign, family, physical, straightness
+from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.geometry import Geometry, LegLimits
+from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
+
+__all__ = ["Degeneracy", "SolutionSet", "Status"]
+
+BoolArray = npt.NDArray[np.bool_]
+
+
+class Status(enum.IntEnum):
+    """What became of one problem."""
+
+    OK = 0
+    """At least one real solution, and all solutions are isolated."""
+    UNREACHABLE = 1
+    """No real solution."""
+    DEGENERATE = 2
+    """Some solutions form a continuous family, of which none is picked; isolated ones beside it are kept."""
+    UNSOLVED = 3
+    """The method failed here and says nothing about the problem."""
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+@dataclass(frozen=True)
+class Degeneracy:
+    """Where the solutions form continuous families.
+
+    Attributes
+    ----------
+    dimension : ndarray of int8, shape (...)
+        Dimension of the family; 0 where all solutions are isolated.
+    families : ndarray of bool, shape (..., 4)
+        Which of TT, TF, FT, FF are continuous.
+    legs : ndarray of bool, shape (..., 3)
+        Legs whose lower and upper plane coincide, so that b_i is bound to no line.
+    """
+
+    dimension: npt.NDArray[np.int8]
+    families: BoolArray
+    legs: BoolArray
+
+    def __getitem__(self, batch: tuple[Any, ...]) -> Degeneracy:
+        inner = (*batch, slice(None))
+        return Degeneracy(self.dimension[batch], self.families[inner], self.legs[inner])
+
+
+class SolutionSet:
+    """The solutions of one problem, or of a batch of problems, along one axis.
+
+    Parameters
+    ----------
+    configurations : Configuration
+        Batch of shape (..., n): the solutions, NaN where one is not real.
+    labels : sequence of n str
+        What each place along the axis stands for.
+    status : array_like of Status, shape (...)
+        What became of each problem.
+    discriminants : ndarray, shape (..., 4), optional
+        For inverse displacement, see `inverse_displacement`.
+    degeneracy : Degeneracy, optional
+        Details where `status` is `Status.DEGENERATE`.
+
+    Notes
+    -----
+    A single problem is indexed by its solutions: ``solutions[0]``, ``solutions["TT+"]``. A batch is indexed as
+    NumPy would index its batch axes: ``solutions[i]`` is the `SolutionSet` of problem i; a label picks that
+    solution of every problem. Iterating over a single problem yields the solutions that exist.
+    """
+
+    def __init__(
+        self,
+        configurations: Configuration,
+        labels: Sequence[str],
+        status: npt.ArrayLike,
+        *,
+        discriminants: FloatArray | None = None,
+        degeneracy: Degeneracy | None = None,
+    ) -> None:
+        shape = configurations.shape
+        if not shape or shape[-1] != len(labels):
+            raise ArgumentError("configurations", f"a last axis of {len(labels)}, one per label", f"shape {shape}")
+        self._configurations = configurations
+        self._labels = tuple(labels)
+        self._status = np.broadcast_to(np.asarray(status, dtype=np.int8), shape[:-1])
+        self._discriminants = discriminants
+        self._degeneracy = degeneracy
+
+    @classmethod
+    def from_unordered(
+        cls, geometry: Geometry, pose: PoseLike, middle_joints: npt.ArrayLike, solved: npt.ArrayLike = True
+    ) -> SolutionSet:
+        """Put real branches found in any order into the canonical order.
+
+        Parameters
+        ----------
+        geometry : Geometry
+            The manipulator.
+        pose : pose of shape (...)
+            The pose that was solved.
+        middle_joints : array_like, shape (..., n, 3, 3)
+            Up to eight distinct solutions each [m] in {B}, NaN in places not used.
+        solved : array_like of bool, shape (...)
+            False where the method failed. So it did where it found more than two solutions of one family,
+            which no mechanism of this kind has. There the status is `Status.UNSOLVED` and nothing exists.
+        """
+        transform = as_rigid_transform(pose)
+        joints = real_array(middle_joints, "middle_joints", (3, 3), "rows b_1, b_2, b_3", allow_nan=True)
+        matrix = transform.as_matrix()[..., None, :, :]
+        found = Configuration(geometry, matrix, joints)
+        families, signs = family(found), branch_sign(found)
+        ordered = np.full((*found.shape[:-1], len(BRANCHES), 3, 3), np.nan)
+        counts = np.stack([(families == index).sum(axis=-1) for index in range(len(FAMILIES))], axis=-1)
+        good = np.asarray(solved, dtype=bool) & (counts <= 2).all(axis=-1)
+        for index in range(len(FAMILIES)):
+            member = families == index
+            count = np.where(good, counts[..., index], 0)
+            top = np.where(member, signs, -np.inf).argmax(axis=-1)[..., None]
+            bottom = np.where(member, signs, np.inf).argmin(axis=-1)[..., None]
+            # Two members are told apart by order, which stays right where rounding hides a sign near a fold.
+            plus = (count == 2) | ((count == 1) & (np.take_along_axis(signs, top, -1)[..., 0] >= 0.0))
+            minus = (count == 2) | ((count == 1) & ~plus)
+            for place, chosen, present in ((2 * index, top, plus), (2 * index + 1, bottom, minus)):
+                joint = np.take_along_axis(found.middle_joints, chosen[..., None, None], -3)[..., 0, :, :]
+                ordered[..., place, :, :] = np.where(present[..., None, None], joint, np.nan)
+        branches = Configuration(geometry, matrix, ordered)
+        reached = np.where(branches.exists.any(axis=-1), Status.OK, Status.UNREACHABLE)
+        status = np.where(good, reached, Status.UNSOLVED)
+        return cls(branches, BRANCHES, status)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Batch shape, without the axis of solutions."""
+        return self._configurations.shape[:-1]
+
+    @property
+    def geometry(self) -> Geometry:
+        """The manipulator."""
+        return self._configurations.geometry
+
+    @property
+    def configurations(self) -> Configuration:
+        """All solutions as one batch of shape (..., n)."""
+        return self._configurations
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the n places along the axis of solutions."""
+        return self._labels
+
+    @property
+    def exists(self) -> BoolArray:
+        """Which solutions are real, shape (..., n)."""
+        return self._configurations.exists
+
+    @property
+    def count(self) -> npt.NDArray[np.intp]:
+        """Number of real solutions, shape (...)."""
+        return np.asarray(np.count_nonzero(self.exists, axis=-1), dtype=np.intp)
+
+    @property
+    def status(self) -> Any:
+        """`Status` of a single problem; an int8 array of them, shape (...), for a batch."""
+        return self._status if self.shape else Status(int(self._status))
+
+    @property
+    def rotation(self) -> FloatArray:
+        """Rotations from {m} to {B}, shape (..., n, 3, 3)."""
+        return self._configurations.rotation
+
+    @property
+    def translation(self) -> FloatArray:
+        """Positions of o in {B} [m], shape (..., n, 3)."""
+        return self._configurations.translation
+
+    @property
+    def middle_joints(self) -> FloatArray:
+        """Ball joint centres b_1, b_2, b_3 as rows in {B} [m], shape (..., n, 3, 3); NaN where not real."""
+        return self._configurations.middle_joints
+
+    @property
+    def leg_lengths(self) -> FloatArray:
+        """r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], shape (..., n, 6); NaN where not real."""
+        return self._configurations.leg_lengths
+
+    @property
+    def residual(self) -> FloatArray:
+        """Closure residual of each solution [m], shape (..., n). See `Configuration.closure_residual`."""
+        return self._configurations.closure_residual
+
+    @property
+    def discriminants(self) -> FloatArray | None:
+        """For inverse displacement, of the families TT, TF, FT, FF, shape (..., 4): real iff not negative."""
+        return self._discriminants
+
+    @property
+    def degeneracy(self) -> Degeneracy | None:
+        """Which families, legs and how many dimensions, where `status` is degenerate."""
+        return self._degeneracy
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, str):
+            if index not in self._labels:
+                raise KeyError(f"{index!r}; the labels are {', '.join(self._labels)}")
+            return self._configurations[..., self._labels.index(index)]
+        if not self.shape:
+            return self._configurations[index]
+        batch = index if isinstance(index, tuple) else (index,)
+        if not any(part is Ellipsis for part in batch):
+            batch = (*batch, Ellipsis)
+        inner = (*batch, slice(None))
+        return SolutionSet(
+            self._configurations[inner],
+            self._labels,
+            self._status[index],
+            discriminants=None if self._discriminants is None else self._discriminants[inner],
+            degeneracy=None if self._degeneracy is None else self._degeneracy[batch],
+        )
+
+    def __iter__(self) -> Iterator[Any]:
+        if self.shape:
+            return (self[i] for i in range(self.shape[0]))
+        return (self._configurations[i] for i in np.flatnonzero(self.exists))
+
+    def __repr__(self) -> str:
+        if self.shape:
+            tally = ", ".join(f"{np.count_nonzero(self._status == s)} {s}" for s in Status)
+            return f"<SolutionSet: {self.shape} problems ({tally}), {len(self._labels)} solutions each>"
+        real = ", ".join(label for label, real in zip(self._labels, self.exists, strict=True) if real)
+        return f"<SolutionSet: {self.status}, {self.count} of {len(self._labels)} real: {real or 'none'}>"
+
+    def _select(self, index: npt.NDArray[np.intp], exists: BoolArray) -> Configuration:
+        """Return one solution per problem, NaN where `exists` is False."""
+        state = self._configurations
+
+        def take(array: FloatArray, inner: int) -> FloatArray:
+            at = index.reshape(*index.shape, *(1,) * (inner + 1))
+            taken = np.take_along_axis(array, at, axis=-inner - 1)
+            return np.asarray(taken.squeeze(axis=-inner - 1))
+
+        joints = np.where(exists[..., None, None], take(state.middle_joints, 2), np.nan)
+        return Configuration.from_arrays(self.geometry, take(state.rotation, 2), take(state.translation, 1), joints)
+
+    def where(self, mask: npt.ArrayLike) -> SolutionSet:
+        """Keep the solutions where `mask` (..., n) is true; the others become NaN. Nothing else changes."""
+        state = self._configurations
+        joints = np.where(np.asarray(mask, dtype=bool)[..., None, None], state.middle_joints, np.nan)
+        kept = Configuration.from_arrays(self.geometry, state.rotation, state.translation, joints)
+        return SolutionSet(
+            kept, self._labels, self._status, discriminants=self._discriminants, degeneracy=self._degeneracy
+        )
+
+    def within(self, limits: LegLimits | None = None) -> SolutionSet:
+        """Keep the solutions inside leg limits; `status` still speaks of the problem without limits.
+
+        Parameters
+        ----------
+        limits : LegLimits, optional
+            The geometry's own if not given; without either, everything is kept.
+        """
+        limits = limits or self.geometry.limits
+        return self if limits is None else self.where(limits.contains(self.leg_lengths))
+
+    def nearest(self, seed: Configuration | npt.ArrayLike) -> Configuration:
+        """Return the solution whose joints moved least from `seed`; NaN where none exists.
+
+        Parameters
+        ----------
+        seed : Configuration, or array_like of shape (..., 3, 3)
+            The state to be near to, or only its middle joints [m]. The largest displacement of a joint is
+            compared: of the b_i and, given a `Configuration`, of the c_i.
+        """
+        state = self._configurations
+        if isinstance(seed, Configuration):
+            points = np.concatenate([state.middle_joints, state.platform_joints], axis=-2)
+            target = np.concatenate([seed.middle_joints, seed.platform_joints], axis=-2)
+        else:
+            points = state.middle_joints
+            target = real_array(seed, "seed", (3, 3), "a Configuration, or rows b_1, b_2, b_3 in metres")
+        absent = np.isnan(target).any(axis=(-1, -2))
+        if absent.any():
+            raise ArgumentError("seed", "states that exist", f"NaN at index {first_offender(absent)}")
+        distance = np.sqrt(((points - target[..., None, :, :]) ** 2).sum(axis=-1)).max(axis=-1)
+        distance = np.where(self.exists, distance, np.inf)
+        return self._select(distance.argmin(axis=-1), np.asarray(self.exists.any(axis=-1)))
+
+    @property
+    def is_physical(self) -> BoolArray:
+        """Which solutions a real machine can be in, shape (..., n); the geometry's limits narrow a choice only.
+
+        Those reached from the symmetric home without a forward singularity. If several are, and some respect
+        the limits, the others are dropped; chain ``.within().physical()`` to exclude all that do not.
+        """
+        mode = physical(self._configurations)
+        inside = mode & self.within().exists
+        return np.where(inside.any(axis=-1, keepdims=True), inside, mode)
+
+    @property
+    def ambiguous(self) -> Any:
+        """Whether several solutions of a problem are physical, shape (...); `physical` then takes one."""
+        several = np.count_nonzero(self.is_physical, axis=-1) > 1
+        return several if self.shape else bool(several)
+
+    def physical(self, seed: Configuration | npt.ArrayLike | None = None) -> Configuration:
+        """Return the solution a real machine is in; NaN where there is none.
+
+        Of those in `is_physical`, the nearest to `seed` if there is one. Without a seed two may be left, on
+        either side of an inverse singularity: the one whose stages are tilted least, and `ambiguous` is true.
+        """
+        candidates = self.is_physical
+        if seed is not None:
+            return self.where(candidates).nearest(seed)
+        score = np.where(candidates, straightness(self._configurations), -np.inf)
+        return self._select(score.argmax(axis=-1), np.asarray(candidates.any(axis=-1)))
+
+    def one(self) -> Configuration:
+        """Return the only solution of every problem.
+
+        Raises
+        ------
+        NotOneSolutionError
+            If a problem has none or several.
+        """
+        wrong = self.count != 1
+        if wrong.any():
+            index = first_offender(wrong)
+            raise NotOneSolutionError(tuple(np.array(self._labels)[self.exists[index]]), index)
+        return self._select(self.exists.argmax(axis=-1), np.ones(self.shape, dtype=bool))

@@ -1,0 +1,108 @@
+"""Problems with a known answer: a pose is composed from a middle platform placed in both stages.
+
+The stages are placed with the geometry of a 3RPS stage alone (Z axis in every leg plane), so no solver of the
+package takes part in making a problem.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import RigidTransform, Rotation
+
+import spm_pin as spm
+
+Array = npt.NDArray[np.float64]
+
+GEOMETRIES = {
+    "paper": spm.Geometry.paper(),
+    "equal triangles": spm.Geometry(0.7, 0.7, 0.7 * 3**0.5),
+    "wide base": spm.Geometry(1.5, 0.25, 0.5),
+    "millimetres": spm.Geometry(0.06, 0.04, 0.05),
+}
+
+
+@dataclass(frozen=True)
+class Problem:
+    """N poses, one branch of each, and the family it belongs to."""
+
+    geometry: spm.Geometry
+    pose: RigidTransform
+    middle_joints: Array
+
+    @property
+    def configuration(self) -> spm.Configuration:
+        return spm.Configuration(self.geometry, self.pose, self.middle_joints)
+
+
+def stage(mode: str, tilt_axis: Array, half_sine: Array, height: Array, r: float) -> tuple[Array, Array]:
+    """Place a middle platform in one stage: quaternion (N, 4), scalar last, and centre (N, 3).
+
+    `tilt_axis` is the azimuth of w = x1 + i x2, `half_sine` its modulus.
+    """
+    x1, x2 = half_sine * np.cos(tilt_axis), half_sine * np.sin(tilt_axis)
+    rest = np.sqrt(1.0 - half_sine**2)
+    zero = np.zeros_like(rest)
+    quaternion = np.stack([x1, x2, *((zero, rest) if mode == "T" else (rest, zero))], axis=-1)
+    return quaternion, np.stack([-2 * r * x1 * x2, r * (x2**2 - x1**2), height], axis=-1)
+
+
+def compose(geometry: spm.Geometry, lower: tuple[Array, Array], upper: tuple[Array, Array]) -> Problem:
+    """Join two stages, `upper` seen from {m}, at their middle platform."""
+    middle, seen_from_m = Rotation.from_quat(lower[0]), Rotation.from_quat(upper[0])
+    rotation = middle * seen_from_m.inv()
+    translation = lower[1] - rotation.apply(upper[1])
+    local = geometry.middle_radius * geometry.radial_directions
+    joints = np.stack([middle.apply(point) + lower[1] for point in local], axis=-2)
+    return Problem(geometry, spm.pose(translation, rotation=rotation), joints)
+
+
+def random_branches(geometry: spm.Geometry, family: str, count: int, seed: int) -> Problem:
+    """Problems over all orientations of both stages: tilts up to 180 degrees, heights of both signs."""
+    rng = np.random.default_rng(seed)
+    placed = []
+    for mode in family:
+        half_sine = np.sqrt(rng.uniform(0.0, 1.0, count))
+        height = rng.uniform(-3.0, 3.0, count) * geometry.middle_side
+        placed.append(stage(mode, rng.uniform(-np.pi, np.pi, count), half_sine, height, geometry.middle_radius))
+    return compose(geometry, placed[0], placed[1])
+
+
+def in_leg_space(geometry: spm.Geometry, count: int, seed: int, *, legs: Array | None = None) -> Problem:
+    """Problems at leg lengths drawn uniformly from the limits, in the mode of the symmetric home."""
+    assert geometry.limits is not None
+    rng = np.random.default_rng(seed)
+    if legs is None:
+        legs = rng.uniform(geometry.limits.minimum, geometry.limits.maximum, (count, 6))
+    lower = _home_mode(legs[:, :3], geometry.base_radius, geometry)
+    quaternion, position = _home_mode(legs[:, 3:], geometry.platform_radius, geometry)
+    # The upper stage hangs below its platform: mirrored at the platform's plane.
+    mirrored = quaternion * [-1.0, -1.0, 1.0, 1.0], position * [1.0, 1.0, -1.0]
+    return compose(geometry, lower, mirrored)
+
+
+def _home_mode(lengths: Array, radius: float, geometry: spm.Geometry) -> tuple[Array, Array]:
+    """Solve one stage's leg lengths (N, 3) by Newton from its level position."""
+    r = geometry.middle_radius
+    cos_phi, sin_phi = geometry.radial_directions[:, 0], geometry.radial_directions[:, 1]
+    unknown = np.zeros((len(lengths), 3))
+    unknown[:, 2] = np.sqrt((lengths**2).mean(axis=-1) - (r - radius) ** 2)
+    for _ in range(60):
+        x1, x2, height = (unknown[:, k, None] for k in range(3))
+        x0 = np.sqrt(1.0 - x1**2 - x2**2)
+        rho = r * (x0**2 - 2 * ((x1**2 - x2**2) * sin_phi + 2 * x1 * x2 * cos_phi)) - radius
+        lift = x1 * sin_phi - x2 * cos_phi
+        z = height + 2 * r * x0 * lift
+        error = rho**2 + z**2 - lengths**2
+        d_rho = [
+            r * (-2 * x1 - 4 * (x1 * sin_phi + x2 * cos_phi)),
+            r * (-2 * x2 - 4 * (-x2 * sin_phi + x1 * cos_phi)),
+        ]
+        d_z = [2 * r * (-x1 / x0 * lift + x0 * sin_phi), 2 * r * (-x2 / x0 * lift - x0 * cos_phi)]
+        columns = [2 * rho * d_rho[k] + 2 * z * d_z[k] for k in range(2)] + [2 * z]
+        unknown -= np.linalg.solve(np.stack(columns, axis=-1), error[..., None])[..., 0]
+    assert np.abs(error).max() < 1e-13
+    azimuth, half_sine = np.arctan2(unknown[:, 1], unknown[:, 0]), np.hypot(unknown[:, 0], unknown[:, 1])
+    return stage("T", azimuth, half_sine, unknown[:, 2], r)
