@@ -106,3 +106,43 @@ def _home_mode(lengths: Array, radius: float, geometry: spm.Geometry) -> tuple[A
     assert np.abs(error).max() < 1e-13
     azimuth, half_sine = np.arctan2(unknown[:, 1], unknown[:, 0]), np.hypot(unknown[:, 0], unknown[:, 1])
     return stage("T", azimuth, half_sine, unknown[:, 2], r)
+
+
+def at_discriminant(pose: RigidTransform, family: int, h_beyond: float, geometry: spm.Geometry) -> RigidTransform:
+    """Shift a pose along the common normal of the two Z axes until a family's fold is `h_beyond` [m] away.
+
+    The discriminant is a quadratic in the shift, (h - λ_min)(λ_max - h), so three samples give its roots.
+    Positive `h_beyond` leaves the two branches real and close together, negative ones have just vanished.
+    """
+    rotation = pose.rotation.as_matrix()
+    normal = np.array([-rotation[1, 2], rotation[0, 2], 0.0])
+    normal /= np.linalg.norm(normal)
+    scale = 0.1 * geometry.middle_side
+    shifts = scale * np.array([-1.0, 0.0, 1.0])
+    samples = [
+        spm.inverse_displacement(geometry, spm.pose(pose.translation + s * normal, rotation=pose.rotation))
+        for s in shifts
+    ]
+    values = [float(s.discriminants[family]) for s in samples if s.discriminants is not None]
+    fold = np.roots(np.polyfit(shifts, values, 2)).real.max()
+    return spm.pose(pose.translation + (fold - h_beyond) * normal, rotation=pose.rotation)
+
+
+def conditioning(configuration: spm.Configuration) -> Array:
+    """How much b moves [m] per rounding of the pose: of the lines the joints are on, and of the triangle on them.
+
+    Line i is the meet of two planes, so its position errs by that of the planes over the sine of their angle;
+    the three side lengths then fix the joints along the lines through a 3 x 3 matrix of direction cosines.
+    """
+    along = np.cross(configuration.geometry.revolute_axes, configuration.platform_axes)
+    sine = np.linalg.norm(along, axis=-1)
+    along = along / sine[..., None]
+    b = configuration.middle_joints
+    matrix = np.zeros((*configuration.shape, 3, 3))
+    for row, (i, j) in enumerate(((0, 1), (1, 2), (2, 0))):
+        side = (b[..., i, :] - b[..., j, :]) / configuration.geometry.middle_side
+        matrix[..., row, i] = (side * along[..., i, :]).sum(axis=-1)
+        matrix[..., row, j] = -(side * along[..., j, :]).sum(axis=-1)
+    reach = np.linalg.norm(configuration.translation, axis=-1) + np.abs(b).max(axis=(-1, -2))
+    smallest = np.linalg.svd(matrix, compute_uv=False)[..., -1]
+    return reach / sine.min(axis=-1) * (1.0 + 1.0 / smallest)

@@ -195,7 +195,7 @@ class Configuration:
         lower = (b * self._geometry.revolute_axes).sum(axis=-1)
         upper = ((b - self.platform_joints) * self.platform_axes).sum(axis=-1)
         sides = np.sqrt(((b - np.roll(b, -1, axis=-2)) ** 2).sum(axis=-1)) - self._geometry.middle_side
-        return frozen(np.abs(np.concatenate([lower, upper, sides], axis=-1)).max(axis=-1))
+        return frozen(np.asarray(np.abs(np.concatenate([lower, upper, sides], axis=-1)).max(axis=-1)))
 
 
 def _transform(rotation: FloatArray, translation: FloatArray) -> RigidTransform:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ import numpy.typing as npt
 import yaml
 
 from spm_pin.errors import GeometryError
-from spm_pin.mechanism.arguments import FloatArray, frozen, real_array
+from spm_pin.mechanism.arguments import FloatArray, real_array
 
 __all__ = ["LEGS", "Geometry", "LegLimits", "config_directory"]
 
@@ -199,22 +198,22 @@ class Geometry:
         """Radius r = d/√3 of the middle platform, from its centre to a ball joint b_i [m]."""
         return self.middle_side / math.sqrt(3.0)
 
-    @cached_property
+    @property
     def base_joints(self) -> FloatArray:
         """Lower revolute joints a_1..a_3 as rows (3, 3) [m] in {B}. Eq. (1a)."""
-        return frozen(self.base_radius * _RADIAL)
+        return self.base_radius * _RADIAL
 
-    @cached_property
+    @property
     def platform_joints(self) -> FloatArray:
         """Upper revolute joints c_1..c_3 as rows (3, 3) [m] in {m}. Eq. (1b)."""
-        return frozen(self.platform_radius * _RADIAL)
+        return self.platform_radius * _RADIAL
 
     @property
     def radial_directions(self) -> FloatArray:
         """Unit vectors from O towards a_i in {B}, equally from o towards c_i in {m}, as rows (3, 3)."""
-        return frozen(_RADIAL)
+        return _RADIAL.copy()
 
     @property
     def revolute_axes(self) -> FloatArray:
         """Unit revolute axes of legs 1..3 as rows (3, 3): in {B} at the a_i, in {m} at the c_i. Eq. (4)."""
-        return frozen(_AXES)
+        return _AXES.copy()

@@ -15,6 +15,8 @@ __all__ = ["PoseLike", "as_rigid_transform", "pose"]
 
 ORTHONORMALITY_TOLERANCE = 1e-6
 """Largest entry of RᵀR - I taken for rounding, as of single precision, and repaired; more is an error."""
+EXACT = 1e-15
+"""Up to this the matrix is as good as double precision has it, and kept to the last bit."""
 
 
 @runtime_checkable
@@ -127,13 +129,17 @@ def _euler(angles: FloatArray) -> FloatArray:
     return np.asarray(Rotation.from_euler("XYX", angles).as_matrix())
 
 
+def _gram_error(matrices: FloatArray) -> FloatArray:
+    return np.asarray(np.swapaxes(matrices, -1, -2) @ matrices - np.eye(3))
+
+
 def _finite(matrices: FloatArray, argument: str) -> FloatArray:
     return real_array(matrices, argument, (3, 3), "a rotation matrix", error=PoseError)
 
 
 def _rotations(value: npt.ArrayLike, argument: str) -> FloatArray:
     matrices = _finite(np.asarray(value), argument)
-    error = np.abs(np.swapaxes(matrices, -1, -2) @ matrices - np.eye(3)).max(axis=(-1, -2), initial=0.0)
+    error = np.abs(_gram_error(matrices)).max(axis=(-1, -2), initial=0.0)
     wrong = error > ORTHONORMALITY_TOLERANCE
     if wrong.any():
         index = first_offender(wrong)
@@ -157,5 +163,5 @@ def _assemble(matrices: FloatArray, position: FloatArray, argument: str) -> Rigi
     transform[..., :3, :3] = matrices
     transform[..., :3, 3] = position
     transform[..., 3, 3] = 1.0
-    # normalize repairs rounding within ORTHONORMALITY_TOLERANCE.
-    return RigidTransform.from_matrix(transform)
+    rounded = np.abs(_gram_error(matrices)).max(initial=0.0) > EXACT
+    return RigidTransform(transform, normalize=bool(rounded), copy=False)

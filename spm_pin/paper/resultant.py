@@ -37,7 +37,7 @@ class Resultant:
     Attributes
     ----------
     s : ndarray, shape (N, 3, 2)
-        s_i1 [m] and s_i2 of Eq. (10); infinite or NaN where the line of b_i is vertical.
+        s_i1 [m] and s_i2 of Eq. (10); NaN where the line of b_i is vertical.
     d : float
         Side of the middle platform [m].
     """
@@ -63,7 +63,7 @@ class Resultant:
             s_31 = ((-x_l + q * y_l) * c_3x - (x_m - q * y_m) * c_3y - (x_n - q * y_n) * c_3z) / (-x_n + q * y_n)
             s_32 = (q * x_l - 3 * y_l + x_m - q * y_m) / (-x_n + q * y_n)
         s = np.stack([s_11, s_12, s_21, s_22, s_31, s_32], axis=-1).reshape(-1, 3, 2)
-        return cls(s, geometry.middle_side)
+        return cls(np.where(np.isfinite(s), s, np.nan), geometry.middle_side)
 
     @property
     def p(self) -> FloatArray:
@@ -114,7 +114,8 @@ class Resultant:
             [o, k_12, k_11, k_10, o, o],
             [k_12, k_11, k_10, o, o, o],
         ]
-        return np.asarray(np.linalg.det(np.moveaxis(np.array(U), (0, 1), (-2, -1))))
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.linalg.det(np.moveaxis(np.array(U), (0, 1), (-2, -1))))
 
     def roots(self, *, as_printed: bool = False) -> ComplexArray:
         """Return the eight roots b_2y of |U| = 0, shape (N, 8) [m]; NaN where a line is vertical."""

@@ -1,0 +1,114 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import spm_pin as spm
+from spm_pin.paper import published
+
+EXAMPLE = ["--translation", "68.89", "49.63", "225.3", "--xyx", "-11.08", "32.97", "-12.88", "--unit", "cm"]
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", "from spm_pin.cli import main; main()", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+
+
+def test_reproduce_prints_every_table_and_each_finding() -> None:
+    done = run("reproduce")
+    assert done.returncode == 0, done.stderr
+    for words in ("Table 1:", "Table 4:", "two witnesses", "105 of 108 cells", "a shifted number", "Eq. (17)"):
+        assert words in done.stdout.replace("\n", " "), words
+    assert "…" not in done.stdout, "nothing is cut off at 80 columns"
+
+
+def test_reproduce_writes_json(tmp_path: Path) -> None:
+    target = tmp_path / "tables.json"
+    assert run("reproduce", "--table", "3", "--json", str(target)).returncode == 0
+    content = json.loads(target.read_text(encoding="utf-8"))
+    assert {cell["table"] for cell in content["cells"]} == {3}
+    assert [cell["column"] for cell in content["cells"] if cell["verdict"] == "misprint"] == ["5"]
+
+
+def test_reproduce_fails_on_a_difference_nothing_explains() -> None:
+    program = (
+        "from spm_pin.paper import published; from spm_pin.cli import main; import sys;"
+        "published.TABLE_4 = (('116.1501', *published.TABLE_4[0][1:]), *published.TABLE_4[1:]); main()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, "reproduce", "--table", "4"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert "unexplained" in done.stdout
+    assert "1 printed value" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["reproduce", "--table", "7"], "tables: expected numbers of (1, 2, 3, 4"),
+        (["reproduce", "--json", "/nowhere/x.json"], "--json: expected a file that can be written"),
+        (["inverse", *EXAMPLE[:-4], "nan", "0", "--unit", "cm"], "xyx: expected finite"),
+        (["inverse", "--translation", "nan", "0", "2", "--xyx", "1", "2", "3"], "translation: expected finite"),
+        (["inverse", *EXAMPLE, "--geometry", "missing.yaml"], "No such file"),
+        (["inverse", "--translation", "1", "2"], "requires 3 arguments"),
+        (["inverse", *EXAMPLE[:-1], "furlong"], "furlong"),
+    ],
+)
+def test_bad_input_is_a_clear_error(arguments: list[str], words: str) -> None:
+    done = run(*arguments)
+    assert done.returncode == 2
+    assert words in " ".join(done.stderr.replace("│", " ").split())
+    assert "Traceback" not in done.stderr
+
+
+def test_inverse_in_every_unit_and_as_json() -> None:
+    lengths = {}
+    for unit, factor in (("m", 0.01), ("cm", 1.0), ("mm", 10.0)):
+        position = [str(x * factor) for x in published.POSITION]
+        done = run("inverse", "--translation", *position, *EXAMPLE[4:8], "--unit", unit, "--json")
+        content = json.loads(done.stdout)
+        assert content["status"] == "ok"
+        assert [branch["label"] for branch in content["branches"]] == ["TT+", "TT-", "TF+", "TF-", "FF+", "FF-"]
+        lengths[unit] = np.array([branch["leg_lengths"] for branch in content["branches"]]) / factor
+    pose = spm.pose(np.array(published.POSITION) / 100, xyx=np.deg2rad(published.XYX_DEGREES))
+    own = spm.inverse_displacement(spm.Geometry.paper(), pose)
+    for found in lengths.values():
+        np.testing.assert_allclose(found, 100 * own.leg_lengths[own.exists], rtol=1e-12)
+
+
+def test_inverse_says_which_branch_is_physical_and_which_leg_is_too_long() -> None:
+    out = run("inverse", *EXAMPLE).stdout
+    (line,) = [line for line in out.splitlines() if "TT+" in line]
+    assert line.split() == ["TT+", "119.982", "119.996", "139.856", "125.012", "120.004", "150.127*", "physical"]
+    assert "6 of 8 branches real" in out
+    assert "…" not in out
+
+
+def test_inverse_of_poses_without_a_branch() -> None:
+    level = run("inverse", "--translation", "0", "0", "2.2", "--xyx", "0", "0", "0")
+    assert level.returncode == 0
+    assert "continuous family of dimension 3" in " ".join(level.stdout.split())
+    far = run("inverse", "--translation", "9", "9", "9", "--xyx", "10", "20", "30")
+    assert far.returncode == 0
+    assert "No configuration holds this pose" in far.stdout
+
+
+def test_another_geometry_from_yaml(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text("base_radius: 0.7\nplatform_radius: 0.35\nmiddle_side: 0.8\n", encoding="utf-8")
+    done = run("inverse", *EXAMPLE, "--geometry", str(path), "--json")
+    content = json.loads(done.stdout)
+    pose = spm.pose(np.array(published.POSITION) / 100, xyx=np.deg2rad(published.XYX_DEGREES))
+    own = spm.inverse_displacement(spm.Geometry(0.7, 0.35, 0.8), pose)
+    np.testing.assert_allclose(content["branches"][0]["leg_lengths"], 100 * own.leg_lengths[0], rtol=1e-12)
+
+
+def test_version_and_help() -> None:
+    assert run("--version").stdout.strip() == f"spm-pin {spm.__version__}"
+    assert "reproduce" in run("--help").stdout

@@ -1,0 +1,196 @@
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from problems import in_leg_space, random_branches
+
+import spm_pin as spm
+from spm_pin.mechanism.branches import determinants, straightness
+
+PAPER = spm.Geometry.paper()
+POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
+
+
+@pytest.fixture
+def branches() -> spm.SolutionSet:
+    return spm.inverse_displacement(PAPER, POSE)
+
+
+@pytest.fixture(scope="module")
+def batch() -> spm.SolutionSet:
+    return spm.inverse_displacement(PAPER, in_leg_space(PAPER, 500, seed=1).pose)
+
+
+def test_a_single_problem_is_indexed_by_its_solutions(branches: spm.SolutionSet) -> None:
+    assert branches.labels == spm.BRANCHES
+    assert branches.status is spm.Status.OK
+    assert branches.count == 6
+    for k, label in enumerate(branches.labels):
+        np.testing.assert_array_equal(branches[k].middle_joints, branches[label].middle_joints)
+        assert branches[k].exists == branches.exists[k]
+    real = list(branches)
+    assert len(real) == 6
+    assert all(state.exists for state in real)
+    np.testing.assert_array_equal(real[4].leg_lengths, branches["FF+"].leg_lengths)
+    with pytest.raises(KeyError, match="the labels are TT"):
+        branches["TT"]
+    with pytest.raises(IndexError):
+        branches[8]
+
+
+def test_a_batch_is_indexed_by_its_problems(batch: spm.SolutionSet) -> None:
+    assert batch.shape == (500,)
+    one = batch[7]
+    assert isinstance(one, spm.SolutionSet)
+    assert one.shape == ()
+    np.testing.assert_array_equal(one.leg_lengths, batch.leg_lengths[7])
+    np.testing.assert_array_equal(one.discriminants, np.asarray(batch.discriminants)[7])
+    some = batch[10:20]
+    assert some.shape == (10,)
+    np.testing.assert_array_equal(some["TT-"].leg_lengths, batch.leg_lengths[10:20, 1])
+    assert [s.count for s in some] == list(batch.count[10:20])
+    assert batch[np.array([3, 5])].shape == (2,)
+    grid = spm.inverse_displacement(PAPER, in_leg_space(PAPER, 6, seed=1).pose.as_matrix().reshape(3, 2, 4, 4))
+    assert grid.shape == (3, 2)
+    assert grid[1, 0].shape == ()
+    assert grid[:, 1].shape == (3,)
+    assert grid[..., 1].shape == (3,)
+    with pytest.raises(IndexError):
+        grid[0, 0, 0]
+
+
+def test_shapes_are_as_documented(batch: spm.SolutionSet) -> None:
+    shapes = {
+        "exists": (500, 8),
+        "status": (500,),
+        "middle_joints": (500, 8, 3, 3),
+        "leg_lengths": (500, 8, 6),
+        "residual": (500, 8),
+        "discriminants": (500, 4),
+        "rotation": (500, 8, 3, 3),
+        "translation": (500, 8, 3),
+        "is_physical": (500, 8),
+        "ambiguous": (500,),
+        "count": (500,),
+    }
+    for name, shape in shapes.items():
+        assert getattr(batch, name).shape == shape, name
+
+
+def test_within_keeps_what_respects_the_limits(batch: spm.SolutionSet) -> None:
+    kept = batch.within()
+    lengths = batch.leg_lengths
+    with np.errstate(invalid="ignore"):
+        expected = ((lengths >= 1.1) & (lengths <= 1.5)).all(axis=-1)
+    np.testing.assert_array_equal(kept.exists, expected)
+    assert kept.exists.any(axis=-1).all()
+    assert np.isnan(kept.leg_lengths[~expected]).all()
+    np.testing.assert_array_equal(kept.status, batch.status)
+    tight = batch.within(spm.LegLimits(1.2, 1.4))
+    assert tight.exists.sum() < kept.exists.sum()
+    unlimited = spm.inverse_displacement(replace(PAPER, limits=None), POSE)
+    assert unlimited.within() is unlimited
+
+
+def test_nearest_finds_every_branch_again(batch: spm.SolutionSet) -> None:
+    rng = np.random.default_rng(0)
+    for k in range(8):
+        have = batch.exists[:, k]
+        state = batch[have][batch.labels[k]]
+        shaken = state.middle_joints + rng.normal(size=state.middle_joints.shape) * 1e-9
+        np.testing.assert_array_equal(batch[have].nearest(shaken).middle_joints, state.middle_joints)
+        np.testing.assert_array_equal(batch[have].nearest(state).middle_joints, state.middle_joints)
+
+
+def test_nearest_refuses_a_seed_that_does_not_exist(branches: spm.SolutionSet) -> None:
+    with pytest.raises(spm.ArgumentError, match="seed: expected states that exist"):
+        branches.nearest(branches["FT+"])
+    with pytest.raises(spm.ArgumentError, match="seed"):
+        branches.nearest(np.zeros((2, 2)))
+
+
+def test_where_nothing_exists_nothing_is_chosen() -> None:
+    nothing = spm.inverse_displacement(PAPER, spm.pose([9, 9, 9], rotation=POSE.rotation))
+    assert nothing.status is spm.Status.UNREACHABLE
+    assert not nothing.physical().exists
+    assert not nothing.nearest(np.zeros((3, 3))).exists
+    assert not nothing.ambiguous
+    assert list(nothing) == []
+
+
+def test_the_physical_branch_is_the_papers_reasonable_one(branches: spm.SolutionSet) -> None:
+    chosen = branches.physical()
+    np.testing.assert_allclose(100 * chosen.leg_lengths[:3], [119.9824, 119.9962, 139.8558], atol=5e-5)
+    # The rounded pose takes r_c3 beyond our 1.50 m: physical in its mode, and excluded by the limits.
+    assert not branches.within().physical().exists
+
+
+def test_the_physical_branch_is_the_one_the_pose_was_made_from() -> None:
+    problem = in_leg_space(PAPER, 20_000, seed=3)
+    solutions = spm.inverse_displacement(PAPER, problem.pose)
+    chosen = solutions.physical()
+    assert chosen.exists.all()
+    same = np.abs(chosen.middle_joints - problem.middle_joints).max(axis=(-1, -2)) < 1e-6
+    assert same[~solutions.ambiguous].all()
+    assert 0.005 < solutions.ambiguous.mean() < 0.015
+    # Where two are left they are the two sides of an inverse singularity, and a seed decides.
+    left = solutions[solutions.ambiguous]
+    assert (left.is_physical.sum(axis=-1) == 2).all()
+    assert left.is_physical[:, :2].all()
+    seed = problem.configuration[np.flatnonzero(solutions.ambiguous)]
+    seeded = left.physical(seed=seed)
+    np.testing.assert_allclose(seeded.middle_joints, seed.middle_joints, atol=1e-6)
+    tilts = straightness(left.configurations)[:, :2]
+    np.testing.assert_allclose(straightness(left.physical()), tilts.max(axis=-1))
+
+
+def test_signs_at_home_are_positive() -> None:
+    home = in_leg_space(PAPER, 1, seed=0, legs=np.full((1, 6), 1.3)).configuration
+    lower, upper, _ = determinants(home)
+    assert (lower > 0.0).all()
+    assert (upper > 0.0).all()
+
+
+def test_one_is_the_only_one_or_an_error(branches: spm.SolutionSet) -> None:
+    with pytest.raises(spm.NotOneSolutionError, match="got 6: TT") as caught:
+        branches.one()
+    assert caught.value.labels == ("TT+", "TT-", "TF+", "TF-", "FF+", "FF-")
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
+    assert branches.where(np.array(branches.labels) == "FF+").one().exists
+    with pytest.raises(spm.NotOneSolutionError, match="got none"):
+        branches.where(np.zeros(8)).one()
+    pair = spm.inverse_displacement(PAPER, spm.pose([POSE.translation] * 2, rotation=POSE.rotation))
+    mask = np.zeros((2, 8), dtype=bool)
+    mask[0, 0] = True
+    with pytest.raises(spm.NotOneSolutionError, match=r"got none at batch index \(1,\)"):
+        pair.where(mask).one()
+
+
+@pytest.mark.parametrize("modes", spm.FAMILIES)
+def test_any_order_is_put_in_the_canonical_order(modes: str) -> None:
+    problem = random_branches(PAPER, modes, 2_000, seed=4)
+    solutions = spm.inverse_displacement(PAPER, problem.pose)
+    shuffled = np.random.default_rng(0).permuted(np.arange(8)[None].repeat(2_000, 0), axis=1)
+    joints = np.take_along_axis(solutions.middle_joints, shuffled[..., None, None], axis=1)
+    again = spm.SolutionSet.from_unordered(PAPER, problem.pose, joints)
+    np.testing.assert_array_equal(again.middle_joints, solutions.middle_joints)
+    np.testing.assert_array_equal(again.status, solutions.status)
+
+
+def test_more_than_two_of_a_family_is_an_unsolved_problem(branches: spm.SolutionSet) -> None:
+    joints = np.array(branches.middle_joints)
+    joints[4] = joints[0] + 1e-4
+    wrong = spm.SolutionSet.from_unordered(PAPER, POSE, joints)
+    assert wrong.status is spm.Status.UNSOLVED
+    assert not wrong.exists.any()
+    failed = spm.SolutionSet.from_unordered(PAPER, POSE, branches.middle_joints, solved=False)
+    assert failed.status is spm.Status.UNSOLVED
+
+
+def test_representations_say_what_matters(branches: spm.SolutionSet, batch: spm.SolutionSet) -> None:
+    assert repr(branches) == "<SolutionSet: ok, 6 of 8 real: TT+, TT-, TF+, TF-, FF+, FF->"
+    assert "(500,) problems (500 ok, 0 unreachable" in repr(batch)
+    assert repr(branches["TT+"]).startswith("<Configuration: leg lengths (1.1998, 1.2000")

@@ -1,0 +1,133 @@
+"""How many real branches a pose has, proved by ball arithmetic (python-flint), by a route of its own.
+
+Neither the paper's unknowns nor the package's quaternions: each ball joint is a point at arc length l_i on the
+line of its two leg planes, the three distances are monic quadratics in the l_i, and l_3 and l_1 are eliminated by
+resultants of monic quadratics. The octic's roots come as disjoint balls, so which of them are real is certain.
+All eight solutions differ in l_2 then, so a solution is real where its l_2 is.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from flint import acb_poly, arb, arb_poly, ctx
+
+Vector = list[Any]
+
+
+def certified_count(
+    quaternion: npt.NDArray[np.float64], position: npt.NDArray[np.float64], d: float, *, nudge: str = "0"
+) -> int | None:
+    """Count the real branches of one pose, its floats taken as exact; None where no precision separates the roots.
+
+    The quaternion (4,), scalar last, need not have unit length: its rotation is made exactly. `nudge` is added to
+    its z and w parts, to move roots away from infinity by less than any float could.
+    """
+    for precision in (128, 256, 512, 1024, 2048):
+        ctx.prec = precision
+        count = _count(octic(quaternion, position, d, nudge))
+        if count is not None:
+            return count
+    return None
+
+
+def _count(polynomial: arb_poly) -> int | None:
+    leading = polynomial[8]
+    if leading.contains(0):
+        return None
+    try:
+        # Moved to the roots' mean, where the iteration converges; as narrow as the working precision allows, for
+        # a pair just off the axis must not touch it.
+        centred = polynomial(arb_poly([-polynomial[7] / (8 * leading), 1]))
+        roots = acb_poly(centred).roots(tol=arb(2) ** (-ctx.prec // 2), maxprec=64 * ctx.prec)
+    except ValueError:
+        return None
+    real = 0
+    for k, root in enumerate(roots):
+        if root.imag.contains(0):
+            # Isolated, and the mirror image of no other root: equal to its own conjugate.
+            if any(root.conjugate().overlaps(other) for j, other in enumerate(roots) if j != k):
+                return None
+            real += 1
+    return real
+
+
+def octic(
+    quaternion: npt.NDArray[np.float64], position: npt.NDArray[np.float64], d: float, nudge: str = "0"
+) -> arb_poly:
+    """Return the polynomial of degree eight in l_2 whose roots are the branches."""
+    x, y, z, w = (arb(float(c)) for c in quaternion)
+    rotation = _rotation([x, y, z + arb(nudge), w + arb(nudge)])
+    o = [arb(float(c)) for c in position]
+    half, half_sqrt3 = arb(1) / 2, arb(3).sqrt() / 2
+    axes = [[half, half_sqrt3, arb(0)], [arb(1), arb(0), arb(0)], [-half, half_sqrt3, arb(0)]]
+    points, directions = [], []
+    for lower in axes:
+        upper = [_dot(row, lower) for row in rotation]
+        along = _cross(lower, upper)
+        squared = _dot(along, along)
+        # The point on both planes nearest to O; the upper plane passes through o.
+        points.append([_dot(upper, o) * c / squared for c in _cross(along, lower)])
+        directions.append([c / squared.sqrt() for c in along])
+    e1, e2, e3 = directions
+    side = arb(float(d)) ** 2
+
+    def apart(i: int, j: int) -> tuple[Vector, Any]:
+        difference = [a - b for a, b in zip(points[i], points[j], strict=True)]
+        return difference, _dot(difference, difference) - side
+
+    (q12, k12), (q23, k23), (q13, k13) = apart(0, 1), apart(1, 2), apart(0, 2)
+    t = arb_poly([0, 1])
+    # x² + a x + b in l_1 from side 12; in l_3 from sides 23 and 13, the latter's a and b polynomials in l_1.
+    a1, b1 = -2 * _dot(e1, e2) * t + 2 * _dot(e1, q12), t * t - 2 * _dot(e2, q12) * t + k12
+    a3, b3 = -2 * _dot(e2, e3) * t - 2 * _dot(e3, q23), t * t + 2 * _dot(e2, q23) * t + k23
+    c3 = [arb_poly([-2 * _dot(e3, q13)]), arb_poly([-2 * _dot(e1, e3)])]
+    d3 = [arb_poly([k13]), arb_poly([2 * _dot(e1, q13)]), arb_poly([1])]
+    m = [c3[0] - a3, c3[1]]
+    n = [d3[0] - b3, d3[1], d3[2]]
+    # Resultant of two monic quadratics whose difference is m x + n: m² b - m n a + n².
+    quartic = _add(_scale(_times(m, m), b3), _scale(_times(m, n), -a3), _times(n, n))
+    while len(quartic) > 2:
+        top = quartic.pop()
+        quartic[-1] -= top * a1
+        quartic[-2] -= top * b1
+    r0, r1 = quartic
+    return r1 * r1 * b1 - r1 * r0 * a1 + r0 * r0
+
+
+def _rotation(quaternion: Vector) -> list[Vector]:
+    x, y, z, w = quaternion
+    n = x * x + y * y + z * z + w * w
+    rows = [
+        [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
+    ]
+    return [[entry / n for entry in row] for row in rows]
+
+
+def _dot(a: Vector, b: Vector) -> Any:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+
+
+def _times(a: Vector, b: Vector) -> Vector:
+    product = [arb_poly([0]) for _ in range(len(a) + len(b) - 1)]
+    for i, x in enumerate(a):
+        for j, y in enumerate(b):
+            product[i + j] += x * y
+    return product
+
+
+def _scale(a: Vector, factor: Any) -> Vector:
+    return [x * factor for x in a]
+
+
+def _add(*terms: Vector) -> Vector:
+    length = max(len(term) for term in terms)
+    return [sum((term[k] for term in terms if k < len(term)), arb_poly([0])) for k in range(length)]

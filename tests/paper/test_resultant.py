@@ -1,0 +1,98 @@
+"""The paper's route as a witness: it agrees with the closed form, and its losses are its own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from oracle import certified_count
+from problems import GEOMETRIES, Problem, in_leg_space, random_branches
+
+import spm_pin as spm
+from spm_pin.paper import resultant
+
+PAPER = spm.Geometry.paper()
+EXAMPLE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
+
+
+def assert_agreement(problem: Problem, losses: float) -> None:
+    """Same branches under the same labels; where not, an exact count sides with the closed form, always.
+
+    `losses` bounds the share of poses where the paper's route finds another number of branches.
+    """
+    paper = resultant.inverse_displacement(problem.geometry, problem.pose)
+    closed = spm.inverse_displacement(problem.geometry, problem.pose)
+    differ = (paper.exists != closed.exists).any(axis=-1)
+    assert differ.mean() < losses
+    quaternions, positions = problem.pose.rotation.as_quat(), problem.pose.translation
+    for n in np.flatnonzero(differ):
+        truth = certified_count(quaternions[n], positions[n], problem.geometry.middle_side)
+        assert closed.count[n] == truth
+        assert paper.count[n] <= truth, "the paper's route invents nothing"
+    error = np.abs(paper.middle_joints - closed.middle_joints).max(axis=(-1, -2))
+    error = error[paper.exists & closed.exists & ~differ[:, None]] / problem.geometry.middle_side
+    assert np.quantile(error, 0.5) < 1e-13
+    assert np.quantile(error, 0.99) < 1e-9
+
+
+def test_agreement_in_leg_space() -> None:
+    assert_agreement(in_leg_space(PAPER, 5_000, seed=1), losses=0.015)
+
+
+@pytest.mark.parametrize("name", GEOMETRIES)
+def test_agreement_over_all_rotations(name: str) -> None:
+    for family in spm.FAMILIES:
+        assert_agreement(random_branches(GEOMETRIES[name], family, 500, seed=2), losses=0.1)
+
+
+@pytest.mark.slow
+def test_agreement_on_a_hundred_thousand_poses() -> None:
+    assert_agreement(in_leg_space(PAPER, 50_000, seed=3), losses=0.015)
+    for geometry in GEOMETRIES.values():
+        for family in spm.FAMILIES:
+            assert_agreement(random_branches(geometry, family, 50_000 // 16, seed=4), losses=0.1)
+
+
+def test_the_roots_are_those_of_the_determinant() -> None:
+    lines = resultant.Resultant.of(PAPER, EXAMPLE)
+    roots = lines.roots()
+    real = np.sort(roots[0, np.abs(roots[0].imag) < 1e-9].real)
+    assert len(real) == 6
+    # The determinant changes sign at each real root and nowhere else on the interval.
+    across = np.linspace(-0.92, 0.92, 20_001)
+    values = lines.determinant(across)[0]
+    changes = across[np.flatnonzero(np.diff(np.sign(values)))]
+    np.testing.assert_allclose(changes, real, atol=1e-4)
+
+
+def test_the_octic_is_of_degree_eight() -> None:
+    lines = resultant.Resultant.of(PAPER, EXAMPLE)
+    nodes = np.cos((np.arange(15) + 0.5) * np.pi / 15)
+    series = np.polynomial.chebyshev.chebfit(nodes, lines.determinant(nodes)[0], 14)
+    assert np.abs(series[9:]).max() < 1e-12 * np.abs(series).max()
+    assert abs(series[8]) > 1e-6 * np.abs(series).max()
+
+
+def test_pure_paper_without_refinement_reaches_eight_digits_at_the_example() -> None:
+    roots = resultant.solve(PAPER, EXAMPLE)
+    truth = spm.complex_middle_joints(PAPER, EXAMPLE)
+    gaps = np.abs(roots[:, None] - truth[None]).max(axis=(-1, -2))
+    assert (gaps.min(axis=1) < 1e-8).all()
+    assert sorted(gaps.argmin(axis=1)) == list(range(8))
+
+
+def test_equations_13_are_the_sides_of_the_triangle() -> None:
+    """Random points on the lines of Eq. (11): Eq. (13) is the squared side minus d², Eq. (12)."""
+    lines = resultant.Resultant.of(PAPER, EXAMPLE)
+    unknowns = np.random.default_rng(0).normal(size=(1, 8, 3)) + 0j
+    b = lines.middle_joints(unknowns)[0].real
+    sides = [((b[:, i] - b[:, j]) ** 2).sum(axis=-1) - 0.64 for i, j in ((0, 1), (2, 1), (0, 2))]
+    np.testing.assert_allclose(lines.equations(unknowns)[0].real, np.stack(sides, axis=-1), rtol=1e-12, atol=1e-12)
+    configuration = spm.Configuration(PAPER, EXAMPLE, b)
+    planes = (b - configuration.platform_joints) * configuration.platform_axes
+    np.testing.assert_allclose(planes.sum(axis=-1), 0.0, atol=1e-13)
+
+
+def test_a_vertical_line_is_unsolved_not_unreachable() -> None:
+    pose = spm.pose([0.1, 0.05, 2.2], rotation=np.eye(3))
+    assert resultant.inverse_displacement(PAPER, pose).status is spm.Status.UNSOLVED
+    assert np.isnan(resultant.solve(PAPER, pose)).all()

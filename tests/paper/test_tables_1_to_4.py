@@ -1,0 +1,98 @@
+"""Regressions named after the paper's tables; what is printed wrong is found, not listed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import spm_pin as spm
+from spm_pin.crosscheck import reproduction
+from spm_pin.crosscheck.reproduction import Verdict, matches, reproduce
+from spm_pin.paper import published, resultant
+
+EXAMPLE = spm.pose(np.array(published.POSITION) / 100, xyx=np.deg2rad(published.XYX_DEGREES))
+
+
+@pytest.fixture(scope="module")
+def found() -> reproduction.Reproduction:
+    return reproduce()
+
+
+@pytest.mark.parametrize(("table", "cells", "wrong"), [(1, 24, 0), (2, 24, 0), (3, 24, 1), (4, 36, 2)])
+def test_every_printed_digit(found: reproduction.Reproduction, table: int, cells: int, wrong: int) -> None:
+    assert len(found.table(table)) == cells
+    assert sum(cell.verdict is not Verdict.SAME for cell in found.table(table)) == wrong
+    assert not found.unexplained
+
+
+def test_table_3_has_a_flipped_sign(found: reproduction.Reproduction) -> None:
+    (cell,) = [cell for cell in found.table(3) if cell.verdict is Verdict.MISPRINT]
+    assert (cell.row, cell.column, cell.published) == ("b_3 Z", "5", "229.93+8.75i")
+    assert matches("229.93-8.75i", cell.recomputed)
+    assert "sign of the imaginary part" in cell.note
+
+
+def test_table_4_lost_one_number_and_shifted_another(found: reproduction.Reproduction) -> None:
+    empty, shifted = [cell for cell in found.table(4) if cell.verdict is not Verdict.SAME]
+    assert (empty.row, empty.column, empty.verdict) == ("r_b1", "6", Verdict.NOT_PRINTED)
+    assert (shifted.row, shifted.column, shifted.verdict) == ("r_b2", "6", Verdict.MISPRINT)
+    assert matches("176.9975", empty.recomputed)
+    assert shifted.published == "176.9975"
+    assert matches("177.75", shifted.recomputed)
+
+
+def test_two_witnesses_see_the_same_eight_solutions(found: reproduction.Reproduction) -> None:
+    assert sorted(one.label for one in found.witnesses) == sorted(spm.BRANCHES)
+    # cm; the octic of the paper's route costs it about five digits.
+    assert max(one.difference for one in found.witnesses) < 1e-9
+    assert found.witnesses[2].label == "TT+"
+
+
+def test_equation_17_as_printed_has_no_real_root(found: reproduction.Reproduction) -> None:
+    assert found.equation_17 == reproduction.MisprintedEquation(printed=0, mended=6, true=6)
+    lines = resultant.Resultant.of(spm.Geometry.paper(), EXAMPLE)
+    true = spm.inverse_displacement(spm.Geometry.paper(), EXAMPLE).middle_joints[:, 1, 1]
+    true = true[np.isfinite(true)]
+    across = np.linspace(-0.9, 0.9, 50)
+    scale = np.abs(lines.determinant(across)).max()
+    assert np.abs(lines.determinant(true)).max() < 1e-12 * scale
+    assert np.abs(lines.determinant(true, as_printed=True)).min() > 1e-8 * scale
+
+
+def test_a_wrong_number_without_a_cause_is_not_explained_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = [list(row) for row in published.TABLE_4]
+    rows[4][2] = "120.0142"
+    monkeypatch.setattr(published, "TABLE_4", tuple(tuple(row) for row in rows))
+    (cell,) = reproduce([4]).unexplained
+    assert (cell.row, cell.column) == ("r_c2", "3")
+
+
+@pytest.mark.parametrize(
+    ("text", "value", "agrees"),
+    [
+        ("46.19", 46.1949, True),
+        ("46.19", 46.1951, False),
+        ("-90.26+167.89i", complex(-90.2597, 167.8887), True),
+        ("-90.26+167.89i", complex(-90.2597, -167.8887), False),
+        ("0", 1e-12, True),
+        ("0", 0.2, False),
+        ("95.40", 95.404, True),
+        ("122.5390", 122.53903, True),
+        ("46.19", complex(46.19, 0.2), False),
+    ],
+)
+def test_digits_are_compared_as_printed(text: str, value: complex, agrees: bool) -> None:
+    assert matches(text, complex(value)) is agrees
+
+
+def test_only_tables_that_can_be_reproduced() -> None:
+    with pytest.raises(spm.ArgumentError, match=r"tables: expected .* got \[6\]"):
+        reproduce([6])
+
+
+def test_table_6_has_two_varying_legs_in_every_row() -> None:
+    names = [name for name, _ in published.TABLE_6]
+    assert len(set(names)) == 24
+    for _, cells in published.TABLE_6:
+        assert len(cells) == 6
+        assert sum(cell.last is not None for cell in cells) == 2
