@@ -10,9 +10,12 @@ from typing import Any
 
 __all__ = [
     "ArgumentError",
+    "DescriptionError",
     "GeometryError",
+    "MissingExtraError",
     "NotOneSolutionError",
     "PoseError",
+    "SingularConfigurationError",
     "SpmError",
 ]
 
@@ -84,3 +87,60 @@ class NotOneSolutionError(SpmError):
 
     def __reduce__(self) -> tuple[type[NotOneSolutionError], tuple[tuple[str, ...], tuple[int, ...]]]:
         return type(self), (self.labels, self.index)
+
+
+class SingularConfigurationError(SpmError):
+    """A configuration, singular to rounding, at which what was asked for does not exist or is not unique.
+
+    Attributes
+    ----------
+    kind : str
+        "inverse": the platform's twist does not determine the leg rates. "forward": the legs do not hold the
+        platform. "constraint": a stage's revolute joints alone let its platform go, which is both.
+    sigma_min : float
+        Smallest singular value of the matrix concerned, scaled to be dimensionless.
+    index : tuple of int
+        Batch index of the first such member; empty for a single configuration.
+    """
+
+    def __init__(self, kind: str, sigma_min: float, index: tuple[int, ...] = ()) -> None:
+        self.kind = kind
+        self.sigma_min = sigma_min
+        self.index = index
+        meaning = {
+            "inverse": "the twist of the platform does not determine the leg rates",
+            "forward": "the legs do not hold the platform",
+            "constraint": "the revolute joints of a stage do not constrain its platform",
+        }
+        where = f" at batch index {index}" if index else ""
+        super().__init__(f"{kind} singularity{where}: {meaning[kind]} (smallest singular value {sigma_min:.1e})")
+
+    def __reduce__(self) -> tuple[type[SingularConfigurationError], tuple[str, float, tuple[int, ...]]]:
+        return type(self), (self.kind, self.sigma_min, self.index)
+
+
+class MissingExtraError(SpmError, ImportError):
+    """A package of an optional extra is not installed.
+
+    Attributes
+    ----------
+    extra : str
+        The extra that brings it.
+    package : str
+        The package that could not be imported.
+    """
+
+    def __init__(self, extra: str, package: str) -> None:
+        self.extra = extra
+        self.package = package
+        super().__init__(f'this needs {package}: pip install "spm-pin[{extra}]"', name=package)
+
+    def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str]]:
+        return type(self), (self.extra, self.package)
+
+
+class DescriptionError(ArgumentError):
+    """A description file that is missing or malformed, or a request that the description cannot express.
+
+    For a file, `argument` is its path and line, as ``closures.yaml:5``.
+    """

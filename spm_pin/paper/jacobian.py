@@ -1,0 +1,214 @@
+"""Witness 1: the paper's inverse Jacobian, Eqs. (21)-(31), with its symbols and its equation numbers.
+
+The loop equation of each leg pair, Eq. (21), is differentiated and multiplied by R_i2, Eq. (25), and by δ_ci,
+Eq. (26); the middle platform's sides give three more equations, Eq. (28). All nine are linear in the six leg
+rates and the three angular velocities ω_rbi of the lower legs: J_α v_m = J_λ v_s, Eq. (30a). The stored text of
+the paper lacks J_α; it is rebuilt here from Eq. (29).
+
+Misprints corrected: the lever arm in J_λ is e_i - r_ci, as Eq. (25b) derives it, not e_i - r_bi as in Eq. (30a);
+v_rib in (25b) is v_rbi, ä in (26a) is ω, e_i in (29f) is e_3, ω_r33 in (29i) is ω_rb3. `Table5Mistakes` puts back
+those that the published numbers were computed with.
+
+J_α is singular at an inverse singularity, and J then loses digits near it; `spm_pin.closed_form` has no need of
+it for forces.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from spm_pin.errors import SingularConfigurationError
+from spm_pin.mechanism.arguments import FloatArray, first_offender
+from spm_pin.mechanism.configuration import Configuration
+
+__all__ = ["CORRECT", "PUBLISHED", "J", "J_alpha", "J_f", "J_lambda", "Table5Mistakes", "refuse_singular"]
+
+SINGULAR = 64.0 * float(np.finfo(np.float64).eps)
+"""A matrix is singular where its smallest singular value is at most this times its largest: its entries, products
+of unit vectors computed from joint positions, carry errors of this order."""
+
+
+@dataclass(frozen=True)
+class Table5Mistakes:
+    """Which of the mistakes to make that together give the numbers printed in Table 5; by default none.
+
+    A diagnosis, not the authors' word: at solution 3 of the example, the three together reproduce every printed
+    number to its four decimals. The rates need the first two, the lower legs' forces all three, the upper legs'
+    forces the first and the third: with the lower legs locked, all ω_rbi are zero whatever their coefficients.
+
+    Attributes
+    ----------
+    printed_lever_arm : bool
+        The first three rows of J_λ have the lever arm e_i - r_bi, as Eq. (30a) prints them.
+    missing_entry : bool
+        Entry (9, 9) of J_α is zero: the coefficient of ω_rb3 in the third dimension constraint, Eq. (29i).
+    other_load : bool
+        The load is F = (-20, -30, +60) kN, T = (-30, -30, -100) kN cm, not the F = (-20, -30, -30),
+        T = (-30, -30, +100) of Section 5. It concerns the forces alone.
+    """
+
+    printed_lever_arm: bool = False
+    missing_entry: bool = False
+    other_load: bool = False
+
+
+CORRECT = Table5Mistakes()
+PUBLISHED = Table5Mistakes(printed_lever_arm=True, missing_entry=True, other_load=True)
+
+
+def J_alpha(configuration: Configuration, mistakes: Table5Mistakes = CORRECT) -> FloatArray:
+    """Return J_α of Eq. (30a), rebuilt from Eq. (29).
+
+    Parameters
+    ----------
+    configuration : Configuration
+        States of shape (...).
+    mistakes : Table5Mistakes
+        Of these, `missing_entry` matters here.
+
+    Returns
+    -------
+    ndarray, shape (..., 9, 9)
+        Rows Eqs. (29a)-(29i), the last three divided by d; columns v_rb1..v_rb3, v_rc1..v_rc3 [m/s] and
+        ω_rb1..ω_rb3 [rad/s]. NaN for a member that does not exist.
+
+    Raises
+    ------
+    SingularConfigurationError
+        As "forward", where a leg has no length, hence no direction.
+    """
+    r_b, _, δ_b, δ_c = _legs(configuration)
+    R_1 = configuration.geometry.revolute_axes
+    R_2 = configuration.platform_axes
+    ω_b = np.cross(R_1, r_b)  # the share of ω_rbi in the velocity of b_i, Eq. (27)
+    b = configuration.middle_joints
+    b_1, b_2, b_3 = (b[..., i, :] for i in range(3))
+    J_α = np.zeros((*configuration.shape, 9, 9))
+    for i in range(3):
+        # Eqs. (29a)-(29c)
+        J_α[..., i, i] = _dot(δ_b[..., i, :], R_2[..., i, :])
+        J_α[..., i, 6 + i] = _dot(ω_b[..., i, :], R_2[..., i, :])
+        # Eqs. (29d)-(29f)
+        J_α[..., 3 + i, i] = _dot(δ_b[..., i, :], δ_c[..., i, :])
+        J_α[..., 3 + i, 3 + i] = 1.0
+        J_α[..., 3 + i, 6 + i] = _dot(ω_b[..., i, :], δ_c[..., i, :])
+    # Eqs. (29g)-(29i): the velocity of b_j minus that of b_k, along δ_m from b_k to b_j
+    for row, (j, k, side) in enumerate([(0, 1, b_1 - b_2), (2, 0, b_3 - b_1), (1, 2, b_2 - b_3)], start=6):
+        δ_m = side / np.sqrt(_dot(side, side))[..., None]
+        for i, sign in ((j, 1.0), (k, -1.0)):
+            J_α[..., row, i] = sign * _dot(δ_b[..., i, :], δ_m)
+            J_α[..., row, 6 + i] = sign * _dot(ω_b[..., i, :], δ_m)
+    if mistakes.missing_entry:
+        J_α[..., 8, 8] = np.where(configuration.exists, 0.0, np.nan)
+    return np.where(configuration.exists[..., None, None], J_α, np.nan)
+
+
+def J_lambda(configuration: Configuration, mistakes: Table5Mistakes = CORRECT) -> FloatArray:
+    """Return J_λ of Eq. (30a).
+
+    Parameters
+    ----------
+    configuration : Configuration
+        States of shape (...).
+    mistakes : Table5Mistakes
+        Of these, `printed_lever_arm` matters here.
+
+    Returns
+    -------
+    ndarray, shape (..., 9, 9)
+        Columns v [m/s], ω [rad/s] and three zeros. NaN for a member that does not exist.
+
+    Raises
+    ------
+    SingularConfigurationError
+        As "forward", where a leg has no length, hence no direction.
+    """
+    r_b, r_c, _, δ_c = _legs(configuration)
+    R_2 = configuration.platform_axes
+    e = configuration.platform_joints - configuration.translation[..., None, :]
+    arm = e - r_b if mistakes.printed_lever_arm else e - r_c  # Eq. (25b)
+    J_λ = np.zeros((*configuration.shape, 9, 9))
+    J_λ[..., 0:3, 0:3] = R_2
+    J_λ[..., 0:3, 3:6] = np.cross(arm, R_2)
+    J_λ[..., 3:6, 0:3] = δ_c
+    J_λ[..., 3:6, 3:6] = np.cross(e, δ_c)
+    return np.where(configuration.exists[..., None, None], J_λ, np.nan)
+
+
+def J(configuration: Configuration, mistakes: Table5Mistakes = CORRECT) -> FloatArray:
+    """Return J = J_α⁻¹ J_λ of Eq. (30b).
+
+    Parameters
+    ----------
+    configuration : Configuration
+        States of shape (...).
+    mistakes : Table5Mistakes
+        The load's does not matter here.
+
+    Returns
+    -------
+    ndarray, shape (..., 9, 9)
+        From (v, ω, 0, 0, 0) to the leg rates and ω_rb1..ω_rb3, SI. NaN for a member that does not exist.
+
+    Raises
+    ------
+    SingularConfigurationError
+        As "inverse", where J_α is singular to rounding; as "forward", where a leg has no length.
+    """
+    J_α = J_alpha(configuration, mistakes)
+    scaled = J_α.copy()
+    scaled[..., 6:] /= configuration.geometry.middle_side
+    refuse_singular(scaled, "inverse", configuration)
+    J_α = np.where(configuration.exists[..., None, None], J_α, np.eye(9))
+    return np.asarray(np.linalg.solve(J_α, J_lambda(configuration, mistakes)), dtype=np.float64)  # Eq. (30b)
+
+
+def J_f(configuration: Configuration, mistakes: Table5Mistakes = CORRECT) -> FloatArray:
+    """Return the inverse Jacobian J_f of Eq. (31), the first six rows and columns of J.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        States of shape (...).
+    mistakes : Table5Mistakes
+        The load's does not matter here.
+
+    Returns
+    -------
+    ndarray, shape (..., 6, 6)
+        From (v, ω) [m/s, rad/s] of m at o in {B} to v_rb1..v_rb3, v_rc1..v_rc3 [m/s]. NaN for a member that
+        does not exist.
+
+    Raises
+    ------
+    SingularConfigurationError
+        As for `J`.
+    """
+    return J(configuration, mistakes)[..., :6, :6]
+
+
+def refuse_singular(scaled: FloatArray, kind: str, configuration: Configuration) -> None:
+    """Raise `SingularConfigurationError` if an existing member of dimensionless `scaled` (..., n, n) is singular."""
+    exists = configuration.exists
+    values = np.linalg.svd(np.where(exists[..., None, None], scaled, np.eye(scaled.shape[-1])), compute_uv=False)
+    singular = values[..., -1] <= SINGULAR * values[..., 0]
+    if singular.any():
+        index = first_offender(singular)
+        raise SingularConfigurationError(kind, float(values[index][-1]), index)
+
+
+def _legs(configuration: Configuration) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the vectors r_b and r_c [m] and their unit vectors δ_b and δ_c, each (..., 3, 3), a row per leg."""
+    lengths = configuration.leg_lengths
+    short = (lengths == 0.0).any(axis=-1)
+    if short.any():
+        raise SingularConfigurationError("forward", 0.0, first_offender(short))
+    r = configuration.leg_vectors
+    δ = r / lengths[..., None]
+    return r[..., :3, :], r[..., 3:, :], δ[..., :3, :], δ[..., 3:, :]
+
+
+def _dot(u: FloatArray, v: FloatArray) -> FloatArray:
+    return np.asarray((u * v).sum(axis=-1))

@@ -1,0 +1,192 @@
+"""The paper's 9 x 9 system: against the motion itself, and against the wrench form."""
+
+from __future__ import annotations
+
+import numpy as np
+import problems
+import pytest
+from scipy.spatial.transform import Rotation
+
+import spm_pin as spm
+from spm_pin.closed_form.statics import leg_forces
+from spm_pin.closed_form.velocity import inverse_jacobian
+from spm_pin.errors import ArgumentError, SingularConfigurationError
+from spm_pin.mechanism.branches import determinants
+from spm_pin.paper import jacobian, statics
+
+EPS = np.finfo(float).eps
+PAPER = spm.Geometry.paper()
+POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
+
+
+@pytest.fixture(scope="module")
+def six() -> spm.Configuration:
+    branches = spm.inverse_displacement(PAPER, POSE)
+    assert branches.count == 6
+    return branches.configurations[branches.exists]
+
+
+def norm(matrices: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(matrices, axis=(-1, -2))
+
+
+def condition_bound(configuration: spm.Configuration) -> tuple[np.ndarray, np.ndarray]:
+    """Return (scales, bound): how far two evaluations of J_f may differ, in the Frobenius norm of J_f * scales.
+
+    Entries are products of unit vectors and arms off by a few eps; a change δA of a system A x = B moves x by
+    A⁻¹ δA x. For the 9 x 9 system that is eps κ(J_α) |J|; for the wrench form X = K⁻¹ [0; K_c], with K_c of
+    order one, eps κ(K) / σ_min(K). Lengths in units of d; moments at the middle platform's centre, and that
+    moved to o, which magnifies by the distance.
+    """
+    d = configuration.geometry.middle_side
+    b = configuration.middle_joints
+    centre = b.mean(axis=-2)
+    arms = (b - centre[..., None, :]) / d
+    axes = np.stack([np.broadcast_to(configuration.geometry.revolute_axes, b.shape), configuration.platform_axes], -3)
+    K = np.concatenate([axes, np.cross(arms[..., None, :, :], axes)], axis=-1).reshape(*b.shape[:-2], 6, 6)
+    sigma_k = np.linalg.svd(K, compute_uv=False)
+    size = d + np.linalg.norm(configuration.translation - centre, axis=-1)
+    scales = np.ones((*b.shape[:-2], 1, 6))
+    scales[..., 0, 3:] /= size[..., None]
+    nine = jacobian.J(configuration)[..., :6] * scales
+    nine[..., 6:, :] *= d
+    J_α = jacobian.J_alpha(configuration)
+    J_α[..., 6:] /= d
+    few = 8 * EPS
+    return scales, few * (np.linalg.cond(J_α) * norm(nine) + sigma_k[..., 0] / sigma_k[..., -1] ** 2)
+
+
+def test_both_witnesses_at_the_six_branches(six):
+    paper, closed = jacobian.J_f(six), inverse_jacobian(six)
+    assert (norm(paper - closed) <= 1e-11 * norm(closed)).all()
+
+
+def random_problems():
+    yield pytest.param(lambda: problems.in_leg_space(PAPER, 60_000, seed=31), id="leg space")
+    for name, geometry in problems.GEOMETRIES.items():
+        for family in spm.FAMILIES:
+            yield pytest.param(
+                lambda g=geometry, f=family: problems.random_branches(g, f, 2_500, seed=32), id=f"{name} {family}"
+            )
+
+
+@pytest.mark.parametrize("make", list(random_problems()))
+def test_both_witnesses_at_random(make):
+    state = make().configuration
+    scales, bound = condition_bound(state)
+    assert (norm((jacobian.J_f(state) - inverse_jacobian(state)) * scales) <= bound).all()
+
+
+def test_the_bound_can_fail():
+    """A relative error of 1e-9 in one lever arm is far beyond rounding nearly everywhere."""
+    state = problems.in_leg_space(PAPER, 1000, seed=33).configuration
+    scales, bound = condition_bound(state)
+    wrong = np.linalg.solve(jacobian.J_alpha(state), jacobian.J_lambda(state) * (1 + 1e-9 * np.eye(9)[4]))
+    assert (norm((wrong[..., :6, :6] - inverse_jacobian(state)) * scales) > bound).mean() > 0.9
+
+
+@pytest.mark.parametrize("label", ["TT+", "TT-", "TF+", "TF-", "FF+", "FF-"])
+def test_all_nine_rows_are_derivatives(label):
+    """Rates of the legs and of the lower legs' angles about R_i1, by finite differences of the displacement."""
+    exact = jacobian.J(spm.inverse_displacement(PAPER, POSE)[label])[:, :6]
+    radial = PAPER.radial_directions
+    upright = np.cross(PAPER.revolute_axes, radial)
+
+    def nine(steps: np.ndarray) -> np.ndarray:
+        """Lengths and angles after twists (6, 6), one per row, times one second."""
+        turned = Rotation.from_rotvec(steps[:, 3:]) * POSE.rotation
+        state = spm.inverse_displacement(PAPER, spm.pose(POSE.translation + steps[:, :3], rotation=turned))[label]
+        legs = state.leg_vectors[:, :3]
+        angles = np.arctan2((legs * upright).sum(-1), (legs * radial).sum(-1))
+        return np.concatenate([state.leg_lengths, angles], axis=-1)
+
+    def central(h: float) -> np.ndarray:
+        return ((nine(h * np.eye(6)) - nine(-h * np.eye(6))) / (2 * h)).T
+
+    def richardson(h: float) -> np.ndarray:
+        d1, d2, d3 = (central(h / 2**k) for k in range(3))
+        first, second = (4 * d2 - d1) / 3, (4 * d3 - d2) / 3
+        return (16 * second - first) / 15
+
+    # Two branches meet at a fold as square roots do, so its distance goes with 1/|J|²: stay well inside.
+    size = np.linalg.norm(exact)
+    h = 0.03 / size**2
+    coarse, fine = richardson(2 * h), richardson(h)
+    # Truncation is O(h⁶), so `fine` is off by about a 64th of its change; rounding of an inverse displacement is
+    # that of the pose, whose coordinates go up to 3, times the Jacobian, over the smallest step.
+    tolerance = np.abs(fine - coarse) + 4 * EPS * 3.0 * size / (h / 4)
+    assert (tolerance < 1e-5 * size).all(), "too coarse to tell"
+    assert (np.abs(fine - exact) <= tolerance).all()
+
+
+@pytest.mark.parametrize("name", problems.GEOMETRIES)
+def test_determinant_of_j_alpha(name):
+    """It is r_b1 r_b2 r_b3 / d³ times det K."""
+    for family in spm.FAMILIES:
+        state = problems.random_branches(problems.GEOMETRIES[name], family, 500, seed=34).configuration
+        d = state.geometry.middle_side
+        J_α = jacobian.J_alpha(state)
+        expected = state.leg_lengths[:, :3].prod(axis=-1) / d**3 * determinants(state)[2]
+        J_α_scaled = J_α / [*[1] * 6, d, d, d]
+        error = np.abs(np.linalg.det(J_α) / expected - 1)
+        # d log det A = tr(A⁻¹ dA): nine times the entries' few eps, times the condition number, or det K's own.
+        assert (error <= 9 * 4 * EPS * np.linalg.cond(J_α_scaled)).all()
+
+
+def test_forces_are_those_of_the_wrench_form(six):
+    F, T = statics.load()
+    paper = statics.f_r(six, F, T)
+    closed = leg_forces(six, np.concatenate([F, T]))
+    scaled = jacobian.J_f(six) / [1, 1, 1, *[PAPER.middle_side] * 3]
+    relative = np.linalg.norm(paper - closed, axis=-1) / np.linalg.norm(closed, axis=-1)
+    _, bound = condition_bound(six)
+    # J_f's own error, and that of inverting it.
+    assert (
+        relative <= bound * np.linalg.norm(np.linalg.inv(scaled), axis=(-1, -2)) + 8 * EPS * np.linalg.cond(scaled)
+    ).all()
+
+
+def test_a_batch_is_its_members(six):
+    for function in (jacobian.J_alpha, jacobian.J_lambda, jacobian.J, jacobian.J_f):
+        assert np.array_equal(function(six), np.stack([function(state) for state in six]))
+    branches = spm.inverse_displacement(PAPER, POSE)
+    everything = jacobian.J_f(branches.configurations)
+    assert everything.shape == (8, 6, 6)
+    assert np.array_equal(np.isnan(everything).all(axis=(-1, -2)), ~branches.exists)
+    assert np.array_equal(everything[branches.exists], jacobian.J_f(six))
+    F, T = np.zeros((5, 1, 3)), np.array([1.0, 2.0, 3.0])
+    assert (
+        np.isnan(statics.f_r(branches.configurations, F, T)).any(axis=-1).tolist() == [(~branches.exists).tolist()] * 5
+    )
+    assert statics.f_r(six[:0], F[0], T).shape == (0, 6)
+
+
+def test_singular_states_are_refused(six):
+    level = problems.compose(
+        PAPER,
+        problems.stage("T", np.zeros(1), np.zeros(1), np.ones(1), PAPER.middle_radius),
+        problems.stage("T", np.zeros(1), np.zeros(1), -np.ones(1), PAPER.middle_radius),
+    ).configuration
+    joints = np.concatenate([six.middle_joints, level.middle_joints])
+    rotation = np.concatenate([six.rotation, level.rotation])
+    mixed = spm.Configuration(
+        PAPER, spm.pose(np.concatenate([six.translation, level.translation]), rotation=rotation), joints
+    )
+    with pytest.raises(SingularConfigurationError, match="inverse singularity at batch index") as caught:
+        jacobian.J_f(mixed)
+    assert (caught.value.kind, caught.value.index) == ("inverse", (6,))
+    assert caught.value.sigma_min <= 1e-14
+    on_the_base = spm.Configuration(
+        PAPER, POSE, np.where(np.eye(3)[0][:, None] > 0, PAPER.base_joints, six[0].middle_joints)
+    )
+    with pytest.raises(SingularConfigurationError, match="forward"):
+        jacobian.J_alpha(on_the_base)
+
+
+def test_bad_loads_are_refused(six):
+    with pytest.raises(ArgumentError, match="F: expected"):
+        statics.f_r(six, [1.0, 2.0], [0.0, 0.0, 0.0])
+    with pytest.raises(ArgumentError, match="T: expected"):
+        statics.f_r(six, [1.0, 2.0, 3.0], np.zeros((5, 3)))
+    with pytest.raises(ArgumentError, match="finite"):
+        statics.f_r(six, [1.0, 2.0, np.nan], np.zeros(3))
