@@ -1,0 +1,144 @@
+"""An image of a scene seen from far away, every pixel showing the nearest face.
+
+matplotlib's own 3-D axes order whole surfaces by their mean depth and so draw hidden legs over what hides them.
+Here a depth buffer decides, finer than the pixels, also where solids pass through one another.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from spm_pin.display.scene import Colour, Scene
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import FloatArray
+
+__all__ = ["VIEW", "Extent", "Image", "bounds", "camera_axes", "render"]
+
+Image = npt.NDArray[np.float32]
+Extent = tuple[float, float, float, float]
+Indices = npt.NDArray[np.intp]
+
+VIEW = (math.radians(15.0), math.radians(25.0))
+"""The azimuth and the elevation [rad] from which pictures are taken."""
+
+_SAMPLES = 3  # per pixel and direction
+_CREASE = math.radians(50.0)  # a sharper turn between two faces is an edge
+
+
+def camera_axes(view: tuple[float, float]) -> FloatArray:
+    """Return the unit vectors to the right, up and towards the viewer as rows (3, 3), in {B}."""
+    array = np.asarray(view, dtype=np.float64)
+    expected = "azimuth and elevation in radians"
+    if array.shape != (2,) or not np.isfinite(array).all():
+        raise ArgumentError("view", expected, view)
+    azimuth, elevation = array
+    if abs(azimuth) > 2.0 * math.pi or abs(elevation) > math.pi / 2.0:
+        raise ArgumentError("view", f"{expected}, at most 2π and π/2", view, "Degrees? Use numpy.deg2rad")
+    right = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
+    level = math.cos(elevation)
+    near = np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
+    return np.stack([right, np.cross(near, right), near])
+
+
+def bounds(solids: Scene, camera: FloatArray, margin: float = 0.0) -> tuple[FloatArray, FloatArray]:
+    """Return the lower left and the upper right corner [m] of the scene in view, with a margin over its longer side."""
+    points = np.concatenate([solid.mesh.vertices for solid in solids.solids]) @ camera[:2].T
+    low, high = points.min(axis=0), points.max(axis=0)
+    border = margin * float((high - low).max()) * np.array([1.4, 1.0])
+    return low - border, high + border
+
+
+def render(solids: Scene, camera: FloatArray, resolution: float, edge: float) -> tuple[Image, Extent]:
+    """Return an image (height, width, 4), transparent around the scene, and its left, right, bottom and top [m].
+
+    `resolution` is in pixels per metre, the width of the dark edges, `edge`, in pixels.
+    """
+    triangles, colours, regions, count = [], [], [], 0
+    for solid in solids.solids:
+        normals = solid.mesh.face_normals @ camera.T
+        front = normals[:, 2] > 0.0
+        seen = solid.mesh.triangles[front] @ camera.T
+        # A frame's arrows lie in its plate: bring them to its surface, yet not before what stands in front of it.
+        seen[..., 2] += 0.3 * solids.size if solid.kind == "frame" else 0.0
+        triangles.append(seen)
+        colours.append(_shade(solid.colour, normals[front]))
+        # Faces joined without a crease form a region; edges are drawn where regions meet.
+        smooth = solid.mesh.face_adjacency[solid.mesh.face_adjacency_angles < _CREASE]
+        joined = coo_array((np.ones(len(smooth)), smooth.T), shape=(len(front), len(front)))
+        regions.append(connected_components(joined, directed=False)[1][front] + count)
+        count += len(front)
+    corners = np.concatenate(triangles)
+    low, high = bounds(solids, camera)
+    width, height = (int(n) for n in np.ceil((high - low) * resolution) + 2)
+    left, top = float(low[0]) - 1.0 / resolution, float(high[1]) + 1.0 / resolution
+    corners[..., 0] = (corners[..., 0] - left) * resolution * _SAMPLES - 0.5
+    corners[..., 1] = (top - corners[..., 1]) * resolution * _SAMPLES - 0.5
+    face, depth = _nearest_faces(corners, (height * _SAMPLES, width * _SAMPLES))
+    region = np.append(np.concatenate(regions), -1)[face]
+    edges = _edges(region, depth, max(1, round(edge * _SAMPLES)))
+    # One gather: the faces' colours, the same as edges, and last, where index -1 finds it, nothing.
+    lit = np.concatenate(colours)
+    palette = np.zeros((2 * len(lit) + 1, 4), dtype=np.float32)
+    palette[:-1, :3], palette[:-1, 3] = np.concatenate([lit, 0.4 * lit]), 1.0
+    samples = palette[np.where(edges, face + len(lit), face)]
+    image = samples.reshape(height, _SAMPLES, width, _SAMPLES, 4).mean(axis=(1, 3))
+    image[..., :3] /= np.maximum(image[..., 3:], 1e-9)
+    return image, (left, left + width / resolution, top - height / resolution, top)
+
+
+def _shade(colour: Colour, normals: FloatArray) -> FloatArray:
+    """Return sRGB colours (n, 3) of faces with unit normals (n, 3) to the right, up and towards the viewer.
+
+    Lambert's law for a lamp above the viewer's left shoulder, in an ambient light that is brighter from above;
+    together at most 1, so that no channel saturates and colours keep their hue.
+    """
+    lamp = np.array([-0.35, 0.5, 0.8])
+    direct = np.clip(normals @ (lamp / np.linalg.norm(lamp)), 0.0, None)
+    light = 0.44 + 0.1 * normals[:, 1:2] + 0.5 * direct[:, None]
+    # Light adds up in linear intensities, which sRGB is not.
+    return np.asarray(np.asarray(colour) * light ** (1.0 / 2.2))
+
+
+def _nearest_faces(triangles: FloatArray, shape: tuple[int, int]) -> tuple[Indices, FloatArray]:
+    """Return which triangle each pixel shows, -1 for none, and how near it is.
+
+    `triangles` (n, 3, 3) holds column, row and nearness of each corner; pixel centres are whole numbers.
+    """
+    index = np.full(shape, -1, dtype=np.intp)
+    depth = np.full(shape, -np.inf)
+    low = np.maximum(np.ceil(triangles[..., :2].min(axis=1)), 0.0).astype(int)
+    high = np.minimum(np.floor(triangles[..., :2].max(axis=1)), [shape[1] - 1, shape[0] - 1]).astype(int) + 1
+    corners = np.swapaxes(triangles, 1, 2).copy()
+    corners[:, 2] = 1.0
+    area = np.linalg.det(corners)
+    visible = np.flatnonzero((np.abs(area) > 1e-12) & (low < high).all(axis=1))
+    # Three barycentric coordinates and the nearness, each linear in (column, row, 1).
+    shares = np.linalg.inv(corners[visible])
+    planes = np.concatenate([shares, triangles[visible, None, :, 2] @ shares], axis=1)[..., None, None]
+    for k, plane in zip(visible, planes, strict=True):
+        (left, top), (right, bottom) = low[k], high[k]
+        values = plane[:, 0] * np.arange(left, right) + plane[:, 1] * np.arange(top, bottom)[:, None] + plane[:, 2]
+        box = np.s_[top:bottom, left:right]
+        # A pixel on the side that two faces share must not slip between them.
+        nearer = (values[:3].min(axis=0) >= -1e-9) & (values[3] > depth[box])
+        depth[box][nearer] = values[3][nearer]
+        index[box][nearer] = k
+    return index, depth
+
+
+def _edges(region: Indices, depth: FloatArray, width: int) -> npt.NDArray[np.bool_]:
+    """Return the pixels within `width` of the border of their region, on the nearer side of that border."""
+    edge = np.zeros(region.shape, dtype=bool)
+    for axis in (0, 1):
+        for step in range(1, width + 1):
+            first, second = (np.s_[step:], np.s_[:-step]) if axis == 0 else (np.s_[:, step:], np.s_[:, :-step])
+            border = region[first] != region[second]
+            front = depth[first] >= depth[second]
+            edge[first] |= border & front
+            edge[second] |= border & ~front
+    return edge

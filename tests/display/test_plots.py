@@ -1,0 +1,211 @@
+"""Pictures: what is nearer hides what is farther, at every pixel; files; the example."""
+
+from __future__ import annotations
+
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import problems
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image
+
+import spm_pin as spm
+from spm_pin.display.plots import VIEW, draw, save_picture
+from spm_pin.display.scene import COLOURS, scene
+from spm_pin.errors import ArgumentError, MissingExtraError
+
+PAPER = spm.Geometry.paper()
+POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
+SOLUTIONS = spm.inverse_displacement(PAPER, POSE)
+STATE = SOLUTIONS.physical()
+HOME = problems.in_leg_space(PAPER, 1, seed=0, legs=np.full((1, 6), 1.2)).configuration[0]
+EXAMPLE = Path(__file__).parents[2] / "examples" / "02_draw_the_mechanism.py"
+
+
+def looking(view):
+    """The view's axes to the right, up and towards the viewer, as rows, from elementary rotations."""
+    azimuth, elevation = view
+    turn = np.array([[np.cos(azimuth), np.sin(azimuth), 0], [-np.sin(azimuth), np.cos(azimuth), 0], [0, 0, 1]])
+    nod = np.array([[np.cos(elevation), 0, np.sin(elevation)], [0, 1, 0], [-np.sin(elevation), 0, np.cos(elevation)]])
+    return (nod @ turn)[[1, 2, 0]]
+
+
+def nearest_solids(solids, view, points):
+    """Which solid a viewer sees at each point (n, 2), -1 for none: rays against the planes of convex solids."""
+    right, up, near = looking(view)
+    origins = points[:, :1] * right + points[:, 1:] * up
+    entry = np.full((len(solids), len(points)), -np.inf)
+    for row, solid in zip(entry, solids, strict=True):
+        slope = solid.mesh.face_normals @ near
+        room = (solid.mesh.triangles[:, 0] * solid.mesh.face_normals).sum(axis=-1) - origins @ solid.mesh.face_normals.T
+        steep = np.abs(slope) > 1e-12
+        reach = room[:, steep] / slope[steep]
+        front = np.where(slope[steep] > 0.0, reach, np.inf).min(axis=-1)
+        back = np.where(slope[steep] < 0.0, reach, -np.inf).max(axis=-1)
+        hit = (front > back) & (room[:, ~steep] > 0.0).all(axis=-1)
+        row[hit] = front[hit]
+    return np.where(np.isfinite(entry.max(axis=0)), entry.argmax(axis=0), -1)
+
+
+def off_shade(pixel, colour):
+    """How far a pixel is from being a colour in some light, in which the channels keep their proportion."""
+    factor = np.dot(pixel, colour) / np.dot(colour, colour)
+    return np.abs(pixel - factor * np.asarray(colour)).max()
+
+
+@pytest.mark.parametrize("label", ["TT+", "FF+"])
+@pytest.mark.parametrize("view", [VIEW, (-2.1, 0.1), (1.0, -0.6), (0.0, np.pi / 2)])
+def test_every_pixel_shows_the_nearest_solid(label, view):
+    state = SOLUTIONS[label]
+    picture = draw(state, view=view, labels=False, dpi=90).images[0]
+    image, (left, right, _, top) = np.asarray(picture.get_array()), picture.get_extent()
+    rows, columns = image.shape[:2]
+    rng = np.random.default_rng(8)
+    row, column = rng.integers(2, rows - 2, 1500), rng.integers(2, columns - 2, 1500)
+    step = (right - left) / columns
+    points = np.stack([left + (column + 0.5) * step, top - (row + 0.5) * step], axis=-1)
+    solids = scene(state, frames=False).solids
+    around = [
+        nearest_solids(solids, view, points + 0.8 * step * np.array(d)) for d in ((-1, -1), (-1, 1), (1, -1), (1, 1))
+    ]
+    seen = nearest_solids(solids, view, points)
+    inner = np.all([seen == other for other in around], axis=0)
+    assert len({solids[i].name for i in seen[inner & (seen >= 0)]}) > 15
+    for r, c, i in zip(row[inner], column[inner], seen[inner], strict=True):
+        assert image[r, c, 3] == (i >= 0)
+        if i >= 0:
+            assert off_shade(image[r, c, :3], solids[i].colour) < 2e-3, (solids[i].name, r, c)
+
+
+def pixel(ax, point):
+    """The colour that Agg gives a figure at a point of its data coordinates."""
+    canvas = FigureCanvasAgg(ax.figure)
+    canvas.draw()
+    picture = np.asarray(canvas.buffer_rgba())
+    x, y = ax.transData.transform(point)
+    return picture[picture.shape[0] - 1 - int(y), int(x), :3] / 255.0
+
+
+@pytest.mark.parametrize(
+    ("elevation", "radius", "name"),
+    [
+        (np.pi / 2, 0.10, "terminal platform"),
+        (-np.pi / 2, 0.10, "base"),
+        (np.pi / 2, 0.23, "middle platform"),
+        (np.pi / 2, 0.318, "base"),
+    ],
+)
+def test_plates_hide_one_another_from_above_and_below(elevation, radius, name):
+    # Opposite leg 1 the terminal platform ends 0.15 m from the middle, the middle one 0.31 m, the base 0.33 m.
+    right, up, _ = looking((0.0, elevation))
+    point = -radius * HOME.geometry.radial_directions[0]
+    colour = pixel(draw(HOME, view=(0.0, elevation), labels=False), (point @ right, point @ up))
+    plates = ("base", "middle platform", "terminal platform")
+    assert min(plates, key=lambda plate: off_shade(colour, COLOURS[plate])) == name
+    assert off_shade(colour, COLOURS[name]) < 1.0 / 255.0
+
+
+@pytest.mark.parametrize(("elevation", "colour"), [(0.45, "middle platform"), (-0.45, "lower rod")])
+def test_a_rod_behind_the_middle_platform_is_hidden_and_before_it_is_not(elevation, colour):
+    view = (0.3, elevation)
+    right, up, _ = looking(view)
+    point = STATE.middle_joints[2] - 0.3 * STATE.leg_vectors[2]
+    found = pixel(draw(STATE, view=view, labels=False), (point @ right, point @ up))
+    assert off_shade(found, COLOURS[colour]) < 1.0 / 255.0
+
+
+def test_labels_name_all_joints_legs_and_frames_within_the_picture():
+    ax = draw(STATE, dpi=60)
+    texts = {text.get_text() for text in ax.texts}
+    assert {f"${letter}_{i}$" for letter in "abc" for i in (1, 2, 3)} <= texts
+    assert {f"$r_{{{leg[2:]}}}$" for leg in spm.LEGS} <= texts
+    assert {f"${axis}$" for axis in "XYZxyz"} | {r"$\{B\}$", r"$\{m\}$"} <= texts
+    FigureCanvasAgg(ax.figure).draw()
+    boxes = [text.get_window_extent() for text in ax.texts]
+    assert all(ax.bbox.contains(*box.min) and ax.bbox.contains(*box.max) for box in boxes)
+    assert not any(a.shrunk(0.8, 0.8).overlaps(b.shrunk(0.8, 0.8)) for a in boxes for b in boxes if a is not b)
+    assert not draw(STATE, labels=False, dpi=40).texts
+
+
+def test_drawing_goes_into_the_given_axes_and_leaves_pyplot_alone():
+    ax = Figure().add_subplot()
+    assert draw(STATE, ax=ax, dpi=40) is ax
+    code = "import sys, spm_pin.display.plots; print(*sorted({'matplotlib', 'trimesh'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "\n"
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg", ".PNG"])
+def test_pictures_are_written_the_same_each_time(tmp_path, suffix):
+    path = tmp_path / f"mechanism{suffix}"
+    assert save_picture(STATE, path, width=240) == path
+    first = path.read_bytes()
+    assert first.startswith(b"<?xml" if suffix == ".svg" else b"\x89PNG")
+    assert save_picture(STATE, str(path), width=240).read_bytes() == first
+    if suffix != ".svg":
+        with Image.open(path) as picture:
+            assert picture.width == 240 < picture.height
+
+
+def test_the_background_can_be_left_out(tmp_path):
+    with Image.open(save_picture(STATE, tmp_path / "mechanism.png", width=120, background="none")) as picture:
+        assert picture.getpixel((0, 0))[3] == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("mechanism.jpg", ".png or .svg, got 'mechanism.jpg'"),
+        ("mechanism", ".png or .svg"),
+        ("no/where.png", "No such"),
+    ],
+)
+def test_paths_that_cannot_be_written(tmp_path, name, says):
+    with pytest.raises(ArgumentError, match=says) as caught:
+        save_picture(STATE, tmp_path / name, width=100)
+    assert caught.value.argument == "path"
+
+
+@pytest.mark.parametrize(
+    ("state", "says"),
+    [(SOLUTIONS["FT-"], "exists"), (SOLUTIONS.configurations, "single configuration"), (SOLUTIONS, "SolutionSet")],
+)
+def test_states_that_cannot_be_drawn(tmp_path, state, says):
+    with pytest.raises(ArgumentError, match=says):
+        save_picture(state, tmp_path / "mechanism.png")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("view", [(20.0, 20.0), (0.0, 2.0), 0.3, (0.0, np.nan), (0.0, 0.0, 0.0)])
+def test_views_that_are_not_two_angles_in_radians(view):
+    with pytest.raises(ArgumentError, match="azimuth and elevation in radians"):
+        draw(STATE, view=view)
+
+
+def test_three_dimensional_axes_are_refused():
+    with pytest.raises(ArgumentError, match="projection='3d'"):
+        draw(STATE, ax=Figure().add_subplot(projection="3d"))
+
+
+def test_tiny_pictures_are_refused(tmp_path):
+    with pytest.raises(ArgumentError, match="width"):
+        save_picture(STATE, tmp_path / "mechanism.png", width=4)
+
+
+def test_without_matplotlib_the_error_tells_how_to_install_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(MissingExtraError, match="this needs matplotlib"):
+        draw(STATE)
+
+
+def test_the_example_draws_the_picture_of_the_readme(tmp_path, monkeypatch):
+    path = tmp_path / "mechanism.png"
+    monkeypatch.setattr(sys, "argv", [str(EXAMPLE), str(path)])
+    runpy.run_path(str(EXAMPLE), run_name="__main__")
+    with Image.open(path) as picture:
+        assert picture.size == (1400, 980)
+    assert path.stat().st_size < 200_000
