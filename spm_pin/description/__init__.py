@@ -1,0 +1,1 @@
+"""The robot's description: where its files are, and the data in them."""

@@ -1,0 +1,72 @@
+"""Expanding the xacro sources to a URDF, for any geometry."""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+from pathlib import Path
+from typing import Any
+
+import xacro
+import yaml
+
+from spm_pin.description.locate import ENTRY, description_file
+from spm_pin.description.tree import check_prefix
+from spm_pin.mechanism.geometry import LEGS, Geometry
+
+__all__ = ["expand", "geometry_data"]
+
+# xacro keeps its state in module globals.
+_XACRO = threading.Lock()
+
+
+def expand(geometry: Geometry | None = None, *, prefix: str = "") -> str:
+    """Return the URDF of a manipulator.
+
+    Parameters
+    ----------
+    geometry : Geometry, optional
+        By default the paper's.
+    prefix : str
+        Put before the name of every link, joint, transmission, actuator and material, so that several robots
+        can share a model.
+
+    Returns
+    -------
+    str
+        The text of the URDF; its numbers have the digits that float64 needs.
+
+    Raises
+    ------
+    DescriptionError
+        If `prefix` cannot begin a name.
+    """
+    check_prefix(prefix)
+    data = geometry_data(Geometry.paper() if geometry is None else geometry)
+    with tempfile.TemporaryDirectory() as folder, _XACRO:
+        path = Path(folder) / "geometry.yaml"
+        path.write_text(yaml.safe_dump(data), encoding="utf-8")
+        document = xacro.process_file(str(description_file(ENTRY)), mappings={"prefix": prefix, "geometry": str(path)})
+    # xacro's banner holds the path of this machine's copy; the source's own comment stays.
+    while document.firstChild is not document.documentElement:
+        document.removeChild(document.firstChild).unlink()
+    banner = f" Expanded from {ENTRY}, which is the place for changes. "
+    document.insertBefore(document.createComment(banner), document.documentElement)
+    return str(document.toprettyxml(indent="  "))
+
+
+def geometry_data(geometry: Geometry) -> dict[str, Any]:
+    """Return a geometry as the data of a YAML file that the xacro sources read.
+
+    The keys are those of `Geometry.from_yaml`, with radii, and limits per leg: `leg_limits` holds a pair
+    (minimum, maximum) [m] under each name of `spm_pin.LEGS`.
+    """
+    data: dict[str, Any] = {
+        "base_radius": geometry.base_radius,
+        "platform_radius": geometry.platform_radius,
+        "middle_side": geometry.middle_side,
+    }
+    if geometry.limits is not None:
+        pairs = zip(geometry.limits.minimum, geometry.limits.maximum, strict=True)
+        data["leg_limits"] = {leg: list(pair) for leg, pair in zip(LEGS, pairs, strict=True)}
+    return data

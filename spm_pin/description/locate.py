@@ -1,0 +1,45 @@
+"""Where the description's files are, in a checkout and in an installed package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from spm_pin.errors import DescriptionError
+from spm_pin.mechanism.geometry import config_directory
+
+__all__ = ["CLOSURES", "ENTRY", "SIDECAR", "SRDF", "URDF", "description_directory", "description_file"]
+
+ENTRY = "spm.urdf.xacro"
+"""The source that everything expands from."""
+URDF = "spm.urdf"
+"""The spanning tree, expanded for the paper's geometry."""
+SRDF = "spm.srdf"
+"""Named states, groups, passive joints and the links that touch by design."""
+SIDECAR = "spm_closures.yaml"
+"""The closures in the layout of Extended-URDF."""
+CLOSURES = "config/closures.yaml"
+"""The closures as this package reads them."""
+
+
+def description_directory() -> Path:
+    """Return the folder of the description, `urdf`, installed or in a checkout."""
+    return config_directory().parent
+
+
+def description_file(name: str) -> Path:
+    """Return the path of one description file.
+
+    Parameters
+    ----------
+    name : str
+        Path relative to the description's folder, such as `URDF`.
+
+    Raises
+    ------
+    DescriptionError
+        If there is no such file.
+    """
+    path = description_directory() / name
+    if not path.is_file():
+        raise DescriptionError("name", "a file of the description", str(path), "An incomplete installation?")
+    return path

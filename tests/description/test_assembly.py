@@ -1,0 +1,183 @@
+"""The tree stands assembled: at home for every geometry, and in every configuration that is a real one."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from description.kinematic_tree import KinematicTree, named_states
+from problems import GEOMETRIES, in_leg_space, random_branches
+
+import spm_pin as spm
+from spm_pin.description.closures import read_closures
+from spm_pin.description.expand import expand
+from spm_pin.description.locate import SRDF, URDF, description_file
+from spm_pin.description.states import joint_values
+from spm_pin.description.tree import JOINTS, SLIDES, home_lengths
+from spm_pin.errors import DescriptionError
+
+EPS = np.finfo(float).eps
+PAPER = spm.Geometry.paper()
+CLOSURES = read_closures()
+
+
+def limited(minimum: float | list[float], maximum: float | list[float]) -> spm.Geometry:
+    return spm.Geometry(1.2, 0.5, 0.8, spm.LegLimits(minimum, maximum))
+
+
+LIMITED = {
+    "a limit for each leg": limited([1.1, 1.0, 0.9, 0.7, 0.8, 0.6], [1.5, 1.7, 1.6, 1.2, 1.1, 1.3]),
+    "no longest leg": limited(1.3, math.inf),
+    "no shortest leg": limited(0.0, 2.0),
+    "hardly standing": limited(0.7381197846482995 - 0.1, 0.7381197846482995 + 0.1 + 1e-9),
+    "too short to stand": limited(0.2, 0.3),
+    "nothing shared": limited([0.9, 1.2, 1.5, 0.9, 1.2, 1.5], [1.0, 1.3, 1.6, 1.0, 1.3, 1.6]),
+}
+ALL = GEOMETRIES | LIMITED
+
+
+@pytest.fixture(scope="module")
+def trees() -> dict[str, KinematicTree]:
+    return {name: KinematicTree(expand(geometry)) for name, geometry in ALL.items()}
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_home_is_assembled_and_symmetric(name: str, trees: dict[str, KinematicTree]) -> None:
+    tree, geometry = trees[name], ALL[name]
+    assert tree.gap({}, CLOSURES) < 1e-12
+    frames = tree.frames({})
+    for platform in ("base", "middle_platform", "terminal_platform"):
+        np.testing.assert_allclose(frames[platform][:3, :3], np.eye(3), atol=1e-14)
+        np.testing.assert_allclose(frames[platform][:2, 3], 0.0, atol=1e-14)
+    heights = [frames[platform][2, 3] for platform in ("base", "middle_platform", "terminal_platform")]
+    assert heights[0] == 0.0 < heights[1] < heights[2]
+    lower, upper = home_lengths(geometry)
+    for i, corner in enumerate(("a", "a", "a", "c", "c", "c")):
+        leg, home = "bc"[i // 3] + str(i % 3 + 1), (lower, upper)[i // 3]
+        hip = frames[f"{'base' if corner == 'a' else 'terminal'}_{corner}{i % 3 + 1}"]
+        tip = frames[f"leg_{leg}_tip"]
+        np.testing.assert_allclose(tip[:3, 3], frames[f"middle_b{i % 3 + 1}"][:3, 3], atol=1e-12)
+        assert np.linalg.norm(tip[:3, 3] - hip[:3, 3]) == pytest.approx(home, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_corners_and_axes_are_the_geometry_s(name: str, trees: dict[str, KinematicTree]) -> None:
+    tree, geometry = trees[name], ALL[name]
+    frames = tree.frames({})
+    for i in range(3):
+        a, c = frames[f"base_a{i + 1}"], np.linalg.inv(frames["terminal_platform"]) @ frames[f"terminal_c{i + 1}"]
+        np.testing.assert_allclose(a[:3, 3], geometry.base_joints[i], atol=1e-15)
+        np.testing.assert_allclose(c[:3, 3], geometry.platform_joints[i], atol=1e-14)
+        for corner in (a, c):
+            np.testing.assert_allclose(corner[:3, 0], geometry.revolute_axes[i], atol=1e-15)
+            np.testing.assert_allclose(corner[:3, 2], [0.0, 0.0, 1.0], atol=1e-15)
+        for leg in (f"leg_b{i + 1}", f"leg_c{i + 1}"):
+            np.testing.assert_allclose(frames[f"{leg}_cylinder"][:3, 0], geometry.revolute_axes[i], atol=1e-14)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_slides_are_lengths_minus_home(name: str, trees: dict[str, KinematicTree]) -> None:
+    limits, slides = ALL[name].limits, [trees[name].moving[slide].limit for slide in SLIDES]
+    homes = np.repeat(home_lengths(ALL[name]), 3)
+    shortest = homes + [limit["lower"] for limit in slides]
+    longest = homes + [limit["upper"] for limit in slides]
+    assert (shortest > 0.0).all()
+    assert (shortest < longest).all()
+    for i in range(6):
+        if limits is not None and limits.minimum[i] > 0.0:
+            assert shortest[i] == pytest.approx(limits.minimum[i], abs=4 * EPS)
+        if limits is not None and limits.maximum[i] < math.inf:
+            assert longest[i] == pytest.approx(limits.maximum[i], abs=4 * EPS)
+
+
+def test_home_lies_in_the_middle_of_the_shared_limits_if_it_can() -> None:
+    assert home_lengths(PAPER) == (1.3, 1.3)
+    assert home_lengths(LIMITED["a limit for each leg"]) == pytest.approx((1.3, 0.95))
+    for name in ("no longest leg", "too short to stand", "nothing shared"):
+        geometry = LIMITED[name]
+        for length, radius in zip(home_lengths(geometry), (1.2, 0.5), strict=True):
+            assert length > abs(geometry.middle_radius - radius)
+
+
+@pytest.mark.parametrize("family", ["TT", "TF", "FT", "FF"])
+@pytest.mark.parametrize("name", GEOMETRIES)
+def test_joint_values_reproduce_any_branch(name: str, family: str, trees: dict[str, KinematicTree]) -> None:
+    tree, geometry = trees[name], GEOMETRIES[name]
+    for configuration in random_branches(geometry, family, 12, seed=3).configuration:
+        values = joint_values(configuration)
+        assert tuple(values) == JOINTS
+        for joint, value in values.items():
+            if joint not in SLIDES:
+                assert tree.moving[joint].limit["lower"] <= value <= tree.moving[joint].limit["upper"]
+        frames = tree.frames(values)
+        # A chain of nine joints, each with a few roundings of the lever above it.
+        size = float(np.abs(configuration.leg_lengths).sum())
+        assert tree.gap(values, CLOSURES) < 64 * EPS * size < 1e-12
+        np.testing.assert_allclose(
+            frames["terminal_platform"], configuration.pose.as_matrix(), atol=64 * EPS * max(1.0, size)
+        )
+        middle = [frames[f"middle_b{i}"][:3, 3] for i in (1, 2, 3)]
+        np.testing.assert_allclose(middle, configuration.middle_joints, atol=64 * EPS * size)
+
+
+def test_joint_values_of_what_a_machine_does_are_small(trees: dict[str, KinematicTree]) -> None:
+    """Inside the leg limits, in the mode of home: no joint near the end of its range or a ball's singularity."""
+    assert PAPER.limits is not None
+    for configuration in in_leg_space(PAPER, 50, seed=4).configuration:
+        values = joint_values(configuration)
+        slides = [values[name] for name in SLIDES]
+        np.testing.assert_allclose(slides, configuration.leg_lengths - 1.3, atol=1e-14)
+        assert all(abs(value) < 1.2 for value in values.values())
+        assert trees["paper"].gap(values, CLOSURES) < 1e-12
+
+
+def test_a_ball_at_its_singularity_is_still_met() -> None:
+    """Middle angle ±90°: the outer two are not determined, yet the rotation is."""
+    geometry = spm.Geometry(0.7, 0.7, 0.7 * 3**0.5)
+    tree = KinematicTree(expand(geometry))
+    corner = tree.frames({})["base_a1"][:3, :3]
+    along_y = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    for turn in (along_y, along_y.T):
+        middle = corner @ turn @ corner.T
+        leg = np.array([0.0, 0.0, 1.4])
+        b1 = geometry.base_joints[0] + leg
+        b = b1 + geometry.middle_radius * (geometry.radial_directions - geometry.radial_directions[0]) @ middle.T
+        pose = spm.pose(b1 + leg - geometry.platform_joints[0], rotation=np.eye(3))
+        # The other legs cannot follow, so only leg 1's chain is looked at.
+        values = joint_values(spm.Configuration(geometry, pose, b))
+        assert abs(values["ball_b1_y"]) == pytest.approx(np.pi / 2, abs=1e-7)
+        frames = tree.frames(values)
+        np.testing.assert_allclose(frames["middle_platform"][:3, :3], middle, atol=1e-14)
+        np.testing.assert_allclose(frames["terminal_platform"], pose.as_matrix(), atol=1e-13)
+
+
+@pytest.mark.parametrize("shape", [(1,), (2, 3)])
+def test_joint_values_want_one_configuration(shape: tuple[int, ...]) -> None:
+    pose = spm.pose(np.zeros((*shape, 3)), rotation=np.eye(3))
+    with pytest.raises(DescriptionError, match="a batch of shape"):
+        joint_values(spm.Configuration(PAPER, pose, np.ones((3, 3))))
+
+
+def test_joint_values_want_a_real_configuration() -> None:
+    pose = spm.pose([0.0, 0.0, 1.0], rotation=np.eye(3))
+    with pytest.raises(DescriptionError, match="that exists"):
+        joint_values(spm.Configuration(PAPER, pose, np.full((3, 3), np.nan)))
+
+
+def test_named_states_are_the_paper_s_solutions() -> None:
+    tree = KinematicTree(description_file(URDF).read_text(encoding="utf-8"))
+    states = named_states(description_file(SRDF).read_text(encoding="utf-8"))
+    assert list(states) == ["home", "reference", *(f"solution_{n}" for n in (1, 2, 3, 4, 6, 7))]
+    assert states["reference"] == states["solution_3"]
+    assert set(states["home"].values()) == {0.0}
+    # Table 2, Y of b_2 [m].
+    printed = {1: 0.32471, 2: 0.39947, 3: 0.46190, 4: 0.64583, 6: -0.31569, 7: -0.45511}
+    pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88])).as_matrix()
+    for number, b2y in printed.items():
+        state = states[f"solution_{number}"]
+        assert state.keys() == tree.moving.keys()
+        frames = tree.frames(state)
+        assert tree.gap(state, CLOSURES) < 1e-12
+        np.testing.assert_allclose(frames["terminal_platform"], pose, atol=1e-12)
+        assert frames["middle_b2"][1, 3] == pytest.approx(b2y, abs=1e-5)

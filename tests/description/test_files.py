@@ -1,0 +1,172 @@
+"""The generated files are fresh, the sources expand by hand, and every name takes the prefix."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import subprocess
+import sysconfig
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import yaml
+from description.kinematic_tree import KinematicTree, named_states
+from problems import in_leg_space, random_branches
+
+import spm_pin as spm
+from spm_pin.description.closures import read_closures, sidecar_text
+from spm_pin.description.expand import expand, geometry_data
+from spm_pin.description.locate import ENTRY, SIDECAR, SRDF, URDF, description_directory, description_file
+from spm_pin.description.srdf import srdf_text
+from spm_pin.description.tree import JOINTS, PASSIVE, SLIDES
+from spm_pin.errors import ArgumentError, DescriptionError
+
+PAPER = spm.Geometry.paper()
+NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
+
+
+def shipped(name: str) -> str:
+    return description_file(name).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", [URDF, SRDF, SIDECAR])
+def test_generated_files_are_fresh(name: str) -> None:
+    """Every character but the last digits, in which mathematical libraries and processors differ."""
+    script = description_directory() / "generate.py"
+    fresh, kept = runpy.run_path(str(script))["generate"]()[name], shipped(name)
+    assert NUMBER.sub("#", fresh) == NUMBER.sub("#", kept)
+    expected = [float(number) for number in NUMBER.findall(kept)]
+    np.testing.assert_allclose([float(number) for number in NUMBER.findall(fresh)], expected, rtol=1e-13, atol=1e-13)
+
+
+@pytest.mark.parametrize("prefix", ["", "left_"])
+def test_the_xacro_command_gives_the_same_tree(prefix: str, tmp_path: Path) -> None:
+    command = [str(Path(sysconfig.get_path("scripts")) / "xacro"), str(description_file(ENTRY)), f"prefix:={prefix}"]
+    # From another folder: what the sources name, they find beside themselves.
+    by_hand = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert by_hand.stderr == ""
+    ours = expand(prefix=prefix)
+    assert ElementTree.canonicalize(by_hand.stdout, strip_text=True) == ElementTree.canonicalize(ours, strip_text=True)
+    if not prefix:
+        values = KinematicTree(ours).random_values(np.random.default_rng(0))
+        expected = KinematicTree(shipped(URDF)).frames(values)
+        for link, frame in KinematicTree(by_hand.stdout).frames(values).items():
+            np.testing.assert_allclose(frame, expected[link], atol=1e-12)
+
+
+def test_arguments_of_the_xacro_command(tmp_path: Path) -> None:
+    geometry = spm.Geometry(1.5, 0.25, 0.5)
+    path = tmp_path / "geometry.yaml"
+    path.write_text(yaml.safe_dump(geometry_data(geometry)), encoding="utf-8")
+    assert spm.Geometry.from_yaml(path) == geometry
+    command = [str(Path(sysconfig.get_path("scripts")) / "xacro"), str(description_file(ENTRY)), f"geometry:={path}"]
+    by_hand = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    ours = ElementTree.canonicalize(expand(geometry), strip_text=True)
+    assert ElementTree.canonicalize(by_hand, strip_text=True) == ours
+
+
+def test_no_path_of_this_machine_is_written() -> None:
+    for text in (expand(), shipped(URDF), shipped(SRDF), shipped(SIDECAR)):
+        assert str(description_directory()) not in text
+        assert str(Path.home()) not in text
+
+
+def test_the_tree_has_eighteen_joints_that_load_everywhere() -> None:
+    tree = KinematicTree(shipped(URDF))
+    assert tree.base == "base"
+    assert set(tree.moving) == set(JOINTS)
+    assert {joint.kind for joint in tree.moving.values()} == {"revolute", "prismatic"}
+    assert {name for name, joint in tree.moving.items() if joint.kind == "prismatic"} == set(SLIDES)
+    for name, joint in tree.moving.items():
+        assert joint.limit["lower"] < 0.0 < joint.limit["upper"]
+        assert joint.limit["velocity"] > 0.0
+        assert (joint.limit["effort"] > 0.0) == (name in SLIDES)
+    transmitted = [str(t.findtext("type")).rpartition("/")[2] for t in tree.root.findall("transmission")]
+    assert transmitted == ["SimpleTransmission"] * 6
+    assert [joint.get("name") for joint in tree.root.findall("transmission/joint")] == list(SLIDES)
+
+
+def test_limits_leave_room_for_the_paper_s_forces() -> None:
+    """Table 5 asks for 105 kN."""
+    tree = KinematicTree(shipped(URDF))
+    assert all(tree.moving[name].limit["effort"] > 1.05e5 for name in SLIDES)
+
+
+def test_numbers_survive_the_text() -> None:
+    geometry = spm.Geometry(1.0 / 3.0, 0.1 + 0.2, 2.0 / 7.0)
+    tree = KinematicTree(expand(geometry))
+    assert tree.joints["base_a2_mount"].placement[1, 3] == geometry.base_radius
+    assert tree.joints["terminal_c2_mount"].placement[1, 3] == geometry.platform_radius
+
+
+def test_prefix_is_on_every_name() -> None:
+    bare, prefixed = expand(), expand(prefix="left_")
+    named = re.compile(r'<(link|joint|transmission|actuator|material|parent|child)\b[^>]*?(?:name|link)="([^"]*)"')
+    assert [(tag, f"left_{name}") for tag, name in named.findall(bare)] == named.findall(prefixed)
+    constraint = re.compile(r'<drake:ball_constraint_body_[AB] name="([^"]*)"')
+    assert [f"left_{name}" for name in constraint.findall(bare)] == constraint.findall(prefixed)
+    assert prefixed.replace("left_", "") == bare
+    for ours, theirs in zip(read_closures(), read_closures(prefix="left_"), strict=True):
+        assert theirs == ours.prefixed("left_")
+        assert theirs.name == f"left_{ours.name}"
+    srdf = srdf_text({}, prefix="left_")
+    assert all(name.startswith("left_") for name in re.findall(r'(?:<(?:passive_)?joint name|link\d)="([^"]*)"', srdf))
+    sidecar = yaml.safe_load(sidecar_text(read_closures(prefix="left_"), prefix="left_"))
+    assert sidecar["name_mot"] == [f"left_{name}" for name in SLIDES]
+
+
+@pytest.mark.parametrize("prefix", ["1", "1.5", "two words", 'a"b', "a<", "$(arg", "left_\n", "true", "NaN", "/", None])
+def test_prefixes_that_cannot_begin_a_name(prefix: str) -> None:
+    with pytest.raises(DescriptionError, match="prefix: expected a name"):
+        expand(prefix=prefix)
+    with pytest.raises(DescriptionError, match="prefix: expected a name"):
+        srdf_text({}, prefix=prefix)
+    with pytest.raises(ArgumentError):
+        read_closures(prefix=prefix)
+
+
+@pytest.mark.parametrize("prefix", ["a", "_", "left-", "robot/", "r2.d2.", "e1_", "yes", "off"])
+def test_prefixes_come_out_as_they_went_in(prefix: str) -> None:
+    assert KinematicTree(expand(prefix=prefix)).base == f"{prefix}base"
+
+
+def test_sidecar_says_what_the_closures_say() -> None:
+    sidecar = yaml.safe_load(shipped(SIDECAR))
+    closures = read_closures()
+    assert sidecar["closed_loop"] == [[c.frame_a, c.frame_b] for c in closures]
+    assert sidecar["type"] == ["3d"] * 4
+    assert sidecar["name_mot"] == list(SLIDES)
+    links = KinematicTree(shipped(URDF)).links
+    assert {frame for pair in sidecar["closed_loop"] for frame in pair} <= links.keys()
+
+
+def test_srdf_names_what_the_urdf_has() -> None:
+    root = ElementTree.fromstring(shipped(SRDF))
+    tree = KinematicTree(shipped(URDF))
+    assert root.get("name") == tree.root.get("name")
+    groups = {g.get("name"): [j.get("name") for j in g.findall("joint")] for g in root.findall("group")}
+    assert groups == {"legs": list(SLIDES), "mechanism": list(JOINTS)}
+    assert [j.get("name") for j in root.findall("passive_joint")] == list(PASSIVE)
+    pairs = [(str(p.get("link1")), str(p.get("link2"))) for p in root.findall("disable_collisions")]
+    assert len({frozenset(pair) for pair in pairs}) == len(pairs)
+    assert {link for pair in pairs for link in pair} <= tree.links.keys()
+    listed = {frozenset(pair) for pair in pairs}
+    assert all({joint.parent, joint.child} in listed for joint in tree.joints.values())
+
+
+def test_srdf_of_other_states() -> None:
+    state = in_leg_space(PAPER, 1, seed=0).configuration[0]
+    text = srdf_text({"mine": state})
+    assert list(named_states(text)) == ["home", "mine"]
+    with pytest.raises(DescriptionError, match="other names than home"):
+        srdf_text({"home": state})
+    other = random_branches(spm.Geometry(0.7, 0.35, 0.8), "TT", 1, seed=0).configuration[0]
+    with pytest.raises(DescriptionError, match="one geometry"):
+        srdf_text({"mine": state, "other": other})
+
+
+def test_a_missing_file_is_named() -> None:
+    with pytest.raises(DescriptionError, match=r"nothing\.urdf"):
+        description_file("nothing.urdf")

@@ -1,0 +1,152 @@
+"""What Pinocchio's users do with a description: named states, collisions, and mounting it on an arm."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import yaml
+from description.kinematic_tree import KinematicTree, inertia, named_states
+from problems import in_leg_space
+
+import spm_pin as spm
+from spm_pin.description.closures import read_closures
+from spm_pin.description.expand import expand
+from spm_pin.description.locate import SIDECAR, SRDF, URDF, description_file
+from spm_pin.description.states import joint_values
+
+pin = pytest.importorskip("pinocchio")
+
+TREE = KinematicTree(description_file(URDF).read_text(encoding="utf-8"))
+
+
+@pytest.fixture
+def model() -> Any:
+    return pin.buildModelFromUrdf(str(description_file(URDF)))
+
+
+def closure_gap(model: Any, q: Any, prefix: str = "") -> float:
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    gaps = []
+    for closure in read_closures(prefix=prefix):
+        ids = [model.getFrameId(frame) for frame in (closure.frame_a, closure.frame_b)]
+        assert all(i < model.nframes for i in ids)
+        gaps.append(np.linalg.norm(data.oMf[ids[0]].translation - data.oMf[ids[1]].translation))
+    assert len(gaps) == 4
+    return float(max(gaps))
+
+
+def test_limits_and_mass(model: Any) -> None:
+    for name, joint in TREE.moving.items():
+        v = model.joints[model.getJointId(name)].idx_v
+        assert model.lowerPositionLimit[v] == joint.limit["lower"]
+        assert model.upperPositionLimit[v] == joint.limit["upper"]
+        assert model.upperEffortLimit[v] == joint.limit["effort"]
+        assert model.upperVelocityLimit[v] == joint.limit["velocity"]
+    # Pinocchio gives the root link's mass, and that of what is fixed to it, to the universe.
+    total = sum(body.mass for body in model.inertias)
+    assert total == pytest.approx(sum(inertia(link)[0] for link in TREE.links.values()))
+
+
+def test_reference_configurations(model: Any) -> None:
+    pin.loadReferenceConfigurations(model, str(description_file(SRDF)), False)
+    states = named_states(description_file(SRDF).read_text(encoding="utf-8"))
+    assert {entry.key() for entry in model.referenceConfigurations} == set(states)
+    for name, values in states.items():
+        q = model.referenceConfigurations[name]
+        for joint, value in values.items():
+            assert q[model.joints[model.getJointId(joint)].idx_q] == value
+        assert closure_gap(model, q) < 1e-12
+    assert (model.referenceConfigurations["home"] == pin.neutral(model)).all()
+
+
+def test_no_collision_where_a_machine_can_be(model: Any) -> None:
+    pytest.importorskip("coal")
+    shapes = pin.buildGeomFromUrdf(model, str(description_file(URDF)), pin.GeometryType.COLLISION)
+    shapes.addAllCollisionPairs()
+    all_pairs = len(shapes.collisionPairs)
+    pin.removeCollisionPairs(model, shapes, str(description_file(SRDF)))
+    assert 0 < len(shapes.collisionPairs) < all_pairs
+    data, results = model.createData(), shapes.createData()
+
+    def collides(values: dict[str, float]) -> bool:
+        q = pin.neutral(model)
+        for joint, value in values.items():
+            q[model.joints[model.getJointId(joint)].idx_q] = value
+        return bool(pin.computeCollisions(model, data, shapes, results, q, True))
+
+    states = named_states(description_file(SRDF).read_text(encoding="utf-8"))
+    assert not collides(states["home"])
+    assert not collides(states["reference"])
+    # Both stages turned half round: the legs cross.
+    assert collides(states["solution_7"])
+    for configuration in in_leg_space(spm.Geometry.paper(), 50, seed=5).configuration:
+        assert not collides(joint_values(configuration))
+
+
+def test_mounted_on_an_arm() -> None:
+    loaders = pytest.importorskip("example_robot_data")
+    arm = loaders.load("ur5").model
+    robot = pin.buildModelFromXML(expand(prefix="spm_"))
+    tool = arm.getFrameId("tool0")
+    mounting = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.2, 0.1), np.array([0.0, 0.02, 0.1]))
+    model = pin.appendModel(arm, robot, tool, mounting)
+    assert model.nq == arm.nq + 18
+    state = named_states(description_file(SRDF).read_text(encoding="utf-8"))["reference"]
+    q = pin.randomConfiguration(model, -np.ones(model.nq), np.ones(model.nq))
+    assert closure_gap(model, q, "spm_") > 1e-2
+    for joint, value in state.items():
+        q[model.joints[model.getJointId(f"spm_{joint}")].idx_q] = value
+    assert closure_gap(model, q, "spm_") < 1e-12
+
+    # The arm carries the robot where it was mounted, and nothing of it is lost.
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    base = data.oMf[model.getFrameId("tool0")] * mounting
+    for link, pose in TREE.frames(state).items():
+        found = base.actInv(data.oMf[model.getFrameId(f"spm_{link}")])
+        np.testing.assert_allclose(found.homogeneous, pose, atol=1e-12, err_msg=link)
+    total = sum(body.mass for body in model.inertias)
+    assert total == pytest.approx(sum(body.mass for body in arm.inertias) + sum(b.mass for b in robot.inertias))
+
+
+def test_two_robots_need_prefixes() -> None:
+    bare = pin.buildModelFromXML(expand())
+    with pytest.raises(ValueError, match="conflicting frame names"):
+        pin.appendModel(bare, bare, 0, pin.SE3.Identity())
+    left, right = (pin.buildModelFromXML(expand(prefix=prefix)) for prefix in ("left_", "right_"))
+    both = pin.appendModel(left, right, 0, pin.SE3(np.eye(3), np.array([3.0, 0.0, 0.0])))
+    for prefix in ("left_", "right_"):
+        assert closure_gap(both, pin.neutral(both), prefix) < 1e-12
+
+
+def test_the_sidecar_s_closures_leave_six_degrees_of_freedom(model: Any) -> None:
+    sidecar = yaml.safe_load(description_file(SIDECAR).read_text(encoding="utf-8"))
+    pin.loadReferenceConfigurations(model, str(description_file(SRDF)), False)
+    data = model.createData()
+    slides = [model.joints[model.getJointId(name)].idx_v for name in sidecar["name_mot"]]
+
+    def jacobian(state: str) -> npt.NDArray[np.float64]:
+        q = model.referenceConfigurations[state]
+        rows = []
+        for pair in sidecar["closed_loop"]:
+            a, b = (
+                pin.computeFrameJacobian(model, data, q, model.getFrameId(frame), pin.LOCAL_WORLD_ALIGNED)[:3]
+                for frame in pair
+            )
+            rows.append(b - a)
+        return np.concatenate(rows)
+
+    regular = jacobian("reference")
+    assert np.linalg.matrix_rank(regular) == 12
+    # With the six motors held, nothing moves.
+    assert np.linalg.matrix_rank(np.concatenate([regular, np.eye(18)[slides]])) == 18
+    # So it is at home; but there, an inverse singularity, three motions leave the platform where it is.
+    home, q = jacobian("home"), pin.neutral(model)
+    assert np.linalg.matrix_rank(np.concatenate([home, np.eye(18)[slides]])) == 18
+    frame = model.getFrameId("terminal_platform")
+    platform = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
+    assert np.linalg.matrix_rank(np.concatenate([home, platform])) == 15

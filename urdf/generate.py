@@ -1,0 +1,50 @@
+"""Write the generated files of the description: `python urdf/generate.py`, in a checkout.
+
+`spm.urdf`, `spm.srdf` and `spm_closures.yaml` come from the xacro sources, from `config/*.yaml` and, for the named
+states, from solving the paper's example. A test checks that the files kept beside this script are what it writes.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+import spm_pin as spm
+from spm_pin.description.closures import read_closures, sidecar_text
+from spm_pin.description.expand import expand
+from spm_pin.description.locate import CLOSURES, SIDECAR, SRDF, URDF
+from spm_pin.description.srdf import srdf_text
+from spm_pin.paper.published import POSITION, TABLE_2, XYX_DEGREES
+
+REFERENCE = "3"
+"""Number of the solution that is also the state `reference`: the one the paper goes on with."""
+
+
+def named_states() -> dict[str, spm.Configuration]:
+    """Return the real solutions of the paper's example under their numbers there, told by b_2's Y of Table 2."""
+    pose = spm.pose(0.01 * np.array(POSITION), xyx=np.deg2rad(XYX_DEGREES))
+    branches = list(spm.inverse_displacement(spm.Geometry.paper(), pose))
+    states = {}
+    for number, printed in enumerate(TABLE_2[1], start=1):
+        if printed is None or printed.endswith("i"):
+            continue
+        metres = 0.01 * float(printed)
+        (branch,) = (c for c in branches if abs(c.middle_joints[1, 1] - metres) < 1e-4)
+        states[f"solution_{number}"] = branch
+    return {"reference": states[f"solution_{REFERENCE}"], **states}
+
+
+def generate() -> dict[str, str]:
+    """Return the content of each generated file."""
+    warning = f"Written by generate.py from {CLOSURES}, which is the place for changes."
+    return {
+        URDF: expand(),
+        SRDF: srdf_text(named_states()),
+        SIDECAR: f"# {warning}\n" + sidecar_text(read_closures()),
+    }
+
+
+if __name__ == "__main__":
+    for name, content in generate().items():
+        (Path(__file__).parent / name).write_text(content, encoding="utf-8", newline="\n")
