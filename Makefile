@@ -1,35 +1,48 @@
 # make demo  reproduces the paper and cross-checks the witnesses
 # make test  runs the linters, the type checker and the tests
-# Each sets up what it needs in .venv first.
+# Each first sets up what it needs in .venv.
 
 PYTHON ?= python3
+PYTEST ?= -n auto
 VENV := .venv
 BIN := $(VENV)/bin
-STAMP := $(VENV)/.installed
+INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt --editable
 
-.PHONY: demo test test-slow lint clean
+.PHONY: demo test test-slow lint description clean
 
-demo: $(STAMP)
+demo: $(VENV)/.demo
 	$(BIN)/spm-pin reproduce
 
 test: lint
-	$(BIN)/python -m pytest -n auto -m "not slow"
+	$(BIN)/python -m pytest $(PYTEST) -m "not slow"
 
-test-slow: $(STAMP)
-	$(BIN)/python -m pytest -n auto -m slow
+test-slow: $(VENV)/.test
+	$(BIN)/python -m pytest $(PYTEST) -m slow
 
-lint: $(STAMP)
+lint: $(VENV)/.test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 
-$(STAMP): pyproject.toml constraints.txt
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
-		{ echo "spm-pin needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) --version). Try: make PYTHON=python3.12"; exit 1; }
+# Rewrites urdf/spm.urdf, spm.srdf and spm_closures.yaml from their sources.
+description: $(VENV)/.demo
+	$(BIN)/python urdf/generate.py
+
+$(VENV)/.python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+		echo "spm-pin needs Python 3.11 or newer, and $(PYTHON) is $$($(PYTHON) --version)."; \
+		echo "Try for example: make PYTHON=python3.12"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[plots,dev]'
+	@touch $@
+
+$(VENV)/.demo: $(VENV)/.python pyproject.toml constraints.txt
+	$(INSTALL) '.[plots]'
+	@touch $@
+
+$(VENV)/.test: $(VENV)/.demo
+	$(INSTALL) '.[plots,engines,robots,dev]'
 	@touch $@
 
 clean:

@@ -1,7 +1,18 @@
 """Closed-chain kinematics of the 3RPS-3SPR serial-parallel manipulator."""
 
 from spm_pin.closed_form.inverse import complex_middle_joints, inverse_displacement
-from spm_pin.errors import ArgumentError, GeometryError, NotOneSolutionError, PoseError, SpmError
+from spm_pin.closed_form.statics import leg_forces
+from spm_pin.closed_form.velocity import inverse_jacobian, leg_rates, platform_jacobian
+from spm_pin.errors import (
+    ArgumentError,
+    DescriptionError,
+    GeometryError,
+    MissingExtraError,
+    NotOneSolutionError,
+    PoseError,
+    SingularConfigurationError,
+    SpmError,
+)
 from spm_pin.mechanism import (
     BRANCHES,
     FAMILIES,
@@ -24,15 +35,22 @@ __all__ = [
     "ArgumentError",
     "Configuration",
     "Degeneracy",
+    "DescriptionError",
     "Geometry",
     "GeometryError",
     "LegLimits",
+    "MissingExtraError",
     "NotOneSolutionError",
     "PoseError",
+    "SingularConfigurationError",
     "SolutionSet",
     "SpmError",
     "Status",
     "complex_middle_joints",
     "inverse_displacement",
+    "inverse_jacobian",
+    "leg_forces",
+    "leg_rates",
+    "platform_jacobian",
     "pose",
 ]

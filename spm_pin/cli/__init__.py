@@ -10,6 +10,8 @@ from spm_pin import __version__
 from spm_pin.cli.console import stderr
 from spm_pin.cli.inverse import inverse
 from spm_pin.cli.reproduce import reproduce
+from spm_pin.cli.statics import statics
+from spm_pin.cli.urdf import urdf
 from spm_pin.errors import SpmError
 
 __all__ = ["app", "main"]
@@ -21,6 +23,8 @@ app = typer.Typer(
 )
 app.command()(inverse)
 app.command()(reproduce)
+app.command()(statics)
+app.command()(urdf)
 
 
 def _show_version(asked: bool) -> None:

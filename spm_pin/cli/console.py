@@ -1,8 +1,7 @@
-"""What the subcommands share: where they print, units of length, files they write."""
+"""What the subcommands share: where they print, and files they write."""
 
 from __future__ import annotations
 
-import enum
 import json
 from pathlib import Path
 from typing import Any
@@ -14,23 +13,10 @@ from rich.table import Table
 
 from spm_pin.errors import ArgumentError
 
-__all__ = ["LengthUnit", "new_table", "stderr", "stdout", "to_json", "write_json"]
+__all__ = ["new_table", "stderr", "stdout", "to_json", "write_json"]
 
 stdout = Console(soft_wrap=False)
 stderr = Console(stderr=True, soft_wrap=True)
-
-
-class LengthUnit(enum.StrEnum):
-    """Units of length on the command line."""
-
-    M = "m"
-    CM = "cm"
-    MM = "mm"
-
-    @property
-    def per_metre(self) -> float:
-        """How many of it make a metre."""
-        return {"m": 1.0, "cm": 100.0, "mm": 1000.0}[self.value]
 
 
 def new_table(title: str) -> Table:

@@ -2,42 +2,33 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import typer
 from rich.markup import escape
 from rich.table import Table
 
-from spm_pin.cli.console import LengthUnit, new_table, stdout, to_json
+from spm_pin.cli.console import new_table, stdout, to_json
+from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Translation, Unit, Xyx, read_geometry, read_pose
 from spm_pin.closed_form.inverse import inverse_displacement
-from spm_pin.mechanism import LEGS, Geometry, SolutionSet, Status, pose
+from spm_pin.mechanism import LEGS, SolutionSet, Status
 
 __all__ = ["inverse"]
 
 
 def inverse(
-    translation: Annotated[
-        tuple[float, float, float], typer.Option(metavar="X Y Z", help="Position of o in {B}, in --unit.")
-    ],
-    xyx: Annotated[
-        tuple[float, float, float],
-        typer.Option(metavar="ALPHA BETA LAMBDA", help="The paper's X-Y-X Euler angles in degrees."),
-    ],
-    unit: Annotated[LengthUnit, typer.Option(help="Unit of lengths, in and out.")] = LengthUnit.M,
-    geometry: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="YAML file of dimensions in metres; the paper's if not given.")
-    ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    translation: Translation,
+    xyx: Xyx,
+    unit: Unit = LengthUnit.M,
+    geometry: GeometryFile = None,
+    json: AsJson = False,
 ) -> None:
     """Find every configuration that holds the platform in a pose.
 
     Example, the paper's: spm-pin inverse --translation 68.89 49.63 225.3 --xyx -11.08 32.97 -12.88 --unit cm
     """
-    robot = Geometry.paper() if geometry is None else Geometry.from_yaml(geometry)
-    where = pose(np.array(translation) / unit.per_metre, xyx=np.deg2rad(xyx))
-    solutions = inverse_displacement(robot, where)
+    solutions = inverse_displacement(read_geometry(geometry), read_pose(translation, xyx, unit))
     if json:
         typer.echo(to_json(_content(solutions, unit)))
         return

@@ -21,13 +21,19 @@ _TITLES = {
     2: "Table 2: the coordinates of b_2 (cm)",
     3: "Table 3: the coordinates of b_3 (cm)",
     4: "Table 4: leg lengths of the real solutions (cm)",
+    5: "Table 5: leg rates (cm/s) and driving forces (kN) at solution 3",
+}
+_MISTAKES = {
+    "printed_lever_arm": "the lever arm e_i - r_bi of Eq. (30a) instead of e_i - r_ci of Eq. (25b)",
+    "missing_entry": "entry (9, 9) of J_α left zero",
+    "other_load": "the load F = (-20, -30, 60) kN, T = (-30, -30, -100) kN cm, not the one printed",
 }
 _STYLES = {Verdict.SAME: "green", Verdict.MISPRINT: "yellow", Verdict.NOT_PRINTED: "yellow", Verdict.UNEXPLAINED: "red"}
 
 
 def reproduce(
     table: Annotated[
-        list[int] | None, typer.Option(help="Which table, 1 to 4; may be repeated. All if not given.")
+        list[int] | None, typer.Option(help="Which table, 1 to 5; may be repeated. All if not given.")
     ] = None,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write everything as JSON.")] = None,
 ) -> None:
@@ -38,7 +44,8 @@ def reproduce(
     found = reproduction.reproduce(reproduction.TABLES if table is None else table)
     for number, cells in groupby(found.cells, key=lambda cell: cell.table):
         stdout.print(_table(_TITLES[number], list(cells)))
-    stdout.print(_witnesses(found))
+    if any(cell.table < 5 for cell in found.cells):
+        stdout.print(_witnesses(found))
     for line in _findings(found):
         stdout.print(line, highlight=False)
     if json is not None:
@@ -67,7 +74,8 @@ def _table(title: str, cells: list[Cell]) -> Table:
     table.add_column("recomputed", justify="right")
     table.add_column("difference", justify="right")
     table.add_column("verdict")
-    for row, members in groupby(cells, key=lambda cell: cell.row):
+    for row, group in groupby(cells, key=lambda cell: cell.row):
+        members = list(group)
         for cell in members:
             difference = "" if cell.difference is None else f"{cell.difference:.0e}"
             table.add_row(
@@ -78,7 +86,8 @@ def _table(title: str, cells: list[Cell]) -> Table:
                 difference,
                 f"[{_STYLES[cell.verdict]}]{cell.verdict}[/]",
             )
-        table.add_section()
+        if len(members) > 1:
+            table.add_section()
     return table
 
 
@@ -102,6 +111,15 @@ def _findings(found: Reproduction) -> list[str]:
             lines.append(
                 f"[yellow]•[/] {what}: printed {printed}, true {_number(cell.recomputed, cell.published)}; {cell.note}."
             )
+    for diagnosis in found.diagnoses:
+        what = {"v": "rates", "f": "forces"}[diagnosis.row]
+        causes = "; ".join(_MISTAKES[name] for name in diagnosis.names)
+        lines.append(
+            f"[yellow]•[/] Table 5, {what}: the printed row comes out to its four decimals with "
+            f"{len(diagnosis.names)} mistakes made together, and with no fewer: {causes}."
+        )
+    if all(cell.table == 5 for cell in found.cells):
+        return lines
     equation = found.equation_17
     lines.append(
         f"[yellow]•[/] Eq. (17): with the signs as printed |U| = 0 has {equation.printed} real roots; with the product "
@@ -135,6 +153,9 @@ def _content(found: Reproduction) -> dict[str, Any]:
                 "largest_difference": one.difference,
             }
             for one in found.witnesses
+        ],
+        "diagnoses": [
+            {"row": one.row, "mistakes": list(one.names), "values": list(one.values)} for one in found.diagnoses
         ],
         "equation_17_real_roots": {
             "as_printed": found.equation_17.printed,

@@ -8,24 +8,41 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from decimal import Decimal
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
 from spm_pin.closed_form.inverse import complex_middle_joints
+from spm_pin.closed_form.statics import leg_forces
+from spm_pin.closed_form.velocity import leg_rates
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.branches import BRANCHES
+from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry
 from spm_pin.mechanism.pose import pose
 from spm_pin.paper import published, resultant
+from spm_pin.paper.jacobian import Table5Mistakes
+from spm_pin.paper.statics import load, table_5
 
-__all__ = ["TABLES", "Cell", "MisprintedEquation", "Reproduction", "Verdict", "Witnesses", "matches", "reproduce"]
+__all__ = [
+    "TABLES",
+    "Cell",
+    "Diagnosis",
+    "MisprintedEquation",
+    "Reproduction",
+    "Verdict",
+    "Witnesses",
+    "matches",
+    "reproduce",
+]
 
-TABLES = (1, 2, 3, 4)
+TABLES = (1, 2, 3, 4, 5)
 _CM = 100.0
+_KILO = 1e3
 _COORDINATES = {1: published.TABLE_1, 2: published.TABLE_2, 3: published.TABLE_3}
 
 
@@ -40,7 +57,7 @@ class Verdict(enum.StrEnum):
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell of a table, lengths in cm as printed."""
+    """One cell of a table in the paper's units: cm, cm/s, kN."""
 
     table: int
     row: str
@@ -68,6 +85,20 @@ class Witnesses:
 
 
 @dataclass(frozen=True)
+class Diagnosis:
+    """The fewest of `Table5Mistakes` that give a printed row of Table 5 to its four decimals."""
+
+    row: str
+    mistakes: Table5Mistakes
+    values: tuple[float, ...]  # all six, so that the empty cell is recovered too
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The switches of `Table5Mistakes` that are needed."""
+        return tuple(field.name for field in fields(self.mistakes) if getattr(self.mistakes, field.name))
+
+
+@dataclass(frozen=True)
 class MisprintedEquation:
     """Real roots of |U| = 0 with Eq. (17) as printed and with its signs mended, beside those of the closed form."""
 
@@ -83,6 +114,7 @@ class Reproduction:
     cells: tuple[Cell, ...]
     witnesses: tuple[Witnesses, ...]
     equation_17: MisprintedEquation
+    diagnoses: tuple[Diagnosis, ...] = ()
 
     def table(self, number: int) -> tuple[Cell, ...]:
         """Return the cells of one table."""
@@ -134,12 +166,17 @@ def reproduce(tables: Sequence[int] = TABLES) -> Reproduction:
         true=_count_real(closed[:, 1, 1]),
     )
     cells: list[Cell] = []
+    diagnoses: list[Diagnosis] = []
     for table in sorted(set(tables)):
         if table in _COORDINATES:
             cells += _coordinates(table, joints, printed, geometry.middle_side * _CM)
-        else:
+        elif table == 4:
             cells += _leg_lengths(geometry, example.as_matrix(), joints)
-    return Reproduction(tuple(cells), witnesses, equation)
+        else:
+            third = Configuration(geometry, example, joints[2].real / _CM)
+            diagnoses += _diagnoses(third)
+            cells += _rates_and_forces(third, diagnoses)
+    return Reproduction(tuple(cells), witnesses, equation, tuple(diagnoses))
 
 
 def matches(published_value: str, recomputed: complex) -> bool:
@@ -250,3 +287,44 @@ def _shifted(text: str, column: int, lengths: npt.NDArray[np.float64]) -> tuple[
         if published.TABLE_4[leg][column] is None and matches(text, complex(value)):
             return Verdict.MISPRINT, f"this is {LEGS[leg]} = {value:.4f}, whose own cell is empty: a shifted number"
     return Verdict.UNEXPLAINED, ""
+
+
+_ROWS_5 = ("v", "f")
+
+
+def _diagnoses(third: Configuration) -> list[Diagnosis]:
+    """Find the fewest mistakes that give each printed row of Table 5; none where no combination does."""
+    combinations = sorted((Table5Mistakes(*flags) for flags in product((False, True), repeat=3)), key=_how_many)
+    found = []
+    for row, (name, printed) in enumerate(zip(_ROWS_5, published.TABLE_5, strict=True)):
+        for mistakes in combinations:
+            values = table_5(third, mistakes)[row]
+            if all(text is None or matches(text, complex(x)) for text, x in zip(printed, values, strict=True)):
+                found.append(Diagnosis(name, mistakes, tuple(float(x) for x in values)))
+                break
+    return found
+
+
+def _how_many(mistakes: Table5Mistakes) -> int:
+    return sum(getattr(mistakes, field.name) for field in fields(mistakes))
+
+
+def _rates_and_forces(third: Configuration, diagnoses: list[Diagnosis]) -> list[Cell]:
+    """Compare Table 5 with the true rates [cm/s] and forces [kN], by the wrench form."""
+    twist = np.concatenate([np.array(published.VELOCITY[:3]) / _CM, np.deg2rad(published.VELOCITY[3:])])
+    true = (leg_rates(third, twist) * _CM, leg_forces(third, np.concatenate(load())) / _KILO)
+    explained = {diagnosis.row: diagnosis for diagnosis in diagnoses}
+    cells = []
+    for name, printed, values in zip(_ROWS_5, published.TABLE_5, true, strict=True):
+        for leg, text, x in zip(LEGS, printed, values, strict=True):
+            verdict, note = Verdict.SAME, ""
+            diagnosis = explained.get(name)
+            if text is None:
+                verdict = Verdict.NOT_PRINTED
+                note = "the cell is empty"
+                if diagnosis is not None:
+                    note += f"; with the mistakes of its row it would read {diagnosis.values[LEGS.index(leg)]:.4f}"
+            elif not matches(text, complex(x)):
+                verdict = Verdict.UNEXPLAINED if diagnosis is None or not diagnosis.names else Verdict.MISPRINT
+            cells.append(Cell(5, f"{name}_{leg.replace('_', '')}", "3", text, complex(x), verdict, note))
+    return cells

@@ -149,7 +149,8 @@ class Geometry:
         """Read a geometry from a YAML file.
 
         The keys are `base_side` or `base_radius`, `platform_side` or `platform_radius`, `middle_side`, and
-        optionally `leg_limits` with the pairs `lower` and `upper`; all in metres.
+        optionally `leg_limits` with the pairs `lower` and `upper`, or a pair for each leg `r_b1` to `r_c3`; all
+        in metres.
 
         Raises
         ------
@@ -188,9 +189,7 @@ class Geometry:
             known = "base_side, base_radius, platform_side, platform_radius, middle_side, leg_limits"
             raise GeometryError(str(path), f"no keys but {known}", ", ".join(map(str, content)))
         if limits is not None:
-            if not isinstance(limits, Mapping) or set(limits) != {"lower", "upper"}:
-                raise GeometryError("leg_limits", f"the pairs lower and upper in {path}", repr(limits))
-            limits = LegLimits.stages(**limits)
+            limits = _read_limits(limits, path)
         return cls(base_radius, platform_radius, middle_side, limits)
 
     @property
@@ -217,3 +216,17 @@ class Geometry:
     def revolute_axes(self) -> FloatArray:
         """Unit revolute axes of legs 1..3 as rows (3, 3): in {B} at the a_i, in {m} at the c_i. Eq. (4)."""
         return _AXES.copy()
+
+
+def _read_limits(content: object, path: Path) -> LegLimits:
+    keys = set(content) if isinstance(content, Mapping) else set()
+    if not isinstance(content, Mapping) or keys not in ({"lower", "upper"}, set(LEGS)):
+        expected = f"the pairs lower and upper, or one for each of {', '.join(LEGS)}, in {path}"
+        raise GeometryError("leg_limits", expected, repr(content))
+    for key, pair in content.items():
+        numbers = isinstance(pair, Sequence) and not isinstance(pair, str) and len(pair) == 2
+        if not numbers or any(isinstance(x, bool) or not isinstance(x, int | float) for x in pair):
+            raise GeometryError(f"leg_limits.{key}", f"a pair of lengths in metres in {path}", repr(pair))
+    if keys == {"lower", "upper"}:
+        return LegLimits.stages(content["lower"], content["upper"])
+    return LegLimits([content[leg][0] for leg in LEGS], [content[leg][1] for leg in LEGS])

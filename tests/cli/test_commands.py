@@ -22,7 +22,15 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
 def test_reproduce_prints_every_table_and_each_finding() -> None:
     done = run("reproduce")
     assert done.returncode == 0, done.stderr
-    for words in ("Table 1:", "Table 4:", "two witnesses", "105 of 108 cells", "a shifted number", "Eq. (17)"):
+    for words in (
+        "Table 1:",
+        "Table 4:",
+        "two witnesses",
+        "Table 5:",
+        "105 of 120 cells",
+        "a shifted number",
+        "Eq. (17)",
+    ):
         assert words in done.stdout.replace("\n", " "), words
     assert "…" not in done.stdout, "nothing is cut off at 80 columns"
 
@@ -51,7 +59,7 @@ def test_reproduce_fails_on_a_difference_nothing_explains() -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["reproduce", "--table", "7"], "tables: expected numbers of (1, 2, 3, 4"),
+        (["reproduce", "--table", "7"], "tables: expected numbers of (1, 2, 3, 4, 5)"),
         (["reproduce", "--json", "/nowhere/x.json"], "--json: expected a file that can be written"),
         (["inverse", *EXAMPLE[:-4], "nan", "0", "--unit", "cm"], "xyx: expected finite"),
         (["inverse", "--translation", "nan", "0", "2", "--xyx", "1", "2", "3"], "translation: expected finite"),
@@ -112,3 +120,49 @@ def test_another_geometry_from_yaml(tmp_path: Path) -> None:
 def test_version_and_help() -> None:
     assert run("--version").stdout.strip() == f"spm-pin {spm.__version__}"
     assert "reproduce" in run("--help").stdout
+
+
+def test_urdf_of_any_geometry(tmp_path: Path) -> None:
+    whole = run("urdf", "--prefix", "left_")
+    assert whole.returncode == 0
+    assert whole.stdout.startswith("<?xml")
+    assert 'name="left_leg_c3_slide"' in whole.stdout
+    path = tmp_path / "robot.yaml"
+    path.write_text("base_radius: 0.7\nplatform_radius: 0.35\nmiddle_side: 0.8\n", encoding="utf-8")
+    target = tmp_path / "robot.urdf"
+    assert run("urdf", "--geometry", str(path), "--out", str(target)).returncode == 0
+    assert "<robot" in target.read_text(encoding="utf-8")
+    refused = run("urdf", "--prefix", "1 2")
+    assert refused.returncode == 2
+    assert "prefix: expected a name" in refused.stderr
+
+
+def test_statics_of_every_branch_and_of_one() -> None:
+    load = ["--force", "-20000", "-30000", "-30000", "--moment", "-300", "-300", "1000"]
+    motion = ["--velocity", "1", "2", "3", "--angular-velocity", "1", "2", "3"]
+    content = json.loads(run("statics", *EXAMPLE, *load, *motion, "--json").stdout)
+    assert list(content["branches"]) == ["TT+", "TT-", "TF+", "TF-", "FF+", "FF-"]
+    # The true values of Table 5, to four decimals in kN and cm/s.
+    reasonable = content["branches"]["TT+"]
+    true_forces = [21.5520, -14.8906, 23.8779, 30.7096, -12.8889, 26.9840]
+    true_rates = [-0.2932, 8.7198, 48.2731, 4.3340, -4.7388, -38.7021]
+    np.testing.assert_allclose(np.array(reasonable["forces"]) / 1e3, true_forces, atol=6e-5)
+    np.testing.assert_allclose(reasonable["rates"], true_rates, atol=6e-5)
+    table = run("statics", *EXAMPLE, *load, "--branch", "TT+").stdout
+    assert "Leg forces" in table
+    assert "FF+" not in table
+    assert "Leg rates" not in table
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([*EXAMPLE], "neither"),
+        ([*EXAMPLE, "--force", "0", "0", "1", "--branch", "FT+"], "real branches, here TT+"),
+        ([*EXAMPLE, "--force", "0", "0", "nan"], "wrench: expected finite"),
+    ],
+)
+def test_statics_refuses(arguments: list[str], words: str) -> None:
+    done = run("statics", *arguments)
+    assert done.returncode == 2
+    assert words in " ".join(done.stderr.split())

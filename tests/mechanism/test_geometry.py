@@ -82,6 +82,13 @@ def test_yaml_with_radii_and_without_limits(tmp_path: Path) -> None:
     assert spm.Geometry.from_yaml(path) == spm.Geometry(0.5, 0.3 / 3**0.5, 0.4)
 
 
+def test_yaml_with_limits_leg_by_leg(tmp_path: Path) -> None:
+    legs = "".join(f"  {leg}: [{1 + k / 10}, {2 + k / 10}]\n" for k, leg in enumerate(spm.LEGS))
+    path = write(tmp_path / "robot.yaml", "base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits:\n" + legs)
+    limits = spm.Geometry.from_yaml(path).limits
+    assert limits == spm.LegLimits([1.0, 1.1, 1.2, 1.3, 1.4, 1.5], [2.0, 2.1, 2.2, 2.3, 2.4, 2.5])
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -92,6 +99,7 @@ def test_yaml_with_radii_and_without_limits(tmp_path: Path) -> None:
         ("base_side: wide\nplatform_side: 1\nmiddle_side: 1", "number of metres"),
         ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: [1, 2]", "lower and upper"),
         ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: {lower: [1], upper: [1, 2]}", "a pair"),
+        ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: {lower: [a, b], upper: [1, 2]}", "a pair"),
         ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: {lower: [2, 1], upper: [1, 2]}", "exchanged"),
         ("[1, 2", "YAML file"),
         ("- 1\n- 2", "mapping"),
