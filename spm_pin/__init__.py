@@ -1,6 +1,7 @@
 """Closed-chain kinematics of the 3RPS-3SPR serial-parallel manipulator."""
 
 from spm_pin.closed_form.inverse import complex_middle_joints, inverse_displacement
+from spm_pin.closed_form.singularity import Singularities, SingularityKind, determinant_gradients, singularities
 from spm_pin.closed_form.statics import leg_forces
 from spm_pin.closed_form.velocity import inverse_jacobian, leg_rates, platform_jacobian
 from spm_pin.errors import (
@@ -43,14 +44,18 @@ __all__ = [
     "NotOneSolutionError",
     "PoseError",
     "SingularConfigurationError",
+    "Singularities",
+    "SingularityKind",
     "SolutionSet",
     "SpmError",
     "Status",
     "complex_middle_joints",
+    "determinant_gradients",
     "inverse_displacement",
     "inverse_jacobian",
     "leg_forces",
     "leg_rates",
     "platform_jacobian",
     "pose",
+    "singularities",
 ]

@@ -10,6 +10,7 @@ from spm_pin import __version__
 from spm_pin.cli.console import stderr
 from spm_pin.cli.inverse import inverse
 from spm_pin.cli.reproduce import reproduce
+from spm_pin.cli.singularities import singularities
 from spm_pin.cli.statics import statics
 from spm_pin.cli.urdf import urdf
 from spm_pin.errors import SpmError
@@ -23,6 +24,7 @@ app = typer.Typer(
 )
 app.command()(inverse)
 app.command()(reproduce)
+app.command()(singularities)
 app.command()(statics)
 app.command()(urdf)
 

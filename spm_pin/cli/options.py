@@ -10,9 +10,21 @@ import numpy as np
 import typer
 from scipy.spatial.transform import RigidTransform
 
-from spm_pin.mechanism import Geometry, pose
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism import Geometry, SolutionSet, pose
 
-__all__ = ["AsJson", "GeometryFile", "LengthUnit", "Translation", "Unit", "Xyx", "read_geometry", "read_pose"]
+__all__ = [
+    "AsJson",
+    "Branches",
+    "GeometryFile",
+    "LengthUnit",
+    "Translation",
+    "Unit",
+    "Xyx",
+    "chosen",
+    "read_geometry",
+    "read_pose",
+]
 
 
 class LengthUnit(enum.StrEnum):
@@ -39,6 +51,11 @@ GeometryFile = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 
 
+Branches = Annotated[
+    list[str] | None, typer.Option("--branch", help="Branch, such as TT+; may be repeated. All real ones if not given.")
+]
+
+
 def read_geometry(path: Path | None) -> Geometry:
     """Return the geometry of `--geometry`, or the paper's."""
     return Geometry.paper() if path is None else Geometry.from_yaml(path)
@@ -47,3 +64,12 @@ def read_geometry(path: Path | None) -> Geometry:
 def read_pose(translation: Triple, xyx: Triple, unit: LengthUnit) -> RigidTransform:
     """Return the pose of `--translation`, `--xyx` and `--unit`."""
     return pose(np.array(translation) / unit.per_metre, xyx=np.deg2rad(xyx))
+
+
+def chosen(solutions: SolutionSet, labels: list[str] | None) -> list[str]:
+    """Return the branches of `--branch`, or all real ones; raises `ArgumentError` where one is not real."""
+    real = [label for label, exists in zip(solutions.labels, solutions.exists, strict=True) if exists]
+    absent = [label for label in labels or () if label not in real]
+    if absent:
+        raise ArgumentError("--branch", f"real branches, here {', '.join(real) or 'none'}", ", ".join(absent))
+    return real if labels is None else labels

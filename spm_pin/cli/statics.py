@@ -9,12 +9,23 @@ import typer
 from rich.table import Table
 
 from spm_pin.cli.console import new_table, stderr, stdout, to_json
-from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Translation, Unit, Xyx, read_geometry, read_pose
+from spm_pin.cli.options import (
+    AsJson,
+    Branches,
+    GeometryFile,
+    LengthUnit,
+    Translation,
+    Unit,
+    Xyx,
+    chosen,
+    read_geometry,
+    read_pose,
+)
 from spm_pin.closed_form.inverse import inverse_displacement
 from spm_pin.closed_form.statics import leg_forces
 from spm_pin.closed_form.velocity import leg_rates
 from spm_pin.errors import ArgumentError, SingularConfigurationError
-from spm_pin.mechanism import LEGS, Configuration, SolutionSet
+from spm_pin.mechanism import LEGS, Configuration
 
 __all__ = ["statics"]
 
@@ -38,9 +49,7 @@ def statics(
     angular_velocity: Annotated[
         Triple, typer.Option(metavar="X Y Z", help="Angular velocity of m in {B}, in degrees per second.")
     ] = (0, 0, 0),
-    branch: Annotated[
-        list[str] | None, typer.Option(help="Branch, such as TT+; may be repeated. All real ones if not given.")
-    ] = None,
+    branch: Branches = None,
     unit: Unit = LengthUnit.M,
     geometry: GeometryFile = None,
     json: AsJson = False,
@@ -52,7 +61,7 @@ def statics(
     solutions = inverse_displacement(read_geometry(geometry), read_pose(translation, xyx, unit))
     wrench = np.array([*force, *moment])
     twist = np.concatenate([np.array(velocity) / unit.per_metre, np.deg2rad(angular_velocity)])
-    found = {label: _quantities(solutions[label], wrench, twist, unit) for label in _chosen(solutions, branch)}
+    found = {label: _quantities(solutions[label], wrench, twist, unit) for label in chosen(solutions, branch)}
     if json:
         typer.echo(to_json({"unit": str(unit), "status": str(solutions.status), "branches": found}))
         return
@@ -65,14 +74,6 @@ def statics(
         stdout.print(_table(f"Leg rates in {unit}/s", found, "rates"))
     if not (wrench.any() or twist.any()):
         raise ArgumentError("--force", "a wrench or a twist that is not zero", "neither", "Nothing to hold or move")
-
-
-def _chosen(solutions: SolutionSet, labels: list[str] | None) -> list[str]:
-    real = [label for label, exists in zip(solutions.labels, solutions.exists, strict=True) if exists]
-    absent = [label for label in labels or () if label not in real]
-    if absent:
-        raise ArgumentError("--branch", f"real branches, here {', '.join(real) or 'none'}", ", ".join(absent))
-    return real if labels is None else labels
 
 
 def _quantities(state: Configuration, wrench: np.ndarray, twist: np.ndarray, unit: LengthUnit) -> dict[str, Any]:

@@ -166,3 +166,15 @@ def test_statics_refuses(arguments: list[str], words: str) -> None:
     done = run("statics", *arguments)
     assert done.returncode == 2
     assert words in " ".join(done.stderr.split())
+
+
+def test_singularities_of_each_branch() -> None:
+    content = json.loads(run("singularities", *EXAMPLE, "--json").stdout)
+    assert list(content["branches"]) == ["TT+", "TT-", "TF+", "TF-", "FF+", "FF-"]
+    assert {one["kind"] for one in content["branches"].values()} == {"regular"}
+    pose = spm.pose(np.array(published.POSITION) / 100, xyx=np.deg2rad(published.XYX_DEGREES))
+    own = spm.singularities(spm.inverse_displacement(spm.Geometry.paper(), pose)["TT-"])
+    np.testing.assert_allclose(list(content["branches"]["TT-"]["index"].values()), own.index, rtol=1e-12)
+    table = run("singularities", *EXAMPLE, "--branch", "TT+").stdout
+    assert "TT-" not in table
+    assert "…" not in table

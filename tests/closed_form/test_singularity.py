@@ -1,0 +1,256 @@
+"""Singularities are found where the mechanism is singular, named right, and their screws do what is said of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from problems import GEOMETRIES, Problem, compose, in_leg_space, random_branches, stage
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+
+import spm_pin as spm
+from spm_pin.closed_form.singularity import SingularityKind, determinant_gradients, singularities
+
+EPS = np.finfo(float).eps
+PAPER = spm.Geometry.paper()
+LOWER, UPPER, STRUCTURE = range(3)
+
+
+def placed(tilts: tuple[float, float], half_sines: tuple[float, float], heights: tuple[float, float]) -> Problem:
+    """Both stages without torsion, at given azimuths of the tilt axis, half sines of the tilt, and heights."""
+    stages = [
+        stage("T", *(np.array([value]) for value in parameters), PAPER.middle_radius)
+        for parameters in zip(tilts, half_sines, heights, strict=True)
+    ]
+    return compose(PAPER, stages[0], stages[1])
+
+
+def where_it_vanishes(make: Callable[[float], Problem], which: int, low: float, high: float) -> spm.Configuration:
+    """Return the state on a one-parameter path where one of the three determinants is zero."""
+    root = brentq(lambda s: singularities(make(s).configuration).index[0, which], low, high, xtol=1e-15, rtol=1e-15)
+    return make(root).configuration[0]
+
+
+@pytest.fixture(scope="module")
+def inverse() -> spm.Configuration:
+    return where_it_vanishes(lambda s: placed((0.3, s), (0.2, 0.25), (1.2, -1.1)), STRUCTURE, 1.5, 4.6)
+
+
+@pytest.fixture(scope="module")
+def forward() -> spm.Configuration:
+    """A low lower stage: as it tilts further, its legs cease to hold it."""
+    return where_it_vanishes(lambda s: placed((0.4, 1.9), (s, 0.2), (0.3, -1.1)), LOWER, 0.05, 0.9)
+
+
+def test_regular_is_the_reasonable_solution() -> None:
+    pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
+    found = singularities(spm.inverse_displacement(PAPER, pose)["TT+"])
+    assert SingularityKind(int(found.kind)) is SingularityKind.REGULAR
+    assert str(SingularityKind(int(found.kind))) == "regular"
+    assert (found.rank == 6).all()
+    assert found.mobility == 6
+
+
+def test_home_loses_three_freedoms() -> None:
+    home = in_leg_space(PAPER, 1, seed=0, legs=np.full((1, 6), 1.3)).configuration[0]
+    found = singularities(home)
+    assert SingularityKind(int(found.kind)) is SingularityKind.INVERSE
+    np.testing.assert_array_equal(found.rank, [6, 6, 3])
+    assert found.mobility == 3 == np.linalg.matrix_rank(spm.platform_jacobian(home), tol=1e-12)
+
+
+@pytest.mark.parametrize("leg", range(3))
+def test_a_mirror_symmetric_pose_loses_one_freedom(leg: int) -> None:
+    """Both stages tilted about the revolute axis of one leg."""
+    axis = PAPER.revolute_axes[leg]
+    azimuth = np.arctan2(axis[1], axis[0])
+    state = placed((azimuth, azimuth), (0.2, -0.1), (1.1, -1.2)).configuration[0]
+    found = singularities(state)
+    np.testing.assert_array_equal(found.rank, [6, 6, 5])
+    assert found.mobility == 5
+    assert SingularityKind(int(found.kind)) is SingularityKind.INVERSE
+
+
+def test_a_stage_tilted_by_half_a_turn_is_a_constraint_singularity() -> None:
+    state = placed((0.4, 1.0), (1.0, 0.2), (0.8, -1.1)).configuration[0]
+    found = singularities(state)
+    kind = SingularityKind(int(found.kind))
+    assert kind == SingularityKind.CONSTRAINT | SingularityKind.FORWARD | SingularityKind.INVERSE
+    assert str(kind) == "inverse and forward and constraint"
+    assert found.mobility == -1
+
+
+def moved(state: spm.Configuration, twist: np.ndarray, step: float) -> np.ndarray:
+    """Move the middle joints by a finite screw: `step` seconds of a twist (v, ω) at o."""
+    turn = Rotation.from_rotvec(step * twist[3:])
+    offsets = state.middle_joints - state.translation
+    return np.asarray(turn.apply(offsets) + state.translation + step * twist[:3])
+
+
+def test_inner_twist_moves_the_middle_platform_between_two_fixed_ends(inverse: spm.Configuration) -> None:
+    found = singularities(inverse, tolerance=1e-9)
+    assert SingularityKind(int(found.kind)) is SingularityKind.INVERSE
+    assert found.mobility == 5
+
+    def gap(twist: np.ndarray, step: float) -> float:
+        joints = moved(inverse, twist, step)
+        return float(spm.Configuration(PAPER, inverse.pose, joints).closure_residual)
+
+    # The closure opens with the square of the step along the inner twist, and in proportion along any other.
+    free = [gap(found.inner_twist, step) for step in (1e-2, 1e-3, 1e-4)]
+    assert 50 < free[0] / free[1] < 200
+    assert 50 < free[1] / free[2] < 200
+    other = np.random.default_rng(0).normal(size=6)
+    bound = [gap(other, step) for step in (1e-3, 1e-4)]
+    assert 8 < bound[0] / bound[1] < 12
+    # Its legs have to give way, though: it is no idle freedom.
+    arms = inverse.middle_joints - inverse.translation
+    joint_velocities = found.inner_twist[:3] + np.cross(found.inner_twist[3:], arms)
+    assert np.abs((joint_velocities * inverse.leg_vectors[:3]).sum(axis=-1)).max() > 1e-2
+
+
+def test_lost_wrench_is_carried_without_the_legs(inverse: spm.Configuration) -> None:
+    found = singularities(inverse, tolerance=1e-9)
+    assert np.linalg.norm(found.lost_wrench[:3]) == pytest.approx(1.0)
+    assert np.abs(spm.leg_forces(inverse, found.lost_wrench)).max() < 1e-11
+    assert np.abs(spm.leg_forces(inverse, np.eye(6)[2])).max() > 0.1
+    # No motion of the platform does work on it.
+    assert np.abs(found.lost_wrench @ spm.platform_jacobian(inverse)).max() < 1e-11
+
+
+def test_gained_twist_leaves_the_leg_lengths(forward: spm.Configuration) -> None:
+    found = singularities(forward, tolerance=1e-9)
+    assert SingularityKind(int(found.kind)) is SingularityKind.FORWARD
+    assert found.rank[LOWER] == 5
+    assert found.mobility == -1
+    a = PAPER.base_joints
+
+    def change(step: float) -> float:
+        joints = moved(forward, found.gained_twist[LOWER], step)
+        planes = np.abs((joints * PAPER.revolute_axes).sum(axis=-1))
+        lengths = np.linalg.norm(joints - a, axis=-1) - forward.leg_lengths[:3]
+        return float(max(planes.max(), np.abs(lengths).max()))
+
+    changes = [change(step) for step in (1e-2, 1e-3, 1e-4)]
+    assert 50 < changes[0] / changes[1] < 200
+    assert 50 < changes[1] / changes[2] < 200
+    with pytest.raises(spm.SingularConfigurationError, match="forward"):
+        spm.leg_forces(singular_to_rounding(), np.eye(6)[2])
+
+
+def singular_to_rounding() -> spm.Configuration:
+    """The three lower legs in one plane with the platform, all on Z: exactly forward singular."""
+    state = in_leg_space(PAPER, 1, seed=0, legs=np.full((1, 6), 1.3)).configuration[0]
+    flat = np.array(state.middle_joints)
+    shift = flat[:, 2].copy()
+    flat[:, 2] = 0.0
+    return spm.Configuration(PAPER, spm.pose(state.translation - [0, 0, shift[0]], rotation=state.rotation), flat)
+
+
+@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("modes", spm.FAMILIES)
+def test_determinants_are_those_of_the_matrices(name: str, modes: str) -> None:
+    problem = random_branches(GEOMETRIES[name], modes, 200, seed=1)
+    state, found = problem.configuration, singularities(problem.configuration)
+    lengths = state.leg_lengths[..., None]
+    directions = state.leg_vectors / lengths
+    base = np.broadcast_to(state.geometry.revolute_axes, state.middle_joints.shape)
+    rows = {
+        LOWER: (directions[:, :3], base),
+        UPPER: (directions[:, 3:], state.platform_axes),
+        STRUCTURE: (base, state.platform_axes),
+    }
+    arms = state.middle_joints - state.middle_joints.mean(axis=-2, keepdims=True)
+    for which, pair in rows.items():
+        matrix = np.concatenate([np.concatenate([f, np.cross(arms, f)], axis=-1) for f in pair], axis=-2)
+        scale = state.geometry.middle_side**3
+        np.testing.assert_allclose(np.linalg.det(matrix) / scale, found.index[:, which], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(found.determinants, found.index * state.geometry.middle_side**3, rtol=1e-15)
+
+
+@pytest.mark.parametrize("modes", spm.FAMILIES)
+def test_determinant_of_the_inverse_jacobian_factorises(modes: str) -> None:
+    problem = random_branches(PAPER, modes, 2_000, seed=2)
+    state = problem.configuration
+    found = singularities(state)
+    direct = np.linalg.det(spm.inverse_jacobian(state))
+    worst = found.condition.max(axis=-1)
+    difference = np.abs(direct - found.inverse_jacobian_determinant)
+    assert (difference <= 1e3 * EPS * worst * np.abs(direct)).all()
+
+
+def test_gradients_of_the_determinants_against_finite_differences() -> None:
+    lengths = np.random.default_rng(3).uniform(1.15, 1.45, (20, 6))
+    gradient = determinant_gradients(in_leg_space(PAPER, 20, seed=0, legs=lengths).configuration)
+    for k in range(6):
+        steps = []
+        for h in (1e-3, 5e-4):
+            ahead, behind = (
+                singularities(
+                    in_leg_space(PAPER, 20, seed=0, legs=lengths + sign * h * np.eye(6)[k]).configuration
+                ).determinants
+                for sign in (1, -1)
+            )
+            steps.append((ahead - behind) / (2 * h))
+        # Richardson: what is left is of fourth order in h, times the fifth derivative.
+        numeric = (4 * steps[1] - steps[0]) / 3
+        np.testing.assert_allclose(gradient[..., k], numeric, rtol=1e-7, atol=1e-9)
+
+
+def test_gradients_are_finite_at_an_inverse_singularity(inverse: spm.Configuration) -> None:
+    gradient = determinant_gradients(inverse)
+    assert np.isfinite(gradient).all()
+    assert np.abs(gradient[STRUCTURE]).max() > 1e-3
+
+
+def test_no_forward_singularity_inside_the_leg_limits() -> None:
+    found = singularities(in_leg_space(PAPER, 20_000, seed=4).configuration)
+    assert (found.index[:, :2] > 0.1).all()
+    # det K changes sign inside the box: two aspects, about half each.
+    assert 0.4 < (found.index[:, STRUCTURE] > 0.0).mean() < 0.6
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (3, 1, 2), (0,)])
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_batch_is_its_singles(shape: tuple[int, ...], seed: int) -> None:
+    count = int(np.prod(shape))
+    problem = in_leg_space(PAPER, max(count, 1), seed=seed % 100)
+    pose = problem.pose.as_matrix()[:count].reshape(*shape, 4, 4)
+    joints = problem.middle_joints[:count].reshape(*shape, 3, 3)
+    batch = spm.Configuration(PAPER, pose, joints)
+    found, gradient = singularities(batch), determinant_gradients(batch)
+    shapes = {"determinants": (3,), "index": (3,), "sigma": (3,), "condition": (3,), "rank": (3,), "kind": ()}
+    shapes |= {"mobility": (), "gained_twist": (2, 6), "inner_twist": (6,), "lost_wrench": (6,)}
+    for name, inner in shapes.items():
+        assert np.shape(getattr(found, name)) == (*shape, *inner), name
+    assert gradient.shape == (*shape, 3, 6)
+    for index in np.ndindex(shape):
+        single = spm.Configuration(PAPER, pose[index], joints[index])
+        one = singularities(single)
+        for name in ("determinants", "sigma", "rank", "kind", "mobility"):
+            np.testing.assert_allclose(getattr(one, name), getattr(found, name)[index], rtol=4 * EPS)
+        np.testing.assert_allclose(determinant_gradients(single), gradient[index], rtol=1e-12, atol=1e-15)
+
+
+def test_absent_members_have_no_singularity() -> None:
+    pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
+    branches = spm.inverse_displacement(PAPER, pose)
+    found = singularities(branches.configurations)
+    absent = ~branches.exists
+    assert np.isnan(found.index[absent]).all()
+    assert np.isnan(found.sigma[absent]).all()
+    assert np.isnan(found.lost_wrench[absent]).all()
+    assert (found.rank[absent] == 0).all()
+    assert (found.kind[absent] == SingularityKind.REGULAR).all()
+    assert np.isnan(determinant_gradients(branches.configurations)[absent]).all()
+
+
+@pytest.mark.parametrize("tolerance", [-0.1, 1.0, float("nan")])
+def test_a_tolerance_that_makes_no_sense(tolerance: float) -> None:
+    state = in_leg_space(PAPER, 1, seed=0).configuration
+    with pytest.raises(spm.ArgumentError, match="tolerance: expected a number from 0"):
+        singularities(state, tolerance=tolerance)
