@@ -1,11 +1,15 @@
 """Closed-chain kinematics of the 3RPS-3SPR serial-parallel manipulator."""
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from spm_pin.closed_form.inverse import complex_middle_joints, inverse_displacement
 from spm_pin.closed_form.singularity import Singularities, SingularityKind, determinant_gradients, singularities
 from spm_pin.closed_form.statics import leg_forces
 from spm_pin.closed_form.velocity import inverse_jacobian, leg_rates, platform_jacobian
 from spm_pin.errors import (
     ArgumentError,
+    ClosureError,
     DescriptionError,
     GeometryError,
     MissingExtraError,
@@ -27,6 +31,9 @@ from spm_pin.mechanism import (
     pose,
 )
 
+if TYPE_CHECKING:
+    from spm_pin.multibody.chain import ClosedChain
+
 __version__ = "0.1.0"
 
 __all__ = [
@@ -34,6 +41,8 @@ __all__ = [
     "FAMILIES",
     "LEGS",
     "ArgumentError",
+    "ClosedChain",
+    "ClosureError",
     "Configuration",
     "Degeneracy",
     "DescriptionError",
@@ -59,3 +68,17 @@ __all__ = [
     "pose",
     "singularities",
 ]
+
+# Imported when first asked for: Pinocchio takes longer to load than all the rest.
+_LAZY = {"ClosedChain": "spm_pin.multibody.chain"}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LAZY:
+        value = globals()[name] = getattr(import_module(_LAZY[name]), name)
+        return value
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -10,6 +10,7 @@ from typing import Any
 
 __all__ = [
     "ArgumentError",
+    "ClosureError",
     "DescriptionError",
     "GeometryError",
     "MissingExtraError",
@@ -144,3 +145,25 @@ class DescriptionError(ArgumentError):
 
     For a file, `argument` is its path and line, as ``closures.yaml:5``.
     """
+
+
+class ClosureError(SpmError):
+    """Newton's method did not close the loops of a spanning tree.
+
+    Attributes
+    ----------
+    residual : float
+        Largest distance of two frames that a closure should hold together, where the search ended [m].
+    iterations : int
+        Number of steps taken.
+    """
+
+    def __init__(self, residual: float, iterations: int, cause: str = "") -> None:
+        self.residual = residual
+        self.iterations = iterations
+        self.cause = cause
+        message = f"the closures are still {residual:.1e} m open after {iterations} iterations"
+        super().__init__(f"{message}. {cause}" if cause else message)
+
+    def __reduce__(self) -> tuple[type[ClosureError], tuple[float, int, str]]:
+        return type(self), (self.residual, self.iterations, self.cause)

@@ -12,7 +12,8 @@ from rich.table import Table
 
 from spm_pin.cli.console import new_table, stderr, stdout, write_json
 from spm_pin.crosscheck import reproduction
-from spm_pin.crosscheck.reproduction import Cell, Reproduction, Verdict
+from spm_pin.crosscheck.cells import Cell, Verdict
+from spm_pin.crosscheck.reproduction import Reproduction
 
 __all__ = ["reproduce"]
 
@@ -46,6 +47,8 @@ def reproduce(
         stdout.print(_table(_TITLES[number], list(cells)))
     if any(cell.table < 5 for cell in found.cells):
         stdout.print(_witnesses(found))
+    if found.true_values:
+        stdout.print(_true_values(found))
     for line in _findings(found):
         stdout.print(line, highlight=False)
     if json is not None:
@@ -98,6 +101,16 @@ def _witnesses(found: Reproduction) -> Table:
     for one in found.witnesses:
         paper, closed = _number(one.paper, "0.000"), _number(one.closed_form, "0.000")
         table.add_row(str(one.solution), one.label, paper, closed, f"{one.difference:.0e}")
+    return table
+
+
+def _true_values(found: Reproduction) -> Table:
+    table = new_table("The true numbers of Table 5 from three witnesses")
+    for heading in ("", "paper: 9 × 9", "wrench form", "Pinocchio", "difference"):
+        table.add_column(heading, justify="right" if heading else "left")
+    for one in found.true_values:
+        values = (one.paper, one.closed_form, one.pinocchio)
+        table.add_row(one.name, *(f"{x:.6f}" for x in values), f"{max(values) - min(values):.0e}")
     return table
 
 
@@ -154,6 +167,7 @@ def _content(found: Reproduction) -> dict[str, Any]:
             }
             for one in found.witnesses
         ],
+        "true_values": [vars(one) for one in found.true_values],
         "diagnoses": [
             {"row": one.row, "mistakes": list(one.names), "values": list(one.values)} for one in found.diagnoses
         ],

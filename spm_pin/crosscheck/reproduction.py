@@ -6,71 +6,28 @@ themselves: a sign, a shifted column, a cell left empty. What has no cause is `V
 
 from __future__ import annotations
 
-import enum
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from decimal import Decimal
-from itertools import product
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
 from spm_pin.closed_form.inverse import complex_middle_joints
-from spm_pin.closed_form.statics import leg_forces
-from spm_pin.closed_form.velocity import leg_rates
+from spm_pin.crosscheck import table_5
+from spm_pin.crosscheck.cells import Cell, Verdict, matches, number
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.branches import BRANCHES
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry
 from spm_pin.mechanism.pose import pose
 from spm_pin.paper import published, resultant
-from spm_pin.paper.jacobian import Table5Mistakes
-from spm_pin.paper.statics import load, table_5
 
-__all__ = [
-    "TABLES",
-    "Cell",
-    "Diagnosis",
-    "MisprintedEquation",
-    "Reproduction",
-    "Verdict",
-    "Witnesses",
-    "matches",
-    "reproduce",
-]
+__all__ = ["TABLES", "MisprintedEquation", "Reproduction", "Witnesses", "reproduce"]
 
 TABLES = (1, 2, 3, 4, 5)
 _CM = 100.0
-_KILO = 1e3
 _COORDINATES = {1: published.TABLE_1, 2: published.TABLE_2, 3: published.TABLE_3}
-
-
-class Verdict(enum.StrEnum):
-    """What a printed cell is found to be."""
-
-    SAME = "same"
-    MISPRINT = "misprint"
-    NOT_PRINTED = "not printed"
-    UNEXPLAINED = "unexplained"
-
-
-@dataclass(frozen=True)
-class Cell:
-    """One cell of a table in the paper's units: cm, cm/s, kN."""
-
-    table: int
-    row: str
-    column: str
-    published: str | None
-    recomputed: complex
-    verdict: Verdict
-    note: str = ""
-
-    @property
-    def difference(self) -> float | None:
-        """Modulus of recomputed minus printed; None where nothing is printed."""
-        return None if self.published is None else abs(self.recomputed - _value(self.published))
 
 
 @dataclass(frozen=True)
@@ -82,20 +39,6 @@ class Witnesses:
     paper: complex
     closed_form: complex
     difference: float  # largest over the nine coordinates, cm
-
-
-@dataclass(frozen=True)
-class Diagnosis:
-    """The fewest of `Table5Mistakes` that give a printed row of Table 5 to its four decimals."""
-
-    row: str
-    mistakes: Table5Mistakes
-    values: tuple[float, ...]  # all six, so that the empty cell is recovered too
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The switches of `Table5Mistakes` that are needed."""
-        return tuple(field.name for field in fields(self.mistakes) if getattr(self.mistakes, field.name))
 
 
 @dataclass(frozen=True)
@@ -114,7 +57,8 @@ class Reproduction:
     cells: tuple[Cell, ...]
     witnesses: tuple[Witnesses, ...]
     equation_17: MisprintedEquation
-    diagnoses: tuple[Diagnosis, ...] = ()
+    diagnoses: tuple[table_5.Diagnosis, ...] = ()
+    true_values: tuple[table_5.TrueValue, ...] = ()
 
     def table(self, number: int) -> tuple[Cell, ...]:
         """Return the cells of one table."""
@@ -145,7 +89,7 @@ def reproduce(tables: Sequence[int] = TABLES) -> Reproduction:
     geometry = Geometry.paper()
     example = pose(np.array(published.POSITION) / _CM, xyx=np.deg2rad(published.XYX_DEGREES))
     closed = complex_middle_joints(geometry, example) * _CM
-    printed = np.array([[[_value(c) for c in row] for row in table] for table in _COORDINATES.values()])
+    printed = np.array([[[number(c) for c in row] for row in table] for table in _COORDINATES.values()])
     printed = np.moveaxis(printed, -1, 0)  # (solution, joint, coordinate)
     joints = _in_order_of(printed, resultant.solve(geometry, example) * _CM)
     other = _order(joints, closed)
@@ -166,7 +110,8 @@ def reproduce(tables: Sequence[int] = TABLES) -> Reproduction:
         true=_count_real(closed[:, 1, 1]),
     )
     cells: list[Cell] = []
-    diagnoses: list[Diagnosis] = []
+    diagnoses: list[table_5.Diagnosis] = []
+    true_values: list[table_5.TrueValue] = []
     for table in sorted(set(tables)):
         if table in _COORDINATES:
             cells += _coordinates(table, joints, printed, geometry.middle_side * _CM)
@@ -174,39 +119,10 @@ def reproduce(tables: Sequence[int] = TABLES) -> Reproduction:
             cells += _leg_lengths(geometry, example.as_matrix(), joints)
         else:
             third = Configuration(geometry, example, joints[2].real / _CM)
-            diagnoses += _diagnoses(third)
-            cells += _rates_and_forces(third, diagnoses)
-    return Reproduction(tuple(cells), witnesses, equation, tuple(diagnoses))
-
-
-def matches(published_value: str, recomputed: complex) -> bool:
-    """Tell whether a number rounds to the digits printed; a plain "0" stands for zero itself."""
-    parts = zip(_parts(published_value), (recomputed.real, recomputed.imag), strict=True)
-    return all(_agrees(digits, value) for digits, value in parts)
-
-
-def _agrees(digits: str, value: float) -> bool:
-    if digits == "0":
-        return abs(value) < 1e-9
-    exponent = Decimal(digits).as_tuple().exponent
-    assert isinstance(exponent, int)
-    half_a_unit = 0.5 * 10.0**exponent
-    return abs(value - float(digits)) <= half_a_unit * (1.0 + 1e-9)
-
-
-def _parts(text: str) -> tuple[str, str]:
-    """Split "a+bi" into its parts; a real number has the imaginary part "0"."""
-    if not text.endswith("i"):
-        return text, "0"
-    split = max(text.rfind("+"), text.rfind("-"))
-    return text[:split], text[split:-1]
-
-
-def _value(text: str | None) -> complex:
-    if text is None:
-        return complex("nan")
-    real, imaginary = _parts(text)
-    return complex(float(real), float(imaginary))
+            diagnoses = table_5.diagnoses(third)
+            true_values = table_5.true_values(third)
+            cells += table_5.rates_and_forces(true_values, diagnoses)
+    return Reproduction(tuple(cells), witnesses, equation, tuple(diagnoses), tuple(true_values))
 
 
 def _count_real(roots: npt.NDArray[np.complex128]) -> int:
@@ -287,44 +203,3 @@ def _shifted(text: str, column: int, lengths: npt.NDArray[np.float64]) -> tuple[
         if published.TABLE_4[leg][column] is None and matches(text, complex(value)):
             return Verdict.MISPRINT, f"this is {LEGS[leg]} = {value:.4f}, whose own cell is empty: a shifted number"
     return Verdict.UNEXPLAINED, ""
-
-
-_ROWS_5 = ("v", "f")
-
-
-def _diagnoses(third: Configuration) -> list[Diagnosis]:
-    """Find the fewest mistakes that give each printed row of Table 5; none where no combination does."""
-    combinations = sorted((Table5Mistakes(*flags) for flags in product((False, True), repeat=3)), key=_how_many)
-    found = []
-    for row, (name, printed) in enumerate(zip(_ROWS_5, published.TABLE_5, strict=True)):
-        for mistakes in combinations:
-            values = table_5(third, mistakes)[row]
-            if all(text is None or matches(text, complex(x)) for text, x in zip(printed, values, strict=True)):
-                found.append(Diagnosis(name, mistakes, tuple(float(x) for x in values)))
-                break
-    return found
-
-
-def _how_many(mistakes: Table5Mistakes) -> int:
-    return sum(getattr(mistakes, field.name) for field in fields(mistakes))
-
-
-def _rates_and_forces(third: Configuration, diagnoses: list[Diagnosis]) -> list[Cell]:
-    """Compare Table 5 with the true rates [cm/s] and forces [kN], by the wrench form."""
-    twist = np.concatenate([np.array(published.VELOCITY[:3]) / _CM, np.deg2rad(published.VELOCITY[3:])])
-    true = (leg_rates(third, twist) * _CM, leg_forces(third, np.concatenate(load())) / _KILO)
-    explained = {diagnosis.row: diagnosis for diagnosis in diagnoses}
-    cells = []
-    for name, printed, values in zip(_ROWS_5, published.TABLE_5, true, strict=True):
-        for leg, text, x in zip(LEGS, printed, values, strict=True):
-            verdict, note = Verdict.SAME, ""
-            diagnosis = explained.get(name)
-            if text is None:
-                verdict = Verdict.NOT_PRINTED
-                note = "the cell is empty"
-                if diagnosis is not None:
-                    note += f"; with the mistakes of its row it would read {diagnosis.values[LEGS.index(leg)]:.4f}"
-            elif not matches(text, complex(x)):
-                verdict = Verdict.UNEXPLAINED if diagnosis is None or not diagnosis.names else Verdict.MISPRINT
-            cells.append(Cell(5, f"{name}_{leg.replace('_', '')}", "3", text, complex(x), verdict, note))
-    return cells

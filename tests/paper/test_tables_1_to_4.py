@@ -7,7 +7,8 @@ import pytest
 
 import spm_pin as spm
 from spm_pin.crosscheck import reproduction
-from spm_pin.crosscheck.reproduction import Verdict, matches, reproduce
+from spm_pin.crosscheck.cells import Verdict, matches
+from spm_pin.crosscheck.reproduction import reproduce
 from spm_pin.paper import published, resultant
 
 EXAMPLE = spm.pose(np.array(published.POSITION) / 100, xyx=np.deg2rad(published.XYX_DEGREES))

@@ -1,0 +1,67 @@
+"""A cell of the paper's tables: what is printed, what is true, and what is to be said of the difference."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+from decimal import Decimal
+
+__all__ = ["Cell", "Verdict", "matches", "number"]
+
+
+class Verdict(enum.StrEnum):
+    """What a printed cell is found to be."""
+
+    SAME = "same"
+    MISPRINT = "misprint"
+    NOT_PRINTED = "not printed"
+    UNEXPLAINED = "unexplained"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell of a table in the paper's units: cm, cm/s, kN."""
+
+    table: int
+    row: str
+    column: str
+    published: str | None
+    recomputed: complex
+    verdict: Verdict
+    note: str = ""
+
+    @property
+    def difference(self) -> float | None:
+        """Modulus of recomputed minus printed; None where nothing is printed."""
+        return None if self.published is None else abs(self.recomputed - number(self.published))
+
+
+def matches(published_value: str, recomputed: complex) -> bool:
+    """Tell whether a number rounds to the digits printed; a plain "0" stands for zero itself."""
+    parts = zip(_parts(published_value), (recomputed.real, recomputed.imag), strict=True)
+    return all(_agrees(digits, value) for digits, value in parts)
+
+
+def _agrees(digits: str, value: float) -> bool:
+    if digits == "0":
+        return abs(value) < 1e-9
+    exponent = Decimal(digits).as_tuple().exponent
+    assert isinstance(exponent, int)
+    half_a_unit = 0.5 * 10.0**exponent
+    return abs(value - float(digits)) <= half_a_unit * (1.0 + 1e-9)
+
+
+def _parts(text: str) -> tuple[str, str]:
+    """Split "a+bi" into its parts; a real number has the imaginary part "0"."""
+    if not text.endswith("i"):
+        return text, "0"
+    split = max(text.rfind("+"), text.rfind("-"))
+    return text[:split], text[split:-1]
+
+
+def number(text: str | None) -> complex:
+    """Return a printed number; NaN where nothing is printed."""
+    if text is None:
+        return complex("nan")
+    real, imaginary = _parts(text)
+    return complex(float(real), float(imaginary))

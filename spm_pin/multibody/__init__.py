@@ -1,0 +1,1 @@
+"""The mechanism as a Pinocchio model with closures: the only floor that imports pinocchio."""

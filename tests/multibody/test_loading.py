@@ -1,0 +1,169 @@
+"""Chains from the description and from URDF files, and the files that are refused."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import problems
+import pytest
+from multibody.chains import PAPER, chain, six_branches
+
+import spm_pin as spm
+from spm_pin.description.closures import read_closures
+from spm_pin.description.expand import expand
+from spm_pin.description.locate import ENTRY, URDF, description_file
+from spm_pin.errors import ArgumentError, DescriptionError, GeometryError
+
+pinocchio = pytest.importorskip("pinocchio")
+
+from spm_pin.multibody.chain import ClosedChain  # noqa: E402
+
+SHIPPED = description_file(URDF)
+
+
+def state_of(geometry: spm.Geometry) -> spm.Configuration:
+    return problems.random_branches(geometry, "TF", 1, seed=91).configuration[0]
+
+
+def test_the_paper_s_robot_by_default() -> None:
+    robot = ClosedChain.from_urdf()
+    assert robot.geometry == PAPER
+    assert robot.closures == read_closures()
+    assert robot.model.nq == robot.model.nv == 18
+    assert repr(robot).startswith("<ClosedChain: 18 joints, 4 closures, Geometry(base_radius=0.69")
+
+
+@pytest.mark.parametrize("prefix", ["", "left_"])
+@pytest.mark.parametrize("name", problems.GEOMETRIES)
+def test_a_file_says_its_dimensions(name: str, prefix: str, tmp_path: Path) -> None:
+    geometry = problems.GEOMETRIES[name]
+    path = tmp_path / "robot.urdf"
+    path.write_text(expand(geometry, prefix=prefix), encoding="utf-8")
+    robot = ClosedChain.from_urdf(path, prefix=prefix)
+    for dimension in ("base_radius", "platform_radius", "middle_side"):
+        assert getattr(robot.geometry, dimension) == pytest.approx(getattr(geometry, dimension), rel=1e-14)
+    assert (robot.geometry.limits is None) == (geometry.limits is None)
+    if geometry.limits is not None and robot.geometry.limits is not None:
+        assert np.allclose(robot.geometry.limits.minimum, geometry.limits.minimum, rtol=1e-14)
+        assert np.allclose(robot.geometry.limits.maximum, geometry.limits.maximum, rtol=1e-14)
+    state = state_of(geometry)
+    q = robot.place(state)
+    assert np.abs(robot.closure_gap(q)).max() <= 1e-13
+    assert np.allclose(robot.configuration(q).middle_joints, state.middle_joints, atol=1e-13)
+    assert np.allclose(q, ClosedChain.from_urdf(path, geometry, prefix=prefix).place(state), atol=1e-13)
+    assert np.allclose(q, ClosedChain.from_urdf(geometry=geometry, prefix=prefix).place(state), atol=1e-13)
+
+
+def test_a_prefix_is_on_every_name() -> None:
+    robot = ClosedChain.from_urdf(prefix="left_")
+    assert all(name.startswith("left_") for name in robot.joint_names)
+    assert all(c.frame_a.startswith("left_") and c.frame_b.startswith("left_") for c in robot.closures)
+    bare = chain()
+    assert [f"left_{name}" for name in bare.joint_names] == list(robot.joint_names)
+    state = six_branches()[0]
+    assert np.allclose(robot.place(state), bare.place(state), atol=1e-15)
+    assert robot.joint_indices("left_leg_b2_hip") == bare.joint_indices("leg_b2_hip")
+    assert len(robot.collision_model.collisionPairs) == len(bare.collision_model.collisionPairs)
+
+
+def test_inertias_and_limits_may_differ(tmp_path: Path) -> None:
+    """Slides narrowed to one side no longer tell where the home is; the geometry then does."""
+    path = tmp_path / "robot.urdf"
+    text = SHIPPED.read_text(encoding="utf-8")
+    path.write_text(text.replace('<mass value="', '<mass value="1'), encoding="utf-8")
+    assert ClosedChain.from_urdf(path).model.inertias[1].mass != chain().model.inertias[1].mass
+    path.write_text(text.replace('upper="0.19999999999999996"', 'upper="0.1"'), encoding="utf-8")
+    assert path.read_text(encoding="utf-8") != text
+    with pytest.raises(DescriptionError, match="The zero follows from the leg limits"):
+        ClosedChain.from_urdf(path)
+    robot = ClosedChain.from_urdf(path, PAPER)
+    state = six_branches()[0]
+    assert np.array_equal(robot.place(state), chain().place(state))
+
+
+@pytest.mark.parametrize("dimension", ["base_radius", "platform_radius", "middle_side"])
+def test_another_geometry_than_the_file_s(dimension: str) -> None:
+    dimensions = {name: getattr(PAPER, name) for name in ("base_radius", "platform_radius", "middle_side")}
+    other = spm.Geometry(**{**dimensions, dimension: 1.01 * dimensions[dimension]}, limits=PAPER.limits)
+    with pytest.raises(GeometryError, match=f"^geometry: expected the {dimension} of .*spm.urdf, "):
+        ClosedChain.from_urdf(SHIPPED, other)
+
+
+def test_other_home_than_the_file_s() -> None:
+    higher = spm.Geometry(
+        PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side, spm.LegLimits([1.2] * 6, [1.5] * 6)
+    )
+    with pytest.raises(DescriptionError, match="m off"):
+        ClosedChain.from_urdf(SHIPPED, higher)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('name="leg_b2_hip"', 'name="hip_b2"', "leg_b2_hip missing, hip_b2 foreign"),
+        ('<joint name="leg_b2_hip" type="revolute">', '<joint name="leg_b2_hip" type="fixed">', "leg_b2_hip missing"),
+        ('<joint name="leg_b2_hip" type="revolute">', '<joint name="leg_b2_hip" type="continuous">', "nq = 19"),
+        ('"middle_b3"', '"corner_b3"', "no middle_b3"),
+        ('<axis xyz="0 1 0"/>', '<axis xyz="0 -1 0"/>', "m off. Another joint axis, order or zero"),
+        ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 -1"/>', "m off. Another joint axis, order or zero"),
+    ],
+    ids=["renamed joint", "locked joint", "continuous joint", "renamed link", "turned axis", "reversed slide"],
+)
+def test_other_trees_are_refused(old: str, new: str, message: str, tmp_path: Path) -> None:
+    text = SHIPPED.read_text(encoding="utf-8")
+    assert old in text
+    path = tmp_path / "robot.urdf"
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(DescriptionError, match=message):
+        ClosedChain.from_urdf(path)
+
+
+def test_files_that_are_no_urdf(tmp_path: Path) -> None:
+    with pytest.raises(DescriptionError, match="expected a readable URDF file"):
+        ClosedChain.from_urdf(tmp_path / "missing.urdf")
+    with pytest.raises(DescriptionError, match=r"expected a URDF, .* Not expanded yet"):
+        ClosedChain.from_urdf(description_file(ENTRY))
+    with pytest.raises(DescriptionError, match=r"with the prefix 'left_', got left_ball_b1_x, .* missing"):
+        ClosedChain.from_urdf(SHIPPED, prefix="left_")
+    with pytest.raises(DescriptionError, match=r"^prefix: "):
+        ClosedChain.from_urdf(prefix="2 ")
+    with pytest.raises(ArgumentError, match=r"^geometry: expected a Geometry, got str"):
+        ClosedChain.from_urdf(geometry="paper")  # type: ignore[arg-type]
+
+
+def test_copies_and_pickles() -> None:
+    robot = ClosedChain.from_urdf(geometry=problems.GEOMETRIES["wide base"], prefix="left_")
+    state = state_of(robot.geometry)
+    q = robot.place(state)
+    for other in (copy.deepcopy(robot), pickle.loads(pickle.dumps(robot))):
+        assert other.geometry == robot.geometry
+        assert other.joint_names == robot.joint_names
+        assert np.array_equal(other.place(state), q)
+        assert np.array_equal(other.inverse_jacobian(q), robot.inverse_jacobian(q))
+
+
+def test_shapes_and_the_wrapper() -> None:
+    pytest.importorskip("coal")
+    robot = chain()
+    assert robot.visual_model.ngeoms > robot.collision_model.ngeoms > 0
+    assert robot.visual_model is robot.visual_model
+    pairs = len(robot.collision_model.collisionPairs)
+    assert 0 < pairs < robot.collision_model.ngeoms * (robot.collision_model.ngeoms - 1) // 2
+    wrapper = robot.robot_wrapper()
+    assert wrapper.model is not None
+    assert wrapper.nq == 18
+    assert wrapper.visual_model.ngeoms == robot.visual_model.ngeoms
+    data, results = robot.model.createData(), robot.collision_model.createData()
+    assert not pinocchio.computeCollisions(
+        robot.model, data, robot.collision_model, results, pinocchio.neutral(robot.model), False
+    )
+
+
+def test_the_package_alone_does_not_import_pinocchio() -> None:
+    program = "import sys, spm_pin, spm_pin.description.states; sys.exit('pinocchio' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

@@ -1,0 +1,178 @@
+"""Singular configurations: recognised, named, and with all that is still finite there."""
+
+from __future__ import annotations
+
+from dataclasses import astuple
+
+import numpy as np
+import problems
+import pytest
+from multibody.chains import (
+    EPS,
+    PAPER,
+    POSE,
+    chain,
+    closure_jacobian,
+    frame_jacobian,
+    placed,
+    six_branches,
+    wrench_conditions,
+)
+from scipy.spatial.transform import Rotation
+
+import spm_pin as spm
+from spm_pin.errors import ArgumentError, SingularConfigurationError
+
+pinocchio = pytest.importorskip("pinocchio")
+
+from spm_pin.multibody.velocity import SINGULAR  # noqa: E402
+
+HOME = np.zeros(18)
+ONE = np.ones(1)
+
+
+def staged(lower: tuple[str, float, float, float], upper: tuple[str, float, float, float]) -> spm.Configuration:
+    """Two stages given by mode, azimuth of the tilt, sine of half the tilt, and height [m]."""
+    stages = [
+        problems.stage(mode, azimuth * ONE, half_sine * ONE, height * ONE, PAPER.middle_radius)
+        for mode, azimuth, half_sine, height in (lower, upper)
+    ]
+    return problems.compose(PAPER, *stages).configuration[0]
+
+
+def test_at_home_three_motions_leave_the_platform_still() -> None:
+    robot = chain()
+    assert np.abs(robot.closure_gap(HOME)).max() <= 1e-13
+    free = np.linalg.svd(closure_jacobian(robot, HOME))[2][12:]
+    velocities = frame_jacobian(robot, HOME, "terminal_platform") @ free.T
+    values = np.linalg.svd(velocities, compute_uv=False)
+    assert (values > 0.01).sum() == 3
+    assert (values < 64 * EPS).sum() == 3
+
+
+def test_home_is_an_inverse_singularity() -> None:
+    """NumPy's solve sees nothing wrong there, and returns some 1e16."""
+    robot = chain()
+    for call in (robot.inverse_jacobian, lambda q: robot.joint_velocities(q, np.ones(6))):
+        with pytest.raises(SingularConfigurationError, match=r"^inverse singularity: the twist") as caught:
+            call(HOME)
+        assert caught.value.kind == "inverse"
+        assert caught.value.sigma_min <= 10 * SINGULAR
+        assert caught.value.index == ()
+    values = robot.singular_values(HOME)
+    assert values.inverse <= 10 * SINGULAR
+    assert min(values.forward, values.constraint) > 0.1
+
+
+def test_forces_at_home() -> None:
+    robot = chain()
+    state = robot.configuration(HOME)
+    for wrench in np.random.default_rng(121).normal(size=(10, 6)):
+        expected = spm.leg_forces(state, wrench)
+        found = robot.leg_forces(HOME, wrench)
+        assert np.linalg.norm(found - expected) <= 1e-13 * np.linalg.norm(expected)
+    # By symmetry each leg carries a third of a weight along its own slope.
+    slope = state.leg_vectors[:, 2] / state.leg_lengths
+    assert np.allclose(robot.leg_forces(HOME, [0, 0, -6.0, 0, 0, 0]) * slope, 2.0, rtol=64 * EPS)
+
+
+def test_between_two_branches_that_meet() -> None:
+    """Half way between two branches of a family the closures' quadratics are singular to the last bit."""
+    pose = problems.at_discriminant(POSE, 0, 1e-13, PAPER)
+    plus, minus = spm.inverse_displacement(PAPER, pose).configurations[:2]
+    state = spm.Configuration(PAPER, pose, (plus.middle_joints + minus.middle_joints) / 2)
+    robot = chain()
+    q = robot.place(state)
+    with pytest.raises(SingularConfigurationError) as caught:
+        robot.inverse_jacobian(q)
+    assert caught.value.kind == "inverse"
+    wrench = np.arange(1.0, 7.0)
+    expected = spm.leg_forces(state, wrench)
+    # As far as closure is violated, to second order in the branches' distance, q is another state.
+    allowed = 64 * (EPS + float(state.closure_residual)) / robot.singular_values(q).forward ** 2
+    assert np.linalg.norm(robot.leg_forces(q, wrench) - expected) <= allowed * np.linalg.norm(wrench)
+
+
+@pytest.mark.parametrize("mode", ["T", "F"])
+def test_forward_singularities(mode: str) -> None:
+    """A level lower stage of no height: its three legs and their axes lie in the plane, and lift nothing."""
+    state = staged((mode, 0.0, 0.0, 0.0), ("T", 0.4, 0.3, -1.1))
+    robot = chain()
+    q = robot.place(state)
+    for call in (robot.leg_forces, robot.cut_forces):
+        with pytest.raises(SingularConfigurationError) as caught:
+            call(q, np.ones(6))
+        assert caught.value.kind == "forward"
+    assert robot.singular_values(q).forward <= 10 * SINGULAR
+    assert robot.singular_values(q).constraint > 1e-3
+    with pytest.raises(SingularConfigurationError, match=r"^forward"):
+        spm.leg_forces(state, np.ones(6))
+
+
+@pytest.mark.parametrize("which", ["lower", "upper"])
+def test_constraint_singularities(which: str) -> None:
+    """A stage tilted half round: its three revolute axes and the middle platform's plane fall together."""
+    regular, turned = ("T", 0.4, 0.3), ("T", 1.1, 1.0)
+    lower, upper = (turned, regular) if which == "lower" else (regular, turned)
+    state = staged((*lower, 1.2), (*upper, -1.1))
+    robot = chain()
+    q = robot.place(state)
+    for call in (robot.inverse_jacobian, lambda q: robot.leg_forces(q, np.ones(6))):
+        with pytest.raises(SingularConfigurationError, match=r"^constraint singularity") as caught:
+            call(q)
+        assert caught.value.kind == "constraint"
+    values = robot.singular_values(q)
+    assert max(values.constraint, values.inverse, values.forward) <= 10 * SINGULAR
+    with pytest.raises(SingularConfigurationError, match=r"^constraint"):
+        spm.inverse_jacobian(state)
+
+
+def test_kinds_are_those_of_the_closed_form() -> None:
+    """Each smallest singular value goes to zero with its counterpart in the 6 x 6 matrices."""
+    for name in problems.GEOMETRIES:
+        for state, q in placed(name, 100, seed=122):
+            values = chain(name).singular_values(q)
+            stages, both = wrench_conditions(state)
+            for tree, wrenches in ((values.forward, stages), (values.inverse, both)):
+                assert 1e-3 < tree / wrenches < 1e3
+
+
+def test_regular_states_are_not_refused() -> None:
+    for name in problems.GEOMETRIES:
+        for _, q in placed(name, 200, seed=123):
+            assert np.isfinite(chain(name).inverse_jacobian(q)).all()
+            assert np.isfinite(chain(name).leg_forces(q, np.ones(6))).all()
+
+
+def test_a_ball_joint_at_a_right_angle() -> None:
+    """Its three revolute joints lose a rotation there, which is no property of the mechanism."""
+    robot = chain()
+    q = robot.place(six_branches()[0])
+    for ball in ("ball_b1_y", "ball_c1_y"):
+        turned = q.copy()
+        turned[robot.joint_indices(ball)] = -np.pi / 2
+        for call in (robot.inverse_jacobian, robot.singular_values, lambda value: robot.leg_forces(value, np.ones(6))):
+            with pytest.raises(ArgumentError, match=rf"^q: expected {ball} away from ±90°, got -90°"):
+                call(turned)
+
+
+def turned(state: spm.Configuration) -> spm.Configuration:
+    """The same mechanism with its legs renumbered: turned about Z with base and platform, leg 2 in leg 1's place."""
+    turn = Rotation.from_euler("z", 120, degrees=True).as_matrix()
+    pose = spm.pose(turn @ state.translation, rotation=turn @ state.rotation @ turn.T)
+    return spm.Configuration(PAPER, pose, np.roll(state.middle_joints @ turn.T, 1, axis=0))
+
+
+def test_singular_values_know_nothing_of_the_ball_s_angles() -> None:
+    """Renumbered, another leg carries the tree's balls, at other angles: the robot is as near to singularity."""
+    robot = chain()
+    # Tilted by 2 asin(half sine) about the level normal of leg 1's axis: that is the middle angle of its ball.
+    across = np.deg2rad(60.0 + 90.0)
+    tilts = np.deg2rad([45.0, 60.0, 75.0, 85.0, 89.0, 89.9, 89.99])
+    steep = [staged(("T", across, np.sin(tilt / 2), 1.2), ("T", 0.5, 0.2, -1.3)) for tilt in tilts]
+    for state, tilt in zip(steep, tilts, strict=True):
+        (angle,) = robot.place(state)[robot.joint_indices("ball_b1_y")]
+        assert abs(angle) == pytest.approx(tilt)
+    for state in [*six_branches(), *steep]:
+        before, after = (astuple(robot.singular_values(robot.place(s))) for s in (state, turned(state)))
+        assert np.abs(np.log(np.divide(after, before))).max() < np.log(3.0)

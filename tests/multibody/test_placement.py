@@ -1,0 +1,200 @@
+"""From configurations to joint values and back, and which joint is where."""
+
+from __future__ import annotations
+
+import numpy as np
+import problems
+import pytest
+from description.kinematic_tree import named_states
+from multibody.chains import EPS, PAPER, chain, placed, random_q, six_branches
+
+import spm_pin as spm
+from spm_pin.description.locate import SRDF, description_file
+from spm_pin.description.tree import JOINTS, SLIDES
+from spm_pin.errors import ArgumentError, GeometryError
+
+pinocchio = pytest.importorskip("pinocchio")
+
+HOME = np.zeros(18)
+
+
+@pytest.mark.parametrize("name", problems.GEOMETRIES)
+def test_round_trip_in_every_family(name: str) -> None:
+    robot = chain(name)
+    own = robot.workspace()
+    for family in spm.FAMILIES:
+        for state in problems.random_branches(robot.geometry, family, 150, seed=71).configuration:
+            q = robot.place(state)
+            assert np.abs(robot.closure_gap(q, workspace=own)).max() <= 1e-13
+            found = robot.configuration(q, workspace=own)
+            # Ten joints lie between {B} and m, each with a rounding of a rotation and of a position.
+            rounding = 32 * EPS * (1.0 + robot.leg_lengths(q).max())
+            assert np.abs(found.pose.as_matrix() - state.pose.as_matrix()).max() <= rounding
+            assert np.abs(found.middle_joints - state.middle_joints).max() <= rounding
+            assert np.abs(robot.leg_lengths(q) - state.leg_lengths).max() <= rounding
+            assert np.abs(found.leg_lengths - state.leg_lengths).max() <= rounding
+            assert found.closure_residual <= rounding
+
+
+def test_the_six_branches_are_closed() -> None:
+    for state in six_branches():
+        q = chain().place(state)
+        assert np.abs(chain().closure_gap(q)).max() <= 1e-13
+        assert np.abs(chain().configuration(q).middle_joints - state.middle_joints).max() <= 1e-13
+
+
+def test_an_open_q_is_an_open_configuration() -> None:
+    robot = chain()
+    q = random_q(robot, np.random.default_rng(72))
+    state = robot.configuration(q)
+    assert state.closure_residual > 1e-2
+    # Leg b2 ends beside the middle platform's corner, and q has the length of the leg.
+    gap = np.linalg.norm(robot.closure_gap(q)[0])
+    assert 0.0 < abs(state.leg_lengths[1] - robot.leg_lengths(q)[1]) <= gap
+
+
+def test_named_states() -> None:
+    """The SRDF has the same values under the same names."""
+    values = named_states(description_file(SRDF).read_text(encoding="utf-8"))["reference"]
+    robot = chain()
+    reference = next(c for c in six_branches() if abs(c.leg_lengths[0] - values["leg_b1_slide"] - 1.3) < 1e-9)
+    q = robot.place(reference)
+    for name, value in values.items():
+        assert q[robot.joint_indices(name)[0]] == pytest.approx(value, abs=1e-12)
+
+
+def test_names_and_places() -> None:
+    robot = chain()
+    assert sorted(robot.joint_names) == sorted(JOINTS)
+    for place, name in enumerate(robot.joint_names):
+        joint = robot.model.joints[robot.model.getJointId(name)]
+        assert joint.idx_q == joint.idx_v == place == robot.joint_indices(name)[0]
+    assert np.array_equal(robot.leg_indices, robot.joint_indices(*SLIDES))
+    with pytest.raises(ArgumentError, match=r"names: expected joints: leg_b1_hip, .*, got 'leg_b4_hip'"):
+        robot.joint_indices("leg_b1_hip", "leg_b4_hip")
+    robot.leg_indices[:] = 0
+    assert robot.leg_indices.any()
+
+
+def test_leg_lengths() -> None:
+    robot = chain()
+    assert np.allclose(robot.leg_lengths(HOME), 1.3, rtol=4 * EPS)
+    lengths = np.array([1.1, 1.2, 1.3, 1.4, 1.5, 0.0])
+    q = robot.with_leg_lengths(np.full(18, 0.1), lengths)
+    assert np.allclose(robot.leg_lengths(q), lengths, atol=4 * EPS)
+    passive = np.setdiff1d(np.arange(18), robot.leg_indices)
+    assert (q[passive] == 0.1).all()
+    with pytest.raises(ArgumentError, match=r"legs of no negative length, got -0\.2 m in r_c1"):
+        robot.with_leg_lengths(HOME, [1.1, 1.2, 1.3, -0.2, 1.5, -0.1])
+
+
+def test_limits_play_no_part() -> None:
+    (state, *_) = six_branches()
+    free = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)
+    same = spm.Configuration(free, state.pose, state.middle_joints)
+    assert np.array_equal(chain().place(same), chain().place(state))
+
+
+def test_configurations_that_cannot_be_placed() -> None:
+    branches = spm.inverse_displacement(PAPER, six_branches()[0].pose)
+    state = six_branches()[0]
+    with pytest.raises(ArgumentError, match=r"expected a single configuration, got a batch of shape \(8,\)"):
+        chain().place(branches.configurations)
+    with pytest.raises(ArgumentError, match="expected a configuration that exists, got NaN"):
+        chain().place(branches.configurations[~branches.exists][0])
+    with pytest.raises(ArgumentError, match=r"expected a Configuration, got SolutionSet\. .*\.physical\(\)"):
+        chain().place(branches)
+    rounded = spm.Configuration(PAPER, state.pose, state.middle_joints.round(4))
+    with pytest.raises(ArgumentError, match=r"expected a closed mechanism, got a closure residual of \d\.\de-05 m"):
+        chain().place(rounded)
+    for name in ("base_radius", "platform_radius", "middle_side"):
+        dimensions = {key: getattr(PAPER, key) for key in ("base_radius", "platform_radius", "middle_side")}
+        other = spm.Geometry(**{**dimensions, name: 1.001 * dimensions[name]})
+        with pytest.raises(GeometryError, match=f"expected the chain's {name}, "):
+            chain().place(spm.Configuration(other, state.pose, state.middle_joints))
+
+
+@pytest.mark.parametrize(
+    ("q", "message"),
+    [
+        (np.zeros(17), r"of shape \(\.\.\., 18\)"),
+        (np.zeros((3, 18)), r"expected shape \(18,\), .* got shape \(3, 18\)\. One configuration a call"),
+        (np.full(18, np.nan), "expected finite real numbers"),
+        (np.full(18, np.inf), "expected finite real numbers"),
+        (None, "expected real numbers"),
+        (np.zeros(18, complex), "expected real numbers"),
+        (np.full(18, -2.0), r"legs of no negative length, got -0\.7 m"),
+    ],
+    ids=["seventeen", "batch", "NaN", "infinite", "nothing", "complex", "negative legs"],
+)
+def test_bad_joint_values_are_refused(q: object, message: str) -> None:
+    robot = chain()
+    calls = (
+        robot.configuration,
+        robot.leg_lengths,
+        robot.closure_gap,
+        robot.constraint_jacobian,
+        robot.project,
+        robot.inverse_jacobian,
+        robot.singular_values,
+        lambda value: robot.joint_velocities(value, np.zeros(6)),
+        lambda value: robot.leg_forces(value, np.zeros(6)),
+        lambda value: robot.cut_forces(value, np.zeros(6)),
+        lambda value: robot.with_leg_lengths(value, np.ones(6)),
+    )
+    for call in calls:
+        with pytest.raises(ArgumentError, match=f"^q: .*{message}"):
+            call(q)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [np.zeros(5), np.zeros((2, 6)), [np.nan] * 6, None],
+    ids=["five", "batch", "NaN", "nothing"],
+)
+def test_other_bad_vectors_are_refused(value: object) -> None:
+    robot = chain()
+    q = robot.place(six_branches()[0])
+    calls = {
+        "twist": robot.joint_velocities,
+        "wrench": robot.leg_forces,
+        "leg_lengths": robot.with_leg_lengths,
+    }
+    for argument, call in calls.items():
+        with pytest.raises(ArgumentError, match=f"^{argument}: expected"):
+            call(q, value)
+
+
+def test_what_is_returned_stays() -> None:
+    """Pinocchio hands out views of its data; the chain does not."""
+    robot, rng = chain(), np.random.default_rng(73)
+    own = robot.workspace()
+    calls = (
+        robot.closure_gap,
+        robot.constraint_jacobian,
+        robot.inverse_jacobian,
+        lambda q, workspace: robot.configuration(q, workspace=workspace).rotation,
+        lambda q, workspace: robot.configuration(q, workspace=workspace).translation,
+        lambda q, workspace: robot.configuration(q, workspace=workspace).middle_joints,
+    )
+    (_, first), (_, second), *_ = placed("paper", 3, seed=74)
+    for call in calls:
+        kept = call(first, workspace=own)
+        copy = np.array(kept)
+        call(second, workspace=own)
+        assert np.array_equal(kept, copy)
+        assert np.array_equal(call(first, workspace=own), call(first, workspace=None))
+    q = random_q(robot, rng)
+    before = q.copy()
+    robot.project(robot.place(six_branches()[0]) + 1e-3, workspace=own)
+    robot.with_leg_lengths(q, np.ones(6))
+    assert np.array_equal(q, before)
+
+
+def test_foreign_workspaces_are_refused() -> None:
+    q = np.zeros(18)
+    for call in (chain().configuration, chain().closure_gap, chain().singular_values, chain().project):
+        with pytest.raises(ArgumentError, match=r"^workspace: .* got that of another chain"):
+            call(q, workspace=chain("wide base").workspace())
+        with pytest.raises(ArgumentError, match=r"^workspace: .* got Data"):
+            call(q, workspace=chain().model.createData())

@@ -1,0 +1,139 @@
+"""Newton's method on the closures: quadratic where it converges, an error where it does not."""
+
+from __future__ import annotations
+
+import itertools
+import pickle
+from typing import Any
+
+import numpy as np
+import problems
+import pytest
+from multibody.chains import EPS, PAPER, Array, chain, placed, random_q, six_branches
+
+from spm_pin.errors import ArgumentError, ClosureError, SpmError
+
+pinocchio = pytest.importorskip("pinocchio")
+
+NAMES = list(problems.GEOMETRIES)
+
+
+def rounding(robot: Any, q: Array) -> float:
+    geometry = robot.geometry
+    way = robot.leg_lengths(q).sum() + geometry.base_radius + geometry.platform_radius + geometry.middle_side
+    return float(32 * EPS * way)
+
+
+def residuals(robot: Any, q: Array, *, hold_legs: bool = False) -> list[float]:
+    """Largest gap after 0, 1, 2... steps, until closed."""
+    found = []
+    for steps in range(30):
+        try:
+            closed = robot.project(q, hold_legs=hold_legs, max_iterations=steps)
+        except ClosureError as error:
+            found.append(error.residual)
+        else:
+            return [*found, float(np.linalg.norm(robot.closure_gap(closed), axis=1).max())]
+    raise AssertionError(found)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_perturbed_q_is_closed(name: str) -> None:
+    robot, rng = chain(name), np.random.default_rng(131)
+    units = np.ones(18)
+    units[robot.leg_indices] = robot.geometry.middle_side
+    for _, q in placed(name, 25, seed=132):
+        if robot.singular_values(q).constraint < 0.05:
+            continue
+        off = 0.01 * units * rng.uniform(-1, 1, 18)
+        off[robot.leg_indices] = np.maximum(off[robot.leg_indices], -0.5 * robot.leg_lengths(q))
+        found = robot.project(q + off)
+        assert np.abs(robot.closure_gap(found)).max() <= rounding(robot, q)
+        assert robot.configuration(found).closure_residual <= rounding(robot, q)
+        # It goes to a point near by: to first order none is nearer, and q is one.
+        assert np.linalg.norm((found - q - off) / units) <= 1.5 * np.linalg.norm(off / units)
+
+
+def test_a_closed_q_is_left_as_it_is() -> None:
+    for state in six_branches():
+        q = chain().place(state)
+        assert np.array_equal(chain().project(q), q)
+        assert np.array_equal(chain().project(q, hold_legs=True, max_iterations=0), q)
+
+
+@pytest.mark.parametrize("hold_legs", [False, True])
+def test_convergence_is_quadratic(hold_legs: bool) -> None:
+    robot, rng = chain(), np.random.default_rng(133)
+    for state in problems.in_leg_space(PAPER, 10, seed=134).configuration:
+        q = robot.place(state) + 0.02 * rng.uniform(-1, 1, 18)
+        logged = residuals(robot, q, hold_legs=hold_legs)
+        assert 3 <= len(logged) <= 7
+        assert logged[-1] <= rounding(robot, q)
+        for before, after in itertools.pairwise(logged):
+            # An error in q of gap/σ leaves a gap of its square; lengths are about a metre.
+            assert after <= 100 * before**2 + rounding(robot, q)
+
+
+@pytest.mark.parametrize("start", ["home", "reference"])
+def test_forward_displacement(start: str) -> None:
+    """From a q of the physical mode, any leg lengths within the limits lead to that mode's configuration."""
+    robot = chain()
+    own = robot.workspace()
+    q = np.zeros(18)
+    if start == "reference":
+        state = next(s for s in problems.in_leg_space(PAPER, 1, seed=135).configuration)
+        q = robot.place(state)
+    for state in problems.in_leg_space(PAPER, 150, seed=136).configuration:
+        changed = robot.with_leg_lengths(q, state.leg_lengths)
+        found = robot.project(changed, hold_legs=True, workspace=own)
+        assert np.array_equal(found[robot.leg_indices], changed[robot.leg_indices])
+        forward = robot.singular_values(found, workspace=own).forward
+        reached = robot.configuration(found, workspace=own)
+        allowed = 2 * rounding(robot, q) / forward
+        assert np.abs(reached.middle_joints - state.middle_joints).max() <= allowed
+        assert np.abs(reached.pose.as_matrix() - state.pose.as_matrix()).max() <= 4 * allowed
+
+
+@pytest.mark.parametrize(
+    "lengths",
+    [[1.1, 1.1, 4.0, 1.3, 1.3, 1.3], [1.3, 1.3, 1.3, 0.02, 0.02, 0.02]],
+    ids=["one too long", "too short to reach"],
+)
+def test_legs_that_fit_nowhere(lengths: list[float]) -> None:
+    robot = chain()
+    with pytest.raises(ClosureError, match=r"m open after \d+ iterations\. No assembly mode of these") as caught:
+        robot.project(robot.with_leg_lengths(np.zeros(18), lengths), hold_legs=True)
+    assert caught.value.residual > 1e-3
+    assert 0 < caught.value.iterations < 50
+
+
+def test_hopeless_starts() -> None:
+    """Whatever the start: a closed q or an error, and both kinds occur."""
+    robot, rng = chain(), np.random.default_rng(137)
+    residuals_left = []
+    for _ in range(40):
+        q = 2 * random_q(robot, rng)
+        if (robot.leg_lengths(np.zeros(18)) + q[robot.leg_indices] < 0).any():
+            continue
+        try:
+            found = robot.project(q)
+        except ClosureError as error:
+            residuals_left.append(error.residual)
+        else:
+            assert np.abs(robot.closure_gap(found)).max() <= 10 * rounding(robot, found)
+            assert (robot.leg_lengths(found) >= 0).all()
+    assert 0 < len(residuals_left) < 40
+    assert min(residuals_left) > 1e-6
+
+
+def test_the_error_carries_its_data() -> None:
+    q = chain().place(six_branches()[0]) + 0.1
+    with pytest.raises(ClosureError) as caught:
+        chain().project(q, max_iterations=1)
+    error = caught.value
+    assert isinstance(error, SpmError)
+    again = pickle.loads(pickle.dumps(error))
+    assert (again.residual, again.iterations, str(again)) == (error.residual, 1, str(error))
+    for bad in (-1, 2.5, True):
+        with pytest.raises(ArgumentError, match=r"^max_iterations: expected a number of steps"):
+            chain().project(q, max_iterations=bad)
