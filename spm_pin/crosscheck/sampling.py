@@ -1,0 +1,125 @@
+"""Poses to ask the witnesses about, made without any of them."""
+
+from __future__ import annotations
+
+import math
+import shlex
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.geometry import Geometry, LegLimits
+from spm_pin.mechanism.pose import pose
+
+__all__ = ["command", "in_leg_space", "on_all_rotations", "printable"]
+
+_STEPS = 30
+
+
+def in_leg_space(geometry: Geometry, count: int, rng: np.random.Generator) -> RigidTransform:
+    """Draw poses (count,) by leg lengths uniform within the limits, on the side of the symmetric home.
+
+    Each stage is a 3RPS of its own: its three lengths, three leg planes and three sides fix its ball joints, by
+    Newton's method from the level position. The two stages are then joined at the middle platform. Without
+    limits, lengths are drawn within 15 % of those at a height of d.
+    """
+    limits = geometry.limits or _around_home(geometry)
+    found: list[FloatArray] = []
+    while len(found) < count:
+        lengths = rng.uniform(limits.minimum, limits.maximum, (2 * (count - len(found)) + 4, 6))
+        lower, closed_lower = _stage(geometry, geometry.base_radius, lengths[:, :3], 1.0)
+        # Seen from {m} the middle platform hangs below.
+        upper, closed_upper = _stage(geometry, geometry.platform_radius, lengths[:, 3:], -1.0)
+        both = closed_lower & closed_upper
+        joined = _frame(lower[both]) @ np.linalg.inv(_frame(upper[both]))
+        found.extend(joined)
+    return RigidTransform.from_matrix(np.array(found[:count]).reshape(-1, 4, 4))
+
+
+def on_all_rotations(geometry: Geometry, count: int, rng: np.random.Generator) -> RigidTransform:
+    """Draw poses (count,) with rotations uniform on SO(3), near enough to the axis that about half have branches."""
+    far = 1.5 * geometry.middle_radius * np.sqrt(rng.uniform(size=count))
+    azimuth = rng.uniform(-np.pi, np.pi, count)
+    height = rng.uniform(-3.0, 3.0, count) * geometry.middle_side
+    position = np.stack([far * np.cos(azimuth), far * np.sin(azimuth), height], axis=-1)
+    return pose(position, rotation=Rotation.random(count, rng=rng))
+
+
+def printable(poses: RigidTransform) -> tuple[RigidTransform, FloatArray, FloatArray]:
+    """Return poses (N,) as the command line reads them back, to the last bit.
+
+    Returns
+    -------
+    poses : RigidTransform, shape (N,)
+        Made from the numbers that follow; equal to those given up to rounding.
+    translation : ndarray, shape (N, 3)
+        [m].
+    xyx : ndarray, shape (N, 3)
+        X-Y-X Euler angles in degrees.
+    """
+    translation = np.asarray(poses.translation)
+    xyx = np.asarray(poses.rotation.as_euler("XYX", degrees=True))
+    return pose(translation, xyx=np.deg2rad(xyx)), translation, xyx
+
+
+def command(translation: FloatArray, xyx: FloatArray, geometry_file: str | None = None) -> str:
+    """Return the command that solves one pose: translation (3,) [m], X-Y-X angles (3,) in degrees."""
+    numbers = [" ".join(repr(float(x)) for x in part) for part in (translation, xyx)]
+    robot = "" if geometry_file is None else f" --geometry {shlex.quote(geometry_file)}"
+    return f"spm-pin inverse --translation {numbers[0]} --xyx {numbers[1]}{robot}"
+
+
+def _around_home(geometry: Geometry) -> LegLimits:
+    def pair(radius: float) -> tuple[float, float]:
+        home = math.hypot(geometry.middle_side, radius - geometry.middle_radius)
+        return 0.85 * home, 1.15 * home
+
+    return LegLimits.stages(pair(geometry.base_radius), pair(geometry.platform_radius))
+
+
+def _stage(
+    geometry: Geometry, radius: float, lengths: FloatArray, side: float
+) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+    """Solve stages for the ball joints (n, 3, 3) from leg lengths (n, 3) [m]; and which ones were solved, (n,)."""
+    axes, radial, d = geometry.revolute_axes, geometry.radial_directions, geometry.middle_side
+    feet = radius * radial
+    mean = np.sqrt((lengths**2).mean(axis=-1))
+    rise = np.sqrt(np.maximum(mean**2 - (radius - geometry.middle_radius) ** 2, (0.1 * d) ** 2))
+    b = geometry.middle_radius * radial + side * rise[:, None, None] * np.array([0.0, 0.0, 1.0])
+    error = np.full((len(b), 9), np.inf)
+    pairs = ((0, 1), (1, 2), (2, 0))
+    for _ in range(_STEPS):
+        jacobian = np.zeros((len(b), 9, 9))
+        rows = []
+        for i in range(3):
+            leg = b[:, i] - feet[i]
+            rows.append(b[:, i] @ axes[i])
+            jacobian[:, 2 * i, 3 * i : 3 * i + 3] = axes[i]
+            rows.append(((leg**2).sum(axis=-1) - lengths[:, i] ** 2) / (2.0 * d))
+            jacobian[:, 2 * i + 1, 3 * i : 3 * i + 3] = leg / d
+        for row, (i, j) in enumerate(pairs, start=6):
+            between = b[:, i] - b[:, j]
+            rows.append(((between**2).sum(axis=-1) - d**2) / (2.0 * d))
+            jacobian[:, row, 3 * i : 3 * i + 3] = between / d
+            jacobian[:, row, 3 * j : 3 * j + 3] = -between / d
+        error = np.stack(rows, axis=-1)
+        regular = np.abs(np.linalg.det(jacobian)) > 0.0
+        jacobian = np.where(regular[:, None, None], jacobian, np.eye(9))
+        b = b - np.linalg.solve(jacobian, error[..., None])[..., 0].reshape(-1, 3, 3)
+    closed = (np.abs(error).max(axis=-1) < 1e-12 * d) & (side * b[..., 2].mean(axis=-1) > 0.0)
+    return b, closed
+
+
+def _frame(b: FloatArray) -> FloatArray:
+    """Return the pose (n, 4, 4) of triangles (n, 3, 3): origin at b_3, x along b_3 b_1, z their normal."""
+    x = b[:, 0] - b[:, 2]
+    x = x / np.linalg.norm(x, axis=-1, keepdims=True)
+    z = np.cross(x, b[:, 1] - b[:, 2])
+    z = z / np.linalg.norm(z, axis=-1, keepdims=True)
+    matrix = np.zeros((len(b), 4, 4))
+    matrix[:, :3, :3] = np.stack([x, np.cross(z, x), z], axis=-1)
+    matrix[:, :3, 3] = b[:, 2]
+    matrix[:, 3, 3] = 1.0
+    return matrix

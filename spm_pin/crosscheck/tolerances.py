@@ -1,0 +1,121 @@
+"""How far two right answers may lie apart: tolerances from conditioning and rounding, none of them chosen.
+
+A witness states the closure residual δ its arithmetic may leave. What that does to an answer is a matter of the
+configuration, not of the witness. The nine loop equations F(b) are quadratic, with |Q(h)| <= q |h|², q = 3/(2d), and
+their Jacobian F_b has the smallest singular value s; then
+
+- a point with |F| <= δ has a true branch within e = 2δ/(s + √(s² - 4qδ)), if s² > 4qδ (Kantorovich); otherwise
+  two branches cannot be told apart, and they are √(δ/q) away at most;
+- J_f = l_x - l_b F_b⁻¹ F_x, so entries wrong by ε = δ/l, l the shortest length in them, make it wrong by
+  ε (1 + |l_b|/s)(1 + |F_b⁻¹ F_x|) to first order, each norm over nine rows or columns;
+- forces f = -J_f⁻ᵀ w are then wrong by |J_f⁻¹| |ΔJ_f| |f|.
+
+Lengths stand for angles times d, so that norms mean something.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.configuration import Configuration
+
+__all__ = ["ROWS", "Conditioning"]
+
+ROWS = 3.0
+"""√9: from the largest of nine equations to their norm."""
+_SINGULAR = 16.0 * float(np.finfo(np.float64).eps)
+
+
+@dataclass(frozen=True)
+class Conditioning:
+    """What rounding does at states (N,).
+
+    Attributes
+    ----------
+    sigma : ndarray, shape (N,)
+        Smallest singular value of the loop equations, dimensionless.
+    jacobian : ndarray, shape (N,)
+        Error of J_f, angles times d, per metre of closure residual [1/m].
+    inverse : ndarray, shape (N,)
+        |J_f⁻¹|, angles times d, dimensionless.
+    side : float
+        d [m].
+    """
+
+    sigma: FloatArray
+    jacobian: FloatArray
+    inverse: FloatArray
+    side: float
+
+    @classmethod
+    def of(cls, configuration: Configuration) -> Conditioning:
+        """Measure states (N,); NaN for a member that does not exist."""
+        side = configuration.geometry.middle_side
+        exists = configuration.exists[:, None, None]
+        closure_b, closure_x, lengths_b, lengths_x = (
+            np.where(exists, part, np.eye(*part.shape[-2:])) for part in _derivatives(configuration)
+        )
+        values = np.linalg.svd(closure_b, compute_uv=False)[..., -1]
+        # Where the equations are singular to rounding, nothing bounds J_f.
+        singular = values <= _SINGULAR
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            regular = np.where(singular[:, None, None], np.eye(9), closure_b)
+            motion = np.linalg.solve(regular, closure_x)
+            rates = lengths_x - lengths_b @ motion
+            shortest = np.minimum(configuration.leg_lengths.min(axis=-1), side)
+            legs = np.linalg.norm(lengths_b, axis=(-1, -2)) / values
+            spread = ROWS * (1.0 + legs) * (1.0 + np.linalg.norm(motion, axis=(-1, -2))) / shortest
+            spread = np.where(singular, np.inf, spread)
+            inverse = 1.0 / np.linalg.svd(rates, compute_uv=False)[..., -1]
+        absent = ~configuration.exists
+        sigma, jacobian, norm = (np.where(absent, np.nan, array) for array in (values, spread, inverse))
+        return cls(sigma, jacobian, norm, side)
+
+    def told_apart(self, rounding: FloatArray) -> npt.NDArray[np.bool_]:
+        """Tell where a closure residual [m] (N,) leaves a branch isolated."""
+        return np.asarray(self.sigma**2 > 6.0 / self.side * ROWS * rounding)
+
+    def position(self, rounding: FloatArray) -> FloatArray:
+        """Return how far the b_i may be off [m], (N,), for a closure residual [m] (N,)."""
+        delta, q = ROWS * rounding, 1.5 / self.side
+        margin = self.sigma**2 - 4.0 * q * delta
+        isolated = 2.0 * delta / (self.sigma + np.sqrt(np.maximum(margin, 0.0)))
+        return np.where(margin > 0.0, isolated, np.sqrt(delta / q))
+
+    def rates(self, rounding: FloatArray) -> FloatArray:
+        """Return how far J_f may be off in norm, angles times d, (N,), for a closure residual [m] (N,)."""
+        return np.asarray(self.jacobian * rounding)
+
+    def forces(self, rounding: FloatArray) -> FloatArray:
+        """Return how far forces may be off relative to their norm, (N,), for a closure residual [m] (N,)."""
+        return np.asarray(self.inverse * self.rates(rounding))
+
+
+def _derivatives(configuration: Configuration) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return F_b (N, 9, 9), F_x (N, 9, 6), l_b (N, 6, 9) and l_x (N, 6, 6), angles times d."""
+    b = configuration.middle_joints
+    count, side = len(b), configuration.geometry.middle_side
+    axes, platform_axes = configuration.geometry.revolute_axes, configuration.platform_axes
+    arms = configuration.platform_joints - configuration.translation[:, None, :]
+    directions = configuration.leg_vectors / configuration.leg_lengths[..., None]
+    closure_b, closure_x = np.zeros((count, 9, 9)), np.zeros((count, 9, 6))
+    lengths_b, lengths_x = np.zeros((count, 6, 9)), np.zeros((count, 6, 6))
+    for i in range(3):
+        own, follower = slice(3 * i, 3 * i + 3), slice(3 * ((i + 1) % 3), 3 * ((i + 1) % 3) + 3)
+        closure_b[:, i, own] = axes[i]
+        closure_b[:, 3 + i, own] = platform_axes[:, i]
+        between = (b[:, i] - b[:, (i + 1) % 3]) / side
+        closure_b[:, 6 + i, own], closure_b[:, 6 + i, follower] = between, -between
+        # n·(b - c) with n and c fixed to m changes by n x (b - o) · ω - n·v.
+        closure_x[:, 3 + i, :3] = -platform_axes[:, i]
+        reach = b[:, i] - configuration.translation
+        closure_x[:, 3 + i, 3:] = np.cross(platform_axes[:, i], reach) / side
+        lengths_b[:, i, own] = directions[:, i]
+        lengths_b[:, 3 + i, own] = -directions[:, 3 + i]
+        lengths_x[:, 3 + i, :3] = directions[:, 3 + i]
+        lengths_x[:, 3 + i, 3:] = np.cross(arms[:, i], directions[:, 3 + i]) / side
+    return closure_b, closure_x, lengths_b, lengths_x

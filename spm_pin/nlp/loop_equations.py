@@ -1,0 +1,161 @@
+"""The loop equations in task space, as CasADi functions made from the geometry alone.
+
+The unknowns are the nine coordinates of the ball joints b_1, b_2, b_3 in {B}. Each joint moves in the plane of
+its lower leg and in that of its upper leg, Eqs. (5b) and (5c), and the joints are d apart, Eq. (12): nine
+equations. Nothing is eliminated and no root is known beforehand.
+
+A `casadi.Function` can be called with numbers or symbols, saved with `Function.save`, and turned into C with
+`Function.generate`: https://web.casadi.org/docs/#generating-c-code.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.geometry import Geometry
+
+__all__ = ["closure", "equations", "leg_jacobian", "leg_lengths", "leg_vectors", "placed_platform", "vector"]
+
+
+def vector(value: npt.ArrayLike) -> ca.DM:
+    """Return a NumPy array as CasADi's dense matrix."""
+    return ca.DM(np.asarray(value, dtype=np.float64))
+
+
+def placed_platform(geometry: Geometry, rotation: ca.SX, translation: ca.SX) -> tuple[list[ca.SX], list[ca.SX]]:
+    """Return c_1..c_3 [m] and the unit axes of their revolute joints, in {B}. Eqs. (2) and (4b)."""
+    joints = [translation + rotation @ vector(point) for point in geometry.platform_joints]
+    axes = [rotation @ vector(axis) for axis in geometry.revolute_axes]
+    return joints, axes
+
+
+def equations(geometry: Geometry, b: ca.SX, rotation: ca.SX, translation: ca.SX) -> ca.SX:
+    """Return the nine loop equations as an expression.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The manipulator.
+    b : casadi.SX, shape (9,)
+        b_1, b_2, b_3 in {B}, one after the other [m].
+    rotation : casadi.SX, shape (3, 3)
+        From {m} to {B}.
+    translation : casadi.SX, shape (3,)
+        Position of o in {B} [m].
+
+    Returns
+    -------
+    casadi.SX, shape (9,)
+        [m]: distances of the b_i from the planes of the lower legs, then of the upper legs; then, for the sides
+        12, 23, 31, (|b_i - b_j|² - d²)/(2d), which is the side's error to first order and smooth everywhere.
+    """
+    points = _points(b)
+    joints, axes = placed_platform(geometry, rotation, translation)
+    lower = [ca.dot(vector(axis), point) for axis, point in zip(geometry.revolute_axes, points, strict=True)]
+    upper = [ca.dot(axis, point - joint) for axis, point, joint in zip(axes, points, joints, strict=True)]
+    d = geometry.middle_side
+    sides = [(ca.sumsqr(points[i] - points[(i + 1) % 3]) - d * d) / (2.0 * d) for i in range(3)]
+    return ca.vertcat(*lower, *upper, *sides)
+
+
+def leg_vectors(geometry: Geometry, b: ca.SX, rotation: ca.SX, translation: ca.SX) -> list[ca.SX]:
+    """Return a_i to b_i of the lower legs, then b_i to c_i of the upper legs, as expressions in {B} [m]."""
+    points = _points(b)
+    joints, _ = placed_platform(geometry, rotation, translation)
+    lower = [point - vector(joint) for joint, point in zip(geometry.base_joints, points, strict=True)]
+    return lower + [joint - point for joint, point in zip(joints, points, strict=True)]
+
+
+def closure(geometry: Geometry) -> ca.Function:
+    """Make the loop equations and their Jacobian.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The manipulator.
+
+    Returns
+    -------
+    casadi.Function
+        ``closure(b, rotation, translation) -> residual, jacobian``: b (9,) [m], the pose of {m} in {B};
+        residual (9,) [m] as in `equations`, and its dense Jacobian (9, 9) with respect to b, dimensionless with
+        entries of at most one where the sides are right.
+    """
+    b, rotation, translation = _symbols()
+    residual = equations(geometry, b, rotation, translation)
+    return ca.Function(
+        "closure",
+        [b, rotation, translation],
+        [residual, ca.densify(ca.jacobian(residual, b))],
+        ["b", "rotation", "translation"],
+        ["residual", "jacobian"],
+    )
+
+
+def leg_lengths(geometry: Geometry) -> ca.Function:
+    """Make the leg lengths.
+
+    Returns
+    -------
+    casadi.Function
+        ``leg_lengths(b, rotation, translation) -> lengths``: r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m]. Eq. (20).
+    """
+    b, rotation, translation = _symbols()
+    lengths = [ca.norm_2(leg) for leg in leg_vectors(geometry, b, rotation, translation)]
+    return ca.Function(
+        "leg_lengths",
+        [b, rotation, translation],
+        [ca.vertcat(*lengths)],
+        ["b", "rotation", "translation"],
+        ["lengths"],
+    )
+
+
+def leg_jacobian(geometry: Geometry) -> ca.Function:
+    """Make the derivatives from which the inverse Jacobian follows by the implicit function theorem.
+
+    With F the loop equations, l the leg lengths and x a small motion of the platform, (v, ω) at o in {B}, the
+    inverse Jacobian is l_x - l_b F_b⁻¹ F_x. F_b is singular at inverse singularities.
+
+    Returns
+    -------
+    casadi.Function
+        ``leg_jacobian(b, rotation, translation) -> closure_b, closure_x, lengths_b, lengths_x`` of shapes (9, 9),
+        (9, 6), (6, 9) and (6, 6); derivatives with respect to an angle are in metres.
+    """
+    b, rotation, translation = _symbols()
+    motion = ca.SX.sym("x", 6)
+    # Around zero motion, R + [ω] R is the rotation to first order, and only that is differentiated.
+    moved = rotation + ca.skew(motion[3:]) @ rotation
+    position = translation + motion[:3]
+    residual = equations(geometry, b, moved, position)
+    lengths = ca.vertcat(*(ca.norm_2(leg) for leg in leg_vectors(geometry, b, moved, position)))
+    at_rest = [
+        ca.densify(ca.substitute(ca.jacobian(of, by), motion, ca.SX.zeros(6)))
+        for of in (residual, lengths)
+        for by in (b, motion)
+    ]
+    return ca.Function(
+        "leg_jacobian",
+        [b, rotation, translation],
+        at_rest,
+        ["b", "rotation", "translation"],
+        ["closure_b", "closure_x", "lengths_b", "lengths_x"],
+    )
+
+
+def inverse_jacobian(derivatives: tuple[FloatArray, FloatArray, FloatArray, FloatArray]) -> FloatArray:
+    """Return l_x - l_b F_b⁻¹ F_x, shape (6, 6), from the four outputs of `leg_jacobian` as arrays."""
+    closure_b, closure_x, lengths_b, lengths_x = derivatives
+    return np.asarray(lengths_x - lengths_b @ np.linalg.solve(closure_b, closure_x))
+
+
+def _symbols() -> tuple[ca.SX, ca.SX, ca.SX]:
+    return ca.SX.sym("b", 9), ca.SX.sym("R", 3, 3), ca.SX.sym("o", 3)
+
+
+def _points(b: ca.SX) -> list[ca.SX]:
+    return [b[3 * i : 3 * i + 3] for i in range(3)]

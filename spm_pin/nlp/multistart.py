@@ -1,0 +1,125 @@
+"""One multi-start, as it goes on at one pose."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.solutions import Status
+from spm_pin.nlp.newton import Certificate, LoopEquations, certify, isolated, newton
+from spm_pin.nlp.solvers import Ipopt
+from spm_pin.nlp.starts import random_starts, unseen_probability
+
+__all__ = ["Multistart"]
+
+_ITERATIONS = 60
+_FIRST, _LARGEST, _LAST = 64, 512, 4096
+_LEAST_SQUARES = 12
+# One double root in each family at most; more solutions that cannot be isolated are a continuous family.
+_DOUBLE_ROOTS = 4
+
+
+@dataclass
+class Multistart:
+    """The search at one pose, as it goes on."""
+
+    equations: LoopEquations
+    matrix: FloatArray
+    certificates: list[Certificate] = field(default_factory=list)
+    hits: list[int] = field(default_factory=list)
+    starts: int = 0
+    failed: int = 0
+    failed_residual: float = np.nan
+    infeasibility: float = np.nan
+    settled: bool = False
+    outcomes: Counter[str] = field(default_factory=Counter)
+
+    def run(self, method: Ipopt | None, starts: int | None, risk: float, rng: np.random.Generator) -> None:
+        """Make `starts` starts, or as many as the stopping rule asks for; None as `method` is Newton's."""
+        size = _FIRST
+        last = _LAST if starts is None else starts
+        while self.starts < last and not (starts is None and self.settled):
+            count = min(size, last - self.starts)
+            self._extend(method, random_starts(self.equations.geometry, self.matrix, count, rng))
+            seen_once = any(self.hits[k] == 1 for k in self.kept)
+            self.settled = self.unseen_probability <= risk and not seen_once
+            size = min(2 * size, _LARGEST)
+        if not self.certificates:
+            self._descend(random_starts(self.equations.geometry, self.matrix, _LEAST_SQUARES, rng))
+
+    def _extend(self, method: Ipopt | None, starts: FloatArray) -> None:
+        self.starts += len(starts)
+        if method is None:
+            ends, converged = newton(self.equations, starts, self.matrix, _ITERATIONS)
+            self.outcomes.update(converged=int(converged.sum()), diverged=int((~converged).sum()))
+        else:
+            ends, outcomes = method(starts, self.matrix)
+            self.outcomes.update(outcomes)
+            # IPOPT's own tolerance is an absolute one; what rounding allows is a step or two away.
+            polished, converged = newton(self.equations, ends, self.matrix, 3)
+            ends = np.where(converged[:, None], polished, ends)
+        self._sort_in(ends[converged])
+        self.failed += int((~converged).sum())
+        if not converged.all():
+            with np.errstate(over="ignore", invalid="ignore"):
+                norms = np.linalg.norm(self.equations(ends[~converged], self.matrix)[0], axis=-1)
+            self.failed_residual = float(np.fmin(self.failed_residual, np.nanmin(norms)))
+
+    def _sort_in(self, ends: FloatArray) -> None:
+        """Count each end (n, 9) as a hit of the solution it is, new or not."""
+        for k, known in enumerate(self.certificates):
+            same = np.linalg.norm(ends - known.b, axis=-1) <= known.apart
+            self.hits[k] += int(same.sum())
+            ends = ends[~same]
+        if self.continuous and len(ends):
+            ends = ends[isolated(self.equations, ends, self.matrix)]
+        while len(ends):
+            new = certify(self.equations, ends[0], self.matrix)
+            same = np.linalg.norm(ends - new.b, axis=-1) <= new.apart
+            same[0] = True
+            self.certificates.append(new)
+            self.hits.append(int(same.sum()))
+            ends = ends[~same]
+
+    def _descend(self, starts: FloatArray) -> None:
+        """Look for the least violation, or a solution that no start led to."""
+
+        def value(b: FloatArray) -> FloatArray:
+            return np.asarray(self.equations(b[None], self.matrix)[0][0])
+
+        def slope(b: FloatArray) -> FloatArray:
+            return np.asarray(self.equations(b[None], self.matrix)[1][0])
+
+        ends = np.array([least_squares(value, start, slope, method="lm").x for start in starts])
+        polished, converged = newton(self.equations, ends, self.matrix, 3)
+        self._sort_in(polished[converged])
+        self.infeasibility = min(float(np.linalg.norm(value(end))) for end in ends)
+
+    @property
+    def continuous(self) -> bool:
+        """Whether more solutions cannot be isolated than double roots can be."""
+        return sum(not one.isolated for one in self.certificates) > _DOUBLE_ROOTS
+
+    @property
+    def kept(self) -> list[int]:
+        """Solutions of which none is on a continuous family."""
+        return [k for k, one in enumerate(self.certificates) if one.isolated or not self.continuous]
+
+    @property
+    def unseen_probability(self) -> float:
+        """Posterior probability that a branch was not found."""
+        return unseen_probability(len(self.kept), self.starts)
+
+    @property
+    def status(self) -> Status:
+        """What is known of the pose."""
+        if self.continuous:
+            return Status.DEGENERATE
+        if self.certificates:
+            return Status.OK
+        rounding = float(self.equations.rounding(self.matrix[None, :3, 3], self.matrix)[0])
+        return Status.UNREACHABLE if self.infeasibility > 3.0 * rounding else Status.UNSOLVED

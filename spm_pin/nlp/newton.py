@@ -1,0 +1,174 @@
+"""Newton's method on the loop equations from many starts at once, and what its solutions are worth.
+
+Residuals and exact Jacobians come from one CasADi function mapped over all starts; the steps are NumPy's batched
+solve. CasADi's own linear solvers end a whole mapped call where one matrix is singular, which at some poses one is.
+
+The equations are quadratic, F(b + h) = F(b) + J h + Q(h) with |Q(h)| <= q |h|² and q = 3/(2d), because
+Σ|h_i - h_j|² <= 3 |h|². With s the smallest singular value of J this gives, without any approximation:
+
+- from |F| <= δ and s² > 4 q δ: a solution exists within 2δ/(s + √(s² - 4qδ)) (Kantorovich);
+- two solutions are at least s/q apart, s taken at either: J h = -Q(h).
+
+So a solution is certified by numbers, and it is known which points are the same solution.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.nlp import loop_equations
+
+__all__ = ["Certificate", "LoopEquations", "certify", "isolated", "newton"]
+
+_EPS = float(np.finfo(np.float64).eps)
+ROUNDING = 16.0 * _EPS
+"""Rounding of one loop equation relative to the robot's size: some ten products and sums."""
+_LOST = 1e6
+
+
+class LoopEquations:
+    """The loop equations of one geometry, evaluated for many points at once without copies."""
+
+    def __init__(self, geometry: Geometry) -> None:
+        self.geometry = geometry
+        self._function = loop_equations.closure(geometry)
+        self._mapped: dict[int, ca.Function] = {}
+
+    def __call__(self, b: FloatArray, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return residuals (n, 9) [m] and Jacobians (n, 9, 9) at points b (n, 9) [m] for one pose (4, 4)."""
+        # Maps are made for powers of two only, so that few are made.
+        n = 1 << max(len(b) - 1, 0).bit_length()
+        points = np.zeros((n, 9))
+        points[: len(b)] = b
+        residual, jacobian = np.empty((n, 9)), np.empty((n, 9, 9))
+        # CasADi is column-major, so a matrix goes in and comes out transposed.
+        rotations = np.ascontiguousarray(np.broadcast_to(matrix[:3, :3].T, (n, 3, 3)))
+        translations = np.ascontiguousarray(np.broadcast_to(matrix[:3, 3], (n, 3)))
+        if n not in self._mapped:
+            self._mapped[n] = self._function if n == 1 else self._function.map(n)
+        buffer: Any
+        buffer, evaluate = self._mapped[n].buffer()
+        for index, argument in enumerate((points, rotations, translations)):
+            buffer.set_arg(index, argument.data)
+        for index, result in enumerate((residual, jacobian)):
+            buffer.set_res(index, result.data)
+        evaluate()
+        return residual[: len(b)], np.swapaxes(jacobian[: len(b)], -1, -2)
+
+    def rounding(self, b: FloatArray, matrix: FloatArray) -> FloatArray:
+        """Return the residual [m] that rounding alone leaves at points b (n, 9)."""
+        reach = np.linalg.norm(matrix[:3, 3]) + self.geometry.platform_radius + self.geometry.middle_side
+        return np.asarray(ROUNDING * (reach + np.abs(b).max(axis=-1)))
+
+
+def newton(
+    equations: LoopEquations, starts: FloatArray, matrix: FloatArray, iterations: int
+) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+    """Iterate Newton's method from each start.
+
+    Parameters
+    ----------
+    equations : LoopEquations
+        What to solve.
+    starts : ndarray, shape (n, 9)
+        b_1, b_2, b_3 [m].
+    matrix : ndarray, shape (4, 4)
+        The pose.
+    iterations : int
+        Steps a start may take.
+
+    Returns
+    -------
+    b : ndarray, shape (n, 9)
+        Where each start ended [m].
+    converged : ndarray of bool, shape (n,)
+        Whether all equations hold there to rounding.
+    """
+    b = starts.copy()
+    converged = np.zeros(len(b), dtype=bool)
+    active = np.arange(len(b))
+    far = _LOST * (equations.geometry.middle_side + float(np.linalg.norm(matrix[:3, 3])))
+    for step in range(iterations + 1):
+        residual, jacobian = equations(b[active], matrix)
+        done = np.abs(residual).max(axis=-1) <= equations.rounding(b[active], matrix)
+        converged[active[done]] = True
+        if step == iterations or done.all():
+            break
+        active, residual, jacobian = active[~done], residual[~done], jacobian[~done]
+        b[active] -= _solve(jacobian, residual)
+        with np.errstate(invalid="ignore"):
+            kept = np.abs(b[active]).max(axis=-1) < far
+        active = active[kept]
+        if not active.size:
+            break
+    return b, converged
+
+
+def _solve(jacobian: FloatArray, residual: FloatArray) -> FloatArray:
+    try:
+        return np.asarray(np.linalg.solve(jacobian, residual[..., None])[..., 0])
+    except np.linalg.LinAlgError:
+        # One is exactly singular: the shortest step for all.
+        return np.asarray((np.linalg.pinv(jacobian) @ residual[..., None])[..., 0])
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What is proved of a point, up to the rounding of its own evaluation.
+
+    Attributes
+    ----------
+    b : ndarray, shape (9,)
+        The point after a last Newton step where that helps [m].
+    sigma : float
+        Smallest singular value of the loop equations' Jacobian, dimensionless: zero at inverse singularities.
+    error : float
+        A solution is this near [m], in the norm of all nine coordinates.
+    isolated : bool
+        Whether that is proved. If not, `error` is that of a double root.
+    apart : float
+        Points closer than this are the same solution [m].
+    """
+
+    b: FloatArray
+    sigma: float
+    error: float
+    isolated: bool
+    apart: float
+
+
+def certify(equations: LoopEquations, b: FloatArray, matrix: FloatArray) -> Certificate:
+    """Polish one point (9,) that has converged, and certify it; see the module."""
+    residual, jacobian = equations(b[None], matrix)
+    better = b - _solve(jacobian, residual)[0]
+    polished, derivative = equations(better[None], matrix)
+    if np.abs(polished).max() < np.abs(residual).max():
+        b, residual, jacobian = better, polished, derivative
+    sigmas, deltas, margins = _margins(equations, b[None], matrix, residual, jacobian)
+    sigma, delta, margin = float(sigmas[0]), float(deltas[0]), float(margins[0])
+    q = 1.5 / equations.geometry.middle_side
+    double = (delta / q) ** 0.5
+    if margin <= 0.0:
+        return Certificate(b, sigma, double, False, 4.0 * double)
+    return Certificate(b, sigma, 2.0 * delta / (sigma + margin**0.5), True, max(0.5 * sigma / q, 4.0 * double))
+
+
+def isolated(equations: LoopEquations, b: FloatArray, matrix: FloatArray) -> npt.NDArray[np.bool_]:
+    """Tell which points (n, 9) that have converged are proved to be isolated solutions."""
+    return _margins(equations, b, matrix, *equations(b, matrix))[2] > 0.0
+
+
+def _margins(
+    equations: LoopEquations, b: FloatArray, matrix: FloatArray, residual: FloatArray, jacobian: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return s, δ [m] and s² - 4 q δ of points (n, 9), each (n,)."""
+    sigma = np.asarray(np.linalg.svd(jacobian, compute_uv=False)[:, -1], dtype=np.float64)
+    delta = np.asarray(np.linalg.norm(residual, axis=-1) + 3.0 * equations.rounding(b, matrix), dtype=np.float64)
+    return sigma, delta, sigma**2 - 6.0 / equations.geometry.middle_side * delta

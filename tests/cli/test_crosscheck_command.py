@@ -1,0 +1,97 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import typer
+from crosscheck.broken import flipped_sign
+from typer.testing import CliRunner, Result
+
+import spm_pin as spm
+from spm_pin.cli.crosscheck import crosscheck
+from spm_pin.crosscheck import witnesses
+from spm_pin.crosscheck.witnesses import Paper, Witness
+from spm_pin.paper.jacobian import Table5Mistakes
+
+
+def run(*arguments: str) -> Result:
+    app = typer.Typer()
+    app.command()(crosscheck)
+    return CliRunner().invoke(app, list(arguments), env={"COLUMNS": "80"})
+
+
+def test_all_witnesses_on_a_few_poses(tmp_path: Path) -> None:
+    data, web = tmp_path / "report.json", tmp_path / "report.html"
+    done = run("--poses", "10", "--seed", "3", "--json", str(data), "--html", str(web))
+    assert done.exit_code == 0, done.output
+    assert "All 5 witnesses agree." in done.output
+    assert "spm-pin inverse --translation" in done.output
+    assert "…" not in done.output, "nothing is cut off at 80 columns"
+    content = json.loads(data.read_text(encoding="utf-8"))
+    assert content["agrees"] is True
+    assert content["culprits"] == []
+    assert len(content["poses"]) == 10
+    assert {one["name"] for one in content["witnesses"]} == {"closed form", "paper", "pinocchio", "nlp", "ipopt"}
+    assert all(one["worst"] <= one["tolerance"] for one in content["comparisons"])
+    assert content["comparisons"][0]["reproduce"].startswith("spm-pin inverse --translation")
+    assert web.read_text(encoding="utf-8").startswith("<!doctype html>")
+
+
+def test_a_flipped_sign_fails_and_is_named() -> None:
+    with flipped_sign():
+        done = run("--poses", "6", "--witness", "closed-form", "--witness", "paper", "--witness", "nlp")
+    assert done.exit_code == 1
+    assert "nlp is wrong: the others agree." in done.stderr
+    assert "nlp missed branches at" in done.output
+    assert "Largest difference: " in done.output
+
+
+def test_the_printed_lever_arm_fails_and_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def printed(geometry: spm.Geometry) -> Witness:
+        return Paper(geometry, Table5Mistakes(printed_lever_arm=True))
+
+    monkeypatch.setitem(witnesses.WITNESSES, "paper", printed)
+    data = tmp_path / "report.json"
+    chosen = [word for name in ("closed-form", "paper", "pinocchio") for word in ("--witness", name)]
+    done = run("--poses", "6", *chosen, "--json", str(data))
+    assert done.exit_code == 1
+    assert "paper is wrong: the others agree." in done.stderr
+    assert json.loads(data.read_text(encoding="utf-8"))["culprits"] == ["paper"]
+
+
+def test_commands_name_the_geometry_they_are_for(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text("base_radius: 0.7\nplatform_radius: 0.35\nmiddle_side: 0.8\n", encoding="utf-8")
+    done = run("--poses", "3", "--witness", "closed-form", "--witness", "nlp", "--geometry", str(path))
+    assert done.exit_code == 0, done.output
+    assert f"--geometry {path}" in done.output
+
+
+def test_a_witness_that_is_missing_is_mentioned(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(geometry: spm.Geometry) -> Witness:
+        raise ImportError("pinocchio")
+
+    monkeypatch.setitem(witnesses.WITNESSES, "pinocchio", missing)
+    monkeypatch.setitem(witnesses.WITNESSES, "ipopt", missing)
+    done = run("--poses", "2")
+    assert done.exit_code == 0
+    assert "Not asked, for their packages are not installed: pinocchio, ipopt." in done.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--witness", "delphi"], "witnesses: expected of closed-form"),
+        (["--poses", "2", "--witness", "closed-form", "--html", "/nowhere/x.html"], "--html: expected a file"),
+    ],
+)
+def test_bad_input_is_an_error_of_ours(arguments: list[str], words: str) -> None:
+    done = run(*arguments)
+    assert isinstance(done.exception, spm.ArgumentError)
+    assert words in str(done.exception)
+
+
+def test_numbers_out_of_range_are_refused() -> None:
+    assert run("--poses", "0").exit_code == 2
+    assert run("--seed", "-1").exit_code == 2

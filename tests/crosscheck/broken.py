@@ -1,0 +1,58 @@
+"""Witnesses with a fault each, for the report to find."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+import spm_pin as spm
+from spm_pin.crosscheck.witnesses import ClosedForm
+from spm_pin.nlp import inverse, loop_equations
+
+
+@contextmanager
+def flipped_sign() -> Iterator[None]:
+    """Change one sign in one of CasADi's loop equations: b_2 + c_2 where it says b_2 - c_2."""
+    true = loop_equations.equations
+
+    def flipped(geometry: spm.Geometry, b: ca.SX, rotation: ca.SX, translation: ca.SX) -> ca.SX:
+        rows = ca.vertsplit(true(geometry, b, rotation, translation))
+        joints, axes = loop_equations.placed_platform(geometry, rotation, translation)
+        rows[4] = ca.dot(axes[1], b[3:6] + joints[1])
+        return ca.vertcat(*rows)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(loop_equations, "equations", flipped)
+        inverse.loop_equations_of.cache_clear()
+        yield
+    inverse.loop_equations_of.cache_clear()
+
+
+@dataclass
+class Forgetful(ClosedForm):
+    """Loses one branch of every third pose."""
+
+    name: str = "forgetful"
+
+    def inverse(self, pose: RigidTransform) -> spm.SolutionSet:
+        solutions = spm.inverse_displacement(self.geometry, pose)
+        keep = solutions.exists.copy()
+        for n in range(0, len(keep), 3):
+            keep[n, np.flatnonzero(keep[n])[:1]] = False
+        return solutions.where(keep)
+
+
+@dataclass
+class Inaccurate(ClosedForm):
+    """Right to eight digits where sixteen are stated."""
+
+    name: str = "inaccurate"
+
+    def inverse_jacobian(self, configuration: spm.Configuration) -> np.ndarray:
+        return spm.inverse_jacobian(configuration) * (1.0 + 1e-8)

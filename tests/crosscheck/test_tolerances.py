@@ -1,0 +1,103 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from problems import GEOMETRIES, at_discriminant, random_branches
+
+import spm_pin as spm
+from spm_pin import nlp
+from spm_pin.crosscheck.tolerances import ROWS, Conditioning
+
+GEOMETRY = GEOMETRIES["paper"]
+
+
+def states(count: int = 40) -> spm.Configuration:
+    parts = [random_branches(GEOMETRY, family, count, 11).configuration for family in spm.FAMILIES]
+    return spm.Configuration(
+        GEOMETRY,
+        np.concatenate([part.pose.as_matrix() for part in parts]),
+        np.concatenate([part.middle_joints for part in parts]),
+    )
+
+
+def test_sigma_is_that_of_casadi_s_jacobian() -> None:
+    sample = states(5)
+    closure = nlp.closure(GEOMETRY)
+    expected = [
+        np.linalg.svd(np.asarray(closure(s.middle_joints.ravel(), s.rotation, s.translation)[1]), compute_uv=False)[-1]
+        for s in sample
+    ]
+    np.testing.assert_allclose(Conditioning.of(sample).sigma, expected, rtol=1e-10, atol=1e-14)
+
+
+def test_norm_of_the_inverse_is_that_of_the_inverse_jacobian() -> None:
+    sample = states(5)
+    rates = spm.inverse_jacobian(sample) / np.repeat([1.0, GEOMETRY.middle_side], 3)
+    expected = 1.0 / np.linalg.svd(rates, compute_uv=False)[..., -1]
+    np.testing.assert_allclose(Conditioning.of(sample).inverse, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("size", [1e-9, 1e-7])
+def test_a_perturbed_closure_moves_the_branch_no_further(size: float) -> None:
+    """The equations are shifted by a residual as large as stated, and solved again by Newton's method."""
+    sample = states()
+    conditioning = Conditioning.of(sample)
+    rounding = np.full(len(sample), size)
+    sharp = conditioning.told_apart(rounding)
+    assert sharp.mean() > 0.5
+    closure = nlp.closure(GEOMETRY)
+    rng = np.random.default_rng(0)
+    ratios = []
+    for k in np.flatnonzero(sharp):
+        state = sample[int(k)]
+        shift = size * rng.choice([-1.0, 1.0], 9)
+        b = state.middle_joints.ravel()
+        for _ in range(12):
+            residual, jacobian = (np.asarray(part) for part in closure(b, state.rotation, state.translation))
+            b = b - np.linalg.solve(jacobian, residual.ravel() - shift)
+        ratios.append(np.linalg.norm(b - state.middle_joints.ravel()) / conditioning.position(rounding)[k])
+    assert max(ratios) <= 1.0
+    # The bound is not idle: some configurations come near it.
+    assert max(ratios) > 0.1
+
+
+def test_perturbed_entries_change_the_jacobian_no_more() -> None:
+    sample = states(20)
+    conditioning = Conditioning.of(sample)
+    size = 1e-10
+    rng = np.random.default_rng(1)
+    derivatives = nlp.leg_jacobian(GEOMETRY)
+    scale = np.repeat([1.0, GEOMETRY.middle_side], 3)
+    ratios = []
+    for k, state in enumerate(sample):
+        if conditioning.sigma[k] < 1e-4:
+            continue
+        parts = [np.asarray(p) for p in derivatives(state.middle_joints.ravel(), state.rotation, state.translation)]
+        parts[1], parts[3] = parts[1] / scale, parts[3] / scale
+        length = min(float(state.leg_lengths.min()), GEOMETRY.middle_side)
+        noisy = [part + size / length * rng.uniform(-1.0, 1.0, part.shape) for part in parts]
+        rates = [p[3] - p[2] @ np.linalg.solve(p[0], p[1]) for p in (parts, noisy)]
+        ratios.append(np.linalg.norm(rates[0] - rates[1]) / float(conditioning.rates(np.array(size))[k]))
+    assert len(ratios) > 40
+    assert max(ratios) <= 1.0
+    assert max(ratios) > 1e-3
+
+
+def test_near_a_fold_two_branches_cannot_be_told_apart() -> None:
+    pose = at_discriminant(random_branches(GEOMETRY, "TT", 1, 2).pose[0], 0, 1e-13, GEOMETRY)
+    pair = spm.inverse_displacement(GEOMETRY, pose)
+    plus, minus = pair["TT+"], pair["TT-"]
+    both = spm.Configuration(GEOMETRY, pose.as_matrix(), np.stack([plus.middle_joints, minus.middle_joints]))
+    conditioning = Conditioning.of(both)
+    rounding = np.full(2, 1e-13)
+    assert not conditioning.told_apart(rounding).any()
+    apart = np.linalg.norm(plus.middle_joints - minus.middle_joints)
+    assert apart <= conditioning.position(rounding).sum() * ROWS
+
+
+def test_what_does_not_exist_has_no_conditioning() -> None:
+    sample = states(1)
+    absent = spm.Configuration(GEOMETRY, sample.pose, np.full((4, 3, 3), np.nan))
+    conditioning = Conditioning.of(absent)
+    assert np.isnan(conditioning.sigma).all()
+    assert not conditioning.told_apart(np.zeros(4)).any()

@@ -1,0 +1,97 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib import import_module
+
+import numpy as np
+import pytest
+from problems import in_leg_space
+
+import spm_pin as spm
+from spm_pin.crosscheck import witnesses
+from spm_pin.crosscheck.witnesses import WITNESSES, make
+
+GEOMETRY = spm.Geometry.paper()
+SAMPLE = in_leg_space(GEOMETRY, 3, 1)
+OFFERS = {
+    "closed-form": {"inverse", "inverse_jacobian", "leg_forces"},
+    "paper": {"inverse", "inverse_jacobian", "leg_forces"},
+    "pinocchio": {"inverse_jacobian", "leg_forces", "assembled"},
+    "nlp": {"inverse", "inverse_jacobian", "leg_forces"},
+    "ipopt": {"inverse"},
+}
+
+
+@pytest.mark.parametrize("name", WITNESSES)
+def test_each_answers_what_it_can_in_the_same_shapes(name: str) -> None:
+    witness = WITNESSES[name](GEOMETRY)
+    states = SAMPLE.configuration
+    wrench = np.tile([1.0, 2.0, 3.0, 4.0, 5.0, 6.0], (3, 1))
+    # One pose, for IPOPT takes seconds.
+    solutions = witness.inverse(SAMPLE.pose[:1])
+    assert solutions is None or solutions.shape == (1,)
+    jacobian, forces = witness.inverse_jacobian(states), witness.leg_forces(states, wrench)
+    assembled = witness.assembled(states)
+    answers = {"inverse": solutions, "inverse_jacobian": jacobian, "leg_forces": forces, "assembled": assembled}
+    assert {what for what, answer in answers.items() if answer is not None} == OFFERS[name]
+    if jacobian is not None and forces is not None:
+        np.testing.assert_allclose(jacobian, spm.inverse_jacobian(states), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(forces, spm.leg_forces(states, wrench), rtol=0, atol=1e-8)
+    if assembled is not None:
+        np.testing.assert_allclose(assembled.middle_joints, states.middle_joints, rtol=0, atol=1e-13)
+    assert (witness.rounding(states) < 1e-9).all()
+    assert (witness.rounding(states) > 0.0).all()
+
+
+@pytest.mark.parametrize("name", ["closed-form", "paper", "nlp"])
+def test_closure_residuals_stay_within_what_is_stated(name: str) -> None:
+    witness = WITNESSES[name](GEOMETRY)
+    solutions = witness.inverse(in_leg_space(GEOMETRY, 40, 4).pose)
+    assert solutions is not None
+    states = solutions.configurations[solutions.exists]
+    assert len(states) > 150
+    assert (states.closure_residual <= witness.rounding(states)).all()
+
+
+def test_a_singular_member_does_not_silence_the_others() -> None:
+    level = spm.pose([0.0, 0.0, 2.2], rotation=np.eye(3))
+    flat = GEOMETRY.middle_radius * GEOMETRY.radial_directions + [0.0, 0.0, 1.1]
+    states = SAMPLE.configuration
+    both = spm.Configuration(
+        GEOMETRY,
+        np.concatenate([level.as_matrix()[None], states.pose.as_matrix()]),
+        np.concatenate([flat[None], states.middle_joints]),
+    )
+    with pytest.raises(spm.SingularConfigurationError):
+        spm.inverse_jacobian(both)
+    for name in ("closed-form", "paper", "pinocchio"):
+        found = WITNESSES[name](GEOMETRY).inverse_jacobian(both)
+        assert found is not None
+        assert np.isnan(found[0]).all()
+        np.testing.assert_allclose(found[1:], spm.inverse_jacobian(states), rtol=0, atol=1e-9)
+
+
+def test_they_are_made_by_name() -> None:
+    assert [w.name for w in make(["nlp", "closed-form", "nlp"], GEOMETRY)] == ["nlp", "closed form"]
+    assert len(make(None, GEOMETRY)) == len(WITNESSES)
+    with pytest.raises(spm.ArgumentError, match="witnesses: expected of closed-form"):
+        make(["oracle"], GEOMETRY)
+
+
+def test_one_that_cannot_be_imported_is_left_out_unless_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(name: str) -> object:
+        if name.startswith("spm_pin.multibody"):
+            raise ImportError(name)
+        return import_module(name)
+
+    monkeypatch.setattr(witnesses, "import_module", missing)
+    assert "pinocchio" not in [w.name for w in make(None, GEOMETRY)]
+    with pytest.raises(ImportError):
+        make(["pinocchio"], GEOMETRY)
+
+
+def test_nothing_heavy_comes_with_the_module() -> None:
+    program = "import sys, spm_pin.crosscheck.report; print([m for m in ('casadi', 'pinocchio') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+import os
+import signal
+import threading
+
+import numpy as np
+import pytest
+from problems import in_leg_space
+
+import spm_pin as spm
+from spm_pin import nlp
+from spm_pin.mechanism.solutions import Status
+
+GEOMETRY = spm.Geometry.paper()
+EXAMPLE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
+FAR = spm.pose([3.0, 3.0, 2.0], xyx=[0.1, 0.5, 0.3])
+
+
+def test_it_finds_the_paper_s_six_branches_in_silence(capfd: pytest.CaptureFixture[str]) -> None:
+    found = nlp.search(GEOMETRY, EXAMPLE, solver="ipopt", starts=200, seed=1)
+    closed = spm.inverse_displacement(GEOMETRY, EXAMPLE)
+    np.testing.assert_array_equal(found.solutions.exists, closed.exists)
+    assert np.nanmax(np.abs(found.solutions.middle_joints - closed.middle_joints)) < 1e-9
+    assert np.nanmax(found.solutions.residual) < 1e-14
+    assert sum(found.outcomes.values()) == 200
+    assert found.outcomes["Solve_Succeeded"] > 150
+    captured = capfd.readouterr()
+    assert captured.out == captured.err == ""
+
+
+def test_out_of_reach_it_says_so_itself() -> None:
+    found = nlp.search(GEOMETRY, FAR, solver="ipopt", starts=20)
+    assert found.solutions.status is Status.UNREACHABLE
+    assert set(found.outcomes) == {"Infeasible_Problem_Detected"}
+    # Least squares cannot end above what IPOPT's restoration phase reached.
+    assert 0.0 < found.infeasibility <= found.failed_residual * (1.0 + 1e-9)
+
+
+def test_a_solver_that_gives_up_is_counted_and_not_believed() -> None:
+    stopped = nlp.search(GEOMETRY, EXAMPLE, solver="ipopt", starts=10, options={"ipopt.max_iter": 0})
+    assert stopped.outcomes == {"Maximum_Iterations_Exceeded": 10}
+    assert stopped.failed == 10
+    assert stopped.failed_residual > 0.0
+    assert not stopped.settled
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"ipopt.max_iters": 3}, "No such IPOPT option: max_iters"),
+        ({"foo": 1}, "options: expected options of casadi.nlpsol"),
+        ({"ipopt.tol": "small"}, "options: expected"),
+        ({"ipopt.linear_solver": "ma27"}, "Invalid_Option"),
+    ],
+)
+def test_bad_options_are_clear_errors(options: dict[str, object], words: str) -> None:
+    with pytest.raises(spm.ArgumentError, match=words):
+        nlp.search(GEOMETRY, EXAMPLE, solver="ipopt", starts=2, options=options)
+    with pytest.raises(spm.ArgumentError, match=words):
+        nlp.track(FAR.as_matrix()[None], spm.inverse_displacement(GEOMETRY, EXAMPLE).physical(), options=options)
+
+
+def test_ctrl_c_during_a_solve_is_an_interrupt() -> None:
+    """CasADi swallows it and reports a failed solve; it must come out as what it is, with the poses done so far."""
+    poses = in_leg_space(GEOMETRY, 500, 8).pose
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    timer = threading.Timer(0.6, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    try:
+        with pytest.raises(nlp.Interrupted) as caught:
+            nlp.search(GEOMETRY, poses, solver="ipopt", starts=20)
+    finally:
+        timer.cancel()
+        signal.signal(signal.SIGINT, before)
+    partial = caught.value.partial
+    finished = partial.solutions.status != Status.UNSOLVED
+    assert 0 < np.count_nonzero(finished) < 500
+    assert partial.solutions.exists[finished].any()

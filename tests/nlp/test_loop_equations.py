@@ -1,0 +1,95 @@
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from problems import GEOMETRIES, random_branches
+
+import spm_pin as spm
+from spm_pin import nlp
+from spm_pin.nlp.loop_equations import inverse_jacobian
+
+
+def arguments(state: spm.Configuration) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return state.middle_joints.ravel(), state.rotation, state.translation
+
+
+@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("family", spm.FAMILIES)
+def test_known_branches_solve_the_equations(name: str, family: str) -> None:
+    geometry = GEOMETRIES[name]
+    closure, lengths = nlp.closure(geometry), nlp.leg_lengths(geometry)
+    for state in random_branches(geometry, family, 5, 3).configuration:
+        size = np.linalg.norm(state.translation) + geometry.base_radius + geometry.middle_side
+        assert np.abs(np.asarray(closure(*arguments(state))[0])).max() < 1e-14 * size
+        np.testing.assert_allclose(np.asarray(lengths(*arguments(state))).ravel(), state.leg_lengths, rtol=1e-13)
+
+
+def test_each_equation_measures_what_it_says() -> None:
+    geometry = GEOMETRIES["paper"]
+    state = random_branches(geometry, "TT", 1, 0).configuration[0]
+    closure = nlp.closure(geometry)
+    b, rotation, translation = arguments(state)
+    step = 1e-3
+    for i in range(3):
+        moved = b.copy()
+        moved[3 * i : 3 * i + 3] += step * geometry.revolute_axes[i]
+        residual = np.asarray(closure(moved, rotation, translation)[0]).ravel()
+        assert residual[i] == pytest.approx(step, rel=1e-9)
+        moved = b.copy()
+        moved[3 * i : 3 * i + 3] += step * state.platform_axes[i]
+        residual = np.asarray(closure(moved, rotation, translation)[0]).ravel()
+        assert residual[3 + i] == pytest.approx(step, rel=1e-9)
+    sides = np.asarray(closure(1.5 * b, np.eye(3), np.zeros(3))[0]).ravel()[6:]
+    np.testing.assert_allclose(sides, (1.5**2 - 1.0) * geometry.middle_side / 2.0, rtol=1e-12)
+
+
+def test_jacobian_by_finite_differences() -> None:
+    geometry = GEOMETRIES["paper"]
+    state = random_branches(geometry, "TF", 1, 1).configuration[0]
+    closure = nlp.closure(geometry)
+    b, rotation, translation = arguments(state)
+    jacobian = np.asarray(closure(b, rotation, translation)[1])
+    # The equations are quadratic: central differences have no truncation error.
+    step = 2.0**-10
+    for k in range(9):
+        up, down = b.copy(), b.copy()
+        up[k] += step
+        down[k] -= step
+        values = [np.asarray(closure(point, rotation, translation)[0]).ravel() for point in (up, down)]
+        np.testing.assert_allclose((values[0] - values[1]) / (2 * step), jacobian[:, k], atol=1e-12)
+
+
+@pytest.mark.parametrize("family", spm.FAMILIES)
+def test_implicit_differentiation_is_the_inverse_jacobian(family: str) -> None:
+    geometry = GEOMETRIES["paper"]
+    derivatives = nlp.leg_jacobian(geometry)
+    for state in random_branches(geometry, family, 10, 7).configuration:
+        parts = tuple(np.asarray(part) for part in derivatives(*arguments(state)))
+        found = inverse_jacobian((parts[0], parts[1], parts[2], parts[3]))
+        expected = spm.inverse_jacobian(state)
+        sigma = np.linalg.svd(parts[0], compute_uv=False)[-1]
+        assert np.abs(found - expected).max() <= 1e-14 / sigma * np.abs(expected).max()
+
+
+def test_functions_are_saved_and_become_c(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    geometry = GEOMETRIES["paper"]
+    state = random_branches(geometry, "TT", 1, 5).configuration[0]
+    closure = nlp.closure(geometry)
+    expected = np.asarray(closure(*arguments(state))[1])
+    closure.save("closure.casadi")
+    again = ca.Function.load("closure.casadi")
+    assert again.name_in() == ["b", "rotation", "translation"]
+    np.testing.assert_array_equal(np.asarray(again(*arguments(state))[1]), expected)
+    closure.generate("closure.c")
+    assert "closure" in Path("closure.c").read_text(encoding="utf-8")
+    compiler = shutil.which("cc")
+    if compiler is not None:
+        subprocess.run([compiler, "-shared", "-fPIC", "-O1", "closure.c", "-o", "closure.so"], check=True)
+        compiled = ca.external("closure", "./closure.so")
+        np.testing.assert_allclose(np.asarray(compiled(*arguments(state))[1]), expected, rtol=0, atol=1e-15)

@@ -1,0 +1,260 @@
+from __future__ import annotations
+
+from fractions import Fraction
+from math import factorial
+
+import numpy as np
+import pytest
+from problems import GEOMETRIES, at_discriminant, in_leg_space, random_branches
+from scipy.spatial.transform import RigidTransform
+
+import spm_pin as spm
+from spm_pin import nlp
+from spm_pin.crosscheck.tolerances import Conditioning
+from spm_pin.mechanism.solutions import Status
+from spm_pin.nlp import multistart
+from spm_pin.nlp.starts import random_starts, unseen_probability
+
+GEOMETRY = spm.Geometry.paper()
+EXAMPLE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_the_paper_s_six_branches_for_every_seed(seed: int) -> None:
+    found = nlp.search(GEOMETRY, EXAMPLE, seed=seed)
+    closed = spm.inverse_displacement(GEOMETRY, EXAMPLE)
+    np.testing.assert_array_equal(found.solutions.exists, closed.exists)
+    assert found.solutions.count == 6
+    difference = (found.solutions.middle_joints - closed.middle_joints)[closed.exists]
+    assert np.abs(difference).max() < 1e-9
+    assert (np.linalg.norm(difference.reshape(-1, 9), axis=-1) <= found.error_bound[closed.exists]).all()
+    assert np.nanmax(found.solutions.residual) < 1e-14
+    assert bool(found.settled)
+    assert found.hits.sum() + found.failed + found.continuous == found.starts
+    assert (found.hits[closed.exists] >= 2).all()
+
+
+@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("family", spm.FAMILIES)
+def test_all_branches_over_all_rotations(name: str, family: str) -> None:
+    problem = random_branches(GEOMETRIES[name], family, 4, 17)
+    found = nlp.search(problem.geometry, problem.pose)
+    closed = spm.inverse_displacement(problem.geometry, problem.pose)
+    np.testing.assert_array_equal(found.solutions.exists, closed.exists)
+    difference = np.linalg.norm((found.solutions.middle_joints - closed.middle_joints).reshape(4, 8, 9), axis=-1)
+    # The closed form has an error of its own, of the same order as the bound's rounding part.
+    assert np.nanmax(difference / found.error_bound) < 1.0
+    assert found.isolated[closed.exists].all()
+
+
+@pytest.mark.parametrize("beyond", [1e-2, 1e-6, 1e-10, -1e-10, -1e-6, -1e-2])
+def test_where_two_branches_are_about_to_meet(beyond: float) -> None:
+    for index, family in enumerate(spm.FAMILIES):
+        pose = at_discriminant(random_branches(GEOMETRY, family, 1, 41).pose[0], index, beyond, GEOMETRY)
+        found, closed = nlp.inverse_displacement(GEOMETRY, pose), spm.inverse_displacement(GEOMETRY, pose)
+        np.testing.assert_array_equal(found.exists, closed.exists)
+
+
+def test_a_batch_is_its_poses_and_the_seed_decides() -> None:
+    poses = in_leg_space(GEOMETRY, 4, 2).pose
+    grid = poses.as_matrix().reshape(2, 2, 4, 4)
+    whole = nlp.search(GEOMETRY, grid, seed=3)
+    assert whole.solutions.shape == whole.starts.shape == (2, 2)
+    assert whole.hits.shape == whole.sigma.shape == (2, 2, 8)
+    one = nlp.search(GEOMETRY, grid[1, 0], seed=3)
+    np.testing.assert_array_equal(one.hits, whole.hits[1, 0])
+    np.testing.assert_array_equal(one.solutions.middle_joints, whole.solutions.middle_joints[1, 0])
+    other = nlp.search(GEOMETRY, grid[1, 0], seed=4)
+    assert (other.hits != one.hits).any()
+    assert nlp.search(GEOMETRY, RigidTransform.from_matrix(np.empty((0, 4, 4)))).solutions.shape == (0,)
+
+
+def test_the_number_of_starts_is_obeyed() -> None:
+    assert nlp.search(GEOMETRY, EXAMPLE, starts=5).starts == 5
+    few = nlp.search(GEOMETRY, EXAMPLE, starts=3)
+    assert not few.settled
+    assert few.unseen_probability > 0.1
+    assert few.solutions.count <= 3
+    assert few.unseen_share > 0.0
+
+
+@pytest.mark.parametrize(
+    "pose",
+    [
+        spm.pose([3.0, 3.0, 2.0], xyx=[0.1, 0.5, 0.3]),
+        spm.pose([0.0, 0.1, 2.2], xyx=[0.0, 0.4, 0.0]),
+        spm.pose([0.1, 0.1, 2.2], rotation=np.eye(3)),
+        spm.pose([0.1, 0.1, 2.2], rotation=np.diag([1.0, -1.0, -1.0])),
+    ],
+)
+def test_out_of_reach_is_a_status_and_a_measure(pose: RigidTransform) -> None:
+    assert spm.inverse_displacement(GEOMETRY, pose).status is Status.UNREACHABLE
+    found = nlp.search(GEOMETRY, pose)
+    assert found.solutions.status is Status.UNREACHABLE
+    assert found.infeasibility > 1e-3
+    assert found.failed == found.starts
+    assert found.failed_residual >= found.infeasibility * (1.0 - 1e-6)
+
+
+def test_infeasibility_is_the_way_back_into_reach() -> None:
+    """At a fold the least residual grows from zero with the distance beyond it."""
+    measured = []
+    for index, family in enumerate(spm.FAMILIES):
+        poses = random_branches(GEOMETRY, family, 60, 9).pose
+        alone = np.flatnonzero(spm.inverse_displacement(GEOMETRY, poses).count == 2)
+        for k in alone[:3]:
+            for beyond in (-1e-4, -1e-2):
+                outside = nlp.search(GEOMETRY, at_discriminant(poses[int(k)], index, beyond, GEOMETRY))
+                if outside.solutions.status is Status.UNREACHABLE:
+                    measured.append((-beyond, float(outside.infeasibility)))
+    assert len(measured) >= 4
+    for beyond, infeasibility in measured:
+        assert 0.0 < infeasibility <= beyond
+
+
+@pytest.mark.parametrize(
+    "pose",
+    [
+        spm.pose([0.0, 0.0, 2.2], rotation=np.eye(3)),
+        spm.pose([0.0, 0.1, 2.2], xyx=[0.4, 0.0, 0.0]),
+        spm.pose([0.0, 0.0, 2.2], rotation=np.diag([-1.0, -1.0, 1.0])),
+    ],
+)
+def test_a_continuous_family_is_none_of_the_branches(pose: RigidTransform) -> None:
+    closed = spm.inverse_displacement(GEOMETRY, pose)
+    assert closed.status is Status.DEGENERATE
+    found = nlp.search(GEOMETRY, pose)
+    assert found.solutions.status is Status.DEGENERATE
+    np.testing.assert_array_equal(found.solutions.exists, closed.exists)
+    assert found.continuous > 0
+
+
+@pytest.mark.parametrize("azimuth", [0.3, 1.3, -2.2])
+def test_isolated_branches_beside_a_continuous_family_are_kept(azimuth: float) -> None:
+    """Rotations about a horizontal axis at the offset where one mixed family is a circle, see the theory.
+
+    The closed form also keeps two branches of equal modes that lie on that circle; they are not isolated.
+    """
+    tilt = 0.9
+    axis = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    offset = GEOMETRY.middle_radius * np.sin(tilt / 2) ** 2 * np.sin(3 * azimuth)
+    pose = spm.pose(offset * axis + np.array([0.0, 0.0, 2.0]), rotation=_rotation(axis, tilt))
+    closed = spm.inverse_displacement(GEOMETRY, pose)
+    assert closed.status is Status.DEGENERATE
+    isolated = Conditioning.of(closed.configurations).sigma > 1e-7
+    assert isolated.any()
+    found = nlp.search(GEOMETRY, pose)
+    assert found.solutions.status is Status.DEGENERATE
+    np.testing.assert_array_equal(found.solutions.exists, isolated)
+    difference = (found.solutions.middle_joints - closed.middle_joints)[isolated]
+    assert np.abs(difference).max() < 1e-12
+
+
+def _rotation(axis: np.ndarray, angle: float) -> np.ndarray:
+    cross = np.cross(np.eye(3), -axis)
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def test_starts_are_triangles_of_the_right_size_that_violate_the_planes_least() -> None:
+    matrix = EXAMPLE.as_matrix()
+    starts = random_starts(GEOMETRY, matrix, 20, np.random.default_rng(0)).reshape(20, 3, 3)
+    sides = np.linalg.norm(starts - np.roll(starts, 1, axis=1), axis=-1)
+    np.testing.assert_allclose(sides, GEOMETRY.middle_side, rtol=1e-12)
+    equations = nlp.closure(GEOMETRY)
+
+    def planes(b: np.ndarray) -> float:
+        residual = np.asarray(equations(b.ravel(), matrix[:3, :3], matrix[:3, 3])[0]).ravel()
+        return float(residual[:6] @ residual[:6])
+
+    for b in starts[:5]:
+        for shift in 1e-3 * np.concatenate([np.eye(3), -np.eye(3)]):
+            assert planes(b + shift) > planes(b)
+
+
+def test_a_solution_is_a_start_of_its_own() -> None:
+    """The start with a branch's orientation is the branch, so every branch has a neighbourhood that leads to it."""
+    matrix = EXAMPLE.as_matrix()
+    axes, platform_axes = GEOMETRY.revolute_axes, GEOMETRY.revolute_axes @ matrix[:3, :3].T
+    normals = np.concatenate([axes, platform_axes])
+    for state in spm.inverse_displacement(GEOMETRY, EXAMPLE):
+        local = state.middle_joints - state.middle_joints.mean(axis=0)
+        wanted = np.concatenate([np.zeros(3), platform_axes @ matrix[:3, 3]])
+        shares = np.concatenate([(local * axes).sum(axis=-1), (local * platform_axes).sum(axis=-1)])
+        centre = np.linalg.lstsq(normals, wanted - shares, rcond=None)[0]
+        np.testing.assert_allclose(centre, state.middle_joints.mean(axis=0), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("branches", "starts"), [(0, 5), (2, 9), (4, 30), (6, 100)])
+def test_unseen_probability_is_the_posterior(branches: int, starts: int) -> None:
+    def weight(k: int) -> Fraction:
+        return Fraction(factorial(k) ** 2, factorial(k - branches) * factorial(starts + k))
+
+    weights = [weight(k) for k in range(branches, 9, 2)]
+    expected = 1 - weights[0] / sum(weights)
+    assert unseen_probability(branches, starts) == pytest.approx(float(expected), rel=1e-9)
+
+
+def test_unseen_probability_is_calibrated() -> None:
+    """Of the searches that its own prior draws and that see so much, so many have more branches."""
+    rng = np.random.default_rng(0)
+    starts, seen, unseen = 12, np.zeros(9), np.zeros(9)
+    for _ in range(60_000):
+        k = 2 * rng.integers(0, 5)
+        shares = rng.dirichlet(np.ones(k + 1))
+        hits = rng.multinomial(starts, shares)[:k]
+        found = int((hits > 0).sum())
+        seen[found] += 1
+        unseen[found] += found < k
+    for found in (0, 2, 4, 6):
+        expected = unseen_probability(found, starts)
+        sigma = np.sqrt(expected * (1.0 - expected) / seen[found])
+        assert abs(unseen[found] / seen[found] - expected) < 4.0 * sigma
+
+
+def test_all_eight_or_an_odd_number_need_no_statistics() -> None:
+    assert unseen_probability(8, 8) == 0.0
+    assert unseen_probability(3, 10_000) == 1.0
+
+
+def test_more_starts_make_sure() -> None:
+    assert unseen_probability(6, 2000) < unseen_probability(6, 200) < unseen_probability(6, 20)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "words"),
+    [
+        ({"starts": 0}, "starts: expected a positive whole number"),
+        ({"starts": 2.5}, "starts"),
+        ({"risk": 0.0}, "risk: expected a probability"),
+        ({"seed": -1}, "seed"),
+        ({"solver": "snopt"}, "solver: expected one of newton, ipopt"),
+        ({"options": {"ipopt.max_iter": 3}}, "Did you mean solver='ipopt'"),
+    ],
+)
+def test_bad_arguments_are_clear(keywords: dict[str, object], words: str) -> None:
+    with pytest.raises(spm.ArgumentError, match=words):
+        nlp.search(GEOMETRY, EXAMPLE, **keywords)  # type: ignore[arg-type]
+    with pytest.raises(spm.PoseError):
+        nlp.search(GEOMETRY, np.eye(3))
+
+
+def test_an_interrupt_keeps_what_was_finished(monkeypatch: pytest.MonkeyPatch) -> None:
+    poses = in_leg_space(GEOMETRY, 4, 5).pose
+    whole = nlp.search(GEOMETRY, poses)
+    newton, calls = multistart.newton, []
+
+    def interrupted(equations: object, starts: np.ndarray, matrix: np.ndarray, iterations: int) -> object:
+        calls.append(matrix[:3, 3])
+        if (matrix[:3, 3] == poses[2].translation).all():
+            raise KeyboardInterrupt
+        return newton(equations, starts, matrix, iterations)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(multistart, "newton", interrupted)
+    with pytest.raises(nlp.Interrupted) as caught:
+        nlp.search(GEOMETRY, poses)
+    partial = caught.value.partial
+    assert isinstance(caught.value, KeyboardInterrupt)
+    np.testing.assert_array_equal(partial.solutions.status, [0, 0, Status.UNSOLVED, Status.UNSOLVED])
+    np.testing.assert_array_equal(partial.solutions.middle_joints[:2], whole.solutions.middle_joints[:2])
+    assert not partial.solutions.exists[2:].any()
+    assert partial.starts[3] == 0
