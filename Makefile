@@ -12,6 +12,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt --e
 
 demo: $(VENV)/.demo
 	$(BIN)/spm-pin reproduce
+	$(BIN)/spm-pin crosscheck
 
 test: lint
 	$(BIN)/python -m pytest $(PYTEST) -m "not slow"

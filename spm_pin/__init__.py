@@ -3,7 +3,9 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from spm_pin.closed_form.forward import ASSEMBLY_MODES, STAGE_MODES, forward_displacement, forward_physical
 from spm_pin.closed_form.inverse import complex_middle_joints, inverse_displacement
+from spm_pin.closed_form.paths import Event, EventKind, FollowedPath, follow
 from spm_pin.closed_form.singularity import Singularities, SingularityKind, determinant_gradients, singularities
 from spm_pin.closed_form.statics import leg_forces
 from spm_pin.closed_form.velocity import inverse_jacobian, leg_rates, platform_jacobian
@@ -32,20 +34,26 @@ from spm_pin.mechanism import (
 )
 
 if TYPE_CHECKING:
+    from spm_pin import nlp
     from spm_pin.multibody.chain import ClosedChain
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "ASSEMBLY_MODES",
     "BRANCHES",
     "FAMILIES",
     "LEGS",
+    "STAGE_MODES",
     "ArgumentError",
     "ClosedChain",
     "ClosureError",
     "Configuration",
     "Degeneracy",
     "DescriptionError",
+    "Event",
+    "EventKind",
+    "FollowedPath",
     "Geometry",
     "GeometryError",
     "LegLimits",
@@ -60,23 +68,26 @@ __all__ = [
     "Status",
     "complex_middle_joints",
     "determinant_gradients",
+    "follow",
+    "forward_displacement",
+    "forward_physical",
     "inverse_displacement",
     "inverse_jacobian",
     "leg_forces",
     "leg_rates",
+    "nlp",
     "platform_jacobian",
     "pose",
     "singularities",
 ]
 
-# Imported when first asked for: Pinocchio takes longer to load than all the rest.
-_LAZY = {"ClosedChain": "spm_pin.multibody.chain"}
-
 
 def __getattr__(name: str) -> Any:
-    if name in _LAZY:
-        value = globals()[name] = getattr(import_module(_LAZY[name]), name)
-        return value
+    # Imported when first asked for: Pinocchio and CasADi take longer to load than all the rest.
+    if name == "nlp":
+        return import_module("spm_pin.nlp")
+    if name == "ClosedChain":
+        return import_module("spm_pin.multibody.chain").ClosedChain
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -8,6 +8,8 @@ import typer
 
 from spm_pin import __version__
 from spm_pin.cli.console import stderr
+from spm_pin.cli.crosscheck import crosscheck
+from spm_pin.cli.forward import forward
 from spm_pin.cli.inverse import inverse
 from spm_pin.cli.reproduce import reproduce
 from spm_pin.cli.singularities import singularities
@@ -23,7 +25,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command()(inverse)
+app.command()(forward)
 app.command()(reproduce)
+app.command()(crosscheck)
 app.command()(singularities)
 app.command()(statics)
 app.command()(urdf)

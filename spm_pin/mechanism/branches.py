@@ -38,12 +38,18 @@ def leg_plane_determinant(points: FloatArray, directions: FloatArray) -> FloatAr
     Minus the determinant of the 6 x 6 matrix of forces through the points b_i along two directions each
     whose cross product is w_i; both arguments are (..., 3, 3), a row per leg.
     """
+    return np.asarray(_cycles(points, directions).prod(axis=-1).sum(axis=-1))
+
+
+def _cycles(points: FloatArray, directions: FloatArray) -> FloatArray:
+    """Return the c_ij of `leg_plane_determinant`, shape (..., 2, 3): each row is one of its products."""
 
     def c(i: int, j: int) -> FloatArray:
         difference = points[..., i, :] - points[..., j, :]
         return np.asarray((difference * directions[..., i, :]).sum(axis=-1))
 
-    return c(0, 1) * c(1, 2) * c(2, 0) + c(1, 0) * c(2, 1) * c(0, 2)
+    pairs = (((0, 1), (1, 2), (2, 0)), ((1, 0), (2, 1), (0, 2)))
+    return np.stack([np.stack([c(i, j) for i, j in cycle], axis=-1) for cycle in pairs], axis=-2)
 
 
 def determinants(configuration: Configuration) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -117,13 +123,23 @@ def physical(configuration: Configuration) -> BoolArray:
     """Tell which states a real machine can be in, leg limits aside, shape (...).
 
     Those reached from the symmetric home without a forward singularity: no torsion in either stage, each
-    stage on the outer side of its platform, and det J_b and det J_c positive, as they are at home.
+    stage on the outer side of its platform, and both in the home's aspect. The signs of det J_b and det J_c do not
+    tell the aspect alone: they are sums of two products of three factors, all six positive at home, and in the
+    home's aspect at most one of them is negative; see `docs/theory/forward_displacement.md`.
     """
     b = configuration.middle_joints
     lower_radius, upper_radius = _mean_radii(configuration)
     lower_height = b[..., 2].mean(axis=-1)
     upward = configuration.rotation[..., :, 2]
     upper_height = ((configuration.translation - b.mean(axis=-2)) * upward).sum(axis=-1)
-    det_lower, det_upper, _ = determinants(configuration)
-    positive = [lower_radius, upper_radius, lower_height, upper_height, det_lower, det_upper]
-    return np.asarray(np.logical_and.reduce([value > 0.0 for value in positive]))
+    tangents = np.cross([0.0, 0.0, 1.0], configuration.geometry.radial_directions)
+    legs = configuration.leg_vectors
+    lower = _in_home_aspect(b, np.cross(tangents, legs[..., :3, :]))
+    upper = _in_home_aspect(b, np.cross(tangents @ np.swapaxes(configuration.rotation, -1, -2), legs[..., 3:, :]))
+    positive = [lower_radius, upper_radius, lower_height, upper_height]
+    return np.asarray(np.logical_and.reduce([lower, upper, *(value > 0.0 for value in positive)]))
+
+
+def _in_home_aspect(points: FloatArray, directions: FloatArray) -> BoolArray:
+    cycles = _cycles(points, directions)
+    return np.asarray((cycles.prod(axis=-1).sum(axis=-1) > 0.0) & ((cycles < 0.0).sum(axis=(-1, -2)) <= 1))

@@ -163,5 +163,9 @@ def _assemble(matrices: FloatArray, position: FloatArray, argument: str) -> Rigi
     transform[..., :3, :3] = matrices
     transform[..., :3, 3] = position
     transform[..., 3, 3] = 1.0
-    rounded = np.abs(_gram_error(matrices)).max(initial=0.0) > EXACT
-    return RigidTransform(transform, normalize=bool(rounded), copy=False)
+    rounded = np.abs(_gram_error(transform[..., :3, :3])).max(axis=(-1, -2), initial=0.0) > EXACT
+    if rounded.any():
+        # Member by member: what one pose is must not depend on its neighbours.
+        repaired = RigidTransform.from_matrix(transform).as_matrix()
+        transform = np.where(rounded[..., None, None], repaired, transform)
+    return RigidTransform(transform, normalize=False, copy=False)

@@ -30,7 +30,7 @@ class Status(enum.IntEnum):
     UNREACHABLE = 1
     """No real solution."""
     DEGENERATE = 2
-    """Some solutions form a continuous family, of which none is picked; isolated ones beside it are kept."""
+    """Some solutions form a continuous family, of which none is picked; those of the other families are kept."""
     UNSOLVED = 3
     """The method failed here and says nothing about the problem."""
 
@@ -242,8 +242,9 @@ class SolutionSet:
         if self.shape:
             tally = ", ".join(f"{np.count_nonzero(self._status == s)} {s}" for s in Status)
             return f"<SolutionSet: {self.shape} problems ({tally}), {len(self._labels)} solutions each>"
-        real = ", ".join(label for label, real in zip(self._labels, self.exists, strict=True) if real)
-        return f"<SolutionSet: {self.status}, {self.count} of {len(self._labels)} real: {real or 'none'}>"
+        real = [label for label, real in zip(self._labels, self.exists, strict=True) if real]
+        shown = ", ".join(real[:8]) + ", …" * (len(real) > 8)
+        return f"<SolutionSet: {self.status}, {self.count} of {len(self._labels)} real: {shown or 'none'}>"
 
     def _select(self, index: npt.NDArray[np.intp], exists: BoolArray) -> Configuration:
         """Return one solution per problem, NaN where `exists` is False."""

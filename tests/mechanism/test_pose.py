@@ -46,6 +46,14 @@ def test_small_rotations_keep_their_digits() -> None:
     np.testing.assert_array_equal(again.as_matrix()[:3, :3], tiny.as_matrix())
 
 
+def test_a_pose_does_not_depend_on_its_neighbours() -> None:
+    exact = Rotation.from_euler("XYX", EULER).as_matrix()
+    rough = exact.astype(np.float32).astype(np.float64)
+    alone = spm.pose([0, 0, 1], rotation=exact).as_matrix()
+    np.testing.assert_array_equal(alone[:3, :3], exact)
+    np.testing.assert_array_equal(spm.pose([0, 0, 1], rotation=np.stack([exact, rough])).as_matrix()[0], alone)
+
+
 def test_rounding_of_single_precision_is_repaired() -> None:
     single = Rotation.from_euler("XYX", EULER).as_matrix().astype(np.float32)
     matrix = spm.pose([0, 0, 1], rotation=single).as_matrix()[:3, :3]

@@ -194,3 +194,16 @@ def test_representations_say_what_matters(branches: spm.SolutionSet, batch: spm.
     assert repr(branches) == "<SolutionSet: ok, 6 of 8 real: TT+, TT-, TF+, TF-, FF+, FF->"
     assert "(500,) problems (500 ok, 0 unreachable" in repr(batch)
     assert repr(branches["TT+"]).startswith("<Configuration: leg lengths (1.1998, 1.2000")
+
+
+@pytest.mark.parametrize("low", [1.1, 0.8])
+def test_physical_agrees_with_forward_displacement(low: float) -> None:
+    """The mode picked among all assembly modes is the one found directly, and exists where that does."""
+    legs = np.random.default_rng(5).uniform(low, 1.5 if low > 1.0 else 2.0, (150, 6))
+    direct = spm.forward_physical(PAPER, legs)
+    modes = spm.forward_displacement(PAPER, legs)
+    mode_is_physical = modes.where(spm.mechanism.branches.physical(modes.configurations))
+    np.testing.assert_array_equal(mode_is_physical.exists.sum(axis=-1), direct.exists)
+    chosen = mode_is_physical.where(mode_is_physical.exists)[direct.exists].one()
+    np.testing.assert_allclose(chosen.middle_joints, direct.middle_joints[direct.exists], atol=1e-9)
+    assert direct.exists.all() == (low > 1.0)
