@@ -18,6 +18,7 @@ from spm_pin.crosscheck.reproduction import Reproduction
 __all__ = ["reproduce"]
 
 _TITLES = {
+    reproduction.POSE: "The example's pose (cm, degrees) from the leg lengths 120, 120, 140, 125, 120, 150 cm",
     1: "Table 1: the coordinates of b_1 (cm)",
     2: "Table 2: the coordinates of b_2 (cm)",
     3: "Table 3: the coordinates of b_3 (cm)",

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
+from spm_pin.closed_form.forward import forward_physical
 from spm_pin.closed_form.inverse import complex_middle_joints
 from spm_pin.crosscheck import table_5
 from spm_pin.crosscheck.cells import Cell, Verdict, matches, number
@@ -23,9 +24,13 @@ from spm_pin.mechanism.geometry import LEGS, Geometry
 from spm_pin.mechanism.pose import pose
 from spm_pin.paper import published, resultant
 
-__all__ = ["TABLES", "MisprintedEquation", "Reproduction", "Witnesses", "reproduce"]
+__all__ = ["POSE", "TABLES", "MisprintedEquation", "Reproduction", "Witnesses", "reproduce"]
 
 TABLES = (1, 2, 3, 4, 5)
+POSE = 0
+"""Number of the cells that compare the example's pose; the paper has no table of it."""
+# The lengths of which the printed pose is the forward displacement, found there "by simulation", in cm.
+_SIMULATED_LEGS = (120.0, 120.0, 140.0, 125.0, 120.0, 150.0)
 _CM = 100.0
 _COORDINATES = {1: published.TABLE_1, 2: published.TABLE_2, 3: published.TABLE_3}
 
@@ -117,6 +122,7 @@ def reproduce(tables: Sequence[int] = TABLES) -> Reproduction:
             cells += _coordinates(table, joints, printed, geometry.middle_side * _CM)
         elif table == 4:
             cells += _leg_lengths(geometry, example.as_matrix(), joints)
+            cells += _simulated_pose(geometry)
         else:
             third = Configuration(geometry, example, joints[2].real / _CM)
             diagnoses = table_5.diagnoses(third)
@@ -195,6 +201,17 @@ def _leg_lengths(geometry: Geometry, matrix: npt.NDArray[np.float64], joints: np
                 verdict, note = _shifted(text, column, lengths[column])
             cells.append(Cell(4, LEGS[leg], str(column + 1), text, complex(value), verdict, note))
     return cells
+
+
+def _simulated_pose(geometry: Geometry) -> list[Cell]:
+    """Compare the example's pose with the forward displacement of round leg lengths, which it was rounded from."""
+    state = forward_physical(geometry, np.array(_SIMULATED_LEGS) / _CM)
+    values = [*(state.translation * _CM), *state.pose.rotation.as_euler("XYX", degrees=True)]
+    names = ("X_o", "Y_o", "Z_o", "alpha", "beta", "lambda")
+    return [
+        Cell(POSE, name, "3", text, complex(x), Verdict.SAME if matches(text, complex(x)) else Verdict.UNEXPLAINED)
+        for name, text, x in zip(names, published.POSE_AS_PRINTED, values, strict=True)
+    ]
 
 
 def _shifted(text: str, column: int, lengths: npt.NDArray[np.float64]) -> tuple[Verdict, str]:

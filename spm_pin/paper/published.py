@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 __all__ = [
     "FORCE",
+    "POSE_AS_PRINTED",
     "POSITION",
     "TABLE_1",
     "TABLE_2",
@@ -31,6 +32,7 @@ Row = tuple[str | None, ...]
 # Section 5. E = 120/√3, C = 60/√3, d = 80 cm.
 POSITION = (68.89, 49.63, 225.3)
 XYX_DEGREES = (-11.08, 32.97, -12.88)
+POSE_AS_PRINTED = ("68.89", "49.63", "225.3", "-11.08", "32.97", "-12.88")  # the same six numbers, with their digits
 VELOCITY = (1.0, 2.0, 3.0, 1.0, 2.0, 3.0)  # v [cm/s], ω [degrees/s]
 FORCE = (-20.0, -30.0, -30.0)  # [kN]
 TORQUE = (-30.0, -30.0, 100.0)  # [kN cm]

@@ -27,7 +27,7 @@ def test_reproduce_prints_every_table_and_each_finding() -> None:
         "Table 4:",
         "two witnesses",
         "Table 5:",
-        "105 of 120 cells",
+        "111 of 126 cells",
         "a shifted number",
         "Eq. (17)",
     ):
