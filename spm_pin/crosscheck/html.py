@@ -56,7 +56,7 @@ def page(report: Report, geometry_file: str | None = None) -> str:
     for quantity in Quantity:
         rows = [one for one in report.comparisons if one.quantity is quantity]
         if rows:
-            body += [f"<h2>{quantity.value.capitalize()}</h2>", _table(rows)]
+            body += [f"<h2>{quantity.value[0].upper()}{quantity.value[1:]}</h2>", _table(rows)]
     worst = report.worst
     if worst is not None:
         body += [
@@ -99,7 +99,8 @@ def _card(standing: Standing) -> str:
 def _table(rows: list[Comparison]) -> str:
     head = (
         '<tr><th>pair</th><th class="number">states</th><th class="number">worst</th>'
-        '<th class="number">tolerance</th><th>share of it</th><th class="number">differ</th></tr>'
+        '<th class="number">tolerance</th><th class="number">share of it</th>'
+        '<th>on a log scale</th><th class="number">differ</th></tr>'
     )
     lines = []
     for one in rows:
@@ -109,6 +110,7 @@ def _table(rows: list[Comparison]) -> str:
             f"<tr{' class=bad' if one.disagreements else ''}><td>{escape(one.first)} – {escape(one.second)}</td>"
             f'<td class="number">{one.compared}</td><td class="number">{one.worst:.1e}{unit}</td>'
             f'<td class="number">{one.tolerance:.1e}{unit}</td>'
+            f'<td class="number">{one.ratio:.0e}</td>'
             f'<td><div class="scale"><i style="width:{filled:.0f}%"></i></div></td>'
             f'<td class="number">{one.disagreements or "none"}</td></tr>'
         )
