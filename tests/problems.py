@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import brentq
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
@@ -146,3 +147,30 @@ def conditioning(configuration: spm.Configuration) -> Array:
     reach = np.linalg.norm(configuration.translation, axis=-1) + np.abs(b).max(axis=(-1, -2))
     smallest = np.linalg.svd(matrix, compute_uv=False)[..., -1]
     return reach / sine.min(axis=-1) * (1.0 + 1.0 / smallest)
+
+
+# Two stages without torsion on their way through a singularity: azimuths of the tilt axes, half sines of the tilts and
+# heights, one of them None and searched for between the last two numbers. Keyed by the determinant that vanishes.
+PAPER_TILTS = {
+    0: ((0.4, 1.9), (None, 0.2), (0.3, -1.1), 0.05, 0.9),
+    2: ((0.3, None), (0.2, 0.25), (1.2, -1.1), 1.5, 4.6),
+}
+
+
+def singular_state(
+    which: int,
+    azimuths: tuple[float | None, float | None],
+    half_sines: tuple[float | None, float | None],
+    heights: tuple[float, float],
+    low: float,
+    high: float,
+) -> spm.Configuration:
+    """Return the state of the paper's machine at which one of det J_b, det J_c, det K, counted by `which`, vanishes."""
+    geometry = spm.Geometry.paper()
+
+    def at(value: float) -> spm.Configuration:
+        parameters = [[value if x is None else x for x in pair] for pair in (azimuths, half_sines, heights)]
+        stages = [stage("T", *(np.array([p[k]]) for p in parameters), geometry.middle_radius) for k in range(2)]
+        return compose(geometry, stages[0], stages[1]).configuration[0]
+
+    return at(float(brentq(lambda x: spm.singularities(at(x)).index[which], low, high, xtol=1e-15, rtol=1e-15)))

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from problems import GEOMETRIES, Problem, compose, in_leg_space, random_branches, stage
-from scipy.optimize import brentq
+from problems import (
+    GEOMETRIES,
+    PAPER_TILTS,
+    Problem,
+    compose,
+    in_leg_space,
+    random_branches,
+    singular_state,
+    stage,
+)
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
@@ -29,21 +35,15 @@ def placed(tilts: tuple[float, float], half_sines: tuple[float, float], heights:
     return compose(PAPER, stages[0], stages[1])
 
 
-def where_it_vanishes(make: Callable[[float], Problem], which: int, low: float, high: float) -> spm.Configuration:
-    """Return the state on a one-parameter path where one of the three determinants is zero."""
-    root = brentq(lambda s: singularities(make(s).configuration).index[0, which], low, high, xtol=1e-15, rtol=1e-15)
-    return make(root).configuration[0]
-
-
 @pytest.fixture(scope="module")
 def inverse() -> spm.Configuration:
-    return where_it_vanishes(lambda s: placed((0.3, s), (0.2, 0.25), (1.2, -1.1)), STRUCTURE, 1.5, 4.6)
+    return singular_state(STRUCTURE, *PAPER_TILTS[STRUCTURE])
 
 
 @pytest.fixture(scope="module")
 def forward() -> spm.Configuration:
     """A low lower stage: as it tilts further, its legs cease to hold it."""
-    return where_it_vanishes(lambda s: placed((0.4, 1.9), (s, 0.2), (0.3, -1.1)), LOWER, 0.05, 0.9)
+    return singular_state(LOWER, *PAPER_TILTS[LOWER])
 
 
 def test_regular_is_the_reasonable_solution() -> None:
