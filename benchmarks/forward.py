@@ -4,6 +4,7 @@ General ones, per stage on its three distance equations in the legs' angles:
 
 - scipy.optimize.root from random angles, until no start of as many as found the last one brings a new solution;
 - scipy.optimize.root once, from equal legs, for the physical one;
+- Newton's method on Pinocchio's closures, from the home, with the legs held (`ClosedChain.project`), for the same;
 - a polynomial solver: elimination to degree 16 and the isolation of its roots (python-flint), which gives one
   coordinate of every solution, in certified digits.
 
@@ -117,10 +118,18 @@ def main() -> None:
         "elimination and root isolation": one_by_one(polynomial, problems),
         "scipy root, multistart": one_by_one(multistart, problems),
     }
+    chain = spm.ClosedChain.from_urdf()
+    memory, home = chain.workspace(), np.zeros(chain.model.nq)
+
+    def projected(lengths: np.ndarray) -> int:
+        chain.project(chain.with_leg_lengths(home, lengths), hold_legs=True, workspace=memory)
+        return 1
+
     only = {
         "forward_physical, many at once": batched(physical, problems, 10 * repeat),
         "forward_physical, one by one": one_by_one(physical, problems),
         "scipy root, from equal legs": one_by_one(newton_from_equal_legs, problems),
+        "Pinocchio's closures, from home": one_by_one(projected, problems),
     }
     for title, results in (("All assembly modes", every), ("The physical one", only)):
         fastest = next(iter(results.values()))[0]

@@ -32,6 +32,8 @@ CLEARLY = 0.25
 """A solution is clearly the nearest to the predicted one if its error is at most this share of the next one's."""
 SHORTEST_STEP = 1e-11
 """In the path's parameter: where even this does not tell solutions apart, they meet."""
+MOST_UNCLEAR = 100
+"""After so many shortest steps in a row two solutions do not cross but coincide, and following one means nothing."""
 LONGEST_MOVE = 0.1
 """A joint moves at most this share of d in a step, lest a turn be missed."""
 
@@ -129,7 +131,7 @@ def follow(
     if samples < 1:
         raise ArgumentError("samples", "at least 1", samples)
     solve, knots, legs = _solver(geometry, path)
-    tracker = _Tracker(solve, _start(solve(0.0), start), LONGEST_MOVE * geometry.middle_side, legs=legs)
+    tracker = Tracker(solve, _start(solve(0.0), start), LONGEST_MOVE * geometry.middle_side, legs=legs)
     stops = np.unique(np.concatenate([np.linspace(0.0, 1.0, samples + 1), knots]))
     for stop in stops[1:]:
         if not tracker.advance(float(stop)):
@@ -201,7 +203,7 @@ def _joints(configuration: Configuration) -> FloatArray:
     return np.concatenate([configuration.middle_joints, configuration.platform_joints], axis=-2)
 
 
-class _Tracker:
+class Tracker:
     """The solution followed so far."""
 
     def __init__(self, solve: Solver, place: int, longest_move: float, *, legs: bool) -> None:
@@ -214,6 +216,7 @@ class _Tracker:
         self.labels = [solutions.labels[place]]
         self.events: list[Event] = []
         self._step = 1e-6
+        self._unclear = 0  # shortest steps in a row that did not tell solutions apart
 
     def configurations(self) -> Configuration:
         """Return the states as one batch."""
@@ -237,7 +240,8 @@ class _Tracker:
             # Two solutions that all but meet look like two that cross, but for their labels: a label may change
             # hands only where the shortest step says so.
             same = place is not None and solutions.labels[place] == self.labels[-1]
-            if place is not None and ((clear and same) or shortest):
+            if place is not None and ((clear and same) or (shortest and self._unclear < MOST_UNCLEAR)):
+                self._unclear = 0 if clear else self._unclear + 1
                 self._accept(ahead, solutions, place)
                 self._step = 2.0 * (ahead - here)
             elif not shortest:
@@ -274,6 +278,10 @@ class _Tracker:
         self.labels.append(label)
 
     def _end(self, parameter: float) -> None:
+        if self._unclear >= MOST_UNCLEAR:
+            what = f"{self.labels[-1]}, which coincides with another solution"
+            self.events.append(Event(EventKind.END, parameter, what))
+            return
         # Given leg lengths end at a forward singularity of a stage, given poses at an inverse one.
         lower, upper, _ = np.abs(singularities(self.states[-1]).index)
         meets = ("forward, lower stage" if lower < upper else "forward, upper stage") if self.legs else "inverse"
@@ -312,7 +320,7 @@ def _event(geometry: Geometry, which: int, parameter: float, after: float) -> Ev
     return Event(EventKind.LIMIT, parameter, f"{LEGS[leg]} {verb} its {bound}, {values[leg]:g} m")
 
 
-def _sign_changes(geometry: Geometry, tracker: _Tracker, states: Configuration) -> list[Event]:
+def _sign_changes(geometry: Geometry, tracker: Tracker, states: Configuration) -> list[Event]:
     """Find the zeros of the monitored functions along the followed solution."""
     values = _monitored(geometry, states)
     parameters = tracker.parameters

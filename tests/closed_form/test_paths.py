@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
 import spm_pin as spm
-from spm_pin.closed_form.paths import EventKind, FollowedPath, follow
+from spm_pin.closed_form.paths import EventKind, FollowedPath, Tracker, follow
 
 PAPER = spm.Geometry.paper()
 FREE = replace(PAPER, limits=None)
@@ -160,6 +160,21 @@ def test_leg_lengths_that_can_no_longer_close_end_the_path() -> None:
     before, after = (spm.forward_physical(PAPER, start + (end + x) * (grown - start)) for x in (-1e-8, 1e-8))
     assert before.exists
     assert not after.exists
+
+
+def test_two_solutions_that_coincide_are_not_followed_forever() -> None:
+    state = in_leg_space(PAPER, 1, seed=0).configuration[0]
+    twice = spm.Configuration(FREE, np.stack([state.pose.as_matrix()] * 2), np.stack([state.middle_joints] * 2))
+    asked = []
+
+    def solve(s: float) -> spm.SolutionSet:
+        asked.append(s)
+        return spm.SolutionSet(twice, ("one", "other"), spm.Status.OK)
+
+    tracker = Tracker(solve, 0, 0.1, legs=False)
+    assert not tracker.advance(1.0)
+    assert "coincides with another" in tracker.events[-1].detail
+    assert len(asked) < 1_000
 
 
 def test_a_callable_and_its_samples_are_the_same_path() -> None:
