@@ -5,9 +5,10 @@ from typing import TYPE_CHECKING, Any
 
 from spm_pin.closed_form.forward import ASSEMBLY_MODES, STAGE_MODES, forward_displacement, forward_physical
 from spm_pin.closed_form.inverse import complex_middle_joints, inverse_displacement
-from spm_pin.closed_form.paths import Event, EventKind, FollowedPath, follow
+from spm_pin.closed_form.paths import FollowedPath, follow
 from spm_pin.closed_form.singularity import Singularities, SingularityKind, determinant_gradients, singularities
 from spm_pin.closed_form.statics import leg_forces
+from spm_pin.closed_form.tracking import Event, EventKind
 from spm_pin.closed_form.velocity import inverse_jacobian, leg_rates, platform_jacobian
 from spm_pin.errors import (
     ArgumentError,

@@ -12,7 +12,8 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
 import spm_pin as spm
-from spm_pin.closed_form.paths import EventKind, FollowedPath, Tracker, follow
+from spm_pin.closed_form.paths import FollowedPath, follow
+from spm_pin.closed_form.tracking import EventKind, Tracker
 
 PAPER = spm.Geometry.paper()
 FREE = replace(PAPER, limits=None)
