@@ -247,7 +247,7 @@ class SolutionSet:
         return f"<SolutionSet: {self.status}, {self.count} of {len(self._labels)} real: {shown or 'none'}>"
 
     def _select(self, index: npt.NDArray[np.intp], exists: BoolArray) -> Configuration:
-        """Return one solution per problem, NaN where `exists` is False."""
+        """Return one solution per problem, NaN throughout, the pose too, where `exists` is False."""
         state = self._configurations
 
         def take(array: FloatArray, inner: int) -> FloatArray:
@@ -255,8 +255,12 @@ class SolutionSet:
             taken = np.take_along_axis(array, at, axis=-inner - 1)
             return np.asarray(taken.squeeze(axis=-inner - 1))
 
-        joints = np.where(exists[..., None, None], take(state.middle_joints, 2), np.nan)
-        return Configuration.from_arrays(self.geometry, take(state.rotation, 2), take(state.translation, 1), joints)
+        return Configuration.from_arrays(
+            self.geometry,
+            np.where(exists[..., None, None], take(state.rotation, 2), np.nan),
+            np.where(exists[..., None], take(state.translation, 1), np.nan),
+            np.where(exists[..., None, None], take(state.middle_joints, 2), np.nan),
+        )
 
     def where(self, mask: npt.ArrayLike) -> SolutionSet:
         """Keep the solutions where `mask` (..., n) is true; the others become NaN. Nothing else changes."""

@@ -116,6 +116,8 @@ def test_where_nothing_exists_nothing_is_chosen() -> None:
     nothing = spm.inverse_displacement(PAPER, spm.pose([9, 9, 9], rotation=POSE.rotation))
     assert nothing.status is spm.Status.UNREACHABLE
     assert not nothing.physical().exists
+    assert np.isnan(nothing.physical().translation).all()
+    assert np.isnan(nothing.physical().rotation).all()
     assert not nothing.nearest(np.zeros((3, 3))).exists
     assert not nothing.ambiguous
     assert list(nothing) == []
