@@ -16,6 +16,7 @@ from spm_pin.closed_form.continuation import continued
 from spm_pin.closed_form.stage import MODES, PLACES, StageModes, solve_stage
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, first_offender, real_array
+from spm_pin.mechanism.branches import in_home_aspect
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry
 from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
@@ -232,12 +233,7 @@ def _in_home_aspect(stage: StageModes, hip_radius: FloatArray | float) -> BoolAr
     """
     b = stage.radii[..., None] * _RADIAL + stage.heights[..., None] * _VERTICAL
     w = stage.heights[..., None] * _RADIAL - (stage.radii[..., None] - hip_radius) * _VERTICAL
-
-    def c(i: int, j: int) -> FloatArray:
-        return np.asarray(((b[..., i, :] - b[..., j, :]) * w[..., i, :]).sum(axis=-1))
-
-    cycles = np.stack([[c(0, 1), c(1, 2), c(2, 0)], [c(1, 0), c(2, 1), c(0, 2)]])
-    return np.asarray((cycles.prod(axis=1).sum(axis=0) > 0.0) & ((cycles < 0.0).sum(axis=(0, 1)) <= 1))
+    return in_home_aspect(b, w)
 
 
 def _dimensions(lower: StageModes, upper: StageModes) -> npt.NDArray[np.int8]:

@@ -20,6 +20,7 @@ __all__ = [
     "branch_sign",
     "determinants",
     "family",
+    "in_home_aspect",
     "leg_plane_determinant",
     "physical",
     "straightness",
@@ -134,12 +135,17 @@ def physical(configuration: Configuration) -> BoolArray:
     upper_height = ((configuration.translation - b.mean(axis=-2)) * upward).sum(axis=-1)
     tangents = np.cross([0.0, 0.0, 1.0], configuration.geometry.radial_directions)
     legs = configuration.leg_vectors
-    lower = _in_home_aspect(b, np.cross(tangents, legs[..., :3, :]))
-    upper = _in_home_aspect(b, np.cross(tangents @ np.swapaxes(configuration.rotation, -1, -2), legs[..., 3:, :]))
+    lower = in_home_aspect(b, np.cross(tangents, legs[..., :3, :]))
+    upper = in_home_aspect(b, np.cross(tangents @ np.swapaxes(configuration.rotation, -1, -2), legs[..., 3:, :]))
     positive = [lower_radius, upper_radius, lower_height, upper_height]
     return np.asarray(np.logical_and.reduce([lower, upper, *(value > 0.0 for value in positive)]))
 
 
-def _in_home_aspect(points: FloatArray, directions: FloatArray) -> BoolArray:
+def in_home_aspect(points: FloatArray, directions: FloatArray) -> BoolArray:
+    """Tell which stages are in the aspect of their home, shape (...): joints b_i and normals w_i as rows (..., 3, 3).
+
+    The w_i are normal to leg i and to its revolute axis, up to a positive factor, of the sign that makes all six
+    factors c_ij of `leg_plane_determinant` positive at home.
+    """
     cycles = _cycles(points, directions)
     return np.asarray((cycles.prod(axis=-1).sum(axis=-1) > 0.0) & ((cycles < 0.0).sum(axis=(-1, -2)) <= 1))

@@ -204,6 +204,10 @@ class Resultant:
             b_3 = [q * b_3y, b_3y, s_31 + s_32 * b_3y]
         return np.moveaxis(np.array([b_1, b_2, b_3], dtype=np.complex128), (0, 1), (-2, -1))
 
+    def solutions(self, refine: int) -> ComplexArray:
+        """Go the paper's whole way, with Newton steps on Eq. (13) after it: b_1, b_2, b_3 [m], (N, 8, 3, 3)."""
+        return self.middle_joints(self.refined(self.unknowns(self.roots()), refine))
+
 
 def _quadratic(a: FloatArray, b: ComplexArray, c: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
     root = np.sqrt(b * b - 4 * a * c)
@@ -232,10 +236,8 @@ def solve(geometry: Geometry, pose: PoseLike, *, refine: int = 0) -> ComplexArra
     PoseError
         If `pose` is not a rigid transform of finite numbers.
     """
-    shape = as_rigid_transform(pose).shape
-    resultant = Resultant.of(geometry, pose)
-    unknowns = resultant.refined(resultant.unknowns(resultant.roots()), refine)
-    return resultant.middle_joints(unknowns).reshape(*shape, 8, 3, 3)
+    transform = as_rigid_transform(pose)
+    return Resultant.of(geometry, transform).solutions(refine).reshape(*transform.shape, 8, 3, 3)
 
 
 def inverse_displacement(
@@ -260,8 +262,9 @@ def inverse_displacement(
         found contradict one another.
     """
     transform = as_rigid_transform(pose)
-    joints = solve(geometry, transform, refine=refine)
-    slopes = np.abs(Resultant.of(geometry, transform).s[..., 1]).max(axis=-1)
+    resultant = Resultant.of(geometry, transform)
+    joints = resultant.solutions(refine).reshape(*transform.shape, 8, 3, 3)
+    slopes = np.abs(resultant.s[..., 1]).max(axis=-1)
     # A steep line magnifies what is left of an error in the y coordinates.
     bound = (tolerance * geometry.middle_side * (1.0 + slopes)).reshape(*transform.shape, 1)
     with np.errstate(invalid="ignore"):
