@@ -43,7 +43,7 @@ $(VENV)/.demo: $(VENV)/.python pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.test: $(VENV)/.demo
-	$(INSTALL) '.[plots,engines,robots,dev]'
+	$(INSTALL) '.[plots,cluster,viewer,engines,robots,docs,dev]'
 	@touch $@
 
 clean:
