@@ -8,7 +8,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt --editable
 
-.PHONY: demo test test-slow lint description clean
+.PHONY: demo test test-slow lint docs figures description clean
 
 demo: $(VENV)/.demo
 	$(BIN)/spm-pin reproduce
@@ -25,6 +25,14 @@ lint: $(VENV)/.test
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
+
+# The documentation as a static site in build/site; `make figures` draws its figures anew.
+docs: $(VENV)/.test
+	$(BIN)/python docs/site/build.py build/site
+	@echo "Open build/site/index.html"
+
+figures: $(VENV)/.test
+	$(BIN)/python docs/site/figures.py
 
 # Rewrites urdf/spm.urdf, spm.srdf and spm_closures.yaml from their sources.
 description: $(VENV)/.demo

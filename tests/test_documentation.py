@@ -1,29 +1,89 @@
-"""The Python in the README runs as it stands, and its links lead somewhere."""
+"""What the documentation shows is what happens: its Python runs, its commands answer so, its links lead somewhere."""
 
 from __future__ import annotations
 
 import re
+import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
+
+import spm_pin
+from spm_pin.cli import app
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+LANGUAGES = {"python", "console", "sh", "yaml", "xml", "json", ""}
+"""Python and console are run here, sh sets up a machine, the others are contents of files; plain blocks, formulas."""
 
 
-def test_the_first_lines_of_the_readme_run() -> None:
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), flags=re.DOTALL)
-    assert len(blocks) >= 2
-    names: dict[str, object] = {}
-    for block in blocks:
-        exec(block, names)
-    assert getattr(names["J"], "shape", None) == (6, 6)
-    assert getattr(names["many"], "shape", None) == (1000,)
+def blocks(page: Path) -> list[tuple[str, str]]:
+    """Return the fenced blocks of a page: language and text."""
+    return re.findall(r"^```(\w*)\n(.*?)^```", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def having(language: str) -> list[Path]:
+    return [page for page in PAGES if any(found == language for found, _ in blocks(page))]
+
+
+def named(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+@pytest.mark.parametrize("page", having("python"), ids=named)
+def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {"__name__": "page"}
+    for language, text in blocks(page):
+        if language == "python":
+            exec(compile(text, named(page), "exec"), names)
+    assert names.keys() > {"__name__", "__builtins__"}
+
+
+@pytest.mark.parametrize("page", having("console"), ids=named)
+def test_commands_answer_as_shown(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for language, text in blocks(page):
+        if language == "console":
+            for command, shown in re.findall(r"^\$ spm-pin (.*)\n((?:(?!\$ ).*\n)*)", text, flags=re.MULTILINE):
+                found = CliRunner().invoke(app, shlex.split(command))
+                assert found.exit_code == 0, (command, found.output)
+                if shown.strip():
+                    assert lines(found.output) == lines(shown), command
+
+
+def lines(text: str) -> list[str]:
+    """Return the lines without the blank ones, what is rounding in one of them as ~."""
+    return [re.sub(r"\de-1[4-9]", "~", line.rstrip()) for line in text.strip().splitlines() if line.strip()]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_every_block_is_of_a_known_kind(page: Path) -> None:
+    for language, text in blocks(page):
+        assert language in LANGUAGES, text
+        assert language or "spm-pin" not in text, f"run as console: {text}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
 def test_links_lead_to_files(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)#]+)", text):
         if "://" not in target:
             assert (page.parent / target).exists(), target
+
+
+def test_the_site_is_built_without_a_warning_and_names_everything_public(tmp_path: Path) -> None:
+    command = [sys.executable, ROOT / "docs/site/build.py", tmp_path / "site"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    index = (tmp_path / "site/reference/index.html").read_text(encoding="utf-8")
+    entries = dict(re.findall(r'href="([^"]*)"[^>]*>\s*<code[^>]*>\s*<span class="pre">(\w+)</span>', index))
+    homes = {name: target for target, name in entries.items()}
+    assert set(spm_pin.__all__) <= set(homes)
+    for name in spm_pin.__all__:
+        page, _, anchor = homes[name].partition("#")
+        text = (tmp_path / "site/reference" / page).read_text(encoding="utf-8")
+        assert f'id="{anchor}"' in text if anchor else name in text, name

@@ -27,6 +27,7 @@ __all__ = [
 ]
 
 FAMILIES = ("TT", "TF", "FT", "FF")
+"""The four families of branches: the mode, T or F, of the lower stage and of the upper."""
 BRANCHES = ("TT+", "TT-", "TF+", "TF-", "FT+", "FT-", "FF+", "FF-")
 """Canonical order of the eight branches of an inverse displacement."""
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from spm_pin.errors import PoseError
 from spm_pin.mechanism.arguments import FloatArray, first_offender, real_array
 
-__all__ = ["PoseLike", "as_rigid_transform", "pose"]
+__all__ = ["HasRotationTranslation", "PoseLike", "as_rigid_transform", "pose"]
 
 ORTHONORMALITY_TOLERANCE = 1e-6
 """Largest entry of RᵀR - I taken for rounding, as of single precision, and repaired; more is an error."""
@@ -24,9 +24,12 @@ class HasRotationTranslation(Protocol):
     """Anything with a rotation (3, 3) and a translation (3,), such as `pinocchio.SE3`."""
 
     @property
-    def rotation(self) -> Any: ...
+    def rotation(self) -> Any:
+        """From {m} to {B}, shape (3, 3)."""
+
     @property
-    def translation(self) -> Any: ...
+    def translation(self) -> Any:
+        """Of o in {B} [m], shape (3,)."""
 
 
 PoseLike = RigidTransform | npt.ArrayLike | HasRotationTranslation

@@ -1,0 +1,78 @@
+"""Sphinx's settings; `docs/site/build.py` gathers the pages and calls it."""
+
+import re
+
+from docutils import nodes
+from latex2mathml.converter import convert
+from sphinx.application import Sphinx
+from sphinx.writers.html5 import HTML5Translator
+
+import spm_pin
+
+project = "spm_pin"
+author = "The spm_pin developers"
+release = version = spm_pin.__version__
+
+extensions = [
+    "myst_parser",
+    "numpydoc",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.viewcode",
+    "sphinx_copybutton",
+]
+nitpicky = True
+# Types of other projects: a link to them needs their inventories, and the build needs no network. And private ones.
+nitpick_ignore_regex = [(r"py:.*", r"(?!spm_pin\.).*"), (r"py:.*", r"spm_pin\..*\.(_\w+|[A-Z])")]
+suppress_warnings = ["misc.highlighting_failure"]
+
+myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 4
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+autodoc_preserve_defaults = True
+autodoc_type_aliases = {name: name for name in ("BoolArray", "ComplexArray", "FloatArray", "IntArray", "PoseLike")}
+autodoc_default_options = {"members": True, "show-inheritance": True, "exclude-members": "Colour"}
+numpydoc_show_class_members = False
+numpydoc_class_members_toctree = False
+numpydoc_xref_param_type = False
+python_use_unqualified_type_names = True
+python_display_short_literal_types = True
+maximum_signature_line_length = 90
+default_role = "code"
+
+html_theme = "furo"
+html_math_renderer = "mathml"  # browsers set it themselves: no script, nothing to fetch
+html_title = f"spm_pin {version}"
+html_static_path = ["static"]
+html_css_files = ["extra.css"]
+html_show_copyright = False
+html_show_sphinx = False
+html_copy_source = False
+copybutton_exclude = ".linenos, .gp, .go"
+html_theme_options = {
+    "light_css_variables": {"color-brand-primary": "#00588f", "color-brand-content": "#00588f"},
+    "dark_css_variables": {"color-brand-primary": "#56b4e9", "color-brand-content": "#56b4e9"},
+}
+
+
+def _plain_text(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    """Keep |x| from being read as a substitution and lambda_ as a link: here they are what they look like."""
+    for i, line in enumerate(lines):
+        lines[i] = re.sub(
+            r"`[^`]*`|\||(?<=\w)_(?!\w)", lambda found: found[0] if found[0][0] == "`" else f"\\{found[0]}", line
+        )
+
+
+def _formula(self: HTML5Translator, node: nodes.math | nodes.math_block) -> None:
+    """Write a formula as MathML."""
+    display = "block" if isinstance(node, nodes.math_block) else "inline"
+    self.body.append(convert(node.astext(), display=display))
+    raise nodes.SkipNode
+
+
+def setup(app: Sphinx) -> None:
+    """Register what is done to docstrings and to formulas."""
+    app.add_html_math_renderer("mathml", (_formula, None), (_formula, None))
+    app.connect("autodoc-process-docstring", _plain_text)

@@ -1,0 +1,133 @@
+"""Draw the figures of the documentation: `python docs/site/figures.py`. Needs "spm-pin[plots]"."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+from PIL import Image
+
+import spm_pin as spm
+from spm_pin.display.plots import draw
+
+IMAGES = Path(__file__).parents[1] / "images"
+GEOMETRY = spm.Geometry.paper()
+LOWER, UPPER, GREY = "#0072b2", "#d98c00", "#5f6770"
+EXAMPLE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
+
+
+def main() -> None:
+    """Draw each figure into docs/images."""
+    for figure in (anatomy, number_of_branches, followed_path):
+        save(figure(), figure.__name__)
+
+
+def save(figure: Figure, name: str) -> None:
+    """Write a figure as a PNG of few colours."""
+    path = IMAGES / f"{name}.png"
+    figure.savefig(path, dpi=160, facecolor="white")
+    picture = Image.open(path).convert("RGB")
+    picture.quantize(method=Image.Quantize.MAXCOVERAGE, kmeans=4).save(path, optimize=True)
+    print(f"{path.name}: {path.stat().st_size // 1024} kB")
+
+
+def anatomy() -> Figure:
+    """Draw the mechanism with its parts named, and its lower stage from above."""
+    state = spm.forward_physical(GEOMETRY, [1.25, 1.15, 1.40, 1.30, 1.20, 1.40])
+    figure = Figure(figsize=(8.5, 5.2))
+    draw(state, ax=figure.add_axes((0.09, 0.01, 0.42, 0.98)))
+    parts = {"base": (0.05, "k"), "lower stage, 3RPS": (0.30, LOWER), "middle platform": (0.51, "k")}
+    parts |= {"upper stage, 3SPR": (0.68, UPPER), "terminal platform": (0.89, "k")}
+    for text, (height, colour) in parts.items():
+        figure.text(0.005, height, text.replace(", ", "\n"), color=colour, fontsize=9, va="center")
+    _from_above(figure.add_axes((0.58, 0.10, 0.40, 0.80)), state)
+    return figure
+
+
+def _from_above(ax: Axes, state: spm.Configuration) -> None:
+    """Draw the base, the three leg planes through Z, and the middle platform, as seen down the Z axis."""
+    for direction in GEOMETRY.radial_directions:
+        ax.plot(*np.outer(direction[:2], [-0.35, 0.85]), color=LOWER, lw=0.9, ls=(0, (6, 3)))
+    for points, colour, name in (
+        (GEOMETRY.base_joints, GREY, "a"),
+        (state.middle_joints, "#a9b1b8", "b"),
+    ):
+        ax.fill(*points[:, :2].T, facecolor=colour, alpha=0.35, edgecolor=colour)
+        ax.plot(*points[:, :2].T, "o", color="black", ms=4)
+        for k, (x, y, _) in enumerate(points, 1):
+            ax.annotate(f"${name}_{k}$", (x, y), textcoords="offset points", xytext=(-4, 7), fontsize=10)
+    for a, b in zip(GEOMETRY.base_joints, state.middle_joints, strict=True):
+        ax.plot([a[0], b[0]], [a[1], b[1]], color=LOWER, lw=2.5, solid_capstyle="round")
+    ax.plot(0, 0, "+", color="black", ms=9)
+    ax.annotate("Z", (0, 0), textcoords="offset points", xytext=(-12, -4), fontsize=10)
+    ax.set(aspect="equal", xlabel="X [m]", ylabel="Y [m]")
+    ax.set_title("the lower stage from above:\neach leg in a vertical plane through Z", fontsize=9)
+    ax.spines[["top", "right"]].set_visible(False)
+
+
+def number_of_branches(samples: int = 700) -> Figure:
+    """Draw how many branches are real over the position of o, at three tilts."""
+    figure = Figure(figsize=(8.5, 3.3))
+    colours = ListedColormap(["#f2f2f2", "#c9dcec", "#8dbbdc", "#3f87bd", "#0b4a7d"])
+    norm = BoundaryNorm(np.arange(-1, 10, 2), colours.N)
+    grid = np.linspace(-1.5, 1.5, samples)
+    x, y = np.meshgrid(grid, grid)
+    points = np.stack([x, y, np.full_like(x, 2.2)], axis=-1)
+    axes = figure.subplots(1, 3, sharey=True)
+    for ax, tilt in zip(axes, (10, 25, 45), strict=True):
+        poses = spm.pose(points, xyx=np.deg2rad([20.0, tilt, -10.0]))
+        count = spm.inverse_displacement(GEOMETRY, poses).count
+        image = ax.imshow(count, extent=(-1.5, 1.5, -1.5, 1.5), origin="lower", cmap=colours, norm=norm)
+        ax.set(xlabel="$o_X$ [m]")
+        ax.set_title(f"(20°, {tilt}°, −10°)", fontsize=9)
+    axes[0].set_ylabel("$o_Y$ [m]")
+    figure.subplots_adjust(left=0.085, right=0.9, bottom=0.16, top=0.9, wspace=0.08)
+    bar = figure.colorbar(image, cax=figure.add_axes((0.92, 0.16, 0.018, 0.74)), ticks=[0, 2, 4, 6, 8])
+    bar.set_label("real branches")
+    return figure
+
+
+def followed_path() -> Figure:
+    """Draw the leg lengths along a followed path, and what it meets."""
+    legs = np.array(
+        [
+            [1.20, 1.20, 1.40, 1.25, 1.20, 1.45],
+            [1.45, 1.15, 1.30, 1.20, 1.50, 1.35],
+            [1.10, 1.35, 1.60, 1.30, 1.40, 1.20],
+        ]
+    )
+    path = spm.follow(GEOMETRY, legs)
+    figure = Figure(figsize=(8.5, 3.2))
+    left, right = figure.subplots(1, 2)
+    for k, name in enumerate(spm.LEGS):
+        colour, style = (LOWER if k < 3 else UPPER), ("-", "--", ":")[k % 3]
+        left.plot(
+            path.parameters,
+            path.configurations.leg_lengths[:, k],
+            color=colour,
+            ls=style,
+            label=f"$r_{{{name[2:]}}}$",
+        )
+    left.legend(ncols=2, fontsize=8, frameon=False)
+    left.set(xlabel="parameter", ylabel="leg length [m]")
+    near = spm.singularities(path.configurations)
+    for k, name in enumerate(("$J_b$", "$J_c$", "$K$")):
+        right.semilogy(path.parameters, near.sigma[:, k], color=(LOWER, UPPER, "black")[k], label=name)
+    right.legend(fontsize=8, frameon=False, title="singular values")
+    right.set(xlabel="parameter", ylabel="distance to a singularity")
+    marks = {spm.EventKind.LIMIT: (":", UPPER), spm.EventKind.INVERSE_SINGULARITY: ("-", "#cc4778")}
+    for event in path.events:
+        style, colour = marks.get(event.kind, ("-", GREY))
+        for ax in (left, right):
+            ax.axvline(event.parameter, color=colour, ls=style, lw=1)
+    for ax in (left, right):
+        ax.spines[["top", "right"]].set_visible(False)
+    figure.tight_layout()
+    return figure
+
+
+if __name__ == "__main__":
+    main()
