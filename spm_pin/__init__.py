@@ -34,6 +34,8 @@ from spm_pin.mechanism import (
     pose,
 )
 
+from spm_pin.workspace.shell import Patch, Shell, workspace_shell
+
 if TYPE_CHECKING:
     from spm_pin import nlp
     from spm_pin.multibody.chain import ClosedChain
@@ -60,8 +62,10 @@ __all__ = [
     "LegLimits",
     "MissingExtraError",
     "NotOneSolutionError",
+    "Patch",
     "PoseError",
     "SingularConfigurationError",
+    "Shell",
     "Singularities",
     "SingularityKind",
     "SolutionSet",
@@ -80,6 +84,7 @@ __all__ = [
     "platform_jacobian",
     "pose",
     "singularities",
+    "workspace_shell",
 ]
 
 

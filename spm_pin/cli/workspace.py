@@ -1,0 +1,175 @@
+"""`spm-pin workspace`: the paper's workspace as numbers, a picture or a mesh."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from spm_pin.cli.console import new_table, stderr, stdout, to_json
+from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Unit, read_geometry
+from spm_pin.display.shell_files import MESH_FORMATS, save_mesh
+from spm_pin.display.shell_plots import FORMATS, save_figure, shell_figure
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism import LEGS, LegLimits
+from spm_pin.workspace.patches import ERRATA
+from spm_pin.workspace.shell import Patch, Shell, workspace_shell
+
+__all__ = ["workspace"]
+
+
+def workspace(
+    limits: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="MIN MAX", help="Limits of all six legs, in --unit; the geometry's if not given."),
+    ] = None,
+    resolution: Annotated[int, typer.Option(help="Increments of a varying leg, at least 2.")] = 40,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Picture (.png, .svg, .pdf) or mesh in metres (.stl, .ply, .obj, .glb) to write."
+        ),
+    ] = None,
+    sections: Annotated[
+        bool, typer.Option("--sections", help="Draw sections, with what is reached, instead of the paper's views.")
+    ] = False,
+    samples: Annotated[
+        int, typer.Option(min=1, help="Sets of leg lengths drawn at random to see what is reached, for --sections.")
+    ] = 200_000,
+    unit: Unit = LengthUnit.M,
+    geometry: GeometryFile = None,
+    json: AsJson = False,
+) -> None:
+    """Construct the workspace of the paper: the 24 surfaces of Table 6, joined to a closed shell.
+
+    Example: spm-pin workspace --limits 110 150 --unit cm --out fig2.png
+
+    The shell is not the whole boundary of what can be reached; --sections shows where it is not.
+    """
+    _check_output(out, sections)
+    dimensions = read_geometry(geometry)
+    box = None if limits is None else LegLimits(*(length / unit.per_metre for length in limits))
+    shell = workspace_shell(dimensions, box, resolution=resolution)
+    if json:
+        typer.echo(to_json(_content(shell, unit)))
+    else:
+        stdout.print(_patches(shell.patches, unit))
+        stdout.print(_convergence(shell, unit))
+        for line in _remarks(shell, unit):
+            stdout.print(line, highlight=False)
+    if out is not None:
+        _write(shell, out, samples if sections else None)
+
+
+def _check_output(out: Path | None, sections: bool) -> None:
+    """Refuse now what could not be written later."""
+    if out is None:
+        if sections:
+            raise ArgumentError("--sections", "a picture to draw them in", "no --out FILE")
+        return
+    endings = FORMATS if sections else (*FORMATS, *MESH_FORMATS)
+    if out.suffix.lower() not in endings:
+        cause = "Maps over many poses are for spm-pin sweep" if out.suffix == ".zarr" else ""
+        raise ArgumentError("--out", f"a file name ending in {', '.join(endings)}", out.name, cause)
+    if out.is_dir():
+        raise ArgumentError("--out", "a file that can be written", out, "It is a directory")
+    if not out.parent.is_dir():
+        raise ArgumentError("--out", "a file that can be written", out, f"There is no directory {out.parent}")
+
+
+def _write(shell: Shell, out: Path, samples: int | None) -> None:
+    """Write a mesh, a picture of the shell, or of its sections with what `samples` sets of leg lengths reach."""
+    if out.suffix.lower() in MESH_FORMATS:
+        save_mesh(shell, out)
+    elif samples is None:
+        save_figure(shell_figure(shell), out)
+    else:
+        from spm_pin.display.section_plots import sections_figure
+        from spm_pin.workspace.reached import reached_positions
+
+        with stderr.status("drawing leg lengths"):
+            reached = reached_positions(shell.geometry, shell.limits, count=samples)
+        save_figure(sections_figure(shell, reached=reached.positions, aspect=reached.aspect), out)
+    stderr.print(f"wrote {escape(str(out))}")
+
+
+def _patches(patches: tuple[Patch, ...], unit: LengthUnit) -> Table:
+    table = new_table(f"The surfaces: leg settings, area in {unit}²")
+    table.add_column("patch", style="bold")
+    for leg in LEGS:
+        table.add_column(leg)
+    table.add_column("area", justify="right")
+    scale = unit.per_metre**2
+    family = patches[0].family
+    for patch in patches:
+        if patch.family != family:
+            table.add_section()
+        family = patch.family
+        table.add_row(patch.name, *(str(one.value) for one in patch.settings), f"{patch.area * scale:.5g}")
+    return table
+
+
+def _convergence(shell: Shell, unit: LengthUnit) -> Table:
+    table = new_table(f"The volume as the mesh gets finer, in {unit}³")
+    for heading in ("increments", "volume", "short of the limit by"):
+        table.add_column(heading, justify="right")
+    scale = unit.per_metre**3
+    convergence = shell.convergence
+    for n, volume in zip(convergence.resolutions, convergence.volumes, strict=True):
+        table.add_row(str(n), f"{volume * scale:.8g}", f"{(convergence.limit - volume) * scale:.2g}")
+    return table
+
+
+def _remarks(shell: Shell, unit: LengthUnit) -> list[str]:
+    scale = unit.per_metre**3
+    vertices, faces = len(shell.vertices), len(shell.faces)
+    edges = vertices + faces - shell.euler_characteristic
+    low, high = (_range(ends, unit) for ends in (shell.limits.minimum, shell.limits.maximum))
+    # As many digits as the error leaves, and one more.
+    digits = max(0, 1 - math.floor(math.log10(shell.volume_error * scale))) if shell.volume_error else 0
+    volume, error = shell.volume * scale, shell.volume_error * scale
+    return [
+        f"legs from {low} to {high} {unit}",
+        f"volume {volume:.{digits}f} ± {error:.1g} {unit}³",
+        f"order of convergence {shell.convergence.order:.3f}",
+        f"V - E + F = {vertices} - {edges} + {faces} = {shell.euler_characteristic}",
+        "misprints read: " + ", ".join(f"{leg} of {name}" for name, leg in ERRATA),
+    ]
+
+
+def _range(ends: tuple[float, ...], unit: LengthUnit) -> str:
+    return ", ".join(f"{end * unit.per_metre:g}" for end in (ends[:1] if len(set(ends)) == 1 else ends))
+
+
+def _content(shell: Shell, unit: LengthUnit) -> dict[str, Any]:
+    length, area, volume = (unit.per_metre**power for power in (1, 2, 3))
+    return {
+        "unit": str(unit),
+        "limits": {
+            "minimum": [end * length for end in shell.limits.minimum],
+            "maximum": [end * length for end in shell.limits.maximum],
+        },
+        "resolution": shell.resolution,
+        "vertices": len(shell.vertices),
+        "faces": len(shell.faces),
+        "euler_characteristic": shell.euler_characteristic,
+        "area": shell.area * area,
+        "volume": shell.volume * volume,
+        "volume_error": shell.volume_error * volume,
+        "convergence": [
+            {"resolution": n, "volume": value * volume}
+            for n, value in zip(shell.convergence.resolutions, shell.convergence.volumes, strict=True)
+        ],
+        "patches": [
+            {
+                "name": patch.name,
+                "settings": {leg: one.value for leg, one in zip(LEGS, patch.settings, strict=True)},
+                "area": patch.area * area,
+            }
+            for patch in shell.patches
+        ],
+    }

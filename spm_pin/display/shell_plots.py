@@ -1,0 +1,218 @@
+"""The paper's Fig. 2: the shell of the workspace from four sides, its 24 patches told apart and named."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from spm_pin.display.rendering import VIEW, camera_axes, render
+from spm_pin.display.scene import Colour, Scene, Solid, plots_extra
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.workspace.shell import Patch, Shell
+from spm_pin.workspace.winding import ClosedSurface
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["FAMILY_COLOURS", "FORMATS", "VIEWS", "draw_shell", "save_figure", "shell_figure"]
+
+# Okabe and Ito's, light ones for surfaces, https://jfly.uni-koeln.de/color/.
+FAMILY_COLOURS: dict[str, Colour] = {
+    "St": (0.337, 0.706, 0.914),
+    "Sc": (0.902, 0.624, 0.0),
+    "Sm": (0.0, 0.62, 0.451),
+    "Sl": (0.8, 0.475, 0.655),
+}
+"""What the patches St1 to St3, Sc1 to Sc9, Sm1 to Sm9 and Sl1 to Sl3 are drawn in."""
+VIEWS: dict[str, tuple[float, float]] = {
+    "isometric": (math.radians(-60.0), math.asin(1.0 / math.sqrt(3.0))),
+    "top": (-0.5 * math.pi, 0.5 * math.pi),
+    "front": (-0.5 * math.pi, 0.0),
+    "bottom": (-0.5 * math.pi, -0.5 * math.pi),
+}
+"""Azimuth and elevation [rad] of the panels of `shell_figure`."""
+FORMATS = (".png", ".svg", ".pdf")
+"""File types that figures are written in."""
+
+_EDGE = 0.6  # width of edges in points
+_FONT = 9.0
+_INK = (0.13, 0.15, 0.18)
+
+
+def draw_shell(
+    shell: Shell, *, ax: Axes | None = None, view: tuple[float, float] = VIEW, labels: bool = True, dpi: float = 200.0
+) -> Axes:
+    """Draw a shell into a 2-D matplotlib Axes, seen from far away.
+
+    Every pixel shows the nearest patch, in the colour of its family, see `FAMILY_COLOURS`. Data coordinates are metres
+    to the right of O and above it as the viewer sees it.
+
+    Parameters
+    ----------
+    shell : Shell
+        What `spm_pin.workspace_shell` returns.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure, unknown to pyplot, if not given: ``ax.figure``.
+    view : tuple of two floats
+        Azimuth and elevation of the viewer in {B} [rad].
+    labels : bool
+        Name the patches that are seen well enough.
+    dpi : float
+        Pixels per inch of the surfaces, at the present size of `ax`.
+
+    Raises
+    ------
+    ArgumentError
+        If `shell` is no Shell, `ax` is three-dimensional, or `view` is not two angles.
+    MissingExtraError
+        If matplotlib or trimesh is not installed.
+    """
+    if not isinstance(shell, Shell):
+        raise ArgumentError("shell", "a Shell", type(shell).__name__, "Make one with workspace_shell(geometry)")
+    camera = camera_axes(view)
+    with plots_extra():
+        import trimesh
+        from matplotlib.figure import Figure
+        from matplotlib.patheffects import withStroke
+
+    seen = shell.vertices @ camera.T
+    low, high = seen[:, :2].min(axis=0), seen[:, :2].max(axis=0)
+    border = 0.03 * float((high - low).max())
+    if ax is None:
+        width, height = (high - low + 2.0 * border) / float((high - low).max()) * 4.0
+        ax = Figure(figsize=(width, height)).add_axes((0.0, 0.0, 1.0, 1.0))
+        ax.axis("off")
+    elif ax.name == "3d":
+        raise ArgumentError("ax", "two-dimensional axes", "3-D axes", "The view is projected here")
+    ax.set(xlim=(low[0] - border, high[0] + border), ylim=(low[1] - border, high[1] + border), aspect="equal")
+    ax.apply_aspect()
+    inches = ax.get_window_extent().transformed(ax.figure.dpi_scale_trans.inverted()).height
+    inch = float(high[1] - low[1] + 2.0 * border) / inches
+    solids = [
+        # The renderer shows what faces the viewer, and that is all one sees of a closed shell.
+        Solid(
+            patch.name,
+            "plate",
+            FAMILY_COLOURS[patch.family],
+            trimesh.Trimesh(shell.vertices, shell.faces[patch.faces], process=False),
+        )
+        for patch in shell.patches
+    ]
+    image, extent = render(Scene(tuple(solids), 1.0), camera, dpi / inch, _EDGE / 72.0 * dpi)
+    ax.imshow(image, extent=extent, interpolation_stage="rgba")
+    if labels:
+        for patch, (x, y) in _places(shell, seen, 0.6 * _FONT / 72.0 * inch):
+            written = ax.text(x, y, _symbol(patch.name), fontsize=_FONT, color=_INK, ha="center", va="center")
+            written.set_path_effects([withStroke(linewidth=0.25 * _FONT, foreground="white", alpha=0.7)])
+    return ax
+
+
+def _symbol(name: str) -> str:
+    return f"${name[0]}_{{{name[1:]}}}$"
+
+
+def _places(shell: Shell, seen: FloatArray, room: float) -> list[tuple[Patch, tuple[float, float]]]:
+    """Return where to name each patch: amid what is seen of it, if that is farther than `room` [m] from the rest."""
+    raised = seen + np.array([0.0, 0.0, 1e-6 * float(np.ptp(seen))])
+    visible = ~ClosedSurface(seen, shell.faces).covers(raised)
+    found = []
+    for patch in shell.patches:
+        inner = patch.grid[1:-1, 1:-1].ravel()
+        inner = inner[visible[inner]]
+        # Where the patch turns away from the viewer, its own vertices mark the end of what is seen.
+        rest = visible.copy()
+        rest[patch.grid] = True
+        rest[inner] = False
+        if len(inner):
+            clearance = np.asarray(cKDTree(seen[rest, :2]).query(seen[inner, :2])[0])
+            if clearance.max() > room:
+                x, y, _ = seen[inner[clearance.argmax()]]
+                found.append((patch, (float(x), float(y))))
+    return found
+
+
+def shell_figure(shell: Shell, *, labels: bool = True, dpi: float = 200.0) -> Figure:
+    """Draw a shell from all sides, after the paper's Fig. 2.
+
+    The isometric, the top and the front view, and for what those hide the one from below; a legend names the families.
+
+    Parameters
+    ----------
+    shell : Shell
+        What `spm_pin.workspace_shell` returns.
+    labels : bool
+        Name the patches.
+    dpi : float
+        Pixels per inch of the surfaces.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Unknown to pyplot.
+
+    Raises
+    ------
+    ArgumentError
+        If `shell` is no Shell.
+    MissingExtraError
+        If matplotlib or trimesh is not installed.
+    """
+    with plots_extra():
+        from matplotlib.figure import Figure
+        from matplotlib.patches import Patch as Swatch
+
+    figure = Figure(figsize=(9.0, 7.4), layout="constrained")
+    panels = zip("abcd", VIEWS.items(), figure.subplots(2, 2).ravel(), strict=True)
+    names = {"top": ("X", "Y"), "front": ("X", "Z"), "bottom": ("X", "\N{MINUS SIGN}Y")}
+    for letter, (name, view), ax in panels:
+        draw_shell(shell, ax=ax, view=view, labels=labels, dpi=dpi)
+        ax.set_title(f"({letter}) {name}", fontsize=10.0)
+        ax.tick_params(labelsize=8.0)
+        ax.spines[["top", "right"]].set_visible(False)
+        if name in names:
+            across, up = names[name]
+            ax.set_xlabel(f"{across} [m]", fontsize=8.0)
+            ax.set_ylabel(f"{up} [m]", fontsize=8.0)
+        else:
+            ax.axis("off")
+    swatches = []
+    for family, colour in FAMILY_COLOURS.items():
+        members = [patch.name for patch in shell.patches if patch.family == family]
+        swatches.append(
+            Swatch(facecolor=colour, edgecolor=_INK, label=f"{_symbol(members[0])} \N{EN DASH} {_symbol(members[-1])}")
+        )
+    figure.legend(handles=swatches, loc="outside lower center", ncols=4, frameon=False, fontsize=9.0)
+    return figure
+
+
+def save_figure(figure: Figure, path: str | Path, *, dpi: float = 150.0) -> Path:
+    """Save a figure, by the end of the file's name one of `FORMATS`; a file that exists is replaced.
+
+    Raises
+    ------
+    ArgumentError
+        If the name ends otherwise, or the file cannot be written.
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        raise ArgumentError("path", f"a file name ending in {', '.join(FORMATS)}", repr(path.name))
+    with plots_extra():
+        from matplotlib import rc_context
+
+    # Without the date, and with names that are not drawn by lot, the same call writes the same file.
+    metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(suffix)
+    try:
+        with rc_context({"svg.hashsalt": "spm-pin"}):
+            figure.savefig(path, dpi=dpi, metadata=metadata)
+    except OSError as error:
+        raise ArgumentError("path", "a file that can be written", path, str(error.strerror)) from error
+    return path

@@ -1,0 +1,166 @@
+"""Table 6 read as data: the 24 sub-workspaces as faces of the box of leg lengths.
+
+Where the legs are limited to [min, max], their six lengths fill a box. A sub-workspace fixes four of them at limits and
+lets two vary: it is one of the 240 square faces of that box. Neighbours share an edge, where a single leg varies, and
+this is combinatorics, settled before any position is computed.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.geometry import LEGS
+from spm_pin.paper import published
+from spm_pin.paper.published import Range
+
+__all__ = ["ERRATA", "Setting", "SubWorkspace", "orientations", "sub_workspaces"]
+
+Lattice = npt.NDArray[np.intp]
+Corner = tuple[int, ...]
+
+ERRATA: dict[tuple[str, str], Range] = {
+    ("St3", "r_b1"): Range("mmax"),
+    ("Sm3", "r_b3"): Range("min"),
+    ("Sm5", "r_b3"): Range("bmin", "mmax"),
+}
+"""Misprinted cells of Table 6, by surface and leg, as printed. The stage's letter is missing or another; the column
+has it. A missing "~" needs no mention: two limits in one cell can mean nothing else."""
+
+
+class Setting(enum.Enum):
+    """What Table 6 does with a leg; the value says so in its words."""
+
+    MINIMUM = "min"
+    MAXIMUM = "max"
+    VARIES = "min~max"
+
+
+@dataclass(frozen=True)
+class SubWorkspace:
+    """A row of Table 6.
+
+    Attributes
+    ----------
+    name : str
+        The paper's: St1 to St3, Sc1 to Sc9, Sm1 to Sm9, Sl1 to Sl3.
+    settings : tuple of six Setting
+        In the order of `LEGS`; two legs vary.
+    """
+
+    name: str
+    settings: tuple[Setting, ...]
+
+    @property
+    def family(self) -> str:
+        """The name without its number: St, Sc, Sm or Sl."""
+        return self.name.rstrip("0123456789")
+
+    @property
+    def varying(self) -> tuple[int, int]:
+        """The two legs that vary, counted as in `LEGS`."""
+        first, second = (leg for leg, setting in enumerate(self.settings) if setting is Setting.VARIES)
+        return first, second
+
+    def lattice(self, resolution: int) -> Lattice:
+        """Return the increments of the six legs above their minima, (resolution + 1, resolution + 1, 6).
+
+        The first varying leg changes along the first axis, the other along the second.
+        """
+        at = {Setting.MINIMUM: 0, Setting.MAXIMUM: resolution, Setting.VARIES: 0}
+        steps = np.empty((resolution + 1, resolution + 1, 6), dtype=np.intp)
+        steps[:] = [at[setting] for setting in self.settings]
+        first, second = self.varying
+        steps[..., first] = np.arange(resolution + 1)[:, None]
+        steps[..., second] = np.arange(resolution + 1)
+        return steps
+
+    @property
+    def corners(self) -> tuple[Corner, ...]:
+        """The four corners, 0 at a minimum and 1 at a maximum, going round: first leg out, second out, both back."""
+        square = self.lattice(1)
+        return tuple(tuple(int(x) for x in square[at]) for at in ((0, 0), (1, 0), (1, 1), (0, 1)))
+
+    @property
+    def sides(self) -> tuple[tuple[Corner, Corner], ...]:
+        """The four edges in the same sense, each from one corner to the next."""
+        ring = self.corners
+        return tuple(zip(ring, (*ring[1:], ring[0]), strict=True))
+
+
+def sub_workspaces() -> tuple[SubWorkspace, ...]:
+    """Read Table 6.
+
+    Raises
+    ------
+    ArgumentError
+        If a cell is neither legible nor a misprint named in `ERRATA`, or two legs do not vary.
+    """
+    rows = []
+    for name, cells in published.TABLE_6:
+        settings = tuple(_read(name, leg, cell) for leg, cell in zip(LEGS, cells, strict=True))
+        if settings.count(Setting.VARIES) != 2:
+            raise ArgumentError(
+                "TABLE_6", "two varying legs in every row", f"{settings.count(Setting.VARIES)} in {name}"
+            )
+        rows.append(SubWorkspace(name, settings))
+    return tuple(rows)
+
+
+def _read(name: str, leg: str, cell: Range) -> Setting:
+    stage = leg[2]
+    low, high = f"{stage}min", f"{stage}max"
+    legible = {Range(low): Setting.MINIMUM, Range(high): Setting.MAXIMUM, Range(low, high): Setting.VARIES}
+    if ERRATA.get((name, leg)) == cell:
+        # Whatever stands before it, the limit itself is legible.
+        first, last = (limit and stage + limit[-3:] for limit in cell)
+        cell = Range(first or "", last)
+    if cell not in legible:
+        printed = "~".join(limit for limit in cell if limit is not None)
+        expected = f"{low}, {high} or {low}~{high} for {leg} of {name}"
+        raise ArgumentError("TABLE_6", expected, printed, "A misprint that ERRATA does not name?")
+    return legible[cell]
+
+
+def orientations(rows: Sequence[SubWorkspace]) -> tuple[int, ...]:
+    """Return for each row 1 or -1, such that neighbours run along their common edge in opposite senses.
+
+    The first row has 1. All of them times -1 is the other possibility; which one points outwards is for the positions
+    to say.
+
+    Raises
+    ------
+    ArgumentError
+        If the rows do not join to a single closed and orientable surface, every edge being shared by exactly two.
+    """
+    shared: dict[frozenset[Corner], list[tuple[int, int]]] = {}
+    for k, row in enumerate(rows):
+        for start, end in row.sides:
+            shared.setdefault(frozenset((start, end)), []).append((k, 1 if start < end else -1))
+    expected = "rows that join to one closed surface, two at every edge"
+    if any(len(sides) != 2 for sides in shared.values()):
+        lonely = sorted({rows[k].name for sides in shared.values() if len(sides) != 2 for k, _ in sides})
+        raise ArgumentError("TABLE_6", expected, f"an edge shared by one or by several of {', '.join(lonely)}")
+    sense = {0: 1}
+    waiting = [0]
+    while waiting:
+        k = waiting.pop()
+        for (i, along), (j, across) in shared.values():
+            if k in (i, j):
+                other, turn = (j if k == i else i), -along * across
+                if other not in sense:
+                    sense[other] = turn * sense[k]
+                    waiting.append(other)
+                elif sense[other] != turn * sense[k]:
+                    raise ArgumentError(
+                        "TABLE_6", expected, f"{rows[k].name} and {rows[other].name} on a one-sided one"
+                    )
+    if len(sense) != len(rows):
+        apart = ", ".join(row.name for k, row in enumerate(rows) if k not in sense)
+        raise ArgumentError("TABLE_6", expected, f"a separate piece with {apart}")
+    return tuple(sense[k] for k in range(len(rows)))

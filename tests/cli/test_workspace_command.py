@@ -1,0 +1,130 @@
+"""`spm-pin workspace`, as the function that typer calls."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+import typer
+from PIL import Image
+from typer.testing import CliRunner, Result
+
+import spm_pin as spm
+from spm_pin.cli.workspace import workspace
+from spm_pin.workspace.shell import workspace_shell
+
+FEW = ["--resolution", "6"]
+
+
+def run(*arguments: str) -> Result:
+    app = typer.Typer()
+    app.command()(workspace)
+    return CliRunner().invoke(app, list(arguments), env={"COLUMNS": "80"})
+
+
+def test_it_prints_the_patches_the_volume_and_its_convergence() -> None:
+    done = run("--limits", "110", "150", "--unit", "cm", "--resolution", "20")
+    assert done.exit_code == 0, done.output
+    out = done.output
+    rows = {line.split()[0]: line.split()[1:] for line in out.splitlines() if line.strip().startswith("S")}
+    assert len(rows) == 24
+    assert rows["St3"][:6] == ["max", "min~max", "min~max", "max", "max", "max"]
+    assert float(rows["St1"][6]) == pytest.approx(8473.9, rel=1e-2)
+    assert "legs from 110 to 150 cm" in out
+    assert "V - E + F = 9602 - 28800 + 19200 = 2" in out
+    assert "misprints read: r_b1 of St3, r_b3 of Sm3, r_b3 of Sm5" in out
+    (volume,) = [line for line in out.splitlines() if line.startswith("volume")]
+    _, value, _, error, unit = volume.split()
+    assert float(value) == pytest.approx(1.653e6, rel=1e-3)
+    assert float(error) < 100.0
+    assert unit == "cm³"
+    assert "…" not in out, "nothing is cut off at 80 columns"
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("m", 1.0), ("cm", 100.0), ("mm", 1000.0)])
+def test_json_in_every_unit(unit: str, factor: float) -> None:
+    limits = [f"{1.1 * factor:g}", f"{1.4 * factor:g}"]
+    content = json.loads(run(*FEW, "--limits", *limits, "--unit", unit, "--json").output)
+    own = workspace_shell(spm.Geometry.paper(), spm.LegLimits(1.1, 1.4), resolution=6)
+    assert content["unit"] == unit
+    assert content["euler_characteristic"] == 2
+    np.testing.assert_allclose(content["limits"]["maximum"], 1.4 * factor)
+    assert content["volume"] == pytest.approx(own.volume * factor**3, rel=1e-9)
+    assert content["area"] == pytest.approx(own.area * factor**2, rel=1e-9)
+    assert [one["resolution"] for one in content["convergence"]] == [2, 3, 6]
+    assert content["patches"][1]["settings"]["r_b3"] == "min~max"
+
+
+@pytest.mark.parametrize("name", ["shell.stl", "shell.ply", "shell.obj", "SHELL.STL"])
+def test_meshes_by_the_files_ending(tmp_path: Path, name: str) -> None:
+    done = run(*FEW, "--out", str(tmp_path / name))
+    assert done.exit_code == 0, done.output
+    assert f"wrote {tmp_path / name}" in "".join(done.stderr.splitlines())
+    mesh = trimesh.load_mesh(tmp_path / name)
+    assert mesh.is_watertight
+    assert mesh.bounds[1, 2] == pytest.approx(2.9777, abs=1e-3)
+
+
+def test_glb_with_its_patches(tmp_path: Path) -> None:
+    assert run(*FEW, "--out", str(tmp_path / "shell.glb")).exit_code == 0
+    assert len(trimesh.load_scene(tmp_path / "shell.glb").geometry) == 24
+
+
+def test_pictures(tmp_path: Path) -> None:
+    views, cuts = tmp_path / "fig2.png", tmp_path / "sections.png"
+    assert run(*FEW, "--out", str(views)).exit_code == 0
+    done = run(*FEW, "--sections", "--samples", "2000", "--out", str(cuts))
+    assert done.exit_code == 0, done.output
+    sizes = []
+    for path in (views, cuts):
+        with Image.open(path) as picture:
+            sizes.append(picture.size)
+    assert sizes[0] == (1350, 1110)
+    assert sizes[1][0] == 1530
+
+
+def test_limits_from_the_geometrys_file(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    text = "base_radius: 0.7\nplatform_radius: 0.35\nmiddle_side: 0.8\n"
+    path.write_text(text, encoding="utf-8")
+    done = run(*FEW, "--geometry", str(path))
+    assert isinstance(done.exception, spm.GeometryError)
+    assert "the geometry has none" in str(done.exception)
+    path.write_text(text + "leg_limits: {lower: [1.1, 1.5], upper: [1.2, 1.4]}\n", encoding="utf-8")
+    assert "legs from 1.1, 1.1, 1.1, 1.2, 1.2, 1.2 to 1.5, 1.5, 1.5, 1.4, 1.4, 1.4 m" in run(
+        *FEW, "--geometry", str(path)
+    ).output.replace("\n", " ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--resolution", "1"], "resolution: expected a whole number of increments, at least 2, got 1"),
+        (["--limits", "1.5", "1.1"], "exchanged"),
+        (["--limits", "0.05", "0.1"], "no symmetric home"),
+        (["--limits", "110", "150"], "without a physical configuration"),
+        (["--out", "fig.jpg"], "--out: expected a file name ending in .png, .svg, .pdf, .stl"),
+        (["--out", "fig"], "--out: expected a file name ending in"),
+        (["--out", "map.zarr"], "Maps over many poses are for spm-pin sweep"),
+        (["--out", "no/where.png"], "There is no directory no"),
+        (["--sections"], "--sections: expected a picture"),
+        (["--sections", "--out", "shell.stl"], "ending in .png, .svg, .pdf, got shell.stl"),
+    ],
+)
+def test_bad_input_is_an_error_of_ours(arguments: list[str], says: str) -> None:
+    done = run(*arguments)
+    assert isinstance(done.exception, spm.ArgumentError), done.output
+    assert says in str(done.exception)
+    assert "volume" not in done.output
+
+
+def test_a_directory_in_the_files_place(tmp_path: Path) -> None:
+    folder = tmp_path / "shell.stl"
+    folder.mkdir()
+    done = run(*FEW, "--out", str(folder))
+    assert isinstance(done.exception, spm.ArgumentError)
+    assert "It is a directory" in str(done.exception)
+    assert run("--samples", "0").exit_code == 2

@@ -1,0 +1,164 @@
+"""Pictures and files of the shell: patches where they are seen, named, in files that others read."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+import trimesh
+from matplotlib.figure import Figure
+from PIL import Image
+
+import spm_pin as spm
+from spm_pin.display.rendering import camera_axes
+from spm_pin.display.shell_files import MESH_FORMATS, save_mesh
+from spm_pin.display.shell_plots import FAMILY_COLOURS, VIEWS, draw_shell, save_figure, shell_figure
+from spm_pin.errors import ArgumentError, MissingExtraError
+from spm_pin.workspace.shell import workspace_shell
+
+SHELL = workspace_shell(spm.Geometry.paper(), resolution=8)
+NAMES = [patch.name for patch in SHELL.patches]
+
+
+def owners() -> np.ndarray:
+    return np.repeat(np.arange(24), [len(patch.faces) for patch in SHELL.patches])
+
+
+def first_hits(view: tuple[float, float], points: np.ndarray) -> np.ndarray:
+    """Which patch a viewer sees at points (n, 2) of the picture, -1 for none: rays by trimesh."""
+    right, up, near = camera_axes(view)
+    origins = points[:, :1] * right + points[:, 1:] * up + 10.0 * near
+    faces = SHELL.mesh.ray.intersects_first(origins, np.tile(-near, (len(points), 1)))
+    return np.where(faces >= 0, owners()[faces], -1)
+
+
+@pytest.mark.parametrize("name", list(VIEWS))
+def test_every_pixel_shows_the_nearest_patch_in_its_familys_colour(name: str) -> None:
+    view = VIEWS[name]
+    picture = draw_shell(SHELL, view=view, labels=False, dpi=60).images[0]
+    image, (left, right, _, top) = np.asarray(picture.get_array()), picture.get_extent()
+    rows, columns = image.shape[:2]
+    rng = np.random.default_rng(0)
+    row, column = rng.integers(2, rows - 2, 800), rng.integers(2, columns - 2, 800)
+    step = (right - left) / columns
+    points = np.stack([left + (column + 0.5) * step, top - (row + 0.5) * step], axis=-1)
+    seen = first_hits(view, points)
+    corners = [first_hits(view, points + 1.2 * step * np.array(d)) for d in ((-1, -1), (-1, 1), (1, -1), (1, 1))]
+    inner = np.all([seen == other for other in corners], axis=0)
+    assert len(set(seen[inner])) > 6
+    for r, c, k in zip(row[inner], column[inner], seen[inner], strict=True):
+        assert image[r, c, 3] == (k >= 0)
+        if k >= 0:
+            colour = np.array(FAMILY_COLOURS[SHELL.patches[k].family])
+            pixel = image[r, c, :3]
+            # Light changes the brightness alone.
+            assert np.abs(pixel - (pixel @ colour) / (colour @ colour) * colour).max() < 5e-3
+
+
+def test_names_stand_on_their_patches_and_all_are_there_from_above_and_below() -> None:
+    found = set()
+    for name in VIEWS:
+        for text in draw_shell(SHELL, view=VIEWS[name], dpi=30).texts:
+            patch = text.get_text().replace("$", "").replace("_{", "").replace("}", "")
+            # A ray through a vertex may slip between its faces.
+            around = np.array(text.get_position()) + 1e-4 * np.array([[1.0, 0.3], [-0.3, 1.0], [-1.0, -0.3]])
+            assert {NAMES[k] for k in first_hits(VIEWS[name], around)} == {patch}
+            found.add((name, patch))
+    assert {patch for name, patch in found if name == "top"} == {n for n in NAMES if n[:2] in ("St", "Sc")}
+    assert {patch for name, patch in found if name == "bottom"} == {n for n in NAMES if n[:2] in ("Sm", "Sl")}
+
+
+def test_families_can_be_told_apart_with_any_colour_vision() -> None:
+    # Machado, Oliveira and Fernandes 2009, complete dichromacy, https://doi.org/10.1109/TVCG.2009.113, in linear RGB.
+    deficiencies = {
+        "protan": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+        "deutan": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+        "tritan": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+    }
+    linear = np.array(list(FAMILY_COLOURS.values())) ** 2.2
+    for matrix in deficiencies.values():
+        seen = np.clip(linear @ np.array(matrix).T, 0.0, 1.0) ** (1.0 / 2.2)
+        apart = np.linalg.norm(seen[:, None] - seen, axis=-1) + 9.0 * np.eye(4)
+        assert apart.min() > 0.15
+
+
+def test_the_figure_has_four_views_and_a_legend(tmp_path) -> None:
+    figure = shell_figure(SHELL, dpi=40)
+    assert [ax.get_title() for ax in figure.axes] == ["(a) isometric", "(b) top", "(c) front", "(d) bottom"]
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()][1] == r"$S_{c1}$ – $S_{c9}$"
+    path = save_figure(figure, tmp_path / "fig2.png", dpi=50)
+    with Image.open(path) as picture:
+        assert picture.size == (450, 370)
+    assert not shell_figure(SHELL, labels=False, dpi=20).axes[0].texts
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf", ".PNG"])
+def test_figures_are_written_the_same_each_time(tmp_path, suffix: str) -> None:
+    first, second = (
+        save_figure(draw_shell(SHELL, dpi=30).figure, tmp_path / f"{k}{suffix}", dpi=30).read_bytes() for k in (1, 2)
+    )
+    assert first == second
+    assert first[:5] in (b"\x89PNG\r", b"<?xml", b"%PDF-")
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".ply", ".obj"])
+def test_meshes_that_others_read_are_closed(tmp_path, suffix: str) -> None:
+    mesh = trimesh.load_mesh(save_mesh(SHELL, tmp_path / f"shell{suffix}"))
+    assert mesh.is_watertight
+    assert mesh.euler_number == 2
+    assert mesh.volume == pytest.approx(SHELL.mesh.volume, rel=1e-5)
+    if suffix == ".ply":
+        colours = {tuple(c) for c in mesh.visual.face_colors[:, :3].tolist()}
+        assert colours == {tuple(round(255 * x) for x in c) for c in FAMILY_COLOURS.values()}
+
+
+def test_glb_holds_named_patches_with_y_upward(tmp_path) -> None:
+    scene = trimesh.load_scene(save_mesh(SHELL, tmp_path / "shell.glb"))
+    assert sorted(scene.geometry) == sorted(NAMES)
+    joined = scene.to_mesh()
+    low, high = SHELL.vertices.min(axis=0), SHELL.vertices.max(axis=0)
+    np.testing.assert_allclose(joined.bounds, [[low[0], low[2], -high[1]], [high[0], high[2], -low[1]]], atol=1e-6)
+    joined.merge_vertices(merge_norm=True, merge_tex=True)
+    assert joined.volume == pytest.approx(SHELL.mesh.volume, rel=1e-5)
+    assert joined.area == pytest.approx(SHELL.area, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [("shell.step", "ending in .stl, .ply"), ("shell", "ending in"), ("no/where.stl", "No such"), ("", "ending")],
+)
+def test_mesh_files_that_cannot_be_written(tmp_path, name: str, says: str) -> None:
+    with pytest.raises(ArgumentError, match=says) as caught:
+        save_mesh(SHELL, tmp_path / name)
+    assert caught.value.argument == "path"
+
+
+def test_a_directory_is_no_file(tmp_path) -> None:
+    for suffix in (*MESH_FORMATS, ".png"):
+        folder = tmp_path / f"folder{suffix}"
+        folder.mkdir()
+        with pytest.raises(ArgumentError, match="Is a directory"):
+            save_figure(Figure(), folder) if suffix == ".png" else save_mesh(SHELL, folder)
+
+
+@pytest.mark.parametrize(("name", "says"), [("fig.jpg", "ending in .png, .svg, .pdf"), ("no/where.png", "No such")])
+def test_figures_that_cannot_be_written(tmp_path, name: str, says: str) -> None:
+    with pytest.raises(ArgumentError, match=says):
+        save_figure(Figure(), tmp_path / name)
+
+
+def test_what_is_no_shell_and_no_axes() -> None:
+    with pytest.raises(ArgumentError, match="a Shell, got Trimesh"):
+        draw_shell(SHELL.mesh)  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="two-dimensional"):
+        draw_shell(SHELL, ax=Figure().add_subplot(projection="3d"))
+    with pytest.raises(ArgumentError, match="azimuth and elevation in radians"):
+        draw_shell(SHELL, view=(20.0, 20.0))
+
+
+def test_without_matplotlib_the_error_tells_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(MissingExtraError, match="this needs matplotlib"):
+        shell_figure(SHELL)
