@@ -1,14 +1,16 @@
 # make demo  reproduces the paper and cross-checks the witnesses
 # make test  runs the linters, the type checker and the tests
+# make bench measures the package beside its peers, into benchmarks/results.md; make bench BENCH=--quick for a look
 # Each first sets up what it needs in .venv.
 
 PYTHON ?= python3
 PYTEST ?= -n auto
+BENCH ?=
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt --editable
 
-.PHONY: demo test test-slow lint docs figures description clean
+.PHONY: demo test test-slow bench lint docs figures description clean
 
 demo: $(VENV)/.demo
 	$(BIN)/spm-pin reproduce
@@ -19,6 +21,9 @@ test: lint
 
 test-slow: $(VENV)/.test
 	$(BIN)/python -m pytest $(PYTEST) -m slow
+
+bench: $(VENV)/.bench
+	$(BIN)/python benchmarks/run.py $(BENCH)
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check .
@@ -51,7 +56,11 @@ $(VENV)/.demo: $(VENV)/.python pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.test: $(VENV)/.demo
-	$(INSTALL) '.[plots,cluster,viewer,engines,robots,docs,dev]'
+	$(INSTALL) '.[plots,cluster,viewer,engines,robots,docs,benchmarks,dev]'
+	@touch $@
+
+$(VENV)/.bench: $(VENV)/.demo
+	$(INSTALL) '.[plots,benchmarks]'
 	@touch $@
 
 clean:

@@ -1,8 +1,8 @@
 """Inverse displacement by multi-start: every branch found from random starts, certified, and the rest estimated.
 
 Newton's method is the default solver. A pose and its loop equations form a square system without an objective, on
-which IPOPT takes Newton's steps as well, at some eighty times the price a start; `benchmarks/nlp.py` measures it
-beside CasADi's rootfinders and SciPy's. IPOPT is there as a second opinion: its line search and restoration phase
+which IPOPT takes Newton's steps as well, at some eighty times the price a start; `make bench` measures both
+beside SciPy's solvers. IPOPT is there as a second opinion: its line search and restoration phase
 end elsewhere, and stop at a measured infeasibility where nothing solves the equations.
 """
 

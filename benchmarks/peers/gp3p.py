@@ -1,0 +1,56 @@
+"""PoseLib's generalised three-point problem: a triangle with its corners on three lines.
+
+The middle platform is the triangle, the lines are those of `lines.py`: the same algebra, for all real solutions.
+Poses are asked one by one, as its binding has it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from benchmarks.peers.lines import lines
+from benchmarks.peers.peer import FloatArray, Prepared, required
+from spm_pin import Geometry
+
+__all__ = ["bare", "complete"]
+
+
+def bare(problem: tuple[Geometry, RigidTransform]) -> Prepared:
+    """Make the call alone: lines made beforehand, and the poses of the triangle as they come."""
+    geometry, poses = problem
+    gp3p = required("poselib", "poselib").gp3p
+    triangle = _triangle(geometry)
+    points, directions = lines(geometry, poses.as_matrix())
+    asked = list(zip(points, directions, strict=True))
+
+    def read(found: list[Any]) -> list[FloatArray]:
+        return [_joints(solutions, triangle) for solutions in found]
+
+    return Prepared(lambda: [gp3p(point, direction, triangle) for point, direction in asked], read)
+
+
+def complete(problem: tuple[Geometry, RigidTransform]) -> Prepared:
+    """Go from poses to ball joints and leg lengths, one pose after the other in Python."""
+    geometry, poses = problem
+    gp3p = required("poselib", "poselib").gp3p
+    triangle, matrices = _triangle(geometry), poses.as_matrix()
+
+    def one(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+        point, direction = lines(geometry, matrix)
+        joints = _joints(gp3p(point, direction, triangle), triangle)
+        platform = geometry.platform_joints @ matrix[:3, :3].T + matrix[:3, 3]
+        legs = np.concatenate([joints - geometry.base_joints, platform - joints], axis=-2)
+        return joints, np.sqrt((legs * legs).sum(axis=-1))
+
+    return Prepared(lambda: [one(matrix) for matrix in matrices], lambda found: [joints for joints, _ in found])
+
+
+def _triangle(geometry: Geometry) -> FloatArray:
+    return geometry.middle_radius * geometry.radial_directions
+
+
+def _joints(solutions: list[Any], triangle: FloatArray) -> FloatArray:
+    return np.array([triangle @ one.R.T + one.t for one in solutions]).reshape(-1, 3, 3)

@@ -1,0 +1,35 @@
+"""The lines on which the ball joints must be, where the planes of their two legs meet."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from benchmarks.peers.peer import FloatArray
+from spm_pin import Geometry
+
+__all__ = ["coordinates", "lines"]
+
+
+def lines(geometry: Geometry, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return points and unit directions, (..., 3, 3) each, a row per leg, for poses (..., 4, 4); NaN if vertical."""
+    rotation, position = matrix[..., :3, :3], matrix[..., :3, 3]
+    lower = geometry.revolute_axes
+    upper = lower @ np.swapaxes(rotation, -1, -2)
+    along = np.cross(lower, upper)
+    squared = (along * along).sum(axis=-1, keepdims=True)
+    # The lower plane passes through O, the upper one through o; of the line, the point nearest to O.
+    offset = (upper @ position[..., None]) / squared
+    return offset * np.cross(along, lower), along / np.sqrt(squared)
+
+
+def coordinates(geometry: Geometry, poses: RigidTransform, branches: list[FloatArray]) -> list[FloatArray]:
+    """Return where on its line b_2 is, in the branches (k, 3, 3) of each pose, (k,) in ascending order [m].
+
+    All branches of a pose differ in it, so it tells them apart, and it is what is certified.
+    """
+    point, direction = (part[:, 1] for part in lines(geometry, poses.as_matrix()))
+    return [
+        np.sort((found[:, 1] - point[k]) @ direction[k]) if len(found) else np.empty(0)
+        for k, found in enumerate(branches)
+    ]

@@ -1,0 +1,62 @@
+"""What all searches from random starts have in common: where they start, what counts as found, what is one branch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from benchmarks.peers.peer import FloatArray, Prepared
+from spm_pin import Geometry
+from spm_pin.nlp.starts import random_starts
+
+__all__ = ["STARTS", "branches", "residuals", "search", "starts"]
+
+STARTS = 100
+"""Starts per pose, for every search."""
+CLOSED = 1e-11
+"""In units of d: what a loop may be open where a search has converged."""
+APART = 1e-5
+"""In units of d: ends further apart are two branches."""
+
+Solve = Callable[[FloatArray, FloatArray], FloatArray]
+
+
+def starts(geometry: Geometry, poses: RigidTransform) -> list[FloatArray]:
+    """Return random starts b (STARTS, 9) [m] for each pose, the same for every search."""
+    rng = np.random.default_rng(0)
+    return [random_starts(geometry, matrix, STARTS, rng) for matrix in poses.as_matrix()]
+
+
+def residuals(geometry: Geometry, matrix: FloatArray, joints: FloatArray) -> FloatArray:
+    """Return the largest violation of the nine loop equations [m] at b (n, 9), (n,)."""
+    b = joints.reshape(-1, 3, 3)
+    lower, rotation, position = geometry.revolute_axes, matrix[:3, :3], matrix[:3, 3]
+    upper = lower @ rotation.T
+    sides = np.sqrt(((b - np.roll(b, -1, axis=1)) ** 2).sum(axis=-1)) - geometry.middle_side
+    planes = [(b * lower).sum(axis=-1), ((b - position) * upper).sum(axis=-1)]
+    return np.asarray(np.abs(np.concatenate([*planes, sides], axis=-1)).max(axis=-1))
+
+
+def branches(geometry: Geometry, matrix: FloatArray, ends: FloatArray) -> FloatArray:
+    """Return the different branches (k, 3, 3) among the ends (n, 9) of a search."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        closed = residuals(geometry, matrix, ends) <= CLOSED * geometry.middle_side
+    ends = ends[closed]
+    found = []
+    while len(ends):
+        found.append(ends[0])
+        ends = ends[np.abs(ends - ends[0]).max(axis=-1) > APART * geometry.middle_side]
+    return np.array(found).reshape(-1, 3, 3)
+
+
+def search(problem: tuple[Geometry, RigidTransform], solve: Solve) -> Prepared:
+    """Solve from all starts at every pose: `solve` takes starts (n, 9) and a pose (4, 4), and returns ends (n, 9)."""
+    geometry, poses = problem
+    asked = list(zip(starts(geometry, poses), poses.as_matrix(), strict=True))
+
+    def read(answers: list[FloatArray]) -> list[FloatArray]:
+        return [branches(geometry, matrix, ends) for (_, matrix), ends in zip(asked, answers, strict=True)]
+
+    return Prepared(lambda: [solve(own, matrix) for own, matrix in asked], read)

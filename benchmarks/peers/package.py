@@ -1,0 +1,106 @@
+"""The package's own public functions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+import spm_pin as spm
+from benchmarks.peers.c_loop import real_branches
+from benchmarks.peers.peer import FloatArray, Prepared
+from spm_pin.closed_form.inverse import branch_lengths
+from spm_pin.mechanism.pose import EXACT
+from spm_pin.paper import resultant
+
+__all__ = [
+    "forces",
+    "inverse",
+    "jacobian",
+    "kernel",
+    "lengths_only",
+    "modes",
+    "paper_inverse",
+    "physical",
+    "renewed",
+]
+
+
+def inverse(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
+    """Ball joints, leg lengths and status of all branches: everything the C loop writes."""
+    geometry, poses = problem
+
+    def call() -> spm.SolutionSet:
+        solutions = spm.inverse_displacement(geometry, poses)
+        _ = solutions.leg_lengths, solutions.status
+        return solutions
+
+    return Prepared(call, lambda solutions: real_branches(solutions.middle_joints))
+
+
+def lengths_only(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
+    """Leg lengths and status of all branches, no ball joints; read as the lengths (n, 8, 6)."""
+    geometry, poses = problem
+    return Prepared(lambda: branch_lengths(geometry, poses), lambda found: found[0])
+
+
+def kernel(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
+    """Run the compiled loop alone, into arrays that are there, as the C loop does."""
+    from spm_pin.closed_form.kernels.inverse import all_branches
+
+    geometry, poses = problem
+    matrices = poses.as_matrix()
+    rotation, position = np.ascontiguousarray(matrices[:, :3, :3]), np.ascontiguousarray(matrices[:, :3, 3])
+    n = len(position)
+    joints, lengths, discriminants = np.empty((n, 8, 3, 3)), np.empty((n, 8, 6)), np.empty((n, 4))
+    status, flagged = np.empty(n, dtype=np.int8), np.empty(n, dtype=np.uint8)
+    sizes = geometry.middle_radius, geometry.base_radius, geometry.platform_radius, EXACT
+
+    def call() -> FloatArray:
+        all_branches(rotation, position, *sizes, joints, lengths, discriminants, status, flagged)
+        return joints
+
+    return Prepared(call, real_branches)
+
+
+def paper_inverse(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
+    """Eqs. (5)-(20) with Newton steps on Eq. (13)."""
+    geometry, poses = problem
+    return Prepared(
+        lambda: resultant.inverse_displacement(geometry, poses),
+        lambda solutions: real_branches(solutions.middle_joints),
+    )
+
+
+def renewed(configuration: spm.Configuration) -> spm.Configuration:
+    """Return the same states without what was derived from them and kept."""
+    arrays = configuration.rotation, configuration.translation, configuration.middle_joints
+    return spm.Configuration.from_arrays(configuration.geometry, *arrays)
+
+
+def jacobian(configuration: spm.Configuration) -> Prepared:
+    """J_f of states (n,)."""
+    return Prepared(lambda: spm.inverse_jacobian(renewed(configuration)), np.asarray)
+
+
+def forces(problem: tuple[spm.Configuration, FloatArray]) -> Prepared:
+    """Leg forces of states (n,) under wrenches (n, 6)."""
+    configuration, wrenches = problem
+    return Prepared(lambda: spm.leg_forces(renewed(configuration), wrenches), np.asarray)
+
+
+def physical(problem: tuple[spm.Geometry, FloatArray]) -> Prepared:
+    """Find the assembly mode a machine is in, of leg lengths (n, 6)."""
+    geometry, lengths = problem
+
+    def read(configuration: Any) -> FloatArray:
+        return np.asarray(configuration.middle_joints)
+
+    return Prepared(lambda: spm.forward_physical(geometry, lengths), read)
+
+
+def modes(problem: tuple[spm.Geometry, FloatArray]) -> Prepared:
+    """All assembly modes of leg lengths (n, 6); read as their numbers (n,)."""
+    geometry, lengths = problem
+    return Prepared(lambda: spm.forward_displacement(geometry, lengths), lambda found: np.asarray(found.count))

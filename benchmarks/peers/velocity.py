@@ -1,0 +1,80 @@
+"""J_f and leg forces by other ways, per branch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+import spm_pin as spm
+from benchmarks.peers.package import renewed
+from benchmarks.peers.peer import FloatArray, Prepared, required
+from spm_pin.paper.jacobian import J_alpha, J_lambda
+
+__all__ = [
+    "forces_by_nine_by_nine",
+    "forces_by_nine_by_nine_complete",
+    "forces_by_pinocchio",
+    "nine_by_nine",
+    "nine_by_nine_complete",
+    "pinocchio",
+]
+
+
+def nine_by_nine(configuration: spm.Configuration) -> Prepared:
+    """Do the solve of Eq. (30b) alone, J_α and J_λ made beforehand, all states stacked."""
+    left, right = _matrices(configuration)
+    return Prepared(lambda: _solved(left, right), np.asarray)
+
+
+def nine_by_nine_complete(configuration: spm.Configuration) -> Prepared:
+    """J_α and J_λ from the states, and the solve."""
+    return Prepared(lambda: _solved(*_matrices(renewed(configuration))), np.asarray)
+
+
+def forces_by_nine_by_nine(problem: tuple[spm.Configuration, FloatArray]) -> Prepared:
+    """Eq. (33), f = -J_f⁻ᵀ w: the stacked 9 x 9 solve, J_α and J_λ made beforehand, and a 6 x 6 one."""
+    configuration, wrenches = problem
+    left, right = _matrices(configuration)
+    return Prepared(lambda: _balanced(_solved(left, right), wrenches), np.asarray)
+
+
+def forces_by_nine_by_nine_complete(problem: tuple[spm.Configuration, FloatArray]) -> Prepared:
+    """J_α and J_λ from the states, and both solves."""
+    configuration, wrenches = problem
+    return Prepared(lambda: _balanced(_solved(*_matrices(renewed(configuration))), wrenches), np.asarray)
+
+
+def _matrices(states: spm.Configuration) -> tuple[FloatArray, FloatArray]:
+    """Return J_α (n, 9, 9), and of J_λ the six columns that are not zero."""
+    return J_alpha(states), np.ascontiguousarray(J_lambda(states)[..., :6])
+
+
+def _solved(left: FloatArray, right: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.solve(left, right)[..., :6, :])
+
+
+def _balanced(jacobian: FloatArray, wrenches: FloatArray) -> FloatArray:
+    return np.asarray(-np.linalg.solve(np.swapaxes(jacobian, -1, -2), wrenches[..., None])[..., 0])
+
+
+def pinocchio(configuration: spm.Configuration) -> Prepared:
+    """From the Jacobians of Pinocchio's constraints, state by state, joints placed beforehand."""
+    chain, joints, memory = _placed(configuration)
+    return Prepared(lambda: [chain.inverse_jacobian(q, workspace=memory) for q in joints], np.array)
+
+
+def forces_by_pinocchio(problem: tuple[spm.Configuration, FloatArray]) -> Prepared:
+    """From the Jacobians of Pinocchio's constraints, state by state, joints placed beforehand."""
+    configuration, wrenches = problem
+    chain, joints, memory = _placed(configuration)
+    asked = list(zip(joints, wrenches, strict=True))
+    return Prepared(lambda: [chain.leg_forces(q, w, workspace=memory) for q, w in asked], np.array)
+
+
+def _placed(configuration: spm.Configuration) -> tuple[Any, list[FloatArray], Any]:
+    required("pinocchio", "pin")
+    from spm_pin.multibody.chain import ClosedChain
+
+    chain = ClosedChain.from_urdf(geometry=configuration.geometry)
+    return chain, [chain.place(configuration[k]) for k in range(len(configuration))], chain.workspace()

@@ -1,0 +1,124 @@
+"""Completeness beside speed: branches found of those certified, and branches that are none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.transform import RigidTransform
+
+from benchmarks.peers.certified import real_coordinates
+from benchmarks.peers.contests import INVERSE, OURS
+from benchmarks.peers.lines import coordinates
+from benchmarks.peers.peer import FloatArray, Peer, Unavailable
+from benchmarks.poses import GEOMETRY, KINDS, mixture
+from benchmarks.report import Facts, Section, table, three_digits
+from benchmarks.sections.entering import Progress, failure
+from benchmarks.timing import Pace, Spread
+
+__all__ = ["Tally", "measure", "tally"]
+
+NEAR = 1e-4
+"""In units of d: an answer further from a certified branch is not that branch."""
+
+
+@dataclass
+class Tally:
+    """Branches certified, found, and reported though there is none; and errors of those found [m]."""
+
+    certified: int
+    found: int
+    spurious: int
+    errors: FloatArray
+
+
+def tally(certified: list[FloatArray], answers: list[FloatArray], side: float) -> Tally:
+    """Match answers with certified branches, both as ascending coordinates of b_2 on its line, pose by pose."""
+    found = spurious = 0
+    errors: list[float] = []
+    for truth, answer in zip(certified, answers, strict=True):
+        distance = np.abs(np.subtract.outer(truth, answer))
+        pairs = distance[linear_sum_assignment(distance)]
+        good = pairs[pairs <= NEAR * side]
+        found += len(good)
+        spurious += len(answer) - len(good)
+        errors.extend(good)
+    return Tally(sum(map(len, certified)), found, spurious, np.array(errors))
+
+
+def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
+    """Ask every peer about every kind of pose."""
+    section = Section("Completeness")
+    section.add(
+        "Branches found of those that ball arithmetic (python-flint) proves to be real; after a plus sign, what was "
+        "reported besides. Errors are those of b_2 along its line, against the certified value, over all kinds: median "
+        "and largest. Answers and certified branches are paired one to one, within 10⁻⁴ d. In nearly level poses the "
+        "coordinate itself is defined no better than rounding over the tilt. Slower peers get fewer poses."
+    )
+    most = 100 if pace.quick else 2000
+    certified: dict[str, list[FloatArray]] = {}
+    poses: dict[str, RigidTransform] = {}
+    for kind in KINDS:
+        progress(f"certifying poses: {kind}")
+        made = mixture(kind, most)
+        try:
+            proved = [
+                real_coordinates(q, o, GEOMETRY.middle_side)
+                for q, o in zip(made.rotation.as_quat(), made.translation, strict=True)
+            ]
+        except Unavailable as reason:
+            section.add(f"*Not measured: {reason}.*")
+            return section
+        sure = [k for k, own in enumerate(proved) if own is not None]
+        poses[kind] = made[np.array(sure)]
+        certified[kind] = [own for own in proved if own is not None]
+    rows = []
+    for peer in INVERSE:
+        if peer.name == "python-flint" or peer.name.endswith(", new arrays"):
+            continue
+        progress(f"counting branches: {peer.name}")
+        n = _allowance(peer, most)
+        cells: list[str] = []
+        errors = []
+        try:
+            for kind in KINDS:
+                result = _ask(peer, poses[kind][:n], certified[kind][:n])
+                cells.append(f"{result.found} of {result.certified}" + f" + {result.spurious}" * bool(result.spurious))
+                errors.append(result.errors)
+                if peer.name == OURS:
+                    facts["completeness/missed"] = _plus(facts, "completeness/missed", result.certified - result.found)
+                    facts["completeness/spurious"] = _plus(facts, "completeness/spurious", result.spurious)
+        except Exception as reason:
+            if peer.name == OURS:
+                raise
+            told = str(reason) if isinstance(reason, Unavailable) else failure(reason)
+            rows.append([peer.name, f"*missing: {told}*", *[""] * (len(KINDS) + 1)])
+            continue
+        joined = np.concatenate(errors)
+        worst = f"{np.median(joined):.0e} / {joined.max():.0e} m" if len(joined) else "–"
+        rows.append([peer.name, str(min(n, *map(len, poses.values()))), *cells, worst])
+    section.add(table(["", "poses of each kind", *KINDS, "error"], rows))
+    shares = ", ".join(f"{len(certified[kind])} {kind} ({_mean(certified[kind])} branches a pose)" for kind in KINDS)
+    section.add(f"Certified poses: {shares}.")
+    return section
+
+
+def _allowance(peer: Peer, most: int) -> int:
+    """Return how many poses of each kind a peer is asked about."""
+    return most if peer.items >= 1000 else most // 10 if peer.items >= 20 else most // 100
+
+
+def _ask(peer: Peer, poses: RigidTransform, certified: list[FloatArray]) -> Tally:
+    prepared = peer.prepare((GEOMETRY, poses))
+    answers = coordinates(GEOMETRY, poses, prepared.read(prepared.call()))
+    return tally(certified, answers, GEOMETRY.middle_side)
+
+
+def _plus(facts: Facts, key: str, more: int) -> Spread:
+    total = (facts[key].median if key in facts else 0.0) + more
+    return Spread(total, total, total)
+
+
+def _mean(certified: list[FloatArray]) -> str:
+    return three_digits(float(np.mean([len(own) for own in certified])))

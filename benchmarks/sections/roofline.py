@@ -1,0 +1,205 @@
+"""How far from what the machine can do at best, after Williams, Waterman and Patterson's roofline (CACM 52, 2009)."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.peers import c_loop, package
+from benchmarks.peers.compiled import address, library
+from benchmarks.peers.contests import OURS
+from benchmarks.peers.operations import Operations, count_operations
+from benchmarks.peers.peer import Unavailable
+from benchmarks.poses import GEOMETRY, leg_space, tiled
+from benchmarks.report import Facts, Section, count, seconds, size, spread_of_seconds, table, three_digits
+from benchmarks.sections.entering import Progress
+from benchmarks.timing import Contestant, Pace, Timing, race
+
+__all__ = ["measure"]
+
+_FLAGS = ("-O3", "-march=native", "-fno-math-errno")
+_CACHED = 2048
+"""Doubles that stay in the first cache."""
+_TURNS = 100_000
+_FEW = 1000
+"""Poses whose answers, a megabyte, stay in a cache."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the machine does in one second, as measured: operations, and bytes to and from memory."""
+
+    multiply_adds: float
+    divisions: float
+    square_roots: float
+    triad: float
+    fill_cached: float
+    fill_new: float
+
+    def compute(self, operations: Operations) -> tuple[float, float]:
+        """Return the least time per pose [s] of the arithmetic, and of divisions and square roots."""
+        return (
+            operations.arithmetic / self.multiply_adds,
+            operations.divisions / self.divisions + operations.square_roots / self.square_roots,
+        )
+
+    def memory(self, read: float, written: float, *, new: bool) -> float:
+        """Return the least time per pose [s] to read and write so many bytes: in a cache, or into new memory."""
+        return read / self.triad + written / self.fill_new if new else (read + written) / self.fill_cached
+
+
+def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
+    """Measure the limits and the solvers in one race, and put them side by side."""
+    section = Section("Roofline")
+    try:
+        limits_of = _limits(pace)
+        operations = count_operations(GEOMETRY, leg_space(1000))
+    except Unavailable as reason:
+        section.add(f"*Not measured: {reason}.*")
+        return section
+    small, large = _FEW, 100_000 if pace.quick else 1_000_000
+    few, many = leg_space(_FEW), tiled(large)
+    contestants = [
+        Contestant(f"{OURS} {small}", package.inverse((GEOMETRY, few)).call, small),
+        Contestant(f"C loop {small}", c_loop.answered((GEOMETRY, few)).call, small),
+        Contestant(f"{OURS} {large}", package.inverse((GEOMETRY, many)).call, large),
+        Contestant(f"C loop {large}", c_loop.fresh((GEOMETRY, many)).call, large),
+    ]
+    timings = race([*limits_of, *contestants], Pace(max(5, pace.rounds // 2), pace.turn / 2.0), progress)
+    limits = Limits(*(1.0 / timings[one.name].spread.median for one in limits_of))
+    arrays = c_loop.Arrays.of(few)
+    read = arrays.poses.nbytes / small
+    written = (arrays.joints.nbytes + arrays.lengths.nbytes + arrays.status.nbytes) / small
+    section.add(_account(operations, read, written))
+    section.add(_limits_table(limits, timings))
+    section.add(_table(limits, operations, read, written, timings, small, large))
+    section.add(_reading(limits, operations, read, written, timings, small, large))
+    return section
+
+
+def _limits(pace: Pace) -> list[Contestant]:
+    """Return what measures the machine, in the order of `Limits`; an item is one operation, or one byte."""
+    loaded, whole, real = library("limits.c", _FLAGS), ctypes.c_int64, ctypes.c_double
+    loaded.multiply_add.restype = real
+    near, far = np.full(_CACHED, 1.25), [np.ones(4_000_000 if pace.quick else 16_000_000) for _ in range(3)]
+    n, size = whole(far[0].size), far[0].nbytes
+    inner = whole(_TURNS // 100), whole(_CACHED), address(near)
+
+    def triad() -> None:
+        loaded.triad(n, *map(address, far), real(3.0))
+
+    cached = np.ones(120 * _FEW)
+
+    def fill_cached() -> None:
+        loaded.fill(whole(cached.size), address(cached), real(1.0))
+
+    def fill_new() -> None:
+        memory = np.empty(far[0].size)
+        loaded.fill(n, address(memory), real(1.0))
+
+    def multiply_add() -> None:
+        loaded.multiply_add(whole(_TURNS), real(1.0))
+
+    return [
+        Contestant("multiply-adds", multiply_add, _TURNS * 2 * 8 * 8),
+        Contestant("divisions", lambda: loaded.divide(*inner), _TURNS // 100 * _CACHED),
+        Contestant("square roots", lambda: loaded.square_root(*inner), _TURNS // 100 * _CACHED),
+        Contestant("triad", triad, 3 * size),
+        Contestant("fill, cached", fill_cached, cached.nbytes),
+        Contestant("fill, new memory", fill_new, size),
+    ]
+
+
+def _account(operations: Operations, read: float, written: float) -> str:
+    parts = {
+        "additions": operations.additions,
+        "multiplications": operations.multiplications,
+        "divisions": operations.divisions,
+        "square roots": operations.square_roots,
+    }
+    counted = ", ".join(f"{three_digits(value)} {name}" for name, value in parts.items())
+    total = sum(parts.values())
+    return (
+        f"A pose costs the C loop {counted}, counted by running it on numbers that count, mean over poses in leg "
+        f"space. It reads {size(read)} and writes {size(written)}: {three_digits(total / (read + written))} operations "
+        "per byte."
+    )
+
+
+def _limits_table(limits: Limits, timings: dict[str, Timing]) -> str:
+    rates = [
+        ("multiply-adds, two operations each", limits.multiply_adds, "Gflop/s"),
+        ("divisions", limits.divisions, "G/s"),
+        ("square roots", limits.square_roots, "G/s"),
+        ("triad, read and written", limits.triad, "GB/s"),
+        ("fill, memory that stays in a cache", limits.fill_cached, "GB/s"),
+        ("fill, memory new from the system", limits.fill_new, "GB/s"),
+    ]
+    names = ("multiply-adds", "divisions", "square roots", "triad", "fill, cached", "fill, new memory")
+    rows = []
+    for (text, rate, unit), name in zip(rates, names, strict=True):
+        spread = timings[name].spread
+        low, high = 1e-9 / spread.high, 1e-9 / spread.low
+        rows.append([text, f"{three_digits(rate / 1e9)} {unit}", f"{three_digits(low)} – {three_digits(high)}"])
+    return table(["one thread", "measured", "quartiles"], rows)
+
+
+def _bounds(limits: Limits, operations: Operations, read: float, written: float, *, new: bool) -> dict[str, float]:
+    arithmetic, roots = limits.compute(operations)
+    return {
+        "additions and multiplications": arithmetic,
+        "divisions and square roots": roots,
+        "memory": limits.memory(read, written, new=new),
+    }
+
+
+def _table(
+    limits: Limits,
+    operations: Operations,
+    read: float,
+    written: float,
+    timings: dict[str, Timing],
+    small: int,
+    large: int,
+) -> str:
+    rows = []
+    for n, new in ((small, False), (large, True)):
+        bounds = _bounds(limits, operations, read, written, new=new)
+        least = max(bounds.values())
+        rows.append([count(n), "at best", seconds(least), "", "1"])
+        for who in (OURS, "C loop"):
+            spread = timings[f"{who} {n}"].spread
+            rows.append([count(n), who, *spread_of_seconds(spread), three_digits(spread.median / least)])
+    return table(["poses a call", "", "per pose", "quartiles", "× at best"], rows, left=2)
+
+
+def _reading(
+    limits: Limits,
+    operations: Operations,
+    read: float,
+    written: float,
+    timings: dict[str, Timing],
+    small: int,
+    large: int,
+) -> str:
+    told = []
+    for n, new, where in (
+        (small, False, "whose answers fit a cache"),
+        (large, True, "whose answers go to new memory"),
+    ):
+        bounds = _bounds(limits, operations, read, written, new=new)
+        tightest = max(bounds, key=lambda name: bounds[name])
+        listed = ", ".join(f"{name} {seconds(value)}" for name, value in bounds.items())
+        ratio = timings[f"{OURS} {n}"].spread.median / bounds[tightest]
+        told.append(
+            f"Of {count(n)} poses, {where}, the least times are {listed}. The bound is {tightest}, and {OURS} takes "
+            f"{three_digits(ratio)} times that."
+        )
+    told.append(
+        "The units work side by side, so the largest of the three is the bound. It is that of the C loop's formulas: "
+        "additions and multiplications as if all could be fused in pairs, and nothing shared between families that the "
+        "loop does not share."
+    )
+    return " ".join(told)

@@ -1,0 +1,81 @@
+"""What the package means to reach, and whether it did in this run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from benchmarks.report import Facts, Section, table, three_digits
+
+__all__ = ["TARGETS", "Target", "check"]
+
+
+@dataclass(frozen=True)
+class Target:
+    """A bound on a measured number.
+
+    Attributes
+    ----------
+    text : str
+        What is bounded.
+    key : str
+        Of the fact.
+    bound : float
+        At least this, or at most, as `at_least` says.
+    unit : str
+        Of both numbers.
+    at_least : bool
+        Which side is good.
+    """
+
+    text: str
+    key: str
+    bound: float
+    unit: str = "×"
+    at_least: bool = True
+
+    def met(self, value: float) -> bool:
+        """Tell whether a value is on the good side."""
+        return value >= self.bound if self.at_least else value <= self.bound
+
+
+TARGETS = (
+    Target("inverse displacement: poselib.gp3p, bare / spm_pin", "inverse/gp3p bare", 20.0),
+    Target("the same, aimed at", "inverse/gp3p bare", 50.0),
+    Target("inverse displacement: numpy.roots / spm_pin", "inverse/numpy.roots", 500.0),
+    Target("the same, its coefficients given", "inverse/numpy.roots bare", 500.0),
+    Target("inverse displacement: spm_pin / C loop", "inverse/C loop", 2.5, at_least=False),
+    Target("the same, aimed at", "inverse/C loop", 1.0, at_least=False),
+    Target("J_f: NumPy 9 × 9 / spm_pin", "velocity/J_f", 30.0),
+    Target("the same, its matrices given", "velocity/J_f bare", 30.0),
+    Target("leg forces: NumPy 9 × 9 / spm_pin", "velocity/forces", 30.0),
+    Target("the same, its matrices given", "velocity/forces bare", 30.0),
+    Target("forward, physical mode: spm_pin / C loop's inverse", "forward/physical", 10.0, at_least=False),
+    Target("forward, all modes: SciPy multi-start / spm_pin", "forward/modes", 100.0),
+    Target("branches missed", "completeness/missed", 0.0, "", at_least=False),
+    Target("branches reported that are none", "completeness/spurious", 0.0, "", at_least=False),
+    Target("one thread / two threads", "scaling/two threads", 1.7),
+    Target("`import spm_pin`", "startup/import", 0.5, "s", at_least=False),
+    Target("heavy packages loaded with it", "startup/heavy", 0.0, "", at_least=False),
+    Target("first solve, empty cache", "startup/fresh", 5.0, "s", at_least=False),
+    Target("first solve, warm cache", "startup/warm", 0.3, "s", at_least=False),
+    Target("one pose through the public function", "startup/one pose", 100.0, "µs", at_least=False),
+)
+
+
+def check(facts: Facts, targets: Sequence[Target] = TARGETS) -> Section:
+    """Compare what was measured with all targets; what was not measured is listed as such."""
+    rows = []
+    for target in targets:
+        sign = "≥" if target.at_least else "≤"
+        bound = f"{sign} {target.bound:g} {target.unit}".strip()
+        fact = facts.get(target.key)
+        if fact is None:
+            rows.append([target.text, bound, "not measured", "", ""])
+            continue
+        value = f"{three_digits(fact.median)} {target.unit}".strip()
+        spread = "" if fact.low == fact.high else f"{three_digits(fact.low)} – {three_digits(fact.high)}"
+        rows.append([target.text, bound, value, spread, "met" if target.met(fact.median) else "**missed**"])
+    section = Section("Targets")
+    section.add(table(["", "target", "measured", "quartiles", ""], rows))
+    return section

@@ -1,0 +1,284 @@
+"""Every peer of the benchmarks gives the right answer; how fast is not asked here."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import spm_pin as spm
+
+sys.path.append(str(Path(__file__).parents[1]))
+
+from benchmarks.peers import arms, contests
+from benchmarks.peers.certified import real_coordinates
+from benchmarks.peers.compiled import compiler_version
+from benchmarks.peers.lines import coordinates
+from benchmarks.peers.operations import count_operations
+from benchmarks.peers.package import kernel, lengths_only
+from benchmarks.peers.peer import Peer, Prepared, Unavailable, required
+from benchmarks.poses import GEOMETRY, KINDS, leg_space, mixture, tiled
+from benchmarks.report import Facts, count, seconds, size, table, three_digits, write
+from benchmarks.sections.completeness import tally
+from benchmarks.sections.entering import enter
+from benchmarks.sections.velocity import states
+from benchmarks.targets import TARGETS, check
+from benchmarks.timing import Contestant, Pace, Spread, Timing, race
+
+ROOT = Path(__file__).parents[1]
+# Poses whose branches are well apart: searches find all of them, and the octic keeps half its digits.
+POSES = leg_space(4)
+SIDE = GEOMETRY.middle_side
+
+needs_compiler = pytest.mark.skipif(compiler_version() == "none", reason="no C compiler")
+
+
+def needs(peer: Peer) -> object:
+    compiled = peer.name.startswith("C loop") or peer.name.endswith("compiled")
+    return pytest.param(peer, id=peer.name, marks=needs_compiler if compiled else ())
+
+
+def answer(prepared: Prepared) -> npt.NDArray[np.float64] | list[npt.NDArray[np.float64]]:
+    return prepared.read(prepared.call())
+
+
+def certified() -> list[npt.NDArray[np.float64]]:
+    asked = zip(POSES.rotation.as_quat(), POSES.translation, strict=True)
+    found = [real_coordinates(quaternion, position, SIDE) for quaternion, position in asked]
+    return [own for own in found if own is not None]
+
+
+@pytest.mark.parametrize("peer", [needs(peer) for peer in contests.INVERSE])
+def test_every_peer_finds_the_certified_branches(peer: Peer) -> None:
+    poses = POSES if peer.items > 1 else POSES[:1]
+    found = answer(peer.prepare((GEOMETRY, poses)))
+    # What the double roots of the octic leave of its digits.
+    tolerance = 1e-3 if "roots" in peer.name or "companion" in peer.name else 1e-8
+    truth = certified()
+    assert len(truth) == len(POSES)
+    for k, along in enumerate(coordinates(GEOMETRY, poses, found)):
+        np.testing.assert_allclose(along, truth[k], atol=tolerance * SIDE, rtol=0.0)
+
+
+@pytest.mark.parametrize("peer", [needs(peer) for peer in contests.INVERSE])
+def test_what_a_peer_calls_a_branch_closes_the_loops(peer: Peer) -> None:
+    found = answer(peer.prepare((GEOMETRY, POSES[:1])))[0]
+    whole = found[~np.isnan(found).any(axis=(-1, -2))]
+    assert len(whole) or "roots" in peer.name or peer.name in ("companion matrices", "python-flint")
+    assert (spm.Configuration(GEOMETRY, POSES[0], whole).closure_residual < 1e-7 * SIDE).all()
+
+
+@needs_compiler
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_c_loop_agrees_with_the_package(kind: str) -> None:
+    from benchmarks.peers.c_loop import answered
+
+    poses = mixture(kind, 200, seed=3)
+    arrays = answered((GEOMETRY, poses)).call()
+    ours = spm.inverse_displacement(GEOMETRY, poses)
+    np.testing.assert_array_equal(arrays.status, ours.status)
+    np.testing.assert_array_equal(np.isnan(arrays.joints), np.isnan(ours.middle_joints))
+    # Near a fold and near the level, rounding of the pose is magnified by its inverse, or its root.
+    tolerance = 1e-9 if kind in KINDS[:2] else 1e-5
+    np.testing.assert_allclose(arrays.joints, ours.middle_joints, atol=tolerance * SIDE, rtol=0.0)
+    real = ours.exists
+    derived = spm.Configuration(GEOMETRY, poses[np.nonzero(real)[0]], arrays.joints[real])
+    np.testing.assert_allclose(arrays.lengths[real], derived.leg_lengths, rtol=1e-13)
+    assert (derived.closure_residual <= 1e-12).all()
+
+
+def test_the_kernel_alone_is_what_the_public_function_calls() -> None:
+    ours = spm.inverse_displacement(GEOMETRY, POSES)
+    for k, found in enumerate(answer(kernel((GEOMETRY, POSES)))):
+        np.testing.assert_array_equal(found, ours.middle_joints[k][ours.exists[k]])
+    np.testing.assert_array_equal(answer(lengths_only((GEOMETRY, POSES))), ours.leg_lengths)
+
+
+@pytest.mark.parametrize("arm", arms.ARMS)
+def test_the_serial_arms_come_back_to_their_poses(arm: str) -> None:
+    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (5, 6))
+    poses = arms.poses_of(arm, angles)
+    for k, found in enumerate(answer(arms.solve((arm, poses)))):
+        np.testing.assert_allclose(arms.poses_of(arm, found), np.broadcast_to(poses[k], (len(found), 4, 4)), atol=1e-9)
+        turned = np.abs((found - angles[k] + np.pi) % (2 * np.pi) - np.pi).max(axis=-1)
+        assert turned.min() < 1e-8
+
+
+@pytest.mark.parametrize("peer", contests.JACOBIAN, ids=lambda peer: peer.name)
+def test_every_jacobian_is_that_of_the_9_by_9(peer: Peer) -> None:
+    from spm_pin.paper.jacobian import J_f
+
+    configuration = states(6)
+    assert configuration.exists.all()
+    np.testing.assert_allclose(answer(peer.prepare(configuration)), J_f(configuration), rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.parametrize("peer", contests.FORCES, ids=lambda peer: peer.name)
+def test_the_forces_do_the_work_of_the_wrench(peer: Peer) -> None:
+    configuration = states(6)
+    wrenches = np.random.default_rng(1).uniform(-1.0, 1.0, (6, 6))
+    forces = answer(peer.prepare((configuration, wrenches)))
+    # Along any rates of the legs: f · rates + w · twist = 0.
+    twists = spm.platform_jacobian(configuration)
+    np.testing.assert_allclose(forces, -np.einsum("nij,ni->nj", twists, wrenches), rtol=1e-8, atol=1e-8)
+
+
+LENGTHS = np.random.default_rng(1).uniform(1.1, 1.5, (3, 6))
+
+
+@pytest.mark.parametrize("peer", contests.PHYSICAL, ids=lambda peer: peer.name)
+def test_every_forward_solution_has_the_leg_lengths_and_is_the_physical_one(peer: Peer) -> None:
+    joints = answer(peer.prepare((GEOMETRY, LENGTHS)))
+    lower = np.linalg.norm(joints - GEOMETRY.base_joints, axis=-1)
+    np.testing.assert_allclose(lower, LENGTHS[:, :3], rtol=1e-9)
+    sides = np.linalg.norm(joints - np.roll(joints, 1, axis=-2), axis=-1)
+    np.testing.assert_allclose(sides, SIDE, rtol=1e-9)
+    np.testing.assert_allclose(joints, spm.forward_physical(GEOMETRY, LENGTHS).middle_joints, atol=1e-8)
+
+
+@pytest.mark.parametrize("peer", contests.MODES, ids=lambda peer: peer.name)
+def test_the_number_of_assembly_modes(peer: Peer) -> None:
+    from stage_oracle import certified_modes
+
+    lengths = LENGTHS[: 1 if peer.items < 10 else 3]
+    truth = [
+        (certified_modes(one[:3], GEOMETRY.base_radius, SIDE) or 0)
+        * (certified_modes(one[3:], GEOMETRY.platform_radius, SIDE) or 0)
+        for one in lengths
+    ]
+    found = answer(peer.prepare((GEOMETRY, lengths)))
+    if peer.name == "SciPy multi-start":  # it may miss some, and never finds more
+        assert all(0 < own <= most for own, most in zip(found, truth, strict=True))
+    else:
+        np.testing.assert_array_equal(found, truth)
+
+
+@pytest.mark.skipif(compiler_version("c++") == "none", reason="no C++ compiler")
+def test_operations_are_counted() -> None:
+    one, same = (count_operations(GEOMETRY, POSES[k : k + 1]) for k in (0, 0))
+    assert one == same
+    # A branch takes seven, for six lengths and a norm; a family and a pose a few more.
+    branches = int(spm.inverse_displacement(GEOMETRY, POSES[0]).count)
+    assert 7 * branches < one.square_roots < 12 * branches + 20
+    assert 0 < one.divisions < one.square_roots
+    assert one.additions < one.multiplications < 200 * branches
+
+
+def test_a_missing_peer_is_listed_with_its_reason() -> None:
+    def absent(problem: object) -> Prepared:
+        required("no_such_module", "no-such-package")
+        raise AssertionError
+
+    def broken(problem: object) -> Prepared:
+        raise TypeError("its signature has changed")
+
+    peers = [Peer("absent", "", absent, 1), Peer("broken", "", broken, 1)]
+    entered = enter(peers, lambda n: n, Pace(1, 0.0), str)
+    assert not entered.contestants
+    assert "no-such-package is not installed" in entered.missing["absent"]
+    assert "its signature has changed" in entered.missing["broken"]
+    with pytest.raises(TypeError):
+        enter([Peer(contests.OURS, "", broken, 1)], lambda n: n, Pace(1, 0.0), str)
+    with pytest.raises(Unavailable):
+        absent(None)
+
+
+def test_contestants_take_turns() -> None:
+    order: list[str] = []
+    pair = [Contestant(name, lambda name=name: order.append(name), 2) for name in "ab"]
+    timings = race(pair, Pace(4, 0.0), str)
+    # Once to warm up, then each round begun by another one.
+    assert "".join(order)[:2] == "ab"
+    assert "".join(order)[-8:] == "abbaabba"
+    assert all(timing.seconds.shape == (4,) and (timing.seconds > 0.0).all() for timing in timings.values())
+
+
+def test_ratios_are_taken_within_rounds() -> None:
+    slow, fast = Timing(np.array([2.0, 20.0, 6.0])), Timing(np.array([1.0, 10.0, 3.0]))
+    assert slow.over(fast) == Spread(2.0, 2.0, 2.0)
+    assert slow.spread == Spread(6.0, 4.0, 13.0)
+
+
+def test_branches_are_matched_one_to_one() -> None:
+    truth = [np.array([0.0, 1e-6, 0.5]), np.array([])]
+    assert tally(truth, [truth[0], truth[1]], 1.0).found == 3
+    merged = tally(truth, [np.array([5e-7, 0.5]), np.array([0.1])], 1.0)
+    assert (merged.certified, merged.found, merged.spurious) == (3, 2, 1)
+    assert tally(truth, [np.array([0.2]), np.array([])], 1.0).spurious == 1
+
+
+def test_targets_say_what_was_missed_and_what_was_not_measured() -> None:
+    facts = Facts({"inverse/gp3p bare": Spread(30.0, 29.0, 31.0), "inverse/C loop": Spread(3.0, 2.0, 4.0)})
+    text = check(facts).markdown
+    lines = {line.split(" | ")[0]: line for line in text.splitlines()}
+    assert "| met |" in lines["| inverse displacement: poselib.gp3p, bare / spm_pin"]
+    assert "**missed**" in lines["| inverse displacement: spm_pin / C loop"]
+    assert "not measured" in lines["| J_f: NumPy 9 × 9 / spm_pin"]
+    assert len(text.splitlines()) == 4 + len(TARGETS)
+
+
+def test_numbers_as_they_are_written(tmp_path: Path) -> None:
+    assert [three_digits(x) for x in (0.012345, 1.2345, 12.345, 123.45, 12345.0)] == [
+        "0.0123",
+        "1.23",
+        "12.3",
+        "123",
+        "12 300",
+    ]
+    assert [seconds(x) for x in (5e-8, 1.5e-7, 2.5e-4, 0.03, 4.0)] == [
+        "50.0 ns",
+        "0.150 µs",
+        "250 µs",
+        "30.0 ms",
+        "4.00 s",
+    ]
+    assert [size(x) for x in (12.0, 1200.0, 3.4e6, 5e9)] == ["12.0 B", "1.20 kB", "3.40 MB", "5.00 GB"]
+    assert [count(n) for n in (0, 1, 300, 10_000, 12_000, 10**7)] == ["0", "1", "300", "10⁴", "12 000", "10⁷"]
+    assert table(["", "a"], [["x", "1"]]) == "|  | a |\n| --- | ---: |\n| x | 1 |"
+    write(tmp_path / "results.md", "old")
+    write(tmp_path / "results.md", "new")
+    assert [path.name for path in tmp_path.iterdir()] == ["results.md"]
+    assert (tmp_path / "results.md").read_text(encoding="utf-8") == "new"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_poses_are_of_their_kind(kind: str) -> None:
+    poses = mixture(kind, 9, seed=5)
+    assert poses.shape == (9,)
+    found = spm.inverse_displacement(GEOMETRY, poses)
+    tilt = np.arccos(np.clip(poses.as_matrix()[:, 2, 2], -1.0, 1.0))
+    assert found.discriminants is not None
+    if kind == "nearly level":
+        assert (tilt < 0.011).all()
+    else:
+        assert (tilt > 0.001).all()
+        assert (np.abs(found.discriminants).min(axis=-1) < 1e-5).all() == (kind == "near a fold")
+    with pytest.raises(ValueError, match="kind"):
+        mixture("no such kind", 1)
+
+
+def test_large_batches_repeat() -> None:
+    poses = tiled(10_003)
+    np.testing.assert_array_equal(poses[10_000:].as_matrix(), poses[:3].as_matrix())
+
+
+def test_the_script_runs_a_part_and_writes_only_where_it_is_told(tmp_path: Path) -> None:
+    results = ROOT / "benchmarks" / "results.md"
+    before = results.read_bytes() if results.exists() else None
+    out = tmp_path / "out.md"
+    command = [sys.executable, str(ROOT / "benchmarks" / "run.py"), "--quick", "--only", "velocity", "--out", str(out)]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
+    text = out.read_text(encoding="utf-8")
+    assert text in done.stdout
+    for peer in (*contests.JACOBIAN, *contests.FORCES):
+        assert f"| {peer.name} | {peer.computes} |" in text
+    assert "missing" not in text
+    assert (results.read_bytes() if results.exists() else None) == before
+    refused = subprocess.run([*command, "--full"], capture_output=True, text=True, check=False, timeout=60)
+    assert refused.returncode == 2
+    assert "--quick or --full" in refused.stderr
