@@ -39,7 +39,7 @@ docs: $(VENV)/.test
 figures: $(VENV)/.test
 	$(BIN)/python docs/site/figures.py
 
-# Rewrites urdf/spm.urdf, spm.srdf and spm_closures.yaml from their sources.
+# Rewrites urdf/spm.urdf, spm.srdf, spm.xml, spm.sdf and spm_closures.yaml from their sources.
 description: $(VENV)/.demo
 	$(BIN)/python urdf/generate.py
 

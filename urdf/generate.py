@@ -1,7 +1,8 @@
 """Write the generated files of the description: `python urdf/generate.py`, in a checkout.
 
-`spm.urdf`, `spm.srdf` and `spm_closures.yaml` come from the xacro sources, from `config/*.yaml` and, for the named
-states, from solving the paper's example. A test checks that the files kept beside this script are what it writes.
+`spm.urdf`, `spm.srdf`, `spm.xml`, `spm.sdf` and `spm_closures.yaml` come from the xacro sources, from `config/*.yaml`
+and, for the named states, from solving the paper's example. A test checks that the files kept beside this script are
+what it writes.
 """
 
 from __future__ import annotations
@@ -11,10 +12,13 @@ from pathlib import Path
 import numpy as np
 
 import spm_pin as spm
-from spm_pin.description.closures import read_closures, sidecar_text
 from spm_pin.description.expand import expand
-from spm_pin.description.locate import CLOSURES, SIDECAR, SRDF, URDF
+from spm_pin.description.locate import CLOSURES, MJCF, SDF, SIDECAR, SRDF, URDF
+from spm_pin.description.robots import manipulator
 from spm_pin.description.srdf import srdf_text
+from spm_pin.description.writers.extended_urdf import sidecar_text
+from spm_pin.description.writers.mjcf import mjcf_text
+from spm_pin.description.writers.sdf import sdf_text
 from spm_pin.paper.published import POSITION, TABLE_2, XYX_DEGREES
 
 REFERENCE = "3"
@@ -38,10 +42,14 @@ def named_states() -> dict[str, spm.Configuration]:
 def generate() -> dict[str, str]:
     """Return the content of each generated file."""
     warning = f"Written by generate.py from {CLOSURES}, which is the place for changes."
+    states = named_states()
+    robot = manipulator(states=states)
     return {
         URDF: expand(),
-        SRDF: srdf_text(named_states()),
-        SIDECAR: f"# {warning}\n" + sidecar_text(read_closures()),
+        SRDF: srdf_text(states),
+        MJCF: mjcf_text(robot),
+        SDF: sdf_text(robot),
+        SIDECAR: f"# {warning}\n" + sidecar_text(robot),
     }
 
 

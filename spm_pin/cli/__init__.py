@@ -9,12 +9,17 @@ import typer
 from spm_pin import __version__
 from spm_pin.cli.console import stderr
 from spm_pin.cli.crosscheck import crosscheck
+from spm_pin.cli.draw import draw
+from spm_pin.cli.export import export
 from spm_pin.cli.forward import forward
 from spm_pin.cli.inverse import inverse
 from spm_pin.cli.reproduce import reproduce
 from spm_pin.cli.singularities import singularities
 from spm_pin.cli.statics import statics
+from spm_pin.cli.sweep import sweep
 from spm_pin.cli.urdf import urdf
+from spm_pin.cli.view import view
+from spm_pin.cli.workspace import workspace
 from spm_pin.errors import SpmError
 
 __all__ = ["app", "main"]
@@ -31,6 +36,11 @@ app.command()(crosscheck)
 app.command()(singularities)
 app.command()(statics)
 app.command()(urdf)
+app.command()(draw)
+app.command()(view)
+app.command()(export)
+app.command()(workspace)
+app.command()(sweep)
 
 
 def _show_version(asked: bool) -> None:

@@ -24,7 +24,7 @@ def urdf(
 ) -> None:
     """Write the URDF: an open tree of eighteen joints, assembled at zero, its four loops closed by Drake's tags.
 
-    Other loaders pass over those tags; the closures are also in spm_closures.yaml beside the sources.
+    Other loaders pass over those tags; `spm-pin export` writes the closed robot for them.
     """
     from spm_pin.description.expand import expand
 

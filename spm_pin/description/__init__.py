@@ -1,1 +1,31 @@
-"""The robot's description: where its files are, and the data in them."""
+"""The robot's description: where its files are, and the data in them.
+
+The paths of the files are constants, named as the package robot_descriptions names them:
+
+>>> from spm_pin.description import URDF_PATH
+>>> import pinocchio
+>>> model = pinocchio.buildModelFromUrdf(URDF_PATH)
+"""
+
+from __future__ import annotations
+
+from spm_pin.description.locate import ENTRY, MJCF, SDF, SIDECAR, SRDF, URDF, description_directory
+
+__all__ = ["CLOSURES_PATH", "MJCF_PATH", "PACKAGE_PATH", "SDF_PATH", "SRDF_PATH", "URDF_PATH", "XACRO_PATH"]
+
+_folder = description_directory()
+
+PACKAGE_PATH = str(_folder)
+"""The folder of the description, also a ROS package, `spm_description`."""
+URDF_PATH = str(_folder / URDF)
+"""The spanning tree; its loops are closed by Drake's elements."""
+XACRO_PATH = str(_folder / ENTRY)
+"""The source of the URDF."""
+SRDF_PATH = str(_folder / SRDF)
+"""Named states, groups and passive joints."""
+MJCF_PATH = str(_folder / MJCF)
+"""The closed robot for MuJoCo, Drake and Pinocchio."""
+SDF_PATH = str(_folder / SDF)
+"""The closed robot in SDFormat."""
+CLOSURES_PATH = str(_folder / SIDECAR)
+"""The closures in the layout of Extended-URDF, beside the URDF."""

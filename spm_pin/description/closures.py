@@ -1,20 +1,20 @@
-"""The closures: where the spanning tree is cut, and the files that say so."""
+"""The closures: where the spanning tree is cut, and the file that says so."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 import yaml
 
+from spm_pin.description import yaml_nodes
 from spm_pin.description.locate import CLOSURES, description_file
-from spm_pin.description.tree import SLIDES, check_prefix
+from spm_pin.description.tree import check_prefix
 from spm_pin.errors import DescriptionError
 
-__all__ = ["KINDS", "Closure", "read_closures", "sidecar_text"]
+__all__ = ["KINDS", "Closure", "read_closures"]
 
-KINDS = {"point": "3d"}
+KINDS = {"point": "3d", "weld": "6d"}
 """Kinds of closure, each with its name in an Extended-URDF file."""
 
 
@@ -27,7 +27,7 @@ class Closure:
     name : str
         Name of the closure.
     kind : str
-        What is held together; "point": the origins of the two frames, as by a ball joint.
+        What is held together; "point": the origins of the two frames, as by a ball joint; "weld": the frames.
     frame_a, frame_b : str
         Names of the two frames, links of the URDF.
 
@@ -71,89 +71,36 @@ def read_closures(path: str | Path | None = None, *, prefix: str = "") -> tuple[
     Raises
     ------
     DescriptionError
-        If the file cannot be read or is malformed; the error names the line and the key. If `prefix` cannot
-        begin a name.
+        If the file cannot be read or is malformed, or holds two frames together twice; the error names the line
+        and the key. If `prefix` cannot begin a name.
     """
     check_prefix(prefix)
     path = description_file(CLOSURES) if path is None else Path(path)
-    try:
-        root = yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
-    except OSError as error:
-        raise DescriptionError(str(path), "a readable YAML file", str(error.strerror)) from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise DescriptionError(str(path), "a YAML file", str(error)) from error
+    root = yaml_nodes.compose(path)
     if root is None:
         raise DescriptionError(str(path), "the key closures", "an empty file")
-    listed = _mapping(root, {"closures"}, path)["closures"]
-    if not isinstance(listed, yaml.SequenceNode):
-        raise DescriptionError(_place(path, listed), "a list under the key closures", _what(listed))
+    listed = yaml_nodes.mapping(root, {"closures"}, path)["closures"]
     closures: dict[str, Closure] = {}
-    for node in listed.value:
+    pairs: dict[frozenset[str], str] = {}
+    for node in yaml_nodes.items(listed, "closures", path):
         closure = _closure(node, path)
+        place = yaml_nodes.place(path, node)
         if closure.name in closures:
-            raise DescriptionError(_place(path, node), "a name of its own under the key name", repr(closure.name))
+            raise DescriptionError(place, "a name of its own under the key name", repr(closure.name))
+        pair = frozenset((closure.frame_a, closure.frame_b))
+        if pair in pairs:
+            received = f"{closure.frame_a} and {closure.frame_b}, as in {pairs[pair]}"
+            raise DescriptionError(place, "two frames that no other closure holds", received)
         closures[closure.name] = closure
+        pairs[pair] = closure.name
     return tuple(closure.prefixed(prefix) for closure in closures.values())
 
 
-def sidecar_text(closures: Iterable[Closure], *, prefix: str = "") -> str:
-    """Return the closures as an Extended-URDF file.
-
-    Parameters
-    ----------
-    closures : iterable of Closure
-        With the prefix applied.
-    prefix : str
-        The same prefix, for the actuated joints.
-
-    Notes
-    -----
-    Layout of https://github.com/Gepetto/example-parallel-robots, whose loader reads it beside the URDF. No joint
-    changes its type when loaded: `joint_name` and `joint_type` are empty.
-    """
-    closures = tuple(closures)
-    pairs = ",\n  ".join(f"['{closure.frame_a}', '{closure.frame_b}']" for closure in closures)
-    kinds = ", ".join(f"'{KINDS[closure.kind]}'" for closure in closures)
-    motors = ", ".join(f"'{prefix}{name}'" for name in SLIDES)
-    return f"closed_loop: [\n  {pairs}\n]\ntype: [{kinds}]\nname_mot: [{motors}]\njoint_name: []\njoint_type: []\n"
-
-
-def _place(path: Path, node: yaml.Node) -> str:
-    return f"{path}:{node.start_mark.line + 1}"
-
-
-def _what(node: yaml.Node) -> str:
-    """Return what a node is, for an error: a scalar as it is written, else its kind."""
-    kind = type(node).__name__.removesuffix("Node").lower()
-    return repr(node.value) if isinstance(node, yaml.ScalarNode) else f"a {kind}"
-
-
-def _mapping(node: yaml.Node, keys: set[str], path: Path) -> dict[str, yaml.Node]:
-    """Return the values of a mapping that must have just these keys, each once."""
-    expected = f"a mapping with the keys {', '.join(sorted(keys))}"
-    if not isinstance(node, yaml.MappingNode):
-        raise DescriptionError(_place(path, node), expected, _what(node))
-    found: dict[str, yaml.Node] = {}
-    for key, value in node.value:
-        if key.value not in keys:
-            raise DescriptionError(_place(path, key), expected, f"the key {key.value!r}", "Misspelt?")
-        if key.value in found:
-            raise DescriptionError(_place(path, key), expected, f"the key {key.value!r} twice")
-        found[key.value] = value
-    missing = keys - found.keys()
-    if missing:
-        raise DescriptionError(_place(path, node), expected, f"no key {', '.join(sorted(missing))}")
-    return found
-
-
 def _closure(node: yaml.Node, path: Path) -> Closure:
-    values = {}
-    for key, value in _mapping(node, {field.name for field in fields(Closure)}, path).items():
-        if not isinstance(value, yaml.ScalarNode) or value.tag != "tag:yaml.org,2002:str":
-            raise DescriptionError(_place(path, value), f"a name under the key {key}", _what(value))
-        values[key] = value.value
+    given = yaml_nodes.mapping(node, {field.name for field in fields(Closure)}, path)
+    values = {key: yaml_nodes.name(value, key, path) for key, value in given.items()}
     try:
         return Closure(**values)
     except DescriptionError as error:
         expected = f"{error.expected} under the key {error.argument}"
-        raise DescriptionError(_place(path, node), expected, error.received) from error
+        raise DescriptionError(yaml_nodes.place(path, node), expected, error.received) from error

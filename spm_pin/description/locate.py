@@ -7,7 +7,17 @@ from pathlib import Path
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism.geometry import config_directory
 
-__all__ = ["CLOSURES", "ENTRY", "SIDECAR", "SRDF", "URDF", "description_directory", "description_file"]
+__all__ = [
+    "CLOSURES",
+    "ENTRY",
+    "MJCF",
+    "SDF",
+    "SIDECAR",
+    "SRDF",
+    "URDF",
+    "description_directory",
+    "description_file",
+]
 
 ENTRY = "spm.urdf.xacro"
 """The source that everything expands from."""
@@ -15,6 +25,10 @@ URDF = "spm.urdf"
 """The spanning tree, expanded for the paper's geometry."""
 SRDF = "spm.srdf"
 """Named states, groups, passive joints and the links that touch by design."""
+MJCF = "spm.xml"
+"""The closed robot for MuJoCo, and for Drake and Pinocchio."""
+SDF = "spm.sdf"
+"""The closed robot in SDFormat."""
 SIDECAR = "spm_closures.yaml"
 """The closures in the layout of Extended-URDF."""
 CLOSURES = "config/closures.yaml"

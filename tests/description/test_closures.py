@@ -56,7 +56,9 @@ def test_reading_another_file(tmp_path: Path) -> None:
         (GOOD.replace("frame_a: up", "frame_a: [up]"), 6, "a name under the key frame_a, got a sequence"),
         (GOOD.replace("frame_a: up", "frame_a:"), 6, "a name under the key frame_a"),
         (GOOD.replace("frame_a: up", "frame_a: ''"), 4, "a name under the key frame_a"),
-        (GOOD.replace("kind: point\n", "kind: weld\n"), 4, "one of point under the key kind, got 'weld'"),
+        (GOOD.replace("kind: point\n", "kind: glue\n"), 4, "one of point, weld under the key kind, got 'glue'"),
+        (GOOD.replace("frame_a: up", "frame_a: right").replace("down", "left"), 4, "right and left, as in one"),
+        ("closures: [{[a]: b}]\n", 1, "the key a sequence"),
         (GOOD.replace("frame_b: down", "frame_b: up"), 4, "another frame than frame_a under the key frame_b"),
         (GOOD.replace("name: two", "name: one"), 4, "a name of its own under the key name, got 'one'"),
         ("closures: [\n", None, "a YAML file"),
@@ -83,7 +85,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
 
 def test_closures_validate_themselves() -> None:
     with pytest.raises(DescriptionError, match="kind"):
-        Closure("a", "weld", "b", "c")
+        Closure("a", "glue", "b", "c")
     with pytest.raises(DescriptionError, match="frame_b"):
         Closure("a", "point", "b", "b")
     with pytest.raises(DescriptionError, match="name"):

@@ -16,11 +16,13 @@ from description.kinematic_tree import KinematicTree, named_states
 from problems import in_leg_space, random_branches
 
 import spm_pin as spm
-from spm_pin.description.closures import read_closures, sidecar_text
+from spm_pin.description.closures import read_closures
 from spm_pin.description.expand import expand, geometry_data
-from spm_pin.description.locate import ENTRY, SIDECAR, SRDF, URDF, description_directory, description_file
+from spm_pin.description.locate import ENTRY, MJCF, SDF, SIDECAR, SRDF, URDF, description_directory, description_file
+from spm_pin.description.robots import manipulator
 from spm_pin.description.srdf import srdf_text
 from spm_pin.description.tree import JOINTS, PASSIVE, SLIDES
+from spm_pin.description.writers.extended_urdf import sidecar_text
 from spm_pin.errors import ArgumentError, DescriptionError
 
 PAPER = spm.Geometry.paper()
@@ -31,7 +33,7 @@ def shipped(name: str) -> str:
     return description_file(name).read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("name", [URDF, SRDF, SIDECAR])
+@pytest.mark.parametrize("name", [URDF, SRDF, MJCF, SDF, SIDECAR])
 def test_generated_files_are_fresh(name: str) -> None:
     """Every character but the last digits, in which mathematical libraries and processors differ."""
     script = description_directory() / "generate.py"
@@ -68,7 +70,7 @@ def test_arguments_of_the_xacro_command(tmp_path: Path) -> None:
 
 
 def test_no_path_of_this_machine_is_written() -> None:
-    for text in (expand(), shipped(URDF), shipped(SRDF), shipped(SIDECAR)):
+    for text in (expand(), *map(shipped, (URDF, SRDF, MJCF, SDF, SIDECAR))):
         assert str(description_directory()) not in text
         assert str(Path.home()) not in text
 
@@ -113,7 +115,7 @@ def test_prefix_is_on_every_name() -> None:
         assert theirs.name == f"left_{ours.name}"
     srdf = srdf_text({}, prefix="left_")
     assert all(name.startswith("left_") for name in re.findall(r'(?:<(?:passive_)?joint name|link\d)="([^"]*)"', srdf))
-    sidecar = yaml.safe_load(sidecar_text(read_closures(prefix="left_"), prefix="left_"))
+    sidecar = yaml.safe_load(sidecar_text(manipulator(prefix="left_")))
     assert sidecar["name_mot"] == [f"left_{name}" for name in SLIDES]
 
 

@@ -1,0 +1,328 @@
+"""A robot in memory: links, joints, closures, transmissions. What every reader makes and every writer writes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from spm_pin.description.closures import Closure
+from spm_pin.errors import DescriptionError
+from spm_pin.mechanism.arguments import FloatArray
+
+__all__ = [
+    "ASSEMBLED",
+    "Inertial",
+    "Joint",
+    "Limit",
+    "Link",
+    "Material",
+    "Mesh",
+    "Placement",
+    "RobotDescription",
+    "Shape",
+    "Transmission",
+]
+
+ASSEMBLED = 1e-9
+"""Largest gap [m] of a closure, and largest angle [rad] of a weld, at which a robot counts as assembled."""
+
+MOVING = ("revolute", "continuous", "prismatic")
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where a frame sits in another: `xyz` [m] and roll, pitch, yaw `rpy` [rad] about the fixed x, y and z axes."""
+
+    xyz: Triple = (0.0, 0.0, 0.0)
+    rpy: Triple = (0.0, 0.0, 0.0)
+
+    @property
+    def matrix(self) -> FloatArray:
+        """The homogeneous transform, shape (4, 4)."""
+        transform = np.eye(4)
+        transform[:3, :3] = Rotation.from_euler("xyz", self.rpy).as_matrix()
+        transform[:3, 3] = self.xyz
+        return transform
+
+    @property
+    def quaternion(self) -> tuple[float, ...]:
+        """The orientation as w, x, y, z."""
+        return tuple(Rotation.from_euler("xyz", self.rpy).as_quat(scalar_first=True).tolist())
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """Mass [kg] and moments ixx, ixy, ixz, iyy, iyz, izz [kg m²] about the centre of mass, in a frame placed there."""
+
+    mass: float
+    moments: tuple[float, float, float, float, float, float]
+    placement: Placement = Placement()
+
+    @property
+    def matrix(self) -> FloatArray:
+        """The moments as a matrix, shape (3, 3), in the inertial frame."""
+        xx, xy, xz, yy, yz, zz = self.moments
+        return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+@dataclass(frozen=True)
+class Material:
+    """A name and red, green, blue and opacity from 0 to 1."""
+
+    name: str
+    rgba: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A mesh as the source names it, and the file that this is."""
+
+    uri: str
+    path: Path
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A solid that is seen or collided.
+
+    Parameters
+    ----------
+    kind : str
+        "box", "cylinder", "sphere" or "mesh".
+    size : tuple of float
+        Of a box its three sides, of a cylinder about z radius and length, of a sphere the radius [m]; the three
+        scales of a mesh.
+    placement : Placement
+        Of its centre, or of the mesh's origin, in the link.
+    material : Material, optional
+        Colour of what is seen.
+    mesh : Mesh, optional
+        For kind "mesh".
+    """
+
+    kind: str
+    size: tuple[float, ...]
+    placement: Placement = Placement()
+    material: Material | None = None
+    mesh: Mesh | None = None
+
+
+@dataclass(frozen=True)
+class Link:
+    """A body; massless without `inertial`."""
+
+    name: str
+    inertial: Inertial | None = None
+    visuals: tuple[Shape, ...] = ()
+    collisions: tuple[Shape, ...] = ()
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Range [rad or m], effort [N m or N] and velocity [rad/s or m/s]; infinite where there is none."""
+
+    lower: float = -math.inf
+    upper: float = math.inf
+    effort: float = math.inf
+    velocity: float = math.inf
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint of the spanning tree; `placement` is its frame, and the child's at zero, in the parent.
+
+    `kind` is "fixed", "revolute", "continuous" or "prismatic", `axis` a unit vector in the child; `damping` and
+    `friction` are those of URDF: N m s/rad or N s/m, and N m or N.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    placement: Placement = Placement()
+    axis: Triple = (1.0, 0.0, 0.0)
+    limit: Limit = Limit()
+    damping: float = 0.0
+    friction: float = 0.0
+
+    @property
+    def moves(self) -> bool:
+        """Whether it has a degree of freedom."""
+        return self.kind in MOVING
+
+    def motion(self, value: float) -> FloatArray:
+        """Return the pose (4, 4) of the child in the joint's frame at a value [rad or m]."""
+        transform = np.eye(4)
+        if self.kind == "prismatic":
+            transform[:3, 3] = value * np.array(self.axis)
+        elif self.moves:
+            transform[:3, :3] = Rotation.from_rotvec(value * np.array(self.axis)).as_matrix()
+        return transform
+
+
+@dataclass(frozen=True)
+class Transmission:
+    """An actuator that drives one joint directly, by force or torque up to the joint's limit of effort."""
+
+    name: str
+    joint: str
+    actuator: str
+
+
+@dataclass(frozen=True)
+class RobotDescription:
+    """A spanning tree and what closes and drives it.
+
+    Parameters
+    ----------
+    name : str
+        Name of the robot.
+    links : tuple of Link
+        The bodies.
+    joints : tuple of Joint
+        They make the links a tree with one root, the base.
+    closures : tuple of Closure
+        Between links.
+    transmissions : tuple of Transmission
+        In the order of the actuators.
+    states : mapping of str to mapping of str to float
+        Named values of all moving joints; zero is a state without a name.
+
+    Raises
+    ------
+    DescriptionError
+        If a name occurs twice or is that of nothing, the joints do not make a tree, a closure is there twice, or a
+        state does not have a value for each moving joint. The error names the link, joint, frame or closure.
+    """
+
+    name: str
+    links: tuple[Link, ...]
+    joints: tuple[Joint, ...]
+    closures: tuple[Closure, ...] = ()
+    transmissions: tuple[Transmission, ...] = ()
+    states: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for what in ("links", "joints", "closures", "transmissions"):
+            _unique(what, [part.name for part in getattr(self, what)])
+        self._check_tree()
+        pairs: dict[frozenset[str], str] = {}
+        for closure in self.closures:
+            for frame in (closure.frame_a, closure.frame_b):
+                if frame not in self.link:
+                    cause = f"Named by the closure {closure.name}"
+                    raise DescriptionError("closures", f"links of {self.name}", f"no link {frame!r}", cause)
+            pair = frozenset((closure.frame_a, closure.frame_b))
+            if pair in pairs:
+                received = f"{closure.frame_a} and {closure.frame_b} in {pairs[pair]} and in {closure.name}"
+                raise DescriptionError("closures", "each pair of frames once", received)
+            pairs[pair] = closure.name
+        moving = {joint.name for joint in self.joints if joint.moves}
+        _unique("transmissions", [transmission.joint for transmission in self.transmissions], "joints driven")
+        for transmission in self.transmissions:
+            if transmission.joint not in moving:
+                received = f"{transmission.joint!r} in {transmission.name}"
+                raise DescriptionError("transmissions", f"moving joints of {self.name}", received)
+        for name, values in self.states.items():
+            if values.keys() != moving:
+                wrong = f"{', '.join(sorted(moving ^ values.keys()))} missing or too much in {name}"
+                raise DescriptionError("states", "a value for each moving joint", wrong)
+            if not all(math.isfinite(value) for value in values.values()):
+                raise DescriptionError("states", "finite joint values", f"another one in {name}")
+
+    @cached_property
+    def link(self) -> dict[str, Link]:
+        """The links by name."""
+        return {link.name: link for link in self.links}
+
+    @cached_property
+    def joint_to(self) -> dict[str, Joint]:
+        """The joint that carries a link, by the link's name; none for the base."""
+        return {joint.child: joint for joint in self.joints}
+
+    @cached_property
+    def base(self) -> str:
+        """Name of the root link."""
+        (root,) = self.link.keys() - self.joint_to.keys()
+        return root
+
+    @cached_property
+    def order(self) -> tuple[Joint, ...]:
+        """The joints depth first, those that leave one link by name: Pinocchio's order when it reads a URDF."""
+        leaving: dict[str, list[Joint]] = {}
+        for joint in sorted(self.joints, key=lambda joint: joint.name, reverse=True):
+            leaving.setdefault(joint.parent, []).append(joint)
+        found: list[Joint] = []
+        stack = list(leaving.get(self.base, ()))
+        while stack:
+            found.append(stack.pop())
+            stack.extend(leaving.get(found[-1].child, ()))
+        return tuple(found)
+
+    @property
+    def moving(self) -> tuple[Joint, ...]:
+        """The joints with a degree of freedom, in the order of `order`: q of the exports."""
+        return tuple(joint for joint in self.order if joint.moves)
+
+    def frames(self, values: Mapping[str, float] | None = None) -> dict[str, FloatArray]:
+        """Return the pose (4, 4) of each link in the base, at joint values by name; a joint not named is at zero."""
+        foreign = (values or {}).keys() - {joint.name for joint in self.moving}
+        if foreign:
+            raise DescriptionError("values", f"moving joints of {self.name}", ", ".join(sorted(foreign)))
+        found = {self.base: np.eye(4)}
+        for joint in self.order:
+            value = values.get(joint.name, 0.0) if values else 0.0
+            found[joint.child] = found[joint.parent] @ joint.placement.matrix @ joint.motion(value)
+        return found
+
+    def carrier(self, link: str) -> tuple[str, FloatArray]:
+        """Return the link that moves a link, itself or the one it is fixed to in the end, and its pose (4, 4) there."""
+        pose = np.eye(4)
+        while link in self.joint_to and not self.joint_to[link].moves:
+            pose = self.joint_to[link].placement.matrix @ pose
+            link = self.joint_to[link].parent
+        return link, pose
+
+    def open_closures(self, values: Mapping[str, float] | None = None) -> dict[str, float]:
+        """Return the closures open by more than `ASSEMBLED` at joint values, zero if not given, and by how much."""
+        frames = self.frames(values)
+        gaps: dict[str, float] = {}
+        for closure in self.closures:
+            relative = np.linalg.inv(frames[closure.frame_a]) @ frames[closure.frame_b]
+            gap = float(np.linalg.norm(relative[:3, 3]))
+            if closure.kind == "weld":
+                gap = max(gap, float(Rotation.from_matrix(relative[:3, :3]).magnitude()))
+            if not gap <= ASSEMBLED:
+                gaps[closure.name] = gap
+        return gaps
+
+    def _check_tree(self) -> None:
+        for joint in self.joints:
+            for end in (joint.parent, joint.child):
+                if end not in self.link:
+                    raise DescriptionError("joints", f"links of {self.name}", f"{end!r} in the joint {joint.name}")
+        _unique("joints", [joint.child for joint in self.joints], "links carried")
+        roots = [name for name in self.link if name not in self.joint_to]
+        if len(roots) != 1:
+            received = f"{len(roots)}: {', '.join(roots)}" if roots else "none: the joints run in a circle"
+            raise DescriptionError("joints", "a tree with one root link", received)
+        reached = {self.base, *(joint.child for joint in self.order)}
+        if len(reached) < len(self.links):
+            received = f"a circle through {', '.join(sorted(self.link.keys() - reached))}"
+            raise DescriptionError("joints", "a tree", received, "A loop is cut, and closed by a closure")
+
+
+def _unique(argument: str, names: Sequence[str] | Iterable[str], what: str = "names") -> None:
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            raise DescriptionError(argument, f"{what} that occur once", f"{name!r} twice")
+        seen.add(name)

@@ -1,0 +1,99 @@
+"""Robots to export: the manipulator of any geometry, or one of your own from a URDF and its closures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import yaml
+
+from spm_pin.description import yaml_nodes
+from spm_pin.description.closures import read_closures
+from spm_pin.description.expand import expand
+from spm_pin.description.read_urdf import read_urdf, urdf_description
+from spm_pin.description.robot import RobotDescription, Transmission
+from spm_pin.description.sidecar import Sidecar, read_sidecar
+from spm_pin.description.states import joint_values
+from spm_pin.errors import DescriptionError
+from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.geometry import Geometry
+
+__all__ = ["manipulator", "read_robot"]
+
+
+def manipulator(
+    geometry: Geometry | None = None, *, prefix: str = "", states: Mapping[str, Configuration] | None = None
+) -> RobotDescription:
+    """Return the manipulator of this package.
+
+    Parameters
+    ----------
+    geometry : Geometry, optional
+        By default the paper's.
+    prefix : str
+        Put before every name but those of the states.
+    states : mapping of str to Configuration, optional
+        Named states, of the same geometry.
+
+    Raises
+    ------
+    DescriptionError
+        If `prefix` cannot begin a name, or a state is a batch, does not exist or has other dimensions.
+    """
+    geometry = Geometry.paper() if geometry is None else geometry
+    robot = urdf_description(expand(geometry, prefix=prefix), read_closures(prefix=prefix))
+    values = {}
+    for name, configuration in (states or {}).items():
+        if configuration.geometry != geometry:
+            raise DescriptionError("states", "the robot's geometry in all states", f"another one in {name}")
+        values[name] = {prefix + joint: value for joint, value in joint_values(configuration).items()}
+    return replace(robot, states=values)
+
+
+def read_robot(
+    urdf: str | Path,
+    closures: str | Path | None = None,
+    *,
+    packages: Mapping[str, str | Path] | None = None,
+) -> RobotDescription:
+    """Read a robot of your own.
+
+    Parameters
+    ----------
+    urdf : str or Path
+        Its spanning tree, a URDF file.
+    closures : str or Path, optional
+        A YAML file of closures, as `read_closures` or as `read_sidecar` takes it, besides those in the URDF. The
+        motors of an Extended-URDF file are the robot's, in its order.
+    packages : mapping of str to path, optional
+        Folders of the packages that meshes are named in, as for `read_urdf`.
+
+    Raises
+    ------
+    DescriptionError
+        As those raise; if a frame or motor is none of the URDF's, the motors are not those of its transmissions, or
+        the Extended-URDF file changes the type of a joint.
+    """
+    if closures is None:
+        return read_urdf(urdf, packages=packages)
+    root = yaml_nodes.compose(Path(closures))
+    ours = isinstance(root, yaml.MappingNode) and any(key.value == "closures" for key, _ in root.value)
+    if ours:
+        return read_urdf(urdf, read_closures(closures), packages=packages)
+    sidecar = read_sidecar(closures)
+    return _driven(read_urdf(urdf, sidecar.closures, packages=packages), sidecar, str(closures))
+
+
+def _driven(robot: RobotDescription, sidecar: Sidecar, source: str) -> RobotDescription:
+    """Return a robot with the motors of an Extended-URDF file."""
+    if sidecar.joint_types:
+        received = ", ".join(f"{joint} as {kind}" for joint, kind in sidecar.joint_types.items())
+        cause = "Write such joints into the URDF, one degree of freedom each"
+        raise DescriptionError(source, "joints that keep the type they have in the URDF", received, cause)
+    given = {transmission.joint: transmission for transmission in robot.transmissions}
+    if given and given.keys() != set(sidecar.motors):
+        other = ", ".join(sorted(given.keys() ^ set(sidecar.motors)))
+        raise DescriptionError(source, "the motors that the URDF's transmissions drive", f"a difference in {other}")
+    made = {name: Transmission(f"{name}_transmission", name, f"{name}_motor") for name in sidecar.motors}
+    return replace(robot, transmissions=tuple((given or made)[name] for name in sidecar.motors))

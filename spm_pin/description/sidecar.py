@@ -1,0 +1,100 @@
+"""Extended-URDF: the YAML file beside a URDF that closes its loops and names its motors."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from spm_pin.description import yaml_nodes
+from spm_pin.description.closures import KINDS, Closure
+from spm_pin.errors import DescriptionError
+
+__all__ = ["JOINT_TYPES", "Sidecar", "read_sidecar"]
+
+JOINT_TYPES = re.compile(r"SPHERICAL|FIXED|UJOINT_[XYZ][XYZ]")
+"""What a joint of the URDF can become when it is loaded."""
+
+
+@dataclass(frozen=True)
+class Sidecar:
+    """The content of an Extended-URDF file.
+
+    Parameters
+    ----------
+    closures : tuple of Closure
+        `closed_loop` and `type`. Their names are those that the format's own loader gives: both frames' with a C
+        between.
+    motors : tuple of str
+        `name_mot`, the actuated joints.
+    joint_types : dict of str to str
+        `joint_name` and `joint_type`: the joints of the URDF that the loader replaces, and by what.
+    """
+
+    closures: tuple[Closure, ...]
+    motors: tuple[str, ...]
+    joint_types: dict[str, str]
+
+
+def read_sidecar(path: str | Path) -> Sidecar:
+    """Read an Extended-URDF file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A YAML file with the keys `closed_loop`, `type` and `name_mot`, and perhaps `joint_name` and `joint_type`,
+        as https://github.com/Gepetto/example-parallel-robots has them.
+
+    Raises
+    ------
+    DescriptionError
+        If the file cannot be read or is malformed: lists of different lengths, unknown types, two frames or a
+        motor twice. The error names the line. The format's own loader takes some of these, and drops what is too
+        much.
+    """
+    path = Path(path)
+    root = yaml_nodes.compose(path)
+    if root is None:
+        raise DescriptionError(str(path), "the keys closed_loop, name_mot and type", "an empty file")
+    found = yaml_nodes.mapping(root, {"closed_loop", "type", "name_mot"}, path, optional={"joint_name", "joint_type"})
+    lists = {key: yaml_nodes.items(node, key, path) for key, node in found.items()}
+    for several, each in (("type", "closed_loop"), ("joint_type", "joint_name")):
+        lists.setdefault(several, [])
+        if len(lists[several]) != len(lists.setdefault(each, [])):
+            expected = f"as many members under {several} as under {each}, {len(lists[each])}"
+            place = yaml_nodes.place(path, found.get(several, root))
+            raise DescriptionError(place, expected, len(lists[several]))
+
+    kinds = {name: kind for kind, name in KINDS.items()}
+    closures: list[Closure] = []
+    for node, named in zip(lists["closed_loop"], lists["type"], strict=True):
+        place = yaml_nodes.place(path, node)
+        ends = yaml_nodes.items(node, "closed_loop", path)
+        if len(ends) != 2:
+            raise DescriptionError(place, "two frames for each closed loop", len(ends))
+        a, b = (yaml_nodes.name(end, "closed_loop", path) for end in ends)
+        kind = yaml_nodes.name(named, "type", path).lower()
+        if kind not in kinds:
+            raise DescriptionError(yaml_nodes.place(path, named), f"a type {' or '.join(kinds)}", repr(kind))
+        if any({a, b} == {other.frame_a, other.frame_b} for other in closures):
+            raise DescriptionError(place, "each pair of frames once", f"{a} and {b} again")
+        if a == b:
+            raise DescriptionError(place, "two different frames", f"{a} twice")
+        closures.append(Closure(f"{a}C{b}", kinds[kind], a, b))
+
+    motors: list[str] = []
+    types: dict[str, str] = {}
+    for node in lists["name_mot"]:
+        motor = yaml_nodes.name(node, "name_mot", path)
+        if motor in motors:
+            raise DescriptionError(yaml_nodes.place(path, node), "each motor once", f"{motor} again")
+        motors.append(motor)
+    for node, given in zip(lists["joint_name"], lists["joint_type"], strict=True):
+        joint, kind = yaml_nodes.name(node, "joint_name", path), yaml_nodes.name(given, "joint_type", path)
+        if joint in types:
+            raise DescriptionError(yaml_nodes.place(path, node), "each joint once", f"{joint} again")
+        if not JOINT_TYPES.fullmatch(kind):
+            expected = "SPHERICAL, FIXED or UJOINT_ with two axes"
+            raise DescriptionError(yaml_nodes.place(path, given), expected, repr(kind))
+        types[joint] = kind
+    return Sidecar(tuple(closures), tuple(motors), types)

@@ -1,0 +1,104 @@
+"""`spm-pin export`: every format, a robot of one's own, and what makes no sense together."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+
+import spm_pin as spm
+from spm_pin.cli import main
+from spm_pin.description import CLOSURES_PATH, MJCF_PATH, SDF_PATH, SRDF_PATH, URDF_PATH
+from spm_pin.description.robots import manipulator
+from spm_pin.description.writers.mjcf import mjcf_text
+from spm_pin.description.writers.sdf import sdf_text
+from spm_pin.description.writers.urdf import urdf_text
+
+
+@dataclass
+class Done:
+    code: int
+    out: str
+    err: str
+
+
+Run = Callable[..., Done]
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """The command in this process, which spares the start of another one."""
+
+    def run(*arguments: str) -> Done:
+        monkeypatch.setattr(sys, "argv", ["spm-pin", "export", *arguments])
+        with pytest.raises(SystemExit) as caught:
+            main()
+        printed = capsys.readouterr()
+        return Done(int(caught.value.code or 0), printed.out, " ".join(printed.err.replace("│", " ").split()))
+
+    return run
+
+
+def test_every_format_is_what_the_writers_write(run: Run, tmp_path: Path) -> None:
+    robot = manipulator()
+    for arguments, expected in (
+        (["--format", "urdf"], urdf_text(robot)),
+        (["--format", "urdf", "--ros-constraints"], urdf_text(robot, ros_constraints=True)),
+        (["--format", "mjcf"], mjcf_text(robot)),
+        (["--format", "mjcf", "--anchors", "sites"], mjcf_text(robot, anchors="sites")),
+        (["--format", "sdf", "--loops", "drake"], sdf_text(robot, loops="drake")),
+    ):
+        done = run(*arguments)
+        assert done.code == 0, done.err
+        assert done.out == expected
+    target = tmp_path / "robot.yaml"
+    assert run("--format", "extended-urdf", "--out", str(target)).code == 0
+    kept = yaml.safe_load(Path(CLOSURES_PATH).read_text(encoding="utf-8"))
+    assert yaml.safe_load(target.read_text(encoding="utf-8")) == kept
+
+
+def test_another_geometry_and_a_prefix(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text("base_radius: 0.7\nplatform_radius: 0.35\nmiddle_side: 0.8\n", encoding="utf-8")
+    done = run("--format", "mjcf", "--geometry", str(path), "--prefix", "left_")
+    assert done.out == mjcf_text(manipulator(spm.Geometry(0.7, 0.35, 0.8), prefix="left_"))
+    srdf = ElementTree.fromstring(run("--format", "srdf", "--prefix", "left_").out)
+    assert [g.get("name") for g in srdf.findall("group_state")] == ["home"]
+    assert len(srdf.findall("passive_joint")) == 12
+
+
+def test_a_robot_of_one_s_own(run: Run) -> None:
+    done = run("--format", "sdf", "--urdf", URDF_PATH, "--closures", CLOSURES_PATH)
+    assert done.code == 0, done.err
+    joints = ElementTree.fromstring(done.out).findall("model/joint")
+    assert next(j.get("name") for j in joints if j.get("type") == "ball") == "middle_b2Cleg_b2_tip"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "Missing option '--format'"),
+        (["--format", "collada"], "collada"),
+        (["--format", "mjcf", "--ros-constraints"], "--ros-constraints: expected to be left out with --format mjcf"),
+        (["--format", "urdf", "--anchors", "sites"], "--anchors: expected to be left out with --format urdf"),
+        (["--format", "mjcf", "--loops", "drake"], "--loops: expected to be left out with --format mjcf"),
+        (["--format", "mjcf", "--closures", CLOSURES_PATH], "--closures: expected to be left out without --urdf"),
+        (["--format", "mjcf", "--urdf", URDF_PATH, "--prefix", "a"], "--prefix: expected to be left out with --urdf"),
+        (["--format", "srdf", "--urdf", URDF_PATH], "--urdf: expected to be left out with --format srdf"),
+        (["--format", "mjcf", "--urdf", "none.urdf"], "none.urdf: expected a readable URDF file"),
+        (["--format", "mjcf", "--urdf", MJCF_PATH], "expected <robot>, got <mujoco>"),
+        (["--format", "mjcf", "--urdf", URDF_PATH, "--closures", SRDF_PATH], "expected a mapping with the keys"),
+        (["--format", "mjcf", "--urdf", SDF_PATH], "expected <robot>, got <sdf>"),
+        (["--format", "mjcf", "--out", "/nowhere/x.xml"], "--out: expected a file that can be written"),
+        (["--format", "mjcf", "--prefix", "1 2"], "prefix: expected a name"),
+    ],
+)
+def test_bad_input_is_a_clear_error(run: Run, arguments: list[str], words: str) -> None:
+    done = run(*arguments)
+    assert done.code == 2
+    assert words in done.err

@@ -1,0 +1,410 @@
+"""Every export is the same robot in the engine that it is for: joints, poses, closures, masses and what moves it.
+
+The measure is the URDF, read with the standard library alone; the engines' own numbers are compared with it.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sysconfig
+from functools import cache
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from description.engines import ENGINES, Array, Drake, Engine, Mujoco, Pinocchio, Yourdfpy, reordered, worst_frame
+from description.kinematic_tree import KinematicTree, inertia, named_states
+from problems import GEOMETRIES
+
+import spm_pin as spm
+from spm_pin.description import MJCF_PATH, SDF_PATH, SRDF_PATH, URDF_PATH
+from spm_pin.description.closures import read_closures
+from spm_pin.description.expand import expand
+from spm_pin.description.robots import manipulator
+from spm_pin.description.tree import SLIDES
+from spm_pin.description.writers.mjcf import mjcf_text
+from spm_pin.description.writers.sdf import sdf_text
+from spm_pin.description.writers.urdf import urdf_text
+
+TEXT = Path(URDF_PATH).read_text(encoding="utf-8")
+TREE = KinematicTree(TEXT)
+STATES = named_states(Path(SRDF_PATH).read_text(encoding="utf-8"))
+CLOSED = ["home", *(f"solution_{number}" for number in (1, 2, 3, 4, 6, 7))]
+CASES = [
+    ("pinocchio", "urdf"),
+    ("pinocchio", "mjcf"),
+    ("pinocchio", "mjcf by sites"),
+    ("mujoco", "mjcf"),
+    ("mujoco", "mjcf by sites"),
+    ("drake", "urdf"),
+    ("drake", "written urdf"),
+    ("drake", "mjcf"),
+    ("drake", "sdf for drake"),
+]
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder, robot = tmp_path_factory.mktemp("exports"), manipulator()
+    texts = {
+        "sites.xml": mjcf_text(robot, anchors="sites"),
+        "written.urdf": urdf_text(robot, ros_constraints=True),
+        "drake.sdf": sdf_text(robot, loops="drake"),
+    }
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return {
+        "urdf": Path(URDF_PATH),
+        "mjcf": Path(MJCF_PATH),
+        "mjcf by sites": folder / "sites.xml",
+        "written urdf": folder / "written.urdf",
+        "sdf for drake": folder / "drake.sdf",
+    }
+
+
+@pytest.fixture(scope="module")
+def load(files: dict[str, Path]) -> object:
+    @cache
+    def loaded(engine: str, kind: str) -> Engine:
+        return ENGINES[engine](files[kind])
+
+    return loaded
+
+
+@pytest.fixture(params=CASES, ids=" ".join)
+def robot(request: pytest.FixtureRequest, load: object) -> Engine:
+    assert callable(load)
+    engine: Engine = load(*request.param)
+    return engine
+
+
+def random_values(seed: int, count: int = 5) -> list[dict[str, float]]:
+    rng = np.random.default_rng(seed)
+    return [TREE.random_values(rng) for _ in range(count)]
+
+
+def test_q_is_the_same_vector_everywhere(robot: Engine) -> None:
+    assert robot.joints == [joint.name for joint in manipulator().moving]
+    assert set(robot.joints) == TREE.moving.keys()
+
+
+def test_forward_kinematics(robot: Engine) -> None:
+    for values in [STATES["home"], STATES["solution_7"], *random_values(20)]:
+        # A chain of nine joints above levers of 2.6 m.
+        assert worst_frame(robot.frames(values), TREE.frames(values)) < (1e-12, "")
+
+
+def test_closures_hold_in_every_solution_and_only_there(robot: Engine) -> None:
+    for state in CLOSED:
+        gaps = robot.gaps(STATES[state])
+        assert gaps.shape == (4, 3)
+        assert np.abs(gaps).max() < 1e-12, state
+    for values in random_values(21, 3):
+        frames = TREE.frames(values)
+        ends = [[frames[frame][:3, 3] for frame in (c.frame_a, c.frame_b)] for c in read_closures()]
+        expected = [np.linalg.norm(a - b) for a, b in ends]
+        np.testing.assert_allclose(np.linalg.norm(robot.gaps(values), axis=1), expected, rtol=1e-10)
+
+
+def test_mass_matrix(robot: Engine, load: object) -> None:
+    assert callable(load)
+    reference = load("pinocchio", "urdf")
+    for values in random_values(22):
+        expected = reference.mass_matrix(values)
+        found = reordered(robot.mass_matrix(values), robot.joints, reference.joints)
+        np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max())
+
+
+def about_the_origin(name: str) -> Array:
+    """Spatial inertia (6, 6) of a link at its origin in its axes, moments first."""
+    mass, frame, moments = inertia(TREE.links[name])
+    turn, centre = frame[:3, :3], np.cross(np.eye(3), frame[:3, 3])
+    top = turn @ moments @ turn.T + mass * centre @ centre.T
+    return np.block([[top, mass * centre], [-mass * centre, mass * np.eye(3)]])
+
+
+def test_every_link_s_inertia_in_mujoco(load: object) -> None:
+    assert callable(load)
+    robot: Mujoco = load("mujoco", "mjcf")
+    for name in TREE.links:
+        body = robot.model.body(name)
+        turn = np.empty(9)
+        robot.mujoco.mju_quat2Mat(turn, body.iquat)
+        turn = turn.reshape(3, 3)
+        centre = np.cross(np.eye(3), body.ipos)
+        mass = body.mass[0]
+        top = turn @ np.diag(body.inertia) @ turn.T + mass * centre @ centre.T
+        found = np.block([[top, mass * centre], [-mass * centre, mass * np.eye(3)]])
+        np.testing.assert_allclose(found, about_the_origin(name), rtol=1e-12, atol=1e-13, err_msg=name)
+
+
+@pytest.mark.parametrize("kind", ["urdf", "written urdf", "mjcf", "sdf for drake"])
+def test_every_link_s_inertia_in_drake(kind: str, load: object) -> None:
+    assert callable(load)
+    robot: Drake = load("drake", kind)
+    assert {body.name() for body in robot.bodies()} == TREE.links.keys()
+    for body in robot.bodies():
+        found = body.default_spatial_inertia().CopyToFullMatrix6()
+        expected = about_the_origin(body.name())
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-13, err_msg=body.name())
+
+
+def test_limits_and_actuators(load: object) -> None:
+    assert callable(load)
+    mujoco, drake, pinocchio = load("mujoco", "mjcf"), load("drake", "mjcf"), load("pinocchio", "mjcf")
+    assert isinstance(mujoco, Mujoco)
+    assert isinstance(drake, Drake)
+    assert isinstance(pinocchio, Pinocchio)
+    model = mujoco.model
+    assert model.nu == len(SLIDES)
+    assert [model.joint(model.actuator(i).trnid[0]).name for i in range(model.nu)] == list(SLIDES)
+    velocities = model.numeric("velocity_limit").data
+    for i, (name, velocity) in enumerate(zip(mujoco.joints, velocities, strict=True)):
+        limit = TREE.moving[name].limit
+        assert model.joint(name).range.tolist() == [limit["lower"], limit["upper"]]
+        assert model.joint(name).limited[0]
+        assert pinocchio.model.lowerPositionLimit[i] == limit["lower"]
+        assert pinocchio.model.upperPositionLimit[i] == limit["upper"]
+        assert velocity == limit["velocity"]
+        drake_joint = drake.plant.GetJointByName(name)
+        assert drake_joint.position_lower_limits()[0] == limit["lower"]
+        assert drake_joint.position_upper_limits()[0] == limit["upper"]
+    effort = TREE.moving[SLIDES[0]].limit["effort"]
+    assert (model.actuator_ctrlrange == [-effort, effort]).all()
+    for robot in (drake, load("drake", "sdf for drake"), load("drake", "written urdf")):
+        actuators = [robot.plant.get_joint_actuator(i) for i in robot.plant.GetJointActuatorIndices()]
+        assert [actuator.joint().name() for actuator in actuators] == list(SLIDES)
+        assert [actuator.effort_limit() for actuator in actuators] == [effort] * 6
+
+
+def test_a_motor_s_newton_is_a_newton(load: object) -> None:
+    assert callable(load)
+    robot: Mujoco = load("mujoco", "mjcf")
+    robot.set(STATES["reference"])
+    robot.data.ctrl[:] = np.arange(1.0, 7.0)
+    robot.mujoco.mj_forward(robot.model, robot.data)
+    forces = {name: robot.data.joint(name).qfrc_actuator[0] for name in robot.joints}
+    assert {name: force for name, force in forces.items() if force} == dict(zip(SLIDES, range(1, 7), strict=True))
+
+
+def test_keyframes_are_the_named_states(load: object) -> None:
+    assert callable(load)
+    mujoco, pinocchio = load("mujoco", "mjcf"), load("pinocchio", "mjcf")
+    assert isinstance(mujoco, Mujoco)
+    assert isinstance(pinocchio, Pinocchio)
+    for name, values in STATES.items():
+        expected = [values[joint] for joint in mujoco.joints]
+        assert mujoco.model.key(name).qpos.tolist() == expected
+        assert pinocchio.model.referenceConfigurations[name].tolist() == expected
+
+
+def test_sites_are_at_the_frames(load: object) -> None:
+    assert callable(load)
+    robot: Mujoco = load("mujoco", "mjcf")
+    robot.set(STATES["reference"])
+    frames = TREE.frames(STATES["reference"])
+    pinocchio: Pinocchio = load("pinocchio", "mjcf")
+    pinocchio.frames(STATES["reference"])
+    sites = [robot.data.site(i) for i in range(robot.model.nsite)]
+    platforms = {"base", "middle_platform", "terminal_platform"}
+    ends = {frame for c in read_closures() for frame in (c.frame_a, c.frame_b)}
+    assert {f"{name}_site" for name in platforms | ends} <= {site.name for site in sites}
+    for site in sites:
+        expected = frames[site.name.removesuffix("_site")]
+        np.testing.assert_allclose(site.xpos, expected[:3, 3], atol=1e-12)
+        np.testing.assert_allclose(site.xmat.reshape(3, 3), expected[:3, :3], atol=1e-12)
+        if site.name.startswith("base"):
+            continue  # Pinocchio leaves the fixed base's out
+        there = pinocchio.data.oMf[pinocchio.model.getFrameId(site.name)].homogeneous
+        np.testing.assert_allclose(there, expected, atol=1e-12, err_msg=site.name)
+
+
+def test_what_is_seen_and_what_collides(load: object) -> None:
+    assert callable(load)
+    robot: Mujoco = load("mujoco", "mjcf")
+    seen = robot.model.geom_contype == 0
+    assert np.count_nonzero(seen) == sum(len(link.findall("visual")) for link in TREE.links.values())
+    assert np.count_nonzero(~seen) == sum(len(link.findall("collision")) for link in TREE.links.values())
+    for material in TREE.root.findall("material"):
+        (colour,) = material.findall("color")
+        name, rgba = str(material.get("name")), str(colour.get("rgba"))
+        np.testing.assert_allclose(robot.model.material(name).rgba, np.array(rgba.split(), float), rtol=1e-6)
+    # As for the URDF: the collision shapes themselves keep clear of the joints.
+    for state in ("home", "reference"):
+        robot.set(STATES[state])
+        assert robot.data.ncon == 0
+
+
+@pytest.mark.parametrize("kind", ["VISUAL", "COLLISION"])
+def test_shapes_are_where_the_urdf_has_them(kind: str, load: object) -> None:
+    assert callable(load)
+    pin, what = load("pinocchio", "urdf").pin, getattr(load("pinocchio", "urdf").pin, kind)
+    found = pin.buildGeomFromMJCF(load("pinocchio", "mjcf").model, MJCF_PATH, what)
+    expected = pin.buildGeomFromUrdf(load("pinocchio", "urdf").model, URDF_PATH, what)
+    assert found.ngeoms == expected.ngeoms > 0
+
+    def described(shapes: Any) -> Array:
+        rows = []
+        for shape in shapes.geometryObjects:
+            shape.geometry.computeLocalAABB()
+            box = shape.geometry.aabb_local
+            at = shape.placement.homogeneous[:3].ravel()
+            rows.append([shape.parentJoint, *at, *(box.max_ - box.min_), shape.geometry.computeVolume()])
+        rounded = np.round(np.array(rows), 9) + 0.0
+        return np.array(rows)[np.lexsort(rounded.T[::-1])]
+
+    np.testing.assert_allclose(described(found), described(expected), atol=1e-12)
+
+
+def test_falling_in_mujoco_the_loops_hold(load: object) -> None:
+    assert callable(load)
+    robot: Mujoco = load("mujoco", "mjcf")
+    data = robot.data
+    robot.mujoco.mj_resetDataKeyframe(robot.model, data, robot.model.key("reference").id)
+    before, gap = data.qpos.copy(), 0.0
+    for _ in range(100):
+        robot.mujoco.mj_step(robot.model, data)
+        gap = max(gap, float(np.abs(data.efc_pos[:12]).max()))
+    assert np.abs(data.qpos - before).max() > 1e-2
+    assert gap < 1e-5
+    robot.model.eq_active0[:] = 0
+    try:
+        robot.set(STATES["reference"])
+        for _ in range(100):
+            robot.mujoco.mj_step(robot.model, data)
+        values = dict(zip(robot.joints, data.qpos, strict=True))
+        assert TREE.gap(values, read_closures()) > 1e-3
+    finally:
+        robot.model.eq_active0[:] = 1
+
+
+@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("engine", ENGINES)
+def test_mjcf_of_any_geometry(engine: str, name: str, tmp_path: Path) -> None:
+    geometry = GEOMETRIES[name]
+    tree = KinematicTree(expand(geometry))
+    path = tmp_path / "robot.xml"
+    path.write_text(mjcf_text(manipulator(geometry)), encoding="utf-8")
+    robot = ENGINES[engine](path)
+    values = tree.random_values(np.random.default_rng(23))
+    size = max(1.0, geometry.base_radius)
+    assert worst_frame(robot.frames(values), tree.frames(values))[0] < 1e-11 * size
+    assert np.abs(robot.gaps({})).max() < 1e-12 * size
+
+
+def test_two_robots_in_mujoco(tmp_path: Path) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    left, right = (mujoco.MjSpec.from_string(mjcf_text(manipulator(prefix=prefix))) for prefix in ("left_", "right_"))
+    for key in list(right.keys):
+        right.delete(key)
+    left.attach(right, frame=left.worldbody.add_frame(pos=[3.0, 0.0, 0.0]))
+    model = left.compile()
+    assert model.njnt == 36
+    assert model.neq == 8
+
+
+def test_written_urdf_is_the_expanded_one(files: dict[str, Path]) -> None:
+    """Element by element: links, joints, transmissions and constraints in the order of the source."""
+    written = ElementTree.parse(files["written urdf"]).getroot()
+    for tag in ("link", "joint", "transmission", "material", "{http://drake.mit.edu}ball_constraint", "mujoco"):
+        theirs, ours = written.findall(tag), TREE.root.findall(tag)
+        if tag == "material":
+            theirs, ours = (sorted(each, key=lambda m: str(m.get("name"))) for each in (theirs, ours))
+        assert len(theirs) == len(ours) > 0
+        for a, b in zip(theirs, ours, strict=True):
+            assert flat(a) == flat(b), tag
+
+
+def flat(element: ElementTree.Element) -> list[tuple[str, dict[str, object], str]]:
+    """Tags, attributes and texts of an element, numbers as numbers."""
+
+    def value(text: str) -> object:
+        try:
+            return [float(word) for word in text.split()]
+        except ValueError:
+            return text
+
+    inner = sorted(element, key=lambda child: child.tag)  # in which order the kinds come, says nothing
+    every = [element, *(e for child in inner for e in child.iter())]
+    return [(e.tag, {k: value(v) for k, v in e.items()}, (e.text or "").strip()) for e in every]
+
+
+def test_ros_constraints_are_behind_a_switch(files: dict[str, Path]) -> None:
+    assert "<constraint" not in urdf_text(manipulator())
+    assert "<constraint" not in TEXT
+    found = ElementTree.parse(files["written urdf"]).getroot().findall("constraint")
+    assert [(c.get("name"), c.get("type")) for c in found] == [(c.name, "spherical_joint") for c in read_closures()]
+    for element, closure in zip(found, read_closures(), strict=True):
+        ends = [(end.tag, end.get("link")) for end in element if end.tag in ("parent", "child")]
+        assert ends == [("parent", closure.frame_a), ("child", closure.frame_b)]
+        for end in ("parent_origin", "child_origin"):
+            origin = element.find(end)
+            assert origin is not None
+            assert origin.attrib == {"xyz": "0 0 0", "rpy": "0 0 0"}
+
+
+def test_yourdfpy_and_check_urdf_pass_over_what_they_do_not_know(files: dict[str, Path]) -> None:
+    robot = Yourdfpy(files["written urdf"])
+    assert set(robot.joints) == TREE.moving.keys()
+    for values in [STATES["solution_4"], *random_values(24, 2)]:
+        assert worst_frame(robot.frames(values), TREE.frames(values)) < (1e-12, "")
+    path = f"{sysconfig.get_path('scripts')}:/usr/local/bin:/usr/bin:/bin"
+    binaries = {shutil.which("check_urdf", path=folder) for folder in path.split(":")} - {None}
+    for binary in binaries:
+        answer = subprocess.run([str(binary), str(files["written urdf"])], capture_output=True, text=True, check=False)
+        assert answer.returncode == 0, answer.stdout + answer.stderr
+        assert answer.stdout.count("child(") == 1 + len(TREE.joints)
+
+
+def test_sdf_is_read_with_its_loops_up_to_where_engines_stop() -> None:
+    """libsdformat, inside Drake, reads the graph with four links that have two parents; Drake's plant refuses it."""
+    pytest.importorskip("pydrake")
+    from pydrake.multibody.parsing import Parser
+    from pydrake.multibody.plant import MultibodyPlant
+
+    plant = MultibodyPlant(0.0)
+    Parser(plant).AddModels(SDF_PATH)
+    joints = [plant.get_joint(i) for i in plant.GetJointIndices()]
+    assert len(joints) == len(TREE.joints) + 1 + 4
+    balls = {joint.name(): joint for joint in joints if joint.type_name() == "ball_rpy"}
+    assert balls.keys() == {closure.name for closure in read_closures()}
+    children = [joint.child_body().name() for joint in joints]
+    home = TREE.frames({})
+    for closure in read_closures():
+        joint = balls[closure.name]
+        assert (joint.parent_body().name(), joint.child_body().name()) == (closure.frame_a, closure.frame_b)
+        assert children.count(closure.frame_b) == 2
+        # Where Drake placed the joint in both links: the same point, once the robot stands at home.
+        ends = zip((joint.frame_on_parent(), joint.frame_on_child()), (closure.frame_a, closure.frame_b), strict=True)
+        a, b = (home[link] @ frame.GetFixedPoseInBodyFrame().GetAsMatrix4()[:, 3] for frame, link in ends)
+        np.testing.assert_allclose(a, b, atol=1e-12)
+        np.testing.assert_allclose(a[:3], home[closure.frame_b][:3, 3], atol=1e-12)
+    with pytest.raises(RuntimeError, match="loops"):
+        plant.Finalize()
+
+
+def test_sdf_elements_follow_the_format() -> None:
+    """Every element of the tree's part is one that SDFormat 1.9 names; names are unique; poses are URDF's."""
+    root = ElementTree.parse(SDF_PATH).getroot()
+    assert root.get("version") == "1.9"
+    model = root.find("model")
+    assert model is not None
+    names = [element.get("name") for element in model]
+    assert len(set(names)) == len(names)
+    links, joints = model.findall("link"), model.findall("joint")
+    assert [link.get("name") for link in links] == list(TREE.links)
+    kinds = {str(joint.get("name")): joint.get("type") for joint in joints}
+    assert [kind for kind in kinds.values() if kind == "ball"] == ["ball"] * 4
+    for name, joint in TREE.joints.items():
+        assert kinds[name] == joint.kind
+
+
+def test_states_and_geometry_must_agree() -> None:
+    state = spm.inverse_displacement(
+        spm.Geometry(0.7, 0.35, 0.8), spm.pose([0.05, 0.05, 2.2], xyx=[0.2, 0.3, -0.1])
+    ).physical()
+    with pytest.raises(spm.errors.DescriptionError, match="the robot's geometry in all states"):
+        manipulator(states={"other": state})
