@@ -1,0 +1,71 @@
+"""`spm-pin view`: the interactive page."""
+
+from __future__ import annotations
+
+import os
+import sys
+import webbrowser
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+
+from spm_pin.cli.asked import AnyLegs, AnyTranslation, AnyXyx, asked_solutions, one_of
+from spm_pin.cli.console import stderr
+from spm_pin.cli.options import GeometryFile, LengthUnit, Unit, read_geometry
+
+__all__ = ["view"]
+
+
+def view(
+    translation: AnyTranslation = None,
+    xyx: AnyXyx = None,
+    legs: AnyLegs = None,
+    branch: Annotated[str | None, typer.Option(help="Branch to begin with, such as TT+.")] = None,
+    unit: Unit = LengthUnit.M,
+    geometry: GeometryFile = None,
+    path: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="A recorded path to play back: CSV, JSON or NPZ.")
+    ] = None,
+    host: Annotated[str, typer.Option(help="Address to listen at; only this machine reaches the default.")] = (
+        "127.0.0.1"
+    ),
+    port: Annotated[int, typer.Option(help="First port to try; 0 lets the system choose.")] = 8080,
+    dark: Annotated[bool, typer.Option("--dark", help="Begin with a dark page.")] = False,
+    browser: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")] = True,
+    snapshot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a page that needs no server, and end.")
+    ] = None,
+) -> None:
+    r"""Drag the platform and watch all branches, in a browser. Ends with Ctrl-C.
+
+    Needs pip install "spm-pin\[viewer]".
+    """
+    dimensions = read_geometry(geometry)
+    solutions, default = asked_solutions(dimensions, translation, xyx, legs, unit)
+    start = one_of(solutions, default, branch)
+    if snapshot is not None:
+        from spm_pin.display.viewer import save_snapshot
+
+        save_snapshot(start, snapshot, dark=dark, geometry_file=geometry)
+        stderr.print(f"wrote {escape(str(snapshot))}")
+        return
+    from spm_pin.display.viewer import Viewer
+    from spm_pin.display.viewer.recording import read_recording
+
+    recording = read_recording(path) if path is not None else None
+    with Viewer(start, host=host, port=port, recording=recording, dark=dark, geometry_file=geometry) as viewer:
+        if port not in (0, viewer.port):
+            stderr.print(f"port {port} is taken, this is on {viewer.port}", highlight=False)
+        stderr.print(f"viewer at {viewer.url}, Ctrl-C ends it", highlight=False)
+        if browser and _has_screen():
+            webbrowser.open(viewer.url)
+        viewer.wait()
+
+
+def _has_screen() -> bool:
+    """Tell whether a browser has somewhere to appear; without one, text browsers would take the terminal."""
+    if sys.platform == "darwin":
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -1,0 +1,60 @@
+"""One thing at a time for a session, the newest of a kind only, and nothing after its end."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+__all__ = ["Inbox"]
+
+Action = Callable[[], Any]
+
+
+class Inbox:
+    """Runs actions one after another in a worker thread, while the event loop goes on taking messages.
+
+    A drag sends poses faster than pictures can be made of them: an action still waiting is replaced by a later one
+    under the same key, in its place. `post` and `close` belong to the event loop's thread. There is a task only as
+    long as there is something to do.
+
+    Parameters
+    ----------
+    on_error : callable
+        Told of exceptions that actions raise.
+    """
+
+    def __init__(self, on_error: Callable[[Exception], None]) -> None:
+        self._on_error = on_error
+        self._waiting: dict[str, Action] = {}
+        self._task: asyncio.Task[None] | None = None
+        self.closed = False
+
+    def post(self, key: str, action: Action) -> None:
+        """Have an action run, after those posted before; replaces one of the same key that has not begun."""
+        if self.closed:
+            return
+        self._waiting[key] = action
+        if self._task is None:
+            self._task = asyncio.get_running_loop().create_task(self._work())
+
+    def close(self) -> None:
+        """Drop what waits; what runs comes to its end."""
+        self.closed = True
+        self._waiting.clear()
+
+    async def drained(self) -> None:
+        """Wait until nothing is left to do."""
+        while self._task is not None:
+            await asyncio.shield(self._task)
+
+    async def _work(self) -> None:
+        try:
+            while self._waiting:
+                action = self._waiting.pop(next(iter(self._waiting)))
+                try:
+                    await asyncio.to_thread(action)
+                except Exception as error:
+                    self._on_error(error)
+        finally:
+            self._task = None

@@ -1,0 +1,94 @@
+"""What the instruments beside the picture show: leg lengths, distances from singularities, forces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.closed_form.singularity import SingularityKind, determinant_gradients, singularities
+from spm_pin.closed_form.statics import leg_forces
+from spm_pin.errors import SingularConfigurationError
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.branches import physical
+from spm_pin.mechanism.configuration import Configuration
+
+__all__ = ["NEAR", "SINGULARITIES", "Readings"]
+
+SINGULARITIES = ("forward, lower stage", "forward, upper stage", "inverse")
+"""Which singularity each of the matrices J_b, J_c, K belongs to."""
+
+NEAR = 0.02
+"""A singularity is near where legs moved by this share of d could reach it."""
+
+_LIMIT_ROUNDING = 1e-9  # relative to d
+
+
+@dataclass(frozen=True)
+class Readings:
+    """The instruments of one configuration; axes of length three count J_b, J_c, K.
+
+    Attributes
+    ----------
+    leg_lengths : ndarray, shape (6,)
+        [m].
+    beyond : ndarray, shape (6,)
+        By how much each leg is longer than its longest (positive) or shorter than its shortest (negative) [m].
+    sigma, condition, index : ndarray, shape (3,)
+        Smallest singular value, condition number, and determinant over d³; see `Singularities`.
+    travel : ndarray, shape (3,)
+        To first order, how far the leg lengths would have to move, in the Euclidean norm, to make the determinant
+        zero [m]: |det| over the norm of its gradient. The nearer, the more exact.
+    kind : SingularityKind
+        What the configuration is to rounding.
+    physical : bool
+        Whether a real machine can be in it: reached from the symmetric home without a forward singularity.
+    forces : ndarray, shape (6,), or None
+        Leg forces that hold the load [N]; None where the legs cannot hold every load.
+    """
+
+    leg_lengths: FloatArray
+    beyond: FloatArray
+    sigma: FloatArray
+    condition: FloatArray
+    index: FloatArray
+    travel: FloatArray
+    kind: SingularityKind
+    physical: bool
+    forces: FloatArray | None
+
+    @classmethod
+    def of(cls, state: Configuration, wrench: npt.ArrayLike) -> Readings:
+        """Read the instruments of a single configuration that exists, under a wrench (6,) on the platform."""
+        lengths = np.array(state.leg_lengths)
+        beyond = np.zeros(6)
+        limits = state.geometry.limits
+        if limits is not None:
+            beyond = np.maximum(lengths - limits.maximum, 0.0) + np.minimum(lengths - limits.minimum, 0.0)
+            beyond[np.abs(beyond) < _LIMIT_ROUNDING * state.geometry.middle_side] = 0.0
+        found = singularities(state)
+        try:
+            gradients = np.linalg.norm(determinant_gradients(state), axis=-1)
+            travel = np.abs(found.determinants) / np.maximum(gradients, np.finfo(float).tiny)
+        except SingularConfigurationError:
+            travel = np.where(found.rank < 6, 0.0, np.nan)
+        try:
+            forces = leg_forces(state, wrench)
+        except SingularConfigurationError:
+            forces = None
+        return cls(
+            leg_lengths=lengths,
+            beyond=beyond,
+            sigma=found.sigma,
+            condition=found.condition,
+            index=found.index,
+            travel=travel,
+            kind=SingularityKind(int(found.kind)),
+            physical=bool(physical(state)),
+            forces=forces,
+        )
+
+    def near(self, middle_side: float) -> npt.NDArray[np.bool_]:
+        """Tell which singularities are near, shape (3,); see `NEAR`."""
+        return np.asarray((self.travel < NEAR * middle_side) | np.isnan(self.travel))

@@ -1,0 +1,143 @@
+"""The viewer: a server of one page, which every client sees for itself."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from pathlib import Path
+from typing import Any
+
+from spm_pin.display.viewer import viser_server
+from spm_pin.display.viewer.recording import Recording
+from spm_pin.display.viewer.region import Region
+from spm_pin.display.viewer.robot import Robot
+from spm_pin.display.viewer.session import Exhibit, Session
+from spm_pin.display.viewer.state import Model, starting_configuration
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.geometry import Geometry
+
+__all__ = ["Viewer"]
+
+
+class Viewer:
+    """An interactive page of a manipulator, served until `stop`.
+
+    Parameters
+    ----------
+    start : Configuration or Geometry, optional
+        What the page shows at first: a single configuration that exists; or the manipulator, in a regular
+        configuration near its home. By default the paper's.
+    host : str
+        Address to listen at. By default only this machine can reach it.
+    port : int
+        First port to try; the next free one is taken, 0 lets the system choose.
+    recording : Recording, optional
+        A path to play back.
+    dark : bool
+        Whether pages are dark at first.
+    geometry_file : Path, optional
+        Where the geometry came from, for exported command lines.
+
+    Raises
+    ------
+    ArgumentError
+        If `start` is something else, the host is none of this machine's, or no port is free.
+    MissingExtraError
+        If viser or trimesh is not installed.
+
+    Notes
+    -----
+    Every client has a session of its own, which ends with its connection. A session's work is done in one worker
+    thread of a pool, one event at a time, and of events that come faster than they are done the latest counts.
+    """
+
+    def __init__(
+        self,
+        start: Configuration | Geometry | None = None,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        recording: Recording | None = None,
+        dark: bool = False,
+        geometry_file: Path | None = None,
+    ) -> None:
+        configuration = _configuration(start)
+        free = viser_server.free_port(host, port)
+        robot = Robot(configuration.geometry)
+        robot.q(configuration)  # refuses what does not close
+        # What is compiled when first used is compiled now, and no client waits for it.
+        Model(configuration).set_legs(configuration.leg_lengths)
+        self._exhibit = Exhibit(robot, configuration, Region(configuration.geometry), recording, geometry_file, dark)
+        self._sessions: dict[int, Session] = {}
+        self._lock = threading.Lock()
+        self._stopped = threading.Event()
+        self.host = host
+        self.server = viser_server.start(host, free)
+        self.server.gui.set_panel_label("3RPS-3SPR")
+        self.server.on_client_connect(self._connected)
+        self.server.on_client_disconnect(self._disconnected)
+
+    @property
+    def port(self) -> int:
+        """Where it listens."""
+        return int(self.server.get_port())
+
+    @property
+    def url(self) -> str:
+        """Address of the page, for a browser on this machine."""
+        host = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(self.host, self.host)
+        return f"http://{host}:{self.port}"
+
+    @property
+    def sessions(self) -> tuple[Session, ...]:
+        """The sessions of the clients that are connected, oldest first."""
+        with self._lock:
+            return tuple(self._sessions[key] for key in sorted(self._sessions))
+
+    async def _connected(self, client: Any) -> None:
+        session = await asyncio.to_thread(Session, client, self._exhibit)
+        if session.player is not None:
+            session.player.bind(asyncio.get_running_loop())
+        # It may have left while its page was made.
+        if client.client_id in self.server.get_clients():
+            with self._lock:
+                self._sessions[client.client_id] = session
+        else:
+            session.close()
+
+    async def _disconnected(self, client: Any) -> None:
+        with self._lock:
+            session = self._sessions.pop(client.client_id, None)
+        if session is not None:
+            session.close()
+
+    def wait(self) -> None:
+        """Serve until `stop` is called, or the process interrupted."""
+        # With a timeout, since a wait without one does not hear Ctrl-C everywhere.
+        while not self._stopped.wait(timeout=0.5):
+            pass
+
+    def stop(self) -> None:
+        """Stop serving; what runs comes to its end."""
+        if not self._stopped.is_set():
+            self._stopped.set()
+            viser_server.stop(self.server)
+
+    def __enter__(self) -> Viewer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+
+def _configuration(start: Configuration | Geometry | None) -> Configuration:
+    if start is None or isinstance(start, Geometry):
+        return starting_configuration(start or Geometry.paper())
+    if not isinstance(start, Configuration):
+        cause = "One of several solutions? .physical(), or an index, takes one"
+        raise ArgumentError("start", "a Configuration or a Geometry", type(start).__name__, cause)
+    if start.shape or not start.exists:
+        received = f"a batch of shape {start.shape}" if start.shape else "one that does not exist"
+        raise ArgumentError("start", "a single configuration that exists", received)
+    return start

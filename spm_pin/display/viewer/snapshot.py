@@ -1,0 +1,116 @@
+"""A page that needs no server and no network: the scene of one state, its numbers beside it."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from spm_pin.display.viewer.export import command_line
+from spm_pin.display.viewer.markup import forces_table, instruments, status
+from spm_pin.display.viewer.robot import Robot
+from spm_pin.display.viewer.stage import Stage
+from spm_pin.display.viewer.state import Model, State
+from spm_pin.display.viewer.viser_server import quiet_server
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.configuration import Configuration
+
+__all__ = ["save_snapshot", "snapshot_html"]
+
+_CARD = """<style>
+#spm-card{{position:fixed;top:0.8em;right:0.8em;width:min(24em,calc(100vw - 1.6em));box-sizing:border-box;z-index:10;
+font-family:system-ui,sans-serif;border-radius:0.5em;background:{paper};color:{ink};box-shadow:0 0 0.8em #0004;
+max-height:calc(100vh - 1.6em);overflow:auto}}
+#spm-card summary{{padding:0.5em 0.7em;cursor:pointer;font-weight:600}}
+#spm-card code{{display:block;padding:0.5em 0.7em 0.8em;font-size:0.72rem;overflow-wrap:anywhere;user-select:all}}
+</style>
+<details id="spm-card"><summary>{title}</summary>{body}<code>{command}</code></details>
+<script>document.getElementById("spm-card").open = window.innerWidth > 700;</script>
+"""
+
+
+def snapshot_html(
+    state: State, robot: Robot, *, dark: bool = False, geometry_file: Path | None = None, ghosts: bool = True
+) -> str:
+    """Return a state as an HTML page to be looked at from all sides, complete in itself.
+
+    Parameters
+    ----------
+    state : State
+        What to show.
+    robot : Robot
+        Its looks.
+    dark : bool
+        A dark page.
+    geometry_file : Path, optional
+        For the command line on the page.
+    ghosts : bool
+        Show the other branches.
+    """
+    with quiet_server("127.0.0.1", 0) as server:
+        stage = Stage(server.scene, robot)
+        stage.show_ghosts = stage.show_labels = ghosts
+        stage.show(state)
+        height = float(state.shown.translation[2]) + 0.5 * stage.size
+        centre = np.array([0.0, 0.0, 0.47 * height])
+        direction = np.array([0.5, -0.87, 0.3])
+        # The card stands on the right.
+        centre += 0.15 * height * np.array([0.87, 0.5, 0.0])
+        server.initial_camera.position = tuple(centre + 1.6 * height * direction)
+        server.initial_camera.look_at = tuple(centre)
+        page: str = server.scene.as_html(dark_mode=dark)
+    card = _CARD.format(
+        paper="#25262b" if dark else "#ffffff",
+        ink="#e6e6e6" if dark else "#1a1b1e",
+        title=escape(f"3RPS-3SPR, {state.label or 'no isolated branch'}"),
+        body=status(state) + instruments(state) + (forces_table(state) if state.wrench.any() else ""),
+        command=escape(command_line(state.shown, geometry_file)),
+    )
+    end = page.rindex("</body>")
+    return page[:end] + card + page[end:]
+
+
+def save_snapshot(
+    configuration: Configuration,
+    path: str | Path,
+    *,
+    dark: bool = False,
+    ghosts: bool = True,
+    geometry_file: Path | None = None,
+) -> Path:
+    """Save a configuration as an HTML page that needs no server and no network.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        A single configuration that exists.
+    path : str or Path
+        File to write, ending in ``.html``; one that exists is replaced.
+    dark, ghosts : bool
+        A dark page; the other branches as ghosts.
+    geometry_file : Path, optional
+        Where the geometry came from, for the command line on the page.
+
+    Returns
+    -------
+    Path
+        `path`.
+
+    Raises
+    ------
+    ArgumentError
+        If the suffix is another, or the file cannot be written.
+    MissingExtraError
+        If viser is not installed.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise ArgumentError("path", "a file name ending in .html", repr(path.name))
+    state = Model(configuration).state
+    page = snapshot_html(state, Robot(configuration.geometry), dark=dark, ghosts=ghosts, geometry_file=geometry_file)
+    try:
+        path.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise ArgumentError("path", "a file that can be written", path, str(error.strerror)) from error
+    return path

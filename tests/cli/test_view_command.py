@@ -1,0 +1,198 @@
+from __future__ import annotations
+
+import re
+import signal
+import socket
+import subprocess
+import sys
+import urllib.request
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import spm_pin as spm
+from spm_pin.cli import main
+from spm_pin.display.gallery import save_gallery
+from spm_pin.display.viewer.inbox import Inbox
+from spm_pin.display.viewer.viser_server import free_port
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+COMMAND = [sys.executable, "-c", "from spm_pin.cli import main; main()"]
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Return a function that runs the command here, since a process for each takes seconds."""
+
+    def command(*arguments: str) -> subprocess.CompletedProcess[str]:
+        monkeypatch.setattr(sys, "argv", ["spm-pin", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        out, err = capsys.readouterr()
+        return subprocess.CompletedProcess(arguments, int(ended.value.code or 0), out, err)
+
+    return command
+
+
+def started(*arguments: str) -> tuple[subprocess.Popen[str], str, list[str]]:
+    """Return a viewer's process, the address it names, and the lines before."""
+    process = subprocess.Popen(
+        [*COMMAND, "view", "--no-open", *arguments], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    lines: list[str] = []
+    assert process.stderr is not None
+    for line in process.stderr:
+        lines.append(line)
+        found = re.search(r"viewer at (\S+),", line)
+        if found:
+            return process, found[1], lines
+    raise AssertionError("".join(lines))
+
+
+def test_a_taken_port_is_named_and_another_used_until_ctrl_c() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        process, url, lines = started("--port", str(port))
+        try:
+            assert f"port {port} is taken" in "".join(lines)
+            assert not url.endswith(f":{port}")
+            with urllib.request.urlopen(url, timeout=20) as page:
+                assert b"<html" in page.read(2000)
+            # Loopback only: the machine's other addresses do not answer.
+            assert url.startswith("http://127.0.0.1:")
+        finally:
+            process.send_signal(signal.SIGINT)
+            _, errors = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "Traceback" not in errors
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--host", "203.0.113.7"], "host: expected an address of this machine"),
+        (["--host", "no such host"], "host: expected an address of this machine"),
+        (["--port", "70000"], "port: expected a port from 0 to 65535"),
+        (["--path", "nothing.csv"], "No such file"),
+        (["--branch", "FT+"], "real branches, here TT+"),
+        (["--xyx", "1", "2", "3"], "--translation: expected a pose"),
+        (["--legs", "1", "1", "1", "1", "1", "1", "--translation", "1", "2", "3", "--xyx", "1", "2", "3"], "both"),
+        (["--legs", "9", "0.1", "9", "1", "1", "1"], "can be assembled"),
+        (["--translation", "0", "0", "2", "--xyx", "0", "0", "0"], "a pose with a real branch"),
+        (["--snapshot", "page.png"], "ending in .html"),
+        (["--snapshot", "/nowhere/page.html"], "a file that can be written"),
+    ],
+)
+def test_view_refuses(run: Run, arguments: list[str], words: str) -> None:
+    done = run("view", "--no-open", *arguments)
+    assert done.returncode == 2
+    assert words in " ".join(done.stderr.split())
+    assert "Traceback" not in done.stderr
+
+
+def test_a_snapshot_is_one_file(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "page.html"
+    done = run("view", "--snapshot", str(path), "--branch", "FF+", "--dark")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == ""
+    text = path.read_text(encoding="utf-8")
+    assert 'data-spm="branch">FF+<' in text
+    assert "spm-pin inverse --translation" in text
+    assert path.stat().st_size < 2_000_000
+
+
+def test_draw_one_branch_or_all(run: Run, tmp_path: Path) -> None:
+    one, every, some = tmp_path / "one.png", tmp_path / "all.png", tmp_path / "some.svg"
+    assert run("draw", "--out", str(one), "--width", "200").returncode == 0
+    assert run("draw", "--out", str(every), "--all", "--width", "400").returncode == 0
+    pose = ["--translation", "68.89", "49.63", "225.3", "--xyx", "-11.08", "32.97", "-12.88", "--unit", "cm"]
+    arguments = [*pose, "--branch", "TT-", "--branch", "FF+", "--width", "240"]
+    assert run("draw", "--out", str(some), *arguments).returncode == 0
+    with Image.open(one) as single, Image.open(every) as gallery:
+        assert single.width == 200 < single.height
+        assert gallery.width == 400
+        # Six branches, three in a row: something is drawn in each of the six places.
+        ink = 255 - np.asarray(gallery.convert("L"), dtype=float)
+        height, width = ink.shape
+        for row in range(2):
+            for column in range(3):
+                place = ink[
+                    row * height // 2 : (row + 1) * height // 2, column * width // 3 : (column + 1) * width // 3
+                ]
+                assert place.mean() > 5.0
+    assert some.read_text(encoding="utf-8").startswith("<?xml")
+    assert some.read_text(encoding="utf-8").count("<image") == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--out", "x.jpg"], "ending in .png or .svg"),
+        (["--out", "x.png", "--all", "--branch", "TT+"], "both --all and --branch"),
+        (["--out", "x.png", "--branch", "ZZ"], "real branches, here TT+"),
+        (["--out", "/nowhere/x.png", "--width", "100", "--no-names"], "a file that can be written"),
+        (["--out", "/nowhere/x.png", "--all", "--width", "300"], "a file that can be written"),
+        (["--out", "x.png", "--width", "3"], "at least 100 pixels"),
+        (["--out", "x.png", "--all", "--width", "150"], "at least 300 pixels for 3 columns"),
+        (["--out", "x.png", "--view", "900", "0"], "azimuth and elevation"),
+    ],
+)
+def test_draw_refuses(
+    run: Run, tmp_path: Path, arguments: list[str], words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = run("draw", *arguments)
+    assert done.returncode == 2
+    assert words in " ".join(done.stderr.split())
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_gallery_of_nothing_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(spm.ArgumentError, match="at least one"):
+        save_gallery({}, tmp_path / "x.png")
+
+
+def test_a_free_port_is_free() -> None:
+    assert free_port("127.0.0.1", 0) == 0
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        found = free_port("127.0.0.1", port)
+        assert found > port
+        socket.create_server(("127.0.0.1", found)).close()
+
+
+def test_an_inbox_keeps_the_newest_of_a_kind_and_stops_when_closed() -> None:
+    import asyncio
+    import threading
+
+    done: list[str] = []
+    errors: list[Exception] = []
+    gate = threading.Event()
+
+    async def scenario() -> None:
+        inbox = Inbox(errors.append)
+        inbox.post("first", lambda: gate.wait(10.0))
+        await asyncio.sleep(0.05)
+        for k in range(5):
+            inbox.post("drag", lambda k=k: done.append(f"drag {k}"))
+        inbox.post("select", lambda: done.append("select"))
+        inbox.post("fault", lambda: 1 / 0)
+        gate.set()
+        await inbox.drained()
+        assert done == ["drag 4", "select"]
+        assert isinstance(errors[0], ZeroDivisionError)
+        gate.clear()
+        inbox.post("first", lambda: gate.wait(10.0))
+        await asyncio.sleep(0.05)
+        inbox.post("late", lambda: done.append("late"))
+        inbox.close()
+        gate.set()
+        await inbox.drained()
+        inbox.post("later", lambda: done.append("later"))
+        assert len(asyncio.all_tasks()) == 1
+
+    asyncio.run(scenario())
+    assert done == ["drag 4", "select"]

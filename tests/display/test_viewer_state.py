@@ -1,0 +1,284 @@
+"""The viewer's session without a page: what it does when it is dragged, and what it says."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import subprocess
+import sys
+
+import numpy as np
+import pinocchio as pin
+import problems
+import pytest
+from scipy.spatial.transform import Rotation
+
+import spm_pin as spm
+from spm_pin.display.viewer.export import command_line, json_text
+from spm_pin.display.viewer.limits import nearest_within_limits
+from spm_pin.display.viewer.markup import forces_table, instruments, status
+from spm_pin.display.viewer.reach import LEAST_TILT, displacement, nearest_reachable
+from spm_pin.display.viewer.readings import Readings
+from spm_pin.display.viewer.robot import Robot
+from spm_pin.display.viewer.state import Drive, Model, starting_configuration
+
+PAPER = spm.Geometry.paper()
+FREE = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)
+START = starting_configuration(PAPER)
+
+
+def moved(pose, shift=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0)):
+    return spm.pose(pose.translation + np.array(shift), rotation=Rotation.from_rotvec(turn) * pose.rotation)
+
+
+def texts(state, level="warning"):
+    return " ".join(notice.text for notice in state.notices if notice.level == level)
+
+
+def test_it_begins_with_the_paper_s_solution_3():
+    np.testing.assert_allclose(START.leg_lengths, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5], atol=1e-12)
+    state = Model(START).state
+    assert state.label == "TT+"
+    assert state.labels == ("TT+", "TT-", "TF+", "TF-", "FF+", "FF-")
+    assert state.readings.physical
+    assert not state.notices
+
+
+@pytest.mark.parametrize("name", problems.GEOMETRIES)
+def test_every_machine_has_a_start(name):
+    state = starting_configuration(problems.GEOMETRIES[name])
+    assert state.exists
+    assert Readings.of(state, np.zeros(6)).physical
+
+
+def test_a_dragged_platform_is_followed_on_its_branch():
+    model = Model(START)
+    model.hold_limits = False
+    for k in range(1, 6):
+        target = moved(START.pose, shift=(0.0, 0.0, -0.01 * k), turn=(0.0, -0.01 * k, 0.0))
+        state = model.drag(target)
+        assert state.label == "TT+"
+        assert state.distance == 0.0
+        np.testing.assert_allclose(state.shown.pose.as_matrix(), target.as_matrix(), atol=1e-15)
+
+
+def test_selecting_a_branch_keeps_the_pose_and_says_what_is_wrong_with_it():
+    model = Model(START)
+    state = model.select("FF+")
+    assert state.label == "FF+"
+    np.testing.assert_allclose(state.shown.pose.as_matrix(), START.pose.as_matrix(), atol=1e-15)
+    assert "Beyond the leg limits: r_b1 by 370.2 mm" in texts(state)
+    assert "without a forward singularity" in texts(state, "info")
+    assert model.select("TT+").notices == ()
+    with pytest.raises(spm.ArgumentError, match="one of TT\\+, TT-"):
+        model.select("FT+")
+
+
+def test_limits_are_held_once_the_machine_is_inside_them_and_only_then():
+    model = Model(START)
+    target = moved(START.pose, shift=(0.0, 0.0, 0.3))
+    state = model.drag(target)
+    assert "out of reach: beyond the leg limits" in texts(state)
+    assert model.within_limits(state.shown)
+    assert state.distance == pytest.approx(displacement(PAPER, state.shown.pose, target))
+    np.testing.assert_array_equal(state.target.as_matrix(), target.as_matrix())
+    model.hold_limits = False
+    state = model.drag(target)
+    assert state.distance == 0.0
+    assert "Beyond the leg limits" in texts(state)
+    model.hold_limits = True
+    assert model.drag(moved(target, shift=(0.0, 0.0, 0.01))).distance == 0.0
+
+
+def test_nothing_within_the_limits_is_nearer():
+    rng = np.random.default_rng(3)
+    nearer = []
+    for _ in range(6):
+        target = moved(START.pose, rng.normal(0.0, 0.3, 3), rng.normal(0.0, 0.3, 3))
+        found = nearest_within_limits(START, target)
+        assert PAPER.limits.margin(found.leg_lengths) >= -1e-12
+        # The same mode all over the box: any lengths will do, near to the result and far away.
+        steps = rng.normal(0.0, 1.0, (500, 6)) * np.geomspace(1e-4, 0.3, 500)[:, None]
+        others = spm.forward_physical(PAPER, np.clip(found.leg_lengths + steps, 1.1, 1.5))
+        assert others.exists.all()
+        least = min(displacement(PAPER, pose, target) for pose in others.pose)
+        nearer.append(displacement(PAPER, found.pose, target) - least)
+    assert max(nearer) < 2e-5
+
+
+@pytest.mark.parametrize("family", spm.FAMILIES)
+def test_the_nearest_reachable_pose_is_reachable_and_nothing_found_at_random_is_nearer(family):
+    rng = np.random.default_rng(spm.FAMILIES.index(family))
+    place = 2 * spm.FAMILIES.index(family)
+    tried = 0
+    while tried < 4:
+        target = spm.pose(rng.normal([0.0, 0.0, 2.2], [0.9, 0.9, 0.3]), xyx=rng.normal(0.0, 0.6, 3))
+        if spm.inverse_displacement(FREE, target).exists[place]:
+            continue
+        tried += 1
+        found = nearest_reachable(FREE, target, family)
+        assert spm.inverse_displacement(FREE, found.pose).exists[place]
+        assert found.distance == pytest.approx(displacement(FREE, found.pose, target))
+        # Poses around the result and around the target, of every size of step.
+        for centre in (found.pose, target):
+            size = np.geomspace(1e-4, 1.0, 3000)[:, None] * found.distance
+            shifts, turns = rng.normal(0.0, 1.0, (2, 3000, 3)) * size
+            rotation = Rotation.from_rotvec(turns / FREE.platform_radius) * centre.rotation
+            poses = spm.pose(centre.translation + shifts, rotation=rotation)
+            tilted = np.arccos(rotation.as_matrix()[:, 2, 2]) >= LEAST_TILT
+            real = spm.inverse_displacement(FREE, poses).exists[:, place] & tilted
+            distances = [displacement(FREE, pose, target) for pose in poses[real]]
+            assert min(distances, default=np.inf) > found.distance - 1e-4
+
+
+def test_for_a_fixed_orientation_the_edge_is_where_the_discriminant_vanishes():
+    # Twice the same projection: by the slab, and by bisection along its normal.
+    target = spm.pose([1.5, 0.4, 2.2], xyx=np.deg2rad([20.0, 30.0, -15.0]))
+    found = nearest_reachable(FREE, target, "TT")
+    index = spm.inverse_displacement(FREE, found.pose).discriminants[0]
+    assert 0.0 <= index < 1e-6
+    assert spm.singularities(spm.inverse_displacement(FREE, found.pose)["TT+"]).sigma[2] < 1e-3
+
+
+def test_a_reachable_pose_is_its_own_nearest():
+    found = nearest_reachable(PAPER, START.pose, "TT")
+    assert found.distance < 1e-12
+
+
+def test_a_level_platform_is_out_of_reach_and_its_nearest_pose_is_hardly_tilted():
+    model = Model(spm.inverse_displacement(FREE, START.pose).physical())
+    for shift in ((0.0, 0.0), (0.2, 0.1)):
+        state = model.drag(spm.pose([*shift, 2.2], rotation=np.eye(3)))
+        assert "out of reach" in texts(state)
+        assert 0.0 < state.distance < 2.0 * LEAST_TILT
+    assert state.label.startswith("TT")
+
+
+def test_a_branch_that_does_not_reach_a_pose_names_those_that_do():
+    target = spm.pose([0.4, -0.4, 2.2], xyx=np.deg2rad([10.0, 25.0, 30.0]))
+    solutions = spm.inverse_displacement(FREE, target)
+    beginning = spm.inverse_displacement(FREE, START.pose)
+    absent = [label for label in spm.BRANCHES if not solutions[label].exists]
+    absent.sort(key=lambda label: not beginning[label].exists)
+    assert 0 < solutions.count < 8, "the example has lost its point"
+    model = Model(spm.inverse_displacement(FREE, START.pose)[absent[0]])
+    said = texts(model.drag(target))
+    assert f"{absent[0]} does not reach it" in said
+    assert f"Other branches there: {', '.join(label for label in spm.BRANCHES if label not in absent)}." in said
+
+
+def test_legs_drive_the_platform_and_stop_before_a_singularity():
+    model = Model(START)
+    lengths = np.array([1.25, 1.2, 1.35, 1.3, 1.2, 1.45])
+    state = model.set_legs(lengths)
+    assert state.drive is Drive.LEGS
+    np.testing.assert_allclose(state.shown.leg_lengths, lengths, atol=1e-12)
+    state = model.set_legs([0.2, 3.0, 0.2, 1.3, 1.3, 1.31])
+    assert "not reached: a forward singularity is in the way" in texts(state)
+    way = np.array([0.2, 3.0, 0.2, 1.3, 1.3, 1.31]) - lengths
+    share = ((state.shown.leg_lengths - lengths) / np.where(way == 0.0, np.nan, way))[way != 0.0]
+    np.testing.assert_allclose(share, share[0], atol=1e-9)
+    assert 0.05 < share[0] < 1.0
+    with pytest.raises(spm.ArgumentError, match="positive"):
+        model.set_legs([0.0, 1.2, 1.2, 1.2, 1.2, 1.2])
+
+
+def test_equal_legs_have_no_isolated_branch_and_are_left_again():
+    model = Model(START)
+    state = model.set_legs([1.3] * 6)
+    assert state.label == ""
+    assert state.labels == ()
+    assert "continuous family" in texts(state, "info")
+    assert "inverse" in texts(state)
+    assert model.drag(START.pose).label == "TT+"
+
+
+def test_a_crossing_is_named():
+    model = Model(START)
+    before = model.state.label
+    signs = {np.sign(model.state.readings.index[2])}
+    messages = ""
+    for k in range(1, 30):
+        state = model.set_legs(START.leg_lengths + 0.01 * k * np.array([0, 0, -1, 0, 0, -1]))
+        signs.add(np.sign(state.readings.index[2]))
+        messages += texts(state)
+        if len(signs) > 1:
+            break
+    assert f"A singularity was crossed (inverse): {before} became" in messages
+    assert "Singularity ahead (inverse)" in messages
+
+
+def test_readings_are_those_of_the_library():
+    wrench = [10.0, 20.0, -500.0, 5.0, 0.0, 1.0]
+    readings = Model(START).load(wrench).readings
+    np.testing.assert_array_equal(readings.forces, spm.leg_forces(START, wrench))
+    found = spm.singularities(START)
+    np.testing.assert_array_equal(readings.sigma, found.sigma)
+    # The travel predicts where a determinant vanishes: go there along its gradient.
+    gradient = spm.determinant_gradients(START)[2]
+    way = -gradient / np.linalg.norm(gradient) * np.sign(found.determinants[2])
+    there = spm.forward_physical(PAPER, START.leg_lengths + readings.travel[2] * way)
+    assert abs(spm.singularities(there).determinants[2]) < 0.1 * abs(found.determinants[2])
+
+
+def test_the_robot_is_placed_as_pinocchio_places_it():
+    robot = Robot(PAPER)
+    for state in spm.inverse_displacement(PAPER, START.pose):
+        q = robot.q(state)
+        positions, quaternions = robot.placements(q)
+        data = robot.chain.model.createData()
+        visual = robot.chain.visual_model
+        placed = visual.createData()
+        pin.updateGeometryPlacements(robot.chain.model, data, visual, placed, q)
+        for k, part in enumerate(robot.parts):
+            index = visual.getGeometryId(part.name)
+            rotation = Rotation.from_quat(quaternions[k], scalar_first=True).as_matrix()
+            shape = visual.geometryObjects[index].placement
+            np.testing.assert_allclose(rotation @ shape.rotation, placed.oMg[index].rotation, atol=1e-12)
+            origin = rotation @ shape.translation + positions[k]
+            np.testing.assert_allclose(origin, placed.oMg[index].translation, atol=1e-12)
+    # All shapes are there, and each terminal corner is drawn around its joint.
+    assert sum(len(part.faces) for part in robot.parts) > 2000
+
+
+def test_the_exported_command_finds_the_state_again():
+    state = Model(START).state
+    words = shlex.split(command_line(state.shown))
+    assert words[:2] == ["spm-pin", "inverse"]
+    code = "from spm_pin.cli import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code, *words[1:], "--json"], capture_output=True, text=True, check=True, timeout=60
+    )
+    branches = {branch["label"]: branch for branch in json.loads(done.stdout)["branches"]}
+    np.testing.assert_allclose(branches[state.label]["leg_lengths"], START.leg_lengths, atol=1e-12)
+
+
+def test_the_exported_json_holds_the_state():
+    robot = Robot(PAPER)
+    state = Model(START).load([0.0, 0.0, -500.0, 0.0, 0.0, 0.0])
+    content = json.loads(json_text(state, robot))
+    pose = np.array(content["pose"])
+    np.testing.assert_array_equal(pose, START.pose.as_matrix())
+    np.testing.assert_allclose(
+        spm.pose(content["translation"], xyx=content["xyx"]).as_matrix(), START.pose.as_matrix(), atol=1e-14
+    )
+    q = np.array([content["q"][name] for name in spm.ClosedChain.from_urdf().joint_names])
+    assert np.abs(spm.ClosedChain.from_urdf().closure_gap(q)).max() < 1e-12
+    assert content["branch"] == "TT+"
+    assert content["leg_forces"]["r_b1"] == pytest.approx(spm.leg_forces(START, [0, 0, -500, 0, 0, 0])[0])
+    json_text(Model(START).set_legs([1.3] * 6), robot)  # singular, yet JSON
+
+
+def test_markup_says_it_in_words_and_escapes():
+    model = Model(START)
+    calm = status(model.state) + instruments(model.state)
+    assert "⚠" not in calm
+    state = model.drag(moved(START.pose, shift=(0.0, 0.0, 0.3)))
+    assert 'data-spm="warning"' in status(state)
+    assert "⚠ Pose out of reach" in status(state)
+    beyond = instruments(Model(START).select("FF+"))
+    assert "⚠ +370 mm" in beyond
+    assert "nan" not in beyond
+    assert "limits" not in status(Model(starting_configuration(FREE)).state)
+    table = forces_table(model.load([0.0, 0.0, -500.0, 0.0, 0.0, 0.0]))
+    assert "▲" in table or "▼" in table
