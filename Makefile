@@ -38,6 +38,7 @@ docs: $(VENV)/.test
 
 figures: $(VENV)/.test
 	$(BIN)/python docs/site/figures.py
+	$(BIN)/python docs/site/example_figures.py
 
 # Rewrites urdf/spm.urdf, spm.srdf, spm.xml, spm.sdf and spm_closures.yaml from their sources.
 description: $(VENV)/.demo

@@ -39,6 +39,7 @@ from spm_pin.workspace.shell import Patch, Shell, workspace_shell
 if TYPE_CHECKING:
     from spm_pin import nlp
     from spm_pin.multibody.chain import ClosedChain
+    from spm_pin.multibody.platform_path import PlatformPath
 
 __version__ = "0.1.0"
 
@@ -63,6 +64,7 @@ __all__ = [
     "MissingExtraError",
     "NotOneSolutionError",
     "Patch",
+    "PlatformPath",
     "PoseError",
     "SingularConfigurationError",
     "Shell",
@@ -94,6 +96,8 @@ def __getattr__(name: str) -> Any:
         return import_module("spm_pin.nlp")
     if name == "ClosedChain":
         return import_module("spm_pin.multibody.chain").ClosedChain
+    if name == "PlatformPath":
+        return import_module("spm_pin.multibody.platform_path").PlatformPath
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

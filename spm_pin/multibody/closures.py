@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,22 @@ class Workspace:
     each: tuple[Any, ...]
     owner: ClosureConstraints
 
+    @cached_property
+    def accelerations(self) -> _Accelerations:
+        """Memory for `ClosureConstraints.accelerations`, made when first asked for."""
+        return self.owner.memory_for_accelerations()
+
+
+@dataclass(frozen=True, eq=False)
+class _Accelerations:
+    """What `pinocchio.constraintDynamics` works in; the constraints hold the gains of the last call."""
+
+    data: Any
+    constraints: Any
+    states: Any
+    each: tuple[Any, ...]
+    settings: Any
+
 
 class ClosureConstraints:
     """The closures of a model.
@@ -53,15 +70,25 @@ class ClosureConstraints:
         self._model = model
         self._constraints = pin.StdVec_ConstraintModel()
         self._joints: list[int] = []  # that carry frame_a
+        self._frames: list[tuple[int, int]] = []
+        self._ends: list[tuple[Any, ...]] = []
         for closure in closures:
             if closure.kind != "point":
                 raise ArgumentError("closures", "closures of kind point", repr(closure.kind))
-            a, b = (model.frames[model.getFrameId(name)] for name in (closure.frame_a, closure.frame_b))
+            frames = model.getFrameId(closure.frame_a), model.getFrameId(closure.frame_b)
+            a, b = (model.frames[frame] for frame in frames)
             ends = (a.parentJoint, a.placement, b.parentJoint, b.placement)
+            self._frames.append(frames)
+            self._ends.append(ends)
             self._constraints.append(pin.ConstraintModel(pin.PointAnchorConstraintModel(model, *ends)))
             self._joints.append(a.parentJoint)
         # References into the vector, which is slow to iterate over.
         self._each = list(self._constraints)
+
+    @property
+    def count(self) -> int:
+        """Number of closures."""
+        return len(self._each)
 
     def workspace(self, given: Workspace | None = None) -> Workspace:
         """Return memory for `evaluate`: the one given, if it was made here, or new."""
@@ -100,9 +127,67 @@ class ClosureConstraints:
             constraint.calc(self._model, data, own)
         relative = pin.getConstraintsJacobian(self._model, data, self._constraints, workspace.constraints)
         ends = [own.extract() for own in workspace.each]
-        gap = np.array([end.oMc2.translation - end.oMc1.translation for end in ends]).reshape(-1, 3)
+        gap = self.gaps(workspace)
         rotation = np.array([end.oMc1.rotation for end in ends]).reshape(-1, 3, 3)
         # Pinocchio differentiates the gap as a sees it; where a turns, an open gap turns with it.
         turning = [pin.getJointJacobian(self._model, data, a, pin.LOCAL_WORLD_ALIGNED)[3:] for a in self._joints]
         turned = np.array([pin.skew(g) @ w for g, w in zip(gap, turning, strict=True)]).reshape(relative.shape)
-        return gap, (rotation @ relative.reshape(-1, 3, q.size)).reshape(relative.shape) - turned
+        return gap, (rotation @ relative.reshape(-1, 3, self._model.nv)).reshape(relative.shape) - turned
+
+    def gaps(self, workspace: Workspace) -> FloatArray:
+        """Return the gaps (n, 3) that the last `evaluate` left in `workspace`."""
+        ends = [own.extract() for own in workspace.each]
+        return np.array([end.oMc2.translation - end.oMc1.translation for end in ends]).reshape(-1, 3)
+
+    def drift(self, q: FloatArray, v: FloatArray, workspace: Workspace) -> FloatArray:
+        """Return the accelerations of the gaps where no joint accelerates, J̇c v, shape (3 n,), in {B} [m/s²]."""
+        model, data = self._model, workspace.data
+        pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
+        rows = []
+        for a, b in self._frames:
+            at_b, at_a = (pin.getFrameClassicalAcceleration(model, data, i, pin.LOCAL_WORLD_ALIGNED) for i in (b, a))
+            rows.append(at_b.linear - at_a.linear)
+        return np.concatenate(rows)
+
+    def time_variation(self, q: FloatArray, v: FloatArray, workspace: Workspace) -> FloatArray:
+        """Return J̇c, the rate of the Jacobian of `evaluate` as q moves at v, shape (3 n, nv).
+
+        Leaves the rates of all Jacobians, and the frames, in `workspace.data`.
+        """
+        model, data = self._model, workspace.data
+        pin.computeJointJacobiansTimeVariation(model, data, q, v)
+        pin.updateFramePlacements(model, data)
+        rows = []
+        for a, b in self._frames:
+            at_b, at_a = (
+                pin.getFrameJacobianTimeVariation(model, data, i, pin.LOCAL_WORLD_ALIGNED)[:3] for i in (b, a)
+            )
+            rows.append(at_b - at_a)
+        return np.concatenate(rows)
+
+    def accelerations(
+        self, q: FloatArray, v: FloatArray, torques: FloatArray, gains: tuple[float, float], workspace: Workspace
+    ) -> FloatArray:
+        """Return the joint accelerations (nv,) under generalized forces (nv,), the closures' forces included.
+
+        The gaps e obey ë + gains[1] ė + gains[0] e = 0 in {B}, at any q and v, closed or not.
+        """
+        own = workspace.accelerations
+        for constraint in own.each:
+            constraint.m_baumgarte_parameters.Kp, constraint.m_baumgarte_parameters.Kd = gains
+        given = self._model, own.data, q, v, torques, own.constraints, own.states, own.settings
+        return np.array(pin.constraintDynamics(*given))
+
+    def memory_for_accelerations(self) -> _Accelerations:
+        """Return memory for `accelerations`; `Workspace` asks for it."""
+        # Of all constraints, constraintDynamics takes these alone; their Jacobian has the opposite sign.
+        constraints, states = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
+        for ends in self._ends:
+            model = pin.RigidConstraintModel(pin.ContactType.CONTACT_3D, self._model, *ends, pin.LOCAL)
+            constraints.append(model)
+            states.append(model.createData())
+        data = self._model.createData()
+        pin.initConstraintDynamics(self._model, data, constraints, states)
+        # No proximal term: one step is a direct solution.
+        settings = pin.ProximalSettings(0.0, 0.0, 1)
+        return _Accelerations(data, constraints, states, tuple(constraints), settings)

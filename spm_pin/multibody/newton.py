@@ -9,7 +9,7 @@ from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.multibody.closures import ClosureConstraints, Workspace
 from spm_pin.multibody.placement import Placement
 
-__all__ = ["close"]
+__all__ = ["close", "rounding"]
 
 SHORTEST_SHARE = 2.0**-10
 """Share of a Newton step below which the search gives up."""
@@ -28,7 +28,7 @@ def close(
     free[placement.legs] = not hold_legs
     units = np.ones(q.shape)
     units[placement.legs] = placement.geometry.middle_side
-    tolerance = _rounding(q, placement)
+    tolerance = rounding(q, placement)
     cause = "No assembly mode of these leg lengths nearby?" if hold_legs else "Too far from any closed q?"
 
     gap, jacobian = constraints.evaluate(q, workspace)
@@ -56,7 +56,7 @@ def close(
     raise ClosureError(residual, max_iterations, cause)
 
 
-def _rounding(q: FloatArray, placement: Placement) -> float:
+def rounding(q: FloatArray, placement: Placement) -> float:
     """Return what rounding may leave of a closed gap [m]: some eps times the way around the loops."""
     geometry = placement.geometry
     way = geometry.base_radius + geometry.middle_side + geometry.platform_radius + placement.leg_lengths(q).sum()

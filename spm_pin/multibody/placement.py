@@ -12,7 +12,7 @@ import pinocchio as pin
 from spm_pin.description.states import joint_values
 from spm_pin.description.tree import JOINTS, SLIDES, home_lengths
 from spm_pin.errors import ArgumentError, GeometryError
-from spm_pin.mechanism.arguments import FloatArray, frozen, real_array
+from spm_pin.mechanism.arguments import FloatArray, first_offender, frozen, real_array
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry
 
@@ -65,21 +65,23 @@ class Placement:
         return q
 
     def leg_lengths(self, q: FloatArray) -> FloatArray:
-        """Return the six leg lengths (6,) [m] in q."""
-        return np.asarray(self.home + q[self.legs])
+        """Return the six leg lengths (..., 6) [m] in q (..., 18)."""
+        return np.asarray(self.home + q[..., self.legs])
 
-    def checked(self, q: npt.ArrayLike) -> FloatArray:
-        """Return a copy of q (18,), or raise `ArgumentError`."""
-        array = one_vector(q, "q", len(JOINTS), "joint values in rad and m in Pinocchio's order")
+    def checked(self, q: npt.ArrayLike, argument: str = "q", *, single: bool = False) -> FloatArray:
+        """Return a copy of q (..., 18), or raise `ArgumentError`."""
+        read = one_vector if single else real_array
+        array = read(q, argument, (len(JOINTS),), "joint values in rad and m in Pinocchio's order")
         lengths = self.leg_lengths(array)
         if (lengths < 0.0).any():
-            worst = int(lengths.argmin())
+            worst = np.unravel_index(int(lengths.argmin()), lengths.shape)
             cause = "The value of a slide is the leg's length minus its length at home"
-            raise ArgumentError("q", "legs of no negative length", f"{lengths[worst]:g} m in {LEGS[worst]}", cause)
+            received = f"{lengths[worst]:g} m in {LEGS[worst[-1]]}"
+            raise ArgumentError(argument, "legs of no negative length", received, cause)
         return array.copy()
 
     def place(self, configuration: Configuration) -> FloatArray:
-        """Return q (18,) of a configuration; see `ClosedChain.place`."""
+        """Return q (..., 18) of a configuration; see `ClosedChain.place`."""
         if not isinstance(configuration, Configuration):
             cause = "One of several solutions? .physical(), or an index, takes one"
             raise ArgumentError("configuration", "a Configuration", type(configuration).__name__, cause)
@@ -91,26 +93,36 @@ class Placement:
         # With the chain's own limits: they set the zero of its slides.
         arrays = configuration.rotation, configuration.translation, configuration.middle_joints
         same = Configuration.from_arrays(self.geometry, *arrays)
-        values = joint_values(same)
-        residual = float(same.closure_residual)
-        if residual > AGREEMENT * self.geometry.middle_side:
+        absent = ~same.exists
+        if absent.any():
+            where = f"NaN at batch index {first_offender(absent)}" if same.shape else "NaN"
+            cause = "Not a real branch? .exists says which are"
+            raise ArgumentError("configuration", "a configuration that exists", where, cause)
+        open_ = same.closure_residual > AGREEMENT * self.geometry.middle_side
+        if open_.any():
+            index = first_offender(open_)
+            where = f" at batch index {index}" if index else ""
+            received = f"a closure residual of {same.closure_residual[index]:.1e} m{where}"
             cause = "Rounded numbers? inverse_displacement closes the loops for a pose"
-            raise ArgumentError("configuration", "a closed mechanism", f"a closure residual of {residual:.1e} m", cause)
-        return self.vector(values)
+            raise ArgumentError("configuration", "a closed mechanism", received, cause)
+        placed = np.empty((*same.shape, len(self._index)))
+        for index in np.ndindex(same.shape):
+            placed[index] = self.vector(joint_values(same[index] if index else same))
+        return placed
 
-    def configuration(self, q: FloatArray, data: Any) -> Configuration:
-        """Return the configuration in q (18,), computed in `data`."""
+    def frames(self, q: FloatArray, data: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the rotation (3, 3) and translation (3,) of m and the corners b (3, 3) at q (18,), from `data`."""
         pin.framesForwardKinematics(self.model, data, q)
         terminal = data.oMf[self.platform]
         corners = np.array([data.oMf[corner].translation for corner in self._corners])
         # Pinocchio returns views of its data: copies are what the caller keeps.
-        return Configuration.from_arrays(self.geometry, terminal.rotation.copy(), terminal.translation.copy(), corners)
+        return terminal.rotation.copy(), terminal.translation.copy(), corners
 
 
-def one_vector(value: npt.ArrayLike, argument: str, size: int, meaning: str) -> FloatArray:
-    """Read `value` as float64 of shape `(size,)`, or raise `ArgumentError`."""
-    array = real_array(value, argument, (size,), meaning)
+def one_vector(value: npt.ArrayLike, argument: str, trailing: tuple[int], meaning: str) -> FloatArray:
+    """Read `value` as float64 of shape `trailing`, or raise `ArgumentError`."""
+    array = real_array(value, argument, trailing, meaning)
     if array.ndim != 1:
-        cause = "One configuration a call; the closed form takes batches"
-        raise ArgumentError(argument, f"shape ({size},), {meaning}", f"shape {array.shape}", cause)
+        cause = "One motion a call"
+        raise ArgumentError(argument, f"shape ({trailing[0]},), {meaning}", f"shape {array.shape}", cause)
     return array

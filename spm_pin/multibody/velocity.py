@@ -15,6 +15,7 @@ velocities u are of order one together, v = C u, and the scaled matrices are
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -43,23 +44,24 @@ five: a smaller singular value may as well be zero.
 class SingularValues:
     """Smallest singular values at a configuration, dimensionless; each is named after what its zero means.
 
-    Lengths are in units of the middle platform's side, the rates of a ball joint are its angular velocity.
+    Lengths are in units of the middle platform's side, the rates of a ball joint are its angular velocity. Arrays (...)
+    for a batch.
 
     Attributes
     ----------
-    inverse : float
+    inverse : float or ndarray
         Of K, the twist of m and the closures' rates: zero where the platform's twist does not determine the rates
         of the legs.
-    forward : float
+    forward : float or ndarray
         Of [S; Jc], the rates of the legs and of the closures: zero where the legs do not hold the platform.
-    constraint : float
+    constraint : float or ndarray
         Of Jc, the rates of the closures: zero where the revolute joints of a stage do not constrain its platform.
         Then the other two are zero as well.
     """
 
-    inverse: float
-    forward: float
-    constraint: float
+    inverse: Any
+    forward: Any
+    constraint: Any
 
 
 @dataclass(frozen=True)

@@ -98,7 +98,7 @@ def test_limits_play_no_part() -> None:
 def test_configurations_that_cannot_be_placed() -> None:
     branches = spm.inverse_displacement(PAPER, six_branches()[0].pose)
     state = six_branches()[0]
-    with pytest.raises(ArgumentError, match=r"expected a single configuration, got a batch of shape \(8,\)"):
+    with pytest.raises(ArgumentError, match=r"expected a configuration that exists, got NaN at batch index \(\d,\)"):
         chain().place(branches.configurations)
     with pytest.raises(ArgumentError, match="expected a configuration that exists, got NaN"):
         chain().place(branches.configurations[~branches.exists][0])
@@ -118,14 +118,13 @@ def test_configurations_that_cannot_be_placed() -> None:
     ("q", "message"),
     [
         (np.zeros(17), r"of shape \(\.\.\., 18\)"),
-        (np.zeros((3, 18)), r"expected shape \(18,\), .* got shape \(3, 18\)\. One configuration a call"),
         (np.full(18, np.nan), "expected finite real numbers"),
         (np.full(18, np.inf), "expected finite real numbers"),
         (None, "expected real numbers"),
         (np.zeros(18, complex), "expected real numbers"),
         (np.full(18, -2.0), r"legs of no negative length, got -0\.7 m"),
     ],
-    ids=["seventeen", "batch", "NaN", "infinite", "nothing", "complex", "negative legs"],
+    ids=["seventeen", "NaN", "infinite", "nothing", "complex", "negative legs"],
 )
 def test_bad_joint_values_are_refused(q: object, message: str) -> None:
     robot = chain()
@@ -149,7 +148,7 @@ def test_bad_joint_values_are_refused(q: object, message: str) -> None:
 
 @pytest.mark.parametrize(
     "value",
-    [np.zeros(5), np.zeros((2, 6)), [np.nan] * 6, None],
+    [np.zeros(5), np.zeros((2, 5)), [np.nan] * 6, None],
     ids=["five", "batch", "NaN", "nothing"],
 )
 def test_other_bad_vectors_are_refused(value: object) -> None:

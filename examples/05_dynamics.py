@@ -1,0 +1,31 @@
+"""Leg forces along a motion of the platform, and the same motion simulated with them.
+
+Needs: spm-pin.
+"""
+
+import numpy as np
+
+import spm_pin as spm
+
+chain = spm.ClosedChain.from_urdf()
+poses = spm.pose(
+    [[0.6889, 0.4963, 2.253], [0.70, 0.48, 2.28], [0.68, 0.50, 2.28]],
+    xyx=np.deg2rad([[-11.08, 32.97, -12.88], [-12.0, 33.5, -12.0], [-11.0, 33.0, -13.0]]),
+)
+q0 = chain.place(spm.inverse_displacement(chain.geometry, poses[0]).physical())
+
+# Inverse dynamics: all joints of the path, and what the actuators give.
+times = np.linspace(0.0, 2.0, 201)
+motion = chain.joint_trajectory(spm.PlatformPath([0.0, 1.0, 2.0], poses, ease=True), times, q0)
+efforts = motion.efforts[:, chain.leg_indices]
+print("at rest    ", np.round(efforts[0], 1), "N")
+print("on its way ", np.round(efforts[100], 1), "N")
+
+# Forward dynamics: let the legs fall from there.
+rest = np.zeros(18)
+fall = chain.simulate(q0, rest, None, np.linspace(0.0, 0.3, 31))
+print(fall)
+print(
+    f"fallen by {fall.potential[0] - fall.potential[-1]:.0f} J, of which {np.abs(fall.energy_error).max():.0e} J lost"
+)
+print(f"loops open by {fall.closure_gap.max():.0e} m")

@@ -1,0 +1,26 @@
+"""A small manipulator as the wrist of a UR5, in one Pinocchio model with its loops closed.
+
+Needs: "spm-pin[robots]".
+"""
+
+import example_robot_data
+import numpy as np
+import pinocchio as pin
+
+import spm_pin as spm
+
+arm = example_robot_data.load("ur5")
+wrist = spm.ClosedChain.from_urdf(geometry=spm.Geometry(0.06, 0.04, 0.05), prefix="spm_")
+both = wrist.mounted_on(arm, "tool0", pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.02])))
+print(both)
+
+home = wrist.leg_lengths(np.zeros(18))
+q = both.join([0.3, -1.2, 1.4, -0.6, 0.5, 0.2], wrist.complete(home * [1.0, 1.05, 0.97, 1.02, 0.98, 1.04]))
+print(f"loops open by {np.abs(both.closure_gap(q)).max():.0e} m, wherever the arm is")
+
+rest = np.zeros(both.model.nv)
+load = {"spm_terminal_platform": [0.0, 0.0, -20.0, 0.0, 0.0, 0.0]}
+forces = both.inverse_dynamics(q, rest, rest, load)
+print("arm ", np.round(forces[:6], 2), "N m")
+print("legs", np.round(forces[6:], 2), "N")
+print(f"and nothing moves: {np.abs(both.forward_dynamics(q, rest, forces, load)).max():.0e}")

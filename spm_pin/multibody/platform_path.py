@@ -1,0 +1,115 @@
+"""A path of the platform in time, through poses."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import RigidTransform, RotationSpline
+
+from spm_pin.errors import ArgumentError, PoseError
+from spm_pin.mechanism.arguments import FloatArray, real_array
+from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose
+
+__all__ = ["PlatformMotion", "PlatformPath", "increasing_times"]
+
+
+class PlatformMotion(NamedTuple):
+    """How the terminal platform moves, at one time or several.
+
+    Attributes
+    ----------
+    pose : RigidTransform
+        Of {m} in {B}, shape (...).
+    twist : ndarray, shape (..., 6)
+        (v, ω): velocity of o [m/s], angular velocity [rad/s], in {B}.
+    acceleration : ndarray, shape (..., 6)
+        Time derivative of the twist [m/s², rad/s²].
+    """
+
+    pose: RigidTransform
+    twist: FloatArray
+    acceleration: FloatArray
+
+
+class PlatformPath:
+    """A twice continuously differentiable motion of the platform through given poses.
+
+    Cubic splines: of o as in SciPy's `CubicSpline`, of the rotation as in its `RotationSpline`.
+
+    Parameters
+    ----------
+    times : array_like, shape (n,)
+        When to be where [s], increasing, at least two.
+    poses : RigidTransform or array_like (n, 4, 4)
+        Where: of {m} in {B}.
+    ease : bool
+        Start from rest and end at rest, without acceleration: the path is gone through on a clock that runs from the
+        first to the last time as 10 x³ - 15 x⁴ + 6 x⁵. The poses between are then met at other times.
+
+    Raises
+    ------
+    ArgumentError, PoseError
+        If an argument is malformed.
+    """
+
+    def __init__(self, times: npt.ArrayLike, poses: PoseLike, *, ease: bool = False) -> None:
+        moments = increasing_times(times, least=2)
+        transforms = as_rigid_transform(poses, "poses")
+        if transforms.shape != moments.shape:
+            raise PoseError("poses", f"one for each of {moments.size} times", f"shape {transforms.shape}")
+        self._times = moments
+        self._ease = bool(ease)
+        self._translation = CubicSpline(moments, transforms.translation)
+        self._rotation = RotationSpline(moments, transforms.rotation)
+
+    @property
+    def duration(self) -> float:
+        """From the first to the last time [s]."""
+        return float(self._times[-1] - self._times[0])
+
+    def __call__(self, times: npt.ArrayLike) -> PlatformMotion:
+        """Return the motion at times [s] of shape (...), none outside the path's own.
+
+        Raises
+        ------
+        ArgumentError
+            If a time is not finite, or outside.
+        """
+        moments = real_array(times, "times", (), "in seconds")
+        begin, until = float(self._times[0]), float(self._times[-1])
+        outside = (moments < begin) | (moments > until)
+        if outside.any():
+            raise ArgumentError("times", f"times from {begin:g} to {until:g} s", f"{moments[outside].flat[0]:g}")
+        clock, rate, rate_change = moments, np.ones_like(moments), np.zeros_like(moments)
+        if self._ease:
+            x = (moments - begin) / self.duration
+            # Rounding must not run past the end.
+            clock = np.clip(begin + self.duration * x**3 * (10.0 - 15.0 * x + 6.0 * x**2), begin, until)
+            rate = 30.0 * x**2 * (1.0 - x) ** 2
+            rate_change = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / self.duration
+        flat, shape = clock.reshape(-1), moments.shape
+        rotation = self._rotation(flat)
+        # SciPy's angular rates are in {m}; in {B} their derivative is that in {m}, because ω × ω = 0.
+        first, second = (
+            np.concatenate([self._translation(flat, order), rotation.apply(self._rotation(flat, order))], axis=-1)
+            for order in (1, 2)
+        )
+        speed, change = rate.reshape(-1, 1), rate_change.reshape(-1, 1)
+        place, turn = self._translation(flat).reshape(*shape, 3), rotation.as_matrix().reshape(*shape, 3, 3)
+        twist, acceleration = speed * first, speed**2 * second + change * first
+        return PlatformMotion(pose(place, rotation=turn), twist.reshape(*shape, 6), acceleration.reshape(*shape, 6))
+
+
+def increasing_times(times: npt.ArrayLike, *, least: int = 1) -> FloatArray:
+    """Read times (n,) [s], or raise `ArgumentError`."""
+    array = real_array(times, "times", (), "in seconds")
+    if array.ndim != 1 or array.size < least:
+        raise ArgumentError("times", f"times in seconds, shape (n,), at least {least}", f"shape {array.shape}")
+    backward = np.diff(array) <= 0.0
+    if backward.any():
+        at = int(np.flatnonzero(backward)[0])
+        raise ArgumentError("times", "increasing times", f"{array[at + 1]:g} after {array[at]:g}")
+    return array

@@ -1,0 +1,289 @@
+"""Motion in time: an explicit method of order eight in all joint coordinates, brought back onto the closures each step.
+
+The joint accelerations keep the loops closed to second order in time, so that errors of the method would open them.
+After each step q goes to the nearest closed one, and v to the admissible one nearest in kinetic energy,
+
+    v ← v - M⁻¹ Jcᵀ (Jc M⁻¹ Jcᵀ)⁻¹ Jc v,
+
+moves as small as the error of the step. Eighteen joints rather than six coordinates: no choice of six is regular
+everywhere, and these pass through inverse and forward singularities alike. The work of all forces is integrated beside
+the state, so that energy less work is constant in every run, driven or not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from scipy.integrate import DOP853
+from scipy.optimize import brentq
+
+from spm_pin.errors import ClosureError
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.geometry import LEGS, LegLimits
+from spm_pin.multibody.closures import ClosureConstraints, Workspace
+from spm_pin.multibody.dynamics import energy_of, mass_matrix, wrench_torques
+from spm_pin.multibody.newton import close
+from spm_pin.multibody.placement import Placement
+from spm_pin.multibody.simulation import Simulation, SimulationEnd
+from spm_pin.multibody.velocity import Linearization
+
+__all__ = ["Ending", "Law", "Stepper"]
+
+Law = Callable[[float, FloatArray, FloatArray], FloatArray]
+"""What acts at (t, q, v)."""
+
+LEAST_CONSTRAINED = 1e-5
+"""Smallest singular value of the scaled closures at which a run ends: the forces in the balls grow as its inverse."""
+
+SHORTEST_LEG = 1e-6
+"""Length of a leg at which a run ends, in units of the middle platform's side: less has no direction."""
+
+SINGULAR_ENDS = (SimulationEnd.INVERSE_SINGULARITY, SimulationEnd.FORWARD_SINGULARITY)
+
+
+class Ending(NamedTuple):
+    """What ends a run, and when."""
+
+    end: SimulationEnd
+    detail: str
+    time: float
+
+
+class Margin(NamedTuple):
+    """A number that is positive inside a limit, or changes its sign at a singularity."""
+
+    end: SimulationEnd
+    detail: str
+    value: float
+
+    def passed(self, following: float) -> bool:
+        """Whether it ends a run to come from this value to the next."""
+        if self.end in SINGULAR_ENDS:
+            return self.value * following < 0.0 or (following == 0.0 and self.value != 0.0)
+        return following < 0.0
+
+
+class Stepper:
+    """One simulation as it goes; a state is q, v and the work done, shape (37,).
+
+    Parameters
+    ----------
+    placement : Placement
+        Of the chain.
+    constraints : ClosureConstraints
+        Of the chain.
+    workspace : Workspace
+        Its memory.
+    frames : list of int
+        Where wrenches act.
+    wrenches : callable
+        These side by side (6 n,) at (t, q, v).
+    limits : LegLimits, optional
+        To stop at.
+    singular : frozenset of SimulationEnd
+        Singularities to stop at.
+    """
+
+    def __init__(
+        self,
+        placement: Placement,
+        constraints: ClosureConstraints,
+        workspace: Workspace,
+        frames: list[int],
+        wrenches: Law,
+        limits: LegLimits | None,
+        singular: frozenset[SimulationEnd],
+    ) -> None:
+        self._placement, self._constraints, self._workspace = placement, constraints, workspace
+        self._frames, self._wrenches = frames, wrenches
+        self._limits, self._singular = limits, singular
+        self._size = int(placement.model.nv)
+        self._least = SHORTEST_LEG * placement.geometry.middle_side
+        self._rows: list[dict[str, Any]] = []
+        self._steps = self._evaluations = 0
+
+    def start(self, q: FloatArray, v: FloatArray) -> FloatArray:
+        """Return the state that begins at q and v."""
+        return self._closed(np.concatenate([q, v, [0.0]]))
+
+    def beyond(self, time: float, state: FloatArray) -> Ending | None:
+        """Return the limit that a state is beyond."""
+        lengths = self._placement.leg_lengths(state[: self._size])
+        if lengths.min() < self._least:
+            return Ending(SimulationEnd.COLLAPSE, LEGS[int(lengths.argmin())], time)
+        margins = (margin for margin in self._margins(state) if margin.end not in SINGULAR_ENDS)
+        return next((Ending(m.end, m.detail, time) for m in margins if m.value < 0.0), None)
+
+    def parts(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return q and v of a state."""
+        return state[: self._size], state[self._size : -1]
+
+    def record(self, time: float, state: FloatArray, forces: Law) -> None:
+        """Keep the motion at one time, unless the last one kept is of that time."""
+        if self._rows and self._rows[-1]["times"] == time:
+            return
+        q, v = self.parts(state)
+        work = float(state[-1])
+        a, force, _ = self._motion(time, q, v, forces)
+        gap = self._constraints.evaluate(q, self._workspace)[0]
+        energy = energy_of(self._placement.model, q, v, self._workspace)
+        widest = float(np.linalg.norm(gap, axis=-1).max())
+        self._rows.append(
+            {
+                "times": time,
+                "q": q,
+                "v": v,
+                "a": a,
+                "leg_lengths": self._placement.leg_lengths(q),
+                "leg_forces": force,
+                "kinetic": energy.kinetic,
+                "potential": energy.potential,
+                "work": work,
+                "closure_gap": widest,
+            }
+        )
+
+    def result(self, ending: Ending | None) -> Simulation:
+        """Return what was kept."""
+        columns: dict[str, Any] = {name: np.array([row[name] for row in self._rows]) for name in self._rows[0]}
+        end, detail = (SimulationEnd.COMPLETE, "") if ending is None else ending[:2]
+        return Simulation(**columns, end=end, detail=detail, steps=self._steps, evaluations=self._evaluations)
+
+    def advance(
+        self,
+        state: FloatArray,
+        span: tuple[float, float],
+        times: FloatArray,
+        forces: Law,
+        tolerance: float,
+        max_step: float,
+        proceed: Callable[[float], bool],
+    ) -> tuple[FloatArray, Ending | None]:
+        """Integrate over a span of time, recording at `times` within; return the state there, or where it ended."""
+
+        def rate(time: float, state: FloatArray) -> FloatArray:
+            self._evaluations += 1
+            q, v = self.parts(state)
+            a, _, power = self._motion(time, q, v, forces)
+            return np.concatenate([v, a, [power]])
+
+        solver = DOP853(rate, span[0], state, span[1], max_step=max_step, rtol=tolerance, atol=tolerance)
+        margins, waiting = self._margins(state), 0
+        while solver.status == "running":
+            before = float(solver.t)
+            # It returns a message where its status becomes "failed".
+            if solver.step() is not None:
+                return state, Ending(SimulationEnd.STALLED, "no step is short enough", before)
+            self._steps += 1
+            time, collapse = self._collapse(solver, before)
+            try:
+                closed = self._closed(solver.y if collapse is None else np.asarray(solver.dense_output()(time)))
+            except (ClosureError, np.linalg.LinAlgError):
+                return state, Ending(SimulationEnd.STALLED, "the loops do not close any more", before)
+            following = self._margins(closed)
+            passed = [k for k, margin in enumerate(margins) if margin.passed(following[k].value)]
+            inside = waiting < times.size and times[waiting] < time
+            # Of the step as it was, before its end is moved onto the closures.
+            dense = solver.dense_output() if inside or passed else None
+
+            at = self._within(dense, (before, state), (time, closed))
+            ending = self._first(passed, margins, at, before, time) or collapse
+            last = time if ending is None else ending.time
+            while waiting < times.size and times[waiting] <= last:
+                self.record(float(times[waiting]), at(float(times[waiting])), forces)
+                waiting += 1
+            if ending is not None:
+                return at(last), ending
+            state, margins = closed, following
+            if not proceed(time):
+                return state, Ending(SimulationEnd.STOPPED, "", time)
+            solver.y, solver.f = closed, rate(time, closed)
+        return state, None
+
+    def _within(
+        self, dense: Any, begin: tuple[float, FloatArray], end: tuple[float, FloatArray]
+    ) -> Callable[[float], FloatArray]:
+        """Return the closed state as a function of time in a step, at its ends the states known there."""
+
+        def at(moment: float) -> FloatArray:
+            if moment <= begin[0]:
+                return begin[1]
+            return end[1] if moment >= end[0] else self._closed(np.asarray(dense(moment)))
+
+        return at
+
+    def _collapse(self, solver: Any, before: float) -> tuple[float, Ending | None]:
+        """Return where a step ends, and why if before its time: the first leg that has no length left."""
+        lengths = self._placement.leg_lengths(solver.y[: self._size])
+        if lengths.min() >= self._least:
+            return float(solver.t), None
+        dense = solver.dense_output()
+
+        def length(moment: float, k: int) -> float:
+            left = float(self._placement.leg_lengths(np.asarray(dense(moment))[: self._size])[k]) - self._least
+            # Rounding must not take the length away before the step begins.
+            return max(left, np.finfo(np.float64).tiny) if moment <= before else left
+
+        short = [int(k) for k in np.flatnonzero(lengths < self._least)]
+        moments = {k: float(brentq(length, before, solver.t, (k,), xtol=1e-15, rtol=1e-14)) for k in short}
+        first = min(short, key=lambda k: moments[k])
+        return moments[first], Ending(SimulationEnd.COLLAPSE, LEGS[first], moments[first])
+
+    def _first(
+        self, passed: list[int], margins: list[Margin], at: Callable[[float], FloatArray], before: float, time: float
+    ) -> Ending | None:
+        """Return the first margin passed in a step."""
+        found = []
+        for k in passed:
+
+            def value(moment: float, k: int = k) -> float:
+                return self._margins(at(moment))[k].value
+
+            moment = before
+            if margins[k].value != 0.0:
+                moment = float(brentq(value, before, time, xtol=1e-15, rtol=1e-14))
+            found.append(Ending(margins[k].end, margins[k].detail, moment))
+        return min(found, key=lambda ending: ending.time, default=None)
+
+    def _margins(self, state: FloatArray) -> list[Margin]:
+        q = state[: self._size]
+        lengths = self._placement.leg_lengths(q)
+        margins: list[Margin] = []
+        if self._limits is not None:
+            for sign, bound, name in ((1.0, self._limits.minimum, "minimum"), (-1.0, self._limits.maximum, "maximum")):
+                spare = sign * (lengths - np.asarray(bound))
+                margins += [Margin(SimulationEnd.LIMIT, f"{LEGS[k]}, {name}", float(spare[k])) for k in range(6)]
+        linear = Linearization.at(q, self._placement, self._constraints, self._workspace)
+        smallest = float(np.linalg.svd(linear.scaled_closures(), compute_uv=False)[-1])
+        margins.append(Margin(SimulationEnd.CONSTRAINT_SINGULARITY, "", smallest - LEAST_CONSTRAINED))
+        matrices = dict(zip(SINGULAR_ENDS, (linear.motion, linear.held), strict=True))
+        margins += [
+            Margin(end, "", float(np.linalg.det(matrices[end]()))) for end in SINGULAR_ENDS if end in self._singular
+        ]
+        return margins
+
+    def _motion(self, time: float, q: FloatArray, v: FloatArray, forces: Law) -> tuple[FloatArray, FloatArray, float]:
+        """Return the accelerations, the leg forces and the power of all but gravity."""
+        model, own = self._placement.model, self._workspace
+        force = forces(time, q, v)
+        torques = np.zeros(self._size)
+        if self._frames:
+            wrenches = self._wrenches(time, q, v).reshape(-1, 6)
+            pin.computeJointJacobians(model, own.data, q)
+            torques += wrench_torques(model, zip(self._frames, wrenches, strict=True), own)
+        torques[self._placement.legs] += force
+        return self._constraints.accelerations(q, v, torques, (0.0, 0.0), own), force, float(torques @ v)
+
+    def _closed(self, state: FloatArray) -> FloatArray:
+        """Return the state with q closed and v admissible."""
+        own = self._workspace
+        q, v = self.parts(state)
+        work = float(state[-1])
+        q = close(q, self._placement, self._constraints, own, False, 10)
+        jacobian = self._constraints.evaluate(q, own)[1]
+        across = np.linalg.solve(mass_matrix(self._placement.model, q, own), jacobian.T)
+        v = v - across @ np.linalg.solve(jacobian @ across, jacobian @ v)
+        return np.concatenate([q, v, [work]])

@@ -1,0 +1,71 @@
+"""Leading axes: every method says of a batch what it says of the members, and of a bad member which it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from multibody.chains import Array, chain, placed
+
+from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
+
+pytest.importorskip("pinocchio")
+
+METHODS: dict[str, Callable[[Any, Array, Array, Array], Any]] = {
+    "place": lambda robot, q, v, w: robot.place(robot.configuration(q)),
+    "leg_lengths": lambda robot, q, v, w: robot.leg_lengths(q),
+    "with_leg_lengths": lambda robot, q, v, w: robot.with_leg_lengths(q, 1.0 + 0.1 * w),
+    "closure_gap": lambda robot, q, v, w: robot.closure_gap(q + 0.01),
+    "constraint_jacobian": lambda robot, q, v, w: robot.constraint_jacobian(q),
+    "project": lambda robot, q, v, w: robot.project(q + 1e-3),
+    "inverse_jacobian": lambda robot, q, v, w: robot.inverse_jacobian(q),
+    "joint_velocities": lambda robot, q, v, w: robot.joint_velocities(q, w),
+    "complete_rates": lambda robot, q, v, w: robot.complete_rates(q, w),
+    "leg_forces": lambda robot, q, v, w: robot.leg_forces(q, w),
+    "cut_forces": lambda robot, q, v, w: robot.cut_forces(q, w),
+    "singular values": lambda robot, q, v, w: robot.singular_values(q).forward,
+    "forward_dynamics": lambda robot, q, v, w: robot.forward_dynamics(q, v, w, w),
+    "joint_accelerations": lambda robot, q, v, w: robot.joint_accelerations(q, v, w),
+    "inverse_dynamics": lambda robot, q, v, w: robot.inverse_dynamics(q, v, robot.joint_accelerations(q, v, w), w),
+    "platform_dynamics": lambda robot, q, v, w: robot.platform_dynamics(q, v).coriolis,
+    "energy": lambda robot, q, v, w: robot.energy(q, v).total,
+}
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("shape", [(1,), (3, 1, 2), (0,)], ids=str)
+def test_members(method: str, shape: tuple[int, ...]) -> None:
+    robot, rng = chain(), np.random.default_rng(300)
+    states = placed("paper", 3, seed=301)[: max(1, int(np.prod(shape)))]
+    q = np.array([state[1] for state in states])[: int(np.prod(shape))].reshape(*shape, 18)
+    w = rng.normal(size=(*shape, 6))
+    v = robot.joint_velocities(q, 0.1 * w)
+    together = METHODS[method](robot, q, v, w)
+    assert together.shape[: len(shape)] == shape
+    for index in np.ndindex(shape):
+        assert np.array_equal(together[index], METHODS[method](robot, q[index], v[index], w[index]))
+
+
+def test_axes_broadcast() -> None:
+    robot, rng = chain(), np.random.default_rng(302)
+    q = np.array([state[1] for state in placed("paper", 2, seed=303)[:3]])
+    wrenches = rng.normal(size=(2, 1, 6))
+    forces = robot.leg_forces(q, wrenches)
+    assert forces.shape == (2, 3, 6)
+    assert np.array_equal(forces[1, 2], robot.leg_forces(q[2], wrenches[1, 0]))
+    with pytest.raises(ArgumentError, match=r"^wrench: expected leading axes that broadcast with \(3,\), got shape"):
+        robot.leg_forces(q, wrenches[:, 0])
+
+
+def test_errors_name_the_member() -> None:
+    robot = chain()
+    q, rest = placed("paper", 1, seed=304)[0][1], np.zeros(18)
+    with pytest.raises(SingularConfigurationError) as singular:
+        robot.inverse_jacobian([[q, q], [q, rest]])
+    assert singular.value.index == (1, 1)
+    with pytest.raises(ClosureError, match=r"At batch index \(1,\)"):
+        robot.inverse_dynamics([q, q + 0.1, q], rest, rest)
+    with pytest.raises(ArgumentError, match=r"^v: expected joint velocities .* at batch index \(2,\)"):
+        robot.inverse_dynamics(q, [rest, rest, rest + 1.0], rest)

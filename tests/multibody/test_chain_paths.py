@@ -1,0 +1,234 @@
+"""Completing the passive joints, reaching poses, and trajectories of all joints."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import problems
+import pytest
+from multibody.chains import EPS, PAPER, POSE, Array, chain, six_branches
+
+import spm_pin as spm
+from spm_pin.errors import ArgumentError, ClosureError, PoseError, SingularConfigurationError
+from spm_pin.multibody.platform_path import PlatformMotion, PlatformPath
+
+pytest.importorskip("pinocchio")
+
+WAYPOINTS = spm.pose(
+    [[0.6889, 0.4963, 2.253], [0.70, 0.48, 2.28], [0.68, 0.50, 2.28]],
+    xyx=np.deg2rad([[-11.08, 32.97, -12.88], [-12.0, 33.5, -12.0], [-11.0, 33.0, -13.0]]),
+)
+
+
+def turned(q: Array) -> Array:
+    """Angles as points of the circle, slides as they are."""
+    legs = chain().leg_indices
+    angles = np.delete(q, legs, axis=-1)
+    return np.concatenate([q[..., legs], np.cos(angles), np.sin(angles)], axis=-1)
+
+
+def test_from_home_to_anywhere_in_the_box() -> None:
+    """The way through leg space leads to the one mode of the box, which the closed form finds by itself."""
+    legs = np.random.default_rng(400).uniform(1.1, 1.5, (40, 6))
+    robot = chain()
+    found = robot.complete(legs)
+    expected = robot.place(spm.forward_physical(PAPER, legs))
+    assert np.abs(turned(found) - turned(expected)).max() <= 1e-11
+    assert np.abs(robot.leg_lengths(found) - legs).max() <= 1e-14
+    assert np.abs(robot.closure_gap(found)).max() <= 1e-13
+
+
+@pytest.mark.parametrize("name", problems.GEOMETRIES)
+def test_other_robots(name: str) -> None:
+    robot, rng = chain(name), np.random.default_rng(401)
+    legs = robot.leg_lengths(np.zeros(18)) * rng.uniform(0.98, 1.02, (2, 5, 6))
+    found = robot.complete(legs)
+    d = robot.geometry.middle_side
+    assert found.shape == (2, 5, 18)
+    assert np.abs(robot.closure_gap(found)).max() <= 1e-13 * (robot.leg_lengths(found).max() + d)
+    assert np.abs(robot.leg_lengths(found) - legs).max() <= 1e-13 * legs.max()
+
+
+def test_one_after_the_other() -> None:
+    """Along a path each member starts from the one before: the same joints as one by one, continuous all the way."""
+    robot = chain()
+    begin, end = np.array([1.2, 1.2, 1.4, 1.25, 1.2, 1.45]), np.array([1.4, 1.3, 1.15, 1.2, 1.45, 1.2])
+    legs = begin + np.linspace(0.0, 1.0, 50)[:, None] * (end - begin)
+    q = robot.complete(begin)
+    together = robot.complete(legs, q)
+    for k, row in enumerate(legs):
+        q = robot.complete(row, q)
+        assert np.abs(q - together[k]).max() <= 1e-11
+    assert np.abs(np.diff(together, axis=0)).max() < 0.2
+    # Warm, there is nothing left to do.
+    assert np.array_equal(robot.complete(robot.leg_lengths(q), q), q)
+
+
+@pytest.mark.parametrize("branch", range(6))
+def test_it_stays_in_its_assembly_mode_and_branch(branch: int) -> None:
+    robot, state = chain(), six_branches()[branch]
+    q = robot.place(state)
+    nearby = robot.complete(state.leg_lengths + 1e-3 * np.sin(np.arange(6)), q)
+    assert np.abs(nearby - q).max() < 0.2
+    back = robot.reach(POSE, nearby)
+    assert np.abs(turned(back) - turned(q)).max() <= 1e-9
+
+
+def test_poses_are_reached_in_the_branch_started_from() -> None:
+    """Two of the six branches end on this way of a third of a millimetre: they meet in an inverse singularity."""
+    robot = chain()
+    moved = np.array([1.5e-4, -3e-4, 3e-4])
+    target = spm.pose(POSE.translation + moved, rotation=POSE.rotation)
+    begin, end = spm.inverse_displacement(PAPER, POSE), spm.inverse_displacement(PAPER, target)
+    assert (begin.count, end.count) == (6, 4)
+    for label in np.array(begin.labels)[begin.exists]:
+        q = robot.place(begin[label])
+        if end[label].exists:
+            found = robot.reach(target, q)
+            # Near a fold, legs move as the root of what the pose moves.
+            allowed = 64 * EPS / robot.singular_values(found).inverse ** 2
+            assert np.abs(robot.leg_lengths(found) - end[label].leg_lengths).max() <= allowed
+            assert np.abs(robot.configuration(found).pose.as_matrix() - target.as_matrix()).max() <= 1e-13
+            continue
+        with pytest.raises(ClosureError, match="an inverse singularity, or out of reach") as caught:
+            robot.reach(target, q)
+        share = float(re.findall(r"No further than (\S+) %", str(caught.value))[0]) / 100.0
+        around = POSE.translation + np.array([[share - 2e-3], [share + 2e-3]]) * moved
+        assert list(spm.inverse_displacement(PAPER, spm.pose(around, rotation=POSE.rotation)).count) == [6, 4]
+
+
+def test_rates_are_the_other_way_of_joint_velocities() -> None:
+    robot = chain()
+    for state in six_branches():
+        q = robot.place(state)
+        rates = np.random.default_rng(402).normal(size=6)
+        v = robot.complete_rates(q, rates)
+        assert np.array_equal(v[robot.leg_indices], rates) or np.allclose(v[robot.leg_indices], rates, rtol=1e-14)
+        twist = spm.platform_jacobian(state) @ rates
+        allowed = 1e-10 * np.abs(v).max() / robot.singular_values(q).inverse
+        assert np.abs(robot.joint_velocities(q, twist) - v).max() <= allowed
+
+
+def test_ways_that_lead_nowhere() -> None:
+    robot = chain()
+    q = robot.complete([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
+    with pytest.raises(ClosureError, match=r"No further than \d+\.?\d* % of the way .*forward singularity"):
+        robot.complete([1.2, 1.2, 1.2, 1.2, 1.2, 9.0], q)
+    with pytest.raises(ClosureError, match=r"At batch index \(1,\)\. No further than"):
+        robot.complete([[1.2, 1.2, 1.4, 1.25, 1.2, 1.4], [1.2, 1.2, 1.2, 1.2, 1.2, 9.0]], q)
+    with pytest.raises(ClosureError, match="out of reach"):
+        robot.reach(spm.pose([0.0, 0.0, 9.0], xyx=[0.1, 0.2, 0.3]), q)
+    with pytest.raises(SingularConfigurationError, match="inverse singularity"):
+        robot.reach(POSE, np.zeros(18))
+    with pytest.raises(ClosureError, match="0 iterations"):
+        robot.complete(np.full(6, 1.3), q + 1e-2)
+    with pytest.raises(ArgumentError, match=r"^near: expected shape"):
+        robot.complete(np.full(6, 1.3), [q, q])
+    with pytest.raises(ArgumentError, match=r"^leg_lengths: expected no negative length, got -1 m"):
+        robot.complete([1.2, 1.2, 1.4, 1.25, 1.2, -1.0], q)
+    with pytest.raises(PoseError):
+        robot.reach(np.eye(3), q)
+    assert robot.complete(np.empty((0, 6)), q).shape == (0, 18)
+
+
+@pytest.mark.parametrize("ease", [False, True])
+def test_twists_and_accelerations_are_derivatives_of_the_pose(ease: bool) -> None:
+    path, h = PlatformPath([0.5, 1.0, 2.0], WAYPOINTS, ease=ease), 1e-4
+    times = np.linspace(0.63, 1.93, 14)
+    ahead, here, behind = path(times + h), path(times), path(times - h)
+    velocity = (ahead.pose.translation - behind.pose.translation) / (2 * h)
+    turning = (ahead.pose.rotation * behind.pose.rotation.inv()).as_rotvec() / (2 * h)
+    assert np.allclose(here.twist, np.concatenate([velocity, turning], axis=-1), atol=1e-7)
+    # Cubic splines: accelerations have corners at the waypoints, which none of these times is next to.
+    assert np.allclose(here.acceleration, (ahead.twist - behind.twist) / (2 * h), atol=1e-6)
+
+
+def test_eased_paths_rest_at_both_ends_and_others_meet_their_poses() -> None:
+    times = np.array([0.5, 1.0, 2.0])
+    met = PlatformPath(times, WAYPOINTS)(times).pose.as_matrix()
+    assert np.allclose(met, WAYPOINTS.as_matrix(), atol=1e-14)
+    ends = PlatformPath(times, WAYPOINTS, ease=True)([0.5, 2.0])
+    assert np.allclose(ends.pose.as_matrix(), WAYPOINTS[[0, 2]].as_matrix(), atol=1e-14)
+    assert np.abs(ends.twist).max() == np.abs(ends.acceleration).max() == 0.0
+    assert PlatformPath(times, WAYPOINTS).duration == 1.5
+    assert PlatformPath(times, WAYPOINTS)(np.zeros((2, 0))).twist.shape == (2, 0, 6)
+
+
+def test_bad_paths() -> None:
+    path = PlatformPath([0.0, 1.0, 2.0], WAYPOINTS)
+    for times, message in (([0.0, 0.0, 1.0], "increasing"), ([0.0], "at least 2"), ([0.0, np.nan, 1.0], "finite")):
+        with pytest.raises(ArgumentError, match=f"^times: .*{message}"):
+            PlatformPath(times, WAYPOINTS)
+    with pytest.raises(PoseError, match=r"^poses: expected one for each of 2 times, got shape \(3,\)"):
+        PlatformPath([0.0, 1.0], WAYPOINTS)
+    with pytest.raises(ArgumentError, match=r"^times: expected times from 0 to 2 s, got 2\.1"):
+        path([0.0, 2.1])
+
+
+def test_all_joints_of_a_platform_path() -> None:
+    robot = chain()
+    q = robot.place(spm.inverse_displacement(PAPER, WAYPOINTS[0]).physical())
+    path, times = PlatformPath([0.0, 1.0, 2.0], WAYPOINTS, ease=True), np.linspace(0.0, 2.0, 201)
+    found = robot.joint_trajectory(path, times, q)
+    assert found.joint_names == robot.joint_names
+    assert np.abs(robot.closure_gap(found.positions)).max() <= 1e-12
+    reached = robot.configuration(found.positions).pose.as_matrix()
+    assert np.abs(reached - path(times).pose.as_matrix()).max() <= 1e-12
+    # Legs as the closed form has them, in the branch of the start.
+    legs = spm.inverse_displacement(PAPER, path(times).pose)["TT+"].leg_lengths
+    assert np.abs(robot.leg_lengths(found.positions) - legs).max() <= 1e-9
+    h = times[1]
+    for values, rates in ((found.positions, found.velocities), (found.velocities, found.accelerations)):
+        slope = (values[:-4] - 8 * values[1:-3] + 8 * values[3:-1] - values[4:]) / (12 * h)
+        # The waypoint between is a corner of the accelerations.
+        smooth = np.abs(path(times).pose.translation[2:-2] - WAYPOINTS[1].translation).max(axis=-1) > 5e-3
+        assert np.abs(slope - rates[2:-2])[smooth].max() <= 2e-4 * np.abs(rates).max()
+    forces = robot.inverse_dynamics(found.positions, found.velocities, found.accelerations)
+    assert np.allclose(found.efforts[:, robot.leg_indices], forces, rtol=1e-9)
+    assert not np.delete(found.efforts, robot.leg_indices, axis=1).any()
+    # A function of one time serves as well, at any rate.
+    slow = robot.joint_trajectory(lambda t: path(t), times[::50], q)
+    assert np.allclose(slow.positions, found.positions[::50], atol=1e-10)
+
+
+def test_a_trajectory_in_files(tmp_path: Path) -> None:
+    robot = chain()
+    q = robot.place(spm.inverse_displacement(PAPER, WAYPOINTS[0]).physical())
+    found = robot.joint_trajectory(PlatformPath([3.0, 4.0, 5.0], WAYPOINTS), [3.0, 3.25, 4.999999999], q)
+    rows = list(csv.reader(io.StringIO(found.to_csv(tmp_path / "all.csv"))))
+    assert (tmp_path / "all.csv").read_text(encoding="utf-8") == found.to_csv()
+    assert len(rows) == 4
+    assert rows[0][:2] == ["time", f"{robot.joint_names[0]}.position"]
+    table = np.array(rows[1:], dtype=float)
+    parts = [found.times[:, None], found.positions, found.velocities, found.accelerations, found.efforts]
+    assert np.array_equal(table, np.concatenate(parts, axis=1))
+    message = json.loads(found.to_json(tmp_path / "all.json"))
+    assert json.loads((tmp_path / "all.json").read_text(encoding="utf-8")) == message == found.to_dict()
+    assert message["joint_names"] == list(robot.joint_names)
+    assert [p["time_from_start"] for p in message["points"]] == [
+        {"sec": 0, "nanosec": 0},
+        {"sec": 0, "nanosec": 250_000_000},
+        {"sec": 1, "nanosec": 999_999_999},
+    ]
+    for key, values in (("positions", found.positions), ("velocities", found.velocities), ("effort", found.efforts)):
+        assert [point[key] for point in message["points"]] == values.tolist()
+
+
+def test_trajectories_that_cannot_be() -> None:
+    robot = chain()
+    q = robot.place(spm.inverse_displacement(PAPER, WAYPOINTS[0]).physical())
+    path = PlatformPath([0.0, 1.0, 2.0], WAYPOINTS)
+    with pytest.raises(ArgumentError, match=r"^path: expected a PlatformPath or another function"):
+        robot.joint_trajectory(WAYPOINTS, [0.0, 1.0], q)
+    with pytest.raises(ArgumentError, match=r"^path: expected real numbers .* twist of the platform"):
+        robot.joint_trajectory(lambda t: PlatformMotion(POSE, np.zeros(3), np.zeros(6)), [0.0, 1.0], q)
+    away = PlatformPath([0.0, 1.0], spm.pose([POSE.translation, [0.0, 0.0, 9.0]], xyx=[[0.1, 0.2, 0.3]] * 2))
+    with pytest.raises(ClosureError, match=r"At batch index \(\d+,\)"):
+        robot.joint_trajectory(away, np.linspace(0.0, 1.0, 5), q)
+    with pytest.raises(ArgumentError, match=r"^times: expected times from 0 to 2 s"):
+        robot.joint_trajectory(path, [0.0, 3.0], q)

@@ -1,0 +1,278 @@
+"""Forces and accelerations: against plain equations, two other engines, finite differences and energy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import problems
+import pytest
+from multibody.chains import Array, chain, closure_jacobian, frame_jacobian, placed, six_branches
+from multibody.engines import Drake, Mujoco, accelerations
+
+import spm_pin as spm
+from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
+from spm_pin.mechanism.geometry import LEGS
+
+pinocchio = pytest.importorskip("pinocchio")
+
+NAMES = list(problems.GEOMETRIES)
+
+
+def states(name: str, count: int, seed: int) -> list[tuple[Array, Array]]:
+    """Regular q with velocities of the legs' order of size, so that nothing is fast near a singularity."""
+    robot, rng = chain(name), np.random.default_rng(seed)
+    found = []
+    for _, q in placed(name, count, seed):
+        values = robot.singular_values(q)
+        if min(values.inverse, values.forward, values.constraint) > 3e-3:
+            rates = rng.normal(size=6) * robot.geometry.middle_side
+            found.append((q, robot.complete_rates(q, rates)))
+    assert len(found) >= count
+    return found
+
+
+def full_mass(robot: Any, q: Array) -> Array:
+    half = np.triu(pinocchio.crba(robot.model, robot.model.createData(), q))
+    return np.array(half + np.triu(half, 1).T)
+
+
+def closure_drift(robot: Any, q: Array, v: Array) -> Array:
+    """J̇c v, from the classical accelerations of the frames where no joint accelerates."""
+    model, data = robot.model, robot.model.createData()
+    pinocchio.forwardKinematics(model, data, q, v, np.zeros(18))
+    rows = []
+    for closure in robot.closures:
+        a, b = (
+            pinocchio.getFrameClassicalAcceleration(model, data, model.getFrameId(n), pinocchio.LOCAL_WORLD_ALIGNED)
+            for n in (closure.frame_a, closure.frame_b)
+        )
+        rows.append(b.linear - a.linear)
+    return np.concatenate(rows)
+
+
+def plain(robot: Any, q: Array, v: Array, f: Array, push: Array, gains: tuple[float, float] = (0.0, 0.0)) -> Array:
+    """The equations of motion and of the closures, solved as they stand."""
+    jacobian = closure_jacobian(robot, q)
+    force = push - pinocchio.nonLinearEffects(robot.model, robot.model.createData(), q, v)
+    force[robot.leg_indices] += f
+    wanted = -closure_drift(robot, q, v) - gains[1] * jacobian @ v - gains[0] * robot.closure_gap(q).ravel()
+    matrix = np.block([[full_mass(robot, q), jacobian.T], [jacobian, np.zeros((12, 12))]])
+    return np.linalg.solve(matrix, np.concatenate([force, wanted]))[:18]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_forward_dynamics_is_the_plain_solution(name: str) -> None:
+    robot, rng = chain(name), np.random.default_rng(200)
+    for q, v in states(name, 5, seed=201):
+        weight = 9.81 * sum(body.mass for body in robot.model.inertias)
+        f, wrench = weight * rng.normal(size=6), weight * rng.normal(size=6) * robot.geometry.middle_side
+        at_rod = weight * rng.normal(size=6) * robot.geometry.middle_side
+        pushes = {"terminal_platform": wrench, "leg_c2_rod": at_rod}
+        push = sum(frame_jacobian(robot, q, frame).T @ w for frame, w in pushes.items())
+        expected = plain(robot, q, v, f, np.asarray(push))
+        error = np.abs(robot.forward_dynamics(q, v, f, pushes) - expected).max()
+        assert error <= 1e-10 * np.abs(expected).max() / robot.singular_values(q).constraint
+
+
+def test_open_gaps_close_as_the_gains_say() -> None:
+    """Off the closures as well: ë + kd ė + kp e = 0, with e differentiated by nobody but the test."""
+    robot, rng = chain(), np.random.default_rng(202)
+    q, v = states("paper", 1, seed=203)[0]
+    q, v = q + 1e-2 * rng.normal(size=18), v + 1e-2 * rng.normal(size=18)
+    forces, gains = 100.0 * rng.normal(size=6), (400.0, 40.0)
+    a = robot.forward_dynamics(q, v, forces, gains=gains)
+    assert np.allclose(a, plain(robot, q, v, forces, np.zeros(18), gains), rtol=1e-9, atol=1e-9)
+    h = 2e-4
+
+    def gap(t: float) -> Array:
+        return np.asarray(robot.closure_gap(q + t * v + t**2 / 2 * a).ravel())
+
+    rate = (gap(-2 * h) - 8 * gap(-h) + 8 * gap(h) - gap(2 * h)) / (12 * h)
+    change = (-gap(-2 * h) + 16 * gap(-h) - 30 * gap(0.0) + 16 * gap(h) - gap(2 * h)) / (12 * h**2)
+    assert np.abs(change + gains[1] * rate + gains[0] * gap(0.0)).max() <= 1e-6 * np.abs(change).max()
+    # Another call's gains are its own.
+    own = robot.workspace()
+    closed, rest = states("paper", 1, seed=203)[0][0], np.zeros(18)
+    before = robot.forward_dynamics(closed, rest, forces, workspace=own)
+    robot.forward_dynamics(q, v, forces, gains=gains, workspace=own)
+    assert np.array_equal(robot.forward_dynamics(closed, rest, forces, workspace=own), before)
+
+
+@pytest.mark.parametrize("engine", [Mujoco, Drake])
+def test_two_other_engines_accelerate_alike(engine: Any) -> None:
+    pytest.importorskip("mujoco" if engine is Mujoco else "pydrake")
+    robot, rng = chain(), np.random.default_rng(204)
+    other = engine(robot)
+    for q, v in states("paper", 5, seed=205):
+        f = 500.0 * rng.normal(size=6)
+        ours, theirs = robot.forward_dynamics(q, v, f), accelerations(other, robot.leg_indices, q, v, f)
+        assert np.abs(ours - theirs).max() <= 1e-10 * np.abs(theirs).max() / robot.singular_values(q).constraint
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_forward_after_inverse_returns_the_motion(name: str) -> None:
+    robot, rng = chain(name), np.random.default_rng(206)
+    for q, v in states(name, 5, seed=207):
+        d = robot.geometry.middle_side
+        a = robot.joint_accelerations(q, v, rng.normal(size=6) * [d, d, d, 1, 1, 1])
+        wrench = rng.normal(size=6)
+        f = robot.inverse_dynamics(q, v, a, wrench)
+        back = robot.forward_dynamics(q, v, f, wrench)
+        values = robot.singular_values(q)
+        assert np.abs(back - a).max() <= 1e-11 * np.abs(a).max() / (values.inverse * values.forward)
+        again = robot.inverse_dynamics(q, v, back, wrench)
+        assert np.abs(again - f).max() <= 1e-10 * np.abs(f).max() / (values.inverse * values.forward)
+
+
+@pytest.mark.parametrize("branch", range(6))
+def test_at_rest_the_weights_are_wrenches(branch: int) -> None:
+    """Virtual work with the closed form's rates: f·ṙ and the weights' power balance for any twist."""
+    robot = chain()
+    state = six_branches()[branch]
+    q, rest = robot.place(state), np.zeros(18)
+    wrench = np.array([20.0, -300.0, 100.0, 5.0, 40.0, -60.0])
+    forces = robot.inverse_dynamics(q, rest, rest, wrench)
+    data = robot.model.createData()
+    heights = pinocchio.computeGeneralizedGravity(robot.model, data, q) @ robot.joint_velocities(q, np.eye(6)).T
+    expected = spm.leg_forces(state, wrench - heights)
+    assert np.abs(forces - expected).max() <= 1e-8 * np.abs(expected).max()
+    # The weight of every body as a wrench at its own frame, without gravity, is the same.
+    model = robot.model
+    pinocchio.framesForwardKinematics(model, data, q)
+    total = robot.leg_forces(q, wrench)
+    reached = np.zeros(18)
+    for joint in range(1, model.njoints):
+        body = model.inertias[joint]
+        jacobian = pinocchio.computeJointJacobian(model, model.createData(), q, joint)
+        centre = pinocchio.SE3(np.eye(3), body.lever)
+        linear = (centre.inverse().action @ jacobian)[:3]
+        reached += linear.T @ data.oMi[joint].rotation.T @ np.array([0.0, 0.0, -9.81 * body.mass])
+    at_platform = robot.joint_velocities(q, np.eye(6)) @ reached
+    total = total + robot.leg_forces(q, at_platform)
+    assert np.abs(forces - total).max() <= 1e-8 * np.abs(total).max()
+
+
+def test_mujoco_holds_the_mechanism_with_the_same_forces() -> None:
+    """Slides locked by constraints, MuJoCo settles; what its constraints then exert on the slides are the leg forces.
+
+    At rest its softness is in the positions alone, some 1e-11 m, and not in the forces.
+    """
+    pytest.importorskip("mujoco")
+    robot = chain()
+    for state in six_branches()[:1] + list(spm.forward_physical(robot.geometry, [[1.2, 1.2, 1.4, 1.25, 1.2, 1.45]])):
+        q, rest = robot.place(state), np.zeros(18)
+        engine = Mujoco(robot, step=1e-4, locked=True)
+        engine.hold(q[robot.leg_indices])
+        settled = engine.run(q, rest, lambda t, q, v: np.zeros(6), 0.05, robot.leg_indices)
+        assert np.abs(settled - q)[robot.leg_indices].max() <= 1e-9
+        assert np.abs(robot.closure_gap(settled)).max() <= 1e-9
+        assert np.abs(engine.data.qvel).max() <= 1e-10
+        expected = robot.inverse_dynamics(q, rest, rest)
+        assert np.abs(engine.data.efc_force[12:18] - expected).max() <= 1e-8 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_platform_s_equations(name: str) -> None:
+    robot, rng = chain(name), np.random.default_rng(208)
+    d = robot.geometry.middle_side
+    for q, v in states(name, 4, seed=209):
+        change, wrench = rng.normal(size=6) * [d, d, d, 1, 1, 1], rng.normal(size=6)
+        a = robot.joint_accelerations(q, v, change)
+        f = robot.inverse_dynamics(q, v, a, wrench)
+        at = robot.platform_dynamics(q, v)
+        terms = [at.mass @ change, at.bias, at.gravity, -robot.inverse_jacobian(q).T @ f, -wrench]
+        size = sum(np.abs(term).max() for term in terms)
+        assert np.abs(sum(terms)).max() <= 1e-9 * size / robot.singular_values(q).forward
+        twist = frame_jacobian(robot, q, "terminal_platform") @ v
+        assert twist @ at.mass @ twist / 2 == pytest.approx(robot.energy(q, v).kinetic, rel=1e-9)
+        assert np.array_equal(at.mass, at.mass.T)
+        assert np.linalg.eigvalsh(at.mass).min() > 0.0
+        assert np.abs(at.coriolis @ twist - at.bias).max() <= 1e-9 * np.abs(at.bias).max()
+
+
+def along(robot: Any, q: Array, twist: Array, t: float) -> Array:
+    """The closed q after a small time at a twist, to second order and better."""
+    half = robot.project(q + t / 2 * robot.joint_velocities(q, twist))
+    return np.asarray(robot.project(q + t * robot.joint_velocities(half, twist)))
+
+
+def test_finite_differences_of_the_platform_s_equations() -> None:
+    """Λ̇ = C + Cᵀ, so that Λ̇ - 2 C is skew; and gravity is the slope of the potential energy."""
+    robot, rng = chain(), np.random.default_rng(210)
+    for q, _ in states("paper", 4, seed=211)[:6]:
+        d = robot.geometry.middle_side
+        twist = 0.1 * rng.normal(size=6) * [d, d, d, 1, 1, 1] * robot.singular_values(q).inverse
+        at = robot.platform_dynamics(q, robot.joint_velocities(q, twist))
+        h = 1e-2
+        ahead, behind = along(robot, q, twist, h), along(robot, q, twist, -h)
+        rest = np.zeros(18)
+        slope = (robot.platform_dynamics(ahead, rest).mass - robot.platform_dynamics(behind, rest).mass) / (2 * h)
+        assert np.abs(slope).max() > 0.0
+        assert np.abs(slope - at.coriolis - at.coriolis.T).max() <= 1e-3 * np.abs(slope).max()
+        rise = (robot.energy(ahead, rest).potential - robot.energy(behind, rest).potential) / (2 * h)
+        assert rise == pytest.approx(at.gravity @ twist, rel=1e-4, abs=1e-4 * np.abs(at.gravity * twist).max())
+
+
+def test_accelerations_are_derivatives() -> None:
+    """Along a platform path that bends: joint velocities differentiated, with the loops closed all the way."""
+    robot, rng = chain(), np.random.default_rng(212)
+    q, _ = states("paper", 1, seed=213)[0]
+    size = robot.singular_values(q).inverse * 0.1
+    twist, change = size * rng.normal(size=6), size * rng.normal(size=6)
+    h = 1e-3
+
+    def velocity(t: float) -> Array:
+        found = q
+        for k in range(4):  # the midpoint rule on q̇ = X(q) t
+            s, step = k * t / 4, t / 4
+            middle = robot.project(found + step / 2 * robot.joint_velocities(found, twist + s * change))
+            found = robot.project(found + step * robot.joint_velocities(middle, twist + (s + step / 2) * change))
+        return np.asarray(robot.joint_velocities(found, twist + t * change))
+
+    slope = (velocity(h) - velocity(-h)) / (2 * h)
+    a = robot.joint_accelerations(q, velocity(0.0), change)
+    assert np.abs(slope - a).max() <= 1e-5 * np.abs(a).max()
+
+
+def test_singularities() -> None:
+    robot, home = chain(), np.zeros(18)
+    rest, forces = np.zeros(18), np.zeros(6)
+    # At home the twist says nothing of the legs, but forces still accelerate and hold.
+    with pytest.raises(SingularConfigurationError, match="inverse singularity"):
+        robot.platform_dynamics(home, rest)
+    with pytest.raises(SingularConfigurationError, match="inverse singularity"):
+        robot.joint_accelerations(home, rest, np.zeros(6))
+    held = robot.inverse_dynamics(home, rest, rest)
+    assert np.abs(robot.forward_dynamics(home, rest, held)).max() <= 1e-9
+    assert np.abs(robot.forward_dynamics(home, rest, forces)).max() > 1.0
+    forward = problems.singular_state(0, *problems.PAPER_TILTS[0])
+    q = robot.place(forward)
+    with pytest.raises(SingularConfigurationError, match="forward singularity") as caught:
+        robot.inverse_dynamics(q, rest, rest)
+    assert caught.value.sigma_min < 1e-12
+    assert np.isfinite(robot.forward_dynamics(q, rest, forces)).all()
+
+
+def test_bad_arguments() -> None:
+    robot, rest = chain(), np.zeros(18)
+    q = robot.place(six_branches()[0])
+    v = robot.joint_velocities(q, [0.1, 0, 0, 0, 0, 0.1])
+    with pytest.raises(ClosureError, match="The method project closes the loops") as caught:
+        robot.inverse_dynamics(q + 1e-4, rest, rest)
+    assert caught.value.residual == pytest.approx(np.linalg.norm(robot.closure_gap(q + 1e-4), axis=-1).max())
+    with pytest.raises(ArgumentError, match=r"^v: expected joint velocities that keep the loops closed"):
+        robot.forward_dynamics(q, v + 1e-4, np.zeros(6))
+    with pytest.raises(ArgumentError, match=r"^a: expected joint accelerations that keep the loops closed"):
+        robot.inverse_dynamics(q, v, rest)
+    with pytest.raises(ArgumentError, match=r"^wrench: expected frames of the model, got 'tool0'"):
+        robot.inverse_dynamics(q, rest, rest, {"tool0": np.zeros(6)})
+    with pytest.raises(ArgumentError, match=r"^wrench: expected real numbers of shape"):
+        robot.inverse_dynamics(q, rest, rest, np.zeros(3))
+    with pytest.raises(ArgumentError, match=r"^wrench: expected leading axes that broadcast"):
+        robot.inverse_dynamics(q, rest, rest, {"base": np.zeros((2, 6)), "terminal_platform": np.zeros((3, 6))})
+    with pytest.raises(ArgumentError, match=r"^forces: expected finite"):
+        robot.forward_dynamics(q, rest, [np.nan] * len(LEGS))
+    for gains in ((-1.0, 1.0), (1.0, np.inf), 3.0, "high"):
+        with pytest.raises(ArgumentError, match=r"^gains: "):
+            robot.forward_dynamics(q, rest, np.zeros(6), gains=gains)

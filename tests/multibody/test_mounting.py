@@ -1,0 +1,161 @@
+"""The mechanism on an arm's tool and an arm on the mechanism, the loops closed in one model."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from multibody.chains import Array
+
+import spm_pin as spm
+from spm_pin.errors import ArgumentError, ClosureError
+
+pinocchio = pytest.importorskip("pinocchio")
+robots = pytest.importorskip("example_robot_data")
+
+from spm_pin.multibody.chain import ClosedChain  # noqa: E402
+
+SMALL = spm.Geometry(0.06, 0.04, 0.05)
+PLACEMENT = pinocchio.SE3(pinocchio.rpy.rpyToMatrix(0.3, -0.2, 0.1), np.array([0.0, 0.02, 0.1]))
+
+
+@cache
+def small() -> Any:
+    return ClosedChain.from_urdf(geometry=SMALL, prefix="spm_")
+
+
+@cache
+def arm(name: str) -> Any:
+    return robots.load(name)
+
+
+def mounted(name: str, way: str) -> Any:
+    robot = arm(name)
+    if way == "carried":
+        return small().mounted_on(robot, robot.model.frames[robot.model.nframes - 1].name, PLACEMENT)
+    return small().carrying(robot.model, placement=PLACEMENT)
+
+
+def state(both: Any, name: str, seed: int) -> tuple[Array, Array]:
+    rng, model = np.random.default_rng(seed), arm(name).model
+    pinocchio.seed(seed)
+    q = pinocchio.randomConfiguration(model, -np.ones(model.nq), np.ones(model.nq))
+    own = small().complete(small().leg_lengths(np.zeros(18)) * rng.uniform(0.95, 1.05, 6))
+    rates = small().complete_rates(own, 0.01 * rng.normal(size=6))
+    return both.join(q, own), both.join_velocities(0.3 * rng.normal(size=model.nv), rates)
+
+
+CASES = [("ur5", "carried"), ("ur5", "carries"), ("kinova", "carried"), ("panda", "carried")]
+
+
+@pytest.mark.parametrize(("name", "way"), CASES)
+def test_closed_wherever_the_arm_is(name: str, way: str) -> None:
+    both = mounted(name, way)
+    q, v = state(both, name, seed=500)
+    assert both.model.nv == arm(name).model.nv + 18
+    assert np.abs(both.closure_gap(q)).max() <= 1e-14
+    assert np.abs(both.constraint_jacobian(q) @ v).max() <= 1e-14
+    data = both.model.createData()
+    pinocchio.framesForwardKinematics(both.model, data, q)
+    for closure in small().closures:
+        a, b = (data.oMf[both.model.getFrameId(frame)].translation for frame in (closure.frame_a, closure.frame_b))
+        assert np.linalg.norm(a - b) <= 1e-14
+    # Each robot is as it is by itself.
+    other, own = both.split(q)
+    alone = small().configuration(own)
+    base, platform = (data.oMf[both.model.getFrameId(f"spm_{link}")] for link in ("base", "terminal_platform"))
+    assert np.allclose(base.actInv(platform).translation, alone.translation, atol=1e-14)
+    tool = arm(name).model.nframes - 1
+    reference = arm(name).model.createData()
+    pinocchio.framesForwardKinematics(arm(name).model, reference, other)
+    found = data.oMf[both.model.getFrameId(arm(name).model.frames[tool].name)]
+    root = pinocchio.SE3.Identity() if way == "carried" else platform * PLACEMENT
+    assert np.allclose(root.actInv(found).homogeneous, reference.oMf[tool].homogeneous, atol=1e-13)
+
+
+@pytest.mark.parametrize(("name", "way"), CASES)
+def test_forces_and_motions_of_both(name: str, way: str) -> None:
+    both, rng = mounted(name, way), np.random.default_rng(501)
+    q, v = state(both, name, seed=502)
+    f = rng.normal(size=both.actuated_indices.size)
+    pushes = {"spm_leg_c2_rod": rng.normal(size=6), "spm_terminal_platform": rng.normal(size=6)}
+    a = both.forward_dynamics(q, v, f, pushes)
+    # The plain equations, with Jacobians that know nothing of the package.
+    model, data = both.model, both.model.createData()
+    ends = [[model.getFrameId(frame) for frame in (c.frame_a, c.frame_b)] for c in small().closures]
+
+    def jacobian(frame: int) -> Array:
+        return np.array(
+            pinocchio.computeFrameJacobian(model, model.createData(), q, frame, pinocchio.LOCAL_WORLD_ALIGNED)
+        )
+
+    closures = np.concatenate([jacobian(b)[:3] - jacobian(a)[:3] for a, b in ends])
+    half = np.triu(pinocchio.crba(model, data, q))
+    mass, count = half + np.triu(half, 1).T, len(closures)
+    force = -pinocchio.nonLinearEffects(model, data, q, v)
+    force[both.actuated_indices] += f
+    force += sum(jacobian(model.getFrameId(frame)).T @ w for frame, w in pushes.items())
+    pinocchio.forwardKinematics(model, data, q, v, np.zeros(model.nv))
+    at = [
+        [pinocchio.getFrameClassicalAcceleration(model, data, i, pinocchio.LOCAL_WORLD_ALIGNED).linear for i in pair]
+        for pair in ends
+    ]
+    drift = np.concatenate([b - a for a, b in at])
+    matrix = np.block([[mass, closures.T], [closures, np.zeros((count, count))]])
+    expected = np.linalg.solve(matrix, np.concatenate([force, -drift]))[: model.nv]
+    assert np.abs(a - expected).max() <= 1e-9 * np.abs(expected).max()
+    back = both.inverse_dynamics(q, v, a, pushes)
+    assert np.abs(back - f).max() <= 1e-9 * np.abs(mass @ a).max() + 1e-9
+    # Actuators alone change the energy: dE/dt by differences along the motion.
+    a = both.forward_dynamics(q, v, f)
+    h = 1e-5
+
+    def energy(t: float) -> float:
+        return float(both.energy(pinocchio.integrate(model, q, t * v + t**2 / 2 * a), v + t * a).total)
+
+    power = f @ v[both.actuated_indices]
+    assert (energy(h) - energy(-h)) / (2 * h) == pytest.approx(power, rel=1e-4, abs=1e-5)
+
+
+def test_batches_joining_and_wrapping() -> None:
+    both = mounted("ur5", "carried")
+    pairs = [state(both, "ur5", seed) for seed in (503, 504)]
+    q, v = (np.array(part) for part in zip(*pairs, strict=True))
+    assert np.array_equal(both.join(*both.split(q)), q)
+    forces = np.ones(12)
+    together = both.forward_dynamics(q, v, forces)
+    assert np.array_equal(together[1], both.forward_dynamics(q[1], v[1], forces))
+    assert both.energy(q, v).kinetic.shape == (2,)
+    wrapper = both.robot_wrapper()
+    assert wrapper.nq == 24
+    shapes = arm("ur5").visual_model.ngeoms, small().visual_model.ngeoms
+    assert wrapper.visual_model.ngeoms == sum(shapes)
+    assert small().carrying(arm("ur5").model).robot_wrapper().visual_model is None
+    assert "ur5, 24 degrees of freedom" in repr(both)
+    assert sorted([*both.chain_indices, *both.other_indices]) == list(range(24))
+
+
+def test_what_cannot_be_mounted() -> None:
+    robot = arm("ur5")
+    with pytest.raises(ArgumentError, match=r"names that the chain has not, got base\. Give the chain a prefix"):
+        ClosedChain.from_urdf(geometry=SMALL).mounted_on(robot, "tool0")
+    with pytest.raises(ArgumentError, match=r"^frame: expected a frame of ur5, got 'tool1'"):
+        small().mounted_on(robot, "tool1")
+    with pytest.raises(ArgumentError, match=r"^frame: "):
+        small().carrying(robot, "tool0")
+    with pytest.raises(ArgumentError, match=r"^placement: expected a pinocchio\.SE3, got ndarray"):
+        small().mounted_on(robot, "tool0", np.eye(4))
+    with pytest.raises(ArgumentError, match=r"got ClosedChain\. Its loops would be lost"):
+        small().mounted_on(ClosedChain.from_urdf(prefix="b_"), "b_base")
+    both = mounted("ur5", "carried")
+    q, v = state(both, "ur5", seed=505)
+    with pytest.raises(ClosureError):
+        both.forward_dynamics(q + 1e-3, v, np.zeros(12))
+    with pytest.raises(ArgumentError, match=r"^v: "):
+        both.inverse_dynamics(q, v + 1e-3, np.zeros(24))
+    with pytest.raises(ArgumentError, match=r"^forces: "):
+        both.forward_dynamics(q, v, np.zeros(6))
+    with pytest.raises(ArgumentError, match=r"^chain: expected leading axes"):
+        both.join(np.zeros((2, 6)), np.zeros((3, 18)))

@@ -1,0 +1,331 @@
+"""Motions in time: three engines, energy, closures, and every way to an end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+import problems
+import pytest
+from multibody.chains import Array, chain
+from multibody.engines import Drake, Mujoco, accelerations, rk4
+
+import spm_pin as spm
+from spm_pin.errors import ArgumentError, ClosureError
+from spm_pin.multibody.simulation import SimulationEnd
+from spm_pin.multibody.stepper import LEAST_CONSTRAINED
+
+pytest.importorskip("pinocchio")
+
+UNTIL = 0.2
+MOVING = [0.1, -0.2, 0.15, 0.05, -0.1, 0.2]
+
+
+@cache
+def reference() -> Array:
+    """The paper's solution 3, from the leg lengths it was made of."""
+    robot = chain()
+    return np.asarray(robot.place(spm.forward_physical(robot.geometry, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5])))
+
+
+def free(t: float, q: Array, v: Array) -> Array:
+    return np.zeros(6)
+
+
+@cache
+def held() -> Array:
+    return np.asarray(chain().inverse_dynamics(reference(), np.zeros(18), np.zeros(18)))
+
+
+def driven(t: float, q: Array, v: Array) -> Array:
+    robot = chain()
+    return np.asarray(held() + 150.0 * np.sin(12.0 * t + np.arange(6)) - 50.0 * v[robot.leg_indices])
+
+
+LAWS = {"free fall": free, "driven": driven}
+
+
+def start(law: str) -> tuple[Array, Array]:
+    q = reference()
+    return q, np.zeros(18) if law == "free fall" else chain().complete_rates(q, MOVING)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("engine", [Mujoco, Drake])
+def test_equations_of_other_engines_integrated_by_another_method(engine: Any, law: str) -> None:
+    """Their masses and Jacobians with hard constraints, a method of order four: the error falls as the fourth power."""
+    pytest.importorskip("mujoco" if engine is Mujoco else "pydrake")
+    robot, (q, v) = chain(), start(law)
+    run = robot.simulate(q, v, LAWS[law], [0.0, UNTIL], tolerance=1e-13)
+    assert np.abs(run.leg_lengths[-1] - run.leg_lengths[0]).max() > 0.01
+    other, legs = engine(robot), robot.leg_indices
+
+    def rate(t: float, state: Array) -> Array:
+        q, v = state[:18], state[18:]
+        return np.concatenate([v, accelerations(other, legs, q, v, LAWS[law](t, q, v))])
+
+    errors = []
+    for steps in (16, 32, 64):
+        end = rk4(rate, np.concatenate([q, v]), UNTIL, steps)[:18]
+        errors.append(np.abs(robot.leg_lengths(end) - run.leg_lengths[-1]).max())
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert (np.abs(orders - 4.0) < 0.5).all()
+    assert errors[-1] < 1e-8
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize(
+    ("engine", "settings", "orders", "best"),
+    [
+        (Mujoco, {"integrator": "mjINT_EULER"}, (1.0, 1.0), 1e-3),
+        (Mujoco, {"integrator": "mjINT_RK4"}, (2.0, 1.0), 1e-6),
+        (Drake, {}, (1.0, 1.0), 1e-3),
+    ],
+    ids=["MuJoCo, Euler", "MuJoCo, Runge-Kutta", "Drake, SAP"],
+)
+def test_other_engines_on_their_own(
+    engine: Any, settings: dict[str, str], orders: tuple[float, float], best: float, law: str
+) -> None:
+    """Their own steps and their own constraints, as stiff as they come; at least of the order expected.
+
+    Semi-implicit Euler is of order one. MuJoCo's constraints are soft on the scale of two steps, which is what is left
+    of its Runge-Kutta method: order two, and one where forces jump at every step. Forces are held over a step, by them
+    and by us.
+    """
+    pytest.importorskip("mujoco" if engine is Mujoco else "pydrake")
+    robot, (q, v) = chain(), start(law)
+    legs, errors = robot.leg_indices, []
+    for step in (2e-3, 1e-3, 5e-4):
+        run = robot.simulate(q, v, LAWS[law], [0.0, UNTIL], period=step) if law == "driven" else free_fall(q)
+        end = engine(robot, step, **settings).run(q, v, LAWS[law], UNTIL, legs)
+        errors.append(np.abs(robot.leg_lengths(end) - run.leg_lengths[-1]).max())
+    found = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert (found > orders[list(LAWS).index(law)] - 0.25).all()
+    assert errors[-1] < best
+
+
+def free_fall(q: Array) -> Any:
+    return chain().simulate(q, np.zeros(18), None, [0.0, UNTIL])
+
+
+@pytest.mark.parametrize("name", problems.GEOMETRIES)
+def test_a_conservative_run_keeps_its_energy(name: str) -> None:
+    """Springs along the legs and no damping: the legs swing, and what the springs took is what the bodies lost."""
+    robot = chain(name)
+    home = robot.leg_lengths(np.zeros(18))
+    q = robot.complete(home * (1.0 + 0.05 * np.sin(np.arange(6))))
+    rest, lengths = np.zeros(18), robot.leg_lengths(q)
+    held = robot.inverse_dynamics(q, rest, rest)
+    stiffness = 20.0 * np.abs(held).max() / robot.geometry.middle_side
+
+    def springs(t: float, q: Array, v: Array) -> Array:
+        return np.asarray(0.7 * held - stiffness * (robot.leg_lengths(q) - lengths))
+
+    run = robot.simulate(q, rest, springs, np.linspace(0.0, 2.0, 41))
+    assert run.complete
+    assert np.ptp(run.leg_lengths, axis=0).max() > 1e-3 * robot.geometry.middle_side
+    assert np.abs(run.energy_error).max() <= 1e-9 * np.abs(run.energy).max()
+    assert run.closure_gap.max() <= 1e-13 * robot.geometry.middle_side * 10.0
+    moved = run.leg_lengths - lengths
+    stored = 0.5 * stiffness * (moved**2).sum(axis=1) - 0.7 * moved @ held
+    assert np.abs(run.energy + stored - run.energy[0] - stored[0]).max() <= 1e-9 * np.abs(run.energy).max()
+
+
+def test_free_fall_keeps_its_energy_and_its_loops() -> None:
+    q = reference()
+    run = chain().simulate(q, np.zeros(18), None, np.linspace(0.0, 0.5, 51))
+    assert run.complete
+    assert run.kinetic[-1] > 100.0
+    assert np.abs(run.energy - run.energy[0]).max() <= 1e-9 * run.energy[0]
+    assert run.closure_gap.max() <= 1e-9
+    opening = np.einsum("nij,nj->ni", chain().constraint_jacobian(run.q), run.v)
+    assert np.abs(opening).max() <= 1e-12
+
+
+def test_power_balances_along_a_driven_run() -> None:
+    robot, (q, v) = chain(), start("driven")
+    push = np.array([40.0, 0.0, -60.0, 5.0, 0.0, 10.0])
+    times = np.linspace(0.0, UNTIL, 401)
+    pushes = {"terminal_platform": push, "middle_platform": -0.5 * push}
+    run = robot.simulate(q, v, driven, times, wrench=pushes)
+    h = times[1]
+    slope = (run.energy[:-4] - 8 * run.energy[1:-3] + 8 * run.energy[3:-1] - run.energy[4:]) / (12 * h)
+    power = (run.leg_forces * run.v[:, robot.leg_indices]).sum(axis=1)
+    for k, moment in enumerate(slope):
+        state = run.q[k + 2], run.v[k + 2]
+        for frame, share in (("terminal_platform", 1.0), ("middle_platform", -0.5)):
+            power[k + 2] += share * push @ twist_of(robot, frame, *state)
+        assert moment == pytest.approx(power[k + 2], abs=1e-6 * np.abs(power).max())
+    assert np.abs(run.energy_error).max() <= 1e-10 * run.energy[0]
+    # The record says what acted: forces, and the accelerations they give.
+    again = robot.forward_dynamics(
+        run.q, run.v, run.leg_forces, {"terminal_platform": push, "middle_platform": -0.5 * push}
+    )
+    assert np.allclose(again, run.a, rtol=1e-9, atol=1e-9)
+
+
+def twist_of(robot: Any, frame: str, q: Array, v: Array) -> Array:
+    from multibody.chains import frame_jacobian
+
+    return np.asarray(frame_jacobian(robot, q, frame) @ v)
+
+
+def test_a_wrench_that_follows_and_one_that_stays() -> None:
+    robot, (q, v) = chain(), start("driven")
+    push = np.array([40.0, 0.0, -60.0, 5.0, 0.0, 10.0])
+    constant = robot.simulate(q, v, driven, [0.0, 0.1], wrench=push)
+    function = robot.simulate(q, v, driven, [0.0, 0.1], wrench=lambda t, q, v: push)
+    assert np.array_equal(constant.q, function.q)
+    without = robot.simulate(q, v, driven, [0.0, 0.1])
+    assert np.abs(without.q[-1] - constant.q[-1]).max() > 1e-5
+
+
+def test_the_error_is_that_asked_for() -> None:
+    q = reference()
+    exact = chain().simulate(q, np.zeros(18), None, [0.0, 0.3], tolerance=1e-13).q[-1]
+    errors = [
+        np.abs(chain().simulate(q, np.zeros(18), None, [0.0, 0.3], tolerance=tol).q[-1] - exact).max()
+        for tol in (1e-5, 1e-8, 1e-11)
+    ]
+    assert errors[0] > errors[1] > errors[2]
+    assert errors[2] < 1e-9
+
+
+def test_times_between_steps_are_as_good_as_steps() -> None:
+    q, times = reference(), np.linspace(0.0, 0.3, 7)
+    dense = chain().simulate(q, np.zeros(18), None, times)
+    for k in range(1, 7):
+        alone = chain().simulate(q, np.zeros(18), None, times[[0, k]])
+        assert np.allclose(dense.q[k], alone.q[-1], atol=1e-9)
+    one = chain().simulate(q, np.zeros(18), None, [0.3])
+    assert one.complete
+    assert one.q.shape == (1, 18)
+
+
+def test_a_digital_controller_is_asked_once_a_period() -> None:
+    robot, (q, v) = chain(), start("driven")
+    asked: list[float] = []
+
+    def law(t: float, q: Array, v: Array) -> Array:
+        asked.append(t)
+        return driven(t, q, v)
+
+    run = robot.simulate(q, v, law, np.linspace(0.0, 0.05, 11), period=0.02)
+    assert np.allclose(asked, [0.0, 0.02, 0.04])
+    assert len(np.unique(run.leg_forces[:, 0])) == 3
+    assert np.array_equal(run.leg_forces[0], run.leg_forces[4])
+
+
+def test_limits_end_a_run() -> None:
+    robot, q = chain(), chain().complete([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
+    run = robot.simulate(q, np.zeros(18), None, np.linspace(0.0, 1.0, 11), stop_at=["limits"])
+    assert run.end is SimulationEnd.LIMIT
+    assert run.detail == "r_b2, minimum"
+    assert run.leg_lengths[-1, 1] == pytest.approx(1.1, abs=1e-12)
+    assert 0.1 < run.times[-1] < 0.2
+    assert run.times.size == 3
+    beyond = robot.simulate(
+        robot.complete([1.2, 1.2, 1.4, 1.25, 1.2, 1.51]), np.zeros(18), None, [0.0, 1.0], stop_at=("limits",)
+    )
+    assert (beyond.end, beyond.detail, beyond.times.size) == (SimulationEnd.LIMIT, "r_c3, maximum", 1)
+    with pytest.raises(ArgumentError, match="without leg limits"):
+        chain("wide base").simulate(np.zeros(18), np.zeros(18), None, [0.0, 1.0], stop_at=["limits"])
+
+
+@pytest.mark.parametrize("kind", ["inverse", "forward"])
+def test_singularities_end_a_run_or_are_passed_through(kind: str) -> None:
+    robot, q = chain(), chain().complete([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
+    times = np.linspace(0.0, 1.5, 16)
+    run = robot.simulate(q, np.zeros(18), None, times, stop_at=[kind])
+    assert run.end is SimulationEnd(f"{kind} singularity")
+    assert getattr(robot.singular_values(run.q[-1]), kind) <= 1e-10
+    through = robot.simulate(q, np.zeros(18), None, np.append(times[times < run.times[-1]], run.times[-1] + 0.01))
+    assert through.complete
+    assert np.abs(through.energy_error).max() <= 1e-9 * through.energy[0]
+
+
+def test_a_constraint_singularity_ends_a_run() -> None:
+    robot, q = chain(), reference()
+    run = robot.simulate(q, np.zeros(18), None, np.linspace(0.0, 5.0, 51))
+    assert run.end is SimulationEnd.CONSTRAINT_SINGULARITY
+    assert robot.singular_values(run.q[-1]).constraint == pytest.approx(LEAST_CONSTRAINED, rel=1e-3)
+    assert np.abs(run.energy_error).max() <= 1e-9 * run.energy[0]
+    assert run.times[-1] < 5.0
+
+
+def test_a_leg_of_no_length_ends_a_run() -> None:
+    robot, rest = chain(), np.zeros(18)
+    run = robot.simulate(rest, rest, np.full(6, -3000.0), np.linspace(0.0, 2.0, 21))
+    assert run.end is SimulationEnd.COLLAPSE
+    assert run.detail in spm.LEGS
+    assert run.leg_lengths[-1].min() == pytest.approx(1e-6 * robot.geometry.middle_side, rel=1e-6)
+
+
+def test_progress_may_stop_it() -> None:
+    shares: list[float] = []
+
+    def progress(share: float) -> bool:
+        shares.append(share)
+        return share < 0.5
+
+    run = chain().simulate(reference(), np.zeros(18), None, np.linspace(1.0, 1.4, 41), progress=progress)
+    assert run.end is SimulationEnd.STOPPED
+    assert not run.complete
+    assert shares == sorted(shares)
+    assert run.times[-1] == pytest.approx(1.0 + 0.4 * shares[-1])
+    assert str(run).endswith("stopped>")
+    all_of_it = chain().simulate(reference(), np.zeros(18), None, [0.0, 0.1], progress=shares.append)
+    assert all_of_it.complete
+    assert shares[-1] == 1.0
+
+
+def test_errors_of_callables_reach_the_caller() -> None:
+    class Broken(Exception):
+        pass
+
+    def law(t: float, q: Array, v: Array) -> Array:
+        raise Broken
+
+    for given in ({"forces": law}, {"forces": None, "wrench": law}):
+        with pytest.raises(Broken):
+            chain().simulate(reference(), np.zeros(18), times=[0.0, 1.0], **given)
+
+
+def test_forces_without_bound_stall_and_say_so() -> None:
+    def law(t: float, q: Array, v: Array) -> Array:
+        return np.full(6, 1e4 / (0.1 - t) ** 2)
+
+    run = chain().simulate(reference(), np.zeros(18), law, np.linspace(0.0, 0.2, 21))
+    assert not run.complete
+    assert run.times[-1] < 0.1
+
+
+BAD: dict[str, tuple[Callable[[Array], dict[str, Any]], str]] = {
+    "open q": (lambda q: {"q0": q + 1e-3}, "closures are still"),
+    "batch of q": (lambda q: {"q0": [q, q]}, "^q0: expected shape"),
+    "open v": (lambda q: {"v0": np.ones(18)}, "^v0: expected joint velocities that keep"),
+    "NaN v": (lambda q: {"v0": np.full(18, np.nan)}, "^v0: expected finite"),
+    "five forces": (lambda q: {"forces": np.zeros(5)}, "^forces: "),
+    "forces of a function": (lambda q: {"forces": lambda t, q, v: np.zeros(5)}, "^forces: "),
+    "NaN of a function": (lambda q: {"forces": lambda t, q, v: [np.nan] * 6}, "^forces: expected finite"),
+    "backward": (lambda q: {"times": [0.0, 0.2, 0.1]}, "^times: expected increasing times, got 0.1 after 0.2"),
+    "no times": (lambda q: {"times": []}, "^times: "),
+    "one number": (lambda q: {"times": 1.0}, "^times: "),
+    "tolerance": (lambda q: {"tolerance": 1e-16}, "^tolerance: "),
+    "step": (lambda q: {"max_step": 0.0}, "^max_step: "),
+    "period": (lambda q: {"period": -1.0}, "^period: "),
+    "stop": (lambda q: {"stop_at": ["limit"]}, "^stop_at: "),
+    "word": (lambda q: {"stop_at": "limits"}, "^stop_at: "),
+    "batch of wrenches": (lambda q: {"wrench": np.zeros((2, 6))}, "^wrench: "),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_arguments(case: str) -> None:
+    q = reference()
+    changed, message = BAD[case]
+    given: dict[str, Any] = {"q0": q, "v0": np.zeros(18), "forces": None, "times": [0.0, 0.1]}
+    with pytest.raises((ArgumentError, ClosureError), match=message):
+        chain().simulate(**{**given, **changed(q)})
