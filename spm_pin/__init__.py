@@ -33,7 +33,6 @@ from spm_pin.mechanism import (
     Status,
     pose,
 )
-
 from spm_pin.workspace.shell import Patch, Shell, workspace_shell
 
 if TYPE_CHECKING:
