@@ -4,13 +4,11 @@ Needs: "spm-pin[cluster]".
 """
 
 import spm_pin as spm
-from spm_pin.workspace.grids import leg_grid
-from spm_pin.workspace.sweep import sweep
 
 if __name__ == "__main__":  # worker processes import this file
     legs = (1.10, 1.50, 101)
-    grid = leg_grid(lower=[legs, legs, 1.30], upper=[1.25, 1.20, 1.40])
-    found = sweep(spm.Geometry.paper(), grid, ["conditioning", "det_structure"], "map.zarr", workers=1)
+    grid = spm.leg_grid(lower=[legs, legs, 1.30], upper=[1.25, 1.20, 1.40])
+    found = spm.sweep(spm.Geometry.paper(), grid, ["conditioning", "det_structure"], "map.zarr", workers=1)
 
     found = found.load()  # small enough for memory; Dask's arrays otherwise
     best = found.isel(found.conditioning.argmax(...))

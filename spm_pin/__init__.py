@@ -33,7 +33,11 @@ from spm_pin.mechanism import (
     Status,
     pose,
 )
+from spm_pin.workspace.grids import leg_grid, leg_sample, pose_grid, pose_sample
+from spm_pin.workspace.index import Index
+from spm_pin.workspace.indices import INDICES
 from spm_pin.workspace.shell import Patch, Shell, workspace_shell
+from spm_pin.workspace.sweep import open_sweep, resume_sweep, sweep, sweep_status
 
 if TYPE_CHECKING:
     from spm_pin import nlp
@@ -46,6 +50,7 @@ __all__ = [
     "ASSEMBLY_MODES",
     "BRANCHES",
     "FAMILIES",
+    "INDICES",
     "LEGS",
     "STAGE_MODES",
     "ArgumentError",
@@ -59,6 +64,7 @@ __all__ = [
     "FollowedPath",
     "Geometry",
     "GeometryError",
+    "Index",
     "LegLimits",
     "MissingExtraError",
     "NotOneSolutionError",
@@ -80,11 +86,19 @@ __all__ = [
     "inverse_displacement",
     "inverse_jacobian",
     "leg_forces",
+    "leg_grid",
     "leg_rates",
+    "leg_sample",
     "nlp",
+    "open_sweep",
     "platform_jacobian",
     "pose",
+    "pose_grid",
+    "pose_sample",
+    "resume_sweep",
     "singularities",
+    "sweep",
+    "sweep_status",
     "workspace_shell",
 ]
 

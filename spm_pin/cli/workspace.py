@@ -12,8 +12,9 @@ from rich.table import Table
 
 from spm_pin.cli.console import new_table, stderr, stdout, to_json
 from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Unit, read_geometry
+from spm_pin.display.figure_files import FORMATS, save_figure
 from spm_pin.display.shell_files import MESH_FORMATS, save_mesh
-from spm_pin.display.shell_plots import FORMATS, save_figure, shell_figure
+from spm_pin.display.shell_plots import shell_figure
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LEGS, LegLimits
 from spm_pin.workspace.patches import ERRATA

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
+from spm_pin.display.figure_files import named_figure, save_figure
 from spm_pin.display.plots import VIEW, draw
 from spm_pin.display.scene import plots_extra
 from spm_pin.errors import ArgumentError
@@ -51,9 +52,7 @@ def save_gallery(
     MissingExtraError
         If matplotlib or trimesh is not installed.
     """
-    path = Path(path)
-    if path.suffix.lower() not in (".png", ".svg"):
-        raise ArgumentError("path", "a file name ending in .png or .svg", repr(path.name))
+    path = named_figure(path)
     if not configurations:
         raise ArgumentError("configurations", "at least one", "none", "No real branch?")
     count = len(configurations)
@@ -62,7 +61,6 @@ def save_gallery(
     if width < 100 * columns:
         raise ArgumentError("width", f"at least {100 * columns} pixels for {columns} columns", width)
     with plots_extra():
-        from matplotlib import rc_context
         from matplotlib.figure import Figure
 
     figure = Figure(figsize=(columns * _WIDTH, rows * _HEIGHT))
@@ -72,10 +70,4 @@ def save_gallery(
         place = ((column + 0.04) / columns, (row + 0.02) / rows, 0.92 / columns, 0.86 / rows)
         ax = draw(configuration, ax=figure.add_axes(place), view=view, labels=labels, dpi=dpi)
         ax.set_title(name, fontsize=11, pad=3)
-    metadata = {"Date": None} if path.suffix.lower() == ".svg" else None
-    try:
-        with rc_context({"svg.hashsalt": "spm-pin"}):
-            figure.savefig(path, dpi=dpi, facecolor=background, metadata=metadata)
-    except OSError as error:
-        raise ArgumentError("path", "a file that can be written", path, str(error.strerror)) from error
-    return path
+    return save_figure(figure, path, dpi=dpi, background=background)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from spm_pin.display.figure_files import named_figure, save_figure
 from spm_pin.display.labels import Lettering, label
 from spm_pin.display.rendering import VIEW, bounds, camera_axes, render
 from spm_pin.display.scene import plots_extra, scene
@@ -104,8 +105,8 @@ def save_picture(
     configuration : Configuration
         A single configuration that exists.
     path : str or Path
-        File to write, ending in ``.png`` or ``.svg``; one that exists is replaced. In SVG the labels are outlines,
-        the solids an image.
+        File to write, ending in ``.png``, ``.svg`` or ``.pdf``; one that exists is replaced. In the last two the
+        labels are outlines, the solids an image.
     view, labels
         As for `draw`.
     width : int
@@ -125,21 +126,9 @@ def save_picture(
     MissingExtraError
         If matplotlib or trimesh is not installed.
     """
-    path = Path(path)
-    if path.suffix.lower() not in (".png", ".svg"):
-        raise ArgumentError("path", "a file name ending in .png or .svg", repr(path.name))
+    path = named_figure(path)
     if width < 100:
         raise ArgumentError("width", "at least 100 pixels", width)
-    with plots_extra():
-        from matplotlib import rc_context
-
     dpi = width / _WIDTH
     figure = cast("Figure", draw(configuration, view=view, labels=labels, dpi=dpi).figure)
-    # Without the date, and with names that are not drawn by lot, the same call writes the same file.
-    metadata = {"Date": None} if path.suffix.lower() == ".svg" else None
-    try:
-        with rc_context({"svg.hashsalt": "spm-pin"}):
-            figure.savefig(path, dpi=dpi, facecolor=background, metadata=metadata)
-    except OSError as error:
-        raise ArgumentError("path", "a file that can be written", path, str(error.strerror)) from error
-    return path
+    return save_figure(figure, path, dpi=dpi, background=background)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["FAMILY_COLOURS", "FORMATS", "VIEWS", "draw_shell", "save_figure", "shell_figure"]
+__all__ = ["FAMILY_COLOURS", "VIEWS", "draw_shell", "shell_figure"]
 
 # Okabe and Ito's, light ones for surfaces, https://jfly.uni-koeln.de/color/.
 FAMILY_COLOURS: dict[str, Colour] = {
@@ -37,9 +36,6 @@ VIEWS: dict[str, tuple[float, float]] = {
     "bottom": (-0.5 * math.pi, -0.5 * math.pi),
 }
 """Azimuth and elevation [rad] of the panels of `shell_figure`."""
-FORMATS = (".png", ".svg", ".pdf")
-"""File types that figures are written in."""
-
 _EDGE = 0.6  # width of edges in points
 _FONT = 9.0
 _INK = (0.13, 0.15, 0.18)
@@ -189,30 +185,3 @@ def shell_figure(shell: Shell, *, labels: bool = True, dpi: float = 200.0) -> Fi
         )
     figure.legend(handles=swatches, loc="outside lower center", ncols=4, frameon=False, fontsize=9.0)
     return figure
-
-
-def save_figure(figure: Figure, path: str | Path, *, dpi: float = 150.0) -> Path:
-    """Save a figure, by the end of the file's name one of `FORMATS`; a file that exists is replaced.
-
-    Raises
-    ------
-    ArgumentError
-        If the name ends otherwise, or the file cannot be written.
-    MissingExtraError
-        If matplotlib is not installed.
-    """
-    path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in FORMATS:
-        raise ArgumentError("path", f"a file name ending in {', '.join(FORMATS)}", repr(path.name))
-    with plots_extra():
-        from matplotlib import rc_context
-
-    # Without the date, and with names that are not drawn by lot, the same call writes the same file.
-    metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(suffix)
-    try:
-        with rc_context({"svg.hashsalt": "spm-pin"}):
-            figure.savefig(path, dpi=dpi, metadata=metadata)
-    except OSError as error:
-        raise ArgumentError("path", "a file that can be written", path, str(error.strerror)) from error
-    return path

@@ -6,6 +6,7 @@ of the terminal platform, z up. Legs 1, 2, 3 stand at the azimuths -30, 90 and 2
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -94,7 +95,8 @@ class LegLimits:
         """Return how far the worst leg of (..., 6) [m] is inside its limits [m]; negative outside, NaN for NaN."""
         lengths = real_array(leg_lengths, "leg_lengths", (6,), "leg lengths in metres", allow_nan=True)
         inside = np.minimum(lengths - np.array(self.minimum), np.array(self.maximum) - lengths)
-        return np.asarray(inside.min(axis=-1))
+        # Leg by leg: NumPy takes several times as long to reduce a short last axis.
+        return np.asarray(functools.reduce(np.minimum, np.moveaxis(inside, -1, 0)))
 
 
 @dataclass(frozen=True)

@@ -130,7 +130,7 @@ def test_draw_one_branch_or_all(run: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--out", "x.jpg"], "ending in .png or .svg"),
+        (["--out", "x.jpg"], "ending in .png, .svg, .pdf"),
         (["--out", "x.png", "--all", "--branch", "TT+"], "both --all and --branch"),
         (["--out", "x.png", "--branch", "ZZ"], "real branches, here TT+"),
         (["--out", "/nowhere/x.png", "--width", "100", "--no-names"], "a file that can be written"),

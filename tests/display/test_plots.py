@@ -159,8 +159,8 @@ def test_the_background_can_be_left_out(tmp_path):
 @pytest.mark.parametrize(
     ("name", "says"),
     [
-        ("mechanism.jpg", ".png or .svg, got 'mechanism.jpg'"),
-        ("mechanism", ".png or .svg"),
+        ("mechanism.jpg", ".png, .svg, .pdf, got 'mechanism.jpg'"),
+        ("mechanism", ".png, .svg, .pdf"),
         ("no/where.png", "No such"),
     ],
 )

@@ -11,9 +11,10 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import spm_pin as spm
+from spm_pin.display.figure_files import save_figure
 from spm_pin.display.rendering import camera_axes
 from spm_pin.display.shell_files import MESH_FORMATS, save_mesh
-from spm_pin.display.shell_plots import FAMILY_COLOURS, VIEWS, draw_shell, save_figure, shell_figure
+from spm_pin.display.shell_plots import FAMILY_COLOURS, VIEWS, draw_shell, shell_figure
 from spm_pin.errors import ArgumentError, MissingExtraError
 from spm_pin.workspace.shell import workspace_shell
 

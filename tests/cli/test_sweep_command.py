@@ -1,0 +1,155 @@
+"""`spm-pin sweep`, as the function that typer calls and as a process."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+import xarray
+from stores import contents, records
+from typer.testing import CliRunner
+
+import spm_pin as spm
+from spm_pin.cli.sweep import sweep
+from spm_pin.workspace.grids import leg_sample, pose_grid
+from spm_pin.workspace.indices import conditioning, payload, payload_down, stiffness
+from spm_pin.workspace.sweep import sweep as run_sweep
+
+POSES = ["--x", "37:44:4", "--y", "-16:-12:3", "--z", "250", "--xyx", "1", "17:20:2", "6", "--unit", "cm"]
+
+app = typer.Typer()
+app.command()(sweep)
+
+
+def run(*arguments: object, code: int = 0) -> str:
+    result = CliRunner().invoke(app, [str(one) for one in arguments], catch_exceptions=False)
+    assert result.exit_code == code, result.output
+    return " ".join(result.output.split())
+
+
+def test_a_grid_of_poses_is_that_of_python(tmp_path: Path) -> None:
+    out = run(*POSES, "--out", tmp_path / "a", "--workers", 1, "--chunk", 10, "--index", "branches")
+    assert "24 points: x 4, y 3, beta 2" in out
+    grid = pose_grid(
+        (0.37, 0.44, 4),
+        (-0.16, -0.12, 3),
+        2.5,
+        xyx=[float(np.deg2rad(1)), (float(np.deg2rad(17)), float(np.deg2rad(20)), 2), float(np.deg2rad(6))],
+    )
+    expected = run_sweep(spm.Geometry.paper(), grid, ["branches"], tmp_path / "b", workers=1).load()
+    found = xarray.open_zarr(tmp_path / "a").load()
+    np.testing.assert_array_equal(found.branches, expected.branches)
+    np.testing.assert_allclose(found.x, expected.x, rtol=1e-15)
+    np.testing.assert_allclose(found.beta, expected.beta, rtol=1e-15)
+
+
+def test_without_indices_there_are_some(tmp_path: Path) -> None:
+    out = run(*POSES, "--out", tmp_path / "map", "--workers", 1)
+    assert "indices: branches, conditioning, reachable" in out
+    assert "1 of 1 chunks complete open with: xarray.open_zarr(" in out
+
+
+def test_parameters_of_indices(tmp_path: Path) -> None:
+    run(
+        *[*POSES, "--out", tmp_path / "a", "--workers", 1, "--limits", 115, 145],
+        *["--index", "payload", "--index", "payload_down", "--index", "stiffness", "--index", "conditioning"],
+        *["--leg-force", 900, "--leg-stiffness", 2e7, "--length", 50],
+    )
+    stored = xarray.open_zarr(tmp_path / "a")
+    definition = json.loads(stored.attrs["definition"])
+    asked = [conditioning(0.5), payload(900.0), payload_down(900.0), stiffness(2e7)]
+    assert definition["indices"] == [index.definition() for index in asked]
+    assert definition["geometry"]["limits"] == [[1.15] * 6, [1.45] * 6]
+
+
+@pytest.mark.parametrize(
+    ("legs", "ranges"),
+    [
+        (["110:150"], [(1.1, 1.5)] * 6),
+        (["110:150", "120"], [(1.1, 1.5)] * 3 + [1.2] * 3),
+        (["110", "120", "110:130", "110", "120", "130"], [1.1, 1.2, (1.1, 1.3), 1.1, 1.2, 1.3]),
+    ],
+)
+def test_samples_of_leg_lengths(legs: list[str], ranges: list[float], tmp_path: Path) -> None:
+    options = [part for text in legs for part in ("--legs", text)]
+    out = run(
+        *[*options, "--samples", 30, "--seed", 7, "--unit", "cm", "--index", "o_z", "--method", "uniform"],
+        *["--out", tmp_path / "map", "--workers", 1],
+    )
+    assert "30 points: sample 30" in out
+    found = xarray.open_zarr(tmp_path / "map").load()
+    expected = leg_sample(30, ranges[:3], ranges[3:], method="uniform", seed=7).points((0,), (30,))
+    legs_found = np.stack([np.broadcast_to(found[leg], 30) for leg in spm.LEGS], axis=-1)
+    np.testing.assert_allclose(legs_found, expected, rtol=1e-15)
+
+
+def test_going_on_and_looking(tmp_path: Path) -> None:
+    store = tmp_path / "map"
+    run(*POSES, "--out", store, "--workers", 1, "--chunk", 8)
+    whole = contents(store)
+    for record in records(store)[:2]:
+        record.unlink()
+    out = run("--out", store, "--status")
+    assert "2 of 4 chunks complete" in out
+    assert f"go on with: spm-pin sweep --out {store}" in out
+    told = json.loads(run("--out", store, "--status", "--json"))
+    assert (told["done"], told["total"], told["points"], told["complete"]) == (2, 4, 24, False)
+    assert told["shape"] == {"x": 4, "y": 3, "beta": 2}
+    told = json.loads(run("--out", store, "--workers", 1, "--json"))
+    assert told["complete"]
+    assert contents(store) == whole
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--x", "0:1:5"], "--y, --z, --xyx"),
+        ([*POSES, "--legs", "1:2:5"], "not both"),
+        (["--legs", "1:2:5", "--legs", "1", "--legs", "2"], "one range, two, or six"),
+        (["--legs", "1:2"], r"\(start, stop, count\)"),
+        (["--legs", "1:2:5", "--samples", "5"], r"\(start, stop\)"),
+        (["--legs", "1:2:2.5"], "--legs: expected a number"),
+        (["--legs", "a:b:5"], "--legs: expected a number"),
+        (["--legs", "2:1:5"], "start < stop"),
+        (["--legs", "1:nan:5"], "finite"),
+        (["--legs", "1:2", "--samples", "5", "--method", "halton"], "--method"),
+        (["--legs", "1:2:5", "--index", "beauty"], "expected an Index, or names among reachable"),
+        (["--legs", "1:2:5", "--limits", "2", "1"], "exchanged"),
+        (["--legs", "1:2:5", "--index", "payload", "--leg-force", "-1"], "push"),
+        (["--legs", "1:2:5", "--workers", "2", "--scheduler", "tcp://127.0.0.1:1"], "beside a scheduler"),
+        ([], "does not exist"),
+        (["--status"], "does not exist"),
+        (["--samples", "5"], "ranges beside --samples"),
+        (["--index", "payload"], "give --out alone"),
+    ],
+)
+def test_bad_options_are_refused(arguments: list[str], says: str, tmp_path: Path) -> None:
+    with pytest.raises(spm.ArgumentError, match=says):
+        run(*arguments, "--out", tmp_path / "map")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
+    store = tmp_path / "map.zarr"
+    code = "from spm_pin.cli import main; main()"
+    legs = ["--legs", "1.1:1.5:6", "--chunk", "200", "--workers", "1", "--index", "conditioning"]
+    command = [sys.executable, "-c", code, "sweep", *legs, "--out", str(store)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+        deadline = time.monotonic() + 120
+        while len(records(store)) < 2 and process.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.01)
+        os.killpg(process.pid, signal.SIGINT)
+        errors = " ".join(process.communicate(timeout=60)[1].split())
+    assert process.returncode == 130
+    assert "Traceback" not in errors
+    assert "interrupted." in errors
+    assert f"go on with: spm-pin sweep --out {store}" in errors
+    assert json.loads(run("--out", store, "--status", "--json"))["done"] >= 2

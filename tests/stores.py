@@ -1,0 +1,34 @@
+"""Sweeps for tests: a small one, its undisturbed store, and what a store holds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import spm_pin as spm
+from spm_pin.workspace.grids import pose_grid
+from spm_pin.workspace.sweep import sweep
+
+GEOMETRY = spm.Geometry.paper()
+GRID = pose_grid((0.37, 0.44, 7), (-0.16, -0.12, 6), (2.45, 2.55, 5), xyx=[0.01, (0.3, 0.34, 3), 0.1])
+INDICES = ("reachable", "branches", "conditioning", "payload")
+CHUNK = 100
+"""Seven chunks of 90 points each, some of which are reached."""
+
+
+def small(path: Path, **changes: Any) -> Any:
+    """Run the small sweep, in this process unless told otherwise."""
+    asked = {"geometry": GEOMETRY, "domain": GRID, "indices": INDICES, "chunk": CHUNK, "workers": 1} | changes
+    return sweep(store=path, **asked)
+
+
+def contents(path: Path) -> dict[str, bytes]:
+    """Return every file below `path`, and of its own name beside it such as locks and drafts."""
+    inside = {str(file.relative_to(path)): file.read_bytes() for file in path.rglob("*") if file.is_file()}
+    beside = {file.name: b"" for file in path.parent.glob(f"{path.name}?*")}
+    return inside | beside
+
+
+def records(path: Path) -> list[Path]:
+    """Return the records of completed chunks, sorted."""
+    return sorted((path / "sweep" / "checksum").glob("c.*"))
