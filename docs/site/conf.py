@@ -1,6 +1,7 @@
 """Sphinx's settings; `docs/site/build.py` gathers the pages and calls it."""
 
 import re
+from types import GenericAlias
 
 from docutils import nodes
 from latex2mathml.converter import convert
@@ -33,7 +34,7 @@ autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
 autodoc_type_aliases = {name: name for name in ("BoolArray", "ComplexArray", "FloatArray", "IntArray", "PoseLike")}
-autodoc_default_options = {"members": True, "show-inheritance": True, "exclude-members": "Colour"}
+autodoc_default_options = {"members": True, "show-inheritance": True}
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
 numpydoc_xref_param_type = False
@@ -65,6 +66,11 @@ def _plain_text(app: Sphinx, what: str, name: str, obj: object, options: object,
         )
 
 
+def _skipped(app: Sphinx, what: str, name: str, obj: object, skip: bool, options: object) -> bool | None:
+    """Leave out aliases such as Colour = tuple[float, float, float], which autodoc takes for functions."""
+    return True if isinstance(obj, GenericAlias) else None
+
+
 def _formula(self: HTML5Translator, node: nodes.math | nodes.math_block) -> None:
     """Write a formula as MathML."""
     display = "block" if isinstance(node, nodes.math_block) else "inline"
@@ -76,3 +82,4 @@ def setup(app: Sphinx) -> None:
     """Register what is done to docstrings and to formulas."""
     app.add_html_math_renderer("mathml", (_formula, None), (_formula, None))
     app.connect("autodoc-process-docstring", _plain_text)
+    app.connect("autodoc-skip-member", _skipped)

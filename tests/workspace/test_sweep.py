@@ -487,8 +487,9 @@ def closed(tmp_path: Path) -> Iterator[Path]:
     folder.chmod(0o555)
     if user == 0:
         # Nobody has to get here.
-        for parent in (tmp_path, tmp_path.parent, tmp_path.parent.parent):
-            parent.chmod(0o755)
+        for parent in (tmp_path, *tmp_path.parents):
+            if not parent.stat().st_mode & 0o001:
+                parent.chmod(0o755)
         os.seteuid(65534)
     try:
         yield folder
