@@ -1,0 +1,183 @@
+"""Limits beyond the legs': the passive joints' angles, and the distance between legs.
+
+Angles are those of the description's joints, see `spm_pin.description.states`, of every leg: the tree has the ball
+joints of legs b1 and c1 only, the others are measured in the same way in the frames of their own corners.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from spm_pin.description.tree import home_leans
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.configuration import Configuration
+
+__all__ = ["JointAngles", "JointLimits", "joint_angles", "leg_clearance"]
+
+# Pairs of legs that have no joint in common, in the order of `LEGS`.
+_PAIRS = np.array([(i, j) for i in range(6) for j in range(i + 1, 6) if j != i + 3])
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Limits of passive joints; None where there is none.
+
+    Parameters
+    ----------
+    hip : pair of floats, optional
+        Smallest and largest angle of the six revolute joints, from the home's direction [rad].
+    ball_x, ball_y, ball_z : pairs of floats, optional
+        The same of each angle of the six ball joints [rad]: from the leg's rod to the middle platform about the leg's
+        revolute axis, then about the middle one, then about the platform's normal.
+    clearance : float, optional
+        Least distance of the axes of two legs that have no joint in common [m]: the sum of their radii.
+
+    Raises
+    ------
+    ArgumentError
+        If a pair is not two increasing numbers, or `clearance` is negative or not finite.
+    """
+
+    hip: Range | None = None
+    ball_x: Range | None = None
+    ball_y: Range | None = None
+    ball_z: Range | None = None
+    clearance: float | None = None
+
+    def __post_init__(self) -> None:
+        for field in fields(self)[:4]:
+            pair = getattr(self, field.name)
+            if pair is None:
+                continue
+            try:
+                low, high = (float(angle) for angle in pair)
+            except (TypeError, ValueError):
+                raise ArgumentError(field.name, "a pair (minimum, maximum) in radians", repr(pair)) from None
+            if not low < high:
+                cause = "Minimum and maximum exchanged?" if low > high else ""
+                raise ArgumentError(
+                    field.name, "a minimum below the maximum, in radians", f"({low:g}, {high:g})", cause
+                )
+            object.__setattr__(self, field.name, (low, high))
+        if self.clearance is not None and not (math.isfinite(self.clearance) and self.clearance >= 0.0):
+            raise ArgumentError("clearance", "a distance in metres that is not negative", repr(self.clearance))
+
+    def angle_margin(self, configuration: Configuration) -> FloatArray:
+        """Return how far the worst angle is inside its limits, shape (...) [rad].
+
+        Negative outside, infinite without limits, NaN where a state does not exist.
+        """
+        margin = np.full(configuration.shape, np.inf)
+        if any(getattr(self, name) is not None for name in JointAngles.__dataclass_fields__):
+            angles = joint_angles(configuration)
+            for name in JointAngles.__dataclass_fields__:
+                limits, values = getattr(self, name), getattr(angles, name)
+                if limits is not None:
+                    margin = np.minimum(margin, np.minimum(values - limits[0], limits[1] - values).min(axis=-1))
+        return np.where(configuration.exists, margin, np.nan)
+
+    def clearance_margin(self, configuration: Configuration) -> FloatArray:
+        """Return by how much the nearest legs are farther apart than they must, shape (...) [m]; as `angle_margin`."""
+        if self.clearance is None:
+            return np.where(configuration.exists, np.inf, np.nan)
+        return leg_clearance(configuration) - self.clearance
+
+
+@dataclass(frozen=True)
+class JointAngles:
+    """Angles of the passive joints, in the order of `LEGS`; NaN where a state does not exist.
+
+    Attributes
+    ----------
+    hip, ball_x, ball_y, ball_z : ndarray, shape (..., 6)
+        See `JointLimits` [rad].
+    """
+
+    hip: FloatArray
+    ball_x: FloatArray
+    ball_y: FloatArray
+    ball_z: FloatArray
+
+
+def joint_angles(configuration: Configuration) -> JointAngles:
+    """Return the angles of the passive joints of states of shape (...)."""
+    geometry = configuration.geometry
+    axes = geometry.revolute_axes
+    second = np.cross([0.0, 0.0, 1.0], axes)
+    # A corner's frame: x along the revolute axis, z the platform's normal; one matrix per leg.
+    corners = np.stack([axes, second, np.broadcast_to([0.0, 0.0, 1.0], (3, 3))], axis=-1)
+    rotation = configuration.rotation
+    middle = configuration.middle_pose.as_matrix()[..., :3, :3]
+    seen_from_m = np.swapaxes(rotation, -1, -2) @ middle
+    lower = configuration.leg_vectors[..., :3, :]
+    upper = -configuration.leg_vectors[..., 3:, :] @ rotation
+    hips, balls = [], []
+    leans = np.array(home_leans(geometry)).reshape(2, 3)
+    for k, (vectors, platform) in enumerate(((lower, middle), (upper, seen_from_m))):
+        hip = np.arctan2(-(vectors * second).sum(axis=-1), vectors[..., 2]) - leans[k]
+        hip = (hip + np.pi) % (2.0 * np.pi) - np.pi
+        hips.append(hip)
+        relative = np.swapaxes(corners, -1, -2) @ platform[..., None, :, :] @ corners
+        balls.append(np.stack(_angles(hip, relative), axis=-1) * (1.0 - 2.0 * k))
+    x, y, z = np.moveaxis(np.concatenate(balls, axis=-2), -1, 0)
+    return JointAngles(np.concatenate(hips, axis=-1), x, y, z)
+
+
+def _angles(hip: FloatArray, rotation: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the angles of Rx(hip)ᵀ rotation = Rx Ry Rz, of arrays (...) and (..., 3, 3)."""
+    c, s = np.cos(hip), np.sin(hip)
+    first, second, third = (rotation[..., k, :] for k in range(3))
+    down = c[..., None] * second + s[..., None] * third
+    out = c[..., None] * third - s[..., None] * second
+    x = np.arctan2(-down[..., 2], out[..., 2])
+    y = np.arctan2(first[..., 2], np.hypot(down[..., 2], out[..., 2]))
+    rest = np.cos(x)[..., None] * down + np.sin(x)[..., None] * out
+    return x, y, np.arctan2(rest[..., 0], rest[..., 1])
+
+
+def leg_clearance(configuration: Configuration) -> FloatArray:
+    """Return the least distance of the axes of two legs that have no joint in common, shape (...) [m].
+
+    An axis is the segment from the revolute joint to the ball joint's centre. Of the fifteen pairs of legs, the three
+    that meet in a ball joint are left out. NaN where a state does not exist.
+    """
+    b = configuration.middle_joints
+    feet = np.broadcast_to(configuration.geometry.base_joints, b.shape)
+    starts = np.concatenate([feet, b], axis=-2)
+    along = configuration.leg_vectors
+    i, j = _PAIRS.T
+    squares = _segment_distance2(starts[..., i, :], along[..., i, :], starts[..., j, :], along[..., j, :])
+    return np.asarray(np.sqrt(squares.min(axis=-1)))
+
+
+def _segment_distance2(p: FloatArray, u: FloatArray, q: FloatArray, v: FloatArray) -> FloatArray:
+    """Return the squared distance of segments from p to p + u and from q to q + v, arrays (..., 3).
+
+    It is at an end of one of them, or at the lines' common normal if that is within both.
+    """
+
+    def dot(a: FloatArray, b: FloatArray) -> FloatArray:
+        return np.asarray((a * b).sum(axis=-1))
+
+    def to_segment(point: FloatArray, start: FloatArray, along: FloatArray) -> FloatArray:
+        square = dot(along, along)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = np.where(square > 0.0, dot(point - start, along) / square, 0.0)
+        gap = point - start - np.clip(share, 0.0, 1.0)[..., None] * along
+        return dot(gap, gap)
+
+    ends = [to_segment(p, q, v), to_segment(p + u, q, v), to_segment(q, p, u), to_segment(q + v, p, u)]
+    least = np.minimum.reduce(ends)
+    a, b, c, d, e = dot(u, u), dot(u, v), dot(v, v), dot(u, q - p), dot(v, q - p)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        determinant = a * c - b * b
+        s, t = (c * d - b * e) / determinant, (b * d - a * e) / determinant
+        gap = q - p + t[..., None] * v - s[..., None] * u
+        between = (determinant > 0.0) & (s >= 0.0) & (s <= 1.0) & (t >= 0.0) & (t <= 1.0)
+        return np.asarray(np.where(between, np.minimum(least, dot(gap, gap)), least))
