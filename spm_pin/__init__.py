@@ -33,11 +33,23 @@ from spm_pin.mechanism import (
     Status,
     pose,
 )
-from spm_pin.workspace.grids import leg_grid, leg_sample, pose_grid, pose_sample
-from spm_pin.workspace.index import Index
-from spm_pin.workspace.indices import INDICES
-from spm_pin.workspace.shell import Patch, Shell, workspace_shell
-from spm_pin.workspace.sweep import open_sweep, resume_sweep, sweep, sweep_status
+from spm_pin.workspace.reach.boundary import Boundary, BoundaryPoints, reachable_boundary
+from spm_pin.workspace.reach.estimate import Estimate
+from spm_pin.workspace.reach.joint_limits import JointAngles, JointLimits, joint_angles, leg_clearance
+from spm_pin.workspace.reach.membership import (
+    PositionReach,
+    Reachability,
+    reachable,
+    reachable_position,
+    sample_reachable,
+)
+from spm_pin.workspace.reach.orientation import OrientationWorkspace, orientation_workspace
+from spm_pin.workspace.reach.volume import ShellComparison, compare_with_shell, pose_volume, reachable_volume
+from spm_pin.workspace.shell.joined import Patch, Shell, workspace_shell
+from spm_pin.workspace.sweep.grids import leg_grid, leg_sample, pose_grid, pose_sample
+from spm_pin.workspace.sweep.index import Index
+from spm_pin.workspace.sweep.indices import INDICES
+from spm_pin.workspace.sweep.run import open_sweep, resume_sweep, sweep, sweep_status
 
 if TYPE_CHECKING:
     from spm_pin import nlp
@@ -54,30 +66,40 @@ __all__ = [
     "LEGS",
     "STAGE_MODES",
     "ArgumentError",
+    "Boundary",
+    "BoundaryPoints",
     "ClosedChain",
     "ClosureError",
     "Configuration",
     "Degeneracy",
     "DescriptionError",
+    "Estimate",
     "Event",
     "EventKind",
     "FollowedPath",
     "Geometry",
     "GeometryError",
     "Index",
+    "JointAngles",
+    "JointLimits",
     "LegLimits",
     "MissingExtraError",
     "NotOneSolutionError",
+    "OrientationWorkspace",
     "Patch",
     "PlatformPath",
     "PoseError",
-    "SingularConfigurationError",
+    "PositionReach",
+    "Reachability",
     "Shell",
+    "ShellComparison",
+    "SingularConfigurationError",
     "Singularities",
     "SingularityKind",
     "SolutionSet",
     "SpmError",
     "Status",
+    "compare_with_shell",
     "complex_middle_joints",
     "determinant_gradients",
     "follow",
@@ -85,17 +107,26 @@ __all__ = [
     "forward_physical",
     "inverse_displacement",
     "inverse_jacobian",
+    "joint_angles",
+    "leg_clearance",
     "leg_forces",
     "leg_grid",
     "leg_rates",
     "leg_sample",
     "nlp",
     "open_sweep",
+    "orientation_workspace",
     "platform_jacobian",
     "pose",
     "pose_grid",
     "pose_sample",
+    "pose_volume",
+    "reachable",
+    "reachable_boundary",
+    "reachable_position",
+    "reachable_volume",
     "resume_sweep",
+    "sample_reachable",
     "singularities",
     "sweep",
     "sweep_status",

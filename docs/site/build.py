@@ -95,7 +95,8 @@ def _turned(page: str, origin: Path, origins: dict[str, Path]) -> str:
 
 def _contents(found: dict[str, str]) -> str:
     """Return the tables of contents: what stands first, and then whatever else a folder holds."""
-    theory = ("inverse_displacement", "forward_displacement", "rates_forces_singularities", "workspace")
+    kinematics = ("inverse_displacement", "forward_displacement", "rates_forces_singularities")
+    theory = (*kinematics, "workspace", "reachable_set", "dynamics")
     chapters = {
         "Theory": _ordered(found, "theory", theory),
         "The paper": ["findings", "paper"],

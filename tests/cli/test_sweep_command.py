@@ -19,9 +19,9 @@ from typer.testing import CliRunner
 
 import spm_pin as spm
 from spm_pin.cli.sweep import sweep
-from spm_pin.workspace.grids import leg_sample, pose_grid
-from spm_pin.workspace.indices import conditioning, payload, payload_down, stiffness
-from spm_pin.workspace.sweep import sweep as run_sweep
+from spm_pin.workspace.sweep.grids import leg_sample, pose_grid
+from spm_pin.workspace.sweep.indices import conditioning, payload, payload_down, stiffness
+from spm_pin.workspace.sweep.run import sweep as run_sweep
 
 POSES = ["--x", "37:44:4", "--y", "-16:-12:3", "--z", "250", "--xyx", "1", "17:20:2", "6", "--unit", "cm"]
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from spm_pin.closed_form.forward import forward_physical
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.workspace.shell import workspace_shell
+from spm_pin.workspace.shell.joined import workspace_shell
 
 __all__ = ["Region"]
 

@@ -1,0 +1,1 @@
+"""The reachable set itself: which poses and positions, its boundary, its sizes."""

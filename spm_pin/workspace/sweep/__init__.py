@@ -1,0 +1,1 @@
+"""Indices over any number of poses or leg lengths, chunk by chunk, resumable."""
