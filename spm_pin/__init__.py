@@ -4,10 +4,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from spm_pin.closed_form.forward import ASSEMBLY_MODES, STAGE_MODES, forward_displacement, forward_physical
-from spm_pin.closed_form.inverse import complex_middle_joints, inverse_displacement
+from spm_pin.closed_form.inverse import branch_lengths, complex_middle_joints, inverse_displacement
 from spm_pin.closed_form.paths import FollowedPath, follow
-from spm_pin.closed_form.singularity import Singularities, SingularityKind, determinant_gradients, singularities
+from spm_pin.closed_form.singularity import (
+    Singularities,
+    SingularityKind,
+    determinant_gradients,
+    determinants,
+    singularities,
+)
 from spm_pin.closed_form.statics import leg_forces
+from spm_pin.closed_form.threads import set_threads, threads
 from spm_pin.closed_form.tracking import Event, EventKind
 from spm_pin.closed_form.velocity import inverse_jacobian, leg_rates, platform_jacobian
 from spm_pin.errors import (
@@ -99,9 +106,11 @@ __all__ = [
     "SolutionSet",
     "SpmError",
     "Status",
+    "branch_lengths",
     "compare_with_shell",
     "complex_middle_joints",
     "determinant_gradients",
+    "determinants",
     "follow",
     "forward_displacement",
     "forward_physical",
@@ -127,9 +136,11 @@ __all__ = [
     "reachable_volume",
     "resume_sweep",
     "sample_reachable",
+    "set_threads",
     "singularities",
     "sweep",
     "sweep_status",
+    "threads",
     "workspace_shell",
 ]
 

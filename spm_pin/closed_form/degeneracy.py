@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.families import LOWER, ROUNDING, UPPER, FamilyForms
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.solutions import Degeneracy
@@ -14,33 +13,37 @@ __all__ = ["find_degeneracy"]
 
 BoolArray = npt.NDArray[np.bool_]
 
+# e of the families TT, TF, FT, FF in the lower and in the upper stage.
+LOWER = np.array([1.0, 1.0, -1.0, -1.0])
+UPPER = np.array([1.0, -1.0, 1.0, -1.0])
 
-def find_degeneracy(geometry: Geometry, forms: FamilyForms, rotation: FloatArray, position: FloatArray) -> Degeneracy:
-    """Find the families that rounding cannot tell from continuous ones; arrays over the N poses.
+
+def find_degeneracy(
+    geometry: Geometry, flagged: npt.NDArray[np.uint8], rotation: FloatArray, position: FloatArray
+) -> Degeneracy:
+    """Describe the continuous families of N poses that a kernel has flagged, see `kernels.inverse`.
 
     Where the two Z axes meet or cross, a family is continuous iff its form vanishes: (P : Q) is then free and
     the family has one dimension. Where they are parallel, see `_parallel_axes`.
     """
-    r = geometry.middle_radius
-    aside = np.hypot(position[:, 0], position[:, 1])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        noise = ROUNDING * (r + aside / (forms.cosine * forms.sine))[:, None]
-        entries = np.abs(np.stack([forms.form_uu, forms.form_uv, forms.form_vv]))
-        families = (entries.max(axis=0, initial=0.0) <= noise) & ~forms.vertical[:, None]
+    from spm_pin.closed_form.kernels.inverse import VERTICAL
+    from spm_pin.closed_form.kernels.quadratics import ROUNDING
+
+    families = (flagged[:, None] & np.array([1, 2, 4, 8])) > 0
     dimension = families.any(axis=-1).astype(np.int8)
     axes = geometry.revolute_axes
     platform_axes = axes @ np.swapaxes(rotation, -1, -2)
     parallel = np.linalg.norm(np.cross(axes, platform_axes), axis=-1) <= ROUNDING
-    offset = np.abs(position @ axes.T)
-    legs = parallel & (offset <= ROUNDING * (r + aside)[:, None])
-    if forms.vertical.any():
-        at = forms.vertical
-        families[at], dimension[at] = _parallel_axes(geometry, rotation[at], position[at])
+    aside = np.hypot(position[:, 0], position[:, 1])
+    legs = parallel & (np.abs(position @ axes.T) <= ROUNDING * (geometry.middle_radius + aside)[:, None])
+    at = (flagged & VERTICAL) > 0
+    if at.any():
+        families[at], dimension[at] = _parallel_axes(geometry, rotation[at], position[at], ROUNDING)
     return Degeneracy(dimension, families, legs & (dimension > 0)[:, None])
 
 
 def _parallel_axes(
-    geometry: Geometry, rotation: FloatArray, position: FloatArray
+    geometry: Geometry, rotation: FloatArray, position: FloatArray, rounding: float
 ) -> tuple[BoolArray, npt.NDArray[np.int8]]:
     """Return families (n, 4) and dimension (n,) where the Z axes of {B} and {m} are parallel.
 
@@ -55,7 +58,7 @@ def _parallel_axes(
     """
     r = geometry.middle_radius
     aside = position[:, 0] + 1j * position[:, 1]
-    tolerance = ROUNDING * (1.0 + np.abs(aside) / r)
+    tolerance = rounding * (1.0 + np.abs(aside) / r)
     level = rotation[:, 2, 2] > 0.0
     cos_turn, sin_turn = rotation[:, 0, 0], rotation[:, 1, 0]
     straight = level & (np.abs(sin_turn) <= tolerance)

@@ -20,23 +20,32 @@ step keeps the relative accuracy of small tilts. Derivation: `docs/theory/invers
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import RigidTransform
 
 from spm_pin.closed_form.degeneracy import find_degeneracy
-from spm_pin.closed_form.families import LOWER, ROOT, UPPER, FamilyForms
+from spm_pin.closed_form.threads import in_parts
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.branches import BRANCHES
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
+from spm_pin.mechanism.pose import EXACT, PoseLike, checked_pose, unchecked_pose
 from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
 
-__all__ = ["complex_middle_joints", "inverse_displacement"]
+__all__ = ["branch_lengths", "complex_middle_joints", "inverse_displacement"]
 
+ByteArray = npt.NDArray[np.uint8]
 ComplexArray = npt.NDArray[np.complex128]
+Found = TypeVar("Found")
+_Branches = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, npt.NDArray[np.int8]]
+_Lengths = tuple[FloatArray, FloatArray, FloatArray, npt.NDArray[np.int8]]
+
+_ENOUGH = 1 << 14
+"""Poses that are worth a thread."""
 
 
 def inverse_displacement(geometry: Geometry, pose: PoseLike) -> SolutionSet:
@@ -77,36 +86,84 @@ def inverse_displacement(geometry: Geometry, pose: PoseLike) -> SolutionSet:
     >>> spm.inverse_displacement(geometry, pose)
     <SolutionSet: ok, 6 of 8 real: TT+, TT-, TF+, TF-, FF+, FF->
     """
-    transform = as_rigid_transform(pose)
-    shape = transform.shape
-    matrix = transform.as_matrix().reshape(-1, 4, 4)
-    rotation, position = matrix[:, :3, :3], matrix[:, :3, 3]
-    forms = FamilyForms.of(geometry, transform.rotation.as_quat().reshape(-1, 4), position)
-    degeneracy = find_degeneracy(geometry, forms, rotation, position)
-    discriminant = forms.discriminant
-    real = (discriminant >= 0.0) & ~degeneracy.families & ~forms.vertical[:, None]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        root = np.sqrt(np.where(real, discriminant, np.nan))
-        joints = _middle_joints(geometry, forms, position, root)
-    exists = real.any(axis=-1)
-    status = np.where(degeneracy.dimension > 0, Status.DEGENERATE, np.where(exists, Status.OK, Status.UNREACHABLE))
+
+    def solve(rotation: FloatArray, position: FloatArray) -> tuple[_Branches, ByteArray]:
+        from spm_pin.closed_form.kernels.inverse import all_branches
+
+        n = len(position)
+        # The answer keeps the pose, hence a copy; RigidTransform has made one already.
+        keep = (rotation, position) if isinstance(pose, RigidTransform) else (np.empty((n, 3, 3)), np.empty((n, 3)))
+        found = np.empty((n, 8, 3, 3)), np.empty((n, 8, 6)), np.empty((n, 4)), np.empty(n, dtype=np.int8)
+        flagged = np.empty(n, dtype=np.uint8)
+        joints, lengths, discriminants, status = found
+        sizes = geometry.middle_radius, geometry.base_radius, geometry.platform_radius, EXACT
+
+        def part(at: slice) -> None:
+            if keep[0] is not rotation:
+                keep[0][at], keep[1][at] = rotation[at], position[at]
+            written = joints[at], lengths[at], discriminants[at]
+            all_branches(keep[0][at], keep[1][at], *sizes, *written, status[at], flagged[at])
+
+        in_parts(part, n, _ENOUGH)
+        return (*keep, *found), flagged
+
+    shape, (rotation, position, joints, lengths, discriminants, status), flagged = _solved(solve, pose)
+    rotation, position = rotation.reshape(*shape, 3, 3), position.reshape(*shape, 3)
+    degeneracy = _degeneracy(geometry, rotation, position, flagged, status)
     branches = Configuration.from_arrays(
         geometry,
-        np.broadcast_to(rotation[:, None], (*joints.shape[:2], 3, 3)).reshape(*shape, 8, 3, 3),
-        np.broadcast_to(position[:, None], (*joints.shape[:2], 3)).reshape(*shape, 8, 3),
+        np.broadcast_to(rotation[..., None, :, :], (*shape, 8, 3, 3)),
+        np.broadcast_to(position[..., None, :], (*shape, 8, 3)),
         joints.reshape(*shape, 8, 3, 3),
+        lengths.reshape(*shape, 8, 6),
     )
     return SolutionSet(
         branches,
         BRANCHES,
         status.reshape(shape),
-        discriminants=(discriminant / geometry.middle_radius**2).reshape(*shape, 4),
-        degeneracy=Degeneracy(
-            degeneracy.dimension.reshape(shape),
-            degeneracy.families.reshape(*shape, 4),
-            degeneracy.legs.reshape(*shape, 3),
-        ),
+        discriminants=discriminants.reshape(*shape, 4),
+        degeneracy=degeneracy,
     )
+
+
+def branch_lengths(geometry: Geometry, pose: PoseLike) -> tuple[FloatArray, npt.NDArray[np.int8]]:
+    """Find the leg lengths of all branches, and nothing else: `inverse_displacement` for maps and filters.
+
+    Parameters
+    ----------
+    geometry, pose
+        As for `inverse_displacement`.
+
+    Returns
+    -------
+    leg_lengths : ndarray, shape (..., 8, 6)
+        r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m] of the branches in the order of `BRANCHES`, NaN where one is not real:
+        what `inverse_displacement` returns, to the bit, for a third of the memory.
+    status : ndarray of int8, shape (...)
+        `Status` of each pose.
+
+    Raises
+    ------
+    PoseError
+        If `pose` is not a rigid transform of finite numbers.
+    """
+
+    def solve(rotation: FloatArray, position: FloatArray) -> tuple[_Lengths, ByteArray]:
+        from spm_pin.closed_form.kernels import inverse as kernels
+
+        n = len(position)
+        lengths, status, flagged = np.empty((n, 8, 6)), np.empty(n, dtype=np.int8), np.empty(n, dtype=np.uint8)
+        sizes = geometry.middle_radius, geometry.base_radius, geometry.platform_radius, EXACT
+
+        def part(at: slice) -> None:
+            kernels.branch_lengths(rotation[at], position[at], *sizes, lengths[at], status[at], flagged[at])
+
+        in_parts(part, n, _ENOUGH)
+        return (rotation, position, lengths, status), flagged
+
+    shape, (rotation, position, lengths, status), flagged = _solved(solve, pose)
+    _degeneracy(geometry, rotation, position, flagged, status)
+    return lengths.reshape(*shape, 8, 6), status.reshape(shape)
 
 
 def complex_middle_joints(geometry: Geometry, pose: PoseLike) -> ComplexArray:
@@ -128,66 +185,47 @@ def complex_middle_joints(geometry: Geometry, pose: PoseLike) -> ComplexArray:
     PoseError
         If `pose` is not a rigid transform of finite numbers.
     """
-    transform = as_rigid_transform(pose)
-    matrix = transform.as_matrix().reshape(-1, 4, 4)
-    forms = FamilyForms.of(geometry, transform.rotation.as_quat().reshape(-1, 4), matrix[:, :3, 3])
-    lost = find_degeneracy(geometry, forms, matrix[:, :3, :3], matrix[:, :3, 3]).families | forms.vertical[:, None]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        root = np.sqrt(np.where(lost, np.nan, forms.discriminant).astype(np.complex128))
-        joints = _middle_joints(geometry, forms, matrix[:, :3, 3], root)
-    return np.asarray(joints.reshape(*transform.shape, 8, 3, 3))
+
+    def solve(rotation: FloatArray, position: FloatArray) -> tuple[ComplexArray, ByteArray]:
+        from spm_pin.closed_form.kernels.inverse import complex_branches
+
+        n = len(position)
+        joints, flagged = np.empty((n, 8, 3, 3), dtype=np.complex128), np.empty(n, dtype=np.uint8)
+
+        def part(at: slice) -> None:
+            complex_branches(rotation[at], position[at], geometry.middle_radius, EXACT, joints[at], flagged[at])
+
+        in_parts(part, n, _ENOUGH)
+        return joints, flagged
+
+    shape, joints, _ = _solved(solve, pose)
+    return joints.reshape(*shape, 8, 3, 3)
 
 
-def _middle_joints(geometry: Geometry, forms: FamilyForms, position: FloatArray, root: npt.NDArray[Any]) -> Any:
-    """Return b (N, 8, 3, 3) [m] from the square roots (N, 4) of the discriminants, real or complex.
+def _solved(
+    solve: Callable[[FloatArray, FloatArray], tuple[Found, ByteArray]], pose: PoseLike
+) -> tuple[tuple[int, ...], Found, ByteArray]:
+    """Return the shape of a batch of poses, what `solve` found at N rotations and positions, and its flags (N,)."""
+    from spm_pin.closed_form.kernels.inverse import QUESTIONABLE
 
-    `root` may be complex, and then so are u and v; the imaginary unit of the module's docstring is another
-    one, so from here on a horizontal vector is a pair of coordinates.
-    """
-    uu, uv, vv = (form[:, :, None] for form in (forms.form_uu, forms.form_uv, forms.form_vv))
-    root = root[:, :, None] * ROOT
-    # Both pairs solve the form; the longer one is free of cancellation.
-    first, second = (root - uv, uu), (vv, -uv - root)
-    longer = _norm2(*first) >= _norm2(*second)
-    u, v = np.where(longer, first[0], second[0]), np.where(longer, first[1], second[1])
-    length = np.sqrt(u * u + v * v)
-    u, v = u / length, v / length
-    per_family = slice(None), slice(None), None
-    sine, cosine = forms.sine[:, None, None], forms.cosine[:, None, None]
-    p = sine * (v * forms.scale_v[per_family] + u * forms.scale_u[per_family])
-
-    # w_a and conj(w_b): rotate G v -+ F u by the tilt axis and by the mode's own quarter turn.
-    f, g = forms.f[per_family], forms.g[per_family]
-    lower_axis = (forms.tilt_axis * np.where(UPPER > 0.0, 1.0, -1.0j))[per_family]
-    upper_axis = (np.conj(forms.tilt_axis) * np.where(LOWER > 0.0, 1.0, 1.0j))[per_family]
-    a1, a2 = _turn(lower_axis, g.real * v - f.real * u, g.imag * v - f.imag * u)
-    b1, b2 = _turn(upper_axis, g.real * v + f.real * u, g.imag * v + f.imag * u)
-
-    # The centre's horizontal position in {B} and in {m}; only its part along the tilt is needed: with the
-    # common normal n, that direction is -i n.
-    r = geometry.middle_radius
-    lower_x, lower_y = -2.0 * r * a1 * a2, r * (a2 * a2 - a1 * a1)
-    upper_x, upper_y = 2.0 * r * b1 * b2, r * (b2 * b2 - b1 * b1)
-    normal, normal_m = forms.normal[:, None, None], forms.normal_m[:, None, None]
-    x, y, z = (position[:, k, None, None] for k in range(3))
-    along = normal.imag * (lower_x - x) - normal.real * (lower_y - y)
-    along_m = normal_m.imag * upper_x - normal_m.real * upper_y
-    height = z + ((cosine * cosine - sine * sine) * along - along_m) / (2.0 * sine * cosine)
-
-    half_turned = (LOWER < 0.0)[:, None]
-    joints = []
-    for cos_phi, sin_phi, _ in geometry.radial_directions:
-        radius = r * (LOWER[:, None] * p * p - 2.0 * ((a1 * a1 - a2 * a2) * sin_phi + 2.0 * a1 * a2 * cos_phi))
-        lift = np.where(half_turned, a1 * cos_phi + a2 * sin_phi, a1 * sin_phi - a2 * cos_phi)
-        joints.append(np.stack([radius * cos_phi, radius * sin_phi, height + 2.0 * r * p * lift], axis=-1))
-    stacked = np.stack(joints, axis=-2)
-    return stacked.reshape(stacked.shape[0], 8, 3, 3)
+    rotation, position = unchecked_pose(pose)
+    found, flagged = solve(rotation.reshape(-1, 3, 3), position.reshape(-1, 3))
+    if flagged.any() and (flagged & QUESTIONABLE).any():
+        # The kernel looks at the numbers in passing; what to do about them is said elsewhere.
+        rotation, position = checked_pose(rotation, position, "pose")
+        found, flagged = solve(rotation.reshape(-1, 3, 3), position.reshape(-1, 3))
+    return position.shape[:-1], found, flagged
 
 
-def _norm2(x: npt.NDArray[Any], y: npt.NDArray[Any]) -> FloatArray:
-    return np.asarray(np.abs(x) ** 2 + np.abs(y) ** 2, dtype=np.float64)
-
-
-def _turn(axis: ComplexArray, x: npt.NDArray[Any], y: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    """Multiply the pair (x, y), possibly complex in its own right, by the plane rotation `axis`."""
-    return axis.real * x - axis.imag * y, axis.real * y + axis.imag * x
+def _degeneracy(
+    geometry: Geometry, rotation: FloatArray, position: FloatArray, flagged: ByteArray, status: npt.NDArray[np.int8]
+) -> Degeneracy:
+    """Look at the flagged poses, rotations (..., 3, 3) and positions (..., 3), and set the `status` (N,) of some."""
+    shape, n = position.shape[:-1], len(flagged)
+    dimension, families, legs = np.zeros(n, np.int8), np.zeros((n, 4), np.bool_), np.zeros((n, 3), np.bool_)
+    if flagged.any():
+        at = np.flatnonzero(flagged)
+        found = find_degeneracy(geometry, flagged[at], rotation.reshape(-1, 3, 3)[at], position.reshape(-1, 3)[at])
+        dimension[at], families[at], legs[at] = found.dimension, found.families, found.legs
+        status[at[found.dimension > 0]] = Status.DEGENERATE
+    return Degeneracy(dimension.reshape(shape), families.reshape(*shape, 4), legs.reshape(*shape, 3))

@@ -20,13 +20,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.velocity import SINGULAR, StageWrenches
+from spm_pin.closed_form.threads import in_parts
+from spm_pin.closed_form.velocity import ENOUGH, platform_jacobian, two_axes
+from spm_pin.closed_form.wrenches import SINGULAR, StageWrenches
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.branches import determinants
 from spm_pin.mechanism.configuration import Configuration
 
-__all__ = ["Singularities", "SingularityKind", "determinant_gradients", "singularities"]
+__all__ = ["Singularities", "SingularityKind", "determinant_gradients", "determinants", "singularities"]
 
 
 class SingularityKind(enum.IntFlag):
@@ -139,7 +140,7 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
     )
     held = (rank[..., :2] == 6).all(axis=-1)
     twists = _at_platform(right[..., -1, :], wrenches)
-    dets = np.stack(determinants(configuration), axis=-1)
+    dets = determinants(configuration)
     with np.errstate(divide="ignore"):
         condition = values[..., 0] / values[..., -1]
 
@@ -158,6 +159,34 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
         inner_twist=present(twists[..., 2, :]),
         lost_wrench=present(_lost_wrench(left[..., 2, :, -1], wrenches)),
     )
+
+
+def determinants(configuration: Configuration) -> FloatArray:
+    """Return det J_b, det J_c and det K alone, as `Singularities.determinants`.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        States of shape (...).
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        [m³]; NaN for a member that does not exist, or for a leg without length.
+    """
+    from spm_pin.closed_form.kernels.velocity import all_determinants
+
+    geometry, (joints, rotation, position) = configuration.geometry, two_axes(configuration, configuration.shape)
+    outer, inner = joints.shape[:2]
+    found = np.empty((outer * inner, 3))
+
+    def part(at: slice) -> None:
+        packed = slice(at.start * inner, at.stop * inner)
+        sizes = geometry.base_radius, geometry.platform_radius
+        all_determinants(joints[at], rotation[at], position[at], *sizes, found[packed])
+
+    in_parts(part, outer, ENOUGH // max(inner, 1))
+    return found.reshape(*configuration.shape, 3)
 
 
 def _at_platform(twists: FloatArray, wrenches: StageWrenches) -> FloatArray:
@@ -200,11 +229,12 @@ def determinant_gradients(configuration: Configuration) -> FloatArray:
     SingularConfigurationError
         At a forward or a constraint singularity, where the leg lengths do not determine the motion.
     """
-    wrenches = StageWrenches.of(configuration)
-    # Twists (v, ω) at the middle platform's centre per unit leg rate: of the middle platform, and of m.
-    stages = np.linalg.solve(wrenches.regular_stages(), np.eye(6)[:, :3])
-    stages[..., 3:, :] /= wrenches.side
-    lower, relative = np.swapaxes(stages[..., 0, :, :], -1, -2), np.swapaxes(stages[..., 1, :, :], -1, -2)
+    # Twists (v, ω) at the middle platform's centre per unit leg rate: of the middle platform, and of m against it.
+    jacobian = platform_jacobian(configuration)
+    lever = configuration.translation - configuration.middle_joints.mean(axis=-2)
+    linear, angular = np.swapaxes(jacobian[..., :3, :], -1, -2), np.swapaxes(jacobian[..., 3:, :], -1, -2)
+    twists = np.concatenate([linear - np.cross(angular, lever[..., None, :]), angular], axis=-1)
+    lower, relative = twists[..., :3, :], twists[..., 3:, :]
     middle = np.concatenate([lower, np.zeros_like(relative)], axis=-2)
     platform = np.concatenate([lower, relative], axis=-2)
     b, c = configuration.middle_joints, configuration.platform_joints
@@ -236,7 +266,7 @@ def determinant_gradients(configuration: Configuration) -> FloatArray:
         ),
         _plane_derivative(points, b_dot, np.cross(base_axes, axes), np.cross(base_axes, axes_dot)),
     ]
-    return np.where(wrenches.exists[..., None, None], -np.stack(rows, axis=-2), np.nan)
+    return -np.stack(rows, axis=-2)
 
 
 def _plane_derivative(b: FloatArray, b_dot: FloatArray, w: FloatArray, w_dot: FloatArray) -> FloatArray:

@@ -17,31 +17,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
-from spm_pin.closed_form.stage_newton import (
-    NEAR,
-    SAME,
-    BoolArray,
-    IntArray,
-    StageEquations,
-    other_side_of_fold,
-    polished,
-)
-from spm_pin.closed_form.stage_quartic import approximate_solutions
 from spm_pin.mechanism.arguments import FloatArray
 
 __all__ = ["MODES", "PLACES", "StageModes", "placement", "solve_stage"]
 
+BoolArray = npt.NDArray[np.bool_]
+
 MODES = ("T", "F")
 PLACES = 4
 """The most solutions of one mode, mirror images apart."""
-
-_EPS = float(np.finfo(np.float64).eps)
-# Of the legs' azimuths -30°, 90°, 210°.
-_COSINES = np.array([np.sqrt(0.75), 0.0, -np.sqrt(0.75)])
-_SINES = np.array([-0.5, 1.0, -0.5])
-_FAMILY = 1e6
-"""A solution beside a continuous family that errs more than this many times as much as the lengths belongs to it."""
 
 
 @dataclass(frozen=True)
@@ -76,17 +62,6 @@ class StageModes:
         """Which places hold a solution, shape (N, modes, 4)."""
         return ~np.isnan(self.quaternion[..., 0])
 
-    def part(self, stages: slice) -> StageModes:
-        """Return some of the N stages."""
-        return StageModes(
-            self.quaternion[stages],
-            self.centre[stages],
-            self.radii[stages],
-            self.heights[stages],
-            self.flat[stages],
-            self.continuous[stages],
-        )
-
 
 def solve_stage(lengths: FloatArray, epsilon: float | FloatArray, modes: tuple[str, ...] = MODES) -> StageModes:
     """Find all assembly modes of 3RPS stages.
@@ -105,72 +80,16 @@ def solve_stage(lengths: FloatArray, epsilon: float | FloatArray, modes: tuple[s
     StageModes
         Per mode by falling mean radius of the corners; where nine digits of it agree, by the azimuth of the tilt axis.
     """
-    epsilon = np.broadcast_to(np.asarray(epsilon, dtype=np.float64), len(lengths))
-    signed = np.stack([epsilon if mode == "T" else -epsilon for mode in modes], axis=-1)
-    stage = StageEquations.of(np.repeat(lengths, len(modes), axis=0), signed.reshape(-1))
-    continuous = _continuous(lengths, epsilon, modes)
-    family = continuous.reshape(-1)
-    starts, plausible = approximate_solutions(stage, family)
-    owner, place = np.nonzero(plausible)
-    owner, states, gain = polished(stage, owner, starts[owner, place])
-    near = gain > NEAR
-    others = polished(stage, owner[near], other_side_of_fold(stage, owner[near], states[near]))
-    owner, states, gain = (np.concatenate(pair) for pair in zip((owner, states, gain), others, strict=True))
-    isolated = ~family[owner] | (gain < _FAMILY)
-    return _arranged(owner[isolated], states[isolated], gain[isolated], modes, continuous)
+    from spm_pin.closed_form.kernels.stage_modes import stage_modes
 
-
-def _continuous(lengths: FloatArray, epsilon: FloatArray, modes: tuple[str, ...]) -> BoolArray:
-    """Tell where solutions form a continuous family, shape (N, modes): the only lengths at which the quartic vanishes.
-
-    - E < r, one leg 3 E long and the others √3 √(r² - E²): both modes.
-    - E = r/2 and equal legs longer than r/2: mode T.
-    """
-    squares = lengths * lengths
-    tolerance = 64.0 * _EPS * (squares.mean(axis=-1) + (1.0 + epsilon) ** 2)
-    # The three lengths with one leg odd, as rows.
-    odd = np.eye(3, dtype=bool)
-    special = np.where(odd, 9.0 * (epsilon * epsilon)[:, None, None], 3.0 - 3.0 * (epsilon * epsilon)[:, None, None])
-    distance = np.abs(squares[:, None, :] - special).max(axis=-1).min(axis=-1)
-    both = (distance <= tolerance) & (epsilon < 1.0)
-    equal = np.abs(squares - squares[:, :1]).max(axis=-1) <= tolerance
-    halved = equal & (squares[:, 0] > 0.25 + tolerance) & (np.abs(2.0 * epsilon - 1.0) <= 64.0 * _EPS)
-    return np.stack([both | halved if mode == "T" else both for mode in modes], axis=-1)
-
-
-def _arranged(
-    owner: IntArray, states: FloatArray, gain: FloatArray, modes: tuple[str, ...], continuous: BoolArray
-) -> StageModes:
-    """Drop what was found twice, and put the rest into four places per mode."""
-    x0, y1, y2, zeta = states.T
-    half_turned = np.array([mode == "F" for mode in modes])[owner % len(modes)]
-    x1, x2 = np.where(half_turned, -y2, y1), np.where(half_turned, y1, y2)
-    quaternion = np.stack([x1, x2, np.where(half_turned, x0, 0.0), np.where(half_turned, 0.0, x0)], axis=-1)
-    centre, radii, heights = placement(quaternion, zeta)
-
-    # Azimuths of the tilt axis modulo a half turn, none of a symmetric solution's at the jump.
-    azimuth = np.mod(np.arctan2(y2, y1) + np.pi / 6.0, np.pi)
-    order = np.lexsort((azimuth, -np.round(1e9 * radii.mean(axis=-1)), owner))
-    order = order[~_again(owner, radii, heights, np.clip(16.0 * _EPS * gain, SAME, 0.01), order)]
-    ranked = owner[order]
-    counts = np.bincount(ranked, minlength=continuous.size)
-    place = np.arange(len(order)) - (np.cumsum(counts) - counts)[ranked]
-    fits = place < PLACES
-
-    def placed(array: FloatArray) -> FloatArray:
-        everywhere = np.full((continuous.size, PLACES, array.shape[-1]), np.nan)
-        everywhere[ranked[fits], place[fits]] = array[order[fits]]
-        return everywhere.reshape(-1, len(modes), PLACES, array.shape[-1])
-
-    corners = placed(heights)
-    return StageModes(
-        quaternion=placed(quaternion),
-        centre=placed(centre),
-        radii=placed(radii),
-        heights=corners,
-        flat=np.abs(corners).max(axis=-1) <= SAME,
-        continuous=continuous,
-    )
+    n, m = len(lengths), len(modes)
+    quaternion, height = np.empty((n, m, PLACES, 4)), np.empty((n, m, PLACES))
+    flat, continuous = np.empty((n, m, PLACES), dtype=np.bool_), np.empty((n, m), dtype=np.bool_)
+    hips = np.ascontiguousarray(np.broadcast_to(np.asarray(epsilon, dtype=np.float64), n))
+    half_turned = np.array([mode == "F" for mode in modes])
+    stage_modes(lengths, hips, half_turned, quaternion, height, flat, continuous)
+    centre, radii, heights = placement(quaternion, height)
+    return StageModes(quaternion, centre, radii, heights, flat, continuous)
 
 
 def placement(quaternion: FloatArray, height: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -188,21 +107,10 @@ def placement(quaternion: FloatArray, height: FloatArray) -> tuple[FloatArray, F
     centre, radii, heights : ndarrays, shape (..., 3)
         Position of the centre, and of the corners in the vertical planes of the legs, in units of r.
     """
-    x1, x2, x3, x0 = (quaternion[..., k, None] for k in range(4))
-    square = 2.0 * x1 * x2 * _COSINES + (x1 * x1 - x2 * x2) * _SINES
-    lift = x0 * (x1 * _SINES - x2 * _COSINES) + x3 * (x1 * _COSINES + x2 * _SINES)
-    centre = np.concatenate([-2.0 * x1 * x2, x2 * x2 - x1 * x1, height[..., None]], axis=-1)
-    return centre, x0 * x0 - x3 * x3 - 2.0 * square, height[..., None] + 2.0 * lift
+    from spm_pin.closed_form.kernels.compiling import interpreted
+    from spm_pin.closed_form.kernels.stage import placed
 
-
-def _again(owner: IntArray, radii: FloatArray, heights: FloatArray, blur: FloatArray, order: IntArray) -> BoolArray:
-    """Tell which states, in this order, are one of those before them, or its mirror image."""
-    again = np.zeros(len(order), dtype=bool)
-    for ahead in range(1, int(np.bincount(owner).max(initial=0))):
-        one, other = order[:-ahead], order[ahead:]
-        across = ((radii[one] - radii[other]) ** 2).sum(axis=-1)
-        same_side = ((heights[one] - heights[other]) ** 2).sum(axis=-1)
-        mirrored = ((heights[one] + heights[other]) ** 2).sum(axis=-1)
-        apart = np.sqrt(across + np.minimum(same_side, mirrored))
-        again[ahead:] |= (owner[one] == owner[other]) & (apart <= np.maximum(blur[one], blur[other]))
-    return again
+    x1, x2, x3, x0 = np.moveaxis(quaternion, -1, 0)
+    radii, heights = interpreted(placed)(x0, x1, x2, x3, height)
+    centre = np.stack([-2.0 * x1 * x2, x2 * x2 - x1 * x1, height], axis=-1)
+    return centre, np.stack(radii, axis=-1), np.stack(heights, axis=-1)

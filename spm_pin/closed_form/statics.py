@@ -14,7 +14,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.velocity import StageWrenches, broadcast_argument
+from spm_pin.closed_form.threads import in_parts
+from spm_pin.closed_form.velocity import ENOUGH, broadcast_argument, two_axes
+from spm_pin.closed_form.wrenches import SINGULAR, refuse_singular
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
 
@@ -44,18 +46,34 @@ def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArra
         If `wrench` has another shape or is not finite.
     SingularConfigurationError
         At a forward or a constraint singularity, where the legs cannot hold every wrench; see
-        `spm_pin.closed_form.velocity.SINGULAR`.
+        `spm_pin.closed_form.wrenches.SINGULAR`.
 
     Notes
     -----
     Eq. (33) of the paper, without its inverse of J_f.
     """
+    from spm_pin.closed_form.kernels.velocity import stage_forces
+
     load = broadcast_argument(wrench, "wrench", "(f, m) at o in {B} in N and N m", configuration)
-    wrenches = StageWrenches.of(configuration)
-    stages = wrenches.regular_stages()
-    force, moment = load[..., :3], load[..., 3:]
-    lever = np.where(wrenches.exists[..., None], wrenches.lever, np.nan)
-    reduced = (moment + np.cross(lever, force)) / wrenches.side
-    right_side = -np.concatenate([np.broadcast_to(force, reduced.shape), reduced], axis=-1)
-    held = np.linalg.solve(np.swapaxes(stages, -1, -2), right_side[..., None, :, None])
-    return np.asarray(held[..., :3, 0].reshape(*held.shape[:-3], 6))
+    shape = np.broadcast_shapes(configuration.shape, load.shape[:-1])
+    joints, rotation, position = two_axes(configuration, shape)
+    outer, inner = joints.shape[:2]
+    loads = np.broadcast_to(load, (*shape, 6)).reshape(outer, inner, 6)
+    geometry = configuration.geometry
+    sizes = geometry.base_radius, geometry.platform_radius, geometry.middle_side, SINGULAR
+    forces, suspect = np.empty((outer * inner, 6)), np.empty(outer * inner, dtype=np.uint8)
+
+    def part(at: slice) -> None:
+        packed = slice(at.start * inner, at.stop * inner)
+        stage_forces(joints[at], rotation[at], position[at], loads[at], *sizes, forces[packed], suspect[packed])
+
+    in_parts(part, outer, ENOUGH // max(inner, 1))
+    # A state is as singular under any wrench; only its index must be that of the configuration.
+    doubtful = suspect.reshape(shape)
+    if doubtful.any():
+        extra = len(shape) - len(configuration.shape)
+        doubtful = doubtful.max(axis=tuple(range(extra)), initial=0)
+        narrow = tuple(k for k, n in enumerate(configuration.shape) if n == 1 and doubtful.shape[k] != 1)
+        doubtful = doubtful.max(axis=narrow, keepdims=True, initial=0)
+        refuse_singular(configuration, doubtful.reshape(-1), "forward")
+    return forces.reshape(*shape, 6)

@@ -15,32 +15,30 @@ carries. Solving each stage for its twist and adding gives t = G · rates, G = [
 zeros alone read K t_L = (0, K_c t), thus t_L = X t with X = K⁻¹ [0; K_c], and J_f = [A_b X; A_c (I - X)] = G⁻¹.
 Taking t_L out of the twelve equations by a Schur complement gives det J_f = det J_b det J_c / det K.
 
-The matrices are built at the middle platform's centre instead of o, with lengths in units of d: then all
-entries are of order one wherever the robot stands, and singular values mean something.
+Nothing of this takes a 6 x 6 decomposition: three equations in how far each joint moves along the one direction that
+its two forces leave open are enough, see `spm_pin.closed_form.kernels.wrenches`, with determinants instead of pivots.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError, SingularConfigurationError
-from spm_pin.mechanism.arguments import FloatArray, first_offender, real_array
-from spm_pin.mechanism.branches import leg_plane_determinant
+from spm_pin.closed_form.threads import in_parts
+from spm_pin.closed_form.wrenches import SINGULAR, refuse_singular
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import FloatArray, real_array
 from spm_pin.mechanism.configuration import Configuration
 
-__all__ = ["StageWrenches", "broadcast_argument", "inverse_jacobian", "leg_rates", "platform_jacobian"]
+if TYPE_CHECKING:
+    from spm_pin.closed_form.kernels.velocity import MatrixKernel
 
-_EPS = float(np.finfo(np.float64).eps)
-SINGULAR = 64.0 * _EPS
-"""A matrix is singular to rounding where its smallest singular value is at most this times its largest.
+__all__ = ["broadcast_argument", "inverse_jacobian", "leg_rates", "platform_jacobian", "two_axes"]
 
-A unit vector computed from joint positions is off by a few eps, and so is an arm (b_i - p)/d. Six rows of two
-such parts, of coordinates a few times d, make a matrix off by some 10 √12 eps < 64 eps in the Frobenius norm:
-a smaller singular value may as well be zero.
-"""
+ENOUGH = 1 << 16
+"""States that are worth a thread."""
 
 
 def inverse_jacobian(configuration: Configuration) -> FloatArray:
@@ -62,24 +60,15 @@ def inverse_jacobian(configuration: Configuration) -> FloatArray:
     ------
     SingularConfigurationError
         At an inverse or a constraint singularity, where a twist has no leg rates or no unique ones; see
-        `SINGULAR`. Also, as "forward", where a leg has no length, hence no direction.
+        `spm_pin.closed_form.wrenches.SINGULAR`. Also, as "forward", where a leg has no length, hence no direction.
 
     Notes
     -----
     Eq. (31) of the paper, which takes it from a 9 x 9 system; here J_f = [A_b X; A_c (I - X)], see the module.
     """
-    wrenches = StageWrenches.of(configuration)
-    matrix = wrenches.regular_constraints()
-    right_side = np.zeros_like(matrix)
-    right_side[..., 3:, :] = wrenches.constraints[..., 1, :, :]
-    middle = np.linalg.solve(matrix, right_side)
-    lower = wrenches.legs[..., 0, :, :] @ middle
-    upper = wrenches.legs[..., 1, :, :] @ (np.eye(6) - middle)
-    rates = np.concatenate([lower, upper], axis=-2)
-    linear, angular = rates[..., :3], rates[..., 3:]
-    # At the middle platform's centre v_p = v + (o - p) x ω, so a row's angular part at o is its moment about o.
-    angular = wrenches.side * angular - np.cross(wrenches.lever[..., None, :], linear)
-    return wrenches.masked(np.concatenate([linear, angular], axis=-1))
+    from spm_pin.closed_form.kernels.velocity import inverse_jacobians
+
+    return _matrices(configuration, inverse_jacobians, "inverse")
 
 
 def platform_jacobian(configuration: Configuration) -> FloatArray:
@@ -99,20 +88,45 @@ def platform_jacobian(configuration: Configuration) -> FloatArray:
     Raises
     ------
     SingularConfigurationError
-        At a forward or a constraint singularity, where the legs do not hold the platform; see `SINGULAR`.
+        At a forward or a constraint singularity, where the legs do not hold the platform; see
+        `spm_pin.closed_form.wrenches.SINGULAR`.
 
     Notes
     -----
     G = [J_b⁻¹(:, 1:3), J_c⁻¹(:, 1:3)], see the module. It never inverts J_f, which grows without bound towards
     an inverse singularity.
     """
-    wrenches = StageWrenches.of(configuration)
-    stages = np.linalg.solve(wrenches.regular_stages(), np.eye(6)[:, :3])
-    twists = np.concatenate([stages[..., 0, :, :], stages[..., 1, :, :]], axis=-1)
-    angular = twists[..., 3:, :] / wrenches.side
-    # v at o is v_p + ω x (o - p); the columns are crossed, one per leg.
-    linear = twists[..., :3, :] + np.cross(angular, wrenches.lever[..., :, None], axis=-2)
-    return wrenches.masked(np.concatenate([linear, angular], axis=-2))
+    from spm_pin.closed_form.kernels.velocity import platform_jacobians
+
+    return _matrices(configuration, platform_jacobians, "forward")
+
+
+def _matrices(configuration: Configuration, kernel: MatrixKernel, kind: str) -> FloatArray:
+    """Return what `kernel` computes, shape (..., 6, 6), or raise at a singularity of this kind."""
+    geometry, states = configuration.geometry, two_axes(configuration, configuration.shape)
+    sizes = geometry.base_radius, geometry.platform_radius, geometry.middle_side, SINGULAR
+    outer, inner = states[0].shape[:2]
+    matrices, suspect = np.empty((outer * inner, 6, 6)), np.empty(outer * inner, dtype=np.uint8)
+
+    def part(at: slice) -> None:
+        packed = slice(at.start * inner, at.stop * inner)
+        kernel(states[0][at], states[1][at], states[2][at], *sizes, matrices[packed], suspect[packed])
+
+    in_parts(part, outer, ENOUGH // max(inner, 1))
+    refuse_singular(configuration, suspect, kind)
+    return matrices.reshape(*configuration.shape, 6, 6)
+
+
+def two_axes(configuration: Configuration, shape: tuple[int, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return b, R, o, broadcast to a batch of this shape, with two batch axes; not copied if strides allow it."""
+    inner = shape[-1] if len(shape) > 1 else 1
+    pair = int(np.prod(shape[:-1] if len(shape) > 1 else shape)), inner
+
+    def of(array: FloatArray, trailing: tuple[int, ...]) -> FloatArray:
+        return np.broadcast_to(array, (*shape, *trailing)).reshape(*pair, *trailing)
+
+    state = configuration
+    return of(state.middle_joints, (3, 3)), of(state.rotation, (3, 3)), of(state.translation, (3,))
 
 
 def leg_rates(configuration: Configuration, twist: npt.ArrayLike) -> FloatArray:
@@ -150,94 +164,3 @@ def broadcast_argument(value: npt.ArrayLike, argument: str, meaning: str, config
         expected = f"leading axes that broadcast with those of the configuration, {configuration.shape}"
         raise ArgumentError(argument, expected, array.shape[:-1]) from None
     return array
-
-
-@dataclass(frozen=True)
-class StageWrenches:
-    """The forces of the legs as rows (f, (b_i - p) x f / d) at the middle platform's centre p, in {B}.
-
-    Attributes
-    ----------
-    legs, constraints : ndarray, shape (..., 2, 3, 6)
-        [A_b, A_c] and [K_b, K_c]: the lower stage first.
-    points : ndarray, shape (..., 3, 3)
-        (b_i - p)/d as rows.
-    lever : ndarray, shape (..., 3)
-        o - p [m].
-    side : float
-        d [m].
-    exists : ndarray of bool, shape (...)
-        False for a member that does not exist; its rows are NaN.
-    """
-
-    legs: FloatArray
-    constraints: FloatArray
-    points: FloatArray
-    lever: FloatArray
-    side: float
-    exists: npt.NDArray[np.bool_]
-
-    @classmethod
-    def of(cls, configuration: Configuration) -> StageWrenches:
-        """Set up the rows; raises `SingularConfigurationError` ("forward") where a leg has no length."""
-        lengths = configuration.leg_lengths
-        short = (lengths == 0.0).any(axis=-1)
-        if short.any():
-            raise SingularConfigurationError("forward", 0.0, first_offender(short))
-        shape = configuration.shape
-        side = configuration.geometry.middle_side
-        b = configuration.middle_joints
-        centre = b.mean(axis=-2)
-        points = (b - centre[..., None, :]) / side
-        axes = np.stack(
-            [np.broadcast_to(configuration.geometry.revolute_axes, b.shape), configuration.platform_axes], axis=-3
-        )
-        directions = (configuration.leg_vectors / lengths[..., None]).reshape(*shape, 2, 3, 3)
-
-        def rows(forces: FloatArray) -> FloatArray:
-            return np.concatenate([forces, np.cross(points[..., None, :, :], forces)], axis=-1)
-
-        lever = configuration.translation - centre
-        return cls(rows(directions), rows(axes), points, lever, side, configuration.exists)
-
-    def regular_stages(self) -> FloatArray:
-        """Return J_b and J_c, shape (..., 2, 6, 6), or raise at a forward or constraint singularity."""
-        return self._regular(np.concatenate([self.legs, self.constraints], axis=-2), "forward")
-
-    def regular_constraints(self) -> FloatArray:
-        """Return K, shape (..., 6, 6), or raise at an inverse or constraint singularity."""
-        matrix = self.constraints.reshape(*self.exists.shape, 1, 6, 6)
-        return np.asarray(self._regular(matrix, "inverse")[..., 0, :, :])
-
-    def masked(self, matrix: FloatArray) -> FloatArray:
-        """Put NaN into the members of `matrix` (..., 6, 6) that do not exist."""
-        return np.where(self.exists[..., None, None], matrix, np.nan)
-
-    def _regular(self, matrices: FloatArray, kind: str) -> FloatArray:
-        """Return `matrices` (..., n, 6, 6), those of absent members made regular, or raise."""
-        matrices = np.where(self.exists[..., None, None, None], matrices, np.eye(6))
-        forces = matrices[..., :3]
-        points = np.where(self.exists[..., None, None, None], self.points[..., None, :, :], 0.0)
-        planes = np.cross(forces[..., :3, :], forces[..., 3:, :])
-        # The five larger singular values multiply to at most (F²/5)^(5/2), F the Frobenius norm, so most
-        # members are known to be regular without a decomposition. The factor covers the determinant's rounding.
-        square = (matrices**2).sum(axis=(-1, -2))
-        at_least = np.abs(leg_plane_determinant(points, planes)) * (5.0 / square) ** 2.5
-        suspects = (at_least <= 1e3 * SINGULAR * np.sqrt(square)) & self.exists[..., None]
-        if suspects.any():
-            self._refuse_singular(matrices, suspects, kind)
-        return matrices
-
-    def _refuse_singular(self, matrices: FloatArray, suspects: npt.NDArray[np.bool_], kind: str) -> None:
-        values = np.linalg.svd(matrices[suspects], compute_uv=False)
-        smallest = np.full(suspects.shape, np.inf)
-        smallest[suspects] = np.where(values[:, -1] <= SINGULAR * values[:, 0], values[:, -1], np.inf)
-        singular = (smallest < np.inf).any(axis=-1)
-        if not singular.any():
-            return
-        index = first_offender(singular)
-        own = np.linalg.svd(self.constraints[index], compute_uv=False)
-        dependent = own[:, -1] <= SINGULAR * own[:, 0]
-        if dependent.any():
-            raise SingularConfigurationError("constraint", float(own[:, -1].min()), index)
-        raise SingularConfigurationError(kind, float(smallest[index].min()), index)

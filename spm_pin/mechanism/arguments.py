@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 
-__all__ = ["FloatArray", "first_offender", "frozen", "real_array"]
+__all__ = ["FloatArray", "finite_array", "first_offender", "frozen", "real_array", "shaped_array"]
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -55,21 +55,45 @@ def real_array(
     ArgumentError
         If `value` is not numeric and real, has another shape, or holds a number that is not finite.
     """
-    shape = f"(..., {', '.join(map(str, trailing))})" if trailing else "(...)"
-    expected = f"real numbers of shape {shape}, {meaning}"
+    array = shaped_array(value, argument, trailing, meaning, error=error)
+    return finite_array(array, argument, trailing, meaning, error=error, allow_nan=allow_nan)
+
+
+def shaped_array(
+    value: npt.ArrayLike, argument: str, trailing: tuple[int, ...], meaning: str, *, error: type[ArgumentError]
+) -> FloatArray:
+    """Read `value` as `real_array` does, without a look at the numbers."""
     try:
         array = np.asarray(value)
     except ValueError as ragged:
-        raise error(argument, expected, type(value).__name__, str(ragged)) from ragged
+        raise error(argument, _expected(trailing, meaning), type(value).__name__, str(ragged)) from ragged
     if array.dtype.kind not in "fiu" and not (array.size == 0 and array.dtype.kind != "O"):
-        raise error(argument, expected, f"{type(value).__name__} of dtype {array.dtype}")
+        raise error(argument, _expected(trailing, meaning), f"{type(value).__name__} of dtype {array.dtype}")
     array = array.astype(np.float64, copy=False)
     if array.ndim < len(trailing) or array.shape[array.ndim - len(trailing) :] != trailing:
-        raise error(argument, expected, f"shape {array.shape}")
+        raise error(argument, _expected(trailing, meaning), f"shape {array.shape}")
+    return array
+
+
+def finite_array(
+    array: FloatArray,
+    argument: str,
+    trailing: tuple[int, ...],
+    meaning: str,
+    *,
+    error: type[ArgumentError],
+    allow_nan: bool = False,
+) -> FloatArray:
+    """Return `array`, of a shape found good, if its numbers are too."""
     wrong = np.isinf(array) if allow_nan else ~np.isfinite(array)
     if wrong.any():
         index = first_offender(wrong)
         where = f" at index {index}" if index else ""
         cause = "A missing sample, or a division by zero before this call?"
-        raise error(argument, f"finite {expected}", f"{array[index]}{where}", cause)
+        raise error(argument, f"finite {_expected(trailing, meaning)}", f"{array[index]}{where}", cause)
     return array
+
+
+def _expected(trailing: tuple[int, ...], meaning: str) -> str:
+    shape = f"(..., {', '.join(map(str, trailing))})" if trailing else "(...)"
+    return f"real numbers of shape {shape}, {meaning}"

@@ -65,23 +65,37 @@ class Configuration:
             np.broadcast_to(joints, (*shape, 3, 3)),
         )
 
-    def _set(self, geometry: Geometry, rotation: FloatArray, translation: FloatArray, joints: FloatArray) -> None:
+    def _set(
+        self,
+        geometry: Geometry,
+        rotation: FloatArray,
+        translation: FloatArray,
+        joints: FloatArray,
+        lengths: FloatArray | None = None,
+    ) -> None:
         self._geometry = geometry
         self._rotation = frozen(rotation)
         self._translation = frozen(translation)
         self._middle_joints = frozen(joints)
+        if lengths is not None:
+            self.__dict__["leg_lengths"] = frozen(lengths)
 
     @classmethod
     def from_arrays(
-        cls, geometry: Geometry, rotation: FloatArray, translation: FloatArray, middle_joints: FloatArray
+        cls,
+        geometry: Geometry,
+        rotation: FloatArray,
+        translation: FloatArray,
+        middle_joints: FloatArray,
+        leg_lengths: FloatArray | None = None,
     ) -> Configuration:
         """Make a configuration from arrays known to be good, without a check or a copy.
 
-        For solvers: `rotation` (..., 3, 3), `translation` (..., 3) [m] and `middle_joints` (..., 3, 3) [m]
-        have equal leading axes.
+        For solvers: `rotation` (..., 3, 3), `translation` (..., 3) [m], `middle_joints` (..., 3, 3) [m] and, if known
+        already, `leg_lengths` (..., 6) [m] have equal leading axes.
         """
         self = cls.__new__(cls)
-        self._set(geometry, rotation, translation, middle_joints)
+        self._set(geometry, rotation, translation, middle_joints, leg_lengths)
         return self
 
     def __getitem__(self, index: object) -> Configuration:
@@ -96,6 +110,7 @@ class Configuration:
             self._rotation[(*batch, slice(None), slice(None))],
             self._translation[(*batch, slice(None))],
             self._middle_joints[(*batch, slice(None), slice(None))],
+            None if self.known_lengths is None else self.known_lengths[(*batch, slice(None))],
         )
 
     def __iter__(self) -> Iterator[Configuration]:
@@ -148,6 +163,11 @@ class Configuration:
     def exists(self) -> npt.NDArray[np.bool_]:
         """False for a member of the batch that does not exist, shape (...)."""
         return ~np.isnan(self._middle_joints[..., 0, 0])
+
+    @property
+    def known_lengths(self) -> FloatArray | None:
+        """`leg_lengths` if there is no need to compute them."""
+        return self.__dict__.get("leg_lengths")
 
     @cached_property
     def platform_joints(self) -> FloatArray:

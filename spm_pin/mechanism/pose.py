@@ -9,14 +9,26 @@ import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.errors import PoseError
-from spm_pin.mechanism.arguments import FloatArray, first_offender, real_array
+from spm_pin.mechanism.arguments import FloatArray, finite_array, first_offender, real_array, shaped_array
 
-__all__ = ["HasRotationTranslation", "PoseLike", "as_rigid_transform", "pose"]
+__all__ = [
+    "EXACT",
+    "HasRotationTranslation",
+    "PoseLike",
+    "as_rigid_transform",
+    "checked_pose",
+    "pose",
+    "unchecked_pose",
+]
 
 ORTHONORMALITY_TOLERANCE = 1e-6
 """Largest entry of RᵀR - I taken for rounding, as of single precision, and repaired; more is an error."""
-EXACT = 1e-15
-"""Up to this the matrix is as good as double precision has it, and kept to the last bit."""
+EXACT = 16.0 * float(np.finfo(np.float64).eps)
+"""Up to this, the rounding of a product of rotations, the matrix is kept to the last bit."""
+
+_LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
+_ROTATION = "a rotation matrix"
+_POSITION = "a position in metres"
 
 
 @runtime_checkable
@@ -75,13 +87,12 @@ def pose(
         received = "neither" if xyx is None else "both"
         raise PoseError("rotation", "either xyx=... or rotation=...", received)
     if xyx is not None:
-        angles = real_array(xyx, "xyx", (3,), "X-Y-X Euler angles in radians", error=PoseError)
-        matrices = _euler(angles)
+        matrices = _euler(real_array(xyx, "xyx", (3,), "X-Y-X Euler angles in radians", error=PoseError))
     elif isinstance(rotation, Rotation):
-        matrices = _finite(rotation.as_matrix(), "rotation")
+        matrices = np.asarray(rotation.as_matrix())
     else:
-        matrices = _rotations(rotation, "rotation")  # type: ignore[arg-type]
-    return _assemble(matrices, position, "translation")
+        matrices = shaped_array(rotation, "rotation", (3, 3), _ROTATION, error=PoseError)  # type: ignore[arg-type]
+    return _assemble(*_broadcast(_rotations(matrices, "rotation"), position, "translation"))
 
 
 def as_rigid_transform(value: PoseLike, argument: str = "pose") -> RigidTransform:
@@ -99,32 +110,40 @@ def as_rigid_transform(value: PoseLike, argument: str = "pose") -> RigidTransfor
     PoseError
         If `value` is none of these, or is not a rigid transform of finite numbers.
     """
+    return _assemble(*checked_pose(*unchecked_pose(value, argument), argument))
+
+
+def unchecked_pose(value: PoseLike, argument: str = "pose") -> tuple[FloatArray, FloatArray]:
+    """Read rotations (..., 3, 3) and positions (..., 3) [m] with equal leading axes, which may be the caller's memory.
+
+    Only kinds and shapes are checked: for solvers that look at the numbers themselves, as `checked_pose` does.
+    """
     if isinstance(value, RigidTransform):
         matrix = value.as_matrix()
-    elif isinstance(value, HasRotationTranslation):
-        rotation, translation = value.rotation, value.translation
-        if isinstance(rotation, Rotation):
-            rotation = rotation.as_matrix()
-        rotation = _rotations(rotation, f"{argument}.rotation")
-        name = f"{argument}.translation"
-        position = real_array(translation, name, (3,), "a position in metres", error=PoseError)
-        return _assemble(rotation, position, name)
-    elif isinstance(value, Rotation):
+        return matrix[..., :3, :3], matrix[..., :3, 3]
+    if isinstance(value, Rotation):
         cause = "A rotation alone is no pose: spm.pose(translation, rotation=...)"
         raise PoseError(argument, "a rigid transform", "a Rotation", cause)
-    else:
-        matrix = real_array(value, argument, (4, 4), "a homogeneous transform", error=PoseError)
-    last = np.abs(matrix[..., 3, :] - [0.0, 0.0, 0.0, 1.0]).max(axis=-1, initial=0.0)
-    if (last > 0.0).any():
-        index = first_offender(last > 0.0)
-        offender = matrix[index]
-        cause = "Transposed matrix?" if (offender[:, 3] == [0, 0, 0, 1]).all() else ""
+    if not isinstance(value, np.ndarray) and isinstance(value, HasRotationTranslation):
+        turn, place = value.rotation, value.translation
+        turn = turn.as_matrix() if isinstance(turn, Rotation) else turn
+        rotation = shaped_array(turn, f"{argument}.rotation", (3, 3), _ROTATION, error=PoseError)
+        position = shaped_array(place, f"{argument}.translation", (3,), _POSITION, error=PoseError)
+        return _broadcast(rotation, position, f"{argument}.translation")
+    given = shaped_array(value, argument, (4, 4), "a homogeneous transform", error=PoseError)
+    if not (given[..., 3, :] == _LAST_ROW).all():
+        finite_array(given, argument, (4, 4), "a homogeneous transform", error=PoseError)
+        index = first_offender((given[..., 3, :] != _LAST_ROW).any(axis=-1))
+        cause = "Transposed matrix?" if (given[index][:, 3] == _LAST_ROW).all() else ""
         where = f" at index {index}" if index else ""
-        raise PoseError(argument, "the last row [0, 0, 0, 1]", f"{offender[3]}{where}", cause)
-    position = matrix[..., :3, 3]
-    if not np.isfinite(position).all():
-        real_array(position, argument, (3,), "the translation in metres", error=PoseError)
-    return _assemble(_rotations(matrix[..., :3, :3], argument), position, argument)
+        raise PoseError(argument, "the last row [0, 0, 0, 1]", f"{given[index][3]}{where}", cause)
+    return given[..., :3, :3], given[..., :3, 3]
+
+
+def checked_pose(rotation: FloatArray, position: FloatArray, argument: str) -> tuple[FloatArray, FloatArray]:
+    """Return rotations (..., 3, 3), rounding repaired, and positions (..., 3), or raise `PoseError`."""
+    finite_array(position, argument, (3,), _POSITION, error=PoseError)
+    return _rotations(rotation, argument), position
 
 
 def _euler(angles: FloatArray) -> FloatArray:
@@ -132,43 +151,40 @@ def _euler(angles: FloatArray) -> FloatArray:
     return np.asarray(Rotation.from_euler("XYX", angles).as_matrix())
 
 
-def _gram_error(matrices: FloatArray) -> FloatArray:
-    return np.asarray(np.swapaxes(matrices, -1, -2) @ matrices - np.eye(3))
-
-
-def _finite(matrices: FloatArray, argument: str) -> FloatArray:
-    return real_array(matrices, argument, (3, 3), "a rotation matrix", error=PoseError)
-
-
-def _rotations(value: npt.ArrayLike, argument: str) -> FloatArray:
-    matrices = _finite(np.asarray(value), argument)
-    error = np.abs(_gram_error(matrices)).max(axis=(-1, -2), initial=0.0)
+def _rotations(matrices: FloatArray, argument: str) -> FloatArray:
+    """Return matrices (..., 3, 3), those that rounding made no rotations repaired; raise if one is far from any."""
+    finite_array(matrices, argument, (3, 3), _ROTATION, error=PoseError)
+    error = np.abs(np.swapaxes(matrices, -1, -2) @ matrices - np.eye(3)).max(axis=(-1, -2), initial=0.0)
     wrong = error > ORTHONORMALITY_TOLERANCE
     if wrong.any():
         index = first_offender(wrong)
         received = f"RᵀR - I with an entry of {error[index]:.1e}" + (f" at index {index}" if index else "")
-        raise PoseError(argument, "a rotation matrix", received, "Scaled, sheared, or rounded to few digits?")
+        raise PoseError(argument, _ROTATION, received, "Scaled, sheared, or rounded to few digits?")
     mirrored = np.linalg.det(matrices) < 0.0
     if mirrored.any():
         index = first_offender(mirrored)
         received = "determinant -1" + (f" at index {index}" if index else "")
-        raise PoseError(argument, "a rotation matrix", received, "A reflection: a left-handed frame?")
+        raise PoseError(argument, _ROTATION, received, "A reflection: a left-handed frame?")
+    rounded = error > EXACT
+    if rounded.any():
+        # Member by member: what one pose is must not depend on its neighbours.
+        matrices = matrices.copy()
+        matrices[rounded] = Rotation.from_matrix(matrices[rounded]).as_matrix()
     return matrices
 
 
-def _assemble(matrices: FloatArray, position: FloatArray, argument: str) -> RigidTransform:
+def _broadcast(rotation: FloatArray, position: FloatArray, argument: str) -> tuple[FloatArray, FloatArray]:
     try:
-        shape = np.broadcast_shapes(matrices.shape[:-2], position.shape[:-1])
+        shape = np.broadcast_shapes(rotation.shape[:-2], position.shape[:-1])
     except ValueError:
-        expected = f"leading axes that broadcast with those of the rotation, {matrices.shape[:-2]}"
+        expected = f"leading axes that broadcast with those of the rotation, {rotation.shape[:-2]}"
         raise PoseError(argument, expected, position.shape[:-1]) from None
-    transform = np.zeros((*shape, 4, 4))
-    transform[..., :3, :3] = matrices
+    return np.broadcast_to(rotation, (*shape, 3, 3)), np.broadcast_to(position, (*shape, 3))
+
+
+def _assemble(rotation: FloatArray, position: FloatArray) -> RigidTransform:
+    transform = np.zeros((*position.shape[:-1], 4, 4))
+    transform[..., :3, :3] = rotation
     transform[..., :3, 3] = position
     transform[..., 3, 3] = 1.0
-    rounded = np.abs(_gram_error(transform[..., :3, :3])).max(axis=(-1, -2), initial=0.0) > EXACT
-    if rounded.any():
-        # Member by member: what one pose is must not depend on its neighbours.
-        repaired = RigidTransform.from_matrix(transform).as_matrix()
-        transform = np.where(rounded[..., None, None], repaired, transform)
     return RigidTransform(transform, normalize=False, copy=False)

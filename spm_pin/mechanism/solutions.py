@@ -260,13 +260,15 @@ class SolutionSet:
             np.where(exists[..., None, None], take(state.rotation, 2), np.nan),
             np.where(exists[..., None], take(state.translation, 1), np.nan),
             np.where(exists[..., None, None], take(state.middle_joints, 2), np.nan),
+            None if state.known_lengths is None else np.where(exists[..., None], take(state.known_lengths, 1), np.nan),
         )
 
     def where(self, mask: npt.ArrayLike) -> SolutionSet:
         """Keep the solutions where `mask` (..., n) is true; the others become NaN. Nothing else changes."""
-        state = self._configurations
-        joints = np.where(np.asarray(mask, dtype=bool)[..., None, None], state.middle_joints, np.nan)
-        kept = Configuration.from_arrays(self.geometry, state.rotation, state.translation, joints)
+        state, keep = self._configurations, np.asarray(mask, dtype=bool)[..., None]
+        joints = np.where(keep[..., None], state.middle_joints, np.nan)
+        lengths = None if state.known_lengths is None else np.where(keep, state.known_lengths, np.nan)
+        kept = Configuration.from_arrays(self.geometry, state.rotation, state.translation, joints, lengths)
         return SolutionSet(
             kept, self._labels, self._status, discriminants=self._discriminants, degeneracy=self._degeneracy
         )

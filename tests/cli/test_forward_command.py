@@ -60,7 +60,11 @@ def test_json_in_every_unit(unit: str, factor: float) -> None:
     )
     np.testing.assert_allclose(100 * state.leg_lengths, [float(x) for x in LEGS[1:7]], rtol=1e-12)
     only = json.loads(run("--legs", *legs, "--unit", unit, "--json"))
-    assert only["modes"] == [first]
+    (alone,) = only["modes"]
+    assert [alone[key] for key in ("label", "physical")] == [first[key] for key in ("label", "physical")]
+    # By another way to the same configuration: as many digits as a pose has.
+    for key in ("translation", "rotation", "middle_joints"):
+        np.testing.assert_allclose(alone[key], first[key], rtol=0, atol=1e-13 * factor)
 
 
 def test_what_cannot_be_reached_says_why() -> None:

@@ -69,7 +69,9 @@ def test_a_large_batch_is_its_parts() -> None:
     for k, part in zip((0, 1020, 2490), parts, strict=True):
         np.testing.assert_array_equal(whole.middle_joints[k : k + 7], part.middle_joints)
     modes = forward_displacement(PAPER, lengths[1000:1040])
-    np.testing.assert_array_equal(modes["T1+/T1+"].middle_joints[20:27], whole.middle_joints[1020:1027])
+    # The same solution, reached from another start.
+    home = modes["T1+/T1+"].middle_joints[20:27]
+    np.testing.assert_allclose(home, whole.middle_joints[1020:1027], rtol=0, atol=8 * np.finfo(float).eps)
 
 
 def assert_same(left: spm.SolutionSet, rotation: np.ndarray, translation: np.ndarray, order: np.ndarray) -> None:

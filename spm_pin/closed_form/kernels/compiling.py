@@ -1,0 +1,136 @@
+"""Numba behind a typed face: inlined formulas, and kernels compiled when first called and kept on disk."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import logging
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Generic, ParamSpec, TypeVar
+
+import numba
+from numba.core import caching
+
+__all__ = ["TILE", "Kernel", "called", "given", "inlined", "interpreted", "kernel"]
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+TILE = 16
+"""Problems computed side by side: two or more registers' worth on every processor, and small enough for its cache."""
+
+_OPTIONS = {"error_model": "numpy", "nogil": True}
+# Numba's own annotations are partial.
+_njit: Any = numba.njit
+_numba_cache: Any = caching.FunctionCache
+_config: Any = numba.config
+_LOG = logging.getLogger("spm_pin")
+# What one kernel is made of is spread over these files, and Numba's cache looks at the kernel's own alone.
+_SOURCES = hashlib.sha256(b"".join(p.read_bytes() for p in sorted(Path(__file__).parent.glob("*.py")))).hexdigest()
+
+
+def inlined(function: Callable[P, R]) -> Callable[P, R]:
+    """Mark a formula that kernels call; it becomes part of their loops."""
+    compiled: Callable[P, R] = _njit(forceinline=True, **_OPTIONS)(function)
+    return compiled
+
+
+def called(function: Callable[P, R]) -> Callable[P, R]:
+    """Mark a function that kernels call as such, for it is too long to be copied to every place it is called from."""
+    compiled: Callable[P, R] = _njit(**_OPTIONS)(function)
+    return compiled
+
+
+def interpreted(formula: Callable[..., Any]) -> Callable[..., Any]:
+    """Return an inlined formula as Python runs it: on arrays, or on numbers with more digits."""
+    dispatcher: Any = formula
+    python: Callable[..., Any] = dispatcher.py_func
+    return python
+
+
+def kernel(signature: str) -> Callable[[Callable[P, R]], Kernel[P, R]]:
+    """Mark a kernel, compiled for one Numba signature."""
+    return lambda function: Kernel(function, signature)
+
+
+def given(axes: int) -> str:
+    """Return the signature of an array of floats that is only read: of any strides."""
+    return f"Array(f8, {axes}, 'A', True)"
+
+
+class Kernel(Generic[P, R]):
+    """A function compiled at its first call, or loaded from Numba's cache if it has been compiled before.
+
+    The cache is `NUMBA_CACHE_DIR` if set, else beside the source, else in the user's cache directory; without a place
+    that can be written, every process compiles for itself.
+    """
+
+    def __init__(self, function: Callable[P, R], signature: str) -> None:
+        self._function = function
+        self._signature = signature
+        self._lock = threading.Lock()
+        self._compiled: Callable[P, R] | None = None
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
+        """Run it, without the interpreter's lock."""
+        return (self._compiled or self._compile())(*args, **kwargs)
+
+    def _compile(self) -> Callable[P, R]:
+        with self._lock:
+            if self._compiled is None and _config.DISABLE_JIT:
+                self._compiled = self._function
+            elif self._compiled is None:
+                dispatcher = _njit(**_OPTIONS)(self._function)
+                try:
+                    dispatcher._cache = _Cache(self._function)
+                except RuntimeError:  # no place for a cache
+                    _announce(
+                        self._function.__name__, "at every start, for no cache can be written, see NUMBA_CACHE_DIR"
+                    )
+                dispatcher.compile(self._signature)
+                dispatcher.disable_compile()
+                self._compiled = dispatcher
+            return self._compiled
+
+    def assembly(self) -> str:
+        """Compile anew, and return the machine code as assembly language."""
+        dispatcher = _njit(**_OPTIONS)(self._function)
+        dispatcher.compile(self._signature)
+        return "".join(dispatcher.inspect_asm().values())
+
+
+class _Cache:
+    """Numba's cache on disk, keyed by all sources of the kernels, that no file system can turn into an error."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._name = function.__name__
+        self._inner = _numba_cache(function)
+        own_key = self._inner._index_key
+        self._inner._index_key = lambda sig, codegen: (*own_key(sig, codegen), _SOURCES)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._inner, name)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            found = self._inner.load_overload(sig, target_context)
+        except Exception as error:  # a damaged file may raise anything
+            _LOG.info("spm_pin: the cache of compiled kernels cannot be read, and is emptied: %r", error)
+            found = None
+            with contextlib.suppress(OSError):
+                self._inner.flush()
+        if found is None:
+            _announce(self._name, "for this machine, once")
+        return found
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        try:
+            self._inner.save_overload(sig, data)
+        except OSError as error:
+            _LOG.warning("spm_pin: the compiled kernel cannot be kept, see NUMBA_CACHE_DIR: %s", error)
+
+
+def _announce(name: str, when: str) -> None:
+    _LOG.warning("spm_pin: compiling its kernel %s %s; this takes a few seconds", name, when)

@@ -1,0 +1,157 @@
+"""The four quadratics of a pose and their roots, over scalars. Notation: `spm_pin.closed_form.inverse`.
+
+Complex numbers are pairs of reals, horizontal vectors and quaternion halves alike, so that the roots u, v may be
+complex in their own right. The families come in two groups, equal modes (TT, FF) and mixed ones (TF, FT). Within a
+group κ, μ and the shares of u and v are the same, and the forms differ in the sign of all but h.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from spm_pin.closed_form.kernels.compiling import inlined
+
+__all__ = [
+    "COS_30",
+    "FAMILY_GROUP",
+    "FAMILY_LOWER",
+    "FAMILY_TURNS",
+    "ROOT_SIGN",
+    "ROUNDING",
+    "axes",
+    "middle_joints",
+    "quadratic_form",
+    "quaternion",
+    "root_of",
+    "shares",
+    "times",
+    "where",
+]
+
+ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
+"""Rounding of a pose relative to its size: what is smaller is taken for zero when a family is degenerate."""
+
+# Of the families TT, TF, FT, FF: the group; e = +1 for mode T, -1 for F, of the lower stage; and by what the tilt axis
+# is turned for w_a and its conjugate for conj(w_b), the sign of the family's quaternion included.
+FAMILY_GROUP = np.array([0, 1, 1, 0])
+FAMILY_LOWER = np.array([1.0, 1.0, -1.0, -1.0])
+FAMILY_TURNS = np.array([[1.0, 0.0, 1.0, 0.0], [0.0, 1.0, -1.0, 0.0], [1.0, 0.0, 0.0, 1.0], [0.0, -1.0, 0.0, 1.0]])
+ROOT_SIGN = np.array([1.0, -1.0, -1.0, 1.0, -1.0, 1.0, 1.0, -1.0])
+"""The root, in this order, of the branches + and - of each family (by the sign of det K)."""
+
+COS_30 = float(np.sqrt(0.75))
+
+
+@inlined
+def where(condition: bool, yes: float, no: float) -> float:
+    """Choose without a jump."""
+    return yes if condition else no
+
+
+@inlined
+def times(a: float, ai: float, b: float, bi: float) -> tuple[float, float]:
+    """Multiply two pairs as complex numbers."""
+    return a * b - ai * bi, a * bi + ai * b
+
+
+@inlined
+def quaternion(
+    r00: float, r01: float, r02: float, r10: float, r11: float, r12: float, r20: float, r21: float, r22: float
+) -> tuple[float, float, float, float]:
+    """Return x0, x1, x2, x3 of a rotation matrix, from its largest component."""
+    trace = r00 + r11 + r22
+    x0, x1, x2, x3, largest = 1.0 + trace, r21 - r12, r02 - r20, r10 - r01, trace
+    take = r22 > largest
+    x0, x1, x2 = where(take, r10 - r01, x0), where(take, r20 + r02, x1), where(take, r21 + r12, x2)
+    x3, largest = where(take, 1.0 - trace + 2.0 * r22, x3), where(take, r22, largest)
+    take = r11 > largest
+    x0, x1, x3 = where(take, r02 - r20, x0), where(take, r10 + r01, x1), where(take, r21 + r12, x3)
+    x2, largest = where(take, 1.0 - trace + 2.0 * r11, x2), where(take, r11, largest)
+    take = r00 > largest
+    x0, x2, x3 = where(take, r21 - r12, x0), where(take, r10 + r01, x2), where(take, r20 + r02, x3)
+    x1 = where(take, 1.0 - trace + 2.0 * r00, x1)
+    scale = 1.0 / np.sqrt(x0 * x0 + x1 * x1 + x2 * x2 + x3 * x3)
+    return x0 * scale, x1 * scale, x2 * scale, x3 * scale
+
+
+@inlined
+def axes(
+    x0: float, x1: float, x2: float, x3: float
+) -> tuple[float, float, float, float, float, float, float, float, float, float]:
+    """Return c, s, S/|S|, W/|W|, the common normal n seen from {B}, and seen from {m}."""
+    cosine, sine = np.sqrt(x0 * x0 + x3 * x3), np.sqrt(x1 * x1 + x2 * x2)
+    s, si, w, wi = x0 / cosine, x3 / cosine, x1 / sine, x2 / sine
+    n, ni = times(s, si, w, wi)
+    m, mi = times(s, -si, w, wi)
+    return cosine, sine, s, si, w, wi, n, ni, m, mi
+
+
+@inlined
+def shares(kappa: float, mu: float, sine: float) -> tuple[float, float, float, float, float, float]:
+    """Return u's and v's share F, G in the quaternions of a and b, and (P - Q)/u, (P + Q)/v over 2 s; for κ >= 0."""
+    # 1 - κ without cancellation, from |S'|² + |W|² = 1.
+    one_minus = (sine * sine + mu * mu) / (1.0 + kappa)
+    scale_u, scale_v = np.sqrt(0.5 / (1.0 + kappa)), np.sqrt(0.5 / one_minus)
+    return (1.0 + kappa) * scale_u, mu * scale_u, one_minus * scale_v, -mu * scale_v, scale_u, scale_v
+
+
+@inlined
+def quadratic_form(
+    even: float, even_i: float, odd: float, odd_i: float, f: float, fi: float, g: float, gi: float
+) -> tuple[float, float, float]:
+    """Return Re(even F²), Re(odd F G), Re(even G²)."""
+    ff, ff_i = times(f, fi, f, fi)
+    fg, fg_i = times(f, fi, g, gi)
+    gg, gg_i = times(g, gi, g, gi)
+    return even * ff - even_i * ff_i, odd * fg - odd_i * fg_i, even * gg - even_i * gg_i
+
+
+@inlined
+def root_of(uu: float, uv: float, vv: float, root: float) -> tuple[float, float]:
+    """Return u, v with u² + v² = 1 on the form, given the root, with its sign, of the discriminant."""
+    u1, v1, u2, v2 = root - uv, uu, vv, -uv - root
+    # Both pairs solve the form; the longer one is free of cancellation.
+    first = u1.real * u1.real + u1.imag * u1.imag + v1.real * v1.real + v1.imag * v1.imag
+    second = u2.real * u2.real + u2.imag * u2.imag + v2.real * v2.real + v2.imag * v2.imag
+    longer = first >= second
+    u, v = where(longer, u1, u2), where(longer, v1, v2)
+    scale = 1.0 / np.sqrt(u * u + v * v)
+    return u * scale, v * scale
+
+
+@inlined
+def middle_joints(
+    u: float,
+    v: float,
+    share: tuple[float, float, float, float, float, float],
+    lower_axis: tuple[float, float],
+    upper_axis: tuple[float, float],
+    position: tuple[float, float, float],
+    normals: tuple[float, float, float, float],
+    cosine: float,
+    sine: float,
+    lower: float,
+    r: float,
+) -> tuple[float, float, float, float, float, float]:
+    """Return the middle joints' radii in the planes of their lower legs, and heights: ρ_1, ρ_2, ρ_3, z_1, z_2, z_3.
+
+    `share` is what `shares` returned, `normals` n and n seen from {m}, `lower` e of the lower stage.
+    """
+    f, fi, g, gi, scale_u, scale_v = share
+    p = sine * (v * scale_v + u * scale_u)
+    # w_a and conj(w_b).
+    a1, a2 = times(lower_axis[0], lower_axis[1], g * v - f * u, gi * v - fi * u)
+    b1, b2 = times(upper_axis[0], upper_axis[1], g * v + f * u, gi * v + fi * u)
+    # The centre's horizontal position in {B} and in {m}; only its part along the tilt is needed: with the common
+    # normal n, that direction is -i n.
+    x, y = -2.0 * r * a1 * a2, r * (a2 * a2 - a1 * a1)
+    x_m, y_m = 2.0 * r * b1 * b2, r * (b2 * b2 - b1 * b1)
+    along = normals[1] * (x - position[0]) - normals[0] * (y - position[1])
+    along_m = normals[3] * x_m - normals[2] * y_m
+    z = position[2] + ((cosine * cosine - sine * sine) * along - along_m) / (2.0 * sine * cosine)
+    square = lower * r * p * p
+    across = 2.0 * COS_30 * x
+    # Mode F is turned half round its normal.
+    c, s = where(lower < 0.0, a1, -a2), where(lower < 0.0, a2, a1)
+    c, s = 2.0 * r * p * COS_30 * c, r * p * s
+    return square + across - y, square + 2.0 * y, square - across - y, z + c - s, z + 2.0 * s, z - c - s

@@ -1,0 +1,112 @@
+"""How many threads share a batch.
+
+Kernels release the interpreter's lock and the members of a batch do not depend on each other, so a batch is cut into
+parts and the parts go to threads that live as long as the call. Nothing is left behind that a fork could break, and
+the answer does not depend on the number of threads.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import multiprocessing
+import os
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import ContextVar
+
+from spm_pin.errors import ArgumentError
+
+__all__ = ["in_parts", "set_threads", "threads"]
+
+ENVIRONMENT = "SPM_PIN_THREADS"
+_PARTS = 4
+"""Per thread, so that one that is interrupted does not keep the others waiting long."""
+
+_everywhere: int | None = None
+_here: ContextVar[int | None] = ContextVar("spm_pin_threads", default=None)
+
+
+def set_threads(count: int | None) -> None:
+    """Set how many threads may share a large batch, for the whole process.
+
+    Parameters
+    ----------
+    count : int or None
+        1 for none but the caller's. None, as it is at first, leaves it to the surroundings: the environment's
+        `SPM_PIN_THREADS` if set; else, in the main thread of a main process, `OMP_NUM_THREADS` if set, or the number
+        of processors that the process may use; else 1. A Dask or joblib worker, a pool's thread or a child process
+        thus computes by itself: whoever made it has shared out the processors already.
+
+    Raises
+    ------
+    ArgumentError
+        If `count` is not a positive integer.
+
+    Notes
+    -----
+    Small batches are not shared: a thread must have some milliseconds of work.
+    """
+    global _everywhere
+    _everywhere = _checked(count)
+
+
+@contextlib.contextmanager
+def threads(count: int | None) -> Iterator[None]:
+    """Set how many threads may share a large batch inside a ``with``, in this thread alone; see `set_threads`."""
+    token = _here.set(_checked(count))
+    try:
+        yield
+    finally:
+        _here.reset(token)
+
+
+def _checked(count: int | None) -> int | None:
+    if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
+        raise ArgumentError("count", "a positive number of threads, or None", repr(count))
+    return count
+
+
+def _allowed() -> int:
+    if count := _here.get() or _everywhere or _from_environment(ENVIRONMENT):
+        return count
+    if threading.current_thread() is not threading.main_thread() or multiprocessing.parent_process() is not None:
+        return 1
+    return _from_environment("OMP_NUM_THREADS") or _processors()
+
+
+def _from_environment(name: str) -> int | None:
+    text = os.environ.get(name, "")
+    # OMP_NUM_THREADS may be a list, one number per level.
+    first = text.split(",")[0].strip()
+    return int(first) if first.isdigit() and int(first) > 0 else None
+
+
+def _processors() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def in_parts(work: Callable[[slice], None], size: int, enough: int) -> None:
+    """Do `work` on all of a batch, by slices that cover it.
+
+    Parameters
+    ----------
+    work : callable
+        Does a slice; called from several threads at once.
+    size : int
+        Members of the batch.
+    enough : int
+        Members that are worth a thread.
+    """
+    count = min(_allowed(), size // enough) if size >= 2 * enough else 1
+    if count == 1:
+        work(slice(0, size))
+        return
+    parts = _PARTS * count
+    edges = [size * k // parts for k in range(parts + 1)]
+    with ThreadPoolExecutor(count) as pool:
+        for done in [pool.submit(work, slice(*pair)) for pair in itertools.pairwise(edges)]:
+            done.result()
