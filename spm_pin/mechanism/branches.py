@@ -73,9 +73,11 @@ def determinants(configuration: Configuration) -> tuple[FloatArray, FloatArray, 
 def _mean_radii(configuration: Configuration) -> tuple[FloatArray, FloatArray]:
     """Return the means of b_i along the radial directions of {B} and of {m} [m]."""
     radial = configuration.geometry.radial_directions
-    b = configuration.middle_joints
-    seen_from_m = (b - configuration.translation[..., None, :]) @ configuration.rotation
-    return (b * radial).sum(axis=(-1, -2)) / 3.0, (seen_from_m * radial).sum(axis=(-1, -2)) / 3.0
+    # The radial directions add up to zero, so b_i may stand for b_i - o.
+    moments = np.swapaxes(configuration.middle_joints, -1, -2) @ radial
+    lower = moments[..., 0, 0] + moments[..., 1, 1] + moments[..., 2, 2]
+    upper = np.einsum("...ij,...ij->...", moments, configuration.rotation)
+    return np.asarray(lower / 3.0), np.asarray(upper / 3.0)
 
 
 def family(configuration: Configuration) -> npt.NDArray[np.intp]:
@@ -117,8 +119,10 @@ def _product_with_conjugate(a: FloatArray, b: FloatArray) -> FloatArray:
 
 def straightness(configuration: Configuration) -> FloatArray:
     """Return the sum of the cosines of the two stages' tilts, shape (...): 2 for a straight machine."""
-    normal = configuration.middle_pose.as_matrix()[..., :3, 2]
-    return np.asarray(normal[..., 2] + (normal * configuration.rotation[..., :, 2]).sum(axis=-1))
+    b1, b2, b3 = np.moveaxis(configuration.middle_joints, -2, 0)
+    normal = np.cross(b1 - b3, 2.0 * b2 - b1 - b3)
+    along = normal[..., 2] + np.einsum("...i,...i->...", normal, configuration.rotation[..., :, 2])
+    return np.asarray(along / np.sqrt(np.einsum("...i,...i->...", normal, normal)))
 
 
 def physical(configuration: Configuration) -> BoolArray:
@@ -129,17 +133,25 @@ def physical(configuration: Configuration) -> BoolArray:
     tell the aspect alone: they are sums of two products of three factors, all six positive at home, and in the
     home's aspect at most one of them is negative; see `docs/theory/forward_displacement.md`.
     """
-    b = configuration.middle_joints
-    lower_radius, upper_radius = _mean_radii(configuration)
-    lower_height = b[..., 2].mean(axis=-1)
+    centre = configuration.middle_joints.mean(axis=-2)
     upward = configuration.rotation[..., :, 2]
-    upper_height = ((configuration.translation - b.mean(axis=-2)) * upward).sum(axis=-1)
+    heights = centre[..., 2], np.einsum("...i,...i->...", configuration.translation - centre, upward)
+    upright = np.logical_and.reduce([value > 0.0 for value in (*_mean_radii(configuration), *heights)])
+    if not configuration.shape:
+        return np.asarray(upright & _at_home(configuration))
+    # Few are upright, and the rest is the longer part.
+    found = np.zeros(configuration.shape, dtype=bool)
+    found[upright] = _at_home(configuration[upright])
+    return found
+
+
+def _at_home(configuration: Configuration) -> BoolArray:
+    """Tell of which states both stages are in the home's aspect, if they are upright, shape (...)."""
     tangents = np.cross([0.0, 0.0, 1.0], configuration.geometry.radial_directions)
-    legs = configuration.leg_vectors
+    b, legs = configuration.middle_joints, configuration.leg_vectors
     lower = in_home_aspect(b, np.cross(tangents, legs[..., :3, :]))
     upper = in_home_aspect(b, np.cross(tangents @ np.swapaxes(configuration.rotation, -1, -2), legs[..., 3:, :]))
-    positive = [lower_radius, upper_radius, lower_height, upper_height]
-    return np.asarray(np.logical_and.reduce([lower, upper, *(value > 0.0 for value in positive)]))
+    return np.asarray(lower & upper)
 
 
 def in_home_aspect(points: FloatArray, directions: FloatArray) -> BoolArray:

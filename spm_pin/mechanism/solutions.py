@@ -315,7 +315,8 @@ class SolutionSet:
         the limits, the others are dropped; chain ``.within().physical()`` to exclude all that do not.
         """
         mode = physical(self._configurations)
-        inside = mode & self.within().exists
+        limits = self.geometry.limits
+        inside = mode if limits is None else mode & limits.contains(self.leg_lengths)
         return np.where(inside.any(axis=-1, keepdims=True), inside, mode)
 
     @property
@@ -333,7 +334,9 @@ class SolutionSet:
         candidates = self.is_physical
         if seed is not None:
             return self.where(candidates).nearest(seed)
-        score = np.where(candidates, straightness(self._configurations), -np.inf)
+        score = np.where(candidates, 0.0, -np.inf)
+        if np.any(np.count_nonzero(candidates, axis=-1) > 1):
+            score[candidates] = straightness(self._configurations[candidates])
         return self._select(score.argmax(axis=-1), np.asarray(candidates.any(axis=-1)))
 
     def one(self) -> Configuration:
