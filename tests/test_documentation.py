@@ -80,8 +80,8 @@ def test_the_site_is_built_without_a_warning_and_names_everything_public(tmp_pat
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     index = (tmp_path / "site/reference/index.html").read_text(encoding="utf-8")
-    entries = dict(re.findall(r'href="([^"]*)"[^>]*>\s*<code[^>]*>\s*<span class="pre">(\w+)</span>', index))
-    homes = {name: target for target, name in entries.items()}
+    links = re.findall(r'<a [^>]*href="([^"]*)"[^>]*>(?:<(?:span|code)[^>]*>)*(\w+)<', index)
+    homes = {name: target for target, name in links}
     assert set(spm_pin.__all__) <= set(homes)
     for name in spm_pin.__all__:
         page, _, anchor = homes[name].partition("#")
