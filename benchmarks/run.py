@@ -38,7 +38,7 @@ SECTIONS = {
 RESULTS = Path(__file__).resolve().with_name("results.md")
 
 INTRODUCTION = """\
-# Benchmarks
+# Benchmark results
 
 Written by `make bench`, no number by hand; [how to read it](../docs/benchmarks.md). Contestants take turns in every
 round of one run, on one thread unless said otherwise. Times are medians over the rounds with their quartiles; ratios

@@ -55,6 +55,7 @@ def pages() -> dict[str, str]:
     origins = {path.relative_to(docs).as_posix(): path for path in sorted(docs.rglob("*.md"))}
     origins["index.md"] = origins.pop("README.md")
     origins |= {"changelog.md": ROOT / "CHANGELOG.md", "examples.md": ROOT / "examples/README.md"}
+    origins |= {"results.md": ROOT / "benchmarks/results.md", "results_sweep.md": ROOT / "benchmarks/sweep.md"}
     found = {page: _turned(page, origin, origins) for page, origin in origins.items()}
     found["examples.md"] += _scripts()
     found["index.md"] += _contents(found)
@@ -104,7 +105,9 @@ def _contents(found: dict[str, str]) -> str:
         "More": [
             "examples",
             "reference/index",
-            *(["benchmarks"] if "benchmarks.md" in found else []),
+            "benchmarks",
+            "results",
+            "results_sweep",
             "design",
             "changelog",
         ],
