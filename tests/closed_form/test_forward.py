@@ -150,6 +150,12 @@ def test_pose_to_branches_and_back() -> None:
     assert (error[doubtful] <= 256 * EPS * (1.0 + sensitivity(state[doubtful]))).all()
 
 
+def test_a_short_leg_keeps_its_digits() -> None:
+    problem = random_branches(GEOMETRIES["paper"], "TF", 1_000, seed=100)
+    assert problem.configuration.leg_lengths.min() < 0.005
+    assert_found(problem)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_round_trips_at_length(name: str) -> None:

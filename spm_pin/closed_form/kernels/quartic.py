@@ -120,7 +120,7 @@ def approximate_solutions(stage: Equations, family: bool, roots: ComplexArray, s
 
     `family` says that the quartic vanishes; `roots` (4,) is overwritten.
     """
-    epsilon, _, real, imag, _ = stage
+    epsilon, _, real, imag, _, _ = stage
     kappa = 2.0 * epsilon - 1.0
     size = math.hypot(real, imag)
     # Without λ there is no direction to count from, and any will do.
@@ -158,7 +158,7 @@ def _tilts(stage: Equations, kappa: float, turn: complex, a: float, starts: Floa
 
     Both of its roots are tried: legs symmetric about a plane have two solutions of one azimuth, where sin 3ψ = 0.
     """
-    epsilon, level, real, imag, _ = stage
+    epsilon, level, real, imag, _, _ = stage
     b = real * turn.real - imag * turn.imag
     cubed = turn * turn * turn
     square = 4.0 * (a * a + b * cubed.real) - 4.0 * (2.0 * epsilon + level) - kappa * kappa

@@ -29,8 +29,8 @@ __all__ = [
 
 State = tuple[float, float, float, float]
 Rows = tuple[Vector, Vector, Vector]
-Equations = tuple[float, float, float, float, float]
-"""ε = E/r, negative in mode F; c = m - (1 - ε)², ζ² of the level triangle; λ; the size of the largest terms."""
+Equations = tuple[float, float, float, float, float, Vector]
+"""ε = E/r, negative in mode F; c = m - (1 - ε)², ζ² of the level triangle; λ; the largest terms' size; the lengths."""
 
 EPS = float(np.finfo(np.float64).eps)
 SAME = float(4.0 * np.sqrt(EPS))
@@ -40,6 +40,8 @@ NEAR = 1e3
 _ROUNDING = 4.0 * EPS
 """Residual of a solution relative to the largest term of its equations; half of it has been seen."""
 _MOST_STEPS = 40
+_SHORT = 0.25
+"""Of a leg shorter than this the equations, which are made of squares of all legs, lose digits."""
 
 
 @inlined
@@ -49,7 +51,8 @@ def equations(first: float, second: float, third: float, epsilon: float) -> Equa
     imag = (first - third) * (first + third) * (COS_30 / 3.0)
     real = ((second - first) * (second + first) + (second - third) * (second + third)) / 6.0
     mean = (first * first + second * second + third * third) / 3.0
-    return epsilon, mean - (1.0 - epsilon) ** 2, real, imag, mean + (1.0 + abs(epsilon)) ** 2
+    scale = mean + (1.0 + abs(epsilon)) ** 2
+    return epsilon, mean - (1.0 - epsilon) ** 2, real, imag, scale, (first, second, third)
 
 
 @inlined
@@ -61,6 +64,18 @@ def residual(stage: Equations, state: State) -> Vector:
     real = h * a + (a * a - b * b) + lift * x1 - stage[2]
     imag = h * b - 2.0 * a * b - lift * x2 - stage[3]
     return real, imag, zeta * zeta + (2.0 * stage[0] + p) * p - stage[1]
+
+
+@inlined
+def _residual_by_legs(stage: Equations, state: State) -> Vector:
+    """Return f from the error of each leg's own square, which rounds no more than that square."""
+    radii, heights = placed(state[0], state[1], state[2], 0.0, state[3])
+    lengths = stage[5]
+    first = (radii[0] - stage[0]) ** 2 + (heights[0] ** 2 - lengths[0] ** 2)
+    second = (radii[1] - stage[0]) ** 2 + (heights[1] ** 2 - lengths[1] ** 2)
+    third = (radii[2] - stage[0]) ** 2 + (heights[2] ** 2 - lengths[2] ** 2)
+    real, imag = ((second - first) + (second - third)) / 6.0, (first - third) * (COS_30 / 3.0)
+    return real, imag, (first + second + third) / 3.0
 
 
 @inlined
@@ -167,6 +182,11 @@ def polished(stage: Equations, start: State) -> tuple[State, float, bool]:
         if length * length * max(gain, 1.0) <= EPS or off <= EPS:
             break
     arrived = _largest(residual(stage, state)) <= _ROUNDING * stage[4]
+    if arrived and min(stage[5]) < _SHORT:
+        columns, _ = _inverse(_jacobian(stage, state))
+        step = scaled(-1.0, _times(columns, _residual_by_legs(stage, state)))
+        if np.sqrt(dot(step, step)) <= 8.0 * EPS * gain:  # rounding, and nothing else
+            state = _moved(state, step)
     if state[3] < 0.0:
         state = state[0], -state[1], -state[2], -state[3]
     return state, gain, arrived
