@@ -1,0 +1,50 @@
+"""Take the pictures of the viewer: `python docs/site/viewer_figures.py`. Needs "spm-pin[viewer,dev]" and Chromium."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from figures import GEOMETRY, IMAGES
+from PIL import Image
+
+import spm_pin as spm
+from spm_pin.display.viewer import Viewer
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
+from browser import chromium, until
+
+DESKTOP, PHONE = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
+PICTURES = {"desktop": (DESKTOP, False), "load": (DESKTOP, False), "phone": (PHONE, True)}
+
+
+def main() -> None:
+    """Open a page for each picture."""
+    state = spm.forward_physical(GEOMETRY, [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
+    with chromium() as browser:
+        for name, (size, dark) in PICTURES.items():
+            with Viewer(state, port=0, dark=dark) as viewer:
+                page = browser.new_page(viewport=size)
+                page.goto(viewer.url)
+                page.wait_for_selector('[data-spm="branch"]', state="attached", timeout=60_000)
+                until(lambda: viewer.sessions, "a session", page=page)
+                notice = page.locator(".mantine-Notification-closeButton")  # of software rendering
+                until(notice.count, "the notice of software rendering", page=page)
+                notice.first.click()
+                if name == "load":
+                    page.get_by_role("tab", name="Load").click()
+                    (session,) = viewer.sessions
+                    session.exhibit.region.show_shell(session.client.scene, True)
+                    session.panel.force.value = (0.0, 0.0, -500.0)
+                    session.model.load(np.array([*session.panel.force.value, *session.panel.moment.value]))
+                    session.show()
+                page.wait_for_timeout(6000)
+                path = IMAGES / f"viewer_{name}.png"
+                page.screenshot(path=path)
+                picture = Image.open(path).convert("RGB")
+                picture.quantize(128, Image.Quantize.MAXCOVERAGE, kmeans=4).save(path, optimize=True)
+
+
+if __name__ == "__main__":
+    main()
