@@ -31,7 +31,8 @@ lint: $(VENV)/.test
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 
-# The documentation as a static site in build/site; `make figures` draws its figures anew.
+# The documentation as a static site in build/site; `make figures` draws its figures anew,
+# but for those of the viewer, which need Chromium: docs/site/viewer_figures.py.
 docs: $(VENV)/.test
 	$(BIN)/python docs/site/build.py build/site
 	@echo "Open build/site/index.html"
@@ -65,4 +66,4 @@ $(VENV)/.bench: $(VENV)/.demo
 	@touch $@
 
 clean:
-	rm -rf $(VENV) build dist .hypothesis .mypy_cache .pytest_cache .ruff_cache .import_linter_cache
+	rm -rf $(VENV) build dist .artifacts .hypothesis .mypy_cache .pytest_cache .ruff_cache .import_linter_cache

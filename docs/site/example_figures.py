@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from figures import IMAGES, LOWER, UPPER, save
+from figures import IMAGES, LOWER, UPPER, plot_legs, save
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -45,14 +45,6 @@ def plain(figure: Figure, x: str, y: str, title: str) -> Axes:
     ax.tick_params(labelsize=7)
     ax.spines[["top", "right"]].set_visible(False)
     return ax
-
-
-def legs(ax: Axes, x: np.ndarray, values: np.ndarray) -> None:
-    """Draw six curves, the lower legs blue, the upper ones orange."""
-    for k, name in enumerate(spm.LEGS):
-        colour, style = (LOWER if k < 3 else UPPER), ("-", "--", ":")[k % 3]
-        ax.plot(x, values[:, k], color=colour, ls=style, lw=1.2, label=f"$r_{{{name[2:]}}}$")
-    ax.legend(ncols=2, fontsize=6, frameon=False)
 
 
 def branches(figure: Figure, names: Names) -> None:
@@ -105,7 +97,8 @@ def path(figure: Figure, names: Names) -> None:
 
 def dynamics(figure: Figure, names: Names) -> None:
     """Draw the leg forces along a motion."""
-    legs(plain(figure, "time [s]", "leg force [N]", "leg forces along a motion"), names["times"], names["efforts"])
+    ax = plain(figure, "time [s]", "leg force [N]", "leg forces along a motion")
+    plot_legs(ax, names["times"], names["efforts"], fontsize=6)
 
 
 def control(figure: Figure, names: Names) -> None:

@@ -102,16 +102,7 @@ def followed_path() -> Figure:
     path = spm.follow(GEOMETRY, legs)
     figure = Figure(figsize=(8.5, 3.2))
     left, right = figure.subplots(1, 2)
-    for k, name in enumerate(spm.LEGS):
-        colour, style = (LOWER if k < 3 else UPPER), ("-", "--", ":")[k % 3]
-        left.plot(
-            path.parameters,
-            path.configurations.leg_lengths[:, k],
-            color=colour,
-            ls=style,
-            label=f"$r_{{{name[2:]}}}$",
-        )
-    left.legend(ncols=2, fontsize=8, frameon=False)
+    plot_legs(left, path.parameters, path.configurations.leg_lengths, fontsize=8)
     left.set(xlabel="parameter", ylabel="leg length [m]")
     near = spm.singularities(path.configurations)
     for k, name in enumerate(("$J_b$", "$J_c$", "$K$")):
@@ -127,6 +118,14 @@ def followed_path() -> Figure:
         ax.spines[["top", "right"]].set_visible(False)
     figure.tight_layout()
     return figure
+
+
+def plot_legs(ax: Axes, x: np.ndarray, values: np.ndarray, fontsize: float) -> None:
+    """Draw a curve for each leg, the lower ones blue, the upper ones orange."""
+    for k, name in enumerate(spm.LEGS):
+        colour, style = (LOWER if k < 3 else UPPER), ("-", "--", ":")[k % 3]
+        ax.plot(x, values[:, k], color=colour, ls=style, label=f"$r_{{{name[2:]}}}$")
+    ax.legend(ncols=2, fontsize=fontsize, frameon=False)
 
 
 if __name__ == "__main__":

@@ -62,12 +62,15 @@ def determinants(configuration: Configuration) -> tuple[FloatArray, FloatArray, 
     """
     b = configuration.middle_joints
     legs = configuration.leg_vectors / configuration.leg_lengths[..., None]
-    base_axes = configuration.geometry.revolute_axes
-    platform_axes = configuration.platform_axes
-    lower = leg_plane_determinant(b, np.cross(legs[..., :3, :], base_axes))
-    upper = leg_plane_determinant(b, np.cross(legs[..., 3:, :], platform_axes))
-    constraints = leg_plane_determinant(b, np.cross(base_axes, platform_axes))
-    return -lower, -upper, -constraints
+    lower = leg_plane_determinant(b, np.cross(legs[..., :3, :], configuration.geometry.revolute_axes))
+    upper = leg_plane_determinant(b, np.cross(legs[..., 3:, :], configuration.platform_axes))
+    return -lower, -upper, _structure_determinant(configuration)
+
+
+def _structure_determinant(configuration: Configuration) -> FloatArray:
+    """Return det K [m³], shape (...)."""
+    across = np.cross(configuration.geometry.revolute_axes, configuration.platform_axes)
+    return -leg_plane_determinant(configuration.middle_joints, across)
 
 
 def _mean_radii(configuration: Configuration) -> tuple[FloatArray, FloatArray]:
@@ -102,7 +105,7 @@ def branch_sign(configuration: Configuration) -> FloatArray:
     platform = _product_with_conjugate(lower, upper)
     # The coordinate of a b* that cannot vanish in this family: the scalar part, in mixed families the z part.
     kappa = np.select([index == 1, index == 2], [-platform[..., 2], platform[..., 2]], platform[..., 3])
-    return np.where(exists, determinants(configuration)[2] * np.sign(kappa), np.nan)
+    return np.where(exists, _structure_determinant(configuration) * np.sign(kappa), np.nan)
 
 
 def _positive(rotation: Rotation, half_turned: BoolArray) -> FloatArray:

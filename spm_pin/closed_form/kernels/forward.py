@@ -91,6 +91,12 @@ def _put_nan(rotation: FloatArray, translation: FloatArray, joints: FloatArray) 
 
 
 @inlined
+def _stage(stages: FloatArray, n: int) -> tuple[float, float, float, float, float]:
+    """Return quaternion and height of one of several stages (…, 5)."""
+    return stages[n, 0], stages[n, 1], stages[n, 2], stages[n, 3], stages[n, 4]
+
+
+@inlined
 def _is_there(modes: FloatArray, first: int) -> bool:
     """Tell whether a stage has a mode T, counted from 0, or F, from 8; its first place is filled first."""
     return not math.isnan(modes[first, 0])
@@ -138,9 +144,7 @@ def all_modes(
                 if math.isnan(below[i, 0]) or math.isnan(above[j, 0]):
                     _put_nan(rotation[n, at], translation[n, at], joints[n, at])
                 else:
-                    a = below[i, 0], below[i, 1], below[i, 2], below[i, 3], below[i, 4]
-                    b = above[j, 0], above[j, 1], above[j, 2], above[j, 3], above[j, 4]
-                    compose(a, b, r, rotation[n, at], translation[n, at], joints[n, at])
+                    compose(_stage(below, i), _stage(above, j), r, rotation[n, at], translation[n, at], joints[n, at])
                     status[n] = 0
         for i in range(2):
             for j in range(2):
@@ -210,6 +214,4 @@ def compose_all(
         if math.isnan(lower[n, 0]) or math.isnan(upper[n, 0]):
             _put_nan(rotation[n], translation[n], joints[n])
         else:
-            a = lower[n, 0], lower[n, 1], lower[n, 2], lower[n, 3], lower[n, 4]
-            b = upper[n, 0], upper[n, 1], upper[n, 2], upper[n, 3], upper[n, 4]
-            compose(a, b, r, rotation[n], translation[n], joints[n])
+            compose(_stage(lower, n), _stage(upper, n), r, rotation[n], translation[n], joints[n])

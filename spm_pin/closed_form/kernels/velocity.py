@@ -55,6 +55,18 @@ def _weighted(weights: Vector, first: _Six, second: _Six, third: _Six, j: int) -
     return weights[0] * first[j] + weights[1] * second[j] + weights[2] * third[j]
 
 
+@inlined
+def _put_matrices(
+    out: FloatArray, flags: FloatArray, start: int, width: int, matrices: FloatArray, suspect: ByteArray
+) -> None:
+    for k in range(width):
+        suspect[start + k] = np.uint8(flags[k])
+        for i in range(6):
+            row, j = matrices[start + k, i], 6 * i
+            row[0], row[1], row[2] = out[j, k], out[j + 1, k], out[j + 2, k]
+            row[3], row[4], row[5] = out[j + 3, k], out[j + 4, k], out[j + 5, k]
+
+
 @kernel(f"void({given(4)}, {given(4)}, {given(3)}, f8, f8, f8, f8, f8[:,:,::1], u1[::1])")
 def inverse_jacobians(
     joints: FloatArray,
@@ -89,12 +101,7 @@ def inverse_jacobians(
                 for j in range(6):
                     out[6 * i + j, k] = _weighted(share, one, two, three, j)
                     out[6 * (i + 3) + j, k] = own[j] - _weighted(rest, one, two, three, j)
-        for k in range(width):
-            suspect[start + k] = np.uint8(flags[k])
-            for i in range(6):
-                row, j = matrices[start + k, i], 6 * i
-                row[0], row[1], row[2] = out[j, k], out[j + 1, k], out[j + 2, k]
-                row[3], row[4], row[5] = out[j + 3, k], out[j + 4, k], out[j + 5, k]
+        _put_matrices(out, flags, start, width, matrices, suspect)
 
 
 @inlined
@@ -141,12 +148,7 @@ def platform_jacobians(
                     for i in range(3):
                         out[6 * i + column, k] = linear[i]
                         out[6 * (i + 3) + column, k] = angular[i]
-        for k in range(width):
-            suspect[start + k] = np.uint8(flags[k])
-            for i in range(6):
-                row, j = matrices[start + k, i], 6 * i
-                row[0], row[1], row[2] = out[j, k], out[j + 1, k], out[j + 2, k]
-                row[3], row[4], row[5] = out[j + 3, k], out[j + 4, k], out[j + 5, k]
+        _put_matrices(out, flags, start, width, matrices, suspect)
 
 
 @kernel(f"void({given(4)}, {given(4)}, {given(3)}, {given(3)}, f8, f8, f8, f8, f8[:,::1], u1[::1])")

@@ -128,7 +128,6 @@ class Panel:
             ("Dark page", "dark", dark, True),
         ):
             self._on(gui.add_checkbox(label, value, visible=visible), name)
-        self.view_note = gui.add_html("")
 
     def _add_path(self, duration: float) -> None:
         gui = self.gui

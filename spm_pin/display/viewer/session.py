@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -74,7 +73,6 @@ class Session:
         self.exhibit = exhibit
         self.model = Model(exhibit.start)
         self.inbox = Inbox(self._failed)
-        self.last_duration = 0.0
         """How long the last event took to become messages to the page [s]."""
         self._asked = self._coordinates()
         self._legs = self.model.state.readings.leg_lengths.copy()
@@ -118,22 +116,19 @@ class Session:
     async def report(self, name: str, value: Any) -> None:
         """Take an event of the panel; on the event loop."""
         key = f"{name} {value[0]}" if isinstance(value, tuple) else name
-        arrived = time.perf_counter()
-        self.inbox.post(key, lambda: self._act(name, value, arrived))
+        self.inbox.post(key, lambda: self._act(name, value))
 
     async def _ghost_clicked(self, label: str) -> None:
         await self.report("branch", label)
 
     async def _gizmo_moved(self, event: Any) -> None:
         if event.phase != "start":
-            arrived = time.perf_counter()
-            self.inbox.post("gizmo", lambda: self._act("gizmo", None, arrived))
+            self.inbox.post("gizmo", lambda: self._act("gizmo", None))
 
-    def _act(self, name: str, value: Any, arrived: float) -> None:
+    def _act(self, name: str, value: Any) -> None:
         """Do what an event asks for; in the session's worker."""
         action: Callable[[Any], None] = getattr(self, f"_on_{name}")
         action(value)
-        self.last_duration = time.perf_counter() - arrived
 
     def close(self) -> None:
         """End: nothing of the session runs any longer; on the event loop."""

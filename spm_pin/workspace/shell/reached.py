@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.closed_form.forward import forward_physical
+from spm_pin.closed_form.singularity import determinants
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.branches import determinants
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 
 __all__ = ["ReachedPositions", "reached_positions"]
@@ -72,7 +72,7 @@ def reached_positions(
     share = np.where(rng.random(share.shape) < _AT_A_LIMIT, share.round(), share)
     states = forward_physical(geometry, (1.0 - share) * low + share * high)
     states = states[states.exists]
-    positions, aspect = states.translation, np.sign(determinants(states)[2]).astype(np.int8)
+    positions, aspect = states.translation, np.sign(determinants(states)[:, 2]).astype(np.int8)
     if all(len(set(ends)) == 1 for ends in (low[:3], low[3:], high[:3], high[3:])):
         positions, aspect = _images(positions, aspect)
     return ReachedPositions(positions, aspect)

@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.closed_form.forward import forward_displacement
+from spm_pin.closed_form.singularity import determinants
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.branches import determinants
 from spm_pin.workspace.sweep.points import Points
 
 __all__ = [
@@ -81,7 +81,7 @@ def distance(points: Points, first: int, last: int) -> FloatArray:
 
 def determinant(points: Points, which: int) -> FloatArray:
     """Return det J_b, det J_c or det K over d³."""
-    return points.spread(determinants(points.reached)[which] / points.geometry.middle_side**3)
+    return points.spread(determinants(points.reached)[:, which] / points.geometry.middle_side**3)
 
 
 def conditioning(points: Points, length: float | None) -> FloatArray:

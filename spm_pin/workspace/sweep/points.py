@@ -62,11 +62,14 @@ class Points:
         joints = np.full((len(self), *found.middle_joints.shape[1:]), np.nan)
         joints[placed] = found.middle_joints
         shape = joints.shape[:2]
+        lengths = np.full((*shape, 6), np.nan)
+        lengths[placed] = found.leg_lengths
         branches = Configuration.from_arrays(
             self.geometry,
             np.broadcast_to(self._placed.rotation[:, None], (*shape, 3, 3)),
             np.broadcast_to(self._placed.translation[:, None], (*shape, 3)),
             joints,
+            lengths,
         )
         status = np.full(len(self), Status.UNREACHABLE, dtype=np.int8)
         status[placed] = found.status
