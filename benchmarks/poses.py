@@ -34,7 +34,9 @@ def mixture(kind: str, count: int, seed: int = 0) -> RigidTransform:
         return leg_space(count, seed)
     if kind == "all rotations":
         share = -(-count // 4)
-        parts = [random_branches(GEOMETRY, family, share, seed + k).pose for k, family in enumerate(spm.FAMILIES)]
+        parts = [
+            random_branches(GEOMETRY, family, share, seed + k).pose for k, family in enumerate(spm.mechanism.FAMILIES)
+        ]
         return RigidTransform.concatenate(parts)[rng.permutation(4 * share)[:count]]
     r = GEOMETRY.middle_radius
     if kind == "nearly level":

@@ -20,9 +20,9 @@ from pathlib import Path
 import psutil
 
 import spm_pin as spm
-from spm_pin.workspace.sweep.domains import Grid
-from spm_pin.workspace.sweep.grids import leg_sample, pose_grid
-from spm_pin.workspace.sweep.run import CHUNK, sweep
+from spm_pin.sweeps.domains import Grid
+from spm_pin.sweeps.grids import leg_sample, pose_grid
+from spm_pin.sweeps.runner import CHUNK, sweep
 
 GEOMETRY = spm.Geometry.paper()
 INDICES = ("reachable", "branches", "conditioning", "payload")

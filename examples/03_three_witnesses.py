@@ -14,7 +14,7 @@ chain = spm.ClosedChain.from_urdf()
 
 for state in spm.inverse_displacement(geometry, pose):
     closed_form = spm.inverse_jacobian(state)
-    q = chain.place(state)
+    q = chain.joint_values(state)
     paper, pinocchio = jacobian.J_f(state), chain.inverse_jacobian(q)
     size = np.abs(closed_form).max()
     print(

@@ -12,7 +12,7 @@ poses = spm.pose(
     [[0.6889, 0.4963, 2.253], [0.70, 0.48, 2.28], [0.68, 0.50, 2.28]],
     xyx=np.deg2rad([[-11.08, 32.97, -12.88], [-12.0, 33.5, -12.0], [-11.0, 33.0, -13.0]]),
 )
-q0 = chain.place(spm.inverse_displacement(chain.geometry, poses[0]).physical())
+q0 = chain.joint_values(spm.inverse_displacement(chain.geometry, poses[0]).physical())
 
 # Inverse dynamics: all joints of the path, and what the actuators give.
 times = np.linspace(0.0, 2.0, 201)

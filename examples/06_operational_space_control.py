@@ -32,7 +32,7 @@ def controller(t, q, v):
     return chain.leg_forces(q, -wrench, workspace=workspace)
 
 
-q0 = chain.place(spm.inverse_displacement(chain.geometry, poses[0]).physical())
+q0 = chain.joint_values(spm.inverse_displacement(chain.geometry, poses[0]).physical())
 times = np.linspace(0.0, 0.6, 7)
 run = chain.simulate(q0, np.zeros(18), controller, times, wrench=[30.0, 0, 0, 0, 0, 0], period=1e-3)
 for t, q in zip(run.times, run.q, strict=True):

@@ -15,7 +15,7 @@ both = wrist.mounted_on(arm, "tool0", pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.0
 print(both)
 
 home = wrist.leg_lengths(np.zeros(18))
-q = both.join([0.3, -1.2, 1.4, -0.6, 0.5, 0.2], wrist.complete(home * [1.0, 1.05, 0.97, 1.02, 0.98, 1.04]))
+q = both.join([0.3, -1.2, 1.4, -0.6, 0.5, 0.2], wrist.forward_kinematics(home * [1.0, 1.05, 0.97, 1.02, 0.98, 1.04]))
 print(f"loops open by {np.abs(both.closure_gap(q)).max():.0e} m, wherever the arm is")
 
 rest = np.zeros(both.model.nv)

@@ -8,7 +8,7 @@ import numpy as np
 import spm_pin as spm
 
 geometry = spm.Geometry.paper()
-shell = spm.workspace_shell(geometry, resolution=20)
+shell = spm.workspace.shell(geometry, resolution=20)
 print(f"{len(shell.patches)} surfaces, closed: {shell.mesh.is_watertight}, V - E + F = {shell.euler_characteristic}")
 print(f"volume {shell.volume:.6f} m³, to {shell.volume_error:.0e} m³")
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import spm_pin as spm
-from spm_pin.workspace.sweep.grids import pose_grid
-from spm_pin.workspace.sweep.run import sweep
+from spm_pin.sweeps.grids import pose_grid
+from spm_pin.sweeps.runner import sweep
 
 GEOMETRY = spm.Geometry.paper()
 GRID = pose_grid((0.37, 0.44, 7), (-0.16, -0.12, 6), (2.45, 2.55, 5), xyx=[0.01, (0.3, 0.34, 3), 0.1])

@@ -123,7 +123,7 @@ def test_the_forces_do_the_work_of_the_wrench(peer: Peer) -> None:
     wrenches = np.random.default_rng(1).uniform(-1.0, 1.0, (6, 6))
     forces = answer(peer.prepare((configuration, wrenches)))
     # Along any rates of the legs: f · rates + w · twist = 0.
-    twists = spm.platform_jacobian(configuration)
+    twists = spm.closed_form.platform_jacobian(configuration)
     np.testing.assert_allclose(forces, -np.einsum("nij,ni->nj", twists, wrenches), rtol=1e-8, atol=1e-8)
 
 

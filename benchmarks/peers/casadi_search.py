@@ -46,9 +46,9 @@ def ipopt(problem: tuple[Geometry, RigidTransform]) -> Prepared:
 
 
 def mapped_newton(problem: tuple[Geometry, RigidTransform]) -> Prepared:
-    """`spm_pin.nlp.newton`: equations mapped over the starts, steps by NumPy's batched solve."""
+    """`spm_pin.nlp.batched_newton`: equations mapped over the starts, steps by NumPy's batched solve."""
     required("casadi", "casadi")
-    from spm_pin.nlp.newton import LoopEquations, newton
+    from spm_pin.nlp.batched_newton import LoopEquations, newton
 
     equations = LoopEquations(problem[0])
     return search(problem, lambda starts, matrix: newton(equations, starts, matrix, ITERATIONS)[0])

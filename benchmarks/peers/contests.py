@@ -39,7 +39,7 @@ INVERSE = (
     Peer("the paper's route", "`spm_pin.paper`: Eqs. (5)–(20), refined, all branches", package.paper_inverse, 200),
     Peer("python-flint", "the octic's roots in ball arithmetic: certified b_2", certified.roots, 20),
     Peer("CasADi Newton, compiled", f"{STARTS} starts, generated C, mapped", casadi_search.compiled_newton, 20),
-    Peer("CasADi Newton, mapped", f"{STARTS} starts, `spm_pin.nlp.newton`", casadi_search.mapped_newton, 4),
+    Peer("CasADi Newton, mapped", f"{STARTS} starts, `spm_pin.nlp.batched_newton`", casadi_search.mapped_newton, 4),
     Peer("CasADi IPOPT", f"{STARTS} starts", casadi_search.ipopt, 1),
     Peer("SciPy fsolve", f"{STARTS} starts", scipy_search.by_fsolve, 1),
     Peer("SciPy least_squares", f"{STARTS} starts, Levenberg–Marquardt", scipy_search.by_least_squares, 1),

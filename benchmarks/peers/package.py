@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 import spm_pin as spm
 from benchmarks.peers.c_loop import real_branches
 from benchmarks.peers.peer import FloatArray, Prepared
-from spm_pin.closed_form.inverse import branch_lengths
+from spm_pin.closed_form.inverse_displacement import branch_lengths
 from spm_pin.mechanism.pose import EXACT
 from spm_pin.paper import resultant
 
@@ -47,7 +47,7 @@ def lengths_only(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
 
 def kernel(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
     """Run the compiled loop alone, into arrays that are there, as the C loop does."""
-    from spm_pin.closed_form.kernels.inverse import all_branches
+    from spm_pin.closed_form.kernels.branch_kernels import all_branches
 
     geometry, poses = problem
     matrices = poses.as_matrix()

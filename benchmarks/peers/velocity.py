@@ -77,4 +77,4 @@ def _placed(configuration: spm.Configuration) -> tuple[Any, list[FloatArray], An
     from spm_pin.multibody.chain import ClosedChain
 
     chain = ClosedChain.from_urdf(geometry=configuration.geometry)
-    return chain, [chain.place(configuration[k]) for k in range(len(configuration))], chain.workspace()
+    return chain, [chain.joint_values(configuration[k]) for k in range(len(configuration))], chain.workspace()

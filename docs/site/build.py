@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 from sphinx.cmd.build import build_main
 
 import spm_pin
-from spm_pin.crosscheck.reproduction import reproduce
+from spm_pin.reproduction.tables_1_to_4 import reproduce
 
 ROOT = Path(__file__).parents[2]
 ROOMS = {

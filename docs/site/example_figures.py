@@ -76,7 +76,7 @@ def witnesses(figure: Figure, names: Names) -> None:
     states, labels = list(found), [x for x, real in zip(found.labels, found.exists, strict=True) if real]
     for name, colour, witness in (
         ("paper's 9 × 9", LOWER, jacobian.J_f),
-        ("Pinocchio", UPPER, lambda c: chain.inverse_jacobian(chain.place(c))),
+        ("Pinocchio", UPPER, lambda c: chain.inverse_jacobian(chain.joint_values(c))),
     ):
         truth = [spm.inverse_jacobian(c) for c in states]
         off = [np.abs(witness(c) - J).max() / np.abs(J).max() for c, J in zip(states, truth, strict=True)]
@@ -91,7 +91,7 @@ def path(figure: Figure, names: Names) -> None:
     ax = plain(figure, "parameter", "smallest singular value of K", "along a path, across an inverse singularity")
     ax.semilogy(found.parameters, spm.singularities(found.configurations).sigma[:, 2], color="black")
     for event in found.events:
-        singular = event.kind is spm.EventKind.INVERSE_SINGULARITY
+        singular = event.kind is spm.closed_form.EventKind.INVERSE_SINGULARITY
         ax.axvline(event.parameter, color="#cc4778" if singular else UPPER, ls="-" if singular else ":", lw=1)
 
 

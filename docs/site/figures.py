@@ -109,7 +109,10 @@ def followed_path() -> Figure:
         right.semilogy(path.parameters, near.sigma[:, k], color=(LOWER, UPPER, "black")[k], label=name)
     right.legend(fontsize=8, frameon=False, title="singular values")
     right.set(xlabel="parameter", ylabel="distance to a singularity")
-    marks = {spm.EventKind.LIMIT: (":", UPPER), spm.EventKind.INVERSE_SINGULARITY: ("-", "#cc4778")}
+    marks = {
+        spm.closed_form.EventKind.LIMIT: (":", UPPER),
+        spm.closed_form.EventKind.INVERSE_SINGULARITY: ("-", "#cc4778"),
+    }
     for event in path.events:
         style, colour = marks.get(event.kind, ("-", GREY))
         for ax in (left, right):
@@ -122,7 +125,7 @@ def followed_path() -> Figure:
 
 def plot_legs(ax: Axes, x: np.ndarray, values: np.ndarray, fontsize: float) -> None:
     """Draw a curve for each leg, the lower ones blue, the upper ones orange."""
-    for k, name in enumerate(spm.LEGS):
+    for k, name in enumerate(spm.mechanism.LEGS):
         colour, style = (LOWER if k < 3 else UPPER), ("-", "--", ":")[k % 3]
         ax.plot(x, values[:, k], color=colour, ls=style, label=f"$r_{{{name[2:]}}}$")
     ax.legend(ncols=2, fontsize=fontsize, frameon=False)

@@ -12,9 +12,9 @@ from rich.table import Table
 
 from spm_pin.cli.console import new_table, stderr, stdout, write_json
 from spm_pin.cli.options import GeometryFile, read_geometry
+from spm_pin.crosscheck.methods import WITNESSES
 from spm_pin.crosscheck.report import Report
 from spm_pin.crosscheck.report import crosscheck as compare
-from spm_pin.crosscheck.witnesses import WITNESSES
 from spm_pin.errors import ArgumentError
 
 __all__ = ["crosscheck"]

@@ -9,9 +9,9 @@ import numpy as np
 import typer
 from rich.markup import escape
 
-from spm_pin.cli.asked import AnyLegs, AnyTranslation, AnyXyx, asked_solutions, one_of
 from spm_pin.cli.console import stderr
 from spm_pin.cli.options import Branches, GeometryFile, LengthUnit, Unit, chosen, read_geometry
+from spm_pin.cli.pose_options import AnyLegs, AnyTranslation, AnyXyx, asked_solutions, one_of
 from spm_pin.errors import ArgumentError
 
 __all__ = ["draw"]

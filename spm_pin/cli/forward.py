@@ -11,7 +11,7 @@ from rich.table import Table
 
 from spm_pin.cli.console import new_table, stdout, to_json
 from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Unit, read_geometry
-from spm_pin.closed_form.forward import forward_displacement, forward_physical
+from spm_pin.closed_form.forward_displacement import forward_displacement, forward_physical
 from spm_pin.mechanism import Configuration, SolutionSet, Status
 
 __all__ = ["forward"]

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from spm_pin.cli.console import new_table, stdout, to_json
 from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Translation, Unit, Xyx, read_geometry, read_pose
-from spm_pin.closed_form.inverse import inverse_displacement
+from spm_pin.closed_form.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import LEGS, SolutionSet, Status
 
 __all__ = ["inverse"]

@@ -11,9 +11,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from spm_pin.cli.console import new_table, stderr, stdout, write_json
-from spm_pin.crosscheck import reproduction
-from spm_pin.crosscheck.cells import Cell, Verdict
-from spm_pin.crosscheck.reproduction import Reproduction
+from spm_pin.reproduction import tables_1_to_4 as reproduction
+from spm_pin.reproduction.cells import Cell, Verdict
+from spm_pin.reproduction.tables_1_to_4 import Reproduction
 
 __all__ = ["reproduce"]
 

@@ -21,9 +21,9 @@ from spm_pin.cli.options import (
     read_geometry,
     read_pose,
 )
-from spm_pin.closed_form.inverse import inverse_displacement
-from spm_pin.closed_form.singularity import SingularityKind
-from spm_pin.closed_form.singularity import singularities as describe
+from spm_pin.closed_form.inverse_displacement import inverse_displacement
+from spm_pin.closed_form.singularity_analysis import SingularityKind
+from spm_pin.closed_form.singularity_analysis import singularities as describe
 from spm_pin.mechanism import Configuration
 
 __all__ = ["singularities"]

@@ -21,9 +21,9 @@ from spm_pin.cli.options import (
     read_geometry,
     read_pose,
 )
-from spm_pin.closed_form.inverse import inverse_displacement
-from spm_pin.closed_form.statics import leg_forces
-from spm_pin.closed_form.velocity import leg_rates
+from spm_pin.closed_form.inverse_displacement import inverse_displacement
+from spm_pin.closed_form.jacobians import leg_rates
+from spm_pin.closed_form.leg_forces import leg_forces
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.mechanism import LEGS, Configuration
 

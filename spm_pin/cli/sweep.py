@@ -16,12 +16,12 @@ from spm_pin.cli.console import stderr, stdout, to_json
 from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Unit, read_geometry
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import Geometry, LegLimits
-from spm_pin.workspace.sweep.domains import Domain, Method
-from spm_pin.workspace.sweep.grids import leg_grid, leg_sample, pose_grid, pose_sample
-from spm_pin.workspace.sweep.index import Index
-from spm_pin.workspace.sweep.indices import INDICES, conditioning, isotropy, payload, payload_down, stiffness
-from spm_pin.workspace.sweep.run import CHUNK, SweepStatus, resume_sweep, sweep_status
-from spm_pin.workspace.sweep.run import sweep as run
+from spm_pin.sweeps.domains import Domain, Method
+from spm_pin.sweeps.grids import leg_grid, leg_sample, pose_grid, pose_sample
+from spm_pin.sweeps.metric import Index
+from spm_pin.sweeps.metrics import INDICES, conditioning, isotropy, payload, payload_down, stiffness
+from spm_pin.sweeps.runner import CHUNK, SweepStatus, resume_sweep, sweep_status
+from spm_pin.sweeps.runner import sweep as run
 
 __all__ = ["sweep"]
 

@@ -11,9 +11,9 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from spm_pin.cli.asked import AnyLegs, AnyTranslation, AnyXyx, asked_solutions, one_of
 from spm_pin.cli.console import stderr
 from spm_pin.cli.options import GeometryFile, LengthUnit, Unit, read_geometry
+from spm_pin.cli.pose_options import AnyLegs, AnyTranslation, AnyXyx, asked_solutions, one_of
 
 __all__ = ["view"]
 

@@ -17,8 +17,8 @@ from spm_pin.display.shell_files import MESH_FORMATS, save_mesh
 from spm_pin.display.shell_plots import shell_figure
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LEGS, LegLimits
-from spm_pin.workspace.shell.joined import Patch, Shell, workspace_shell
-from spm_pin.workspace.shell.patches import ERRATA
+from spm_pin.workspace.table_6.patches import ERRATA
+from spm_pin.workspace.table_6.shell import Patch, Shell, workspace_shell
 
 __all__ = ["workspace"]
 
@@ -90,7 +90,7 @@ def _write(shell: Shell, out: Path, samples: int | None) -> None:
         save_figure(shell_figure(shell), out)
     else:
         from spm_pin.display.section_plots import sections_figure
-        from spm_pin.workspace.shell.reached import reached_positions
+        from spm_pin.workspace.table_6.sampling import reached_positions
 
         with stderr.status("drawing leg lengths"):
             reached = reached_positions(shell.geometry, shell.limits, count=samples)

@@ -1,1 +1,46 @@
-"""Witness 2: the closed form beyond the paper."""
+"""The closed form: branches, assembly modes, rates, forces and singularities, without iteration in the inverse."""
+
+from spm_pin.closed_form.forward_displacement import (
+    ASSEMBLY_MODES,
+    STAGE_MODES,
+    forward_displacement,
+    forward_physical,
+)
+from spm_pin.closed_form.inverse_displacement import branch_lengths, complex_middle_joints, inverse_displacement
+from spm_pin.closed_form.jacobians import inverse_jacobian, leg_rates, platform_jacobian
+from spm_pin.closed_form.leg_forces import leg_forces
+from spm_pin.closed_form.path_events import Event, EventKind
+from spm_pin.closed_form.path_following import FollowedPath, follow
+from spm_pin.closed_form.singularity_analysis import (
+    Singularities,
+    SingularityKind,
+    determinant_gradients,
+    determinants,
+    singularities,
+)
+from spm_pin.closed_form.threads import set_threads, threads
+
+__all__ = [
+    "ASSEMBLY_MODES",
+    "STAGE_MODES",
+    "Event",
+    "EventKind",
+    "FollowedPath",
+    "Singularities",
+    "SingularityKind",
+    "branch_lengths",
+    "complex_middle_joints",
+    "determinant_gradients",
+    "determinants",
+    "follow",
+    "forward_displacement",
+    "forward_physical",
+    "inverse_displacement",
+    "inverse_jacobian",
+    "leg_forces",
+    "leg_rates",
+    "platform_jacobian",
+    "set_threads",
+    "singularities",
+    "threads",
+]

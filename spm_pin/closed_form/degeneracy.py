@@ -26,7 +26,7 @@ def find_degeneracy(
     Where the two Z axes meet or cross, a family is continuous iff its form vanishes: (P : Q) is then free and
     the family has one dimension. Where they are parallel, see `_parallel_axes`.
     """
-    from spm_pin.closed_form.kernels.inverse import VERTICAL
+    from spm_pin.closed_form.kernels.branch_kernels import VERTICAL
     from spm_pin.closed_form.kernels.quadratics import ROUNDING
 
     families = (flagged[:, None] & np.array([1, 2, 4, 8])) > 0

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from spm_pin.crosscheck.hearing import Hearing
+from spm_pin.crosscheck.compare import Hearing
+from spm_pin.crosscheck.methods import Witness, make
 from spm_pin.crosscheck.sampling import command, in_leg_space, on_all_rotations, printable
 from spm_pin.crosscheck.verdicts import Comparison, Standing
-from spm_pin.crosscheck.witnesses import Witness, make
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import Geometry
@@ -112,7 +112,7 @@ def crosscheck(
     seed : int
         Of the poses and of the wrenches.
     witnesses : sequence of Witness or of str, optional
-        Who is asked; all of `spm_pin.crosscheck.witnesses.WITNESSES` that can be imported if not given. States at
+        Who is asked; all of `spm_pin.crosscheck.methods.WITNESSES` that can be imported if not given. States at
         which Jacobians and forces are compared come from the first that solves the inverse displacement.
     progress : callable, optional
         Called with what is being done, how many steps are done, and of how many.

@@ -9,7 +9,7 @@ The paths of the files are constants, named as the package robot_descriptions na
 
 from __future__ import annotations
 
-from spm_pin.description.locate import ENTRY, MJCF, SDF, SIDECAR, SRDF, URDF, description_directory
+from spm_pin.description.paths import ENTRY, MJCF, SDF, SIDECAR, SRDF, URDF, description_directory
 
 __all__ = ["CLOSURES_PATH", "MJCF_PATH", "PACKAGE_PATH", "SDF_PATH", "SRDF_PATH", "URDF_PATH", "XACRO_PATH"]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import yaml
 
 from spm_pin.description import yaml_nodes
-from spm_pin.description.locate import CLOSURES, description_file
+from spm_pin.description.paths import CLOSURES, description_file
 from spm_pin.description.tree import check_prefix
 from spm_pin.errors import DescriptionError
 

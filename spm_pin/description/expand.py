@@ -10,7 +10,7 @@ from typing import Any
 import xacro
 import yaml
 
-from spm_pin.description.locate import ENTRY, description_file
+from spm_pin.description.paths import ENTRY, description_file
 from spm_pin.description.tree import check_prefix
 from spm_pin.mechanism.geometry import LEGS, Geometry
 

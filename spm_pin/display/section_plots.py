@@ -15,7 +15,7 @@ from spm_pin.display.scene import plots_extra
 from spm_pin.display.shell_plots import FAMILY_COLOURS
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, real_array
-from spm_pin.workspace.shell.joined import Shell
+from spm_pin.workspace.table_6.shell import Shell
 
 if TYPE_CHECKING:
     import trimesh
@@ -96,7 +96,7 @@ def draw_section(
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure, unknown to pyplot, if not given: ``ax.figure``.
     reached : array_like, shape (N, 3), optional
-        Positions of o that are reached, in {B} [m], as `spm_pin.workspace.shell.reached` draws them. Cells of the
+        Positions of o that are reached, in {B} [m], as `spm_pin.workspace.table_6.sampling` draws them. Cells of the
         plane are filled that have one of them nearer than half a cell.
     aspect : array_like, shape (N,), optional
         A number for each, of which only the sign counts: cells where both signs occur are darker. With the sign of

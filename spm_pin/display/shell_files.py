@@ -10,7 +10,7 @@ import numpy as np
 from spm_pin.display.scene import plots_extra
 from spm_pin.display.shell_plots import FAMILY_COLOURS
 from spm_pin.errors import ArgumentError
-from spm_pin.workspace.shell.joined import Patch, Shell
+from spm_pin.workspace.table_6.shell import Patch, Shell
 
 __all__ = ["MESH_FORMATS", "save_mesh"]
 

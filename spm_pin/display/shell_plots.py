@@ -12,8 +12,8 @@ from spm_pin.display.rendering import VIEW, camera_axes, render
 from spm_pin.display.scene import Colour, Scene, Solid, plots_extra
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.workspace.shell.joined import Patch, Shell
-from spm_pin.workspace.shell.winding import ClosedSurface
+from spm_pin.workspace.table_6.shell import Patch, Shell
+from spm_pin.workspace.table_6.winding import ClosedSurface
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from spm_pin.description.closures import Closure, read_closures
 from spm_pin.description.expand import expand
-from spm_pin.description.locate import URDF, description_file
+from spm_pin.description.paths import URDF, description_file
 from spm_pin.description.srdf import srdf_text
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.geometry import Geometry

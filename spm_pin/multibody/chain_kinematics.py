@@ -40,7 +40,7 @@ class ChainKinematics:
         """Return memory to hand to methods called often, one per thread."""
         return self._constraints.workspace()
 
-    def place(self, configuration: Configuration) -> FloatArray:
+    def joint_values(self, configuration: Configuration) -> FloatArray:
         """Return q of a configuration, in closed form.
 
         Parameters
@@ -60,7 +60,7 @@ class ChainKinematics:
         GeometryError
             If it has other dimensions than the chain.
         """
-        return self._placement.place(configuration)
+        return self._placement.joint_values(configuration)
 
     def configuration(self, q: npt.ArrayLike, *, workspace: Workspace | None = None) -> Configuration:
         """Return the configuration in q (..., 18): the poses of m and of the middle platform's corners.

@@ -26,7 +26,7 @@ __all__ = ["ChainPaths"]
 class ChainPaths(ChainSimulation):
     """Where a `ClosedChain` can go; see there."""
 
-    def complete(
+    def forward_kinematics(
         self, leg_lengths: npt.ArrayLike, near: npt.ArrayLike | None = None, *, workspace: Workspace | None = None
     ) -> FloatArray:
         """Return all joints of six leg lengths: the passive ones from the actuated ones.
@@ -61,7 +61,9 @@ class ChainPaths(ChainSimulation):
         guide, q = self._guide(near, workspace)
         return _one_after_the_other(lambda q, legs: legs_to(q, legs, guide), q, (lengths,), lengths.shape[:-1])
 
-    def reach(self, pose: PoseLike, near: npt.ArrayLike, *, workspace: Workspace | None = None) -> FloatArray:
+    def inverse_kinematics(
+        self, pose: PoseLike, near: npt.ArrayLike, *, workspace: Workspace | None = None
+    ) -> FloatArray:
         """Return all joints of a pose of the terminal platform, in the branch that the mechanism comes to.
 
         Parameters
@@ -91,7 +93,7 @@ class ChainPaths(ChainSimulation):
         given = transform.rotation.as_matrix(), transform.translation
         return _one_after_the_other(lambda q, r, t: pose_to(q, r, t, guide), q, given, transform.shape)
 
-    def complete_rates(
+    def joint_rates(
         self, q: npt.ArrayLike, leg_rates: npt.ArrayLike, *, workspace: Workspace | None = None
     ) -> FloatArray:
         """Return the velocities of all joints for rates of the six legs; the other way is `joint_velocities`.

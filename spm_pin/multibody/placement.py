@@ -80,7 +80,7 @@ class Placement:
             raise ArgumentError(argument, "legs of no negative length", received, cause)
         return array.copy()
 
-    def place(self, configuration: Configuration) -> FloatArray:
+    def joint_values(self, configuration: Configuration) -> FloatArray:
         """Return q (..., 18) of a configuration; see `ClosedChain.place`."""
         if not isinstance(configuration, Configuration):
             cause = "One of several solutions? .physical(), or an index, takes one"

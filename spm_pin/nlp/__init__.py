@@ -4,7 +4,7 @@ The only floor that imports casadi. `loop_equations` holds symbolic functions fo
 own, `search` and `inverse_displacement` find the branches of a pose, `track` follows a path within limits.
 """
 
-from spm_pin.nlp.inverse import SOLVERS, Interrupted, Search, inverse_displacement, search
+from spm_pin.nlp.branch_search import SOLVERS, Interrupted, Search, inverse_displacement, search
 from spm_pin.nlp.joint_space import Joint, forward_kinematics, joint_space_closure
 from spm_pin.nlp.loop_equations import closure, leg_jacobian, leg_lengths
 from spm_pin.nlp.track import JointRanges, Track, track

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.solutions import Status
-from spm_pin.nlp.newton import Certificate, LoopEquations, certify, isolated, newton
+from spm_pin.nlp.batched_newton import Certificate, LoopEquations, certify, isolated, newton
 from spm_pin.nlp.solvers import Ipopt
 from spm_pin.nlp.starts import random_starts, unseen_probability
 

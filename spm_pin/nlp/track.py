@@ -20,8 +20,8 @@ from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.nlp import loop_equations
-from spm_pin.nlp.inverse import Interrupted, loop_equations_of
-from spm_pin.nlp.newton import newton
+from spm_pin.nlp.batched_newton import newton
+from spm_pin.nlp.branch_search import Interrupted, loop_equations_of
 from spm_pin.nlp.solvers import build, status_of
 
 __all__ = ["JointRanges", "Track", "track"]

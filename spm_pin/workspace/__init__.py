@@ -1,1 +1,41 @@
-"""What the terminal platform can reach: the paper's shell, the reachable set itself, and sweeps over both."""
+"""What the platform reaches: the paper's 24 surfaces as one shell, and the reachable set itself."""
+
+from spm_pin.workspace.reachability.boundary import Boundary, BoundaryPoints, reachable_boundary
+from spm_pin.workspace.reachability.estimate import Estimate
+from spm_pin.workspace.reachability.joint_limits import JointAngles, JointLimits, joint_angles, leg_clearance
+from spm_pin.workspace.reachability.membership import (
+    PositionReach,
+    Reachability,
+    reachable,
+    reachable_position,
+    sample_reachable,
+)
+from spm_pin.workspace.reachability.orientation import OrientationWorkspace, orientation_workspace
+from spm_pin.workspace.reachability.volume import ShellComparison, compare_with_shell, pose_volume, reachable_volume
+from spm_pin.workspace.table_6.shell import Patch, Shell
+from spm_pin.workspace.table_6.shell import workspace_shell as shell
+
+__all__ = [
+    "Boundary",
+    "BoundaryPoints",
+    "Estimate",
+    "JointAngles",
+    "JointLimits",
+    "OrientationWorkspace",
+    "Patch",
+    "PositionReach",
+    "Reachability",
+    "Shell",
+    "ShellComparison",
+    "compare_with_shell",
+    "joint_angles",
+    "leg_clearance",
+    "orientation_workspace",
+    "pose_volume",
+    "reachable",
+    "reachable_boundary",
+    "reachable_position",
+    "reachable_volume",
+    "sample_reachable",
+    "shell",
+]

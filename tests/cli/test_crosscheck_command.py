@@ -10,8 +10,8 @@ from typer.testing import CliRunner, Result
 
 import spm_pin as spm
 from spm_pin.cli.crosscheck import crosscheck
-from spm_pin.crosscheck import witnesses
-from spm_pin.crosscheck.witnesses import Paper, Witness
+from spm_pin.crosscheck import methods as witnesses
+from spm_pin.crosscheck.methods import Paper, Witness
 from spm_pin.paper.jacobian import Table5Mistakes
 
 

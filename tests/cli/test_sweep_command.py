@@ -19,9 +19,9 @@ from typer.testing import CliRunner
 
 import spm_pin as spm
 from spm_pin.cli.sweep import sweep
-from spm_pin.workspace.sweep.grids import leg_sample, pose_grid
-from spm_pin.workspace.sweep.indices import conditioning, payload, payload_down, stiffness
-from spm_pin.workspace.sweep.run import sweep as run_sweep
+from spm_pin.sweeps.grids import leg_sample, pose_grid
+from spm_pin.sweeps.metrics import conditioning, payload, payload_down, stiffness
+from spm_pin.sweeps.runner import sweep as run_sweep
 
 POSES = ["--x", "37:44:4", "--y", "-16:-12:3", "--z", "250", "--xyx", "1", "17:20:2", "6", "--unit", "cm"]
 
@@ -87,7 +87,7 @@ def test_samples_of_leg_lengths(legs: list[str], ranges: list[float], tmp_path: 
     assert "30 points: sample 30" in out
     found = xarray.open_zarr(tmp_path / "map").load()
     expected = leg_sample(30, ranges[:3], ranges[3:], method="uniform", seed=7).points((0,), (30,))
-    legs_found = np.stack([np.broadcast_to(found[leg], 30) for leg in spm.LEGS], axis=-1)
+    legs_found = np.stack([np.broadcast_to(found[leg], 30) for leg in spm.mechanism.LEGS], axis=-1)
     np.testing.assert_allclose(legs_found, expected, rtol=1e-15)
 
 

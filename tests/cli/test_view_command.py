@@ -16,7 +16,7 @@ from PIL import Image
 import spm_pin as spm
 from spm_pin.cli import main
 from spm_pin.display.gallery import save_gallery
-from spm_pin.display.viewer.inbox import Inbox
+from spm_pin.display.viewer.event_queue import Inbox
 from spm_pin.display.viewer.viser_server import free_port
 
 Run = Callable[..., subprocess.CompletedProcess[str]]

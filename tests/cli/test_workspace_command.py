@@ -14,7 +14,7 @@ from typer.testing import CliRunner, Result
 
 import spm_pin as spm
 from spm_pin.cli.workspace import workspace
-from spm_pin.workspace.shell.joined import workspace_shell
+from spm_pin.workspace.table_6.shell import workspace_shell
 
 FEW = ["--resolution", "6"]
 

@@ -15,9 +15,10 @@ import pytest
 from problems import random_branches
 
 import spm_pin as spm
-from spm_pin.closed_form.kernels import inverse, velocity
-from spm_pin.closed_form.kernels.compiling import Kernel
-from spm_pin.closed_form.singularity import determinants
+from spm_pin.closed_form.kernels import branch_kernels as inverse
+from spm_pin.closed_form.kernels import jacobian_kernels as velocity
+from spm_pin.closed_form.kernels.compilation import Kernel
+from spm_pin.closed_form.singularity_analysis import determinants
 
 PAPER = spm.Geometry.paper()
 # Square roots of several numbers at once, and products and sums contracted into one instruction.
@@ -46,7 +47,7 @@ solutions = spm.inverse_displacement(spm.Geometry.paper(), pose)
 state = solutions.configurations
 physical = spm.forward_physical(spm.Geometry.paper(), state[:, 0].leg_lengths)
 np.savez(sys.argv[2], joints=solutions.middle_joints, lengths=solutions.leg_lengths, status=solutions.status,
-         discriminants=solutions.discriminants, rates=spm.inverse_jacobian(state), twists=spm.platform_jacobian(state),
+         discriminants=solutions.discriminants, rates=spm.inverse_jacobian(state), twists=spm.closed_form.platform_jacobian(state),
          forces=spm.leg_forces(state, [1, 2, 3, 4, 5, 6]), physical=physical.middle_joints)
 """
 
@@ -69,7 +70,7 @@ def test_the_interpreter_gets_the_same_bits(tmp_path: Path) -> None:
 
 SOLVE = """
 import numpy as np, spm_pin as spm
-from spm_pin.closed_form.singularity import determinants
+from spm_pin.closed_form.singularity_analysis import determinants
 geometry = spm.Geometry(0.7, 0.35, 0.8)
 print(determinants(spm.Configuration(geometry, np.eye(4), np.arange(9.0).reshape(3, 3) ** 2)).tolist())
 """

@@ -14,7 +14,7 @@ from problems import GEOMETRIES, in_leg_space, random_branches
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.closed_form.families import FamilyForms
+from spm_pin.closed_form.family_forms import FamilyForms
 
 PAPER = spm.Geometry.paper()
 DIGITS = 64.0 * float(np.finfo(np.longdouble).eps)
@@ -101,7 +101,7 @@ def everything(count: int, seed: int) -> None:
         assert_complete(pose, PAPER) for pose in (anywhere, reached, level(rng, count // 8), folds(rng, count // 8))
     ]
     for k, geometry in enumerate(GEOMETRIES.values()):
-        for family in spm.FAMILIES:
+        for family in spm.mechanism.FAMILIES:
             pose = random_branches(geometry, family, count // 64, seed=seed + k).pose.as_matrix()
             tally.append(assert_complete(pose, geometry))
     certified, empty = np.sum(tally, axis=0)

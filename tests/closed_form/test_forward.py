@@ -8,7 +8,7 @@ from problems import GEOMETRIES, Problem, in_leg_space, random_branches
 from stage_oracle import certified_modes
 
 import spm_pin as spm
-from spm_pin.closed_form.forward import ASSEMBLY_MODES, STAGE_MODES, forward_displacement, forward_physical
+from spm_pin.closed_form.forward_displacement import ASSEMBLY_MODES, STAGE_MODES, forward_displacement, forward_physical
 
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()
@@ -27,7 +27,7 @@ def sensitivity(state: spm.Configuration) -> np.ndarray:
     gain = np.full(state.shape, np.inf)
     for k in np.ndindex(state.shape):
         try:
-            matrix = spm.platform_jacobian(state[k])
+            matrix = spm.closed_form.platform_jacobian(state[k])
         except spm.SingularConfigurationError:
             continue
         matrix[3:] *= state.geometry.middle_side + state.geometry.platform_radius
@@ -106,7 +106,7 @@ def test_some_lengths_have_all_256_modes() -> None:
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
-@pytest.mark.parametrize("modes", spm.FAMILIES)
+@pytest.mark.parametrize("modes", spm.mechanism.FAMILIES)
 def test_a_known_configuration_is_found_from_its_lengths(name: str, modes: str) -> None:
     problem = random_branches(GEOMETRIES[name], modes, 300, seed=2)
     assert_found(problem)
@@ -160,7 +160,7 @@ def test_a_short_leg_keeps_its_digits() -> None:
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_round_trips_at_length(name: str) -> None:
     for seed in range(7):
-        for modes in spm.FAMILIES:
+        for modes in spm.mechanism.FAMILIES:
             assert_found(random_branches(GEOMETRIES[name], modes, 1_000, seed=100 + seed))
 
 

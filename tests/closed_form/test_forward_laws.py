@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.closed_form.forward import ASSEMBLY_MODES, forward_displacement, forward_physical
+from spm_pin.closed_form.forward_displacement import ASSEMBLY_MODES, forward_displacement, forward_physical
 
 PAPER = spm.Geometry.paper()
 SHAPES = [(), (1,), (3, 1, 2), (0,)]

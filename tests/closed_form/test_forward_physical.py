@@ -7,8 +7,8 @@ import pytest
 from problems import GEOMETRIES
 
 import spm_pin as spm
-from spm_pin.closed_form.forward import forward_displacement, forward_physical
-from spm_pin.closed_form.stage import StageModes, placement, solve_stage
+from spm_pin.closed_form.forward_displacement import forward_displacement, forward_physical
+from spm_pin.closed_form.stage_solver import StageModes, placement, solve_stage
 from spm_pin.mechanism.branches import determinants, in_home_aspect, leg_plane_determinant
 
 PAPER = spm.Geometry.paper()
@@ -128,7 +128,7 @@ def test_a_seed_is_followed_in_its_own_mode() -> None:
     assert ahead.exists.all()
     assert distance(back, every).max() < 1e-11
     np.testing.assert_allclose(ahead.leg_lengths, np.broadcast_to(LEGS + 1e-4, (144, 6)), atol=1e-14)
-    rates = np.stack([spm.platform_jacobian(state) @ np.full(6, 1e-4) for state in every])
+    rates = np.stack([spm.closed_form.platform_jacobian(state) @ np.full(6, 1e-4) for state in every])
     np.testing.assert_allclose(ahead.translation - every.translation, rates[:, :3], atol=1e-5)
 
 

@@ -60,7 +60,7 @@ def test_nearly_level_platforms_keep_the_digits_that_are_there(tilt: float) -> N
 @pytest.mark.parametrize("distance", [1e-6, 1e-9, 1e-12])
 def test_folds(index: int, distance: float) -> None:
     """Two branches about to meet are two, and none once they have met."""
-    problem = random_branches(PAPER, spm.FAMILIES[index], 40, seed=3)
+    problem = random_branches(PAPER, spm.mechanism.FAMILIES[index], 40, seed=3)
     separations = []
     for n in range(40):
         for sign in (1, -1):
@@ -229,7 +229,7 @@ def test_families_are_named_and_nothing_is_picked_from_them(name: str) -> None:
     assert solutions.status is spm.Status.DEGENERATE
     assert solutions.degeneracy is not None
     assert int(solutions.degeneracy.dimension) == dimension
-    expected = np.isin(spm.FAMILIES, families.split())
+    expected = np.isin(spm.mechanism.FAMILIES, families.split())
     np.testing.assert_array_equal(solutions.degeneracy.families, expected)
     np.testing.assert_array_equal(solutions.degeneracy.legs, np.isin(range(3), legs))
     assert not solutions.exists.reshape(4, 2)[expected].any()
@@ -250,7 +250,7 @@ def test_families_are_named_and_nothing_is_picked_from_them(name: str) -> None:
 def family_of(pose: RigidTransform, joints: np.ndarray) -> str:
     from spm_pin.mechanism.branches import family
 
-    return spm.FAMILIES[int(family(spm.Configuration(PAPER, pose, joints)))]
+    return spm.mechanism.FAMILIES[int(family(spm.Configuration(PAPER, pose, joints)))]
 
 
 @pytest.mark.parametrize(

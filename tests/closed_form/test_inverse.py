@@ -30,7 +30,7 @@ def assert_closed(solutions: spm.SolutionSet) -> None:
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
-@pytest.mark.parametrize("modes", spm.FAMILIES)
+@pytest.mark.parametrize("modes", spm.mechanism.FAMILIES)
 def test_the_known_branch_is_among_those_found(name: str, modes: str) -> None:
     problem = random_branches(GEOMETRIES[name], modes, 5_000, seed=1)
     solutions = spm.inverse_displacement(problem.geometry, problem.pose)
@@ -41,7 +41,7 @@ def test_the_known_branch_is_among_those_found(name: str, modes: str) -> None:
     assert (error <= 32 * EPS * conditioning(problem.configuration)).all()
     assert np.median(error) < 1e-15 * 10 * problem.geometry.middle_side
     # And it is found under its own name.
-    assert (family(found) == spm.FAMILIES.index(modes)).all()
+    assert (family(found) == spm.mechanism.FAMILIES.index(modes)).all()
 
 
 def test_poses_sampled_in_leg_space() -> None:
@@ -56,7 +56,7 @@ def test_poses_sampled_in_leg_space() -> None:
     assert set(np.unique(solutions.count)) == {4, 6, 8}
 
 
-@pytest.mark.parametrize("modes", spm.FAMILIES)
+@pytest.mark.parametrize("modes", spm.mechanism.FAMILIES)
 def test_number_of_branches_is_certified_over_all_rotations(modes: str) -> None:
     for seed, geometry in enumerate(GEOMETRIES.values()):
         problem = random_branches(geometry, modes, 500, seed=10 + seed)
@@ -87,7 +87,7 @@ def test_number_of_branches_is_certified_on_a_hundred_thousand_poses() -> None:
     problems += [
         random_branches(geometry, modes, 50_000 // 16, seed=7)
         for geometry in GEOMETRIES.values()
-        for modes in spm.FAMILIES
+        for modes in spm.mechanism.FAMILIES
     ]
     for problem in problems:
         solutions = spm.inverse_displacement(problem.geometry, problem.pose)
@@ -100,7 +100,7 @@ def test_every_label_says_what_its_branch_is() -> None:
     solutions = spm.inverse_displacement(problem.geometry, problem.pose)
     for k, label in enumerate(solutions.labels):
         state = solutions[label][solutions.exists[:, k]]
-        assert (family(state) == spm.FAMILIES.index(label[:2])).all()
+        assert (family(state) == spm.mechanism.FAMILIES.index(label[:2])).all()
         assert (branch_sign(state) * (1 if label[2] == "+" else -1) > 0.0).all()
 
 
@@ -116,7 +116,7 @@ def test_both_branches_of_a_family_are_real_or_none() -> None:
 def test_complex_roots_solve_the_closure_equations_and_contain_the_real_ones() -> None:
     problem = in_leg_space(spm.Geometry.paper(), 500, seed=11)
     geometry = problem.geometry
-    roots = spm.complex_middle_joints(geometry, problem.pose)
+    roots = spm.closed_form.complex_middle_joints(geometry, problem.pose)
     sides = ((roots - np.roll(roots, 1, axis=-2)) ** 2).sum(axis=-1)
     scale = np.abs(roots).max(axis=(-1, -2, -3))
     assert (np.abs(sides - geometry.middle_side**2).max(axis=(-1, -2)) <= 1e3 * EPS * scale**2).all()

@@ -14,7 +14,7 @@ import spm_pin as spm
 PAPER = spm.Geometry.paper()
 SHAPES = [(), (1,), (3, 1, 2), (0,), (5,)]
 seeds = st.integers(0, 2**32 - 1)
-families = st.sampled_from(spm.FAMILIES)
+families = st.sampled_from(spm.mechanism.FAMILIES)
 geometries = st.sampled_from(sorted(GEOMETRIES))
 
 
@@ -35,14 +35,14 @@ def test_a_batch_is_its_singles(shape: tuple[int, ...], family: str, seed: int) 
     batch = spm.inverse_displacement(PAPER, pose)
     assert batch.shape == shape
     assert batch.middle_joints.shape == (*shape, 8, 3, 3)
-    roots = spm.complex_middle_joints(PAPER, pose)
+    roots = spm.closed_form.complex_middle_joints(PAPER, pose)
     assert roots.shape == (*shape, 8, 3, 3)
     if not shape:
         return
     for index in np.ndindex(shape):
         single = pose.as_matrix()[index]
         assert_same_bits(spm.inverse_displacement(PAPER, single), batch[index])
-        np.testing.assert_array_equal(spm.complex_middle_joints(PAPER, single), roots[index])
+        np.testing.assert_array_equal(spm.closed_form.complex_middle_joints(PAPER, single), roots[index])
 
 
 @given(family=families, seed=seeds)

@@ -10,10 +10,10 @@ import pytest
 from problems import GEOMETRIES, in_leg_space, random_branches
 
 import spm_pin as spm
-from spm_pin.closed_form.inverse import branch_lengths
-from spm_pin.closed_form.singularity import determinants
+from spm_pin.closed_form.inverse_displacement import branch_lengths
+from spm_pin.closed_form.singularity_analysis import determinants
+from spm_pin.closed_form.stage_wrenches import StageWrenches
 from spm_pin.closed_form.threads import threads
-from spm_pin.closed_form.wrenches import StageWrenches
 from spm_pin.mechanism import branches
 
 EPS = np.finfo(float).eps
@@ -21,7 +21,7 @@ PAPER = spm.Geometry.paper()
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
-@pytest.mark.parametrize("modes", spm.FAMILIES)
+@pytest.mark.parametrize("modes", spm.mechanism.FAMILIES)
 def test_the_three_equations_solve_the_six(name: str, modes: str) -> None:
     """What comes from determinants of three equations solves the 6 x 6 systems of all forces."""
     problem = random_branches(GEOMETRIES[name], modes, 500, seed=1)
@@ -31,7 +31,7 @@ def test_the_three_equations_solve_the_six(name: str, modes: str) -> None:
     d = problem.geometry.middle_side
 
     # The twists (v, dω) at the middle platform's centre that J_b and J_c turn into unit rates.
-    linear, angular = np.split(spm.platform_jacobian(state), 2, axis=-2)
+    linear, angular = np.split(spm.closed_form.platform_jacobian(state), 2, axis=-2)
     centred = np.concatenate([linear + np.cross(wrenches.lever[:, :, None], angular, axis=-2), d * angular], axis=-2)
     rates = stages @ np.stack([centred[..., :3], centred[..., 3:]], axis=-3)
     size = (
@@ -43,8 +43,10 @@ def test_the_three_equations_solve_the_six(name: str, modes: str) -> None:
     # K takes a middle platform's twist to what the structure carries; all three maps agree.
     wrench = np.random.default_rng(2).normal(size=6)
     forces = spm.leg_forces(state, wrench)
-    np.testing.assert_allclose(forces, -np.swapaxes(spm.platform_jacobian(state), -1, -2) @ wrench, rtol=1e-9)
-    both = spm.inverse_jacobian(state) @ spm.platform_jacobian(state)
+    np.testing.assert_allclose(
+        forces, -np.swapaxes(spm.closed_form.platform_jacobian(state), -1, -2) @ wrench, rtol=1e-9
+    )
+    both = spm.inverse_jacobian(state) @ spm.closed_form.platform_jacobian(state)
     condition = np.linalg.cond(structure) * np.linalg.cond(stages).max(axis=-1)
     assert (np.abs(both - np.eye(6)).max(axis=(-1, -2)) <= 256 * EPS * condition * (1.0 + d + 1.0 / d)).all()
 

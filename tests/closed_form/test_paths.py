@@ -12,8 +12,8 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
 import spm_pin as spm
-from spm_pin.closed_form.paths import FollowedPath, follow
-from spm_pin.closed_form.tracking import EventKind, Tracker
+from spm_pin.closed_form.path_events import EventKind, Tracker
+from spm_pin.closed_form.path_following import FollowedPath, follow
 
 PAPER = spm.Geometry.paper()
 FREE = replace(PAPER, limits=None)
@@ -99,7 +99,7 @@ def test_a_limit_is_crossed_where_the_leg_is_as_long_as_it_may_be() -> None:
         for event in found.events:
             if event.kind is not EventKind.LIMIT:
                 continue
-            leg = spm.LEGS.index(event.detail.split()[0])
+            leg = spm.mechanism.LEGS.index(event.detail.split()[0])
             bound = {"minimum": 1.1, "maximum": 1.5}["maximum" if "maximum" in event.detail else "minimum"]
 
             beyond = excess(problem.pose, label, leg, bound)

@@ -19,7 +19,7 @@ from problems import (
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.closed_form.singularity import SingularityKind, determinant_gradients, singularities
+from spm_pin.closed_form.singularity_analysis import SingularityKind, determinant_gradients, singularities
 
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()
@@ -60,7 +60,7 @@ def test_home_loses_three_freedoms() -> None:
     found = singularities(home)
     assert SingularityKind(int(found.kind)) is SingularityKind.INVERSE
     np.testing.assert_array_equal(found.rank, [6, 6, 3])
-    assert found.mobility == 3 == np.linalg.matrix_rank(spm.platform_jacobian(home), tol=1e-12)
+    assert found.mobility == 3 == np.linalg.matrix_rank(spm.closed_form.platform_jacobian(home), tol=1e-12)
 
 
 @pytest.mark.parametrize("leg", range(3))
@@ -119,7 +119,7 @@ def test_lost_wrench_is_carried_without_the_legs(inverse: spm.Configuration) -> 
     assert np.abs(spm.leg_forces(inverse, found.lost_wrench)).max() < 1e-11
     assert np.abs(spm.leg_forces(inverse, np.eye(6)[2])).max() > 0.1
     # No motion of the platform does work on it.
-    assert np.abs(found.lost_wrench @ spm.platform_jacobian(inverse)).max() < 1e-11
+    assert np.abs(found.lost_wrench @ spm.closed_form.platform_jacobian(inverse)).max() < 1e-11
 
 
 def test_gained_twist_leaves_the_leg_lengths(forward: spm.Configuration) -> None:
@@ -152,7 +152,7 @@ def singular_to_rounding() -> spm.Configuration:
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
-@pytest.mark.parametrize("modes", spm.FAMILIES)
+@pytest.mark.parametrize("modes", spm.mechanism.FAMILIES)
 def test_determinants_are_those_of_the_matrices(name: str, modes: str) -> None:
     problem = random_branches(GEOMETRIES[name], modes, 200, seed=1)
     state, found = problem.configuration, singularities(problem.configuration)
@@ -172,7 +172,7 @@ def test_determinants_are_those_of_the_matrices(name: str, modes: str) -> None:
     np.testing.assert_allclose(found.determinants, found.index * state.geometry.middle_side**3, rtol=1e-15)
 
 
-@pytest.mark.parametrize("modes", spm.FAMILIES)
+@pytest.mark.parametrize("modes", spm.mechanism.FAMILIES)
 def test_determinant_of_the_inverse_jacobian_factorises(modes: str) -> None:
     problem = random_branches(PAPER, modes, 2_000, seed=2)
     state = problem.configuration

@@ -10,7 +10,7 @@ from problems import GEOMETRIES, stage
 from stage_oracle import certified_modes, equations
 
 import spm_pin as spm
-from spm_pin.closed_form.stage import MODES, StageModes, solve_stage
+from spm_pin.closed_form.stage_solver import MODES, StageModes, solve_stage
 
 EPS = np.finfo(float).eps
 RADIAL = spm.Geometry.paper().radial_directions

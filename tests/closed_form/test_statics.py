@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import spm_pin as spm
-from spm_pin.closed_form.statics import leg_forces
-from spm_pin.closed_form.velocity import inverse_jacobian, leg_rates, platform_jacobian
+from spm_pin.closed_form.jacobians import inverse_jacobian, leg_rates, platform_jacobian
+from spm_pin.closed_form.leg_forces import leg_forces
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.paper import statics as paper
 
@@ -178,7 +178,7 @@ def test_every_body_is_in_equilibrium(branch):
 def test_every_body_is_in_equilibrium_in_every_family():
     rng = np.random.default_rng(53)
     for geometry in problems.GEOMETRIES.values():
-        for family in spm.FAMILIES:
+        for family in spm.mechanism.FAMILIES:
             for state in problems.random_branches(geometry, family, 3, seed=54).configuration:
                 wrench = rng.normal(size=6) * [1, 1, 1, *[geometry.middle_side] * 3]
                 expected, condition = newton_euler(state, wrench)

@@ -13,8 +13,8 @@ import pytest
 from problems import in_leg_space
 
 import spm_pin as spm
-from spm_pin.closed_form.inverse import branch_lengths
-from spm_pin.closed_form.singularity import determinants
+from spm_pin.closed_form.inverse_displacement import branch_lengths
+from spm_pin.closed_form.singularity_analysis import determinants
 from spm_pin.closed_form.threads import in_parts, set_threads, threads
 
 PAPER = spm.Geometry.paper()
@@ -110,9 +110,9 @@ def test_the_answer_does_not_depend_on_the_number_of_threads() -> None:
             forward = spm.forward_physical(PAPER, lengths[:, 0])
             forces = spm.leg_forces(states, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
             modes = spm.forward_displacement(PAPER, lengths[:520, 0])
-            roots = spm.complex_middle_joints(PAPER, pose)
+            roots = spm.closed_form.complex_middle_joints(PAPER, pose)
             found = [solutions.middle_joints, solutions.leg_lengths, solutions.discriminants, solutions.status]
-            found += [lengths, status, spm.inverse_jacobian(states), spm.platform_jacobian(states), forces]
+            found += [lengths, status, spm.inverse_jacobian(states), spm.closed_form.platform_jacobian(states), forces]
             answers.append([*found, determinants(states), forward.middle_joints, modes.translation, roots])
     for other in answers[1:]:
         for one, another in zip(answers[0], other, strict=True):
@@ -122,7 +122,7 @@ def test_the_answer_does_not_depend_on_the_number_of_threads() -> None:
 
 FORK = """
 import os, numpy as np, spm_pin as spm
-from spm_pin.closed_form.inverse import branch_lengths
+from spm_pin.closed_form.inverse_displacement import branch_lengths
 from spm_pin.closed_form.threads import set_threads
 set_threads(2)
 pose = np.repeat(spm.pose([0.6889, 0.4963, 2.253], xyx=[-0.19, 0.57, -0.22]).as_matrix()[None], 40000, axis=0)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.closed_form.velocity import inverse_jacobian, leg_rates, platform_jacobian
+from spm_pin.closed_form.jacobians import inverse_jacobian, leg_rates, platform_jacobian
 from spm_pin.errors import ArgumentError, SingularConfigurationError, SpmError
 from spm_pin.mechanism.branches import determinants
 
@@ -22,7 +22,7 @@ EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 POOL = problems.in_leg_space(PAPER, 400, seed=41).configuration
-EVERY_FAMILY = [(name, family) for name in problems.GEOMETRIES for family in spm.FAMILIES]
+EVERY_FAMILY = [(name, family) for name in problems.GEOMETRIES for family in spm.mechanism.FAMILIES]
 
 batches = st.sampled_from([(), (1,), (3, 1, 2), (0,)])
 seeds = st.integers(0, 2**32 - 1)
@@ -169,7 +169,7 @@ def test_finite_differences_at_the_six_branches():
     check_finite_differences(branches.configurations[branches.exists], labels, quantile=1.0)
 
 
-@pytest.mark.parametrize("family", spm.FAMILIES)
+@pytest.mark.parametrize("family", spm.mechanism.FAMILIES)
 @pytest.mark.parametrize("name", problems.GEOMETRIES)
 def test_finite_differences_at_random(name, family):
     problem = problems.random_branches(problems.GEOMETRIES[name], family, 100, seed=43)

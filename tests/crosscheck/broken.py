@@ -12,8 +12,9 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 import spm_pin as spm
-from spm_pin.crosscheck.witnesses import ClosedForm
-from spm_pin.nlp import inverse, loop_equations
+from spm_pin.crosscheck.methods import ClosedForm
+from spm_pin.nlp import branch_search as inverse
+from spm_pin.nlp import loop_equations
 
 
 @contextmanager

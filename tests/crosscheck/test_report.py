@@ -8,9 +8,9 @@ from crosscheck.broken import Forgetful, Inaccurate, flipped_sign
 
 import spm_pin as spm
 from spm_pin.crosscheck.html import page
+from spm_pin.crosscheck.methods import ClosedForm, Nlp, Paper, Pinocchio, Witness
 from spm_pin.crosscheck.report import Report, crosscheck
 from spm_pin.crosscheck.verdicts import Quantity
-from spm_pin.crosscheck.witnesses import ClosedForm, Nlp, Paper, Pinocchio, Witness
 from spm_pin.paper.jacobian import Table5Mistakes
 
 GEOMETRY = spm.Geometry.paper()

@@ -12,7 +12,7 @@ GEOMETRY = GEOMETRIES["paper"]
 
 
 def states(count: int = 40) -> spm.Configuration:
-    parts = [random_branches(GEOMETRY, family, count, 11).configuration for family in spm.FAMILIES]
+    parts = [random_branches(GEOMETRY, family, count, 11).configuration for family in spm.mechanism.FAMILIES]
     return spm.Configuration(
         GEOMETRY,
         np.concatenate([part.pose.as_matrix() for part in parts]),

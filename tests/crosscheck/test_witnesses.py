@@ -9,8 +9,8 @@ import pytest
 from problems import in_leg_space
 
 import spm_pin as spm
-from spm_pin.crosscheck import witnesses
-from spm_pin.crosscheck.witnesses import WITNESSES, make
+from spm_pin.crosscheck import methods as witnesses
+from spm_pin.crosscheck.methods import WITNESSES, make
 
 GEOMETRY = spm.Geometry.paper()
 SAMPLE = in_leg_space(GEOMETRY, 3, 1)

@@ -12,7 +12,7 @@ from problems import GEOMETRIES, in_leg_space, random_branches
 import spm_pin as spm
 from spm_pin.description.closures import read_closures
 from spm_pin.description.expand import expand
-from spm_pin.description.locate import SRDF, URDF, description_file
+from spm_pin.description.paths import SRDF, URDF, description_file
 from spm_pin.description.states import joint_values
 from spm_pin.description.tree import JOINTS, SLIDES, home_lengths
 from spm_pin.errors import DescriptionError

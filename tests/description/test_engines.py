@@ -20,7 +20,7 @@ from problems import GEOMETRIES
 
 from spm_pin.description.closures import read_closures
 from spm_pin.description.expand import expand
-from spm_pin.description.locate import SRDF, URDF, description_file
+from spm_pin.description.paths import SRDF, URDF, description_file
 from spm_pin.description.tree import SLIDES
 
 TOLERANCE = 1e-12

@@ -18,7 +18,7 @@ from problems import in_leg_space, random_branches
 import spm_pin as spm
 from spm_pin.description.closures import read_closures
 from spm_pin.description.expand import expand, geometry_data
-from spm_pin.description.locate import ENTRY, MJCF, SDF, SIDECAR, SRDF, URDF, description_directory, description_file
+from spm_pin.description.paths import ENTRY, MJCF, SDF, SIDECAR, SRDF, URDF, description_directory, description_file
 from spm_pin.description.robots import manipulator
 from spm_pin.description.srdf import srdf_text
 from spm_pin.description.tree import JOINTS, PASSIVE, SLIDES

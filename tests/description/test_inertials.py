@@ -12,7 +12,7 @@ from problems import GEOMETRIES
 
 import spm_pin as spm
 from spm_pin.description.expand import expand
-from spm_pin.description.locate import description_file
+from spm_pin.description.paths import description_file
 
 PAPER = GEOMETRIES["paper"]
 DENSITIES = yaml.safe_load(description_file("config/inertials.yaml").read_text(encoding="utf-8"))["density"].values()

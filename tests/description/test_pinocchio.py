@@ -14,7 +14,7 @@ from problems import in_leg_space
 import spm_pin as spm
 from spm_pin.description.closures import read_closures
 from spm_pin.description.expand import expand
-from spm_pin.description.locate import SIDECAR, SRDF, URDF, description_file
+from spm_pin.description.paths import SIDECAR, SRDF, URDF, description_file
 from spm_pin.description.states import joint_values
 
 pin = pytest.importorskip("pinocchio")

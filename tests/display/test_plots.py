@@ -123,7 +123,7 @@ def test_labels_name_all_joints_legs_and_frames_within_the_picture():
     ax = draw(STATE, dpi=60)
     texts = {text.get_text() for text in ax.texts}
     assert {f"${letter}_{i}$" for letter in "abc" for i in (1, 2, 3)} <= texts
-    assert {f"$r_{{{leg[2:]}}}$" for leg in spm.LEGS} <= texts
+    assert {f"$r_{{{leg[2:]}}}$" for leg in spm.mechanism.LEGS} <= texts
     assert {f"${axis}$" for axis in "XYZxyz"} | {r"$\{B\}$", r"$\{m\}$"} <= texts
     FigureCanvasAgg(ax.figure).draw()
     boxes = [text.get_window_extent() for text in ax.texts]

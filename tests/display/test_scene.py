@@ -28,7 +28,7 @@ def along(mesh, start, end):
 
 
 @pytest.mark.parametrize("name", problems.GEOMETRIES)
-@pytest.mark.parametrize("family", spm.FAMILIES)
+@pytest.mark.parametrize("family", spm.mechanism.FAMILIES)
 def test_every_machine_in_every_family_makes_closed_solids(name, family):
     geometry = problems.GEOMETRIES[name]
     for state in problems.random_branches(geometry, family, 3, seed=5).configuration:
@@ -44,7 +44,7 @@ def test_every_machine_in_every_family_makes_closed_solids(name, family):
 def test_legs_run_from_revolute_joint_to_ball():
     built = scene(STATE)
     hips = np.concatenate([PAPER.base_joints, STATE.platform_joints])
-    for i, leg in enumerate(spm.LEGS):
+    for i, leg in enumerate(spm.mechanism.LEGS):
         hip, ball = hips[i], STATE.middle_joints[i % 3]
         start, joint, barrel_radius = along(built[f"{leg} barrel"].mesh, hip, ball)
         again, end, rod_radius = along(built[f"{leg} rod"].mesh, hip, ball)

@@ -16,7 +16,7 @@ from spm_pin.display.rendering import camera_axes
 from spm_pin.display.shell_files import MESH_FORMATS, save_mesh
 from spm_pin.display.shell_plots import FAMILY_COLOURS, VIEWS, draw_shell, shell_figure
 from spm_pin.errors import ArgumentError, MissingExtraError
-from spm_pin.workspace.shell.joined import workspace_shell
+from spm_pin.workspace.table_6.shell import workspace_shell
 
 SHELL = workspace_shell(spm.Geometry.paper(), resolution=8)
 NAMES = [patch.name for patch in SHELL.patches]

@@ -31,7 +31,7 @@ def written(tmp_path, name, text):
 def files(tmp_path):
     times = np.array([2.0, 3.0, 5.0])
     position, quaternion = STATES.translation, STATES.pose.rotation.as_quat()
-    legs = csv([*spm.LEGS, "t"], np.column_stack([LEGS, times]))
+    legs = csv([*spm.mechanism.LEGS, "t"], np.column_stack([LEGS, times]))
     angles = csv(["x", "y", "z", "alpha_deg", "beta_deg", "lambda_deg", "t"], np.column_stack([position, XYX, times]))
     turns = csv(["t", "x", "y", "z", "qx", "qy", "qz", "qw"], np.column_stack([times, position, quaternion]))
     yield written(tmp_path, "legs.csv", "# a comment\n" + legs)
@@ -60,7 +60,7 @@ def test_every_format_gives_the_same_states(tmp_path):
 
 
 def test_without_times_a_path_takes_ten_seconds_and_time_runs_along_it(tmp_path):
-    path = written(tmp_path, "legs.csv", csv(spm.LEGS, LEGS))
+    path = written(tmp_path, "legs.csv", csv(spm.mechanism.LEGS, LEGS))
     playback = read_recording(path).follow(PAPER)
     assert playback.duration == 10.0
     assert playback.parameter(2.5) == pytest.approx(0.25)
@@ -86,9 +86,9 @@ def test_the_branch_is_followed_from_the_one_named():
         ("path.csv", "x, y, phi\n1, 2, 3", "a header of the columns"),
         ("path.csv", "r_b1, r_b2\n1, 2, 3", "rows of 2 numbers|then numbers only"),
         ("path.csv", "r_b1, r_b2\n1, two", "then numbers only"),
-        ("path.csv", csv(spm.LEGS, LEGS[:1]), "at least two points, got 1"),
-        ("path.csv", csv(spm.LEGS, [[np.nan] * 6, [1.0] * 6]), "finite"),
-        ("path.csv", csv([*spm.LEGS, "t"], np.column_stack([LEGS, [0.0, 1.0, 1.0]])), "growing times"),
+        ("path.csv", csv(spm.mechanism.LEGS, LEGS[:1]), "at least two points, got 1"),
+        ("path.csv", csv(spm.mechanism.LEGS, [[np.nan] * 6, [1.0] * 6]), "finite"),
+        ("path.csv", csv([*spm.mechanism.LEGS, "t"], np.column_stack([LEGS, [0.0, 1.0, 1.0]])), "growing times"),
         ("path.csv", csv(["x", "y", "z", "qx", "qy", "qz", "qw"], np.ones((2, 7))), "unit quaternions"),
         ("path.json", "{", "JSON"),
         ("path.json", "[1, 2]", "an object"),

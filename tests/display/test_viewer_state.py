@@ -106,10 +106,10 @@ def test_nothing_within_the_limits_is_nearer():
     assert max(nearer) < 2e-5
 
 
-@pytest.mark.parametrize("family", spm.FAMILIES)
+@pytest.mark.parametrize("family", spm.mechanism.FAMILIES)
 def test_the_nearest_reachable_pose_is_reachable_and_nothing_found_at_random_is_nearer(family):
-    rng = np.random.default_rng(spm.FAMILIES.index(family))
-    place = 2 * spm.FAMILIES.index(family)
+    rng = np.random.default_rng(spm.mechanism.FAMILIES.index(family))
+    place = 2 * spm.mechanism.FAMILIES.index(family)
     tried = 0
     while tried < 4:
         target = spm.pose(rng.normal([0.0, 0.0, 2.2], [0.9, 0.9, 0.3]), xyx=rng.normal(0.0, 0.6, 3))
@@ -158,13 +158,15 @@ def test_a_branch_that_does_not_reach_a_pose_names_those_that_do():
     target = spm.pose([0.4, -0.4, 2.2], xyx=np.deg2rad([10.0, 25.0, 30.0]))
     solutions = spm.inverse_displacement(FREE, target)
     beginning = spm.inverse_displacement(FREE, START.pose)
-    absent = [label for label in spm.BRANCHES if not solutions[label].exists]
+    absent = [label for label in spm.mechanism.BRANCHES if not solutions[label].exists]
     absent.sort(key=lambda label: not beginning[label].exists)
     assert 0 < solutions.count < 8, "the example has lost its point"
     model = Model(spm.inverse_displacement(FREE, START.pose)[absent[0]])
     said = texts(model.drag(target))
     assert f"{absent[0]} does not reach it" in said
-    assert f"Other branches there: {', '.join(label for label in spm.BRANCHES if label not in absent)}." in said
+    assert (
+        f"Other branches there: {', '.join(label for label in spm.mechanism.BRANCHES if label not in absent)}." in said
+    )
 
 
 def test_legs_drive_the_platform_and_stop_before_a_singularity():
@@ -215,7 +217,7 @@ def test_readings_are_those_of_the_library():
     found = spm.singularities(START)
     np.testing.assert_array_equal(readings.sigma, found.sigma)
     # The travel predicts where a determinant vanishes: go there along its gradient.
-    gradient = spm.determinant_gradients(START)[2]
+    gradient = spm.closed_form.determinant_gradients(START)[2]
     way = -gradient / np.linalg.norm(gradient) * np.sign(found.determinants[2])
     there = spm.forward_physical(PAPER, START.leg_lengths + readings.travel[2] * way)
     assert abs(spm.singularities(there).determinants[2]) < 0.1 * abs(found.determinants[2])

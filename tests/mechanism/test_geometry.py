@@ -83,7 +83,7 @@ def test_yaml_with_radii_and_without_limits(tmp_path: Path) -> None:
 
 
 def test_yaml_with_limits_leg_by_leg(tmp_path: Path) -> None:
-    legs = "".join(f"  {leg}: [{1 + k / 10}, {2 + k / 10}]\n" for k, leg in enumerate(spm.LEGS))
+    legs = "".join(f"  {leg}: [{1 + k / 10}, {2 + k / 10}]\n" for k, leg in enumerate(spm.mechanism.LEGS))
     path = write(tmp_path / "robot.yaml", "base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits:\n" + legs)
     limits = spm.Geometry.from_yaml(path).limits
     assert limits == spm.LegLimits([1.0, 1.1, 1.2, 1.3, 1.4, 1.5], [2.0, 2.1, 2.2, 2.3, 2.4, 2.5])

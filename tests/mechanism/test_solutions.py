@@ -25,7 +25,7 @@ def batch() -> spm.SolutionSet:
 
 
 def test_a_single_problem_is_indexed_by_its_solutions(branches: spm.SolutionSet) -> None:
-    assert branches.labels == spm.BRANCHES
+    assert branches.labels == spm.mechanism.BRANCHES
     assert branches.status is spm.Status.OK
     assert branches.count == 6
     for k, label in enumerate(branches.labels):
@@ -171,7 +171,7 @@ def test_one_is_the_only_one_or_an_error(branches: spm.SolutionSet) -> None:
         pair.where(mask).one()
 
 
-@pytest.mark.parametrize("modes", spm.FAMILIES)
+@pytest.mark.parametrize("modes", spm.mechanism.FAMILIES)
 def test_any_order_is_put_in_the_canonical_order(modes: str) -> None:
     problem = random_branches(PAPER, modes, 2_000, seed=4)
     solutions = spm.inverse_displacement(PAPER, problem.pose)

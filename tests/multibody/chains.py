@@ -33,9 +33,9 @@ def six_branches() -> list[spm.Configuration]:
 def placed(name: str, count: int, seed: int) -> list[tuple[spm.Configuration, Array]]:
     """Random branches of every family, `count` each, with their q: no ball's middle angle beyond 85 degrees."""
     found = []
-    for family in spm.FAMILIES:
+    for family in spm.mechanism.FAMILIES:
         for state in problems.random_branches(problems.GEOMETRIES[name], family, count, seed).configuration:
-            q = chain(name).place(state)
+            q = chain(name).joint_values(state)
             if np.abs(q[chain(name).joint_indices(*BALL_ANGLES)]).max() <= np.deg2rad(85.0):
                 found.append((state, q))
     assert len(found) > 2 * count

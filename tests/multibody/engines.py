@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from multibody.chains import Array
 
-from spm_pin.description.locate import URDF, description_file
+from spm_pin.description.paths import URDF, description_file
 from spm_pin.description.tree import SLIDES
 
 Forces = Callable[[float, Array, Array], Array]

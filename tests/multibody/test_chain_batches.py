@@ -14,7 +14,7 @@ from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationErr
 pytest.importorskip("pinocchio")
 
 METHODS: dict[str, Callable[[Any, Array, Array, Array], Any]] = {
-    "place": lambda robot, q, v, w: robot.place(robot.configuration(q)),
+    "joint_values": lambda robot, q, v, w: robot.joint_values(robot.configuration(q)),
     "leg_lengths": lambda robot, q, v, w: robot.leg_lengths(q),
     "with_leg_lengths": lambda robot, q, v, w: robot.with_leg_lengths(q, 1.0 + 0.1 * w),
     "closure_gap": lambda robot, q, v, w: robot.closure_gap(q + 0.01),
@@ -22,7 +22,7 @@ METHODS: dict[str, Callable[[Any, Array, Array, Array], Any]] = {
     "project": lambda robot, q, v, w: robot.project(q + 1e-3),
     "inverse_jacobian": lambda robot, q, v, w: robot.inverse_jacobian(q),
     "joint_velocities": lambda robot, q, v, w: robot.joint_velocities(q, w),
-    "complete_rates": lambda robot, q, v, w: robot.complete_rates(q, w),
+    "joint_rates": lambda robot, q, v, w: robot.joint_rates(q, w),
     "leg_forces": lambda robot, q, v, w: robot.leg_forces(q, w),
     "cut_forces": lambda robot, q, v, w: robot.cut_forces(q, w),
     "singular values": lambda robot, q, v, w: robot.singular_values(q).forward,

@@ -36,8 +36,8 @@ def test_from_home_to_anywhere_in_the_box() -> None:
     """The way through leg space leads to the one mode of the box, which the closed form finds by itself."""
     legs = np.random.default_rng(400).uniform(1.1, 1.5, (40, 6))
     robot = chain()
-    found = robot.complete(legs)
-    expected = robot.place(spm.forward_physical(PAPER, legs))
+    found = robot.forward_kinematics(legs)
+    expected = robot.joint_values(spm.forward_physical(PAPER, legs))
     assert np.abs(turned(found) - turned(expected)).max() <= 1e-11
     assert np.abs(robot.leg_lengths(found) - legs).max() <= 1e-14
     assert np.abs(robot.closure_gap(found)).max() <= 1e-13
@@ -47,7 +47,7 @@ def test_from_home_to_anywhere_in_the_box() -> None:
 def test_other_robots(name: str) -> None:
     robot, rng = chain(name), np.random.default_rng(401)
     legs = robot.leg_lengths(np.zeros(18)) * rng.uniform(0.98, 1.02, (2, 5, 6))
-    found = robot.complete(legs)
+    found = robot.forward_kinematics(legs)
     d = robot.geometry.middle_side
     assert found.shape == (2, 5, 18)
     assert np.abs(robot.closure_gap(found)).max() <= 1e-13 * (robot.leg_lengths(found).max() + d)
@@ -59,23 +59,23 @@ def test_one_after_the_other() -> None:
     robot = chain()
     begin, end = np.array([1.2, 1.2, 1.4, 1.25, 1.2, 1.45]), np.array([1.4, 1.3, 1.15, 1.2, 1.45, 1.2])
     legs = begin + np.linspace(0.0, 1.0, 50)[:, None] * (end - begin)
-    q = robot.complete(begin)
-    together = robot.complete(legs, q)
+    q = robot.forward_kinematics(begin)
+    together = robot.forward_kinematics(legs, q)
     for k, row in enumerate(legs):
-        q = robot.complete(row, q)
+        q = robot.forward_kinematics(row, q)
         assert np.abs(q - together[k]).max() <= 1e-11
     assert np.abs(np.diff(together, axis=0)).max() < 0.2
     # Warm, there is nothing left to do.
-    assert np.array_equal(robot.complete(robot.leg_lengths(q), q), q)
+    assert np.array_equal(robot.forward_kinematics(robot.leg_lengths(q), q), q)
 
 
 @pytest.mark.parametrize("branch", range(6))
 def test_it_stays_in_its_assembly_mode_and_branch(branch: int) -> None:
     robot, state = chain(), six_branches()[branch]
-    q = robot.place(state)
-    nearby = robot.complete(state.leg_lengths + 1e-3 * np.sin(np.arange(6)), q)
+    q = robot.joint_values(state)
+    nearby = robot.forward_kinematics(state.leg_lengths + 1e-3 * np.sin(np.arange(6)), q)
     assert np.abs(nearby - q).max() < 0.2
-    back = robot.reach(POSE, nearby)
+    back = robot.inverse_kinematics(POSE, nearby)
     assert np.abs(turned(back) - turned(q)).max() <= 1e-9
 
 
@@ -87,16 +87,16 @@ def test_poses_are_reached_in_the_branch_started_from() -> None:
     begin, end = spm.inverse_displacement(PAPER, POSE), spm.inverse_displacement(PAPER, target)
     assert (begin.count, end.count) == (6, 4)
     for label in np.array(begin.labels)[begin.exists]:
-        q = robot.place(begin[label])
+        q = robot.joint_values(begin[label])
         if end[label].exists:
-            found = robot.reach(target, q)
+            found = robot.inverse_kinematics(target, q)
             # Near a fold, legs move as the root of what the pose moves.
             allowed = 64 * EPS / robot.singular_values(found).inverse ** 2
             assert np.abs(robot.leg_lengths(found) - end[label].leg_lengths).max() <= allowed
             assert np.abs(robot.configuration(found).pose.as_matrix() - target.as_matrix()).max() <= 1e-13
             continue
         with pytest.raises(ClosureError, match="an inverse singularity, or out of reach") as caught:
-            robot.reach(target, q)
+            robot.inverse_kinematics(target, q)
         share = float(re.findall(r"No further than (\S+) %", str(caught.value))[0]) / 100.0
         around = POSE.translation + np.array([[share - 2e-3], [share + 2e-3]]) * moved
         assert list(spm.inverse_displacement(PAPER, spm.pose(around, rotation=POSE.rotation)).count) == [6, 4]
@@ -105,35 +105,35 @@ def test_poses_are_reached_in_the_branch_started_from() -> None:
 def test_rates_are_the_other_way_of_joint_velocities() -> None:
     robot = chain()
     for state in six_branches():
-        q = robot.place(state)
+        q = robot.joint_values(state)
         rates = np.random.default_rng(402).normal(size=6)
-        v = robot.complete_rates(q, rates)
+        v = robot.joint_rates(q, rates)
         assert np.array_equal(v[robot.leg_indices], rates) or np.allclose(v[robot.leg_indices], rates, rtol=1e-14)
-        twist = spm.platform_jacobian(state) @ rates
+        twist = spm.closed_form.platform_jacobian(state) @ rates
         allowed = 1e-10 * np.abs(v).max() / robot.singular_values(q).inverse
         assert np.abs(robot.joint_velocities(q, twist) - v).max() <= allowed
 
 
 def test_ways_that_lead_nowhere() -> None:
     robot = chain()
-    q = robot.complete([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
+    q = robot.forward_kinematics([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
     with pytest.raises(ClosureError, match=r"No further than \d+\.?\d* % of the way .*forward singularity"):
-        robot.complete([1.2, 1.2, 1.2, 1.2, 1.2, 9.0], q)
+        robot.forward_kinematics([1.2, 1.2, 1.2, 1.2, 1.2, 9.0], q)
     with pytest.raises(ClosureError, match=r"At batch index \(1,\)\. No further than"):
-        robot.complete([[1.2, 1.2, 1.4, 1.25, 1.2, 1.4], [1.2, 1.2, 1.2, 1.2, 1.2, 9.0]], q)
+        robot.forward_kinematics([[1.2, 1.2, 1.4, 1.25, 1.2, 1.4], [1.2, 1.2, 1.2, 1.2, 1.2, 9.0]], q)
     with pytest.raises(ClosureError, match="out of reach"):
-        robot.reach(spm.pose([0.0, 0.0, 9.0], xyx=[0.1, 0.2, 0.3]), q)
+        robot.inverse_kinematics(spm.pose([0.0, 0.0, 9.0], xyx=[0.1, 0.2, 0.3]), q)
     with pytest.raises(SingularConfigurationError, match="inverse singularity"):
-        robot.reach(POSE, np.zeros(18))
+        robot.inverse_kinematics(POSE, np.zeros(18))
     with pytest.raises(ClosureError, match="0 iterations"):
-        robot.complete(np.full(6, 1.3), q + 1e-2)
+        robot.forward_kinematics(np.full(6, 1.3), q + 1e-2)
     with pytest.raises(ArgumentError, match=r"^near: expected shape"):
-        robot.complete(np.full(6, 1.3), [q, q])
+        robot.forward_kinematics(np.full(6, 1.3), [q, q])
     with pytest.raises(ArgumentError, match=r"^leg_lengths: expected no negative length, got -1 m"):
-        robot.complete([1.2, 1.2, 1.4, 1.25, 1.2, -1.0], q)
+        robot.forward_kinematics([1.2, 1.2, 1.4, 1.25, 1.2, -1.0], q)
     with pytest.raises(PoseError):
-        robot.reach(np.eye(3), q)
-    assert robot.complete(np.empty((0, 6)), q).shape == (0, 18)
+        robot.inverse_kinematics(np.eye(3), q)
+    assert robot.forward_kinematics(np.empty((0, 6)), q).shape == (0, 18)
 
 
 @pytest.mark.parametrize("ease", [False, True])
@@ -172,7 +172,7 @@ def test_bad_paths() -> None:
 
 def test_all_joints_of_a_platform_path() -> None:
     robot = chain()
-    q = robot.place(spm.inverse_displacement(PAPER, WAYPOINTS[0]).physical())
+    q = robot.joint_values(spm.inverse_displacement(PAPER, WAYPOINTS[0]).physical())
     path, times = PlatformPath([0.0, 1.0, 2.0], WAYPOINTS, ease=True), np.linspace(0.0, 2.0, 201)
     found = robot.joint_trajectory(path, times, q)
     assert found.joint_names == robot.joint_names
@@ -198,7 +198,7 @@ def test_all_joints_of_a_platform_path() -> None:
 
 def test_a_trajectory_in_files(tmp_path: Path) -> None:
     robot = chain()
-    q = robot.place(spm.inverse_displacement(PAPER, WAYPOINTS[0]).physical())
+    q = robot.joint_values(spm.inverse_displacement(PAPER, WAYPOINTS[0]).physical())
     found = robot.joint_trajectory(PlatformPath([3.0, 4.0, 5.0], WAYPOINTS), [3.0, 3.25, 4.999999999], q)
     rows = list(csv.reader(io.StringIO(found.to_csv(tmp_path / "all.csv"))))
     assert (tmp_path / "all.csv").read_text(encoding="utf-8") == found.to_csv()
@@ -221,7 +221,7 @@ def test_a_trajectory_in_files(tmp_path: Path) -> None:
 
 def test_trajectories_that_cannot_be() -> None:
     robot = chain()
-    q = robot.place(spm.inverse_displacement(PAPER, WAYPOINTS[0]).physical())
+    q = robot.joint_values(spm.inverse_displacement(PAPER, WAYPOINTS[0]).physical())
     path = PlatformPath([0.0, 1.0, 2.0], WAYPOINTS)
     with pytest.raises(ArgumentError, match=r"^path: expected a PlatformPath or another function"):
         robot.joint_trajectory(WAYPOINTS, [0.0, 1.0], q)

@@ -27,7 +27,7 @@ def states(name: str, count: int, seed: int) -> list[tuple[Array, Array]]:
         values = robot.singular_values(q)
         if min(values.inverse, values.forward, values.constraint) > 3e-3:
             rates = rng.normal(size=6) * robot.geometry.middle_side
-            found.append((q, robot.complete_rates(q, rates)))
+            found.append((q, robot.joint_rates(q, rates)))
     assert len(found) >= count
     return found
 
@@ -130,7 +130,7 @@ def test_at_rest_the_weights_are_wrenches(branch: int) -> None:
     """Virtual work with the closed form's rates: f·ṙ and the weights' power balance for any twist."""
     robot = chain()
     state = six_branches()[branch]
-    q, rest = robot.place(state), np.zeros(18)
+    q, rest = robot.joint_values(state), np.zeros(18)
     wrench = np.array([20.0, -300.0, 100.0, 5.0, 40.0, -60.0])
     forces = robot.inverse_dynamics(q, rest, rest, wrench)
     data = robot.model.createData()
@@ -161,7 +161,7 @@ def test_mujoco_holds_the_mechanism_with_the_same_forces() -> None:
     pytest.importorskip("mujoco")
     robot = chain()
     for state in six_branches()[:1] + list(spm.forward_physical(robot.geometry, [[1.2, 1.2, 1.4, 1.25, 1.2, 1.45]])):
-        q, rest = robot.place(state), np.zeros(18)
+        q, rest = robot.joint_values(state), np.zeros(18)
         engine = Mujoco(robot, step=1e-4, locked=True)
         engine.hold(q[robot.leg_indices])
         settled = engine.run(q, rest, lambda t, q, v: np.zeros(6), 0.05, robot.leg_indices)
@@ -247,7 +247,7 @@ def test_singularities() -> None:
     assert np.abs(robot.forward_dynamics(home, rest, held)).max() <= 1e-9
     assert np.abs(robot.forward_dynamics(home, rest, forces)).max() > 1.0
     forward = problems.singular_state(0, *problems.PAPER_TILTS[0])
-    q = robot.place(forward)
+    q = robot.joint_values(forward)
     with pytest.raises(SingularConfigurationError, match="forward singularity") as caught:
         robot.inverse_dynamics(q, rest, rest)
     assert caught.value.sigma_min < 1e-12
@@ -256,7 +256,7 @@ def test_singularities() -> None:
 
 def test_bad_arguments() -> None:
     robot, rest = chain(), np.zeros(18)
-    q = robot.place(six_branches()[0])
+    q = robot.joint_values(six_branches()[0])
     v = robot.joint_velocities(q, [0.1, 0, 0, 0, 0, 0.1])
     with pytest.raises(ClosureError, match="The method project closes the loops") as caught:
         robot.inverse_dynamics(q + 1e-4, rest, rest)

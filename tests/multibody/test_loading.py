@@ -16,7 +16,7 @@ from multibody.chains import PAPER, chain, six_branches
 import spm_pin as spm
 from spm_pin.description.closures import read_closures
 from spm_pin.description.expand import expand
-from spm_pin.description.locate import ENTRY, URDF, description_file
+from spm_pin.description.paths import ENTRY, URDF, description_file
 from spm_pin.errors import ArgumentError, DescriptionError, GeometryError
 
 pinocchio = pytest.importorskip("pinocchio")
@@ -52,11 +52,11 @@ def test_a_file_says_its_dimensions(name: str, prefix: str, tmp_path: Path) -> N
         assert np.allclose(robot.geometry.limits.minimum, geometry.limits.minimum, rtol=1e-14)
         assert np.allclose(robot.geometry.limits.maximum, geometry.limits.maximum, rtol=1e-14)
     state = state_of(geometry)
-    q = robot.place(state)
+    q = robot.joint_values(state)
     assert np.abs(robot.closure_gap(q)).max() <= 1e-13
     assert np.allclose(robot.configuration(q).middle_joints, state.middle_joints, atol=1e-13)
-    assert np.allclose(q, ClosedChain.from_urdf(path, geometry, prefix=prefix).place(state), atol=1e-13)
-    assert np.allclose(q, ClosedChain.from_urdf(geometry=geometry, prefix=prefix).place(state), atol=1e-13)
+    assert np.allclose(q, ClosedChain.from_urdf(path, geometry, prefix=prefix).joint_values(state), atol=1e-13)
+    assert np.allclose(q, ClosedChain.from_urdf(geometry=geometry, prefix=prefix).joint_values(state), atol=1e-13)
 
 
 def test_a_prefix_is_on_every_name() -> None:
@@ -66,7 +66,7 @@ def test_a_prefix_is_on_every_name() -> None:
     bare = chain()
     assert [f"left_{name}" for name in bare.joint_names] == list(robot.joint_names)
     state = six_branches()[0]
-    assert np.allclose(robot.place(state), bare.place(state), atol=1e-15)
+    assert np.allclose(robot.joint_values(state), bare.joint_values(state), atol=1e-15)
     assert robot.joint_indices("left_leg_b2_hip") == bare.joint_indices("leg_b2_hip")
     assert len(robot.collision_model.collisionPairs) == len(bare.collision_model.collisionPairs)
 
@@ -83,7 +83,7 @@ def test_inertias_and_limits_may_differ(tmp_path: Path) -> None:
         ClosedChain.from_urdf(path)
     robot = ClosedChain.from_urdf(path, PAPER)
     state = six_branches()[0]
-    assert np.array_equal(robot.place(state), chain().place(state))
+    assert np.array_equal(robot.joint_values(state), chain().joint_values(state))
 
 
 @pytest.mark.parametrize("dimension", ["base_radius", "platform_radius", "middle_side"])
@@ -139,11 +139,11 @@ def test_files_that_are_no_urdf(tmp_path: Path) -> None:
 def test_copies_and_pickles() -> None:
     robot = ClosedChain.from_urdf(geometry=problems.GEOMETRIES["wide base"], prefix="left_")
     state = state_of(robot.geometry)
-    q = robot.place(state)
+    q = robot.joint_values(state)
     for other in (copy.deepcopy(robot), pickle.loads(pickle.dumps(robot))):
         assert other.geometry == robot.geometry
         assert other.joint_names == robot.joint_names
-        assert np.array_equal(other.place(state), q)
+        assert np.array_equal(other.joint_values(state), q)
         assert np.array_equal(other.inverse_jacobian(q), robot.inverse_jacobian(q))
 
 

@@ -42,8 +42,8 @@ def state(both: Any, name: str, seed: int) -> tuple[Array, Array]:
     rng, model = np.random.default_rng(seed), arm(name).model
     pinocchio.seed(seed)
     q = pinocchio.randomConfiguration(model, -np.ones(model.nq), np.ones(model.nq))
-    own = small().complete(small().leg_lengths(np.zeros(18)) * rng.uniform(0.95, 1.05, 6))
-    rates = small().complete_rates(own, 0.01 * rng.normal(size=6))
+    own = small().forward_kinematics(small().leg_lengths(np.zeros(18)) * rng.uniform(0.95, 1.05, 6))
+    rates = small().joint_rates(own, 0.01 * rng.normal(size=6))
     return both.join(q, own), both.join_velocities(0.3 * rng.normal(size=model.nv), rates)
 
 

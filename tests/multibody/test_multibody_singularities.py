@@ -82,7 +82,7 @@ def test_between_two_branches_that_meet() -> None:
     plus, minus = spm.inverse_displacement(PAPER, pose).configurations[:2]
     state = spm.Configuration(PAPER, pose, (plus.middle_joints + minus.middle_joints) / 2)
     robot = chain()
-    q = robot.place(state)
+    q = robot.joint_values(state)
     with pytest.raises(SingularConfigurationError) as caught:
         robot.inverse_jacobian(q)
     assert caught.value.kind == "inverse"
@@ -98,7 +98,7 @@ def test_forward_singularities(mode: str) -> None:
     """A level lower stage of no height: its three legs and their axes lie in the plane, and lift nothing."""
     state = staged((mode, 0.0, 0.0, 0.0), ("T", 0.4, 0.3, -1.1))
     robot = chain()
-    q = robot.place(state)
+    q = robot.joint_values(state)
     for call in (robot.leg_forces, robot.cut_forces):
         with pytest.raises(SingularConfigurationError) as caught:
             call(q, np.ones(6))
@@ -116,7 +116,7 @@ def test_constraint_singularities(which: str) -> None:
     lower, upper = (turned, regular) if which == "lower" else (regular, turned)
     state = staged((*lower, 1.2), (*upper, -1.1))
     robot = chain()
-    q = robot.place(state)
+    q = robot.joint_values(state)
     for call in (robot.inverse_jacobian, lambda q: robot.leg_forces(q, np.ones(6))):
         with pytest.raises(SingularConfigurationError, match=r"^constraint singularity") as caught:
             call(q)
@@ -147,7 +147,7 @@ def test_regular_states_are_not_refused() -> None:
 def test_a_ball_joint_at_a_right_angle() -> None:
     """Its three revolute joints lose a rotation there, which is no property of the mechanism."""
     robot = chain()
-    q = robot.place(six_branches()[0])
+    q = robot.joint_values(six_branches()[0])
     for ball in ("ball_b1_y", "ball_c1_y"):
         turned = q.copy()
         turned[robot.joint_indices(ball)] = -np.pi / 2
@@ -171,8 +171,8 @@ def test_singular_values_know_nothing_of_the_ball_s_angles() -> None:
     tilts = np.deg2rad([45.0, 60.0, 75.0, 85.0, 89.0, 89.9, 89.99])
     steep = [staged(("T", across, np.sin(tilt / 2), 1.2), ("T", 0.5, 0.2, -1.3)) for tilt in tilts]
     for state, tilt in zip(steep, tilts, strict=True):
-        (angle,) = robot.place(state)[robot.joint_indices("ball_b1_y")]
+        (angle,) = robot.joint_values(state)[robot.joint_indices("ball_b1_y")]
         assert abs(angle) == pytest.approx(tilt)
     for state in [*six_branches(), *steep]:
-        before, after = (astuple(robot.singular_values(robot.place(s))) for s in (state, turned(state)))
+        before, after = (astuple(robot.singular_values(robot.joint_values(s))) for s in (state, turned(state)))
         assert np.abs(np.log(np.divide(after, before))).max() < np.log(3.0)

@@ -19,7 +19,7 @@ from multibody.chains import (
 )
 
 import spm_pin as spm
-from spm_pin.description.locate import URDF, description_file
+from spm_pin.description.paths import URDF, description_file
 from spm_pin.paper import statics as paper
 
 pinocchio = pytest.importorskip("pinocchio")
@@ -68,7 +68,7 @@ def rounding(robot: Any, q: Array, wrench: Array) -> float:
 @pytest.mark.parametrize("branch", range(6))
 def test_the_closed_form_and_rnea_at_the_six_branches(branch: int) -> None:
     robot, state = chain(), six_branches()[branch]
-    q, model = robot.place(state), weightless()
+    q, model = robot.joint_values(state), weightless()
     data, rest = model.createData(), np.zeros(18)
     for wrench in WRENCHES:
         legs, cuts = robot.leg_forces(q, wrench), robot.cut_forces(q, wrench)
@@ -85,7 +85,7 @@ def test_the_closed_form_and_rnea_at_the_six_branches(branch: int) -> None:
 @pytest.mark.parametrize("branch", range(6))
 def test_nothing_accelerates(branch: int) -> None:
     robot, model = chain(), weightless()
-    q = robot.place(six_branches()[branch])
+    q = robot.joint_values(six_branches()[branch])
     constraints = pinocchio.StdVec_RigidConstraintModel()
     for closure in robot.closures:
         a, b = (model.frames[model.getFrameId(name)] for name in (closure.frame_a, closure.frame_b))
@@ -174,7 +174,7 @@ def test_cut_forces_act_onto_the_tips() -> None:
     robot = chain()
     wrench = np.concatenate(paper.load())
     for state in six_branches():
-        q = robot.place(state)
+        q = robot.joint_values(state)
         legs, cuts = robot.leg_forces(q, wrench), robot.cut_forces(q, wrench)
         directions = state.leg_vectors / state.leg_lengths[:, None]
         axes = np.concatenate([state.geometry.revolute_axes, state.platform_axes])
@@ -194,4 +194,4 @@ def test_positive_forces_push() -> None:
     robot = chain()
     legs = 1.3 + 0.02 * np.random.default_rng(117).uniform(-1, 1, size=(20, 6))
     for state in problems.in_leg_space(robot.geometry, 20, seed=0, legs=legs).configuration:
-        assert (robot.leg_forces(robot.place(state), [0, 0, -100.0, 0, 0, 0]) > 0).all()
+        assert (robot.leg_forces(robot.joint_values(state), [0, 0, -100.0, 0, 0, 0]) > 0).all()

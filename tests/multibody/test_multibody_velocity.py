@@ -30,7 +30,7 @@ NAMES = list(problems.GEOMETRIES)
 @pytest.mark.parametrize("branch", range(6))
 def test_three_witnesses_at_the_six_branches(branch: int) -> None:
     state = six_branches()[branch]
-    found = chain().inverse_jacobian(chain().place(state))
+    found = chain().inverse_jacobian(chain().joint_values(state))
     for other in (spm.inverse_jacobian(state), paper.J_f(state)):
         assert np.linalg.norm(found - other) <= 1e-11 * np.linalg.norm(other)
 

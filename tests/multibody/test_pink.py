@@ -32,8 +32,8 @@ def test_it_goes_where_the_platform_is_sent_and_stays_closed() -> None:
 
     robot = chain()
     wrapper = robot.robot_wrapper()
-    q = robot.complete([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
-    goal = robot.configuration(robot.complete([1.25, 1.18, 1.38, 1.22, 1.25, 1.42], q))
+    q = robot.forward_kinematics([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
+    goal = robot.configuration(robot.forward_kinematics([1.25, 1.18, 1.38, 1.22, 1.25, 1.42], q))
     task = pink.tasks.FrameTask("terminal_platform", position_cost=1.0, orientation_cost=1.0)
     task.set_target(pin.SE3(goal.rotation.copy(), goal.translation.copy()))
     configuration = pink.Configuration(wrapper.model, wrapper.data, q)

@@ -9,7 +9,7 @@ from description.kinematic_tree import named_states
 from multibody.chains import EPS, PAPER, chain, placed, random_q, six_branches
 
 import spm_pin as spm
-from spm_pin.description.locate import SRDF, description_file
+from spm_pin.description.paths import SRDF, description_file
 from spm_pin.description.tree import JOINTS, SLIDES
 from spm_pin.errors import ArgumentError, GeometryError
 
@@ -22,9 +22,9 @@ HOME = np.zeros(18)
 def test_round_trip_in_every_family(name: str) -> None:
     robot = chain(name)
     own = robot.workspace()
-    for family in spm.FAMILIES:
+    for family in spm.mechanism.FAMILIES:
         for state in problems.random_branches(robot.geometry, family, 150, seed=71).configuration:
-            q = robot.place(state)
+            q = robot.joint_values(state)
             assert np.abs(robot.closure_gap(q, workspace=own)).max() <= 1e-13
             found = robot.configuration(q, workspace=own)
             # Ten joints lie between {B} and m, each with a rounding of a rotation and of a position.
@@ -38,7 +38,7 @@ def test_round_trip_in_every_family(name: str) -> None:
 
 def test_the_six_branches_are_closed() -> None:
     for state in six_branches():
-        q = chain().place(state)
+        q = chain().joint_values(state)
         assert np.abs(chain().closure_gap(q)).max() <= 1e-13
         assert np.abs(chain().configuration(q).middle_joints - state.middle_joints).max() <= 1e-13
 
@@ -58,7 +58,7 @@ def test_named_states() -> None:
     values = named_states(description_file(SRDF).read_text(encoding="utf-8"))["reference"]
     robot = chain()
     reference = next(c for c in six_branches() if abs(c.leg_lengths[0] - values["leg_b1_slide"] - 1.3) < 1e-9)
-    q = robot.place(reference)
+    q = robot.joint_values(reference)
     for name, value in values.items():
         assert q[robot.joint_indices(name)[0]] == pytest.approx(value, abs=1e-12)
 
@@ -92,26 +92,26 @@ def test_limits_play_no_part() -> None:
     (state, *_) = six_branches()
     free = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)
     same = spm.Configuration(free, state.pose, state.middle_joints)
-    assert np.array_equal(chain().place(same), chain().place(state))
+    assert np.array_equal(chain().joint_values(same), chain().joint_values(state))
 
 
 def test_configurations_that_cannot_be_placed() -> None:
     branches = spm.inverse_displacement(PAPER, six_branches()[0].pose)
     state = six_branches()[0]
     with pytest.raises(ArgumentError, match=r"expected a configuration that exists, got NaN at batch index \(\d,\)"):
-        chain().place(branches.configurations)
+        chain().joint_values(branches.configurations)
     with pytest.raises(ArgumentError, match="expected a configuration that exists, got NaN"):
-        chain().place(branches.configurations[~branches.exists][0])
+        chain().joint_values(branches.configurations[~branches.exists][0])
     with pytest.raises(ArgumentError, match=r"expected a Configuration, got SolutionSet\. .*\.physical\(\)"):
-        chain().place(branches)
+        chain().joint_values(branches)
     rounded = spm.Configuration(PAPER, state.pose, state.middle_joints.round(4))
     with pytest.raises(ArgumentError, match=r"expected a closed mechanism, got a closure residual of \d\.\de-05 m"):
-        chain().place(rounded)
+        chain().joint_values(rounded)
     for name in ("base_radius", "platform_radius", "middle_side"):
         dimensions = {key: getattr(PAPER, key) for key in ("base_radius", "platform_radius", "middle_side")}
         other = spm.Geometry(**{**dimensions, name: 1.001 * dimensions[name]})
         with pytest.raises(GeometryError, match=f"expected the chain's {name}, "):
-            chain().place(spm.Configuration(other, state.pose, state.middle_joints))
+            chain().joint_values(spm.Configuration(other, state.pose, state.middle_joints))
 
 
 @pytest.mark.parametrize(
@@ -153,7 +153,7 @@ def test_bad_joint_values_are_refused(q: object, message: str) -> None:
 )
 def test_other_bad_vectors_are_refused(value: object) -> None:
     robot = chain()
-    q = robot.place(six_branches()[0])
+    q = robot.joint_values(six_branches()[0])
     calls = {
         "twist": robot.joint_velocities,
         "wrench": robot.leg_forces,
@@ -185,7 +185,7 @@ def test_what_is_returned_stays() -> None:
         assert np.array_equal(call(first, workspace=own), call(first, workspace=None))
     q = random_q(robot, rng)
     before = q.copy()
-    robot.project(robot.place(six_branches()[0]) + 1e-3, workspace=own)
+    robot.project(robot.joint_values(six_branches()[0]) + 1e-3, workspace=own)
     robot.with_leg_lengths(q, np.ones(6))
     assert np.array_equal(q, before)
 

@@ -56,7 +56,7 @@ def test_a_perturbed_q_is_closed(name: str) -> None:
 
 def test_a_closed_q_is_left_as_it_is() -> None:
     for state in six_branches():
-        q = chain().place(state)
+        q = chain().joint_values(state)
         assert np.array_equal(chain().project(q), q)
         assert np.array_equal(chain().project(q, hold_legs=True, max_iterations=0), q)
 
@@ -65,7 +65,7 @@ def test_a_closed_q_is_left_as_it_is() -> None:
 def test_convergence_is_quadratic(hold_legs: bool) -> None:
     robot, rng = chain(), np.random.default_rng(133)
     for state in problems.in_leg_space(PAPER, 10, seed=134).configuration:
-        q = robot.place(state) + 0.02 * rng.uniform(-1, 1, 18)
+        q = robot.joint_values(state) + 0.02 * rng.uniform(-1, 1, 18)
         logged = residuals(robot, q, hold_legs=hold_legs)
         assert 3 <= len(logged) <= 7
         assert logged[-1] <= rounding(robot, q)
@@ -82,7 +82,7 @@ def test_forward_displacement(start: str) -> None:
     q = np.zeros(18)
     if start == "reference":
         state = next(s for s in problems.in_leg_space(PAPER, 1, seed=135).configuration)
-        q = robot.place(state)
+        q = robot.joint_values(state)
     for state in problems.in_leg_space(PAPER, 150, seed=136).configuration:
         changed = robot.with_leg_lengths(q, state.leg_lengths)
         found = robot.project(changed, hold_legs=True, workspace=own)
@@ -127,7 +127,7 @@ def test_hopeless_starts() -> None:
 
 
 def test_the_error_carries_its_data() -> None:
-    q = chain().place(six_branches()[0]) + 0.1
+    q = chain().joint_values(six_branches()[0]) + 0.1
     with pytest.raises(ClosureError) as caught:
         chain().project(q, max_iterations=1)
     error = caught.value

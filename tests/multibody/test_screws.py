@@ -31,7 +31,7 @@ def left_over(rows: list[np.ndarray], right_side: list[np.ndarray]) -> float:
 def test_gained_twist_moves_the_platform_with_the_legs_locked() -> None:
     chain = spm.ClosedChain.from_urdf()
     state = singular_state(LOWER, *PAPER_TILTS[LOWER])
-    q = chain.place(state)
+    q = chain.joint_values(state)
     gained = spm.singularities(state).gained_twist[LOWER]
     legs = np.eye(18)[chain.leg_indices]
     rows = [chain.constraint_jacobian(q), legs, platform_jacobian(chain, q)]
@@ -43,7 +43,7 @@ def test_gained_twist_moves_the_platform_with_the_legs_locked() -> None:
 def test_lost_wrench_needs_no_leg_and_no_motion_works_on_it() -> None:
     chain = spm.ClosedChain.from_urdf()
     state = singular_state(STRUCTURE, *PAPER_TILTS[STRUCTURE])
-    q = chain.place(state)
+    q = chain.joint_values(state)
     found = spm.singularities(state)
     assert np.abs(chain.leg_forces(q, found.lost_wrench)).max() < 1e-8
     assert np.abs(chain.leg_forces(q, np.eye(6)[2])).max() > 1e-2
@@ -55,7 +55,7 @@ def test_lost_wrench_needs_no_leg_and_no_motion_works_on_it() -> None:
 def test_inner_twist_moves_the_middle_platform_while_the_terminal_one_stands() -> None:
     chain = spm.ClosedChain.from_urdf()
     state = singular_state(STRUCTURE, *PAPER_TILTS[STRUCTURE])
-    q = chain.place(state)
+    q = chain.joint_values(state)
     data = chain.model.createData()
     frame = chain.model.getFrameId("middle_platform")
     pin.computeJointJacobians(chain.model, data, q)

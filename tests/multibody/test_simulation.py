@@ -27,7 +27,7 @@ MOVING = [0.1, -0.2, 0.15, 0.05, -0.1, 0.2]
 def reference() -> Array:
     """The paper's solution 3, from the leg lengths it was made of."""
     robot = chain()
-    return np.asarray(robot.place(spm.forward_physical(robot.geometry, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5])))
+    return np.asarray(robot.joint_values(spm.forward_physical(robot.geometry, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5])))
 
 
 def free(t: float, q: Array, v: Array) -> Array:
@@ -49,7 +49,7 @@ LAWS = {"free fall": free, "driven": driven}
 
 def start(law: str) -> tuple[Array, Array]:
     q = reference()
-    return q, np.zeros(18) if law == "free fall" else chain().complete_rates(q, MOVING)
+    return q, np.zeros(18) if law == "free fall" else chain().joint_rates(q, MOVING)
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -115,7 +115,7 @@ def test_a_conservative_run_keeps_its_energy(name: str) -> None:
     """Springs along the legs and no damping: the legs swing, and what the springs took is what the bodies lost."""
     robot = chain(name)
     home = robot.leg_lengths(np.zeros(18))
-    q = robot.complete(home * (1.0 + 0.05 * np.sin(np.arange(6))))
+    q = robot.forward_kinematics(home * (1.0 + 0.05 * np.sin(np.arange(6))))
     rest, lengths = np.zeros(18), robot.leg_lengths(q)
     held = robot.inverse_dynamics(q, rest, rest)
     stiffness = 20.0 * np.abs(held).max() / robot.geometry.middle_side
@@ -219,7 +219,7 @@ def test_a_digital_controller_is_asked_once_a_period() -> None:
 
 
 def test_limits_end_a_run() -> None:
-    robot, q = chain(), chain().complete([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
+    robot, q = chain(), chain().forward_kinematics([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
     run = robot.simulate(q, np.zeros(18), None, np.linspace(0.0, 1.0, 11), stop_at=["limits"])
     assert run.end is SimulationEnd.LIMIT
     assert run.detail == "r_b2, minimum"
@@ -227,7 +227,7 @@ def test_limits_end_a_run() -> None:
     assert 0.1 < run.times[-1] < 0.2
     assert run.times.size == 3
     beyond = robot.simulate(
-        robot.complete([1.2, 1.2, 1.4, 1.25, 1.2, 1.51]), np.zeros(18), None, [0.0, 1.0], stop_at=("limits",)
+        robot.forward_kinematics([1.2, 1.2, 1.4, 1.25, 1.2, 1.51]), np.zeros(18), None, [0.0, 1.0], stop_at=("limits",)
     )
     assert (beyond.end, beyond.detail, beyond.times.size) == (SimulationEnd.LIMIT, "r_c3, maximum", 1)
     with pytest.raises(ArgumentError, match="without leg limits"):
@@ -236,7 +236,7 @@ def test_limits_end_a_run() -> None:
 
 @pytest.mark.parametrize("kind", ["inverse", "forward"])
 def test_singularities_end_a_run_or_are_passed_through(kind: str) -> None:
-    robot, q = chain(), chain().complete([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
+    robot, q = chain(), chain().forward_kinematics([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
     times = np.linspace(0.0, 1.5, 16)
     run = robot.simulate(q, np.zeros(18), None, times, stop_at=[kind])
     assert run.end is SimulationEnd(f"{kind} singularity")
@@ -259,7 +259,7 @@ def test_a_leg_of_no_length_ends_a_run() -> None:
     robot, rest = chain(), np.zeros(18)
     run = robot.simulate(rest, rest, np.full(6, -3000.0), np.linspace(0.0, 2.0, 21))
     assert run.end is SimulationEnd.COLLAPSE
-    assert run.detail in spm.LEGS
+    assert run.detail in spm.mechanism.LEGS
     assert run.leg_lengths[-1].min() == pytest.approx(1e-6 * robot.geometry.middle_side, rel=1e-6)
 
 

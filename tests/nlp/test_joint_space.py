@@ -9,7 +9,7 @@ import spm_pin as spm
 from spm_pin import nlp
 from spm_pin.crosscheck.joint_data import joint_data
 from spm_pin.description.closures import read_closures
-from spm_pin.description.locate import URDF, description_file
+from spm_pin.description.paths import URDF, description_file
 from spm_pin.multibody.chain import ClosedChain
 
 PLATFORM = "terminal_platform"
@@ -46,7 +46,7 @@ def test_closure_of_the_paper_s_branches(model: pin.Model) -> None:
     closure = nlp.joint_space_closure(joint_data(model, FRAMES), CLOSURES, PLATFORM, length=geometry.middle_side)
     assert closure.size_out("jacobian") == (18, 18)
     for state in spm.inverse_displacement(geometry, pose):
-        q = chain.place(state)
+        q = chain.joint_values(state)
         residual = np.asarray(closure(q, state.rotation, state.translation)[0])
         assert np.abs(residual).max() < 1e-14
         start, close = q + 1e-4, q + 1e-4

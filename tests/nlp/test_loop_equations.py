@@ -19,7 +19,7 @@ def arguments(state: spm.Configuration) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
-@pytest.mark.parametrize("family", spm.FAMILIES)
+@pytest.mark.parametrize("family", spm.mechanism.FAMILIES)
 def test_known_branches_solve_the_equations(name: str, family: str) -> None:
     geometry = GEOMETRIES[name]
     closure, lengths = nlp.closure(geometry), nlp.leg_lengths(geometry)
@@ -64,7 +64,7 @@ def test_jacobian_by_finite_differences() -> None:
         np.testing.assert_allclose((values[0] - values[1]) / (2 * step), jacobian[:, k], atol=1e-12)
 
 
-@pytest.mark.parametrize("family", spm.FAMILIES)
+@pytest.mark.parametrize("family", spm.mechanism.FAMILIES)
 def test_implicit_differentiation_is_the_inverse_jacobian(family: str) -> None:
     geometry = GEOMETRIES["paper"]
     derivatives = nlp.leg_jacobian(geometry)

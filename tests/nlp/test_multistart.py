@@ -35,7 +35,7 @@ def test_the_paper_s_six_branches_for_every_seed(seed: int) -> None:
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
-@pytest.mark.parametrize("family", spm.FAMILIES)
+@pytest.mark.parametrize("family", spm.mechanism.FAMILIES)
 def test_all_branches_over_all_rotations(name: str, family: str) -> None:
     problem = random_branches(GEOMETRIES[name], family, 4, 17)
     found = nlp.search(problem.geometry, problem.pose)
@@ -49,7 +49,7 @@ def test_all_branches_over_all_rotations(name: str, family: str) -> None:
 
 @pytest.mark.parametrize("beyond", [1e-2, 1e-6, 1e-10, -1e-10, -1e-6, -1e-2])
 def test_where_two_branches_are_about_to_meet(beyond: float) -> None:
-    for index, family in enumerate(spm.FAMILIES):
+    for index, family in enumerate(spm.mechanism.FAMILIES):
         pose = at_discriminant(random_branches(GEOMETRY, family, 1, 41).pose[0], index, beyond, GEOMETRY)
         found, closed = nlp.inverse_displacement(GEOMETRY, pose), spm.inverse_displacement(GEOMETRY, pose)
         np.testing.assert_array_equal(found.exists, closed.exists)
@@ -99,7 +99,7 @@ def test_out_of_reach_is_a_status_and_a_measure(pose: RigidTransform) -> None:
 def test_infeasibility_is_the_way_back_into_reach() -> None:
     """At a fold the least residual grows from zero with the distance beyond it."""
     measured = []
-    for index, family in enumerate(spm.FAMILIES):
+    for index, family in enumerate(spm.mechanism.FAMILIES):
         poses = random_branches(GEOMETRY, family, 60, 9).pose
         alone = np.flatnonzero(spm.inverse_displacement(GEOMETRY, poses).count == 2)
         for k in alone[:3]:

@@ -8,8 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.closed_form.statics import leg_forces
-from spm_pin.closed_form.velocity import inverse_jacobian
+from spm_pin.closed_form.jacobians import inverse_jacobian
+from spm_pin.closed_form.leg_forces import leg_forces
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.mechanism.branches import determinants
 from spm_pin.paper import jacobian, statics
@@ -64,7 +64,7 @@ def test_both_witnesses_at_the_six_branches(six):
 def random_problems():
     yield pytest.param(lambda: problems.in_leg_space(PAPER, 60_000, seed=31), id="leg space")
     for name, geometry in problems.GEOMETRIES.items():
-        for family in spm.FAMILIES:
+        for family in spm.mechanism.FAMILIES:
             yield pytest.param(
                 lambda g=geometry, f=family: problems.random_branches(g, f, 2_500, seed=32), id=f"{name} {family}"
             )
@@ -122,7 +122,7 @@ def test_all_nine_rows_are_derivatives(label):
 @pytest.mark.parametrize("name", problems.GEOMETRIES)
 def test_determinant_of_j_alpha(name):
     """It is r_b1 r_b2 r_b3 / d³ times det K."""
-    for family in spm.FAMILIES:
+    for family in spm.mechanism.FAMILIES:
         state = problems.random_branches(problems.GEOMETRIES[name], family, 500, seed=34).configuration
         d = state.geometry.middle_side
         J_α = jacobian.J_alpha(state)

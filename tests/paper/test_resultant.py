@@ -40,7 +40,7 @@ def test_agreement_in_leg_space() -> None:
 
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_agreement_over_all_rotations(name: str) -> None:
-    for family in spm.FAMILIES:
+    for family in spm.mechanism.FAMILIES:
         assert_agreement(random_branches(GEOMETRIES[name], family, 500, seed=2), losses=0.1)
 
 
@@ -48,7 +48,7 @@ def test_agreement_over_all_rotations(name: str) -> None:
 def test_agreement_on_a_hundred_thousand_poses() -> None:
     assert_agreement(in_leg_space(PAPER, 50_000, seed=3), losses=0.015)
     for geometry in GEOMETRIES.values():
-        for family in spm.FAMILIES:
+        for family in spm.mechanism.FAMILIES:
             assert_agreement(random_branches(geometry, family, 50_000 // 16, seed=4), losses=0.1)
 
 
@@ -74,7 +74,7 @@ def test_the_octic_is_of_degree_eight() -> None:
 
 def test_pure_paper_without_refinement_reaches_eight_digits_at_the_example() -> None:
     roots = resultant.solve(PAPER, EXAMPLE)
-    truth = spm.complex_middle_joints(PAPER, EXAMPLE)
+    truth = spm.closed_form.complex_middle_joints(PAPER, EXAMPLE)
     gaps = np.abs(roots[:, None] - truth[None]).max(axis=(-1, -2))
     assert (gaps.min(axis=1) < 1e-8).all()
     assert sorted(gaps.argmin(axis=1)) == list(range(8))

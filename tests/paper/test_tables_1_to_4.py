@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import spm_pin as spm
-from spm_pin.crosscheck import reproduction
-from spm_pin.crosscheck.cells import Verdict, matches
-from spm_pin.crosscheck.reproduction import reproduce
 from spm_pin.paper import published, resultant
+from spm_pin.reproduction import tables_1_to_4 as reproduction
+from spm_pin.reproduction.cells import Verdict, matches
+from spm_pin.reproduction.tables_1_to_4 import reproduce
 
 EXAMPLE = spm.pose(np.array(published.POSITION) / 100, xyx=np.deg2rad(published.XYX_DEGREES))
 
@@ -43,7 +43,7 @@ def test_table_4_lost_one_number_and_shifted_another(found: reproduction.Reprodu
 
 
 def test_two_witnesses_see_the_same_eight_solutions(found: reproduction.Reproduction) -> None:
-    assert sorted(one.label for one in found.witnesses) == sorted(spm.BRANCHES)
+    assert sorted(one.label for one in found.witnesses) == sorted(spm.mechanism.BRANCHES)
     # cm; the octic of the paper's route costs it about five digits.
     assert max(one.difference for one in found.witnesses) < 1e-9
     assert found.witnesses[2].label == "TT+"

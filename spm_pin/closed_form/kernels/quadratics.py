@@ -1,4 +1,4 @@
-"""The four quadratics of a pose and their roots, over scalars. Notation: `spm_pin.closed_form.inverse`.
+"""The four quadratics of a pose and their roots, over scalars. Notation: `spm_pin.closed_form.inverse_displacement`.
 
 Complex numbers are pairs of reals, horizontal vectors and quaternion halves alike, so that the roots u, v may be
 complex in their own right. The families come in two groups, equal modes (TT, FF) and mixed ones (TF, FT). Within a
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spm_pin.closed_form.kernels.compiling import inlined
+from spm_pin.closed_form.kernels.compilation import inlined
 
 __all__ = [
     "COS_30",

@@ -1,4 +1,4 @@
-"""Approximate solutions of one 3RPS stage and mode, over scalars. Derivation: `spm_pin.closed_form.stage`.
+"""Approximate solutions of one 3RPS stage and mode, over scalars. Derivation: `spm_pin.closed_form.stage_solver`.
 
 Multiplied by e^{iψ}, ψ the azimuth of w, the equation for λ has the parts
 
@@ -24,8 +24,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.kernels.compiling import called, inlined
-from spm_pin.closed_form.kernels.stage import Equations
+from spm_pin.closed_form.kernels.compilation import called, inlined
+from spm_pin.closed_form.kernels.stage_equations import Equations
 from spm_pin.mechanism.arguments import FloatArray
 
 __all__ = ["approximate_solutions"]

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.kernels.compiling import called, given, inlined, kernel
+from spm_pin.closed_form.kernels.compilation import called, given, inlined, kernel
 from spm_pin.closed_form.kernels.quartic import approximate_solutions
-from spm_pin.closed_form.kernels.stage import (
+from spm_pin.closed_form.kernels.stage_equations import (
     EPS,
     NEAR,
     SAME,
@@ -194,7 +194,7 @@ def stage_modes(
     flat: BoolArray,
     continuous: BoolArray,
 ) -> None:
-    """Solve N stages in some modes; see `spm_pin.closed_form.stage.StageModes` for what is written."""
+    """Solve N stages in some modes; see `spm_pin.closed_form.stage_solver.StageModes` for what is written."""
     work = workspace()
     kept = work[3]
     for n in range(len(lengths)):

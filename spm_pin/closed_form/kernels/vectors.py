@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from spm_pin.closed_form.kernels.compiling import inlined
+from spm_pin.closed_form.kernels.compilation import inlined
 
 __all__ = ["Vector", "combined", "cross", "dot", "minus", "scaled"]
 

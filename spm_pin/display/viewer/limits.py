@@ -12,8 +12,8 @@ import numpy as np
 from scipy.optimize import lsq_linear
 from scipy.spatial.transform import RigidTransform
 
-from spm_pin.closed_form.forward import forward_physical
-from spm_pin.closed_form.velocity import platform_jacobian
+from spm_pin.closed_form.forward_displacement import forward_physical
+from spm_pin.closed_form.jacobians import platform_jacobian
 from spm_pin.errors import SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.branches import physical

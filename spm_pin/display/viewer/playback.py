@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from spm_pin.closed_form.tracking import Event
+from spm_pin.closed_form.path_events import Event
 from spm_pin.display.viewer.recording import Playback
 from spm_pin.errors import ArgumentError
 

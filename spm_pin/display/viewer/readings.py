@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.singularity import SingularityKind, determinant_gradients, singularities
-from spm_pin.closed_form.statics import leg_forces
+from spm_pin.closed_form.leg_forces import leg_forces
+from spm_pin.closed_form.singularity_analysis import SingularityKind, determinant_gradients, singularities
 from spm_pin.errors import SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.branches import physical

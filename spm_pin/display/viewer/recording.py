@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from spm_pin.closed_form.paths import FollowedPath, follow
+from spm_pin.closed_form.path_following import FollowedPath, follow
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, real_array
 from spm_pin.mechanism.configuration import Configuration

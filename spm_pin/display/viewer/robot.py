@@ -76,7 +76,7 @@ class Robot:
 
     def q(self, configuration: Configuration) -> FloatArray:
         """Return the joint values (18,) of a configuration, in Pinocchio's order; see `ClosedChain.place`."""
-        return self.chain.place(configuration)
+        return self.chain.joint_values(configuration)
 
     def placements(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return where the parts are in {B} for joint values q (18,).

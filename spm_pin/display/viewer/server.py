@@ -9,10 +9,10 @@ from typing import Any
 
 from spm_pin.display.viewer import viser_server
 from spm_pin.display.viewer.recording import Recording
-from spm_pin.display.viewer.region import Region
 from spm_pin.display.viewer.robot import Robot
 from spm_pin.display.viewer.session import Exhibit, Session
 from spm_pin.display.viewer.state import Model, starting_configuration
+from spm_pin.display.viewer.workspace_layer import Region
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry

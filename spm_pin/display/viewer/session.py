@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from spm_pin.display.viewer.event_queue import Inbox
 from spm_pin.display.viewer.export import json_text
-from spm_pin.display.viewer.inbox import Inbox
 from spm_pin.display.viewer.panel import Panel
 from spm_pin.display.viewer.playback import Player
 from spm_pin.display.viewer.recording import Recording
-from spm_pin.display.viewer.region import Region
 from spm_pin.display.viewer.robot import Robot
-from spm_pin.display.viewer.stage import Stage
+from spm_pin.display.viewer.robot_scene import Stage
 from spm_pin.display.viewer.state import Drive, Model, State
+from spm_pin.display.viewer.workspace_layer import Region
 from spm_pin.errors import SpmError
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.pose import pose as make_pose

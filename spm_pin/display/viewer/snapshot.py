@@ -10,7 +10,7 @@ import numpy as np
 from spm_pin.display.viewer.export import command_line
 from spm_pin.display.viewer.markup import forces_table, instruments, status
 from spm_pin.display.viewer.robot import Robot
-from spm_pin.display.viewer.stage import Stage
+from spm_pin.display.viewer.robot_scene import Stage
 from spm_pin.display.viewer.state import Model, State
 from spm_pin.display.viewer.viser_server import quiet_server
 from spm_pin.errors import ArgumentError

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform
 
-from spm_pin.closed_form.forward import forward_physical
-from spm_pin.closed_form.inverse import inverse_displacement
-from spm_pin.closed_form.paths import follow
+from spm_pin.closed_form.forward_displacement import forward_physical
+from spm_pin.closed_form.inverse_displacement import inverse_displacement
+from spm_pin.closed_form.path_following import follow
 from spm_pin.description.tree import home_lengths
 from spm_pin.display.viewer.limits import nearest_within_limits
 from spm_pin.display.viewer.reach import displacement, nearest_reachable

@@ -1,0 +1,187 @@
+"""Forward displacement: every assembly mode of six leg lengths, and the one a real machine is in.
+
+The upper stage seen from {m} is a 3RPS stage like the lower one, so the two are solved independently, see
+`spm_pin.closed_form.stage_solver`, and every solution of one goes with every solution of the other.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.closed_form.forward_continuation import continued
+from spm_pin.closed_form.stage_solver import MODES, PLACES
+from spm_pin.closed_form.threads import in_parts
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import FloatArray, first_offender, real_array
+from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.geometry import LEGS, Geometry
+from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
+
+__all__ = ["ASSEMBLY_MODES", "STAGE_MODES", "forward_displacement", "forward_physical"]
+
+STAGE_MODES = tuple(f"{mode}{place + 1}{sheet}" for mode in MODES for place in range(PLACES) for sheet in "+-")
+"""Canonical order of the sixteen assembly modes of a stage: T1+, T1-, T2+ … F4-."""
+ASSEMBLY_MODES = tuple(f"{lower}/{upper}" for lower in STAGE_MODES for upper in STAGE_MODES)
+"""Canonical order of the 256 assembly modes of the manipulator: the lower stage's, then the upper stage's."""
+
+_LARGEST = 1e5
+"""Lengths, relative to the machine, beyond which eleven of sixteen digits are lost."""
+_ENOUGH_MODES, _ENOUGH_PHYSICAL = 1 << 8, 1 << 12
+"""Problems that are worth a thread."""
+
+
+def forward_displacement(geometry: Geometry, leg_lengths: npt.ArrayLike) -> SolutionSet:
+    """Find all configurations of the manipulator that its six leg lengths allow.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The manipulator. Its leg limits are not applied.
+    leg_lengths : array_like, shape (..., 6)
+        r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], from revolute joint to ball joint centre.
+
+    Returns
+    -------
+    SolutionSet
+        The assembly modes of `ASSEMBLY_MODES` along the last axis, so `.rotation` is (..., 256, 3, 3), `.translation`
+        (..., 256, 3) and `.middle_joints` (..., 256, 3, 3), NaN where a mode is not real. `.status` (...) is
+        `Status.OK`; `UNREACHABLE` where a stage cannot be closed; or `DEGENERATE` where a stage moves with its legs
+        locked: the continuous family is left out, and `.degeneracy` says in which families of modes it is.
+
+    Raises
+    ------
+    ArgumentError
+        If a length is not a positive number, or too large for the machine to be resolved beside it.
+
+    Notes
+    -----
+    A stage's modes are named T (no torsion) or F (turned half round) and numbered by falling mean radius of the
+    middle joints about the stage's own axis, hence T1 is tilted least; + is the sheet on which the middle platform
+    stands above the base, or hangs below the terminal platform, - its mirror image. Two modes that are to rounding
+    the same, at a forward singularity, count once. A problem takes 43 kB: give large batches in parts.
+
+    The paper left this problem to CAD.
+
+    Examples
+    --------
+    >>> import spm_pin as spm
+    >>> modes = spm.forward_displacement(spm.Geometry.paper(), [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
+    >>> int(modes.count), modes["T1+/T1+"].translation.round(4)
+    (144, array([0.6889, 0.4963, 2.253 ]))
+    """
+    from spm_pin.closed_form.kernels.mode_kernels import all_modes
+
+    given = _read(geometry, leg_lengths)
+    shape, n, lengths = given.shape[:-1], len(ASSEMBLY_MODES), given.reshape(-1, 6)
+    count = len(lengths)
+    rotation, translation = np.empty((count, n, 3, 3)), np.empty((count, n, 3))
+    joints, dimension = np.empty((count, n, 3, 3)), np.empty((count, 4), dtype=np.int8)
+    status = np.empty(count, dtype=np.int8)
+
+    def part(at: slice) -> None:
+        found = rotation[at], translation[at], joints[at]
+        all_modes(lengths[at], *_radii(geometry), *found, dimension[at], status[at])
+
+    in_parts(part, count, _ENOUGH_MODES)
+    families = dimension.reshape(*shape, 4)
+    largest = np.asarray(families.max(axis=-1))
+    modes = Configuration.from_arrays(
+        geometry,
+        rotation.reshape(*shape, n, 3, 3),
+        translation.reshape(*shape, n, 3),
+        joints.reshape(*shape, n, 3, 3),
+    )
+    return SolutionSet(
+        modes,
+        ASSEMBLY_MODES,
+        np.where(largest > 0, Status.DEGENERATE, status.reshape(shape)),
+        degeneracy=Degeneracy(largest, families > 0, np.zeros((*shape, 3), dtype=np.bool_)),
+    )
+
+
+def forward_physical(
+    geometry: Geometry, leg_lengths: npt.ArrayLike, seed: Configuration | None = None
+) -> Configuration:
+    """Find the configuration that a real machine with these leg lengths is in.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The manipulator. Its leg limits are not applied.
+    leg_lengths : array_like, shape (..., 6)
+        r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m].
+    seed : Configuration, optional
+        Where the machine was. Its leading axes broadcast with those of `leg_lengths`.
+
+    Returns
+    -------
+    Configuration
+        Of shape (...). Without a seed the configuration in the aspect of the symmetric home: both stages without
+        torsion, on the sheet +, and reached from equal legs without a forward singularity. With a seed the end of the
+        path on which its leg lengths change to the given ones in a straight line, whatever its mode. `.exists` is
+        False, and everything NaN, where there is no such configuration, or where that path meets a forward
+        singularity.
+
+    Raises
+    ------
+    ArgumentError
+        If a length is not a positive number or too large for the machine to be resolved beside it, or `seed` does
+        not exist, does not close, belongs to another geometry or has another shape.
+
+    Notes
+    -----
+    The home's aspect holds one configuration at most, so what Newton's method finds from level stages is taken if it is
+    in there; if not, all solutions of mode T are found and looked at. It is T1+/T1+ unless E or C is less than
+    a twentieth of d. With a seed each step is so short that Newton's method provably stays on the path, see
+    `spm_pin.closed_form.forward_continuation`; so the seed may be far.
+
+    Examples
+    --------
+    >>> import spm_pin as spm
+    >>> state = spm.forward_physical(spm.Geometry.paper(), [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
+    >>> state.pose.rotation.as_euler("XYX", degrees=True).round(4)
+    array([-11.0818,  32.9691, -12.8831])
+    """
+    given = _read(geometry, leg_lengths)
+    if seed is not None:
+        return continued(geometry, given, seed)
+    from spm_pin.closed_form.kernels.mode_kernels import home_modes, home_modes_of_all
+
+    shape, lengths = given.shape[:-1], given.reshape(-1, 6)
+    count = len(lengths)
+    rotation, translation, joints = np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3, 3))
+    found = np.empty(count, dtype=np.bool_)
+
+    def part(at: slice) -> None:
+        home_modes(lengths[at], *_radii(geometry), rotation[at], translation[at], joints[at], found[at])
+        if not found[at].all():
+            rest = at.start + np.flatnonzero(~found[at])
+            places = np.empty((len(rest), 3, 3)), np.empty((len(rest), 3)), np.empty((len(rest), 3, 3))
+            home_modes_of_all(lengths[rest], *_radii(geometry), *places)
+            rotation[rest], translation[rest], joints[rest] = places
+
+    in_parts(part, count, _ENOUGH_PHYSICAL)
+    return Configuration.from_arrays(
+        geometry, rotation.reshape(*shape, 3, 3), translation.reshape(*shape, 3), joints.reshape(*shape, 3, 3)
+    )
+
+
+def _radii(geometry: Geometry) -> tuple[float, float, float]:
+    return geometry.middle_radius, geometry.base_radius, geometry.platform_radius
+
+
+def _read(geometry: Geometry, leg_lengths: npt.ArrayLike) -> FloatArray:
+    meaning = f"{', '.join(LEGS)} in metres"
+    lengths = real_array(leg_lengths, "leg_lengths", (6,), meaning)
+    if (lengths <= 0.0).any():
+        index = first_offender(lengths <= 0.0)
+        where = f" for {LEGS[index[-1]]}" + (f" at index {index[:-1]}" if index[:-1] else "")
+        cause = "Strokes of the actuators instead of distances between joint centres?"
+        raise ArgumentError("leg_lengths", f"positive lengths {meaning}", f"{lengths[index]:g}{where}", cause)
+    size = geometry.base_radius + geometry.platform_radius + geometry.middle_side
+    if (lengths > _LARGEST * size).any():
+        index = first_offender(lengths > _LARGEST * size)
+        expected = f"lengths in metres up to {_LARGEST:.0e} times the machine's own {size:.3g} m"
+        raise ArgumentError("leg_lengths", expected, f"{lengths[index]:g}", "Lengths in another unit?")
+    return lengths

@@ -1,0 +1,79 @@
+"""Leg forces that hold a wrench on the platform: the equilibrium of each stage's six forces.
+
+Cut at the ball joints, either platform of a stage is held by six forces through the b_i: three along the legs, x,
+and three along the revolute axes, y. They balance the load wherever it is cut, so both stages carry the same:
+
+    J_bᵀ (x_b, y_b) = -w,    J_cᵀ (x_c, y_c) = -w,
+
+which is f = -Gᵀ w with G = [J_b⁻¹(:, 1:3), J_c⁻¹(:, 1:3)], see `spm_pin.closed_form.jacobians`. K is not in it:
+forces stay finite and accurate at an inverse singularity, where J_f is infinite and -J_f⁻ᵀ w loses its digits.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.closed_form.jacobians import ENOUGH, broadcast_argument, two_axes
+from spm_pin.closed_form.stage_wrenches import SINGULAR, refuse_singular
+from spm_pin.closed_form.threads import in_parts
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.configuration import Configuration
+
+__all__ = ["leg_forces"]
+
+
+def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArray:
+    """Return the actuator forces that hold a wrench applied onto the terminal platform.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        States of shape (...).
+    wrench : array_like, shape (..., 6)
+        (f, m): force [N] and moment [N m] at o, in {B}, applied onto m from outside. Leading axes broadcast with
+        those of `configuration`.
+
+    Returns
+    -------
+    ndarray, shape (..., 6)
+        Forces of the legs r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [N]; positive pushes, to extend the leg. Weights and
+        friction are left out. NaN for a member that does not exist.
+
+    Raises
+    ------
+    ArgumentError
+        If `wrench` has another shape or is not finite.
+    SingularConfigurationError
+        At a forward or a constraint singularity, where the legs cannot hold every wrench; see
+        `spm_pin.closed_form.stage_wrenches.SINGULAR`.
+
+    Notes
+    -----
+    Eq. (33) of the paper, without its inverse of J_f.
+    """
+    from spm_pin.closed_form.kernels.jacobian_kernels import stage_forces
+
+    load = broadcast_argument(wrench, "wrench", "(f, m) at o in {B} in N and N m", configuration)
+    shape = np.broadcast_shapes(configuration.shape, load.shape[:-1])
+    joints, rotation, position = two_axes(configuration, shape)
+    outer, inner = joints.shape[:2]
+    loads = np.broadcast_to(load, (*shape, 6)).reshape(outer, inner, 6)
+    geometry = configuration.geometry
+    sizes = geometry.base_radius, geometry.platform_radius, geometry.middle_side, SINGULAR
+    forces, suspect = np.empty((outer * inner, 6)), np.empty(outer * inner, dtype=np.uint8)
+
+    def part(at: slice) -> None:
+        packed = slice(at.start * inner, at.stop * inner)
+        stage_forces(joints[at], rotation[at], position[at], loads[at], *sizes, forces[packed], suspect[packed])
+
+    in_parts(part, outer, ENOUGH // max(inner, 1))
+    # A state is as singular under any wrench; only its index must be that of the configuration.
+    doubtful = suspect.reshape(shape)
+    if doubtful.any():
+        extra = len(shape) - len(configuration.shape)
+        doubtful = doubtful.max(axis=tuple(range(extra)), initial=0)
+        narrow = tuple(k for k, n in enumerate(configuration.shape) if n == 1 and doubtful.shape[k] != 1)
+        doubtful = doubtful.max(axis=narrow, keepdims=True, initial=0)
+        refuse_singular(configuration, doubtful.reshape(-1), "forward")
+    return forces.reshape(*shape, 6)

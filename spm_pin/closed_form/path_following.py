@@ -1,0 +1,218 @@
+"""Following one solution along a path, and finding where it meets a singularity, a limit, or its end.
+
+At every parameter all solutions are known in closed form, so there is nothing to integrate and nothing drifts: the
+solution nearest to where the last two lead is taken, and the step is halved until it is clearly the nearest. What
+happens in between shows in functions that change sign there, and is found by root finding on the solutions themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq, minimize_scalar
+from scipy.spatial.transform import RigidTransform, Slerp
+
+from spm_pin.closed_form.forward_displacement import forward_displacement
+from spm_pin.closed_form.inverse_displacement import inverse_displacement
+from spm_pin.closed_form.path_events import Event, EventKind, Solver, Tracker, joints_of
+from spm_pin.closed_form.singularity_analysis import singularities
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.geometry import LEGS, Geometry
+from spm_pin.mechanism.pose import as_rigid_transform
+from spm_pin.mechanism.solutions import SolutionSet
+
+__all__ = ["FollowedPath", "follow"]
+
+LONGEST_MOVE = 0.1
+"""A joint moves at most this share of d in a step, lest a turn be missed."""
+
+
+@dataclass(frozen=True)
+class FollowedPath:
+    """A solution along a path.
+
+    Attributes
+    ----------
+    parameters : ndarray, shape (n,)
+        Where the path was solved, from 0 to 1, or to where the solution ends.
+    configurations : Configuration
+        The solution there, batch of shape (n,).
+    labels : tuple of n str
+        Its labels.
+    events : tuple of Event
+        In the order of their parameters.
+    """
+
+    parameters: FloatArray
+    configurations: Configuration
+    labels: tuple[str, ...]
+    events: tuple[Event, ...]
+
+    @property
+    def complete(self) -> bool:
+        """Whether the solution lasts to the end of the path."""
+        return bool(self.parameters[-1] == 1.0)
+
+
+def follow(
+    geometry: Geometry,
+    path: Callable[[float], Any] | RigidTransform | FloatArray | Sequence[Any],
+    start: Configuration | str | None = None,
+    *,
+    samples: int = 200,
+) -> FollowedPath:
+    """Follow one solution along a path of poses or of leg lengths.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The manipulator. Where it has leg limits, crossing one is an event.
+    path : callable, RigidTransform of shape (n,), or array_like of shape (n, 4, 4) or (n, 6)
+        Poses of {m} in {B}, or leg lengths [m]. A callable takes the parameter, 0 to 1. Between given poses the
+        rotation is interpolated at constant angular velocity and the position, like leg lengths, on a line.
+    start : Configuration or str, optional
+        The solution at parameter 0: the one nearest to a configuration, or a label. By default the physical one.
+    samples : int
+        The path is solved in at least so many steps. Two crossings within one step of the same limit or of the
+        same kind of singularity are found if the function in between has its extremum beyond zero.
+
+    Returns
+    -------
+    FollowedPath
+        With its events, each at its parameter to 1e-9.
+
+    Raises
+    ------
+    ArgumentError
+        If the path is neither, has fewer than two points, or no solution like `start` exists at its beginning.
+    PoseError
+        If it contains what is no pose.
+    """
+    if samples < 1:
+        raise ArgumentError("samples", "at least 1", samples)
+    solve, knots, legs = _solver(geometry, path)
+    tracker = Tracker(solve, _start(solve(0.0), start), LONGEST_MOVE * geometry.middle_side, legs=legs)
+    stops = np.unique(np.concatenate([np.linspace(0.0, 1.0, samples + 1), knots]))
+    for stop in stops[1:]:
+        if not tracker.advance(float(stop)):
+            break
+    found = tracker.configurations()
+    events = _sign_changes(geometry, tracker, found) + tracker.events
+    return FollowedPath(
+        np.array(tracker.parameters), found, tuple(tracker.labels), tuple(sorted(events, key=lambda e: e.parameter))
+    )
+
+
+def _solver(geometry: Geometry, path: Any) -> tuple[Solver, FloatArray, bool]:
+    """Return all solutions as a function of the parameter, the parameters of given points, and if those are legs."""
+    if callable(path):
+        if np.shape(_bare(path(0.0))) == (6,):
+            return lambda s: forward_displacement(geometry, path(s)), np.array([0.0, 1.0]), True
+        return lambda s: inverse_displacement(geometry, path(s)), np.array([0.0, 1.0]), False
+    bare = _bare(path)
+    points = len(bare) if np.ndim(bare) else 0
+    if np.ndim(bare) not in (2, 3) or points < 2:
+        expected = "a callable, or at least two poses (n, 4, 4) or sets of leg lengths (n, 6)"
+        raise ArgumentError("path", expected, f"shape {np.shape(bare)}")
+    knots = np.linspace(0.0, 1.0, points)
+    if np.ndim(bare) == 2:
+        lengths = np.asarray(bare, dtype=np.float64)
+
+        def legs_at(s: float) -> FloatArray:
+            return np.array([np.interp(s, knots, column) for column in lengths.T])
+
+        forward_displacement(geometry, lengths[0])  # refuses what are no leg lengths in its own words
+        return lambda s: forward_displacement(geometry, legs_at(s)), knots, True
+    poses = as_rigid_transform(path, "path")
+    turn, positions = Slerp(knots, poses.rotation), poses.translation
+
+    def pose_at(s: float) -> RigidTransform:
+        matrix = np.eye(4)
+        matrix[:3, :3] = turn(s).as_matrix()
+        matrix[:3, 3] = [np.interp(s, knots, column) for column in positions.T]
+        return as_rigid_transform(matrix, "path")
+
+    return lambda s: inverse_displacement(geometry, pose_at(s)), knots, False
+
+
+def _bare(value: Any) -> Any:
+    return value.as_matrix() if isinstance(value, RigidTransform) else value
+
+
+def _start(solutions: SolutionSet, start: Configuration | str | None) -> int:
+    """Return the place of the solution to follow."""
+    if isinstance(start, str):
+        if start not in solutions.labels or not solutions[start].exists:
+            real = [label for label, exists in zip(solutions.labels, solutions.exists, strict=True) if exists]
+            received = f"{start!r}, while real are {', '.join(real[:8]) or 'none'}{' …' * (len(real) > 8)}"
+            raise ArgumentError("start", "the label of a solution that is real where the path begins", received)
+        return solutions.labels.index(start)
+    chosen = solutions.physical() if start is None else solutions.nearest(start)
+    if not chosen.exists:
+        cause = "Out of reach, or no physical solution there: name one by its label" if start is None else ""
+        raise ArgumentError("start", "a solution that exists where the path begins", "none", cause)
+    gap = np.abs(joints_of(solutions.configurations) - joints_of(chosen)).max(axis=(-1, -2))
+    return int(np.where(solutions.exists, gap, np.inf).argmin())
+
+
+def _monitored(geometry: Geometry, states: Configuration) -> FloatArray:
+    """Return the functions whose zeros are events, shape (..., 3) or with limits (..., 15)."""
+    index = singularities(states).index
+    if geometry.limits is None:
+        return index
+    lengths = states.leg_lengths
+    return np.concatenate([index, lengths - geometry.limits.minimum, geometry.limits.maximum - lengths], axis=-1)
+
+
+def _event(geometry: Geometry, which: int, parameter: float, after: float) -> Event:
+    if which < 2:
+        return Event(EventKind.FORWARD_SINGULARITY, parameter, ("lower stage", "upper stage")[which])
+    if which == 2:
+        return Event(EventKind.INVERSE_SINGULARITY, parameter, "det K changes sign")
+    assert geometry.limits is not None
+    bound, values = ("minimum", geometry.limits.minimum) if which < 9 else ("maximum", geometry.limits.maximum)
+    leg = (which - 3) % 6
+    verb = "comes back within" if after > 0.0 else "goes beyond"
+    return Event(EventKind.LIMIT, parameter, f"{LEGS[leg]} {verb} its {bound}, {values[leg]:g} m")
+
+
+def _sign_changes(geometry: Geometry, tracker: Tracker, states: Configuration) -> list[Event]:
+    """Find the zeros of the monitored functions along the followed solution."""
+    values = _monitored(geometry, states)
+    parameters = tracker.parameters
+    events = []
+    for which in range(values.shape[-1]):
+        column = values[:, which]
+
+        def value(s: float, which: int = which) -> float:
+            return float(_monitored(geometry, tracker.state(s))[which])
+
+        for k in range(len(parameters) - 1):
+            low, high = parameters[k], parameters[k + 1]
+            brackets = [(low, high)] if column[k] * column[k + 1] < 0.0 else _dip(value, parameters, column, k)
+            for left, right in brackets:
+                root = float(brentq(value, left, right, xtol=1e-13, rtol=8.9e-16))
+                events.append(_event(geometry, which, root, value(right)))
+    return events
+
+
+def _dip(
+    value: Callable[[float], float], parameters: list[float], column: FloatArray, k: int
+) -> list[tuple[float, float]]:
+    """Return two brackets where a function of one sign at both ends crosses zero twice in between."""
+    if not 0 < k < len(parameters) - 2 or column[k] == 0.0 or column[k + 1] == 0.0:
+        return []
+    sign = float(np.sign(column[k]))
+    slopes = np.diff(sign * column[k - 1 : k + 3]) / np.diff(parameters[k - 1 : k + 3])
+    low, high = parameters[k], parameters[k + 1]
+    # Tangents from both sides meet below zero only where a dip may reach it.
+    deepest = min(sign * column[k] + slopes[0] * (high - low), sign * column[k + 1] - slopes[2] * (high - low))
+    if not (slopes[0] < 0.0 < slopes[2] and deepest < 0.0):
+        return []
+    lowest = minimize_scalar(lambda s: sign * value(s), bounds=(low, high), method="bounded", options={"xatol": 1e-12})
+    return [(low, float(lowest.x)), (float(lowest.x), high)] if lowest.fun < 0.0 else []

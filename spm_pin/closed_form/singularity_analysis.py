@@ -1,0 +1,284 @@
+"""Where the mechanism is singular, of which kind, and how far away it is.
+
+Three 6 x 6 matrices decide, built as in `spm_pin.closed_form.jacobians` from forces through the ball joints, at the
+middle platform's centre and with lengths in units of d, so that they are dimensionless and of order one:
+
+- J_b and J_c, the six forces of the lower and of the upper stage. Where one is singular the locked legs of that
+  stage let its platform move: a **forward** singularity (type 2, parallel).
+- K, the structure's forces of both stages. Where it is singular the middle platform can move while the terminal
+  platform stands still, and a direction of motion of the latter is lost: an **inverse** singularity (type 1, serial).
+- Where the structure's three forces of one stage are dependent already, both happen: a **constraint** singularity.
+
+det J_f = det J_b det J_c / det K, and each determinant is a difference of two triple products, without a 6 x 6.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.closed_form.jacobians import ENOUGH, platform_jacobian, two_axes
+from spm_pin.closed_form.stage_wrenches import SINGULAR, StageWrenches
+from spm_pin.closed_form.threads import in_parts
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.configuration import Configuration
+
+__all__ = ["Singularities", "SingularityKind", "determinant_gradients", "determinants", "singularities"]
+
+
+class SingularityKind(enum.IntFlag):
+    """Kinds of singularity; a configuration can be of several."""
+
+    REGULAR = 0
+    INVERSE = 1
+    FORWARD = 2
+    CONSTRAINT = 4
+
+    def __str__(self) -> str:
+        return " and ".join(str(kind.name).lower() for kind in SingularityKind if kind & self) or "regular"
+
+
+@dataclass(frozen=True)
+class Singularities:
+    """What is known of the singularities of states of shape (...); NaN and rank 0 where a state does not exist.
+
+    The axis of length three counts the matrices J_b, J_c, K.
+
+    Attributes
+    ----------
+    determinants : ndarray, shape (..., 3)
+        det J_b, det J_c, det K [m³], with forces of length one and moments about any point: signed and smooth.
+    index : ndarray, shape (..., 3)
+        The determinants over d³: dimensionless, signed, smooth, zero just where singular; for a cost.
+    sigma : ndarray, shape (..., 3)
+        Smallest singular values, dimensionless: how far, in the Frobenius norm, the forces' directions and arms
+        over d would have to change to make the matrix singular.
+    condition : ndarray, shape (..., 3)
+        Largest singular value over the smallest; infinite where that is zero.
+    rank : ndarray of int, shape (..., 3)
+        Singular values above `tolerance` times the largest.
+    kind : ndarray of int8, shape (...)
+        A combination of `SingularityKind`, at the same tolerance.
+    mobility : ndarray of int, shape (...)
+        Dimension of the twists that the six legs can give the platform: rank of J_f⁻¹; 6 where regular. Not
+        defined at a forward singularity, -1 there.
+    gained_twist : ndarray, shape (..., 2, 6)
+        The twist (v, ω) at o in {B} that the lower, or the upper, stage resists least when its legs are locked:
+        the right singular vector of J_b, or J_c. At a forward singularity the platform moves so. Its size is such
+        that (v, dω) at the middle platform's centre has length 1 m/s.
+    inner_twist : ndarray, shape (..., 6)
+        The twist (v, ω) at o in {B} of the middle platform that the structure resists least while both ends
+        stand still: the right singular vector of K. At an inverse singularity it is free, given the legs.
+    lost_wrench : ndarray, shape (..., 6)
+        The wrench (f, m) at o in {B} on the terminal platform that the structure of both stages carries with
+        hardly any leg force. At an inverse singularity with none at all, and no motion can do work on it: that
+        is the lost freedom. |f| = 1, or |m| = 1 for a couple.
+    """
+
+    determinants: FloatArray
+    index: FloatArray
+    sigma: FloatArray
+    condition: FloatArray
+    rank: npt.NDArray[np.intp]
+    kind: npt.NDArray[np.int8]
+    mobility: npt.NDArray[np.intp]
+    gained_twist: FloatArray
+    inner_twist: FloatArray
+    lost_wrench: FloatArray
+
+    @property
+    def inverse_jacobian_determinant(self) -> FloatArray:
+        """The determinant of J_f, det J_b det J_c / det K, shape (...) [m³]; infinite at an inverse singularity."""
+        lower, upper, structure = np.moveaxis(self.determinants, -1, 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(lower * upper / structure)
+
+
+def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) -> Singularities:
+    """Describe the singularities of a configuration, or how near they are.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        States of shape (...).
+    tolerance : float
+        A matrix is singular where its smallest singular value is at most this times its largest; by default
+        where rounding cannot tell. Raise it to name singularities that are merely near.
+
+    Raises
+    ------
+    ArgumentError
+        If `tolerance` is not between 0 and 1.
+    SingularConfigurationError
+        Where a leg has no length, hence no direction.
+
+    Notes
+    -----
+    At the symmetric home K has rank 3: it is an inverse singularity in which three freedoms are lost.
+    """
+    if not 0.0 <= tolerance < 1.0:
+        raise ArgumentError("tolerance", "a number from 0 to below 1", tolerance)
+    wrenches = StageWrenches.of(configuration)
+    exists = wrenches.exists
+    stages = np.concatenate([wrenches.legs, wrenches.constraints], axis=-2)
+    structure = wrenches.constraints.reshape(*exists.shape, 1, 6, 6)
+    matrices = np.where(exists[..., None, None, None], np.concatenate([stages, structure], axis=-3), np.eye(6))
+    left, values, right = np.linalg.svd(matrices)
+    above = values > tolerance * values[..., :1]
+    rank = above.sum(axis=-1)
+
+    own = np.linalg.svd(np.where(exists[..., None, None, None], wrenches.constraints, np.eye(3, 6)), compute_uv=False)
+    dependent = (own[..., -1] <= tolerance * own[..., 0]).any(axis=-1)
+    kind = (
+        np.where(rank[..., 2] < 6, SingularityKind.INVERSE, 0)
+        | np.where((rank[..., :2] < 6).any(axis=-1), SingularityKind.FORWARD, 0)
+        | np.where(dependent, SingularityKind.CONSTRAINT, 0)
+    )
+    held = (rank[..., :2] == 6).all(axis=-1)
+    twists = _at_platform(right[..., -1, :], wrenches)
+    dets = determinants(configuration)
+    with np.errstate(divide="ignore"):
+        condition = values[..., 0] / values[..., -1]
+
+    def present(array: FloatArray) -> FloatArray:
+        return np.where(exists.reshape(*exists.shape, *(1,) * (array.ndim - exists.ndim)), array, np.nan)
+
+    return Singularities(
+        determinants=dets,
+        index=dets / configuration.geometry.middle_side**3,
+        sigma=present(values[..., -1]),
+        condition=present(condition),
+        rank=np.where(exists[..., None], rank, 0),
+        kind=np.where(exists, kind, 0).astype(np.int8),
+        mobility=np.where(exists, np.where(held, rank[..., 2], -1), 0),
+        gained_twist=present(twists[..., :2, :]),
+        inner_twist=present(twists[..., 2, :]),
+        lost_wrench=present(_lost_wrench(left[..., 2, :, -1], wrenches)),
+    )
+
+
+def determinants(configuration: Configuration) -> FloatArray:
+    """Return det J_b, det J_c and det K alone, as `Singularities.determinants`.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        States of shape (...).
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        [m³]; NaN for a member that does not exist, or for a leg without length.
+    """
+    from spm_pin.closed_form.kernels.jacobian_kernels import all_determinants
+
+    geometry, (joints, rotation, position) = configuration.geometry, two_axes(configuration, configuration.shape)
+    outer, inner = joints.shape[:2]
+    found = np.empty((outer * inner, 3))
+
+    def part(at: slice) -> None:
+        packed = slice(at.start * inner, at.stop * inner)
+        sizes = geometry.base_radius, geometry.platform_radius
+        all_determinants(joints[at], rotation[at], position[at], *sizes, found[packed])
+
+    in_parts(part, outer, ENOUGH // max(inner, 1))
+    return found.reshape(*configuration.shape, 3)
+
+
+def _at_platform(twists: FloatArray, wrenches: StageWrenches) -> FloatArray:
+    """Move twists (v, dω) at the middle platform's centre, (..., n, 6) [m/s], to (v, ω) at o [m/s, rad/s]."""
+    angular = twists[..., 3:] / wrenches.side
+    linear = twists[..., :3] + np.cross(angular, wrenches.lever[..., None, :])
+    return np.concatenate([linear, angular], axis=-1)
+
+
+def _lost_wrench(shares: FloatArray, wrenches: StageWrenches) -> FloatArray:
+    """Return the wrench at o (..., 6) that the upper stage's share of a left singular vector of K makes."""
+    rows = wrenches.constraints[..., 1, :, :]
+    wrench = np.einsum("...i,...ij->...j", shares[..., 3:], rows)
+    force = wrench[..., :3]
+    moment = wrenches.side * wrench[..., 3:] - np.cross(wrenches.lever, force)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        size = np.linalg.norm(force, axis=-1, keepdims=True)
+        couple = np.linalg.norm(moment, axis=-1, keepdims=True)
+        scale = np.where(size > SINGULAR * couple / wrenches.side, size, couple)
+        return np.asarray(np.concatenate([force, moment], axis=-1) / scale)
+
+
+def determinant_gradients(configuration: Configuration) -> FloatArray:
+    """Return the derivatives of det J_b, det J_c and det K with respect to the six leg lengths.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        States of shape (...).
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 6)
+        Row per determinant, column per leg r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m²]; finite at an inverse
+        singularity. NaN for a member that does not exist. For the derivative along a motion of the platform
+        multiply with `inverse_jacobian`.
+
+    Raises
+    ------
+    SingularConfigurationError
+        At a forward or a constraint singularity, where the leg lengths do not determine the motion.
+    """
+    # Twists (v, ω) at the middle platform's centre per unit leg rate: of the middle platform, and of m against it.
+    jacobian = platform_jacobian(configuration)
+    lever = configuration.translation - configuration.middle_joints.mean(axis=-2)
+    linear, angular = np.swapaxes(jacobian[..., :3, :], -1, -2), np.swapaxes(jacobian[..., 3:, :], -1, -2)
+    twists = np.concatenate([linear - np.cross(angular, lever[..., None, :]), angular], axis=-1)
+    lower, relative = twists[..., :3, :], twists[..., 3:, :]
+    middle = np.concatenate([lower, np.zeros_like(relative)], axis=-2)
+    platform = np.concatenate([lower, relative], axis=-2)
+    b, c = configuration.middle_joints, configuration.platform_joints
+    centre = b.mean(axis=-2)
+
+    def velocity(twist: FloatArray, points: FloatArray) -> FloatArray:
+        """Return velocities (..., 6, 3, 3) of three points for six twists."""
+        arms = (points - centre[..., None, :])[..., None, :, :]
+        return twist[..., :, None, :3] + np.cross(twist[..., :, None, 3:], arms)
+
+    b_dot, c_dot = velocity(middle, b), velocity(platform, c)
+    base_axes = np.broadcast_to(configuration.geometry.revolute_axes, b.shape)[..., None, :, :]
+    axes = configuration.platform_axes[..., None, :, :]
+    axes_dot = np.cross(platform[..., :, None, 3:], axes)
+
+    def direction(vectors: FloatArray, rates: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return unit vectors along the legs and their derivatives."""
+        length = np.linalg.norm(vectors, axis=-1, keepdims=True)[..., None, :, :]
+        unit = vectors[..., None, :, :] / length
+        return unit, (rates - unit * (unit * rates).sum(axis=-1, keepdims=True)) / length
+
+    delta_b, delta_b_dot = direction(configuration.leg_vectors[..., :3, :], b_dot)
+    delta_c, delta_c_dot = direction(configuration.leg_vectors[..., 3:, :], c_dot - b_dot)
+    points = b[..., None, :, :]
+    rows = [
+        _plane_derivative(points, b_dot, np.cross(delta_b, base_axes), np.cross(delta_b_dot, base_axes)),
+        _plane_derivative(
+            points, b_dot, np.cross(delta_c, axes), np.cross(delta_c_dot, axes) + np.cross(delta_c, axes_dot)
+        ),
+        _plane_derivative(points, b_dot, np.cross(base_axes, axes), np.cross(base_axes, axes_dot)),
+    ]
+    return -np.stack(rows, axis=-2)
+
+
+def _plane_derivative(b: FloatArray, b_dot: FloatArray, w: FloatArray, w_dot: FloatArray) -> FloatArray:
+    """Return the derivative of D(b; w) = c12 c23 c31 + c21 c32 c13, c_ij = (b_i - b_j)·w_i."""
+
+    def c(i: int, j: int) -> tuple[FloatArray, FloatArray]:
+        gap, gap_dot = b[..., i, :] - b[..., j, :], b_dot[..., i, :] - b_dot[..., j, :]
+        value = (gap * w[..., i, :]).sum(axis=-1)
+        return value, (gap_dot * w[..., i, :] + gap * w_dot[..., i, :]).sum(axis=-1)
+
+    total = np.zeros(b_dot.shape[:-2])
+    for cycle in (((0, 1), (1, 2), (2, 0)), ((1, 0), (2, 1), (0, 2))):
+        (x, dx), (y, dy), (z, dz) = (c(i, j) for i, j in cycle)
+        total = total + dx * y * z + x * dy * z + x * y * dz
+    return total

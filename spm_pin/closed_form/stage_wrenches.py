@@ -1,0 +1,117 @@
+"""The 6 x 6 matrices of forces through the ball joints, and where they are singular.
+
+See `spm_pin.closed_form.jacobians` for what they are. The kernels know them by their determinants; what needs more than
+that, singular values and vectors, comes from here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.errors import SingularConfigurationError
+from spm_pin.mechanism.arguments import FloatArray, first_offender
+from spm_pin.mechanism.configuration import Configuration
+
+__all__ = ["SINGULAR", "StageWrenches", "refuse_singular"]
+
+_EPS = float(np.finfo(np.float64).eps)
+SINGULAR = 64.0 * _EPS
+"""A matrix is singular to rounding where its smallest singular value is at most this times its largest.
+
+A unit vector computed from joint positions is off by a few eps, and so is an arm (b_i - p)/d. Six rows of two
+such parts, of coordinates a few times d, make a matrix off by some 10 √12 eps < 64 eps in the Frobenius norm:
+a smaller singular value may as well be zero.
+"""
+
+
+@dataclass(frozen=True)
+class StageWrenches:
+    """The forces of the legs as rows (f, (b_i - p) x f / d) at the middle platform's centre p, in {B}.
+
+    Attributes
+    ----------
+    legs, constraints : ndarray, shape (..., 2, 3, 6)
+        [A_b, A_c] and [K_b, K_c]: the lower stage first.
+    points : ndarray, shape (..., 3, 3)
+        (b_i - p)/d as rows.
+    lever : ndarray, shape (..., 3)
+        o - p [m].
+    side : float
+        d [m].
+    exists : ndarray of bool, shape (...)
+        False for a member that does not exist; its rows are NaN.
+    """
+
+    legs: FloatArray
+    constraints: FloatArray
+    points: FloatArray
+    lever: FloatArray
+    side: float
+    exists: npt.NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, configuration: Configuration) -> StageWrenches:
+        """Set up the rows; raises `SingularConfigurationError` ("forward") where a leg has no length."""
+        lengths = configuration.leg_lengths
+        short = (lengths == 0.0).any(axis=-1)
+        if short.any():
+            raise SingularConfigurationError("forward", 0.0, first_offender(short))
+        shape = configuration.shape
+        side = configuration.geometry.middle_side
+        b = configuration.middle_joints
+        centre = b.mean(axis=-2)
+        points = (b - centre[..., None, :]) / side
+        axes = np.stack(
+            [np.broadcast_to(configuration.geometry.revolute_axes, b.shape), configuration.platform_axes], axis=-3
+        )
+        directions = (configuration.leg_vectors / lengths[..., None]).reshape(*shape, 2, 3, 3)
+
+        def rows(forces: FloatArray) -> FloatArray:
+            return np.concatenate([forces, np.cross(points[..., None, :, :], forces)], axis=-1)
+
+        lever = configuration.translation - centre
+        return cls(rows(directions), rows(axes), points, lever, side, configuration.exists)
+
+    def matrices(self, kind: str) -> FloatArray:
+        """Return what is singular at a "forward" singularity, J_b and J_c, or "inverse", K, shape (..., n, 6, 6)."""
+        if kind == "forward":
+            return np.concatenate([self.legs, self.constraints], axis=-2)
+        return self.constraints.reshape(*self.exists.shape, 1, 6, 6)
+
+
+def refuse_singular(configuration: Configuration, suspect: npt.NDArray[np.uint8], kind: str) -> None:
+    """Raise if one of the states that a kernel suspects, of (S,) in their order, is singular to rounding.
+
+    Raises
+    ------
+    SingularConfigurationError
+        Of this `kind`, "forward" or "inverse", or "constraint".
+    """
+    at = np.flatnonzero(suspect)
+    if not len(at):
+        return
+    shape = configuration.shape
+    places = np.unravel_index(at, shape) if shape else ()
+    some = configuration[places] if shape else configuration
+    try:
+        wrenches = StageWrenches.of(some)
+    except SingularConfigurationError as short:
+        first = short.index[0] if short.index else 0
+        raise SingularConfigurationError(short.kind, short.sigma_min, _index(places, first)) from None
+    values = np.linalg.svd(wrenches.matrices(kind), compute_uv=False).reshape(len(at), -1, 6)
+    smallest = np.where(values[..., -1] <= SINGULAR * values[..., 0], values[..., -1], np.inf).min(axis=-1)
+    if not (smallest < np.inf).any():
+        return
+    first = int((smallest < np.inf).argmax())
+    own = np.linalg.svd(wrenches.constraints.reshape(len(at), 2, 3, 6)[first], compute_uv=False)
+    dependent = own[:, -1] <= SINGULAR * own[:, 0]
+    if dependent.any():
+        raise SingularConfigurationError("constraint", float(own[:, -1].min()), _index(places, first))
+    raise SingularConfigurationError(kind, float(smallest[first]), _index(places, first))
+
+
+def _index(places: tuple[npt.NDArray[np.intp], ...], which: int) -> tuple[int, ...]:
+    return tuple(int(axis[which]) for axis in places)

@@ -1,0 +1,300 @@
+"""Who can be asked about the robot, and what each has to say.
+
+Witnesses share types and no code. Each answers what it can and returns None otherwise, states how large a closure
+residual its arithmetic may leave, and how often its route may lose a branch. Heavy libraries are imported by the
+witness that needs them, when it is made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, Protocol
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from spm_pin.closed_form.inverse_displacement import inverse_displacement
+from spm_pin.closed_form.jacobians import inverse_jacobian
+from spm_pin.closed_form.leg_forces import leg_forces
+from spm_pin.errors import ArgumentError, SingularConfigurationError
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.solutions import SolutionSet
+from spm_pin.paper import resultant
+from spm_pin.paper.jacobian import CORRECT, J_f, Table5Mistakes
+from spm_pin.paper.statics import f_r
+
+__all__ = ["WITNESSES", "ClosedForm", "Ipopt", "Nlp", "Paper", "Pinocchio", "Witness", "make", "reach"]
+
+ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
+"""What a backward stable route leaves in a closure equation, relative to the robot's size: the closed form's worst
+over 10⁵ poses is 45 eps, see `docs/theory/inverse_displacement.md`."""
+
+
+_REFINE = 30
+"""Newton steps on Eq. (13): near a double root four leave residuals a thousand times what rounding does."""
+
+
+def reach(configuration: Configuration) -> FloatArray:
+    """Return the size of the numbers in the loop equations [m], shape (...)."""
+    geometry = configuration.geometry
+    fixed = geometry.base_radius + geometry.platform_radius + geometry.middle_side
+    far = np.linalg.norm(configuration.translation, axis=-1)
+    return np.asarray(fixed + far + np.abs(configuration.middle_joints).max(axis=(-1, -2)))
+
+
+class Witness(Protocol):
+    """Something that answers questions about the robot by a route of its own.
+
+    Attributes
+    ----------
+    name : str
+        How the report calls it.
+    miss_rate : float
+        Share of poses at which its route may lose branches.
+    share : float
+        Share of the poses it is asked to solve, less than one where that takes long.
+    """
+
+    name: str
+    miss_rate: float
+    share: float
+
+    def inverse(self, pose: RigidTransform) -> SolutionSet | None:
+        """Return the branches of poses (N,)."""
+        return None
+
+    def inverse_jacobian(self, configuration: Configuration) -> FloatArray | None:
+        """Return J_f (N, 6, 6) of states (N,) in SI; NaN where a state is singular."""
+        return None
+
+    def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray | None:
+        """Return the leg forces (N, 6) [N] of states (N,) that hold wrenches (N, 6); NaN where singular."""
+        return None
+
+    def assembled(self, configuration: Configuration) -> Configuration | None:
+        """Return states (N,) as a model of its own puts them together from their joint values."""
+        return None
+
+    def rounding(self, configuration: Configuration) -> FloatArray:
+        """Return the closure residual [m] that its arithmetic may leave at states (N,)."""
+        return ROUNDING * reach(configuration)
+
+
+@dataclass
+class ClosedForm(Witness):
+    """Four quadratics, and forces through the ball joints: `spm_pin.closed_form`."""
+
+    geometry: Geometry
+    name: str = "closed form"
+    miss_rate: float = 0.0
+    share: float = 1.0
+
+    def inverse(self, pose: RigidTransform) -> SolutionSet:
+        """Solve poses (N,)."""
+        return inverse_displacement(self.geometry, pose)
+
+    def inverse_jacobian(self, configuration: Configuration) -> FloatArray:
+        """Return J_f (N, 6, 6)."""
+        return _each(inverse_jacobian, configuration)
+
+    def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray:
+        """Return forces (N, 6) [N]."""
+        return _each(leg_forces, configuration, wrench)
+
+
+@dataclass
+class Paper(Witness):
+    """The paper's octic, its 9 x 9 Jacobian and its statics: `spm_pin.paper`.
+
+    Its route loses branches in floating point, at up to 4 % of all poses: see `docs/theory/inverse_displacement.md`.
+    """
+
+    geometry: Geometry
+    mistakes: Table5Mistakes = CORRECT
+    name: str = "paper"
+    miss_rate: float = 0.05
+    share: float = 1.0
+
+    def inverse(self, pose: RigidTransform) -> SolutionSet:
+        """Solve poses (N,)."""
+        return resultant.inverse_displacement(self.geometry, pose, refine=_REFINE)
+
+    def inverse_jacobian(self, configuration: Configuration) -> FloatArray:
+        """Return J_f (N, 6, 6)."""
+        return _each(lambda state: J_f(state, self.mistakes), configuration)
+
+    def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray:
+        """Return forces (N, 6) [N]."""
+
+        def forces(state: Configuration, load: FloatArray) -> FloatArray:
+            return f_r(state, load[..., :3], load[..., 3:], self.mistakes)
+
+        return _each(forces, configuration, wrench)
+
+    def rounding(self, configuration: Configuration) -> FloatArray:
+        """Allow for Eq. (13), whose coefficients are squares of the lines' slopes against the horizontal."""
+        along = np.cross(configuration.geometry.revolute_axes, configuration.platform_axes)
+        with np.errstate(divide="ignore"):
+            slope = np.abs(along[..., 2]) / np.linalg.norm(along[..., :2], axis=-1)
+        squared = 1.0 + (slope**2).max(axis=-1)
+        scale = reach(configuration) / configuration.geometry.middle_side
+        return np.asarray(ROUNDING * reach(configuration) * scale * squared)
+
+
+@dataclass
+class Nlp(Witness):
+    """CasADi's loop equations, solved by multi-start and differentiated implicitly: `spm_pin.nlp`."""
+
+    geometry: Geometry
+    solver: str = "newton"
+    name: str = "nlp"
+    miss_rate: float = 1e-3
+    share: float = 1.0
+
+    def __post_init__(self) -> None:
+        self._nlp = import_module("spm_pin.nlp")
+        self._derivatives = self._nlp.leg_jacobian(self.geometry)
+
+    def inverse(self, pose: RigidTransform) -> SolutionSet:
+        """Solve poses (N,)."""
+        found = self._nlp.search(self.geometry, pose, risk=self.miss_rate, solver=self.solver)
+        solutions: SolutionSet = found.solutions
+        return solutions
+
+    def inverse_jacobian(self, configuration: Configuration) -> FloatArray | None:
+        """Return J_f (N, 6, 6)."""
+        return self._rates(configuration)
+
+    def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray | None:
+        """Return forces (N, 6) [N]."""
+        transposed = np.swapaxes(self._rates(configuration), -1, -2)
+        return np.asarray(-np.linalg.solve(transposed, wrench[..., None])[..., 0])
+
+    def _rates(self, configuration: Configuration) -> FloatArray:
+        def one(state: Configuration) -> FloatArray:
+            arguments = state.middle_joints.ravel(), state.rotation, state.translation
+            b_closure, x_closure, b_lengths, x_lengths = (np.asarray(part) for part in self._derivatives(*arguments))
+            return np.asarray(x_lengths - b_lengths @ np.linalg.solve(b_closure, x_closure))
+
+        return np.stack([one(state) for state in configuration])
+
+
+@dataclass
+class Ipopt(Nlp):
+    """The same loop equations solved by IPOPT, which takes some eighty times as long; asked for branches alone."""
+
+    solver: str = "ipopt"
+    name: str = "ipopt"
+    miss_rate: float = 1e-2
+    share: float = 0.04
+
+    def inverse_jacobian(self, configuration: Configuration) -> None:
+        """Return None: derivatives are not IPOPT's."""
+
+    def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> None:
+        """Return None: derivatives are not IPOPT's."""
+
+
+@dataclass
+class Pinocchio(Witness):
+    """The spanning tree with closures in Pinocchio: `spm_pin.multibody`. It solves no inverse displacement."""
+
+    geometry: Geometry
+    name: str = "pinocchio"
+    miss_rate: float = 0.0
+    share: float = 1.0
+
+    def __post_init__(self) -> None:
+        self.chain = import_module("spm_pin.multibody.chain").ClosedChain.from_urdf(geometry=self.geometry)
+        self._workspace = self.chain.workspace()
+
+    def inverse_jacobian(self, configuration: Configuration) -> FloatArray:
+        """Return J_f (N, 6, 6)."""
+
+        def one(state: Configuration) -> Any:
+            return self.chain.inverse_jacobian(self.chain.joint_values(state), workspace=self._workspace)
+
+        return np.stack([_or_nan(one, (6, 6), state) for state in configuration])
+
+    def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray:
+        """Return forces (N, 6) [N]."""
+
+        def one(state: Configuration, load: FloatArray) -> Any:
+            return self.chain.leg_forces(self.chain.joint_values(state), load, workspace=self._workspace)
+
+        return np.stack([_or_nan(one, (6,), state, load) for state, load in zip(configuration, wrench, strict=True)])
+
+    def assembled(self, configuration: Configuration) -> Configuration:
+        """Place states and read them back from the tree."""
+        states = [
+            self.chain.configuration(self.chain.joint_values(state), workspace=self._workspace)
+            for state in configuration
+        ]
+        return Configuration.from_arrays(
+            configuration.geometry,
+            np.stack([state.rotation for state in states]),
+            np.stack([state.translation for state in states]),
+            np.stack([state.middle_joints for state in states]),
+        )
+
+
+def _each(function: Callable[..., FloatArray], configuration: Configuration, *arguments: FloatArray) -> FloatArray:
+    """Call with the whole batch, or one by one where a member is singular."""
+    try:
+        return function(configuration, *arguments)
+    except SingularConfigurationError:
+        shape = function(configuration[:0], *(argument[:0] for argument in arguments)).shape[1:]
+        members = zip(configuration, *arguments, strict=True)
+        return np.stack([_or_nan(function, shape, *member) for member in members])
+
+
+def _or_nan(function: Callable[..., Any], shape: tuple[int, ...], *arguments: Any) -> FloatArray:
+    try:
+        return np.asarray(function(*arguments))
+    except SingularConfigurationError:
+        return np.full(shape, np.nan)
+
+
+WITNESSES: dict[str, Callable[[Geometry], Witness]] = {
+    "closed-form": ClosedForm,
+    "paper": Paper,
+    "pinocchio": Pinocchio,
+    "nlp": Nlp,
+    "ipopt": Ipopt,
+}
+"""By the name they have on the command line."""
+
+
+def make(names: Sequence[str] | None, geometry: Geometry) -> list[Witness]:
+    """Return witnesses by name.
+
+    Parameters
+    ----------
+    names : sequence of str, optional
+        Of `WITNESSES`; all that can be imported if not given.
+    geometry : Geometry
+        The manipulator they are asked about.
+
+    Raises
+    ------
+    ArgumentError
+        If a name is unknown.
+    ImportError
+        If a witness asked for by name needs a package that is missing.
+    """
+    unknown = [name for name in names or () if name not in WITNESSES]
+    if unknown:
+        raise ArgumentError("witnesses", f"of {', '.join(WITNESSES)}", ", ".join(unknown))
+    if names is not None:
+        return [WITNESSES[name](geometry) for name in dict.fromkeys(names)]
+    found = []
+    for maker in WITNESSES.values():
+        try:
+            found.append(maker(geometry))
+        except ImportError:
+            continue
+    return found

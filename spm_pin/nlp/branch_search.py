@@ -1,0 +1,274 @@
+"""Inverse displacement by multi-start: every branch found from random starts, certified, and the rest estimated.
+
+Newton's method is the default solver. A pose and its loop equations form a square system without an objective, on
+which IPOPT takes Newton's steps as well, at some eighty times the price a start; `make bench` measures both
+beside SciPy's solvers. IPOPT is there as a second opinion: its line search and restoration phase
+end elsewhere, and stop at a measured infeasibility where nothing solves the equations.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.branches import BRANCHES
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
+from spm_pin.mechanism.solutions import SolutionSet, Status
+from spm_pin.nlp.batched_newton import LoopEquations
+from spm_pin.nlp.multistart import Multistart
+from spm_pin.nlp.solvers import Ipopt
+from spm_pin.nlp.starts import MOST_BRANCHES
+
+__all__ = ["SOLVERS", "Interrupted", "Search", "inverse_displacement", "search"]
+
+SOLVERS = ("newton", "ipopt")
+
+IntArray = npt.NDArray[np.int_]
+BoolArray = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Search:
+    """What a multi-start found, and how sure it is; arrays over the batch of poses (...).
+
+    Attributes
+    ----------
+    solutions : SolutionSet
+        The branches, under the canonical labels. `Status.UNREACHABLE` where none was found and `infeasibility` is
+        not rounding; `Status.UNSOLVED` where the search failed, or was interrupted before.
+    starts : ndarray of int, shape (...)
+        Starts made.
+    hits : ndarray of int, shape (..., 8)
+        Starts that ended at each branch.
+    continuous : ndarray of int, shape (...)
+        Starts that ended on a continuous family of solutions.
+    failed : ndarray of int, shape (...)
+        Starts that ended at no solution.
+    failed_residual : ndarray, shape (...)
+        Smallest norm of the loop equations where a failed start ended [m]; NaN where none failed.
+    unseen_share : ndarray, shape (...)
+        Good and Turing's estimate of the share of converging starts that lead to branches not found.
+    unseen_probability : ndarray, shape (...)
+        Posterior probability that a branch was not found, see `spm_pin.nlp.starts.unseen_probability`.
+    settled : ndarray of bool, shape (...)
+        Whether the stopping rule was met.
+    sigma : ndarray, shape (..., 8)
+        Smallest singular value of the loop equations at each branch, dimensionless; zero where two branches meet.
+    error_bound : ndarray, shape (..., 8)
+        A true branch is proved to be this near [m], in the norm of all nine coordinates.
+    isolated : ndarray of bool, shape (..., 8)
+        Whether it is proved to be the only one there.
+    infeasibility : ndarray, shape (...)
+        Where no branch was found: the smallest norm of the loop equations that least squares reach [m].
+    outcomes : Mapping of str to int
+        How often the solver ended how, over all poses.
+    """
+
+    solutions: SolutionSet
+    starts: IntArray
+    hits: IntArray
+    continuous: IntArray
+    failed: IntArray
+    failed_residual: FloatArray
+    unseen_share: FloatArray
+    unseen_probability: FloatArray
+    settled: BoolArray
+    sigma: FloatArray
+    error_bound: FloatArray
+    isolated: BoolArray
+    infeasibility: FloatArray
+    outcomes: Mapping[str, int]
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C during a search or along a path; nothing that was finished is lost.
+
+    Attributes
+    ----------
+    partial : Search or Track
+        The result so far, the rest marked as unsolved.
+    """
+
+    def __init__(self, partial: Any) -> None:
+        self.partial = partial
+        super().__init__("interrupted; .partial holds what was finished")
+
+
+def inverse_displacement(
+    geometry: Geometry,
+    pose: PoseLike,
+    *,
+    starts: int | None = None,
+    seed: int = 0,
+    solver: str = "newton",
+    options: Mapping[str, Any] | None = None,
+) -> SolutionSet:
+    """Find the configurations that hold the platform in a pose, numerically.
+
+    Parameters
+    ----------
+    geometry, pose, starts, seed, solver, options
+        As for `search`, which also says how sure the result is.
+
+    Returns
+    -------
+    SolutionSet
+        As of `spm_pin.inverse_displacement`, same labels, without discriminants and degeneracy.
+
+    Raises
+    ------
+    PoseError, ArgumentError, Interrupted
+        As for `search`.
+    """
+    return search(geometry, pose, starts=starts, seed=seed, solver=solver, options=options).solutions
+
+
+def search(
+    geometry: Geometry,
+    pose: PoseLike,
+    *,
+    starts: int | None = None,
+    risk: float = 1e-3,
+    seed: int = 0,
+    solver: str = "newton",
+    options: Mapping[str, Any] | None = None,
+) -> Search:
+    """Find the branches of a pose by multi-start, with an account of the search.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The manipulator; its leg limits are not applied.
+    pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
+        Pose of {m} in {B}, translation in metres; one, or a batch of shape (...).
+    starts : int, optional
+        Starts per pose. If not given, starts are made until `unseen_probability` is at most `risk` and every
+        branch found was hit twice; after 4096 the pose is left unsettled.
+    risk : float
+        Probability of a branch not found that is accepted; without meaning if `starts` is given.
+    seed : int
+        Of the random starts. A pose's result depends on the seed and the pose only, not on its batch.
+    solver : str
+        "newton" or "ipopt". Whatever solves, solutions are polished by Newton's method and certified.
+    options : mapping, optional
+        For IPOPT, as of `casadi.nlpsol`: ``{"ipopt.max_iter": 50}``.
+
+    Returns
+    -------
+    Search
+        The solutions and the account.
+
+    Raises
+    ------
+    PoseError
+        If `pose` is not a rigid transform of finite numbers.
+    ArgumentError
+        If another argument is not what it should be, or an option is refused.
+    Interrupted
+        By Ctrl-C; `.partial` holds the poses that were finished.
+
+    Notes
+    -----
+    The rule is tested against certified counts of branches, 200 poses in leg space and 50 on all of SO(3) with ten
+    seeds each: at the default risk 0 of 2500 searches missed a branch, that is at most 0.15 % with 95 % confidence.
+    """
+    _check(starts, risk, seed, solver, options)
+    transform = as_rigid_transform(pose)
+    matrices = transform.as_matrix().reshape(-1, 4, 4)
+    method = Ipopt(geometry, options) if options else _solver(geometry, solver)
+    equations = loop_equations_of(geometry)
+    found: list[Multistart] = []
+    try:
+        for matrix in matrices:
+            one = Multistart(equations, matrix)
+            one.run(method, starts, risk, np.random.default_rng(seed))
+            found.append(one)
+    except KeyboardInterrupt:
+        found += [Multistart(equations, matrix) for matrix in matrices[len(found) :]]
+        raise Interrupted(_collect(geometry, transform, found)) from None
+    return _collect(geometry, transform, found)
+
+
+@functools.lru_cache(maxsize=32)
+def loop_equations_of(geometry: Geometry) -> LoopEquations:
+    """Return the loop equations of a geometry, made once."""
+    return LoopEquations(geometry)
+
+
+@functools.lru_cache(maxsize=32)
+def _solver(geometry: Geometry, solver: str) -> Ipopt | None:
+    return Ipopt(geometry) if solver == "ipopt" else None
+
+
+def _check(starts: int | None, risk: float, seed: int, solver: str, options: Mapping[str, Any] | None) -> None:
+    if starts is not None and (not isinstance(starts, int | np.integer) or starts < 1):
+        raise ArgumentError("starts", "a positive whole number, or None for the stopping rule", starts)
+    if not 0.0 < risk < 1.0:
+        raise ArgumentError("risk", "a probability between 0 and 1", risk)
+    if not isinstance(seed, int | np.integer) or seed < 0:
+        raise ArgumentError("seed", "a whole number, not negative", seed)
+    if solver not in SOLVERS:
+        raise ArgumentError("solver", f"one of {', '.join(SOLVERS)}", solver)
+    if options and solver != "ipopt":
+        raise ArgumentError("options", f"none for the solver {solver}", dict(options), "Did you mean solver='ipopt'?")
+
+
+def _collect(geometry: Geometry, transform: Any, found: list[Multistart]) -> Search:
+    """Arrange the searches of all poses in the batch's shape."""
+    shape = transform.shape
+    joints = np.full((len(found), MOST_BRANCHES, 3, 3), np.nan)
+    solved = np.ones(len(found), dtype=bool)
+    for n, one in enumerate(found):
+        kept = one.kept
+        solved[n] = len(kept) <= MOST_BRANCHES and one.status is not Status.UNSOLVED
+        for place, k in enumerate(kept[:MOST_BRANCHES]):
+            joints[n, place] = one.certificates[k].b.reshape(3, 3)
+    ordered = SolutionSet.from_unordered(
+        geometry, transform, joints.reshape(*shape, MOST_BRANCHES, 3, 3), solved.reshape(shape)
+    )
+    branches = ordered.middle_joints.reshape(len(found), MOST_BRANCHES, 9)
+    hits = np.zeros((len(found), MOST_BRANCHES), dtype=int)
+    sigma, error = np.full(hits.shape, np.nan), np.full(hits.shape, np.nan)
+    isolated = np.zeros(hits.shape, dtype=bool)
+    for n, one in enumerate(found):
+        for k in one.kept:
+            at = n, (branches[n] == one.certificates[k].b).all(axis=-1)
+            hits[at], isolated[at] = one.hits[k], one.certificates[k].isolated
+            sigma[at], error[at] = one.certificates[k].sigma, one.certificates[k].error
+    status = np.asarray(ordered.status).reshape(-1).copy()
+    for n, one in enumerate(found):
+        if one.continuous:
+            status[n] = Status.DEGENERATE
+    outcomes: Counter[str] = sum((one.outcomes for one in found), Counter())
+
+    def of(values: list[Any], kind: Any = np.float64) -> Any:
+        return np.array(values, dtype=kind).reshape(shape)
+
+    converged = hits.sum(axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        unseen_share = np.where(converged > 0, (hits == 1).sum(axis=-1) / converged, np.nan)
+    return Search(
+        solutions=SolutionSet(ordered.configurations, BRANCHES, status.reshape(shape)),
+        starts=of([one.starts for one in found], int),
+        hits=hits.reshape(*shape, MOST_BRANCHES),
+        continuous=of([one.starts - one.failed - sum(one.hits[k] for k in one.kept) for one in found], int),
+        failed=of([one.failed for one in found], int),
+        failed_residual=of([one.failed_residual for one in found]),
+        unseen_share=unseen_share.reshape(shape),
+        unseen_probability=of([one.unseen_probability for one in found]),
+        settled=of([one.settled for one in found], bool),
+        sigma=sigma.reshape(*shape, MOST_BRANCHES),
+        error_bound=error.reshape(*shape, MOST_BRANCHES),
+        isolated=isolated.reshape(*shape, MOST_BRANCHES),
+        infeasibility=of([one.infeasibility for one in found]),
+        outcomes=dict(outcomes),
+    )

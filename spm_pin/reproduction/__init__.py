@@ -1,0 +1,1 @@
+"""The paper's tables recomputed, cell by cell, beside what it printed."""

@@ -1,0 +1,266 @@
+"""The boundary of the reachable positions, as a closed mesh whose vertices lie on it.
+
+Marching cubes need to know of the nodes of a grid only which are reachable: that says which edges the boundary crosses,
+and `spm_pin.workspace.reachability.edge_intersection` says where. What bounds the set is derived in `docs/theory/reachable_set.md`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.errors import ArgumentError, MissingExtraError
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.geometry import Geometry, LegLimits
+from spm_pin.workspace.reachability.lattice import classified, crossings, lattice
+from spm_pin.workspace.reachability.leg_box import LegBox, leg_box
+from spm_pin.workspace.reachability.nearest import RESOLUTION, Nearest, Progress, merged, nearest_in_box
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+__all__ = ["Boundary", "BoundaryPoints", "reachable_boundary"]
+
+IntArray = npt.NDArray[np.intp]
+BoolArray = npt.NDArray[np.bool_]
+
+_TRIES = 5
+_BESIDE = (0.05, 0.1, 0.4)
+
+
+@dataclass(frozen=True)
+class BoundaryPoints:
+    """Points of the boundary, each nearest to a point just outside; arrays over n.
+
+    Attributes
+    ----------
+    position : ndarray, shape (n, 3)
+        In {B} [m].
+    normal : ndarray, shape (n, 3)
+        Outward unit normals; at an edge, one of those between its two sides.
+    leg_lengths : ndarray, shape (n, 6)
+        r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m]; a leg at a limit has it to the last bit.
+    at_limit : ndarray of int8, shape (n, 6)
+        -1 for a leg at its minimum, 1 at its maximum, 0 for one that is free.
+    gradient : ndarray, shape (n, 6)
+        How fast o moves along the normal with each leg: zero for those free, else of the sign of `at_limit`, or zero.
+    violation : ndarray, shape (n,)
+        By how much `gradient` does not obey that; rounding.
+    """
+
+    position: FloatArray
+    normal: FloatArray
+    leg_lengths: FloatArray
+    at_limit: npt.NDArray[np.int8]
+    gradient: FloatArray
+    violation: FloatArray
+
+    @classmethod
+    def of(cls, box: LegBox, asked: FloatArray, found: Nearest) -> BoundaryPoints:
+        """Describe what was found nearest to points outside the reachable set."""
+        normal = (asked - found.position) / np.maximum(found.distance, np.finfo(float).tiny)[:, None]
+        at_limit = (found.lengths >= box.maximum).astype(np.int8) - (found.lengths <= box.minimum).astype(np.int8)
+        return cls(found.position, normal, found.lengths, at_limit, found.gradient, found.optimality)
+
+
+@dataclass(frozen=True)
+class Boundary:
+    """The boundary of the reachable positions; made by `reachable_boundary`.
+
+    Attributes
+    ----------
+    geometry : Geometry
+        The manipulator.
+    limits : LegLimits
+        The leg limits.
+    spacing : float
+        Of the grid it was made on [m].
+    vertices : ndarray, shape (V, 3)
+        Points of the boundary, in {B} [m].
+    leg_lengths : ndarray, shape (V, 6)
+        Lengths that put o there [m].
+    faces : ndarray of int, shape (F, 3)
+        Triangles, counter-clockwise seen from outside.
+    """
+
+    geometry: Geometry
+    limits: LegLimits
+    spacing: float
+    vertices: FloatArray
+    leg_lengths: FloatArray
+    faces: IntArray
+
+    def __repr__(self) -> str:
+        return f"<Boundary: {len(self.vertices)} vertices, {len(self.faces)} faces, {self.volume:.4f} m³>"
+
+    @property
+    def volume(self) -> float:
+        """Volume enclosed by the mesh [m³]; its error falls with the square of `spacing`."""
+        a, b, c = np.moveaxis(self.vertices[self.faces] - self.vertices.mean(axis=0), 1, 0)
+        return float((np.cross(a, b) * c).sum() / 6.0)
+
+    @property
+    def face_areas(self) -> FloatArray:
+        """Areas of the faces [m²], shape (F,)."""
+        return np.asarray(np.linalg.norm(self._doubled_normals, axis=-1) / 2.0)
+
+    @property
+    def area(self) -> float:
+        """Area of the mesh [m²]."""
+        return float(self.face_areas.sum())
+
+    @property
+    def euler_characteristic(self) -> int:
+        """V - E + F of the mesh; where the set has thin parts, it depends on the spacing."""
+        return len(self.vertices) - 3 * len(self.faces) // 2 + len(self.faces)
+
+    @property
+    def _doubled_normals(self) -> FloatArray:
+        a, b, c = np.moveaxis(self.vertices[self.faces], 1, 0)
+        return np.cross(b - a, c - a)
+
+    @cached_property
+    def mesh(self) -> Trimesh:
+        """The same as a `trimesh.Trimesh`, in {B} [m].
+
+        Raises
+        ------
+        MissingExtraError
+            If trimesh is not installed.
+        """
+        try:
+            import trimesh
+        except ModuleNotFoundError as missing:
+            raise MissingExtraError("workspace", "trimesh") from missing
+        return trimesh.Trimesh(self.vertices, self.faces, process=False)
+
+    def sample(self, count: int, rng: np.random.Generator | int | None = None) -> BoundaryPoints:
+        """Draw points of the boundary, about uniformly over its area.
+
+        Parameters
+        ----------
+        count : int
+            How many.
+        rng : Generator or int, optional
+            Source of randomness, or its seed.
+
+        Notes
+        -----
+        Drawn on the mesh, lifted off it until out of reach, and moved to the nearest reachable point.
+        """
+        rng = np.random.default_rng(rng)
+        doubled = self._doubled_normals
+        double_area = np.linalg.norm(doubled, axis=-1)
+        face = rng.choice(len(self.faces), _positive(count, "count"), p=double_area / double_area.sum())
+        share = np.sort(rng.uniform(size=(count, 2)), axis=-1)
+        weights = np.stack([share[:, 0], share[:, 1] - share[:, 0], 1.0 - share[:, 1]], axis=-1)
+        on_mesh = (self.vertices[self.faces[face]] * weights[..., None]).sum(axis=1)
+        outwards = doubled[face] / double_area[face, None]
+        box = leg_box(self.geometry, self.limits)
+        asked = np.empty((count, 3))
+        left, lift = np.arange(count), 0.1 * self.spacing
+        asked[:] = on_mesh + lift * outwards
+        found = _nearest_of_all(box, asked)
+        while len(left := left[found.distance[left] <= 0.01 * self.spacing]):
+            lift *= 2.0
+            asked[left] = on_mesh[left] + lift * outwards[left]
+            found = merged(found, left, _nearest_of_all(box, asked[left]))
+        return BoundaryPoints.of(box, asked, found)
+
+
+def _positive(count: int, argument: str) -> int:
+    if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
+        raise ArgumentError(argument, "a whole number of at least 1", repr(count))
+    return int(count)
+
+
+def _nearest_of_all(box: LegBox, points: FloatArray) -> Nearest:
+    """Return the point of the reachable set nearest to each of `points` (N, 3), asked again just outside of it."""
+    found = nearest_in_box(box, points, tries=_TRIES)
+    for share in _BESIDE:
+        left = np.flatnonzero(found.distance > RESOLUTION * box.size)
+        while len(left):
+            # Nothing is reachable inside the sphere around `points`; if something is, it is a better beginning.
+            here, distance = found.position[left], found.distance[left]
+            beside = nearest_in_box(box, here + share * (points[left] - here), tries=_TRIES)
+            wrong = beside.distance < (1.0 - 1e-6) * share * distance
+            left = left[wrong]
+            better = nearest_in_box(box, points[left], beside.coordinates[wrong])
+            nearer = np.flatnonzero(better.distance < (1.0 - 1e-9) * found.distance[left])
+            left = left[nearer]
+            found = merged(found, left, better.part(nearer))
+            left = left[found.distance[left] > RESOLUTION * box.size]
+    return found
+
+
+def reachable_boundary(
+    geometry: Geometry,
+    limits: LegLimits | None = None,
+    *,
+    spacing: float = 0.1,
+    progress: Progress | None = None,
+) -> Boundary:
+    """Find the boundary of the positions that o can reach in the mode of a real machine.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The manipulator.
+    limits : LegLimits, optional
+        Leg limits; the geometry's own if not given.
+    spacing : float
+        Of the grid [m]. What is smaller may be missed; the vertices lie on the boundary whatever it is. Half the
+        spacing takes eight times as long.
+    progress : callable, optional
+        Called with what is being done, how many points are done, and of how many. What it raises ends the work.
+
+    Returns
+    -------
+    Boundary
+        A closed mesh in {B} [m], outward.
+
+    Raises
+    ------
+    ArgumentError
+        If there are no limits, one is infinite, no lengths within them belong to a configuration, or the spacing is
+        not positive, or so small or so large that there would be no grid.
+    MissingExtraError
+        If scikit-image is not installed.
+
+    Notes
+    -----
+    The grid is not searched where a coarser one has shown that nothing reachable is near.
+
+    Examples
+    --------
+    >>> import spm_pin as spm
+    >>> boundary = spm.workspace.reachable_boundary(spm.Geometry.paper(), spacing=0.2)
+    >>> 1.7 < boundary.volume < 1.9
+    True
+    """
+    try:
+        measure: Any = import_module("skimage.measure")
+    except ModuleNotFoundError as missing:
+        raise MissingExtraError("workspace", "scikit-image") from missing
+    box = leg_box(geometry, limits)
+    tell: Progress = progress or _silent
+    origin, shape = lattice(box, spacing)
+    inside = classified(box, origin, shape, spacing, tell)
+    if not inside.any():
+        cause = (
+            f"No node of the grid is reachable; the reachable set is about {np.ptp(box.positions, axis=0).min():.2g} m"
+        )
+        raise ArgumentError("spacing", "a spacing much smaller than the reachable set, in metres", spacing, cause)
+    corners, faces, _, _ = measure.marching_cubes(np.where(inside, 1.0, -1.0), 0.0)
+    vertices, lengths = crossings(box, origin, spacing, corners.astype(np.float64), inside, tell)
+    boundary = Boundary(geometry, box.limits, float(spacing), vertices, lengths, faces.astype(np.intp))
+    return boundary if boundary.volume > 0.0 else replace(boundary, faces=boundary.faces[:, ::-1])
+
+
+def _silent(what: str, done: int, of: int) -> None:
+    """Tell nobody."""

@@ -1,1 +1,0 @@
-"""Indices over any number of poses or leg lengths, chunk by chunk, resumable."""

@@ -1,0 +1,89 @@
+"""Positions that are reached for certain: forward displacement of leg lengths drawn at random.
+
+Drawn evenly, leg lengths seldom put the platform near the boundary of what it can reach; here many legs are at their
+limits, or near them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.closed_form.forward_displacement import forward_physical
+from spm_pin.closed_form.singularity_analysis import determinants
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.geometry import Geometry, LegLimits
+
+__all__ = ["ReachedPositions", "reached_positions"]
+
+_AT_A_LIMIT = 0.35
+"""Share of the legs that are drawn at a limit."""
+
+
+@dataclass(frozen=True)
+class ReachedPositions:
+    """Positions of o, and on which side of an inverse singularity each was reached.
+
+    Attributes
+    ----------
+    positions : ndarray, shape (N, 3)
+        In {B} [m].
+    aspect : ndarray of int8, shape (N,)
+        The sign of det K, see `spm_pin.singularities`.
+    """
+
+    positions: FloatArray
+    aspect: npt.NDArray[np.int8]
+
+
+def reached_positions(
+    geometry: Geometry, limits: LegLimits, *, count: int = 200_000, seed: int = 0
+) -> ReachedPositions:
+    """Draw leg lengths within limits, and tell where they put the platform.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The manipulator.
+    limits : LegLimits
+        Positive and finite.
+    count : int
+        Sets of leg lengths. If the limits are the same for the legs of a stage, each gives six positions: it stands
+        for its images under the symmetries of the machine as well.
+    seed : int
+        Of the random numbers.
+
+    Raises
+    ------
+    ArgumentError
+        If `count` is less than 1, or a limit is zero or infinite.
+    """
+    if count < 1:
+        raise ArgumentError("count", "at least one set of leg lengths", count)
+    low, high = np.array(limits.minimum), np.array(limits.maximum)
+    if not (low > 0.0).all() or not np.isfinite(high).all():
+        raise ArgumentError("limits", "positive and finite limits in metres", f"{low.min():g} to {high.max():g}")
+    rng = np.random.default_rng(seed)
+    share = np.sin(0.5 * math.pi * rng.random((count, 6))) ** 2
+    share = np.where(rng.random(share.shape) < _AT_A_LIMIT, share.round(), share)
+    states = forward_physical(geometry, (1.0 - share) * low + share * high)
+    states = states[states.exists]
+    positions, aspect = states.translation, np.sign(determinants(states)[:, 2]).astype(np.int8)
+    if all(len(set(ends)) == 1 for ends in (low[:3], low[3:], high[:3], high[3:])):
+        positions, aspect = _images(positions, aspect)
+    return ReachedPositions(positions, aspect)
+
+
+def _images(positions: FloatArray, aspect: npt.NDArray[np.int8]) -> tuple[FloatArray, npt.NDArray[np.int8]]:
+    """Return all positions turned by 0, 120 and 240 degrees, and mirrored; a mirror changes the sign of det K."""
+    mirrored = positions * [-1.0, 1.0, 1.0]
+    both, signs = np.concatenate([positions, mirrored]), np.concatenate([aspect, -aspect])
+    turns = []
+    for angle in np.deg2rad([0.0, 120.0, 240.0]):
+        cos, sin = math.cos(angle), math.sin(angle)
+        turns.append(both @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]]))
+    return np.concatenate(turns), np.tile(signs, 3)

@@ -1,0 +1,368 @@
+"""The paper's workspace: 24 surfaces that enclose where the terminal platform can be, by Table 6 and its steps 1 to 5.
+
+Each surface is where o goes while two legs vary and four stay at limits. CAD moved a simulation mechanism there; here
+forward displacement does. Surfaces with a common edge have its leg lengths in common, and so the same vertices there:
+the shell is closed by construction. It is not the whole boundary of what can be reached, see docs/theory/workspace.md.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.closed_form.forward_displacement import forward_physical
+from spm_pin.errors import ArgumentError, GeometryError, MissingExtraError
+from spm_pin.mechanism.arguments import FloatArray, first_offender, frozen, real_array
+from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
+from spm_pin.workspace.table_6.convergence import Convergence
+from spm_pin.workspace.table_6.mesh_distance import FacesByPlace
+from spm_pin.workspace.table_6.patches import Setting, SubWorkspace, orientations, sub_workspaces
+from spm_pin.workspace.table_6.winding import ClosedSurface
+
+if TYPE_CHECKING:
+    import trimesh
+
+__all__ = ["Patch", "Shell", "workspace_shell"]
+
+BoolArray = npt.NDArray[np.bool_]
+Indices = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Patch:
+    """One of the 24 surfaces; arrays are read-only.
+
+    Attributes
+    ----------
+    name, family : str
+        As the paper has them: ``"Sm3"`` of ``"Sm"``.
+    settings : tuple of six Setting
+        At which limit each leg is, in the order of `LEGS`; two vary.
+    minimum, maximum : tuple of six floats
+        Between which lengths each leg varies [m]; the same twice where it does not.
+    grid : ndarray of int, shape (n + 1, n + 1)
+        Vertices of the shell's mesh; the first varying leg grows along the first axis, the second along the other.
+    points : ndarray, shape (n + 1, n + 1, 3)
+        Where they are: o in {B} [m].
+    faces : ndarray of int, shape (2n²,)
+        Faces of the shell's mesh.
+    area : float
+        Of those faces [m²].
+    """
+
+    name: str
+    family: str
+    settings: tuple[Setting, ...]
+    minimum: tuple[float, ...]
+    maximum: tuple[float, ...]
+    grid: Indices
+    points: FloatArray
+    faces: Indices
+    area: float
+
+    @property
+    def varying(self) -> tuple[str, str]:
+        """Names of the two legs that vary."""
+        first, second = (leg for leg, setting in zip(LEGS, self.settings, strict=True) if setting is Setting.VARIES)
+        return first, second
+
+
+@dataclass(frozen=True)
+class Shell:
+    """The 24 surfaces of Table 6, joined; made by `workspace_shell`.
+
+    Attributes
+    ----------
+    geometry : Geometry
+        The manipulator.
+    limits : LegLimits
+        The leg limits.
+    resolution : int
+        Increments δr of a varying leg from its minimum to its maximum.
+    patches : tuple of Patch
+        In the order of Table 6.
+    configuration : Configuration
+        The state at each vertex of the mesh, shape (V,).
+    faces : ndarray of int, shape (F, 3)
+        Triangles, counter-clockwise seen from outside; those of a patch lie together.
+    convergence : Convergence
+        Of the volume.
+    """
+
+    geometry: Geometry
+    limits: LegLimits
+    resolution: int
+    patches: tuple[Patch, ...]
+    configuration: Configuration
+    faces: Indices
+    convergence: Convergence
+
+    def __repr__(self) -> str:
+        size = f"{len(self.vertices)} vertices, {len(self.faces)} faces"
+        return f"<Shell: {len(self.patches)} patches, {size}, {self.volume:.4f} m³>"
+
+    def __getitem__(self, name: str) -> Patch:
+        for patch in self.patches:
+            if patch.name == name:
+                return patch
+        raise KeyError(f"{name!r}; the patches are {', '.join(patch.name for patch in self.patches)}")
+
+    @property
+    def vertices(self) -> FloatArray:
+        """Positions of o in {B} [m], shape (V, 3)."""
+        return self.configuration.translation
+
+    @property
+    def volume(self) -> float:
+        """Volume enclosed by the surfaces [m³], extrapolated from meshes; where they go round twice it counts twice."""
+        return self.convergence.limit
+
+    @property
+    def volume_error(self) -> float:
+        """Estimate of the error of `volume` [m³]."""
+        return self.convergence.error
+
+    @property
+    def area(self) -> float:
+        """Area of the mesh [m²]."""
+        return sum(patch.area for patch in self.patches)
+
+    @property
+    def euler_characteristic(self) -> int:
+        """V - E + F of the mesh; 2 for a sphere."""
+        ends = np.sort(np.stack([self.faces, np.roll(self.faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
+        return len(self.vertices) - len(np.unique(ends, axis=0)) + len(self.faces)
+
+    @cached_property
+    def mesh(self) -> trimesh.Trimesh:
+        """The same as a `trimesh.Trimesh` in {B} [m], watertight, its normals outward.
+
+        Raises
+        ------
+        MissingExtraError
+            If trimesh is not installed.
+        """
+        try:
+            import trimesh
+        except ModuleNotFoundError as missing:
+            raise MissingExtraError("workspace", "trimesh") from missing
+        return trimesh.Trimesh(self.vertices, self.faces, process=False)
+
+    @cached_property
+    def _surface(self) -> ClosedSurface:
+        return ClosedSurface(self.vertices, self.faces)
+
+    @cached_property
+    def _faces_by_place(self) -> FacesByPlace:
+        return FacesByPlace(self.vertices, self.faces)
+
+    def winding_number(self, points: npt.ArrayLike) -> npt.NDArray[np.int32]:
+        """Return how many times the mesh goes round each of `points` (..., 3) [m], shape (...).
+
+        For a point on the mesh to within rounding it is the number on one of its sides.
+
+        Raises
+        ------
+        ArgumentError
+            If `points` are not finite numbers of that shape.
+        """
+        return self._surface.winding_number(points)
+
+    def contains(self, points: npt.ArrayLike) -> BoolArray:
+        """Tell which of `points` (..., 3) [m] are inside: those with a winding number that is not zero, shape (...).
+
+        Raises
+        ------
+        ArgumentError
+            If `points` are not finite numbers of that shape.
+        """
+        return np.asarray(self.winding_number(points) != 0)
+
+    def distance(self, points: npt.ArrayLike) -> FloatArray:
+        """Return how far `points` (..., 3) are from the mesh [m], shape (...): positive inside, negative outside.
+
+        Raises
+        ------
+        ArgumentError
+            If `points` are not finite numbers of that shape.
+        MissingExtraError
+            If trimesh is not installed.
+        """
+        array = real_array(points, "points", (3,), "positions in metres")
+        distance = self._faces_by_place.distance(array.reshape(-1, 3)).reshape(array.shape[:-1])
+        return np.where(self.contains(array), distance, -distance)
+
+
+def workspace_shell(geometry: Geometry, limits: LegLimits | None = None, *, resolution: int = 40) -> Shell:
+    """Construct the paper's workspace: 24 surfaces of o, joined to one closed mesh.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The manipulator.
+    limits : LegLimits, optional
+        Leg limits; the geometry's own if not given. They may differ from leg to leg.
+    resolution : int
+        Increments δr of a varying leg from its minimum to its maximum, at least 2; the mesh has 24 resolution² + 2
+        vertices.
+
+    Returns
+    -------
+    Shell
+        The mesh in {B} [m], its patches, its volume, and which points it contains.
+
+    Raises
+    ------
+    GeometryError
+        If there are no limits, or a leg's are not both positive and finite.
+    ArgumentError
+        If `resolution` is not a whole number of at least 2, or the mechanism cannot be assembled with leg lengths
+        that the surfaces need.
+
+    Notes
+    -----
+    Section "Workspace analysis" and Table 6 of the paper, whose misprints are named in
+    `spm_pin.workspace.table_6.patches.ERRATA`. It takes the physical configuration throughout, the one of
+    `forward_physical`.
+
+    Examples
+    --------
+    >>> import spm_pin as spm
+    >>> shell = spm.workspace.shell(spm.Geometry.paper())
+    >>> len(shell.patches), shell.euler_characteristic, round(shell.volume, 3)
+    (24, 2, 1.653)
+    """
+    if not isinstance(geometry, Geometry):
+        raise ArgumentError("geometry", "a Geometry", type(geometry).__name__)
+    box = _read_limits(geometry, limits)
+    n = _read_resolution(resolution)
+    rows = sub_workspaces()
+    signs = orientations(rows)
+    coarser = sorted({-(-n // 4), -(-n // 2)})
+    volumes = []
+    for m in (*coarser, n):
+        lengths, grids = _joined(rows, box, m)
+        states = _assembled(geometry, box, lengths)
+        faces = np.concatenate([_lofted(grid, sign) for grid, sign in zip(grids, signs, strict=True)])
+        volumes.append(_enclosed(states.translation, faces))
+    outward = 1 if volumes[-1] > 0.0 else -1
+    faces = _fixed(faces[:, ::outward])
+    return Shell(
+        geometry,
+        box,
+        n,
+        _patches(rows, box, grids, states.translation, faces),
+        states,
+        faces,
+        Convergence((*coarser, n), tuple(outward * volume for volume in volumes)),
+    )
+
+
+def _joined(rows: Sequence[SubWorkspace], limits: LegLimits, n: int) -> tuple[FloatArray, Indices]:
+    """Return the leg lengths of all vertices (V, 6) [m], and which of them form each surface (24, n + 1, n + 1).
+
+    Steps 1 to 3 and 5: four legs at limits, the two others from minimum to maximum by δr, for every row. What two rows
+    have in common has the same increments, which are whole numbers, and is taken once.
+    """
+    steps = np.stack([row.lattice(n) for row in rows])
+    vertices, number = np.unique(steps.reshape(-1, 6), axis=0, return_inverse=True)
+    share = vertices / n
+    # Written so that both limits come out exactly.
+    lengths = (1.0 - share) * np.array(limits.minimum) + share * np.array(limits.maximum)
+    return lengths, number.reshape(steps.shape[:-1])
+
+
+def _assembled(geometry: Geometry, limits: LegLimits, lengths: FloatArray) -> Configuration:
+    """Return the states with these leg lengths: what the paper's CAD mechanism solves in step 3."""
+    states = forward_physical(geometry, lengths)
+    absent = ~states.exists
+    if not absent.any():
+        return states
+    expected = "leg limits between which the mechanism can be assembled"
+    if absent.all():
+        lower, upper = (max(legs) for legs in (limits.maximum[:3], limits.maximum[3:]))
+        stages = ("lower", geometry.base_radius, lower), ("upper", geometry.platform_radius, upper)
+        for stage, radius, longest in stages:
+            gap = abs(radius - geometry.middle_radius)
+            if longest <= gap:
+                legs = f"{stage} legs of at most {longest:g} m to span {gap:g} m"
+                raise ArgumentError("limits", expected, legs, "This geometry has no symmetric home within them")
+        raise ArgumentError("limits", expected, "limits at which no surface has a physical configuration")
+    first = ", ".join(f"{leg} = {x:g}" for leg, x in zip(LEGS, lengths[first_offender(absent)], strict=True))
+    share = f"{np.count_nonzero(absent)} of {len(absent)} vertices without a physical configuration, as at {first} m"
+    raise ArgumentError("limits", expected, share, "A narrower range would close the shell")
+
+
+def _lofted(grid: Indices, sign: int) -> Indices:
+    """Return triangles (2n², 3) between the curves c_j and c_j+1: step 4's loft.
+
+    Squares are divided from both legs short to both long, which no exchange of legs changes.
+    """
+    near, far, across, along = grid[:-1, :-1], grid[1:, 1:], grid[1:, :-1], grid[:-1, 1:]
+    triangles = np.stack([near, across, far, near, far, along], axis=-1).reshape(-1, 3)
+    return triangles[:, ::sign]
+
+
+def _enclosed(vertices: FloatArray, faces: Indices) -> float:
+    """Return the signed volume of a closed mesh [m³]."""
+    a, b, c = np.moveaxis(vertices[faces] - vertices.mean(axis=0), 1, 0)
+    return float((a * np.cross(b, c)).sum()) / 6.0
+
+
+def _patches(
+    rows: Sequence[SubWorkspace], limits: LegLimits, grids: Indices, vertices: FloatArray, faces: Indices
+) -> tuple[Patch, ...]:
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=-1).reshape(len(rows), -1).sum(axis=1) / 2.0
+    numbers = np.arange(len(faces)).reshape(len(rows), -1)
+    patches = []
+    for row, grid, area, number in zip(rows, grids, areas, numbers, strict=True):
+        ends = zip(row.settings, limits.minimum, limits.maximum, strict=True)
+        ranges = [_range(setting, low, high) for setting, low, high in ends]
+        low, high = zip(*ranges, strict=True)
+        points = frozen(vertices[grid])
+        patches.append(
+            Patch(row.name, row.family, row.settings, low, high, _fixed(grid), points, _fixed(number), float(area))
+        )
+    return tuple(patches)
+
+
+def _range(setting: Setting, low: float, high: float) -> tuple[float, float]:
+    return {Setting.MINIMUM: (low, low), Setting.MAXIMUM: (high, high), Setting.VARIES: (low, high)}[setting]
+
+
+def _fixed(array: Indices) -> Indices:
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def _read_limits(geometry: Geometry, limits: LegLimits | None) -> LegLimits:
+    box = geometry.limits if limits is None else limits
+    expected = "LegLimits with a positive minimum and a finite maximum for every leg, in metres"
+    if box is None:
+        raise GeometryError("limits", expected, "None, and the geometry has none", "A workspace needs limits")
+    if not isinstance(box, LegLimits):
+        raise GeometryError("limits", expected, repr(limits), "Use LegLimits(minimum, maximum)")
+    for leg, low, high in zip(LEGS, box.minimum, box.maximum, strict=True):
+        if not (low > 0.0 and np.isfinite(high)):
+            raise GeometryError("limits", expected, f"[{low:g}, {high:g}] for {leg}")
+    return box
+
+
+def _read_resolution(resolution: int) -> int:
+    expected = "a whole number of increments, at least 2"
+    try:
+        n = operator.index(resolution)
+    except TypeError:
+        raise ArgumentError("resolution", expected, repr(resolution)) from None
+    if n < 2 or isinstance(resolution, bool):
+        raise ArgumentError("resolution", expected, resolution)
+    return n

@@ -1,0 +1,541 @@
+"""Sweeps in one process: values, names, resumption, refusals, and disks that fail."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import json
+import math
+import os
+import pickle
+import shutil
+import subprocess
+import sys
+import tracemalloc
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import stores
+import xarray
+import zarr
+from stores import CHUNK, GEOMETRY, GRID, INDICES, contents, records, small
+
+import spm_pin as spm
+from spm_pin.sweeps.grids import leg_grid, leg_sample, pose_grid, pose_sample
+from spm_pin.sweeps.lock import StoreLockedError, locked
+from spm_pin.sweeps.metric import Index
+from spm_pin.sweeps.metrics import payload
+from spm_pin.sweeps.plan import Plan
+from spm_pin.sweeps.points import Points
+from spm_pin.sweeps.runner import SweepError, open_sweep, resume_sweep, sweep, sweep_status
+from spm_pin.sweeps.store import StoreError
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("undisturbed") / "map.zarr"
+    small(path)
+    return path
+
+
+@pytest.fixture
+def store(undisturbed: Path, tmp_path: Path) -> Path:
+    """A copy of a complete store."""
+    return Path(shutil.copytree(undisturbed, tmp_path / "map.zarr"))
+
+
+@pytest.fixture
+def computed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, ...]]:
+    """The chunks that are computed during a test."""
+    done: list[tuple[int, ...]] = []
+    evaluate = Plan.evaluate
+
+    def counted(self: Plan, index: tuple[int, ...]) -> dict[str, Any]:
+        done.append(index)
+        return evaluate(self, index)
+
+    monkeypatch.setattr(Plan, "evaluate", counted)
+    return done
+
+
+# What comes out
+
+
+def test_values_are_those_of_direct_calls(undisturbed: Path) -> None:
+    found = xarray.open_zarr(undisturbed).load()
+    x, y, z, beta = np.meshgrid(found.x, found.y, found.z, found.beta, indexing="ij")
+    angles = np.stack([np.full_like(beta, 0.01), beta, np.full_like(beta, 0.1)], axis=-1)
+    solutions = spm.inverse_displacement(GEOMETRY, spm.pose(np.stack([x, y, z], axis=-1), xyx=angles))
+    np.testing.assert_array_equal(found.status, solutions.status)
+    np.testing.assert_array_equal(found.branches, solutions.count)
+    machine = solutions.within().physical()
+    np.testing.assert_array_equal(found.reachable, machine.exists)
+    assert 0.1 < float(found.reachable.mean()) < 0.9
+    reached = machine[machine.exists]
+    scaled = spm.inverse_jacobian(reached) / np.repeat([1.0, GEOMETRY.platform_radius], 3)
+    np.testing.assert_allclose(found.conditioning.values[machine.exists], 1 / np.linalg.cond(scaled), rtol=1e-8)
+    assert found.conditioning.isnull().values[~machine.exists].all()
+
+
+def test_results_have_names_units_and_meanings(undisturbed: Path) -> None:
+    found = xarray.open_zarr(undisturbed)
+    assert dict(found.sizes) == {"x": 7, "y": 6, "z": 5, "beta": 3}
+    assert set(found.coords) == {"x", "y", "z", "alpha", "beta", "lambda_"}
+    assert set(found.data_vars) == {*INDICES, "status"}
+    for name, unit in {"x": "m", "alpha": "rad", "beta": "rad", "conditioning": "1", "payload": "N"}.items():
+        assert found[name].attrs["units"] == unit
+    assert all(variable.attrs["long_name"] for variable in found.variables.values())
+    np.testing.assert_array_equal(found.x, np.linspace(0.37, 0.44, 7))
+    assert (float(found.alpha), float(found.lambda_)) == (0.01, 0.1)
+    assert found.reachable.attrs["flag_values"] == [-128, 0, 1]
+    assert found.reachable.attrs["flag_meanings"] == "not_computed no yes"
+    assert found.status.attrs["flag_meanings"] == "not_computed ok unreachable degenerate unsolved"
+    assert found.payload.attrs["push"] == 1.0
+    assert found.attrs["source"] == f"spm_pin {spm.__version__}"
+    definition = json.loads(found.attrs["definition"])
+    assert definition["geometry"]["middle_side"] == GEOMETRY.middle_side
+    assert {str(found[name].dtype) for name in ("reachable", "status", "branches")} == {"int8"}
+    assert zarr.open_group(undisturbed, mode="r").metadata.zarr_format == 3
+
+
+def test_what_is_not_computed_can_be_told_from_what_is_not_there(undisturbed: Path, store: Path) -> None:
+    records(store)[0].unlink()
+    for name in (*INDICES, "status"):
+        (store / name / "c.0.0.0.0").unlink()
+    found, whole = xarray.open_zarr(store).load(), xarray.open_zarr(undisturbed).load()
+    missing = found.status == -128
+    assert int(missing.sum()) == 90
+    assert (found.reachable.values[missing] == -128).all()
+    assert (found.branches.values[missing] == -128).all()
+    assert found.conditioning.isnull().values[missing].all()
+    xarray.testing.assert_identical(found.where(~missing), whole.where(~missing))
+    assert sweep_status(store).done == 6
+
+
+def test_a_sample_of_leg_lengths_keeps_its_points(tmp_path: Path) -> None:
+    domain = leg_sample(700, (1.1, 1.5), [1.2, (1.1, 1.5), 1.3], seed=4)
+    found = sweep(GEOMETRY, domain, ["o_x", "o_y", "o_z", "branches"], tmp_path / "a", workers=1, chunk=256).load()
+    assert dict(found.sizes) == {"sample": 700}
+    legs = np.stack([np.broadcast_to(found[leg], 700) for leg in spm.mechanism.LEGS], axis=-1)
+    state = spm.forward_physical(GEOMETRY, legs)
+    np.testing.assert_array_equal(np.stack([found[f"o_{k}"] for k in "xyz"], axis=-1), state.translation)
+    assert found.r_b1.attrs["units"] == "m"
+    assert set(found.coords) == set(spm.mechanism.LEGS)
+    poses = sweep(
+        GEOMETRY, pose_sample(50, (-1, 1), 0, 2, xyx=[0.1, (0.2, 0.5), 0]), ["branches"], tmp_path / "b", workers=1
+    )
+    assert {"x", "beta"} <= set(poses.coords)
+
+
+def test_chunks_do_not_change_values(undisturbed: Path, tmp_path: Path) -> None:
+    other, whole = small(tmp_path / "map.zarr", chunk=60), xarray.open_zarr(undisturbed)
+    assert other.chunks != whole.chunks
+    for name in whole.data_vars:
+        np.testing.assert_allclose(other[name], whole[name], rtol=1e-12)
+
+
+def test_a_lattice_of_leg_lengths_beyond_the_limits(tmp_path: Path) -> None:
+    found = sweep(GEOMETRY, leg_grid((1.0, 1.6, 3), (1.2, 1.4, 2)), "reachable", tmp_path / "map", workers=1).load()
+    inside = (found.r_b1 == 1.3) & (found.r_b2 == 1.3) & (found.r_b3 == 1.3)
+    assert ((found.reachable == 1) == inside).all()
+
+
+def test_progress_counts_points(tmp_path: Path) -> None:
+    told: list[tuple[int, int]] = []
+    small(tmp_path / "map.zarr", progress=lambda done, total: told.append((done, total)))
+    assert told == [(90 * k, 630) for k in range(8)]
+    assert sweep_status(tmp_path / "map.zarr").complete
+
+
+# Going on
+
+
+def test_nothing_is_computed_twice(store: Path, undisturbed: Path, computed: list[tuple[int, ...]]) -> None:
+    small(store)
+    resume_sweep(store, workers=1)
+    assert computed == []
+    assert contents(store) == contents(undisturbed)
+
+
+def test_the_order_and_the_names_of_indices_make_no_other_sweep(store: Path, computed: list[tuple[int, ...]]) -> None:
+    small(store, indices=[payload(1.0), *reversed(INDICES[:3])])
+    assert computed == []
+
+
+def damage_bit(store: Path) -> None:
+    path = store / "conditioning" / "c.3.0.0.0"
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 4
+    path.write_bytes(content)
+
+
+def damage_length(store: Path) -> None:
+    path = store / "status" / "c.3.0.0.0"
+    path.write_bytes(path.read_bytes()[:-1])
+
+
+def lose_data(store: Path) -> None:
+    (store / "reachable" / "c.3.0.0.0").unlink()
+
+
+def lose_record(store: Path) -> None:
+    (store / "sweep" / "checksum" / "c.3.0.0.0.0").unlink()
+
+
+def damage_record(store: Path) -> None:
+    (store / "sweep" / "checksum" / "c.3.0.0.0.0").write_bytes(b"\0" * 32)
+
+
+def empty_record(store: Path) -> None:
+    (store / "sweep" / "checksum" / "c.3.0.0.0.0").write_bytes(b"")
+
+
+def take_anothers(store: Path) -> None:
+    for name in (*INDICES, "status"):
+        shutil.copy(store / name / "c.4.0.0.0", store / name / "c.3.0.0.0")
+    shutil.copy(store / "sweep" / "checksum" / "c.4.0.0.0.0", store / "sweep" / "checksum" / "c.3.0.0.0.0")
+
+
+@pytest.mark.parametrize(
+    "damage", [damage_bit, damage_length, lose_data, lose_record, damage_record, empty_record, take_anothers]
+)
+def test_what_is_damaged_is_computed_again(
+    damage: Callable[[Path], None], store: Path, undisturbed: Path, computed: list[tuple[int, ...]]
+) -> None:
+    damage(store)
+    assert contents(store) != contents(undisturbed)
+    small(store)
+    assert computed == [(3, 0, 0, 0)]
+    assert contents(store) == contents(undisturbed)
+
+
+def test_a_damaged_chunk_is_not_read_as_if_it_were_good(store: Path) -> None:
+    damage_bit(store)
+    with pytest.raises((RuntimeError, ValueError), match=r"(?i)checksum"):
+        open_sweep(store).conditioning.load()
+
+
+def test_what_the_killed_leave_behind_is_removed(store: Path, undisturbed: Path) -> None:
+    (store / "status" / "c.0.0.0.deadbeef.partial").write_bytes(b"half")
+    (store / "sweep" / "checksum" / "deadbeef.partial").write_bytes(b"half")
+    shutil.copytree(store, store.with_name("map.zarr.new"))
+    store.with_name("map.zarr.lock").write_text("{}")
+    small(store)
+    shutil.rmtree(store.with_name("map.zarr.new"))
+    assert contents(store) == contents(undisturbed)
+
+
+def test_a_draft_of_a_store_is_made_again(tmp_path: Path, undisturbed: Path) -> None:
+    draft = tmp_path / "map.zarr.new"
+    (draft / "status").mkdir(parents=True)
+    (draft / "status" / "zarr.json").write_text("{")
+    small(tmp_path / "map.zarr")
+    assert contents(tmp_path / "map.zarr") == contents(undisturbed)
+
+
+def test_an_empty_folder_will_do(tmp_path: Path, undisturbed: Path) -> None:
+    (tmp_path / "map.zarr").mkdir()
+    small(tmp_path / "map.zarr")
+    assert contents(tmp_path / "map.zarr") == contents(undisturbed)
+
+
+def test_an_error_in_an_index_leaves_what_was_done(tmp_path: Path) -> None:
+    def fragile(points: Points) -> np.ndarray:
+        x = points.coordinates[:, 0]
+        if x.max() > 0.41:
+            raise ZeroDivisionError("x")
+        return x
+
+    with pytest.raises(ZeroDivisionError) as error:
+        small(tmp_path / "map.zarr", indices=[Index("fragile", "m", "", fragile)])
+    assert error.value.__notes__ == ["while evaluating the index 'fragile'"]
+    assert sweep_status(tmp_path / "map.zarr").done == 4
+    with pytest.raises(spm.ArgumentError, match="of your own"):
+        resume_sweep(tmp_path / "map.zarr", workers=1)
+
+
+def test_an_interrupt_says_what_is_kept(tmp_path: Path, undisturbed: Path) -> None:
+    def interrupt(done: int, total: int) -> None:
+        if done > 200:
+            raise KeyboardInterrupt
+
+    path = tmp_path / "map.zarr"
+    with pytest.raises(KeyboardInterrupt) as error:
+        small(path, progress=interrupt)
+    assert "3 of 7 chunks are complete" in error.value.__notes__[0]
+    assert not path.with_name("map.zarr.lock").exists()
+    resume_sweep(path, workers=1)
+    assert contents(path) == contents(undisturbed)
+
+
+# What is refused
+
+OTHERS: dict[str, tuple[dict[str, Any], str]] = {
+    "geometry": ({"geometry": dataclasses.replace(GEOMETRY, base_radius=0.7)}, r"geometry.base_radius is 0.69.* 0.7 "),
+    "limits": (
+        {"geometry": dataclasses.replace(GEOMETRY, limits=spm.LegLimits(1.1, 1.45))},
+        r"geometry.limits\[1\]\[0\] is 1.5 there and 1.45 here",
+    ),
+    "no limits": ({"geometry": dataclasses.replace(GEOMETRY, limits=None)}, "geometry.limits is .* and null here"),
+    "grid": (
+        {"domain": pose_grid((0.37, 0.44, 8), (-0.16, -0.12, 6), (2.45, 2.55, 5), xyx=[0.01, (0.3, 0.34, 3), 0.1])},
+        r"domain.axes.x\[2\] is 7 there and 8 here",
+    ),
+    "space": ({"domain": leg_grid((1.1, 1.5, 3), 1.2)}, 'domain.space is "pose" there and "legs" here'),
+    "fewer indices": ({"indices": INDICES[:3]}, r'indices is \["branches", .*"payload"'),
+    "parameters": ({"indices": [*INDICES[:3], payload(5.0)]}, r"indices\[2\].parameters.push is 1.0 there and 5.0"),
+    "type": (
+        {"indices": [*INDICES[:3], dataclasses.replace(payload(), dtype="float32")]},
+        'dtype is "float64" there and "float32" here',
+    ),
+    "function": (
+        {"indices": [*INDICES[:3], dataclasses.replace(payload(), evaluate=lambda points: np.zeros(len(points)))]},
+        "function is .*payload.* there and .*code",
+    ),
+    "chunk": ({"chunk": 300}, r"chunk\[0\] is 1 there and"),
+}
+
+
+@pytest.mark.parametrize("other", OTHERS)
+def test_a_store_of_another_sweep_is_refused_and_left_alone(other: str, store: Path, undisturbed: Path) -> None:
+    changes, says = OTHERS[other]
+    with pytest.raises(spm.ArgumentError, match=says):
+        small(store, **changes)
+    assert contents(store) == contents(undisturbed)
+
+
+def test_a_store_of_another_version_is_refused(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(spm, "__version__", "9.9")
+    with pytest.raises(spm.ArgumentError, match=r'spm_pin is "0\..*" there and "9.9" here'):
+        small(store)
+    with pytest.raises(spm.ArgumentError, match=r"of spm_pin 9.9, got .* made by 0\."):
+        resume_sweep(store)
+
+
+def put_a_file(path: Path) -> None:
+    path.write_text("mine")
+
+
+def put_a_folder(path: Path) -> None:
+    path.mkdir()
+    (path / "thesis.tex").write_text("mine")
+
+
+def put_other_results(path: Path) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        xarray.Dataset({"a": ("x", [1.0])}).to_zarr(path, zarr_format=3)
+
+
+def put_strange_metadata(path: Path) -> None:
+    path.mkdir()
+    (path / "zarr.json").write_text('{"attributes": {"definition": "[1]"}}')
+
+
+@pytest.mark.parametrize("put", [put_a_file, put_a_folder, put_other_results, put_strange_metadata])
+def test_something_else_is_refused_and_left_alone(put: Callable[[Path], None], tmp_path: Path) -> None:
+    path = tmp_path / "map.zarr"
+    put(path)
+    before = contents(path) if path.is_dir() else path.read_bytes()
+    for act in (small, resume_sweep, sweep_status, open_sweep):
+        with pytest.raises(spm.ArgumentError, match="folder of a sweep"):
+            act(path)
+    assert before == (contents(path) if path.is_dir() else path.read_bytes())
+
+
+@pytest.mark.parametrize("act", [resume_sweep, sweep_status, open_sweep])
+def test_a_store_that_is_not_there(act: Callable[[Path], object], tmp_path: Path) -> None:
+    with pytest.raises(spm.ArgumentError, match="does not exist"):
+        act(tmp_path / "map.zarr")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_damaged_metadata_are_told(store: Path) -> None:
+    (store / "status" / "zarr.json").write_text("{}")
+    content = json.loads((store / "zarr.json").read_text())
+    del content["consolidated_metadata"]
+    (store / "zarr.json").write_text(json.dumps(content))
+    with pytest.raises(StoreError, match="metadata are damaged"):
+        small(store)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"geometry": "paper"}, "a Geometry"),
+        ({"domain": [1, 2, 3]}, "pose_grid"),
+        ({"workers": 0}, "workers"),
+        ({"workers": 2.0}, "workers"),
+        ({"workers": 2, "scheduler": "tcp://127.0.0.1:1"}, "None beside a scheduler"),
+        ({"chunk": 0}, "chunk"),
+        ({"indices": []}, "none"),
+        ({"indices": [Index("x", "m", "", lambda points: points.coordinates[:, 0])]}, "coordinates"),
+        ({"indices": [Index("status", "m", "", lambda points: points.coordinates[:, 0])]}, "coordinates"),
+    ],
+)
+def test_bad_arguments_are_refused_before_anything_is_written(
+    changes: dict[str, Any], says: str, tmp_path: Path
+) -> None:
+    with pytest.raises(spm.ArgumentError, match=says):
+        small(tmp_path / "map.zarr", **changes)
+    assert list(tmp_path.iterdir()) == []
+
+
+# One process at a time
+
+
+def test_two_at_once_are_kept_apart(store: Path) -> None:
+    with locked(store), pytest.raises(StoreLockedError, match=f"process {os.getpid()} on ") as error:
+        small(store)
+    assert error.value.store == str(store)
+    small(store)
+    assert not store.with_name("map.zarr.lock").exists()
+
+
+def test_the_lock_of_a_process_that_was_killed_is_free(tmp_path: Path) -> None:
+    path = tmp_path / "map.zarr"
+    code = (
+        "import os, pathlib, signal, sys\n"
+        "from spm_pin.sweeps.lock import locked\n"
+        "with locked(pathlib.Path(sys.argv[1])):\n"
+        "    print('held', flush=True)\n"
+        "    signal.pause()\n"
+    )
+    holder = subprocess.Popen([sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE, text=True)
+    with holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == "held\n"
+        with pytest.raises(StoreLockedError, match=f"process {holder.pid} on "), locked(path):
+            pass
+        holder.kill()
+    assert path.with_name("map.zarr.lock").exists()
+    with locked(path):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+# Disks that fail
+
+
+@pytest.mark.parametrize("where", ["status", "sweep/checksum"])
+def test_a_full_disk_leaves_what_was_done(
+    where: str, tmp_path: Path, undisturbed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # One for the metadata of the array.
+    room = [4]
+    replace = Path.replace
+
+    def full(self: Path, target: Path) -> Path:
+        if Path(target).parent.name == Path(where).name:
+            if room[0] == 0:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(target))
+            room[0] -= 1
+        return replace(self, target)
+
+    path = tmp_path / "map.zarr"
+    monkeypatch.setattr(Path, "replace", full)
+    with pytest.raises(SweepError, match=r"no space left on device at .*3 of 7 chunks are complete") as error:
+        small(path)
+    assert (error.value.done, error.value.total) == (3, 7)
+    monkeypatch.undo()
+    kept = {record.name: record.stat().st_mtime_ns for record in records(path)}
+    assert len(kept) == 3
+    resume_sweep(path, workers=1)
+    assert contents(path) == contents(undisturbed)
+    assert kept.items() <= {record.name: record.stat().st_mtime_ns for record in records(path)}.items()
+
+
+def test_a_file_that_may_not_grow_is_told_by_the_system(tmp_path: Path) -> None:
+    # RLIMIT_FSIZE makes write(2) itself fail halfway, as a full disk does.
+    code = (
+        "import pathlib, resource, signal, sys\n"
+        "import stores\n"
+        "from spm_pin.sweeps.grids import leg_sample\n"
+        "from spm_pin.sweeps.runner import SweepError, sweep\n"
+        "stores.small(pathlib.Path(sys.argv[1] + '.first'))\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (16_384, 16_384))\n"
+        "try:\n"
+        "    sweep(stores.GEOMETRY, leg_sample(9000, (1.1, 1.5), 1.3), ['o_x'], sys.argv[1], chunk=4096, workers=1)\n"
+        "except SweepError as error:\n"
+        "    print(error)\n"
+    )
+    environment = os.environ | {"PYTHONPATH": str(Path(stores.__file__).parent)}
+    told = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code, str(tmp_path / "map")],
+        capture_output=True,
+        text=True,
+        env=environment,
+        check=True,
+    )
+    assert "file too large" in told.stdout
+    assert "0 of 3 chunks are complete" in told.stdout
+    found = resume_sweep(tmp_path / "map", workers=1)
+    assert int(found.o_x.notnull().sum()) == 9000
+
+
+@pytest.fixture
+def closed(tmp_path: Path) -> Iterator[Path]:
+    """A folder that may be read and not written, also by root, who gives up the rights of root for it."""
+    folder = tmp_path / "closed"
+    folder.mkdir()
+    user = os.geteuid()
+    folder.chmod(0o555)
+    if user == 0:
+        # Nobody has to get here.
+        for parent in (tmp_path, *tmp_path.parents):
+            if not parent.stat().st_mode & 0o001:
+                parent.chmod(0o755)
+        os.seteuid(65534)
+    try:
+        yield folder
+    finally:
+        os.seteuid(user)
+        folder.chmod(0o755)
+
+
+def test_an_unwritable_path(closed: Path) -> None:
+    with pytest.raises(StoreError, match=r"permission denied at .*map.zarr.lock, on host"):
+        small(closed / "map.zarr")
+    assert list(closed.iterdir()) == []
+
+
+def test_a_path_through_a_file_or_nowhere(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StoreError, match="not a directory"):
+        small(tmp_path / "file" / "map.zarr")
+    with pytest.raises(StoreError, match="no such file or directory"):
+        small(tmp_path / "folder" / "map.zarr")
+
+
+def test_memory_does_not_grow_with_the_number_of_points(tmp_path: Path) -> None:
+    def peak(chunks: int) -> int:
+        domain = leg_sample(4096 * chunks, (1.1, 1.5), 1.3)
+        tracemalloc.start()
+        try:
+            sweep(GEOMETRY, domain, ["o_x", "conditioning"], tmp_path / str(chunks), chunk=4096, workers=1).close()
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    peak(1)
+    few, many = peak(2), peak(8)
+    # Six more chunks of results and coordinates would be 1.6 MB.
+    assert many - few < 400_000
+
+
+def test_errors_survive_the_way_home() -> None:
+    for error in (StoreError("a", "b"), SweepError("a", "b", 1, 2), StoreLockedError("a", "b")):
+        again = pickle.loads(pickle.dumps(error))
+        assert (str(again), vars(again)) == (str(error), vars(error))
+
+
+def test_a_plan_is_made_again_from_its_definition() -> None:
+    geometry = dataclasses.replace(GEOMETRY, limits=spm.LegLimits(0.0, [1.5] * 5 + [math.inf]))
+    plan = Plan.of(geometry, GRID, (payload(3.0),), CHUNK)
+    again = Plan.from_definition(json.loads(plan.text))
+    assert (again.text, again.geometry, again.domain, again.digest) == (plan.text, geometry, GRID, plan.digest)

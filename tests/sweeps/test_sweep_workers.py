@@ -1,0 +1,263 @@
+"""Sweeps by several processes, which are killed, interrupted, or lost."""
+
+from __future__ import annotations
+
+import logging
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import dask
+import numpy as np
+import pytest
+import stores
+from distributed import Client, LocalCluster
+from stores import contents, records, small
+
+import spm_pin as spm
+from spm_pin.sweeps import workers
+from spm_pin.sweeps.grids import pose_grid
+from spm_pin.sweeps.metric import Index
+from spm_pin.sweeps.metrics import INDICES
+from spm_pin.sweeps.points import Points
+from spm_pin.sweeps.runner import SweepError, resume_sweep, sweep, sweep_status
+from spm_pin.sweeps.store import StoreError
+
+EVERYTHING = tuple(name for name in INDICES if name != "assembly_modes")
+
+
+def run_long(path: Path, workers: int, slices: int = 60, chunk: int = 2000) -> Any:
+    """Run a sweep of `slices` chunks with many indices."""
+    domain = pose_grid((0.3, 0.5, slices), (-0.2, -0.1, 20), (2.4, 2.6, 20), xyx=[0.01, (0.28, 0.36, 5), 0.1])
+    return sweep(stores.GEOMETRY, domain, EVERYTHING, path, workers=workers, chunk=chunk)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("undisturbed") / "map.zarr"
+    small(path)
+    return path
+
+
+def local_cluster(count: int) -> LocalCluster:
+    return LocalCluster(
+        n_workers=count, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL
+    )
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[LocalCluster]:
+    with local_cluster(2) as cluster:
+        yield cluster
+
+
+def start(path: Path, slices: int) -> subprocess.Popen[str]:
+    """Run a long sweep with two workers in a process group of its own."""
+    code = (
+        "import pathlib, sys\n"
+        "sys.path[:0] = sys.argv[2:4]\n"
+        "from test_sweep_workers import run_long\n"
+        "if __name__ == '__main__':\n"
+        f"    run_long(pathlib.Path(sys.argv[1]), workers=2, slices={slices})\n"
+    )
+    script = path.with_name("script.py")
+    script.write_text(code)
+    here = Path(__file__).parent
+    return subprocess.Popen(
+        [sys.executable, "-W", "error", str(script), str(path), str(here), str(here.parents[0])],
+        start_new_session=True,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def wait_for_records(path: Path, count: int, process: subprocess.Popen[str]) -> None:
+    """Wait until there are `count` records, or the process has ended."""
+    deadline = time.monotonic() + 120
+    while len(records(path)) < count and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.005)
+
+
+def test_processes_write_what_one_process_writes(tmp_path: Path, undisturbed: Path) -> None:
+    told: list[tuple[int, int]] = []
+    small(tmp_path / "map.zarr", workers=2, progress=lambda done, total: told.append((done, total)))
+    assert contents(tmp_path / "map.zarr") == contents(undisturbed)
+    assert told == [(90 * k, 630) for k in range(8)]
+
+
+def test_a_sweep_killed_at_once_goes_on_without_loss(tmp_path: Path) -> None:
+    whole, killed = tmp_path / "whole.zarr", tmp_path / "killed.zarr"
+    run_long(whole, workers=1, slices=12)
+    with start(killed, slices=12) as process:
+        wait_for_records(killed, 2, process)
+        os.killpg(process.pid, signal.SIGKILL)
+    kept = {record.name: record.stat().st_mtime_ns for record in records(killed)}
+    assert 2 <= len(kept) < 12
+    assert sweep_status(killed).done == len(kept)
+    resume_sweep(killed, workers=1)
+    assert {name: when for name, when in _times(killed).items() if name in kept} == kept
+    assert contents(killed) == contents(whole)
+
+
+def _times(path: Path) -> dict[str, int]:
+    return {record.name: record.stat().st_mtime_ns for record in records(path)}
+
+
+@pytest.mark.slow
+def test_a_sweep_killed_ten_times_ends_with_the_store_of_an_undisturbed_run(tmp_path: Path) -> None:
+    rng = random.Random(0)
+    slices = 300
+    whole, killed = tmp_path / "whole.zarr", tmp_path / "killed.zarr"
+    run_long(whole, workers=2, slices=slices)
+    kills, done = 0, 0
+    while kills < 10:
+        with start(killed, slices) as process:
+            if kills % 3 == 2:
+                # At any moment, also while the store is made or looked at.
+                time.sleep(rng.uniform(0.2, 4.0))
+            else:
+                wait_for_records(killed, done + 1, process)
+                time.sleep(rng.uniform(0.0, 0.4))
+            assert process.poll() is None, process.communicate()
+            # Every other time only the process that drives; its workers have to notice.
+            (os.kill if kills % 2 else os.killpg)(process.pid, signal.SIGKILL)
+            process.wait()
+        before = _times(killed)
+        kills += 1
+        assert len(before) >= done
+        done = len(before)
+    assert done < slices
+    with start(killed, slices) as process:
+        errors = process.communicate()[1]
+    assert (process.returncode, errors) == (0, "")
+    assert {name: when for name, when in _times(killed).items() if name in before} == before
+    assert contents(killed) == contents(whole)
+
+
+def test_a_worker_that_is_killed_costs_nothing(tmp_path: Path, undisturbed: Path, cluster: LocalCluster) -> None:
+    with Client(cluster, set_as_default=False) as client:
+        victims = list(client.run(os.getpid).values())
+    path = tmp_path / "map.zarr"
+
+    def progress(done: int, total: int) -> None:
+        if done and victims:
+            os.kill(victims.pop(), signal.SIGKILL)
+            victims.clear()
+
+    small(path, workers=None, scheduler=cluster.scheduler_address, progress=progress)
+    assert victims == []
+    assert contents(path) == contents(undisturbed)
+
+
+def test_a_client_is_used_and_left_open(tmp_path: Path, undisturbed: Path, cluster: LocalCluster) -> None:
+    with Client(cluster, set_as_default=False) as client:
+        small(tmp_path / "map.zarr", workers=None, scheduler=client)
+        assert client.submit(sum, [1, 2]).result() == 3
+    assert contents(tmp_path / "map.zarr") == contents(undisturbed)
+
+
+def test_more_chunks_than_are_handed_out_at_a_time(
+    tmp_path: Path, undisturbed: Path, cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(workers, "_AHEAD", 2)
+    small(tmp_path / "map.zarr", workers=None, scheduler=cluster.scheduler_address)
+    assert contents(tmp_path / "map.zarr") == contents(undisturbed)
+
+
+def test_an_index_of_ones_own_travels(tmp_path: Path, cluster: LocalCluster) -> None:
+    shift = 2.0
+    index = Index("mine", "m", "x shifted", lambda points: points.coordinates[:, 0] + shift)
+    found = small(tmp_path / "map.zarr", indices=[index], workers=None, scheduler=cluster.scheduler_address)
+    np.testing.assert_array_equal(
+        found.mine, np.broadcast_to(found.x.values[:, None, None, None], found.mine.shape) + 2
+    )
+
+
+@pytest.mark.slow
+def test_workers_that_die_again_and_again_end_the_sweep(tmp_path: Path) -> None:
+    def deadly(points: Points) -> np.ndarray:
+        if points.coordinates[0, 0] > 0.42:
+            os._exit(1)
+        return points.coordinates[:, 0]
+
+    path = tmp_path / "map.zarr"
+    mine = Index("deadly", "m", "", deadly)
+    refused = pytest.raises(SweepError, match=r"several workers died.* chunks are complete")
+    with dask.config.set({"distributed.scheduler.allowed-failures": 0}), refused as error:
+        small(path, indices=[mine], workers=2)
+    assert error.value.done == len(records(path)) < 7
+
+
+def test_an_error_of_a_worker_comes_home(tmp_path: Path, cluster: LocalCluster) -> None:
+    def fragile(points: Points) -> np.ndarray:
+        raise ZeroDivisionError("of my own")
+
+    mine = Index("fragile", "m", "", fragile)
+    with pytest.raises(ZeroDivisionError, match="of my own"):
+        small(tmp_path / "map.zarr", indices=[mine], workers=None, scheduler=cluster.scheduler_address)
+
+
+def limit_files(size: int) -> None:
+    hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+
+
+def test_a_disk_that_fails_the_workers(tmp_path: Path, undisturbed: Path, cluster: LocalCluster) -> None:
+    path = tmp_path / "map.zarr"
+    with Client(cluster, set_as_default=False) as client:
+        client.run(limit_files, 20)
+        with pytest.raises(SweepError, match=r"file too large.* 0 of 7 chunks are complete"):
+            small(path, workers=None, scheduler=client)
+        client.run(limit_files, resource.RLIM_INFINITY)
+        small(path, workers=None, scheduler=client)
+    assert contents(path) == contents(undisturbed)
+
+
+def test_a_scheduler_that_is_gone(tmp_path: Path, undisturbed: Path) -> None:
+    path = tmp_path / "map.zarr"
+    with local_cluster(1) as cluster:
+
+        def close(done: int, total: int) -> None:
+            if done == 90:
+                cluster.close()
+
+        with pytest.raises(SweepError, match="the scheduler is gone"):
+            small(path, workers=None, scheduler=cluster.scheduler_address, progress=close)
+    resume_sweep(path, workers=1)
+    assert contents(path) == contents(undisturbed)
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense://x", ""])
+def test_a_scheduler_that_is_not_there(address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "_PATIENCE", 0.5)
+    with pytest.raises(spm.ArgumentError, match="the address of a Dask scheduler"):
+        small(tmp_path / "map.zarr", workers=None, scheduler=address)
+
+
+def test_a_worker_of_another_version_or_elsewhere_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = workers.Plan.of(stores.GEOMETRY, stores.GRID, (INDICES["reachable"],), 100)
+    with pytest.raises(StoreError, match="need a file system in common"):
+        workers.ensure(plan, tmp_path / "nowhere.zarr", (0, 0, 0, 0))
+    monkeypatch.setattr(spm, "__version__", "9.9")
+    with pytest.raises(StoreError, match=r"of spm_pin 0\..* but the worker on .* has 9.9"):
+        workers.ensure(plan, tmp_path / "nowhere.zarr", (0, 0, 0, 0))
+
+
+def test_ctrl_c_ends_the_workers_quietly(tmp_path: Path) -> None:
+    path = tmp_path / "map.zarr"
+    with start(path, slices=200) as process:
+        wait_for_records(path, 2, process)
+        os.killpg(process.pid, signal.SIGINT)
+        errors = process.communicate(timeout=60)[1]
+    # One traceback, that of the interrupt, with its note at the end.
+    assert errors.count("Traceback") == 1
+    assert "KeyboardInterrupt\ninterrupted. " in errors
+    assert "of 200 chunks are complete" in errors
+    assert not path.with_name("map.zarr.lock").exists()

@@ -1,0 +1,164 @@
+"""Positions in some orientation: the map from legs to positions, and membership against searches of other kinds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from problems import GEOMETRIES
+from scipy.optimize import least_squares
+
+import spm_pin as spm
+from spm_pin.workspace.reachability.leg_box import leg_box
+from spm_pin.workspace.reachability.membership import reachable_position
+from spm_pin.workspace.reachability.nearest import nearest_in_box
+from spm_pin.workspace.reachability.position_map import PositionMap, stage_coordinates
+
+PAPER = GEOMETRIES["paper"]
+
+
+@pytest.mark.parametrize(
+    ("name", "limits"), [("paper", spm.LegLimits(1.1, 1.5)), ("equal triangles", spm.LegLimits(1.0, 1.4))]
+)
+def test_the_map_is_forward_displacement_and_its_derivatives_those_of_the_platform(
+    name: str, limits: spm.LegLimits
+) -> None:
+    geometry = GEOMETRIES[name]
+    rng = np.random.default_rng(1)
+    legs = rng.uniform(limits.minimum, limits.maximum, (500, 6))
+    states = spm.forward_physical(geometry, legs)
+    assert states.exists.all()
+    mapping, coordinates = PositionMap(geometry), stage_coordinates(states)
+    position, jacobian = mapping.position(coordinates)
+    np.testing.assert_allclose(mapping.lengths(coordinates), legs, atol=1e-12)
+    np.testing.assert_allclose(position, states.translation, atol=1e-12)
+    np.testing.assert_allclose(jacobian, spm.closed_form.platform_jacobian(states)[:, :3], atol=1e-10)
+    others = rng.uniform(limits.minimum, limits.maximum, legs.shape)
+    nearby = legs + 0.3 * (others - legs)
+    there = spm.forward_physical(geometry, nearby)
+    moved, _ = mapping.position(mapping.moved(coordinates, nearby))
+    np.testing.assert_allclose(moved, there.translation, atol=1e-12)
+
+
+def test_lengths_that_belong_to_no_configuration_have_no_position() -> None:
+    states = spm.forward_physical(PAPER, [[1.3] * 6, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5]])
+    impossible = np.array([[3.0, 0.2, 0.2, 1.3, 1.3, 1.3], [1.3] * 6])
+    moved = PositionMap(PAPER).moved(stage_coordinates(states), impossible)
+    assert np.isnan(moved[0]).all()
+    assert np.isfinite(moved[1]).all()
+
+
+def test_given_the_lower_legs_the_upper_ones_that_reach_a_point_are_found() -> None:
+    legs = np.random.default_rng(2).uniform(1.1, 1.5, (2000, 6))
+    states = spm.forward_physical(PAPER, legs)
+    coordinates = stage_coordinates(states)
+    upper = PositionMap(PAPER).upper_for(coordinates[:, 0], states.translation)
+    # The only ones within the limits: no two upper stages see o in the same place there.
+    np.testing.assert_allclose(upper, coordinates[:, 1], atol=1e-10)
+
+
+def test_where_legs_put_the_platform_is_reachable() -> None:
+    rng = np.random.default_rng(3)
+    share = rng.uniform(size=(400, 6))
+    # A quarter of them with legs at limits, hence on or near the boundary.
+    share[:100] = np.where(rng.uniform(size=(100, 6)) < 0.5, np.round(share[:100]), share[:100])
+    legs = 1.1 + 0.4 * share
+    position = spm.forward_physical(PAPER, legs).translation
+    answer = reachable_position(PAPER, position)
+    assert answer.reachable.all()
+    assert (answer.distance == 0.0).all()
+    assert spm.LegLimits(1.1, 1.5).contains(answer.leg_lengths).all()
+    again = spm.forward_physical(PAPER, answer.leg_lengths).translation
+    assert np.abs(again - position).max() <= answer.tolerance
+
+
+def test_far_points_are_not_and_know_how_far_they_are() -> None:
+    points = [[5.0, 0.0, 2.0], [0.0, 0.0, 0.0], [0.0, 0.0, 40.0]]
+    answer = reachable_position(PAPER, points)
+    assert not answer.reachable.any()
+    np.testing.assert_allclose(np.linalg.norm(answer.nearest - points, axis=-1), answer.distance)
+    # Straight above, all legs at their longest are nearest.
+    height = spm.forward_physical(PAPER, [1.5] * 6).translation[2]
+    assert answer.distance[2] == pytest.approx(40.0 - height, abs=1e-9)
+
+
+def test_distances_are_those_a_bounded_least_squares_solver_finds() -> None:
+    rng = np.random.default_rng(4)
+    box = leg_box(PAPER)
+    points = rng.uniform(box.positions.min(axis=0) - 0.1, box.positions.max(axis=0) + 0.1, (6, 3))
+    answer = reachable_position(PAPER, points)
+    for k, point in enumerate(points):
+
+        def error(legs: np.ndarray, point: np.ndarray = point) -> np.ndarray:
+            return spm.forward_physical(PAPER, legs).translation - point
+
+        best = min(
+            2.0 * least_squares(error, rng.uniform(1.15, 1.45, 6), bounds=(1.1, 1.5), xtol=1e-12, ftol=1e-12).cost
+            for _ in range(3)
+        )
+        # The other search goes from three random starts, and may end farther away, but never nearer.
+        assert answer.distance[k] <= np.sqrt(best) + 1e-6
+        assert answer.reachable[k] == (answer.distance[k] == 0.0)
+
+
+def test_no_set_of_lower_legs_reaches_a_point_said_to_be_out_of_reach() -> None:
+    """Searched exhaustively: 16³ lower stages, each with the upper legs that then put o there."""
+    rng = np.random.default_rng(5)
+    box = leg_box(PAPER)
+    points = rng.uniform(box.positions.min(axis=0), box.positions.max(axis=0), (20, 3))
+    answer = reachable_position(PAPER, points)
+    assert 3 <= answer.reachable.sum() <= 17
+    grid = np.stack(np.meshgrid(*[np.linspace(1.1, 1.5, 16)] * 3), axis=-1).reshape(-1, 3)
+    lower = stage_coordinates(spm.forward_physical(PAPER, np.concatenate([grid, np.full_like(grid, 1.3)], axis=-1)))
+    for k in range(20):
+        upper = PositionMap(PAPER).upper_for(lower[:, 0], np.broadcast_to(points[k], (len(grid), 3)))
+        legs = PositionMap(PAPER).lengths(np.stack([lower[:, 0], upper], axis=1))[:, 3:]
+        with np.errstate(invalid="ignore"):
+            hit = ((legs >= 1.1) & (legs <= 1.5)).all(axis=-1).any()
+            # Between two lower stages of the grid the upper legs change by 0.1 m at most: else nothing was missed.
+            near = ((legs >= 1.0) & (legs <= 1.6)).all(axis=-1).any()
+        assert not (hit and not answer.reachable[k])
+        assert not (answer.reachable[k] and not near)
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (3, 1, 2), (0,)])
+def test_shapes(shape: tuple[int, ...]) -> None:
+    answer = reachable_position(PAPER, np.full((*shape, 3), [0.1, 0.2, 2.4]))
+    assert answer.reachable.shape == answer.distance.shape == answer.optimality.shape == shape
+    assert answer.nearest.shape == (*shape, 3)
+    assert answer.leg_lengths.shape == (*shape, 6)
+    assert answer.reachable.all()
+
+
+def test_where_the_machine_cannot_be_assembled_everywhere_in_the_limits_the_rest_still_counts() -> None:
+    limits = spm.LegLimits(1.0, 1.6)
+    legs = np.random.default_rng(6).uniform(1.0, 1.6, (400, 6))
+    states = spm.forward_physical(PAPER, legs)
+    assert 0.5 < states.exists.mean() < 1.0
+    answer = reachable_position(PAPER, states.translation[states.exists], limits)
+    assert answer.reachable.all()
+
+
+def test_what_satisfies_the_conditions_is_nearest_among_many_states() -> None:
+    box = leg_box(PAPER)
+    rng = np.random.default_rng(7)
+    points = rng.uniform(box.positions.min(axis=0) - 0.2, box.positions.max(axis=0) + 0.2, (200, 3))
+    found = nearest_in_box(box, points, tries=6)
+    sample = spm.forward_physical(PAPER, 1.1 + 0.4 * rng.beta(0.3, 0.3, (20_000, 6))).translation
+    least = np.array([np.sqrt(((sample - point) ** 2).sum(axis=-1)).min() for point in points])
+    assert (found.distance <= least + 1e-9).all()
+    assert (found.optimality < 1e-6).all()
+    assert np.median(least - found.distance) < 0.1
+
+
+def test_bad_input_is_refused() -> None:
+    for words, call in (
+        ("finite", lambda: reachable_position(PAPER, [0.0, 0.0, np.nan])),
+        ("shape", lambda: reachable_position(PAPER, [0.0, 0.0])),
+        ("tries", lambda: reachable_position(PAPER, [0.0, 0.0, 2.0], tries=0)),
+        ("assembled", lambda: reachable_position(PAPER, [0.0, 0.0, 2.0], spm.LegLimits(0.01, 0.02))),
+        ("none of its own", lambda: reachable_position(spm.Geometry(0.7, 0.35, 0.8), [0.0, 0.0, 2.0])),
+        ("LegLimits", lambda: reachable_position(PAPER, [0.0, 0.0, 2.0], (1.1, 1.5))),  # type: ignore[arg-type]
+        ("Geometry", lambda: reachable_position(None, [0.0, 0.0, 2.0])),  # type: ignore[arg-type]
+    ):
+        with pytest.raises(spm.ArgumentError, match=words):
+            call()
