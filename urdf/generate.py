@@ -10,10 +10,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from spm_pin.description.paths import CLOSURES, MJCF, SDF, SIDECAR, SRDF, URDF
 
 import spm_pin as spm
 from spm_pin.description.expand import expand
+from spm_pin.description.paths import CLOSURES, MJCF, SDF, SIDECAR, SRDF, URDF
 from spm_pin.description.robots import manipulator
 from spm_pin.description.srdf import srdf_text
 from spm_pin.description.writers.extended_urdf import sidecar_text

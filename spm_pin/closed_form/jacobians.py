@@ -16,7 +16,8 @@ zeros alone read K t_L = (0, K_c t), thus t_L = X t with X = K⁻¹ [0; K_c], an
 Taking t_L out of the twelve equations by a Schur complement gives det J_f = det J_b det J_c / det K.
 
 Nothing of this takes a 6 x 6 decomposition: three equations in how far each joint moves along the one direction that
-its two forces leave open are enough, see `spm_pin.closed_form.kernels.wrench_vectors`, with determinants instead of pivots.
+its two forces leave open are enough, with determinants instead of pivots, see
+`spm_pin.closed_form.kernels.wrench_vectors`.
 """
 
 from __future__ import annotations
@@ -60,7 +61,8 @@ def inverse_jacobian(configuration: Configuration) -> FloatArray:
     ------
     SingularConfigurationError
         At an inverse or a constraint singularity, where a twist has no leg rates or no unique ones; see
-        `spm_pin.closed_form.stage_wrenches.SINGULAR`. Also, as "forward", where a leg has no length, hence no direction.
+        `spm_pin.closed_form.stage_wrenches.SINGULAR`. Also, as "forward", where a leg has no length, hence no
+        direction.
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""Following one solution of a stage while its leg lengths change, over scalars; see `spm_pin.closed_form.forward_continuation`.
+"""Following one solution of a stage while its leg lengths change, over scalars.
 
 Four unknowns x = (x0, x1, x2, ζ), four equations F = (f, |quaternion|² - 1).
 """

@@ -1,7 +1,7 @@
 """The equations of one 3RPS stage, and Newton's method on them, over scalars.
 
-A state (x0, x1, x2, ζ) is that of `spm_pin.closed_form.stage_solver` in the coordinates of its mode: in mode F, where r, ε and
-ζ are negative, x0 stands for the quaternion's x3, and x1 + i x2 for i w.
+A state (x0, x1, x2, ζ) is that of `spm_pin.closed_form.stage_solver` in the coordinates of its mode: in mode F,
+where r, ε and ζ are negative, x0 stands for the quaternion's x3, and x1 + i x2 for i w.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 Distance is measured where the platform is held: the root of the mean squared displacement of c_1, c_2, c_3. The three
 are symmetric about o, hence d² = |Δo|² + (the same mean for the rotation alone), and shifts and turns separate.
 
-For a fixed orientation a family is real where its quadratic form S, see `spm_pin.closed_form.family_forms`, allows for the
-distance h = n·o of the two Z axes: λ_min(S) <= h <= λ_max(S). That is a slab between two planes normal to n, so the
+For a fixed orientation a family is real where its quadratic form S, see `spm_pin.closed_form.family_forms`, allows for
+the distance h = n·o of the two Z axes: λ_min(S) <= h <= λ_max(S). That is a slab between two planes normal to n, so the
 nearest position is a projection onto one of them and exact. What is left is a search over three angles, for which
 there is no such formula: a grid of turns, then BFGS from the best of them.
 """

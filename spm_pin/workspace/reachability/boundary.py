@@ -1,7 +1,8 @@
 """The boundary of the reachable positions, as a closed mesh whose vertices lie on it.
 
 Marching cubes need to know of the nodes of a grid only which are reachable: that says which edges the boundary crosses,
-and `spm_pin.workspace.reachability.edge_intersection` says where. What bounds the set is derived in `docs/theory/reachable_set.md`.
+and `spm_pin.workspace.reachability.edge_intersection` says where. What bounds the set is derived in
+`docs/theory/reachable_set.md`.
 """
 
 from __future__ import annotations

@@ -177,8 +177,8 @@ class PositionReach:
     leg_lengths : ndarray, shape (..., 6)
         Leg lengths that put o there [m]; there may be others.
     optimality : ndarray, shape (...)
-        How far `nearest` is from obeying the conditions of a nearest point, see `spm_pin.workspace.reachability.nearest`;
-        rounding, unless the search has not arrived and `distance` is only an upper bound.
+        How far `nearest` is from obeying the conditions of a nearest point, see
+        `spm_pin.workspace.reachability.nearest`;         rounding, unless the search has not arrived and `distance` is only an upper bound.
     tolerance : float
         [m].
     """
