@@ -178,7 +178,8 @@ class PositionReach:
         Leg lengths that put o there [m]; there may be others.
     optimality : ndarray, shape (...)
         How far `nearest` is from obeying the conditions of a nearest point, see
-        `spm_pin.workspace.reachability.nearest`;         rounding, unless the search has not arrived and `distance` is only an upper bound.
+        `spm_pin.workspace.reachability.nearest`;         rounding, unless the search has not arrived and
+        `distance` is only an upper bound.
     tolerance : float
         [m].
     """
