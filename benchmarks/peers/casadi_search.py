@@ -24,25 +24,11 @@ ITERATIONS = 60
 
 def ipopt(problem: tuple[Geometry, RigidTransform]) -> Prepared:
     """IPOPT on the feasibility problem, start by start."""
-    ca: Any = required("casadi", "casadi")
-    from spm_pin.nlp import loop_equations
-    from spm_pin.nlp.solvers import QUIET, status_of
+    required("casadi", "casadi")
+    from spm_pin.nlp.solvers import Ipopt
 
-    geometry, _ = problem
-    b, pose = ca.SX.sym("b", 9), ca.SX.sym("pose", 12)
-    residual = loop_equations.equations(geometry, b, ca.reshape(pose[:9], 3, 3), pose[9:])
-    options = {**QUIET, "ipopt.tol": 1e-12}
-    solver = ca.nlpsol("inverse", "ipopt", {"x": b, "p": pose, "f": ca.SX(0), "g": residual}, options)
-
-    def solve(starts: FloatArray, matrix: FloatArray) -> FloatArray:
-        parameters = np.concatenate([matrix[:3, :3].T.ravel(), matrix[:3, 3]])
-        ends = np.empty_like(starts)
-        for k, start in enumerate(starts):
-            ends[k] = np.asarray(solver(x0=start, p=parameters, lbg=0.0, ubg=0.0)["x"]).ravel()
-            status_of(solver, None)  # where a Ctrl-C that CasADi has swallowed comes out again
-        return ends
-
-    return search(problem, solve)
+    solver = Ipopt(problem[0], {"ipopt.tol": 1e-12})
+    return search(problem, lambda starts, matrix: solver(starts, matrix)[0])
 
 
 def mapped_newton(problem: tuple[Geometry, RigidTransform]) -> Prepared:

@@ -101,7 +101,7 @@ def _contents(found: dict[str, str]) -> str:
     chapters = {
         "Theory": _ordered(found, "theory", theory),
         "The paper": ["findings", "paper"],
-        "How to": _ordered(found, "howto", ("load_elsewhere", "crosscheck", "batches", "paths")),
+        "How to": _ordered(found, "howto", ("load_elsewhere", "crosscheck", "batches", "paths", "optimal_control")),
         "More": [
             "examples",
             "reference/index",

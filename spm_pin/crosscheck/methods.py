@@ -177,8 +177,7 @@ class Nlp(Witness):
     def _rates(self, configuration: Configuration) -> FloatArray:
         def one(state: Configuration) -> FloatArray:
             arguments = state.middle_joints.ravel(), state.rotation, state.translation
-            b_closure, x_closure, b_lengths, x_lengths = (np.asarray(part) for part in self._derivatives(*arguments))
-            return np.asarray(x_lengths - b_lengths @ np.linalg.solve(b_closure, x_closure))
+            return np.asarray(self._nlp.inverse_jacobian(self._derivatives(*arguments)))
 
         return np.stack([one(state) for state in configuration])
 

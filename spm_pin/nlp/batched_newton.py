@@ -1,4 +1,4 @@
-"""Newton's method on the loop equations from many starts at once, and what its solutions are worth.
+"""Newton's method on the loop equations from many starts at once, and certificates for its solutions.
 
 Residuals and exact Jacobians come from one CasADi function mapped over all starts; the steps are NumPy's batched
 solve. CasADi's own linear solvers end a whole mapped call where one matrix is singular, which at some poses one is.
@@ -9,7 +9,7 @@ The equations are quadratic, F(b + h) = F(b) + J h + Q(h) with |Q(h)| <= q |h|²
 - from |F| <= δ and s² > 4 q δ: a solution exists within 2δ/(s + √(s² - 4qδ)) (Kantorovich);
 - two solutions are at least s/q apart, s taken at either: J h = -Q(h).
 
-So a solution is certified by numbers, and it is known which points are the same solution.
+So a solution is certified by numbers, and points are known to be the same solution or different ones.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def _solve(jacobian: FloatArray, residual: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Certificate:
-    """What is proved of a point, up to the rounding of its own evaluation.
+    """A bound on the distance from a point to a solution, proved up to the rounding of its own evaluation.
 
     Attributes
     ----------
@@ -130,9 +130,9 @@ class Certificate:
     sigma : float
         Smallest singular value of the loop equations' Jacobian, dimensionless: zero at inverse singularities.
     error : float
-        A solution is this near [m], in the norm of all nine coordinates.
+        Largest distance to a solution [m], in the norm of all nine coordinates.
     isolated : bool
-        Whether that is proved. If not, `error` is that of a double root.
+        Whether that bound is proved. If not, `error` is that of a double root.
     apart : float
         Points closer than this are the same solution [m].
     """
@@ -145,7 +145,7 @@ class Certificate:
 
 
 def certify(equations: LoopEquations, b: FloatArray, matrix: FloatArray) -> Certificate:
-    """Polish one point (9,) that has converged, and certify it; see the module."""
+    """Polish one converged point (9,) by a Newton step and certify it, as the module's docstring derives."""
     residual, jacobian = equations(b[None], matrix)
     better = b - _solve(jacobian, residual)[0]
     polished, derivative = equations(better[None], matrix)
@@ -161,7 +161,7 @@ def certify(equations: LoopEquations, b: FloatArray, matrix: FloatArray) -> Cert
 
 
 def isolated(equations: LoopEquations, b: FloatArray, matrix: FloatArray) -> npt.NDArray[np.bool_]:
-    """Tell which points (n, 9) that have converged are proved to be isolated solutions."""
+    """Return which converged points (n, 9) are proved to be isolated solutions, shape (n,)."""
     return _margins(equations, b, matrix, *equations(b, matrix))[2] > 0.0
 
 

@@ -1,9 +1,9 @@
-"""Inverse displacement by multi-start: every branch found from random starts, certified, and the rest estimated.
+"""Inverse displacement by multi-start: branches found from random starts, certified, and the chance of missed ones.
 
-Newton's method is the default solver. A pose and its loop equations form a square system without an objective, on
-which IPOPT takes Newton's steps as well, at some eighty times the price a start; `make bench` measures both
-beside SciPy's solvers. IPOPT is there as a second opinion: its line search and restoration phase
-end elsewhere, and stop at a measured infeasibility where nothing solves the equations.
+Newton's method is the default solver. The loop equations of a pose are a square system without an objective, on which
+IPOPT takes Newton steps too, at some eighty times the cost per start; `make bench` measures both beside SciPy's
+solvers. IPOPT serves as a second method: its line search and restoration phase end elsewhere, and stop at a measured
+infeasibility where nothing solves the equations.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ BoolArray = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Search:
-    """What a multi-start found, and how sure it is; arrays over the batch of poses (...).
+    """Branches found by a multi-start, with statistics of the search; arrays over the batch of poses (...).
 
     Attributes
     ----------
@@ -90,17 +90,17 @@ class Search:
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C during a search or along a path; nothing that was finished is lost.
+    """Ctrl-C during a search; the poses finished before are kept.
 
     Attributes
     ----------
-    partial : Search or Track
-        The result so far, the rest marked as unsolved.
+    partial : Search
+        The result so far, the other poses marked as unsolved.
     """
 
-    def __init__(self, partial: Any) -> None:
+    def __init__(self, partial: Search) -> None:
         self.partial = partial
-        super().__init__("interrupted; .partial holds what was finished")
+        super().__init__("interrupted; .partial holds the poses finished before")
 
 
 def inverse_displacement(
@@ -117,12 +117,12 @@ def inverse_displacement(
     Parameters
     ----------
     geometry, pose, starts, seed, solver, options
-        As for `search`, which also says how sure the result is.
+        As for `search`, which also returns the statistics of the search.
 
     Returns
     -------
     SolutionSet
-        As of `spm_pin.inverse_displacement`, same labels, without discriminants and degeneracy.
+        With the labels of `spm_pin.inverse_displacement`, without discriminants and degeneracy.
 
     Raises
     ------
@@ -142,7 +142,7 @@ def search(
     solver: str = "newton",
     options: Mapping[str, Any] | None = None,
 ) -> Search:
-    """Find the branches of a pose by multi-start, with an account of the search.
+    """Find the branches of a pose by multi-start, with statistics of the search.
 
     Parameters
     ----------
@@ -156,16 +156,16 @@ def search(
     risk : float
         Probability of a branch not found that is accepted; without meaning if `starts` is given.
     seed : int
-        Of the random starts. A pose's result depends on the seed and the pose only, not on its batch.
+        Seed of the random starts. A pose's result depends on the seed and the pose only, not on its batch.
     solver : str
-        "newton" or "ipopt". Whatever solves, solutions are polished by Newton's method and certified.
+        "newton" or "ipopt". With either, solutions are polished by Newton's method and certified.
     options : mapping, optional
-        For IPOPT, as of `casadi.nlpsol`: ``{"ipopt.max_iter": 50}``.
+        Options of IPOPT, as `casadi.nlpsol` takes them: ``{"ipopt.max_iter": 50}``.
 
     Returns
     -------
     Search
-        The solutions and the account.
+        The solutions and the statistics of the search.
 
     Raises
     ------
@@ -223,7 +223,7 @@ def _check(starts: int | None, risk: float, seed: int, solver: str, options: Map
 
 
 def _collect(geometry: Geometry, transform: Any, found: list[Multistart]) -> Search:
-    """Arrange the searches of all poses in the batch's shape."""
+    """Gather the searches of all poses into arrays of the batch's shape."""
     shape = transform.shape
     joints = np.full((len(found), MOST_BRANCHES, 3, 3), np.nan)
     solved = np.ones(len(found), dtype=bool)

@@ -2,7 +2,7 @@
 
 The unknowns are the nine coordinates of the ball joints b_1, b_2, b_3 in {B}. Each joint moves in the plane of
 its lower leg and in that of its upper leg, Eqs. (5b) and (5c), and the joints are d apart, Eq. (12): nine
-equations. Nothing is eliminated and no root is known beforehand.
+equations. Nothing is eliminated.
 
 A `casadi.Function` can be called with numbers or symbols, saved with `Function.save`, and turned into C with
 `Function.generate`: https://web.casadi.org/docs/#generating-c-code.
@@ -10,25 +10,28 @@ A `casadi.Function` can be called with numbers or symbols, saved with `Function.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from spm_pin.errors import SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import Geometry
 
-__all__ = ["closure", "equations", "leg_jacobian", "leg_lengths", "leg_vectors", "placed_platform", "vector"]
+__all__ = ["closure", "equations", "inverse_jacobian", "leg_jacobian", "leg_lengths", "leg_vectors", "placed_platform"]
 
 
-def vector(value: npt.ArrayLike) -> ca.DM:
-    """Return a NumPy array as CasADi's dense matrix."""
+def _vector(value: npt.ArrayLike) -> ca.DM:
+    """Return a NumPy array as a dense CasADi matrix."""
     return ca.DM(np.asarray(value, dtype=np.float64))
 
 
 def placed_platform(geometry: Geometry, rotation: ca.SX, translation: ca.SX) -> tuple[list[ca.SX], list[ca.SX]]:
     """Return c_1..c_3 [m] and the unit axes of their revolute joints, in {B}. Eqs. (2) and (4b)."""
-    joints = [translation + rotation @ vector(point) for point in geometry.platform_joints]
-    axes = [rotation @ vector(axis) for axis in geometry.revolute_axes]
+    joints = [translation + rotation @ _vector(point) for point in geometry.platform_joints]
+    axes = [rotation @ _vector(axis) for axis in geometry.revolute_axes]
     return joints, axes
 
 
@@ -54,7 +57,7 @@ def equations(geometry: Geometry, b: ca.SX, rotation: ca.SX, translation: ca.SX)
     """
     points = _points(b)
     joints, axes = placed_platform(geometry, rotation, translation)
-    lower = [ca.dot(vector(axis), point) for axis, point in zip(geometry.revolute_axes, points, strict=True)]
+    lower = [ca.dot(_vector(axis), point) for axis, point in zip(geometry.revolute_axes, points, strict=True)]
     upper = [ca.dot(axis, point - joint) for axis, point, joint in zip(axes, points, joints, strict=True)]
     d = geometry.middle_side
     sides = [(ca.sumsqr(points[i] - points[(i + 1) % 3]) - d * d) / (2.0 * d) for i in range(3)]
@@ -65,7 +68,7 @@ def leg_vectors(geometry: Geometry, b: ca.SX, rotation: ca.SX, translation: ca.S
     """Return a_i to b_i of the lower legs, then b_i to c_i of the upper legs, as expressions in {B} [m]."""
     points = _points(b)
     joints, _ = placed_platform(geometry, rotation, translation)
-    lower = [point - vector(joint) for joint, point in zip(geometry.base_joints, points, strict=True)]
+    lower = [point - _vector(joint) for joint, point in zip(geometry.base_joints, points, strict=True)]
     return lower + [joint - point for joint, point in zip(joints, points, strict=True)]
 
 
@@ -147,10 +150,22 @@ def leg_jacobian(geometry: Geometry) -> ca.Function:
     )
 
 
-def inverse_jacobian(derivatives: tuple[FloatArray, FloatArray, FloatArray, FloatArray]) -> FloatArray:
-    """Return l_x - l_b F_b⁻¹ F_x, shape (6, 6), from the four outputs of `leg_jacobian` as arrays."""
-    closure_b, closure_x, lengths_b, lengths_x = derivatives
-    return np.asarray(lengths_x - lengths_b @ np.linalg.solve(closure_b, closure_x))
+def inverse_jacobian(derivatives: Sequence[npt.ArrayLike | ca.DM]) -> FloatArray:
+    """Return the inverse Jacobian (6, 6), l_x - l_b F_b⁻¹ F_x, from the four outputs of `leg_jacobian`.
+
+    It takes the twist (v, ω) at o in {B} [m/s, rad/s] to the leg rates [m/s].
+
+    Raises
+    ------
+    SingularConfigurationError
+        As "inverse", where F_b is singular.
+    """
+    closure_b, closure_x, lengths_b, lengths_x = (np.asarray(part, dtype=np.float64) for part in derivatives)
+    try:
+        motion = np.linalg.solve(closure_b, closure_x)
+    except np.linalg.LinAlgError:
+        raise SingularConfigurationError("inverse", 0.0) from None
+    return np.asarray(lengths_x - lengths_b @ motion)
 
 
 def _symbols() -> tuple[ca.SX, ca.SX, ca.SX]:

@@ -1,4 +1,4 @@
-"""One multi-start, as it goes on at one pose."""
+"""The multi-start at one pose: starts, hits of each solution, and the stopping rule."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _DOUBLE_ROOTS = 4
 
 @dataclass
 class Multistart:
-    """The search at one pose, as it goes on."""
+    """State of the multi-start at one pose."""
 
     equations: LoopEquations
     matrix: FloatArray
@@ -39,7 +39,7 @@ class Multistart:
     outcomes: Counter[str] = field(default_factory=Counter)
 
     def run(self, method: Ipopt | None, starts: int | None, risk: float, rng: np.random.Generator) -> None:
-        """Make `starts` starts, or as many as the stopping rule asks for; None as `method` is Newton's."""
+        """Make `starts` starts, or as many as the stopping rule asks for; `method` None means Newton's method."""
         size = _FIRST
         last = _LAST if starts is None else starts
         while self.starts < last and not (starts is None and self.settled):
@@ -49,7 +49,7 @@ class Multistart:
             self.settled = self.unseen_probability <= risk and not seen_once
             size = min(2 * size, _LARGEST)
         if not self.certificates:
-            self._descend(random_starts(self.equations.geometry, self.matrix, _LEAST_SQUARES, rng))
+            self._minimize_residual(random_starts(self.equations.geometry, self.matrix, _LEAST_SQUARES, rng))
 
     def _extend(self, method: Ipopt | None, starts: FloatArray) -> None:
         self.starts += len(starts)
@@ -59,18 +59,18 @@ class Multistart:
         else:
             ends, outcomes = method(starts, self.matrix)
             self.outcomes.update(outcomes)
-            # IPOPT's own tolerance is an absolute one; what rounding allows is a step or two away.
+            # IPOPT's tolerance is absolute; full accuracy is one or two Newton steps away.
             polished, converged = newton(self.equations, ends, self.matrix, 3)
             ends = np.where(converged[:, None], polished, ends)
-        self._sort_in(ends[converged])
+        self._count_hits(ends[converged])
         self.failed += int((~converged).sum())
         if not converged.all():
             with np.errstate(over="ignore", invalid="ignore"):
                 norms = np.linalg.norm(self.equations(ends[~converged], self.matrix)[0], axis=-1)
             self.failed_residual = float(np.fmin(self.failed_residual, np.nanmin(norms)))
 
-    def _sort_in(self, ends: FloatArray) -> None:
-        """Count each end (n, 9) as a hit of the solution it is, new or not."""
+    def _count_hits(self, ends: FloatArray) -> None:
+        """Count each end point (n, 9) as a hit of its solution, adding solutions not seen before."""
         for k, known in enumerate(self.certificates):
             same = np.linalg.norm(ends - known.b, axis=-1) <= known.apart
             self.hits[k] += int(same.sum())
@@ -85,8 +85,8 @@ class Multistart:
             self.hits.append(int(same.sum()))
             ends = ends[~same]
 
-    def _descend(self, starts: FloatArray) -> None:
-        """Look for the least violation, or a solution that no start led to."""
+    def _minimize_residual(self, starts: FloatArray) -> None:
+        """Minimise the residual by least squares, for the infeasibility or a solution that no start led to."""
 
         def value(b: FloatArray) -> FloatArray:
             return np.asarray(self.equations(b[None], self.matrix)[0][0])
@@ -96,17 +96,17 @@ class Multistart:
 
         ends = np.array([least_squares(value, start, slope, method="lm").x for start in starts])
         polished, converged = newton(self.equations, ends, self.matrix, 3)
-        self._sort_in(polished[converged])
+        self._count_hits(polished[converged])
         self.infeasibility = min(float(np.linalg.norm(value(end))) for end in ends)
 
     @property
     def continuous(self) -> bool:
-        """Whether more solutions cannot be isolated than double roots can be."""
+        """Whether more solutions are not isolated than there can be double roots: then they form a continuum."""
         return sum(not one.isolated for one in self.certificates) > _DOUBLE_ROOTS
 
     @property
     def kept(self) -> list[int]:
-        """Solutions of which none is on a continuous family."""
+        """Indices of the solutions that are not on a continuous family."""
         return [k for k, one in enumerate(self.certificates) if one.isolated or not self.continuous]
 
     @property
@@ -116,7 +116,7 @@ class Multistart:
 
     @property
     def status(self) -> Status:
-        """What is known of the pose."""
+        """Status of the pose."""
         if self.continuous:
             return Status.DEGENERATE
         if self.certificates:

@@ -1,8 +1,8 @@
-"""Where to start, and when to stop starting.
+"""Random starts of the multi-start, and the probability that they missed a branch.
 
-A start is a middle platform of the right size in a random orientation, put where it violates the six leg planes
-least. Orientations are uniform on SO(3), which is compact, and every solution is such a start of its own: so no
-branch is out of reach however far it lies, and none needs a box to search.
+A start is a middle platform of the right size in a random orientation, placed where it violates the six leg planes
+least. Orientations are uniform on SO(3), which is compact, and every solution is itself such a start: every branch has
+a neighbourhood of starts that lead to it, and no box has to be chosen to search in.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from spm_pin.mechanism.geometry import Geometry
 __all__ = ["MOST_BRANCHES", "random_starts", "unseen_probability"]
 
 MOST_BRANCHES = 8
-"""Degree of the problem, Eq. (19): a pose has at most so many branches."""
+"""Largest number of branches of a pose: the degree of Eq. (19)."""
 
 
 def random_starts(geometry: Geometry, matrix: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
@@ -27,17 +27,17 @@ def random_starts(geometry: Geometry, matrix: FloatArray, count: int, rng: np.ra
     platform_axes = axes @ matrix[:3, :3].T
     local = geometry.middle_radius * geometry.radial_directions
     turned = local @ np.swapaxes(Rotation.random(count, rng=rng).as_matrix(), -1, -2)
-    # Measured from half way between the platforms: where the normals leave a direction free, it stays there.
+    # Relative to the point half way between the platforms: a direction that the normals leave free keeps that value.
     half = matrix[:3, 3] / 2.0
     normals = np.concatenate([axes, platform_axes])
     wanted = np.concatenate([-axes @ half, platform_axes @ half])
-    shares = np.concatenate([(turned * axes).sum(axis=-1), (turned * platform_axes).sum(axis=-1)], axis=-1)
-    centre = half + (wanted - shares) @ np.linalg.pinv(normals).T
+    offsets = np.concatenate([(turned * axes).sum(axis=-1), (turned * platform_axes).sum(axis=-1)], axis=-1)
+    centre = half + (wanted - offsets) @ np.linalg.pinv(normals).T
     return np.asarray((turned + centre[:, None, :]).reshape(count, 9))
 
 
 def unseen_probability(branches: int, starts: int) -> float:
-    """Return the probability that a pose has branches which no start has found yet.
+    """Return the probability that a pose has branches that no start has found.
 
     Parameters
     ----------
@@ -51,8 +51,8 @@ def unseen_probability(branches: int, starts: int) -> float:
     float
         The posterior probability after Boender and Rinnooy Kan, Bayesian stopping rules for multistart global
         optimization methods, Math. Program. 37 (1987): each number of branches equally likely beforehand, and
-        then every division of the starts among the branches and failing. They allow any number; here it is 0,
-        2, 4, 6 or 8, for the roots of a real polynomial that are not real come in pairs.
+        then every division of the starts among the branches and failures. They allow any number; here it is 0,
+        2, 4, 6 or 8, because the non-real roots of a real polynomial come in pairs.
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""Against the certified number of branches: what the multi-start misses, with its confidence, and what it invents."""
+"""The multi-start against the certified number of branches: missed branches, with confidence, and invented ones."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_no_branch_is_missed_or_invented() -> None:
 
 
 @pytest.mark.slow
-def test_the_miss_rate_is_no_more_than_stated() -> None:
+def test_the_miss_rate_is_at_most_the_stated_risk() -> None:
     sample = poses(200, 50, 1)
     searches, missed = compare(sample, certified(sample), range(10))
     interval = binomtest(missed, searches).proportion_ci(0.95, "exact")
@@ -66,7 +66,7 @@ def test_the_miss_rate_is_no_more_than_stated() -> None:
 
 
 @pytest.mark.slow
-def test_ipopt_misses_no_more() -> None:
+def test_ipopt_misses_no_more_branches_than_newton_is_allowed() -> None:
     sample = poses(20, 10, 2)
     truth = certified(sample)
     found = nlp.inverse_displacement(GEOMETRY, sample, solver="ipopt")

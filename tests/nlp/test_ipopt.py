@@ -17,7 +17,7 @@ EXAMPLE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.8
 FAR = spm.pose([3.0, 3.0, 2.0], xyx=[0.1, 0.5, 0.3])
 
 
-def test_it_finds_the_paper_s_six_branches_in_silence(capfd: pytest.CaptureFixture[str]) -> None:
+def test_ipopt_finds_the_paper_s_six_branches_and_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
     found = nlp.search(GEOMETRY, EXAMPLE, solver="ipopt", starts=200, seed=1)
     closed = spm.inverse_displacement(GEOMETRY, EXAMPLE)
     np.testing.assert_array_equal(found.solutions.exists, closed.exists)
@@ -29,7 +29,7 @@ def test_it_finds_the_paper_s_six_branches_in_silence(capfd: pytest.CaptureFixtu
     assert captured.out == captured.err == ""
 
 
-def test_out_of_reach_it_says_so_itself() -> None:
+def test_ipopt_detects_infeasibility_of_an_unreachable_pose() -> None:
     found = nlp.search(GEOMETRY, FAR, solver="ipopt", starts=20)
     assert found.solutions.status is Status.UNREACHABLE
     assert set(found.outcomes) == {"Infeasible_Problem_Detected"}
@@ -37,7 +37,7 @@ def test_out_of_reach_it_says_so_itself() -> None:
     assert 0.0 < found.infeasibility <= found.failed_residual * (1.0 + 1e-9)
 
 
-def test_a_solver_that_gives_up_is_counted_and_not_believed() -> None:
+def test_starts_at_which_ipopt_gives_up_are_counted_as_failed() -> None:
     stopped = nlp.search(GEOMETRY, EXAMPLE, solver="ipopt", starts=10, options={"ipopt.max_iter": 0})
     assert stopped.outcomes == {"Maximum_Iterations_Exceeded": 10}
     assert stopped.failed == 10
@@ -54,15 +54,13 @@ def test_a_solver_that_gives_up_is_counted_and_not_believed() -> None:
         ({"ipopt.linear_solver": "ma27"}, "Invalid_Option"),
     ],
 )
-def test_bad_options_are_clear_errors(options: dict[str, object], words: str) -> None:
+def test_bad_options_raise_an_argument_error(options: dict[str, object], words: str) -> None:
     with pytest.raises(spm.ArgumentError, match=words):
         nlp.search(GEOMETRY, EXAMPLE, solver="ipopt", starts=2, options=options)
-    with pytest.raises(spm.ArgumentError, match=words):
-        nlp.track(FAR.as_matrix()[None], spm.inverse_displacement(GEOMETRY, EXAMPLE).physical(), options=options)
 
 
-def test_ctrl_c_during_a_solve_is_an_interrupt() -> None:
-    """CasADi swallows it and reports a failed solve; it must come out as what it is, with the poses done so far."""
+def test_ctrl_c_during_a_solve_raises_interrupted_with_the_finished_poses() -> None:
+    """CasADi swallows the signal and reports a failed solve."""
     poses = in_leg_space(GEOMETRY, 500, 8).pose
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     timer = threading.Timer(0.6, os.kill, (os.getpid(), signal.SIGINT))

@@ -48,14 +48,14 @@ def test_all_branches_over_all_rotations(name: str, family: str) -> None:
 
 
 @pytest.mark.parametrize("beyond", [1e-2, 1e-6, 1e-10, -1e-10, -1e-6, -1e-2])
-def test_where_two_branches_are_about_to_meet(beyond: float) -> None:
+def test_branches_near_a_fold_are_counted_as_by_the_closed_form(beyond: float) -> None:
     for index, family in enumerate(spm.mechanism.FAMILIES):
         pose = at_discriminant(random_branches(GEOMETRY, family, 1, 41).pose[0], index, beyond, GEOMETRY)
         found, closed = nlp.inverse_displacement(GEOMETRY, pose), spm.inverse_displacement(GEOMETRY, pose)
         np.testing.assert_array_equal(found.exists, closed.exists)
 
 
-def test_a_batch_is_its_poses_and_the_seed_decides() -> None:
+def test_results_depend_on_pose_and_seed_not_on_the_batch() -> None:
     poses = in_leg_space(GEOMETRY, 4, 2).pose
     grid = poses.as_matrix().reshape(2, 2, 4, 4)
     whole = nlp.search(GEOMETRY, grid, seed=3)
@@ -69,7 +69,7 @@ def test_a_batch_is_its_poses_and_the_seed_decides() -> None:
     assert nlp.search(GEOMETRY, RigidTransform.from_matrix(np.empty((0, 4, 4)))).solutions.shape == (0,)
 
 
-def test_the_number_of_starts_is_obeyed() -> None:
+def test_the_requested_number_of_starts_is_made() -> None:
     assert nlp.search(GEOMETRY, EXAMPLE, starts=5).starts == 5
     few = nlp.search(GEOMETRY, EXAMPLE, starts=3)
     assert not few.settled
@@ -87,7 +87,7 @@ def test_the_number_of_starts_is_obeyed() -> None:
         spm.pose([0.1, 0.1, 2.2], rotation=np.diag([1.0, -1.0, -1.0])),
     ],
 )
-def test_out_of_reach_is_a_status_and_a_measure(pose: RigidTransform) -> None:
+def test_an_unreachable_pose_has_its_status_and_infeasibility(pose: RigidTransform) -> None:
     assert spm.inverse_displacement(GEOMETRY, pose).status is Status.UNREACHABLE
     found = nlp.search(GEOMETRY, pose)
     assert found.solutions.status is Status.UNREACHABLE
@@ -96,7 +96,7 @@ def test_out_of_reach_is_a_status_and_a_measure(pose: RigidTransform) -> None:
     assert found.failed_residual >= found.infeasibility * (1.0 - 1e-6)
 
 
-def test_infeasibility_is_the_way_back_into_reach() -> None:
+def test_infeasibility_is_at_most_the_distance_beyond_the_fold() -> None:
     """At a fold the least residual grows from zero with the distance beyond it."""
     measured = []
     for index, family in enumerate(spm.mechanism.FAMILIES):
@@ -120,7 +120,7 @@ def test_infeasibility_is_the_way_back_into_reach() -> None:
         spm.pose([0.0, 0.0, 2.2], rotation=np.diag([-1.0, -1.0, 1.0])),
     ],
 )
-def test_a_continuous_family_is_none_of_the_branches(pose: RigidTransform) -> None:
+def test_points_of_a_continuous_family_are_not_reported_as_branches(pose: RigidTransform) -> None:
     closed = spm.inverse_displacement(GEOMETRY, pose)
     assert closed.status is Status.DEGENERATE
     found = nlp.search(GEOMETRY, pose)
@@ -155,7 +155,7 @@ def _rotation(axis: np.ndarray, angle: float) -> np.ndarray:
     return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
 
 
-def test_starts_are_triangles_of_the_right_size_that_violate_the_planes_least() -> None:
+def test_starts_have_the_right_sides_and_violate_the_planes_least() -> None:
     matrix = EXAMPLE.as_matrix()
     starts = random_starts(GEOMETRY, matrix, 20, np.random.default_rng(0)).reshape(20, 3, 3)
     sides = np.linalg.norm(starts - np.roll(starts, 1, axis=1), axis=-1)
@@ -171,8 +171,8 @@ def test_starts_are_triangles_of_the_right_size_that_violate_the_planes_least() 
             assert planes(b + shift) > planes(b)
 
 
-def test_a_solution_is_a_start_of_its_own() -> None:
-    """The start with a branch's orientation is the branch, so every branch has a neighbourhood that leads to it."""
+def test_every_branch_is_itself_a_start() -> None:
+    """The start with the orientation of a branch is that branch."""
     matrix = EXAMPLE.as_matrix()
     axes, platform_axes = GEOMETRY.revolute_axes, GEOMETRY.revolute_axes @ matrix[:3, :3].T
     normals = np.concatenate([axes, platform_axes])
@@ -195,7 +195,7 @@ def test_unseen_probability_is_the_posterior(branches: int, starts: int) -> None
 
 
 def test_unseen_probability_is_calibrated() -> None:
-    """Of the searches that its own prior draws and that see so much, so many have more branches."""
+    """Among searches drawn from the prior that found k branches, that share has more."""
     rng = np.random.default_rng(0)
     starts, seen, unseen = 12, np.zeros(9), np.zeros(9)
     for _ in range(60_000):
@@ -211,12 +211,12 @@ def test_unseen_probability_is_calibrated() -> None:
         assert abs(unseen[found] / seen[found] - expected) < 4.0 * sigma
 
 
-def test_all_eight_or_an_odd_number_need_no_statistics() -> None:
+def test_unseen_probability_is_certain_at_eight_and_at_odd_counts() -> None:
     assert unseen_probability(8, 8) == 0.0
     assert unseen_probability(3, 10_000) == 1.0
 
 
-def test_more_starts_make_sure() -> None:
+def test_unseen_probability_decreases_with_the_number_of_starts() -> None:
     assert unseen_probability(6, 2000) < unseen_probability(6, 200) < unseen_probability(6, 20)
 
 
@@ -231,14 +231,14 @@ def test_more_starts_make_sure() -> None:
         ({"options": {"ipopt.max_iter": 3}}, "Did you mean solver='ipopt'"),
     ],
 )
-def test_bad_arguments_are_clear(keywords: dict[str, object], words: str) -> None:
+def test_bad_arguments_raise_an_argument_error(keywords: dict[str, object], words: str) -> None:
     with pytest.raises(spm.ArgumentError, match=words):
         nlp.search(GEOMETRY, EXAMPLE, **keywords)  # type: ignore[arg-type]
     with pytest.raises(spm.PoseError):
         nlp.search(GEOMETRY, np.eye(3))
 
 
-def test_an_interrupt_keeps_what_was_finished(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupt_keeps_the_finished_poses(monkeypatch: pytest.MonkeyPatch) -> None:
     poses = in_leg_space(GEOMETRY, 4, 5).pose
     whole = nlp.search(GEOMETRY, poses)
     newton, calls = multistart.newton, []
