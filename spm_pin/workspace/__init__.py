@@ -10,6 +10,7 @@ from spm_pin.workspace.reachability.membership import (
     reachable_position,
     sample_reachable,
 )
+from spm_pin.workspace.reachability.nearest_pose import NearestPose, nearest_reachable_pose, pose_distance
 from spm_pin.workspace.reachability.orientation import OrientationWorkspace, orientation_workspace
 from spm_pin.workspace.reachability.volume import ShellComparison, compare_with_shell, pose_volume, reachable_volume
 from spm_pin.workspace.table_6.shell import Patch, Shell
@@ -21,6 +22,7 @@ __all__ = [
     "Estimate",
     "JointAngles",
     "JointLimits",
+    "NearestPose",
     "OrientationWorkspace",
     "Patch",
     "PositionReach",
@@ -30,7 +32,9 @@ __all__ = [
     "compare_with_shell",
     "joint_angles",
     "leg_clearance",
+    "nearest_reachable_pose",
     "orientation_workspace",
+    "pose_distance",
     "pose_volume",
     "reachable",
     "reachable_boundary",

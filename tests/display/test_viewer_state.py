@@ -15,9 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.display.viewer.export import command_line, json_text
-from spm_pin.display.viewer.limits import nearest_within_limits
 from spm_pin.display.viewer.markup import forces_table, instruments, status
-from spm_pin.display.viewer.reach import LEAST_TILT, displacement, nearest_reachable
 from spm_pin.display.viewer.readings import Readings
 from spm_pin.display.viewer.robot import Robot
 from spm_pin.display.viewer.state import Drive, Model, starting_configuration
@@ -80,7 +78,7 @@ def test_limits_are_held_once_the_machine_is_inside_them_and_only_then():
     state = model.drag(target)
     assert "out of reach: beyond the leg limits" in texts(state)
     assert model.within_limits(state.shown)
-    assert state.distance == pytest.approx(displacement(PAPER, state.shown.pose, target))
+    assert state.distance == pytest.approx(spm.workspace.pose_distance(PAPER, state.shown.pose, target))
     np.testing.assert_array_equal(state.target.as_matrix(), target.as_matrix())
     model.hold_limits = False
     state = model.drag(target)
@@ -90,67 +88,12 @@ def test_limits_are_held_once_the_machine_is_inside_them_and_only_then():
     assert model.drag(moved(target, shift=(0.0, 0.0, 0.01))).distance == 0.0
 
 
-def test_nothing_within_the_limits_is_nearer():
-    rng = np.random.default_rng(3)
-    nearer = []
-    for _ in range(6):
-        target = moved(START.pose, rng.normal(0.0, 0.3, 3), rng.normal(0.0, 0.3, 3))
-        found = nearest_within_limits(START, target)
-        assert PAPER.limits.margin(found.leg_lengths) >= -1e-12
-        # The same mode all over the box: any lengths will do, near to the result and far away.
-        steps = rng.normal(0.0, 1.0, (500, 6)) * np.geomspace(1e-4, 0.3, 500)[:, None]
-        others = spm.forward_physical(PAPER, np.clip(found.leg_lengths + steps, 1.1, 1.5))
-        assert others.exists.all()
-        least = min(displacement(PAPER, pose, target) for pose in others.pose)
-        nearer.append(displacement(PAPER, found.pose, target) - least)
-    assert max(nearer) < 2e-5
-
-
-@pytest.mark.parametrize("family", spm.mechanism.FAMILIES)
-def test_the_nearest_reachable_pose_is_reachable_and_nothing_found_at_random_is_nearer(family):
-    rng = np.random.default_rng(spm.mechanism.FAMILIES.index(family))
-    place = 2 * spm.mechanism.FAMILIES.index(family)
-    tried = 0
-    while tried < 4:
-        target = spm.pose(rng.normal([0.0, 0.0, 2.2], [0.9, 0.9, 0.3]), xyx=rng.normal(0.0, 0.6, 3))
-        if spm.inverse_displacement(FREE, target).exists[place]:
-            continue
-        tried += 1
-        found = nearest_reachable(FREE, target, family)
-        assert spm.inverse_displacement(FREE, found.pose).exists[place]
-        assert found.distance == pytest.approx(displacement(FREE, found.pose, target))
-        # Poses around the result and around the target, of every size of step.
-        for centre in (found.pose, target):
-            size = np.geomspace(1e-4, 1.0, 3000)[:, None] * found.distance
-            shifts, turns = rng.normal(0.0, 1.0, (2, 3000, 3)) * size
-            rotation = Rotation.from_rotvec(turns / FREE.platform_radius) * centre.rotation
-            poses = spm.pose(centre.translation + shifts, rotation=rotation)
-            tilted = np.arccos(rotation.as_matrix()[:, 2, 2]) >= LEAST_TILT
-            real = spm.inverse_displacement(FREE, poses).exists[:, place] & tilted
-            distances = [displacement(FREE, pose, target) for pose in poses[real]]
-            assert min(distances, default=np.inf) > found.distance - 1e-4
-
-
-def test_for_a_fixed_orientation_the_edge_is_where_the_discriminant_vanishes():
-    # Twice the same projection: by the slab, and by bisection along its normal.
-    target = spm.pose([1.5, 0.4, 2.2], xyx=np.deg2rad([20.0, 30.0, -15.0]))
-    found = nearest_reachable(FREE, target, "TT")
-    index = spm.inverse_displacement(FREE, found.pose).discriminants[0]
-    assert 0.0 <= index < 1e-6
-    assert spm.singularities(spm.inverse_displacement(FREE, found.pose)["TT+"]).sigma[2] < 1e-3
-
-
-def test_a_reachable_pose_is_its_own_nearest():
-    found = nearest_reachable(PAPER, START.pose, "TT")
-    assert found.distance < 1e-12
-
-
 def test_a_level_platform_is_out_of_reach_and_its_nearest_pose_is_hardly_tilted():
     model = Model(spm.inverse_displacement(FREE, START.pose).physical())
     for shift in ((0.0, 0.0), (0.2, 0.1)):
         state = model.drag(spm.pose([*shift, 2.2], rotation=np.eye(3)))
         assert "out of reach" in texts(state)
-        assert 0.0 < state.distance < 2.0 * LEAST_TILT
+        assert 0.0 < state.distance < 2.0 * np.deg2rad(0.1)
     assert state.label.startswith("TT")
 
 

@@ -14,20 +14,20 @@ from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.closed_form.inverse_displacement import inverse_displacement
 from spm_pin.closed_form.path_following import follow
 from spm_pin.description.tree import home_lengths
-from spm_pin.display.viewer.limits import nearest_within_limits
-from spm_pin.display.viewer.reach import displacement, nearest_reachable
 from spm_pin.display.viewer.readings import SINGULARITIES, Readings
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, real_array
 from spm_pin.mechanism.branches import FAMILIES, family, physical
 from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import LEGS, Geometry
+from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.mechanism.solutions import SolutionSet, Status
+from spm_pin.workspace.reachability.nearest_pose import nearest_reachable_pose, pose_distance
 
 __all__ = ["Drive", "Model", "Notice", "State", "starting_configuration"]
 
 _START = np.array([1.20, 1.20, 1.40, 1.25, 1.20, 1.50]) / 1.30
+_UNLIMITED = LegLimits(0.0, np.inf)
 _REACHED = 1e-6  # of d
 _SAME = 1e-4  # of d: closer joints are one solution
 _PARTS = 16  # into which a way that cannot be gone to its end is divided
@@ -190,14 +190,12 @@ class Model:
         if solutions.status is Status.DEGENERATE and not wanted.exists:
             why = "its branches form a continuous family, of which none is picked"
         if held:
-            found = nearest_within_limits(here, target)
+            nearest = nearest_reachable_pose(self.geometry, target, near=here)
         else:
-            near = nearest_reachable(self.geometry, target, label[:2], here.pose)
-            found = inverse_displacement(self.geometry, near.pose)[label]
-            if not found.exists:
-                # At the edge rounding may decide; what is shown is reachable in any case.
-                found = here
-        distance = displacement(self.geometry, found.pose, target)
+            nearest = nearest_reachable_pose(self.geometry, target, _UNLIMITED, branch=label, near=here)
+        # At the edge rounding may decide; what is shown is reachable in any case.
+        found = nearest.configuration if nearest.configuration.exists else here
+        distance = pose_distance(self.geometry, found.pose, target)
         if distance <= _REACHED * self.geometry.middle_side:
             return found, []
         away = f"{1e3 * distance:.1f} mm" if distance > 1e-4 else "less than 0.1 mm"
@@ -236,7 +234,7 @@ class Model:
         before: State | None = getattr(self, "state", None)
         label = _label(solutions, shown, before.label if before is not None else "")
         readings = Readings.of(shown, wrench)
-        distance = displacement(self.geometry, shown.pose, target)
+        distance = pose_distance(self.geometry, shown.pose, target)
         distance = 0.0 if distance <= _REACHED * self.geometry.middle_side else distance
         notices = list(remarks)
         if before is not None and not jump:

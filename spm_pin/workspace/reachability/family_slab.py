@@ -1,7 +1,7 @@
-"""The reachable pose nearest to one that a branch does not reach.
+"""The pose nearest to a given one in which a family of branches is real, leg limits aside.
 
-Distance is measured where the platform is held: the root of the mean squared displacement of c_1, c_2, c_3. The three
-are symmetric about o, hence d² = |Δo|² + (the same mean for the rotation alone), and shifts and turns separate.
+Distances are those of `spm_pin.workspace.reachability.nearest_pose.pose_distance`; c_1, c_2, c_3 are symmetric about o,
+hence d² = |Δo|² + (the same mean for the rotation alone), and shifts and turns separate.
 
 For a fixed orientation a family is real where its quadratic form S, see `spm_pin.closed_form.family_forms`, allows for
 the distance h = n·o of the two Z axes: λ_min(S) <= h <= λ_max(S). That is a slab between two planes normal to n, so the
@@ -10,8 +10,6 @@ there is no such formula: a grid of turns, then BFGS from the best of them.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize
@@ -23,7 +21,7 @@ from spm_pin.mechanism.branches import FAMILIES
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import pose as make_pose
 
-__all__ = ["LEAST_TILT", "Nearest", "displacement", "nearest_reachable"]
+__all__ = ["LEAST_TILT", "nearest_real_pose"]
 
 LEAST_TILT = np.deg2rad(0.1)
 """Angle between the Z axes of {B} and {m} [rad] below which nothing is sought: parallel, they have no common normal,
@@ -35,31 +33,9 @@ _INSIDE = 1e-9
 """How far inside the slab a result is, relative to d: on its very edge rounding decides whether the branch is real."""
 
 
-@dataclass(frozen=True)
-class Nearest:
-    """A reachable pose near an unreachable one.
-
-    Attributes
-    ----------
-    pose : RigidTransform
-        The pose of {m} in {B}.
-    distance : float
-        Root mean square displacement of the c_i from the pose asked for [m].
-    """
-
-    pose: RigidTransform
-    distance: float
-
-
-def displacement(geometry: Geometry, first: RigidTransform, second: RigidTransform) -> float:
-    """Return the root mean square displacement of c_1, c_2, c_3 between two poses [m]."""
-    c = geometry.platform_joints
-    return float(np.sqrt(((first.apply(c) - second.apply(c)) ** 2).sum(axis=-1).mean()))
-
-
-def nearest_reachable(
-    geometry: Geometry, target: RigidTransform, family: str, hint: RigidTransform | None = None
-) -> Nearest:
+def nearest_real_pose(
+    geometry: Geometry, target: RigidTransform, family: str, near: RigidTransform | None = None
+) -> RigidTransform:
     """Find the pose nearest to `target` in which a family of branches is real.
 
     Parameters
@@ -70,19 +46,19 @@ def nearest_reachable(
         A single pose of {m} in {B}.
     family : str
         One of `FAMILIES`.
-    hint : RigidTransform, optional
-        A reachable pose, such as the last one; its orientation is one more start.
+    near : RigidTransform, optional
+        A pose in which the family is real, such as the last one; its orientation is one more start.
 
     Returns
     -------
-    Nearest
-        The best found, `target` itself if it is reachable. It is a local minimum, and the global one as far as the
-        grid tells.
+    RigidTransform
+        The nearest found, `target` itself where the family is real there. A local minimum, and the global one as far
+        as the grid of starts shows.
     """
     search = _Search(geometry, target, FAMILIES.index(family))
     starts = _turns()
-    if hint is not None:
-        back = (hint.rotation * target.rotation.inv()).as_rotvec()
+    if near is not None:
+        back = (near.rotation * target.rotation.inv()).as_rotvec()
         starts = np.concatenate([starts, np.linspace(0.05, 1.0, 12)[:, None] * back])
     squares = search.squares(starts)
     best: FloatArray = np.array(starts[int(squares.argmin())])
@@ -92,8 +68,7 @@ def nearest_reachable(
         if search.tilt(best) < 3.0 * LEAST_TILT:
             # Where it ends at the least tilt there is a step, on which BFGS stops early.
             best = minimize(search.square, best, method="Nelder-Mead", options={"maxfev": 400}).x
-    nearest = search.pose(best)
-    return Nearest(nearest, displacement(geometry, target, nearest))
+    return search.pose(best)
 
 
 def _turns() -> FloatArray:
