@@ -1,4 +1,4 @@
-"""The errors of `spm_pin`, one family, each carrying the data that explains it.
+"""The errors of `spm_pin`: one base class, and on each error the data that explains it.
 
 Every error is an `SpmError`. Those caused by a bad argument are also a `ValueError`, so code that knows
 nothing of this package still catches them. "No real branch" is no error: it is a `Status`.
@@ -21,6 +21,10 @@ __all__ = [
 ]
 
 
+_LONGEST = 500
+"""Characters of a received value that a message shows."""
+
+
 class SpmError(Exception):
     """Base of all errors raised on purpose by this package."""
 
@@ -35,7 +39,7 @@ class ArgumentError(SpmError, ValueError):
     expected : str
         What would have been accepted.
     received : Any
-        What came: the value, or the part of it that is wrong.
+        What came: the value, or the part of it that is wrong; the message shows at most 500 characters of it.
     """
 
     def __init__(self, argument: str, expected: str, received: Any, cause: str = "") -> None:
@@ -43,12 +47,21 @@ class ArgumentError(SpmError, ValueError):
         self.expected = expected
         self.received = received
         self.cause = cause
-        message = f"{argument}: expected {expected}, got {received}"
+        message = f"{argument}: expected {expected}, got {_brief(received)}"
         super().__init__(f"{message}. {cause}" if cause else message)
 
     def __reduce__(self) -> tuple[type[ArgumentError], tuple[str, str, Any, str]]:
-        # Worker processes send errors home pickled; the default would replay the message as `argument`.
+        # Errors of worker processes travel pickled; the default would pass the message as `argument`.
         return type(self), (self.argument, self.expected, self.received, self.cause)
+
+
+def _brief(received: Any) -> str:
+    """Return `received` as text short enough for a message."""
+    try:
+        text = str(received)
+    except Exception:  # an integer of more digits than Python prints, or a foreign object
+        text = f"{type(received).__name__} that cannot be printed"
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}… ({len(text)} characters)"
 
 
 class GeometryError(ArgumentError):

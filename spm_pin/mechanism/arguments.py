@@ -1,15 +1,42 @@
-"""Reading array arguments: finite numbers of the expected trailing shape, or an error that says so."""
+"""Checks of arguments, one for each kind: each returns the value read, or raises an error that names the argument.
+
+All rooms use these, so that the same mistake gives the same message everywhere. Every check takes the value, then the
+name of the argument in the caller's signature.
+"""
 
 from __future__ import annotations
+
+import operator
+import os
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 
-__all__ = ["FloatArray", "finite_array", "first_offender", "frozen", "real_array", "shaped_array"]
+__all__ = [
+    "FloatArray",
+    "broadcastable",
+    "choice",
+    "file_path",
+    "finite_array",
+    "first_offender",
+    "flag",
+    "frozen",
+    "generator",
+    "instance",
+    "mask",
+    "real_array",
+    "real_number",
+    "shaped_array",
+    "whole_number",
+]
 
 FloatArray = npt.NDArray[np.float64]
+Kind = TypeVar("Kind")
 
 
 def first_offender(wrong: npt.NDArray[np.bool_] | np.bool_) -> tuple[int, ...]:
@@ -22,6 +49,212 @@ def frozen(array: FloatArray) -> FloatArray:
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def instance(value: Any, kind: type[Kind], argument: str, cause: str = "") -> Kind:
+    """Return `value` if it is an instance of `kind`.
+
+    Parameters
+    ----------
+    value : Any
+        The argument as the caller gave it.
+    kind : type
+        The class it must be of.
+    argument : str
+        Its name in the caller's signature.
+    cause : str
+        What the caller may have meant, for the message.
+
+    Raises
+    ------
+    ArgumentError
+        If it is of another class.
+    """
+    if not isinstance(value, kind):
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        raise ArgumentError(argument, f"{article} {kind.__name__}", type(value).__name__, cause)
+    return value
+
+
+def real_number(
+    value: Any,
+    argument: str,
+    expected: str,
+    *,
+    above: float = -np.inf,
+    least: float = -np.inf,
+    most: float = np.inf,
+    below: float = np.inf,
+    error: type[ArgumentError] = ArgumentError,
+    cause: str = "",
+) -> float:
+    """Read a finite real number.
+
+    Parameters
+    ----------
+    value : Any
+        The argument as the caller gave it. Python's and NumPy's integers and floats are numbers, and arrays of one
+        without axes; booleans and text are not.
+    argument : str
+        Its name in the caller's signature.
+    expected : str
+        The range in words, with the unit: "a positive length in metres".
+    above, least, most, below : float
+        The range: above < value, least <= value, value <= most, value < below.
+    error : type of ArgumentError
+        The error to raise.
+    cause : str
+        Likely cause of a number out of range, for the message.
+
+    Raises
+    ------
+    ArgumentError
+        If `value` is no number, is not finite, or is out of the range.
+    """
+    if isinstance(value, float | int) and not isinstance(value, bool):
+        try:
+            number = float(value)
+        except OverflowError:
+            raise error(argument, expected, value, cause) from None
+    else:
+        array = _as_array(value)
+        if array is None or array.shape or array.dtype.kind not in "fiu":
+            raise error(argument, expected, _kind_of(value))
+        number = float(array)
+    if not (np.isfinite(number) and number > above and least <= number <= most and number < below):
+        raise error(argument, expected, f"{number:g}", cause if np.isfinite(number) else "")
+    return number
+
+
+def whole_number(
+    value: Any, argument: str, expected: str = "", *, least: int = 0, most: int | None = None, cause: str = ""
+) -> int:
+    """Read a whole number from `least` to `most`; a float, even 2.0, is none.
+
+    Parameters
+    ----------
+    value, argument, cause
+        As for `real_number`.
+    expected : str
+        What is counted, for the message; made of the range if not given.
+    least, most : int
+        The range, both included.
+
+    Raises
+    ------
+    ArgumentError
+        If `value` is no whole number or out of the range.
+    """
+    if not expected:
+        expected = f"a whole number from {least} " + ("on" if most is None else f"to {most}")
+    try:
+        number = None if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        number = None
+    if number is None:
+        shown = f"{value:g}" if isinstance(value, float) else _kind_of(value)
+        raise ArgumentError(argument, expected, shown)
+    if number < least or (most is not None and number > most):
+        raise ArgumentError(argument, expected, number, cause)
+    return number
+
+
+def flag(value: Any, argument: str) -> bool:
+    """Read True or False; 0 and 1 are neither."""
+    if not isinstance(value, bool | np.bool_):
+        raise ArgumentError(argument, "True or False", _kind_of(value))
+    return bool(value)
+
+
+def choice(value: Any, argument: str, choices: Collection[str], *, cause: str = "") -> str:
+    """Read one word out of `choices`."""
+    if not isinstance(value, str) or value not in choices:
+        received = repr(value) if isinstance(value, str) else _kind_of(value)
+        raise ArgumentError(argument, f"one of {', '.join(map(repr, choices))}", received, cause)
+    return value
+
+
+def file_path(
+    value: Any,
+    argument: str = "path",
+    *,
+    suffixes: Collection[str] = (),
+    error: type[ArgumentError] = ArgumentError,
+) -> Path:
+    """Read the name of a file, as str or `os.PathLike`; the file system is not asked.
+
+    Parameters
+    ----------
+    value, argument, error
+        As for `real_number`.
+    suffixes : collection of str, optional
+        The endings accepted, lower case and with their dot; any if not given.
+
+    Raises
+    ------
+    ArgumentError
+        If `value` is no name that a file can have, or ends otherwise.
+    """
+    if not isinstance(value, str | os.PathLike):
+        raise error(argument, "the name of a file", _kind_of(value))
+    try:
+        text = os.fspath(value)
+        fits = isinstance(text, str) and bool(text) and b"\0" not in os.fsencode(text)
+    except Exception as failed:
+        raise error(argument, "the name of a file", _kind_of(value), str(failed)) from failed
+    if not fits:
+        raise error(argument, "the name of a file", repr(value), "Empty, or a byte of zero in it?")
+    path = Path(text)
+    if suffixes and path.suffix.lower() not in suffixes:
+        raise error(argument, f"a file name ending in {', '.join(suffixes)}", repr(path.name))
+    return path
+
+
+def generator(value: Any, argument: str = "rng") -> np.random.Generator:
+    """Read a random generator, or make one of a seed; None for one that differs at every call."""
+    if isinstance(value, np.random.Generator):
+        return value
+    if value is not None and not isinstance(value, np.random.SeedSequence | np.random.BitGenerator):
+        value = whole_number(value, argument, "a numpy.random.Generator, a seed that is not negative, or None")
+    return np.random.default_rng(value)
+
+
+def mask(value: Any, argument: str, shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
+    """Read an array of booleans that broadcasts to `shape`."""
+    expected = f"booleans of shape {shape}"
+    array = _as_array(value)
+    if array is None or array.dtype.kind != "b":
+        raise ArgumentError(argument, expected, _kind_of(value) if array is None else f"dtype {array.dtype}")
+    try:
+        return np.broadcast_to(array, shape)
+    except ValueError:
+        raise ArgumentError(argument, expected, f"shape {array.shape}") from None
+
+
+def broadcastable(argument: str, shape: tuple[int, ...], other: str, other_shape: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the shape to which the leading axes of two arguments broadcast.
+
+    Parameters
+    ----------
+    argument : str
+        The argument to be named in an error.
+    shape : tuple of int
+        Its leading axes.
+    other : str
+        The argument it has to fit.
+    other_shape : tuple of int
+        The leading axes of that one.
+
+    Raises
+    ------
+    ArgumentError
+        If the two do not broadcast.
+    """
+    try:
+        return np.broadcast_shapes(shape, other_shape)
+    except ValueError:
+        expected = f"leading axes that broadcast with those of {other}, {other_shape}"
+        raise ArgumentError(argument, expected, f"{shape}") from None
 
 
 def real_array(
@@ -62,14 +295,17 @@ def real_array(
 def shaped_array(
     value: npt.ArrayLike, argument: str, trailing: tuple[int, ...], meaning: str, *, error: type[ArgumentError]
 ) -> FloatArray:
-    """Read `value` as `real_array` does, without a look at the numbers."""
-    try:
-        array = np.asarray(value)
-    except ValueError as ragged:
-        raise error(argument, _expected(trailing, meaning), type(value).__name__, str(ragged)) from ragged
+    """Read `value` as `real_array` does, without checking that the numbers are finite."""
+    if isinstance(value, np.ma.MaskedArray):
+        raise error(argument, _expected(trailing, meaning), "a masked array", "Fill or drop what is masked")
+    array = _as_array(value)
+    if array is None:
+        raise error(argument, _expected(trailing, meaning), _kind_of(value), "Rows of different lengths?")
     if array.dtype.kind not in "fiu" and not (array.size == 0 and array.dtype.kind != "O"):
-        raise error(argument, _expected(trailing, meaning), f"{type(value).__name__} of dtype {array.dtype}")
-    array = array.astype(np.float64, copy=False)
+        raise error(argument, _expected(trailing, meaning), f"{_kind_of(value)} of dtype {array.dtype}")
+    if array.dtype != np.float64:
+        with np.errstate(over="ignore"):
+            array = array.astype(np.float64)
     if array.ndim < len(trailing) or array.shape[array.ndim - len(trailing) :] != trailing:
         raise error(argument, _expected(trailing, meaning), f"shape {array.shape}")
     return array
@@ -84,7 +320,7 @@ def finite_array(
     error: type[ArgumentError],
     allow_nan: bool = False,
 ) -> FloatArray:
-    """Return `array`, of a shape found good, if its numbers are too."""
+    """Return `array`, whose shape has been checked, if its numbers are finite."""
     wrong = np.isinf(array) if allow_nan else ~np.isfinite(array)
     if wrong.any():
         index = first_offender(wrong)
@@ -97,3 +333,20 @@ def finite_array(
 def _expected(trailing: tuple[int, ...], meaning: str) -> str:
     shape = f"(..., {', '.join(map(str, trailing))})" if trailing else "(...)"
     return f"real numbers of shape {shape}, {meaning}"
+
+
+def _as_array(value: Any) -> npt.NDArray[Any] | None:
+    """Return `value` as an array, None if NumPy cannot make one."""
+    try:
+        return np.asarray(value)
+    except Exception:  # whatever __array__ or __float__ of a foreign object raises
+        return None
+
+
+def _kind_of(value: Any) -> str:
+    """Return the class of a value, with the value itself where that is a word or a number."""
+    if value is None or isinstance(value, bool):
+        return str(value)
+    name = type(value).__name__
+    short = isinstance(value, str | bytes | float) or (isinstance(value, int) and abs(value) < 10**20)
+    return f"{name} {value!r}" if short else name
