@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import signal
 from collections.abc import Generator
 
 import pytest
@@ -8,6 +9,10 @@ from hypothesis import settings
 # Examples vary in cost with what else the machine does; a deadline would measure that.
 settings.register_profile("house", deadline=None)
 settings.load_profile("house")
+
+# Under nohup and in background jobs of a shell, Ctrl-C arrives ignored, and children of tests would inherit that.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

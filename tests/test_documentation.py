@@ -25,29 +25,22 @@ def blocks(page: Path) -> list[tuple[str, str]]:
     return re.findall(r"^```(\w*)\n(.*?)^```", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
 
 
-def having(language: str) -> list[Path]:
-    return [page for page in PAGES if any(found == language for found, _ in blocks(page))]
-
-
 def named(page: Path) -> str:
     return str(page.relative_to(ROOT))
 
 
-@pytest.mark.parametrize("page", having("python"), ids=named)
-def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if {"python", "console"} & {kind for kind, _ in blocks(page)}], ids=named
+)
+def test_a_page_runs_from_top_to_bottom_in_one_folder(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {"__name__": "page"}
     for language, text in blocks(page):
         if language == "python":
             exec(compile(text, named(page), "exec"), names)
-    assert names.keys() > {"__name__", "__builtins__"}
-
-
-@pytest.mark.parametrize("page", having("console"), ids=named)
-def test_commands_answer_as_shown(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    for language, text in blocks(page):
-        if language == "console":
+        elif language == "console":
             for command, shown in re.findall(r"^\$ spm-pin (.*)\n((?:(?!\$ ).*\n)*)", text, flags=re.MULTILINE):
                 found = CliRunner().invoke(app, shlex.split(command))
                 assert found.exit_code == 0, (command, found.output)

@@ -8,7 +8,10 @@ here, by the code they describe. Nothing is fetched, and a warning is an error.
 from __future__ import annotations
 
 import ast
+import functools
 import importlib
+import inspect
+import itertools
 import posixpath
 import re
 import shutil
@@ -18,23 +21,35 @@ from tempfile import TemporaryDirectory
 
 from sphinx.cmd.build import build_main
 
-import spm_pin
 from spm_pin.reproduction.tables_1_to_4 import reproduce
 
 ROOT = Path(__file__).parents[2]
-ROOMS = {
-    "mechanism": "what the robot is: dimensions, poses, configurations, sets of solutions",
-    "paper": "the paper line by line: its tables, resultant, Jacobians and statics",
-    "closed_form": "inverse and forward displacement in closed form; rates, forces, singularities, paths",
-    "description": "the URDF and its closures: read, checked, written in other formats",
-    "multibody": "the same robot in Pinocchio, its loops closed by constraints",
-    "nlp": "the loop equations in CasADi, solved by certified multi-start",
-    "workspace": "what the terminal platform reaches: shell, reachable set, sweeps",
-    "crosscheck": "witnesses compared, and the paper reproduced",
-    "display": "pictures and the viewer",
-    "errors": "what is raised, and what it carries",
+PUBLIC = {
+    "spm_pin": "the names of everyday use",
+    "spm_pin.mechanism": "dimensions, poses, configurations, sets of solutions",
+    "spm_pin.closed_form": "branches, assembly modes, rates, forces, singularities and paths in closed form",
+    "spm_pin.workspace": "what the terminal platform reaches: the paper's shell, and the reachable set",
+    "spm_pin.sweeps": "metrics over any number of poses or leg lengths",
+    "spm_pin.nlp": "the loop equations in CasADi, and the branches found from them by multi-start",
+    "spm_pin.crosscheck": "methods compared on random poses",
+    "spm_pin.errors": "what is raised, and what it carries",
 }
-"""The rooms of the house that the reference describes."""
+"""The public modules, each with a page of the reference."""
+
+INTERNAL = {
+    "mechanism": "the same types, and the checks of arguments",
+    "closed_form": "solvers and kernels",
+    "paper": "the paper line by line: its tables, resultant, Jacobians and statics",
+    "nlp": "the search",
+    "description": "the URDF and its closures: read, checked, written in other formats",
+    "multibody": "the robot in Pinocchio, its loops closed by constraints",
+    "workspace": "the shell of Table 6, and the reachable set",
+    "sweeps": "domains, metrics, store and runs",
+    "crosscheck": "methods, comparison, tolerances, report",
+    "reproduction": "the paper's tables recomputed",
+    "display": "pictures and the viewer",
+}
+"""The folders whose modules the reference describes for those who read or change the code."""
 
 
 def main(folder: Path) -> int:
@@ -46,7 +61,11 @@ def main(folder: Path) -> int:
             (sources / page).write_text(text, encoding="utf-8")
         shutil.copytree(ROOT / "docs/images", sources / "images")
         settings = str(ROOT / "docs/site")
-        return build_main(["-q", "-W", "--keep-going", "-E", "-b", "html", "-c", settings, name, str(folder)])
+        options = ["-q", "-W", "--keep-going", "-E", "-b", "html", "-c", settings, "-d", f"{name}.doctrees"]
+        try:
+            return build_main([*options, name, str(folder)])
+        finally:
+            shutil.rmtree(f"{name}.doctrees", ignore_errors=True)
 
 
 def pages() -> dict[str, str]:
@@ -60,9 +79,12 @@ def pages() -> dict[str, str]:
     found["examples.md"] += _scripts()
     found["index.md"] += _contents(found)
     found["paper.md"] = _paper()
-    found["reference/index.md"] = _public_names()
-    for room in ROOMS:
-        found[f"reference/{room}.md"] = _room(room)
+    found["reference/index.md"] = _reference()
+    described: set[str] = set()
+    for module in PUBLIC:
+        found[f"reference/{module}.md"] = _public_module(module, described)
+    for folder in INTERNAL:
+        found[f"reference/modules/{folder}.md"] = _folder(folder, described)
     return found
 
 
@@ -82,8 +104,8 @@ def _turned(page: str, origin: Path, origins: dict[str, Path]) -> str:
             shown, anchor = "examples.md", f"#{parts[-1]}"
         elif parts[0] == "spm_pin" and parts[-1] != "__init__" and path.suffix == ".py":
             return f"[{text}](#{'.'.join(parts)})"
-        elif parts[0] == "spm_pin" and len(parts) > 1 and parts[1] in ROOMS:
-            shown = f"reference/{parts[1]}.md"
+        elif parts[0] == "spm_pin" and len(parts) > 1 and parts[1] in INTERNAL:
+            shown = f"reference/modules/{parts[1]}.md"
         elif parts[:2] == ("docs", "images"):
             shown = "images/" + "/".join(path.relative_to(ROOT / "docs/images").parts)
         else:
@@ -123,56 +145,111 @@ def _ordered(found: dict[str, str], folder: str, first: tuple[str, ...]) -> list
     return [f"{folder}/{name}" for name in [*(n for n in first if n in names), *sorted(set(names) - set(first))]]
 
 
-def _room(room: str) -> str:
-    lines = [f"# {room}", "", f"{ROOMS[room][0].upper()}{ROOMS[room][1:]}.", ""]
-    for module in _modules(room):
-        short = module.removeprefix(f"spm_pin.{room}").removeprefix(".")
-        lines += ["", f"## {short or room}", "", f"```{{eval-rst}}\n.. automodule:: {module}\n```"]
+def _reference() -> str:
+    """Return the index: every public name of each public module, and its first sentence."""
+    lines = ["# Reference", "", "`import spm_pin as spm`; what is not listed here may change without notice.", ""]
+    described: set[str] = set()
+    for module, summary in PUBLIC.items():
+        lines += [f"## {module}", "", f"{summary[0].upper()}{summary[1:]}.", "", "| name | what it is |", "|---|---|"]
+        for name in sorted(_new_names(module, described), key=str.casefold):
+            lines.append(f"| [`{name}`](#{module}.{name}) | {_first_sentence(module, name)} |")
+        lines.append("")
+    lines += ["## For readers of the code", ""]
+    lines += [f"- [{folder}](modules/{folder}.md): {summary}" for folder, summary in INTERNAL.items()]
+    pages = [*PUBLIC, *(f"modules/{folder}" for folder in INTERNAL)]
+    return "\n".join([*lines, "", "```{toctree}", ":hidden:", "", *pages, "```"]) + "\n"
+
+
+def _new_names(module: str, described: set[str]) -> list[str]:
+    """Return the public names of a module that no page before it describes, and add them to `described`."""
+    found = []
+    for name in importlib.import_module(module).__all__:
+        value = getattr(importlib.import_module(module), name)
+        if not inspect.ismodule(value) and (home := _home(module, name)) not in described:
+            described.add(home)
+            found.append(name)
+    return found
+
+
+def _home(module: str, name: str) -> str:
+    """Return where a public name is defined, as module.name."""
+    value = getattr(importlib.import_module(module), name)
+    if inspect.isclass(value) or inspect.isfunction(value):
+        return f"{value.__module__}.{value.__qualname__}"
+    return _constants()[id(value)]
+
+
+@functools.cache
+def _constants() -> dict[int, str]:
+    """Return where each public constant is assigned, as module.name, by its identity."""
+    return {
+        id(vars(importlib.import_module(module))[name]): f"{module}.{name}"
+        for folder in ("errors", *INTERNAL)
+        for module in _modules(folder)
+        for name in _assigned(module)
+        if name in importlib.import_module(module).__all__
+    }
+
+
+@functools.cache
+def _assigned(module: str) -> dict[str, str]:
+    """Return the names that a module assigns, each with the first sentence of the text below it."""
+    tree = ast.parse(inspect.getsource(importlib.import_module(module)))
+    found = {}
+    for statement, following in itertools.zip_longest(tree.body, tree.body[1:]):
+        targets = statement.targets if isinstance(statement, ast.Assign) else [getattr(statement, "target", None)]
+        is_text = isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant)
+        text = str(following.value.value).partition("\n\n")[0] if is_text else ""
+        found |= {target.id: text for target in targets if isinstance(target, ast.Name)}
+    return found
+
+
+def _first_sentence(module: str, name: str) -> str:
+    home, _, own_name = _home(module, name).rpartition(".")
+    value = getattr(importlib.import_module(module), name)
+    text = _assigned(home).get(own_name) or (inspect.getdoc(value) or "").partition("\n\n")[0]
+    if not text:
+        print("MISSING", home, own_name)
+        text = "x"
+    return " ".join(text.split()).replace("|", "\\|")
+
+
+def _public_module(module: str, described: set[str]) -> str:
+    """Return the page of a public module, with what no page before it describes."""
+    lines = [f"# {module}", ""]
+    names = _new_names(module, described)
+    constants = [name for name in names if id(getattr(importlib.import_module(module), name)) in _constants()]
+    hidden = sorted({*importlib.import_module(module).__all__} - {*names} | {*constants})
+    lines += ["```{eval-rst}", f".. automodule:: {module}", f"   :exclude-members: {', '.join(hidden)}", ""]
+    for name in constants:
+        text = _first_sentence(module, name)
+        lines += [f".. py:data:: {module}.{name}", f"   :canonical: {_home(module, name)}", "", f"   {text}", ""]
+    return "\n".join([*lines, "```"]) + "\n"
+
+
+def _folder(folder: str, described: set[str]) -> str:
+    """Return the page of a folder: each module, with what the public pages do not describe."""
+    summary = INTERNAL[folder]
+    lines = [f"# {folder}", "", f"{summary[0].upper()}{summary[1:]}.", ""]
+    for module in _modules(folder):
+        short = module.removeprefix(f"spm_pin.{folder}").removeprefix(".")
+        known = sorted(name for name in importlib.import_module(module).__all__ if f"{module}.{name}" in described)
+        lines += ["", f"## {short or folder}", "", f"```{{eval-rst}}\n.. automodule:: {module}"]
+        lines += [f"   :exclude-members: {', '.join(known)}"] if known else []
+        lines += ["```"]
     return "\n".join(lines) + "\n"
 
 
-def _modules(room: str) -> list[str]:
-    """Return the modules of a room that publish something."""
-    folder = ROOT / "spm_pin" / room
-    files = sorted(folder.rglob("[!_]*.py")) if folder.is_dir() else [folder.with_suffix(".py")]
+def _modules(folder: str) -> list[str]:
+    """Return the modules of a folder that publish something."""
+    place = ROOT / "spm_pin" / folder
+    files = sorted(place.rglob("[!_]*.py")) if place.is_dir() else [place.with_suffix(".py")]
     return [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in files if _publishes(path)]
 
 
 def _publishes(path: Path) -> bool:
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    return any(isinstance(one, ast.Assign) and ast.unparse(one.targets[0]) == "__all__" for one in tree.body)
-
-
-def _public_names() -> str:
-    """Return the index: every name of `spm_pin`, where it is described, and its first sentence."""
-    homes = _homes()
-    rows = []
-    for name in sorted(spm_pin.__all__, key=str.casefold):
-        value = getattr(spm_pin, name)
-        first = "" if type(value).__name__ in ("tuple", "dict", "str") else (value.__doc__ or "").partition("\n\n")[0]
-        target = "nlp.md" if name == "nlp" else f"#{homes[name]}.{name}"
-        rows.append(f"| [`{name}`]({target}) | {' '.join(first.split())} |")
-    rooms = [f"- [{room}]({room}.md): {what}" for room, what in ROOMS.items()]
-    contents = ["```{toctree}", ":hidden:", "", *ROOMS, "```"]
-    head = [
-        "# Reference",
-        "",
-        "`import spm_pin as spm`, and these are its names.",
-        "",
-        "| name | what it is |",
-        "|---|---|",
-    ]
-    return "\n".join([*head, *rows, "", "All else is reached through its room:", "", *rooms, "", *contents]) + "\n"
-
-
-def _homes() -> dict[str, str]:
-    """Return the module that defines each public name."""
-    homes = {}
-    for room in ROOMS:
-        for module in _modules(room):
-            for name in importlib.import_module(module).__all__:
-                homes.setdefault(name, module)
-    return homes
+    return any(isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__" for node in tree.body)
 
 
 def _scripts() -> str:
