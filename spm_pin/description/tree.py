@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import itertools
-import math
 import re
 
 from spm_pin.errors import DescriptionError
-from spm_pin.mechanism.geometry import Geometry
 
-__all__ = ["JOINTS", "PASSIVE", "SLIDES", "check_prefix", "home_leans", "home_lengths", "touching_links"]
+__all__ = ["ANGLES", "JOINTS", "PASSIVE", "SLIDES", "check_prefix", "touching_links"]
 
 JOINTS = (
     *("leg_b1_hip", "leg_b1_slide", "ball_b1_x", "ball_b1_y", "ball_b1_z"),
@@ -22,46 +20,14 @@ JOINTS = (
 SLIDES = tuple(f"leg_{name}_slide" for name in ("b1", "b2", "b3", "c1", "c2", "c3"))
 """The actuated joints, in the order of `spm_pin.LEGS`."""
 
+ANGLES = (
+    *(f"leg_{name}_hip" for name in ("b1", "b2", "b3", "c1", "c2", "c3")),
+    *(f"ball_{leg}_{axis}" for axis in "xyz" for leg in ("b1", "c1")),
+)
+"""The joints that turn, in the order of `spm_pin.mechanism.joint_angles` for the balls of the first legs."""
+
 PASSIVE = tuple(name for name in JOINTS if name not in SLIDES)
 """The joints without an actuator."""
-
-# The sign that turns a leg outwards about the revolute axis, in the paper's sense of the axes.
-_OUTWARD = (1.0, -1.0, -1.0)
-
-
-def home_lengths(geometry: Geometry) -> tuple[float, float]:
-    """Return the leg length at home of the lower and of the upper stage [m].
-
-    It is the middle of the limits that the stage's three legs share, if the stage can stand there: if it is
-    longer than the radial distance from hip to ball. Otherwise, and without limits, it is the shortest length
-    allowed plus that of legs whose stage is as high as the sum of its two radii.
-    """
-    limits = geometry.limits
-    r = geometry.middle_radius
-    lengths = []
-    for stage, radius in enumerate((geometry.base_radius, geometry.platform_radius)):
-        legs = slice(3 * stage, 3 * stage + 3)
-        low = max(limits.minimum[legs]) if limits else 0.0
-        high = min(limits.maximum[legs]) if limits else math.inf
-        middle, reach = 0.5 * (low + high), abs(r - radius)
-        stands = low < high and reach < middle < math.inf
-        lengths.append(middle if stands else low + math.hypot(reach, r + radius))
-    return lengths[0], lengths[1]
-
-
-def home_leans(geometry: Geometry) -> tuple[float, ...]:
-    """Return, for each leg in the order of `spm_pin.LEGS`, its direction at home [rad].
-
-    The angle about the leg's revolute axis from the platform's normal, z of {B} or {m}, to the direction from
-    hip to ball.
-    """
-    leans: list[float] = []
-    radii = (geometry.base_radius, geometry.platform_radius)
-    for radius, length, up in zip(radii, home_lengths(geometry), (1.0, -1.0), strict=True):
-        offset = geometry.middle_radius - radius
-        height = up * math.sqrt((length - offset) * (length + offset))
-        leans.extend(math.atan2(outward * offset, height) for outward in _OUTWARD)
-    return tuple(leans)
 
 
 def touching_links() -> tuple[tuple[str, str], ...]:

@@ -3,6 +3,7 @@
 from spm_pin.mechanism.branches import BRANCHES, FAMILIES
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
+from spm_pin.mechanism.joint_angles import JointAngles, joint_angles
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose
 from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
 
@@ -13,10 +14,12 @@ __all__ = [
     "Configuration",
     "Degeneracy",
     "Geometry",
+    "JointAngles",
     "LegLimits",
     "PoseLike",
     "SolutionSet",
     "Status",
     "as_rigid_transform",
+    "joint_angles",
     "pose",
 ]

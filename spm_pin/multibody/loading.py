@@ -11,10 +11,11 @@ import numpy as np
 import pinocchio as pin
 
 from spm_pin.description.expand import expand
-from spm_pin.description.tree import JOINTS, SLIDES, home_lengths
+from spm_pin.description.tree import JOINTS, SLIDES
 from spm_pin.errors import DescriptionError, GeometryError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import Geometry, LegLimits
+from spm_pin.mechanism.joint_angles import home_lengths
 from spm_pin.multibody.placement import AGREEMENT, DIMENSIONS
 
 __all__ = ["read_urdf"]

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from spm_pin.description.states import joint_values
-from spm_pin.description.tree import JOINTS, SLIDES, home_lengths
+from spm_pin.description.tree import ANGLES, JOINTS, SLIDES
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.mechanism.arguments import FloatArray, first_offender, frozen, real_array
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry
+from spm_pin.mechanism.joint_angles import home_lengths, joint_angles
 
 __all__ = ["AGREEMENT", "DIMENSIONS", "Placement", "one_vector"]
 
@@ -46,6 +45,7 @@ class Placement:
         # All joints have one degree of freedom, but that q and v agree is Pinocchio's choice.
         assert all(joint.idx_v == joint.idx_q for joint in joints.values())
         self.legs = self.indices(*SLIDES)
+        self._order = np.argsort(self.indices(*ANGLES, *SLIDES))
         self.home = frozen(np.repeat(home_lengths(geometry), 3))
         self.platform = int(model.getFrameId(f"{prefix}terminal_platform"))
         self._corners = [int(model.getFrameId(f"{prefix}middle_b{i}")) for i in "123"]
@@ -56,13 +56,6 @@ class Placement:
         if unknown:
             raise ArgumentError("names", f"joints: {', '.join(JOINTS)}", ", ".join(map(repr, unknown)))
         return np.array([self._index[name] for name in names], dtype=np.intp)
-
-    def vector(self, values: Mapping[str, float]) -> FloatArray:
-        """Return q (18,) from the values of all joints by name, without prefix."""
-        q = np.empty(len(self._index))
-        for name, index in self._index.items():
-            q[index] = values[name]
-        return q
 
     def leg_lengths(self, q: FloatArray) -> FloatArray:
         """Return the six leg lengths (..., 6) [m] in q (..., 18)."""
@@ -92,23 +85,21 @@ class Placement:
                 raise GeometryError("configuration", f"the chain's {name}, {own:.9g} m", f"{other:.9g} m")
         # With the chain's own limits: they set the zero of its slides.
         arrays = configuration.rotation, configuration.translation, configuration.middle_joints
-        same = Configuration.from_arrays(self.geometry, *arrays)
-        absent = ~same.exists
-        if absent.any():
-            where = f"NaN at batch index {first_offender(absent)}" if same.shape else "NaN"
-            cause = "Not a real branch? .exists says which are"
-            raise ArgumentError("configuration", "a configuration that exists", where, cause)
-        open_ = same.closure_residual > AGREEMENT * self.geometry.middle_side
-        if open_.any():
-            index = first_offender(open_)
+        angles = joint_angles(Configuration.from_arrays(self.geometry, *arrays), corners=(0,))
+        residual = angles.closure_residual
+        if not (residual <= AGREEMENT * self.geometry.middle_side).all():
+            absent = np.isnan(residual)
+            wrong = absent if absent.any() else residual > AGREEMENT * self.geometry.middle_side
+            index = first_offender(wrong)
             where = f" at batch index {index}" if index else ""
-            received = f"a closure residual of {same.closure_residual[index]:.1e} m{where}"
+            if absent.any():
+                cause = "Not a real branch? .exists says which are"
+                raise ArgumentError("configuration", "a configuration that exists", f"NaN{where}", cause)
+            received = f"a closure residual of {residual[index]:.1e} m{where}"
             cause = "Rounded numbers? inverse_displacement closes the loops for a pose"
             raise ArgumentError("configuration", "a closed mechanism", received, cause)
-        placed = np.empty((*same.shape, len(self._index)))
-        for index in np.ndindex(same.shape):
-            placed[index] = self.vector(joint_values(same[index] if index else same))
-        return placed
+        parts = angles.hip, angles.ball_x, angles.ball_y, angles.ball_z, angles.slide
+        return np.asarray(np.concatenate(parts, axis=-1)[..., self._order])
 
     def frames(self, q: FloatArray, data: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the rotation (3, 3) and translation (3,) of m and the corners b (3, 3) at q (18,), from `data`."""

@@ -2,7 +2,7 @@
 
 from spm_pin.workspace.reachability.boundary import Boundary, BoundaryPoints, reachable_boundary
 from spm_pin.workspace.reachability.estimate import Estimate
-from spm_pin.workspace.reachability.joint_limits import JointAngles, JointLimits, joint_angles, leg_clearance
+from spm_pin.workspace.reachability.joint_limits import JointLimits, leg_clearance
 from spm_pin.workspace.reachability.membership import (
     PositionReach,
     Reachability,
@@ -20,7 +20,6 @@ __all__ = [
     "Boundary",
     "BoundaryPoints",
     "Estimate",
-    "JointAngles",
     "JointLimits",
     "NearestPose",
     "OrientationWorkspace",
@@ -30,7 +29,6 @@ __all__ = [
     "Shell",
     "ShellComparison",
     "compare_with_shell",
-    "joint_angles",
     "leg_clearance",
     "nearest_reachable_pose",
     "orientation_workspace",

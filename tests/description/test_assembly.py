@@ -14,8 +14,9 @@ from spm_pin.description.closures import read_closures
 from spm_pin.description.expand import expand
 from spm_pin.description.paths import SRDF, URDF, description_file
 from spm_pin.description.states import joint_values
-from spm_pin.description.tree import JOINTS, SLIDES, home_lengths
+from spm_pin.description.tree import JOINTS, SLIDES
 from spm_pin.errors import DescriptionError
+from spm_pin.mechanism.joint_angles import home_lengths
 
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()

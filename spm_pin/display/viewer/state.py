@@ -13,13 +13,13 @@ from scipy.spatial.transform import RigidTransform
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.closed_form.inverse_displacement import inverse_displacement
 from spm_pin.closed_form.path_following import follow
-from spm_pin.description.tree import home_lengths
 from spm_pin.display.viewer.readings import SINGULARITIES, Readings
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, real_array
 from spm_pin.mechanism.branches import FAMILIES, family, physical
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
+from spm_pin.mechanism.joint_angles import home_lengths
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.mechanism.solutions import SolutionSet, Status
 from spm_pin.workspace.reachability.nearest_pose import nearest_reachable_pose, pose_distance

@@ -1,7 +1,6 @@
 """Limits beyond the legs': the passive joints' angles, and the distance between legs.
 
-Angles are those of the description's joints, see `spm_pin.description.states`, of every leg: the tree has the ball
-joints of legs b1 and c1 only, the others are measured in the same way in the frames of their own corners.
+Angles are those of `spm_pin.mechanism.joint_angles`: of the description's joints, and of the ball joints of every leg.
 """
 
 from __future__ import annotations
@@ -11,15 +10,17 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from spm_pin.description.tree import home_leans
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.joint_angles import joint_angles
 
-__all__ = ["JointAngles", "JointLimits", "joint_angles", "leg_clearance"]
+__all__ = ["JointLimits", "leg_clearance"]
 
 # Pairs of legs that have no joint in common, in the order of `LEGS`.
 _PAIRS = np.array([(i, j) for i in range(6) for j in range(i + 1, 6) if j != i + 3])
+
+_ANGLES = ("hip", "ball_x", "ball_y", "ball_z")
 
 Range = tuple[float, float]
 
@@ -74,9 +75,9 @@ class JointLimits:
         Negative outside, infinite without limits, NaN where a state does not exist.
         """
         margin = np.full(configuration.shape, np.inf)
-        if any(getattr(self, name) is not None for name in JointAngles.__dataclass_fields__):
+        if any(getattr(self, name) is not None for name in _ANGLES):
             angles = joint_angles(configuration)
-            for name in JointAngles.__dataclass_fields__:
+            for name in _ANGLES:
                 limits, values = getattr(self, name), getattr(angles, name)
                 if limits is not None:
                     margin = np.minimum(margin, np.minimum(values - limits[0], limits[1] - values).min(axis=-1))
@@ -87,58 +88,6 @@ class JointLimits:
         if self.clearance is None:
             return np.where(configuration.exists, np.inf, np.nan)
         return leg_clearance(configuration) - self.clearance
-
-
-@dataclass(frozen=True)
-class JointAngles:
-    """Angles of the passive joints, in the order of `LEGS`; NaN where a state does not exist.
-
-    Attributes
-    ----------
-    hip, ball_x, ball_y, ball_z : ndarray, shape (..., 6)
-        See `JointLimits` [rad].
-    """
-
-    hip: FloatArray
-    ball_x: FloatArray
-    ball_y: FloatArray
-    ball_z: FloatArray
-
-
-def joint_angles(configuration: Configuration) -> JointAngles:
-    """Return the angles of the passive joints of states of shape (...)."""
-    geometry = configuration.geometry
-    axes = geometry.revolute_axes
-    second = np.cross([0.0, 0.0, 1.0], axes)
-    # A corner's frame: x along the revolute axis, z the platform's normal; one matrix per leg.
-    corners = np.stack([axes, second, np.broadcast_to([0.0, 0.0, 1.0], (3, 3))], axis=-1)
-    rotation = configuration.rotation
-    middle = configuration.middle_pose.as_matrix()[..., :3, :3]
-    seen_from_m = np.swapaxes(rotation, -1, -2) @ middle
-    lower = configuration.leg_vectors[..., :3, :]
-    upper = -configuration.leg_vectors[..., 3:, :] @ rotation
-    hips, balls = [], []
-    leans = np.array(home_leans(geometry)).reshape(2, 3)
-    for k, (vectors, platform) in enumerate(((lower, middle), (upper, seen_from_m))):
-        hip = np.arctan2(-(vectors * second).sum(axis=-1), vectors[..., 2]) - leans[k]
-        hip = (hip + np.pi) % (2.0 * np.pi) - np.pi
-        hips.append(hip)
-        relative = np.swapaxes(corners, -1, -2) @ platform[..., None, :, :] @ corners
-        balls.append(np.stack(_angles(hip, relative), axis=-1) * (1.0 - 2.0 * k))
-    x, y, z = np.moveaxis(np.concatenate(balls, axis=-2), -1, 0)
-    return JointAngles(np.concatenate(hips, axis=-1), x, y, z)
-
-
-def _angles(hip: FloatArray, rotation: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the angles of Rx(hip)ᵀ rotation = Rx Ry Rz, of arrays (...) and (..., 3, 3)."""
-    c, s = np.cos(hip), np.sin(hip)
-    first, second, third = (rotation[..., k, :] for k in range(3))
-    down = c[..., None] * second + s[..., None] * third
-    out = c[..., None] * third - s[..., None] * second
-    x = np.arctan2(-down[..., 2], out[..., 2])
-    y = np.arctan2(first[..., 2], np.hypot(down[..., 2], out[..., 2]))
-    rest = np.cos(x)[..., None] * down + np.sin(x)[..., None] * out
-    return x, y, np.arctan2(rest[..., 0], rest[..., 1])
 
 
 def leg_clearance(configuration: Configuration) -> FloatArray:

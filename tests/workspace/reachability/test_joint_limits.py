@@ -2,51 +2,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import GEOMETRIES, in_leg_space, random_branches
+from problems import GEOMETRIES, in_leg_space
 from scipy.optimize import minimize
 
 import spm_pin as spm
-from spm_pin.description.states import joint_values
-from spm_pin.workspace.reachability.joint_limits import JointLimits, joint_angles, leg_clearance
+from spm_pin.mechanism import joint_angles
+from spm_pin.workspace.reachability.joint_limits import JointLimits, leg_clearance
 
 PAPER = GEOMETRIES["paper"]
-
-
-@pytest.mark.parametrize("name", list(GEOMETRIES))
-def test_angles_are_those_of_the_descriptions_joints(name: str) -> None:
-    for family in ("TT", "TF", "FT", "FF"):
-        states = random_branches(GEOMETRIES[name], family, 8, 1).configuration
-        angles = joint_angles(states)
-        for k in range(8):
-            values = joint_values(states[k])
-            hips = [values[f"leg_{leg}_hip"] for leg in ("b1", "b2", "b3", "c1", "c2", "c3")]
-            assert _turn(angles.hip[k] - hips) == pytest.approx(0.0, abs=1e-9)
-            for place, ball in ((0, "ball_b1"), (3, "ball_c1")):
-                for axis in "xyz":
-                    mine = getattr(angles, f"ball_{axis}")[k, place]
-                    assert _turn(mine - values[f"{ball}_{axis}"]) == pytest.approx(0.0, abs=1e-9)
-
-
-def _turn(angle: np.ndarray) -> np.ndarray:
-    return np.asarray((np.asarray(angle) + np.pi) % (2 * np.pi) - np.pi)
-
-
-def test_a_machine_turned_by_a_third_has_the_angles_of_its_legs_in_turn() -> None:
-    """The frames of legs 2 and 3 are those of leg 1, turned, and half round about z: hip, x and y change their sign."""
-    legs = np.random.default_rng(2).uniform(1.1, 1.5, (20, 2, 3))
-    one = joint_angles(spm.forward_physical(PAPER, legs.reshape(20, 6)))
-    other = joint_angles(spm.forward_physical(PAPER, np.roll(legs, 1, axis=-1).reshape(20, 6)))
-    sign = np.array([1.0, -1.0, -1.0])
-    for name, flips in (("hip", True), ("ball_x", True), ("ball_y", True), ("ball_z", False)):
-        values = getattr(one, name).reshape(20, 2, 3) * (sign if flips else 1.0)
-        turned = getattr(other, name).reshape(20, 2, 3) * (sign if flips else 1.0)
-        assert turned == pytest.approx(np.roll(values, 1, axis=-1), abs=1e-12)
-
-
-def test_home_has_all_angles_zero() -> None:
-    angles = joint_angles(spm.forward_physical(PAPER, [1.3] * 6))
-    for name in ("hip", "ball_x", "ball_y", "ball_z"):
-        assert getattr(angles, name) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_clearance_is_the_least_distance_of_two_legs_without_a_common_joint() -> None:

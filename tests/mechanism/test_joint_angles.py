@@ -1,0 +1,127 @@
+"""Joint values of configurations: the rotations they stand for, symmetry, batches, middle angles of 90°."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from problems import GEOMETRIES, random_branches
+from scipy.spatial.transform import Rotation
+
+import spm_pin as spm
+from spm_pin.mechanism import FAMILIES, joint_angles
+from spm_pin.mechanism.joint_angles import home_leans, home_lengths
+
+PAPER = GEOMETRIES["paper"]
+NAMES = ("hip", "slide", "ball_x", "ball_y", "ball_z", "closure_residual")
+
+
+def corner_frames() -> np.ndarray:
+    """x along the revolute axis, z the platform's normal, as columns."""
+    axes = PAPER.revolute_axes
+    return np.stack([axes, np.cross([0.0, 0.0, 1.0], axes), np.tile([0.0, 0.0, 1.0], (3, 1))], axis=-1)
+
+
+@pytest.mark.parametrize("name", list(GEOMETRIES))
+@pytest.mark.parametrize("family", FAMILIES)
+def test_the_turns_of_a_leg_s_joints_lead_from_its_platform_to_the_middle_one(name: str, family: str) -> None:
+    geometry = GEOMETRIES[name]
+    states = random_branches(geometry, family, 12, 1).configuration
+    angles = joint_angles(states)
+    leans = np.array(home_leans(geometry))
+    middle, terminal = states.middle_pose.rotation.as_matrix(), states.rotation
+    platforms = np.stack([middle, np.swapaxes(terminal, -1, -2) @ middle], axis=1)
+    vectors = np.stack([states.leg_vectors[:, :3], -states.leg_vectors[:, 3:] @ terminal], axis=1)
+    for leg in range(6):
+        stage, corner = divmod(leg, 3)
+        frame = corner_frames()[corner]
+        hip = Rotation.from_euler("x", angles.hip[:, leg, None])
+        # The leg's direction: its lean at home, turned by the hip.
+        at_home = np.array([0.0, -np.sin(leans[leg]), np.cos(leans[leg])])
+        length = angles.slide[:, leg] + home_lengths(geometry)[stage]
+        expected = length[:, None] * hip.apply(at_home) @ frame.T
+        assert vectors[:, stage, corner] == pytest.approx(expected, abs=1e-13 * length.max())
+        x, y, z = (getattr(angles, f"ball_{axis}")[:, leg] for axis in "xyz")
+        if stage == 0:
+            turns = hip * Rotation.from_euler("XYZ", np.stack([x, y, z], axis=-1))
+        else:
+            turns = hip * Rotation.from_euler("ZYX", np.stack([z, y, x], axis=-1)).inv()
+        assert frame @ turns.as_matrix() @ frame.T == pytest.approx(platforms[:, stage], abs=1e-13)
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (3, 1, 2), (0,)], ids=str)
+def test_a_member_has_the_same_bits_in_any_batch(shape: tuple[int, ...]) -> None:
+    states = random_branches(PAPER, "TF", 5000, 2).configuration
+    together = joint_angles(states)
+    size = int(np.prod(shape))
+    chosen = np.random.default_rng(3).integers(5000, size=shape)
+    alone = joint_angles(states[chosen])
+    for name in NAMES:
+        assert getattr(alone, name).shape[: len(shape)] == shape
+        assert np.array_equal(getattr(alone, name), getattr(together, name)[chosen])
+    assert size == alone.closure_residual.size
+
+
+def test_the_balls_of_some_corners_are_those_of_all() -> None:
+    states = random_branches(PAPER, "TT", 9, 4).configuration
+    every, some = joint_angles(states), joint_angles(states, corners=(2, 0))
+    for name in ("ball_x", "ball_y", "ball_z"):
+        assert np.array_equal(getattr(some, name), getattr(every, name)[:, [2, 0, 5, 3]])
+
+
+def test_the_closure_residual_is_the_configuration_s() -> None:
+    rng = np.random.default_rng(5)
+    states = random_branches(PAPER, "FF", 20, 6).configuration
+    open_ = spm.Configuration(PAPER, states.pose, states.middle_joints + rng.normal(0, 0.01, (20, 3, 3)))
+    assert joint_angles(open_).closure_residual == pytest.approx(open_.closure_residual, rel=1e-12)
+
+
+def test_what_does_not_exist_is_nan() -> None:
+    states = random_branches(PAPER, "TT", 3, 7).configuration
+    joints = states.middle_joints.copy()
+    joints[1] = np.nan
+    found = joint_angles(spm.Configuration(PAPER, states.pose, joints))
+    for name in NAMES:
+        values = getattr(found, name)
+        assert np.isnan(values[1]).all()
+        assert np.isfinite(values[[0, 2]]).all()
+    assert np.isnan(joint_angles(spm.Configuration(PAPER, states.pose[0], np.full((3, 3), np.nan))).hip).all()
+
+
+@pytest.mark.parametrize("batch", [False, True])
+def test_balls_in_one_place_have_no_angles(batch: bool) -> None:
+    joints = np.ones((2, 3, 3)) if batch else np.ones((3, 3))
+    found = joint_angles(spm.Configuration(PAPER, spm.pose([0.0, 0.0, 2.0], xyx=[0.0, 0.0, 0.0]), joints))
+    assert np.isnan(found.ball_x).all()
+
+
+@pytest.mark.parametrize("batch", [False, True])
+def test_a_middle_angle_of_ninety_degrees_leaves_the_rotation_right(batch: bool) -> None:
+    """The first and the third angle are one there; together they still make the rotation."""
+    frame = corner_frames()[0]
+    platform = frame @ Rotation.from_euler("XYZ", [0.0, np.pi / 2, 0.7]).as_matrix() @ frame.T
+    local = PAPER.middle_radius * PAPER.radial_directions
+    joints = local @ platform.T + [0.0, 0.0, 1.2]
+    pose = spm.pose([0.0, 0.0, 2.4], xyx=[0.0, 0.0, 0.0])
+    found = joint_angles(spm.Configuration(PAPER, pose, np.stack([joints] * 2) if batch else joints))
+    values = [np.atleast_2d(part)[0, 0] for part in (found.hip, found.ball_x, found.ball_y, found.ball_z)]
+    turned = Rotation.from_euler("x", values[0]) * Rotation.from_euler("XYZ", values[1:])
+    assert frame @ turned.as_matrix() @ frame.T == pytest.approx(platform, abs=1e-12)
+    assert abs(values[2]) == pytest.approx(np.pi / 2, abs=1e-7)
+
+
+def test_a_machine_turned_by_a_third_has_the_angles_of_its_legs_in_turn() -> None:
+    """The frames of legs 2 and 3 are those of leg 1, turned, and half round about z: hip, x and y change their sign."""
+    legs = np.random.default_rng(2).uniform(1.1, 1.5, (20, 2, 3))
+    one = joint_angles(spm.forward_physical(PAPER, legs.reshape(20, 6)))
+    other = joint_angles(spm.forward_physical(PAPER, np.roll(legs, 1, axis=-1).reshape(20, 6)))
+    sign = np.array([1.0, -1.0, -1.0])
+    for name, flips in (("hip", True), ("ball_x", True), ("ball_y", True), ("ball_z", False)):
+        values = getattr(one, name).reshape(20, 2, 3) * (sign if flips else 1.0)
+        turned = getattr(other, name).reshape(20, 2, 3) * (sign if flips else 1.0)
+        assert turned == pytest.approx(np.roll(values, 1, axis=-1), abs=1e-12)
+
+
+def test_home_has_all_angles_zero() -> None:
+    angles = joint_angles(spm.forward_physical(PAPER, [1.3] * 6))
+    for name in ("hip", "ball_x", "ball_y", "ball_z"):
+        assert getattr(angles, name) == pytest.approx(0.0, abs=1e-12)
