@@ -35,7 +35,7 @@ def main() -> None:
                 if name == "load":
                     page.get_by_role("tab", name="Load").click()
                     (session,) = viewer.sessions
-                    session.exhibit.region.show_shell(session.client.scene, True)
+                    session.config.workspace.show_shell(session.client.scene, True)
                     session.panel.force.value = (0.0, 0.0, -500.0)
                     session.model.load(np.array([*session.panel.force.value, *session.panel.moment.value]))
                     session.show()

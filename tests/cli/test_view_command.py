@@ -16,7 +16,7 @@ from PIL import Image
 import spm_pin as spm
 from spm_pin.cli import main
 from spm_pin.display.gallery import save_gallery
-from spm_pin.display.viewer.event_queue import Inbox
+from spm_pin.display.viewer.event_queue import EventQueue
 from spm_pin.display.viewer.viser_server import free_port
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -173,25 +173,25 @@ def test_an_inbox_keeps_the_newest_of_a_kind_and_stops_when_closed() -> None:
     gate = threading.Event()
 
     async def scenario() -> None:
-        inbox = Inbox(errors.append)
-        inbox.post("first", lambda: gate.wait(10.0))
+        queue = EventQueue(errors.append)
+        queue.post("first", lambda: gate.wait(10.0))
         await asyncio.sleep(0.05)
         for k in range(5):
-            inbox.post("drag", lambda k=k: done.append(f"drag {k}"))
-        inbox.post("select", lambda: done.append("select"))
-        inbox.post("fault", lambda: 1 / 0)
+            queue.post("drag", lambda k=k: done.append(f"drag {k}"))
+        queue.post("select", lambda: done.append("select"))
+        queue.post("fault", lambda: 1 / 0)
         gate.set()
-        await inbox.drained()
+        await queue.drained()
         assert done == ["drag 4", "select"]
         assert isinstance(errors[0], ZeroDivisionError)
         gate.clear()
-        inbox.post("first", lambda: gate.wait(10.0))
+        queue.post("first", lambda: gate.wait(10.0))
         await asyncio.sleep(0.05)
-        inbox.post("late", lambda: done.append("late"))
-        inbox.close()
+        queue.post("late", lambda: done.append("late"))
+        queue.close()
         gate.set()
-        await inbox.drained()
-        inbox.post("later", lambda: done.append("later"))
+        await queue.drained()
+        queue.post("later", lambda: done.append("later"))
         assert len(asyncio.all_tasks()) == 1
 
     asyncio.run(scenario())

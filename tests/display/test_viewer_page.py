@@ -123,8 +123,8 @@ def test_a_dragged_gizmo_moves_the_robot(client, viewer):
     # The joint values the page shows put Pinocchio's platform where the page's robot is.
     q = np.array(eval(session.panel.q.value.replace("\n", "")))
     np.testing.assert_allclose(chain.configuration(q).translation, shown.translation, atol=1e-6)
-    positions, _ = session.exhibit.robot.placements(session.exhibit.robot.q(shown))
-    np.testing.assert_allclose([handle.position for handle in session.stage._robot], positions, atol=1e-6)
+    positions, _ = session.config.robot.placements(session.config.robot.q(shown))
+    np.testing.assert_allclose([handle.position for handle in session.scene._robot], positions, atol=1e-6)
     until(lambda: f"{shown.translation[0]:.3f}" in page.inner_text('[data-spm="pose"]'), "its numbers", page=page)
     assert not errors
 
@@ -150,7 +150,7 @@ def test_a_clicked_ghost_is_selected(client):
     assert session.state.label in session.state.labels
     assert session.state.label != "TT+", f"no ghost was hit: {tried}"
     until(lambda: page.inner_text('[data-spm="branch"]') == session.state.label, "its name", page=page)
-    np.testing.assert_allclose(session.state.shown.translation, session.exhibit.start.translation, atol=1e-12)
+    np.testing.assert_allclose(session.state.shown.translation, session.config.start.translation, atol=1e-12)
     # And back by the list of branches.
     page.locator(f'input[role=combobox][value="{session.state.label}"]').click()
     page.get_by_role("option", name="TT+").click()
@@ -167,7 +167,7 @@ def test_a_drag_out_of_reach_warns_and_shows_the_nearest(client):
     page.wait_for_timeout(300)
     assert "out of reach" in page.inner_text('[data-spm="warning"] >> nth=0')
     assert session.model.within_limits(session.state.shown)
-    assert all(handle.visible for handle in session.stage._wanted)
+    assert all(handle.visible for handle in session.scene._wanted)
     picture(page, "viewer_out_of_reach.png")
     assert not errors
 
@@ -180,7 +180,7 @@ def test_legs_load_and_path_drive_it_too(client):
         await session.report("load", None)
         await session.report("drive", Drive.LEGS)
         await session.report("leg", (0, 1.25))
-        await session.inbox.drained()
+        await session.queue.drained()
 
     session.panel.force.value = (0.0, 0.0, -500.0)
     loop = session.client._viser_server._event_loop
@@ -188,7 +188,7 @@ def test_legs_load_and_path_drive_it_too(client):
     assert session.state.shown.leg_lengths[0] == pytest.approx(1.25)
     expected = spm.leg_forces(session.state.shown, [0, 0, -500, 0, 0, 0])
     np.testing.assert_allclose(session.state.readings.forces, expected)
-    assert session.stage._arrows["push"].visible or session.stage._arrows["pull"].visible
+    assert session.scene._arrows["push"].visible or session.scene._arrows["pull"].visible
     asyncio.run_coroutine_threadsafe(session.report("play", None), loop).result(timeout=30.0)
     until(lambda: session.player.time == 1.0 and not session.player.playing, "the end of the path", page=page)
     until(lambda: abs(session.state.shown.leg_lengths[1] - 1.25) < 1e-9, "its last point", page=page)

@@ -14,11 +14,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.display.viewer.export import command_line, json_text
-from spm_pin.display.viewer.markup import forces_table, instruments, status
 from spm_pin.display.viewer.readings import Readings
-from spm_pin.display.viewer.robot import Robot
+from spm_pin.display.viewer.robot_meshes import Robot
 from spm_pin.display.viewer.state import Drive, Model, starting_configuration
+from spm_pin.display.viewer.state_export import command_line, json_text
+from spm_pin.display.viewer.state_markup import forces_table, instruments, status
 
 PAPER = spm.Geometry.paper()
 FREE = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)

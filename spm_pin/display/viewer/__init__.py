@@ -1,8 +1,9 @@
-"""The interactive viewer: a page where one drags the platform and watches all branches. Extra `viewer`.
+"""The interactive viewer: a page to drag the platform and see all branches. Extra `viewer`.
 
-`state` and its neighbours `reach`, `readings`, `recording` and `export` know nothing of a page and are what a session
-consists of; `robot` turns a configuration into placed meshes; `stage`, `panel` and `markup` show a session on a page;
-`session` joins the two for one client, `server` holds the clients, `snapshot` writes a page that needs no server.
+A session's state does not depend on a page: `state`, `readings`, `recording`, `state_export`. `robot_meshes` gives the
+meshes of a configuration; `robot_scene`, `workspace_layer`, `panel` and `state_markup` show a state. `session` joins
+them for one client, with its `event_queue` and `playback`; `server` holds the clients. `viser_server`,
+`connection_guard` and `page_style` are what is added to viser; `snapshot` writes a page that needs no server.
 """
 
 from spm_pin.display.viewer.server import Viewer

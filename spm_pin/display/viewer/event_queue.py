@@ -1,4 +1,4 @@
-"""One thing at a time for a session, the newest of a kind only, and nothing after its end."""
+"""A serial queue of a session's events; a later event replaces a pending one of its kind."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import asyncio
 from collections.abc import Callable
 from typing import Any
 
-__all__ = ["Inbox"]
+__all__ = ["EventQueue"]
 
 Action = Callable[[], Any]
 
 
-class Inbox:
+class EventQueue:
     """Runs actions one after another in a worker thread, while the event loop goes on taking messages.
 
     A drag sends poses faster than pictures can be made of them: an action still waiting is replaced by a later one
@@ -21,7 +21,7 @@ class Inbox:
     Parameters
     ----------
     on_error : callable
-        Told of exceptions that actions raise.
+        Called with an exception that an action raised.
     """
 
     def __init__(self, on_error: Callable[[Exception], None]) -> None:
@@ -31,7 +31,7 @@ class Inbox:
         self.closed = False
 
     def post(self, key: str, action: Action) -> None:
-        """Have an action run, after those posted before; replaces one of the same key that has not begun."""
+        """Run an action after those posted before; it replaces one of the same key that has not begun."""
         if self.closed:
             return
         self._waiting[key] = action

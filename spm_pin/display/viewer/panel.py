@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from spm_pin.display.viewer.export import command_line, xyx_degrees
-from spm_pin.display.viewer.markup import forces_table, instruments, status
 from spm_pin.display.viewer.state import Drive, State
+from spm_pin.display.viewer.state_export import command_line, xyx_degrees
+from spm_pin.display.viewer.state_markup import forces_table, instruments, note, status
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import LEGS, Geometry
 
@@ -163,6 +163,10 @@ class Panel:
                     slider.value = number
         self.command.value = command_line(state.shown, geometry_file)
         self.q.value = np.array2string(q, precision=9, separator=", ", max_line_width=60)
+
+    def show_path(self, *lines: str) -> None:
+        """Show lines of text below the path's controls."""
+        self.path_note.content = note(*lines)
 
     def show_drive(self, drive: Drive) -> None:
         """Show the sliders of what is driven."""

@@ -30,7 +30,7 @@ _SECONDS = 10.0  # that a path without times takes
 
 @dataclass(frozen=True)
 class Recording:
-    """A path as it was recorded.
+    """A recorded path.
 
     Attributes
     ----------
@@ -44,8 +44,15 @@ class Recording:
     times: FloatArray
 
     def follow(self, geometry: Geometry, start: Configuration | str | None = None) -> Playback:
-        """Follow a solution along the path, the physical one if not told; see `spm_pin.follow`."""
+        """Follow a solution along the path, by default the physical one; see `spm_pin.follow`."""
         return Playback(follow(geometry, self.points, start), self.times)
+
+    def follow_from(self, geometry: Geometry, start: Configuration | str | None) -> Playback:
+        """Follow from `start` where the path begins there, else the physical solution."""
+        try:
+            return self.follow(geometry, start)
+        except ArgumentError:
+            return self.follow(geometry)
 
 
 @dataclass(frozen=True)
@@ -80,6 +87,20 @@ class Playback:
         """Return the solved configuration nearest to a time [s], its last where the solution ended, and its label."""
         index = int(np.abs(self.path.parameters - self.parameter(time)).argmin())
         return self.path.configurations[index], self.path.labels[index]
+
+    def report(self, now: float, most: int = 12) -> list[str]:
+        """Return lines on how far the solution lasts and on its first events; ● marks those before `now` [s]."""
+        events = self.path.events
+        lines = [f"{len(self.path.parameters)} configurations of {self.path.labels[0]}"]
+        if not self.path.complete:
+            last = self.time(float(self.path.parameters[-1]))
+            lines.append(f"⚠ The solution ends at {last:.2f} s; the last is shown from there on.")
+        for event in events[:most]:
+            time = self.time(event.parameter)
+            lines.append(f"{'●' if time <= now else '○'} {time:.2f} s: {event.kind}, {event.detail}")
+        if len(events) > most:
+            lines.append(f"… and {len(events) - most} more events")
+        return lines
 
 
 def read_recording(path: str | Path) -> Recording:

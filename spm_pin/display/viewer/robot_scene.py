@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from spm_pin.display.viewer.markup import PULL, PUSH, WARN
-from spm_pin.display.viewer.robot import Part, Robot
+from spm_pin.display.viewer.robot_meshes import Part, Robot
 from spm_pin.display.viewer.state import State
+from spm_pin.display.viewer.state_markup import PULL, PUSH, WARN
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.branches import BRANCHES
 
-__all__ = ["Stage", "rgb"]
+__all__ = ["RobotScene", "rgb"]
 
 OnClick = Callable[[str], Coroutine[Any, Any, None]]
 
@@ -35,7 +35,7 @@ def _linear(colour: tuple[int, int, int]) -> tuple[int, int, int]:
     return red, green, blue
 
 
-class Stage:
+class RobotScene:
     """The nodes of one session in a viser scene, of one client or of a whole server.
 
     Parameters
@@ -229,6 +229,12 @@ class Stage:
         if arrows:
             handle.points = np.array(arrows, dtype=np.float32)
         handle.visible = bool(arrows)
+
+    def show_path(self, points: FloatArray) -> None:
+        """Draw a path of o (n, 3) [m]."""
+        pieces = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+        if len(pieces):
+            self.scene.add_line_segments("/path", pieces, colors=(204, 121, 167))
 
 
 def _onto(point: FloatArray, vector: FloatArray, length: float) -> FloatArray:

@@ -1,18 +1,19 @@
-"""The viewer: a server of one page, which every client sees for itself."""
+"""The viewer: a server of one page, with a session of its own for every client."""
 
 from __future__ import annotations
 
 import asyncio
 import threading
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 from spm_pin.display.viewer import viser_server
 from spm_pin.display.viewer.recording import Recording
-from spm_pin.display.viewer.robot import Robot
-from spm_pin.display.viewer.session import Exhibit, Session
+from spm_pin.display.viewer.robot_meshes import Robot
+from spm_pin.display.viewer.session import Session, SessionConfig
 from spm_pin.display.viewer.state import Model, starting_configuration
-from spm_pin.display.viewer.workspace_layer import Region
+from spm_pin.display.viewer.workspace_layer import WorkspaceLayer
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
@@ -38,11 +39,14 @@ class Viewer:
         Whether pages are dark at first.
     geometry_file : Path, optional
         Where the geometry came from, for exported command lines.
+    allowed_origins : collection of str
+        Other sites whose pages may connect, such as ``https://robots.example`` where a proxy serves the viewer. By
+        default a browser's page connects to the server it came from and to no other.
 
     Raises
     ------
     ArgumentError
-        If `start` is something else, the host is none of this machine's, or no port is free.
+        If `start` is something else, the host is no address of this machine, or no port is free.
     MissingExtraError
         If viser or trimesh is not installed.
 
@@ -61,19 +65,23 @@ class Viewer:
         recording: Recording | None = None,
         dark: bool = False,
         geometry_file: Path | None = None,
+        allowed_origins: Collection[str] = (),
     ) -> None:
         configuration = _configuration(start)
         free = viser_server.free_port(host, port)
+        origins = _origins(allowed_origins)
         robot = Robot(configuration.geometry)
-        robot.q(configuration)  # refuses what does not close
-        # What is compiled when first used is compiled now, and no client waits for it.
+        robot.q(configuration)  # raises where its loops do not close
+        # Kernels are compiled when first called: now, so that no client waits for it.
         Model(configuration).set_legs(configuration.leg_lengths)
-        self._exhibit = Exhibit(robot, configuration, Region(configuration.geometry), recording, geometry_file, dark)
+        self._config = SessionConfig(
+            robot, configuration, WorkspaceLayer(configuration.geometry), recording, geometry_file, dark
+        )
         self._sessions: dict[int, Session] = {}
         self._lock = threading.Lock()
         self._stopped = threading.Event()
         self.host = host
-        self.server = viser_server.start(host, free)
+        self.server = viser_server.start(host, free, origins)
         self.server.gui.set_panel_label("3RPS-3SPR")
         self.server.on_client_connect(self._connected)
         self.server.on_client_disconnect(self._disconnected)
@@ -96,9 +104,7 @@ class Viewer:
             return tuple(self._sessions[key] for key in sorted(self._sessions))
 
     async def _connected(self, client: Any) -> None:
-        session = await asyncio.to_thread(Session, client, self._exhibit)
-        if session.player is not None:
-            session.player.bind(asyncio.get_running_loop())
+        session = await asyncio.to_thread(Session, client, self._config, asyncio.get_running_loop())
         # It may have left while its page was made.
         if client.client_id in self.server.get_clients():
             with self._lock:
@@ -129,6 +135,12 @@ class Viewer:
 
     def __exit__(self, *_: object) -> None:
         self.stop()
+
+
+def _origins(allowed: Collection[str]) -> tuple[str, ...]:
+    if isinstance(allowed, str) or not all(isinstance(origin, str) for origin in allowed):
+        raise ArgumentError("allowed_origins", "origins such as ['https://robots.example']", repr(allowed))
+    return tuple(origin.rstrip("/").lower() for origin in allowed)
 
 
 def _configuration(start: Configuration | Geometry | None) -> Configuration:

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from spm_pin.display.viewer.export import command_line
-from spm_pin.display.viewer.markup import forces_table, instruments, status
-from spm_pin.display.viewer.robot import Robot
-from spm_pin.display.viewer.robot_scene import Stage
+from spm_pin.display.viewer.page_style import branded_html
+from spm_pin.display.viewer.robot_meshes import Robot
+from spm_pin.display.viewer.robot_scene import RobotScene
 from spm_pin.display.viewer.state import Model, State
+from spm_pin.display.viewer.state_export import command_line
+from spm_pin.display.viewer.state_markup import forces_table, instruments, status
 from spm_pin.display.viewer.viser_server import quiet_server
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.configuration import Configuration
@@ -49,17 +50,17 @@ def snapshot_html(
         Show the other branches.
     """
     with quiet_server("127.0.0.1", 0) as server:
-        stage = Stage(server.scene, robot)
-        stage.show_ghosts = stage.show_labels = ghosts
-        stage.show(state)
-        height = float(state.shown.translation[2]) + 0.5 * stage.size
+        scene = RobotScene(server.scene, robot)
+        scene.show_ghosts = scene.show_labels = ghosts
+        scene.show(state)
+        height = float(state.shown.translation[2]) + 0.5 * scene.size
         centre = np.array([0.0, 0.0, 0.47 * height])
         direction = np.array([0.5, -0.87, 0.3])
         # The card stands on the right.
         centre += 0.15 * height * np.array([0.87, 0.5, 0.0])
         server.initial_camera.position = tuple(centre + 1.6 * height * direction)
         server.initial_camera.look_at = tuple(centre)
-        page: str = server.scene.as_html(dark_mode=dark)
+        page = branded_html(server.scene.as_html(dark_mode=dark))
     card = _CARD.format(
         paper="#25262b" if dark else "#ffffff",
         ink="#e6e6e6" if dark else "#1a1b1e",

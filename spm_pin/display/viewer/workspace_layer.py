@@ -14,13 +14,13 @@ from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.workspace.table_6.shell import workspace_shell
 
-__all__ = ["Region"]
+__all__ = ["WorkspaceLayer"]
 
 _POINTS = 4000
 _RESOLUTION = 14
 
 
-class Region:
+class WorkspaceLayer:
     """The workspace of a manipulator with leg limits, computed once for all sessions and not before it is asked for."""
 
     def __init__(self, geometry: Geometry) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from spm_pin.display.viewer.robot import Robot
+from spm_pin.display.viewer.robot_meshes import Robot
 from spm_pin.display.viewer.state import State
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, LegLimits

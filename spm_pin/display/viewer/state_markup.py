@@ -7,12 +7,12 @@ from string import Template
 
 import numpy as np
 
-from spm_pin.display.viewer.export import xyx_degrees
 from spm_pin.display.viewer.readings import NEAR
 from spm_pin.display.viewer.state import State
+from spm_pin.display.viewer.state_export import xyx_degrees
 from spm_pin.mechanism.geometry import LEGS
 
-__all__ = ["CALM", "PULL", "PUSH", "WARN", "forces_table", "instruments", "status"]
+__all__ = ["CALM", "PULL", "PUSH", "WARN", "forces_table", "instruments", "note", "status"]
 
 # Okabe and Ito's palette, told apart with any colour vision.
 CALM, WARN, PUSH, PULL = "#009E73", "#D55E00", "#0072B2", "#D55E00"
@@ -114,6 +114,12 @@ def _singularities(state: State) -> str:
         ]
         rows.append(_row("8.6em 1fr 4.8em 2.9em 3em", cells))
     return "".join(rows)
+
+
+def note(*lines: str) -> str:
+    """Return lines of plain text."""
+    text = "<br>".join(escape(line) for line in lines)
+    return f'<div data-spm="note" style="padding:0.35em 0.6em;font-size:0.8rem">{text}</div>'
 
 
 def forces_table(state: State) -> str:
