@@ -7,10 +7,10 @@ from pathlib import Path
 
 import yaml
 
-from spm_pin.description import yaml_nodes
 from spm_pin.description.paths import CLOSURES, description_file
 from spm_pin.description.tree import check_prefix
 from spm_pin.errors import DescriptionError
+from spm_pin.mechanism import yaml_nodes
 
 __all__ = ["KINDS", "Closure", "read_closures"]
 

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import yaml
 
-from spm_pin.description import yaml_nodes
 from spm_pin.description.closures import read_closures
 from spm_pin.description.expand import expand
 from spm_pin.description.read_urdf import read_urdf, urdf_description
@@ -16,6 +15,7 @@ from spm_pin.description.robot import RobotDescription, Transmission
 from spm_pin.description.sidecar import Sidecar, read_sidecar
 from spm_pin.description.states import joint_values
 from spm_pin.errors import DescriptionError
+from spm_pin.mechanism import yaml_nodes
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 

@@ -6,9 +6,9 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from spm_pin.description import yaml_nodes
 from spm_pin.description.closures import KINDS, Closure
 from spm_pin.errors import DescriptionError
+from spm_pin.mechanism import yaml_nodes
 
 __all__ = ["JOINT_TYPES", "Sidecar", "read_sidecar"]
 

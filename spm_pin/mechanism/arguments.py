@@ -19,6 +19,7 @@ from spm_pin.errors import ArgumentError
 
 __all__ = [
     "FloatArray",
+    "as_array",
     "broadcastable",
     "choice",
     "file_path",
@@ -32,6 +33,7 @@ __all__ = [
     "real_array",
     "real_number",
     "shaped_array",
+    "type_and_value",
     "whole_number",
 ]
 
@@ -115,11 +117,11 @@ def real_number(
         try:
             number = float(value)
         except OverflowError:
-            raise error(argument, expected, value, cause) from None
+            raise error(argument, expected, "an integer beyond all floats", cause) from None
     else:
-        array = _as_array(value)
+        array = as_array(value)
         if array is None or array.shape or array.dtype.kind not in "fiu":
-            raise error(argument, expected, _kind_of(value))
+            raise error(argument, expected, type_and_value(value))
         number = float(array)
     if not (np.isfinite(number) and number > above and least <= number <= most and number < below):
         raise error(argument, expected, f"{number:g}", cause if np.isfinite(number) else "")
@@ -152,7 +154,7 @@ def whole_number(
     except TypeError:
         number = None
     if number is None:
-        shown = f"{value:g}" if isinstance(value, float) else _kind_of(value)
+        shown = f"{value:g}" if isinstance(value, float) else type_and_value(value)
         raise ArgumentError(argument, expected, shown)
     if number < least or (most is not None and number > most):
         raise ArgumentError(argument, expected, number, cause)
@@ -162,14 +164,14 @@ def whole_number(
 def flag(value: Any, argument: str) -> bool:
     """Read True or False; 0 and 1 are neither."""
     if not isinstance(value, bool | np.bool_):
-        raise ArgumentError(argument, "True or False", _kind_of(value))
+        raise ArgumentError(argument, "True or False", type_and_value(value))
     return bool(value)
 
 
 def choice(value: Any, argument: str, choices: Collection[str], *, cause: str = "") -> str:
     """Read one word out of `choices`."""
     if not isinstance(value, str) or value not in choices:
-        received = repr(value) if isinstance(value, str) else _kind_of(value)
+        received = repr(value) if isinstance(value, str) else type_and_value(value)
         raise ArgumentError(argument, f"one of {', '.join(map(repr, choices))}", received, cause)
     return value
 
@@ -196,12 +198,12 @@ def file_path(
         If `value` is no name that a file can have, or ends otherwise.
     """
     if not isinstance(value, str | os.PathLike):
-        raise error(argument, "the name of a file", _kind_of(value))
+        raise error(argument, "the name of a file", type_and_value(value))
     try:
         text = os.fspath(value)
         fits = isinstance(text, str) and bool(text) and b"\0" not in os.fsencode(text)
     except Exception as failed:
-        raise error(argument, "the name of a file", _kind_of(value), str(failed)) from failed
+        raise error(argument, "the name of a file", type_and_value(value), str(failed)) from failed
     if not fits:
         raise error(argument, "the name of a file", repr(value), "Empty, or a byte of zero in it?")
     path = Path(text)
@@ -222,9 +224,9 @@ def generator(value: Any, argument: str = "rng") -> np.random.Generator:
 def mask(value: Any, argument: str, shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
     """Read an array of booleans that broadcasts to `shape`."""
     expected = f"booleans of shape {shape}"
-    array = _as_array(value)
+    array = as_array(value)
     if array is None or array.dtype.kind != "b":
-        raise ArgumentError(argument, expected, _kind_of(value) if array is None else f"dtype {array.dtype}")
+        raise ArgumentError(argument, expected, type_and_value(value) if array is None else f"dtype {array.dtype}")
     try:
         return np.broadcast_to(array, shape)
     except ValueError:
@@ -298,11 +300,11 @@ def shaped_array(
     """Read `value` as `real_array` does, without checking that the numbers are finite."""
     if isinstance(value, np.ma.MaskedArray):
         raise error(argument, _expected(trailing, meaning), "a masked array", "Fill or drop what is masked")
-    array = _as_array(value)
+    array = as_array(value)
     if array is None:
-        raise error(argument, _expected(trailing, meaning), _kind_of(value), "Rows of different lengths?")
+        raise error(argument, _expected(trailing, meaning), type_and_value(value), "Rows of different lengths?")
     if array.dtype.kind not in "fiu" and not (array.size == 0 and array.dtype.kind != "O"):
-        raise error(argument, _expected(trailing, meaning), f"{_kind_of(value)} of dtype {array.dtype}")
+        raise error(argument, _expected(trailing, meaning), f"{type_and_value(value)} of dtype {array.dtype}")
     if array.dtype != np.float64:
         with np.errstate(over="ignore"):
             array = array.astype(np.float64)
@@ -335,7 +337,7 @@ def _expected(trailing: tuple[int, ...], meaning: str) -> str:
     return f"real numbers of shape {shape}, {meaning}"
 
 
-def _as_array(value: Any) -> npt.NDArray[Any] | None:
+def as_array(value: Any) -> npt.NDArray[Any] | None:
     """Return `value` as an array, None if NumPy cannot make one."""
     try:
         return np.asarray(value)
@@ -343,7 +345,7 @@ def _as_array(value: Any) -> npt.NDArray[Any] | None:
         return None
 
 
-def _kind_of(value: Any) -> str:
+def type_and_value(value: Any) -> str:
     """Return the class of a value, with the value itself where that is a word or a number."""
     if value is None or isinstance(value, bool):
         return str(value)

@@ -1,4 +1,4 @@
-"""Dimensions and leg limits of a 3RPS-3SPR manipulator, and where its joints sit.
+"""Dimensions and leg limits of a 3RPS-3SPR manipulator, and the positions of its revolute joints.
 
 Frames (Fig. 1 and Eq. (1) of the paper): {B} at the centre O of the base triangle, Z up; {m} at the centre o
 of the terminal platform, z up. Legs 1, 2, 3 stand at the azimuths -30, 90 and 210 degrees in both.
@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -19,12 +20,19 @@ import numpy.typing as npt
 import yaml
 
 from spm_pin.errors import GeometryError
-from spm_pin.mechanism.arguments import FloatArray, real_array
+from spm_pin.mechanism import yaml_nodes
+from spm_pin.mechanism.arguments import FloatArray, as_array, file_path, real_array, real_number, type_and_value
 
 __all__ = ["LEGS", "Geometry", "LegLimits", "config_directory"]
 
 LEGS = ("r_b1", "r_b2", "r_b3", "r_c1", "r_c2", "r_c3")
-"""Order of everything that counts legs: the lower stage's three, then the upper stage's."""
+"""Names and order of the legs: the lower stage's three, then the upper stage's."""
+
+SMALLEST, LARGEST = 1e-9, 1e9
+"""Dimensions accepted [m]. Every result was found to scale to rounding from 1e-52 to 1e60 m."""
+_IMPLAUSIBLE = 20.0
+"""A file with a larger dimension [m] is suspected to be in another unit."""
+_ORDERED = "0 <= minimum < maximum for every leg, in metres"
 
 _HALF_SQRT3 = math.sqrt(3.0) / 2.0
 # Unit vectors towards leg 1, 2, 3, and the revolute axes R_1i of Eq. (4a), in {B}; in {m} they read the same.
@@ -41,7 +49,9 @@ def config_directory() -> Path:
 
 def _six(value: float | Sequence[float], argument: str) -> tuple[float, ...]:
     expected = "one length or six in the order " + ", ".join(LEGS) + ", in metres"
-    array = np.asarray(value, dtype=np.float64)
+    array = as_array(value)
+    if array is None or array.dtype.kind not in "fiu":
+        raise GeometryError(argument, expected, type_and_value(value))
     if array.shape not in ((), (6,)):
         raise GeometryError(argument, expected, f"shape {array.shape}")
     if np.isnan(array).any():
@@ -49,7 +59,14 @@ def _six(value: float | Sequence[float], argument: str) -> tuple[float, ...]:
     return tuple(float(x) for x in np.broadcast_to(array, 6))
 
 
-@dataclass(frozen=True, init=False)
+def _pair(value: Sequence[float], argument: str) -> tuple[float, float]:
+    array = as_array(value)
+    if array is None or array.shape != (2,) or array.dtype.kind not in "fiu":
+        raise GeometryError(argument, "a pair (minimum, maximum) in metres", type_and_value(value))
+    return float(array[0]), float(array[1])
+
+
+@dataclass(frozen=True, init=False, repr=False)
 class LegLimits:
     """Shortest and longest length of each leg.
 
@@ -74,7 +91,7 @@ class LegLimits:
             if not 0.0 <= low < high:
                 raise GeometryError(
                     "limits",
-                    "0 <= minimum < maximum for every leg, in metres",
+                    _ORDERED,
                     f"[{low:g}, {high:g}] for {leg}",
                     "Minimum and maximum exchanged?" if low > high >= 0.0 else "",
                 )
@@ -82,13 +99,20 @@ class LegLimits:
     @classmethod
     def stages(cls, lower: Sequence[float], upper: Sequence[float]) -> LegLimits:
         """Make limits from one (minimum, maximum) pair [m] for the lower legs and one for the upper."""
-        for argument, pair in (("lower", lower), ("upper", upper)):
-            if not isinstance(pair, Sequence) or len(pair) != 2:
-                raise GeometryError(argument, "a pair (minimum, maximum) in metres", pair)
-        return cls([lower[0]] * 3 + [upper[0]] * 3, [lower[1]] * 3 + [upper[1]] * 3)
+        minimum, maximum = zip(_pair(lower, "lower"), _pair(upper, "upper"), strict=True)
+        return cls([minimum[0]] * 3 + [minimum[1]] * 3, [maximum[0]] * 3 + [maximum[1]] * 3)
+
+    def __repr__(self) -> str:
+        pairs = [f"{low:.6g}, {high:.6g}" for low, high in zip(self.minimum, self.maximum, strict=True)]
+        if len(set(pairs)) == 1:
+            return f"LegLimits({pairs[0]})"
+        if len(set(pairs[:3])) == len(set(pairs[3:])) == 1:
+            return f"LegLimits.stages(({pairs[0]}), ({pairs[3]}))"
+        bounds = (f"[{', '.join(f'{end:.6g}' for end in ends)}]" for ends in (self.minimum, self.maximum))
+        return f"LegLimits({', '.join(bounds)})"
 
     def contains(self, leg_lengths: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-        """Tell which sets of lengths (..., 6) [m] respect all limits; NaN does not."""
+        """Return which sets of lengths (..., 6) [m] respect all limits; NaN does not."""
         return np.asarray(self.margin(leg_lengths) >= 0.0)
 
     def margin(self, leg_lengths: npt.ArrayLike) -> FloatArray:
@@ -99,7 +123,7 @@ class LegLimits:
         return np.asarray(functools.reduce(np.minimum, np.moveaxis(inside, -1, 0)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Geometry:
     """Dimensions of a manipulator.
 
@@ -117,7 +141,8 @@ class Geometry:
     Raises
     ------
     GeometryError
-        If a dimension is not a positive, finite number.
+        If a dimension is not a number from 1e-9 to 1e9 m, or `limits` are none. Within that range no product of
+        lengths in this package over- or underflows.
     """
 
     base_radius: float
@@ -127,16 +152,17 @@ class Geometry:
 
     def __post_init__(self) -> None:
         for name in ("base_radius", "platform_radius", "middle_side"):
-            value = getattr(self, name)
-            try:
-                number = float(value)
-            except (TypeError, ValueError):
-                raise GeometryError(name, "a positive length in metres", repr(value)) from None
-            if not (math.isfinite(number) and number > 0.0):
-                raise GeometryError(name, "a positive, finite length in metres", repr(value))
-            object.__setattr__(self, name, number)
+            object.__setattr__(self, name, _dimension(getattr(self, name), name))
         if self.limits is not None and not isinstance(self.limits, LegLimits):
-            raise GeometryError("limits", "LegLimits(minimum, maximum) or None", repr(self.limits))
+            expected = "LegLimits(minimum, maximum) or None"
+            raise GeometryError("limits", expected, type(self.limits).__name__)
+
+    def __repr__(self) -> str:
+        limits = "" if self.limits is None else f", limits={self.limits!r}"
+        return (
+            f"Geometry(base_radius={self.base_radius:.6g}, platform_radius={self.platform_radius:.6g}, "
+            f"middle_side={self.middle_side:.6g}{limits})"
+        )
 
     @classmethod
     def paper(cls) -> Geometry:
@@ -152,47 +178,40 @@ class Geometry:
 
         The keys are `base_side` or `base_radius`, `platform_side` or `platform_radius`, `middle_side`, and
         optionally `leg_limits` with the pairs `lower` and `upper`, or a pair for each leg `r_b1` to `r_c3`; all
-        in metres.
+        in metres. A warning is given for dimensions above 20 m, which are often centimetres or millimetres.
 
         Raises
         ------
         GeometryError
-            If the file cannot be read, is no mapping, or has a key missing, unknown or given twice.
+            If the file cannot be read, is no mapping, has a key missing, unknown or given twice, or numbers that
+            describe no manipulator. The error names the line and the key.
         """
-        path = Path(path)
-        try:
-            content = yaml.safe_load(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise GeometryError("path", "a readable YAML file", path, str(error.strerror)) from error
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
-            raise GeometryError("path", "a YAML file", path, str(error)) from error
-        if not isinstance(content, Mapping):
-            raise GeometryError("path", "a YAML mapping of dimensions", f"{type(content).__name__} in {path}")
-        return cls._from_mapping(dict(content), path)
+        path = file_path(path, error=GeometryError)
+        root = yaml_nodes.compose(path, error=GeometryError)
+        if root is None:
+            raise GeometryError(str(path), "a YAML mapping of dimensions", "an empty file")
+        sizes = {f"{triangle}_{size}" for triangle in ("base", "platform") for size in ("side", "radius")}
+        optional = sizes | {"leg_limits"}
+        nodes = yaml_nodes.mapping(root, {"middle_side"}, path, optional=optional, error=GeometryError)
+        limits = nodes.pop("leg_limits", None)
+        lengths = {key: _length(node, key, path) for key, node in nodes.items()}
 
-    @classmethod
-    def _from_mapping(cls, content: dict[str, Any], path: Path) -> Geometry:
         def radius(triangle: str) -> float:
-            keys = [key for key in (f"{triangle}_side", f"{triangle}_radius") if key in content]
-            if len(keys) != 1:
-                expected = f"exactly one of {triangle}_side and {triangle}_radius"
-                raise GeometryError(str(path), expected, ", ".join(keys) or "neither")
-            value = content.pop(keys[0])
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise GeometryError(keys[0], f"a number of metres in {path}", repr(value))
-            return value / math.sqrt(3.0) if keys[0].endswith("_side") else value
+            given = [key for key in (f"{triangle}_side", f"{triangle}_radius") if key in lengths]
+            if len(given) != 1:
+                expected = f"exactly one of the keys {triangle}_side and {triangle}_radius"
+                raise GeometryError(str(path), expected, " and ".join(given) or "neither")
+            return lengths[given[0]] / (math.sqrt(3.0) if given[0].endswith("_side") else 1.0)
 
-        base_radius, platform_radius = radius("base"), radius("platform")
-        if "middle_side" not in content:
-            raise GeometryError(str(path), "the key middle_side", ", ".join(content) or "nothing more")
-        middle_side = content.pop("middle_side")
-        limits = content.pop("leg_limits", None)
-        if content:
-            known = "base_side, base_radius, platform_side, platform_radius, middle_side, leg_limits"
-            raise GeometryError(str(path), f"no keys but {known}", ", ".join(map(str, content)))
-        if limits is not None:
-            limits = _read_limits(limits, path)
-        return cls(base_radius, platform_radius, middle_side, limits)
+        read = None if limits is None else _read_limits(limits, path)
+        geometry = cls(radius("base"), radius("platform"), lengths["middle_side"], read)
+        longest = max(lengths, key=lambda key: lengths[key])
+        if lengths[longest] > _IMPLAUSIBLE:
+            text = (
+                f"{path}: {longest} is {lengths[longest]:g} m. Lengths are read as metres; are these in another unit?"
+            )
+            warnings.warn(text, stacklevel=2)
+        return geometry
 
     @property
     def middle_radius(self) -> float:
@@ -220,15 +239,43 @@ class Geometry:
         return _AXES.copy()
 
 
-def _read_limits(content: object, path: Path) -> LegLimits:
-    keys = set(content) if isinstance(content, Mapping) else set()
-    if not isinstance(content, Mapping) or keys not in ({"lower", "upper"}, set(LEGS)):
-        expected = f"the pairs lower and upper, or one for each of {', '.join(LEGS)}, in {path}"
-        raise GeometryError("leg_limits", expected, repr(content))
-    for key, pair in content.items():
-        numbers = isinstance(pair, Sequence) and not isinstance(pair, str) and len(pair) == 2
-        if not numbers or any(isinstance(x, bool) or not isinstance(x, int | float) for x in pair):
-            raise GeometryError(f"leg_limits.{key}", f"a pair of lengths in metres in {path}", repr(pair))
-    if keys == {"lower", "upper"}:
-        return LegLimits.stages(content["lower"], content["upper"])
-    return LegLimits([content[leg][0] for leg in LEGS], [content[leg][1] for leg in LEGS])
+def _dimension(value: Any, argument: str) -> float:
+    return real_number(
+        value,
+        argument,
+        f"a positive length in metres, from {SMALLEST:g} to {LARGEST:g}",
+        least=SMALLEST,
+        most=LARGEST,
+        error=GeometryError,
+        cause="Given in another unit?" if isinstance(value, float | int) and value > 0 else "",
+    )
+
+
+def _length(node: yaml.Node, key: str, path: Path) -> float:
+    number = yaml_nodes.number(node, f"a number of metres under the key {key}", path, error=GeometryError)
+    return _dimension(number, f"{key} in {yaml_nodes.place(path, node)}")
+
+
+def _read_limits(node: yaml.Node, path: Path) -> LegLimits:
+    entries = node.value if isinstance(node, yaml.MappingNode) else []
+    by_leg = any(key.value in LEGS for key, _ in entries if isinstance(key, yaml.ScalarNode))
+    wanted = LEGS if by_leg else ("lower", "upper")
+    pairs = yaml_nodes.mapping(node, wanted, path, error=GeometryError)
+
+    def bounds(leg: str) -> tuple[float, float]:
+        expected = f"a pair of lengths in metres under the key {leg}"
+        pair = yaml_nodes.items(pairs[leg], leg, path, error=GeometryError)
+        if len(pair) != 2:
+            raise GeometryError(yaml_nodes.place(path, pairs[leg]), expected, f"{len(pair)} of them")
+        low, high = (yaml_nodes.number(end, expected, path, error=GeometryError) for end in pair)
+        try:
+            LegLimits(low, high)
+        except GeometryError as wrong:
+            where = f"{leg} in {yaml_nodes.place(path, pairs[leg])}"
+            raise GeometryError(where, _ORDERED, f"[{low:g}, {high:g}]", wrong.cause) from None
+        return low, high
+
+    ends = {leg: bounds(leg) for leg in wanted}
+    if not by_leg:
+        return LegLimits.stages(ends["lower"], ends["upper"])
+    return LegLimits([ends[leg][0] for leg in LEGS], [ends[leg][1] for leg in LEGS])

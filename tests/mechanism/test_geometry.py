@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import pickle
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -41,8 +40,10 @@ def test_arrays_handed_out_cannot_change_the_geometry() -> None:
 
 
 @pytest.mark.parametrize("name", ["base_radius", "platform_radius", "middle_side"])
-@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf"), "wide", None])
-def test_a_dimension_must_be_positive_and_finite(name: str, value: object) -> None:
+@pytest.mark.parametrize(
+    "value", [0.0, -1.0, float("nan"), float("inf"), "wide", None, "1", True, 10**400, 1e-150, 1e150, [1.0], 9e-10, 2e9]
+)
+def test_a_dimension_must_be_a_positive_number_of_a_sane_size(name: str, value: object) -> None:
     dimensions = {"base_radius": 1.0, "platform_radius": 0.5, "middle_side": 0.7, name: value}
     with pytest.raises(spm.GeometryError, match=f"{name}: expected a positive") as caught:
         spm.Geometry(**dimensions)  # type: ignore[arg-type]
@@ -65,55 +66,55 @@ def test_limits_contain_their_bounds_and_measure_the_margin() -> None:
         (-0.1, 1.0, "0 <= minimum"),
         ([1, 1, 1], 2, "six in the order r_b1"),
         (float("nan"), 2, "NaN"),
+        ("x", 2, "minimum: expected one length or six"),
+        (1, "2", "maximum: expected one length or six"),
+        (True, 2, "minimum: expected one length or six"),
+        (None, 2, "minimum"),
+        ([[1], [1, 2]], 2, "minimum"),
     ],
 )
-def test_limits_that_make_no_sense(minimum: object, maximum: object, words: str) -> None:
+def test_wrong_limits_are_refused(minimum: object, maximum: object, words: str) -> None:
     with pytest.raises(spm.GeometryError, match=words):
         spm.LegLimits(minimum, maximum)  # type: ignore[arg-type]
 
 
-def write(path: Path, text: str) -> Path:
-    path.write_text(text, encoding="utf-8")
-    return path
+@pytest.mark.parametrize("pair", ["12", (1,), 3, None, (1, "2"), {1: 2, 3: 4}])
+def test_a_stage_takes_a_pair_of_numbers(pair: object) -> None:
+    with pytest.raises(spm.GeometryError, match=r"^upper: expected a pair"):
+        spm.LegLimits.stages((1, 2), pair)  # type: ignore[arg-type]
 
 
-def test_yaml_with_radii_and_without_limits(tmp_path: Path) -> None:
-    path = write(tmp_path / "robot.yaml", "base_radius: 0.5\nplatform_side: 0.3\nmiddle_side: 0.4\n")
-    assert spm.Geometry.from_yaml(path) == spm.Geometry(0.5, 0.3 / 3**0.5, 0.4)
+@pytest.mark.parametrize("limits", [(1.1, 1.5), "none", 0, False])
+def test_limits_of_another_kind_are_refused(limits: object) -> None:
+    with pytest.raises(spm.GeometryError, match=r"^limits: expected LegLimits\(minimum, maximum\) or None, got"):
+        spm.Geometry(1.0, 1.0, 1.0, limits)  # type: ignore[arg-type]
 
 
-def test_yaml_with_limits_leg_by_leg(tmp_path: Path) -> None:
-    legs = "".join(f"  {leg}: [{1 + k / 10}, {2 + k / 10}]\n" for k, leg in enumerate(spm.mechanism.LEGS))
-    path = write(tmp_path / "robot.yaml", "base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits:\n" + legs)
-    limits = spm.Geometry.from_yaml(path).limits
-    assert limits == spm.LegLimits([1.0, 1.1, 1.2, 1.3, 1.4, 1.5], [2.0, 2.1, 2.2, 2.3, 2.4, 2.5])
+def test_the_text_of_a_geometry_is_short() -> None:
+    assert repr(spm.Geometry.paper()) == (
+        "Geometry(base_radius=0.69282, platform_radius=0.34641, middle_side=0.8, limits=LegLimits(1.1, 1.5))"
+    )
+    assert repr(spm.Geometry(1, 1, 1)) == "Geometry(base_radius=1, platform_radius=1, middle_side=1)"
+    assert repr(spm.LegLimits.stages((1, 2), (1.5, 3))) == "LegLimits.stages((1, 2), (1.5, 3))"
+    assert repr(spm.LegLimits(range(6), 9)) == "LegLimits([0, 1, 2, 3, 4, 5], [9, 9, 9, 9, 9, 9])"  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("base_side: 1\nmiddle_side: 1", "platform_side and platform_radius"),
-        ("base_side: 1\nbase_radius: 1\nplatform_side: 1\nmiddle_side: 1", "base_side, base_radius"),
-        ("base_side: 1\nplatform_side: 1", "middle_side"),
-        ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\ncolour: red", "colour"),
-        ("base_side: wide\nplatform_side: 1\nmiddle_side: 1", "number of metres"),
-        ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: [1, 2]", "lower and upper"),
-        ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: {lower: [1], upper: [1, 2]}", "a pair"),
-        ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: {lower: [a, b], upper: [1, 2]}", "a pair"),
-        ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: {lower: [2, 1], upper: [1, 2]}", "exchanged"),
-        ("[1, 2", "YAML file"),
-        ("- 1\n- 2", "mapping"),
-        ("", "mapping"),
-    ],
-)
-def test_yaml_that_describes_no_manipulator(tmp_path: Path, text: str, words: str) -> None:
-    with pytest.raises(spm.GeometryError, match=words):
-        spm.Geometry.from_yaml(write(tmp_path / "robot.yaml", text))
+@pytest.mark.parametrize("scale", [1e-9 / 0.34, 1e-6, 1e3, 1e9])
+def test_results_scale_with_the_machine(scale: float) -> None:
+    unit = spm.Geometry(1.2 / 3**0.5, 0.6 / 3**0.5, 0.8)
+    scaled = spm.Geometry(*(scale * size for size in (unit.base_radius, unit.platform_radius, unit.middle_side)))
+    position, angles, load = np.array([0.6889, 0.4963, 2.253]), np.deg2rad([-11.08, 32.97, -12.88]), np.ones(6)
 
+    def results(geometry: spm.Geometry, length: float) -> list[np.ndarray]:
+        branches = spm.inverse_displacement(geometry, spm.pose(length * position, xyx=angles))
+        state = branches.physical()
+        modes = spm.forward_displacement(geometry, state.leg_lengths)
+        forces = spm.leg_forces(state, load * [1, 1, 1, length, length, length])
+        near = spm.singularities(state)
+        return [branches.leg_lengths / length, modes.translation / length, forces, near.sigma, near.index]
 
-def test_yaml_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(spm.GeometryError, match="No such file"):
-        spm.Geometry.from_yaml(tmp_path / "missing.yaml")
+    for found, expected in zip(results(scaled, scale), results(unit, 1.0), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_numbers_of_the_description_are_found() -> None:

@@ -1,0 +1,178 @@
+"""Geometries read from YAML files, and files that are none."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import spm_pin as spm
+
+GOOD = """\
+base_side: 1.20
+middle_side: 0.80
+platform_side: 0.60
+leg_limits:
+  lower: [1.10, 1.50]
+  upper: [1.10, 1.50]
+"""
+
+
+def write(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_yaml_with_radii_and_without_limits(tmp_path: Path) -> None:
+    path = write(tmp_path / "robot.yaml", "base_radius: 0.5\nplatform_side: 0.3\nmiddle_side: 0.4\n")
+    assert spm.Geometry.from_yaml(path) == spm.Geometry(0.5, 0.3 / 3**0.5, 0.4)
+
+
+def test_yaml_with_limits_leg_by_leg(tmp_path: Path) -> None:
+    legs = "".join(f"  {leg}: [{1 + k / 10}, {2 + k / 10}]\n" for k, leg in enumerate(spm.mechanism.LEGS))
+    path = write(tmp_path / "robot.yaml", "base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits:\n" + legs)
+    limits = spm.Geometry.from_yaml(path).limits
+    assert limits == spm.LegLimits([1.0, 1.1, 1.2, 1.3, 1.4, 1.5], [2.0, 2.1, 2.2, 2.3, 2.4, 2.5])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("base_side: 1\nmiddle_side: 1", "platform_side and platform_radius"),
+        ("base_side: 1\nbase_radius: 1\nplatform_side: 1\nmiddle_side: 1", "base_side and base_radius"),
+        ("base_side: 1\nplatform_side: 1", "middle_side"),
+        ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\ncolour: red", "colour"),
+        ("base_side: wide\nplatform_side: 1\nmiddle_side: 1", "number of metres"),
+        ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: [1, 2]", "lower, upper"),
+        ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: {lower: [1], upper: [1, 2]}", "a pair"),
+        ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: {lower: [a, b], upper: [1, 2]}", "a pair"),
+        ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: {lower: [2, 1], upper: [1, 2]}", "exchanged"),
+        ("[1, 2", "YAML file"),
+        ("- 1\n- 2", "mapping"),
+        ("", "mapping"),
+    ],
+)
+def test_yaml_that_describes_no_manipulator(tmp_path: Path, text: str, words: str) -> None:
+    with pytest.raises(spm.GeometryError, match=words):
+        spm.Geometry.from_yaml(write(tmp_path / "robot.yaml", text))
+
+
+def test_yaml_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(spm.GeometryError, match="No such file"):
+        spm.Geometry.from_yaml(tmp_path / "missing.yaml")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (GOOD.replace("1.20", "0"), r"^base_side in .*robot\.yaml:1: expected a positive length"),
+        (GOOD.replace("0.60", "-0.6"), r"^platform_side in .*robot\.yaml:3: expected a positive length"),
+        (GOOD.replace("0.80", "8e12"), r"^middle_side in .*robot\.yaml:2: .* Given in another unit\?"),
+        (GOOD.replace("upper: [1.10, 1.50]", "upper: [1.5, 1.1]"), r"^upper in .*robot\.yaml:6: .* exchanged\?"),
+    ],
+)
+def test_an_error_names_the_key_and_the_line_of_the_file(tmp_path: Path, text: str, words: str) -> None:
+    with pytest.raises(spm.GeometryError, match=words):
+        spm.Geometry.from_yaml(write(tmp_path / "robot.yaml", text))
+
+
+def test_a_file_in_centimetres_gives_a_warning(tmp_path: Path) -> None:
+    path = write(tmp_path / "robot.yaml", "base_side: 120\nmiddle_side: 80\nplatform_side: 60\n")
+    with pytest.warns(UserWarning, match=r"robot\.yaml: base_side is 120 m\. .* another unit\?"):
+        assert spm.Geometry.from_yaml(path).middle_side == 80.0
+
+
+@pytest.mark.parametrize("number", ["1e-3", "1.0e+3", "+.5", "3.", "7"])
+def test_numbers_are_read_as_python_writes_them(tmp_path: Path, number: str) -> None:
+    path = write(tmp_path / "robot.yaml", f"base_radius: 1\nmiddle_side: 1\nplatform_radius: {number}\n")
+    if float(number) > 20.0:
+        with pytest.warns(UserWarning, match="another unit"):
+            geometry = spm.Geometry.from_yaml(path)
+    else:
+        geometry = spm.Geometry.from_yaml(path)
+    assert geometry.platform_radius == float(number)
+
+
+def test_a_maximum_may_be_infinite(tmp_path: Path) -> None:
+    path = write(tmp_path / "robot.yaml", GOOD.replace("lower: [1.10, 1.50]", "lower: [0, .inf]"))
+    assert spm.Geometry.from_yaml(path).limits == spm.LegLimits.stages((0.0, float("inf")), (1.1, 1.5))
+
+
+BOMB = "".join(
+    f"{name}: &{name} [{', '.join(['*' + last] * 9)}]\n" for last, name in zip("abcdefgh", "bcdefghi", strict=True)
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (GOOD + "middle_side: 0.9\n", r"robot\.yaml:7: .* the key 'middle_side' twice"),
+        (GOOD + "  upper: [1, 2]\n", r"robot\.yaml:7: .* the key 'upper' twice"),
+        (f"a: &a lol\n{BOMB}leg_limits: *i\n", "the key 'a'"),
+        (GOOD.replace("lower: [1.10, 1.50]", "lower: &a [*a, *a]"), "pair of lengths"),
+        ("[" * 10_000, "a YAML file"),
+        ("{" * 10_000, "a YAML file"),
+        ("- " * 10_000, "a YAML file"),
+        ("# " + "x" * 2_000_000, "at most 1048576 characters"),
+        ('base_side: "\\UFFFFFFFF"', "a YAML file"),
+        ('base_side: "\\U00110000"', "a YAML file"),
+        ("base_side: 1.2\x00", "a YAML file"),
+        ("%YAML 99999.1\n---\n" + GOOD, "a YAML file"),
+        ("%TAG ! !\n%TAG ! !\n---\n" + GOOD, "a YAML file"),
+        ("base_side: !<> 1", "a YAML file"),
+        (GOOD.replace("1.20", "!!float x"), "a number of metres under the key base_side"),
+        (GOOD.replace("1.20", "!!int ''"), "a number of metres"),
+        (GOOD.replace("1.20", "!!timestamp 2001-99-99"), "a number of metres"),
+        (GOOD.replace("1.20", "!!binary x"), "a number of metres"),
+        (GOOD.replace("1.20", "!!python/object/apply:os.system [ls]"), "a number of metres"),
+        (GOOD.replace("1.20", "1:99"), "a number of metres"),
+        (GOOD.replace("1.20", "0x"), "a number of metres"),
+        (GOOD.replace("1.20", "9" * 400), "positive length"),
+        (GOOD.replace("1.20", "1e400"), "positive length"),
+        (GOOD.replace("1.20", ".nan"), "a number of metres"),
+        (GOOD.replace("1.20", "true"), "a number of metres"),
+        (GOOD.replace("1.20", "'1.2'"), "a number of metres"),
+        ("? [a, b]\n: 1\n" + GOOD, "the key a sequence"),
+        ("<<: {middle_side: 1}\n" + GOOD, "the key '<<'"),
+        (GOOD + "---\n" + GOOD, "a YAML file"),
+        ("null", "a mapping"),
+    ],
+)
+def test_a_malformed_file_gives_a_short_geometry_error(tmp_path: Path, text: str, words: str) -> None:
+    with pytest.raises(spm.GeometryError, match=words) as caught:
+        spm.Geometry.from_yaml(write(tmp_path / "robot.yaml", text))
+    assert len(str(caught.value)) < 1500
+
+
+def test_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_bytes(b"base_side: \xff\xfe")
+    with pytest.raises(spm.GeometryError, match="text in UTF-8"):
+        spm.Geometry.from_yaml(path)
+
+
+@pytest.mark.parametrize("path", [None, 3, b"robot.yaml", "", "robot\0.yaml", ["robot.yaml"], "."])
+def test_what_is_no_file_name_is_refused(path: object) -> None:
+    with pytest.raises(spm.GeometryError, match=r"^(path|\.): expected"):
+        spm.Geometry.from_yaml(path)  # type: ignore[arg-type]
+
+
+WORDS = ["- ", "? ", "&a ", "*a", "!!", "---\n", "...\n", "<<: ", "0x", ".inf", "1e999", "\n", "\ufeff"]
+FRAGMENTS = st.sampled_from(WORDS) | st.sampled_from(":[]{}!%|>'\"\\#@`.e~\t") | st.text(max_size=3)
+EDIT = st.tuples(st.integers(0, len(GOOD)), st.integers(0, 6), FRAGMENTS)
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(EDIT, min_size=1, max_size=4))
+@pytest.mark.filterwarnings("ignore:.*another unit")
+def test_a_mutated_file_gives_a_geometry_or_a_geometry_error(tmp_path: Path, edits: list[tuple[int, int, str]]) -> None:
+    text = GOOD
+    for at, removed, inserted in edits:
+        text = text[:at] + inserted + text[at + removed :]
+    path = tmp_path / "robot.yaml"
+    path.write_bytes(text.encode("utf-8", "surrogatepass"))
+    with contextlib.suppress(spm.GeometryError):
+        assert spm.Geometry.from_yaml(path).middle_side > 0.0
