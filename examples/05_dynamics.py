@@ -1,12 +1,17 @@
-"""Leg forces along a motion of the platform, and the same motion simulated with them.
+"""Leg forces along a motion of the platform, and a free fall that keeps its energy.
 
-Needs: spm-pin.
+Needs "spm-pin[plots]". Writes its picture into the folder given, or into this one.
 """
 
+import sys
+from pathlib import Path
+
+import matplotlib.pyplot as plt
 import numpy as np
 
 import spm_pin as spm
 
+folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 chain = spm.ClosedChain.from_urdf()
 poses = spm.pose(
     [[0.6889, 0.4963, 2.253], [0.70, 0.48, 2.28], [0.68, 0.50, 2.28]],
@@ -22,10 +27,16 @@ print("at rest    ", np.round(efforts[0], 1), "N")
 print("on its way ", np.round(efforts[100], 1), "N")
 
 # Forward dynamics: let the legs fall from there.
-rest = np.zeros(18)
-fall = chain.simulate(q0, rest, None, np.linspace(0.0, 0.3, 31))
+fall = chain.simulate(q0, np.zeros(18), None, np.linspace(0.0, 0.3, 31))
 print(fall)
 print(
     f"fallen by {fall.potential[0] - fall.potential[-1]:.0f} J, of which {np.abs(fall.energy_error).max():.0e} J lost"
 )
 print(f"loops open by {fall.closure_gap.max():.0e} m")
+
+figure, ax = plt.subplots(figsize=(6, 3.2), layout="constrained")
+for leg, name in enumerate(spm.mechanism.LEGS):
+    ax.plot(times, efforts[:, leg], ["-", "--", ":"][leg % 3], color="C0" if leg < 3 else "C1", label=name)
+ax.set(xlabel="time [s]", ylabel="leg force [N]", title="forces of the legs along a motion")
+ax.legend(loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
+figure.savefig(folder / "05_dynamics.png", dpi=160)

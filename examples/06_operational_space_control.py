@@ -1,13 +1,18 @@
 """Hold the platform against a push, and bring it elsewhere: control in task space, at 1 kHz.
 
-Needs: spm-pin.
+Needs "spm-pin[plots]". Writes its picture into the folder given, or into this one.
 """
 
+import sys
+from pathlib import Path
+
+import matplotlib.pyplot as plt
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 
+folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 chain = spm.ClosedChain.from_urdf()
 workspace = chain.workspace()
 poses = spm.pose(
@@ -35,8 +40,17 @@ def controller(t, q, v):
 q0 = chain.joint_values(spm.inverse_displacement(chain.geometry, poses[0]).physical())
 times = np.linspace(0.0, 0.6, 7)
 run = chain.simulate(q0, np.zeros(18), controller, times, wrench=[30.0, 0, 0, 0, 0, 0], period=1e-3)
-for t, q in zip(run.times, run.q, strict=True):
-    off = chain.configuration(q).translation - path(min(t, path.duration)).pose.translation
-    print(f"{t:.1f} s: {1e3 * np.linalg.norm(off):6.3f} mm from where it should be")
+off = [
+    chain.configuration(q).translation - path(min(t, path.duration)).pose.translation
+    for t, q in zip(run.times, run.q, strict=True)
+]
+for t, distance in zip(run.times, np.linalg.norm(off, axis=1), strict=True):
+    print(f"{t:.1f} s: {1e3 * distance:6.3f} mm from where it should be")
 print("the push is held off by the stiffness alone: no integral term")
 print(run, f"energy known to {np.abs(run.energy_error).max():.0e} J")
+
+figure, ax = plt.subplots(figsize=(6, 3.2), layout="constrained")
+ax.plot(run.times, 1e3 * np.array(off), "o-", label=["x", "y", "z"])
+ax.set(xlabel="time [s]", ylabel="error of o [mm]", title="task-space control under a push of 30 N")
+ax.legend(frameon=False)
+figure.savefig(folder / "06_operational_space_control.png", dpi=160)

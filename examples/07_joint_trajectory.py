@@ -1,15 +1,20 @@
 """All eighteen joints from six leg lengths and from a platform path, as CSV and as a ROS JointTrajectory.
 
-Needs: spm-pin.
+Needs "spm-pin[plots]". Writes joints.csv, joints.json and its picture into the folder given, or into this one.
 """
 
+import sys
+from pathlib import Path
+
+import matplotlib.pyplot as plt
 import numpy as np
 
 import spm_pin as spm
 
+folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 chain = spm.ClosedChain.from_urdf()
 
-# What a robot's encoders say, and the joint state that shows it.
+# Six encoder readings, and the joint state that they give.
 q = chain.forward_kinematics([1.20, 1.20, 1.40, 1.25, 1.20, 1.45])
 print({name: round(float(value), 4) for name, value in zip(chain.joint_names, q, strict=True)})
 
@@ -25,6 +30,18 @@ poses = spm.pose(
 start = chain.joint_values(spm.inverse_displacement(chain.geometry, poses[0]).physical())
 path = spm.PlatformPath([0.0, 1.0, 2.0], poses, ease=True)
 trajectory = chain.joint_trajectory(path, np.linspace(0.0, 2.0, 501), near=start)
-trajectory.to_csv("joints.csv")
-trajectory.to_json("joints.json")
+trajectory.to_csv(folder / "joints.csv")
+trajectory.to_json(folder / "joints.json")
 print(trajectory, f"loops open by {np.abs(chain.closure_gap(trajectory.positions)).max():.0e} m")
+
+figure, (legs, passive) = plt.subplots(2, 1, figsize=(6, 4.2), sharex=True, layout="constrained")
+change = trajectory.positions - trajectory.positions[0]
+actuated = set(chain.leg_indices)
+for joint, name in enumerate(chain.joint_names):
+    ax = legs if joint in actuated else passive
+    ax.plot(trajectory.times, change[:, joint], label=name)
+legs.set(ylabel="leg [m]", title="eighteen joints along a platform path, from their start")
+passive.set(xlabel="time [s]", ylabel="passive joint [rad]")
+for ax in (legs, passive):
+    ax.legend(fontsize=5, ncols=2, loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
+figure.savefig(folder / "07_joint_trajectory.png", dpi=160)

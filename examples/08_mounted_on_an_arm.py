@@ -1,14 +1,19 @@
 """A small manipulator as the wrist of a UR5, in one Pinocchio model with its loops closed.
 
-Needs: "spm-pin[robots]".
+Needs "spm-pin[plots,robots]". Writes its picture into the folder given, or into this one.
 """
 
+import sys
+from pathlib import Path
+
 import example_robot_data
+import matplotlib.pyplot as plt
 import numpy as np
 import pinocchio as pin
 
 import spm_pin as spm
 
+folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 arm = example_robot_data.load("ur5")
 wrist = spm.ClosedChain.from_urdf(geometry=spm.Geometry(0.06, 0.04, 0.05), prefix="spm_")
 both = wrist.mounted_on(arm, "tool0", pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.02])))
@@ -24,3 +29,16 @@ forces = both.inverse_dynamics(q, rest, rest, load)
 print("arm ", np.round(forces[:6], 2), "N m")
 print("legs", np.round(forces[6:], 2), "N")
 print(f"and nothing moves: {np.abs(both.forward_dynamics(q, rest, forces, load)).max():.0e}")
+
+data = both.model.createData()
+pin.forwardKinematics(both.model, data, q)
+figure, ax = plt.subplots(figsize=(6, 3.8), layout="constrained")
+for joint in range(1, both.model.njoints):
+    ends = np.array([data.oMi[both.model.parents[joint]].translation, data.oMi[joint].translation])
+    of_wrist = both.model.names[joint].startswith("spm_")
+    ax.plot(*ends[:, [0, 2]].T, color="C1" if of_wrist else "0.4", lw=1.5 if of_wrist else 5, solid_capstyle="round")
+ax.plot([], color="0.4", lw=5, label="UR5")
+ax.plot([], color="C1", label="3RPS-3SPR wrist")
+ax.set(aspect="equal", xlabel="X [m]", ylabel="Z [m]")
+ax.legend(frameon=False)
+figure.savefig(folder / "08_mounted_on_an_arm.png", dpi=160)

@@ -1,12 +1,17 @@
 """The paper's workspace as a closed surface, its volume, and what lies outside it.
 
-Needs: "spm-pin[workspace]".
+Needs "spm-pin[plots]". Writes its picture into the folder given, or into this one.
 """
+
+import sys
+from pathlib import Path
 
 import numpy as np
 
 import spm_pin as spm
+from spm_pin.display.shell_plots import shell_figure
 
+folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 geometry = spm.Geometry.paper()
 shell = spm.workspace.shell(geometry, resolution=20)
 print(f"{len(shell.patches)} surfaces, closed: {shell.mesh.is_watertight}, V - E + F = {shell.euler_characteristic}")
@@ -17,3 +22,5 @@ positions = spm.forward_physical(geometry, legs).translation
 outside = ~shell.contains(positions)
 print(f"{outside.mean():.2%} of random leg lengths lead outside: Table 6 is not the whole boundary")
 print(f"the lowest of them at z = {positions[outside, 2].min():.3f} m")
+
+shell_figure(shell, dpi=130).savefig(folder / "09_workspace.png", dpi=130)

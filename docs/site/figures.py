@@ -29,9 +29,14 @@ def save(figure: Figure, name: str) -> None:
     """Write a figure as a PNG of few colours."""
     path = IMAGES / f"{name}.png"
     figure.savefig(path, dpi=160, facecolor="white")
-    picture = Image.open(path).convert("RGB")
-    picture.quantize(method=Image.Quantize.MAXCOVERAGE, kmeans=4).save(path, optimize=True)
-    print(f"{path.name}: {path.stat().st_size // 1024} kB")
+    reduce_colours(path, path)
+
+
+def reduce_colours(source: Path, target: Path) -> None:
+    """Write a picture with a palette of 256 colours, a third of its size."""
+    picture = Image.open(source).convert("RGB")
+    picture.quantize(method=Image.Quantize.MAXCOVERAGE, kmeans=4).save(target, optimize=True)
+    print(f"{target.name}: {target.stat().st_size // 1024} kB")
 
 
 def anatomy() -> Figure:
