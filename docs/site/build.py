@@ -21,7 +21,7 @@ from tempfile import TemporaryDirectory
 
 from sphinx.cmd.build import build_main
 
-from spm_pin.reproduction.tables_1_to_4 import reproduce
+from spm_pin.reproduction import reproduce
 
 ROOT = Path(__file__).parents[2]
 PUBLIC = {

@@ -1,8 +1,8 @@
-"""The hearing: everybody is asked, branches are proved or not, and pairs of answers compared."""
+"""Run all methods on poses, certify their branches, compare the answers of every pair."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform
 
-from spm_pin.crosscheck.methods import Witness
+from spm_pin.crosscheck.methods import Method
+from spm_pin.crosscheck.scores import MethodScore, PairDifference, Quantity
 from spm_pin.crosscheck.tolerances import ROWS, Conditioning
-from spm_pin.crosscheck.verdicts import Comparison, Quantity, Standing
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.branches import BRANCHES
@@ -20,177 +20,191 @@ from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.solutions import Status
 
-__all__ = ["Hearing"]
+__all__ = ["Comparison", "Progress"]
 
-_CHUNK = 8
 _FORCE = 1e3  # N, and N m per metre of d
-_PLACES = len(BRANCHES)
+_BRANCHES = len(BRANCHES)
 
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.intp]
-Progress = Callable[[str, int, int], None]
+Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class _Answer:
-    """The branches one witness shows of N poses: NaN and not asked beyond its share."""
+    """The branches one method found at n poses; NaN where it found none or was not asked."""
 
-    states: Configuration  # (N * 8,)
-    asked: BoolArray  # (N,)
-    status: npt.NDArray[np.int8]  # (N,)
+    states: Configuration  # (n * 8,)
+    asked: BoolArray  # (n,)
+    status: npt.NDArray[np.int8]  # (n,)
+    rounding: FloatArray  # (n * 8,)
 
 
 @dataclass(frozen=True)
 class _States:
-    """Configurations (m,) that witnesses are compared at, each a branch of a pose."""
+    """Configurations (m,) at which methods are compared, each a branch of a pose."""
 
     configuration: Configuration
-    place: IntArray  # pose * 8 + branch
-    roundings: Mapping[str, FloatArray]
+    place: IntArray  # pose * 8 + branch, in the batch
+    first: int  # pose of the report with which the batch begins
+    rounding: Mapping[str, FloatArray]
 
 
-class Hearing:
-    """Asks witnesses and keeps what comes out.
+class Comparison:
+    """Scores and differences of methods, over all poses added so far.
 
     Parameters
     ----------
     geometry : Geometry
         The manipulator.
-    witnesses : list of Witness
-        Who is asked.
+    methods : sequence of Method
+        The methods to compare.
     progress : callable
-        Called with what is being done, how many steps are done, and of how many.
+        Called with a description of each step.
+
+    Attributes
+    ----------
+    poses, reached, states : int
+        Poses added, those of them with a branch, and configurations at which Jacobians and forces were compared.
+    scores : dict of MethodScore
+        By name of the method.
 
     Raises
     ------
     ArgumentError
-        If two have the same name.
+        If two methods have the same name.
     """
 
-    def __init__(self, geometry: Geometry, witnesses: list[Witness], progress: Progress) -> None:
-        names = [witness.name for witness in witnesses]
+    def __init__(self, geometry: Geometry, methods: Sequence[Method], progress: Progress) -> None:
+        names = [method.name for method in methods]
         if len(set(names)) < len(names):
-            raise ArgumentError("witnesses", "a name of its own for each", names)
-        self.comparisons: list[Comparison] = []
+            raise ArgumentError("methods", "a name of its own for each", names)
+        self.poses = self.reached = self.states = 0
+        self.scores = {method.name: MethodScore(method.name, method.miss_rate) for method in methods}
+        self._differences: dict[tuple[Quantity, str, str], PairDifference] = {}
         self._geometry = geometry
-        self._witnesses = witnesses
+        self._methods = methods
         self._progress = progress
-        self._standings = {w.name: Standing(w.name, allowed=w.miss_rate) for w in witnesses}
+        self._solves_inverse = False
 
     @property
-    def standings(self) -> tuple[Standing, ...]:
-        """What each witness is worth so far."""
-        return tuple(self._standings.values())
+    def differences(self) -> tuple[PairDifference, ...]:
+        """Differences of the pairs, quantity by quantity."""
+        order = list(Quantity)
+        return tuple(sorted(self._differences.values(), key=lambda pair: order.index(pair.quantity)))
 
-    def branches(self, sample: RigidTransform) -> Configuration:
-        """Ask for the branches of poses (N,); return those that are proved, NaN elsewhere, shape (N * 8,).
+    def add(self, poses: RigidTransform, asked: Mapping[str, BoolArray], rng: np.random.Generator) -> None:
+        """Compare the methods at poses (n,), each solving those of its mask `asked` (n,).
 
-        A branch is proved by the first witness whose state closes to rounding and is isolated.
+        Raises
+        ------
+        ArgumentError
+            If no method solves the inverse displacement.
         """
-        answers = {w.name: a for w in self._witnesses if (a := self._ask(w, sample)) is not None}
-        if not answers:
-            names = [witness.name for witness in self._witnesses]
-            raise ArgumentError("witnesses", "one at least that solves the inverse displacement", names)
-        witnesses = [witness for witness in self._witnesses if witness.name in answers]
-        real = {w.name: self._closing(w, answers[w.name]) for w in witnesses}
-        joints = np.full((len(sample) * _PLACES, 3, 3), np.nan)
-        # A pose with a continuous family has no list of branches to compare.
-        regular = np.ones(len(sample) * _PLACES, dtype=bool)
-        for witness in reversed(witnesses):
-            answer = answers[witness.name]
-            joints[real[witness.name]] = answer.states.middle_joints[real[witness.name]]
-            regular &= np.repeat(answer.status != Status.DEGENERATE, _PLACES)
-        joints[~regular] = np.nan
-        first = next(iter(answers.values())).states
-        proved = Configuration.from_arrays(self._geometry, first.rotation, first.translation, joints)
-        for witness in witnesses:
-            self._judge(witness, answers[witness.name], real[witness.name], proved)
-        states = self._existing(proved)
-        values = {name: a.states.middle_joints.reshape(-1, 9)[states.place] for name, a in answers.items()}
-        self._compare(Quantity.POSITIONS, states, values, Conditioning.of(states.configuration).position)
-        return proved
+        states = self._compare_branches(poses, asked)
+        if len(states.place):
+            self._compare_rates_and_forces(states, rng)
+        self.poses += len(poses)
+        self.reached += len(np.unique(states.place // _BRANCHES))
+        self.states += len(states.place)
 
-    def states(self, proved: Configuration, rng: np.random.Generator) -> int:
-        """Ask about Jacobians and forces at the states that exist, and return how many there are."""
-        states = self._existing(proved)
+    def _compare_branches(self, poses: RigidTransform, asked: Mapping[str, BoolArray]) -> _States:
+        """Solve poses (n,) by every method and return the states that are proved.
+
+        A branch is proved by the first method whose state closes to rounding and is isolated.
+        """
+        answers = {m.name: a for m in self._methods if (a := self._solve(m, poses, asked[m.name])) is not None}
+        self._solves_inverse |= bool(answers)
+        if not self._solves_inverse:
+            raise ArgumentError("methods", "one at least that solves the inverse displacement", list(self.scores))
+        joints = np.full((len(poses) * _BRANCHES, 3, 3), np.nan)
+        # A pose with a continuous family has no list of branches to compare.
+        regular = np.ones(len(joints), dtype=bool)
+        for answer in reversed(answers.values()):
+            with np.errstate(invalid="ignore"):
+                closed = answer.states.closure_residual <= ROWS * answer.rounding
+            certain = closed & Conditioning.of(answer.states).resolves(answer.rounding)
+            joints[certain] = answer.states.middle_joints[certain]
+            regular &= np.repeat(answer.status != Status.DEGENERATE, _BRANCHES)
+        joints[~regular] = np.nan
+        proved = self._configuration(poses, joints)
+        for method in self._methods:
+            if method.name in answers:
+                self._score(method, answers[method.name], proved)
+        place = np.flatnonzero(proved.exists)
+        configuration = proved[place]
+        states = _States(configuration, place, self.poses, {m.name: m.rounding(configuration) for m in self._methods})
+        values = {name: a.states.middle_joints.reshape(-1, 9)[place] for name, a in answers.items()}
+        self._compare(Quantity.POSITIONS, states, values, Conditioning.of(configuration).position)
+        return states
+
+    def _compare_rates_and_forces(self, states: _States, rng: np.random.Generator) -> None:
+        """Compare inverse Jacobians, leg forces under random wrenches, and states assembled from joint values."""
         configuration, count = states.configuration, len(states.place)
-        if not count:
-            return 0
         conditioning = Conditioning.of(configuration)
         side = self._geometry.middle_side
         wrench = _FORCE * rng.uniform(-1.0, 1.0, (count, 6)) * np.repeat([1.0, side], 3)
         rates: dict[str, FloatArray] = {}
         forces: dict[str, FloatArray] = {}
         assembled: dict[str, FloatArray] = {"asked for": _points(configuration)}
-        for witness in self._witnesses:
-            self._progress(f"{witness.name}: Jacobians and forces", 0, count)
-            jacobian, force = witness.inverse_jacobian(configuration), witness.leg_forces(configuration, wrench)
-            built = witness.assembled(configuration)
+        for method in self._methods:
+            self._progress(f"{method.name}: Jacobians and forces")
+            jacobian, force = method.inverse_jacobian(configuration), method.leg_forces(configuration, wrench)
+            built = method.assembled(configuration)
             if jacobian is not None:
-                rates[witness.name] = (jacobian / np.repeat([1.0, side], 3)).reshape(-1, 36)
+                rates[method.name] = (jacobian / np.repeat([1.0, side], 3)).reshape(-1, 36)
             if force is not None:
-                forces[witness.name] = force
+                forces[method.name] = force
             if built is not None:
-                assembled[witness.name] = _points(built)
-            self._progress(f"{witness.name}: Jacobians and forces", count, count)
+                assembled[method.name] = _points(built)
         self._compare(Quantity.JACOBIAN, states, rates, conditioning.rates)
         size = np.nanmax([np.zeros(count), *(np.linalg.norm(force, axis=-1) for force in forces.values())], axis=0)
         self._compare(Quantity.FORCES, states, forces, lambda rounding: conditioning.forces(rounding) * size)
         self._compare(Quantity.ASSEMBLY, states, assembled, lambda rounding: ROWS * rounding)
-        return count
 
-    def _ask(self, witness: Witness, sample: RigidTransform) -> _Answer | None:
-        total = len(sample)
-        count = max(1, round(witness.share * total))
-        matrix = sample.as_matrix()
-        joints = np.full((total, _PLACES, 3, 3), np.nan)
-        status = np.full(total, Status.UNSOLVED, dtype=np.int8)
-        for begin in range(0, count, _CHUNK):
-            self._progress(f"{witness.name}: branches", begin, count)
-            part = slice(begin, min(begin + _CHUNK, count))
-            solutions = witness.inverse(sample[part])
-            if solutions is None:
-                return None
-            joints[part], status[part] = solutions.middle_joints, solutions.status
-        self._progress(f"{witness.name}: branches", count, count)
-        repeated = np.repeat(matrix, _PLACES, axis=0)
-        flat = joints.reshape(-1, 3, 3)
-        states = Configuration.from_arrays(self._geometry, repeated[:, :3, :3], repeated[:, :3, 3], flat)
-        return _Answer(states, np.arange(total) < count, status)
+    def _configuration(self, poses: RigidTransform, joints: FloatArray) -> Configuration:
+        matrix = np.repeat(poses.as_matrix(), _BRANCHES, axis=0)
+        return Configuration.from_arrays(self._geometry, matrix[:, :3, :3], matrix[:, :3, 3], joints)
 
-    def _closing(self, witness: Witness, answer: _Answer) -> BoolArray:
-        """Tell which states (N * 8,) of a witness are proved."""
-        states = answer.states
+    def _solve(self, method: Method, poses: RigidTransform, asked: BoolArray) -> _Answer | None:
+        """Return a method's branches of poses (n,); None if it solves none of them."""
+        if not asked.any():
+            return None
+        self._progress(f"{method.name}: branches")
+        solutions = method.inverse(poses[asked])
+        if solutions is None:
+            return None
+        joints = np.full((len(poses), _BRANCHES, 3, 3), np.nan)
+        status = np.full(len(poses), Status.UNSOLVED, dtype=np.int8)
+        joints[asked], status[asked] = solutions.middle_joints, solutions.status
+        states = self._configuration(poses, joints.reshape(-1, 3, 3))
         with np.errstate(invalid="ignore"):
-            rounding = witness.rounding(states)
-            closed = states.closure_residual <= ROWS * rounding
-            return np.asarray(closed & Conditioning.of(states).told_apart(rounding))
+            return _Answer(states, asked, status, method.rounding(states))
 
-    def _judge(self, witness: Witness, answer: _Answer, real: BoolArray, proved: Configuration) -> None:
-        """Count what a witness invented, and what it missed though its arithmetic could have told it apart."""
-        shown, rounding = answer.states.exists, witness.rounding(answer.states)
+    def _score(self, method: Method, answer: _Answer, proved: Configuration) -> None:
+        """Count the branches a method invented, and those it missed although its arithmetic resolves them."""
+        found = answer.states.exists
         with np.errstate(invalid="ignore"):
-            share = answer.states.closure_residual / (ROWS * rounding)
-            invented = shown & (share > 1.0)
-            could = Conditioning.of(proved).told_apart(witness.rounding(proved))
-        lacking = (proved.exists & could & ~shown).reshape(-1, _PLACES).any(axis=-1) & answer.asked
-        wrong = invented.reshape(-1, _PLACES).any(axis=-1)
-        poses = np.flatnonzero(wrong) if wrong.any() else np.flatnonzero(lacking)
-        self._standings[witness.name] = replace(
-            self._standings[witness.name],
-            solved=int(answer.asked.sum()),
-            abstained=int((answer.asked & (answer.status == Status.UNSOLVED)).sum()),
-            branches=int(shown.sum()),
-            invented=int(invented.sum()),
-            missed=int(lacking.sum()),
-            residual=float(np.nanmax(share, initial=0.0)),
-            pose=int(poses[0]) if poses.size else -1,
+            share = answer.states.closure_residual / (ROWS * answer.rounding)
+            resolved = Conditioning.of(proved).resolves(method.rounding(proved))
+        invented = found & (share > 1.0)
+        missed = (proved.exists & resolved & ~found).reshape(-1, _BRANCHES).any(axis=-1) & answer.asked
+        self.scores[method.name] = self.scores[method.name].combined(
+            MethodScore(
+                method.name,
+                solved=int(answer.asked.sum()),
+                unsolved=int((answer.asked & (answer.status == Status.UNSOLVED)).sum()),
+                branches=int(found.sum()),
+                invented=int(invented.sum()),
+                missed=int(missed.sum()),
+                residual=float(np.nanmax(share, initial=0.0)),
+                invented_at=self._first_pose(invented.reshape(-1, _BRANCHES).any(axis=-1)),
+                missed_at=self._first_pose(missed),
+            )
         )
 
-    def _existing(self, proved: Configuration) -> _States:
-        place = np.flatnonzero(proved.exists)
-        configuration = proved[place]
-        return _States(configuration, place, {w.name: w.rounding(configuration) for w in self._witnesses})
+    def _first_pose(self, marked: BoolArray) -> int:
+        return self.poses + int(marked.argmax()) if marked.any() else -1
 
     def _compare(
         self,
@@ -199,10 +213,11 @@ class Hearing:
         values: Mapping[str, FloatArray],
         error: Callable[[FloatArray], FloatArray],
     ) -> None:
-        """Compare values (m, k) of every pair, and blame whoever has fewer on its side."""
-        allowance = {name: error(states.roundings.get(name, np.zeros(len(states.place)))) for name in values}
-        support = {name: np.zeros(len(states.place), dtype=int) for name in values}
-        opposed = {name: np.zeros(len(states.place), dtype=bool) for name in values}
+        """Compare the values (m, k) of every pair, and attribute outliers by majority."""
+        count = len(states.place)
+        allowance = {name: error(states.rounding.get(name, np.zeros(count))) for name in values}
+        support = {name: np.zeros(count, dtype=int) for name in values}
+        opposed = {name: np.zeros(count, dtype=bool) for name in values}
         for first, second in combinations(values, 2):
             difference = np.linalg.norm(values[first] - values[second], axis=-1)
             tolerance = allowance[first] + allowance[second]
@@ -216,28 +231,27 @@ class Hearing:
             if not both.any():
                 continue
             k = int(ratio.argmax())
-            pose, branch = divmod(int(states.place[k]), _PLACES)
-            self.comparisons.append(
-                Comparison(
-                    quantity,
-                    first,
-                    second,
-                    int(both.sum()),
-                    int(apart.sum()),
-                    float(difference[k]),
-                    float(tolerance[k]),
-                    pose,
-                    BRANCHES[branch],
-                )
+            pose, branch = divmod(int(states.place[k]), _BRANCHES)
+            pair = PairDifference(
+                quantity,
+                first,
+                second,
+                compared=int(both.sum()),
+                disagreements=int(apart.sum()),
+                worst=float(difference[k]),
+                tolerance=float(tolerance[k]),
+                pose=states.first + pose,
+                branch=BRANCHES[branch],
             )
-        if not values:
-            return
-        strongest = np.max(list(support.values()), axis=0)
-        for name in self._standings.keys() & values.keys():
-            # Two who contradict each other and no third: either may be wrong.
+            key = (quantity, first, second)
+            before = self._differences.get(key)
+            self._differences[key] = pair if before is None else before.combined(pair)
+        strongest = np.max(list(support.values()), axis=0, initial=0)
+        for name in self.scores.keys() & values.keys():
+            # Where two contradict each other and no third decides, either may be wrong.
             lost = opposed[name] & ((support[name] < strongest) | (strongest == 0))
-            standing = self._standings[name]
-            self._standings[name] = replace(standing, blame=standing.blame + int(lost.sum()))
+            score = self.scores[name]
+            self.scores[name] = replace(score, outvoted=score.outvoted + int(lost.sum()))
 
 
 def _points(configuration: Configuration) -> FloatArray:

@@ -1,8 +1,8 @@
-"""Who can be asked about the robot, and what each has to say.
+"""Independent methods that answer the same questions about the robot.
 
-Witnesses share types and no code. Each answers what it can and returns None otherwise, states how large a closure
-residual its arithmetic may leave, and how often its route may lose a branch. Heavy libraries are imported by the
-witness that needs them, when it is made.
+They share types and no code. Each answers what it can and returns None otherwise, states how large a closure residual
+its arithmetic may leave, and how often its route may lose a branch. Large libraries are imported by the method that
+needs them, when it is made.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -27,41 +27,35 @@ from spm_pin.paper import resultant
 from spm_pin.paper.jacobian import CORRECT, J_f, Table5Mistakes
 from spm_pin.paper.statics import f_r
 
-__all__ = ["WITNESSES", "ClosedForm", "Ipopt", "Nlp", "Paper", "Pinocchio", "Witness", "make", "reach"]
+__all__ = ["METHODS", "ClosedForm", "Ipopt", "Method", "Nlp", "Paper", "Pinocchio", "make_methods"]
 
 ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 """What a backward stable route leaves in a closure equation, relative to the robot's size: the closed form's worst
 over 10⁵ poses is 45 eps, see `docs/theory/inverse_displacement.md`."""
-
-
 _REFINE = 30
 """Newton steps on Eq. (13): near a double root four leave residuals a thousand times what rounding does."""
 
 
-def reach(configuration: Configuration) -> FloatArray:
-    """Return the size of the numbers in the loop equations [m], shape (...)."""
-    geometry = configuration.geometry
-    fixed = geometry.base_radius + geometry.platform_radius + geometry.middle_side
-    far = np.linalg.norm(configuration.translation, axis=-1)
-    return np.asarray(fixed + far + np.abs(configuration.middle_joints).max(axis=(-1, -2)))
-
-
-class Witness(Protocol):
-    """Something that answers questions about the robot by a route of its own.
+@dataclass
+class Method:
+    """A method to compare; a subclass overrides what it can answer.
 
     Attributes
     ----------
+    geometry : Geometry
+        The manipulator.
     name : str
-        How the report calls it.
+        Name in the report.
     miss_rate : float
         Share of poses at which its route may lose branches.
     share : float
         Share of the poses it is asked to solve, less than one where that takes long.
     """
 
-    name: str
-    miss_rate: float
-    share: float
+    geometry: Geometry
+    name: str = ""
+    miss_rate: float = 0.0
+    share: float = 1.0
 
     def inverse(self, pose: RigidTransform) -> SolutionSet | None:
         """Return the branches of poses (N,)."""
@@ -76,22 +70,27 @@ class Witness(Protocol):
         return None
 
     def assembled(self, configuration: Configuration) -> Configuration | None:
-        """Return states (N,) as a model of its own puts them together from their joint values."""
+        """Return states (N,) as the method's own model assembles them from their joint values."""
         return None
 
     def rounding(self, configuration: Configuration) -> FloatArray:
         """Return the closure residual [m] that its arithmetic may leave at states (N,)."""
-        return ROUNDING * reach(configuration)
+        return ROUNDING * _magnitude(configuration)
+
+
+def _magnitude(configuration: Configuration) -> FloatArray:
+    """Return the size of the numbers in the loop equations [m], shape (...)."""
+    geometry = configuration.geometry
+    fixed = geometry.base_radius + geometry.platform_radius + geometry.middle_side
+    distance = np.linalg.norm(configuration.translation, axis=-1)
+    return np.asarray(fixed + distance + np.abs(configuration.middle_joints).max(axis=(-1, -2)))
 
 
 @dataclass
-class ClosedForm(Witness):
+class ClosedForm(Method):
     """Four quadratics, and forces through the ball joints: `spm_pin.closed_form`."""
 
-    geometry: Geometry
     name: str = "closed form"
-    miss_rate: float = 0.0
-    share: float = 1.0
 
     def inverse(self, pose: RigidTransform) -> SolutionSet:
         """Solve poses (N,)."""
@@ -107,17 +106,15 @@ class ClosedForm(Witness):
 
 
 @dataclass
-class Paper(Witness):
+class Paper(Method):
     """The paper's octic, its 9 x 9 Jacobian and its statics: `spm_pin.paper`.
 
     Its route loses branches in floating point, at up to 4 % of all poses: see `docs/theory/inverse_displacement.md`.
     """
 
-    geometry: Geometry
-    mistakes: Table5Mistakes = CORRECT
     name: str = "paper"
     miss_rate: float = 0.05
-    share: float = 1.0
+    mistakes: Table5Mistakes = CORRECT
 
     def inverse(self, pose: RigidTransform) -> SolutionSet:
         """Solve poses (N,)."""
@@ -136,24 +133,22 @@ class Paper(Witness):
         return _each(forces, configuration, wrench)
 
     def rounding(self, configuration: Configuration) -> FloatArray:
-        """Allow for Eq. (13), whose coefficients are squares of the lines' slopes against the horizontal."""
+        """Return the closure residual [m], with the squared slopes of the lines in the coefficients of Eq. (13)."""
         along = np.cross(configuration.geometry.revolute_axes, configuration.platform_axes)
         with np.errstate(divide="ignore"):
             slope = np.abs(along[..., 2]) / np.linalg.norm(along[..., :2], axis=-1)
         squared = 1.0 + (slope**2).max(axis=-1)
-        scale = reach(configuration) / configuration.geometry.middle_side
-        return np.asarray(ROUNDING * reach(configuration) * scale * squared)
+        scale = _magnitude(configuration) / configuration.geometry.middle_side
+        return np.asarray(ROUNDING * _magnitude(configuration) * scale * squared)
 
 
 @dataclass
-class Nlp(Witness):
+class Nlp(Method):
     """CasADi's loop equations, solved by multi-start and differentiated implicitly: `spm_pin.nlp`."""
 
-    geometry: Geometry
-    solver: str = "newton"
     name: str = "nlp"
     miss_rate: float = 1e-3
-    share: float = 1.0
+    solver: str = "newton"
 
     def __post_init__(self) -> None:
         self._nlp = import_module("spm_pin.nlp")
@@ -184,38 +179,34 @@ class Nlp(Witness):
 
 @dataclass
 class Ipopt(Nlp):
-    """The same loop equations solved by IPOPT, which takes some eighty times as long; asked for branches alone."""
+    """The same loop equations solved by IPOPT, which takes some eighty times as long; for branches alone."""
 
-    solver: str = "ipopt"
     name: str = "ipopt"
     miss_rate: float = 1e-2
     share: float = 0.04
+    solver: str = "ipopt"
 
     def inverse_jacobian(self, configuration: Configuration) -> None:
-        """Return None: derivatives are not IPOPT's."""
+        """Return None: IPOPT computes no derivatives of the solution."""
 
     def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> None:
-        """Return None: derivatives are not IPOPT's."""
+        """Return None: IPOPT computes no derivatives of the solution."""
 
 
 @dataclass
-class Pinocchio(Witness):
+class Pinocchio(Method):
     """The spanning tree with closures in Pinocchio: `spm_pin.multibody`. It solves no inverse displacement."""
 
-    geometry: Geometry
     name: str = "pinocchio"
-    miss_rate: float = 0.0
-    share: float = 1.0
 
     def __post_init__(self) -> None:
         self.chain = import_module("spm_pin.multibody.chain").ClosedChain.from_urdf(geometry=self.geometry)
-        self._workspace = self.chain.workspace()
 
     def inverse_jacobian(self, configuration: Configuration) -> FloatArray:
         """Return J_f (N, 6, 6)."""
 
         def one(state: Configuration) -> Any:
-            return self.chain.inverse_jacobian(self.chain.joint_values(state), workspace=self._workspace)
+            return self.chain.inverse_jacobian(self.chain.joint_values(state))
 
         return np.stack([_or_nan(one, (6, 6), state) for state in configuration])
 
@@ -223,16 +214,13 @@ class Pinocchio(Witness):
         """Return forces (N, 6) [N]."""
 
         def one(state: Configuration, load: FloatArray) -> Any:
-            return self.chain.leg_forces(self.chain.joint_values(state), load, workspace=self._workspace)
+            return self.chain.leg_forces(self.chain.joint_values(state), load)
 
         return np.stack([_or_nan(one, (6,), state, load) for state, load in zip(configuration, wrench, strict=True)])
 
     def assembled(self, configuration: Configuration) -> Configuration:
-        """Place states and read them back from the tree."""
-        states = [
-            self.chain.configuration(self.chain.joint_values(state), workspace=self._workspace)
-            for state in configuration
-        ]
+        """Return the configurations that the tree's frames give at the joint values of states (N,)."""
+        states = [self.chain.configuration(self.chain.joint_values(state)) for state in configuration]
         return Configuration.from_arrays(
             configuration.geometry,
             np.stack([state.rotation for state in states]),
@@ -258,42 +246,42 @@ def _or_nan(function: Callable[..., Any], shape: tuple[int, ...], *arguments: An
         return np.full(shape, np.nan)
 
 
-WITNESSES: dict[str, Callable[[Geometry], Witness]] = {
+METHODS: dict[str, Callable[[Geometry], Method]] = {
     "closed-form": ClosedForm,
     "paper": Paper,
     "pinocchio": Pinocchio,
     "nlp": Nlp,
     "ipopt": Ipopt,
 }
-"""By the name they have on the command line."""
+"""Methods by the name they have on the command line."""
 
 
-def make(names: Sequence[str] | None, geometry: Geometry) -> list[Witness]:
-    """Return witnesses by name.
+def make_methods(names: Sequence[Method | str] | None, geometry: Geometry) -> list[Method]:
+    """Return methods by name.
 
     Parameters
     ----------
-    names : sequence of str, optional
-        Of `WITNESSES`; all that can be imported if not given.
+    names : sequence of str or Method, optional
+        Names in `METHODS`, or methods already made; all of `METHODS` that can be imported if not given.
     geometry : Geometry
-        The manipulator they are asked about.
+        The manipulator they are for.
 
     Raises
     ------
     ArgumentError
         If a name is unknown.
     ImportError
-        If a witness asked for by name needs a package that is missing.
+        If a method named needs a package that is missing.
     """
-    unknown = [name for name in names or () if name not in WITNESSES]
+    if names is None:
+        found = []
+        for maker in METHODS.values():
+            try:
+                found.append(maker(geometry))
+            except ImportError:
+                continue
+        return found
+    unknown = [name for name in names if isinstance(name, str) and name not in METHODS]
     if unknown:
-        raise ArgumentError("witnesses", f"of {', '.join(WITNESSES)}", ", ".join(unknown))
-    if names is not None:
-        return [WITNESSES[name](geometry) for name in dict.fromkeys(names)]
-    found = []
-    for maker in WITNESSES.values():
-        try:
-            found.append(maker(geometry))
-        except ImportError:
-            continue
-    return found
+        raise ArgumentError("methods", f"names among {', '.join(METHODS)}", ", ".join(unknown))
+    return [METHODS[name](geometry) if isinstance(name, str) else name for name in names]

@@ -1,11 +1,11 @@
-"""How far two right answers may lie apart: tolerances from conditioning and rounding, none of them chosen.
+"""Tolerances from conditioning and rounding: how far two correct answers may differ.
 
-A witness states the closure residual δ its arithmetic may leave. What that does to an answer is a matter of the
-configuration, not of the witness. The nine loop equations F(b) are quadratic, with |Q(h)| <= q |h|², q = 3/(2d), and
+A method states the closure residual δ its arithmetic may leave. The error this causes in an answer depends on the
+configuration, not on the method. The nine loop equations F(b) are quadratic, with |Q(h)| <= q |h|², q = 3/(2d), and
 their Jacobian F_b has the smallest singular value s; then
 
 - a point with |F| <= δ has a true branch within e = 2δ/(s + √(s² - 4qδ)), if s² > 4qδ (Kantorovich); otherwise
-  two branches cannot be told apart, and they are √(δ/q) away at most;
+  two branches cannot be resolved, and they are √(δ/q) away at most;
 - J_f = l_x - l_b F_b⁻¹ F_x, so entries wrong by ε = δ/l, l the shortest length in them, make it wrong by
   ε (1 + |l_b|/s)(1 + |F_b⁻¹ F_x|) to first order, each norm over nine rows or columns;
 - forces f = -J_f⁻ᵀ w are then wrong by |J_f⁻¹| |ΔJ_f| |f|.
@@ -32,7 +32,7 @@ _SINGULAR = 16.0 * float(np.finfo(np.float64).eps)
 
 @dataclass(frozen=True)
 class Conditioning:
-    """What rounding does at states (N,).
+    """Condition numbers of states (N,), from which errors follow.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Conditioning:
 
     @classmethod
     def of(cls, configuration: Configuration) -> Conditioning:
-        """Measure states (N,); NaN for a member that does not exist."""
+        """Return the conditioning of states (N,); NaN for a member that does not exist."""
         side = configuration.geometry.middle_side
         exists = configuration.exists[:, None, None]
         closure_b, closure_x, lengths_b, lengths_x = (
@@ -75,23 +75,23 @@ class Conditioning:
         sigma, jacobian, norm = (np.where(absent, np.nan, array) for array in (values, spread, inverse))
         return cls(sigma, jacobian, norm, side)
 
-    def told_apart(self, rounding: FloatArray) -> npt.NDArray[np.bool_]:
-        """Tell where a closure residual [m] (N,) leaves a branch isolated."""
+    def resolves(self, rounding: FloatArray) -> npt.NDArray[np.bool_]:
+        """Return whether branches are isolated despite a closure residual [m] (N,)."""
         return np.asarray(self.sigma**2 > 6.0 / self.side * ROWS * rounding)
 
     def position(self, rounding: FloatArray) -> FloatArray:
-        """Return how far the b_i may be off [m], (N,), for a closure residual [m] (N,)."""
+        """Return the error of the b_i [m], (N,), for a closure residual [m] (N,)."""
         delta, q = ROWS * rounding, 1.5 / self.side
         margin = self.sigma**2 - 4.0 * q * delta
         isolated = 2.0 * delta / (self.sigma + np.sqrt(np.maximum(margin, 0.0)))
         return np.where(margin > 0.0, isolated, np.sqrt(delta / q))
 
     def rates(self, rounding: FloatArray) -> FloatArray:
-        """Return how far J_f may be off in norm, angles times d, (N,), for a closure residual [m] (N,)."""
+        """Return the error of J_f in norm, angles times d, (N,), for a closure residual [m] (N,)."""
         return np.asarray(self.jacobian * rounding)
 
     def forces(self, rounding: FloatArray) -> FloatArray:
-        """Return how far forces may be off relative to their norm, (N,), for a closure residual [m] (N,)."""
+        """Return the error of forces relative to their norm, (N,), for a closure residual [m] (N,)."""
         return np.asarray(self.inverse * self.rates(rounding))
 
 
@@ -105,17 +105,17 @@ def _derivatives(configuration: Configuration) -> tuple[FloatArray, FloatArray, 
     closure_b, closure_x = np.zeros((count, 9, 9)), np.zeros((count, 9, 6))
     lengths_b, lengths_x = np.zeros((count, 6, 9)), np.zeros((count, 6, 6))
     for i in range(3):
-        own, follower = slice(3 * i, 3 * i + 3), slice(3 * ((i + 1) % 3), 3 * ((i + 1) % 3) + 3)
-        closure_b[:, i, own] = axes[i]
-        closure_b[:, 3 + i, own] = platform_axes[:, i]
+        leg, following = slice(3 * i, 3 * i + 3), slice(3 * ((i + 1) % 3), 3 * ((i + 1) % 3) + 3)
+        closure_b[:, i, leg] = axes[i]
+        closure_b[:, 3 + i, leg] = platform_axes[:, i]
         between = (b[:, i] - b[:, (i + 1) % 3]) / side
-        closure_b[:, 6 + i, own], closure_b[:, 6 + i, follower] = between, -between
+        closure_b[:, 6 + i, leg], closure_b[:, 6 + i, following] = between, -between
         # n·(b - c) with n and c fixed to m changes by n x (b - o) · ω - n·v.
         closure_x[:, 3 + i, :3] = -platform_axes[:, i]
-        reach = b[:, i] - configuration.translation
-        closure_x[:, 3 + i, 3:] = np.cross(platform_axes[:, i], reach) / side
-        lengths_b[:, i, own] = directions[:, i]
-        lengths_b[:, 3 + i, own] = -directions[:, 3 + i]
+        arm = b[:, i] - configuration.translation
+        closure_x[:, 3 + i, 3:] = np.cross(platform_axes[:, i], arm) / side
+        lengths_b[:, i, leg] = directions[:, i]
+        lengths_b[:, 3 + i, leg] = -directions[:, 3 + i]
         lengths_x[:, 3 + i, :3] = directions[:, 3 + i]
         lengths_x[:, 3 + i, 3:] = np.cross(arms[:, i], directions[:, 3 + i]) / side
     return closure_b, closure_x, lengths_b, lengths_x

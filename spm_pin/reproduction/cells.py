@@ -1,4 +1,4 @@
-"""A cell of the paper's tables: what is printed, what is true, and what is to be said of the difference."""
+"""Cells of the paper's tables: the printed number, the true one, and the verdict on the difference."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["Cell", "Verdict", "matches", "number"]
 
 
 class Verdict(enum.StrEnum):
-    """What a printed cell is found to be."""
+    """Verdict on a printed cell."""
 
     SAME = "same"
     MISPRINT = "misprint"
@@ -37,7 +37,7 @@ class Cell:
 
 
 def matches(published_value: str, recomputed: complex) -> bool:
-    """Tell whether a number rounds to the digits printed; a plain "0" stands for zero itself."""
+    """Return whether a number rounds to the digits printed; a plain "0" stands for zero itself."""
     parts = zip(_parts(published_value), (recomputed.real, recomputed.imag), strict=True)
     return all(_agrees(digits, value) for digits, value in parts)
 

@@ -1,4 +1,4 @@
-"""Table 5: the true rates and forces by three witnesses, and the mistakes that give the printed ones."""
+"""Table 5: the true rates and forces by three methods, and the mistakes that give the printed ones."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _ROWS = ("v", "f")
 
 @dataclass(frozen=True)
 class TrueValue:
-    """One true number of Table 5 as three witnesses find it: cm/s or kN."""
+    """One true number of Table 5 by three methods: cm/s or kN."""
 
     name: str
     paper: float
@@ -49,7 +49,7 @@ class Diagnosis:
 
 def diagnoses(third: Configuration) -> list[Diagnosis]:
     """Find the fewest mistakes that give each printed row of Table 5; none where no combination does."""
-    combinations = sorted((Table5Mistakes(*flags) for flags in product((False, True), repeat=3)), key=_how_many)
+    combinations = sorted((Table5Mistakes(*flags) for flags in product((False, True), repeat=3)), key=_count)
     found = []
     for row, (name, printed) in enumerate(zip(_ROWS, published.TABLE_5, strict=True)):
         for mistakes in combinations:
@@ -60,7 +60,7 @@ def diagnoses(third: Configuration) -> list[Diagnosis]:
     return found
 
 
-def _how_many(mistakes: Table5Mistakes) -> int:
+def _count(mistakes: Table5Mistakes) -> int:
     return sum(getattr(mistakes, field.name) for field in fields(mistakes))
 
 

@@ -1,6 +1,6 @@
-"""The paper's tables recomputed beside what it printed, every difference explained by what the code finds.
+"""Tables 1 to 4 recomputed beside what the paper printed, every difference explained by what the code finds.
 
-Nothing here lists misprints. A cell that differs in its printed digits is searched for a cause in the numbers
+No misprint is listed here. A cell that differs in its printed digits is searched for a cause in the numbers
 themselves: a sign, a shifted column, a cell left empty. What has no cause is `Verdict.UNEXPLAINED`.
 """
 
@@ -24,7 +24,7 @@ from spm_pin.paper import published, resultant
 from spm_pin.reproduction import table_5
 from spm_pin.reproduction.cells import Cell, Verdict, matches, number
 
-__all__ = ["POSE", "TABLES", "MisprintedEquation", "Reproduction", "Witnesses", "reproduce"]
+__all__ = ["POSE", "TABLES", "MisprintedEquation", "Reproduction", "SolvedTwice", "reproduce"]
 
 TABLES = (1, 2, 3, 4, 5)
 POSE = 0
@@ -36,7 +36,7 @@ _COORDINATES = {1: published.TABLE_1, 2: published.TABLE_2, 3: published.TABLE_3
 
 
 @dataclass(frozen=True)
-class Witnesses:
+class SolvedTwice:
     """One solution as the paper's route and the closed form find it, lengths in cm."""
 
     solution: int
@@ -57,16 +57,21 @@ class MisprintedEquation:
 
 @dataclass(frozen=True)
 class Reproduction:
-    """All recomputed cells, and what the two witnesses say of the eight solutions."""
+    """All recomputed cells, and the eight solutions by two methods."""
 
     cells: tuple[Cell, ...]
-    witnesses: tuple[Witnesses, ...]
+    solutions: tuple[SolvedTwice, ...]
     equation_17: MisprintedEquation
     diagnoses: tuple[table_5.Diagnosis, ...] = ()
     true_values: tuple[table_5.TrueValue, ...] = ()
 
+    @property
+    def in_tables(self) -> tuple[Cell, ...]:
+        """Cells of Tables 1 to 5, without the numbers of the example's pose."""
+        return tuple(cell for cell in self.cells if cell.table != POSE)
+
     def table(self, number: int) -> tuple[Cell, ...]:
-        """Return the cells of one table."""
+        """Return the cells of one table; of the example's pose for `POSE`."""
         return tuple(cell for cell in self.cells if cell.table == number)
 
     @property
@@ -98,8 +103,8 @@ def reproduce(tables: Sequence[int] = TABLES) -> Reproduction:
     printed = np.moveaxis(printed, -1, 0)  # (solution, joint, coordinate)
     joints = _in_order_of(printed, resultant.solve(geometry, example) * _CM)
     other = _order(joints, closed)
-    witnesses = tuple(
-        Witnesses(
+    solutions = tuple(
+        SolvedTwice(
             n + 1,
             BRANCHES[other[n]],
             complex(joints[n, 1, 1]),
@@ -128,7 +133,7 @@ def reproduce(tables: Sequence[int] = TABLES) -> Reproduction:
             diagnoses = table_5.diagnoses(third)
             true_values = table_5.true_values(third)
             cells += table_5.rates_and_forces(true_values, diagnoses)
-    return Reproduction(tuple(cells), witnesses, equation, tuple(diagnoses), tuple(true_values))
+    return Reproduction(tuple(cells), solutions, equation, tuple(diagnoses), tuple(true_values))
 
 
 def _count_real(roots: npt.NDArray[np.complex128]) -> int:

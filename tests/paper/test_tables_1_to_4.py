@@ -7,33 +7,31 @@ import pytest
 
 import spm_pin as spm
 from spm_pin.paper import published, resultant
-from spm_pin.reproduction import tables_1_to_4 as reproduction
-from spm_pin.reproduction.cells import Verdict, matches
-from spm_pin.reproduction.tables_1_to_4 import reproduce
+from spm_pin.reproduction import MisprintedEquation, Reproduction, Verdict, matches, reproduce
 
 EXAMPLE = spm.pose(np.array(published.POSITION) / 100, xyx=np.deg2rad(published.XYX_DEGREES))
 
 
 @pytest.fixture(scope="module")
-def found() -> reproduction.Reproduction:
+def found() -> Reproduction:
     return reproduce()
 
 
 @pytest.mark.parametrize(("table", "cells", "wrong"), [(1, 24, 0), (2, 24, 0), (3, 24, 1), (4, 36, 2)])
-def test_every_printed_digit(found: reproduction.Reproduction, table: int, cells: int, wrong: int) -> None:
+def test_every_printed_digit(found: Reproduction, table: int, cells: int, wrong: int) -> None:
     assert len(found.table(table)) == cells
     assert sum(cell.verdict is not Verdict.SAME for cell in found.table(table)) == wrong
     assert not found.unexplained
 
 
-def test_table_3_has_a_flipped_sign(found: reproduction.Reproduction) -> None:
+def test_table_3_has_a_flipped_sign(found: Reproduction) -> None:
     (cell,) = [cell for cell in found.table(3) if cell.verdict is Verdict.MISPRINT]
     assert (cell.row, cell.column, cell.published) == ("b_3 Z", "5", "229.93+8.75i")
     assert matches("229.93-8.75i", cell.recomputed)
     assert "sign of the imaginary part" in cell.note
 
 
-def test_table_4_lost_one_number_and_shifted_another(found: reproduction.Reproduction) -> None:
+def test_table_4_lost_one_number_and_shifted_another(found: Reproduction) -> None:
     empty, shifted = [cell for cell in found.table(4) if cell.verdict is not Verdict.SAME]
     assert (empty.row, empty.column, empty.verdict) == ("r_b1", "6", Verdict.NOT_PRINTED)
     assert (shifted.row, shifted.column, shifted.verdict) == ("r_b2", "6", Verdict.MISPRINT)
@@ -42,15 +40,15 @@ def test_table_4_lost_one_number_and_shifted_another(found: reproduction.Reprodu
     assert matches("177.75", shifted.recomputed)
 
 
-def test_two_witnesses_see_the_same_eight_solutions(found: reproduction.Reproduction) -> None:
-    assert sorted(one.label for one in found.witnesses) == sorted(spm.mechanism.BRANCHES)
+def test_resultant_and_closed_form_find_the_same_eight_solutions(found: Reproduction) -> None:
+    assert sorted(one.label for one in found.solutions) == sorted(spm.mechanism.BRANCHES)
     # cm; the octic of the paper's route costs it about five digits.
-    assert max(one.difference for one in found.witnesses) < 1e-9
-    assert found.witnesses[2].label == "TT+"
+    assert max(one.difference for one in found.solutions) < 1e-9
+    assert found.solutions[2].label == "TT+"
 
 
-def test_equation_17_as_printed_has_no_real_root(found: reproduction.Reproduction) -> None:
-    assert found.equation_17 == reproduction.MisprintedEquation(printed=0, mended=6, true=6)
+def test_equation_17_as_printed_has_no_real_root(found: Reproduction) -> None:
+    assert found.equation_17 == MisprintedEquation(printed=0, mended=6, true=6)
     lines = resultant.Resultant.of(spm.Geometry.paper(), EXAMPLE)
     true = spm.inverse_displacement(spm.Geometry.paper(), EXAMPLE).middle_joints[:, 1, 1]
     true = true[np.isfinite(true)]

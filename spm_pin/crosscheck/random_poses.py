@@ -1,4 +1,4 @@
-"""Poses to ask the witnesses about, made without any of them."""
+"""Random poses for comparisons, made without any of the methods compared."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def on_all_rotations(geometry: Geometry, count: int, rng: np.random.Generator) -
 
 
 def printable(poses: RigidTransform) -> tuple[RigidTransform, FloatArray, FloatArray]:
-    """Return poses (N,) as the command line reads them back, to the last bit.
+    """Return poses (N,) that the command line reproduces to the last bit, and the numbers to type.
 
     Returns
     -------
@@ -82,7 +82,7 @@ def _around_home(geometry: Geometry) -> LegLimits:
 def _stage(
     geometry: Geometry, radius: float, lengths: FloatArray, side: float
 ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-    """Solve stages for the ball joints (n, 3, 3) from leg lengths (n, 3) [m]; and which ones were solved, (n,)."""
+    """Return ball joints (n, 3, 3) [m] of stages with leg lengths (n, 3) [m], and whether Newton's method converged."""
     axes, radial, d = geometry.revolute_axes, geometry.radial_directions, geometry.middle_side
     feet = radius * radial
     mean = np.sqrt((lengths**2).mean(axis=-1))

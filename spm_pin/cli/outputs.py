@@ -1,0 +1,112 @@
+"""Files that subcommands write, and the extras they need: checked before the work, written after it."""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections.abc import Callable, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+import typer
+
+from spm_pin.cli.console import note, to_json
+from spm_pin.errors import ArgumentError, MissingExtraError
+
+__all__ = ["check_output", "name_options", "require_extra", "write_json", "write_text"]
+
+EXTRAS = {
+    "cluster": ("zarr", "xarray", "dask", "distributed"),
+    "plots": ("matplotlib", "trimesh"),
+    "viewer": ("viser", "trimesh"),
+    "workspace": ("trimesh", "skimage"),
+}
+"""Packages that each optional extra brings."""
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def require_extra(extra: str) -> None:
+    """Raise `MissingExtraError` if a package of an extra is not installed; nothing is imported."""
+    for package in EXTRAS[extra]:
+        if find_spec(package) is None:
+            raise MissingExtraError(extra, package)
+
+
+def check_output(path: Path | None, option: str = "--out", endings: Sequence[str] = (), cause: str = "") -> None:
+    """Raise `ArgumentError` if a file cannot be written later: its ending, its folder, its permissions.
+
+    Parameters
+    ----------
+    path : Path, optional
+        The file; None where the option was not given, which is right.
+    option : str
+        Name of the option.
+    endings : sequence of str
+        Endings of the name that are allowed, any if empty.
+    cause : str
+        Added to the message about the ending.
+    """
+    if path is None:
+        return
+    if endings and path.suffix.lower() not in endings:
+        raise ArgumentError(option, f"a file name ending in {', '.join(endings)}", path.name, cause)
+    reason = ""
+    if path.is_dir():
+        reason = "It is a directory"
+    elif not path.parent.is_dir():
+        reason = f"There is no directory {path.parent}"
+    elif not os.access(path if path.exists() else path.parent, os.W_OK):
+        reason = f"No permission to write {path if path.exists() else f'in {path.parent}'}"
+    if reason:
+        raise ArgumentError(option, "a file that can be written", path, reason)
+
+
+def write_text(text: str, path: Path | None, option: str = "--out") -> None:
+    """Write a text file and say so on stderr; without a path, print the text.
+
+    Raises
+    ------
+    ArgumentError
+        If the file cannot be written.
+    """
+    if path is None:
+        typer.echo(text, nl=False)
+        return
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ArgumentError(option, "a file that can be written", path, str(error.strerror)) from error
+    note(f"wrote {path}")
+
+
+def write_json(content: Any, path: Path | None, option: str = "--json") -> None:
+    """Write a JSON file; without a path, print the JSON."""
+    write_text(to_json(content) + "\n", path, option)
+
+
+def name_options(**options: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Decorate a command so that its errors name the options typed, not the arguments of the functions it calls.
+
+    Parameters
+    ----------
+    **options : str
+        The option, such as ``"--out"``, by the argument's name.
+    """
+
+    def decorate(command: Callable[P, R]) -> Callable[P, R]:
+        @functools.wraps(command)
+        def run(*args: P.args, **kwargs: P.kwargs) -> R:
+            try:
+                return command(*args, **kwargs)
+            except ArgumentError as error:
+                if error.argument not in options:
+                    raise
+                option = options[error.argument]
+                raise type(error)(option, error.expected, error.received, error.cause) from error
+
+        return run
+
+    return decorate

@@ -1,0 +1,134 @@
+"""Results of a comparison: per-method scores, and the differences of every pair of methods."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, replace
+
+from scipy.stats import binom
+
+__all__ = ["MethodScore", "PairDifference", "Quantity"]
+
+UNLIKELY = 1e-6
+"""A number of missed branches less probable than this at a method's stated rate counts as a fault."""
+
+
+class Quantity(enum.StrEnum):
+    """Quantities that are compared."""
+
+    POSITIONS = "middle joints"
+    ASSEMBLY = "assembly"
+    JACOBIAN = "inverse Jacobian"
+    FORCES = "leg forces"
+
+    @property
+    def unit(self) -> str:
+        """Unit of the differences."""
+        return {"inverse Jacobian": "", "leg forces": "N"}.get(self.value, "m")
+
+
+@dataclass(frozen=True)
+class PairDifference:
+    """Difference of two methods in one quantity, over all poses.
+
+    Attributes
+    ----------
+    quantity : Quantity
+        What was compared. Differences of Jacobians are norms with angles times d.
+    first, second : str
+        Names of the methods.
+    compared, disagreements : int
+        States at which both answered, and at which they differ by more than the tolerance.
+    worst, tolerance : float
+        Difference and tolerance where their ratio is largest.
+    pose : int
+        Index, in the report, of the pose at which it is largest.
+    branch : str
+        Its branch.
+    """
+
+    quantity: Quantity
+    first: str
+    second: str
+    compared: int
+    disagreements: int
+    worst: float
+    tolerance: float
+    pose: int
+    branch: str
+
+    @property
+    def ratio(self) -> float:
+        """The largest difference in units of its tolerance."""
+        return self.worst / self.tolerance if self.compared else 0.0
+
+    def combined(self, other: PairDifference) -> PairDifference:
+        """Return the difference over the states of both; the pair and the quantity must be the same."""
+        larger = max(self, other, key=lambda pair: pair.ratio)
+        return replace(
+            larger,
+            compared=self.compared + other.compared,
+            disagreements=self.disagreements + other.disagreements,
+        )
+
+
+@dataclass(frozen=True)
+class MethodScore:
+    """What one method found, and what of it was wrong.
+
+    Attributes
+    ----------
+    name : str
+        Name of the method.
+    allowed : float
+        Share of poses at which it may miss a branch, as it states.
+    solved, unsolved : int
+        Poses it was given, and at which it reported that it cannot solve them.
+    branches, invented : int
+        Branches it found, and those of them whose loops do not close.
+    missed : int
+        Poses at which it lacks a branch that another method proved, those left unsolved included.
+    outvoted : int
+        Comparisons at which a majority of the methods contradicts it.
+    residual : float
+        Largest closure residual in units of what it states.
+    invented_at, missed_at : int
+        Pose of the first branch invented, and of the first missed; -1 if there is none.
+    """
+
+    name: str
+    allowed: float = 0.0
+    solved: int = 0
+    unsolved: int = 0
+    branches: int = 0
+    invented: int = 0
+    missed: int = 0
+    outvoted: int = 0
+    residual: float = 0.0
+    invented_at: int = -1
+    missed_at: int = -1
+
+    @property
+    def pose(self) -> int:
+        """Pose of the first branch invented, else of the first missed, else -1."""
+        return self.invented_at if self.invented else self.missed_at
+
+    @property
+    def misses_too_often(self) -> bool:
+        """Whether the misses are more than the stated rate makes likely."""
+        return self.missed > 0 and float(binom.sf(self.missed - 1, self.solved, self.allowed)) < UNLIKELY
+
+    @property
+    def faults(self) -> int:
+        """Number of wrong answers."""
+        return self.invented + self.outvoted + (self.missed if self.misses_too_often else 0)
+
+    def combined(self, later: MethodScore) -> MethodScore:
+        """Return the score over these poses and later ones."""
+        counts = ("solved", "unsolved", "branches", "invented", "missed", "outvoted")
+        sums = {name: getattr(self, name) + getattr(later, name) for name in counts}
+        firsts = {
+            name: later_at if (at := getattr(self, name)) < 0 else at
+            for name, later_at in (("invented_at", later.invented_at), ("missed_at", later.missed_at))
+        }
+        return MethodScore(self.name, self.allowed, **sums, residual=max(self.residual, later.residual), **firsts)
