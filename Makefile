@@ -1,4 +1,4 @@
-# make demo  reproduces the paper and cross-checks the witnesses
+# make demo  reproduces the paper, compares the methods and draws a picture
 # make test  runs the linters, the type checker and the tests
 # make bench measures the package beside its peers, into benchmarks/results.md; make bench BENCH=--quick for a look
 # Each first sets up what it needs in .venv.
@@ -13,8 +13,8 @@ INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt --e
 .PHONY: demo test test-slow bench lint docs figures description clean
 
 demo: $(VENV)/.demo
-	$(BIN)/spm-pin reproduce
-	$(BIN)/spm-pin crosscheck
+	@mkdir -p build
+	@$(BIN)/spm-pin demo --out build/demo.png
 
 test: lint
 	$(BIN)/python -m pytest $(PYTEST) -m "not slow"

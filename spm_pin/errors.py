@@ -147,7 +147,9 @@ class MissingExtraError(SpmError, ImportError):
     def __init__(self, extra: str, package: str) -> None:
         self.extra = extra
         self.package = package
-        super().__init__(f'this needs {package}: pip install "spm-pin[{extra}]"', name=package)
+        # Not published on a package index yet: the advice is for a folder of the sources.
+        advice = f'pip install ".[{extra}]" in the folder of the sources'
+        super().__init__(f"this needs {package}, of the extra {extra}: {advice}", name=package)
 
     def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str]]:
         return type(self), (self.extra, self.package)

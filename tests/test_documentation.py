@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 import spm_pin
-from spm_pin.cli import app
+from spm_pin.cli.application import app
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

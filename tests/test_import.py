@@ -10,7 +10,7 @@ import pytest
 import spm_pin as spm
 
 
-@pytest.mark.parametrize("module", ["spm_pin", "spm_pin.cli"])
+@pytest.mark.parametrize("module", ["spm_pin", "spm_pin.cli.application"])
 def test_nothing_heavy_is_imported(module: str) -> None:
     heavy = ("pinocchio", "casadi", "numba", "llvmlite", "matplotlib", "trimesh", "yourdfpy", "mujoco", "xacro")
     program = f"import sys, {module}; print([m for m in {heavy} if m in sys.modules])"

@@ -261,12 +261,12 @@ def _scripts() -> str:
 def _paper() -> str:
     """Return the paper's tables beside their recomputation."""
     found = reproduce()
-    agreeing = sum(cell.verdict == "same" for cell in found.cells)
+    agreeing = sum(cell.verdict == "same" for cell in found.in_tables)
     lines = [
         "# Table by table",
         "",
         "Computed when this page was built, by the code that `spm-pin reproduce` runs. Lengths in cm, rates in cm/s, "
-        f"forces in kN, as printed. {agreeing} of {len(found.cells)} cells agree in every printed digit; "
+        f"forces in kN, as printed. {agreeing} of {len(found.in_tables)} cells of the tables agree in every printed digit; "
         "[findings](findings.md) explains the others.",
     ]
     for table in sorted({cell.table for cell in found.cells}):

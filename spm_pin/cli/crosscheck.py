@@ -1,120 +1,159 @@
-"""`spm-pin crosscheck`: the witnesses asked about random poses, and every pair of answers compared."""
+"""`spm-pin crosscheck`: independent methods compared on random poses."""
 
 from __future__ import annotations
 
+from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
-from spm_pin.cli.console import new_table, stderr, stdout, write_json
+from spm_pin.cli.console import note, print_lines, print_table, stderr, stdout
 from spm_pin.cli.options import GeometryFile, read_geometry
-from spm_pin.crosscheck.methods import WITNESSES
-from spm_pin.crosscheck.report import Report
-from spm_pin.crosscheck.report import crosscheck as compare
-from spm_pin.errors import ArgumentError
+from spm_pin.cli.outputs import check_output, name_options, require_extra, write_json
+from spm_pin.crosscheck import METHODS, PairDifference, Report, compare_in_batches
+from spm_pin.display.figure_files import FORMATS
+from spm_pin.mechanism import Geometry
 
-__all__ = ["crosscheck"]
+__all__ = ["compare_with_progress", "crosscheck", "print_report", "verdict_line"]
 
 
+@name_options(methods="--method", poses="--poses", path="--figure")
 def crosscheck(
     poses: Annotated[int, typer.Option(min=1, help="Random poses, four fifths of them in leg space.")] = 200,
-    seed: Annotated[int, typer.Option(min=0, help="Of the poses and of the wrenches.")] = 0,
-    witness: Annotated[
-        list[str] | None,
-        typer.Option(help="closed-form, paper, pinocchio, nlp or ipopt; may be repeated. All if not given."),
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the poses and of the wrenches.")] = 0,
+    method: Annotated[
+        list[str] | None, typer.Option(help=f"{', '.join(METHODS)}; may be repeated. All if not given.")
     ] = None,
+    pairs: Annotated[bool, typer.Option("--pairs", help="Show every pair of methods, not only the worst.")] = False,
     geometry: GeometryFile = None,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write everything as JSON.")] = None,
-    html: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write a page for a browser.")] = None,
+    figure: Annotated[Path | None, typer.Option(metavar="FILE", help="Also draw the differences of all pairs.")] = None,
 ) -> None:
-    """Ask independent witnesses the same questions, and see whether they agree.
+    """Solve random poses by independent methods and compare their answers.
 
     Branches, inverse Jacobians and leg forces are compared by pairs, with tolerances from conditioning and rounding.
-    Exits with 1 if anybody is wrong, and says who.
+    Exits with 1 if the methods disagree, and says which is wrong. Interrupted, it reports the poses done so far.
+    --figure needs the extra "plots".
     """
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
-    with Progress(*columns, console=stderr, transient=True) as bar:
-        task = bar.add_task("")
-
-        def progress(what: str, done: int, total: int) -> None:
-            bar.update(task, description=what, completed=done, total=total)
-
-        report = compare(read_geometry(geometry), poses=poses, seed=seed, witnesses=witness, progress=progress)
-    stdout.print(_standings(report))
-    stdout.print(_comparisons(report))
+    check_output(json, "--json")
+    check_output(figure, "--figure", FORMATS)
+    if figure is not None:
+        require_extra("plots")
+    report = compare_with_progress(read_geometry(geometry), poses, seed, method)
+    print_lines([verdict_line(report)], "bold green" if report.agrees else "bold red")
+    stdout.print()
     file = None if geometry is None else str(geometry)
-    for line in _remarks(report, witness is None, file):
-        stdout.print(line, highlight=False, soft_wrap=True)
+    print_report(report, pairs=pairs)
+    for line in _remarks(report, method is None, file):
+        stdout.print(line, soft_wrap=True)
     if json is not None:
         write_json(_content(report, file), json)
-    if html is not None:
-        _write_page(report, html, file)
+    if figure is not None:
+        from spm_pin.display.agreement_plot import save_agreement
+
+        save_agreement(report, figure)
+        note(f"wrote {figure}")
+    if len(report.xyx) < poses:
+        raise typer.Exit(130)
     if not report.agrees:
-        stderr.print(f"[bold red]{escape(report.verdict)}[/]", highlight=False)
         raise typer.Exit(1)
 
 
-def _standings(report: Report) -> Table:
-    table = new_table(f"{len(report.xyx)} poses, {report.reached} reached, {report.states} configurations")
-    table.add_column("witness", style="bold")
-    for heading in ("poses", "branches", "invented", "poses with one missed", "stated"):
-        table.add_column(heading, justify="right")
-    for one in report.standings:
-        if not one.solved:
-            table.add_row(one.name, "-", "-", "-", "-", "-")
-            continue
-        style = "red" if one.invented or one.misses_too_often else None
-        counts = (one.solved, one.branches, one.invented, one.missed)
-        table.add_row(one.name, *map(str, counts), f"{100 * one.allowed:g} %", style=style)
-    return table
+def compare_with_progress(geometry: Geometry, poses: int, seed: int, methods: list[str] | None) -> Report:
+    """Run a comparison with a progress bar; on Ctrl-C return the report of the poses done so far.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If none is done yet.
+    """
+    names = None if methods is None else list(dict.fromkeys(methods))
+    columns = TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
+    report = None
+    with Progress(*columns, console=stderr, transient=True) as bar:
+        task = bar.add_task("", total=poses)
+
+        def progress(step: str, done: int, total: int) -> None:
+            bar.update(task, description=step, completed=done, total=total)
+
+        try:
+            for partial in compare_in_batches(geometry, poses=poses, seed=seed, methods=names, progress=progress):
+                report = partial
+        except KeyboardInterrupt:
+            if report is None:
+                raise
+    assert report is not None
+    return report
 
 
-def _comparisons(report: Report) -> Table:
-    table = new_table("Worst differences, in the last column as a share of the tolerance")
-    table.add_column("quantity")
-    table.add_column("witnesses")
-    for heading in ("states", "differ", "worst", "share"):
-        table.add_column(heading, justify="right")
-    before = None
-    for one in report.comparisons:
-        if before is not None and one.quantity is not before:
-            table.add_section()
-        name = str(one.quantity) if one.quantity is not before else ""
-        before = one.quantity
-        worst = f"{one.worst:.0e} {one.quantity.unit}".strip()
-        table.add_row(
-            name,
-            f"{one.first} - {one.second}",
-            str(one.compared),
-            str(one.disagreements),
-            worst,
-            f"{one.ratio:.0e}",
-            style="red" if one.disagreements else None,
-        )
-    return table
+def verdict_line(report: Report) -> str:
+    """Return the outcome of a comparison in one sentence."""
+    done = len(report.xyx)
+    count = f"{done} random poses" if done == report.requested else f"Interrupted after {done} of {report.requested}"
+    names = ", ".join(score.name for score in report.scores)
+    return f"{count}, {report.states} configurations, by {names}. {report.verdict}"
 
 
-def _remarks(report: Report, everybody: bool, file: str | None) -> list[str]:
-    colour = "green" if report.agrees else "red"
-    lines = [f"[bold {colour}]{escape(report.verdict)}[/]"]
-    absent = [name for name in WITNESSES if name.replace("-", " ") not in {one.name for one in report.standings}]
-    if everybody and absent:
-        lines.append(f"Not asked, for their packages are not installed: {', '.join(absent)}.")
+def print_report(report: Report, *, pairs: bool = False) -> None:
+    """Print the scores of the methods, and the differences of all pairs or the largest of each quantity."""
+    rows, styles = [], {}
+    for k, score in enumerate(report.scores):
+        if score.solved:
+            counts = (score.solved, score.branches, score.invented, score.missed)
+            rows.append([score.name, *map(str, counts), f"{100 * score.allowed:g} %"])
+        else:
+            rows.append([score.name, *["-"] * 5])
+        if score.invented or score.misses_too_often:
+            styles[k] = "red"
+    headings = ["method", "poses solved", "branches", "false", "poses with one lost", "known rate"]
+    print_table("Inverse displacement by each method", headings, rows, styles=styles)
+    shown: list[PairDifference] = []
+    rules = []
+    for _, group in groupby(report.differences, key=lambda pair: pair.quantity):
+        of_quantity = list(group)
+        rules.append(len(shown))
+        shown += of_quantity if pairs else [max(of_quantity, key=lambda pair: pair.ratio)]
+    rows = [
+        [
+            pair.quantity,
+            f"{pair.first} - {pair.second}",
+            str(pair.compared),
+            str(pair.disagreements),
+            f"{pair.worst:.0e} {pair.quantity.unit}".strip(),
+            f"{pair.ratio:.0e}",
+        ]
+        for pair in shown
+    ]
+    styles = {k: "red" for k, pair in enumerate(shown) if pair.disagreements}
+    which = "Differences of all pairs" if pairs else "Largest difference in each quantity"
+    title = f"{which}, and its share of the tolerance"
+    headings = ["quantity", "methods", "states", "differ", "largest", "share"]
+    print_table(title, headings, rows, left=["methods"], rules=rules[1:] if pairs else (), styles=styles)
+
+
+def _remarks(report: Report, all_methods: bool, file: str | None) -> list[str]:
+    lines = []
+    absent = [name for name in METHODS if name.replace("-", " ") not in {score.name for score in report.scores}]
+    if all_methods and absent:
+        lines.append(f"Left out, since their packages are not installed: {', '.join(absent)}.")
     worst = report.worst
     if worst is not None:
-        what = f"{worst.quantity} of {worst.first} and {worst.second}, branch {worst.branch}"
-        which = "Largest difference" if worst.ratio > 1.0 else "Nearest to a disagreement"
-        lines.append(f"{which}: {what}, {worst.ratio:.0e} of the tolerance:")
+        what = f"{worst.quantity}, {worst.first} and {worst.second}, branch {worst.branch}"
+        which = "Largest difference" if worst.ratio > 1.0 else "Nearest to the tolerance"
+        lines.append(f"{which}: {what}, {worst.ratio:.0e} of it, at the pose")
         lines.append(f"  {report.command(worst.pose, file)}")
-    for one in report.standings:
-        if one.pose >= 0:
-            what = f"invented {one.invented} branch(es)" if one.invented else f"missed branches at {one.missed} pose(s)"
-            lines.append(f"{one.name} {what}, the first at:")
-            lines.append(f"  {report.command(one.pose, file)}")
+    for score in report.scores:
+        if score.pose >= 0:
+            if score.invented:
+                what = f"{score.invented} false branches"
+            elif score.misses_too_often:
+                what = f"branches lost at {score.missed} poses, more often than the {100 * score.allowed:g} % it states"
+            else:
+                what = f"branches lost at {score.missed} poses, within its known rate of {100 * score.allowed:g} %"
+            lines.append(f"{score.name}: {what}. The first is at the pose")
+            lines.append(f"  {report.command(score.pose, file)}")
     return lines
 
 
@@ -123,55 +162,42 @@ def _content(report: Report, file: str | None) -> dict[str, Any]:
     return {
         "agrees": report.agrees,
         "verdict": report.verdict,
-        "culprits": list(report.culprits),
+        "outliers": report.outliers,
         "seed": report.seed,
-        "geometry": {
-            "base_radius": geometry.base_radius,
-            "platform_radius": geometry.platform_radius,
-            "middle_side": geometry.middle_side,
-        },
+        "requested": report.requested,
+        "geometry": {name: getattr(geometry, name) for name in ("base_radius", "platform_radius", "middle_side")},
         "poses": [
             {"translation": translation, "xyx_degrees": xyx}
-            for translation, xyx in zip(report.translation.tolist(), report.xyx.tolist(), strict=True)
+            for translation, xyx in zip(report.translation, report.xyx, strict=True)
         ],
         "reached": report.reached,
         "states": report.states,
-        "witnesses": [
+        "methods": [
             {
-                "name": one.name,
-                "poses": one.solved,
-                "abstained": one.abstained,
-                "branches": one.branches,
-                "invented": one.invented,
-                "missed": one.missed,
-                "stated_miss_rate": one.allowed,
-                "closure_residual_share": one.residual,
-                "outvoted": one.blame,
+                "name": score.name,
+                "poses": score.solved,
+                "unsolved": score.unsolved,
+                "branches": score.branches,
+                "invented": score.invented,
+                "missed": score.missed,
+                "stated_miss_rate": score.allowed,
+                "closure_residual_share": score.residual,
+                "outvoted": score.outvoted,
             }
-            for one in report.standings
+            for score in report.scores
         ],
-        "comparisons": [
+        "differences": [
             {
-                "quantity": str(one.quantity),
-                "witnesses": [one.first, one.second],
-                "states": one.compared,
-                "disagreements": one.disagreements,
-                "worst": one.worst,
-                "tolerance": one.tolerance,
-                "unit": one.quantity.unit,
-                "branch": one.branch,
-                "reproduce": report.command(one.pose, file),
+                "quantity": pair.quantity,
+                "methods": [pair.first, pair.second],
+                "states": pair.compared,
+                "disagreements": pair.disagreements,
+                "worst": pair.worst,
+                "tolerance": pair.tolerance,
+                "unit": pair.quantity.unit,
+                "branch": pair.branch,
+                "reproduce": report.command(pair.pose, file),
             }
-            for one in report.comparisons
+            for pair in report.differences
         ],
     }
-
-
-def _write_page(report: Report, path: Path, file: str | None) -> None:
-    from spm_pin.crosscheck.html import page
-
-    try:
-        path.write_text(page(report, file), encoding="utf-8")
-    except OSError as error:
-        raise ArgumentError("--html", "a file that can be written", path, str(error.strerror)) from error
-    stderr.print(f"wrote {escape(str(path))}")

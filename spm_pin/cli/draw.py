@@ -7,18 +7,24 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from rich.markup import escape
 
-from spm_pin.cli.console import stderr
-from spm_pin.cli.options import Branches, GeometryFile, LengthUnit, Unit, chosen, read_geometry
-from spm_pin.cli.pose_options import AnyLegs, AnyTranslation, AnyXyx, asked_solutions, one_of
+from spm_pin.cli.console import note
+from spm_pin.cli.options import Branches, GeometryFile, LengthUnit, Unit, read_geometry, selected_labels
+from spm_pin.cli.outputs import check_output, name_options, require_extra
+from spm_pin.cli.requested_states import AnyLegs, AnyTranslation, AnyXyx, requested_solutions, select_branch
+from spm_pin.display.figure_files import FORMATS
 from spm_pin.errors import ArgumentError
 
 __all__ = ["draw"]
 
+_WIDEST = 20_000
 
+
+@name_options(
+    path="--out", width="--width", view="--view", translation="--translation", xyx="--xyx", leg_lengths="--legs"
+)
 def draw(
-    out: Annotated[Path, typer.Option(metavar="FILE", help="PNG or SVG to write.")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help=f"Picture to write: {', '.join(FORMATS)}.")],
     translation: AnyTranslation = None,
     xyx: AnyXyx = None,
     legs: AnyLegs = None,
@@ -38,16 +44,21 @@ def draw(
     """Draw the manipulator: the physical branch of a pose, branches by their names, or all of them.
 
     Example: spm-pin draw --out branches.png --all
+
+    Needs the extra "plots".
     """
+    require_extra("plots")
+    check_output(out, "--out", FORMATS)
+    _check_appearance(width, background)
     from spm_pin.display.gallery import save_gallery
     from spm_pin.display.plots import save_picture
 
     if every and branch is not None:
         raise ArgumentError("--all", "all branches or some", "both --all and --branch")
-    solutions, default = asked_solutions(read_geometry(geometry), translation, xyx, legs, unit)
+    solutions, default = requested_solutions(read_geometry(geometry), translation, xyx, legs, unit)
     azimuth, elevation = np.deg2rad(view)
     direction = float(azimuth), float(elevation)
-    labels = chosen(solutions, branch) if every or branch is not None else []
+    labels = selected_labels(solutions, branch) if every or branch is not None else []
     if len(labels) > 1:
         states = {
             label + ", physical" * bool(solutions.is_physical[solutions.labels.index(label)]): solutions[label]
@@ -55,6 +66,16 @@ def draw(
         }
         save_gallery(states, out, view=direction, labels=bool(names), width=width or 1600, background=background)
     else:
-        state = one_of(solutions, default, labels[0] if labels else None)
+        state = select_branch(solutions, default, labels[0] if labels else None)
         save_picture(state, out, view=direction, labels=names is not False, width=width or 1000, background=background)
-    stderr.print(f"wrote {escape(str(out))}")
+    note(f"wrote {out}")
+
+
+def _check_appearance(width: int | None, background: str) -> None:
+    from matplotlib.colors import is_color_like
+
+    if width is not None and width > _WIDEST:
+        raise ArgumentError("--width", f"at most {_WIDEST} pixels", width)
+    if not is_color_like(background):
+        expected = "a colour that matplotlib knows, such as white, #f0f0f0 or none"
+        raise ArgumentError("--background", expected, repr(background))

@@ -1,4 +1,4 @@
-"""`spm-pin export`: the robot, or one of your own, in the format of another engine."""
+"""`spm-pin export`: the robot with its loops closed, in the format of another engine."""
 
 from __future__ import annotations
 
@@ -7,17 +7,16 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.markup import escape
 
-from spm_pin.cli.console import stderr
 from spm_pin.cli.options import GeometryFile, read_geometry
+from spm_pin.cli.outputs import check_output, name_options, write_text
 from spm_pin.errors import ArgumentError
 
 __all__ = ["export"]
 
 
 class Format(enum.StrEnum):
-    """What can be written."""
+    """Formats that can be written."""
 
     URDF = "urdf"
     MJCF = "mjcf"
@@ -27,19 +26,20 @@ class Format(enum.StrEnum):
 
 
 class Anchors(enum.StrEnum):
-    """How MJCF says where a closure is."""
+    """Anchors of closures in MJCF."""
 
     BODIES = "bodies"
     SITES = "sites"
 
 
 class Loops(enum.StrEnum):
-    """How SDFormat closes loops."""
+    """Loop closures in SDFormat."""
 
     JOINTS = "joints"
     DRAKE = "drake"
 
 
+@name_options(prefix="--prefix")
 def export(
     format_: Annotated[Format, typer.Option("--format", help="What to write.")],
     out: Annotated[
@@ -48,7 +48,7 @@ def export(
     prefix: Annotated[str, typer.Option(help="Put before every name, such as left_.")] = "",
     geometry: GeometryFile = None,
     urdf: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="A robot of your own instead of this manipulator.")
+        Path | None, typer.Option(metavar="FILE", help="Another robot instead of this manipulator.")
     ] = None,
     closures: Annotated[
         Path | None,
@@ -72,20 +72,21 @@ def export(
     from spm_pin.description.writers.sdf import sdf_text
     from spm_pin.description.writers.urdf import urdf_text
 
-    own, by = urdf is not None, f"with --format {format_.value}"
-    for option, given, useless, when in (
+    check_output(out)
+    foreign, by = urdf is not None, f"with --format {format_.value}"
+    for option, value, useless, when in (
         ("--ros-constraints", ros_constraints, format_ is not Format.URDF, by),
         ("--anchors", anchors, format_ is not Format.MJCF, by),
         ("--loops", loops, format_ is not Format.SDF, by),
         ("--urdf", urdf, format_ is Format.SRDF, by),
-        ("--closures", closures, not own, "without --urdf"),
-        ("--prefix", prefix, own, "with --urdf"),
-        ("--geometry", geometry, own, "with --urdf"),
+        ("--closures", closures, not foreign, "without --urdf"),
+        ("--prefix", prefix, foreign, "with --urdf"),
+        ("--geometry", geometry, foreign, "with --urdf"),
     ):
-        if given and useless:
-            raise ArgumentError(option, f"to be left out {when}", given)
+        if value and useless:
+            raise ArgumentError(option, f"to be left out {when}", value)
     if format_ is Format.SRDF:
-        _write(srdf_text({}, prefix=prefix), out)
+        write_text(srdf_text({}, prefix=prefix), out)
         return
     robot = manipulator(read_geometry(geometry), prefix=prefix) if urdf is None else read_robot(urdf, closures)
     match format_:
@@ -97,15 +98,4 @@ def export(
             text = sdf_text(robot, loops=(loops or Loops.JOINTS).value)
         case _:
             text = sidecar_text(robot)
-    _write(text, out)
-
-
-def _write(text: str, out: Path | None) -> None:
-    if out is None:
-        typer.echo(text, nl=False)
-        return
-    try:
-        out.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ArgumentError("--out", "a file that can be written", out, str(error.strerror)) from error
-    stderr.print(f"wrote {escape(str(out))}")
+    write_text(text, out)

@@ -6,22 +6,31 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.markup import escape
-from rich.table import Table
 
-from spm_pin.cli.console import new_table, stdout, to_json
-from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Unit, read_geometry
+from spm_pin.cli.console import fixed, print_lines, print_table, to_json
+from spm_pin.cli.options import (
+    DECIMALS,
+    AsJson,
+    GeometryFile,
+    LengthUnit,
+    SixLegs,
+    Unit,
+    degeneracy_remarks,
+    exit_code,
+    read_geometry,
+    unit_hint,
+)
+from spm_pin.cli.outputs import name_options
 from spm_pin.closed_form.forward_displacement import forward_displacement, forward_physical
 from spm_pin.mechanism import Configuration, SolutionSet, Status
 
 __all__ = ["forward"]
 
-_DIGITS = {LengthUnit.M: 5, LengthUnit.CM: 3, LengthUnit.MM: 2}
 
-
+@name_options(leg_lengths="--legs")
 def forward(
     legs: Annotated[
-        tuple[float, float, float, float, float, float],
+        SixLegs,
         typer.Option(metavar="B1 B2 B3 C1 C2 C3", help="Leg lengths r_b1 to r_b3 and r_c1 to r_c3, in --unit."),
     ],
     every: Annotated[
@@ -39,14 +48,14 @@ def forward(
     dimensions = read_geometry(geometry)
     modes = forward_displacement(dimensions, lengths)
     physical = forward_physical(dimensions, lengths)
-    if json:
-        typer.echo(to_json(_content(modes, physical, every, unit)))
-        return
     shown = _states(modes, physical, every)
-    if shown:
-        stdout.print(_table(shown, unit, "Assembly modes" if every else "The physical configuration"))
-    for line in _remarks(modes, physical, unit):
-        stdout.print(escape(line), highlight=False)
+    if json:
+        typer.echo(to_json(_content(modes, shown, unit)))
+    else:
+        if shown:
+            _print_states(shown, unit, "Assembly modes" if every else "The physical configuration")
+        print_lines(_remarks(modes, physical, unit_hint("--legs", max(legs), unit, dimensions)))
+    raise typer.Exit(exit_code(modes))
 
 
 def _states(modes: SolutionSet, physical: Configuration, every: bool) -> list[tuple[str, Configuration, bool]]:
@@ -61,58 +70,49 @@ def _angles(state: Configuration) -> list[float]:
     return [float(angle) for angle in state.pose.rotation.as_euler("XYX", degrees=True, suppress_warnings=True)]
 
 
-def _table(states: list[tuple[str, Configuration, bool]], unit: LengthUnit, title: str) -> Table:
-    table = new_table(f"{title}: o in {unit}, X-Y-X in degrees")
-    table.add_column("mode", style="bold")
-    for heading in ("X", "Y", "Z", "alpha", "beta", "lambda"):
-        table.add_column(heading, justify="right")
-    table.add_column("")
-    # One digit more where there is room for it in 80 columns.
-    finer = len(states) == 1
+def _print_states(states: list[tuple[str, Configuration, bool]], unit: LengthUnit, title: str) -> None:
+    rows = []
     for label, state, physical in states:
-        position = [f"{x * unit.per_metre:.{_DIGITS[unit] + finer}f}" for x in state.translation]
-        angles = [f"{angle:.{3 + finer}f}" for angle in _angles(state)]
-        table.add_row(label, *position, *angles, "physical" if physical else "")
-    return table
+        # One digit more where there is room for it in 80 columns.
+        finer = int(len(states) == 1)
+        position = [fixed(x * unit.per_metre, DECIMALS[unit] + finer) for x in state.translation]
+        angles = [fixed(angle, 3 + finer) for angle in _angles(state)]
+        rows.append([label, *position, *angles, "physical" if physical else ""])
+    headings = ["mode", "X", "Y", "Z", "alpha", "beta", "lambda", ""]
+    print_table(f"{title}: o in {unit}, X-Y-X in degrees", headings, rows, left=[""])
 
 
-def _remarks(modes: SolutionSet, physical: Configuration, unit: LengthUnit) -> list[str]:
+def _remarks(modes: SolutionSet, physical: Configuration, hint: str) -> list[str]:
     remarks = [f"status: {modes.status}, {modes.count} of 256 assembly modes real"]
     if modes.count:
         remarks[0] += f", closure residual up to {np.nanmax(modes.residual):.0e} m"
-    if modes.status is Status.DEGENERATE and modes.degeneracy is not None:
-        families = [f for f, hit in zip(("TT", "TF", "FT", "FF"), modes.degeneracy.families, strict=True) if hit]
-        remarks.append(
-            f"With these legs locked the platform can still move: the solutions of {', '.join(families)} form a "
-            f"continuous family of dimension {int(modes.degeneracy.dimension)}, of which none is picked."
-        )
+    if modes.status is Status.DEGENERATE:
+        remarks += ["With these legs locked the platform can still move.", *degeneracy_remarks(modes)]
     if modes.status is Status.UNREACHABLE:
-        remarks.append("A stage cannot be closed with these leg lengths.")
-        if unit is LengthUnit.M:
-            remarks.append("They were read in metres; see --unit.")
+        remarks.append(hint or "A stage cannot be closed with these leg lengths.")
     elif not physical.exists:
         remarks.append("No mode is reached from the symmetric home without a forward singularity.")
     return remarks
 
 
-def _content(modes: SolutionSet, physical: Configuration, every: bool, unit: LengthUnit) -> dict[str, Any]:
+def _content(modes: SolutionSet, shown: list[tuple[str, Configuration, bool]], unit: LengthUnit) -> dict[str, Any]:
     degeneracy = modes.degeneracy
     assert degeneracy is not None
     return {
-        "unit": str(unit),
+        "unit": unit,
         "status": str(modes.status),
-        "count": int(modes.count),
-        "degeneracy": {"dimension": int(degeneracy.dimension), "families": degeneracy.families.tolist()},
+        "count": modes.count,
+        "degeneracy": {"dimension": degeneracy.dimension, "families": degeneracy.families},
         "modes": [
             {
                 "label": label,
-                "translation": (state.translation * unit.per_metre).tolist(),
+                "translation": state.translation * unit.per_metre,
                 "xyx": _angles(state),
-                "rotation": state.rotation.tolist(),
-                "middle_joints": (state.middle_joints * unit.per_metre).tolist(),
+                "rotation": state.rotation,
+                "middle_joints": state.middle_joints * unit.per_metre,
                 "physical": is_physical,
-                "residual": float(state.closure_residual) * unit.per_metre,
+                "residual": state.closure_residual * unit.per_metre,
             }
-            for label, state, is_physical in _states(modes, physical, every)
+            for label, state, is_physical in shown
         ],
     }

@@ -6,17 +6,30 @@ from typing import Any
 
 import numpy as np
 import typer
-from rich.markup import escape
-from rich.table import Table
 
-from spm_pin.cli.console import new_table, stdout, to_json
-from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Translation, Unit, Xyx, read_geometry, read_pose
+from spm_pin.cli.console import fixed, print_lines, print_table, to_json
+from spm_pin.cli.options import (
+    DECIMALS,
+    AsJson,
+    GeometryFile,
+    LengthUnit,
+    Translation,
+    Unit,
+    Xyx,
+    degeneracy_remarks,
+    exit_code,
+    read_geometry,
+    read_pose,
+    unit_hint,
+)
+from spm_pin.cli.outputs import name_options
 from spm_pin.closed_form.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import LEGS, SolutionSet, Status
 
 __all__ = ["inverse"]
 
 
+@name_options(translation="--translation", xyx="--xyx")
 def inverse(
     translation: Translation,
     xyx: Xyx,
@@ -28,50 +41,43 @@ def inverse(
 
     Example, the paper's: spm-pin inverse --translation 68.89 49.63 225.3 --xyx -11.08 32.97 -12.88 --unit cm
     """
-    solutions = inverse_displacement(read_geometry(geometry), read_pose(translation, xyx, unit))
+    dimensions = read_geometry(geometry)
+    solutions = inverse_displacement(dimensions, read_pose(translation, xyx, unit))
     if json:
         typer.echo(to_json(_content(solutions, unit)))
-        return
-    if solutions.count:
-        stdout.print(_table(solutions, unit))
-    for line in _remarks(solutions):
-        stdout.print(escape(line), highlight=False)
+    else:
+        if solutions.count:
+            _print_branches(solutions, unit)
+        hint = unit_hint("--translation", translation, unit, dimensions)
+        print_lines(_remarks(solutions, hint))
+    raise typer.Exit(exit_code(solutions))
 
 
-def _table(solutions: SolutionSet, unit: LengthUnit) -> Table:
-    table = new_table(f"Real branches: leg lengths in {unit}")
-    table.add_column("branch", style="bold")
-    for leg in LEGS:
-        table.add_column(leg, justify="right")
-    table.add_column("")
+def _print_branches(solutions: SolutionSet, unit: LengthUnit) -> None:
     limits = solutions.geometry.limits
-    digits = {LengthUnit.M: 5, LengthUnit.CM: 3, LengthUnit.MM: 2}[unit]
+    rows = []
     for k in np.flatnonzero(solutions.exists):
         lengths = solutions.leg_lengths[k]
         beyond = np.zeros(6, bool) if limits is None else (lengths < limits.minimum) | (lengths > limits.maximum)
         texts = [
-            f"{x * unit.per_metre:.{digits}f}{'*' if far else ' '}" for x, far in zip(lengths, beyond, strict=True)
+            fixed(x * unit.per_metre, DECIMALS[unit]) + ("*" if far else " ")
+            for x, far in zip(lengths, beyond, strict=True)
         ]
-        table.add_row(solutions.labels[k], *texts, "physical" if solutions.is_physical[k] else "")
-    return table
+        rows.append([solutions.labels[k], *texts, "physical" if solutions.is_physical[k] else ""])
+    # The space stands for the mark of a leg beyond its limits.
+    headings = ["branch", *(f"{leg} " for leg in LEGS), ""]
+    print_table(f"Real branches: leg lengths in {unit}", headings, rows, left=[""])
 
 
-def _remarks(solutions: SolutionSet) -> list[str]:
+def _remarks(solutions: SolutionSet, hint: str) -> list[str]:
     remarks = [f"status: {solutions.status}, {solutions.count} of 8 branches real"]
     if solutions.count:
         remarks[0] += f", closure residual up to {np.nanmax(solutions.residual):.0e} m"
     if not np.array_equal(solutions.within().exists, solutions.exists):
         remarks.append("* beyond the limits of this leg")
-    if solutions.status is Status.DEGENERATE and solutions.degeneracy is not None:
-        families = [f for f, hit in zip(("TT", "TF", "FT", "FF"), solutions.degeneracy.families, strict=True) if hit]
-        legs = [str(i + 1) for i in np.flatnonzero(solutions.degeneracy.legs)]
-        remarks.append(
-            f"The solutions of {', '.join(families)} form a continuous family of dimension "
-            f"{int(solutions.degeneracy.dimension)}, of which none is picked."
-            + (f" Both planes of leg {', '.join(legs)} coincide." if legs else "")
-        )
+    remarks += degeneracy_remarks(solutions)
     if solutions.status is Status.UNREACHABLE:
-        remarks.append("No configuration holds this pose, whatever the leg lengths.")
+        remarks.append(hint or "No configuration holds this pose, whatever the leg lengths.")
     if solutions.ambiguous:
         remarks.append(
             "Two branches are physical, on either side of an inverse singularity; the straighter is likelier."
@@ -82,27 +88,25 @@ def _remarks(solutions: SolutionSet) -> list[str]:
 def _content(solutions: SolutionSet, unit: LengthUnit) -> dict[str, Any]:
     inside, physical = solutions.within().exists, solutions.is_physical
     degeneracy = solutions.degeneracy
-    assert solutions.discriminants is not None
     assert degeneracy is not None
     return {
-        "unit": str(unit),
+        "unit": unit,
         "status": str(solutions.status),
         "degeneracy": {
-            "dimension": int(degeneracy.dimension),
-            "families": degeneracy.families.tolist(),
-            "legs": degeneracy.legs.tolist(),
+            "dimension": degeneracy.dimension,
+            "families": degeneracy.families,
+            "legs": degeneracy.legs,
         },
-        "discriminants": [x if np.isfinite(x) else None for x in solutions.discriminants.tolist()],
+        "discriminants": solutions.discriminants,
         "branches": [
             {
-                "label": label,
-                "leg_lengths": (solutions.leg_lengths[k] * unit.per_metre).tolist(),
-                "middle_joints": (solutions.middle_joints[k] * unit.per_metre).tolist(),
-                "within_limits": bool(inside[k]),
-                "physical": bool(physical[k]),
-                "residual": float(solutions.residual[k]) * unit.per_metre,
+                "label": solutions.labels[k],
+                "leg_lengths": solutions.leg_lengths[k] * unit.per_metre,
+                "middle_joints": solutions.middle_joints[k] * unit.per_metre,
+                "within_limits": inside[k],
+                "physical": physical[k],
+                "residual": solutions.residual[k] * unit.per_metre,
             }
-            for k, label in enumerate(solutions.labels)
-            if solutions.exists[k]
+            for k in np.flatnonzero(solutions.exists)
         ],
     }

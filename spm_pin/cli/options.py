@@ -1,8 +1,9 @@
-"""Options that several subcommands take, and what they mean in SI."""
+"""Options that several subcommands take, and their values in SI."""
 
 from __future__ import annotations
 
 import enum
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -10,20 +11,27 @@ import numpy as np
 import typer
 from scipy.spatial.transform import RigidTransform
 
-from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import Geometry, SolutionSet, pose
+from spm_pin.cli.console import note
+from spm_pin.errors import ArgumentError, GeometryError
+from spm_pin.mechanism import FAMILIES, Geometry, SolutionSet, Status, pose
 
 __all__ = [
+    "DECIMALS",
     "AsJson",
     "Branches",
     "GeometryFile",
     "LengthUnit",
+    "SixLegs",
     "Translation",
+    "Triple",
     "Unit",
     "Xyx",
-    "chosen",
+    "degeneracy_remarks",
+    "exit_code",
     "read_geometry",
     "read_pose",
+    "selected_labels",
+    "unit_hint",
 ]
 
 
@@ -36,29 +44,49 @@ class LengthUnit(enum.StrEnum):
 
     @property
     def per_metre(self) -> float:
-        """How many of it make a metre."""
+        """Number of units in a metre."""
         return {"m": 1.0, "cm": 100.0, "mm": 1000.0}[self.value]
 
 
+DECIMALS = {LengthUnit.M: 5, LengthUnit.CM: 3, LengthUnit.MM: 2}
+"""Decimals of a length in tables."""
+
 Triple = tuple[float, float, float]
-Translation = Annotated[Triple, typer.Option(metavar="X Y Z", help="Position of o in {B}, in --unit.")]
-Xyx = Annotated[Triple, typer.Option(metavar="ALPHA BETA LAMBDA", help="The paper's X-Y-X Euler angles in degrees.")]
+SixLegs = tuple[float, float, float, float, float, float]
+TRANSLATION = typer.Option("--translation", metavar="X Y Z", help="Position of o in {B}, in --unit.")
+XYX = typer.Option("--xyx", metavar="ALPHA BETA LAMBDA", help="The paper's X-Y-X Euler angles in degrees.")
+Translation = Annotated[Triple, TRANSLATION]
+Xyx = Annotated[Triple, XYX]
 Unit = Annotated[LengthUnit, typer.Option(help="Unit of lengths, in and out.")]
 GeometryFile = Annotated[
     Path | None,
     typer.Option("--geometry", metavar="FILE", help="YAML file of dimensions in metres; the paper's if not given."),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
-
-
 Branches = Annotated[
     list[str] | None, typer.Option("--branch", help="Branch, such as TT+; may be repeated. All real ones if not given.")
 ]
 
+_PLAUSIBLE = 1e-3, 20.0
+"""Radii and sides of machines [m]; others are read as a wrong unit."""
+_PROPORTION = 10.0
+"""Lengths this many times the machine's size, or less than its inverse, are read as a wrong unit."""
+
 
 def read_geometry(path: Path | None) -> Geometry:
-    """Return the geometry of `--geometry`, or the paper's."""
-    return Geometry.paper() if path is None else Geometry.from_yaml(path)
+    """Return the geometry of `--geometry`, or the paper's; a note on stderr if its size is implausible."""
+    if path is None:
+        return Geometry.paper()
+    try:
+        geometry = Geometry.from_yaml(path)
+    except GeometryError as error:
+        if error.argument != "path":
+            raise
+        raise GeometryError("--geometry", error.expected, error.received, error.cause) from error
+    dimensions = (geometry.base_radius, geometry.platform_radius, geometry.middle_side)
+    if not (_PLAUSIBLE[0] <= min(dimensions) and max(dimensions) <= _PLAUSIBLE[1]):
+        note(f"--geometry: {path} describes a machine of {_size(geometry):g} m. Are its lengths in metres?", "yellow")
+    return geometry
 
 
 def read_pose(translation: Triple, xyx: Triple, unit: LengthUnit) -> RigidTransform:
@@ -66,10 +94,67 @@ def read_pose(translation: Triple, xyx: Triple, unit: LengthUnit) -> RigidTransf
     return pose(np.array(translation) / unit.per_metre, xyx=np.deg2rad(xyx))
 
 
-def chosen(solutions: SolutionSet, labels: list[str] | None) -> list[str]:
+def _size(geometry: Geometry) -> float:
+    return geometry.base_radius + geometry.platform_radius + 2.0 * geometry.middle_side
+
+
+def unit_hint(option: str, typed: float | tuple[float, ...], unit: LengthUnit, geometry: Geometry) -> str:
+    """Return a hint at the unit where lengths are out of proportion to the machine, else an empty string.
+
+    Parameters
+    ----------
+    option : str
+        The option with which they were typed.
+    typed : float or tuple of float
+        A length or several, in `unit`; of several the norm counts.
+    unit : LengthUnit
+        The unit they were read in.
+    geometry : Geometry
+        The machine.
+    """
+    length = float(np.linalg.norm(typed))
+    size = _size(geometry)
+
+    def ratio(tried: LengthUnit) -> float:
+        return abs(math.log(length / tried.per_metre / size)) if length else math.inf
+
+    better = min(LengthUnit, key=ratio)
+    if not length or ratio(unit) < math.log(_PROPORTION) or better is unit:
+        return ""
+    return (
+        f"{option} was read in {unit}: {length:g} {unit}, on a machine of {size * unit.per_metre:.3g} {unit}. "
+        f"In {better} it would be in proportion: --unit {better}."
+    )
+
+
+def degeneracy_remarks(solutions: SolutionSet) -> list[str]:
+    """Return sentences on the continuous families of one degenerate problem, and on the way on; none if it has none."""
+    degeneracy = solutions.degeneracy
+    if solutions.status is not Status.DEGENERATE or degeneracy is None:
+        return []
+    families = ", ".join(f for f, hit in zip(FAMILIES, degeneracy.families, strict=True) if hit)
+    legs = [str(i + 1) for i in np.flatnonzero(degeneracy.legs)]
+    remarks = [
+        f"The solutions of {families} form a continuous family of dimension {int(degeneracy.dimension)}, of which none "
+        "is picked." + (f" Both planes of leg {', '.join(legs)} coincide." if legs else "")
+    ]
+    if len(legs) == 3:
+        remarks.append(
+            "The platform is level, as in the symmetric home, where the pose alone does not determine the middle "
+            "platform. Give leg lengths instead (spm-pin forward), or tilt the platform a little (--xyx 0 0.1 0)."
+        )
+    return remarks
+
+
+def selected_labels(solutions: SolutionSet, labels: list[str] | None) -> list[str]:
     """Return the branches of `--branch`, or all real ones; raises `ArgumentError` where one is not real."""
     real = [label for label, exists in zip(solutions.labels, solutions.exists, strict=True) if exists]
     absent = [label for label in labels or () if label not in real]
     if absent:
         raise ArgumentError("--branch", f"real branches, here {', '.join(real) or 'none'}", ", ".join(absent))
     return real if labels is None else labels
+
+
+def exit_code(solutions: SolutionSet) -> int:
+    """Return the exit code of a command that solved a displacement: 0, 3 if unreachable, 4 if degenerate."""
+    return {Status.OK: 0, Status.UNREACHABLE: 3, Status.DEGENERATE: 4}.get(solutions.status, 1)

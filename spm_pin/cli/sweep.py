@@ -8,7 +8,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
@@ -88,7 +87,7 @@ def sweep(
         domain = _domain(x, y, z, xyx, legs, samples, method, seed, unit)
         others: dict[str, Any] = {"scheduler": scheduler, "workers": workers}
         with _bar() as bar:
-            task = bar.add_task(escape(out.name), total=None)
+            task = bar.add_task(out.name, total=None)
 
             def progress(done: int, total: int) -> None:
                 bar.update(task, completed=done, total=total)
@@ -104,15 +103,15 @@ def sweep(
             except KeyboardInterrupt as interrupt:
                 bar.stop()
                 notes = getattr(interrupt, "__notes__", ["interrupted before it began"])
-                stderr.print(*(escape(note) for note in notes), highlight=False)
-                stderr.print(f"go on with: spm-pin sweep --out {escape(str(out))}", highlight=False)
+                stderr.print(*notes)
+                stderr.print(f"go on with: spm-pin sweep --out {out}")
                 raise typer.Exit(130) from None
     found = sweep_status(out)
     if json:
         typer.echo(to_json(dataclasses.asdict(found) | {"complete": found.complete, "store": str(out)}))
         return
     for line in _remarks(found, out):
-        stdout.print(escape(line), highlight=False, soft_wrap=True)
+        stdout.print(line, soft_wrap=True)
 
 
 def _domain(
@@ -203,7 +202,13 @@ class _Rate(ProgressColumn):
 
 
 def _bar() -> Progress:
-    columns = TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), _Rate(), TimeRemainingColumn()
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TaskProgressColumn(),
+        _Rate(),
+        TimeRemainingColumn(),
+    )
     return Progress(*columns, console=stderr, transient=True)
 
 

@@ -6,15 +6,14 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.markup import escape
 
-from spm_pin.cli.console import stderr
 from spm_pin.cli.options import GeometryFile, read_geometry
-from spm_pin.errors import ArgumentError
+from spm_pin.cli.outputs import check_output, name_options, write_text
 
 __all__ = ["urdf"]
 
 
+@name_options(prefix="--prefix")
 def urdf(
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Where to write; standard output if not given.")
@@ -28,12 +27,5 @@ def urdf(
     """
     from spm_pin.description.expand import expand
 
-    text = expand(read_geometry(geometry), prefix=prefix)
-    if out is None:
-        typer.echo(text, nl=False)
-        return
-    try:
-        out.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ArgumentError("--out", "a file that can be written", out, str(error.strerror)) from error
-    stderr.print(f"wrote {escape(str(out))}")
+    check_output(out)
+    write_text(expand(read_geometry(geometry), prefix=prefix), out)

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.markup import escape
 
 from spm_pin.cli.console import stderr
 from spm_pin.cli.options import GeometryFile, LengthUnit, Unit, read_geometry
-from spm_pin.cli.pose_options import AnyLegs, AnyTranslation, AnyXyx, asked_solutions, one_of
+from spm_pin.cli.outputs import require_extra
+from spm_pin.cli.requested_states import AnyLegs, AnyTranslation, AnyXyx, requested_solutions, select_branch
 
 __all__ = ["view"]
 
@@ -38,18 +38,19 @@ def view(
         Path | None, typer.Option(metavar="FILE", help="Write a page that needs no server, and end.")
     ] = None,
 ) -> None:
-    r"""Drag the platform and watch all branches, in a browser. Ends with Ctrl-C.
+    """Drag the platform and watch all branches, in a browser. Ends with Ctrl-C.
 
-    Needs pip install "spm-pin\[viewer]".
+    Needs the extra "viewer".
     """
+    require_extra("viewer")
     dimensions = read_geometry(geometry)
-    solutions, default = asked_solutions(dimensions, translation, xyx, legs, unit)
-    start = one_of(solutions, default, branch)
+    solutions, default = requested_solutions(dimensions, translation, xyx, legs, unit)
+    start = select_branch(solutions, default, branch)
     if snapshot is not None:
         from spm_pin.display.viewer import save_snapshot
 
         save_snapshot(start, snapshot, dark=dark, geometry_file=geometry)
-        stderr.print(f"wrote {escape(str(snapshot))}")
+        stderr.print(f"wrote {snapshot}")
         return
     from spm_pin.display.viewer import Viewer
     from spm_pin.display.viewer.recording import read_recording

@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.markup import escape
-from rich.table import Table
 
-from spm_pin.cli.console import new_table, stderr, stdout, to_json
-from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Unit, read_geometry
+from spm_pin.cli.console import note, print_lines, print_table, significant, stderr, to_json
+from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Unit, read_geometry, unit_hint
+from spm_pin.cli.outputs import check_output, name_options, require_extra
 from spm_pin.display.figure_files import FORMATS, save_figure
 from spm_pin.display.shell_files import MESH_FORMATS, save_mesh
 from spm_pin.display.shell_plots import shell_figure
@@ -23,6 +22,7 @@ from spm_pin.workspace.table_6.shell import Patch, Shell, workspace_shell
 __all__ = ["workspace"]
 
 
+@name_options(path="--out", resolution="--resolution")
 def workspace(
     limits: Annotated[
         tuple[float, float] | None,
@@ -49,37 +49,39 @@ def workspace(
 
     Example: spm-pin workspace --limits 110 150 --unit cm --out fig2.png
 
-    The shell is not the whole boundary of what can be reached; --sections shows where it is not.
+    The shell is not the whole boundary of what can be reached; --sections shows where it is not. --out needs the extra
+    "plots".
     """
     _check_output(out, sections)
     dimensions = read_geometry(geometry)
     box = None if limits is None else LegLimits(*(length / unit.per_metre for length in limits))
-    shell = workspace_shell(dimensions, box, resolution=resolution)
+    try:
+        shell = workspace_shell(dimensions, box, resolution=resolution)
+    except ArgumentError as error:
+        hint = "" if limits is None else unit_hint("--limits", limits[1], unit, dimensions)
+        if not hint:
+            raise
+        raise ArgumentError("--limits", error.expected, error.received, hint) from error
     if json:
         typer.echo(to_json(_content(shell, unit)))
     else:
-        stdout.print(_patches(shell.patches, unit))
-        stdout.print(_convergence(shell, unit))
-        for line in _remarks(shell, unit):
-            stdout.print(line, highlight=False)
+        _print_patches(shell.patches, unit)
+        _print_convergence(shell, unit)
+        print_lines(_remarks(shell, unit))
     if out is not None:
         _write(shell, out, samples if sections else None)
 
 
 def _check_output(out: Path | None, sections: bool) -> None:
-    """Refuse now what could not be written later."""
+    """Raise where the output could not be written after the work."""
     if out is None:
         if sections:
             raise ArgumentError("--sections", "a picture to draw them in", "no --out FILE")
         return
     endings = FORMATS if sections else (*FORMATS, *MESH_FORMATS)
-    if out.suffix.lower() not in endings:
-        cause = "Maps over many poses are for spm-pin sweep" if out.suffix == ".zarr" else ""
-        raise ArgumentError("--out", f"a file name ending in {', '.join(endings)}", out.name, cause)
-    if out.is_dir():
-        raise ArgumentError("--out", "a file that can be written", out, "It is a directory")
-    if not out.parent.is_dir():
-        raise ArgumentError("--out", "a file that can be written", out, f"There is no directory {out.parent}")
+    cause = "Maps over many poses are for spm-pin sweep" if out.suffix == ".zarr" else ""
+    check_output(out, "--out", endings, cause)
+    require_extra("plots")
 
 
 def _write(shell: Shell, out: Path, samples: int | None) -> None:
@@ -95,34 +97,29 @@ def _write(shell: Shell, out: Path, samples: int | None) -> None:
         with stderr.status("drawing leg lengths"):
             reached = reached_positions(shell.geometry, shell.limits, count=samples)
         save_figure(sections_figure(shell, reached=reached.positions, aspect=reached.aspect), out)
-    stderr.print(f"wrote {escape(str(out))}")
+    note(f"wrote {out}")
 
 
-def _patches(patches: tuple[Patch, ...], unit: LengthUnit) -> Table:
-    table = new_table(f"The surfaces: leg settings, area in {unit}²")
-    table.add_column("patch", style="bold")
-    for leg in LEGS:
-        table.add_column(leg)
-    table.add_column("area", justify="right")
+def _print_patches(patches: tuple[Patch, ...], unit: LengthUnit) -> None:
     scale = unit.per_metre**2
-    family = patches[0].family
-    for patch in patches:
-        if patch.family != family:
-            table.add_section()
-        family = patch.family
-        table.add_row(patch.name, *(str(one.value) for one in patch.settings), f"{patch.area * scale:.5g}")
-    return table
+    rows = [
+        [patch.name, *(setting.value for setting in patch.settings), significant(patch.area * scale)]
+        for patch in patches
+    ]
+    rules = [k for k in range(1, len(patches)) if patches[k].family != patches[k - 1].family]
+    title = f"The surfaces: leg settings, area in {unit}²"
+    print_table(title, ["patch", *LEGS, "area"], rows, left=LEGS, rules=rules)
 
 
-def _convergence(shell: Shell, unit: LengthUnit) -> Table:
-    table = new_table(f"The volume as the mesh gets finer, in {unit}³")
-    for heading in ("increments", "volume", "short of the limit by"):
-        table.add_column(heading, justify="right")
+def _print_convergence(shell: Shell, unit: LengthUnit) -> None:
     scale = unit.per_metre**3
     convergence = shell.convergence
-    for n, volume in zip(convergence.resolutions, convergence.volumes, strict=True):
-        table.add_row(str(n), f"{volume * scale:.8g}", f"{(convergence.limit - volume) * scale:.2g}")
-    return table
+    rows = [
+        [str(n), significant(volume * scale, digits=8), significant((convergence.limit - volume) * scale, digits=2)]
+        for n, volume in zip(convergence.resolutions, convergence.volumes, strict=True)
+    ]
+    title = f"The volume as the mesh gets finer, in {unit}³"
+    print_table(title, ["increments", "volume", "short of the limit by"], rows)
 
 
 def _remarks(shell: Shell, unit: LengthUnit) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -203,7 +204,7 @@ class Comparison:
             )
         )
 
-    def _first_pose(self, marked: BoolArray) -> int:
+    def _first_pose(self, marked: Any) -> int:
         return self.poses + int(marked.argmax()) if marked.any() else -1
 
     def _compare(

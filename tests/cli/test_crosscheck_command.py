@@ -5,13 +5,12 @@ from pathlib import Path
 
 import pytest
 import typer
-from crosscheck.broken import flipped_sign
+from crosscheck.broken_methods import flipped_sign
 from typer.testing import CliRunner, Result
 
 import spm_pin as spm
 from spm_pin.cli.crosscheck import crosscheck
-from spm_pin.crosscheck import methods as witnesses
-from spm_pin.crosscheck.methods import Paper, Witness
+from spm_pin.crosscheck import METHODS, Method, Paper
 from spm_pin.paper.jacobian import Table5Mistakes
 
 
@@ -21,69 +20,71 @@ def run(*arguments: str) -> Result:
     return CliRunner().invoke(app, list(arguments), env={"COLUMNS": "80"})
 
 
-def test_all_witnesses_on_a_few_poses(tmp_path: Path) -> None:
-    data, web = tmp_path / "report.json", tmp_path / "report.html"
-    done = run("--poses", "10", "--seed", "3", "--json", str(data), "--html", str(web))
+def test_all_methods_on_a_few_poses(tmp_path: Path) -> None:
+    data, picture = tmp_path / "report.json", tmp_path / "report.svg"
+    done = run("--poses", "10", "--seed", "3", "--json", str(data), "--figure", str(picture))
     assert done.exit_code == 0, done.output
-    assert "All 5 witnesses agree." in done.output
+    assert "All 5 methods agree." in done.output
     assert "spm-pin inverse --translation" in done.output
     assert "…" not in done.output, "nothing is cut off at 80 columns"
     content = json.loads(data.read_text(encoding="utf-8"))
     assert content["agrees"] is True
-    assert content["culprits"] == []
+    assert content["outliers"] == []
     assert len(content["poses"]) == 10
-    assert {one["name"] for one in content["witnesses"]} == {"closed form", "paper", "pinocchio", "nlp", "ipopt"}
-    assert all(one["worst"] <= one["tolerance"] for one in content["comparisons"])
-    assert content["comparisons"][0]["reproduce"].startswith("spm-pin inverse --translation")
-    assert web.read_text(encoding="utf-8").startswith("<!doctype html>")
+    assert {one["name"] for one in content["methods"]} == {"closed form", "paper", "pinocchio", "nlp", "ipopt"}
+    assert all(one["worst"] <= one["tolerance"] for one in content["differences"])
+    assert content["differences"][0]["reproduce"].startswith("spm-pin inverse --translation")
+    assert picture.read_text(encoding="utf-8").startswith("<?xml")
 
 
 def test_a_flipped_sign_fails_and_is_named() -> None:
     with flipped_sign():
-        done = run("--poses", "6", "--witness", "closed-form", "--witness", "paper", "--witness", "nlp")
+        done = run("--poses", "6", "--method", "closed-form", "--method", "paper", "--method", "nlp")
     assert done.exit_code == 1
-    assert "nlp is wrong: the others agree." in done.stderr
-    assert "nlp missed branches at" in done.output
+    assert "nlp is wrong: the others agree." in done.output
+    assert "nlp: " in done.output
     assert "Largest difference: " in done.output
 
 
 def test_the_printed_lever_arm_fails_and_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def printed(geometry: spm.Geometry) -> Witness:
-        return Paper(geometry, Table5Mistakes(printed_lever_arm=True))
+    def printed(geometry: spm.Geometry) -> Method:
+        return Paper(geometry, mistakes=Table5Mistakes(printed_lever_arm=True))
 
-    monkeypatch.setitem(witnesses.WITNESSES, "paper", printed)
+    monkeypatch.setitem(METHODS, "paper", printed)
     data = tmp_path / "report.json"
-    chosen = [word for name in ("closed-form", "paper", "pinocchio") for word in ("--witness", name)]
+    chosen = [word for name in ("closed-form", "paper", "pinocchio") for word in ("--method", name)]
     done = run("--poses", "6", *chosen, "--json", str(data))
     assert done.exit_code == 1
-    assert "paper is wrong: the others agree." in done.stderr
-    assert json.loads(data.read_text(encoding="utf-8"))["culprits"] == ["paper"]
+    assert "paper is wrong: the others agree." in done.output
+    assert json.loads(data.read_text(encoding="utf-8"))["outliers"] == ["paper"]
 
 
 def test_commands_name_the_geometry_they_are_for(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text("base_radius: 0.7\nplatform_radius: 0.35\nmiddle_side: 0.8\n", encoding="utf-8")
-    done = run("--poses", "3", "--witness", "closed-form", "--witness", "nlp", "--geometry", str(path))
+    done = run("--poses", "3", "--method", "closed-form", "--method", "nlp", "--geometry", str(path))
     assert done.exit_code == 0, done.output
     assert f"--geometry {path}" in done.output
 
 
-def test_a_witness_that_is_missing_is_mentioned(monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(geometry: spm.Geometry) -> Witness:
+def test_a_method_that_cannot_be_imported_is_mentioned(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(geometry: spm.Geometry) -> Method:
         raise ImportError("pinocchio")
 
-    monkeypatch.setitem(witnesses.WITNESSES, "pinocchio", missing)
-    monkeypatch.setitem(witnesses.WITNESSES, "ipopt", missing)
+    monkeypatch.setitem(METHODS, "pinocchio", missing)
+    monkeypatch.setitem(METHODS, "ipopt", missing)
     done = run("--poses", "2")
     assert done.exit_code == 0
-    assert "Not asked, for their packages are not installed: pinocchio, ipopt." in done.output
+    assert "Left out, since their packages are not installed: pinocchio, ipopt." in done.output
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--witness", "delphi"], "witnesses: expected of closed-form"),
-        (["--poses", "2", "--witness", "closed-form", "--html", "/nowhere/x.html"], "--html: expected a file"),
+        (["--method", "delphi"], "--method: expected names among closed-form"),
+        (["--json", "/nowhere/x.json"], "There is no directory /nowhere"),
+        (["--figure", "/nowhere/x.svg"], "There is no directory /nowhere"),
+        (["--figure", "x.html"], "--figure: expected a file name ending in .png"),
     ],
 )
 def test_bad_input_is_an_error_of_ours(arguments: list[str], words: str) -> None:

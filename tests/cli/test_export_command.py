@@ -1,4 +1,4 @@
-"""`spm-pin export`: every format, a robot of one's own, and what makes no sense together."""
+"""`spm-pin export`: every format, another robot, and options that contradict each other."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_another_geometry_and_a_prefix(run: Run, tmp_path: Path) -> None:
     assert len(srdf.findall("passive_joint")) == 12
 
 
-def test_a_robot_of_one_s_own(run: Run) -> None:
+def test_another_robot_from_urdf_and_closures(run: Run) -> None:
     done = run("--format", "sdf", "--urdf", URDF_PATH, "--closures", CLOSURES_PATH)
     assert done.code == 0, done.err
     joints = ElementTree.fromstring(done.out).findall("model/joint")
@@ -95,7 +95,7 @@ def test_a_robot_of_one_s_own(run: Run) -> None:
         (["--format", "mjcf", "--urdf", URDF_PATH, "--closures", SRDF_PATH], "expected a mapping with the keys"),
         (["--format", "mjcf", "--urdf", SDF_PATH], "expected <robot>, got <sdf>"),
         (["--format", "mjcf", "--out", "/nowhere/x.xml"], "--out: expected a file that can be written"),
-        (["--format", "mjcf", "--prefix", "1 2"], "prefix: expected a name"),
+        (["--format", "mjcf", "--prefix", "1 2"], "--prefix: expected a name"),
     ],
 )
 def test_bad_input_is_a_clear_error(run: Run, arguments: list[str], words: str) -> None:

@@ -102,10 +102,10 @@ def test_limits_from_the_geometrys_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--resolution", "1"], "resolution: expected a whole number of increments, at least 2, got 1"),
+        (["--resolution", "1"], "--resolution: expected a whole number of increments, at least 2, got 1"),
         (["--limits", "1.5", "1.1"], "exchanged"),
         (["--limits", "0.05", "0.1"], "no symmetric home"),
-        (["--limits", "110", "150"], "without a physical configuration"),
+        (["--limits", "110", "150"], "--limits was read in m: 150 m, on a machine of 2.64 m"),
         (["--out", "fig.jpg"], "--out: expected a file name ending in .png, .svg, .pdf, .stl"),
         (["--out", "fig"], "--out: expected a file name ending in"),
         (["--out", "map.zarr"], "Maps over many poses are for spm-pin sweep"),

@@ -1,4 +1,4 @@
-"""Witnesses with a fault each, for the report to find."""
+"""Methods with a fault each, for the report to find."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 import spm_pin as spm
-from spm_pin.crosscheck.methods import ClosedForm
+from spm_pin.crosscheck import ClosedForm
 from spm_pin.nlp import branch_search as inverse
 from spm_pin.nlp import loop_equations
 

@@ -9,8 +9,8 @@ import pytest
 from problems import in_leg_space
 
 import spm_pin as spm
-from spm_pin.crosscheck import methods as witnesses
-from spm_pin.crosscheck.methods import WITNESSES, make
+from spm_pin.crosscheck import METHODS, make_methods
+from spm_pin.crosscheck import methods as methods_module
 
 GEOMETRY = spm.Geometry.paper()
 SAMPLE = in_leg_space(GEOMETRY, 3, 1)
@@ -23,16 +23,16 @@ OFFERS = {
 }
 
 
-@pytest.mark.parametrize("name", WITNESSES)
-def test_each_answers_what_it_can_in_the_same_shapes(name: str) -> None:
-    witness = WITNESSES[name](GEOMETRY)
+@pytest.mark.parametrize("name", METHODS)
+def test_each_method_answers_what_it_can_in_the_same_shapes(name: str) -> None:
+    method = METHODS[name](GEOMETRY)
     states = SAMPLE.configuration
     wrench = np.tile([1.0, 2.0, 3.0, 4.0, 5.0, 6.0], (3, 1))
     # One pose, for IPOPT takes seconds.
-    solutions = witness.inverse(SAMPLE.pose[:1])
+    solutions = method.inverse(SAMPLE.pose[:1])
     assert solutions is None or solutions.shape == (1,)
-    jacobian, forces = witness.inverse_jacobian(states), witness.leg_forces(states, wrench)
-    assembled = witness.assembled(states)
+    jacobian, forces = method.inverse_jacobian(states), method.leg_forces(states, wrench)
+    assembled = method.assembled(states)
     answers = {"inverse": solutions, "inverse_jacobian": jacobian, "leg_forces": forces, "assembled": assembled}
     assert {what for what, answer in answers.items() if answer is not None} == OFFERS[name]
     if jacobian is not None and forces is not None:
@@ -40,21 +40,21 @@ def test_each_answers_what_it_can_in_the_same_shapes(name: str) -> None:
         np.testing.assert_allclose(forces, spm.leg_forces(states, wrench), rtol=0, atol=1e-8)
     if assembled is not None:
         np.testing.assert_allclose(assembled.middle_joints, states.middle_joints, rtol=0, atol=1e-13)
-    assert (witness.rounding(states) < 1e-9).all()
-    assert (witness.rounding(states) > 0.0).all()
+    assert (method.rounding(states) < 1e-9).all()
+    assert (method.rounding(states) > 0.0).all()
 
 
 @pytest.mark.parametrize("name", ["closed-form", "paper", "nlp"])
-def test_closure_residuals_stay_within_what_is_stated(name: str) -> None:
-    witness = WITNESSES[name](GEOMETRY)
-    solutions = witness.inverse(in_leg_space(GEOMETRY, 40, 4).pose)
+def test_closure_residuals_stay_within_the_stated_rounding(name: str) -> None:
+    method = METHODS[name](GEOMETRY)
+    solutions = method.inverse(in_leg_space(GEOMETRY, 40, 4).pose)
     assert solutions is not None
     states = solutions.configurations[solutions.exists]
     assert len(states) > 150
-    assert (states.closure_residual <= witness.rounding(states)).all()
+    assert (states.closure_residual <= method.rounding(states)).all()
 
 
-def test_a_singular_member_does_not_silence_the_others() -> None:
+def test_a_singular_member_is_nan_and_the_others_are_solved() -> None:
     level = spm.pose([0.0, 0.0, 2.2], rotation=np.eye(3))
     flat = GEOMETRY.middle_radius * GEOMETRY.radial_directions + [0.0, 0.0, 1.1]
     states = SAMPLE.configuration
@@ -66,32 +66,32 @@ def test_a_singular_member_does_not_silence_the_others() -> None:
     with pytest.raises(spm.SingularConfigurationError):
         spm.inverse_jacobian(both)
     for name in ("closed-form", "paper", "pinocchio"):
-        found = WITNESSES[name](GEOMETRY).inverse_jacobian(both)
+        found = METHODS[name](GEOMETRY).inverse_jacobian(both)
         assert found is not None
         assert np.isnan(found[0]).all()
         np.testing.assert_allclose(found[1:], spm.inverse_jacobian(states), rtol=0, atol=1e-9)
 
 
-def test_they_are_made_by_name() -> None:
-    assert [w.name for w in make(["nlp", "closed-form", "nlp"], GEOMETRY)] == ["nlp", "closed form"]
-    assert len(make(None, GEOMETRY)) == len(WITNESSES)
-    with pytest.raises(spm.ArgumentError, match="witnesses: expected of closed-form"):
-        make(["oracle"], GEOMETRY)
+def test_methods_are_made_by_name() -> None:
+    assert [m.name for m in make_methods(["nlp", "closed-form"], GEOMETRY)] == ["nlp", "closed form"]
+    assert len(make_methods(None, GEOMETRY)) == len(METHODS)
+    with pytest.raises(spm.ArgumentError, match="methods: expected names among closed-form"):
+        make_methods(["oracle"], GEOMETRY)
 
 
-def test_one_that_cannot_be_imported_is_left_out_unless_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_method_that_cannot_be_imported_is_left_out_unless_named(monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(name: str) -> object:
         if name.startswith("spm_pin.multibody"):
             raise ImportError(name)
         return import_module(name)
 
-    monkeypatch.setattr(witnesses, "import_module", missing)
-    assert "pinocchio" not in [w.name for w in make(None, GEOMETRY)]
+    monkeypatch.setattr(methods_module, "import_module", missing)
+    assert "pinocchio" not in [m.name for m in make_methods(None, GEOMETRY)]
     with pytest.raises(ImportError):
-        make(["pinocchio"], GEOMETRY)
+        make_methods(["pinocchio"], GEOMETRY)
 
 
-def test_nothing_heavy_comes_with_the_module() -> None:
-    program = "import sys, spm_pin.crosscheck.report; print([m for m in ('casadi', 'pinocchio') if m in sys.modules])"
+def test_importing_the_room_loads_neither_casadi_nor_pinocchio() -> None:
+    program = "import sys, spm_pin.crosscheck; print([m for m in ('casadi', 'pinocchio') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -9,7 +9,7 @@ import pytest
 from problems import GEOMETRIES
 
 import spm_pin as spm
-from spm_pin.crosscheck.sampling import command, in_leg_space, on_all_rotations, printable
+from spm_pin.crosscheck.random_poses import command, in_leg_space, on_all_rotations, printable
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)

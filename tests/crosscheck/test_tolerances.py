@@ -20,7 +20,7 @@ def states(count: int = 40) -> spm.Configuration:
     )
 
 
-def test_sigma_is_that_of_casadi_s_jacobian() -> None:
+def test_sigma_agrees_with_the_jacobian_of_casadi() -> None:
     sample = states(5)
     closure = nlp.closure(GEOMETRY)
     expected = [
@@ -30,7 +30,7 @@ def test_sigma_is_that_of_casadi_s_jacobian() -> None:
     np.testing.assert_allclose(Conditioning.of(sample).sigma, expected, rtol=1e-10, atol=1e-14)
 
 
-def test_norm_of_the_inverse_is_that_of_the_inverse_jacobian() -> None:
+def test_norm_of_the_inverse_agrees_with_the_inverse_jacobian() -> None:
     sample = states(5)
     rates = spm.inverse_jacobian(sample) / np.repeat([1.0, GEOMETRY.middle_side], 3)
     expected = 1.0 / np.linalg.svd(rates, compute_uv=False)[..., -1]
@@ -38,12 +38,12 @@ def test_norm_of_the_inverse_is_that_of_the_inverse_jacobian() -> None:
 
 
 @pytest.mark.parametrize("size", [1e-9, 1e-7])
-def test_a_perturbed_closure_moves_the_branch_no_further(size: float) -> None:
+def test_position_bound_holds_for_perturbed_closures(size: float) -> None:
     """The equations are shifted by a residual as large as stated, and solved again by Newton's method."""
     sample = states()
     conditioning = Conditioning.of(sample)
     rounding = np.full(len(sample), size)
-    sharp = conditioning.told_apart(rounding)
+    sharp = conditioning.resolves(rounding)
     assert sharp.mean() > 0.5
     closure = nlp.closure(GEOMETRY)
     rng = np.random.default_rng(0)
@@ -61,7 +61,7 @@ def test_a_perturbed_closure_moves_the_branch_no_further(size: float) -> None:
     assert max(ratios) > 0.1
 
 
-def test_perturbed_entries_change_the_jacobian_no_more() -> None:
+def test_rate_bound_holds_for_perturbed_entries() -> None:
     sample = states(20)
     conditioning = Conditioning.of(sample)
     size = 1e-10
@@ -83,21 +83,21 @@ def test_perturbed_entries_change_the_jacobian_no_more() -> None:
     assert max(ratios) > 1e-3
 
 
-def test_near_a_fold_two_branches_cannot_be_told_apart() -> None:
+def test_near_a_fold_two_branches_cannot_be_resolves() -> None:
     pose = at_discriminant(random_branches(GEOMETRY, "TT", 1, 2).pose[0], 0, 1e-13, GEOMETRY)
     pair = spm.inverse_displacement(GEOMETRY, pose)
     plus, minus = pair["TT+"], pair["TT-"]
     both = spm.Configuration(GEOMETRY, pose.as_matrix(), np.stack([plus.middle_joints, minus.middle_joints]))
     conditioning = Conditioning.of(both)
     rounding = np.full(2, 1e-13)
-    assert not conditioning.told_apart(rounding).any()
+    assert not conditioning.resolves(rounding).any()
     apart = np.linalg.norm(plus.middle_joints - minus.middle_joints)
     assert apart <= conditioning.position(rounding).sum() * ROWS
 
 
-def test_what_does_not_exist_has_no_conditioning() -> None:
+def test_conditioning_is_nan_where_no_branch_exists() -> None:
     sample = states(1)
     absent = spm.Configuration(GEOMETRY, sample.pose, np.full((4, 3, 3), np.nan))
     conditioning = Conditioning.of(absent)
     assert np.isnan(conditioning.sigma).all()
-    assert not conditioning.told_apart(np.zeros(4)).any()
+    assert not conditioning.resolves(np.zeros(4)).any()

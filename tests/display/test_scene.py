@@ -132,7 +132,7 @@ def test_what_cannot_be_shown_is_refused(state, says):
 
 def test_without_trimesh_the_error_tells_how_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "trimesh", None)
-    with pytest.raises(MissingExtraError, match=r'pip install "spm-pin\[plots\]"') as caught:
+    with pytest.raises(MissingExtraError, match=r'pip install "\.\[plots\]"') as caught:
         scene(STATE)
     assert isinstance(caught.value, SpmError)
     assert isinstance(caught.value, ImportError)

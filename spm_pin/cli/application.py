@@ -1,0 +1,84 @@
+"""The command `spm-pin`: its subcommands, its exit codes, and how errors are shown."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import typer
+
+from spm_pin import __version__
+from spm_pin.cli.console import note
+from spm_pin.cli.crosscheck import crosscheck
+from spm_pin.cli.demo import demo
+from spm_pin.cli.draw import draw
+from spm_pin.cli.export import export
+from spm_pin.cli.forward import forward
+from spm_pin.cli.inverse import inverse
+from spm_pin.cli.reproduce import reproduce
+from spm_pin.cli.singularities import singularities
+from spm_pin.cli.statics import statics
+from spm_pin.cli.sweep import sweep
+from spm_pin.cli.urdf import urdf
+from spm_pin.cli.view import view
+from spm_pin.cli.workspace import workspace
+from spm_pin.errors import SpmError
+
+__all__ = ["app", "run"]
+
+EXIT_CODES = """Exit codes: 0 done. 1 a comparison failed: methods disagree, or a printed number is unexplained.
+2 the command cannot be carried out as typed: an option, a file, a missing extra. 3 unreachable: no real solution.
+4 degenerate: a continuous family of solutions; isolated solutions beside it are shown. 70 a defect of spm-pin.
+130 interrupted: crosscheck reports the poses done, and a sweep goes on when started again."""
+
+app = typer.Typer(
+    help="Closed-chain kinematics of the 3RPS-3SPR serial-parallel manipulator.",
+    epilog=EXIT_CODES,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+_COMMANDS = (
+    demo,
+    inverse,
+    forward,
+    reproduce,
+    crosscheck,
+    singularities,
+    statics,
+    urdf,
+    draw,
+    view,
+    export,
+    workspace,
+    sweep,
+)
+for _command in _COMMANDS:
+    app.command()(_command)
+
+
+def _show_version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"spm-pin {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _common(
+    version: bool = typer.Option(False, "--version", callback=_show_version, is_eager=True, help="Show the version."),
+) -> None:
+    del version
+
+
+def run() -> None:
+    """Run the command line; an error is a line on stderr, a traceback appears only if SPM_PIN_TRACEBACK is set."""
+    try:
+        app()
+    except SpmError as error:
+        note(f"error: {error}", "bold red")
+        sys.exit(2)
+    except Exception as error:
+        if os.environ.get("SPM_PIN_TRACEBACK"):
+            raise
+        note(f"error: {type(error).__name__}: {error}", "bold red")
+        note("This is a defect of spm-pin. With SPM_PIN_TRACEBACK=1 in the environment it shows where.")
+        sys.exit(70)

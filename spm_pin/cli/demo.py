@@ -1,0 +1,73 @@
+"""`spm-pin demo`: a first look at the package, in one screen or two."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from spm_pin.cli.console import print_lines, stdout
+from spm_pin.cli.crosscheck import compare_with_progress, print_report, verdict_line
+from spm_pin.cli.options import selected_labels
+from spm_pin.cli.outputs import check_output, require_extra
+from spm_pin.cli.reproduce import print_summary, summary_line
+from spm_pin.closed_form.inverse_displacement import inverse_displacement
+from spm_pin.mechanism import Geometry, pose
+from spm_pin.paper import published
+from spm_pin.reproduction import reproduce
+
+__all__ = ["demo"]
+
+_NEXT = (
+    ("spm-pin inverse --translation 68.89 49.63 225.3 --xyx -11.08 32.97 -12.88 --unit cm", "the paper's pose"),
+    ("spm-pin forward --legs 120 120 140 125 120 150 --unit cm", "and its leg lengths"),
+    ("spm-pin view", 'drag the platform in a browser; needs the extra "viewer"'),
+    ("spm-pin reproduce --cells", "every number of the paper"),
+    ("spm-pin --help", "all commands"),
+)
+
+
+def demo(
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Picture of the example's branches: .png, .svg, .pdf.")
+    ] = None,
+    poses: Annotated[int, typer.Option(min=1, help="Random poses of the comparison.")] = 100,
+) -> None:
+    """Reproduce the paper, compare all methods, and draw the example.
+
+    Exits with 1 if a printed number is unexplained or the methods disagree. --out needs the extra "plots".
+    """
+    if out is not None:
+        require_extra("plots")
+        from spm_pin.display.figure_files import FORMATS
+
+        check_output(out, "--out", FORMATS)
+    found = reproduce()
+    report = compare_with_progress(Geometry.paper(), poses, 0, None)
+    print_lines([f"The paper:   {summary_line(found)}"], "bold red" if found.unexplained else "bold green")
+    print_lines([f"The methods: {verdict_line(report)}"], "bold green" if report.agrees else "bold red")
+    stdout.print()
+    print_summary(found)
+    print_lines(["The cause of each difference is in the numbers: spm-pin reproduce names it."])
+    stdout.print()
+    print_report(report)
+    if out is not None:
+        _draw_example(out)
+        stdout.print(f"Picture of the six real branches of the paper's pose: {out}", soft_wrap=True)
+    print_lines(["Try next:"])
+    width = max(len(command) for command, _ in _NEXT)
+    for command, what in _NEXT:
+        stdout.print(f"  {command:{width}}  {what}", soft_wrap=True)
+    if found.unexplained or not report.agrees:
+        raise typer.Exit(1)
+
+
+def _draw_example(out: Path) -> None:
+    from spm_pin.display.gallery import save_gallery
+
+    example = pose(np.array(published.POSITION) / 100.0, xyx=np.deg2rad(published.XYX_DEGREES))
+    solutions = inverse_displacement(Geometry.paper(), example)
+    states = {label: solutions[label] for label in selected_labels(solutions, None)}
+    save_gallery(states, out)
