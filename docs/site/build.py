@@ -266,8 +266,8 @@ def _paper() -> str:
         "# Table by table",
         "",
         "Computed when this page was built, by the code that `spm-pin reproduce` runs. Lengths in cm, rates in cm/s, "
-        f"forces in kN, as printed. {agreeing} of the {len(found.in_tables)} cells of the tables agree in every printed "
-        "digit; [findings](findings.md) explains the others.",
+        f"forces in kN, as printed. {agreeing} of the {len(found.in_tables)} cells of the tables agree in every "
+        "printed digit; [findings](findings.md) explains the others.",
     ]
     for table in sorted({cell.table for cell in found.cells}):
         lines += ["", f"## {f'Table {table}' if table else 'The pose of the example'}", ""]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import enum
 import math
+import warnings
 from pathlib import Path
 from typing import Annotated
 
@@ -67,25 +68,29 @@ Branches = Annotated[
     list[str] | None, typer.Option("--branch", help="Branch, such as TT+; may be repeated. All real ones if not given.")
 ]
 
-_PLAUSIBLE = 1e-3, 20.0
-"""Radii and sides of machines [m]; others are read as a wrong unit."""
 _PROPORTION = 10.0
 """Lengths this many times the machine's size, or less than its inverse, are read as a wrong unit."""
 
 
 def read_geometry(path: Path | None) -> Geometry:
-    """Return the geometry of `--geometry`, or the paper's; a note on stderr if its size is implausible."""
+    """Return the geometry of `--geometry`, or the paper's; warnings about the file are notes on stderr.
+
+    Raises
+    ------
+    GeometryError
+        If the file cannot be read or describes no manipulator.
+    """
     if path is None:
         return Geometry.paper()
     try:
-        geometry = Geometry.from_yaml(path)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            geometry = Geometry.from_yaml(path)
     except GeometryError as error:
-        if error.argument != "path":
-            raise
-        raise GeometryError("--geometry", error.expected, error.received, error.cause) from error
-    dimensions = (geometry.base_radius, geometry.platform_radius, geometry.middle_side)
-    if not (_PLAUSIBLE[0] <= min(dimensions) and max(dimensions) <= _PLAUSIBLE[1]):
-        note(f"--geometry: {path} describes a machine of {_size(geometry):g} m. Are its lengths in metres?", "yellow")
+        where = "--geometry" if error.argument == "path" else f"--geometry: {error.argument}"
+        raise GeometryError(where, error.expected, error.received, error.cause) from error
+    for warning in caught:
+        note(f"--geometry: {warning.message}", "yellow")
     return geometry
 
 
