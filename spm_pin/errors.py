@@ -81,11 +81,14 @@ class NotOneSolutionError(SpmError):
         The solutions found at the first offending pose; empty where there is none.
     index : tuple of int
         Batch index of that pose; empty for a single pose.
+    cause : str
+        Why there is none, where that is known.
     """
 
-    def __init__(self, labels: tuple[str, ...], index: tuple[int, ...]) -> None:
+    def __init__(self, labels: tuple[str, ...], index: tuple[int, ...], cause: str = "") -> None:
         self.labels = labels
         self.index = index
+        self.cause = cause
         where = f" at batch index {index}" if index else ""
         if labels:
             message = (
@@ -93,14 +96,12 @@ class NotOneSolutionError(SpmError):
                 "Narrow them down with .within(limits), or choose with .nearest(seed) or .physical()"
             )
         else:
-            message = (
-                f"expected exactly one solution, got none{where}. See .status: the pose is out of reach "
-                "or degenerate, or .within(limits) excluded every branch"
-            )
+            cause = cause or "see .status: out of reach or degenerate, or .within(limits) excluded every branch"
+            message = f"expected exactly one solution, got none{where}: {cause}"
         super().__init__(message)
 
-    def __reduce__(self) -> tuple[type[NotOneSolutionError], tuple[tuple[str, ...], tuple[int, ...]]]:
-        return type(self), (self.labels, self.index)
+    def __reduce__(self) -> tuple[type[NotOneSolutionError], tuple[tuple[str, ...], tuple[int, ...], str]]:
+        return type(self), (self.labels, self.index, self.cause)
 
 
 class SingularConfigurationError(SpmError):

@@ -32,7 +32,11 @@ LONGEST_MOVE = 0.1
 """A joint moves at most this share of d in a step, lest a turn be missed."""
 
 
-@dataclass(frozen=True)
+_MOST_EVENTS = 4
+"""Events that the text of a path shows."""
+
+
+@dataclass(frozen=True, repr=False)
 class FollowedPath:
     """A solution along a path.
 
@@ -52,6 +56,13 @@ class FollowedPath:
     configurations: Configuration
     labels: tuple[str, ...]
     events: tuple[Event, ...]
+
+    def __repr__(self) -> str:
+        labels = ", ".join(dict.fromkeys(self.labels))
+        ends = "complete" if self.complete else f"ends at {self.parameters[-1]:.4g}"
+        events = ", ".join(f"{event.kind} at {event.parameter:.4g}" for event in self.events[:_MOST_EVENTS])
+        more = f", … {len(self.events)} in all" if len(self.events) > _MOST_EVENTS else ""
+        return f"<FollowedPath: {ends}, {len(self.parameters)} states of {labels}; {events or 'no events'}{more}>"
 
     @property
     def complete(self) -> bool:

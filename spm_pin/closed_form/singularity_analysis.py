@@ -42,7 +42,7 @@ class SingularityKind(enum.IntFlag):
         return " and ".join(str(kind.name).lower() for kind in SingularityKind if kind & self) or "regular"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Singularities:
     """What is known of the singularities of states of shape (...); NaN and rank 0 where a state does not exist.
 
@@ -89,6 +89,20 @@ class Singularities:
     gained_twist: FloatArray
     inner_twist: FloatArray
     lost_wrench: FloatArray
+
+    def __repr__(self) -> str:
+        if not self.kind.shape:
+            kind = str(SingularityKind(int(self.kind))) if self.rank.any() else "does not exist"
+            sigmas = ", ".join(f"{value:.2e}" for value in self.sigma)
+            return f"<Singularities: {kind}; smallest singular values of J_b, J_c, K: {sigmas}>"
+        exists = np.asarray(self.rank.any(axis=-1))
+        counts = ", ".join(
+            f"{np.count_nonzero(self.kind & kind)} {kind}" for kind in SingularityKind if (self.kind & kind).any()
+        )
+        smallest = np.where(exists[..., None], self.sigma, np.inf).reshape(-1, 3).min(axis=0, initial=np.inf)
+        sigmas = ", ".join(f"{value:.2e}" for value in smallest)
+        shown = f"{self.kind.shape} states, {np.count_nonzero(exists)} exist, {counts or 'all regular'}"
+        return f"<Singularities: {shown}; smallest singular values of J_b, J_c, K: {sigmas}>"
 
     @property
     def inverse_jacobian_determinant(self) -> FloatArray:

@@ -20,6 +20,7 @@ from spm_pin.errors import ArgumentError
 __all__ = [
     "FloatArray",
     "as_array",
+    "boolean_array",
     "broadcastable",
     "choice",
     "file_path",
@@ -29,7 +30,6 @@ __all__ = [
     "frozen",
     "generator",
     "instance",
-    "mask",
     "real_array",
     "real_number",
     "shaped_array",
@@ -221,7 +221,7 @@ def generator(value: Any, argument: str = "rng") -> np.random.Generator:
     return np.random.default_rng(value)
 
 
-def mask(value: Any, argument: str, shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
+def boolean_array(value: Any, argument: str, shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
     """Read an array of booleans that broadcasts to `shape`."""
     expected = f"booleans of shape {shape}"
     array = as_array(value)

@@ -1,20 +1,21 @@
-"""A configuration: the platform's pose and the middle joints; everything else is derived from them."""
+"""States of the manipulator: the platform's pose and the ball joints, and all that follows from them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, first_offender, frozen, real_array
+from spm_pin.mechanism.arguments import FloatArray, broadcastable, first_offender, frozen, instance, real_array
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 
-__all__ = ["Configuration"]
+__all__ = ["Configuration", "check_configuration"]
 
 
 class Configuration:
@@ -35,15 +36,21 @@ class Configuration:
     PoseError, ArgumentError
         If an argument has the wrong shape or kind, or is not finite.
 
+    Attributes
+    ----------
+    absence : str
+        Why a single state does not exist, where that is known; empty otherwise.
+
     Notes
     -----
-    Nothing here solves anything: the state may violate the mechanism's closure, and `closure_residual` says
-    by how much.
+    The arrays are copied. Nothing is solved here: the state may violate the loop equations, and `closure_residual`
+    is by how much.
     """
 
+    absence = ""
+
     def __init__(self, geometry: Geometry, pose: PoseLike, middle_joints: npt.ArrayLike) -> None:
-        if not isinstance(geometry, Geometry):
-            raise ArgumentError("geometry", "a Geometry", type(geometry).__name__)
+        instance(geometry, Geometry, "geometry")
         transform = as_rigid_transform(pose)
         joints = real_array(
             middle_joints, "middle_joints", (3, 3), "rows b_1, b_2, b_3 in {B} in metres", allow_nan=True
@@ -52,17 +59,13 @@ class Configuration:
         if torn.any():
             expected = "all nine coordinates finite, or all NaN for a member that does not exist"
             raise ArgumentError("middle_joints", expected, f"some NaN at index {first_offender(torn)}")
-        rotation, translation = transform.as_matrix()[..., :3, :3], transform.as_matrix()[..., :3, 3]
-        try:
-            shape = np.broadcast_shapes(rotation.shape[:-2], joints.shape[:-2])
-        except ValueError:
-            expected = f"leading axes that broadcast with those of the pose, {rotation.shape[:-2]}"
-            raise ArgumentError("middle_joints", expected, joints.shape[:-2]) from None
+        matrix = transform.as_matrix()
+        shape = broadcastable("middle_joints", joints.shape[:-2], "the pose", transform.shape)
         self._set(
             geometry,
-            np.broadcast_to(rotation, (*shape, 3, 3)),
-            np.broadcast_to(translation, (*shape, 3)),
-            np.broadcast_to(joints, (*shape, 3, 3)),
+            np.broadcast_to(matrix[..., :3, :3], (*shape, 3, 3)),
+            np.broadcast_to(matrix[..., :3, 3], (*shape, 3)),
+            np.broadcast_to(joints.copy(), (*shape, 3, 3)),
         )
 
     def _set(
@@ -89,7 +92,7 @@ class Configuration:
         middle_joints: FloatArray,
         leg_lengths: FloatArray | None = None,
     ) -> Configuration:
-        """Make a configuration from arrays known to be good, without a check or a copy.
+        """Make a configuration from arrays known to be valid, without checks or copies.
 
         For solvers: `rotation` (..., 3, 3), `translation` (..., 3) [m], `middle_joints` (..., 3, 3) [m] and, if known
         already, `leg_lengths` (..., 6) [m] have equal leading axes.
@@ -97,6 +100,11 @@ class Configuration:
         self = cls.__new__(cls)
         self._set(geometry, rotation, translation, middle_joints, leg_lengths)
         return self
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Copies and unpickled states are read-only too; what is derived is not carried along.
+        state = self._geometry, self._rotation, self._translation, self._middle_joints, self.known_lengths
+        return Configuration.from_arrays, state, {"absence": self.absence} if self.absence else None
 
     def __getitem__(self, index: object) -> Configuration:
         """Index the batch axes as NumPy would."""
@@ -126,8 +134,9 @@ class Configuration:
     def __repr__(self) -> str:
         if self.shape:
             return f"<Configuration: {self.shape} states, {np.count_nonzero(self.exists)} exist>"
-        lengths = ", ".join(f"{length:.4f}" for length in self.leg_lengths)
-        return f"<Configuration: leg lengths ({lengths}) m>" if self.exists else "<Configuration: does not exist>"
+        if not self.exists:
+            return f"<Configuration: does not exist{self.absence and ': '}{self.absence}>"
+        return f"<Configuration: leg lengths ({', '.join(f'{length:.4f}' for length in self.leg_lengths)}) m>"
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -166,7 +175,7 @@ class Configuration:
 
     @property
     def known_lengths(self) -> FloatArray | None:
-        """`leg_lengths` if there is no need to compute them."""
+        """`leg_lengths` if they have been computed already, else None."""
         return self.__dict__.get("leg_lengths")
 
     @cached_property
@@ -216,6 +225,41 @@ class Configuration:
         upper = ((b - self.platform_joints) * self.platform_axes).sum(axis=-1)
         sides = np.sqrt(((b - np.roll(b, -1, axis=-2)) ** 2).sum(axis=-1)) - self._geometry.middle_side
         return frozen(np.asarray(np.abs(np.concatenate([lower, upper, sides], axis=-1)).max(axis=-1)))
+
+
+def check_configuration(
+    value: Any, argument: str = "configuration", *, single: bool = False, existing: bool = False
+) -> Configuration:
+    """Return `value` if it is a configuration.
+
+    Parameters
+    ----------
+    value : Any
+        The argument as the caller gave it.
+    argument : str
+        Its name in the caller's signature.
+    single : bool
+        Refuse batches.
+    existing : bool
+        Refuse states that do not exist.
+
+    Raises
+    ------
+    ArgumentError
+        If it is of another class, such as a `SolutionSet`, or refused as above.
+    """
+    several = hasattr(type(value), "physical")
+    cause = "Choose one of its solutions: .physical(), .nearest(seed), or a label such as ['TT+']" if several else ""
+    configuration = instance(value, Configuration, argument, cause)
+    if single and configuration.shape:
+        cause = f"Choose one by its index: {argument}[0]"
+        raise ArgumentError(argument, "a single configuration", f"a batch of shape {configuration.shape}", cause)
+    if existing and not configuration.exists.all():
+        index = first_offender(~configuration.exists)
+        where = f" at batch index {index}" if index else ""
+        cause = configuration.absence or "Not a real solution? See .status and .exists of the SolutionSet"
+        raise ArgumentError(argument, "a configuration that exists", f"NaN{where}", cause)
+    return configuration
 
 
 def _transform(rotation: FloatArray, translation: FloatArray) -> RigidTransform:

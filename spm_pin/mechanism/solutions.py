@@ -3,27 +3,31 @@
 from __future__ import annotations
 
 import enum
+import html
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, NotOneSolutionError
-from spm_pin.mechanism.arguments import FloatArray, first_offender, real_array
+from spm_pin.mechanism.arguments import FloatArray, boolean_array, broadcastable, first_offender, instance, real_array
 from spm_pin.mechanism.branches import BRANCHES, FAMILIES, branch_sign, family, physical, straightness
 from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry, LegLimits
+from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 
 __all__ = ["Degeneracy", "SolutionSet", "Status"]
 
 BoolArray = npt.NDArray[np.bool_]
 
+_MOST_ROWS = 16
+"""Solutions that a table for notebooks shows."""
+
 
 class Status(enum.IntEnum):
-    """What became of one problem."""
+    """Outcome of one problem."""
 
     OK = 0
     """At least one real solution, and all solutions are isolated."""
@@ -32,7 +36,7 @@ class Status(enum.IntEnum):
     DEGENERATE = 2
     """Some solutions form a continuous family, of which none is picked; those of the other families are kept."""
     UNSOLVED = 3
-    """The method failed here and says nothing about the problem."""
+    """The method failed: nothing is known about the problem."""
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -40,7 +44,7 @@ class Status(enum.IntEnum):
 
 @dataclass(frozen=True)
 class Degeneracy:
-    """Where the solutions form continuous families.
+    """Description of the continuous families of solutions, where there are any.
 
     Attributes
     ----------
@@ -69,9 +73,9 @@ class SolutionSet:
     configurations : Configuration
         Batch of shape (..., n): the solutions, NaN where one is not real.
     labels : sequence of n str
-        What each place along the axis stands for.
+        Names of the places along the axis.
     status : array_like of Status, shape (...)
-        What became of each problem.
+        Outcome of each problem.
     discriminants : ndarray, shape (..., 4), optional
         For inverse displacement, see `inverse_displacement`.
     degeneracy : Degeneracy, optional
@@ -81,7 +85,8 @@ class SolutionSet:
     -----
     A single problem is indexed by its solutions: ``solutions[0]``, ``solutions["TT+"]``. A batch is indexed as
     NumPy would index its batch axes: ``solutions[i]`` is the `SolutionSet` of problem i; a label picks that
-    solution of every problem. Iterating over a single problem yields the solutions that exist.
+    solution of every problem. Iterating over a single problem yields the solutions that exist; the problems of a
+    batch are taken by their index.
     """
 
     def __init__(
@@ -93,7 +98,7 @@ class SolutionSet:
         discriminants: FloatArray | None = None,
         degeneracy: Degeneracy | None = None,
     ) -> None:
-        shape = configurations.shape
+        shape = instance(configurations, Configuration, "configurations").shape
         if not shape or shape[-1] != len(labels):
             raise ArgumentError("configurations", f"a last axis of {len(labels)}, one per label", f"shape {shape}")
         self._configurations = configurations
@@ -106,7 +111,7 @@ class SolutionSet:
     def from_unordered(
         cls, geometry: Geometry, pose: PoseLike, middle_joints: npt.ArrayLike, solved: npt.ArrayLike = True
     ) -> SolutionSet:
-        """Put real branches found in any order into the canonical order.
+        """Make a set of real branches that were found in any order, under the canonical labels.
 
         Parameters
         ----------
@@ -117,23 +122,33 @@ class SolutionSet:
         middle_joints : array_like, shape (..., n, 3, 3)
             Up to eight distinct solutions each [m] in {B}, NaN in places not used.
         solved : array_like of bool, shape (...)
-            False where the method failed. So it did where it found more than two solutions of one family,
-            which no mechanism of this kind has. There the status is `Status.UNSOLVED` and nothing exists.
+            False where the method failed. More than two solutions of one family, which no mechanism of this kind
+            has, count as a failure too. There the status is `Status.UNSOLVED` and nothing exists.
+
+        Raises
+        ------
+        PoseError, ArgumentError
+            If an argument has the wrong kind or shape, or leading axes that do not fit.
         """
+        instance(geometry, Geometry, "geometry")
         transform = as_rigid_transform(pose)
         joints = real_array(middle_joints, "middle_joints", (3, 3), "rows b_1, b_2, b_3", allow_nan=True)
+        if joints.ndim < 3 or joints.shape[-3] == 0:
+            raise ArgumentError("middle_joints", "shape (..., n, 3, 3) with n from 1", f"shape {joints.shape}")
+        shape = broadcastable("middle_joints", joints.shape[:-3], "the pose", transform.shape)
+        good = boolean_array(solved, "solved", shape)
         matrix = transform.as_matrix()[..., None, :, :]
         found = Configuration(geometry, matrix, joints)
         families, signs = family(found), branch_sign(found)
         ordered = np.full((*found.shape[:-1], len(BRANCHES), 3, 3), np.nan)
         counts = np.stack([(families == index).sum(axis=-1) for index in range(len(FAMILIES))], axis=-1)
-        good = np.asarray(solved, dtype=bool) & (counts <= 2).all(axis=-1)
+        good = good & (counts <= 2).all(axis=-1)
         for index in range(len(FAMILIES)):
             member = families == index
             count = np.where(good, counts[..., index], 0)
             top = np.where(member, signs, -np.inf).argmax(axis=-1)[..., None]
             bottom = np.where(member, signs, np.inf).argmin(axis=-1)[..., None]
-            # Two members are told apart by order, which stays right where rounding hides a sign near a fold.
+            # Two members are distinguished by their order, which is right also where rounding hides a sign.
             plus = (count == 2) | ((count == 1) & (np.take_along_axis(signs, top, -1)[..., 0] >= 0.0))
             minus = (count == 2) | ((count == 1) & ~plus)
             for place, chosen, present in ((2 * index, top, plus), (2 * index + 1, bottom, minus)):
@@ -214,6 +229,10 @@ class SolutionSet:
         """Which families, legs and how many dimensions, where `status` is degenerate."""
         return self._degeneracy
 
+    @overload
+    def __getitem__(self, index: str) -> Configuration: ...
+    @overload
+    def __getitem__(self, index: Any) -> Any: ...
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, str):
             if index not in self._labels:
@@ -233,10 +252,10 @@ class SolutionSet:
             degeneracy=None if self._degeneracy is None else self._degeneracy[batch],
         )
 
-    def __iter__(self) -> Iterator[Any]:
+    def __iter__(self) -> Iterator[Configuration]:
         if self.shape:
-            return (self[i] for i in range(self.shape[0]))
-        return (self._configurations[i] for i in np.flatnonzero(self.exists))
+            raise TypeError("a batch of problems is indexed, not iterated over: solutions[i] is problem i")
+        return (self._configurations[int(i)] for i in np.flatnonzero(self.exists))
 
     def __repr__(self) -> str:
         if self.shape:
@@ -245,6 +264,42 @@ class SolutionSet:
         real = [label for label, real in zip(self._labels, self.exists, strict=True) if real]
         shown = ", ".join(real[:8]) + ", …" * (len(real) > 8)
         return f"<SolutionSet: {self.status}, {self.count} of {len(self._labels)} real: {shown or 'none'}>"
+
+    def _repr_html_(self) -> str:
+        """Return a small table: the solutions of a single problem, or the outcomes of a batch."""
+        if self.shape:
+            header = ["status", "problems", "solutions"]
+            at = [(status, self._status == status) for status in Status]
+            rows = [[str(s), f"{np.count_nonzero(m)}", f"{np.count_nonzero(self.exists[m])}"] for s, m in at]
+        else:
+            header = ["", *(f"{leg} [m]" for leg in LEGS), "physical"]
+            shown = np.flatnonzero(self.exists)[:_MOST_ROWS]
+            rows = [
+                [self._labels[i], *(f"{r:.4f}" for r in self.leg_lengths[i]), "✓" if self.is_physical[i] else ""]
+                for i in shown
+            ]
+            if self.count > len(shown):
+                rows.append([f"… {self.count - len(shown)} more", *[""] * 7])
+        lines = [f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>" for row in rows]
+        top = "".join(f"<th>{html.escape(name)}</th>" for name in header)
+        title = html.escape(repr(self))
+        return f"<table><caption>{title}</caption><thead><tr>{top}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
+
+    def _absence(self, index: tuple[int, ...] = ()) -> str:
+        """Return why no solution of a problem can be chosen."""
+        status = Status(int(self._status[index]))
+        if status is Status.DEGENERATE:
+            legs = self._degeneracy is not None and bool(self._degeneracy.legs[index].all())
+            if self._labels == BRANCHES and legs:
+                return (
+                    "a level platform over the axis of the base is singular for the inverse, its solutions are a "
+                    "continuous family. Give leg lengths to forward_physical instead; or tilt the pose, which makes "
+                    "the solutions isolated, and choose with .nearest(seed)"
+                )
+            return "the pose or the leg lengths are singular, the solutions are a continuous family; see .degeneracy"
+        if status is Status.OK:
+            return "none of the solutions is physical, or .within(limits) and .where(mask) excluded them"
+        return "out of reach: no solution is real" if status is Status.UNREACHABLE else "the method failed here"
 
     def _select(self, index: npt.NDArray[np.intp], exists: BoolArray) -> Configuration:
         """Return one solution per problem, NaN throughout, the pose too, where `exists` is False."""
@@ -255,33 +310,47 @@ class SolutionSet:
             taken = np.take_along_axis(array, at, axis=-inner - 1)
             return np.asarray(taken.squeeze(axis=-inner - 1))
 
-        return Configuration.from_arrays(
+        selected = Configuration.from_arrays(
             self.geometry,
             np.where(exists[..., None, None], take(state.rotation, 2), np.nan),
             np.where(exists[..., None], take(state.translation, 1), np.nan),
             np.where(exists[..., None, None], take(state.middle_joints, 2), np.nan),
             None if state.known_lengths is None else np.where(exists[..., None], take(state.known_lengths, 1), np.nan),
         )
+        if not self.shape and not exists:
+            selected.absence = self._absence()
+        return selected
 
     def where(self, mask: npt.ArrayLike) -> SolutionSet:
-        """Keep the solutions where `mask` (..., n) is true; the others become NaN. Nothing else changes."""
-        state, keep = self._configurations, np.asarray(mask, dtype=bool)[..., None]
-        joints = np.where(keep[..., None], state.middle_joints, np.nan)
-        lengths = None if state.known_lengths is None else np.where(keep, state.known_lengths, np.nan)
-        kept = Configuration.from_arrays(self.geometry, state.rotation, state.translation, joints, lengths)
+        """Keep the solutions where the booleans `mask` (..., n) are true; the others become NaN.
+
+        Raises
+        ------
+        ArgumentError
+            If `mask` is not boolean or does not broadcast to the shape of `exists`.
+        """
+        state, kept = self._configurations, boolean_array(mask, "mask", self.exists.shape)[..., None]
+        joints = np.where(kept[..., None], state.middle_joints, np.nan)
+        lengths = None if state.known_lengths is None else np.where(kept, state.known_lengths, np.nan)
+        left = Configuration.from_arrays(self.geometry, state.rotation, state.translation, joints, lengths)
         return SolutionSet(
-            kept, self._labels, self._status, discriminants=self._discriminants, degeneracy=self._degeneracy
+            left, self._labels, self._status, discriminants=self._discriminants, degeneracy=self._degeneracy
         )
 
     def within(self, limits: LegLimits | None = None) -> SolutionSet:
-        """Keep the solutions inside leg limits; `status` still speaks of the problem without limits.
+        """Keep the solutions inside leg limits; `status` stays that of the problem without limits.
 
         Parameters
         ----------
         limits : LegLimits, optional
             The geometry's own if not given; without either, everything is kept.
+
+        Raises
+        ------
+        ArgumentError
+            If `limits` are of another kind.
         """
-        limits = limits or self.geometry.limits
+        limits = self.geometry.limits if limits is None else instance(limits, LegLimits, "limits")
         return self if limits is None else self.where(limits.contains(self.leg_lengths))
 
     def nearest(self, seed: Configuration | npt.ArrayLike) -> Configuration:
@@ -292,6 +361,11 @@ class SolutionSet:
         seed : Configuration, or array_like of shape (..., 3, 3)
             The state to be near to, or only its middle joints [m]. The largest displacement of a joint is
             compared: of the b_i and, given a `Configuration`, of the c_i.
+
+        Raises
+        ------
+        ArgumentError
+            If `seed` is neither, does not exist, or has leading axes that do not fit.
         """
         state = self._configurations
         if isinstance(seed, Configuration):
@@ -303,6 +377,7 @@ class SolutionSet:
         absent = np.isnan(target).any(axis=(-1, -2))
         if absent.any():
             raise ArgumentError("seed", "states that exist", f"NaN at index {first_offender(absent)}")
+        boolean_array(absent, "seed", self.shape)  # leading axes that broadcast to those of the problems
         distance = np.sqrt(((points - target[..., None, :, :]) ** 2).sum(axis=-1)).max(axis=-1)
         distance = np.where(self.exists, distance, np.inf)
         return self._select(distance.argmin(axis=-1), np.asarray(self.exists.any(axis=-1)))
@@ -326,7 +401,7 @@ class SolutionSet:
         return several if self.shape else bool(several)
 
     def physical(self, seed: Configuration | npt.ArrayLike | None = None) -> Configuration:
-        """Return the solution a real machine is in; NaN where there is none.
+        """Return the solution that a real machine is in; NaN where there is none.
 
         Of those in `is_physical`, the nearest to `seed` if there is one. Without a seed two may be left, on
         either side of an inverse singularity: the one whose stages are tilted least, and `ambiguous` is true.
@@ -350,5 +425,6 @@ class SolutionSet:
         wrong = self.count != 1
         if wrong.any():
             index = first_offender(wrong)
-            raise NotOneSolutionError(tuple(np.array(self._labels)[self.exists[index]]), index)
+            labels = tuple(np.array(self._labels)[self.exists[index]])
+            raise NotOneSolutionError(labels, index, "" if labels else self._absence(index))
         return self._select(self.exists.argmax(axis=-1), np.ones(self.shape, dtype=bool))

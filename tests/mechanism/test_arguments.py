@@ -126,10 +126,10 @@ def test_a_generator_is_made_of_a_seed() -> None:
 
 
 def test_a_mask_is_boolean_and_broadcasts_to_the_shape() -> None:
-    assert arguments.mask([True, False], "mask", (3, 2)).shape == (3, 2)
+    assert arguments.boolean_array([True, False], "mask", (3, 2)).shape == (3, 2)
     for value in (np.ones((2, 8)), np.ones((2, 8), bool), [1, 0], "x", None, [[True], [True, False]], Hostile()):
         with pytest.raises(spm.ArgumentError, match=r"^mask: expected booleans of shape \(8,\), got"):
-            arguments.mask(value, "mask", (8,))
+            arguments.boolean_array(value, "mask", (8,))
 
 
 def test_leading_axes_that_do_not_fit_are_refused() -> None:

@@ -1,11 +1,16 @@
 from __future__ import annotations
 
+import copy
+import pickle
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from problems import in_leg_space
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
+from spm_pin.mechanism.configuration import check_configuration
 
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 
@@ -60,6 +65,41 @@ def test_everything_is_batched_and_read_only() -> None:
             np.testing.assert_array_equal(getattr(state, name), values[k])
     assert batch.pose.shape == batch.middle_pose.shape == (6,)
     np.testing.assert_array_equal(batch[2:4].leg_lengths, batch.leg_lengths[2:4])
+
+
+def test_the_callers_array_is_copied(configuration: spm.Configuration) -> None:
+    joints = np.array(configuration.middle_joints)
+    state = spm.Configuration(configuration.geometry, POSE, joints)
+    joints[:] = 0.0
+    np.testing.assert_array_equal(state.middle_joints, configuration.middle_joints)
+
+
+@pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, lambda state: pickle.loads(pickle.dumps(state))])
+def test_copies_are_equal_and_read_only(
+    configuration: spm.Configuration, duplicate: Callable[[spm.Configuration], spm.Configuration]
+) -> None:
+    batch = in_leg_space(spm.Geometry.paper(), 3, seed=0).configuration
+    for state in (configuration, batch):
+        again = duplicate(state)
+        assert again.geometry == state.geometry
+        for name in ("rotation", "translation", "middle_joints", "leg_lengths", "platform_joints"):
+            np.testing.assert_array_equal(getattr(again, name), getattr(state, name))
+            assert not getattr(again, name).flags.writeable, name
+            with pytest.raises(ValueError, match="read-only"):
+                getattr(again, name)[..., 0] = 1.0
+
+
+def test_kinds_of_configurations_are_checked(configuration: spm.Configuration) -> None:
+    assert check_configuration(configuration, single=True, existing=True) is configuration
+    batch = in_leg_space(spm.Geometry.paper(), 2, seed=0).configuration
+    with pytest.raises(spm.ArgumentError, match=r"^start: expected a single .* shape \(2,\)\. .*start\[0\]"):
+        check_configuration(batch, "start", single=True)
+    joints = np.array(batch.middle_joints)
+    joints[1] = np.nan
+    with pytest.raises(spm.ArgumentError, match=r"^start: expected a configuration that exists, got NaN at .*\(1,\)"):
+        check_configuration(spm.Configuration(batch.geometry, batch.pose, joints), "start", existing=True)
+    with pytest.raises(spm.ArgumentError, match=r"^start: expected a Configuration, got SolutionSet\. .*\.physical"):
+        check_configuration(spm.inverse_displacement(spm.Geometry.paper(), POSE), "start")
 
 
 def test_absent_members_are_nan_throughout() -> None:

@@ -1,7 +1,10 @@
 from __future__ import annotations
 
 import pickle
+import re
+from collections.abc import Callable
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -9,6 +12,7 @@ from problems import in_leg_space, random_branches
 
 import spm_pin as spm
 from spm_pin.mechanism.branches import determinants, straightness
+from spm_pin.mechanism.configuration import check_configuration
 
 PAPER = spm.Geometry.paper()
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
@@ -51,7 +55,9 @@ def test_a_batch_is_indexed_by_its_problems(batch: spm.SolutionSet) -> None:
     some = batch[10:20]
     assert some.shape == (10,)
     np.testing.assert_array_equal(some["TT-"].leg_lengths, batch.leg_lengths[10:20, 1])
-    assert [s.count for s in some] == list(batch.count[10:20])
+    assert [some[i].count for i in range(10)] == list(batch.count[10:20])
+    with pytest.raises(TypeError, match=r"solutions\[i\] is problem i"):
+        iter(some)
     assert batch[np.array([3, 5])].shape == (2,)
     grid = spm.inverse_displacement(PAPER, in_leg_space(PAPER, 6, seed=1).pose.as_matrix().reshape(3, 2, 4, 4))
     assert grid.shape == (3, 2)
@@ -112,7 +118,7 @@ def test_nearest_refuses_a_seed_that_does_not_exist(branches: spm.SolutionSet) -
         branches.nearest(np.zeros((2, 2)))
 
 
-def test_where_nothing_exists_nothing_is_chosen() -> None:
+def test_of_no_solutions_none_is_chosen() -> None:
     nothing = spm.inverse_displacement(PAPER, spm.pose([9, 9, 9], rotation=POSE.rotation))
     assert nothing.status is spm.Status.UNREACHABLE
     assert not nothing.physical().exists
@@ -123,7 +129,7 @@ def test_where_nothing_exists_nothing_is_chosen() -> None:
     assert list(nothing) == []
 
 
-def test_the_physical_branch_is_the_papers_reasonable_one(branches: spm.SolutionSet) -> None:
+def test_the_physical_branch_is_the_papers_third_solution(branches: spm.SolutionSet) -> None:
     chosen = branches.physical()
     np.testing.assert_allclose(100 * chosen.leg_lengths[:3], [119.9824, 119.9962, 139.8558], atol=5e-5)
     # The rounded pose takes r_c3 beyond our 1.50 m: physical in its mode, and excluded by the limits.
@@ -156,14 +162,14 @@ def test_signs_at_home_are_positive() -> None:
     assert (upper > 0.0).all()
 
 
-def test_one_is_the_only_one_or_an_error(branches: spm.SolutionSet) -> None:
+def test_one_returns_the_only_solution_or_raises(branches: spm.SolutionSet) -> None:
     with pytest.raises(spm.NotOneSolutionError, match="got 6: TT") as caught:
         branches.one()
     assert caught.value.labels == ("TT+", "TT-", "TF+", "TF-", "FF+", "FF-")
     assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
     assert branches.where(np.array(branches.labels) == "FF+").one().exists
     with pytest.raises(spm.NotOneSolutionError, match="got none"):
-        branches.where(np.zeros(8)).one()
+        branches.where(np.zeros(8, dtype=bool)).one()
     pair = spm.inverse_displacement(PAPER, spm.pose([POSE.translation] * 2, rotation=POSE.rotation))
     mask = np.zeros((2, 8), dtype=bool)
     mask[0, 0] = True
@@ -172,7 +178,7 @@ def test_one_is_the_only_one_or_an_error(branches: spm.SolutionSet) -> None:
 
 
 @pytest.mark.parametrize("modes", spm.mechanism.FAMILIES)
-def test_any_order_is_put_in_the_canonical_order(modes: str) -> None:
+def test_branches_in_any_order_get_their_canonical_labels(modes: str) -> None:
     problem = random_branches(PAPER, modes, 2_000, seed=4)
     solutions = spm.inverse_displacement(PAPER, problem.pose)
     shuffled = np.random.default_rng(0).permuted(np.arange(8)[None].repeat(2_000, 0), axis=1)
@@ -182,7 +188,7 @@ def test_any_order_is_put_in_the_canonical_order(modes: str) -> None:
     np.testing.assert_array_equal(again.status, solutions.status)
 
 
-def test_more_than_two_of_a_family_is_an_unsolved_problem(branches: spm.SolutionSet) -> None:
+def test_more_than_two_branches_of_a_family_give_the_status_unsolved(branches: spm.SolutionSet) -> None:
     joints = np.array(branches.middle_joints)
     joints[4] = joints[0] + 1e-4
     wrong = spm.SolutionSet.from_unordered(PAPER, POSE, joints)
@@ -192,10 +198,92 @@ def test_more_than_two_of_a_family_is_an_unsolved_problem(branches: spm.Solution
     assert failed.status is spm.Status.UNSOLVED
 
 
-def test_representations_say_what_matters(branches: spm.SolutionSet, batch: spm.SolutionSet) -> None:
+def test_representations_are_summaries(branches: spm.SolutionSet, batch: spm.SolutionSet) -> None:
     assert repr(branches) == "<SolutionSet: ok, 6 of 8 real: TT+, TT-, TF+, TF-, FF+, FF->"
     assert "(500,) problems (500 ok, 0 unreachable" in repr(batch)
     assert repr(branches["TT+"]).startswith("<Configuration: leg lengths (1.1998, 1.2000")
+
+
+def test_a_notebook_shows_a_table_of_the_solutions(branches: spm.SolutionSet, batch: spm.SolutionSet) -> None:
+    table = ElementTree.fromstring(branches._repr_html_())
+    rows = [[cell.text or "" for cell in row] for row in table.iter("tr")]
+    assert rows[0] == ["", *(f"{leg} [m]" for leg in spm.mechanism.LEGS), "physical"]
+    assert [row[0] for row in rows[1:]] == ["TT+", "TT-", "TF+", "TF-", "FF+", "FF-"]
+    for row, state in zip(rows[1:], branches, strict=True):
+        np.testing.assert_allclose(np.array(row[1:7], dtype=float), state.leg_lengths, atol=5.1e-5)
+    assert [row[7] for row in rows[1:]].count("✓") == 1
+    many = ElementTree.fromstring(spm.forward_displacement(PAPER, [1.3] * 6)._repr_html_())
+    assert len(list(many.iter("tr"))) == 18
+    outcomes = ElementTree.fromstring(batch._repr_html_())
+    assert [cell.text for cell in list(outcomes.iter("tr"))[1]] == ["ok", "500", str(batch.count.sum())]
+
+
+LEVEL = spm.pose([0.0, 0.0, 2.2], rotation=np.eye(3))
+
+
+def test_the_error_of_a_level_pose_says_why_and_what_to_do() -> None:
+    branches = spm.inverse_displacement(PAPER, LEVEL)
+    words = "level platform over the axis of the base is singular for the inverse.*forward_physical.*tilt.*nearest"
+    with pytest.raises(spm.NotOneSolutionError, match=f"got none: a {words}"):
+        branches.one()
+    absent = branches.physical()
+    assert not absent.exists
+    assert re.search(f"does not exist: a {words}", repr(absent))
+    with pytest.raises(spm.ArgumentError, match=f"^configuration: expected a configuration that exists, .*{words}"):
+        check_configuration(absent, existing=True)
+    assert pickle.loads(pickle.dumps(absent)).absence == absent.absence
+    pair = spm.inverse_displacement(PAPER, np.stack([LEVEL.as_matrix(), LEVEL.as_matrix()]))
+    with pytest.raises(spm.NotOneSolutionError, match=rf"index \(0,\): a {words}"):
+        pair.one()
+
+
+def test_the_ways_on_from_a_level_pose_lead_to_it() -> None:
+    state = spm.forward_physical(PAPER, [1.15] * 6)
+    assert state.exists
+    np.testing.assert_allclose(state.rotation, np.eye(3), atol=1e-12)
+    tilted = spm.inverse_displacement(PAPER, spm.pose(state.translation, xyx=[0.0, 1e-4, 1e-4]))
+    assert tilted.status is spm.Status.OK
+    assert tilted.nearest(state).closure_residual < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("absent", "words"),
+    [
+        (lambda: spm.inverse_displacement(PAPER, spm.pose([9, 9, 9], rotation=POSE.rotation)), "out of reach"),
+        (lambda: spm.inverse_displacement(PAPER, POSE).within(), r"\.within\(limits\)"),
+        (lambda: spm.forward_displacement(PAPER, [0.1, 1, 9, 1, 1, 1]), "out of reach"),
+    ],
+)
+def test_a_state_that_does_not_exist_says_why(absent: Callable[[], spm.SolutionSet], words: str) -> None:
+    assert re.search(f"does not exist: .*{words}", repr(absent().physical()))
+
+
+@pytest.mark.parametrize(
+    ("call", "argument"),
+    [
+        (lambda s: s.where(np.ones((2, 8))), "mask"),
+        (lambda s: s.where(np.ones((2, 8), dtype=bool)), "mask"),
+        (lambda s: s.where("TT+"), "mask"),
+        (lambda s: s.within(0), "limits"),
+        (lambda s: s.within("x"), "limits"),
+        (lambda s: s.within((1.1, 1.5)), "limits"),
+        (lambda s: s.nearest("x"), "seed"),
+        (lambda s: s.nearest(np.zeros((2, 3, 3))), "seed"),
+        (lambda s: s.nearest(s), "seed"),
+        (lambda s: s.physical(seed=0), "seed"),
+        (lambda s: spm.SolutionSet(s, ["a"], 0), "configurations"),
+        (lambda s: spm.SolutionSet.from_unordered("x", POSE, np.zeros((1, 3, 3))), "geometry"),
+        (lambda s: spm.SolutionSet.from_unordered(PAPER, POSE, np.zeros((3, 3))), "middle_joints"),
+        (lambda s: spm.SolutionSet.from_unordered(PAPER, POSE, np.zeros((0, 3, 3))), "middle_joints"),
+        (lambda s: spm.SolutionSet.from_unordered(PAPER, [POSE.as_matrix()] * 2, np.zeros((3, 1, 3, 3))), "middle_joi"),
+        (lambda s: spm.SolutionSet.from_unordered(PAPER, POSE, np.zeros((1, 3, 3)), solved="no"), "solved"),
+    ],
+)
+def test_wrong_arguments_are_named(
+    branches: spm.SolutionSet, call: Callable[[spm.SolutionSet], object], argument: str
+) -> None:
+    with pytest.raises(spm.ArgumentError, match=f"^{argument}.*: expected"):
+        call(branches)
 
 
 @pytest.mark.parametrize("low", [1.1, 0.8])
