@@ -41,8 +41,9 @@ figures: $(VENV)/.test
 	$(BIN)/python docs/site/figures.py
 	$(BIN)/python docs/site/example_figures.py
 
-# Rewrites urdf/spm.urdf, spm.srdf, spm.xml, spm.sdf and spm_closures.yaml from their sources.
+# Rewrites urdf/meshes, and spm.urdf, spm.srdf, spm.xml, spm.sdf and spm_closures.yaml from their sources.
 description: $(VENV)/.demo
+	$(BIN)/python urdf/generate_meshes.py
 	$(BIN)/python urdf/generate.py
 
 $(VENV)/.python:

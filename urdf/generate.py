@@ -1,4 +1,4 @@
-"""Write the generated files of the description: `python urdf/generate.py`, in a checkout.
+"""Write the generated robot files of the description: `python urdf/generate.py`, in a checkout.
 
 `spm.urdf`, `spm.srdf`, `spm.xml`, `spm.sdf` and `spm_closures.yaml` come from the xacro sources, from `config/*.yaml`
 and, for the named states, from solving the paper's example. A test checks that the files kept beside this script are
@@ -13,13 +13,15 @@ import numpy as np
 
 import spm_pin as spm
 from spm_pin.description.expand import expand
-from spm_pin.description.paths import CLOSURES, MJCF, SDF, SIDECAR, SRDF, URDF
+from spm_pin.description.paths import CLOSURES, MESHES, MJCF, SDF, SIDECAR, SRDF, URDF
 from spm_pin.description.robots import manipulator
 from spm_pin.description.srdf import srdf_text
 from spm_pin.description.writers.extended_urdf import sidecar_text
 from spm_pin.description.writers.mjcf import mjcf_text
 from spm_pin.description.writers.sdf import sdf_text
 from spm_pin.paper.published import POSITION, TABLE_2, XYX_DEGREES
+
+FOLDER = Path(__file__).resolve().parent
 
 REFERENCE = "3"
 """Number of the solution that is also the state `reference`: the one the paper goes on with."""
@@ -45,14 +47,14 @@ def generate() -> dict[str, str]:
     states = named_states()
     robot = manipulator(states=states)
     return {
-        URDF: expand(),
+        URDF: expand(meshes=MESHES),
         SRDF: srdf_text(states),
-        MJCF: mjcf_text(robot),
-        SDF: sdf_text(robot),
+        MJCF: mjcf_text(robot, folder=FOLDER),
+        SDF: sdf_text(robot, folder=FOLDER),
         SIDECAR: f"# {warning}\n" + sidecar_text(robot),
     }
 
 
 if __name__ == "__main__":
     for name, content in generate().items():
-        (Path(__file__).parent / name).write_text(content, encoding="utf-8", newline="\n")
+        (FOLDER / name).write_text(content, encoding="utf-8", newline="\n")

@@ -10,7 +10,7 @@ from typing import Any
 import xacro
 import yaml
 
-from spm_pin.description.paths import ENTRY, description_file
+from spm_pin.description.paths import ENTRY, MESHES, description_directory, description_file
 from spm_pin.description.tree import check_prefix
 from spm_pin.mechanism.geometry import LEGS, Geometry
 
@@ -20,7 +20,7 @@ __all__ = ["expand", "geometry_data"]
 _XACRO = threading.Lock()
 
 
-def expand(geometry: Geometry | None = None, *, prefix: str = "") -> str:
+def expand(geometry: Geometry | None = None, *, prefix: str = "", meshes: str | None = None) -> str:
     """Return the URDF of a manipulator.
 
     Parameters
@@ -30,6 +30,9 @@ def expand(geometry: Geometry | None = None, *, prefix: str = "") -> str:
     prefix : str
         Put before the name of every link, joint, transmission, actuator and material, so that several robots
         can share a model.
+    meshes : str
+        The folder of the meshes as the URDF is to name it: ``"meshes"`` beside the URDF, or
+        ``"package://spm_description/meshes"``. By default the absolute path of this installation's.
 
     Returns
     -------
@@ -46,7 +49,9 @@ def expand(geometry: Geometry | None = None, *, prefix: str = "") -> str:
     with tempfile.TemporaryDirectory() as folder, _XACRO:
         path = Path(folder) / "geometry.yaml"
         path.write_text(yaml.safe_dump(data), encoding="utf-8")
-        document = xacro.process_file(str(description_file(ENTRY)), mappings={"prefix": prefix, "geometry": str(path)})
+        folder_of_meshes = (description_directory() / MESHES).as_posix() if meshes is None else meshes
+        mappings = {"prefix": prefix, "geometry": str(path), "meshes": folder_of_meshes}
+        document = xacro.process_file(str(description_file(ENTRY)), mappings=mappings)
     # xacro's banner holds the path of this machine's copy; the source's own comment stays.
     while document.firstChild is not document.documentElement:
         document.removeChild(document.firstChild).unlink()

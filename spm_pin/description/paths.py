@@ -10,6 +10,7 @@ from spm_pin.mechanism.geometry import config_directory
 __all__ = [
     "CLOSURES",
     "ENTRY",
+    "MESHES",
     "MJCF",
     "SDF",
     "SIDECAR",
@@ -31,6 +32,8 @@ SDF = "spm.sdf"
 """The closed robot in SDFormat."""
 SIDECAR = "spm_closures.yaml"
 """The closures in the layout of Extended-URDF."""
+MESHES = "meshes"
+"""The folder of the solids that are drawn, OBJ files without unit: the URDF scales them."""
 CLOSURES = "config/closures.yaml"
 """The closures as this package reads them."""
 

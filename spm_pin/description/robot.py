@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -85,8 +86,13 @@ class Material:
 class Mesh:
     """A mesh as the source names it, and the file that this is."""
 
-    uri: str
+    uri: str = field(compare=False)
     path: Path
+
+    def reference(self, folder: Path | None) -> str:
+        """Return the path as a file in `folder` is to name it, or the absolute path if there is none."""
+        path = self.path if folder is None else Path(os.path.relpath(self.path, folder))
+        return path.as_posix()
 
 
 @dataclass(frozen=True)

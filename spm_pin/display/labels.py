@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from spm_pin.description.visuals import visual_parts
 from spm_pin.display.rendering import Extent, Image
-from spm_pin.display.scene import COLOURS, TRIAD, Colour
+from spm_pin.display.scene import AXIS_COLOURS, TRIAD, Colour
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS
@@ -71,7 +72,7 @@ def label(configuration: Configuration, lettering: Lettering, camera: FloatArray
         for letter, tip, name in zip(letters, tips, "xyz", strict=True):
             out = tip - start
             place = tip + 0.75 * h * out / max(float(np.linalg.norm(out)), 1e-9)
-            lettering.put(f"${letter}$", COLOURS[f"{name} axis"], place[None], np.zeros(1), 1.0)
+            lettering.put(f"${letter}$", AXIS_COLOURS[name], place[None], np.zeros(1), 1.0)
         arrows = (tips - start) / np.linalg.norm(tips - start, axis=-1, keepdims=True).clip(1e-9)
         lettering.put(rf"$\{{{frame}\}}$", _INK, start + 1.3 * h * around, (around @ arrows.T).max(axis=-1), 2.0)
 
@@ -89,6 +90,7 @@ def label(configuration: Configuration, lettering: Lettering, camera: FloatArray
             dislike += distances.min(axis=-1) < np.linalg.norm(places - point, axis=-1) - 1e-9
             lettering.put(f"${letter}_{i + 1}$", _INK, places, dislike)
 
+    colours = {part.body: part.colour for part in visual_parts(configuration.geometry) if part.mesh == "tube"}
     along = np.linspace(0.2, 0.8, 25)
     sides = np.array([-2.0, -1.5, 1.5, 2.0])
     for leg, hip, ball in zip(LEGS, flattened[[0, 2]].reshape(6, 2), np.tile(flattened[1], (2, 1)), strict=True):
@@ -97,6 +99,6 @@ def label(configuration: Configuration, lettering: Lettering, camera: FloatArray
         outward = np.sign(((hip + ball) / 2.0 - flattened.mean(axis=(0, 1))) @ across)
         places = (hip + along[:, None] * line)[:, None] + sides[:, None] * h * across
         dislike = np.add.outer(np.abs(along - 0.45), 0.6 * np.abs(sides) + 0.3 * (sides * outward < 0.0)).ravel()
-        red, green, blue = COLOURS["lower leg" if leg in LEGS[:3] else "upper leg"]
+        red, green, blue = colours[f"leg_{leg[2:]}_cylinder"]
         dark = (0.75 * red, 0.75 * green, 0.75 * blue)
         lettering.put(f"$r_{{{leg[2:]}}}$", dark, places.reshape(-1, 2), dislike, 2.6)

@@ -47,7 +47,7 @@ def camera_axes(view: tuple[float, float]) -> FloatArray:
 
 def bounds(solids: Scene, camera: FloatArray, margin: float = 0.0) -> tuple[FloatArray, FloatArray]:
     """Return the lower left and the upper right corner [m] of the scene in view, with a margin over its longer side."""
-    points = np.concatenate([solid.mesh.vertices for solid in solids.solids]) @ camera[:2].T
+    points = np.concatenate([solid.vertices for solid in solids.solids]) @ camera[:2].T
     low, high = points.min(axis=0), points.max(axis=0)
     border = margin * float((high - low).max()) * np.array([1.4, 1.0])
     return low - border, high + border
@@ -60,17 +60,16 @@ def render(solids: Scene, camera: FloatArray, resolution: float, edge: float) ->
     """
     triangles, colours, regions, count = [], [], [], 0
     for solid in solids.solids:
-        normals = solid.mesh.face_normals @ camera.T
+        normals, smooth = _normals_and_regions(solid.vertices, solid.faces)
+        normals = normals @ camera.T
         front = normals[:, 2] > 0.0
-        seen = solid.mesh.triangles[front] @ camera.T
+        seen = solid.vertices[solid.faces[front]] @ camera.T
         # A frame's arrows lie in its plate: bring them to its surface, yet not before what stands in front of it.
-        seen[..., 2] += 0.3 * solids.size if solid.kind == "frame" else 0.0
+        seen[..., 2] += 0.4 * solids.size if solid.kind == "frame" else 0.0
         triangles.append(seen)
         colours.append(_shade(solid.colour, normals[front]))
-        # Faces joined without a crease form a region; edges are drawn where regions meet.
-        smooth = solid.mesh.face_adjacency[solid.mesh.face_adjacency_angles < _CREASE]
-        joined = coo_array((np.ones(len(smooth)), smooth.T), shape=(len(front), len(front)))
-        regions.append(connected_components(joined, directed=False)[1][front] + count)
+        # Edges are drawn where regions meet.
+        regions.append(smooth[front] + count)
         count += len(front)
     corners = np.concatenate(triangles)
     low, high = bounds(solids, camera)
@@ -89,6 +88,21 @@ def render(solids: Scene, camera: FloatArray, resolution: float, edge: float) ->
     image = samples.reshape(height, _SAMPLES, width, _SAMPLES, 4).mean(axis=(1, 3))
     image[..., :3] /= np.maximum(image[..., 3:], 1e-9)
     return image, (left, left + width / resolution, top - height / resolution, top)
+
+
+def _normals_and_regions(vertices: FloatArray, faces: npt.NDArray[np.signedinteger]) -> tuple[FloatArray, Indices]:
+    """Return the unit normals (m, 3) of faces, and numbers (m,) that faces joined without a crease share."""
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    normals = np.cross(b - a, c - a)
+    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-300)
+    # On a closed surface each edge has two faces.
+    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=-1)
+    order = np.lexsort(edges.T)
+    twins = np.flatnonzero((edges[order[1:]] == edges[order[:-1]]).all(axis=-1))
+    first, second = order[twins] // 3, order[twins + 1] // 3
+    smooth = (normals[first] * normals[second]).sum(axis=-1) > math.cos(_CREASE)
+    joined = coo_array((np.ones(smooth.sum()), (first[smooth], second[smooth])), shape=(len(faces), len(faces)))
+    return normals, np.asarray(connected_components(joined, directed=False)[1], dtype=np.intp)
 
 
 def _shade(colour: Colour, normals: FloatArray) -> FloatArray:

@@ -67,13 +67,12 @@ def draw_shell(
     ArgumentError
         If `shell` is no Shell, `ax` is three-dimensional, or `view` is not two angles.
     MissingExtraError
-        If matplotlib or trimesh is not installed.
+        If matplotlib is not installed.
     """
     if not isinstance(shell, Shell):
         raise ArgumentError("shell", "a Shell", type(shell).__name__, "Make one with workspace_shell(geometry)")
     camera = camera_axes(view)
     with plots_extra():
-        import trimesh
         from matplotlib.figure import Figure
         from matplotlib.patheffects import withStroke
 
@@ -92,12 +91,7 @@ def draw_shell(
     inch = float(high[1] - low[1] + 2.0 * border) / inches
     solids = [
         # The renderer shows what faces the viewer, and that is all one sees of a closed shell.
-        Solid(
-            patch.name,
-            "plate",
-            FAMILY_COLOURS[patch.family],
-            trimesh.Trimesh(shell.vertices, shell.faces[patch.faces], process=False),
-        )
+        Solid(patch.name, "robot", FAMILY_COLOURS[patch.family], shell.vertices, shell.faces[patch.faces])
         for patch in shell.patches
     ]
     image, extent = render(Scene(tuple(solids), 1.0), camera, dpi / inch, _EDGE / 72.0 * dpi)

@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from spm_pin.description.closures import Closure, read_closures
 from spm_pin.description.expand import expand
-from spm_pin.description.paths import URDF, description_file
+from spm_pin.description.paths import URDF, description_directory, description_file
 from spm_pin.description.srdf import srdf_text
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.geometry import Geometry
@@ -127,7 +127,9 @@ class ClosedChain(ChainPaths):
     @cached_property
     def visual_model(self) -> Any:
         """What is seen, a `pinocchio.GeometryModel`."""
-        return pin.buildGeomFromUrdfString(self._model, self._urdf, pin.GeometryType.VISUAL)
+        return pin.buildGeomFromUrdfString(
+            self._model, self._urdf, pin.GeometryType.VISUAL, package_dirs=str(description_directory())
+        )
 
     @cached_property
     def collision_model(self) -> Any:

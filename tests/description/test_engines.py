@@ -106,7 +106,7 @@ def test_mujoco() -> None:
 
 def mujoco_model(mujoco: Any) -> tuple[Any, Any]:
     """The tree as MuJoCo reads it, with the closures added as `connect` between bodies."""
-    spec = mujoco.MjSpec.from_string(TEXT)
+    spec = mujoco.MjSpec.from_file(str(description_file(URDF)))
     for closure in CLOSURES:
         equality = spec.add_equality()
         equality.type, equality.objtype = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtObj.mjOBJ_BODY
@@ -118,7 +118,7 @@ def mujoco_model(mujoco: Any) -> tuple[Any, Any]:
 
 
 @pytest.mark.parametrize("looped", [True, False], ids=["loops", "no loops"])
-def test_drake(looped: bool) -> None:
+def test_drake(looped: bool, tmp_path: Path) -> None:
     pytest.importorskip("pydrake")
     from pydrake.multibody.parsing import Parser
     from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, DiscreteContactApproximation
@@ -128,7 +128,9 @@ def test_drake(looped: bool) -> None:
     builder = DiagramBuilder()
     plant, _ = AddMultibodyPlantSceneGraph(builder, 1e-3)
     plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)  # ball constraints need SAP
-    Parser(plant).AddModelsFromString(TEXT if looped else without_constraints(TEXT), "urdf")
+    path = tmp_path / "spm.urdf"  # in a text without a file, Drake takes no paths of meshes
+    path.write_text(expand() if looped else without_constraints(expand()), encoding="utf-8")
+    Parser(plant).AddModels(str(path))
     plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base"))
     plant.Finalize()
     actuators = [plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices()]

@@ -20,7 +20,7 @@ from description.kinematic_tree import KinematicTree, inertia, named_states
 from problems import GEOMETRIES
 
 import spm_pin as spm
-from spm_pin.description import MJCF_PATH, SDF_PATH, SRDF_PATH, URDF_PATH
+from spm_pin.description import MJCF_PATH, PACKAGE_PATH, SDF_PATH, SRDF_PATH, URDF_PATH
 from spm_pin.description.closures import read_closures
 from spm_pin.description.expand import expand
 from spm_pin.description.robots import manipulator
@@ -243,7 +243,7 @@ def test_shapes_are_where_the_urdf_has_them(kind: str, load: object) -> None:
     assert callable(load)
     pin, what = load("pinocchio", "urdf").pin, getattr(load("pinocchio", "urdf").pin, kind)
     found = pin.buildGeomFromMJCF(load("pinocchio", "mjcf").model, MJCF_PATH, what)
-    expected = pin.buildGeomFromUrdf(load("pinocchio", "urdf").model, URDF_PATH, what)
+    expected = pin.buildGeomFromUrdf(load("pinocchio", "urdf").model, URDF_PATH, what, package_dirs=PACKAGE_PATH)
     assert found.ngeoms == expected.ngeoms > 0
 
     def described(shapes: Any) -> Array:
@@ -309,8 +309,9 @@ def test_two_robots_in_mujoco(tmp_path: Path) -> None:
 def test_written_urdf_is_the_expanded_one(files: dict[str, Path]) -> None:
     """Element by element: links, joints, transmissions and constraints in the order of the source."""
     written = ElementTree.parse(files["written urdf"]).getroot()
+    source = ElementTree.fromstring(expand())
     for tag in ("link", "joint", "transmission", "material", "{http://drake.mit.edu}ball_constraint", "mujoco"):
-        theirs, ours = written.findall(tag), TREE.root.findall(tag)
+        theirs, ours = written.findall(tag), source.findall(tag)
         if tag == "material":
             theirs, ours = (sorted(each, key=lambda m: str(m.get("name"))) for each in (theirs, ours))
         assert len(theirs) == len(ours) > 0

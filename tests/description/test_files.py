@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import trimesh
 import yaml
 from description.kinematic_tree import KinematicTree, named_states
 from problems import in_leg_space, random_branches
@@ -18,10 +19,21 @@ from problems import in_leg_space, random_branches
 import spm_pin as spm
 from spm_pin.description.closures import read_closures
 from spm_pin.description.expand import expand, geometry_data
-from spm_pin.description.paths import ENTRY, MJCF, SDF, SIDECAR, SRDF, URDF, description_directory, description_file
+from spm_pin.description.paths import (
+    ENTRY,
+    MESHES,
+    MJCF,
+    SDF,
+    SIDECAR,
+    SRDF,
+    URDF,
+    description_directory,
+    description_file,
+)
 from spm_pin.description.robots import manipulator
 from spm_pin.description.srdf import srdf_text
 from spm_pin.description.tree import JOINTS, PASSIVE, SLIDES
+from spm_pin.description.visuals import read_obj
 from spm_pin.description.writers.extended_urdf import sidecar_text
 from spm_pin.errors import ArgumentError, DescriptionError
 
@@ -43,13 +55,30 @@ def test_generated_files_are_fresh(name: str) -> None:
     np.testing.assert_allclose([float(number) for number in NUMBER.findall(fresh)], expected, rtol=1e-13, atol=1e-13)
 
 
+def test_meshes_are_fresh_closed_and_small() -> None:
+    fresh = runpy.run_path(str(description_directory() / "generate_meshes.py"))["generate"]()
+    kept = {f"{MESHES}/{path.name}": path for path in (description_directory() / MESHES).iterdir()}
+    assert fresh.keys() == kept.keys()
+    for name, path in kept.items():
+        text = path.read_text(encoding="utf-8")
+        assert NUMBER.sub("#", fresh[name]) == NUMBER.sub("#", text)
+        expected = [float(number) for number in NUMBER.findall(text)]
+        # Coordinates are rounded to 1e-5, which another mathematical library may do the other way.
+        np.testing.assert_allclose([float(number) for number in NUMBER.findall(fresh[name])], expected, atol=1.1e-3)
+        mesh = trimesh.Trimesh(*read_obj(path))
+        assert mesh.is_watertight, name
+        assert mesh.is_winding_consistent, name
+        assert mesh.volume > 0.0, name
+    assert sum(path.stat().st_size for path in kept.values()) < 400_000
+
+
 @pytest.mark.parametrize("prefix", ["", "left_"])
 def test_the_xacro_command_gives_the_same_tree(prefix: str, tmp_path: Path) -> None:
     command = [str(Path(sysconfig.get_path("scripts")) / "xacro"), str(description_file(ENTRY)), f"prefix:={prefix}"]
     # From another folder: what the sources name, they find beside themselves.
     by_hand = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
     assert by_hand.stderr == ""
-    ours = expand(prefix=prefix)
+    ours = expand(prefix=prefix, meshes=MESHES)
     assert ElementTree.canonicalize(by_hand.stdout, strip_text=True) == ElementTree.canonicalize(ours, strip_text=True)
     if not prefix:
         values = KinematicTree(ours).random_values(np.random.default_rng(0))
@@ -65,12 +94,12 @@ def test_arguments_of_the_xacro_command(tmp_path: Path) -> None:
     assert spm.Geometry.from_yaml(path) == geometry
     command = [str(Path(sysconfig.get_path("scripts")) / "xacro"), str(description_file(ENTRY)), f"geometry:={path}"]
     by_hand = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    ours = ElementTree.canonicalize(expand(geometry), strip_text=True)
+    ours = ElementTree.canonicalize(expand(geometry, meshes=MESHES), strip_text=True)
     assert ElementTree.canonicalize(by_hand, strip_text=True) == ours
 
 
 def test_no_path_of_this_machine_is_written() -> None:
-    for text in (expand(), *map(shipped, (URDF, SRDF, MJCF, SDF, SIDECAR))):
+    for text in (expand(meshes=MESHES), *map(shipped, (URDF, SRDF, MJCF, SDF, SIDECAR))):
         assert str(description_directory()) not in text
         assert str(Path.home()) not in text
 

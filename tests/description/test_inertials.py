@@ -1,7 +1,8 @@
-"""Masses and inertias are those of bodies that can exist, and of the solids that are drawn."""
+"""Masses and inertias are those of bodies that can exist, and of simple bodies; what is drawn are meshes."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -15,7 +16,7 @@ from spm_pin.description.expand import expand
 from spm_pin.description.paths import description_file
 
 PAPER = GEOMETRIES["paper"]
-DENSITIES = yaml.safe_load(description_file("config/inertials.yaml").read_text(encoding="utf-8"))["density"].values()
+NUMBERS = yaml.safe_load(description_file("config/inertials.yaml").read_text(encoding="utf-8"))
 
 
 @pytest.fixture(scope="module", params=GEOMETRIES)
@@ -32,28 +33,45 @@ def test_every_link_is_a_possible_body(tree: KinematicTree) -> None:
         assert c <= (a + b) * (1.0 + 1e-12), name
 
 
-def shape(element: ElementTree.Element) -> tuple[float, Array]:
-    """Volume and second moments per volume about the centre (3, 3), in the shape's own frame."""
-    (solid,) = element.findall("geometry/*")
-    if solid.tag == "box":
-        x, y, z = vector(solid.get("size"))
+def volume_and_moments(kind: str, *size: float) -> tuple[float, Array]:
+    """Volume and second moments per volume about the centre (3, 3) of a box, or of a sphere or cylinder about z."""
+    if kind == "box":
+        x, y, z = size
         return x * y * z, np.diag([y * y + z * z, x * x + z * z, x * x + y * y]) / 12.0
-    radius = float(str(solid.get("radius")))
-    if solid.tag == "sphere":
-        return 4.0 / 3.0 * np.pi * radius**3, 0.4 * radius**2 * np.eye(3)
-    assert solid.tag == "cylinder"
-    length = float(str(solid.get("length")))
+    if kind == "sphere":
+        return 4.0 / 3.0 * np.pi * size[0] ** 3, 0.4 * size[0] ** 2 * np.eye(3)
+    radius, length = size
     across = (3.0 * radius**2 + length**2) / 12.0
     return np.pi * radius**2 * length, np.diag([across, across, 0.5 * radius**2])
 
 
-def test_inertia_is_that_of_the_drawn_solids(tree: KinematicTree) -> None:
+def bodies(name: str, link: ElementTree.Element, tree: KinematicTree) -> list[tuple[tuple[float, Array], Array]]:
+    """The simple bodies whose inertia a link has, each with its pose (4, 4) in the link."""
+    if name.endswith(("_cylinder", "_rod")):  # what collides ends short of the joints
+        (tube,) = [v for v in link.findall("visual") if "/tube.obj" in str(v.find("geometry/mesh").get("filename"))]
+        radius, _, length = vector(tube.find("geometry/mesh").get("scale"))
+        pose = origin(tube)
+        pose[2, 3] += 0.5 * length
+        return [(volume_and_moments("cylinder", radius, length), pose)]
+    if name.startswith("ball_") or name.endswith("_tip"):  # inside a ball joint nothing collides
+        size = vector(tree.links["base_a1"].find("visual/geometry/mesh").get("scale"))[0]
+        sizes = NUMBERS["leg"]["tip_radius"] if name.endswith("_tip") else NUMBERS["ball_radius"]
+        return [(volume_and_moments("sphere", sizes * size), np.eye(4))]
+    found = []
+    for collision in link.findall("collision"):
+        (solid,) = collision.findall("geometry/*")
+        size = [v for key in ("size", "radius", "length") if solid.get(key) for v in vector(solid.get(key))]
+        found.append((volume_and_moments(solid.tag, *size), origin(collision)))
+    return found
+
+
+def test_inertia_is_that_of_simple_bodies(tree: KinematicTree) -> None:
     for name, link in tree.links.items():
-        solids = [(shape(visual), origin(visual)) for visual in link.findall("visual")]
+        solids = bodies(name, link, tree)
         volume = sum(v for (v, _), _ in solids)
         centre = sum(v * pose[:3, 3] for (v, _), pose in solids) / volume
         mass, frame, moments = inertia(link)
-        assert any(mass / volume == pytest.approx(density) for density in DENSITIES), name
+        assert any(mass / volume == pytest.approx(density) for density in NUMBERS["density"].values()), name
         np.testing.assert_allclose(frame[:3, 3], centre, atol=1e-15, err_msg=name)
         expected = np.zeros((3, 3))
         for (v, second), pose in solids:
@@ -85,11 +103,12 @@ def test_drawn_and_collided(tree: KinematicTree) -> None:
     materials = {str(m.get("name")) for m in tree.root.findall("material")}
     for name, link in tree.links.items():
         visuals = link.findall("visual")
-        assert visuals, name
         assert {material.get("name") for material in link.findall("visual/material")} <= materials
-        inside_a_ball = name.startswith("ball_") or name.endswith("_tip")
-        assert bool(link.findall("collision")) != inside_a_ball, name
-        for element in [*visuals, *link.findall("collision")]:
-            assert shape(element)[0] > 0.0, name
-            (solid,) = element.findall("geometry/*")
+        assert bool(visuals) != name.startswith("ball_"), name
+        assert bool(link.findall("collision")) != (name.startswith("ball_") or name.endswith("_tip")), name
+        for mesh in link.findall("visual/geometry/mesh"):
+            assert (vector(mesh.get("scale")) > 0.0).all(), name
+            assert Path(str(mesh.get("filename"))).is_file(), name
+        for solid in link.findall("collision/geometry/*"):
+            assert solid.tag in ("box", "cylinder", "sphere"), name
             assert all((vector(value) > 0.0).all() for value in solid.attrib.values()), name

@@ -74,7 +74,7 @@ def test_everything_is_installed() -> None:
     assert len(installed) == 2
     listed = set(" ".join(installed).split())
     # The marker of the package and its own files are ament's business.
-    own = {"CMakeLists.txt", "package.xml", "generate.py", "resource", "__pycache__"}
+    own = {"CMakeLists.txt", "package.xml", "generate.py", "generate_meshes.py", "resource", "__pycache__"}
     assert listed == {path.name for path in PACKAGE.iterdir()} - own
 
 
@@ -135,7 +135,10 @@ def test_launch(prefix: str, state: str) -> None:
     publisher, joints, rviz = launched(prefix=prefix, state=state)
     assert publisher.package == "robot_state_publisher"
     text = publisher.parameters[0]["robot_description"]
-    same = (ElementTree.canonicalize(each, strip_text=True) for each in (text, expand(prefix=prefix)))
+    same = (
+        ElementTree.canonicalize(each, strip_text=True)
+        for each in (text, expand(prefix=prefix, meshes="package://spm_description/meshes"))
+    )
     assert len(set(same)) == 1
     assert joints.package == "joint_state_publisher"
     zeros = joints.parameters[0]["zeros"]

@@ -5,12 +5,15 @@ Both read the same URDF as Pinocchio does. Collisions and joint limits are off: 
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from multibody.chains import Array
 
+from spm_pin.description.expand import expand
 from spm_pin.description.paths import URDF, description_file
 from spm_pin.description.tree import SLIDES
 
@@ -51,7 +54,7 @@ class Mujoco:
         import mujoco
 
         self.mj = mujoco
-        spec = mujoco.MjSpec.from_string(description_file(URDF).read_text(encoding="utf-8"))
+        spec = mujoco.MjSpec.from_file(str(description_file(URDF)))
         for closure in robot.closures:
             equality = spec.add_equality()
             equality.type, equality.objtype = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtObj.mjOBJ_BODY
@@ -127,14 +130,17 @@ class Drake:
         from pydrake.multibody.parsing import Parser
         from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
 
-        text = description_file(URDF).read_text(encoding="utf-8")
+        text = expand()
         if step == 0.0:  # a continuous plant has no constraints
             start, end = text.index("<drake:ball_constraint>"), text.rindex("</drake:ball_constraint>")
             text = text[:start] + text[end + len("</drake:ball_constraint>") :]
         self.plant = MultibodyPlant(step)
         if step > 0.0:
             self.plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
-        Parser(self.plant).AddModelsFromString(text, "urdf")
+        with tempfile.TemporaryDirectory() as folder:  # in a text without a file, Drake takes no paths of meshes
+            path = Path(folder) / "spm.urdf"
+            path.write_text(text, encoding="utf-8")
+            Parser(self.plant).AddModels(str(path))
         self.plant.WeldFrames(self.plant.world_frame(), self.plant.GetFrameByName("base"))
         for name in robot.joint_names:
             joint = self.plant.GetJointByName(name)

@@ -31,7 +31,8 @@ def nodes(context):
     """Return the nodes for the arguments given."""
     given = {key: LaunchConfiguration(key).perform(context) for key in ("prefix", "state", "gui", "rviz")}
     prefix = given["prefix"]
-    robot = xacro.process_file(str(FOLDER / "spm.urdf.xacro"), mappings={"prefix": prefix}).toxml()
+    arguments = {"prefix": prefix, "meshes": "package://spm_description/meshes"}
+    robot = xacro.process_file(str(FOLDER / "spm.urdf.xacro"), mappings=arguments).toxml()
     publisher = "joint_state_publisher_gui" if given["gui"] == "true" else "joint_state_publisher"
     started = [
         Node(

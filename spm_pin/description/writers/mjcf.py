@@ -6,6 +6,7 @@ import itertools
 import math
 import re
 from collections.abc import Mapping
+from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
@@ -24,7 +25,7 @@ MESHES = (".stl", ".obj", ".msh")
 """What MuJoCo reads."""
 
 
-def mjcf_text(robot: RobotDescription, *, anchors: str = "bodies") -> str:
+def mjcf_text(robot: RobotDescription, *, anchors: str = "bodies", folder: Path | None = None) -> str:
     """Return a robot as an MJCF file.
 
     Parameters
@@ -36,6 +37,8 @@ def mjcf_text(robot: RobotDescription, *, anchors: str = "bodies") -> str:
         alike; the other body's point follows from the pose at zero, so that the robot must stand assembled there.
         "sites": by two sites, which MuJoCo takes, and Pinocchio where neither is fixed to the base. A weld is told by
         bodies and their relative pose, which MuJoCo and Pinocchio take.
+    folder : Path, optional
+        Where the file will lie, if it is to name its meshes relative to that; by default their paths are absolute.
 
     Raises
     ------
@@ -54,12 +57,13 @@ def mjcf_text(robot: RobotDescription, *, anchors: str = "bodies") -> str:
     """
     if anchors not in ("bodies", "sites"):
         raise ArgumentError("anchors", "bodies or sites", repr(anchors))
-    return document(_Writer(robot, anchors).root())
+    return document(_Writer(robot, anchors, folder).root())
 
 
 class _Writer:
-    def __init__(self, robot: RobotDescription, anchors: str) -> None:
+    def __init__(self, robot: RobotDescription, anchors: str, folder: Path | None) -> None:
         self.robot = robot
+        self.folder = folder
         self.by_sites = anchors == "sites"
         ends = {frame for closure in robot.closures for frame in (closure.frame_a, closure.frame_b)}
         self.sites: dict[str, dict[str, FloatArray]] = {}
@@ -129,7 +133,8 @@ class _Writer:
                     raise DescriptionError("robot", f"meshes in {', '.join(MESHES)}", shape.mesh.uri)
                 name = _free(shape.mesh.path.stem, taken)
                 self.meshes[str(shape.mesh.path), shape.size] = name
-                SubElement(assets, "mesh", name=name, file=str(shape.mesh.path), scale=numbers(shape.size))
+                file = shape.mesh.reference(self.folder)
+                SubElement(assets, "mesh", name=name, file=file, scale=numbers(shape.size))
         if len(assets):
             root.append(assets)
 

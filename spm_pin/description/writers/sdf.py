@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
 from spm_pin.description.closures import Closure
@@ -15,7 +16,7 @@ __all__ = ["sdf_text"]
 VERSION = "1.9"
 
 
-def sdf_text(robot: RobotDescription, *, loops: str = "joints") -> str:
+def sdf_text(robot: RobotDescription, *, loops: str = "joints", folder: Path | None = None) -> str:
     """Return a robot as an SDFormat model, its base fixed to the world.
 
     Parameters
@@ -25,6 +26,8 @@ def sdf_text(robot: RobotDescription, *, loops: str = "joints") -> str:
     loops : str
         "joints": a ball joint, or a fixed one for a weld, between the two frames of each closure, as the format's
         graph of links has it. "drake": Drake's ball constraints, for Drake takes no loops of joints.
+    folder : Path, optional
+        Where the file will lie, if it is to name its meshes relative to that; by default their paths are absolute.
 
     Raises
     ------
@@ -53,7 +56,7 @@ def sdf_text(robot: RobotDescription, *, loops: str = "joints") -> str:
     fixed = SubElement(model, "joint", name=mount, type="fixed")
     _ends(fixed, "world", robot.base)
     for link in robot.links:
-        model.append(_link(link, robot.joint_to.get(link.name)))
+        model.append(_link(link, robot.joint_to.get(link.name), folder))
     driven = {transmission.joint for transmission in robot.transmissions}
     for joint in robot.joints:
         if joint.moves and (joint.name in driven) == (joint.limit.effort == 0.0):
@@ -87,7 +90,7 @@ def _pose(parent: Element, placement: Placement, relative_to: str = "") -> None:
     pose.text = numbers((*placement.xyz, *placement.rpy))
 
 
-def _link(link: Link, carrier: Joint | None) -> Element:
+def _link(link: Link, carrier: Joint | None, folder: Path | None) -> Element:
     element = Element("link", name=link.name)
     if carrier is not None:
         _pose(element, Placement(), carrier.name)
@@ -101,16 +104,16 @@ def _link(link: Link, carrier: Joint | None) -> Element:
         _text(inertia, key, numbers([value]))
     for tag, shapes in (("visual", link.visuals), ("collision", link.collisions)):
         for i, shape in enumerate(shapes, start=1):
-            element.append(_shape(tag, f"{link.name}_{tag}_{i}", shape))
+            element.append(_shape(tag, f"{link.name}_{tag}_{i}", shape, folder))
     return element
 
 
-def _shape(tag: str, name: str, shape: Shape) -> Element:
+def _shape(tag: str, name: str, shape: Shape, folder: Path | None) -> Element:
     element = Element(tag, name=name)
     _pose(element, shape.placement)
     solid = SubElement(SubElement(element, "geometry"), shape.kind)
     if shape.mesh is not None:
-        _text(solid, "uri", shape.mesh.uri if "://" in shape.mesh.uri else str(shape.mesh.path))
+        _text(solid, "uri", shape.mesh.uri if "://" in shape.mesh.uri else shape.mesh.reference(folder))
         _text(solid, "scale", numbers(shape.size))
     elif shape.kind == "box":
         _text(solid, "size", numbers(shape.size))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
 from spm_pin.description.closures import Closure
@@ -16,7 +17,7 @@ __all__ = ["urdf_text"]
 DRAKE = "http://drake.mit.edu"
 
 
-def urdf_text(robot: RobotDescription, *, ros_constraints: bool = False) -> str:
+def urdf_text(robot: RobotDescription, *, ros_constraints: bool = False, folder: Path | None = None) -> str:
     """Return a robot as a URDF.
 
     Parameters
@@ -26,6 +27,8 @@ def urdf_text(robot: RobotDescription, *, ros_constraints: bool = False) -> str:
     ros_constraints : bool
         Close the loops by `<constraint>` as well, as proposed in https://github.com/ros/urdfdom/pull/264. Readers
         of today pass over it.
+    folder : Path, optional
+        Where the file will lie, if it is to name its meshes relative to that; by default their paths are absolute.
 
     Raises
     ------
@@ -46,7 +49,7 @@ def urdf_text(robot: RobotDescription, *, ros_constraints: bool = False) -> str:
         colour = SubElement(SubElement(root, "material", name=material.name), "color")
         colour.set("rgba", numbers(material.rgba))
     for link in robot.links:
-        root.append(_link(link))
+        root.append(_link(link, folder))
     for joint in robot.joints:
         root.append(_joint(joint))
     for transmission in robot.transmissions:
@@ -80,7 +83,7 @@ def _origin(parent: Element, placement: Placement) -> None:
     SubElement(parent, "origin", xyz=numbers(placement.xyz), rpy=numbers(placement.rpy))
 
 
-def _link(link: Link) -> Element:
+def _link(link: Link, folder: Path | None) -> Element:
     element = Element("link", name=link.name)
     if link.inertial is not None:
         inertial = SubElement(element, "inertial")
@@ -91,16 +94,17 @@ def _link(link: Link) -> Element:
         SubElement(inertial, "inertia", moments)
     for tag, shapes in (("visual", link.visuals), ("collision", link.collisions)):
         for shape in shapes:
-            element.append(_shape(tag, shape))
+            element.append(_shape(tag, shape, folder))
     return element
 
 
-def _shape(tag: str, shape: Shape) -> Element:
+def _shape(tag: str, shape: Shape, folder: Path | None) -> Element:
     element = Element(tag)
     _origin(element, shape.placement)
     solid = SubElement(SubElement(element, "geometry"), shape.kind)
     if shape.mesh is not None:
-        solid.attrib.update(filename=shape.mesh.uri, scale=numbers(shape.size))
+        uri = shape.mesh.uri if "://" in shape.mesh.uri else shape.mesh.reference(folder)
+        solid.attrib.update(filename=uri, scale=numbers(shape.size))
     elif shape.kind == "box":
         solid.set("size", numbers(shape.size))
     else:

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Part", "Robot"]
 
-_SECTIONS = 24  # of a cylinder
-
 
 @dataclass(frozen=True)
 class Part:
@@ -119,12 +117,5 @@ def _parts(visuals: Any) -> tuple[Part, ...]:
 def _mesh(shape: Any) -> Any:
     import trimesh
 
-    # coal keeps half extents; the description has no other shapes.
-    match type(shape).__name__:
-        case "Box":
-            return trimesh.creation.box(extents=2.0 * np.asarray(shape.halfSide))
-        case "Cylinder":
-            return trimesh.creation.cylinder(shape.radius, 2.0 * shape.halfLength, sections=_SECTIONS)
-        case "Sphere":
-            return trimesh.creation.icosphere(subdivisions=2, radius=shape.radius)
-    raise NotImplementedError(f"a {type(shape).__name__} in the description")
+    triangles = [shape.tri_indices(k) for k in range(shape.num_tris)]
+    return trimesh.Trimesh(shape.vertices(), [[t[0], t[1], t[2]] for t in triangles], process=False)

@@ -1,0 +1,162 @@
+"""The solids of the description: meshes in colours, and where a configuration puts them.
+
+All that shows the robot draws these: pictures, viewer, and other engines from the URDF.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.description.robots import manipulator
+from spm_pin.errors import DescriptionError
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.geometry import LEGS, Geometry
+from spm_pin.mechanism.joint_angles import home_lengths
+
+__all__ = ["BODIES", "VisualPart", "part_placements", "read_obj", "section_size", "visual_parts"]
+
+PLATFORMS = ("base", "middle_platform", "terminal_platform")
+BODIES = (*PLATFORMS, *(f"leg_{leg[2:]}_{half}" for half in ("cylinder", "rod") for leg in LEGS))
+"""The links that move against one another, as far as they are seen; all other links are fixed to them."""
+
+
+@dataclass(frozen=True, eq=False)
+class VisualPart:
+    """A closed surface of one colour, fixed to a body of the robot.
+
+    Attributes
+    ----------
+    name : str
+        Its link in the URDF and its mesh: ``"base_a1 clevis"``, ``"leg_b1_rod tube"``.
+    body : str
+        The body it moves with, one of `BODIES`.
+    colour : tuple of three floats
+        sRGB, from 0 to 1.
+    vertices : ndarray, shape (n, 3)
+        In the frame of the body [m]; for a leg of the length that the URDF has at zero.
+    faces : ndarray of int32, shape (m, 3)
+        Triangles, counter-clockwise seen from outside.
+    """
+
+    name: str
+    body: str
+    colour: tuple[float, float, float]
+    vertices: FloatArray
+    faces: npt.NDArray[np.int32]
+
+    @property
+    def mesh(self) -> str:
+        """Name of the mesh without its folder: ``"clevis"``."""
+        return self.name.partition(" ")[2]
+
+
+def section_size(geometry: Geometry) -> float:
+    """Return the length s that radii and thicknesses of the robot are fractions of [m]; see `inertials.yaml`."""
+    radii = (geometry.base_radius, geometry.platform_radius, geometry.middle_radius)
+    return min(*radii, *home_lengths(geometry))
+
+
+@lru_cache(maxsize=16)
+def visual_parts(geometry: Geometry) -> tuple[VisualPart, ...]:
+    """Return the solids that the URDF of a manipulator shows, in the order of its links.
+
+    Raises
+    ------
+    DescriptionError
+        If a mesh of the installation is missing.
+    """
+    robot = manipulator(geometry)
+    home = robot.frames()
+    parts = []
+    for link in robot.links:
+        carrier = robot.carrier(link.name)[0]
+        (body,) = [name for name in BODIES if robot.carrier(name)[0] == carrier] or [""]
+        for shape in link.visuals:
+            if shape.mesh is None or shape.material is None:
+                raise DescriptionError("geometry", "meshes with a material in the description", link.name)
+            vertices, faces = read_obj(shape.mesh.path)
+            pose = np.linalg.inv(home[body]) @ home[link.name] @ shape.placement.matrix
+            placed = (vertices * shape.size) @ pose[:3, :3].T + pose[:3, 3]
+            placed.flags.writeable = False
+            red, green, blue, _ = shape.material.rgba
+            name = f"{link.name} {shape.mesh.path.stem}"
+            parts.append(VisualPart(name, body, (red, green, blue), placed, faces))
+    return tuple(parts)
+
+
+@lru_cache(maxsize=32)
+def read_obj(path: Path) -> tuple[FloatArray, npt.NDArray[np.int32]]:
+    """Return the vertices (n, 3) and the triangles (m, 3) of an OBJ file of this description."""
+    lines = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
+    vertices = np.array([line[1:] for line in lines if line[:1] == ["v"]], dtype=np.float64)
+    faces = [[int(word.partition("/")[0]) - 1 for word in line[1:]] for line in lines if line[:1] == ["f"]]
+    array = np.array(faces, dtype=np.int32)
+    vertices.flags.writeable = array.flags.writeable = False
+    return vertices, array
+
+
+def part_placements(configuration: Configuration) -> FloatArray:
+    """Return where a configuration puts the solids of its robot.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        One state or a batch. It may violate the mechanism's closure; what does not exist is NaN.
+
+    Returns
+    -------
+    ndarray, shape (..., n, 4, 4)
+        In the order of `visual_parts`: from the vertices of a part to {B}. Rigid, but for the tubes of barrels and
+        rods, whose third column is longer or shorter than 1: a rod is drawn from inside its barrel to its ball
+        whatever the leg's length, and a barrel is shorter where the leg has no room for it.
+    """
+    parts = visual_parts(configuration.geometry)
+    poses = _body_poses(configuration)
+    placements = np.stack([poses[part.body] for part in parts], axis=-3)
+    size = section_size(configuration.geometry)
+    for i, leg in enumerate(LEGS):
+        length = configuration.leg_lengths[..., i]
+        cylinder, rod = (f"leg_{leg[2:]}_{half}" for half in ("cylinder", "rod"))
+        index = {part.name: k for k, part in enumerate(parts) if part.body in (cylinder, rod)}
+        barrel = np.ptp(parts[index[f"{cylinder} tube"]].vertices[:, 2])
+        shown = np.minimum(barrel, np.maximum(length - 0.4 * size, 0.5 * length))
+        seen = (length - 0.5 * shown) / np.ptp(parts[index[f"{rod} tube"]].vertices[:, 2])
+        placements[..., index[f"{cylinder} tube"], :3, 2] *= (shown / barrel)[..., None]
+        placements[..., index[f"{rod} tube"], :3, 2] *= seen[..., None]
+        gland = placements[..., index[f"{cylinder} gland"], :, :]
+        gland[..., :3, 3] += (shown - barrel)[..., None] * gland[..., :3, 2]
+    return placements
+
+
+def _body_poses(configuration: Configuration) -> dict[str, FloatArray]:
+    """Return the pose (..., 4, 4) of each body in {B}: of platforms, barrels and rods as the URDF has their frames."""
+    geometry, shape = configuration.geometry, configuration.shape
+    base = np.broadcast_to(np.eye(4), (*shape, 4, 4))
+    terminal = np.zeros((*shape, 4, 4))
+    terminal[..., :3, :3], terminal[..., :3, 3] = configuration.rotation, configuration.translation
+    terminal[..., 3, 3] = 1.0
+    poses = dict(zip(PLATFORMS, (base, configuration.middle_pose.as_matrix(), terminal), strict=True))
+    axes = np.concatenate(
+        [np.broadcast_to(geometry.revolute_axes, (*shape, 3, 3)), configuration.platform_axes], axis=-2
+    )
+    hips = np.concatenate(
+        [np.broadcast_to(geometry.base_joints, (*shape, 3, 3)), configuration.platform_joints], axis=-2
+    )
+    balls = np.concatenate([configuration.middle_joints] * 2, axis=-2)
+    with np.errstate(invalid="ignore"):
+        z = (balls - hips) / configuration.leg_lengths[..., None]
+        y = np.cross(z, axes)
+        y /= np.linalg.norm(y, axis=-1, keepdims=True)
+    turns = np.stack([np.cross(y, z), y, z], axis=-1)
+    for half, origins in (("cylinder", hips), ("rod", balls)):
+        for i, leg in enumerate(LEGS):
+            pose = np.zeros((*shape, 4, 4))
+            pose[..., :3, :3], pose[..., :3, 3], pose[..., 3, 3] = turns[..., i, :, :], origins[..., i, :], 1.0
+            poses[f"leg_{leg[2:]}_{half}"] = pose
+    return poses
