@@ -21,11 +21,10 @@ import psutil
 
 import spm_pin as spm
 from spm_pin.sweeps.domains import Grid
-from spm_pin.sweeps.grids import leg_sample, pose_grid
-from spm_pin.sweeps.runner import CHUNK, sweep
+from spm_pin.sweeps.runner import CHUNK
 
 GEOMETRY = spm.Geometry.paper()
-INDICES = ("reachable", "branches", "conditioning", "payload")
+METRICS = ("reachable", "branches", "conditioning", "payload")
 MIB = 2**20
 
 
@@ -68,7 +67,7 @@ def lattice(points: int) -> Grid:
     x, y, z = state.translation
     angles = state.pose.rotation.as_euler("XYX")
     first = max(2, round(points / (25 * 16 * 10**3)))
-    return pose_grid(
+    return spm.sweeps.pose_grid(
         (x - 0.1, x + 0.1, first),
         (y - 0.1, y + 0.1, 25),
         (z - 0.1, z + 0.1, 16),
@@ -81,7 +80,7 @@ def run(name: str, points: int, workers: int, chunk: int, store: Path) -> str:
     domain = lattice(points)
     begin = time.perf_counter()
     with Memory() as memory:
-        found = sweep(GEOMETRY, domain, INDICES, store, workers=workers, chunk=chunk)
+        found = spm.sweeps.run(GEOMETRY, domain, METRICS, store, workers=workers, chunk=chunk)
     seconds = time.perf_counter() - begin
     found.close()
     size = sum(file.stat().st_size for file in store.rglob("*") if file.is_file())
@@ -103,7 +102,7 @@ def main() -> None:
     lines = [
         "# A sweep of poses",
         "",
-        f"By `python benchmarks/sweep.py`: {', '.join(INDICES)};",
+        f"By `python benchmarks/sweep.py`: {', '.join(METRICS)};",
         f"{asked.workers} worker processes on {psutil.cpu_count()} processors, load {load:.1f} beforehand.",
         "Memory is the largest resident size, in MiB, of the process that drives, of a worker, and of all",
         "together; pages that processes share are counted in each.",
@@ -115,7 +114,7 @@ def main() -> None:
     print("\n".join(lines), flush=True)
     with tempfile.TemporaryDirectory(dir=asked.folder) as folder:
         # Kernels are compiled once per machine, which is not what is measured.
-        sweep(GEOMETRY, leg_sample(100, (1.2, 1.4), (1.2, 1.4)), INDICES, Path(folder, "first"), workers=1)
+        spm.sweeps.run(GEOMETRY, lattice(2000), METRICS, Path(folder, "first"), workers=1)
         rows = (
             ("fewer points", asked.points // 10, CHUNK, "tenth"),
             ("all", asked.points, CHUNK, "all"),

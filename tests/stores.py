@@ -6,29 +6,27 @@ from pathlib import Path
 from typing import Any
 
 import spm_pin as spm
-from spm_pin.sweeps.grids import pose_grid
-from spm_pin.sweeps.runner import sweep
 
 GEOMETRY = spm.Geometry.paper()
-GRID = pose_grid((0.37, 0.44, 7), (-0.16, -0.12, 6), (2.45, 2.55, 5), xyx=[0.01, (0.3, 0.34, 3), 0.1])
-INDICES = ("reachable", "branches", "conditioning", "payload")
+GRID = spm.sweeps.pose_grid((0.37, 0.44, 7), (-0.16, -0.12, 6), (2.45, 2.55, 5), xyx=[0.01, (0.3, 0.34, 3), 0.1])
+METRICS = ("reachable", "branches", "conditioning", "payload")
 CHUNK = 100
 """Seven chunks of 90 points each, some of which are reached."""
 
 
 def small(path: Path, **changes: Any) -> Any:
     """Run the small sweep, in this process unless told otherwise."""
-    asked = {"geometry": GEOMETRY, "domain": GRID, "indices": INDICES, "chunk": CHUNK, "workers": 1} | changes
-    return sweep(store=path, **asked)
+    asked = {"geometry": GEOMETRY, "domain": GRID, "metrics": METRICS, "chunk": CHUNK, "workers": 1} | changes
+    return spm.sweeps.run(store=path, **asked)
 
 
 def contents(path: Path) -> dict[str, bytes]:
-    """Return every file below `path`, and of its own name beside it such as locks and drafts."""
+    """Return every file below `path`, and of its own name beside it."""
     inside = {str(file.relative_to(path)): file.read_bytes() for file in path.rglob("*") if file.is_file()}
-    beside = {file.name: b"" for file in path.parent.glob(f"{path.name}?*")}
+    beside = {file.name: b"" for file in path.parent.glob(f"*{path.name}*") if file != path}
     return inside | beside
 
 
 def records(path: Path) -> list[Path]:
     """Return the records of completed chunks, sorted."""
-    return sorted((path / "sweep" / "checksum").glob("c.*"))
+    return sorted((path / "sweep" / "crc32c").glob("c.*"))

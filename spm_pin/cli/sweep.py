@@ -1,8 +1,10 @@
-"""`spm-pin sweep`: indices over any number of poses or leg lengths, resumed wherever it stopped."""
+"""`spm-pin sweep`: metrics over any number of poses or leg lengths, resumed wherever it stopped."""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,23 +13,18 @@ import typer
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from spm_pin.cli.console import stderr, stdout, to_json
+from spm_pin import sweeps
+from spm_pin.cli.console import note, print_lines, stderr, to_json
 from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Unit, read_geometry
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import Geometry, LegLimits
-from spm_pin.sweeps.domains import Domain, Method
-from spm_pin.sweeps.grids import leg_grid, leg_sample, pose_grid, pose_sample
-from spm_pin.sweeps.metric import Index
-from spm_pin.sweeps.metrics import INDICES, conditioning, isotropy, payload, payload_down, stiffness
-from spm_pin.sweeps.runner import CHUNK, SweepStatus, resume_sweep, sweep_status
-from spm_pin.sweeps.runner import sweep as run
+from spm_pin.mechanism import LegLimits
+from spm_pin.sweeps.domains import Domain
+from spm_pin.sweeps.runner import CHUNK
 
 __all__ = ["sweep"]
 
 _DEFAULT = ("reachable", "branches", "conditioning")
 _RANGE = "START:STOP:COUNT"
-
-Range = float | tuple[float, ...]
 
 
 def sweep(
@@ -50,10 +47,10 @@ def sweep(
         int | None, typer.Option(min=1, help="Draw so many points instead; ranges are then START:STOP.")
     ] = None,
     method: Annotated[str, typer.Option(help="How to draw them: sobol or uniform.")] = "sobol",
-    seed: Annotated[int, typer.Option(min=0, help="Of the drawing.")] = 0,
-    index: Annotated[
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the drawing.")] = 0,
+    metric: Annotated[
         list[str] | None,
-        typer.Option(help=f"May be repeated; {', '.join(_DEFAULT)} if not given. One of {', '.join(INDICES)}."),
+        typer.Option(help=f"May be repeated; {', '.join(_DEFAULT)} if not given. One of {', '.join(sweeps.METRICS)}."),
     ] = None,
     limits: Annotated[
         tuple[float, float] | None,
@@ -71,91 +68,85 @@ def sweep(
     workers: Annotated[
         int | None, typer.Option(min=1, help="Processes on this machine; one per processor if not given.")
     ] = None,
-    chunk: Annotated[int, typer.Option(min=1, help="Points computed, stored and lost together.")] = CHUNK,
-    status: Annotated[bool, typer.Option("--status", help="Only say how much is done.")] = False,
+    chunk: Annotated[int, typer.Option(min=1, help="Most points per chunk, the unit of work and of storage.")] = CHUNK,
+    status: Annotated[bool, typer.Option("--status", help="Only print how much is done.")] = False,
     unit: Unit = LengthUnit.M,
     geometry: GeometryFile = None,
     json: AsJson = False,
 ) -> None:
-    """Map indices over poses or leg lengths, in parallel, into a Zarr store.
+    """Map metrics over poses or leg lengths, in parallel, into a Zarr store.
 
     Example: spm-pin sweep --x -0.5:0.5:101 --y -0.5:0.5:101 --z 2.5 --xyx 30 35 -30 --out map.zarr
 
     Killed or interrupted it loses nothing: the same command goes on, and so does spm-pin sweep --out FOLDER alone.
     """
     if not status:
-        domain = _domain(x, y, z, xyx, legs, samples, method, seed, unit)
+        poses = {"--x": x, "--y": y, "--z": z, "--xyx": xyx}
+        drawn = None if samples is None else {"count": samples, "method": method, "seed": seed}
+        domain = _domain(poses, legs, drawn, 1.0 / unit.per_metre)
         others: dict[str, Any] = {"scheduler": scheduler, "workers": workers}
-        with _bar() as bar:
-            task = bar.add_task(out.name, total=None)
-
-            def progress(done: int, total: int) -> None:
-                bar.update(task, completed=done, total=total)
-
-            try:
-                if domain is None:
-                    _refuse({"--samples": samples, "--index": index, "--limits": limits, "--length": length})
-                    resume_sweep(out, progress=progress, **others)
-                else:
-                    chosen = _indices(index or _DEFAULT, length, unit, leg_force, leg_stiffness)
-                    machine = _limited(read_geometry(geometry), limits, unit)
-                    run(machine, domain, chosen, out, chunk=chunk, progress=progress, **others)
-            except KeyboardInterrupt as interrupt:
-                bar.stop()
-                notes = getattr(interrupt, "__notes__", ["interrupted before it began"])
-                stderr.print(*notes)
-                stderr.print(f"go on with: spm-pin sweep --out {out}")
-                raise typer.Exit(130) from None
-    found = sweep_status(out)
+        if domain is None:
+            given = {"--samples": samples, "--metric": metric, "--limits": limits, "--length": length}
+            beside = [option for option, value in given.items() if value]
+            if beside:
+                cause = "To go on with a sweep, give --out alone."
+                raise ArgumentError(", ".join((*poses, "--legs")), f"ranges beside {', '.join(beside)}", "none", cause)
+            with _progress(out) as others["progress"]:
+                sweeps.resume(out, **others)
+        else:
+            machine = read_geometry(geometry)
+            if limits is not None:
+                machine = dataclasses.replace(machine, limits=LegLimits(*(end / unit.per_metre for end in limits)))
+            parameters: dict[str, float] = {"push": leg_force, "leg": leg_stiffness}
+            if length is not None:
+                parameters["length"] = length / unit.per_metre
+            chosen = [_with_parameters(name, parameters) for name in metric or _DEFAULT]
+            with _progress(out) as others["progress"]:
+                sweeps.run(machine, domain, chosen, out, chunk=chunk, **others)
+    found = sweeps.status(out)
     if json:
         typer.echo(to_json(dataclasses.asdict(found) | {"complete": found.complete, "store": str(out)}))
         return
-    for line in _remarks(found, out):
-        stdout.print(line, soft_wrap=True)
+    shape = ", ".join(f"{name} {size}" for name, size in found.shape.items())
+    lines = [f"{found.points} points: {shape}", f"metrics: {', '.join(found.metrics)}"]
+    lines.append(f"{found.done} of {found.total} chunks complete")
+    print_lines([*lines, f'open with: xarray.open_zarr("{out}")' if found.complete else _go_on(out)])
 
 
-def _domain(
-    x: str | None,
-    y: str | None,
-    z: str | None,
-    xyx: tuple[str, str, str] | None,
-    legs: list[str] | None,
-    samples: int | None,
-    method: str,
-    seed: int,
-    unit: LengthUnit,
-) -> Domain | None:
-    """Return what the options describe; None where there is none of them."""
-    pose = {"--x": x, "--y": y, "--z": z, "--xyx": xyx}
-    missing = [option for option, given in pose.items() if given is None]
-    if legs and len(missing) < len(pose):
+def _domain(poses: dict[str, Any], legs: list[str] | None, drawn: dict[str, Any] | None, scale: float) -> Domain | None:
+    """Return the domain that the options describe; None where there is none of them."""
+    missing = [option for option, given in poses.items() if given is None]
+    if legs and len(missing) < len(poses):
         raise ArgumentError("--legs", "poses or leg lengths, not both", "both")
-    if not legs and len(missing) == len(pose):
-        return None
-    drawn: dict[str, Any] = {"method": _method(method), "seed": seed}
-    scale = 1.0 / unit.per_metre
     if legs:
         if len(legs) not in (1, 2, 6):
             raise ArgumentError("--legs", "one range, two, or six", f"{len(legs)}")
         ranges = [_range("--legs", text, scale) for text in legs]
-        six = ranges * 6 if len(ranges) == 1 else [r for r in ranges for _ in range(3)] if len(ranges) == 2 else ranges
-        return leg_grid(six[:3], six[3:]) if samples is None else leg_sample(samples, six[:3], six[3:], **drawn)
-    if x is None or y is None or z is None or xyx is None:
+        six = ranges if len(ranges) == 6 else [one for one in ranges for _ in range(6 // len(ranges))]
+        return sweeps.leg_grid(six[:3], six[3:]) if drawn is None else _sample("legs", (six[:3], six[3:]), drawn)
+    if len(missing) == len(poses):
+        return None
+    if missing:
         raise ArgumentError(", ".join(missing), "a range or a number for every coordinate of a pose", "none")
-    position = _range("--x", x, scale), _range("--y", y, scale), _range("--z", z, scale)
-    angles = [_range("--xyx", text, np.pi / 180.0) for text in xyx]
-    return pose_grid(*position, xyx=angles) if samples is None else pose_sample(samples, *position, xyx=angles, **drawn)
+    position = [_range(option, poses[option], scale) for option in ("--x", "--y", "--z")]
+    angles = [_range("--xyx", text, np.pi / 180.0) for text in poses["--xyx"]]
+    if drawn is None:
+        return sweeps.pose_grid(*position, xyx=angles)
+    return _sample("pose", position, drawn, xyx=angles)
 
 
-def _method(name: str) -> Method:
-    if name == "sobol":
-        return "sobol"
-    if name == "uniform":
-        return "uniform"
-    raise ArgumentError("--method", "sobol or uniform", name)
+def _sample(space: str, ranges: Any, drawn: dict[str, Any], **others: Any) -> Domain:
+    """Draw from ranges; an error names the option."""
+    make = sweeps.leg_sample if space == "legs" else sweeps.pose_sample
+    try:
+        return make(drawn["count"], *ranges, **others, method=drawn["method"], seed=drawn["seed"])
+    except ArgumentError as error:
+        if error.argument in ("method", "seed"):
+            raise ArgumentError(f"--{error.argument}", error.expected, error.received) from error
+        raise
 
 
-def _range(option: str, text: str, scale: float) -> Range:
+def _range(option: str, text: str, scale: float) -> float | tuple[float, ...]:
     """Read a number, START:STOP or START:STOP:COUNT; which of them is right is not known here."""
     parts = text.split(":")
     try:
@@ -167,31 +158,15 @@ def _range(option: str, text: str, scale: float) -> Range:
     return scaled[0] if len(numbers) == 1 else (*scaled, *counts)
 
 
-def _limited(geometry: Geometry, limits: tuple[float, float] | None, unit: LengthUnit) -> Geometry:
-    if limits is None:
-        return geometry
-    return dataclasses.replace(geometry, limits=LegLimits(*(end / unit.per_metre for end in limits)))
+def _with_parameters(name: str, parameters: dict[str, float]) -> str | sweeps.Metric:
+    found = sweeps.METRICS.get(name)
+    if found is None:
+        return name
+    return found(**{key: value for key, value in parameters.items() if key in found.parameters})
 
 
-def _indices(
-    names: tuple[str, ...] | list[str], length: float | None, unit: LengthUnit, force: float, stiff: float
-) -> list[str | Index]:
-    characteristic = None if length is None else length / unit.per_metre
-    adapted = {
-        "conditioning": lambda: conditioning(characteristic),
-        "isotropy": lambda: isotropy(characteristic),
-        "payload": lambda: payload(force),
-        "payload_down": lambda: payload_down(force),
-        "stiffness": lambda: stiffness(stiff),
-    }
-    return [adapted[name]() if name in adapted else name for name in names]
-
-
-def _refuse(options: dict[str, Any]) -> None:
-    given = [option for option, value in options.items() if value]
-    if given:
-        cause = "To go on with a sweep, give --out alone."
-        raise ArgumentError("--x, --y, --z, --xyx or --legs", f"ranges beside {', '.join(given)}", "none", cause)
+def _go_on(out: Path) -> str:
+    return f"go on with: spm-pin sweep --out {out}"
 
 
 class _Rate(ProgressColumn):
@@ -201,26 +176,16 @@ class _Rate(ProgressColumn):
         return Text(f"{task.finished_speed or task.speed or 0.0:,.0f} points/s", style="progress.data.speed")
 
 
-def _bar() -> Progress:
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        TaskProgressColumn(),
-        _Rate(),
-        TimeRemainingColumn(),
-    )
-    return Progress(*columns, console=stderr, transient=True)
-
-
-def _remarks(status: SweepStatus, out: Path) -> list[str]:
-    shape = ", ".join(f"{name} {length}" for name, length in status.shape.items())
-    lines = [
-        f"{status.points} points: {shape}",
-        f"indices: {', '.join(status.indices)}",
-        f"{status.done} of {status.total} chunks complete",
-    ]
-    if status.complete:
-        lines.append(f'open with: xarray.open_zarr("{out}")')
-    else:
-        lines.append(f"go on with: spm-pin sweep --out {out}")
-    return lines
+@contextlib.contextmanager
+def _progress(out: Path) -> Iterator[Callable[[int, int], None]]:
+    """Show a progress bar; after Ctrl-C, print what is kept and how to go on, and exit."""
+    name = TextColumn("{task.description}", markup=False)
+    columns = name, BarColumn(), TaskProgressColumn(), _Rate(), TimeRemainingColumn()
+    try:
+        with Progress(*columns, console=stderr, transient=True) as bar:
+            task = bar.add_task(out.name, total=None)
+            yield lambda done, total: bar.update(task, completed=done, total=total)
+    except KeyboardInterrupt as interrupt:
+        for text in (*getattr(interrupt, "__notes__", ["interrupted before it began"]), _go_on(out)):
+            note(text)
+        raise typer.Exit(130) from None

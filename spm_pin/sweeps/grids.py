@@ -1,21 +1,18 @@
-"""Lattices and samples of poses or of leg lengths, from ranges: the ways to say what a sweep runs over."""
+"""Make lattices and samples of poses or of leg lengths, from ranges."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import LEGS, pose
-from spm_pin.mechanism.arguments import real_array
-from spm_pin.sweeps.domains import ANGLES, POSITION, Axis, Grid, Method, Sample, Space
+from spm_pin.mechanism import pose
+from spm_pin.sweeps.domains import AXES, Grid, Range, Sample, Sampling
 
 __all__ = ["leg_grid", "leg_sample", "pose_grid", "pose_sample"]
-
-Range = float | Sequence[float]
 
 
 def pose_grid(
@@ -49,7 +46,7 @@ def pose_grid(
     >>> grid.dims, grid.size
     (('x', 'y'), 10201)
     """
-    return _grid("pose", _pose_ranges(x, y, z, xyx, rotation))
+    return Grid.from_ranges("pose", _pose_ranges(x, y, z, xyx, rotation))
 
 
 def leg_grid(lower: Range | Sequence[Range], upper: Range | Sequence[Range]) -> Grid:
@@ -66,7 +63,7 @@ def leg_grid(lower: Range | Sequence[Range], upper: Range | Sequence[Range]) -> 
     ArgumentError
         As for `pose_grid`, and if a length is not positive.
     """
-    return _grid("legs", _leg_ranges(lower, upper))
+    return Grid.from_ranges("legs", _leg_ranges(lower, upper))
 
 
 def pose_sample(
@@ -77,7 +74,7 @@ def pose_sample(
     *,
     xyx: Sequence[Range] | None = None,
     rotation: Rotation | npt.ArrayLike | None = None,
-    method: Method = "sobol",
+    method: Sampling = "sobol",
     seed: int = 0,
 ) -> Sample:
     """Describe poses drawn from a box of positions and X-Y-X angles.
@@ -97,9 +94,9 @@ def pose_sample(
     Raises
     ------
     ArgumentError
-        As for `pose_grid`, or if `count`, `method` or `seed` is none.
+        As for `pose_grid`, or if `count`, `method` or `seed` is not as above.
     """
-    return _sample("pose", _pose_ranges(x, y, z, xyx, rotation), count, method, seed)
+    return Sample.from_ranges("pose", _pose_ranges(x, y, z, xyx, rotation), count, method, seed)
 
 
 def leg_sample(
@@ -107,7 +104,7 @@ def leg_sample(
     lower: Range | Sequence[Range],
     upper: Range | Sequence[Range],
     *,
-    method: Method = "sobol",
+    method: Sampling = "sobol",
     seed: int = 0,
 ) -> Sample:
     """Describe leg lengths drawn from a box.
@@ -126,7 +123,7 @@ def leg_sample(
     ArgumentError
         As for `pose_sample`, and if a length is not positive.
     """
-    return _sample("legs", _leg_ranges(lower, upper), count, method, seed)
+    return Sample.from_ranges("legs", _leg_ranges(lower, upper), count, method, seed)
 
 
 def _pose_ranges(
@@ -140,9 +137,9 @@ def _pose_ranges(
         if orientation.shape != ():
             raise ArgumentError("rotation", "one orientation", f"shape {orientation.shape}")
         xyx = [float(angle) for angle in orientation.as_euler("XYX", suppress_warnings=True)]
-    if xyx is None or isinstance(xyx, str) or len(xyx) != 3:
-        raise ArgumentError("xyx", "three angles or ranges [rad]", xyx)
-    return dict(zip((*POSITION, *ANGLES), (x, y, z, *xyx), strict=True))
+    if not isinstance(xyx, Sequence | np.ndarray) or isinstance(xyx, str) or len(xyx) != 3:
+        raise ArgumentError("xyx", "three angles or ranges [rad]", repr(xyx))
+    return dict(zip(AXES["pose"], (x, y, z, *xyx), strict=True))
 
 
 def _leg_ranges(lower: Range | Sequence[Range], upper: Range | Sequence[Range]) -> dict[str, Range]:
@@ -154,53 +151,4 @@ def _leg_ranges(lower: Range | Sequence[Range], upper: Range | Sequence[Range]) 
             ranges += given
         else:
             ranges += [given] * 3  # type: ignore[list-item]  # a tuple is one range, which its type does not say
-    return dict(zip(LEGS, ranges, strict=True))
-
-
-def _grid(space: Space, ranges: Mapping[str, Range]) -> Grid:
-    axes = tuple(_axis(name, given, 3) for name, given in ranges.items())
-    _refuse_a_single_point(axes)
-    return Grid(space, axes)
-
-
-def _sample(space: Space, ranges: Mapping[str, Range], count: int, method: Method, seed: int) -> Sample:
-    axes = tuple(_axis(name, given, 2) for name, given in ranges.items())
-    _refuse_a_single_point(axes)
-    for argument, value, least in (("count", count, 1), ("seed", seed, 0)):
-        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-            raise ArgumentError(argument, f"an integer from {least} on", value)
-    if method not in ("sobol", "uniform"):
-        raise ArgumentError("method", "'sobol' or 'uniform'", method)
-    return Sample(space, axes, int(count), method, int(seed))
-
-
-def _refuse_a_single_point(axes: tuple[Axis, ...]) -> None:
-    if all(axis.fixed for axis in axes):
-        raise ArgumentError("ranges", "at least one coordinate that varies", "six fixed ones")
-
-
-def _axis(name: str, given: Range, numbers: int) -> Axis:
-    unit = "radians" if name in ANGLES else "metres"
-    parts = "(start, stop, count)" if numbers == 3 else "(start, stop)"
-    expected = f"one value or {parts}, in {unit}"
-    values = real_array(given, name, (), expected)
-    if values.shape not in ((), (numbers,)):
-        raise ArgumentError(name, expected, f"shape {values.shape}")
-    ends = np.broadcast_to(values, (2,)) if values.ndim == 0 else values[:2]
-    start, stop = float(ends[0]), float(ends[1])
-    if name in ANGLES and np.abs(ends).max() > 2.0 * np.pi:
-        raise ArgumentError(name, "angles within ±2π radians", given, "Degrees instead of radians?")
-    if name in LEGS and start <= 0.0:
-        raise ArgumentError(name, "positive lengths in metres", given)
-    if values.ndim == 0:
-        return Axis(name, start, stop, 1)
-    if not start < stop:
-        cause = "The ends exchanged?" if start > stop else "Give a fixed coordinate as one number."
-        raise ArgumentError(name, "start < stop", f"{start:g} and {stop:g}", cause)
-    if numbers == 2:
-        return Axis(name, start, stop, 0)
-    count = float(values[2])
-    if count < 2 or count != int(count):
-        cause = "Give a fixed coordinate as one number." if count == 1 else ""
-        raise ArgumentError(name, "an integer count of at least 2", f"{count:g}", cause)
-    return Axis(name, start, stop, int(count))
+    return dict(zip(AXES["legs"], ranges, strict=True))

@@ -1,140 +1,253 @@
-"""An index: one number per point of a sweep, with its unit, its meaning and its identity."""
+"""A metric: a function that computes one number per point of a sweep, with its unit, meaning and parameters."""
 
 from __future__ import annotations
 
-import hashlib
+import dataclasses
+import inspect
+import json
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
-from types import CodeType
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import real_array
+from spm_pin.sweeps.domains import is_integer
+from spm_pin.sweeps.identity import function_identity
 from spm_pin.sweeps.points import Points
 
-__all__ = ["Index"]
+__all__ = ["DTYPES", "Metric", "metric"]
+
+DTYPES = ("float64", "float32", "float16", "int64", "int32", "int16", "int8")
+"""Types in which a metric can be stored."""
+
+_ATTRIBUTES = {"long_name", "units", "not_computed", "flag_values", "flag_meanings", "coordinates"}
+_NAME = re.compile(r"(?!__)[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 
 
 @dataclass(frozen=True)
-class Index:
-    """A quantity that a sweep maps.
+class Metric:
+    """A number for every point of a sweep. Usually made by the decorator `metric`.
 
-    Attributes
+    Parameters
     ----------
     name : str
-        Name of the variable in the results, an identifier.
+        Name of the variable in the results: letters, digits and underscores.
     unit : str
         As udunits writes it, "1" if there is none.
     description : str
         One line that says what it is and where it is NaN.
-    evaluate : callable
-        Takes `Points` and returns an array of shape (N,). It is sent to worker processes.
+    function : callable
+        Takes `Points`, and the parameters by keyword; returns an array of shape (N,). It is sent to worker processes.
     dtype : str
         How it is stored: a float, or a signed integer.
     flags : mapping of str to int
         Meanings of integers, where they stand for something.
     parameters : mapping
-        What `evaluate` depends on besides the points, as JSON: with other parameters it is another sweep.
+        Keyword arguments of the function, as JSON holds them.
+    version : str or int, optional
+        Identity of the function, stated by hand. If not given, it is a digest of the function's code and of everything
+        it uses: closures, defaults, globals, the state of objects. A sweep whose metric has another identity, other
+        parameters, another unit or type does not continue the same store.
 
     Raises
     ------
     ArgumentError
-        If the name is no identifier, or the type neither a float nor a signed integer.
+        If one of these is not as above.
     """
 
     name: str
     unit: str
     description: str
-    evaluate: Callable[[Points], npt.ArrayLike] = field(repr=False)
+    function: Callable[..., npt.ArrayLike] = field(repr=False)
     dtype: str = "float64"
     flags: Mapping[str, int] = field(default_factory=dict, repr=False)
     parameters: Mapping[str, Any] = field(default_factory=dict)
+    version: str | int | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.name, str) and self.name.isidentifier()):
+        if not (isinstance(self.name, str) and _NAME.fullmatch(self.name)):
             raise ArgumentError("name", "letters, digits and underscores", repr(self.name))
-        if not callable(self.evaluate):
-            raise ArgumentError("evaluate", "a function of Points", type(self.evaluate).__name__)
+        for argument in ("unit", "description"):
+            if not isinstance(getattr(self, argument), str):
+                raise ArgumentError(argument, "a text", repr(getattr(self, argument)))
+        if not callable(self.function):
+            raise ArgumentError("function", "a function of Points", type(self.function).__name__)
         try:
-            kind = np.dtype(self.dtype)
-        except TypeError:
-            kind = np.dtype(object)
-        if kind.kind not in ("f", "i"):
-            raise ArgumentError("dtype", "a float or a signed integer, such as 'float64' or 'int16'", repr(self.dtype))
-        object.__setattr__(self, "dtype", kind.name)
+            kind = np.dtype(self.dtype).name
+        except (TypeError, ValueError):
+            kind = ""
+        if kind not in DTYPES or self.dtype is None:
+            raise ArgumentError("dtype", f"one of {', '.join(DTYPES)}", repr(self.dtype))
+        if self.version is not None and not (isinstance(self.version, str) or is_integer(self.version)):
+            raise ArgumentError("version", "a text or an integer", repr(self.version))
+        object.__setattr__(self, "dtype", kind)
+        object.__setattr__(self, "flags", _checked_flags(self.flags, kind))
+        object.__setattr__(self, "parameters", _checked_parameters(self.parameters))
 
-    @property
-    def not_computed(self) -> float | int:
-        """What the results hold where nothing has been computed: NaN, or the least integer."""
-        return math.nan if np.dtype(self.dtype).kind == "f" else int(np.iinfo(self.dtype).min)
+    def __reduce__(self) -> tuple[type[Metric], tuple[Any, ...]]:
+        # A mapping proxy has no pickle.
+        values = (getattr(self, one.name) for one in dataclasses.fields(self))
+        return Metric, tuple(dict(value) if isinstance(value, MappingProxyType) else value for value in values)
 
-    def __call__(self, points: Points) -> npt.NDArray[Any]:
-        """Return the index at `points` in its own type, shape (N,).
+    def __call__(self, **parameters: Any) -> Metric:
+        """Return the metric with other parameters.
 
         Raises
         ------
         ArgumentError
-            If `evaluate` returns another shape, or what the type cannot hold.
+            If it has no such parameter, or a parameter of this package's metrics is not a positive number.
+
+        Examples
+        --------
+        >>> import spm_pin as spm
+        >>> spm.sweeps.METRICS["payload"](push=900.0, pull=400.0).parameters
+        mappingproxy({'push': 900.0, 'pull': 400.0})
+        """
+        unknown = [name for name in parameters if name not in self.parameters]
+        if unknown:
+            raise ArgumentError(unknown[0], f"a parameter among {', '.join(self.parameters) or 'none'}", self.name)
+        if getattr(self.function, "__module__", "").startswith("spm_pin."):
+            parameters = {name: _positive(value, name) for name, value in parameters.items()}
+        return dataclasses.replace(self, parameters={**self.parameters, **parameters})
+
+    @property
+    def not_computed(self) -> float | int:
+        """The value in the results where nothing has been computed: NaN, or the least integer."""
+        return math.nan if self.dtype.startswith("float") else int(np.iinfo(self.dtype).min)
+
+    def evaluate(self, points: Points) -> npt.NDArray[Any]:
+        """Return the metric at `points` in its own type, shape (N,).
+
+        Raises
+        ------
+        ArgumentError
+            If the function returns another shape, or a value that the type cannot hold.
         """
         try:
-            values = np.asarray(self.evaluate(points))
+            values = np.asanyarray(self.function(points, **self.parameters))
         except Exception as error:
-            error.add_note(f"while evaluating the index {self.name!r}")
+            error.add_note(f"while evaluating the metric {self.name!r}")
             raise
-        argument, kind = f"index {self.name}", np.dtype(self.dtype)
+        argument, kind = f"metric {self.name}", np.dtype(self.dtype)
+        holds = f"values that {kind} can hold"
         if values.shape != (len(points),):
             raise ArgumentError(argument, f"an array of shape ({len(points)},)", f"shape {values.shape}")
         if values.dtype.kind not in ("biuf" if kind.kind == "f" else "biu"):
-            raise ArgumentError(argument, f"values that {kind} can hold", f"values of type {values.dtype}")
-        if kind.kind == "i" and values.size:
-            least, most = int(values.min()), int(values.max())
-            if least <= self.not_computed or most > np.iinfo(kind).max:
-                raise ArgumentError(argument, f"values that {kind} can hold", f"values from {least} to {most}")
-        return values.astype(kind)
+            raise ArgumentError(argument, holds, f"values of type {values.dtype}")
+        if isinstance(values, np.ma.MaskedArray):
+            if kind.kind == "i" and np.ma.getmaskarray(values).any():
+                cause = "Integers have no NaN: fill the masked values."
+                raise ArgumentError(argument, holds, "masked values", cause)
+            values = np.ma.filled(values.astype(np.float64), np.nan) if kind.kind == "f" else values.data
+        if kind.kind == "i":
+            if values.size and not self.not_computed < int(values.min()) <= int(values.max()) <= np.iinfo(kind).max:
+                raise ArgumentError(argument, holds, f"values from {values.min()} to {values.max()}")
+            return np.asarray(values).astype(kind)
+        with np.errstate(over="ignore"):
+            stored = np.asarray(values).astype(kind)
+        overflown = np.isinf(stored) & np.isfinite(values)
+        if overflown.any():
+            raise ArgumentError(argument, holds, f"{values[overflown][0]:g}", "Store it as another type, dtype=...")
+        return stored
 
     def definition(self) -> dict[str, Any]:
-        """Return what tells it from other indices, as JSON: two that differ here do not share a store."""
+        """Return the identity of the metric as JSON: metrics that differ here do not share a store."""
         return {
             "name": self.name,
             "unit": self.unit,
             "dtype": self.dtype,
             "parameters": dict(self.parameters),
-            "function": _origin(self.evaluate),
+            "function": function_identity(self.function) if self.version is None else f"version {self.version}",
         }
 
-
-def _origin(function: Callable[..., Any]) -> str:
-    """Return the name of a function of this package, or a digest of what another does."""
-    if isinstance(function, partial):
-        return f"{_origin(function.func)}{_plain((*function.args, *sorted(function.keywords.items())))}"
-    module, name = getattr(function, "__module__", ""), getattr(function, "__qualname__", type(function).__qualname__)
-    if str(module).startswith("spm_pin.") and "<" not in name:
-        return f"{module}.{name}"
-    method = function if hasattr(function, "__code__") else vars(type(function)).get("__call__")
-    code = getattr(method, "__code__", None)
-    if not isinstance(code, CodeType):
-        return f"{module}.{name}"
-    cells = [cell.cell_contents for cell in getattr(method, "__closure__", None) or ()]
-    bound = _plain((*(getattr(method, "__defaults__", None) or ()), *cells))
-    return f"code {hashlib.sha256((_told(code) + bound).encode()).hexdigest()[:16]}"
+    def attributes(self) -> dict[str, Any]:
+        """Return what describes the variable in a store: description, unit, flags, parameters."""
+        attributes: dict[str, Any] = {"long_name": self.description, "units": self.unit}
+        if not self.dtype.startswith("float"):
+            attributes["not_computed"] = self.not_computed
+        if self.flags:
+            flags = {"not_computed": self.not_computed, **self.flags}
+            attributes["flag_values"] = list(flags.values())
+            attributes["flag_meanings"] = " ".join(flags)
+        return attributes | {name: value for name, value in self.parameters.items() if value is not None}
 
 
-def _plain(values: tuple[Any, ...]) -> str:
-    """Tell values that a function is bound to, those whose text is the same in every process."""
-    kept = [value for value in values if isinstance(value, bool | int | float | str | tuple | None)]
-    return repr(kept) if kept else ""
+def metric(
+    unit: str,
+    description: str,
+    *,
+    dtype: str = "float64",
+    flags: Mapping[str, int] | None = None,
+    version: str | int | None = None,
+) -> Callable[[Callable[..., npt.ArrayLike]], Metric]:
+    """Make a metric of a function of `Points`; its name is the function's, its parameters the keyword-only ones.
+
+    Parameters
+    ----------
+    unit, description, dtype, flags, version
+        As for `Metric`.
+
+    Examples
+    --------
+    >>> import spm_pin as spm
+    >>> @spm.sweeps.metric("m", "length of the longest leg beyond a length; NaN where not reachable")
+    ... def excess(points, *, length=1.4):
+    ...     return points.machine.leg_lengths.max(axis=-1) - length
+    >>> excess(length=1.3).parameters
+    mappingproxy({'length': 1.3})
+    """
+
+    def decorate(function: Callable[..., npt.ArrayLike]) -> Metric:
+        if not callable(function):
+            raise ArgumentError("function", "a function of Points", type(function).__name__)
+        keywords = [one for one in inspect.signature(function).parameters.values() if one.kind is one.KEYWORD_ONLY]
+        without = [one.name for one in keywords if one.default is one.empty]
+        if without:
+            raise ArgumentError(without[0], "a default for every parameter of a metric", "none")
+        name = getattr(function, "__name__", "")
+        # So that pickle finds the function below the name that the metric takes.
+        function.__qualname__ = f"{function.__qualname__}.function"
+        parameters = {one.name: one.default for one in keywords}
+        return Metric(name, unit, description, function, dtype, flags or {}, parameters, version)
+
+    return decorate
 
 
-def _told(code: CodeType) -> str:
-    """Tell what a function does in a text that does not depend on addresses, lines, or the order of sets."""
+def _checked_flags(flags: Mapping[str, int], kind: str) -> Mapping[str, int]:
+    expected = "texts without blanks, each with an integer that the type can hold"
+    if not isinstance(flags, Mapping) or (flags and kind.startswith("float")):
+        raise ArgumentError("flags", f"{expected}; none for floats", repr(flags))
+    for text, value in flags.items():
+        ok = isinstance(text, str) and len(text.split()) == 1 and is_integer(value)
+        if not ok or not np.iinfo(kind).min < value <= np.iinfo(kind).max:
+            raise ArgumentError("flags", expected, f"{text!r}: {value!r}")
+    return MappingProxyType({text: int(value) for text, value in flags.items()})
 
-    def constant(value: object) -> str:
-        if isinstance(value, CodeType):
-            return _told(value)
-        return repr(sorted(map(repr, value))) if isinstance(value, frozenset) else repr(value)
 
-    return "\n".join([code.co_code.hex(), *map(constant, code.co_consts), *code.co_names, *code.co_varnames])
+def _checked_parameters(parameters: Mapping[str, Any]) -> Mapping[str, Any]:
+    expected = "names with values that JSON can hold"
+    if not isinstance(parameters, Mapping) or not all(isinstance(name, str) for name in parameters):
+        raise ArgumentError("parameters", expected, repr(parameters))
+    taken = _ATTRIBUTES & set(parameters)
+    if taken:
+        raise ArgumentError("parameters", "names other than those of attributes", ", ".join(sorted(taken)))
+    try:
+        # A copy, of plain types, that no caller changes afterwards.
+        return MappingProxyType(json.loads(json.dumps(dict(parameters), allow_nan=False)))
+    except (TypeError, ValueError, RecursionError) as error:
+        raise ArgumentError("parameters", expected, repr(parameters), str(error)) from error
+
+
+def _positive(value: float | None, argument: str) -> float | None:
+    if value is None:
+        return None
+    number = real_array(value, argument, (), "a number")
+    if number.shape != () or not number > 0.0:
+        raise ArgumentError(argument, "a positive number", value)
+    return float(number)

@@ -1,270 +1,259 @@
-"""Indices: one number per point of a sweep, each with its unit and its meaning.
+"""The metrics of this package: one decorated function each, which `METRICS` collects by name.
 
-A new one is an `Index` with a function of `Points`; it need not be registered:
-
-    r_b1 = Index("r_b1", "m", "length of leg r_b1", lambda points: points.machine.leg_lengths[:, 0])
-
-Indices of the machine's state speak of the configuration that a real machine is in within its leg limits, and are NaN
+Metrics of the machine's state describe the configuration that a real machine is in within its leg limits, and are NaN
 where there is none. Those of the Jacobian make it homogeneous: with a characteristic length L the twist is (v, Lω), so
 that singular values compare speeds with speeds. By default L is the platform's radius C: then Lω is the speed that a
-rotation about o gives to the joints c_i.
+rotation about o gives to the joints c_i. Parameters are positive numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
-from functools import partial
+import dataclasses
+from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
+from spm_pin.closed_form import forward_displacement
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import BRANCHES
-from spm_pin.mechanism.arguments import real_array
-from spm_pin.sweeps import measures
-from spm_pin.sweeps.metric import Index
+from spm_pin.mechanism import BRANCHES, Status
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.sweeps.metric import Metric, metric
+from spm_pin.sweeps.points import Points
 
-__all__ = ["INDICES", "conditioning", "isotropy", "payload", "payload_down", "resolve", "stiffness"]
+__all__ = ["METRICS", "metric_from_definition", "resolve_metrics", "status"]
+
+Values = npt.NDArray[Any]
+
+_ABSENT = "NaN where not reachable"
+_MODES_AT_A_TIME = 64
+"""Problems of forward displacement solved together: each takes 43 kB."""
 
 
-def conditioning(length: float | None = None) -> Index:
-    """Return the inverse condition number of the homogeneous Jacobian: 0 at a singularity, 1 at an isotropic state.
+@metric("1", "status of the displacement problem of the point", dtype="int8", flags={str(s): int(s) for s in Status})
+def status(points: Points) -> Values:
+    """Return the status; it is in every store, where it distinguishes "not computed" from "no value here"."""
+    return points.status
 
-    Parameters
-    ----------
-    length : float, optional
-        Characteristic length L [m]; the platform's radius C if not given.
 
-    Notes
-    -----
-    The local conditioning index of C. Gosselin, J. Angeles, "A global performance index for the kinematic optimization
-    of robotic manipulators", Journal of Mechanical Design 113 (1991), of a Jacobian made homogeneous as above.
+@metric("1", "whether a real machine can be here within its leg limits", dtype="int8", flags={"no": 0, "yes": 1})
+def reachable(points: Points) -> Values:
+    """Return 1 where a real machine can be, else 0."""
+    return points.reachable
+
+
+@metric("1", "number of real branches, leg limits aside", dtype="int8")
+def branches(points: Points) -> Values:
+    """Return how many configurations hold the pose."""
+    return np.asarray(np.count_nonzero(~np.isnan(points.branch_lengths[..., 0]), axis=-1))
+
+
+@metric("1", "number of real branches within the leg limits", dtype="int8")
+def branches_within(points: Points) -> Values:
+    """Return how many configurations within the leg limits hold the pose."""
+    return np.asarray(np.count_nonzero(points.branches_within, axis=-1))
+
+
+@metric(
+    "1",
+    "branch that a real machine is in within its leg limits",
+    dtype="int8",
+    flags={"none": -1} | {label: k for k, label in enumerate(BRANCHES)},
+)
+def branch(points: Points) -> Values:
+    """Return the branch of `Points.machine`, -1 where there is none."""
+    # Where the machine was found from leg lengths it is one of the branches up to rounding.
+    gaps = np.abs(points.solutions.middle_joints - points.machine.middle_joints[:, None]).max(axis=(-1, -2))
+    gaps = np.where(np.isnan(gaps), np.inf, gaps)
+    return np.where(np.isfinite(gaps.min(axis=-1)), gaps.argmin(axis=-1), -1)
+
+
+@metric("1", "number of assembly modes that the machine's leg lengths allow; 0 where not reachable", dtype="int16")
+def assembly_modes(points: Points) -> Values:
+    """Return how many poses the leg lengths of `Points.machine` allow."""
+    lengths = points.reached.leg_lengths
+    parts = range(0, len(lengths), _MODES_AT_A_TIME)
+    counts = [forward_displacement(points.geometry, lengths[k : k + _MODES_AT_A_TIME]).count for k in parts]
+    return points.spread(np.concatenate([*counts, np.zeros(0)]), absent=0.0).astype(np.int16)
+
+
+@metric("m", f"X of o in the base frame; {_ABSENT}")
+def o_x(points: Points) -> Values:
+    """Return the first coordinate of o."""
+    return points.machine.translation[:, 0]
+
+
+@metric("m", f"Y of o in the base frame; {_ABSENT}")
+def o_y(points: Points) -> Values:
+    """Return the second coordinate of o."""
+    return points.machine.translation[:, 1]
+
+
+@metric("m", f"Z of o in the base frame; {_ABSENT}")
+def o_z(points: Points) -> Values:
+    """Return the third coordinate of o."""
+    return points.machine.translation[:, 2]
+
+
+@metric("m", "how far the worst leg is inside its limits, negative outside; NaN where no machine can be at all")
+def leg_margin(points: Points) -> Values:
+    """Return the margin of the worst leg; of the physical branches of a pose the one with the largest margin counts.
+
+    Raises
+    ------
+    ArgumentError
+        If the geometry has no leg limits.
     """
-    length, told = _characteristic(length)
-    return Index(
-        "conditioning",
-        "1",
-        f"inverse condition number of the Jacobian of (v, L omega), L = {told}; {_ABSENT}",
-        partial(measures.conditioning, length=length),
-        parameters={"length": length},
-    )
+    if points.geometry.limits is None:
+        raise ArgumentError("geometry", "one with leg limits, of which a margin can be left", "none")
+    if points.space == "legs":
+        return np.where(points.assembled.exists, points.limits.margin(points.coordinates), np.nan)
+    margins = points.limits.margin(points.solutions.leg_lengths)
+    best = np.where(points.solutions.is_physical, margins, -np.inf).max(axis=-1)
+    return np.where(np.isinf(best), np.nan, best)
 
 
-def isotropy(length: float | None = None) -> Index:
-    """Return the geometric over the arithmetic mean of the eigenvalues of G Gᵀ, G homogeneous: from 0 to 1.
+@metric("1", f"inverse condition number of the Jacobian of (v, L omega), L = length or the platform radius; {_ABSENT}")
+def conditioning(points: Points, *, length: float | None = None) -> Values:
+    """Return the inverse condition number: 0 at a singularity, 1 at an isotropic state.
 
-    Parameters
-    ----------
-    length : float, optional
-        As for `conditioning`.
+    The local conditioning index of C. Gosselin, J. Angeles, "A global performance index for the kinematic optimization
+    of robotic manipulators", Journal of Mechanical Design 113 (1991), of the homogeneous Jacobian.
+    """
+    values = points.singular_values(_characteristic(points, length))
+    return points.spread(_zero_if_singular(values[:, -1] / values[:, 0]))
 
-    Notes
-    -----
+
+@metric(
+    "1",
+    "geometric over arithmetic mean of the eigenvalues of G G^T of (v, L omega), L = length or the platform radius; "
+    + _ABSENT,
+)
+def isotropy(points: Points, *, length: float | None = None) -> Values:
+    """Return geometric over arithmetic mean of the squared singular values: from 0 to 1.
+
     The measure of J.-O. Kim, P. K. Khosla, "Dexterity measures for design and control of manipulators", IROS 1991, of
     G, which maps leg rates to the twist (v, Lω).
     """
-    length, told = _characteristic(length)
-    return Index(
-        "isotropy",
-        "1",
-        f"geometric over arithmetic mean of the eigenvalues of G G^T of (v, L omega), L = {told}; {_ABSENT}",
-        partial(measures.isotropy, length=length),
-        parameters={"length": length},
-    )
+    values = points.singular_values(_characteristic(points, length))
+    squares = (values / values[:, :1]) ** 2
+    return points.spread(_zero_if_singular(squares.prod(axis=-1) ** (1.0 / 6.0) / squares.mean(axis=-1)))
 
 
-def payload(push: float = 1.0, pull: float | None = None) -> Index:
+@metric("1", f"least singular value of J_b and J_c: distance to a forward singularity; {_ABSENT}")
+def forward_distance(points: Points) -> Values:
+    """Return the smaller of the least singular values of J_b and J_c."""
+    return points.spread(points.sigma[:, :2].min(axis=-1))
+
+
+@metric("1", f"least singular value of K: distance to an inverse singularity; {_ABSENT}")
+def inverse_distance(points: Points) -> Values:
+    """Return the least singular value of K."""
+    return points.spread(points.sigma[:, 2])
+
+
+@metric("1", f"determinant of J_b, lower stage, forward, over d^3; {_ABSENT}")
+def det_lower(points: Points) -> Values:
+    """Return det J_b over d³."""
+    return points.spread(points.determinants[:, 0])
+
+
+@metric("1", f"determinant of J_c, upper stage, forward, over d^3; {_ABSENT}")
+def det_upper(points: Points) -> Values:
+    """Return det J_c over d³."""
+    return points.spread(points.determinants[:, 1])
+
+
+@metric("1", f"determinant of K, inverse, over d^3; {_ABSENT}")
+def det_structure(points: Points) -> Values:
+    """Return det K over d³."""
+    return points.spread(points.determinants[:, 2])
+
+
+@metric("N", f"largest force at o held in every direction, legs pushing and pulling at most so much; {_ABSENT}")
+def payload(points: Points, *, push: float = 1.0, pull: float | None = None) -> Values:
     """Return the force that the machine holds at o whatever its direction, without a moment.
 
-    Parameters
-    ----------
-    push, pull : float
-        Largest force of a leg when it pushes and when it pulls [N]; `pull` is `push` if not given. By default the
-        index is the payload per newton of leg force.
-
-    Notes
-    -----
-    A leg of force a · u under the unit force u bears at most ``|a|``, in either sense: the payload is the least
-    quotient of a leg's limit and its ``|a|``, without a search over directions.
+    `push` and `pull` are the largest forces of a leg [N]; `pull` is `push` if not given. By default the metric is the
+    payload per newton of leg force. A leg of force a · u under the unit force u bears at most ``|a|``, in either sense:
+    the payload is the least quotient of a leg's limit and its ``|a|``, without a search over directions.
     """
-    return _payload("payload", "in every direction", measures.payload, push, pull)
+    # f = -Gᵀ w: a unit force u asks -G_v[:, i] · u of leg i, at most |G_v[:, i]| in either sense.
+    largest = np.linalg.norm(points.platform_jacobians[:, :3], axis=-2).max(axis=-1)
+    return points.spread(_zero_if_singular(min(push, push if pull is None else pull) / largest))
 
 
-def payload_down(push: float = 1.0, pull: float | None = None) -> Index:
-    """Return the force along -Z of {B} that the machine holds at o, without a moment: a weight.
-
-    Parameters
-    ----------
-    push, pull : float
-        As for `payload`.
-    """
-    return _payload("payload_down", "along -Z", measures.payload_down, push, pull)
+@metric("N", f"largest force at o held along -Z, legs pushing and pulling at most so much; {_ABSENT}")
+def payload_down(points: Points, *, push: float = 1.0, pull: float | None = None) -> Values:
+    """Return the force along -Z of {B} that the machine holds at o, without a moment: a weight. See `payload`."""
+    forces = points.platform_jacobians[:, 2]
+    share = np.maximum(forces / push, -forces / (push if pull is None else pull)).max(axis=-1)
+    return points.spread(_zero_if_singular(1.0 / share))
 
 
-def stiffness(leg: float = 1.0) -> Index:
+@metric("N m-1", f"least translational stiffness at o, for a stiffness of each leg; {_ABSENT}")
+def stiffness(points: Points, *, leg: float = 1.0) -> Values:
     """Return the translational stiffness at o in the direction in which it is least.
 
-    Parameters
-    ----------
-    leg : float
-        Stiffness of each actuator [N/m]; everything else is rigid. By default the index is the stiffness per that of a
-        leg.
-
-    Notes
-    -----
-    A force f moves o by ``G_v G_vᵀ f / leg``, G_v the upper three rows of G, while the platform turns as it likes.
+    `leg` is the stiffness of each actuator [N/m]; everything else is rigid. A force f moves o by ``G_v G_vᵀ f / leg``,
+    G_v the upper three rows of G, while the platform turns as it likes.
     """
-    leg = _positive(leg, "leg", "N/m")
-    return Index(
-        "stiffness",
-        "N m-1",
-        f"least translational stiffness at o with legs of {leg:g} N/m; {_ABSENT}",
-        partial(measures.stiffness, leg=leg),
-        parameters={"leg": leg},
-    )
+    linear = points.platform_jacobians[:, :3]
+    compliance = np.linalg.eigvalsh(np.nan_to_num(linear @ linear.swapaxes(-1, -2)))[:, -1]
+    return points.spread(_zero_if_singular(leg / np.where(np.isnan(linear[:, 0, 0]), np.nan, compliance)))
 
 
-def resolve(indices: Iterable[str | Index]) -> tuple[Index, ...]:
-    """Return indices given by name or as they are.
+def _characteristic(points: Points, length: float | None) -> float:
+    return points.geometry.platform_radius if length is None else length
+
+
+def _zero_if_singular(values: FloatArray) -> FloatArray:
+    """Return `values` with 0 for NaN, which stands for a forward singularity."""
+    return np.where(np.isnan(values), 0.0, values)
+
+
+METRICS: Mapping[str, Metric] = MappingProxyType(
+    {name: value for name, value in list(globals().items()) if isinstance(value, Metric) and value is not status}
+)
+"""The metrics that a sweep knows by name; with other parameters, ``METRICS["payload"](push=900.0)``."""
+
+
+def resolve_metrics(metrics: Iterable[str | Metric]) -> tuple[Metric, ...]:
+    """Return metrics given by name or as they are.
 
     Raises
     ------
     ArgumentError
         If there is none, a name is unknown, or two have one name.
     """
-    given = [indices] if isinstance(indices, str | Index) else list(indices)
-    unknown = [one for one in given if not isinstance(one, Index) and one not in INDICES]
-    if unknown:
-        raise ArgumentError("indices", f"an Index, or names among {', '.join(INDICES)}", repr(unknown[0]))
-    resolved = tuple(one if isinstance(one, Index) else INDICES[one] for one in given)
-    names = [index.name for index in resolved]
+    expected = f"a Metric, or names among {', '.join(METRICS)}"
+    if not isinstance(metrics, str | Metric | Iterable):
+        raise ArgumentError("metrics", expected, repr(metrics))
+    given: list[Any] = [metrics] if isinstance(metrics, str | Metric) else list(metrics)
+    for one in given:
+        if not isinstance(one, Metric) and not (isinstance(one, str) and one in METRICS):
+            raise ArgumentError("metrics", expected, repr(one))
+    resolved = tuple(one if isinstance(one, Metric) else METRICS[one] for one in given)
+    names = [one.name for one in resolved]
     if not names or len(set(names)) < len(names):
-        raise ArgumentError("indices", "one or more indices of different names", ", ".join(names) or "none")
+        raise ArgumentError("metrics", "one or more metrics of different names", ", ".join(names) or "none")
     return resolved
 
 
-def from_definition(content: Mapping[str, Any]) -> Index:
-    """Make an index again from its `definition`.
+def metric_from_definition(content: Mapping[str, Any]) -> Metric:
+    """Make a metric from its `definition`.
 
     Raises
     ------
     ArgumentError
-        If it is not one of `INDICES` with other parameters.
+        If it is not one of `METRICS` with other parameters.
     """
-    name, parameters = content["name"], content["parameters"]
-    if name in INDICES:
-        maker = _MAKERS.get(name)
-        index = replace(maker(**parameters) if maker else INDICES[name], dtype=content["dtype"])
-        if index.definition() == content:
-            return index
-    cause = "An index of your own has to be given again, to `sweep`, with all the rest."
-    raise ArgumentError("indices", f"indices among {', '.join(INDICES)}", name, cause)
-
-
-def _payload(
-    name: str, direction: str, measure: Callable[..., npt.ArrayLike], push: float, pull: float | None
-) -> Index:
-    push = _positive(push, "push", "N")
-    pull = push if pull is None else _positive(pull, "pull", "N")
-    return Index(
-        name,
-        "N",
-        f"largest force at o held {direction} with leg forces from {-pull:g} to {push:g} N; {_ABSENT}",
-        partial(measure, push=push, pull=pull),
-        parameters={"push": push, "pull": pull},
-    )
-
-
-def _characteristic(length: float | None) -> tuple[float | None, str]:
-    if length is None:
-        return None, "platform radius"
-    length = _positive(length, "length", "m")
-    return length, f"{length:g} m"
-
-
-def _positive(value: float, argument: str, unit: str) -> float:
-    number = real_array(value, argument, (), f"a number of {unit}")
-    if number.shape != () or not number > 0.0:
-        raise ArgumentError(argument, f"a positive number of {unit}", value)
-    return float(number)
-
-
-_ABSENT = "NaN where not reachable"
-_STAGES = {"lower": "J_b, lower stage, forward", "upper": "J_c, upper stage, forward", "structure": "K, inverse"}
-
-_MAKERS: Mapping[str, Callable[..., Index]] = {
-    "conditioning": conditioning,
-    "isotropy": isotropy,
-    "payload": payload,
-    "payload_down": payload_down,
-    "stiffness": stiffness,
-}
-
-_ALL = (
-    Index(
-        "reachable",
-        "1",
-        "whether a real machine can be here within its leg limits",
-        measures.reachable,
-        "int8",
-        {"no": 0, "yes": 1},
-    ),
-    Index("branches", "1", "number of real branches, leg limits aside", measures.branches, "int8"),
-    Index("branches_within", "1", "number of real branches within the leg limits", measures.branches_within, "int8"),
-    Index(
-        "branch",
-        "1",
-        "branch that a real machine is in within its leg limits",
-        measures.branch,
-        "int8",
-        {"none": -1} | {label: k for k, label in enumerate(BRANCHES)},
-    ),
-    Index(
-        "assembly_modes",
-        "1",
-        "number of assembly modes that the machine's leg lengths allow; 0 where not reachable",
-        measures.assembly_modes,
-        "int16",
-    ),
-    *(
-        Index(
-            f"o_{axis}",
-            "m",
-            f"{axis.upper()} of o in the base frame; {_ABSENT}",
-            partial(measures.position, coordinate=k),
-        )
-        for k, axis in enumerate("xyz")
-    ),
-    Index(
-        "leg_margin",
-        "m",
-        "how far the worst leg is inside its limits, negative outside; NaN where no machine can be at all",
-        measures.leg_margin,
-    ),
-    conditioning(),
-    isotropy(),
-    Index(
-        "forward_distance",
-        "1",
-        f"least singular value of J_b and J_c: distance to a forward singularity; {_ABSENT}",
-        partial(measures.distance, first=0, last=1),
-    ),
-    Index(
-        "inverse_distance",
-        "1",
-        f"least singular value of K: distance to an inverse singularity; {_ABSENT}",
-        partial(measures.distance, first=2, last=2),
-    ),
-    *(
-        Index(f"det_{name}", "1", f"determinant of {of}, over d^3; {_ABSENT}", partial(measures.determinant, which=k))
-        for k, (name, of) in enumerate(_STAGES.items())
-    ),
-    payload(),
-    payload_down(),
-    stiffness(),
-)
-
-INDICES: Mapping[str, Index] = MappingProxyType({index.name: index for index in _ALL})
-"""The indices that a sweep knows by name; those with parameters are functions of this module as well."""
+    if content["name"] in METRICS:
+        found = METRICS[content["name"]](**content["parameters"])
+        found = dataclasses.replace(found, dtype=content["dtype"])
+        if found.definition() == content:
+            return found
+    cause = "A metric of your own has to be given again, to `run`, with all the rest."
+    raise ArgumentError("metrics", f"metrics among {', '.join(METRICS)}", content["name"], cause)

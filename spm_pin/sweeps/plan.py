@@ -1,8 +1,7 @@
-"""What a sweep computes: a manipulator, a domain, indices, and the chunks in which the results are stored."""
+"""The plan of a sweep: a manipulator, a domain, metrics, and the chunks in which the results are stored."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections.abc import Iterator, Mapping
@@ -15,29 +14,20 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import Geometry, LegLimits, Status
-from spm_pin.sweeps.domains import Axis, Domain, Grid, Sample, region
-from spm_pin.sweeps.metric import Index
-from spm_pin.sweeps.metrics import from_definition
+from spm_pin.mechanism import Geometry, LegLimits
+from spm_pin.sweeps.domains import AXES, Axis, Domain, chunk_region
+from spm_pin.sweeps.metric import Metric
+from spm_pin.sweeps.metrics import metric_from_definition, status
 from spm_pin.sweeps.points import Points
 
-__all__ = ["FORMAT", "STATUS", "Plan", "differences", "domain_of", "package_version"]
+__all__ = ["FORMAT", "Plan", "definition_differences", "package_version"]
 
-FORMAT = 1
+FORMAT = 2
 """Version of the layout of a store."""
 
-_TOGETHER = 4096
-"""Points evaluated together: few enough for the intermediate results to stay near the processor's cache."""
-
-STATUS = Index(
-    "status",
-    "1",
-    "what became of the displacement problem of the point",
-    lambda points: points.status,
-    "int8",
-    {str(status): int(status) for status in Status},
-)
-"""Is in every store: it alone tells "not computed" from "no value here"."""
+_BLOCK = 8192
+"""Points evaluated together: enough for little time outside kernels, few enough to need some megabytes."""
+_RESERVED = {*AXES["pose"], *AXES["legs"], "sample", "status", "sweep"}
 
 
 @dataclass(frozen=True)
@@ -49,9 +39,9 @@ class Plan:
     geometry : Geometry
         The manipulator.
     domain : Domain
-        Where.
-    indices : tuple of Index
-        What.
+        The points.
+    metrics : tuple of Metric
+        What is computed, in the order of the names.
     chunk : tuple of int
         Shape of a chunk along the dimensions of the domain.
     version : str
@@ -60,36 +50,35 @@ class Plan:
 
     geometry: Geometry
     domain: Domain
-    indices: tuple[Index, ...]
+    metrics: tuple[Metric, ...]
     chunk: tuple[int, ...]
     version: str
 
     @classmethod
-    def of(cls, geometry: Geometry, domain: Domain, indices: tuple[Index, ...], chunk: int) -> Plan:
+    def make(cls, geometry: Geometry, domain: Domain, metrics: tuple[Metric, ...], chunk: int) -> Plan:
         """Make a plan with chunks of at most `chunk` points.
 
         Raises
         ------
         ArgumentError
-            If an argument is not what it should be, or the name of an index is that of a coordinate.
+            If an argument is not what it should be, or the name of a metric is that of a coordinate.
         """
         if not isinstance(geometry, Geometry):
             raise ArgumentError("geometry", "a Geometry", type(geometry).__name__)
-        if not isinstance(domain, Grid | Sample):
+        if not isinstance(domain, Domain):
             expected = "what pose_grid, leg_grid, pose_sample or leg_sample returns"
             raise ArgumentError("domain", expected, type(domain).__name__)
-        taken = {axis.name for axis in domain.axes} | {"sample", "status", "sweep"}
-        clash = sorted(taken & {index.name for index in indices})
-        if clash:
-            raise ArgumentError("indices", "names other than those of the coordinates", ", ".join(clash))
-        # By name, so that the order in which they were asked for makes no other sweep.
-        ordered = tuple(sorted(indices, key=lambda one: one.name))
+        taken = sorted(_RESERVED & {one.name for one in metrics})
+        if taken:
+            raise ArgumentError("metrics", "names other than those of the coordinates", ", ".join(taken))
+        # By name, so that their order makes no other sweep.
+        ordered = tuple(sorted(metrics, key=lambda one: one.name))
         return cls(geometry, domain, ordered, domain.chunk_shape(chunk), package_version())
 
     @property
-    def variables(self) -> tuple[Index, ...]:
-        """The indices, and before them the status."""
-        return (STATUS, *self.indices)
+    def variables(self) -> tuple[Metric, ...]:
+        """The metrics, and before them the status."""
+        return (status, *self.metrics)
 
     @property
     def sampled(self) -> tuple[Axis, ...]:
@@ -107,33 +96,29 @@ class Plan:
         return math.prod(self.chunks)
 
     def __iter__(self) -> Iterator[tuple[int, ...]]:
-        """Iterate over the indices of the chunks; a generator, however many there are."""
-        lengths = self.chunks
-        for number in range(self.count):
-            index = []
-            for length in reversed(lengths):
-                number, remainder = divmod(number, length)
-                index.append(remainder)
-            yield tuple(reversed(index))
+        """Iterate over the indices of the chunks, without a list of them."""
+        return (tuple(map(int, np.unravel_index(number, self.chunks))) for number in range(self.count))
 
     def region(self, index: tuple[int, ...]) -> tuple[slice, ...]:
-        """Return where the chunk at `index` is in the results."""
-        return region(self.domain.shape, index, self.chunk)
+        """Return the slices of the chunk at `index` in the results."""
+        return chunk_region(self.domain.shape, index, self.chunk)
 
-    def size(self, index: tuple[int, ...]) -> int:
+    def points_of(self, index: tuple[int, ...]) -> int:
         """Return the number of points of the chunk at `index`."""
         return math.prod(part.stop - part.start for part in self.region(index))
 
     def evaluate(self, index: tuple[int, ...]) -> dict[str, npt.NDArray[Any]]:
         """Return the values of all variables on the chunk at `index`, each of the shape of its region."""
         coordinates = self.domain.points(index, self.chunk)
+        # Metrics are given parts of this array.
+        coordinates.flags.writeable = False
         count = len(coordinates)
         values = {one.name: np.empty(count, dtype=one.dtype) for one in self.variables}
-        for first in range(0, count, _TOGETHER):
-            part = slice(first, first + _TOGETHER)
+        for first in range(0, count, _BLOCK):
+            part = slice(first, first + _BLOCK)
             points = Points(self.geometry, self.domain.space, coordinates[part])
             for one in self.variables:
-                values[one.name][part] = one(points)
+                values[one.name][part] = one.evaluate(points)
         values |= {axis.name: coordinates[:, k] for k, axis in enumerate(self.domain.axes) if axis in self.sampled}
         shape = tuple(part.stop - part.start for part in self.region(index))
         return {name: array.reshape(shape) for name, array in values.items()}
@@ -141,6 +126,7 @@ class Plan:
     def definition(self) -> dict[str, Any]:
         """Return what determines the results, as JSON."""
         limits = self.geometry.limits
+        ends = None if limits is None else (limits.minimum, limits.maximum)
         return {
             "format": FORMAT,
             "spm_pin": self.version,
@@ -148,21 +134,21 @@ class Plan:
                 "base_radius": self.geometry.base_radius,
                 "platform_radius": self.geometry.platform_radius,
                 "middle_side": self.geometry.middle_side,
-                "limits": None if limits is None else [[_finite(x) for x in end] for end in _ends(limits)],
+                "limits": ends and [[x if math.isfinite(x) else None for x in end] for end in ends],
             },
             "domain": self.domain.definition(),
-            "indices": [index.definition() for index in self.indices],
+            "metrics": [one.definition() for one in self.metrics],
             "chunk": list(self.chunk),
         }
 
     @classmethod
     def from_definition(cls, content: Mapping[str, Any]) -> Plan:
-        """Make a plan again from its `definition`.
+        """Make a plan from its `definition`.
 
         Raises
         ------
         ArgumentError
-            If an index is none of this package's.
+            If a metric is none of this package's.
         """
         sizes = dict(content["geometry"])
         limits = sizes.pop("limits")
@@ -170,8 +156,8 @@ class Plan:
             limits = LegLimits(*([math.inf if x is None else x for x in end] for end in limits))
         return cls(
             Geometry(**sizes, limits=limits),
-            domain_of(content),
-            tuple(from_definition(index) for index in content["indices"]),
+            Domain.from_definition(content["domain"]),
+            tuple(metric_from_definition(one) for one in content["metrics"]),
             tuple(content["chunk"]),
             content["spm_pin"],
         )
@@ -181,11 +167,6 @@ class Plan:
         """The definition as text."""
         return json.dumps(self.definition(), ensure_ascii=False, allow_nan=False)
 
-    @cached_property
-    def digest(self) -> bytes:
-        """SHA-256 of `text`."""
-        return hashlib.sha256(self.text.encode()).digest()
-
 
 def package_version() -> str:
     """Return the version of this package."""
@@ -193,33 +174,20 @@ def package_version() -> str:
     return str(import_module("spm_pin").__version__)
 
 
-def domain_of(definition: Mapping[str, Any]) -> Domain:
-    """Return the domain of a plan's `definition`."""
-    content = definition["domain"]
-    return (Grid if content["kind"] == "grid" else Sample).from_definition(content)
-
-
-def differences(stored: Any, asked: Any, where: str = "") -> list[str]:
+def definition_differences(stored: Any, asked: Any, where: str = "") -> list[str]:
     """Return what differs between two definitions, a line for each."""
     if isinstance(stored, dict) and isinstance(asked, dict):
         keys = list(dict.fromkeys([*stored, *asked]))
         prefix = f"{where}." if where else ""
-        return [line for key in keys for line in differences(stored.get(key), asked.get(key), f"{prefix}{key}")]
+        return [
+            line for key in keys for line in definition_differences(stored.get(key), asked.get(key), f"{prefix}{key}")
+        ]
     if isinstance(stored, list) and isinstance(asked, list) and len(stored) == len(asked):
         pairs = enumerate(zip(stored, asked, strict=True))
-        return [line for k, pair in pairs for line in differences(*pair, f"{where}[{k}]")]
-    if isinstance(stored, list) and isinstance(asked, list) and where == "indices":
-        stored, asked = ([index["name"] for index in side] for side in (stored, asked))
-    return [] if stored == asked else [f"{where} is {_shown(stored)} there and {_shown(asked)} here"]
-
-
-def _shown(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False)
-
-
-def _ends(limits: LegLimits) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    return limits.minimum, limits.maximum
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+        return [line for k, pair in pairs for line in definition_differences(*pair, f"{where}[{k}]")]
+    if isinstance(stored, list) and isinstance(asked, list) and where == "metrics":
+        stored, asked = ([one["name"] for one in side] for side in (stored, asked))
+    if stored == asked:
+        return []
+    there, here = (json.dumps(value, ensure_ascii=False) for value in (stored, asked))
+    return [f"{where} is {there} there and {here} here"]

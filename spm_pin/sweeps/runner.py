@@ -1,16 +1,19 @@
-"""Sweeps: indices over any number of poses or leg lengths, on one machine or many, resumed wherever they stopped.
+"""Run a sweep, on one machine or many, and continue it wherever it stopped.
 
-Memory does not grow with the number of points. The process that drives the sweep holds the chunks' numbers that are
-under way; a worker holds one chunk of results and the intermediate results of a few thousand points; the disk has the
-rest.
+Memory does not grow with the number of points. The process that drives the sweep holds the numbers of the chunks that
+are under way; a worker holds one chunk of results and the intermediate results of a few thousand points; the rest is on
+disk.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
+import json
 import math
 import os
-from collections.abc import Callable, Iterable
+import socket
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,21 +21,40 @@ from typing import TYPE_CHECKING
 from spm_pin.errors import ArgumentError, MissingExtraError, SpmError
 from spm_pin.mechanism import Geometry
 from spm_pin.sweeps.domains import Domain
-from spm_pin.sweeps.lock import locked
-from spm_pin.sweeps.metric import Index
-from spm_pin.sweeps.metrics import resolve
-from spm_pin.sweeps.plan import Plan, domain_of, package_version
-from spm_pin.sweeps.store import Store, StoreError, as_store_error, completed, stored_definition
-from spm_pin.sweeps.workers import WorkersLostError, completed_chunks
+from spm_pin.sweeps.metric import Metric
+from spm_pin.sweeps.metrics import resolve_metrics
+from spm_pin.sweeps.plan import Plan, package_version
+from spm_pin.sweeps.store import (
+    LOCK,
+    Store,
+    StoreError,
+    as_store_error,
+    completed_count,
+    domain_and_definition,
+    plan_of_store,
+    store_path,
+)
+from spm_pin.sweeps.workers import WorkersLostError, check_workers, complete_chunks
 
 if TYPE_CHECKING:
     import xarray
     from distributed import Client
 
-__all__ = ["CHUNK", "Progress", "SweepError", "SweepStatus", "open_sweep", "resume_sweep", "sweep", "sweep_status"]
+__all__ = [
+    "CHUNK",
+    "Progress",
+    "StoreLockedError",
+    "SweepError",
+    "SweepStatus",
+    "locked",
+    "open_store",
+    "resume",
+    "run",
+    "status",
+]
 
 CHUNK = 2**18
-"""Points in a chunk, if not told otherwise: about a second's work, and two megabytes per index."""
+"""Points in a chunk by default: about a third of a second's work, and two megabytes per metric."""
 
 Progress = Callable[[int, int], None]
 
@@ -47,7 +69,7 @@ class SweepError(SpmError):
     reason : str
         Why it stopped.
     done, total : int
-        Chunks that are complete, and chunks that there are.
+        Chunks that are complete, and all chunks.
     """
 
     def __init__(self, store: str, reason: str, done: int, total: int) -> None:
@@ -64,6 +86,26 @@ class SweepError(SpmError):
         return type(self), (self.store, self.reason, self.done, self.total)
 
 
+class StoreLockedError(SpmError):
+    """Another process is at work on a store.
+
+    Attributes
+    ----------
+    store : str
+        Path of the store.
+    holder : str
+        The process that holds the lock, as far as known.
+    """
+
+    def __init__(self, store: str, holder: str) -> None:
+        self.store = store
+        self.holder = holder
+        super().__init__(f"{store}: {holder} is at work on this store. Wait for it, or end it; what it did is kept")
+
+    def __reduce__(self) -> tuple[type[StoreLockedError], tuple[str, str]]:
+        return type(self), (self.store, self.holder)
+
+
 @dataclass(frozen=True)
 class SweepStatus:
     """How far a sweep is.
@@ -71,10 +113,10 @@ class SweepStatus:
     Attributes
     ----------
     done, total : int
-        Chunks that have been completed, and chunks that there are.
+        Chunks that have been completed, and all chunks.
     points : int
         Number of points of the whole sweep.
-    indices : tuple of str
+    metrics : tuple of str
         What is computed.
     shape : dict of str to int
         Dimensions of the results.
@@ -85,7 +127,7 @@ class SweepStatus:
     done: int
     total: int
     points: int
-    indices: tuple[str, ...]
+    metrics: tuple[str, ...]
     shape: dict[str, int]
     version: str
 
@@ -95,10 +137,10 @@ class SweepStatus:
         return self.done == self.total
 
 
-def sweep(
+def run(
     geometry: Geometry,
     domain: Domain,
-    indices: Iterable[str | Index],
+    metrics: Iterable[str | Metric],
     store: str | os.PathLike[str],
     *,
     scheduler: str | Client | None = None,
@@ -106,7 +148,7 @@ def sweep(
     chunk: int = CHUNK,
     progress: Progress | None = None,
 ) -> xarray.Dataset:
-    """Evaluate indices over a domain and store them; continue where an earlier run stopped.
+    """Evaluate metrics over a domain and store them; continue where an earlier run stopped.
 
     Parameters
     ----------
@@ -114,8 +156,8 @@ def sweep(
         The manipulator, with the leg limits that decide what is reachable.
     domain : Grid or Sample
         Poses or leg lengths: see `pose_grid`, `leg_grid`, `pose_sample`, `leg_sample`.
-    indices : iterable of str or Index
-        Names from `INDICES`, or indices of your own.
+    metrics : iterable of str or Metric
+        Names from `METRICS`, or metrics of your own.
     store : path
         Folder of the results, in Zarr v3; on a file system that all workers see. If it exists it must be of this very
         sweep: what is complete in it is verified and kept.
@@ -123,18 +165,18 @@ def sweep(
         Address of a Dask scheduler, such as ``tcp://head:8786``, or a client. Worker processes on this machine if not
         given.
     workers : int, optional
-        How many processes on this machine; one per processor if not given. With 1 the work is done in this process.
+        Number of processes on this machine; one per processor if not given. With 1 the work is done in this process.
     chunk : int
-        Largest number of points that are computed, stored and lost together. A worker's memory is bounded by that
-        many points, at about 100 bytes each and twice the results of all indices, beside some 250 MB of code and of
-        intermediate results; see `benchmarks/sweep.py`.
+        Most points per chunk: the unit of work, of storage, and of loss when a worker is killed. A worker's memory is
+        bounded by that many points, at about 100 bytes each and twice the results of all metrics, beside some 250 MB
+        of code and of intermediate results; see `benchmarks/sweep.py`.
     progress : callable, optional
         Called with the number of points done and of all points, after every chunk.
 
     Returns
     -------
     xarray.Dataset
-        The results, read from the store when used. Besides the indices it has `status`, a `Status` for each point, and
+        The results, read from the store when used. Besides the metrics it has `status`, a `Status` for each point, and
         -128 where nothing has been computed.
 
     Raises
@@ -142,6 +184,8 @@ def sweep(
     ArgumentError
         If an argument is not what it should be, `store` is something else or of another sweep, or the scheduler cannot
         be reached.
+    StoreError
+        If the store cannot be read or written.
     StoreLockedError
         If another process is at work on the store.
     SweepError
@@ -157,11 +201,11 @@ def sweep(
 
     Worker processes import the main module: a script that calls this needs ``if __name__ == "__main__":``.
     """
-    plan = Plan.of(geometry, domain, resolve(indices), chunk)
-    return _run(plan, Path(store), scheduler, workers, progress)
+    plan = Plan.make(geometry, domain, resolve_metrics(metrics), chunk)
+    return _run(plan, store_path(store), scheduler, workers, progress)
 
 
-def resume_sweep(
+def resume(
     store: str | os.PathLike[str],
     *,
     scheduler: str | Client | None = None,
@@ -173,107 +217,160 @@ def resume_sweep(
     Parameters
     ----------
     store, scheduler, workers, progress
-        As for `sweep`.
+        As for `run`.
 
     Raises
     ------
     ArgumentError
-        If there is no such store, it has indices of your own, or another version of this package made it; and as for
-        `sweep`.
+        If there is no such store, it has metrics of your own, or another version of this package made it; and as for
+        `run`.
+    StoreError, StoreLockedError, SweepError, MissingExtraError
+        As for `run`.
     """
-    definition = stored_definition(Path(store))
-    version, own = definition["spm_pin"], package_version()
-    if version != own:
+    path = store_path(store)
+    version, here = domain_and_definition(path)[1]["spm_pin"], package_version()
+    if version != here:
         cause = "Results of two versions would be mixed."
-        raise ArgumentError("store", f"a sweep of spm_pin {own}", f"{store}, made by {version}", cause)
-    return _run(Plan.from_definition(definition), Path(store), scheduler, workers, progress)
+        raise ArgumentError("store", f"a sweep of spm_pin {here}", f"{path}, made by {version}", cause)
+    return _run(plan_of_store(path), path, scheduler, workers, progress)
 
 
-def sweep_status(store: str | os.PathLike[str]) -> SweepStatus:
-    """Tell how far a sweep is, without disturbing it.
+def status(store: str | os.PathLike[str]) -> SweepStatus:
+    """Return how far a sweep is, without disturbing it.
 
     Parameters
     ----------
     store : path
-        The folder that `sweep` was given.
+        The folder that `run` was given.
 
     Raises
     ------
     ArgumentError, StoreError
         If there is no such store, or it cannot be read.
     """
-    path = Path(store)
-    definition = stored_definition(path)
-    domain = domain_of(definition)
+    path = store_path(store)
+    domain, definition = domain_and_definition(path)
     chunks = zip(domain.shape, definition["chunk"], strict=True)
     return SweepStatus(
-        done=completed(path),
+        done=completed_count(path),
         total=math.prod(-(-length // part) for length, part in chunks),
         points=domain.size,
-        indices=tuple(index["name"] for index in definition["indices"]),
+        metrics=tuple(one["name"] for one in definition["metrics"]),
         shape=dict(zip(domain.dims, domain.shape, strict=True)),
         version=definition["spm_pin"],
     )
 
 
-def open_sweep(store: str | os.PathLike[str]) -> xarray.Dataset:
+def open_store(store: str | os.PathLike[str]) -> xarray.Dataset:
     """Open the results of a sweep, complete or not, without disturbing it.
 
     Parameters
     ----------
     store : path
-        The folder that `sweep` was given.
+        The folder that `run` was given.
 
     Returns
     -------
     xarray.Dataset
-        As `sweep` returns it; the same as ``xarray.open_zarr(store)``.
+        As `run` returns it; the same as ``xarray.open_zarr(store)``, after a check of the metadata.
 
     Raises
     ------
-    ArgumentError
-        If there is no such store.
+    ArgumentError, StoreError
+        If there is no such store, or it cannot be read.
+    MissingExtraError
+        Without the extra ``cluster``.
     """
-    try:
-        import xarray
-        import zarr
-    except ImportError as missing:
-        raise MissingExtraError("cluster", missing.name or "xarray") from missing
-    del zarr  # xarray's own error would not name it
+    path = store_path(store)
+    domain_and_definition(path)
+    _require_extra()
+    import xarray
 
-    stored_definition(Path(store))
-    dataset: xarray.Dataset = xarray.open_zarr(Path(store))
+    with as_store_error(path):
+        try:
+            dataset: xarray.Dataset = xarray.open_zarr(path, zarr_format=3)
+        except (KeyError, TypeError, ValueError) as error:
+            raise StoreError(str(path), f"its metadata cannot be read ({error})") from error
     return dataset
 
 
 def _run(
     plan: Plan, path: Path, scheduler: str | Client | None, workers: int | None, progress: Progress | None
 ) -> xarray.Dataset:
-    if workers is not None and (isinstance(workers, bool) or not isinstance(workers, int) or workers < 1):
-        raise ArgumentError("workers", "a positive number of processes", workers)
-    if workers is not None and scheduler is not None:
-        cause = "How many workers a scheduler has is not for this process to say."
-        raise ArgumentError("workers", "None beside a scheduler", workers, cause)
-    # Workers may stand in another folder.
-    path = path.absolute()
+    check_workers(scheduler, workers)
+    if progress is not None and not callable(progress):
+        raise ArgumentError("progress", "a function of the points done and of all points", repr(progress))
+    _require_extra()
+    store = Store.create(path, plan)
     with contextlib.ExitStack() as stack:
-        with as_store_error(path):
-            stack.enter_context(locked(path))
-        store = Store.create(path, plan)
-        store.tidy()
+        stack.enter_context(locked(path))
+        store.remove_drafts()
         done, total = 0, plan.domain.size
         if progress is not None:
             progress(done, total)
         try:
-            chunks = stack.enter_context(contextlib.closing(completed_chunks(plan, path, scheduler, workers)))
+            chunks = stack.enter_context(contextlib.closing(complete_chunks(plan, path, scheduler, workers)))
             for chunk in chunks:
-                done += plan.size(chunk)
+                done += plan.points_of(chunk)
                 if progress is not None:
                     progress(done, total)
         except KeyboardInterrupt as interrupt:
-            interrupt.add_note(str(SweepError(str(path), "interrupted", completed(path), plan.count)))
+            interrupt.add_note(str(SweepError(str(path), "interrupted", completed_count(path), plan.count)))
             raise
         except (StoreError, WorkersLostError) as error:
-            raise SweepError(str(path), str(error), completed(path), plan.count) from error
-        store.tidy()
-    return open_sweep(path)
+            raise SweepError(str(path), str(error), completed_count(path), plan.count) from error
+        store.remove_drafts()
+    return open_store(path)
+
+
+@contextlib.contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Hold the lock of a store, the file `LOCK` in it, which the system releases however its holder ends.
+
+    Raises
+    ------
+    StoreLockedError
+        If another process holds it.
+    StoreError
+        If the file cannot be written.
+    """
+    from filelock import FileLock, Timeout
+
+    file = path / LOCK
+    lock = FileLock(file, fallback_to_soft=False)
+    with as_store_error(path):
+        try:
+            lock.acquire(blocking=False)
+        except Timeout:
+            raise StoreLockedError(str(path), _holder(file)) from None
+        except OSError as error:
+            # A file system without locks; two processes would write the same bytes, each file as a whole.
+            if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
+                raise
+        file.write_text(json.dumps({"host": socket.gethostname(), "pid": os.getpid()}), encoding="utf-8")
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            file.write_text("", encoding="utf-8")
+        lock.release()
+
+
+def _holder(file: Path) -> str:
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        return f"process {content['pid']} on {content['host']}"
+    except (OSError, ValueError, KeyError, TypeError):
+        return "another process"
+
+
+def _require_extra() -> None:
+    """Raise `MissingExtraError` if a package of the extra is not installed."""
+    try:
+        import dask  # noqa: F401
+        import filelock  # noqa: F401
+        import google_crc32c  # noqa: F401
+        import xarray  # noqa: F401
+        import zarr  # noqa: F401
+    except ImportError as missing:
+        raise MissingExtraError("cluster", missing.name or "xarray") from missing

@@ -1,20 +1,22 @@
 """The results of a sweep on disk: a Zarr v3 group in which every chunk is either complete or not there.
 
-Beside the variables is a group `sweep` with the array `checksum`: for every chunk the SHA-256 of the sweep's definition
-and of the chunk's bytes in all variables. It is the record that the chunk is complete. It appears, at once and as a
-whole, after the chunk's bytes have reached the disk; so a chunk with a record that fits needs no work, and any other is
-computed again.
+Each chunk of each variable ends with its CRC32C, by Zarr's own codec. Beside the variables is a group `sweep` with the
+array `crc32c`: for every chunk the CRC32C of the sweep's definition, of the chunk's index, and of its bytes in all
+variables. It is the record that the chunk is complete. It is written after the chunk's bytes have reached the disk, so
+a chunk with a record that fits needs no work, and any other is computed again. Nothing is removed but the drafts, by
+their names, that Zarr writes before it renames them.
 """
 
 from __future__ import annotations
 
 import contextlib
-import hashlib
+import errno
 import json
 import os
-import shutil
+import re
 import socket
-import uuid
+import stat
+import tempfile
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,17 +25,31 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError, MissingExtraError, SpmError
-from spm_pin.sweeps.metric import Index
-from spm_pin.sweeps.plan import Plan, differences
+from spm_pin.errors import ArgumentError, SpmError
+from spm_pin.sweeps.domains import Domain, is_integer
+from spm_pin.sweeps.metric import DTYPES
+from spm_pin.sweeps.plan import FORMAT, Plan, definition_differences
 
 if TYPE_CHECKING:
     import zarr
 
-__all__ = ["Store", "StoreError", "as_store_error", "completed", "stored_definition"]
+__all__ = [
+    "LOCK",
+    "Store",
+    "StoreError",
+    "as_store_error",
+    "completed_count",
+    "domain_and_definition",
+    "plan_of_store",
+    "store_path",
+]
 
-_RECORDS = "sweep/checksum"
-_PARTIAL = ".partial"
+LOCK = "sweep/lock"
+_RECORDS = "sweep/crc32c"
+_CODECS = {"bytes", "zstd", "crc32c"}
+_DRAFT = re.compile(r"(c(\.\d+)*|zarr)\.[0-9a-f]{32}\.partial")
+_KEYS: dict[str, Any] = {"name": "default", "separator": "."}
+_DAMAGED = (KeyError, TypeError, ValueError, ArithmeticError, AttributeError, IndexError, RecursionError)
 
 
 class StoreError(SpmError):
@@ -62,9 +78,9 @@ class Store:
     Parameters
     ----------
     path : Path
-        Its folder, on a file system that everybody who works on it sees.
+        Its folder, on a file system that all workers see.
     plan : Plan
-        What it holds.
+        The sweep that it must be of.
 
     Raises
     ------
@@ -79,7 +95,7 @@ class Store:
 
         self.path = path
         self.plan = plan
-        lines = differences(stored_definition(path), plan.definition())
+        lines = definition_differences(domain_and_definition(path)[1], plan.definition())
         if lines:
             raise ArgumentError(
                 "store", "a new folder, or one with a store of this very sweep", f"{path}, where {'; '.join(lines)}"
@@ -87,13 +103,14 @@ class Store:
         with as_store_error(path):
             try:
                 group = zarr.open_group(path, mode="r+", zarr_format=3)
-                self._arrays: dict[str, zarr.Array[Any]] = {name: _array(group, name) for name in self._names}
+                self._arrays = {name: _array(group, name) for name in (*self._names, _RECORDS)}
             except (KeyError, TypeError, ValueError) as error:
-                raise StoreError(str(path), f"its metadata are damaged ({error}). Sweep into another folder") from error
+                raise _damaged(path, "metadata", error) from error
+        self._records = self._arrays.pop(_RECORDS)
 
     @classmethod
     def create(cls, path: Path, plan: Plan) -> Store:
-        """Open the store, or make it, which takes effect at once and as a whole.
+        """Open the store; make it if there is none or an empty folder. It appears as a whole.
 
         Raises
         ------
@@ -101,29 +118,41 @@ class Store:
             As for the class, or if it cannot be written.
         """
         with as_store_error(path):
-            if not _is_new(path):
-                return cls(path, plan)
-            draft = path.with_name(f"{path.name}.new")
-            shutil.rmtree(draft, ignore_errors=True)
-            _create(draft, plan)
-            for folder, _, files in os.walk(draft):
-                for file in files:
-                    _synchronise(Path(folder, file))
-                _synchronise(Path(folder))
-            draft.rename(path)
-            _synchronise(path.parent)
+            if not path.exists() or (path.is_dir() and not any(path.iterdir())):
+                # A process that is killed leaves this hidden folder behind: no other one can know whose it is.
+                with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
+                    draft = Path(folder, "store")
+                    _create(draft, plan)
+                    for place, _, files in os.walk(draft):
+                        for name in (*files, "."):
+                            _synchronise(Path(place, name))
+                    try:
+                        draft.rename(path)
+                    except OSError:
+                        if not (path / "zarr.json").exists():
+                            raise
+                        # Another process has made a store in the meantime; whether it is of this sweep is seen below.
+                _synchronise(path.parent)
         return cls(path, plan)
 
     @property
     def _names(self) -> tuple[str, ...]:
-        return (*(axis.name for axis in self.plan.sampled), *(index.name for index in self.plan.variables))
+        return (*(axis.name for axis in self.plan.sampled), *(one.name for one in self.plan.variables))
 
     def is_complete(self, index: tuple[int, ...]) -> bool:
-        """Tell whether the chunk at `index` has been written, and is still what it was."""
+        """Return whether the chunk at `index` has been written, and is still as it was.
+
+        Raises
+        ------
+        StoreError
+            If something that is no file stands in the place of one.
+        """
         with as_store_error(self.path):
             try:
-                return self._record(index).read_bytes() == self._checksum(index)
-            except FileNotFoundError:
+                for name in (_RECORDS, *self._names):
+                    _require_file(self._file(name, index))
+                return bool(self._records[index] == self._checksum(index))
+            except (FileNotFoundError, ValueError, RuntimeError):
                 return False
 
     def write(self, index: tuple[int, ...], values: dict[str, npt.NDArray[Any]]) -> None:
@@ -138,72 +167,142 @@ class Store:
             for name, array in self._arrays.items():
                 array[self.plan.region(index)] = values[name]
             for name in self._names:
-                _synchronise(self._chunk(name, index))
+                _synchronise(self._file(name, index))
                 _synchronise(self.path / name)
-            record = self._record(index)
-            draft = record.with_name(f"{uuid.uuid4().hex}{_PARTIAL}")
-            draft.write_bytes(self._checksum(index))
-            _synchronise(draft)
-            draft.replace(record)
-            _synchronise(record.parent)
+            self._records[index] = self._checksum(index)
+            _synchronise(self._file(_RECORDS, index))
+            _synchronise(self.path / _RECORDS)
 
-    def tidy(self) -> None:
-        """Remove what processes that were killed have left behind."""
+    def remove_drafts(self) -> None:
+        """Remove the files that processes which were killed had not yet renamed."""
         with as_store_error(self.path):
             for name in (*self._names, _RECORDS):
                 for entry in os.scandir(self.path / name):
-                    if entry.name.endswith(_PARTIAL):
+                    if _DRAFT.fullmatch(entry.name) and entry.is_file(follow_symlinks=False):
                         Path(entry.path).unlink(missing_ok=True)
 
-    def _chunk(self, name: str, index: tuple[int, ...]) -> Path:
+    def _file(self, name: str, index: tuple[int, ...]) -> Path:
         return self.path / name / f"c.{'.'.join(map(str, index))}"
 
-    def _record(self, index: tuple[int, ...]) -> Path:
-        return self._chunk(_RECORDS, (*index, 0))
+    def _checksum(self, index: tuple[int, ...]) -> int:
+        import google_crc32c
 
-    def _checksum(self, index: tuple[int, ...]) -> bytes:
-        total = hashlib.sha256(self.plan.digest)
-        total.update(repr(index).encode())
+        checksum = google_crc32c.value(f"{self.plan.text} {index}".encode())
         for name in self._names:
-            content = self._chunk(name, index).read_bytes()
-            total.update(f"{name} {len(content)} ".encode())
-            total.update(content)
-        return total.digest()
+            content = _read(self._file(name, index))
+            checksum = google_crc32c.extend(checksum, f"{name} {len(content)} ".encode())
+            checksum = google_crc32c.extend(checksum, content)
+        return int(checksum)
 
 
-def stored_definition(path: Path) -> dict[str, Any]:
-    """Return the definition of the sweep whose store is at `path`.
+def store_path(store: str | os.PathLike[str]) -> Path:
+    """Return the absolute path of a store, links followed: workers may run in another folder.
+
+    Raises
+    ------
+    ArgumentError
+        If it is no path.
+    """
+    expected = "the path of a folder"
+    if not isinstance(store, str | os.PathLike) or not isinstance(os.fspath(store), str):
+        raise ArgumentError("store", expected, repr(store))
+    try:
+        path = Path(store).resolve()
+    except (OSError, ValueError, RuntimeError) as error:
+        raise ArgumentError("store", expected, repr(store), str(error)) from error
+    if not path.name:
+        raise ArgumentError("store", expected, repr(store))
+    return path
+
+
+def domain_and_definition(path: Path) -> tuple[Domain, dict[str, Any]]:
+    """Return the domain and the definition of the sweep whose store is at `path`, after a check of its metadata.
 
     Raises
     ------
     ArgumentError
         If there is no such store.
     StoreError
-        If it cannot be read.
+        If it cannot be read, is damaged, or uses a codec or a type that no sweep writes.
     """
-    expected = "the folder of a sweep"
+    with as_store_error(path):
+        try:
+            text = _read(path / "zarr.json")
+        except (FileNotFoundError, NotADirectoryError):
+            received = f"{path}, which holds none" if path.exists() else f"{path}, which does not exist"
+            raise ArgumentError("store", "the folder of a sweep", received) from None
+        try:
+            metadata = json.loads(text)
+            attributes = metadata["attributes"]
+            if "spm_pin_sweep" not in attributes:
+                raise ArgumentError("store", "the folder of a sweep", f"{path}, which holds something else")
+            _check_metadata(path, metadata)
+            definition = json.loads(attributes["spm_pin_sweep"])
+            domain = Domain.from_definition(definition["domain"])
+            if definition["format"] != FORMAT:
+                raise StoreError(str(path), f"a store of format {definition['format']}; this version has {FORMAT}")
+            parts, names = definition["chunk"], [one["name"] for one in definition["metrics"]]
+            fits = len(parts) == len(domain.shape) and all(
+                is_integer(part) and 1 <= part <= length for part, length in zip(parts, domain.shape, strict=True)
+            )
+            whole = fits and domain.definition() == definition["domain"] and isinstance(definition["spm_pin"], str)
+            if not whole or not all(isinstance(name, str) for name in names):
+                raise ValueError("its parts do not fit together")
+        except (SpmError, *_DAMAGED) as error:
+            if isinstance(error, StoreError) or (isinstance(error, ArgumentError) and error.argument == "store"):
+                raise
+            raise _damaged(path, "definition", error) from error
+    return domain, definition
+
+
+def plan_of_store(path: Path) -> Plan:
+    """Return the plan of the sweep whose store is at `path`.
+
+    Raises
+    ------
+    ArgumentError
+        If a metric is none of this package's.
+    StoreError
+        If the definition is damaged.
+    """
+    definition = domain_and_definition(path)[1]
     try:
-        with as_store_error(path):
-            content = json.loads((path / "zarr.json").read_text(encoding="utf-8"))
-        definition = json.loads(content["attributes"]["definition"])
-    except (KeyError, TypeError, ValueError, StoreError) as error:
-        if isinstance(error, StoreError) and not isinstance(error.__cause__, FileNotFoundError | NotADirectoryError):
+        return Plan.from_definition(definition)
+    except (SpmError, *_DAMAGED) as error:
+        if isinstance(error, ArgumentError) and error.argument == "metrics":
             raise
-        received = f"{path}, which holds none" if path.exists() else f"{path}, which does not exist"
-        raise ArgumentError("store", expected, received) from None
-    if not isinstance(definition, dict):
-        raise ArgumentError("store", expected, f"{path}, which holds something else")
-    return definition
+        raise _damaged(path, "definition", error) from error
 
 
-def completed(path: Path) -> int:
+def completed_count(path: Path) -> int:
     """Return the number of chunks with a record, without reading them."""
     with as_store_error(path):
-        return sum(entry.name.startswith("c.") for entry in os.scandir(path / _RECORDS))
+        return sum(re.fullmatch(r"c(\.\d+)*", entry.name) is not None for entry in os.scandir(path / _RECORDS))
 
 
-def _is_new(path: Path) -> bool:
-    return not path.exists() or (path.is_dir() and not any(path.iterdir()))
+def _check_metadata(path: Path, metadata: dict[str, Any]) -> None:
+    """Refuse what Zarr would decode by anything but the codecs of a sweep, as by pickle."""
+    members = dict((metadata.get("consolidated_metadata") or {}).get("metadata", {}))
+    for place in (*path.glob("*/zarr.json"), *path.glob("sweep/*/zarr.json")):
+        members[str(place.parent)] = json.loads(_read(place))
+    for name, member in members.items():
+        if member["node_type"] == "group":
+            continue
+        codecs = [codec["name"] if isinstance(codec, dict) else codec for codec in member["codecs"]]
+        strange = [codec for codec in codecs if codec not in _CODECS]
+        if member["data_type"] not in DTYPES:
+            strange.append(member["data_type"])
+        strange += member.get("storage_transformers", ())
+        if strange:
+            reason = f"{name} is stored by {strange[0]!r}, which no sweep writes, and is not read"
+            raise StoreError(str(path), reason)
+
+
+def _damaged(path: Path, what: str, error: BaseException) -> StoreError:
+    text = " ".join(str(error).split())[:200]
+    return StoreError(
+        str(path), f"its {what} cannot be read ({type(error).__name__}: {text}). Sweep into another folder"
+    )
 
 
 def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:
@@ -218,11 +317,8 @@ def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:
 
 def _create(path: Path, plan: Plan) -> None:
     """Write the metadata and the coordinates."""
-    try:
-        import zarr
-        from zarr.codecs import BytesCodec, Crc32cCodec, ZstdCodec
-    except ImportError as missing:
-        raise MissingExtraError("cluster", missing.name or "zarr") from missing
+    import zarr
+    from zarr.codecs import BytesCodec, Crc32cCodec, ZstdCodec
 
     domain = plan.domain
     fixed = [axis for axis in domain.axes if axis.fixed]
@@ -231,13 +327,12 @@ def _create(path: Path, plan: Plan) -> None:
         path,
         zarr_format=3,
         attributes={
-            "title": f"3RPS-3SPR manipulator: {', '.join(index.name for index in plan.indices)}",
+            "title": f"3RPS-3SPR manipulator: {', '.join(one.name for one in plan.metrics)}",
             "source": f"spm_pin {plan.version}",
-            "definition": plan.text,
+            "spm_pin_sweep": plan.text,
             **({"coordinates": " ".join(apart)} if apart else {}),
         },
     )
-    keys: dict[str, Any] = {"name": "default", "separator": "."}
 
     def array(name: str, dtype: str, fill: float, attributes: dict[str, Any]) -> None:
         group.create_array(
@@ -249,7 +344,7 @@ def _create(path: Path, plan: Plan) -> None:
             serializer=BytesCodec(endian="little") if np.dtype(dtype).itemsize > 1 else BytesCodec(endian=None),
             compressors=[ZstdCodec(level=3), Crc32cCodec()],
             dimension_names=domain.dims,
-            chunk_key_encoding=keys,
+            chunk_key_encoding=_KEYS,
             attributes=attributes,
         )
 
@@ -261,37 +356,36 @@ def _create(path: Path, plan: Plan) -> None:
             names = () if axis.fixed else (axis.name,)
             group.create_array(axis.name, data=values, dimension_names=names, attributes=dict(axis.attributes))
     for one in plan.variables:
-        array(one.name, one.dtype, one.not_computed, _attributes(one))
-    said = "SHA-256 of the definition and of the chunk's bytes in all variables; 0 if it is not complete"
-    records = group.create_group("sweep")
-    records.create_array(
-        "checksum",
-        shape=(*plan.chunks, 32),
-        chunks=(*(1 for _ in plan.chunks), 32),
-        dtype="uint8",
-        fill_value=0,
-        compressors=None,
-        dimension_names=(*domain.dims, "byte"),
-        chunk_key_encoding=keys,
-        attributes={"long_name": said},
+        array(one.name, one.dtype, one.not_computed, one.attributes())
+    group.create_group("sweep").create_array(
+        "crc32c",
+        shape=plan.chunks,
+        chunks=(1,) * len(plan.chunks),
+        dtype="int64",
+        fill_value=-1,
+        compressors=[Crc32cCodec()],
+        dimension_names=domain.dims,
+        chunk_key_encoding=_KEYS,
+        attributes={
+            "long_name": "CRC32C of the definition and of the chunk's bytes in all variables; -1 if incomplete"
+        },
     )
+    (path / LOCK).touch()
     with warnings.catch_warnings():
         # Zarr 3 warns that other readers may ignore it, which is what they should do; xarray warns where it is missing.
         warnings.simplefilter("ignore", category=UserWarning)
         zarr.consolidate_metadata(path)
 
 
-def _attributes(index: Index) -> dict[str, Any]:
-    kind = np.dtype(index.dtype).kind
-    attributes: dict[str, Any] = {"long_name": index.description, "units": index.unit}
-    if kind == "i":
-        attributes["not_computed"] = index.not_computed
-    if index.flags:
-        flags = {"not_computed": index.not_computed, **index.flags} if kind == "i" else dict(index.flags)
-        attributes["flag_values"] = list(flags.values())
-        attributes["flag_meanings"] = " ".join(flags)
-    attributes |= {name: value for name, value in index.parameters.items() if value is not None}
-    return attributes
+def _require_file(path: Path) -> None:
+    """Raise `OSError` if a path is missing, or no regular file: to open a pipe may take for ever."""
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
+
+
+def _read(path: Path) -> bytes:
+    _require_file(path)
+    return path.read_bytes()
 
 
 def _synchronise(path: Path) -> None:

@@ -1,10 +1,11 @@
-"""Who does the chunks of a sweep: this process, processes of this machine, or the workers of a Dask scheduler."""
+"""Processes that compute the chunks of a sweep: this one, others of this machine, or workers of a Dask scheduler."""
 
 from __future__ import annotations
 
 import asyncio
 import concurrent.futures
 import contextlib
+import dataclasses
 import itertools
 import logging
 import signal
@@ -14,32 +15,52 @@ from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from spm_pin.closed_form import forward_physical
 from spm_pin.errors import ArgumentError, MissingExtraError, SpmError
+from spm_pin.sweeps.domains import is_integer
+from spm_pin.sweeps.metrics import METRICS
 from spm_pin.sweeps.plan import Plan, package_version
+from spm_pin.sweeps.points import Points
 from spm_pin.sweeps.store import Store, StoreError
 
 if TYPE_CHECKING:
     from distributed import Client, Future, Worker
 
-__all__ = ["WorkersLostError", "completed_chunks", "ensure"]
+__all__ = ["WorkersLostError", "check_workers", "complete_chunk", "complete_chunks"]
 
 Chunk = tuple[int, ...]
 
 _AHEAD = 1000
-"""Chunks that a scheduler is given at a time, so that neither it nor this process has to know a million of them."""
+"""Chunks that a scheduler is given at a time, so that neither it nor this process holds a list of all of them."""
 _PATIENCE = 15
-"""How long to knock at a scheduler's door [s]."""
+"""Timeout of a connection to a scheduler [s]."""
 
 
 class WorkersLostError(SpmError):
-    """Workers, or their scheduler, are gone for good."""
+    """Workers, or their scheduler, have been lost and will not come back."""
 
 
 _opened: dict[tuple[str, Path], Store] = {}
 
 
-def ensure(plan: Plan, path: Path, chunk: Chunk) -> Chunk:
-    """Compute and write a chunk unless it is complete; return its index. This is what workers are asked to do.
+def check_workers(scheduler: object, workers: object) -> None:
+    """Raise `ArgumentError` if these are not a scheduler, or a number of processes, or None."""
+    if workers is not None and (not is_integer(workers) or workers < 1):  # type: ignore[operator]
+        raise ArgumentError("workers", "a positive number of processes", repr(workers))
+    if workers is not None and scheduler is not None:
+        cause = "The number of workers of a scheduler is set where it is started."
+        raise ArgumentError("workers", "None beside a scheduler", workers, cause)
+    if scheduler is None or isinstance(scheduler, str):
+        return
+    distributed = _distributed()
+    if not isinstance(scheduler, distributed.Client):
+        raise ArgumentError("scheduler", "the address of a Dask scheduler, or a Client", repr(scheduler))
+
+
+def complete_chunk(plan: Plan, path: Path, chunk: Chunk) -> Chunk:
+    """Compute and write a chunk unless it is complete; return its index. This is the task of a worker.
 
     Raises
     ------
@@ -53,10 +74,9 @@ def ensure(plan: Plan, path: Path, chunk: Chunk) -> Chunk:
 
 
 def _open(plan: Plan, path: Path) -> Store:
-    host = socket.gethostname()
-    own = package_version()
-    if plan.version != own:
-        raise StoreError(str(path), f"a sweep of spm_pin {plan.version}, but the worker on {host} has {own}")
+    host, version = socket.gethostname(), package_version()
+    if plan.version != version:
+        raise StoreError(str(path), f"a sweep of spm_pin {plan.version}, but the worker on {host} has {version}")
     try:
         store = Store(path, plan)
     except ArgumentError as error:
@@ -67,8 +87,8 @@ def _open(plan: Plan, path: Path) -> Store:
     return store
 
 
-def completed_chunks(plan: Plan, path: Path, scheduler: str | Client | None, workers: int | None) -> Generator[Chunk]:
-    """Make sure of every chunk, in any order, and yield its index.
+def complete_chunks(plan: Plan, path: Path, scheduler: str | Client | None, workers: int | None) -> Generator[Chunk]:
+    """Complete all chunks, in any order, and yield the index of each.
 
     Raises
     ------
@@ -82,26 +102,23 @@ def completed_chunks(plan: Plan, path: Path, scheduler: str | Client | None, wor
         If Dask is needed and not installed.
     """
     if scheduler is None and 1 in (workers, plan.count):
-        yield from (ensure(plan, path, chunk) for chunk in plan)
+        yield from (complete_chunk(plan, path, chunk) for chunk in plan)
         return
-    try:
-        import distributed
-        from dask.system import CPU_COUNT
-    except ImportError as missing:
-        raise MissingExtraError("cluster", missing.name or "distributed") from missing
-
+    distributed = _distributed()
     if isinstance(scheduler, distributed.Client):
         yield from _scheduled(plan, path, scheduler)
-    elif scheduler is not None:
+    elif isinstance(scheduler, str):
         with _connected(scheduler) as client:
             yield from _scheduled(plan, path, client)
     else:
-        count = min(workers or CPU_COUNT, plan.count)
-        # One thread each: much of the work holds the interpreter's lock. Any free port for the dashboard: without an
+        from dask.system import CPU_COUNT
+
+        _compile_kernels(plan)
+        # One thread each: part of the work holds the interpreter's lock. Any free port for the dashboard: without an
         # address it takes a fixed one, which another sweep may have.
         with (
             distributed.LocalCluster(
-                n_workers=count,
+                n_workers=min(workers or CPU_COUNT, plan.count),
                 threads_per_worker=1,
                 dashboard_address="127.0.0.1:0",
                 silence_logs=logging.CRITICAL,
@@ -109,8 +126,31 @@ def completed_chunks(plan: Plan, path: Path, scheduler: str | Client | None, wor
             ) as cluster,
             distributed.Client(cluster, set_as_default=False) as client,
         ):
-            client.register_plugin(_undisturbed())
+            client.register_plugin(_ignore_interrupts())
             yield from _scheduled(plan, path, client)
+
+
+def _compile_kernels(plan: Plan) -> None:
+    """Compile the kernels of the package's metrics in this process, for workers to find them in the cache on disk."""
+    geometry = dataclasses.replace(plan.geometry, limits=None)
+    legs = np.full((1, 6), geometry.base_radius + geometry.platform_radius + geometry.middle_side)
+    legs[:, 0] *= 1.05  # a tilt, for the level home is singular
+    state = forward_physical(geometry, legs)
+    angles = state.pose.rotation.as_euler("XYX", suppress_warnings=True)
+    point = legs if plan.domain.space == "legs" else np.concatenate([state.translation, angles], axis=-1)
+    points = Points(geometry, plan.domain.space, point)
+    for one in plan.variables:
+        if one.name == "status" or one.name in METRICS:
+            with contextlib.suppress(SpmError):
+                one.evaluate(points)
+
+
+def _distributed() -> Any:
+    try:
+        import distributed
+    except ImportError as missing:
+        raise MissingExtraError("cluster", missing.name or "distributed") from missing
+    return distributed
 
 
 @contextlib.contextmanager
@@ -134,7 +174,7 @@ def _scheduled(plan: Plan, path: Path, client: Client) -> Iterator[Chunk]:
 
     def submit(chunk: Chunk) -> Future[Any]:
         key = f"{name}-{'.'.join(map(str, chunk))}"
-        future = client.submit(ensure, plan, path, chunk, key=key, pure=False)
+        future = client.submit(complete_chunk, plan, path, chunk, key=key, pure=False)
         under_way.add(future)
         return future
 
@@ -157,14 +197,14 @@ def _scheduled(plan: Plan, path: Path, client: Client) -> Iterator[Chunk]:
             client.cancel(list(under_way))
 
 
-def _undisturbed() -> object:
-    """Return a plugin by which workers leave Ctrl-C, which a terminal sends to them too, to who asks for the work."""
+def _ignore_interrupts() -> object:
+    """Return a plugin by which workers ignore Ctrl-C, which a terminal sends to them too; the client handles it."""
     from distributed import WorkerPlugin
 
-    class Undisturbed(WorkerPlugin):
+    class IgnoreInterrupts(WorkerPlugin):
         idempotent = True
 
         def setup(self, worker: Worker) -> None:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
 
-    return Undisturbed()
+    return IgnoreInterrupts()

@@ -19,9 +19,7 @@ from typer.testing import CliRunner
 
 import spm_pin as spm
 from spm_pin.cli.sweep import sweep
-from spm_pin.sweeps.grids import leg_sample, pose_grid
-from spm_pin.sweeps.metrics import conditioning, payload, payload_down, stiffness
-from spm_pin.sweeps.runner import sweep as run_sweep
+from spm_pin.sweeps import METRICS, leg_sample, pose_grid
 
 POSES = ["--x", "37:44:4", "--y", "-16:-12:3", "--z", "250", "--xyx", "1", "17:20:2", "6", "--unit", "cm"]
 
@@ -36,7 +34,7 @@ def run(*arguments: object, code: int = 0) -> str:
 
 
 def test_a_grid_of_poses_is_that_of_python(tmp_path: Path) -> None:
-    out = run(*POSES, "--out", tmp_path / "a", "--workers", 1, "--chunk", 10, "--index", "branches")
+    out = run(*POSES, "--out", tmp_path / "a", "--workers", 1, "--chunk", 10, "--metric", "branches")
     assert "24 points: x 4, y 3, beta 2" in out
     grid = pose_grid(
         (0.37, 0.44, 4),
@@ -44,29 +42,34 @@ def test_a_grid_of_poses_is_that_of_python(tmp_path: Path) -> None:
         2.5,
         xyx=[float(np.deg2rad(1)), (float(np.deg2rad(17)), float(np.deg2rad(20)), 2), float(np.deg2rad(6))],
     )
-    expected = run_sweep(spm.Geometry.paper(), grid, ["branches"], tmp_path / "b", workers=1).load()
+    expected = spm.sweeps.run(spm.Geometry.paper(), grid, ["branches"], tmp_path / "b", workers=1).load()
     found = xarray.open_zarr(tmp_path / "a").load()
     np.testing.assert_array_equal(found.branches, expected.branches)
     np.testing.assert_allclose(found.x, expected.x, rtol=1e-15)
     np.testing.assert_allclose(found.beta, expected.beta, rtol=1e-15)
 
 
-def test_without_indices_there_are_some(tmp_path: Path) -> None:
+def test_without_metrics_there_are_some(tmp_path: Path) -> None:
     out = run(*POSES, "--out", tmp_path / "map", "--workers", 1)
-    assert "indices: branches, conditioning, reachable" in out
+    assert "metrics: branches, conditioning, reachable" in out
     assert "1 of 1 chunks complete open with: xarray.open_zarr(" in out
 
 
-def test_parameters_of_indices(tmp_path: Path) -> None:
+def test_parameters_of_metrics(tmp_path: Path) -> None:
     run(
         *[*POSES, "--out", tmp_path / "a", "--workers", 1, "--limits", 115, 145],
-        *["--index", "payload", "--index", "payload_down", "--index", "stiffness", "--index", "conditioning"],
+        *["--metric", "payload", "--metric", "payload_down", "--metric", "stiffness", "--metric", "conditioning"],
         *["--leg-force", 900, "--leg-stiffness", 2e7, "--length", 50],
     )
     stored = xarray.open_zarr(tmp_path / "a")
-    definition = json.loads(stored.attrs["definition"])
-    asked = [conditioning(0.5), payload(900.0), payload_down(900.0), stiffness(2e7)]
-    assert definition["indices"] == [index.definition() for index in asked]
+    definition = json.loads(stored.attrs["spm_pin_sweep"])
+    asked = [
+        METRICS["conditioning"](length=0.5),
+        METRICS["payload"](push=900.0),
+        METRICS["payload_down"](push=900.0),
+        METRICS["stiffness"](leg=2e7),
+    ]
+    assert definition["metrics"] == [index.definition() for index in asked]
     assert definition["geometry"]["limits"] == [[1.15] * 6, [1.45] * 6]
 
 
@@ -81,7 +84,7 @@ def test_parameters_of_indices(tmp_path: Path) -> None:
 def test_samples_of_leg_lengths(legs: list[str], ranges: list[float], tmp_path: Path) -> None:
     options = [part for text in legs for part in ("--legs", text)]
     out = run(
-        *[*options, "--samples", 30, "--seed", 7, "--unit", "cm", "--index", "o_z", "--method", "uniform"],
+        *[*options, "--samples", 30, "--seed", 7, "--unit", "cm", "--metric", "o_z", "--method", "uniform"],
         *["--out", tmp_path / "map", "--workers", 1],
     )
     assert "30 points: sample 30" in out
@@ -121,14 +124,14 @@ def test_going_on_and_looking(tmp_path: Path) -> None:
         (["--legs", "2:1:5"], "start < stop"),
         (["--legs", "1:nan:5"], "finite"),
         (["--legs", "1:2", "--samples", "5", "--method", "halton"], "--method"),
-        (["--legs", "1:2:5", "--index", "beauty"], "expected an Index, or names among reachable"),
+        (["--legs", "1:2:5", "--metric", "beauty"], "expected a Metric, or names among reachable"),
         (["--legs", "1:2:5", "--limits", "2", "1"], "exchanged"),
-        (["--legs", "1:2:5", "--index", "payload", "--leg-force", "-1"], "push"),
+        (["--legs", "1:2:5", "--metric", "payload", "--leg-force", "-1"], "push"),
         (["--legs", "1:2:5", "--workers", "2", "--scheduler", "tcp://127.0.0.1:1"], "beside a scheduler"),
         ([], "does not exist"),
         (["--status"], "does not exist"),
         (["--samples", "5"], "ranges beside --samples"),
-        (["--index", "payload"], "give --out alone"),
+        (["--metric", "payload"], "give --out alone"),
     ],
 )
 def test_bad_options_are_refused(arguments: list[str], says: str, tmp_path: Path) -> None:
@@ -140,7 +143,7 @@ def test_bad_options_are_refused(arguments: list[str], says: str, tmp_path: Path
 def test_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
     store = tmp_path / "map.zarr"
     code = "from spm_pin.cli import main; main()"
-    legs = ["--legs", "1.1:1.5:6", "--chunk", "200", "--workers", "1", "--index", "conditioning"]
+    legs = ["--legs", "1.1:1.5:6", "--chunk", "200", "--workers", "1", "--metric", "conditioning"]
     command = [sys.executable, "-c", code, "sweep", *legs, "--out", str(store)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
         deadline = time.monotonic() + 120

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,19 +12,9 @@ from scipy.optimize import linprog
 
 import spm_pin as spm
 from spm_pin.mechanism.branches import BRANCHES
+from spm_pin.sweeps import METRICS, Metric, Points, metric
 from spm_pin.sweeps.domains import Space
-from spm_pin.sweeps.metric import Index
-from spm_pin.sweeps.metrics import (
-    INDICES,
-    conditioning,
-    from_definition,
-    isotropy,
-    payload,
-    payload_down,
-    resolve,
-    stiffness,
-)
-from spm_pin.sweeps.points import Points
+from spm_pin.sweeps.metrics import metric_from_definition, resolve_metrics
 
 GEOMETRY = spm.Geometry.paper()
 
@@ -50,34 +39,34 @@ def points(request: pytest.FixtureRequest) -> Points:
     return Points(GEOMETRY, space, mixed_poses(120) if space == "pose" else legs(60, low=1.0, high=1.6))
 
 
-@pytest.mark.parametrize("name", INDICES)
-def test_every_index_has_a_value_where_it_says(points: Points, name: str) -> None:
-    index = INDICES[name]
-    values = index(points)
+@pytest.mark.parametrize("name", METRICS)
+def test_every_metric_has_a_value_where_it_says(points: Points, name: str) -> None:
+    mine = METRICS[name]
+    values = mine.evaluate(points)
     assert values.shape == (len(points),)
-    assert values.dtype == index.dtype
+    assert values.dtype == mine.dtype
     assert 0 < np.count_nonzero(points.reachable) < len(points)
     if values.dtype.kind == "f" and name != "leg_margin":
         np.testing.assert_array_equal(np.isfinite(values), points.reachable)
-    assert not (values == index.not_computed).any()
+    assert not (values == mine.not_computed).any()
 
 
 def test_counts_are_those_of_direct_calls() -> None:
     poses = mixed_poses(120)
     points = Points(GEOMETRY, "pose", poses)
     direct = spm.inverse_displacement(GEOMETRY, spm.pose(poses[:, :3], xyx=poses[:, 3:]))
-    np.testing.assert_array_equal(INDICES["branches"](points), direct.count)
-    np.testing.assert_array_equal(INDICES["branches_within"](points), direct.within().count)
+    np.testing.assert_array_equal(METRICS["branches"].evaluate(points), direct.count)
+    np.testing.assert_array_equal(METRICS["branches_within"].evaluate(points), direct.within().count)
     machine = direct.within().physical()
-    np.testing.assert_array_equal(INDICES["reachable"](points), machine.exists)
-    np.testing.assert_array_equal(points.machine.middle_joints, machine.middle_joints)
+    np.testing.assert_array_equal(METRICS["reachable"].evaluate(points), machine.exists)
+    np.testing.assert_allclose(points.machine.middle_joints, machine.middle_joints, rtol=1e-12, atol=1e-12)
     for axis, values in zip("xyz", machine.translation.T, strict=True):
-        np.testing.assert_array_equal(INDICES[f"o_{axis}"](points), values)
+        np.testing.assert_array_equal(METRICS[f"o_{axis}"].evaluate(points), values)
 
 
 def test_the_branch_is_the_machines(points: Points) -> None:
-    numbers = INDICES["branch"](points)
-    flags = INDICES["branch"].flags
+    numbers = METRICS["branch"].evaluate(points)
+    flags = METRICS["branch"].flags
     assert {flags[label] for label in BRANCHES} == set(range(8))
     np.testing.assert_array_equal(numbers == flags["none"], ~points.reachable)
     there = np.flatnonzero(points.reachable)
@@ -86,7 +75,7 @@ def test_the_branch_is_the_machines(points: Points) -> None:
     )
 
 
-def test_leg_lengths_and_the_pose_they_make_have_the_same_indices() -> None:
+def test_leg_lengths_and_the_pose_they_make_have_the_same_metrics() -> None:
     lengths = legs(40)
     by_legs = Points(GEOMETRY, "legs", lengths)
     state = spm.forward_physical(GEOMETRY, lengths)
@@ -95,14 +84,16 @@ def test_leg_lengths_and_the_pose_they_make_have_the_same_indices() -> None:
     # The few poses that two machines can be in are left out.
     same = ~by_pose.solutions.within().ambiguous
     assert same.sum() > 30
-    for index in INDICES.values():
-        np.testing.assert_allclose(index(by_legs)[same], index(by_pose)[same], rtol=1e-6, atol=1e-8, err_msg=index.name)
+    for mine in METRICS.values():
+        np.testing.assert_allclose(
+            mine.evaluate(by_legs)[same], mine.evaluate(by_pose)[same], rtol=1e-6, atol=1e-8, err_msg=mine.name
+        )
 
 
 def test_assembly_modes_are_counted_as_the_solver_does() -> None:
     lengths = legs(70)
     expected = spm.forward_displacement(GEOMETRY, lengths).count
-    np.testing.assert_array_equal(INDICES["assembly_modes"](Points(GEOMETRY, "legs", lengths)), expected)
+    np.testing.assert_array_equal(METRICS["assembly_modes"].evaluate(Points(GEOMETRY, "legs", lengths)), expected)
 
 
 def homogeneous(states: spm.Configuration, length: float) -> np.ndarray:
@@ -114,16 +105,18 @@ def homogeneous(states: spm.Configuration, length: float) -> np.ndarray:
 def test_conditioning_and_isotropy_are_those_of_the_inverse_jacobian(length: float | None) -> None:
     points = Points(GEOMETRY, "legs", legs(50))
     matrices = homogeneous(points.machine, GEOMETRY.platform_radius if length is None else length)
-    np.testing.assert_allclose(conditioning(length)(points), 1.0 / np.linalg.cond(matrices), rtol=1e-8)
+    np.testing.assert_allclose(
+        METRICS["conditioning"](length=length).evaluate(points), 1.0 / np.linalg.cond(matrices), rtol=1e-8
+    )
     eigenvalues = 1.0 / np.linalg.eigvalsh(matrices.swapaxes(-1, -2) @ matrices)
     expected = np.exp(np.log(eigenvalues).mean(axis=-1)) / eigenvalues.mean(axis=-1)
-    np.testing.assert_allclose(isotropy(length)(points), expected, rtol=1e-6)
+    np.testing.assert_allclose(METRICS["isotropy"](length=length).evaluate(points), expected, rtol=1e-6)
 
 
 def test_conditioning_is_that_of_pinocchio() -> None:
     chain = spm.ClosedChain.from_urdf()
     points = Points(GEOMETRY, "legs", legs(5))
-    for k, value in enumerate(conditioning(0.5)(points)):
+    for k, value in enumerate(METRICS["conditioning"](length=0.5).evaluate(points)):
         matrix = chain.inverse_jacobian(chain.joint_values(points.machine[k])) / np.repeat([1.0, 0.5], 3)
         assert 1.0 / np.linalg.cond(matrix) == pytest.approx(value, rel=1e-7)
 
@@ -132,13 +125,15 @@ def test_conditioning_does_not_depend_on_the_size_of_the_machine() -> None:
     small = spm.Geometry(GEOMETRY.base_radius / 50, GEOMETRY.platform_radius / 50, GEOMETRY.middle_side / 50)
     lengths = legs(20)
     for name in ("conditioning", "isotropy", "forward_distance", "inverse_distance", "det_structure", "payload"):
-        large = INDICES[name](Points(GEOMETRY, "legs", lengths))
-        np.testing.assert_allclose(INDICES[name](Points(small, "legs", lengths / 50)), large, rtol=1e-9, err_msg=name)
+        large = METRICS[name].evaluate(Points(GEOMETRY, "legs", lengths))
+        np.testing.assert_allclose(
+            METRICS[name].evaluate(Points(small, "legs", lengths / 50)), large, rtol=1e-9, err_msg=name
+        )
 
 
 def test_payload_is_the_most_that_leg_forces_allow_in_any_direction() -> None:
     points = Points(GEOMETRY, "legs", legs(8))
-    value = payload(900.0, 400.0)(points)
+    value = METRICS["payload"](push=900.0, pull=400.0).evaluate(points)
     directions = np.random.default_rng(1).normal(size=(20_000, 3))
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     wrenches = np.concatenate([directions, np.zeros_like(directions)], axis=-1)
@@ -151,14 +146,14 @@ def test_payload_is_the_most_that_leg_forces_allow_in_any_direction() -> None:
 
 def test_payload_downwards_is_a_linear_programme() -> None:
     points = Points(GEOMETRY, "legs", legs(8, seed=3))
-    value = payload_down(900.0, 400.0)(points)
+    value = METRICS["payload_down"](push=900.0, pull=400.0).evaluate(points)
     for k in range(len(points)):
         # Largest f with -400 <= f a <= 900 for the leg forces a under one newton along -Z.
         unit = spm.leg_forces(points.machine[k], [0, 0, -1, 0, 0, 0])
         bounds = np.concatenate([np.full(6, 900.0), np.full(6, 400.0)])
         found = linprog([-1.0], A_ub=np.concatenate([unit, -unit])[:, None], b_ub=bounds, bounds=(0, None))
         assert value[k] == pytest.approx(found.x[0], rel=1e-9)
-    assert (payload(400.0)(points) <= value).all()
+    assert (METRICS["payload"](push=400.0).evaluate(points) <= value).all()
 
 
 def test_stiffness_is_that_of_springs_in_the_legs() -> None:
@@ -166,12 +161,12 @@ def test_stiffness_is_that_of_springs_in_the_legs() -> None:
     jacobians = spm.inverse_jacobian(points.machine)
     compliance = np.linalg.inv(2e7 * jacobians.swapaxes(-1, -2) @ jacobians)[:, :3, :3]
     expected = 1.0 / np.linalg.eigvalsh(compliance)[:, -1]
-    np.testing.assert_allclose(stiffness(2e7)(points), expected, rtol=1e-7)
+    np.testing.assert_allclose(METRICS["stiffness"](leg=2e7).evaluate(points), expected, rtol=1e-7)
 
 
 def test_the_margin_is_signed() -> None:
     points = Points(GEOMETRY, "pose", mixed_poses(120))
-    margin = INDICES["leg_margin"](points)
+    margin = METRICS["leg_margin"].evaluate(points)
     np.testing.assert_array_equal(margin >= 0, points.reachable)
     assert (margin < 0).any()
     inside = points.reachable & ~points.solutions.within().ambiguous
@@ -179,8 +174,8 @@ def test_the_margin_is_signed() -> None:
     np.testing.assert_array_equal(margin[inside], expected[inside])
     free = dataclasses.replace(GEOMETRY, limits=None)
     with pytest.raises(spm.ArgumentError, match="leg limits") as error:
-        INDICES["leg_margin"](Points(free, "pose", points.coordinates))
-    assert error.value.__notes__ == ["while evaluating the index 'leg_margin'"]
+        METRICS["leg_margin"].evaluate(Points(free, "pose", points.coordinates))
+    assert error.value.__notes__ == ["while evaluating the metric 'leg_margin'"]
     # Without limits everything with a physical branch is reachable.
     assert Points(free, "pose", points.coordinates).reachable.sum() > points.reachable.sum()
 
@@ -190,7 +185,7 @@ def test_distances_and_determinants_are_those_of_singularities(points: Points) -
     expected = {"forward_distance": known.sigma[:, :2].min(axis=-1), "inverse_distance": known.sigma[:, 2]}
     expected |= {f"det_{name}": known.index[:, k] for k, name in enumerate(("lower", "upper", "structure"))}
     for name, values in expected.items():
-        np.testing.assert_allclose(INDICES[name](points), values, rtol=1e-12, err_msg=name)
+        np.testing.assert_allclose(METRICS[name].evaluate(points), values, rtol=1e-12, err_msg=name)
 
 
 @pytest.mark.parametrize("which", PAPER_TILTS)
@@ -204,130 +199,150 @@ def test_singular_states_among_regular_ones_do_not_stop_a_sweep(which: int) -> N
     ]
     vars(points)["machine"] = spm.Configuration.from_arrays(GEOMETRY, *joined)
     alone = Points(GEOMETRY, "legs", legs(3))
-    for index in (conditioning(), isotropy(), payload(), payload_down(), stiffness()):
-        values = index(points)
+    for mine in (METRICS[name] for name in ("conditioning", "isotropy", "payload", "payload_down", "stiffness")):
+        values = mine.evaluate(points)
         assert np.isfinite(values).all()
         if which == 0:
             assert values[3] == 0.0
-        elif index.name in ("conditioning", "isotropy"):
+        elif mine.name in ("conditioning", "isotropy"):
             assert values[3] < 1e-4
         else:
             # At an inverse singularity, det K = 0, forces stay finite.
             assert values[3] > 1e-3
-        np.testing.assert_allclose(values[:3], index(alone), rtol=1e-9)
+        np.testing.assert_allclose(values[:3], mine.evaluate(alone), rtol=1e-9)
 
 
 def test_points_of_which_none_is_reached() -> None:
     far = np.tile([5.0, 0, 2, 0.1, 0.5, -0.1], (3, 1))
-    for index in INDICES.values():
-        values = index(Points(GEOMETRY, "pose", far))
+    for mine in METRICS.values():
+        values = mine.evaluate(Points(GEOMETRY, "pose", far))
         assert values.shape == (3,)
-        assert np.isnan(values).all() or (values == index.flags.get("none", 0)).all()
+        assert np.isnan(values).all() or (values == mine.flags.get("none", 0)).all()
 
 
-def test_the_page_names_every_index() -> None:
+def test_the_page_names_every_metric() -> None:
     page = (Path(__file__).parents[2] / "docs" / "howto" / "sweep.md").read_text(encoding="utf-8")
-    assert [name for name in INDICES if f"`{name}`" not in page] == []
+    assert [name for name in METRICS if f"`{name}`" not in page] == []
 
 
-# An index of one's own
+# A metric of one's own
 
 
 def r_b1(points: Points) -> np.ndarray:
     return points.machine.leg_lengths[:, 0]
 
 
-def test_an_index_of_ones_own() -> None:
-    index = Index("r_b1", "m", "length of leg r_b1", r_b1)
+def test_a_metric_of_ones_own() -> None:
+    mine = Metric("r_b1", "m", "length of leg r_b1", r_b1)
     points = Points(GEOMETRY, "legs", legs(4))
-    np.testing.assert_allclose(index(points), points.coordinates[:, 0], rtol=1e-12)
-    assert resolve([index, "reachable"]) == (index, INDICES["reachable"])
+    np.testing.assert_allclose(mine.evaluate(points), points.coordinates[:, 0], rtol=1e-12)
+    assert resolve_metrics([mine, "reachable"]) == (mine, METRICS["reachable"])
 
 
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"evaluate": lambda points: 1.0}, r"shape \(4,\), got shape \(\)"),
-        ({"evaluate": lambda points: points.coordinates}, r"got shape \(4, 6\)"),
-        ({"evaluate": lambda points: points.coordinates[:, 0], "dtype": "int8"}, "type float64"),
-        ({"evaluate": lambda points: np.full(len(points), 300), "dtype": "int8"}, "from 300 to 300"),
-        ({"evaluate": lambda points: np.full(len(points), -128), "dtype": "int8"}, "from -128"),
-        ({"evaluate": lambda points: np.array(["a"] * len(points))}, "type <U1"),
-        ({"evaluate": lambda points: np.full(len(points), 1j)}, "complex"),
+        ({"function": lambda points: 1.0}, r"shape \(4,\), got shape \(\)"),
+        ({"function": lambda points: points.coordinates}, r"got shape \(4, 6\)"),
+        ({"function": lambda points: points.coordinates[:, 0], "dtype": "int8"}, "type float64"),
+        ({"function": lambda points: np.full(len(points), 300), "dtype": "int8"}, "from 300 to 300"),
+        ({"function": lambda points: np.full(len(points), -128), "dtype": "int8"}, "from -128"),
+        ({"function": lambda points: np.array(["a"] * len(points))}, "type <U1"),
+        ({"function": lambda points: np.full(len(points), 1j)}, "complex"),
+        (
+            {"function": lambda points: np.full(len(points), 1e300), "dtype": "float32"},
+            r"float32 can hold, got 1e\+300",
+        ),
+        ({"function": lambda points: np.full(len(points), -7e4), "dtype": "float16"}, "float16 can hold, got -70000"),
+        ({"function": lambda points: np.ma.masked_equal(np.arange(4), 2), "dtype": "int8"}, "masked values"),
     ],
 )
-def test_what_an_index_returns_is_checked(changes: dict[str, object], says: str) -> None:
-    index = dataclasses.replace(Index("mine", "1", "mine", r_b1), **changes)  # type: ignore[arg-type]
+def test_what_a_metric_returns_is_checked(changes: dict[str, object], says: str) -> None:
+    mine = dataclasses.replace(Metric("mine", "1", "mine", r_b1), **changes)  # type: ignore[arg-type]
     with pytest.raises(spm.ArgumentError, match=says):
-        index(Points(GEOMETRY, "legs", legs(4)))
+        mine.evaluate(Points(GEOMETRY, "legs", legs(4)))
 
 
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda: Index("a b", "1", "", r_b1), "name"),
-        (lambda: Index("", "1", "", r_b1), "name"),
-        (lambda: Index("a", "1", "", 3), "evaluate"),  # type: ignore[arg-type]
-        (lambda: Index("a", "1", "", r_b1, "uint8"), "signed integer"),
-        (lambda: Index("a", "1", "", r_b1, "nonsense"), "signed integer"),
-        (lambda: payload(0.0), "push"),
-        (lambda: payload(1.0, -1.0), "pull"),
-        (lambda: conditioning(np.nan), "length"),
-        (lambda: stiffness(np.inf), "leg"),
-        (lambda: resolve([]), "none"),
-        (lambda: resolve(["payload", payload(5.0)]), "different names"),
-        (lambda: resolve(["nonsense"]), "nonsense"),
-        (lambda: resolve([1]), "expected an Index"),  # type: ignore[list-item]
+        (lambda: Metric("a b", "1", "", r_b1), "name"),
+        (lambda: Metric("", "1", "", r_b1), "name"),
+        (lambda: Metric("a", "1", "", 3), "function"),  # type: ignore[arg-type]
+        (lambda: Metric("a", "1", "", r_b1, "uint8"), "dtype"),
+        (lambda: Metric("a", "1", "", r_b1, "nonsense"), "dtype"),
+        (lambda: Metric("a", "1", "", r_b1, None), "dtype"),  # type: ignore[arg-type]
+        (lambda: Metric("__a", "1", "", r_b1), "name"),
+        (lambda: Metric("é", "1", "", r_b1), "name"),
+        (lambda: Metric("a", 1, "", r_b1), "unit"),  # type: ignore[arg-type]
+        (lambda: Metric("a", "1", None, r_b1), "description"),  # type: ignore[arg-type]
+        (lambda: Metric("a", "1", "", r_b1, flags={"yes": 1}), "flags"),
+        (lambda: Metric("a", "1", "", r_b1, "int8", flags={"yes no": 1}), "flags"),
+        (lambda: Metric("a", "1", "", r_b1, "int8", flags={"yes": 300}), "flags"),
+        (lambda: Metric("a", "1", "", r_b1, parameters={"b": np.nan}), "parameters"),
+        (lambda: Metric("a", "1", "", r_b1, parameters={"b": object()}), "parameters"),
+        (lambda: Metric("a", "1", "", r_b1, parameters={"units": 1}), "parameters"),
+        (lambda: Metric("a", "1", "", r_b1, version=1.5), "version"),  # type: ignore[arg-type]
+        (lambda: metric("m", "")(lambda points, *, factor: points), "factor"),
+        (lambda: metric("m", "")(3), "function"),  # type: ignore[arg-type]
+        (lambda: METRICS["payload"](push=0.0), "push"),
+        (lambda: METRICS["payload"](pull=-1.0), "pull"),
+        (lambda: METRICS["conditioning"](length=np.nan), "length"),
+        (lambda: METRICS["stiffness"](leg=np.inf), "leg"),
+        (lambda: METRICS["stiffness"](legs=1.0), "legs: expected a parameter among leg"),
+        (lambda: resolve_metrics([]), "none"),
+        (lambda: resolve_metrics(["payload", METRICS["payload"](push=5.0)]), "different names"),
+        (lambda: resolve_metrics(["nonsense"]), "nonsense"),
+        (lambda: resolve_metrics([1]), "expected a Metric"),  # type: ignore[list-item]
     ],
 )
-def test_bad_indices_are_refused(make: object, says: str) -> None:
+def test_bad_metrics_are_refused(make: object, says: str) -> None:
     assert callable(make)
     with pytest.raises(spm.ArgumentError, match=says):
         make()
 
 
-def test_names_alone_make_indices() -> None:
-    assert resolve("reachable") == (INDICES["reachable"],)
+def test_masked_values_become_nan() -> None:
+    mine = Metric("mine", "1", "", lambda points: np.ma.masked_less(points.coordinates[:, 0], 1.3))
+    points = Points(GEOMETRY, "legs", legs(40))
+    x = points.coordinates[:, 0]
+    np.testing.assert_array_equal(mine.evaluate(points), np.where(x < 1.3, np.nan, x))
+    # Without a mask they are values like others, for integers too.
+    counts = Metric("counts", "1", "", lambda points: np.ma.array(np.arange(len(points))), "int8")
+    np.testing.assert_array_equal(counts.evaluate(points), np.arange(40))
 
 
-@pytest.mark.parametrize("index", [*INDICES.values(), payload(900.0, 400.0), conditioning(0.3), stiffness(1e7)])
-def test_a_definition_makes_an_index_again(index: Index) -> None:
-    again = from_definition(index.definition())
+ARRAYS = ("coordinates", "status", "branch_lengths", "branches_within", "reachable", "sigma", "determinants")
+
+
+@pytest.mark.parametrize("name", [*ARRAYS, "platform_jacobians"])
+@pytest.mark.parametrize("space", ["pose", "legs"])
+def test_metrics_cannot_change_what_others_are_given(name: str, space: Space) -> None:
+    points = Points(GEOMETRY, space, mixed_poses(20) if space == "pose" else legs(20))
+    with pytest.raises(ValueError, match="read-only"):
+        getattr(points, name)[...] = 0
+    for array in (points.singular_values(0.3), points.machine.translation, points.solutions.leg_lengths):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0
+
+
+def test_rotations_are_those_of_poses() -> None:
+    poses = mixed_poses(300)
+    points = Points(GEOMETRY, "pose", poses)
+    expected = spm.pose(poses[:, :3], xyx=poses[:, 3:]).rotation.as_matrix()
+    np.testing.assert_allclose(points.machine.rotation[points.reachable], expected[points.reachable], atol=1e-15)
+    np.testing.assert_allclose(points.solutions.rotation[:, 0], expected, atol=1e-15)
+
+
+def test_names_alone_make_metrics() -> None:
+    assert resolve_metrics("reachable") == (METRICS["reachable"],)
+
+
+@pytest.mark.parametrize(
+    "mine", [*METRICS.values(), METRICS["payload"](push=900.0, pull=400.0), METRICS["conditioning"](length=0.3)]
+)
+def test_a_definition_makes_a_metric_again(mine: Metric) -> None:
+    again = metric_from_definition(mine.definition())
     points = Points(GEOMETRY, "legs", legs(3))
-    np.testing.assert_array_equal(again(points), index(points))
-    assert again.description == index.description
-
-
-def test_a_definition_tells_functions_apart() -> None:
-    def defined(function: object) -> str:
-        assert callable(function)
-        return str(Index("mine", "1", "", function).definition()["function"])
-
-    def with_bound(value: float, also: float = 2.0) -> object:
-        return lambda points, also=also: points.coordinates[:, 0] * value + also
-
-    class Callable:
-        def __call__(self, points: Points) -> np.ndarray:
-            return points.coordinates[:, 0]
-
-    functions = [
-        r_b1,
-        lambda points: points.coordinates[:, 0],
-        lambda points: points.coordinates[:, 1],
-        lambda points: points.coordinates[:, 0] in {"a", "b"},
-        lambda points: [2.0 * x for x in points.coordinates[:, 0]],
-        partial(np.multiply, 2.0),
-        partial(np.multiply, 3.0),
-        np.sum,
-        with_bound(1.0),
-        with_bound(2.0),
-        with_bound(1.0, 3.0),
-        Callable(),
-    ]
-    told = [defined(function) for function in functions]
-    assert len(set(told)) == len(told)
-    assert defined(lambda points: points.coordinates[:, 0]) == told[1]
-    assert defined(Callable()) == told[-1]
-    mine = dataclasses.replace(INDICES["payload"], evaluate=r_b1)
-    with pytest.raises(spm.ArgumentError, match="your own"):
-        from_definition(mine.definition())
+    np.testing.assert_array_equal(again.evaluate(points), mine.evaluate(points))
+    assert again.description == mine.description

@@ -17,22 +17,33 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numcodecs
 import numpy as np
 import pytest
 import stores
 import xarray
 import zarr
-from stores import CHUNK, GEOMETRY, GRID, INDICES, contents, records, small
+from stores import CHUNK, GEOMETRY, GRID, METRICS, contents, records, small
 
 import spm_pin as spm
-from spm_pin.sweeps.grids import leg_grid, leg_sample, pose_grid, pose_sample
-from spm_pin.sweeps.lock import StoreLockedError, locked
-from spm_pin.sweeps.metric import Index
-from spm_pin.sweeps.metrics import payload
+from spm_pin.sweeps import (
+    Metric,
+    Points,
+    StoreError,
+    StoreLockedError,
+    SweepError,
+    leg_grid,
+    leg_sample,
+    pose_grid,
+    pose_sample,
+    resume,
+    run,
+    status,
+)
 from spm_pin.sweeps.plan import Plan
-from spm_pin.sweeps.points import Points
-from spm_pin.sweeps.runner import SweepError, open_sweep, resume_sweep, sweep, sweep_status
-from spm_pin.sweeps.store import StoreError
+from spm_pin.sweeps.runner import locked, open_store
+
+payload = spm.sweeps.METRICS["payload"]
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +96,7 @@ def test_results_have_names_units_and_meanings(undisturbed: Path) -> None:
     found = xarray.open_zarr(undisturbed)
     assert dict(found.sizes) == {"x": 7, "y": 6, "z": 5, "beta": 3}
     assert set(found.coords) == {"x", "y", "z", "alpha", "beta", "lambda_"}
-    assert set(found.data_vars) == {*INDICES, "status"}
+    assert set(found.data_vars) == {*METRICS, "status"}
     for name, unit in {"x": "m", "alpha": "rad", "beta": "rad", "conditioning": "1", "payload": "N"}.items():
         assert found[name].attrs["units"] == unit
     assert all(variable.attrs["long_name"] for variable in found.variables.values())
@@ -96,7 +107,7 @@ def test_results_have_names_units_and_meanings(undisturbed: Path) -> None:
     assert found.status.attrs["flag_meanings"] == "not_computed ok unreachable degenerate unsolved"
     assert found.payload.attrs["push"] == 1.0
     assert found.attrs["source"] == f"spm_pin {spm.__version__}"
-    definition = json.loads(found.attrs["definition"])
+    definition = json.loads(found.attrs["spm_pin_sweep"])
     assert definition["geometry"]["middle_side"] == GEOMETRY.middle_side
     assert {str(found[name].dtype) for name in ("reachable", "status", "branches")} == {"int8"}
     assert zarr.open_group(undisturbed, mode="r").metadata.zarr_format == 3
@@ -104,7 +115,7 @@ def test_results_have_names_units_and_meanings(undisturbed: Path) -> None:
 
 def test_what_is_not_computed_can_be_told_from_what_is_not_there(undisturbed: Path, store: Path) -> None:
     records(store)[0].unlink()
-    for name in (*INDICES, "status"):
+    for name in (*METRICS, "status"):
         (store / name / "c.0.0.0.0").unlink()
     found, whole = xarray.open_zarr(store).load(), xarray.open_zarr(undisturbed).load()
     missing = found.status == -128
@@ -113,19 +124,19 @@ def test_what_is_not_computed_can_be_told_from_what_is_not_there(undisturbed: Pa
     assert (found.branches.values[missing] == -128).all()
     assert found.conditioning.isnull().values[missing].all()
     xarray.testing.assert_identical(found.where(~missing), whole.where(~missing))
-    assert sweep_status(store).done == 6
+    assert status(store).done == 6
 
 
 def test_a_sample_of_leg_lengths_keeps_its_points(tmp_path: Path) -> None:
     domain = leg_sample(700, (1.1, 1.5), [1.2, (1.1, 1.5), 1.3], seed=4)
-    found = sweep(GEOMETRY, domain, ["o_x", "o_y", "o_z", "branches"], tmp_path / "a", workers=1, chunk=256).load()
+    found = run(GEOMETRY, domain, ["o_x", "o_y", "o_z", "branches"], tmp_path / "a", workers=1, chunk=256).load()
     assert dict(found.sizes) == {"sample": 700}
     legs = np.stack([np.broadcast_to(found[leg], 700) for leg in spm.mechanism.LEGS], axis=-1)
     state = spm.forward_physical(GEOMETRY, legs)
     np.testing.assert_array_equal(np.stack([found[f"o_{k}"] for k in "xyz"], axis=-1), state.translation)
     assert found.r_b1.attrs["units"] == "m"
     assert set(found.coords) == set(spm.mechanism.LEGS)
-    poses = sweep(
+    poses = run(
         GEOMETRY, pose_sample(50, (-1, 1), 0, 2, xyx=[0.1, (0.2, 0.5), 0]), ["branches"], tmp_path / "b", workers=1
     )
     assert {"x", "beta"} <= set(poses.coords)
@@ -139,7 +150,7 @@ def test_chunks_do_not_change_values(undisturbed: Path, tmp_path: Path) -> None:
 
 
 def test_a_lattice_of_leg_lengths_beyond_the_limits(tmp_path: Path) -> None:
-    found = sweep(GEOMETRY, leg_grid((1.0, 1.6, 3), (1.2, 1.4, 2)), "reachable", tmp_path / "map", workers=1).load()
+    found = run(GEOMETRY, leg_grid((1.0, 1.6, 3), (1.2, 1.4, 2)), "reachable", tmp_path / "map", workers=1).load()
     inside = (found.r_b1 == 1.3) & (found.r_b2 == 1.3) & (found.r_b3 == 1.3)
     assert ((found.reachable == 1) == inside).all()
 
@@ -148,7 +159,7 @@ def test_progress_counts_points(tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
     small(tmp_path / "map.zarr", progress=lambda done, total: told.append((done, total)))
     assert told == [(90 * k, 630) for k in range(8)]
-    assert sweep_status(tmp_path / "map.zarr").complete
+    assert status(tmp_path / "map.zarr").complete
 
 
 # Going on
@@ -156,13 +167,13 @@ def test_progress_counts_points(tmp_path: Path) -> None:
 
 def test_nothing_is_computed_twice(store: Path, undisturbed: Path, computed: list[tuple[int, ...]]) -> None:
     small(store)
-    resume_sweep(store, workers=1)
+    resume(store, workers=1)
     assert computed == []
     assert contents(store) == contents(undisturbed)
 
 
-def test_the_order_and_the_names_of_indices_make_no_other_sweep(store: Path, computed: list[tuple[int, ...]]) -> None:
-    small(store, indices=[payload(1.0), *reversed(INDICES[:3])])
+def test_the_order_and_the_names_of_metrics_make_no_other_sweep(store: Path, computed: list[tuple[int, ...]]) -> None:
+    small(store, metrics=[payload(push=1.0), *reversed(METRICS[:3])])
     assert computed == []
 
 
@@ -183,21 +194,21 @@ def lose_data(store: Path) -> None:
 
 
 def lose_record(store: Path) -> None:
-    (store / "sweep" / "checksum" / "c.3.0.0.0.0").unlink()
+    (store / "sweep" / "crc32c" / "c.3.0.0.0").unlink()
 
 
 def damage_record(store: Path) -> None:
-    (store / "sweep" / "checksum" / "c.3.0.0.0.0").write_bytes(b"\0" * 32)
+    (store / "sweep" / "crc32c" / "c.3.0.0.0").write_bytes(b"\0" * 32)
 
 
 def empty_record(store: Path) -> None:
-    (store / "sweep" / "checksum" / "c.3.0.0.0.0").write_bytes(b"")
+    (store / "sweep" / "crc32c" / "c.3.0.0.0").write_bytes(b"")
 
 
 def take_anothers(store: Path) -> None:
-    for name in (*INDICES, "status"):
+    for name in (*METRICS, "status"):
         shutil.copy(store / name / "c.4.0.0.0", store / name / "c.3.0.0.0")
-    shutil.copy(store / "sweep" / "checksum" / "c.4.0.0.0.0", store / "sweep" / "checksum" / "c.3.0.0.0.0")
+    shutil.copy(store / "sweep" / "crc32c" / "c.4.0.0.0", store / "sweep" / "crc32c" / "c.3.0.0.0")
 
 
 @pytest.mark.parametrize(
@@ -216,25 +227,33 @@ def test_what_is_damaged_is_computed_again(
 def test_a_damaged_chunk_is_not_read_as_if_it_were_good(store: Path) -> None:
     damage_bit(store)
     with pytest.raises((RuntimeError, ValueError), match=r"(?i)checksum"):
-        open_sweep(store).conditioning.load()
+        open_store(store).conditioning.load()
 
 
-def test_what_the_killed_leave_behind_is_removed(store: Path, undisturbed: Path) -> None:
-    (store / "status" / "c.0.0.0.deadbeef.partial").write_bytes(b"half")
-    (store / "sweep" / "checksum" / "deadbeef.partial").write_bytes(b"half")
-    shutil.copytree(store, store.with_name("map.zarr.new"))
-    store.with_name("map.zarr.lock").write_text("{}")
+def test_drafts_of_files_of_killed_processes_are_removed(store: Path, undisturbed: Path) -> None:
+    for name in ("status/c.0.0.0", "sweep/crc32c/c.0.0", "payload/zarr"):
+        (store / f"{name}.{32 * 'a'}.partial").write_bytes(b"half")
+    (store / "sweep" / "lock").write_text('{"pid": 1')
     small(store)
-    shutil.rmtree(store.with_name("map.zarr.new"))
     assert contents(store) == contents(undisturbed)
 
 
-def test_a_draft_of_a_store_is_made_again(tmp_path: Path, undisturbed: Path) -> None:
-    draft = tmp_path / "map.zarr.new"
-    (draft / "status").mkdir(parents=True)
-    (draft / "status" / "zarr.json").write_text("{")
-    small(tmp_path / "map.zarr")
-    assert contents(tmp_path / "map.zarr") == contents(undisturbed)
+def test_nothing_that_a_sweep_did_not_make_is_removed(tmp_path: Path) -> None:
+    path = tmp_path / "map.zarr"
+    for folder in ("map.zarr.new", ".map.zarr.abc", "map.zarr.draft"):
+        (tmp_path / folder / "results").mkdir(parents=True)
+        (tmp_path / folder / "thesis.tex").write_text("mine")
+    for file in ("map.zarr.lock", "map.zarr.partial"):
+        (tmp_path / file).write_text("mine")
+    small(path)
+    for file in ("notes.partial", "status/c.partial", "status/draft.partial", "sweep/crc32c/lock", "data.csv"):
+        (path / file).write_text("mine")
+    (path / "mine.partial").mkdir()
+    before = contents(tmp_path)
+    small(path)
+    resume(path, workers=1)
+    assert contents(tmp_path) == before
+    assert (path / "mine.partial").is_dir()
 
 
 def test_an_empty_folder_will_do(tmp_path: Path, undisturbed: Path) -> None:
@@ -251,11 +270,11 @@ def test_an_error_in_an_index_leaves_what_was_done(tmp_path: Path) -> None:
         return x
 
     with pytest.raises(ZeroDivisionError) as error:
-        small(tmp_path / "map.zarr", indices=[Index("fragile", "m", "", fragile)])
-    assert error.value.__notes__ == ["while evaluating the index 'fragile'"]
-    assert sweep_status(tmp_path / "map.zarr").done == 4
+        small(tmp_path / "map.zarr", metrics=[Metric("fragile", "m", "", fragile)])
+    assert error.value.__notes__ == ["while evaluating the metric 'fragile'"]
+    assert status(tmp_path / "map.zarr").done == 4
     with pytest.raises(spm.ArgumentError, match="of your own"):
-        resume_sweep(tmp_path / "map.zarr", workers=1)
+        resume(tmp_path / "map.zarr", workers=1)
 
 
 def test_an_interrupt_says_what_is_kept(tmp_path: Path, undisturbed: Path) -> None:
@@ -267,8 +286,7 @@ def test_an_interrupt_says_what_is_kept(tmp_path: Path, undisturbed: Path) -> No
     with pytest.raises(KeyboardInterrupt) as error:
         small(path, progress=interrupt)
     assert "3 of 7 chunks are complete" in error.value.__notes__[0]
-    assert not path.with_name("map.zarr.lock").exists()
-    resume_sweep(path, workers=1)
+    resume(path, workers=1)
     assert contents(path) == contents(undisturbed)
 
 
@@ -286,14 +304,17 @@ OTHERS: dict[str, tuple[dict[str, Any], str]] = {
         r"domain.axes.x\[2\] is 7 there and 8 here",
     ),
     "space": ({"domain": leg_grid((1.1, 1.5, 3), 1.2)}, 'domain.space is "pose" there and "legs" here'),
-    "fewer indices": ({"indices": INDICES[:3]}, r'indices is \["branches", .*"payload"'),
-    "parameters": ({"indices": [*INDICES[:3], payload(5.0)]}, r"indices\[2\].parameters.push is 1.0 there and 5.0"),
+    "fewer metrics": ({"metrics": METRICS[:3]}, r'metrics is \["branches", .*"payload"'),
+    "parameters": (
+        {"metrics": [*METRICS[:3], payload(push=5.0)]},
+        r"metrics\[2\].parameters.push is 1.0 there and 5.0",
+    ),
     "type": (
-        {"indices": [*INDICES[:3], dataclasses.replace(payload(), dtype="float32")]},
+        {"metrics": [*METRICS[:3], dataclasses.replace(payload, dtype="float32")]},
         'dtype is "float64" there and "float32" here',
     ),
     "function": (
-        {"indices": [*INDICES[:3], dataclasses.replace(payload(), evaluate=lambda points: np.zeros(len(points)))]},
+        {"metrics": [*METRICS[:3], dataclasses.replace(payload, function=lambda points: np.zeros(len(points)))]},
         "function is .*payload.* there and .*code",
     ),
     "chunk": ({"chunk": 300}, r"chunk\[0\] is 1 there and"),
@@ -313,7 +334,7 @@ def test_a_store_of_another_version_is_refused(store: Path, monkeypatch: pytest.
     with pytest.raises(spm.ArgumentError, match=r'spm_pin is "0\..*" there and "9.9" here'):
         small(store)
     with pytest.raises(spm.ArgumentError, match=r"of spm_pin 9.9, got .* made by 0\."):
-        resume_sweep(store)
+        resume(store)
 
 
 def put_a_file(path: Path) -> None:
@@ -331,35 +352,30 @@ def put_other_results(path: Path) -> None:
         xarray.Dataset({"a": ("x", [1.0])}).to_zarr(path, zarr_format=3)
 
 
-def put_strange_metadata(path: Path) -> None:
-    path.mkdir()
-    (path / "zarr.json").write_text('{"attributes": {"definition": "[1]"}}')
-
-
-@pytest.mark.parametrize("put", [put_a_file, put_a_folder, put_other_results, put_strange_metadata])
+@pytest.mark.parametrize("put", [put_a_file, put_a_folder, put_other_results])
 def test_something_else_is_refused_and_left_alone(put: Callable[[Path], None], tmp_path: Path) -> None:
     path = tmp_path / "map.zarr"
     put(path)
     before = contents(path) if path.is_dir() else path.read_bytes()
-    for act in (small, resume_sweep, sweep_status, open_sweep):
+    for act in (small, resume, status, open_store):
         with pytest.raises(spm.ArgumentError, match="folder of a sweep"):
             act(path)
     assert before == (contents(path) if path.is_dir() else path.read_bytes())
 
 
-@pytest.mark.parametrize("act", [resume_sweep, sweep_status, open_sweep])
+@pytest.mark.parametrize("act", [resume, status, open_store])
 def test_a_store_that_is_not_there(act: Callable[[Path], object], tmp_path: Path) -> None:
     with pytest.raises(spm.ArgumentError, match="does not exist"):
         act(tmp_path / "map.zarr")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_damaged_metadata_are_told(store: Path) -> None:
+def test_damaged_metadata_of_an_array_are_a_store_error(store: Path) -> None:
     (store / "status" / "zarr.json").write_text("{}")
     content = json.loads((store / "zarr.json").read_text())
     del content["consolidated_metadata"]
     (store / "zarr.json").write_text(json.dumps(content))
-    with pytest.raises(StoreError, match="metadata are damaged"):
+    with pytest.raises(StoreError, match="cannot be read"):
         small(store)
 
 
@@ -372,9 +388,18 @@ def test_damaged_metadata_are_told(store: Path) -> None:
         ({"workers": 2.0}, "workers"),
         ({"workers": 2, "scheduler": "tcp://127.0.0.1:1"}, "None beside a scheduler"),
         ({"chunk": 0}, "chunk"),
-        ({"indices": []}, "none"),
-        ({"indices": [Index("x", "m", "", lambda points: points.coordinates[:, 0])]}, "coordinates"),
-        ({"indices": [Index("status", "m", "", lambda points: points.coordinates[:, 0])]}, "coordinates"),
+        ({"metrics": []}, "none"),
+        ({"metrics": 3}, "a Metric, or names among"),
+        ({"metrics": [["reachable"]]}, "a Metric, or names among"),
+        ({"metrics": [np.array(["reachable"])]}, "a Metric, or names among"),
+        ({"workers": "2"}, "workers"),
+        ({"workers": None, "scheduler": 3}, "scheduler"),
+        ({"progress": "bar"}, "progress"),
+        ({"chunk": "many"}, "chunk"),
+        ({"chunk": None}, "chunk"),
+        ({"domain": None}, "domain"),
+        ({"metrics": [Metric("x", "m", "", lambda points: points.coordinates[:, 0])]}, "coordinates"),
+        ({"metrics": [Metric("status", "m", "", lambda points: points.coordinates[:, 0])]}, "coordinates"),
     ],
 )
 def test_bad_arguments_are_refused_before_anything_is_written(
@@ -385,6 +410,121 @@ def test_bad_arguments_are_refused_before_anything_is_written(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("store", [None, 3, b"map.zarr", "a\0b", "", "/", ["map.zarr"]])
+@pytest.mark.parametrize("act", [small, resume, status, open_store])
+def test_what_is_no_path_is_refused(act: Callable[..., object], store: Any) -> None:
+    with pytest.raises(spm.SpmError, match=r"store|sweep"):
+        act(store)
+
+
+def change_definition(store: Path, change: Callable[[dict[str, Any]], Any]) -> None:
+    """Replace the definition in a store's metadata by a changed one."""
+    content = json.loads((store / "zarr.json").read_text())
+    definition = json.loads(content["attributes"]["spm_pin_sweep"])
+    changed = change(definition)
+    text = changed if isinstance(changed, str) else json.dumps(definition)
+    content["attributes"]["spm_pin_sweep"] = text
+    (store / "zarr.json").write_text(json.dumps(content))
+
+
+DAMAGES: dict[str, Callable[[dict[str, Any]], Any]] = {
+    "list": lambda definition: "[1]",
+    "nothing": lambda definition: "",
+    "cut": lambda definition: json.dumps(definition)[:-20],
+    "number": lambda definition: "3",
+    "deep": lambda definition: "[" * 100_000 + "]" * 100_000,
+    "no chunk": lambda definition: definition.pop("chunk"),
+    "no domain": lambda definition: definition.pop("domain"),
+    "chunk of zeros": lambda definition: definition.update(chunk=[0, 0, 0, 0]),
+    "chunk of texts": lambda definition: definition.update(chunk=["1", "2", "3", "4"]),
+    "short chunk": lambda definition: definition.update(chunk=[1]),
+    "metrics": lambda definition: definition.update(metrics=3),
+    "metric": lambda definition: definition.update(metrics=[{"unit": "m"}]),
+    "axes": lambda definition: definition["domain"].update(axes={"x": 1}),
+    "axis": lambda definition: definition["domain"]["axes"].update(x=[1.0, 0.0, 5]),
+    "count": lambda definition: definition["domain"]["axes"].update(x=[0.0, 1.0, 1e300]),
+    "space": lambda definition: definition["domain"].update(space=["pose"]),
+    "version": lambda definition: definition.update(spm_pin=3),
+    "format": lambda definition: definition.update(format=99),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_definition_is_a_store_error(damage: str, store: Path) -> None:
+    change_definition(store, DAMAGES[damage])
+    before = contents(store)
+    for act in (small, resume, status, open_store):
+        with pytest.raises(StoreError, match=r"cannot be read|format 99"):
+            act(store)
+    assert contents(store) == before
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda definition: definition.update(geometry=None),
+        lambda definition: definition["geometry"].update(base_radius="wide"),
+        lambda definition: definition["geometry"].pop("limits"),
+        lambda definition: definition["metrics"][1].update(parameters=[]),
+        lambda definition: definition["metrics"][1].pop("parameters"),
+    ],
+)
+def test_what_only_a_resumed_sweep_reads_is_a_store_error(change: Callable[[Any], Any], store: Path) -> None:
+    change_definition(store, change)
+    with pytest.raises(StoreError, match="its definition cannot be read"):
+        resume(store)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "3", '{"attributes": 3}', "\ud800", "[" * 100_000])
+def test_damaged_metadata_are_a_store_error(text: str, store: Path) -> None:
+    (store / "zarr.json").write_bytes(text.encode("utf-8", "surrogatepass"))
+    for act in (small, resume, status, open_store):
+        with pytest.raises(StoreError, match="cannot be read"):
+            act(store)
+
+
+@pytest.mark.parametrize("name", ["zarr.json", "status/zarr.json", "status/c.3.0.0.0", "sweep/crc32c/c.3.0.0.0"])
+def test_a_pipe_in_place_of_a_file_is_refused_and_left_alone(name: str, store: Path) -> None:
+    (store / name).unlink()
+    os.mkfifo(store / name)
+    with pytest.raises(spm.SpmError, match="not a regular file"):
+        small(store)
+    with pytest.raises(spm.SpmError, match="not a regular file"):
+        resume(store, workers=1)
+    assert (store / name).is_fifo()
+
+
+def use_codec(member: dict[str, Any]) -> None:
+    member["codecs"] = [{"name": "numcodecs.pickle", "configuration": {}}, *member["codecs"][1:]]
+
+
+def use_transformer(member: dict[str, Any]) -> None:
+    member["storage_transformers"] = [{"name": "pickle"}]
+
+
+def use_objects(member: dict[str, Any]) -> None:
+    member["data_type"] = {"name": "numpy.object"}
+
+
+@pytest.mark.parametrize("consolidated", [True, False])
+@pytest.mark.parametrize("change", [use_codec, use_transformer, use_objects])
+def test_codecs_and_types_that_no_sweep_writes_are_not_read(
+    change: Callable[[dict[str, Any]], None], consolidated: bool, store: Path
+) -> None:
+    place = store / "zarr.json" if consolidated else store / "status" / "zarr.json"
+    content = json.loads(place.read_text())
+    change(content["consolidated_metadata"]["metadata"]["status"] if consolidated else content)
+    place.write_text(json.dumps(content))
+    for act in (small, resume, status, open_store):
+        with pytest.raises(StoreError, match="which no sweep writes"):
+            act(store)
+
+
+def test_the_floor_of_numcodecs_refuses_pickles() -> None:
+    with pytest.raises(Exception, match=r"Pickle\.decode is disabled"):
+        numcodecs.Pickle().decode(pickle.dumps(np.array([{}])))
+
+
 # One process at a time
 
 
@@ -393,35 +533,38 @@ def test_two_at_once_are_kept_apart(store: Path) -> None:
         small(store)
     assert error.value.store == str(store)
     small(store)
-    assert not store.with_name("map.zarr.lock").exists()
 
 
-def test_the_lock_of_a_process_that_was_killed_is_free(tmp_path: Path) -> None:
-    path = tmp_path / "map.zarr"
+def test_the_lock_of_a_process_that_was_killed_is_free(store: Path, undisturbed: Path) -> None:
     code = (
-        "import os, pathlib, signal, sys\n"
-        "from spm_pin.sweeps.lock import locked\n"
+        "import pathlib, signal, sys\n"
+        "from spm_pin.sweeps.runner import locked\n"
         "with locked(pathlib.Path(sys.argv[1])):\n"
         "    print('held', flush=True)\n"
         "    signal.pause()\n"
     )
-    holder = subprocess.Popen([sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE, text=True)
+    holder = subprocess.Popen([sys.executable, "-c", code, str(store)], stdout=subprocess.PIPE, text=True)
     with holder:
         assert holder.stdout is not None
         assert holder.stdout.readline() == "held\n"
-        with pytest.raises(StoreLockedError, match=f"process {holder.pid} on "), locked(path):
-            pass
+        with pytest.raises(StoreLockedError, match=f"process {holder.pid} on "):
+            small(store)
         holder.kill()
-    assert path.with_name("map.zarr.lock").exists()
-    with locked(path):
-        pass
-    assert list(tmp_path.iterdir()) == []
+    small(store)
+    assert contents(store) == contents(undisturbed)
+
+
+def test_one_store_by_two_paths_is_locked_once(store: Path, tmp_path: Path) -> None:
+    (tmp_path / "alias").symlink_to(store)
+    with locked(store), pytest.raises(StoreLockedError):
+        small(tmp_path / "alias")
+    assert status(tmp_path / "alias").complete
 
 
 # Disks that fail
 
 
-@pytest.mark.parametrize("where", ["status", "sweep/checksum"])
+@pytest.mark.parametrize("where", ["status", "sweep/crc32c"])
 def test_a_full_disk_leaves_what_was_done(
     where: str, tmp_path: Path, undisturbed: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -444,7 +587,7 @@ def test_a_full_disk_leaves_what_was_done(
     monkeypatch.undo()
     kept = {record.name: record.stat().st_mtime_ns for record in records(path)}
     assert len(kept) == 3
-    resume_sweep(path, workers=1)
+    resume(path, workers=1)
     assert contents(path) == contents(undisturbed)
     assert kept.items() <= {record.name: record.stat().st_mtime_ns for record in records(path)}.items()
 
@@ -454,13 +597,12 @@ def test_a_file_that_may_not_grow_is_told_by_the_system(tmp_path: Path) -> None:
     code = (
         "import pathlib, resource, signal, sys\n"
         "import stores\n"
-        "from spm_pin.sweeps.grids import leg_sample\n"
-        "from spm_pin.sweeps.runner import SweepError, sweep\n"
+        "from spm_pin.sweeps import SweepError, leg_sample, run\n"
         "stores.small(pathlib.Path(sys.argv[1] + '.first'))\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (16_384, 16_384))\n"
         "try:\n"
-        "    sweep(stores.GEOMETRY, leg_sample(9000, (1.1, 1.5), 1.3), ['o_x'], sys.argv[1], chunk=4096, workers=1)\n"
+        "    run(stores.GEOMETRY, leg_sample(9000, (1.1, 1.5), 1.3), ['o_x'], sys.argv[1], chunk=4096, workers=1)\n"
         "except SweepError as error:\n"
         "    print(error)\n"
     )
@@ -474,7 +616,7 @@ def test_a_file_that_may_not_grow_is_told_by_the_system(tmp_path: Path) -> None:
     )
     assert "file too large" in told.stdout
     assert "0 of 3 chunks are complete" in told.stdout
-    found = resume_sweep(tmp_path / "map", workers=1)
+    found = resume(tmp_path / "map", workers=1)
     assert int(found.o_x.notnull().sum()) == 9000
 
 
@@ -499,7 +641,7 @@ def closed(tmp_path: Path) -> Iterator[Path]:
 
 
 def test_an_unwritable_path(closed: Path) -> None:
-    with pytest.raises(StoreError, match=r"permission denied at .*map.zarr.lock, on host"):
+    with pytest.raises(StoreError, match=r"permission denied at .*map.zarr.*, on host"):
         small(closed / "map.zarr")
     assert list(closed.iterdir()) == []
 
@@ -517,7 +659,7 @@ def test_memory_does_not_grow_with_the_number_of_points(tmp_path: Path) -> None:
         domain = leg_sample(4096 * chunks, (1.1, 1.5), 1.3)
         tracemalloc.start()
         try:
-            sweep(GEOMETRY, domain, ["o_x", "conditioning"], tmp_path / str(chunks), chunk=4096, workers=1).close()
+            run(GEOMETRY, domain, ["o_x", "conditioning"], tmp_path / str(chunks), chunk=4096, workers=1).close()
             return tracemalloc.get_traced_memory()[1]
         finally:
             tracemalloc.stop()
@@ -536,6 +678,6 @@ def test_errors_survive_the_way_home() -> None:
 
 def test_a_plan_is_made_again_from_its_definition() -> None:
     geometry = dataclasses.replace(GEOMETRY, limits=spm.LegLimits(0.0, [1.5] * 5 + [math.inf]))
-    plan = Plan.of(geometry, GRID, (payload(3.0),), CHUNK)
+    plan = Plan.make(geometry, GRID, (payload(push=3.0),), CHUNK)
     again = Plan.from_definition(json.loads(plan.text))
-    assert (again.text, again.geometry, again.domain, again.digest) == (plan.text, geometry, GRID, plan.digest)
+    assert (again.text, again.geometry, again.domain) == (plan.text, geometry, GRID)

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import kstest, qmc
 
 import spm_pin as spm
+from spm_pin.sweeps import leg_grid, leg_sample, pose_grid, pose_sample
 from spm_pin.sweeps.domains import Domain, Grid, Sample
-from spm_pin.sweeps.grids import leg_grid, leg_sample, pose_grid, pose_sample
 
 lengths = st.lists(st.integers(2, 5), min_size=1, max_size=6)
 
@@ -121,7 +121,7 @@ def test_a_sample_depends_on_its_seed_alone() -> None:
     ids=["grid", "sample"],
 )
 def test_a_definition_makes_it_again(domain: Grid | Sample) -> None:
-    assert type(domain).from_definition(json.loads(json.dumps(domain.definition()))) == domain
+    assert Domain.from_definition(json.loads(json.dumps(domain.definition()))) == domain
 
 
 XYX = [0.1, 0.2, 0.3]

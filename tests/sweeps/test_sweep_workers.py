@@ -22,21 +22,15 @@ from distributed import Client, LocalCluster
 from stores import contents, records, small
 
 import spm_pin as spm
-from spm_pin.sweeps import workers
-from spm_pin.sweeps.grids import pose_grid
-from spm_pin.sweeps.metric import Index
-from spm_pin.sweeps.metrics import INDICES
-from spm_pin.sweeps.points import Points
-from spm_pin.sweeps.runner import SweepError, resume_sweep, sweep, sweep_status
-from spm_pin.sweeps.store import StoreError
+from spm_pin.sweeps import METRICS, Metric, Points, StoreError, SweepError, pose_grid, resume, run, status, workers
 
-EVERYTHING = tuple(name for name in INDICES if name != "assembly_modes")
+EVERYTHING = tuple(name for name in METRICS if name != "assembly_modes")
 
 
 def run_long(path: Path, workers: int, slices: int = 60, chunk: int = 2000) -> Any:
-    """Run a sweep of `slices` chunks with many indices."""
+    """Run a sweep of `slices` chunks with many metrics."""
     domain = pose_grid((0.3, 0.5, slices), (-0.2, -0.1, 20), (2.4, 2.6, 20), xyx=[0.01, (0.28, 0.36, 5), 0.1])
-    return sweep(stores.GEOMETRY, domain, EVERYTHING, path, workers=workers, chunk=chunk)
+    return run(stores.GEOMETRY, domain, EVERYTHING, path, workers=workers, chunk=chunk)
 
 
 @pytest.fixture(scope="module")
@@ -100,8 +94,8 @@ def test_a_sweep_killed_at_once_goes_on_without_loss(tmp_path: Path) -> None:
         os.killpg(process.pid, signal.SIGKILL)
     kept = {record.name: record.stat().st_mtime_ns for record in records(killed)}
     assert 2 <= len(kept) < 12
-    assert sweep_status(killed).done == len(kept)
-    resume_sweep(killed, workers=1)
+    assert status(killed).done == len(kept)
+    resume(killed, workers=1)
     assert {name: when for name, when in _times(killed).items() if name in kept} == kept
     assert contents(killed) == contents(whole)
 
@@ -171,10 +165,10 @@ def test_more_chunks_than_are_handed_out_at_a_time(
     assert contents(tmp_path / "map.zarr") == contents(undisturbed)
 
 
-def test_an_index_of_ones_own_travels(tmp_path: Path, cluster: LocalCluster) -> None:
+def test_a_metric_of_ones_own_is_sent_to_workers(tmp_path: Path, cluster: LocalCluster) -> None:
     shift = 2.0
-    index = Index("mine", "m", "x shifted", lambda points: points.coordinates[:, 0] + shift)
-    found = small(tmp_path / "map.zarr", indices=[index], workers=None, scheduler=cluster.scheduler_address)
+    mine = Metric("mine", "m", "x shifted", lambda points: points.coordinates[:, 0] + shift)
+    found = small(tmp_path / "map.zarr", metrics=[mine], workers=None, scheduler=cluster.scheduler_address)
     np.testing.assert_array_equal(
         found.mine, np.broadcast_to(found.x.values[:, None, None, None], found.mine.shape) + 2
     )
@@ -188,10 +182,10 @@ def test_workers_that_die_again_and_again_end_the_sweep(tmp_path: Path) -> None:
         return points.coordinates[:, 0]
 
     path = tmp_path / "map.zarr"
-    mine = Index("deadly", "m", "", deadly)
+    mine = Metric("deadly", "m", "", deadly)
     refused = pytest.raises(SweepError, match=r"several workers died.* chunks are complete")
     with dask.config.set({"distributed.scheduler.allowed-failures": 0}), refused as error:
-        small(path, indices=[mine], workers=2)
+        small(path, metrics=[mine], workers=2)
     assert error.value.done == len(records(path)) < 7
 
 
@@ -199,9 +193,9 @@ def test_an_error_of_a_worker_comes_home(tmp_path: Path, cluster: LocalCluster) 
     def fragile(points: Points) -> np.ndarray:
         raise ZeroDivisionError("of my own")
 
-    mine = Index("fragile", "m", "", fragile)
+    mine = Metric("fragile", "m", "", fragile)
     with pytest.raises(ZeroDivisionError, match="of my own"):
-        small(tmp_path / "map.zarr", indices=[mine], workers=None, scheduler=cluster.scheduler_address)
+        small(tmp_path / "map.zarr", metrics=[mine], workers=None, scheduler=cluster.scheduler_address)
 
 
 def limit_files(size: int) -> None:
@@ -230,7 +224,7 @@ def test_a_scheduler_that_is_gone(tmp_path: Path, undisturbed: Path) -> None:
 
         with pytest.raises(SweepError, match="the scheduler is gone"):
             small(path, workers=None, scheduler=cluster.scheduler_address, progress=close)
-    resume_sweep(path, workers=1)
+    resume(path, workers=1)
     assert contents(path) == contents(undisturbed)
 
 
@@ -242,12 +236,12 @@ def test_a_scheduler_that_is_not_there(address: str, tmp_path: Path, monkeypatch
 
 
 def test_a_worker_of_another_version_or_elsewhere_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    plan = workers.Plan.of(stores.GEOMETRY, stores.GRID, (INDICES["reachable"],), 100)
+    plan = workers.Plan.make(stores.GEOMETRY, stores.GRID, (METRICS["reachable"],), 100)
     with pytest.raises(StoreError, match="need a file system in common"):
-        workers.ensure(plan, tmp_path / "nowhere.zarr", (0, 0, 0, 0))
+        workers.complete_chunk(plan, tmp_path / "nowhere.zarr", (0, 0, 0, 0))
     monkeypatch.setattr(spm, "__version__", "9.9")
     with pytest.raises(StoreError, match=r"of spm_pin 0\..* but the worker on .* has 9.9"):
-        workers.ensure(plan, tmp_path / "nowhere.zarr", (0, 0, 0, 0))
+        workers.complete_chunk(plan, tmp_path / "nowhere.zarr", (0, 0, 0, 0))
 
 
 def test_ctrl_c_ends_the_workers_quietly(tmp_path: Path) -> None:
@@ -260,4 +254,4 @@ def test_ctrl_c_ends_the_workers_quietly(tmp_path: Path) -> None:
     assert errors.count("Traceback") == 1
     assert "KeyboardInterrupt\ninterrupted. " in errors
     assert "of 200 chunks are complete" in errors
-    assert not path.with_name("map.zarr.lock").exists()
+    assert (path / "sweep" / "lock").read_bytes() == b""

@@ -1,0 +1,217 @@
+"""The identity of a metric's function: a digest of its code and of every value that it uses.
+
+Two functions of one digest compute the same. The digest does not depend on addresses, line numbers, the order of
+sets, or the process. Code and values of the user's own modules are included as they are; modules, classes and
+functions that come with Python or from installed packages are included by name.
+"""
+
+from __future__ import annotations
+
+import copyreg
+import enum
+import functools
+import hashlib
+import sys
+import sysconfig
+import types
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from types import BuiltinFunctionType, CodeType, FunctionType, MappingProxyType, MethodType, ModuleType
+from typing import Any
+
+import numpy as np
+
+from spm_pin.errors import ArgumentError
+
+__all__ = ["function_identity"]
+
+_PLAIN = (type(None), bool, int, float, complex, str, bytes, type(Ellipsis))
+_DESCRIPTORS = (types.MemberDescriptorType, types.GetSetDescriptorType, types.WrapperDescriptorType)
+_LEFT_OUT = {
+    *("__dict__", "__weakref__", "__doc__", "__module__", "__annotations__", "__annotate_func__"),
+    *("__annotations_cache__", "__firstlineno__", "__static_attributes__", "__abstractmethods__", "_abc_impl"),
+    *("__dataclass_fields__", "__dataclass_params__"),
+}
+"""Attributes of a class that do not change what its methods compute."""
+_CAUSE = (
+    "The identity decides whether the values in a store are kept. State one yourself, version=..., and change it "
+    "whenever the values change"
+)
+
+
+class _UnreadableError(Exception):
+    """A value whose content cannot be read."""
+
+
+def function_identity(function: Callable[..., Any]) -> str:
+    """Return the name of a function of this package, or a digest of what another function does.
+
+    Raises
+    ------
+    ArgumentError
+        If the function uses an object whose content cannot be read, such as an open file.
+    """
+    module, name = str(getattr(function, "__module__", "")), getattr(function, "__qualname__", "")
+    if module.startswith("spm_pin.") and "<" not in name:
+        return f"{module}.{name}"
+    try:
+        return f"code {_Reader(function).digest(function).hex()[:32]}"
+    except (_UnreadableError, RecursionError) as error:
+        reason = str(error) if isinstance(error, _UnreadableError) else "one with values nested too deeply"
+        raise ArgumentError("metric", "a function that can be identified", reason, _CAUSE) from error
+
+
+class _Reader:
+    """Computes digests of values, each from the digests of what it is made of."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        # The package of the metric itself counts as the user's, also if it is installed.
+        self._own = _root(function.__module__) if isinstance(function, FunctionType) else ""
+        # The values are kept beside their digests, so that no address is used twice.
+        self._done: dict[int, tuple[bytes, Any]] = {}
+        self._open: dict[int, int] = {}
+
+    def digest(self, value: Any) -> bytes:
+        """Return the digest of a value."""
+        if type(value) in _PLAIN:
+            content = value if isinstance(value, bytes) else repr(value).encode("utf-8", "surrogatepass")
+            return hashlib.sha256(type(value).__name__.encode() + b" " + content).digest()
+        if id(value) in self._done:
+            return self._done[id(value)][0]
+        if id(value) in self._open:
+            return b"cycle %d" % (len(self._open) - self._open[id(value)])
+        self._open[id(value)] = len(self._open)
+        digest = hashlib.sha256(type(value).__qualname__.encode())
+        for part in self._content(value):
+            digest.update(b"%d " % len(part))
+            digest.update(part)
+        del self._open[id(value)]
+        self._done[id(value)] = digest.digest(), value
+        return digest.digest()
+
+    def _content(self, value: Any) -> Iterator[bytes]:
+        if isinstance(value, FunctionType):
+            yield from self._function(value)
+        elif isinstance(value, MethodType):
+            yield from self._each((value.__func__, value.__self__))
+        elif isinstance(value, CodeType):
+            yield from self._code(value)
+        elif isinstance(value, ModuleType):
+            yield value.__name__.encode()
+        elif isinstance(value, type):
+            yield from self._class(value)
+        elif isinstance(value, enum.Enum):
+            yield f"{type(value).__module__}.{type(value).__qualname__}.{value.name}".encode()
+            yield self.digest(value.value)
+        elif type(value) in (tuple, list):
+            yield from self._each(value)
+        elif type(value) in (dict, MappingProxyType):
+            yield from sorted(map(self.digest, value.items()))
+        elif type(value) in (set, frozenset):
+            yield from sorted(map(self.digest, value))
+        elif type(value) is np.ndarray and not value.dtype.hasobject:
+            yield f"{value.dtype.descr} {value.shape}".encode()
+            yield value.tobytes()
+        elif hasattr(value, "__wrapped__"):
+            yield self.digest(value.__wrapped__)
+        elif isinstance(value, BuiltinFunctionType | np.ufunc):
+            yield f"{getattr(value, '__module__', '')}.{value.__name__}".encode()
+            owner = getattr(value, "__self__", None)
+            yield b"" if isinstance(owner, ModuleType) else self.digest(owner)
+        else:
+            yield from self._object(value)
+
+    def _each(self, values: Iterable[Any]) -> Iterator[bytes]:
+        return map(self.digest, values)
+
+    def _function(self, function: FunctionType) -> Iterator[bytes]:
+        if self._by_name(function):
+            yield f"{function.__module__}.{function.__qualname__}".encode()
+            return
+        yield from self._each((function.__code__, function.__defaults__, function.__kwdefaults__))
+        for cell in function.__closure__ or ():
+            try:
+                yield self.digest(cell.cell_contents)
+            except ValueError:
+                yield b"empty"
+        yield from self._globals(function.__code__, function.__globals__)
+
+    def _globals(self, code: CodeType, names: dict[str, Any]) -> Iterator[bytes]:
+        for name in code.co_names:
+            if name not in names:
+                continue
+            yield name.encode()
+            yield self.digest(names[name])
+            if isinstance(names[name], ModuleType) and not self._is_installed(names[name].__name__):
+                # Each name may be an attribute of the module.
+                used = {name: value for name, value in vars(names[name]).items() if name in code.co_names}
+                yield self.digest(used)
+        for constant in code.co_consts:
+            if isinstance(constant, CodeType):
+                yield from self._globals(constant, names)
+
+    def _code(self, code: CodeType) -> Iterator[bytes]:
+        yield code.co_code
+        yield getattr(code, "co_exceptiontable", b"")
+        yield from self._each((code.co_consts, code.co_names, code.co_varnames, code.co_freevars, code.co_flags))
+
+    def _class(self, kind: type) -> Iterator[bytes]:
+        yield f"{kind.__module__}.{kind.__qualname__}".encode()
+        if not self._by_name(kind):
+            yield from self._each(kind.__bases__)
+            members = {name: _plain_member(value) for name, value in vars(kind).items() if name not in _LEFT_OUT}
+            yield self.digest(members)
+
+    def _object(self, value: Any) -> Iterator[bytes]:
+        """Read an object as it would be pickled: its class, the arguments that make it, and its state."""
+        if callable(getattr(value, "py_func", None)):  # Numba's functions, whose pickles differ from run to run
+            yield self.digest(value.py_func)
+            return
+        kind = type(value)
+        try:
+            reduce = copyreg.dispatch_table.get(kind)
+            reduced = value.__reduce_ex__(4) if reduce is None else reduce(value)
+        except Exception as error:
+            raise _UnreadableError(f"one that uses a {kind.__qualname__}, which cannot be read: {error}") from error
+        yield self.digest(kind)
+        if isinstance(reduced, str):
+            if not self._is_installed(getattr(value, "__module__", None) or kind.__module__):
+                raise _UnreadableError(f"one that uses {reduced}, a {kind.__qualname__} that is known by name alone")
+            yield reduced.encode()
+            return
+        make, arguments, state, items, pairs = (*reduced, None, None, None)[:5]
+        yield from self._each((make, arguments, state, list(items or ()), dict(pairs or ())))
+
+    def _by_name(self, value: FunctionType | type) -> bool:
+        return self._is_installed(value.__module__) and "<locals>" not in value.__qualname__
+
+    def _is_installed(self, module: str | None) -> bool:
+        return bool(module) and _root(module) != self._own and _is_installed(_root(module))
+
+
+def _plain_member(value: Any) -> Any:
+    """Return the functions of a descriptor that a class holds."""
+    if isinstance(value, property):
+        return value.fget, value.fset, value.fdel
+    if isinstance(value, staticmethod | classmethod):
+        return type(value).__name__, value.__func__
+    if isinstance(value, functools.cached_property):
+        return value.func
+    # Descriptors of slots and the like have a name and no content.
+    return value.__name__ if isinstance(value, _DESCRIPTORS) else value
+
+
+def _root(module: str | None) -> str:
+    return str(module).partition(".")[0]
+
+
+@functools.cache
+def _is_installed(root: str) -> bool:
+    """Return whether a top-level module comes with Python or from an installed package."""
+    if root in sys.stdlib_module_names or root == "spm_pin":
+        return True
+    module = sys.modules.get(root)
+    file = getattr(module, "__file__", None)
+    files = [file] if file else getattr(module, "__path__", ())
+    folders = [Path(sysconfig.get_path(name)).resolve() for name in ("purelib", "platlib")]
+    return any(Path(file).resolve().is_relative_to(folder) for file in files for folder in folders)
