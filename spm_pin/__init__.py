@@ -8,33 +8,31 @@ states), `spm_pin.closed_form` (branches, assembly modes, singularities, paths),
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from spm_pin import closed_form, errors, mechanism
-from spm_pin.closed_form import (
-    determinants,
-    follow,
-    forward_displacement,
-    forward_physical,
-    inverse_displacement,
-    inverse_jacobian,
-    leg_forces,
-    leg_rates,
-    set_threads,
-    singularities,
-    threads,
-)
-from spm_pin.errors import (
-    ArgumentError,
-    ClosureError,
-    GeometryError,
-    NotOneSolutionError,
-    PoseError,
-    SingularConfigurationError,
-    SpmError,
-)
-from spm_pin.mechanism import Configuration, Geometry, LegLimits, SolutionSet, Status, pose
-
 if TYPE_CHECKING:
-    from spm_pin import crosscheck, nlp, sweeps, workspace
+    from spm_pin import closed_form, crosscheck, errors, mechanism, nlp, sweeps, workspace
+    from spm_pin.closed_form import (
+        determinants,
+        follow,
+        forward_displacement,
+        forward_physical,
+        inverse_displacement,
+        inverse_jacobian,
+        leg_forces,
+        leg_rates,
+        set_threads,
+        singularities,
+        threads,
+    )
+    from spm_pin.errors import (
+        ArgumentError,
+        ClosureError,
+        GeometryError,
+        NotOneSolutionError,
+        PoseError,
+        SingularConfigurationError,
+        SpmError,
+    )
+    from spm_pin.mechanism import Configuration, Geometry, LegLimits, SolutionSet, Status, pose
     from spm_pin.multibody.chain import ClosedChain
     from spm_pin.multibody.platform_path import PlatformPath
 
@@ -76,17 +74,20 @@ __all__ = [
     "workspace",
 ]
 
-# Imported when first asked for: Pinocchio, CasADi and the stores of sweeps take longer to load than all the rest.
-_MODULES = {"crosscheck", "nlp", "sweeps", "workspace"}
-_CLASSES = {"ClosedChain": "spm_pin.multibody.chain", "PlatformPath": "spm_pin.multibody.platform_path"}
+# Imported when first asked for, all of them: the start-up of the command line stays short, and Ctrl-C ends it.
+_MODULES = {"closed_form", "crosscheck", "errors", "mechanism", "nlp", "sweeps", "workspace"}
+_HOMES = ("errors", "mechanism", "closed_form", "multibody.chain", "multibody.platform_path")
 
 
 def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     if name in _MODULES:
         return import_module(f"spm_pin.{name}")
-    if name in _CLASSES:
-        return getattr(import_module(_CLASSES[name]), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    homes = (import_module(f"spm_pin.{home}") for home in _HOMES)
+    found = next(getattr(home, name) for home in homes if hasattr(home, name))
+    globals()[name] = found
+    return found
 
 
 def __dir__() -> list[str]:

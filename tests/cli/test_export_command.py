@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 import yaml
+from cli.running import run
 
 import spm_pin as spm
-from spm_pin.cli import main
 from spm_pin.description import CLOSURES_PATH, MJCF_PATH, SDF_PATH, SRDF_PATH, URDF_PATH
 from spm_pin.description.robots import manipulator
 from spm_pin.description.writers.mjcf import mjcf_text
@@ -20,31 +17,7 @@ from spm_pin.description.writers.sdf import sdf_text
 from spm_pin.description.writers.urdf import urdf_text
 
 
-@dataclass
-class Done:
-    code: int
-    out: str
-    err: str
-
-
-Run = Callable[..., Done]
-
-
-@pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
-    """The command in this process, which spares the start of another one."""
-
-    def run(*arguments: str) -> Done:
-        monkeypatch.setattr(sys, "argv", ["spm-pin", "export", *arguments])
-        with pytest.raises(SystemExit) as caught:
-            main()
-        printed = capsys.readouterr()
-        return Done(int(caught.value.code or 0), printed.out, " ".join(printed.err.replace("│", " ").split()))
-
-    return run
-
-
-def test_every_format_is_what_the_writers_write(run: Run, tmp_path: Path) -> None:
+def test_every_format_is_what_the_writers_write(tmp_path: Path) -> None:
     robot = manipulator()
     for arguments, expected in (
         (["--format", "urdf"], urdf_text(robot)),
@@ -53,29 +26,29 @@ def test_every_format_is_what_the_writers_write(run: Run, tmp_path: Path) -> Non
         (["--format", "mjcf", "--anchors", "sites"], mjcf_text(robot, anchors="sites")),
         (["--format", "sdf", "--loops", "drake"], sdf_text(robot, loops="drake")),
     ):
-        done = run(*arguments)
-        assert done.code == 0, done.err
-        assert done.out == expected
+        done = run("export", *arguments)
+        assert done.returncode == 0, done.message
+        assert done.stdout == expected
     target = tmp_path / "robot.yaml"
-    assert run("--format", "extended-urdf", "--out", str(target)).code == 0
+    assert run("export", "--format", "extended-urdf", "--out", str(target)).returncode == 0
     kept = yaml.safe_load(Path(CLOSURES_PATH).read_text(encoding="utf-8"))
     assert yaml.safe_load(target.read_text(encoding="utf-8")) == kept
 
 
-def test_another_geometry_and_a_prefix(run: Run, tmp_path: Path) -> None:
+def test_another_geometry_and_a_prefix(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text("base_radius: 0.7\nplatform_radius: 0.35\nmiddle_side: 0.8\n", encoding="utf-8")
-    done = run("--format", "mjcf", "--geometry", str(path), "--prefix", "left_")
-    assert done.out == mjcf_text(manipulator(spm.Geometry(0.7, 0.35, 0.8), prefix="left_"))
-    srdf = ElementTree.fromstring(run("--format", "srdf", "--prefix", "left_").out)
+    done = run("export", "--format", "mjcf", "--geometry", str(path), "--prefix", "left_")
+    assert done.stdout == mjcf_text(manipulator(spm.Geometry(0.7, 0.35, 0.8), prefix="left_"))
+    srdf = ElementTree.fromstring(run("export", "--format", "srdf", "--prefix", "left_").stdout)
     assert [g.get("name") for g in srdf.findall("group_state")] == ["home"]
     assert len(srdf.findall("passive_joint")) == 12
 
 
-def test_another_robot_from_urdf_and_closures(run: Run) -> None:
-    done = run("--format", "sdf", "--urdf", URDF_PATH, "--closures", CLOSURES_PATH)
-    assert done.code == 0, done.err
-    joints = ElementTree.fromstring(done.out).findall("model/joint")
+def test_another_robot_from_urdf_and_closures() -> None:
+    done = run("export", "--format", "sdf", "--urdf", URDF_PATH, "--closures", CLOSURES_PATH)
+    assert done.returncode == 0, done.message
+    joints = ElementTree.fromstring(done.stdout).findall("model/joint")
     assert next(j.get("name") for j in joints if j.get("type") == "ball") == "middle_b2Cleg_b2_tip"
 
 
@@ -98,7 +71,7 @@ def test_another_robot_from_urdf_and_closures(run: Run) -> None:
         (["--format", "mjcf", "--prefix", "1 2"], "--prefix: expected a name"),
     ],
 )
-def test_bad_input_is_a_clear_error(run: Run, arguments: list[str], words: str) -> None:
-    done = run(*arguments)
-    assert done.code == 2
-    assert words in done.err
+def test_bad_input_is_a_clear_error(arguments: list[str], words: str) -> None:
+    done = run("export", *arguments)
+    assert done.returncode == 2
+    assert words in done.message

@@ -1,0 +1,37 @@
+"""The command line run in this process, which spares the start of another one."""
+
+from __future__ import annotations
+
+import io
+import sys
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from unittest.mock import patch
+
+from spm_pin.cli import main
+
+
+@dataclass
+class Done:
+    """Exit code and outputs of a command."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+    @property
+    def message(self) -> str:
+        """Return what is on stderr in one line, without the frames that typer draws."""
+        return " ".join(self.stderr.replace("│", " ").split())
+
+
+def run(*arguments: object) -> Done:
+    """Run `spm-pin` with arguments."""
+    out, err = io.StringIO(), io.StringIO()
+    code = 0
+    with patch.object(sys, "argv", ["spm-pin", *map(str, arguments)]), redirect_stdout(out), redirect_stderr(err):
+        try:
+            main()
+        except SystemExit as end:
+            code = int(end.code or 0)
+    return Done(code, out.getvalue(), err.getvalue())

@@ -1,0 +1,454 @@
+"""What holds for every subcommand: messages, outputs, tables, hints, exit codes."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli.running import run
+from scipy.spatial.transform import RigidTransform, Rotation
+
+import spm_pin as spm
+from spm_pin.cli import console, outputs
+from spm_pin.cli.application import EXIT_CODES, app
+from spm_pin.crosscheck import METHODS, ClosedForm
+from spm_pin.errors import MissingExtraError
+
+EXAMPLE = ["--translation", "68.89", "49.63", "225.3", "--xyx", "-11.08", "32.97", "-12.88"]
+LOAD = ["--force", "0", "0", "-500", "--velocity", "1", "0", "0"]
+LEGS = ["--legs", "120", "120", "140", "125", "120", "150"]
+COMMANDS = [command.callback.__name__ for command in app.registered_commands if command.callback]
+SOURCES = sorted(Path(console.__file__).parent.glob("*.py"))
+
+
+@pytest.fixture
+def screen(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
+    """Return a function that makes stdout a terminal of a width."""
+
+    def terminal(width: int) -> None:
+        monkeypatch.setattr(console.stdout, "_force_terminal", True)
+        monkeypatch.setattr(console.stdout, "_width", width)
+
+    return terminal
+
+
+def plain(text: str) -> str:
+    return re.sub(r"\x1b\[[\d;]*m", "", text)
+
+
+# Messages
+
+
+@pytest.mark.parametrize("extra", outputs.EXTRAS)
+def test_the_advice_on_a_missing_extra_is_printed_in_full(extra: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(*_: object) -> None:
+        raise MissingExtraError(extra, "a package")
+
+    monkeypatch.setattr("spm_pin.cli.options.Geometry.paper", missing)
+    done = run("inverse", *EXAMPLE)
+    assert done.returncode == 2
+    assert f'pip install ".[{extra}]"' in done.message
+
+
+def test_brackets_in_any_text_are_printed_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
+    text = "[viewer] [/] [bold red]x[/bold red] [link=a]b"
+    console.print_lines([text])
+    console.print_table(text, ["a", text], [[text, text]])
+    console.note(text)
+    printed = capsys.readouterr()
+    assert printed.out.count(text) == 5
+    assert text in printed.err
+
+
+def test_no_subcommand_makes_a_console_or_markup_of_its_own() -> None:
+    for path in SOURCES:
+        text = path.read_text(encoding="utf-8")
+        for word in ("rich.markup", "from_markup", "markup=True", "[bold", "[red]", "Console("):
+            assert word not in text or (word == "Console(" and path.name == "console.py"), (path.name, word)
+        # Columns of progress bars read their text as markup unless told otherwise.
+        assert text.count("TextColumn(") == text.count('description}", markup=False)'), path.name
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_help_text_is_shown_without_leftover_escapes(command: str) -> None:
+    done = run(command, "--help")
+    assert done.returncode == 0
+    assert "\\" not in done.stdout
+
+
+def test_hostile_values_come_back_unchanged(tmp_path: Path) -> None:
+    for value in ("[viewer]", "[/]", "[bold]"):
+        done = run("inverse", *EXAMPLE, "--geometry", tmp_path / f"{value}.yaml")
+        assert (done.returncode, value in done.message) == (2, True)
+        assert value in run("inverse", *EXAMPLE, "--unit", value).message
+        assert value in run("statics", *EXAMPLE, "--unit", "cm", *LOAD, "--branch", value).message
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["inverse", "--translation", "nan", "0", "2", "--xyx", "1", "2", "3"], "error: --translation: expected"),
+        (["inverse", *EXAMPLE, "--geometry", "missing.yaml"], "error: --geometry: missing.yaml: expected"),
+        (["forward", *LEGS[:-1], "-1"], "error: --legs: expected positive"),
+        (["reproduce", "--table", "7"], "error: --table: expected"),
+        (["crosscheck", "--method", "delphi"], "error: --method: expected"),
+        (["urdf", "--prefix", "1 2"], "error: --prefix: expected"),
+        (["workspace", "--resolution", "1"], "error: --resolution: expected"),
+        (["draw", "--out", "x.png", "--width", "3"], "error: --width: expected"),
+        (["draw", "--out", "x.png", "--view", "900", "0"], "error: --view: expected"),
+    ],
+)
+def test_messages_name_the_option_typed(arguments: list[str], words: str) -> None:
+    done = run(*arguments)
+    assert done.returncode == 2
+    assert words in done.message
+
+
+def test_messages_name_the_key_of_a_geometry_file(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text("base_side: -1.2\nplatform_side: 0.6\nmiddle_side: 0.8\n", encoding="utf-8")
+    done = run("inverse", *EXAMPLE, "--geometry", path)
+    assert done.returncode == 2
+    assert "base_side" in done.message
+    assert "base_radius" not in done.message
+
+
+# Units
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (["inverse", *EXAMPLE], 3),
+        (["statics", *EXAMPLE, *LOAD], 3),
+        (["singularities", *EXAMPLE], 3),
+        (["forward", *LEGS], 3),
+        (["draw", "--out", "x.png", *EXAMPLE], 2),
+        (["draw", "--out", "x.png", *LEGS], 2),
+        (["workspace", "--limits", "110", "150"], 2),
+    ],
+)
+def test_lengths_in_the_wrong_unit_are_answered_with_the_right_one(arguments: list[str], code: int) -> None:
+    done = run(*arguments)
+    assert done.returncode == code
+    assert "was read in m: " in " ".join(done.stdout.split()) + done.message
+    assert "--unit cm" in " ".join(done.stdout.split()) + done.message
+
+
+def test_lengths_in_proportion_have_no_hint() -> None:
+    done = run("inverse", "--translation", "2", "2", "2", "--xyx", "10", "20", "30")
+    assert done.returncode == 3
+    assert "--unit" not in done.stdout + done.stderr
+
+
+def test_a_geometry_file_in_centimetres_is_noticed(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text("base_side: 120\nplatform_side: 60\nmiddle_side: 80\n", encoding="utf-8")
+    done = run("inverse", *EXAMPLE, "--geometry", path)
+    assert done.returncode == 0
+    assert "--geometry: " in done.message
+    assert "base_side is 120 m" in done.message
+    assert "Warning" not in done.stderr
+
+
+def test_a_level_pose_is_explained_with_a_way_on() -> None:
+    level = ["--translation", "0", "0", "2.2", "--xyx"]
+    for command in (["inverse"], ["singularities"], ["statics", *LOAD]):
+        done = run(*command, *level, "0", "0", "0")
+        told = " ".join((done.stdout + done.stderr).split())
+        assert done.returncode == 4
+        assert "The platform is level" in told
+        assert "spm-pin forward" in told
+    assert "The platform is level" in run("draw", "--out", "x.png", *level, "0", "0", "0").message
+    # The tilt that is proposed is enough.
+    assert run("inverse", *level, "0", "0.1", "0").returncode == 0
+
+
+# Numbers
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["inverse", *EXAMPLE, "--unit", "cm"],
+        ["forward", *LEGS, "--unit", "cm", "--all"],
+        ["statics", *EXAMPLE, "--unit", "mm", *LOAD],
+        ["statics", *EXAMPLE, "--unit", "cm", "--force", "-2e9", "3e9", "4e9"],
+        ["singularities", *EXAMPLE, "--unit", "cm"],
+        ["workspace", "--resolution", "2", "--unit", "mm"],
+        ["reproduce", "--table", "4", "--table", "5"],
+    ],
+    ids=lambda arguments: arguments[0],
+)
+def test_numbers_are_never_cut(arguments: list[str], screen: Callable[[int], None]) -> None:
+    def tokens(text: str) -> list[str]:
+        return [token for token in plain(text).split() if any(c.isdigit() for c in token)]
+
+    piped = run(*arguments)
+    assert piped.returncode in (0, 3)
+    assert "…" not in piped.stdout
+    for width in (80, 40, 10):
+        screen(width)
+        shown = run(*arguments)
+        assert "…" not in shown.stdout
+        assert set(tokens(piped.stdout)) <= set(tokens(shown.stdout)), width
+        if width < 80:
+            continue
+        table = [line for line in plain(shown.stdout).splitlines() if "─" in line]
+        assert table
+        assert max(map(len, table)) <= width
+
+
+def test_a_pipe_has_no_width(monkeypatch: pytest.MonkeyPatch) -> None:
+    wide = run("inverse", *EXAMPLE, "--unit", "cm").stdout
+    monkeypatch.setenv("COLUMNS", "20")
+    assert run("inverse", *EXAMPLE, "--unit", "cm").stdout == wide
+
+
+@pytest.mark.parametrize("value", [0.0, -0.0, -1.1e-15, 4e-14])
+def test_zeros_are_printed_as_zero(value: float) -> None:
+    assert console.fixed(value, 3) == "0.000"
+    assert console.significant(value, scale=1.0) == "0"
+    assert "-" not in console.to_json([value if value == 0.0 else -0.0, np.array(-0.0)])
+    assert console.fixed(-0.0006, 3) == "-0.001"
+    assert console.significant(-4.4527e-9, scale=1.0) == "-4.4527e-09"
+
+
+def test_zeros_of_commands_are_zeros() -> None:
+    # The symmetric home, and a platform tilted about the axis of symmetry: half of all numbers are zero.
+    home = run("forward", *["--legs", *["1.2"] * 6]).stdout
+    tilted = ["--translation", "0", "0", "2.2", "--xyx", "0", "10", "0"]
+    forces = run("statics", *tilted, "--force", "0", "0", "-500", "--angular-velocity", "0", "1", "0").stdout
+    for out in (home, forces):
+        tables = "\n".join(line for line in out.splitlines() if "residual" not in line)
+        numbers = re.findall(r"(?<![\w.])-?\d+\.?\d*(?:e[+-]\d+)?(?![\w.])", tables)
+        assert len(numbers) >= 6
+        assert not [text for text in numbers if float(text) == 0.0 and text.startswith("-")]
+        assert not [text for text in numbers if 0.0 < abs(float(text)) < 1e-10]
+
+
+def test_json_has_null_for_what_is_not_finite() -> None:
+    assert json.loads(console.to_json({"a": [np.nan, np.inf, np.array([1, np.nan])]})) == {"a": [None, None, [1, None]]}
+
+
+# Outputs and extras, before the work
+
+
+@pytest.mark.parametrize(
+    ("arguments", "option"),
+    [
+        (["crosscheck", "--json", "{}.json"], "--json"),
+        (["crosscheck", "--figure", "{}.svg"], "--figure"),
+        (["reproduce", "--json", "{}.json"], "--json"),
+        (["draw", "--out", "{}.png"], "--out"),
+        (["demo", "--out", "{}.png"], "--out"),
+        (["workspace", "--out", "{}.stl"], "--out"),
+        (["urdf", "--out", "{}.urdf"], "--out"),
+        (["export", "--format", "mjcf", "--out", "{}.xml"], "--out"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_outputs_are_checked_before_the_work(
+    arguments: list[str], option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ending = Path(arguments[-1]).suffix
+    folder = tmp_path / f"folder{ending}"
+    folder.mkdir()
+    ready = tmp_path / f"ready{ending}"
+    for target, words in (
+        (tmp_path / "no" / f"file{ending}", "There is no directory"),
+        (folder, "It is a directory"),
+        (ready, "No permission to write"),
+    ):
+        if target is ready:
+            monkeypatch.setattr("spm_pin.cli.outputs.os.access", lambda *_: False)
+        done = run(*arguments[:-1], target)
+        assert done.returncode == 2
+        assert f"error: {option}: expected a file that can be written" in done.message
+        assert words in done.message
+        assert done.stdout == ""
+    assert list(tmp_path.iterdir()) == [folder]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "extra", "package"),
+    [
+        (["draw", "--out", "x.png"], "plots", "matplotlib"),
+        (["demo", "--out", "x.png"], "plots", "matplotlib"),
+        (["crosscheck", "--figure", "x.png"], "plots", "matplotlib"),
+        (["workspace", "--out", "x.png"], "plots", "matplotlib"),
+        (["workspace", "--out", "x.stl"], "plots", "trimesh"),
+        (["view", "--no-open"], "viewer", "viser"),
+    ],
+)
+def test_an_option_that_needs_a_missing_extra_is_refused_before_the_work(
+    arguments: list[str], extra: str, package: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, package, None)
+    done = run(*arguments)
+    assert done.returncode == 2
+    assert f'this needs {package}, of the extra {extra}: pip install ".[{extra}]"' in done.message
+    assert done.stdout == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+# Tracebacks and exit codes
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--background", "notacolour"], "--background: expected a colour"),
+        (["--width", "100000"], "--width: expected at most"),
+    ],
+)
+def test_impossible_pictures_are_refused(arguments: list[str], words: str, tmp_path: Path) -> None:
+    done = run("draw", "--out", tmp_path / "x.png", *arguments)
+    assert done.returncode == 2
+    assert words in done.message
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_defect_ends_without_a_traceback_unless_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("[a] detail")
+
+    monkeypatch.setattr("spm_pin.cli.inverse.inverse_displacement", broken)
+    done = run("inverse", *EXAMPLE)
+    assert done.returncode == 70
+    assert "error: ZeroDivisionError: [a] detail" in done.message
+    assert "Traceback" not in done.stderr
+    monkeypatch.setenv("SPM_PIN_TRACEBACK", "1")
+    with pytest.raises(ZeroDivisionError):
+        run("inverse", *EXAMPLE)
+
+
+@pytest.mark.parametrize("module", ["spm_pin.cli.application", "typer", "numpy", "scipy.spatial", "rich.console"])
+def test_ctrl_c_while_modules_are_imported_ends_without_a_traceback(module: str) -> None:
+    program = f"""
+import sys
+class Interrupted:
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r}:
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupted())
+from spm_pin.cli import main
+main()
+"""
+    command = [sys.executable, "-c", program, "inverse", *EXAMPLE]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (["inverse", *EXAMPLE, "--unit", "cm", "--json"], 0),
+        (["inverse", *EXAMPLE, "--json"], 3),
+        (["inverse", "--translation", "0", "0", "2.2", "--xyx", "0", "0", "0", "--json"], 4),
+        (["forward", *LEGS, "--unit", "cm", "--json"], 0),
+        (["forward", *LEGS, "--json"], 3),
+        (["statics", *EXAMPLE, *LOAD, "--json"], 3),
+        (["singularities", "--translation", "0", "0", "2.2", "--xyx", "0", "0", "0", "--json"], 4),
+    ],
+)
+def test_exit_codes_tell_unreachable_and_degenerate(arguments: list[str], code: int) -> None:
+    done = run(*arguments)
+    assert done.returncode == code
+    assert json.loads(done.stdout)["status"] == {0: "ok", 3: "unreachable", 4: "degenerate"}[code]
+
+
+def test_a_degenerate_pose_shows_its_isolated_branches_and_exits_with_4() -> None:
+    # A tilt about a horizontal axis, at the position on it where the family TF is continuous: h = r sin²(θ/2) sin 3ψ.
+    azimuth, tilt = 0.4, 0.5
+    axis = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    h = spm.Geometry.paper().middle_radius * np.sin(tilt / 2) ** 2 * np.sin(3 * azimuth)
+    xyx = Rotation.from_rotvec(tilt * axis).as_euler("XYX", degrees=True)
+    pose = ["--translation", *(repr(float(x)) for x in h * axis + [0.0, 0.0, 2.2]), "--xyx", *map(repr, xyx.tolist())]
+    done = run("inverse", *pose, "--json")
+    assert done.returncode == 4
+    content = json.loads(done.stdout)
+    assert content["status"] == "degenerate"
+    assert content["degeneracy"]["families"] == [False, True, False, False]
+    assert [branch["label"] for branch in content["branches"]] == ["TT+", "TT-", "FF+", "FF-"]
+    shown = run("inverse", *pose)
+    assert shown.returncode == 4
+    assert "TT+" in shown.stdout
+    assert "The solutions of TF form a continuous family of dimension 1" in shown.stdout
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["inverse"], ["inverse", *EXAMPLE, "--unit", "furlong"], ["nothing"], ["crosscheck", "--poses", "0"]],
+)
+def test_misuse_exits_with_2(arguments: list[str]) -> None:
+    assert run(*arguments).returncode == 2
+
+
+def test_all_exit_codes_are_documented() -> None:
+    codes = {0, 1, 2, 3, 4, 70, 130}
+    assert {int(code) for code in re.findall(r"(?<!\d)(\d+) (?!more)", EXIT_CODES)} == codes
+    shown = " ".join(run("--help").stdout.replace("│", " ").split())
+    assert " ".join(EXIT_CODES.split()) in shown
+    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    assert {int(code) for code in re.findall(r"^\| (\d+) \|", readme, flags=re.MULTILINE)} == codes
+
+
+# Long commands
+
+
+class Interrupting(ClosedForm):
+    """The closed form, interrupted at its third batch of poses."""
+
+    batches = 0
+
+    def inverse(self, pose: RigidTransform) -> spm.SolutionSet:
+        type(self).batches += 1
+        if type(self).batches == 3:
+            raise KeyboardInterrupt
+        return super().inverse(pose)
+
+
+def test_an_interrupted_crosscheck_reports_what_it_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(METHODS, "closed-form", Interrupting)
+    monkeypatch.setattr(Interrupting, "batches", 0)
+    target = tmp_path / "report.json"
+    done = run("crosscheck", "--poses", "40", "--method", "closed-form", "--method", "nlp", "--json", target)
+    assert done.returncode == 130
+    assert done.stdout.startswith("Interrupted after 20 of 40")
+    content = json.loads(target.read_text(encoding="utf-8"))
+    assert (len(content["poses"]), content["requested"], content["agrees"]) == (20, 40, True)
+    monkeypatch.setattr(Interrupting, "batches", 2)
+    done = run("crosscheck", "--poses", "40", "--method", "closed-form")
+    assert (done.returncode, done.stdout) == (130, "")
+    assert "Traceback" not in done.stderr
+
+
+def test_the_demo_begins_with_the_verdict_and_ends_with_what_to_try(
+    tmp_path: Path, screen: Callable[[int], None]
+) -> None:
+    screen(80)
+    target = tmp_path / "demo.png"
+    done = run("demo", "--poses", "10", "--out", target)
+    assert done.returncode == 0, done.stderr
+    out = plain(done.stdout)
+    lines = out.splitlines()
+    assert len(lines) < 60
+    assert lines[0].startswith("The paper:   105 of the 120 cells of Tables 1 to 5 agree")
+    start = next(k for k, line in enumerate(lines) if line.startswith("The methods:"))
+    assert start <= 3
+    assert "All 5 methods agree." in " ".join(" ".join(lines[start : start + 4]).split())
+    assert "111" not in out
+    assert "missed" not in out
+    assert f"{target}" in "".join(lines)
+    assert target.read_bytes().startswith(b"\x89PNG")
+    next_steps = lines[lines.index("Try next:") + 1 :]
+    assert len(next_steps) == 5
+    assert all("spm-pin " in line for line in next_steps)
