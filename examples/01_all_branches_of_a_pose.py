@@ -1,6 +1,6 @@
 """All branches of a pose, and what each asks of the legs.
 
-Needs "spm-pin[plots]". Writes its picture into the folder given, or into this one.
+Needs `pip install ".[plots]"`. Writes its picture into the folder given, or into this one.
 """
 
 import sys

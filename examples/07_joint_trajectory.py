@@ -1,6 +1,6 @@
 """All eighteen joints from six leg lengths and from a platform path, as CSV and as a ROS JointTrajectory.
 
-Needs "spm-pin[plots]". Writes joints.csv, joints.json and its picture into the folder given, or into this one.
+Needs `pip install ".[plots]"`. Writes joints.csv, joints.json and its picture into the folder given, or into this one.
 """
 
 import sys

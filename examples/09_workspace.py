@@ -1,6 +1,6 @@
 """The paper's workspace as a closed surface, its volume, and what lies outside it.
 
-Needs "spm-pin[plots]". Writes its picture into the folder given, or into this one.
+Needs `pip install ".[plots]"`. Writes its picture into the folder given, or into this one.
 """
 
 import sys

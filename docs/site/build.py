@@ -1,4 +1,4 @@
-"""Build the documentation as a static site: `python docs/site/build.py [FOLDER]`. Needs "spm-pin[docs]".
+"""Build the documentation as a static site: `python docs/site/build.py [FOLDER]`. Needs `pip install ".[docs]"`.
 
 Pages in docs/ link to source files as one does on disk; on the site such a link leads to the module's entry in the
 reference, so that the same text reads well in either. The reference, the examples and the paper's tables are made

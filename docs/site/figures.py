@@ -1,4 +1,4 @@
-"""Draw the figures of the documentation: `python docs/site/figures.py`. Needs "spm-pin[plots]"."""
+"""Draw the figures of the documentation: `python docs/site/figures.py`. Needs `pip install ".[plots]"`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Take the pictures of the viewer: `python docs/site/viewer_figures.py`. Needs "spm-pin[viewer,dev]" and Chromium."""
+"""Take the pictures of the viewer: `python docs/site/viewer_figures.py`. Needs the extras viewer and dev, and Chromium."""
 
 from __future__ import annotations
 
