@@ -1,4 +1,4 @@
-"""Run the examples and keep their pictures: `python docs/site/example_figures.py`. Needs the extras plots and robots."""
+"""Run the examples, keep their pictures: `python docs/site/example_figures.py`. Needs the extras plots and robots."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Take the pictures of the viewer: `python docs/site/viewer_figures.py`. Needs the extras viewer and dev, and Chromium."""
+"""Take pictures of the viewer: `python docs/site/viewer_figures.py`. Needs the extras viewer and dev, Chromium."""
 
 from __future__ import annotations
 

@@ -147,7 +147,7 @@ class Comparison:
         wrench = _FORCE * rng.uniform(-1.0, 1.0, (count, 6)) * np.repeat([1.0, side], 3)
         rates: dict[str, FloatArray] = {}
         forces: dict[str, FloatArray] = {}
-        assembled: dict[str, FloatArray] = {"asked for": _points(configuration)}
+        assembled: dict[str, FloatArray] = {"given state": _points(configuration)}
         for method in self._methods:
             self._progress(f"{method.name}: Jacobians and forces")
             jacobian, force = method.inverse_jacobian(configuration), method.leg_forces(configuration, wrench)

@@ -44,7 +44,7 @@ def test_every_pair_that_can_be_compared_is(report: Report) -> None:
         assert one.compared > 0
     assert len(pairs[Quantity.POSITIONS]) == 6
     assert len(pairs[Quantity.JACOBIAN]) == len(pairs[Quantity.FORCES]) == 6
-    assert pairs[Quantity.ASSEMBLY] == {frozenset({"asked for", "pinocchio"})}
+    assert pairs[Quantity.ASSEMBLY] == {frozenset({"given state", "pinocchio"})}
 
 
 def test_a_seed_makes_the_same_report(report: Report) -> None:
