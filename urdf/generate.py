@@ -13,12 +13,12 @@ import numpy as np
 
 import spm_pin as spm
 from spm_pin.description.expand import expand
-from spm_pin.description.paths import CLOSURES, MESHES, MJCF, SDF, SIDECAR, SRDF, URDF
-from spm_pin.description.robots import manipulator
+from spm_pin.description.extended_urdf import extended_urdf_text
+from spm_pin.description.load_robot import manipulator
+from spm_pin.description.paths import CLOSURES, EXTENDED_URDF, MESHES, MJCF, SDF, SRDF, URDF
 from spm_pin.description.srdf import srdf_text
-from spm_pin.description.writers.extended_urdf import sidecar_text
-from spm_pin.description.writers.mjcf import mjcf_text
-from spm_pin.description.writers.sdf import sdf_text
+from spm_pin.description.write_mjcf import mjcf_text
+from spm_pin.description.write_sdf import sdf_text
 from spm_pin.paper.published import POSITION, TABLE_2, XYX_DEGREES
 
 FOLDER = Path(__file__).resolve().parent
@@ -51,7 +51,7 @@ def generate() -> dict[str, str]:
         SRDF: srdf_text(states),
         MJCF: mjcf_text(robot, folder=FOLDER),
         SDF: sdf_text(robot, folder=FOLDER),
-        SIDECAR: f"# {warning}\n" + sidecar_text(robot),
+        EXTENDED_URDF: f"# {warning}\n" + extended_urdf_text(robot),
     }
 
 

@@ -65,12 +65,12 @@ def export(
     urdf: Drake, Pinocchio, yourdfpy, PyBullet, ROS. mjcf: MuJoCo, Drake, Pinocchio. sdf: SDFormat. extended-urdf: the
     YAML file that closes a URDF's loops. srdf: groups and passive joints. What a format cannot say is an error.
     """
-    from spm_pin.description.robots import manipulator, read_robot
+    from spm_pin.description.extended_urdf import extended_urdf_text
+    from spm_pin.description.load_robot import manipulator, read_robot
     from spm_pin.description.srdf import srdf_text
-    from spm_pin.description.writers.extended_urdf import sidecar_text
-    from spm_pin.description.writers.mjcf import mjcf_text
-    from spm_pin.description.writers.sdf import sdf_text
-    from spm_pin.description.writers.urdf import urdf_text
+    from spm_pin.description.write_mjcf import mjcf_text
+    from spm_pin.description.write_sdf import sdf_text
+    from spm_pin.description.write_urdf import urdf_text
 
     check_output(out)
     foreign, by = urdf is not None, f"with --format {format_.value}"
@@ -97,5 +97,5 @@ def export(
         case Format.SDF:
             text = sdf_text(robot, loops=(loops or Loops.JOINTS).value)
         case _:
-            text = sidecar_text(robot)
+            text = extended_urdf_text(robot)
     write_text(text, out)

@@ -9,7 +9,7 @@ The paths of the files are constants, named as the package robot_descriptions na
 
 from __future__ import annotations
 
-from spm_pin.description.paths import ENTRY, MJCF, SDF, SIDECAR, SRDF, URDF, description_directory
+from spm_pin.description.paths import ENTRY, EXTENDED_URDF, MJCF, SDF, SRDF, URDF, description_directory
 
 __all__ = ["CLOSURES_PATH", "MJCF_PATH", "PACKAGE_PATH", "SDF_PATH", "SRDF_PATH", "URDF_PATH", "XACRO_PATH"]
 
@@ -27,5 +27,5 @@ MJCF_PATH = str(_folder / MJCF)
 """The closed robot for MuJoCo, Drake and Pinocchio."""
 SDF_PATH = str(_folder / SDF)
 """The closed robot in SDFormat."""
-CLOSURES_PATH = str(_folder / SIDECAR)
+CLOSURES_PATH = str(_folder / EXTENDED_URDF)
 """The closures in the layout of Extended-URDF, beside the URDF."""

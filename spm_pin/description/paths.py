@@ -10,10 +10,10 @@ from spm_pin.mechanism.geometry import config_directory
 __all__ = [
     "CLOSURES",
     "ENTRY",
+    "EXTENDED_URDF",
     "MESHES",
     "MJCF",
     "SDF",
-    "SIDECAR",
     "SRDF",
     "URDF",
     "description_directory",
@@ -30,7 +30,7 @@ MJCF = "spm.xml"
 """The closed robot for MuJoCo, and for Drake and Pinocchio."""
 SDF = "spm.sdf"
 """The closed robot in SDFormat."""
-SIDECAR = "spm_closures.yaml"
+EXTENDED_URDF = "spm_closures.yaml"
 """The closures in the layout of Extended-URDF."""
 MESHES = "meshes"
 """The folder of the solids that are drawn, OBJ files without unit: the URDF scales them."""

@@ -6,9 +6,10 @@ import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+import numpy as np
+
 from spm_pin.description.closures import Closure
-from spm_pin.description.markup import Node, parse
-from spm_pin.description.robot import (
+from spm_pin.description.robot_description import (
     MOVING,
     Inertial,
     Joint,
@@ -21,12 +22,16 @@ from spm_pin.description.robot import (
     Shape,
     Transmission,
 )
+from spm_pin.description.xml_nodes import Node, parse
 from spm_pin.errors import DescriptionError
 
-__all__ = ["read_urdf", "urdf_description"]
+__all__ = ["check_inertials", "read_urdf", "urdf_description"]
 
 KINDS_OF_CONSTRAINT = {"spherical": "point", "spherical_joint": "point", "link": "weld"}
 """What the ROS proposal's `<constraint>` calls the kinds of closure."""
+
+LARGEST = 1e12
+"""Largest mass [kg] and moment of inertia [kg m²] that are believed."""
 
 TRANSMISSION = "transmission_interface/SimpleTransmission"
 
@@ -237,9 +242,48 @@ def _inertial(node: Node) -> Inertial:
     mass.check(attributes=("value",))
     inertia.check(attributes=keys)
     xx, xy, xz, yy, yz, zz = (inertia.number(key) for key in keys)
-    if mass.number("value") < 0.0:
-        raise mass.error("a mass that is not negative", mass.get("value"))
-    return Inertial(mass.number("value"), (xx, xy, xz, yy, yz, zz), _origin(node))
+    value = mass.number("value")
+    if not 0.0 <= value <= LARGEST:
+        raise mass.error(f"a mass from 0 to {LARGEST:g} kg", mass.get("value"))
+    inertial = Inertial(value, (xx, xy, xz, yy, yz, zz), _origin(node))
+    if max(map(abs, inertial.moments)) > LARGEST:
+        raise inertia.error(f"moments of inertia up to {LARGEST:g} kg m²", f"{max(inertial.moments, key=abs):g}")
+    smallest, largest = np.linalg.eigvalsh(inertial.matrix)[[0, -1]]
+    # A negligible violation comes from the digits of an exporter.
+    if smallest < -1e-9 * largest or largest < 0.0:
+        cause = "Products of inertia with the wrong sign, or not about the centre of mass?"
+        raise inertia.error("moments of inertia of which none is negative", f"principal moment {smallest:g}", cause)
+    return inertial
+
+
+def check_inertials(text: str, source: str) -> None:
+    """Check masses and moments of inertia of a URDF's text, and that no joint has the name of a link.
+
+    For readers that take what else is in the file from another library. Pinocchio keeps both kinds of names in one
+    list, and takes a mass of NaN for none.
+
+    Parameters
+    ----------
+    text : str
+        The URDF.
+    source : str
+        What errors call it.
+
+    Raises
+    ------
+    DescriptionError
+        As `read_urdf` for masses and inertias, which must be possible; if a joint and a link share a name. The error
+        names the line.
+    """
+    root = parse(text, source)
+    links = {link.attributes.get("name") for link in root.all("link")}
+    for joint in root.all("joint"):
+        if joint.attributes.get("name") in links:
+            raise joint.error("a name that no link has", repr(joint.get("name")), "Pinocchio keeps both in one list")
+    for link in root.all("link"):
+        inertial = link.optional("inertial")
+        if inertial is not None:
+            _inertial(inertial)
 
 
 def _limit(node: Node, kind: str) -> Limit:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.description.robots import manipulator
+from spm_pin.description.load_robot import manipulator
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration

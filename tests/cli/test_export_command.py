@@ -11,10 +11,10 @@ from cli.running import run
 
 import spm_pin as spm
 from spm_pin.description import CLOSURES_PATH, MJCF_PATH, SDF_PATH, SRDF_PATH, URDF_PATH
-from spm_pin.description.robots import manipulator
-from spm_pin.description.writers.mjcf import mjcf_text
-from spm_pin.description.writers.sdf import sdf_text
-from spm_pin.description.writers.urdf import urdf_text
+from spm_pin.description.load_robot import manipulator
+from spm_pin.description.write_mjcf import mjcf_text
+from spm_pin.description.write_sdf import sdf_text
+from spm_pin.description.write_urdf import urdf_text
 
 
 def test_every_format_is_what_the_writers_write(tmp_path: Path) -> None:

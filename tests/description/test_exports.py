@@ -23,11 +23,11 @@ import spm_pin as spm
 from spm_pin.description import MJCF_PATH, PACKAGE_PATH, SDF_PATH, SRDF_PATH, URDF_PATH
 from spm_pin.description.closures import read_closures
 from spm_pin.description.expand import expand
-from spm_pin.description.robots import manipulator
+from spm_pin.description.load_robot import manipulator
 from spm_pin.description.tree import SLIDES
-from spm_pin.description.writers.mjcf import mjcf_text
-from spm_pin.description.writers.sdf import sdf_text
-from spm_pin.description.writers.urdf import urdf_text
+from spm_pin.description.write_mjcf import mjcf_text
+from spm_pin.description.write_sdf import sdf_text
+from spm_pin.description.write_urdf import urdf_text
 
 TEXT = Path(URDF_PATH).read_text(encoding="utf-8")
 TREE = KinematicTree(TEXT)

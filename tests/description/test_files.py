@@ -19,22 +19,22 @@ from problems import in_leg_space, random_branches
 import spm_pin as spm
 from spm_pin.description.closures import read_closures
 from spm_pin.description.expand import expand, geometry_data
+from spm_pin.description.extended_urdf import extended_urdf_text
+from spm_pin.description.load_robot import manipulator
 from spm_pin.description.paths import (
     ENTRY,
+    EXTENDED_URDF,
     MESHES,
     MJCF,
     SDF,
-    SIDECAR,
     SRDF,
     URDF,
     description_directory,
     description_file,
 )
-from spm_pin.description.robots import manipulator
 from spm_pin.description.srdf import srdf_text
 from spm_pin.description.tree import JOINTS, PASSIVE, SLIDES
 from spm_pin.description.visuals import read_obj
-from spm_pin.description.writers.extended_urdf import sidecar_text
 from spm_pin.errors import ArgumentError, DescriptionError
 
 PAPER = spm.Geometry.paper()
@@ -45,7 +45,7 @@ def shipped(name: str) -> str:
     return description_file(name).read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("name", [URDF, SRDF, MJCF, SDF, SIDECAR])
+@pytest.mark.parametrize("name", [URDF, SRDF, MJCF, SDF, EXTENDED_URDF])
 def test_generated_files_are_fresh(name: str) -> None:
     """Every character but the last digits, in which mathematical libraries and processors differ."""
     script = description_directory() / "generate.py"
@@ -99,7 +99,7 @@ def test_arguments_of_the_xacro_command(tmp_path: Path) -> None:
 
 
 def test_no_path_of_this_machine_is_written() -> None:
-    for text in (expand(meshes=MESHES), *map(shipped, (URDF, SRDF, MJCF, SDF, SIDECAR))):
+    for text in (expand(meshes=MESHES), *map(shipped, (URDF, SRDF, MJCF, SDF, EXTENDED_URDF))):
         assert str(description_directory()) not in text
         assert str(Path.home()) not in text
 
@@ -144,8 +144,8 @@ def test_prefix_is_on_every_name() -> None:
         assert theirs.name == f"left_{ours.name}"
     srdf = srdf_text({}, prefix="left_")
     assert all(name.startswith("left_") for name in re.findall(r'(?:<(?:passive_)?joint name|link\d)="([^"]*)"', srdf))
-    sidecar = yaml.safe_load(sidecar_text(manipulator(prefix="left_")))
-    assert sidecar["name_mot"] == [f"left_{name}" for name in SLIDES]
+    extended = yaml.safe_load(extended_urdf_text(manipulator(prefix="left_")))
+    assert extended["name_mot"] == [f"left_{name}" for name in SLIDES]
 
 
 @pytest.mark.parametrize("prefix", ["1", "1.5", "two words", 'a"b', "a<", "$(arg", "left_\n", "true", "NaN", "/", None])
@@ -163,14 +163,14 @@ def test_prefixes_come_out_as_they_went_in(prefix: str) -> None:
     assert KinematicTree(expand(prefix=prefix)).base == f"{prefix}base"
 
 
-def test_sidecar_says_what_the_closures_say() -> None:
-    sidecar = yaml.safe_load(shipped(SIDECAR))
+def test_extended_urdf_says_what_the_closures_say() -> None:
+    extended = yaml.safe_load(shipped(EXTENDED_URDF))
     closures = read_closures()
-    assert sidecar["closed_loop"] == [[c.frame_a, c.frame_b] for c in closures]
-    assert sidecar["type"] == ["3d"] * 4
-    assert sidecar["name_mot"] == list(SLIDES)
+    assert extended["closed_loop"] == [[c.frame_a, c.frame_b] for c in closures]
+    assert extended["type"] == ["3d"] * 4
+    assert extended["name_mot"] == list(SLIDES)
     links = KinematicTree(shipped(URDF)).links
-    assert {frame for pair in sidecar["closed_loop"] for frame in pair} <= links.keys()
+    assert {frame for pair in extended["closed_loop"] for frame in pair} <= links.keys()
 
 
 def test_srdf_names_what_the_urdf_has() -> None:

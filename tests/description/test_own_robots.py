@@ -11,13 +11,13 @@ import pytest
 from description.engines import Drake, Mujoco, Pinocchio
 
 from spm_pin.description.closures import Closure
+from spm_pin.description.extended_urdf import extended_urdf_text
+from spm_pin.description.load_robot import read_robot
 from spm_pin.description.read_urdf import read_urdf, urdf_description
-from spm_pin.description.robot import RobotDescription
-from spm_pin.description.robots import read_robot
-from spm_pin.description.writers.extended_urdf import sidecar_text
-from spm_pin.description.writers.mjcf import mjcf_text
-from spm_pin.description.writers.sdf import sdf_text
-from spm_pin.description.writers.urdf import urdf_text
+from spm_pin.description.robot_description import RobotDescription
+from spm_pin.description.write_mjcf import mjcf_text
+from spm_pin.description.write_sdf import sdf_text
+from spm_pin.description.write_urdf import urdf_text
 from spm_pin.errors import ArgumentError, DescriptionError
 
 INERTIAL = (
@@ -208,16 +208,16 @@ def test_written_urdf_reads_back(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", CLOSURE)
-def test_urdf_and_sidecar_make_the_robot(kind: str, tmp_path: Path) -> None:
+def test_urdf_and_extended_urdf_make_the_robot(kind: str, tmp_path: Path) -> None:
     urdf = written(tmp_path, parallelogram(kind).replace(TRANSMISSION, ""), "robot.urdf")
-    sidecar = written(tmp_path, sidecar_text(robot(kind)), "robot.yaml")
-    own = read_robot(urdf, sidecar)
+    extended = written(tmp_path, extended_urdf_text(robot(kind)), "robot.yaml")
+    own = read_robot(urdf, extended)
     assert [(c.kind, c.frame_a, c.frame_b) for c in own.closures] == [
         (c.kind, c.frame_a, c.frame_b) for c in robot(kind).closures
     ]
     assert [transmission.joint for transmission in own.transmissions] == ["crank"]
     both = written(tmp_path, parallelogram(kind), "both.urdf")
-    assert read_robot(both, sidecar).transmissions == robot(kind).transmissions
+    assert read_robot(both, extended).transmissions == robot(kind).transmissions
     assert read_robot(both).closures == ()
     c = CLOSURE[kind]
     ours = f"closures:\n- {{name: {c.name}, kind: {c.kind}, frame_a: {c.frame_a}, frame_b: {c.frame_b}}}\n"

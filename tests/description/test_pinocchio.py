@@ -14,7 +14,7 @@ from problems import in_leg_space
 import spm_pin as spm
 from spm_pin.description.closures import read_closures
 from spm_pin.description.expand import expand
-from spm_pin.description.paths import SIDECAR, SRDF, URDF, description_file
+from spm_pin.description.paths import EXTENDED_URDF, SRDF, URDF, description_file
 from spm_pin.description.states import joint_values
 
 pin = pytest.importorskip("pinocchio")
@@ -123,16 +123,16 @@ def test_two_robots_need_prefixes() -> None:
         assert closure_gap(both, pin.neutral(both), prefix) < 1e-12
 
 
-def test_the_sidecar_s_closures_leave_six_degrees_of_freedom(model: Any) -> None:
-    sidecar = yaml.safe_load(description_file(SIDECAR).read_text(encoding="utf-8"))
+def test_the_extended_urdf_s_closures_leave_six_degrees_of_freedom(model: Any) -> None:
+    extended = yaml.safe_load(description_file(EXTENDED_URDF).read_text(encoding="utf-8"))
     pin.loadReferenceConfigurations(model, str(description_file(SRDF)), False)
     data = model.createData()
-    slides = [model.joints[model.getJointId(name)].idx_v for name in sidecar["name_mot"]]
+    slides = [model.joints[model.getJointId(name)].idx_v for name in extended["name_mot"]]
 
     def jacobian(state: str) -> npt.NDArray[np.float64]:
         q = model.referenceConfigurations[state]
         rows = []
-        for pair in sidecar["closed_loop"]:
+        for pair in extended["closed_loop"]:
             a, b = (
                 pin.computeFrameJacobian(model, data, q, model.getFrameId(frame), pin.LOCAL_WORLD_ALIGNED)[:3]
                 for frame in pair

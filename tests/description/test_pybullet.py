@@ -1,4 +1,4 @@
-"""PyBullet reads the URDF; its closures are made of the sidecar's pairs, at the centres of mass, as it wants them.
+"""PyBullet reads the URDF; its closures are made of the extended's pairs, at the centres of mass, as it wants them.
 
 It hands poses over in single precision, at 2.6 m: what the other engines hold to 1e-12 is known to 1e-6 here.
 """
@@ -16,11 +16,11 @@ import pytest
 from description.kinematic_tree import Array, KinematicTree, inertia, named_states
 
 from spm_pin.description import CLOSURES_PATH, SRDF_PATH, URDF_PATH
-from spm_pin.description.sidecar import read_sidecar
+from spm_pin.description.extended_urdf import read_extended_urdf
 
 TREE = KinematicTree(Path(URDF_PATH).read_text(encoding="utf-8"))
 STATES = named_states(Path(SRDF_PATH).read_text(encoding="utf-8"))
-CLOSURES = read_sidecar(CLOSURES_PATH).closures
+CLOSURES = read_extended_urdf(CLOSURES_PATH).closures
 SINGLE = 1e-6
 
 

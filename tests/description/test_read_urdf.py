@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -13,12 +14,12 @@ from description.kinematic_tree import KinematicTree, inertia
 
 from spm_pin.description import URDF_PATH
 from spm_pin.description.closures import Closure
-from spm_pin.description.read_urdf import read_urdf, urdf_description
-from spm_pin.description.robot import Joint, Link, RobotDescription, Transmission
-from spm_pin.description.robots import manipulator
-from spm_pin.description.writers.mjcf import mjcf_text
-from spm_pin.description.writers.sdf import sdf_text
-from spm_pin.description.writers.urdf import urdf_text
+from spm_pin.description.load_robot import manipulator
+from spm_pin.description.read_urdf import check_inertials, read_urdf, urdf_description
+from spm_pin.description.robot_description import Joint, Link, RobotDescription, Transmission
+from spm_pin.description.write_mjcf import mjcf_text
+from spm_pin.description.write_sdf import sdf_text
+from spm_pin.description.write_urdf import urdf_text
 from spm_pin.errors import DescriptionError, SpmError
 
 GOOD = """<?xml version="1.0"?>
@@ -113,7 +114,14 @@ def test_a_small_one(tmp_path: Path) -> None:
         ('<color rgba="1 0 0 1"/>', "<texture/>", 3, "<texture>"),
         ('<mass value="1"/>', "", 11, "a <mass> in <inertial>, got none"),
         ('<mass value="1"/>', '<mass value="1"/><mass value="2"/>', 12, "one <mass> in <inertial>, got 2"),
-        ('<mass value="1"/>', '<mass value="-1"/>', 12, "a mass that is not negative, got -1"),
+        ('<mass value="1"/>', '<mass value="-5"/>', 12, "a mass from 0 to 1e+12 kg, got -5"),
+        ('<mass value="1"/>', '<mass value="1e300"/>', 12, "a mass from 0 to 1e+12 kg, got 1e300"),
+        ('<mass value="1"/>', '<mass value="nan"/>', 12, "a finite number as value of <mass>, got 'nan'"),
+        ('<mass value="1"/>', '<mass value="inf"/>', 12, "a finite number as value of <mass>, got 'inf'"),
+        ('ixx="1"', 'ixx="-1"', 13, "moments of inertia of which none is negative, got principal moment -1"),
+        ('ixy="0"', 'ixy="2"', 13, "moments of inertia of which none is negative, got principal moment -1"),
+        ('ixx="1"', 'ixx="1e300"', 13, "moments of inertia up to 1e+12 kg m², got 1e+300"),
+        ('ixx="1"', 'ixx="inf"', 13, "a finite number as ixx of <inertia>, got 'inf'"),
         (' izz="1"', "", 13, "the attribute izz of <inertia>, got none"),
         ('type="revolute"', 'type="floating"', 16, "a joint of type fixed, revolute, continuous, prismatic, got"),
         ('type="revolute"', 'type="continuous"', 21, "no attributes of <limit> but effort, velocity, got lower"),
@@ -308,3 +316,24 @@ def test_names_need_no_care(tmp_path: Path) -> None:
     robot = manipulator()
     renamed = replace(robot, name=odd)
     assert urdf_description(urdf_text(renamed)).name == odd
+
+
+def test_two_megabytes_of_newlines_are_read_in_linear_time(tmp_path: Path) -> None:
+    """Quadratic, it took most of a minute."""
+    path = written(tmp_path, GOOD.replace("</robot>", "\n" * 2_000_000 + "</robot>"))
+    assert read_urdf(path) == read_urdf(written(tmp_path, GOOD))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('<mass value="1"/>', '<mass value="-5"/>', "urdf:12: expected a mass from 0 to"),
+        ('<mass value="1"/>', '<mass value="nan"/>', "urdf:12: expected a finite number"),
+        ('iyy="1"', 'iyy="-3"', "urdf:13: expected moments of inertia of which none is negative"),
+        ('<joint name="j"', '<joint name="a"', "urdf:16: expected a name that no link has, got 'a'"),
+    ],
+)
+def test_inertials_are_checked_beside_another_reader(old: str, new: str, said: str) -> None:
+    check_inertials(GOOD.replace("</robot>", "<gazebo/></robot>"), "urdf")
+    with pytest.raises(DescriptionError, match=re.escape(said)):
+        check_inertials(GOOD.replace(old, new, 1), "urdf")

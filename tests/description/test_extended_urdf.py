@@ -13,10 +13,9 @@ from description.kinematic_tree import named_states
 
 from spm_pin.description import CLOSURES_PATH, SRDF_PATH, URDF_PATH
 from spm_pin.description.closures import KINDS, Closure, read_closures
-from spm_pin.description.robots import manipulator, read_robot
-from spm_pin.description.sidecar import read_sidecar
+from spm_pin.description.extended_urdf import extended_urdf_text, read_extended_urdf
+from spm_pin.description.load_robot import manipulator, read_robot
 from spm_pin.description.tree import SLIDES
-from spm_pin.description.writers.extended_urdf import sidecar_text
 from spm_pin.errors import DescriptionError
 
 LEG = """# a leg with every key, in both of YAML's styles
@@ -39,28 +38,28 @@ def written(tmp_path: Path, text: str) -> Path:
 
 
 def test_every_key(tmp_path: Path) -> None:
-    sidecar = read_sidecar(written(tmp_path, LEG))
-    assert sidecar.closures == (
+    extended = read_extended_urdf(written(tmp_path, LEG))
+    assert extended.closures == (
         Closure("knee_aCknee_b", "weld", "knee_a", "knee_b"),
         Closure("ankle_aCankle_b", "point", "ankle_a", "ankle_b"),
     )
-    assert sidecar.motors == ("hip", "knee")
-    assert sidecar.joint_types == {"ball": "SPHERICAL", "cardan": "UJOINT_ZY"}
+    assert extended.motors == ("hip", "knee")
+    assert extended.joint_types == {"ball": "SPHERICAL", "cardan": "UJOINT_ZY"}
 
 
 def test_keys_that_may_be_absent(tmp_path: Path) -> None:
-    sidecar = read_sidecar(written(tmp_path, "closed_loop: []\ntype: []\nname_mot: []\n"))
-    assert (sidecar.closures, sidecar.motors, sidecar.joint_types) == ((), (), {})
+    extended = read_extended_urdf(written(tmp_path, "closed_loop: []\ntype: []\nname_mot: []\n"))
+    assert (extended.closures, extended.motors, extended.joint_types) == ((), (), {})
 
 
 @pytest.mark.parametrize("prefix", ["", "left_", "robot/"])
 def test_round_trip(prefix: str, tmp_path: Path) -> None:
     robot = manipulator(prefix=prefix)
-    sidecar = read_sidecar(written(tmp_path, sidecar_text(robot)))
+    extended = read_extended_urdf(written(tmp_path, extended_urdf_text(robot)))
     ends = [(closure.kind, closure.frame_a, closure.frame_b) for closure in read_closures(prefix=prefix)]
-    assert [(closure.kind, closure.frame_a, closure.frame_b) for closure in sidecar.closures] == ends
-    assert sidecar.motors == tuple(prefix + name for name in SLIDES)
-    assert sidecar.joint_types == {}
+    assert [(closure.kind, closure.frame_a, closure.frame_b) for closure in extended.closures] == ends
+    assert extended.motors == tuple(prefix + name for name in SLIDES)
+    assert extended.joint_types == {}
 
 
 def test_the_shipped_pair_is_the_manipulator() -> None:
@@ -70,11 +69,11 @@ def test_the_shipped_pair_is_the_manipulator() -> None:
     assert read_robot(URDF_PATH).closures[0].name == "middle_b2_leg_b2_tip"
 
 
-def loaded_as_its_own_loader_does(urdf: str, sidecar: str) -> tuple[Any, list[Any], list[int]]:
+def loaded_as_its_own_loader_does(urdf: str, extended: str) -> tuple[Any, list[Any], list[int]]:
     """What `completeRobotLoader` of example-parallel-robots makes of the keys, step by step."""
     pin = pytest.importorskip("pinocchio")
     model = pin.buildModelFromUrdf(urdf)
-    content = yaml.safe_load(Path(sidecar).read_text(encoding="utf-8"))
+    content = yaml.safe_load(Path(extended).read_text(encoding="utf-8"))
     assert content.keys() == {"closed_loop", "type", "name_mot", "joint_name", "joint_type"}
     assert content["joint_name"] == content["joint_type"] == []
     constraints = []
@@ -129,7 +128,7 @@ def test_the_public_loader_gets_a_closed_robot() -> None:
 def test_malformed(tmp_path: Path, text: str, line: int | None, said: str) -> None:
     path = written(tmp_path, text)
     with pytest.raises(DescriptionError) as caught:
-        read_sidecar(path)
+        read_extended_urdf(path)
     assert said in str(caught.value)
     assert str(caught.value).startswith(f"{path}:{line}: " if line else f"{path}: ")
     assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
@@ -137,7 +136,7 @@ def test_malformed(tmp_path: Path, text: str, line: int | None, said: str) -> No
 
 def test_missing_file(tmp_path: Path) -> None:
     with pytest.raises(DescriptionError, match="No such file"):
-        read_sidecar(tmp_path / "robot.yaml")
+        read_extended_urdf(tmp_path / "robot.yaml")
     with pytest.raises(DescriptionError, match="No such file"):
         read_robot(URDF_PATH, tmp_path / "robot.yaml")
 
@@ -151,7 +150,7 @@ def test_missing_file(tmp_path: Path) -> None:
         ("joint_name: []\njoint_type: []", "joint_name: [leg]\njoint_type: [SPHERICAL]", "got leg as SPHERICAL"),
     ],
 )
-def test_a_sidecar_that_is_not_this_robot_s(old: str, new: str, said: str, tmp_path: Path) -> None:
+def test_an_extended_urdf_that_is_not_this_robot_s(old: str, new: str, said: str, tmp_path: Path) -> None:
     text = Path(CLOSURES_PATH).read_text(encoding="utf-8")
     assert old in text
     with pytest.raises(DescriptionError) as caught:

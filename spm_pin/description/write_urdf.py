@@ -7,9 +7,9 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
 from spm_pin.description.closures import Closure
-from spm_pin.description.markup import document, numbers
 from spm_pin.description.read_urdf import TRANSMISSION
-from spm_pin.description.robot import Joint, Link, Material, Placement, RobotDescription, Shape
+from spm_pin.description.robot_description import Joint, Link, Material, Placement, RobotDescription, Shape
+from spm_pin.description.xml_nodes import document, numbers
 from spm_pin.errors import DescriptionError
 
 __all__ = ["urdf_text"]

@@ -13,9 +13,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from spm_pin.description.closures import Closure
-from spm_pin.description.markup import document, numbers
-from spm_pin.description.robot import ASSEMBLED, Inertial, Joint, Material, RobotDescription, Shape
+from spm_pin.description.robot_description import ASSEMBLED, Inertial, Joint, Material, RobotDescription, Shape
 from spm_pin.description.srdf import HOME
+from spm_pin.description.xml_nodes import document, numbers
 from spm_pin.errors import ArgumentError, DescriptionError
 from spm_pin.mechanism.arguments import FloatArray
 

@@ -1,23 +1,28 @@
-"""Extended-URDF: the YAML file beside a URDF that closes its loops and names its motors."""
+"""Extended-URDF: the YAML file beside a URDF that closes its loops and names its motors, read and written.
+
+Layout of https://github.com/Gepetto/example-parallel-robots.
+"""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from spm_pin.description.closures import KINDS, Closure
+from spm_pin.description.robot_description import RobotDescription
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism import yaml_nodes
 
-__all__ = ["JOINT_TYPES", "Sidecar", "read_sidecar"]
+__all__ = ["JOINT_TYPES", "ExtendedUrdf", "extended_urdf_text", "read_extended_urdf"]
 
 JOINT_TYPES = re.compile(r"SPHERICAL|FIXED|UJOINT_[XYZ][XYZ]")
 """What a joint of the URDF can become when it is loaded."""
 
 
 @dataclass(frozen=True)
-class Sidecar:
+class ExtendedUrdf:
     """The content of an Extended-URDF file.
 
     Parameters
@@ -36,14 +41,13 @@ class Sidecar:
     joint_types: dict[str, str]
 
 
-def read_sidecar(path: str | Path) -> Sidecar:
+def read_extended_urdf(path: str | Path) -> ExtendedUrdf:
     """Read an Extended-URDF file.
 
     Parameters
     ----------
     path : str or Path
-        A YAML file with the keys `closed_loop`, `type` and `name_mot`, and perhaps `joint_name` and `joint_type`,
-        as https://github.com/Gepetto/example-parallel-robots has them.
+        A YAML file with the keys `closed_loop`, `type` and `name_mot`, and perhaps `joint_name` and `joint_type`.
 
     Raises
     ------
@@ -97,4 +101,25 @@ def read_sidecar(path: str | Path) -> Sidecar:
             expected = "SPHERICAL, FIXED or UJOINT_ with two axes"
             raise DescriptionError(yaml_nodes.place(path, given), expected, repr(kind))
         types[joint] = kind
-    return Sidecar(tuple(closures), tuple(motors), types)
+    return ExtendedUrdf(tuple(closures), tuple(motors), types)
+
+
+def extended_urdf_text(robot: RobotDescription) -> str:
+    """Return closures and motors of a robot as an Extended-URDF file, to lie beside its URDF.
+
+    Notes
+    -----
+    The names of the closures have no place in it. No joint changes its type when loaded: `joint_name` and `joint_type`
+    are empty.
+    """
+    pairs = ",\n  ".join(f"[{_quoted((closure.frame_a, closure.frame_b))}]" for closure in robot.closures)
+    return (
+        f"closed_loop: [\n  {pairs}\n]\n"
+        f"type: [{_quoted(KINDS[closure.kind] for closure in robot.closures)}]\n"
+        f"name_mot: [{_quoted(transmission.joint for transmission in robot.transmissions)}]\n"
+        "joint_name: []\njoint_type: []\n"
+    )
+
+
+def _quoted(names: Iterable[str]) -> str:
+    return ", ".join("'" + name.replace("'", "''") + "'" for name in names)

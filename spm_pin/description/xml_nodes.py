@@ -21,14 +21,19 @@ class Node:
     attributes: dict[str, str]
     place: str
     children: list[Node] = field(default_factory=list)
-    text: str = ""
+    texts: list[str] = field(default_factory=list)
+
+    @property
+    def text(self) -> str:
+        """The characters inside, without those of elements inside."""
+        return "".join(self.texts)
 
     def error(self, expected: str, received: object, cause: str = "") -> DescriptionError:
         """Return an error that names the file and the line."""
         return DescriptionError(self.place, expected, received, cause)
 
     def check(self, *, children: Collection[str] = (), attributes: Collection[str] = ()) -> None:
-        """Raise `DescriptionError` if there is an attribute or an element inside that nobody would read."""
+        """Raise `DescriptionError` if there is an attribute or an element inside that the reader does not know."""
         for child in self.children:
             if child.tag not in children:
                 expected = f"{', '.join(children)} in <{self.tag}>" if children else f"nothing inside <{self.tag}>"
@@ -103,7 +108,7 @@ def parse(text: str, source: str) -> Node:
 
     def characters(data: str) -> None:
         if stack:
-            stack[-1].text += data
+            stack[-1].texts.append(data)
 
     parser.StartElementHandler = start
     parser.EndElementHandler = lambda _: stack.pop() and None

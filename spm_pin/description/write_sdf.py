@@ -7,8 +7,8 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
 from spm_pin.description.closures import Closure
-from spm_pin.description.markup import document, numbers
-from spm_pin.description.robot import ASSEMBLED, Joint, Link, Placement, RobotDescription, Shape
+from spm_pin.description.robot_description import ASSEMBLED, Joint, Link, Placement, RobotDescription, Shape
+from spm_pin.description.xml_nodes import document, numbers
 from spm_pin.errors import ArgumentError, DescriptionError
 
 __all__ = ["sdf_text"]

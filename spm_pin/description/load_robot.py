@@ -1,4 +1,4 @@
-"""Robots to export: the manipulator of any geometry, or one of your own from a URDF and its closures."""
+"""Robots as a `RobotDescription`: the manipulator of any geometry, or one of your own from a URDF and its closures."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import yaml
 
 from spm_pin.description.closures import read_closures
 from spm_pin.description.expand import expand
+from spm_pin.description.extended_urdf import ExtendedUrdf, read_extended_urdf
 from spm_pin.description.read_urdf import read_urdf, urdf_description
-from spm_pin.description.robot import RobotDescription, Transmission
-from spm_pin.description.sidecar import Sidecar, read_sidecar
+from spm_pin.description.robot_description import RobotDescription, Transmission
 from spm_pin.description.states import joint_values
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism import yaml_nodes
@@ -64,7 +64,7 @@ def read_robot(
     urdf : str or Path
         Its spanning tree, a URDF file.
     closures : str or Path, optional
-        A YAML file of closures, as `read_closures` or as `read_sidecar` takes it, besides those in the URDF. The
+        A YAML file of closures, as `read_closures` or as `read_extended_urdf` takes it, besides those in the URDF. The
         motors of an Extended-URDF file are the robot's, in its order.
     packages : mapping of str to path, optional
         Folders of the packages that meshes are named in, as for `read_urdf`.
@@ -81,19 +81,19 @@ def read_robot(
     ours = isinstance(root, yaml.MappingNode) and any(key.value == "closures" for key, _ in root.value)
     if ours:
         return read_urdf(urdf, read_closures(closures), packages=packages)
-    sidecar = read_sidecar(closures)
-    return _driven(read_urdf(urdf, sidecar.closures, packages=packages), sidecar, str(closures))
+    extended = read_extended_urdf(closures)
+    return _driven(read_urdf(urdf, extended.closures, packages=packages), extended, str(closures))
 
 
-def _driven(robot: RobotDescription, sidecar: Sidecar, source: str) -> RobotDescription:
+def _driven(robot: RobotDescription, extended: ExtendedUrdf, source: str) -> RobotDescription:
     """Return a robot with the motors of an Extended-URDF file."""
-    if sidecar.joint_types:
-        received = ", ".join(f"{joint} as {kind}" for joint, kind in sidecar.joint_types.items())
+    if extended.joint_types:
+        received = ", ".join(f"{joint} as {kind}" for joint, kind in extended.joint_types.items())
         cause = "Write such joints into the URDF, one degree of freedom each"
         raise DescriptionError(source, "joints that keep the type they have in the URDF", received, cause)
     given = {transmission.joint: transmission for transmission in robot.transmissions}
-    if given and given.keys() != set(sidecar.motors):
-        other = ", ".join(sorted(given.keys() ^ set(sidecar.motors)))
+    if given and given.keys() != set(extended.motors):
+        other = ", ".join(sorted(given.keys() ^ set(extended.motors)))
         raise DescriptionError(source, "the motors that the URDF's transmissions drive", f"a difference in {other}")
-    made = {name: Transmission(f"{name}_transmission", name, f"{name}_motor") for name in sidecar.motors}
-    return replace(robot, transmissions=tuple((given or made)[name] for name in sidecar.motors))
+    made = {name: Transmission(f"{name}_transmission", name, f"{name}_motor") for name in extended.motors}
+    return replace(robot, transmissions=tuple((given or made)[name] for name in extended.motors))

@@ -1,1 +1,0 @@
-"""From a `RobotDescription` to files; each writer refuses what its format cannot say."""
