@@ -6,7 +6,12 @@ from spm_pin.closed_form.forward_displacement import (
     forward_displacement,
     forward_physical,
 )
-from spm_pin.closed_form.inverse_displacement import branch_lengths, complex_middle_joints, inverse_displacement
+from spm_pin.closed_form.inverse_displacement import (
+    branch_lengths,
+    complex_middle_joints,
+    inverse_displacement,
+    inverse_physical,
+)
 from spm_pin.closed_form.jacobians import inverse_jacobian, leg_rates, platform_jacobian
 from spm_pin.closed_form.leg_forces import leg_forces
 from spm_pin.closed_form.path_events import Event, EventKind
@@ -37,6 +42,7 @@ __all__ = [
     "forward_physical",
     "inverse_displacement",
     "inverse_jacobian",
+    "inverse_physical",
     "leg_forces",
     "leg_rates",
     "platform_jacobian",

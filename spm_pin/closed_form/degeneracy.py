@@ -21,12 +21,12 @@ UPPER = np.array([1.0, -1.0, 1.0, -1.0])
 def find_degeneracy(
     geometry: Geometry, flagged: npt.NDArray[np.uint8], rotation: FloatArray, position: FloatArray
 ) -> Degeneracy:
-    """Describe the continuous families of N poses that a kernel has flagged, see `kernels.inverse`.
+    """Describe the continuous families of N poses that a kernel has flagged, see `kernels.branch_tiles`.
 
     Where the two Z axes meet or cross, a family is continuous iff its form vanishes: (P : Q) is then free and
     the family has one dimension. Where they are parallel, see `_parallel_axes`.
     """
-    from spm_pin.closed_form.kernels.branch_kernels import VERTICAL
+    from spm_pin.closed_form.kernels.branch_tiles import VERTICAL
     from spm_pin.closed_form.kernels.quadratics import ROUNDING
 
     families = (flagged[:, None] & np.array([1, 2, 4, 8])) > 0

@@ -12,73 +12,57 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.threads import in_parts
+from spm_pin.closed_form.batches import run_kernel
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, first_offender
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 
-__all__ = ["continued"]
+__all__ = ["follow_seed"]
 
 BoolArray = npt.NDArray[np.bool_]
 
 _OPEN = 1e-6
 """Closure residual of a seed, relative to d, from which on it is no configuration."""
 
-_ENOUGH = 1 << 10
-"""Stages that are worth a thread."""
+_MIN_BATCH_PER_THREAD = 1 << 10
 
 
-def continued(geometry: Geometry, lengths: FloatArray, seed: Configuration) -> Configuration:
-    """Follow `seed` to the leg lengths (..., 6), each stage by itself."""
+def follow_seed(geometry: Geometry, lengths: FloatArray, seed: Configuration) -> Configuration:
+    """Follow `seed` to the leg lengths (..., 6), each stage by itself; NaN where a stage meets a singularity."""
+    from spm_pin.closed_form.kernels.continuation_kernel import follow_stages
+    from spm_pin.closed_form.kernels.mode_kernels import compose_all
+
     _check_seed(geometry, lengths, seed)
     shape = np.broadcast_shapes(lengths.shape[:-1], seed.shape)
     r = geometry.middle_radius
-    end = np.broadcast_to(lengths, (*shape, 6)).reshape(-1, 2, 3)
-    start = np.broadcast_to(seed.leg_lengths, (*shape, 6)).reshape(-1, 2, 3)
+    start, end = (
+        np.moveaxis(np.broadcast_to(x, (*shape, 6)).reshape(-1, 2, 3), 1, 0).reshape(-1, 3) / r
+        for x in (seed.leg_lengths, lengths)
+    )
     b = np.broadcast_to(seed.middle_joints, (*shape, 3, 3)).reshape(-1, 3, 3)
     rotation = np.broadcast_to(seed.rotation, (*shape, 3, 3)).reshape(-1, 3, 3)
     translation = np.broadcast_to(seed.translation, (*shape, 3)).reshape(-1, 3)
-    count = len(end)
-    states, epsilon, turned = np.empty((2, count, 4)), np.empty((2, count)), np.empty((2, count), dtype=np.bool_)
-    for k, (hips, corners) in enumerate(
-        ((geometry.base_radius, b), (geometry.platform_radius, (b - translation[:, None]) @ rotation))
-    ):
-        states[k], turned[k] = _states(geometry, corners)
-        epsilon[k] = np.where(turned[k], -hips, hips) / r
-    arrived = _follow(np.swapaxes(start, 0, 1) / r, np.swapaxes(end, 0, 1) / r, epsilon, states)
+    count = len(b)
+    # The lower stages, then the upper ones as they are seen from {m}.
+    corners = np.concatenate([b, (b - translation[:, None]) @ rotation])
+    hips = np.repeat([geometry.base_radius / r, geometry.platform_radius / r], count)
+    seeds, half_turned = _states(geometry, corners)
+    epsilon = np.where(half_turned, -hips, hips)
+    state = ((4,), np.float64), ((), np.bool_)
+    states, arrived = run_kernel(follow_stages, (start, end, epsilon, seeds), (), state, _MIN_BATCH_PER_THREAD)
     states[~arrived] = np.nan
-    x0, x1, x2, zeta = np.moveaxis(states, -1, 0)
+    x0, x1, x2, zeta = states.T
     zero = np.zeros_like(x0)
-    plain, half_turned = np.stack([x0, x1, x2, zero, zeta], -1), np.stack([zero, x2, -x1, x0, -zeta], -1)
-    return _joined(geometry, np.where(turned[..., None], half_turned, plain), shape)
-
-
-def _joined(geometry: Geometry, stages: FloatArray, shape: tuple[int, ...]) -> Configuration:
-    """Return the configurations of shape (...) of stages (2, N, 5), see `kernels.forward`; NaN where one is."""
-    from spm_pin.closed_form.kernels.mode_kernels import compose_all
-
-    count = stages.shape[1]
-    rotation, translation, joints = np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3, 3))
-    compose_all(stages[0], stages[1], geometry.middle_radius, rotation, translation, joints)
-    return Configuration.from_arrays(
-        geometry, rotation.reshape(*shape, 3, 3), translation.reshape(*shape, 3), joints.reshape(*shape, 3, 3)
-    )
-
-
-def _follow(start: FloatArray, end: FloatArray, epsilon: FloatArray, states: FloatArray) -> BoolArray:
-    """Move states (2, N, 4) from the lengths `start` to `end`, (2, N, 3), and tell which arrived (2, N)."""
-    from spm_pin.closed_form.kernels.continuation_kernel import follow_stages
-
-    arrived = np.empty(epsilon.shape, dtype=np.bool_)
-    starts, ends, signed = start.reshape(-1, 3), end.reshape(-1, 3), epsilon.reshape(-1)
-    moved, done = states.reshape(-1, 4), arrived.reshape(-1)
-    in_parts(lambda at: follow_stages(starts[at], ends[at], signed[at], moved[at], done[at]), len(done), _ENOUGH)
-    return arrived
+    plain, turned = np.stack([x0, x1, x2, zero, zeta], -1), np.stack([zero, x2, -x1, x0, -zeta], -1)
+    stages = np.where(half_turned[:, None], turned, plain)
+    results = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64)
+    found = run_kernel(compose_all, (stages[:count], stages[count:]), (r,), results, _MIN_BATCH_PER_THREAD)
+    return Configuration.from_arrays(geometry, *(array.reshape(*shape, *array.shape[1:]) for array in found))
 
 
 def _states(geometry: Geometry, joints: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return states (M, 4), see `kernels.stage`, of one stage's corners (M, 3, 3) [m], and which are in mode F."""
+    """Return the states (M, 4) of stages with these corners (M, 3, 3) [m], and which are in mode F."""
     pose = Configuration.from_arrays(geometry, np.eye(3), np.zeros(3), joints).middle_pose
     x1, x2, x3, x0 = np.moveaxis(pose.rotation.as_quat(), -1, 0)
     zeta = pose.translation[..., 2] / geometry.middle_radius

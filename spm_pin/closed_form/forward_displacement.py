@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.forward_continuation import continued
+from spm_pin.closed_form.batches import radii, run_kernel
+from spm_pin.closed_form.forward_continuation import follow_seed
 from spm_pin.closed_form.stage_solver import MODES, PLACES
-from spm_pin.closed_form.threads import in_parts
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, first_offender, real_array
 from spm_pin.mechanism.configuration import Configuration
@@ -27,8 +27,7 @@ ASSEMBLY_MODES = tuple(f"{lower}/{upper}" for lower in STAGE_MODES for upper in 
 
 _LARGEST = 1e5
 """Lengths, relative to the machine, beyond which eleven of sixteen digits are lost."""
-_ENOUGH_MODES, _ENOUGH_PHYSICAL = 1 << 8, 1 << 12
-"""Problems that are worth a thread."""
+_MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_PHYSICAL = 1 << 8, 1 << 12
 
 
 def forward_displacement(geometry: Geometry, leg_lengths: npt.ArrayLike) -> SolutionSet:
@@ -72,18 +71,18 @@ def forward_displacement(geometry: Geometry, leg_lengths: npt.ArrayLike) -> Solu
     """
     from spm_pin.closed_form.kernels.mode_kernels import all_modes
 
-    given = _read(geometry, leg_lengths)
-    shape, n, lengths = given.shape[:-1], len(ASSEMBLY_MODES), given.reshape(-1, 6)
-    count = len(lengths)
-    rotation, translation = np.empty((count, n, 3, 3)), np.empty((count, n, 3))
-    joints, dimension = np.empty((count, n, 3, 3)), np.empty((count, 4), dtype=np.int8)
-    status = np.empty(count, dtype=np.int8)
-
-    def part(at: slice) -> None:
-        found = rotation[at], translation[at], joints[at]
-        all_modes(lengths[at], *_radii(geometry), *found, dimension[at], status[at])
-
-    in_parts(part, count, _ENOUGH_MODES)
+    checked = _read(geometry, leg_lengths)
+    shape, lengths, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
+    results = (
+        ((n, 3, 3), np.float64),
+        ((n, 3), np.float64),
+        ((n, 3, 3), np.float64),
+        ((4,), np.int8),
+        ((), np.int8),
+    )
+    rotation, translation, joints, dimension, status = run_kernel(
+        all_modes, (lengths,), radii(geometry), results, _MIN_BATCH_PER_THREAD
+    )
     families = dimension.reshape(*shape, 4)
     largest = np.asarray(families.max(axis=-1))
     modes = Configuration.from_arrays(
@@ -143,32 +142,35 @@ def forward_physical(
     >>> state.pose.rotation.as_euler("XYX", degrees=True).round(4)
     array([-11.0818,  32.9691, -12.8831])
     """
-    given = _read(geometry, leg_lengths)
+    checked = _read(geometry, leg_lengths)
     if seed is not None:
-        return continued(geometry, given, seed)
+        return follow_seed(geometry, checked, seed)
+    shape, lengths = checked.shape[:-1], checked.reshape(-1, 6)
+    results = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64)
+    solved = run_kernel(_solve_physical, (lengths,), radii(geometry), results, _MIN_BATCH_PER_THREAD_PHYSICAL)
+    return Configuration.from_arrays(geometry, *(array.reshape(*shape, *array.shape[1:]) for array in solved))
+
+
+def _solve_physical(
+    lengths: FloatArray,
+    r: float,
+    base_radius: float,
+    platform_radius: float,
+    rotation: FloatArray,
+    translation: FloatArray,
+    joints: FloatArray,
+) -> None:
+    """Write R, o and the b_i of the modes in the home's aspect; all modes are solved where Newton's method fails."""
     from spm_pin.closed_form.kernels.mode_kernels import home_modes, home_modes_of_all
 
-    shape, lengths = given.shape[:-1], given.reshape(-1, 6)
-    count = len(lengths)
-    rotation, translation, joints = np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3, 3))
-    found = np.empty(count, dtype=np.bool_)
-
-    def part(at: slice) -> None:
-        home_modes(lengths[at], *_radii(geometry), rotation[at], translation[at], joints[at], found[at])
-        if not found[at].all():
-            rest = at.start + np.flatnonzero(~found[at])
-            places = np.empty((len(rest), 3, 3)), np.empty((len(rest), 3)), np.empty((len(rest), 3, 3))
-            home_modes_of_all(lengths[rest], *_radii(geometry), *places)
-            rotation[rest], translation[rest], joints[rest] = places
-
-    in_parts(part, count, _ENOUGH_PHYSICAL)
-    return Configuration.from_arrays(
-        geometry, rotation.reshape(*shape, 3, 3), translation.reshape(*shape, 3), joints.reshape(*shape, 3, 3)
-    )
-
-
-def _radii(geometry: Geometry) -> tuple[float, float, float]:
-    return geometry.middle_radius, geometry.base_radius, geometry.platform_radius
+    sizes = r, base_radius, platform_radius
+    found = np.empty(len(lengths), dtype=np.bool_)
+    home_modes(lengths, *sizes, rotation, translation, joints, found)
+    rest = np.flatnonzero(~found)
+    if len(rest):
+        states = np.empty((len(rest), 3, 3)), np.empty((len(rest), 3)), np.empty((len(rest), 3, 3))
+        home_modes_of_all(lengths[rest], *sizes, *states)
+        rotation[rest], translation[rest], joints[rest] = states
 
 
 def _read(geometry: Geometry, leg_lengths: npt.ArrayLike) -> FloatArray:

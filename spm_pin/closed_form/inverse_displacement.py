@@ -1,4 +1,4 @@
-"""Inverse displacement in closed form: four quadratics, one per family, no iteration and no branch.
+"""Inverse displacement in closed form: four quadratics, one per family, no iteration, no data-dependent branching.
 
 Write the horizontal vector (x, y) as the complex number x + iy and a unit quaternion as the pair
 s = x0 + i x3, w = x1 + i x2. With q_R = (S, W) the platform's rotation, a = (p, w_a) and b = (q, w_b) the
@@ -20,35 +20,37 @@ step keeps the relative accuracy of small tilts. Derivation: `docs/theory/invers
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeVar
+import math
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import RigidTransform
 
+from spm_pin.closed_form.batches import radii, read_pose, run_kernel
 from spm_pin.closed_form.degeneracy import find_degeneracy
-from spm_pin.closed_form.threads import in_parts
+from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.branches import BRANCHES
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.pose import EXACT, PoseLike, checked_pose, unchecked_pose
+from spm_pin.mechanism.pose import PoseLike
 from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
 
-__all__ = ["branch_lengths", "complex_middle_joints", "inverse_displacement"]
+__all__ = ["branch_lengths", "complex_middle_joints", "inverse_displacement", "inverse_physical"]
 
-ByteArray = npt.NDArray[np.uint8]
-ComplexArray = npt.NDArray[np.complex128]
-Found = TypeVar("Found")
-_Branches = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, npt.NDArray[np.int8]]
-_Lengths = tuple[FloatArray, FloatArray, FloatArray, npt.NDArray[np.int8]]
+_MIN_BATCH_PER_THREAD = 1 << 14
+_RESULTS = (
+    ((3, 3), np.float64),
+    ((3,), np.float64),
+    ((8, 3, 3), np.float64),
+    ((8, 6), np.float64),
+    ((4,), np.float64),
+    ((3,), np.uint8),
+    ((), np.int8),
+    ((), np.uint8),
+)
 
-_ENOUGH = 1 << 14
-"""Poses that are worth a thread."""
 
-
-def inverse_displacement(geometry: Geometry, pose: PoseLike) -> SolutionSet:
+def inverse_displacement(geometry: Geometry, pose: PoseLike, *, out: SolutionSet | None = None) -> SolutionSet:
     """Find all configurations of the manipulator that hold the platform in a pose.
 
     Parameters
@@ -57,6 +59,9 @@ def inverse_displacement(geometry: Geometry, pose: PoseLike) -> SolutionSet:
         The manipulator. Its leg limits are not applied; see `SolutionSet.within`.
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
         Pose of {m} in {B}, translation in metres; one, or a batch of shape (...).
+    out : SolutionSet, optional
+        What an earlier call for a batch of this shape returned. Its memory is written anew, which saves what the system
+        takes to provide memory; it and everything taken from it then hold the new numbers.
 
     Returns
     -------
@@ -72,6 +77,8 @@ def inverse_displacement(geometry: Geometry, pose: PoseLike) -> SolutionSet:
     ------
     PoseError
         If `pose` is not a rigid transform of finite numbers.
+    ArgumentError
+        If `out` is no result of this function for a batch of this shape.
 
     Notes
     -----
@@ -86,34 +93,17 @@ def inverse_displacement(geometry: Geometry, pose: PoseLike) -> SolutionSet:
     >>> spm.inverse_displacement(geometry, pose)
     <SolutionSet: ok, 6 of 8 real: TT+, TT-, TF+, TF-, FF+, FF->
     """
+    from spm_pin.closed_form.kernels.branch_kernels import all_branches
 
-    def solve(rotation: FloatArray, position: FloatArray) -> tuple[_Branches, ByteArray]:
-        from spm_pin.closed_form.kernels.branch_kernels import all_branches
-
-        n = len(position)
-        # The answer keeps the pose, hence a copy; RigidTransform has made one already.
-        keep = (rotation, position) if isinstance(pose, RigidTransform) else (np.empty((n, 3, 3)), np.empty((n, 3)))
-        found = np.empty((n, 8, 3, 3)), np.empty((n, 8, 6)), np.empty((n, 4)), np.empty(n, dtype=np.int8)
-        flagged = np.empty(n, dtype=np.uint8)
-        joints, lengths, discriminants, status = found
-        sizes = geometry.middle_radius, geometry.base_radius, geometry.platform_radius, EXACT
-
-        def part(at: slice) -> None:
-            if keep[0] is not rotation:
-                keep[0][at], keep[1][at] = rotation[at], position[at]
-            written = joints[at], lengths[at], discriminants[at]
-            all_branches(keep[0][at], keep[1][at], *sizes, *written, status[at], flagged[at])
-
-        in_parts(part, n, _ENOUGH)
-        return (*keep, *found), flagged
-
-    shape, (rotation, position, joints, lengths, discriminants, status), flagged = _solved(solve, pose)
-    rotation, position = rotation.reshape(*shape, 3, 3), position.reshape(*shape, 3)
-    degeneracy = _degeneracy(geometry, rotation, position, flagged, status)
+    shape, rotation, position = read_pose(pose)
+    results = _RESULTS if out is None else _memory_of(out, shape)
+    solved = run_kernel(all_branches, (rotation, position), radii(geometry), results, _MIN_BATCH_PER_THREAD)
+    rotation, position, joints, lengths, discriminants, choice, status, flagged = solved
+    degeneracy = _degeneracy(geometry, shape, rotation, position, flagged, status)
     branches = Configuration.from_arrays(
         geometry,
-        np.broadcast_to(rotation[..., None, :, :], (*shape, 8, 3, 3)),
-        np.broadcast_to(position[..., None, :], (*shape, 8, 3)),
+        np.broadcast_to(rotation.reshape(*shape, 1, 3, 3), (*shape, 8, 3, 3)),
+        np.broadcast_to(position.reshape(*shape, 1, 3), (*shape, 8, 3)),
         joints.reshape(*shape, 8, 3, 3),
         lengths.reshape(*shape, 8, 6),
     )
@@ -123,11 +113,70 @@ def inverse_displacement(geometry: Geometry, pose: PoseLike) -> SolutionSet:
         status.reshape(shape),
         discriminants=discriminants.reshape(*shape, 4),
         degeneracy=degeneracy,
+        choice=choice.reshape(*shape, 3),
+        memory=solved,
     )
 
 
+def _memory_of(out: SolutionSet, shape: tuple[int, ...]) -> tuple[npt.NDArray[np.generic], ...]:
+    if not isinstance(out, SolutionSet):
+        raise ArgumentError("out", "a SolutionSet", type(out).__name__)
+    if out.memory is None or out.shape != shape or len(out.memory[0]) != math.prod(shape):
+        received = f"one of shape {out.shape}" if out.memory is not None else "one that does not own its memory"
+        raise ArgumentError("out", f"what `inverse_displacement` returned for a batch of shape {shape}", received)
+    return out.memory
+
+
+def inverse_physical(geometry: Geometry, pose: PoseLike) -> Configuration:
+    """Find the configuration in which a real machine holds the platform in a pose.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The manipulator. Its leg limits only decide between two configurations; see `LegLimits.contains`.
+    pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
+        Pose of {m} in {B}, translation in metres; one, or a batch of shape (...).
+
+    Returns
+    -------
+    Configuration
+        Of shape (...): to the bit what ``inverse_displacement(geometry, pose).physical()`` returns, in less time and
+        memory. Both stages are without torsion and reached from the symmetric home without a forward
+        singularity. If TT+ and TT- both are, those within the leg limits are preferred, then the one whose stages are
+        tilted less; `SolutionSet.ambiguous` tells where that happens. `.exists` is False, and everything NaN,
+        where there is no such configuration.
+
+    Raises
+    ------
+    PoseError
+        If `pose` is not a rigid transform of finite numbers.
+
+    Examples
+    --------
+    >>> import numpy as np, spm_pin as spm
+    >>> geometry = spm.Geometry.paper()
+    >>> pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
+    >>> spm.closed_form.inverse_physical(geometry, pose).leg_lengths.round(3)
+    array([1.2 , 1.2 , 1.4 , 1.25, 1.2 , 1.5 ])
+    """
+    from spm_pin.closed_form.kernels.branch_kernels import physical_branches
+
+    shape, rotation, position = read_pose(pose)
+    limits = geometry.limits
+    bounds = np.array([(0.0,) * 6, (np.inf,) * 6] if limits is None else [limits.minimum, limits.maximum])
+    results = (((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64), ((6,), np.float64))
+    solved = run_kernel(
+        physical_branches, (rotation, position), (*radii(geometry), bounds), results, _MIN_BATCH_PER_THREAD
+    )
+    found = Configuration.from_arrays(geometry, *(array.reshape(*shape, *array.shape[1:]) for array in solved))
+    if not shape and not found.exists:
+        # The same, with the reason why there is none.
+        return inverse_displacement(geometry, pose).physical()
+    return found
+
+
 def branch_lengths(geometry: Geometry, pose: PoseLike) -> tuple[FloatArray, npt.NDArray[np.int8]]:
-    """Find the leg lengths of all branches, and nothing else: `inverse_displacement` for maps and filters.
+    """Find the leg lengths of all branches alone, as maps and filters need them.
 
     Parameters
     ----------
@@ -147,26 +196,18 @@ def branch_lengths(geometry: Geometry, pose: PoseLike) -> tuple[FloatArray, npt.
     PoseError
         If `pose` is not a rigid transform of finite numbers.
     """
+    from spm_pin.closed_form.kernels import branch_kernels as kernels
 
-    def solve(rotation: FloatArray, position: FloatArray) -> tuple[_Lengths, ByteArray]:
-        from spm_pin.closed_form.kernels import branch_kernels as kernels
-
-        n = len(position)
-        lengths, status, flagged = np.empty((n, 8, 6)), np.empty(n, dtype=np.int8), np.empty(n, dtype=np.uint8)
-        sizes = geometry.middle_radius, geometry.base_radius, geometry.platform_radius, EXACT
-
-        def part(at: slice) -> None:
-            kernels.branch_lengths(rotation[at], position[at], *sizes, lengths[at], status[at], flagged[at])
-
-        in_parts(part, n, _ENOUGH)
-        return (rotation, position, lengths, status), flagged
-
-    shape, (rotation, position, lengths, status), flagged = _solved(solve, pose)
-    _degeneracy(geometry, rotation, position, flagged, status)
+    shape, rotation, position = read_pose(pose)
+    results = ((8, 6), np.float64), ((), np.int8), ((), np.uint8)
+    lengths, status, flagged = run_kernel(
+        kernels.branch_lengths, (rotation, position), radii(geometry), results, _MIN_BATCH_PER_THREAD
+    )
+    _degeneracy(geometry, shape, rotation, position, flagged, status)
     return lengths.reshape(*shape, 8, 6), status.reshape(shape)
 
 
-def complex_middle_joints(geometry: Geometry, pose: PoseLike) -> ComplexArray:
+def complex_middle_joints(geometry: Geometry, pose: PoseLike) -> npt.NDArray[np.complex128]:
     """Return all eight roots of the inverse displacement, real or complex.
 
     Parameters
@@ -185,47 +226,30 @@ def complex_middle_joints(geometry: Geometry, pose: PoseLike) -> ComplexArray:
     PoseError
         If `pose` is not a rigid transform of finite numbers.
     """
+    from spm_pin.closed_form.kernels.branch_kernels import complex_branches
 
-    def solve(rotation: FloatArray, position: FloatArray) -> tuple[ComplexArray, ByteArray]:
-        from spm_pin.closed_form.kernels.branch_kernels import complex_branches
-
-        n = len(position)
-        joints, flagged = np.empty((n, 8, 3, 3), dtype=np.complex128), np.empty(n, dtype=np.uint8)
-
-        def part(at: slice) -> None:
-            complex_branches(rotation[at], position[at], geometry.middle_radius, EXACT, joints[at], flagged[at])
-
-        in_parts(part, n, _ENOUGH)
-        return joints, flagged
-
-    shape, joints, _ = _solved(solve, pose)
-    return joints.reshape(*shape, 8, 3, 3)
-
-
-def _solved(
-    solve: Callable[[FloatArray, FloatArray], tuple[Found, ByteArray]], pose: PoseLike
-) -> tuple[tuple[int, ...], Found, ByteArray]:
-    """Return the shape of a batch of poses, what `solve` found at N rotations and positions, and its flags (N,)."""
-    from spm_pin.closed_form.kernels.branch_kernels import QUESTIONABLE
-
-    rotation, position = unchecked_pose(pose)
-    found, flagged = solve(rotation.reshape(-1, 3, 3), position.reshape(-1, 3))
-    if flagged.any() and (flagged & QUESTIONABLE).any():
-        # The kernel looks at the numbers in passing; what to do about them is said elsewhere.
-        rotation, position = checked_pose(rotation, position, "pose")
-        found, flagged = solve(rotation.reshape(-1, 3, 3), position.reshape(-1, 3))
-    return position.shape[:-1], found, flagged
+    shape, rotation, position = read_pose(pose)
+    results = [((8, 3, 3), np.complex128)]
+    (joints,) = run_kernel(
+        complex_branches, (rotation, position), (geometry.middle_radius,), results, _MIN_BATCH_PER_THREAD
+    )
+    return np.asarray(joints.reshape(*shape, 8, 3, 3))
 
 
 def _degeneracy(
-    geometry: Geometry, rotation: FloatArray, position: FloatArray, flagged: ByteArray, status: npt.NDArray[np.int8]
+    geometry: Geometry,
+    shape: tuple[int, ...],
+    rotation: FloatArray,
+    position: FloatArray,
+    flagged: npt.NDArray[np.uint8],
+    status: npt.NDArray[np.int8],
 ) -> Degeneracy:
-    """Look at the flagged poses, rotations (..., 3, 3) and positions (..., 3), and set the `status` (N,) of some."""
-    shape, n = position.shape[:-1], len(flagged)
+    """Describe the continuous families of N flagged poses (N, 3, 3), (N, 3), and set their `status` (N,)."""
+    n = len(flagged)
     dimension, families, legs = np.zeros(n, np.int8), np.zeros((n, 4), np.bool_), np.zeros((n, 3), np.bool_)
     if flagged.any():
         at = np.flatnonzero(flagged)
-        found = find_degeneracy(geometry, flagged[at], rotation.reshape(-1, 3, 3)[at], position.reshape(-1, 3)[at])
+        found = find_degeneracy(geometry, flagged[at], rotation[at], position[at])
         dimension[at], families[at], legs[at] = found.dimension, found.families, found.legs
         status[at[found.dimension > 0]] = Status.DEGENERATE
     return Degeneracy(dimension.reshape(shape), families.reshape(*shape, 4), legs.reshape(*shape, 3))

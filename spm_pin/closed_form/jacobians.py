@@ -22,24 +22,18 @@ its two forces leave open are enough, with determinants instead of pivots, see
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.stage_wrenches import SINGULAR, refuse_singular
-from spm_pin.closed_form.threads import in_parts
+from spm_pin.closed_form.batches import run_on_states
+from spm_pin.closed_form.stage_wrenches import refuse_singular, singular_sizes
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, real_array
 from spm_pin.mechanism.configuration import Configuration
 
-if TYPE_CHECKING:
-    from spm_pin.closed_form.kernels.jacobian_kernels import MatrixKernel
-
-__all__ = ["broadcast_argument", "inverse_jacobian", "leg_rates", "platform_jacobian", "two_axes"]
-
-ENOUGH = 1 << 16
-"""States that are worth a thread."""
+__all__ = ["broadcast_argument", "inverse_jacobian", "leg_rates", "platform_jacobian"]
 
 
 def inverse_jacobian(configuration: Configuration) -> FloatArray:
@@ -103,32 +97,12 @@ def platform_jacobian(configuration: Configuration) -> FloatArray:
     return _matrices(configuration, platform_jacobians, "forward")
 
 
-def _matrices(configuration: Configuration, kernel: MatrixKernel, kind: str) -> FloatArray:
+def _matrices(configuration: Configuration, kernel: Callable[..., object], kind: str) -> FloatArray:
     """Return what `kernel` computes, shape (..., 6, 6), or raise at a singularity of this kind."""
-    geometry, states = configuration.geometry, two_axes(configuration, configuration.shape)
-    sizes = geometry.base_radius, geometry.platform_radius, geometry.middle_side, SINGULAR
-    outer, inner = states[0].shape[:2]
-    matrices, suspect = np.empty((outer * inner, 6, 6)), np.empty(outer * inner, dtype=np.uint8)
-
-    def part(at: slice) -> None:
-        packed = slice(at.start * inner, at.stop * inner)
-        kernel(states[0][at], states[1][at], states[2][at], *sizes, matrices[packed], suspect[packed])
-
-    in_parts(part, outer, ENOUGH // max(inner, 1))
-    refuse_singular(configuration, suspect, kind)
-    return matrices.reshape(*configuration.shape, 6, 6)
-
-
-def two_axes(configuration: Configuration, shape: tuple[int, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return b, R, o, broadcast to a batch of this shape, with two batch axes; not copied if strides allow it."""
-    inner = shape[-1] if len(shape) > 1 else 1
-    pair = int(np.prod(shape[:-1] if len(shape) > 1 else shape)), inner
-
-    def of(array: FloatArray, trailing: tuple[int, ...]) -> FloatArray:
-        return np.broadcast_to(array, (*shape, *trailing)).reshape(*pair, *trailing)
-
-    state = configuration
-    return of(state.middle_joints, (3, 3)), of(state.rotation, (3, 3)), of(state.translation, (3,))
+    results = ((6, 6), np.float64), ((), np.uint8)
+    matrices, suspect = run_on_states(kernel, configuration, singular_sizes(configuration.geometry), results)
+    refuse_singular(configuration, suspect.reshape(-1), kind)
+    return np.asarray(matrices)
 
 
 def leg_rates(configuration: Configuration, twist: npt.ArrayLike) -> FloatArray:

@@ -14,9 +14,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.jacobians import ENOUGH, broadcast_argument, two_axes
-from spm_pin.closed_form.stage_wrenches import SINGULAR, refuse_singular
-from spm_pin.closed_form.threads import in_parts
+from spm_pin.closed_form.batches import run_on_states
+from spm_pin.closed_form.jacobians import broadcast_argument
+from spm_pin.closed_form.stage_wrenches import refuse_singular, singular_sizes
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
 
@@ -55,25 +55,14 @@ def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArra
     from spm_pin.closed_form.kernels.jacobian_kernels import stage_forces
 
     load = broadcast_argument(wrench, "wrench", "(f, m) at o in {B} in N and N m", configuration)
-    shape = np.broadcast_shapes(configuration.shape, load.shape[:-1])
-    joints, rotation, position = two_axes(configuration, shape)
-    outer, inner = joints.shape[:2]
-    loads = np.broadcast_to(load, (*shape, 6)).reshape(outer, inner, 6)
-    geometry = configuration.geometry
-    sizes = geometry.base_radius, geometry.platform_radius, geometry.middle_side, SINGULAR
-    forces, suspect = np.empty((outer * inner, 6)), np.empty(outer * inner, dtype=np.uint8)
-
-    def part(at: slice) -> None:
-        packed = slice(at.start * inner, at.stop * inner)
-        stage_forces(joints[at], rotation[at], position[at], loads[at], *sizes, forces[packed], suspect[packed])
-
-    in_parts(part, outer, ENOUGH // max(inner, 1))
+    results = ((6,), np.float64), ((), np.uint8)
+    sizes = singular_sizes(configuration.geometry)
+    forces, doubtful = run_on_states(stage_forces, configuration, sizes, results, load=load)
     # A state is as singular under any wrench; only its index must be that of the configuration.
-    doubtful = suspect.reshape(shape)
     if doubtful.any():
-        extra = len(shape) - len(configuration.shape)
+        extra = doubtful.ndim - len(configuration.shape)
         doubtful = doubtful.max(axis=tuple(range(extra)), initial=0)
         narrow = tuple(k for k, n in enumerate(configuration.shape) if n == 1 and doubtful.shape[k] != 1)
         doubtful = doubtful.max(axis=narrow, keepdims=True, initial=0)
         refuse_singular(configuration, doubtful.reshape(-1), "forward")
-    return forces.reshape(*shape, 6)
+    return np.asarray(forces)

@@ -20,9 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.jacobians import ENOUGH, platform_jacobian, two_axes
+from spm_pin.closed_form.batches import run_on_states
+from spm_pin.closed_form.jacobians import platform_jacobian
 from spm_pin.closed_form.stage_wrenches import SINGULAR, StageWrenches
-from spm_pin.closed_form.threads import in_parts
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
@@ -190,17 +190,10 @@ def determinants(configuration: Configuration) -> FloatArray:
     """
     from spm_pin.closed_form.kernels.jacobian_kernels import all_determinants
 
-    geometry, (joints, rotation, position) = configuration.geometry, two_axes(configuration, configuration.shape)
-    outer, inner = joints.shape[:2]
-    found = np.empty((outer * inner, 3))
-
-    def part(at: slice) -> None:
-        packed = slice(at.start * inner, at.stop * inner)
-        sizes = geometry.base_radius, geometry.platform_radius
-        all_determinants(joints[at], rotation[at], position[at], *sizes, found[packed])
-
-    in_parts(part, outer, ENOUGH // max(inner, 1))
-    return found.reshape(*configuration.shape, 3)
+    geometry = configuration.geometry
+    sizes = geometry.base_radius, geometry.platform_radius
+    (found,) = run_on_states(all_determinants, configuration, sizes, [((3,), np.float64)])
+    return np.asarray(found)
 
 
 def _at_platform(twists: FloatArray, wrenches: StageWrenches) -> FloatArray:

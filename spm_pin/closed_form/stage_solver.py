@@ -15,10 +15,12 @@ with its mirror image below the hips. Derivation: `docs/theory/forward_displacem
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from spm_pin.closed_form.batches import run_kernel
 from spm_pin.mechanism.arguments import FloatArray
 
 __all__ = ["MODES", "PLACES", "StageModes", "placement", "solve_stage"]
@@ -28,6 +30,7 @@ BoolArray = npt.NDArray[np.bool_]
 MODES = ("T", "F")
 PLACES = 4
 """The most solutions of one mode, mirror images apart."""
+_MIN_BATCH_PER_THREAD = 1 << 9
 
 
 @dataclass(frozen=True)
@@ -82,14 +85,16 @@ def solve_stage(lengths: FloatArray, epsilon: float | FloatArray, modes: tuple[s
     """
     from spm_pin.closed_form.kernels.stage_modes import stage_modes
 
-    n, m = len(lengths), len(modes)
-    quaternion, height = np.empty((n, m, PLACES, 4)), np.empty((n, m, PLACES))
-    flat, continuous = np.empty((n, m, PLACES), dtype=np.bool_), np.empty((n, m), dtype=np.bool_)
-    hips = np.ascontiguousarray(np.broadcast_to(np.asarray(epsilon, dtype=np.float64), n))
+    m, places = len(modes), (len(modes), PLACES)
+    results = ((*places, 4), np.float64), (places, np.float64), (places, np.bool_), ((m,), np.bool_)
+    hips = np.broadcast_to(np.asarray(epsilon, dtype=np.float64), len(lengths))
     half_turned = np.array([mode == "F" for mode in modes])
-    stage_modes(lengths, hips, half_turned, quaternion, height, flat, continuous)
-    centre, radii, heights = placement(quaternion, height)
-    return StageModes(quaternion, centre, radii, heights, flat, continuous)
+
+    def solve(lengths: FloatArray, hips: FloatArray, *written: npt.NDArray[Any]) -> None:
+        stage_modes(lengths, hips, half_turned, *written)
+
+    quaternion, height, flat, continuous = run_kernel(solve, (lengths, hips), (), results, _MIN_BATCH_PER_THREAD)
+    return StageModes(quaternion, *placement(quaternion, height), flat, continuous)
 
 
 def placement(quaternion: FloatArray, height: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

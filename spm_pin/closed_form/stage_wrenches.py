@@ -14,8 +14,9 @@ import numpy.typing as npt
 from spm_pin.errors import SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray, first_offender
 from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.geometry import Geometry
 
-__all__ = ["SINGULAR", "StageWrenches", "refuse_singular"]
+__all__ = ["SINGULAR", "StageWrenches", "refuse_singular", "singular_sizes"]
 
 _EPS = float(np.finfo(np.float64).eps)
 SINGULAR = 64.0 * _EPS
@@ -80,6 +81,11 @@ class StageWrenches:
         if kind == "forward":
             return np.concatenate([self.legs, self.constraints], axis=-2)
         return self.constraints.reshape(*self.exists.shape, 1, 6, 6)
+
+
+def singular_sizes(geometry: Geometry) -> tuple[float, float, float, float]:
+    """Return E, C, d [m], and `SINGULAR`, as the kernels that look for singular states take them."""
+    return geometry.base_radius, geometry.platform_radius, geometry.middle_side, SINGULAR
 
 
 def refuse_singular(configuration: Configuration, suspect: npt.NDArray[np.uint8], kind: str) -> None:

@@ -18,14 +18,14 @@ from contextvars import ContextVar
 
 from spm_pin.errors import ArgumentError
 
-__all__ = ["in_parts", "set_threads", "threads"]
+__all__ = ["parallel_for", "set_threads", "threads"]
 
 ENVIRONMENT = "SPM_PIN_THREADS"
 _PARTS = 4
 """Per thread, so that one that is interrupted does not keep the others waiting long."""
 
-_everywhere: int | None = None
-_here: ContextVar[int | None] = ContextVar("spm_pin_threads", default=None)
+_process_wide: int | None = None
+_in_this_context: ContextVar[int | None] = ContextVar("spm_pin_threads", default=None)
 
 
 def set_threads(count: int | None) -> None:
@@ -34,10 +34,10 @@ def set_threads(count: int | None) -> None:
     Parameters
     ----------
     count : int or None
-        1 for none but the caller's. None, as it is at first, leaves it to the surroundings: the environment's
-        `SPM_PIN_THREADS` if set; else, in the main thread of a main process, `OMP_NUM_THREADS` if set, or the number
-        of processors that the process may use; else 1. A Dask or joblib worker, a pool's thread or a child process
-        thus computes by itself: whoever made it has shared out the processors already.
+        1 uses the caller's thread only. None, the default, takes the number from the environment: `SPM_PIN_THREADS`
+        if set; else, in the main thread of a main process, `OMP_NUM_THREADS` if set, or the number of processors
+        that the process may use; else 1. A Dask or joblib worker, a pool's thread or a child process thus uses one
+        thread: its parent has already allocated the cores.
 
     Raises
     ------
@@ -48,18 +48,18 @@ def set_threads(count: int | None) -> None:
     -----
     Small batches are not shared: a thread must have some milliseconds of work.
     """
-    global _everywhere
-    _everywhere = _checked(count)
+    global _process_wide
+    _process_wide = _checked(count)
 
 
 @contextlib.contextmanager
 def threads(count: int | None) -> Iterator[None]:
     """Set how many threads may share a large batch inside a ``with``, in this thread alone; see `set_threads`."""
-    token = _here.set(_checked(count))
+    token = _in_this_context.set(_checked(count))
     try:
         yield
     finally:
-        _here.reset(token)
+        _in_this_context.reset(token)
 
 
 def _checked(count: int | None) -> int | None:
@@ -69,7 +69,7 @@ def _checked(count: int | None) -> int | None:
 
 
 def _allowed() -> int:
-    if count := _here.get() or _everywhere or _from_environment(ENVIRONMENT):
+    if count := _in_this_context.get() or _process_wide or _from_environment(ENVIRONMENT):
         return count
     if threading.current_thread() is not threading.main_thread() or multiprocessing.parent_process() is not None:
         return 1
@@ -80,7 +80,7 @@ def _from_environment(name: str) -> int | None:
     text = os.environ.get(name, "")
     # OMP_NUM_THREADS may be a list, one number per level.
     first = text.split(",")[0].strip()
-    return int(first) if first.isdigit() and int(first) > 0 else None
+    return int(first) if first.isascii() and first.isdigit() and int(first) > 0 else None
 
 
 def _processors() -> int:
@@ -89,19 +89,19 @@ def _processors() -> int:
     return os.cpu_count() or 1
 
 
-def in_parts(work: Callable[[slice], None], size: int, enough: int) -> None:
-    """Do `work` on all of a batch, by slices that cover it.
+def parallel_for(work: Callable[[slice], None], size: int, min_batch: int) -> None:
+    """Call `work` on slices that cover a batch, on several threads if it is large.
 
     Parameters
     ----------
     work : callable
-        Does a slice; called from several threads at once.
+        Takes a slice of the batch; called from several threads at once.
     size : int
         Members of the batch.
-    enough : int
+    min_batch : int
         Members that are worth a thread.
     """
-    count = min(_allowed(), size // enough) if size >= 2 * enough else 1
+    count = min(_allowed(), size // min_batch) if size >= 2 * min_batch else 1
     if count == 1:
         work(slice(0, size))
         return

@@ -80,6 +80,11 @@ class SolutionSet:
         For inverse displacement, see `inverse_displacement`.
     degeneracy : Degeneracy, optional
         Details where `status` is `Status.DEGENERATE`.
+    choice : ndarray of uint8, shape (..., 3), optional
+        From a solver that knows: whether a real machine can be in the first, in the second solution, and whether the
+        second is tilted less; it can be in none of the others. If left out, this is computed from the configurations.
+    memory : tuple of ndarray, optional
+        The arrays that a solver may write anew, see `inverse_displacement`.
 
     Notes
     -----
@@ -97,6 +102,8 @@ class SolutionSet:
         *,
         discriminants: FloatArray | None = None,
         degeneracy: Degeneracy | None = None,
+        choice: npt.NDArray[np.uint8] | None = None,
+        memory: tuple[npt.NDArray[Any], ...] | None = None,
     ) -> None:
         shape = instance(configurations, Configuration, "configurations").shape
         if not shape or shape[-1] != len(labels):
@@ -106,6 +113,12 @@ class SolutionSet:
         self._status = np.broadcast_to(np.asarray(status, dtype=np.int8), shape[:-1])
         self._discriminants = discriminants
         self._degeneracy = degeneracy
+        self._choice = choice
+        self._memory = memory
+
+    def __getstate__(self) -> dict[str, Any]:
+        # A copy does not own the memory.
+        return {**self.__dict__, "_memory": None}
 
     @classmethod
     def from_unordered(
@@ -229,6 +242,11 @@ class SolutionSet:
         """Which families, legs and how many dimensions, where `status` is degenerate."""
         return self._degeneracy
 
+    @property
+    def memory(self) -> tuple[npt.NDArray[Any], ...] | None:
+        """The arrays that a solver may write anew, if it handed them over."""
+        return self._memory
+
     @overload
     def __getitem__(self, index: str) -> Configuration: ...
     @overload
@@ -250,6 +268,7 @@ class SolutionSet:
             self._status[index],
             discriminants=None if self._discriminants is None else self._discriminants[inner],
             degeneracy=None if self._degeneracy is None else self._degeneracy[batch],
+            choice=None if self._choice is None else self._choice[inner],
         )
 
     def __iter__(self) -> Iterator[Configuration]:
@@ -334,7 +353,12 @@ class SolutionSet:
         lengths = None if state.known_lengths is None else np.where(kept, state.known_lengths, np.nan)
         left = Configuration.from_arrays(self.geometry, state.rotation, state.translation, joints, lengths)
         return SolutionSet(
-            left, self._labels, self._status, discriminants=self._discriminants, degeneracy=self._degeneracy
+            left,
+            self._labels,
+            self._status,
+            discriminants=self._discriminants,
+            degeneracy=self._degeneracy,
+            choice=self._choice,
         )
 
     def within(self, limits: LegLimits | None = None) -> SolutionSet:
@@ -389,7 +413,12 @@ class SolutionSet:
         Those reached from the symmetric home without a forward singularity. If several are, and some respect
         the limits, the others are dropped; chain ``.within().physical()`` to exclude all that do not.
         """
-        mode = physical(self._configurations)
+        if self._choice is None:
+            mode = physical(self._configurations)
+        else:
+            mode = np.zeros(self._configurations.shape, dtype=np.bool_)
+            mode[..., :2] = self._choice[..., :2]
+            mode &= self.exists
         limits = self.geometry.limits
         inside = mode if limits is None else mode & limits.contains(self.leg_lengths)
         return np.where(inside.any(axis=-1, keepdims=True), inside, mode)
@@ -410,7 +439,9 @@ class SolutionSet:
         if seed is not None:
             return self.where(candidates).nearest(seed)
         score = np.where(candidates, 0.0, -np.inf)
-        if np.any(np.count_nonzero(candidates, axis=-1) > 1):
+        if self._choice is not None:
+            score[..., 1] += self._choice[..., 2] - 0.5
+        elif np.any(np.count_nonzero(candidates, axis=-1) > 1):
             score[candidates] = straightness(self._configurations[candidates])
         return self._select(score.argmax(axis=-1), np.asarray(candidates.any(axis=-1)))
 

@@ -15,7 +15,7 @@ from problems import in_leg_space
 import spm_pin as spm
 from spm_pin.closed_form.inverse_displacement import branch_lengths
 from spm_pin.closed_form.singularity_analysis import determinants
-from spm_pin.closed_form.threads import in_parts, set_threads, threads
+from spm_pin.closed_form.threads import parallel_for, set_threads, threads
 
 PAPER = spm.Geometry.paper()
 
@@ -28,7 +28,7 @@ def bare_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("os.cpu_count", lambda: 3)
 
 
-def used(size: int = 300, enough: int = 100) -> int:
+def used(size: int = 300, min_batch: int = 100) -> int:
     """Return how many threads may be at work at once, seen from how finely a batch is cut."""
     parts: list[slice] = []
     lock = threading.Lock()
@@ -37,7 +37,7 @@ def used(size: int = 300, enough: int = 100) -> int:
         with lock:
             parts.append(part)
 
-    in_parts(work, size, enough)
+    parallel_for(work, size, min_batch)
     covered = sorted(k for part in parts for k in range(part.start, part.stop))
     assert covered == list(range(size))
     return 1 if len(parts) == 1 else len(parts) // 4
@@ -96,7 +96,7 @@ def test_an_error_in_a_thread_arrives() -> None:
             raise RuntimeError("from a thread")
 
     with pytest.raises(RuntimeError, match="from a thread"):
-        in_parts(fail, 1000, 10)
+        parallel_for(fail, 1000, 10)
 
 
 def test_the_answer_does_not_depend_on_the_number_of_threads() -> None:

@@ -1,6 +1,6 @@
 """Compiled kernels: the formulas of witness 2, written once, over scalars.
 
-A formula is a small function of plain numbers marked `inlined`. A kernel is a loop over a batch that calls them, and
+A formula is a small function of plain numbers marked `jit_inline`. A kernel is a loop over a batch that calls them, and
 the only thing that is compiled on its own. Where the formula is straight-line arithmetic the loop goes over tiles of
 `TILE` problems: their numbers are put into rows of a small array, so that the compiler takes several problems into
 one vector register, and a single problem is computed exactly like a million.

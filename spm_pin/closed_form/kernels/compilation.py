@@ -13,7 +13,7 @@ from typing import Any, Generic, ParamSpec, TypeVar
 import numba
 from numba.core import caching
 
-__all__ = ["TILE", "Kernel", "called", "given", "inlined", "interpreted", "kernel"]
+__all__ = ["TILE", "Kernel", "interpreted", "jit", "jit_inline", "kernel", "readonly_array"]
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -31,13 +31,13 @@ _LOG = logging.getLogger("spm_pin")
 _SOURCES = hashlib.sha256(b"".join(p.read_bytes() for p in sorted(Path(__file__).parent.glob("*.py")))).hexdigest()
 
 
-def inlined(function: Callable[P, R]) -> Callable[P, R]:
+def jit_inline(function: Callable[P, R]) -> Callable[P, R]:
     """Mark a formula that kernels call; it becomes part of their loops."""
     compiled: Callable[P, R] = _njit(forceinline=True, **_OPTIONS)(function)
     return compiled
 
 
-def called(function: Callable[P, R]) -> Callable[P, R]:
+def jit(function: Callable[P, R]) -> Callable[P, R]:
     """Mark a function that kernels call as such, for it is too long to be copied to every place it is called from."""
     compiled: Callable[P, R] = _njit(**_OPTIONS)(function)
     return compiled
@@ -55,7 +55,7 @@ def kernel(signature: str) -> Callable[[Callable[P, R]], Kernel[P, R]]:
     return lambda function: Kernel(function, signature)
 
 
-def given(axes: int) -> str:
+def readonly_array(axes: int) -> str:
     """Return the signature of an array of floats that is only read: of any strides."""
     return f"Array(f8, {axes}, 'A', True)"
 

@@ -10,7 +10,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.kernels.compilation import called, given, inlined, kernel
+from spm_pin.closed_form.kernels.compilation import jit, jit_inline, kernel, readonly_array
 from spm_pin.closed_form.kernels.quadratics import COS_30
 from spm_pin.closed_form.kernels.stage_equations import Equations, State, derivatives, equations, polished, residual
 from spm_pin.closed_form.kernels.vectors import Vector
@@ -21,18 +21,19 @@ __all__ = ["follow_stages"]
 _MARGIN = 0.2
 """At most this instead of 1/2, so that `_ITERATIONS` steps of Newton's method reach rounding: 0.4^(2^5) < 1e-12."""
 _ITERATIONS = 5
+_LENGTHS = readonly_array(2)
 _SHORTEST = 1e-9
 """A step shorter than this part of the way stands before a singularity."""
 
 
-@inlined
+@jit_inline
 def _value(stage: Equations, state: State) -> State:
     """Return F."""
     real, imag, height = residual(stage, state)
     return real, imag, height, state[0] * state[0] + state[1] * state[1] + state[2] * state[2] - 1.0
 
 
-@called
+@jit
 def _invert(stage: Equations, state: State, work: FloatArray, inverse: FloatArray) -> None:
     """Write the inverse (4, 4) of F' by Gauss and Jordan with `work` (4, 8); not finite where F' is singular."""
     real, imag, height = derivatives(stage, state)
@@ -61,27 +62,27 @@ def _invert(stage: Equations, state: State, work: FloatArray, inverse: FloatArra
             inverse[i, j] = work[i, 4 + j]
 
 
-@inlined
+@jit_inline
 def _product(matrix: FloatArray, x: State, i: int) -> float:
     total: float = matrix[i, 0] * x[0] + matrix[i, 1] * x[1] + matrix[i, 2] * x[2] + matrix[i, 3] * x[3]
     return total
 
 
-@inlined
+@jit_inline
 def _reach(matrix: FloatArray, x: State) -> float:
     """Return |matrix · x|."""
     a, b, c, d = _product(matrix, x, 0), _product(matrix, x, 1), _product(matrix, x, 2), _product(matrix, x, 3)
     return math.sqrt(a * a + b * b + c * c + d * d)
 
 
-@inlined
+@jit_inline
 def _harmonics(first: float, second: float, third: float) -> State:
     """Return by how much λ and m, hence F, change with the squared lengths."""
     real, imag = (2.0 * second - first - third) / 6.0, (first - third) * (COS_30 / 3.0)
     return real, imag, (first + second + third) / 3.0, 0.0
 
 
-@inlined
+@jit_inline
 def _curvature(epsilon: float, zeta: float) -> float:
     """Return a bound K of the second derivative of F around a state.
 
@@ -94,13 +95,13 @@ def _curvature(epsilon: float, zeta: float) -> float:
     return math.sqrt(harmonic * harmonic + height * height + 4.0)
 
 
-@inlined
+@jit_inline
 def _at(start: Vector, change: Vector, done: float, epsilon: float) -> Equations:
     first, second = start[0] + done * change[0], start[1] + done * change[1]
     return equations(first, second, start[2] + done * change[2], epsilon)
 
 
-@inlined
+@jit_inline
 def _safe_step(
     start: Vector, change: Vector, done: float, epsilon: float, state: State, work: FloatArray, inverse: FloatArray
 ) -> float:
@@ -121,7 +122,7 @@ def _safe_step(
     return 2.0 * allowed / slowest if slowest > 0.0 else 1.0
 
 
-@called
+@jit
 def _followed(
     start: Vector, change: Vector, epsilon: float, seed: State, work: FloatArray, inverse: FloatArray
 ) -> tuple[State, bool]:
@@ -147,9 +148,14 @@ def _followed(
     return end, arrived
 
 
-@kernel(f"void({given(2)}, {given(2)}, {given(1)}, f8[:,::1], b1[::1])")
+@kernel(f"void({_LENGTHS}, {_LENGTHS}, {readonly_array(1)}, {readonly_array(2)}, f8[:,::1], b1[::1])")
 def follow_stages(
-    start: FloatArray, end: FloatArray, epsilon: FloatArray, states: FloatArray, arrived: npt.NDArray[np.bool_]
+    start: FloatArray,
+    end: FloatArray,
+    epsilon: FloatArray,
+    seeds: FloatArray,
+    states: FloatArray,
+    arrived: npt.NDArray[np.bool_],
 ) -> None:
     """Follow states along straight paths of leg lengths.
 
@@ -159,8 +165,10 @@ def follow_stages(
         Leg lengths in units of r.
     epsilon : ndarray, shape (K,)
         E/r, negative in mode F.
-    states : ndarray, shape (K, 4), overwritten
-        Solutions at `start`, unit quaternions with x0 >= 0; then those at `end`, ζ of either sign.
+    seeds : ndarray, shape (K, 4)
+        Solutions at `start`, unit quaternions with x0 >= 0.
+    states : ndarray, shape (K, 4), written
+        Solutions at `end`, ζ of either sign.
     arrived : ndarray of bool, shape (K,), written
         False where a forward singularity was met on the way.
     """
@@ -168,6 +176,6 @@ def follow_stages(
     for k in range(len(states)):
         here = start[k, 0], start[k, 1], start[k, 2]
         change = end[k, 0] - start[k, 0], end[k, 1] - start[k, 1], end[k, 2] - start[k, 2]
-        seed = states[k, 0], states[k, 1], states[k, 2], states[k, 3]
+        seed = seeds[k, 0], seeds[k, 1], seeds[k, 2], seeds[k, 3]
         state, arrived[k] = _followed(here, change, epsilon[k], seed, work, inverse)
         states[k, 0], states[k, 1], states[k, 2], states[k, 3] = state

@@ -6,12 +6,10 @@ copied. Results are packed.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.kernels.compilation import TILE, given, inlined, kernel
+from spm_pin.closed_form.kernels.compilation import TILE, jit_inline, kernel, readonly_array
 from spm_pin.closed_form.kernels.vectors import Vector, combined, cross, dot, minus, scaled
 from spm_pin.closed_form.kernels.wrench_vectors import (
     BASE_AXES,
@@ -37,25 +35,25 @@ from spm_pin.mechanism.arguments import FloatArray
 __all__ = ["all_determinants", "inverse_jacobians", "platform_jacobians", "stage_forces"]
 
 ByteArray = npt.NDArray[np.uint8]
-MatrixKernel = Callable[[FloatArray, FloatArray, FloatArray, float, float, float, float, FloatArray, ByteArray], None]
+_STATES = f"{readonly_array(4)}, {readonly_array(4)}, {readonly_array(3)}"
 _Six = tuple[float, float, float, float, float, float]
 
 _UNIT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
-@inlined
+@jit_inline
 def _row(f: Vector, b: Vector, o: Vector) -> _Six:
     """Return the force f through b as a row (f, (b - o) x f)."""
     m = cross(minus(b, o), f)
     return f[0], f[1], f[2], m[0], m[1], m[2]
 
 
-@inlined
+@jit_inline
 def _weighted(weights: Vector, first: _Six, second: _Six, third: _Six, j: int) -> float:
     return weights[0] * first[j] + weights[1] * second[j] + weights[2] * third[j]
 
 
-@inlined
+@jit_inline
 def _put_matrices(
     out: FloatArray, flags: FloatArray, start: int, width: int, matrices: FloatArray, suspect: ByteArray
 ) -> None:
@@ -67,7 +65,7 @@ def _put_matrices(
             row[3], row[4], row[5] = out[j + 3, k], out[j + 4, k], out[j + 5, k]
 
 
-@kernel(f"void({given(4)}, {given(4)}, {given(3)}, f8, f8, f8, f8, f8[:,:,::1], u1[::1])")
+@kernel(f"void({_STATES}, f8, f8, f8, f8, f8[:,:,::1], u1[::1])")
 def inverse_jacobians(
     joints: FloatArray,
     rotation: FloatArray,
@@ -104,7 +102,7 @@ def inverse_jacobians(
         _put_matrices(out, flags, start, width, matrices, suspect)
 
 
-@inlined
+@jit_inline
 def _stage(
     b: Three, tile: FloatArray, k: int, stage: int, base_radius: float, platform_radius: float
 ) -> tuple[Three, Three]:
@@ -114,7 +112,7 @@ def _stage(
     return upper_legs(b, tile, k, platform_radius), platform_axes(tile, k)
 
 
-@kernel(f"void({given(4)}, {given(4)}, {given(3)}, f8, f8, f8, f8, f8[:,:,::1], u1[::1])")
+@kernel(f"void({_STATES}, f8, f8, f8, f8, f8[:,:,::1], u1[::1])")
 def platform_jacobians(
     joints: FloatArray,
     rotation: FloatArray,
@@ -151,7 +149,7 @@ def platform_jacobians(
         _put_matrices(out, flags, start, width, matrices, suspect)
 
 
-@kernel(f"void({given(4)}, {given(4)}, {given(3)}, {given(3)}, f8, f8, f8, f8, f8[:,::1], u1[::1])")
+@kernel(f"void({_STATES}, {readonly_array(3)}, f8, f8, f8, f8, f8[:,::1], u1[::1])")
 def stage_forces(
     joints: FloatArray,
     rotation: FloatArray,
@@ -194,7 +192,7 @@ def stage_forces(
                 forces[start + k, i] = out[i, k]
 
 
-@kernel(f"void({given(4)}, {given(4)}, {given(3)}, f8, f8, f8[:,::1])")
+@kernel(f"void({_STATES}, f8, f8, f8[:,::1])")
 def all_determinants(
     joints: FloatArray,
     rotation: FloatArray,

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.kernels.compilation import called, given, inlined, kernel
+from spm_pin.closed_form.kernels.compilation import jit, jit_inline, kernel, readonly_array
 from spm_pin.closed_form.kernels.quadratics import COS_30
 from spm_pin.closed_form.kernels.stage_equations import SAME, State, equations, placed
 from spm_pin.closed_form.kernels.stage_modes import (
@@ -28,7 +28,7 @@ STAGE = 4 * PLACES
 """Assembly modes of a stage: two modes, four places, two sheets."""
 
 
-@called
+@jit
 def compose(
     lower: Stage, upper: Stage, r: float, rotation: FloatArray, translation: FloatArray, joints: FloatArray
 ) -> None:
@@ -56,7 +56,7 @@ def compose(
     joints[2, 0], joints[2, 1], joints[2, 2] = -r * radii[2] * COS_30, -0.5 * r * radii[2], r * heights[2]
 
 
-@called
+@jit
 def _sheets(
     first: float, second: float, third: float, epsilon: float, above: float, work: Workspace, modes: FloatArray
 ) -> tuple[bool, bool]:
@@ -82,7 +82,7 @@ def _sheets(
     return straight, half_turned
 
 
-@inlined
+@jit_inline
 def _put_nan(rotation: FloatArray, translation: FloatArray, joints: FloatArray) -> None:
     for i in range(3):
         translation[i] = np.nan
@@ -90,20 +90,20 @@ def _put_nan(rotation: FloatArray, translation: FloatArray, joints: FloatArray) 
             rotation[i, j], joints[i, j] = np.nan, np.nan
 
 
-@inlined
+@jit_inline
 def _stage(stages: FloatArray, n: int) -> tuple[float, float, float, float, float]:
     """Return quaternion and height of one of several stages (…, 5)."""
     return stages[n, 0], stages[n, 1], stages[n, 2], stages[n, 3], stages[n, 4]
 
 
-@inlined
+@jit_inline
 def _is_there(modes: FloatArray, first: int) -> bool:
     """Tell whether a stage has a mode T, counted from 0, or F, from 8; its first place is filled first."""
     return not math.isnan(modes[first, 0])
 
 
 @kernel(
-    f"void({given(2)}, f8, f8, f8, f8[:,:,:,::1], f8[:,:,::1], f8[:,:,:,::1], i1[:,::1], i1[::1])",
+    f"void({readonly_array(2)}, f8, f8, f8, f8[:,:,:,::1], f8[:,:,::1], f8[:,:,:,::1], i1[:,::1], i1[::1])",
 )
 def all_modes(
     lengths: FloatArray,
@@ -153,7 +153,7 @@ def all_modes(
                 dimension[n, 2 * i + j] = free if one and other else 0
 
 
-@inlined
+@jit_inline
 def _put_home(
     lower: State, upper: State, r: float, n: int, rotation: FloatArray, translation: FloatArray, joints: FloatArray
 ) -> None:
@@ -166,7 +166,7 @@ def _put_home(
     compose(below, (upper[0], -upper[1], -upper[2], 0.0, -upper[3]), r, rotation[n], translation[n], joints[n])
 
 
-@kernel(f"void({given(2)}, f8, f8, f8, f8[:,:,::1], f8[:,::1], f8[:,:,::1], b1[::1])")
+@kernel(f"void({readonly_array(2)}, f8, f8, f8, f8[:,:,::1], f8[:,::1], f8[:,:,::1], b1[::1])")
 def home_modes(
     lengths: FloatArray,
     r: float,
@@ -186,7 +186,7 @@ def home_modes(
         found[n] = one and other
 
 
-@kernel(f"void({given(2)}, f8, f8, f8, f8[:,:,::1], f8[:,::1], f8[:,:,::1])")
+@kernel(f"void({readonly_array(2)}, f8, f8, f8, f8[:,:,::1], f8[:,::1], f8[:,:,::1])")
 def home_modes_of_all(
     lengths: FloatArray,
     r: float,
@@ -205,7 +205,7 @@ def home_modes_of_all(
         _put_home(lower, upper, r, n, rotation, translation, joints)
 
 
-@kernel(f"void({given(2)}, {given(2)}, f8, f8[:,:,::1], f8[:,::1], f8[:,:,::1])")
+@kernel(f"void({readonly_array(2)}, {readonly_array(2)}, f8, f8[:,:,::1], f8[:,::1], f8[:,:,::1])")
 def compose_all(
     lower: FloatArray, upper: FloatArray, r: float, rotation: FloatArray, translation: FloatArray, joints: FloatArray
 ) -> None:

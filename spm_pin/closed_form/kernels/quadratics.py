@@ -2,14 +2,17 @@
 
 Complex numbers are pairs of reals, horizontal vectors and quaternion halves alike, so that the roots u, v may be
 complex in their own right. The families come in two groups, equal modes (TT, FF) and mixed ones (TF, FT). Within a
-group κ, μ and the shares of u and v are the same, and the forms differ in the sign of all but h.
+group κ, μ and the weights of u and v are the same, and the forms differ in the sign of all but h.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from spm_pin.closed_form.kernels.compilation import inlined
+from spm_pin.closed_form.kernels.compilation import jit_inline
+from spm_pin.closed_form.kernels.vectors import Vector
 
 __all__ = [
     "COS_30",
@@ -19,11 +22,11 @@ __all__ = [
     "ROOT_SIGN",
     "ROUNDING",
     "axes",
+    "branch_weights",
     "middle_joints",
     "quadratic_form",
     "quaternion",
     "root_of",
-    "shares",
     "times",
     "where",
 ]
@@ -42,19 +45,19 @@ ROOT_SIGN = np.array([1.0, -1.0, -1.0, 1.0, -1.0, 1.0, 1.0, -1.0])
 COS_30 = float(np.sqrt(0.75))
 
 
-@inlined
+@jit_inline
 def where(condition: bool, yes: float, no: float) -> float:
-    """Choose without a jump."""
+    """Select one of two numbers, without a branch in the compiled code."""
     return yes if condition else no
 
 
-@inlined
+@jit_inline
 def times(a: float, ai: float, b: float, bi: float) -> tuple[float, float]:
     """Multiply two pairs as complex numbers."""
     return a * b - ai * bi, a * bi + ai * b
 
 
-@inlined
+@jit_inline
 def quaternion(
     r00: float, r01: float, r02: float, r10: float, r11: float, r12: float, r20: float, r21: float, r22: float
 ) -> tuple[float, float, float, float]:
@@ -74,7 +77,7 @@ def quaternion(
     return x0 * scale, x1 * scale, x2 * scale, x3 * scale
 
 
-@inlined
+@jit_inline
 def axes(
     x0: float, x1: float, x2: float, x3: float
 ) -> tuple[float, float, float, float, float, float, float, float, float, float]:
@@ -86,16 +89,16 @@ def axes(
     return cosine, sine, s, si, w, wi, n, ni, m, mi
 
 
-@inlined
-def shares(kappa: float, mu: float, sine: float) -> tuple[float, float, float, float, float, float]:
-    """Return u's and v's share F, G in the quaternions of a and b, and (P - Q)/u, (P + Q)/v over 2 s; for κ >= 0."""
+@jit_inline
+def branch_weights(kappa: float, mu: float, sine: float) -> tuple[float, float, float, float, float, float]:
+    """Return the weights F, G of u and v in the quaternions of a and b, and (P - Q)/2su, (P + Q)/2sv; for κ >= 0."""
     # 1 - κ without cancellation, from |S'|² + |W|² = 1.
     one_minus = (sine * sine + mu * mu) / (1.0 + kappa)
     scale_u, scale_v = np.sqrt(0.5 / (1.0 + kappa)), np.sqrt(0.5 / one_minus)
     return (1.0 + kappa) * scale_u, mu * scale_u, one_minus * scale_v, -mu * scale_v, scale_u, scale_v
 
 
-@inlined
+@jit_inline
 def quadratic_form(
     even: float, even_i: float, odd: float, odd_i: float, f: float, fi: float, g: float, gi: float
 ) -> tuple[float, float, float]:
@@ -106,38 +109,37 @@ def quadratic_form(
     return even * ff - even_i * ff_i, odd * fg - odd_i * fg_i, even * gg - even_i * gg_i
 
 
-@inlined
+@jit_inline
 def root_of(uu: float, uv: float, vv: float, root: float) -> tuple[float, float]:
-    """Return u, v with u² + v² = 1 on the form, given the root, with its sign, of the discriminant."""
+    """Return u, v of any length on the form, given the root, with its sign, of the discriminant."""
     u1, v1, u2, v2 = root - uv, uu, vv, -uv - root
     # Both pairs solve the form; the longer one is free of cancellation.
     first = u1.real * u1.real + u1.imag * u1.imag + v1.real * v1.real + v1.imag * v1.imag
     second = u2.real * u2.real + u2.imag * u2.imag + v2.real * v2.real + v2.imag * v2.imag
     longer = first >= second
-    u, v = where(longer, u1, u2), where(longer, v1, v2)
-    scale = 1.0 / np.sqrt(u * u + v * v)
-    return u * scale, v * scale
+    return where(longer, u1, u2), where(longer, v1, v2)
 
 
-@inlined
+@jit_inline
 def middle_joints(
-    u: float,
-    v: float,
-    share: tuple[float, float, float, float, float, float],
+    u: Any,
+    v: Any,
+    weights: tuple[float, float, float, float, float, float],
     lower_axis: tuple[float, float],
     upper_axis: tuple[float, float],
     position: tuple[float, float, float],
     normals: tuple[float, float, float, float],
-    cosine: float,
-    sine: float,
+    half_angle: tuple[float, float, float],
     lower: float,
     r: float,
-) -> tuple[float, float, float, float, float, float]:
-    """Return the middle joints' radii in the planes of their lower legs, and heights: ρ_1, ρ_2, ρ_3, z_1, z_2, z_3.
+) -> tuple[Vector, Vector]:
+    """Return the middle joints' radii ρ_i in the planes of their lower legs, and heights z_i, of a root u² + v² = 1.
 
-    `share` is what `shares` returned, `normals` n and n seen from {m}, `lower` e of the lower stage.
+    `weights` is what `branch_weights` returned, `normals` n and n seen from {m}, `half_angle` c, s and 1 / 2cs, `lower`
+    e of the lower stage.
     """
-    f, fi, g, gi, scale_u, scale_v = share
+    f, fi, g, gi, scale_u, scale_v = weights
+    cosine, sine, half_cosecant = half_angle
     p = sine * (v * scale_v + u * scale_u)
     # w_a and conj(w_b).
     a1, a2 = times(lower_axis[0], lower_axis[1], g * v - f * u, gi * v - fi * u)
@@ -148,10 +150,10 @@ def middle_joints(
     x_m, y_m = 2.0 * r * b1 * b2, r * (b2 * b2 - b1 * b1)
     along = normals[1] * (x - position[0]) - normals[0] * (y - position[1])
     along_m = normals[3] * x_m - normals[2] * y_m
-    z = position[2] + ((cosine * cosine - sine * sine) * along - along_m) / (2.0 * sine * cosine)
+    z = position[2] + ((cosine * cosine - sine * sine) * along - along_m) * half_cosecant
     square = lower * r * p * p
     across = 2.0 * COS_30 * x
     # Mode F is turned half round its normal.
     c, s = where(lower < 0.0, a1, -a2), where(lower < 0.0, a2, a1)
     c, s = 2.0 * r * p * COS_30 * c, r * p * s
-    return square + across - y, square + 2.0 * y, square - across - y, z + c - s, z + 2.0 * s, z - c - s
+    return (square + across - y, square + 2.0 * y, square - across - y), (z + c - s, z + 2.0 * s, z - c - s)

@@ -24,7 +24,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.kernels.compilation import called, inlined
+from spm_pin.closed_form.kernels.compilation import jit, jit_inline
 from spm_pin.closed_form.kernels.stage_equations import Equations
 from spm_pin.mechanism.arguments import FloatArray
 
@@ -39,7 +39,7 @@ _SYMMETRIC = np.exp(1j * np.pi / 3.0 * np.array([0.0, 1.0, 2.0, 0.0]))
 _MOST_STEPS = 60
 
 
-@inlined
+@jit_inline
 def _quartic(stage: Equations, size: float, x: float, y: float, omega: float, gain: float) -> Quartic:
     """Return the coefficients of tan^j γ, j = 0..4, divided by |λ|, for μ = x + iy and gain = ω/κ."""
     c = stage[1]
@@ -56,7 +56,7 @@ def _quartic(stage: Equations, size: float, x: float, y: float, omega: float, ga
     )
 
 
-@inlined
+@jit_inline
 def _turned_quartic(quartic: Quartic) -> tuple[Quartic, complex]:
     """Return the monic quartic of tan(γ - β), from its constant up, and e^{iβ}.
 
@@ -82,7 +82,7 @@ def _turned_quartic(quartic: Quartic) -> tuple[Quartic, complex]:
     return (a0 / leading, a1 / leading, a2 / leading, a3 / leading, 1.0), turn
 
 
-@called
+@jit
 def _roots(quartic: Quartic, roots: ComplexArray) -> None:
     """Find the four roots of a monic quartic at once, by Aberth's method."""
     a0, a1, a2, a3, _ = quartic
@@ -114,7 +114,7 @@ def _roots(quartic: Quartic, roots: ComplexArray) -> None:
             break
 
 
-@called
+@jit
 def approximate_solutions(stage: Equations, family: bool, roots: ComplexArray, starts: FloatArray) -> int:
     """Write x0, x1, x2, ζ of approximate solutions that deserve a Newton iteration, at most eight, and count them.
 
@@ -152,7 +152,7 @@ def approximate_solutions(stage: Equations, family: bool, roots: ComplexArray, s
     return count
 
 
-@called
+@jit
 def _tilts(stage: Equations, kappa: float, turn: complex, a: float, starts: FloatArray, count: int) -> int:
     """Append the solutions of one azimuth: A = p sin 3ψ, and the rest is quadratic in the tilt p.
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spm_pin.closed_form.kernels.compilation import called, inlined
+from spm_pin.closed_form.kernels.compilation import jit, jit_inline
 from spm_pin.closed_form.kernels.quadratics import COS_30
 from spm_pin.closed_form.kernels.vectors import Vector, combined, cross, dot, scaled
 
@@ -44,7 +44,7 @@ _SHORT = 0.25
 """Of a leg shorter than this the equations, which are made of squares of all legs, lose digits."""
 
 
-@inlined
+@jit_inline
 def equations(first: float, second: float, third: float, epsilon: float) -> Equations:
     """Set up f = 0 for leg lengths and a signed hip radius in units of r."""
     # Differences of squares as products: exact where legs are equal.
@@ -55,7 +55,7 @@ def equations(first: float, second: float, third: float, epsilon: float) -> Equa
     return epsilon, mean - (1.0 - epsilon) ** 2, real, imag, scale, (first, second, third)
 
 
-@inlined
+@jit_inline
 def residual(stage: Equations, state: State) -> Vector:
     """Return f: the parts of the equation for λ, and the one for ζ²."""
     x0, x1, x2, zeta = state
@@ -66,7 +66,7 @@ def residual(stage: Equations, state: State) -> Vector:
     return real, imag, zeta * zeta + (2.0 * stage[0] + p) * p - stage[1]
 
 
-@inlined
+@jit_inline
 def _residual_by_legs(stage: Equations, state: State) -> Vector:
     """Return f from the error of each leg's own square, which rounds no more than that square."""
     radii, heights = placed(state[0], state[1], state[2], 0.0, state[3])
@@ -78,7 +78,7 @@ def _residual_by_legs(stage: Equations, state: State) -> Vector:
     return real, imag, (first + second + third) / 3.0
 
 
-@inlined
+@jit_inline
 def derivatives(stage: Equations, state: State) -> tuple[State, State, State]:
     """Return the derivatives of f with respect to x0, x1, x2, ζ."""
     x0, x1, x2, zeta = state
@@ -91,7 +91,7 @@ def derivatives(stage: Equations, state: State) -> tuple[State, State, State]:
     return real, imag, (0.0, slope * x1, slope * x2, 2.0 * zeta)
 
 
-@inlined
+@jit_inline
 def _tangents(state: State) -> tuple[Vector, Vector]:
     """Return two orthonormal tangents of the sphere of quaternions, smooth for x0 >= 0."""
     x0, x1, x2, _ = state
@@ -99,13 +99,13 @@ def _tangents(state: State) -> tuple[Vector, Vector]:
     return (-x1, 1.0 - q * x1 * x1, -q * x1 * x2), (-x2, -q * x1 * x2, 1.0 - q * x2 * x2)
 
 
-@inlined
+@jit_inline
 def _along(row: State, first: Vector, second: Vector) -> Vector:
     slope = row[0], row[1], row[2]
     return dot(slope, first), dot(slope, second), row[3]
 
 
-@inlined
+@jit_inline
 def _jacobian(stage: Equations, state: State) -> Rows:
     """Return J, the derivatives of f along both tangents and along ζ."""
     first, second = _tangents(state)
@@ -113,7 +113,7 @@ def _jacobian(stage: Equations, state: State) -> Rows:
     return _along(real, first, second), _along(imag, first, second), _along(height, first, second)
 
 
-@inlined
+@jit_inline
 def _moved(state: State, step: Vector) -> State:
     """Move a state by a step along the tangents and ζ, back onto the sphere, with x0 >= 0."""
     first, second = _tangents(state)
@@ -124,12 +124,12 @@ def _moved(state: State, step: Vector) -> State:
     return x[0], x[1], x[2], state[3] + step[2]
 
 
-@inlined
+@jit_inline
 def _largest(a: Vector) -> float:
     return max(abs(a[0]), abs(a[1]), abs(a[2]))
 
 
-@inlined
+@jit_inline
 def _inverse(rows: Rows) -> tuple[Rows, bool]:
     """Return the columns of the inverse by cofactors, finite even if it is singular, and whether it is."""
     first, second, third = cross(rows[1], rows[2]), cross(rows[2], rows[0]), cross(rows[0], rows[1])
@@ -141,12 +141,12 @@ def _inverse(rows: Rows) -> tuple[Rows, bool]:
     return (scaled(scale, first), scaled(scale, second), scaled(scale, third)), singular
 
 
-@inlined
+@jit_inline
 def _times(columns: Rows, x: Vector) -> Vector:
     return combined(combined(scaled(x[0], columns[0]), x[1], columns[1]), x[2], columns[2])
 
 
-@called
+@jit
 def polished(stage: Equations, start: State) -> tuple[State, float, bool]:
     """Bring an approximate solution to rounding by Newton's method.
 
@@ -192,12 +192,12 @@ def polished(stage: Equations, start: State) -> tuple[State, float, bool]:
     return state, gain, arrived
 
 
-@inlined
+@jit_inline
 def _direction(a: Vector) -> Vector:
     return scaled(1.0 / max(np.sqrt(dot(a, a)), EPS), a)
 
 
-@inlined
+@jit_inline
 def _longest(rows: Rows) -> Vector:
     first, second, third = dot(rows[0], rows[0]), dot(rows[1], rows[1]), dot(rows[2], rows[2])
     if first >= second and first >= third:
@@ -205,7 +205,7 @@ def _longest(rows: Rows) -> Vector:
     return _direction(rows[1] if second >= third else rows[2])
 
 
-@called
+@jit
 def other_side_of_fold(stage: Equations, state: State) -> State:
     """Return where the other solution is of a pair that is about to meet.
 
@@ -229,7 +229,7 @@ def other_side_of_fold(stage: Equations, state: State) -> State:
     return _moved(state, scaled(min(max(distance, -0.1), 0.1), n))
 
 
-@inlined
+@jit_inline
 def placed(x0: float, x1: float, x2: float, x3: float, zeta: float) -> tuple[Vector, Vector]:
     """Return radii and heights of the triangle's corners in the vertical planes of the legs, in units of r.
 
@@ -242,7 +242,7 @@ def placed(x0: float, x1: float, x2: float, x3: float, zeta: float) -> tuple[Vec
     return radii, (zeta + c - s, zeta + 2.0 * s, zeta - c - s)
 
 
-@inlined
+@jit_inline
 def in_home_aspect(radii: Vector, heights: Vector, hips: float) -> bool:
     """Tell whether a solution is reached from equal legs without a forward singularity.
 
@@ -251,12 +251,18 @@ def in_home_aspect(radii: Vector, heights: Vector, hips: float) -> bool:
     four of them are negative, never two: its sign alone does not tell the aspect, but together with this it does.
     """
     # w_i = z_i u_i - (ρ_i - E) Z, and u_i·u_j = -1/2.
-    negative, product, other = 0, 1.0, 1.0
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        slope = radii[i] - hips
-        ahead = heights[i] * (radii[i] + 0.5 * radii[j]) - slope * (heights[i] - heights[j])
-        behind = heights[i] * (radii[i] + 0.5 * radii[k]) - slope * (heights[i] - heights[k])
-        product, other = product * ahead, other * behind
-        negative += (1 if ahead < 0.0 else 0) + (1 if behind < 0.0 else 0)
-    return product + other > 0.0 and negative <= 1
+    c12, c13 = _pair(radii, heights, hips, 0, 1), _pair(radii, heights, hips, 0, 2)
+    c23, c21 = _pair(radii, heights, hips, 1, 2), _pair(radii, heights, hips, 1, 0)
+    c31, c32 = _pair(radii, heights, hips, 2, 0), _pair(radii, heights, hips, 2, 1)
+    negative = _sign_bit(c12) + _sign_bit(c13) + _sign_bit(c23) + _sign_bit(c21) + _sign_bit(c31) + _sign_bit(c32)
+    return (c12 * c23 * c31 + c21 * c32 * c13 > 0.0) & (negative <= 1.0)
+
+
+@jit_inline
+def _pair(radii: Vector, heights: Vector, hips: float, i: int, j: int) -> float:
+    return heights[i] * (radii[i] + 0.5 * radii[j]) - (radii[i] - hips) * (heights[i] - heights[j])
+
+
+@jit_inline
+def _sign_bit(x: float) -> float:
+    return 1.0 if x < 0.0 else 0.0

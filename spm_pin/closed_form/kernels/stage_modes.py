@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.kernels.compilation import called, given, inlined, kernel
+from spm_pin.closed_form.kernels.compilation import jit, jit_inline, kernel, readonly_array
 from spm_pin.closed_form.kernels.quartic import approximate_solutions
 from spm_pin.closed_form.kernels.stage_equations import (
     EPS,
@@ -46,13 +46,13 @@ _FAMILY = 1e6
 _BLUR, _RANK, _AZIMUTH = 11, 12, 13
 
 
-@inlined
+@jit_inline
 def workspace() -> Workspace:
     """Make what a thread needs to solve one stage after another."""
     return np.empty(4, np.complex128), np.empty((8, 4)), np.empty((16, 5)), np.empty((16, 14))
 
 
-@inlined
+@jit_inline
 def is_continuous(first: float, second: float, third: float, epsilon: float, half_turned: bool) -> bool:
     """Tell whether solutions form a continuous family: these are the only lengths at which the quartic vanishes.
 
@@ -73,20 +73,20 @@ def is_continuous(first: float, second: float, third: float, epsilon: float, hal
     return not half_turned and equal and a > 0.25 + tolerance and abs(2.0 * epsilon - 1.0) <= 64.0 * EPS
 
 
-@inlined
+@jit_inline
 def _quaternion(x0: float, x1: float, x2: float, half_turned: bool) -> State:
     """Return the quaternion's x0, x1, x2, x3 from a mode's own coordinates."""
     return (0.0, -x2, x1, x0) if half_turned else (x0, x1, x2, 0.0)
 
 
-@inlined
+@jit_inline
 def _copy(rows: FloatArray, source: int, target: int) -> None:
     # Number by number, for an assignment of rows brings all of NumPy's broadcasting along, which takes long to compile.
     for i in range(rows.shape[1]):
         rows[target, i] = rows[source, i]
 
 
-@inlined
+@jit_inline
 def _distance(one: FloatArray, other: FloatArray) -> float:
     """Return how far the corners of two solutions are apart, or of one and the other's mirror image."""
     across, same, mirrored = 0.0, 0.0, 0.0
@@ -97,7 +97,7 @@ def _distance(one: FloatArray, other: FloatArray) -> float:
     return math.sqrt(across + min(same, mirrored))
 
 
-@called
+@jit
 def solve_mode(stage: Equations, half_turned: bool, family: bool, work: Workspace) -> int:
     """Find the solutions of one mode, and count them.
 
@@ -156,7 +156,7 @@ def solve_mode(stage: Equations, half_turned: bool, family: bool, work: Workspac
     return min(places, PLACES)
 
 
-@called
+@jit
 def home_mode(first: float, second: float, third: float, epsilon: float) -> tuple[State, bool]:
     """Return the solution of mode T in the home's aspect, and whether Newton's method from the level position found it.
 
@@ -172,7 +172,7 @@ def home_mode(first: float, second: float, third: float, epsilon: float) -> tupl
     return (np.nan, np.nan, np.nan, np.nan), False
 
 
-@called
+@jit
 def home_mode_of_all(first: float, second: float, third: float, epsilon: float, work: Workspace) -> State:
     """Return the solution of mode T in the home's aspect, NaN if none of all is."""
     family = is_continuous(first, second, third, epsilon, False)
@@ -184,7 +184,7 @@ def home_mode_of_all(first: float, second: float, third: float, epsilon: float, 
     return np.nan, np.nan, np.nan, np.nan
 
 
-@kernel(f"void({given(2)}, {given(1)}, b1[::1], f8[:,:,:,::1], f8[:,:,::1], b1[:,:,::1], b1[:,::1])")
+@kernel(f"void({readonly_array(2)}, {readonly_array(1)}, b1[::1], f8[:,:,:,::1], f8[:,:,::1], b1[:,:,::1], b1[:,::1])")
 def stage_modes(
     lengths: FloatArray,
     epsilon: FloatArray,

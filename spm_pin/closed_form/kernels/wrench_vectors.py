@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spm_pin.closed_form.kernels.compilation import inlined
+from spm_pin.closed_form.kernels.compilation import jit_inline
 from spm_pin.closed_form.kernels.quadratics import COS_30
 from spm_pin.closed_form.kernels.vectors import Vector, combined, cross, dot, minus, scaled
 from spm_pin.mechanism.arguments import FloatArray
@@ -49,7 +49,7 @@ BASE_AXES = ((0.5, COS_30, 0.0), (1.0, 0.0, 0.0), (-0.5, COS_30, 0.0))
 _RADIAL = ((COS_30, -0.5, 0.0), (0.0, 1.0, 0.0), (-COS_30, -0.5, 0.0))
 
 
-@inlined
+@jit_inline
 def load(
     joints: FloatArray, rotation: FloatArray, position: FloatArray, first: int, width: int, tile: FloatArray
 ) -> None:
@@ -64,38 +64,38 @@ def load(
             tile[18 + i, k] = position[m, n, i]
 
 
-@inlined
+@jit_inline
 def joints_of(tile: FloatArray, k: int) -> Three:
     """Return b_1, b_2, b_3."""
     b1, b2 = (tile[0, k], tile[1, k], tile[2, k]), (tile[3, k], tile[4, k], tile[5, k])
     return b1, b2, (tile[6, k], tile[7, k], tile[8, k])
 
 
-@inlined
+@jit_inline
 def position_of(tile: FloatArray, k: int) -> Vector:
     """Return o."""
     return tile[18, k], tile[19, k], tile[20, k]
 
 
-@inlined
+@jit_inline
 def _turned(tile: FloatArray, k: int, a: Vector) -> Vector:
     """Return R a for a vector a in the plane of the terminal platform."""
     x, y = tile[9, k] * a[0] + tile[10, k] * a[1], tile[12, k] * a[0] + tile[13, k] * a[1]
     return x, y, tile[15, k] * a[0] + tile[16, k] * a[1]
 
 
-@inlined
+@jit_inline
 def platform_axes(tile: FloatArray, k: int) -> Three:
     """Return the axes R_i2 in {B}."""
     return _turned(tile, k, BASE_AXES[0]), _turned(tile, k, BASE_AXES[1]), _turned(tile, k, BASE_AXES[2])
 
 
-@inlined
+@jit_inline
 def _along(vector: Vector) -> Vector:
     return scaled(1.0 / np.sqrt(dot(vector, vector)), vector)
 
 
-@inlined
+@jit_inline
 def lower_legs(b: Three, base_radius: float) -> Three:
     """Return the directions δ_bi from a_i to b_i."""
     first = _along(combined(b[0], -base_radius, _RADIAL[0]))
@@ -103,7 +103,7 @@ def lower_legs(b: Three, base_radius: float) -> Three:
     return first, second, _along(combined(b[2], -base_radius, _RADIAL[2]))
 
 
-@inlined
+@jit_inline
 def upper_legs(b: Three, tile: FloatArray, k: int, platform_radius: float) -> Three:
     """Return the directions δ_ci from b_i to c_i."""
     o = position_of(tile, k)
@@ -112,19 +112,19 @@ def upper_legs(b: Three, tile: FloatArray, k: int, platform_radius: float) -> Th
     return first, second, _along(minus(combined(o, platform_radius, _turned(tile, k, _RADIAL[2])), b[2]))
 
 
-@inlined
+@jit_inline
 def mean(b: Three) -> Vector:
     """Return the middle platform's centre p."""
     return scaled(1.0 / 3.0, combined(combined(b[0], 1.0, b[1]), 1.0, b[2]))
 
 
-@inlined
+@jit_inline
 def normals(f: Three, a: Three) -> Three:
     """Return the w_i."""
     return cross(f[0], a[0]), cross(f[1], a[1]), cross(f[2], a[2])
 
 
-@inlined
+@jit_inline
 def unit_rates(a: Three, w: Three) -> Three:
     """Return the n_i."""
     first = scaled(1.0 / dot(w[0], w[0]), cross(a[0], w[0]))
@@ -132,21 +132,21 @@ def unit_rates(a: Three, w: Three) -> Three:
     return first, second, scaled(1.0 / dot(w[2], w[2]), cross(a[2], w[2]))
 
 
-@inlined
+@jit_inline
 def _cycles(b: Three, w: Three) -> tuple[float, float, float, float, float, float]:
     """Return c12, c23, c31, c21, c32, c13."""
     e12, e23, e31 = minus(b[0], b[1]), minus(b[1], b[2]), minus(b[2], b[0])
     return dot(e12, w[0]), dot(e23, w[1]), dot(e31, w[2]), -dot(e12, w[1]), -dot(e23, w[2]), -dot(e31, w[0])
 
 
-@inlined
+@jit_inline
 def plane_determinant(b: Three, w: Three) -> float:
     """Return D."""
     c12, c23, c31, c21, c32, c13 = _cycles(b, w)
     return c12 * c23 * c31 + c21 * c32 * c13
 
 
-@inlined
+@jit_inline
 def slides(b: Three, w: Three, n: Three) -> Three:
     """Return λ_1, λ_2, λ_3, each for the three unit rates q."""
     c12, c23, c31, c21, c32, c13 = _cycles(b, w)
@@ -160,7 +160,7 @@ def slides(b: Three, w: Three, n: Three) -> Three:
     return first, second, (i31 * d12 + i33 * d13, i31 * d21 + i32 * d23, i32 * d32 + i33 * d31)
 
 
-@inlined
+@jit_inline
 def velocities(w: Three, n: Three, slide: Three, j: int) -> Three:
     """Return the velocities of the b_i for a unit rate q_j."""
     first = combined(scaled(slide[0][j], w[0]), 1.0 if j == 0 else 0.0, n[0])
@@ -168,7 +168,7 @@ def velocities(w: Three, n: Three, slide: Three, j: int) -> Three:
     return first, second, combined(scaled(slide[2][j], w[2]), 1.0 if j == 2 else 0.0, n[2])
 
 
-@inlined
+@jit_inline
 def twist(b: Three, v: Three) -> tuple[Vector, Vector]:
     """Return the velocity of the centre p, and ω, of a rigid motion that moves the b_i by v_i."""
     e1, e2, d1, d2 = minus(b[0], b[2]), minus(b[1], b[2]), minus(v[0], v[2]), minus(v[1], v[2])
@@ -178,7 +178,7 @@ def twist(b: Three, v: Three) -> tuple[Vector, Vector]:
     return mean(v), scaled(1.0 / dot(normal, normal), combined(omega, -dot(d1, normal), e2))
 
 
-@inlined
+@jit_inline
 def is_suspect(b: Three, f: Three, a: Three, w: Three, side: float, singular: float) -> bool:
     """Tell whether the smallest singular value of the forces may be `singular` times the largest or less; NaN is not.
 
@@ -196,7 +196,7 @@ def is_suspect(b: Three, f: Three, a: Three, w: Three, side: float, singular: fl
     return bool(at_least <= 1e3 * singular * np.sqrt(square))
 
 
-@inlined
+@jit_inline
 def is_short(b: Three, legs: Three) -> bool:
     """Tell whether a leg has no length, hence a direction that is NaN, in a state that exists."""
     total = legs[0][0] + legs[1][0] + legs[2][0]

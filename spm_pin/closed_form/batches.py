@@ -1,0 +1,128 @@
+"""Running kernels over batches: results allocated, the batch divided between threads, shapes restored."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.closed_form.threads import parallel_for
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.pose import EXACT, PoseLike, checked_pose, unchecked_pose
+
+__all__ = ["Result", "radii", "read_pose", "run_kernel", "run_on_states", "with_two_batch_axes"]
+
+Result = tuple[tuple[int, ...], npt.DTypeLike]
+"""Trailing shape and type of one result of a kernel."""
+
+_MIN_STATES_PER_THREAD = 1 << 16
+
+
+def run_kernel(
+    kernel: Callable[..., object],
+    inputs: Sequence[npt.NDArray[Any]],
+    constants: Sequence[Any],
+    results: Sequence[Result | npt.NDArray[Any]],
+    min_batch: int,
+    *,
+    packed: int = 1,
+) -> tuple[Any, ...]:
+    """Run a kernel on a batch, on several threads if it is large.
+
+    Parameters
+    ----------
+    kernel : callable
+        Takes the inputs, the constants and the results, in this order, and writes the results.
+    inputs : sequence of ndarray
+        Arrays with the batch, N members, along their first axis.
+    constants : sequence
+        The same for all members.
+    results : sequence of Result or ndarray
+        What to allocate, with a first axis of N · packed; or arrays of that shape to write into.
+    min_batch : int
+        Members that are worth a thread.
+    packed : int
+        Results per member of the batch.
+
+    Returns
+    -------
+    tuple of ndarray
+        The results.
+    """
+    count = len(inputs[0])
+    arrays = [r if isinstance(r, np.ndarray) else np.empty((count * packed, *r[0]), dtype=r[1]) for r in results]
+
+    def work(part: slice) -> None:
+        target = slice(part.start * packed, part.stop * packed)
+        kernel(*[x[part] for x in inputs], *constants, *[y[target] for y in arrays])
+
+    parallel_for(work, count, min_batch)
+    return tuple(arrays)
+
+
+def run_on_states(
+    kernel: Callable[..., object],
+    configuration: Configuration,
+    constants: Sequence[float],
+    results: Sequence[Result],
+    *,
+    load: FloatArray | None = None,
+) -> tuple[Any, ...]:
+    """Run a kernel that takes b, R, o, and a load if there is one, on the states of a configuration.
+
+    Parameters
+    ----------
+    kernel, constants, results
+        As for `run_kernel`.
+    configuration : Configuration
+        States of shape (...).
+    load : ndarray, shape (..., 6), optional
+        One more input, whose leading axes broadcast with those of the states.
+
+    Returns
+    -------
+    tuple of ndarray
+        The results, their leading axes those of the states, broadcast with those of the load.
+    """
+    shape = configuration.shape if load is None else np.broadcast_shapes(configuration.shape, load.shape[:-1])
+    state = configuration
+    arrays = [state.middle_joints, state.rotation, state.translation]
+    trailing = [(3, 3), (3, 3), (3,), (6,)]
+    if load is not None:
+        arrays.append(load)
+    inputs = [with_two_batch_axes(x, shape, ends) for x, ends in zip(arrays, trailing, strict=False)]
+    inner = inputs[0].shape[1]
+    min_batch = max(_MIN_STATES_PER_THREAD // max(inner, 1), 1)
+    written = run_kernel(kernel, inputs, constants, results, min_batch, packed=inner)
+    return tuple(array.reshape((*shape, *array.shape[1:])) for array in written)
+
+
+def with_two_batch_axes(array: FloatArray, shape: tuple[int, ...], trailing: tuple[int, ...]) -> FloatArray:
+    """Return an array broadcast to a batch of this shape, with two batch axes; not copied if strides allow it."""
+    inner = shape[-1] if len(shape) > 1 else 1
+    outer = int(np.prod(shape[:-1] if len(shape) > 1 else shape))
+    return np.broadcast_to(array, (*shape, *trailing)).reshape(outer, inner, *trailing)
+
+
+def radii(geometry: Geometry) -> tuple[float, float, float]:
+    """Return the circumradii of the middle, base and terminal platforms [m]."""
+    return geometry.middle_radius, geometry.base_radius, geometry.platform_radius
+
+
+def read_pose(pose: PoseLike) -> tuple[tuple[int, ...], FloatArray, FloatArray]:
+    """Return the batch shape of a pose, its rotations (N, 3, 3) and positions (N, 3) [m]; raise if it is none.
+
+    The arrays may be the caller's memory. Rotations are repaired where rounding made them inexact.
+    """
+    from spm_pin.closed_form.kernels.branch_kernels import are_rigid
+
+    rotation, position = unchecked_pose(pose)
+    shape, flat = position.shape[:-1], rotation.reshape(-1, 3, 3)
+    if not are_rigid(flat, position.reshape(-1, 3), EXACT):
+        rotation, position = checked_pose(rotation, position, "pose")
+        flat = rotation.reshape(-1, 3, 3)
+    return shape, flat, position.reshape(-1, 3)
