@@ -91,7 +91,9 @@ def compare_with_progress(geometry: Geometry, poses: int, seed: int, methods: li
 def verdict_line(report: Report) -> str:
     """Return the outcome of a comparison in one sentence."""
     done = len(report.xyx)
-    count = f"{done} random poses" if done == report.requested else f"Interrupted after {done} of {report.requested}"
+    count = (
+        f"{done} random poses" if done == report.requested else f"Interrupted after {done} of {report.requested} poses"
+    )
     names = ", ".join(score.name for score in report.scores)
     return f"{count}, {report.states} configurations, by {names}. {report.verdict}"
 
@@ -158,46 +160,22 @@ def _remarks(report: Report, all_methods: bool, file: str | None) -> list[str]:
 
 
 def _content(report: Report, file: str | None) -> dict[str, Any]:
-    geometry = report.geometry
     return {
         "agrees": report.agrees,
         "verdict": report.verdict,
         "outliers": report.outliers,
         "seed": report.seed,
         "requested": report.requested,
-        "geometry": {name: getattr(geometry, name) for name in ("base_radius", "platform_radius", "middle_side")},
+        "geometry": {key: vars(report.geometry)[key] for key in ("base_radius", "platform_radius", "middle_side")},
         "poses": [
             {"translation": translation, "xyx_degrees": xyx}
             for translation, xyx in zip(report.translation, report.xyx, strict=True)
         ],
         "reached": report.reached,
         "states": report.states,
-        "methods": [
-            {
-                "name": score.name,
-                "poses": score.solved,
-                "unsolved": score.unsolved,
-                "branches": score.branches,
-                "invented": score.invented,
-                "missed": score.missed,
-                "stated_miss_rate": score.allowed,
-                "closure_residual_share": score.residual,
-                "outvoted": score.outvoted,
-            }
-            for score in report.scores
-        ],
+        "methods": [vars(score) for score in report.scores],
         "differences": [
-            {
-                "quantity": pair.quantity,
-                "methods": [pair.first, pair.second],
-                "states": pair.compared,
-                "disagreements": pair.disagreements,
-                "worst": pair.worst,
-                "tolerance": pair.tolerance,
-                "unit": pair.quantity.unit,
-                "branch": pair.branch,
-                "reproduce": report.command(pair.pose, file),
-            }
+            vars(pair) | {"unit": pair.quantity.unit, "reproduce": report.command(pair.pose, file)}
             for pair in report.differences
         ],
     }

@@ -96,7 +96,8 @@ def read_geometry(path: Path | None) -> Geometry:
 
 def read_pose(translation: Triple, xyx: Triple, unit: LengthUnit) -> RigidTransform:
     """Return the pose of `--translation`, `--xyx` and `--unit`."""
-    return pose(np.array(translation) / unit.per_metre, xyx=np.deg2rad(xyx))
+    turned = np.fmod(xyx, 360.0) if np.isfinite(xyx).all() else xyx
+    return pose(np.array(translation) / unit.per_metre, xyx=np.deg2rad(turned))
 
 
 def _size(geometry: Geometry) -> float:

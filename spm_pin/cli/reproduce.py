@@ -166,21 +166,8 @@ def _content(found: Reproduction) -> dict[str, Any]:
     return {
         "unit": "cm",
         "cells": [vars(cell) | {"difference": cell.difference} for cell in found.cells],
-        "solutions": [
-            {
-                "solution": each.solution,
-                "branch": each.label,
-                "b_2y_paper": each.paper,
-                "b_2y_closed_form": each.closed_form,
-                "largest_difference": each.difference,
-            }
-            for each in found.solutions
-        ],
+        "solutions": [vars(each) for each in found.solutions],
         "true_values": [vars(each) for each in found.true_values],
         "diagnoses": [{"row": each.row, "mistakes": each.names, "values": each.values} for each in found.diagnoses],
-        "equation_17_real_roots": {
-            "as_printed": found.equation_17.printed,
-            "mended": found.equation_17.mended,
-            "true": found.equation_17.true,
-        },
+        "equation_17_real_roots": vars(found.equation_17),
     }

@@ -85,6 +85,8 @@ class Report:
     @property
     def verdict(self) -> str:
         """One sentence: that the methods agree, or which do not."""
+        if self.agrees and len(self.scores) == 1:
+            return f"Only {self.scores[0].name} was run, and its branches close."
         if self.agrees:
             return f"All {len(self.scores)} methods agree."
         if not self.outliers:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -61,6 +62,7 @@ def pose(
         Position of o in {B} [m].
     xyx : array_like, shape (..., 3), optional
         The paper's Euler angles α, β, λ [rad]: about X, then the new Y, then the new X. Eq. (3).
+        A warning is given for angles beyond 2π, which are often degrees.
     rotation : Rotation or array_like, shape (..., 3, 3), optional
         Rotation from {m} to {B}, instead of `xyx`. One of the two is required: the identity is no default,
         because at R = I the manipulator is singular or cannot be assembled.
@@ -87,7 +89,9 @@ def pose(
         received = "neither" if xyx is None else "both"
         raise PoseError("rotation", "either xyx=... or rotation=...", received)
     if xyx is not None:
-        matrices = _euler(real_array(xyx, "xyx", (3,), "X-Y-X Euler angles in radians", error=PoseError))
+        angles = real_array(xyx, "xyx", (3,), "X-Y-X Euler angles in radians", error=PoseError)
+        _warn_of_degrees(angles)
+        matrices = _euler(angles)
     elif isinstance(rotation, Rotation):
         matrices = np.asarray(rotation.as_matrix())
     else:
@@ -144,6 +148,13 @@ def checked_pose(rotation: FloatArray, position: FloatArray, argument: str) -> t
     """Return rotations (..., 3, 3), rounding repaired, and positions (..., 3), or raise `PoseError`."""
     finite_array(position, argument, (3,), _POSITION, error=PoseError)
     return _rotations(rotation, argument), position
+
+
+def _warn_of_degrees(angles: FloatArray) -> None:
+    largest = float(np.abs(angles).max(initial=0.0))
+    if largest > 2.0 * np.pi * (1.0 + EXACT):
+        text = f"xyx: an angle of {largest:g} rad is beyond a full turn. Angles are in radians; numpy.deg2rad converts"
+        warnings.warn(text, stacklevel=3)
 
 
 def _euler(angles: FloatArray) -> FloatArray:

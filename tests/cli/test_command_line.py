@@ -157,6 +157,14 @@ def test_a_geometry_file_in_centimetres_is_noticed(tmp_path: Path) -> None:
     assert "Warning" not in done.stderr
 
 
+def test_angles_beyond_a_full_turn_are_degrees_on_the_command_line() -> None:
+    within, beyond = (
+        run("inverse", *EXAMPLE[:5], str(-11.08 + turn), *EXAMPLE[6:], "--unit", "cm") for turn in (0, 360)
+    )
+    assert (beyond.stderr, beyond.returncode) == ("", 0)
+    assert beyond.stdout.splitlines()[:8] == within.stdout.splitlines()[:8]
+
+
 def test_a_level_pose_is_explained_with_a_way_on() -> None:
     level = ["--translation", "0", "0", "2.2", "--xyx"]
     for command in (["inverse"], ["singularities"], ["statics", *LOAD]):
@@ -422,7 +430,7 @@ def test_an_interrupted_crosscheck_reports_what_it_has(tmp_path: Path, monkeypat
     target = tmp_path / "report.json"
     done = run("crosscheck", "--poses", "40", "--method", "closed-form", "--method", "nlp", "--json", target)
     assert done.returncode == 130
-    assert done.stdout.startswith("Interrupted after 20 of 40")
+    assert done.stdout.startswith("Interrupted after 20 of 40 poses")
     content = json.loads(target.read_text(encoding="utf-8"))
     assert (len(content["poses"]), content["requested"], content["agrees"]) == (20, 40, True)
     monkeypatch.setattr(Interrupting, "batches", 2)

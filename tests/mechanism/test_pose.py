@@ -24,6 +24,7 @@ def equation_3(alpha: float, beta: float, lam: float) -> np.ndarray:
     )
 
 
+@pytest.mark.filterwarnings("ignore:xyx")  # beyond a full turn
 @given(st.tuples(*[st.floats(-7, 7)] * 3))
 def test_euler_angles_are_those_of_equation_3(angles: tuple[float, float, float]) -> None:
     pose = spm.pose([0, 0, 1], xyx=angles)
@@ -113,3 +114,11 @@ def test_the_argument_is_named_in_the_callers_words() -> None:
         spm.inverse_displacement(spm.Geometry.paper(), np.zeros((3, 3)))
     assert caught.value.argument == "pose"
     assert isinstance(caught.value, ValueError)
+
+
+def test_angles_in_degrees_are_noticed() -> None:
+    with pytest.warns(UserWarning, match=r"xyx: an angle of 32\.97 rad is beyond a full turn"):
+        spm.pose([0.6889, 0.4963, 2.253], xyx=[-11.08, 32.97, -12.88])
+    # A full turn itself is none of it: warnings are errors here.
+    spm.pose([0.0, 0.0, 2.0], xyx=[2.0 * np.pi, -2.0 * np.pi, 0.0])
+    spm.pose(np.zeros((0, 3)), xyx=np.zeros((0, 3)))
