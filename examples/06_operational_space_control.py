@@ -14,7 +14,6 @@ import spm_pin as spm
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 chain = spm.ClosedChain.from_urdf()
-workspace = chain.workspace()
 poses = spm.pose(
     [[0.6889, 0.4963, 2.253], [0.69, 0.485, 2.27]], xyx=np.deg2rad([[-11.08, 32.97, -12.88], [-11.5, 33.2, -12.4]])
 )
@@ -25,19 +24,20 @@ stiffness, damping = 400.0, 40.0  # 1/s², 1/s: the error decays like a critical
 def controller(t, q, v):
     """Leg forces for Λ (ẗ_d + damping ė + stiffness e) + C t + G, at the twist t."""
     wanted = path(min(t, path.duration))
-    state = chain.configuration(q, workspace=workspace)
-    jacobian = chain.inverse_jacobian(q, workspace=workspace)
-    twist = np.linalg.solve(jacobian, v[chain.leg_indices])
-    turn = Rotation.from_matrix(wanted.pose.rotation.as_matrix() @ state.rotation.T).as_rotvec()
-    error = np.concatenate([wanted.pose.translation - state.translation, turn])
-    platform = chain.platform_dynamics(q, v, workspace=workspace)
+    state.update(q, v)
+    here = state.configuration()
+    twist = np.linalg.solve(state.inverse_jacobian(), v[chain.leg_indices])
+    turn = Rotation.from_matrix(wanted.pose.rotation.as_matrix() @ here.rotation.T).as_rotvec()
+    error = np.concatenate([wanted.pose.translation - here.translation, turn])
+    platform = state.platform_dynamics()
     change = wanted.acceleration + damping * (wanted.twist - twist) + stiffness * error
     wrench = platform.mass @ change + platform.bias + platform.gravity
     # J_fᵀ f = wrench, as the legs hold the opposite of a load.
-    return chain.leg_forces(q, -wrench, workspace=workspace)
+    return state.leg_forces(-wrench)
 
 
 q0 = chain.joint_values(spm.inverse_displacement(chain.geometry, poses[0]).physical())
+state = chain.state(q0)  # what one call about q and v computes, the next one finds
 times = np.linspace(0.0, 0.6, 7)
 run = chain.simulate(q0, np.zeros(18), controller, times, wrench=[30.0, 0, 0, 0, 0, 0], period=1e-3)
 off = [

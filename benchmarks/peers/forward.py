@@ -122,13 +122,13 @@ def pinocchio(problem: tuple[Geometry, FloatArray]) -> Prepared:
 
     geometry, problems = problem
     chain = ClosedChain.from_urdf(geometry=geometry)
-    memory, home = chain.workspace(), np.zeros(chain.model.nq)
+    home = np.zeros(chain.model.nq)
 
     def one(lengths: FloatArray) -> FloatArray:
-        return chain.project(chain.with_leg_lengths(home, lengths), hold_legs=True, workspace=memory)
+        return chain.project(chain.with_leg_lengths(home, lengths), hold_legs=True)
 
     def read(found: list[FloatArray]) -> FloatArray:
-        return np.array([chain.configuration(q, workspace=memory).middle_joints for q in found])
+        return np.array([chain.configuration(q).middle_joints for q in found])
 
     return Prepared(lambda: [one(lengths) for lengths in problems], read)
 

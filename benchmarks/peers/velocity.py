@@ -60,21 +60,21 @@ def _balanced(jacobian: FloatArray, wrenches: FloatArray) -> FloatArray:
 
 def pinocchio(configuration: spm.Configuration) -> Prepared:
     """From the Jacobians of Pinocchio's constraints, state by state, joints placed beforehand."""
-    chain, joints, memory = _placed(configuration)
-    return Prepared(lambda: [chain.inverse_jacobian(q, workspace=memory) for q in joints], np.array)
+    chain, joints = _placed(configuration)
+    return Prepared(lambda: [chain.inverse_jacobian(q) for q in joints], np.array)
 
 
 def forces_by_pinocchio(problem: tuple[spm.Configuration, FloatArray]) -> Prepared:
     """From the Jacobians of Pinocchio's constraints, state by state, joints placed beforehand."""
     configuration, wrenches = problem
-    chain, joints, memory = _placed(configuration)
+    chain, joints = _placed(configuration)
     asked = list(zip(joints, wrenches, strict=True))
-    return Prepared(lambda: [chain.leg_forces(q, w, workspace=memory) for q, w in asked], np.array)
+    return Prepared(lambda: [chain.leg_forces(q, w) for q, w in asked], np.array)
 
 
-def _placed(configuration: spm.Configuration) -> tuple[Any, list[FloatArray], Any]:
+def _placed(configuration: spm.Configuration) -> tuple[Any, list[FloatArray]]:
     required("pinocchio", "pin")
     from spm_pin.multibody.chain import ClosedChain
 
     chain = ClosedChain.from_urdf(geometry=configuration.geometry)
-    return chain, [chain.joint_values(configuration[k]) for k in range(len(configuration))], chain.workspace()
+    return chain, [chain.joint_values(configuration[k]) for k in range(len(configuration))]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from spm_pin.description.tree import ANGLES, JOINTS, SLIDES
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism.configuration import Configuration
@@ -41,7 +39,6 @@ def joint_values(configuration: Configuration) -> dict[str, float]:
         raise DescriptionError("configuration", expected, f"a batch of shape {configuration.shape}")
     if not configuration.exists:
         raise DescriptionError("configuration", "a configuration that exists", "NaN", "Not a real branch?")
-    angles = joint_angles(configuration, corners=(0,))
-    found = np.concatenate([angles.hip, angles.ball_x, angles.ball_y, angles.ball_z, angles.slide])
+    found = joint_angles(configuration, corners=(0,)).values
     values = dict(zip((*ANGLES, *SLIDES), found.tolist(), strict=True))
     return {name: values[name] for name in JOINTS}

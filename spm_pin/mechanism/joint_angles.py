@@ -9,7 +9,6 @@ into the rod, in the order z, y, x.
 from __future__ import annotations
 
 import functools
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -71,23 +70,44 @@ class JointAngles:
 
     Attributes
     ----------
-    hip : ndarray, shape (..., 6)
-        Angles of the revolute joints [rad] in [-π, π], in the order of `LEGS`.
-    ball_x, ball_y, ball_z : ndarray, shape (..., 2 n)
-        Angles of the ball joints [rad]: of the n lower legs asked for, then of the n upper legs. The middle angle is
-        in [-π/2, π/2], the others in [-π, π].
-    slide : ndarray, shape (..., 6)
-        Leg lengths less those at home [m].
+    values : ndarray, shape (..., 12 + 6 n)
+        The six hips, the balls' angles about x, y and z of the n lower and then of the n upper legs asked for, and the
+        six slides.
     closure_residual : ndarray, shape (...)
         `Configuration.closure_residual` [m].
     """
 
-    hip: FloatArray
-    ball_x: FloatArray
-    ball_y: FloatArray
-    ball_z: FloatArray
-    slide: FloatArray
+    values: FloatArray
     closure_residual: FloatArray
+
+    @property
+    def hip(self) -> FloatArray:
+        """Angles of the revolute joints [rad] in [-π, π], in the order of `LEGS`, shape (..., 6)."""
+        return self.values[..., :6]
+
+    @property
+    def ball_x(self) -> FloatArray:
+        """First angles of the ball joints [rad] in [-π, π], shape (..., 2 n)."""
+        return self._ball(0)
+
+    @property
+    def ball_y(self) -> FloatArray:
+        """Middle angles of the ball joints [rad] in [-π/2, π/2], shape (..., 2 n)."""
+        return self._ball(1)
+
+    @property
+    def ball_z(self) -> FloatArray:
+        """Third angles of the ball joints [rad] in [-π, π], shape (..., 2 n)."""
+        return self._ball(2)
+
+    @property
+    def slide(self) -> FloatArray:
+        """Leg lengths less those at home [m], shape (..., 6)."""
+        return self.values[..., -6:]
+
+    def _ball(self, axis: int) -> FloatArray:
+        count = (self.values.shape[-1] - 12) // 3
+        return self.values[..., 6 + axis * count : 6 + (axis + 1) * count]
 
 
 def joint_angles(configuration: Configuration, corners: tuple[int, ...] = (0, 1, 2)) -> JointAngles:
@@ -105,29 +125,28 @@ def joint_angles(configuration: Configuration, corners: tuple[int, ...] = (0, 1,
     JointAngles
         The values of a member are bit for bit the same in any batch.
     """
-    shape, count = configuration.shape, 2 * len(corners)
+    shape, count = configuration.shape, 12 + 6 * len(corners)
     constants = _constants(configuration.geometry)
     state = configuration.rotation, configuration.translation, configuration.middle_joints
     if not shape:
-        columns = _single_columns(state, constants, corners)
-    else:
-        rotation, translation, middle_joints = (a.reshape(-1, n) for a, n in zip(state, (9, 3, 9), strict=True))
-        size = len(middle_joints)
-        columns = np.empty((13 + 3 * count, size))
-        with np.errstate(invalid="ignore", divide="ignore"):
-            for begin in range(0, size, _BLOCK):
-                block = slice(begin, begin + _BLOCK)
-                # Components first: each operation runs along the configurations of a block.
-                r, o, b = (np.ascontiguousarray(a[block].T) for a in (rotation, translation, middle_joints))
-                angles, slides, errors = _values(list(r), list(o), list(b), constants, corners, np.sqrt)
-                for column, (sine, cosine) in zip(columns, angles, strict=False):
-                    np.arctan2(sine, cosine, out=column[block])
-                columns[-7:-1, block] = slides
-                functools.reduce(functools.partial(np.maximum, out=columns[-1, block]), errors)
-    ends = 0, 6, 6 + count, 6 + 2 * count, 6 + 3 * count, 12 + 3 * count
-    parts = [columns[begin:end].T.reshape(*shape, end - begin) for begin, end in itertools.pairwise(ends)]
-    hip, x, y, z, slide = parts
-    return JointAngles(hip, x, y, z, slide, columns[-1].reshape(shape))
+        return _single(state, constants, corners)
+    rotation, translation, middle_joints = (a.reshape(-1, n) for a, n in zip(state, (9, 3, 9), strict=True))
+    size = len(middle_joints)
+    found, residual = np.empty((size, count)), np.empty(size)
+    rows = np.empty((count, min(size, _BLOCK)))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for begin in range(0, size, _BLOCK):
+            block = slice(begin, begin + _BLOCK)
+            # Components first: each operation runs along the configurations of a block.
+            r, o, b = (np.ascontiguousarray(a[block].T) for a in (rotation, translation, middle_joints))
+            angles, slides, errors = _values(list(r), list(o), list(b), constants, corners, np.sqrt)
+            rows = rows[:, : b.shape[1]]
+            for row, (sine, cosine) in zip(rows, angles, strict=False):
+                np.arctan2(sine, cosine, out=row)
+            rows[-6:] = slides
+            found[block] = rows.T
+            residual[block] = functools.reduce(np.maximum, errors)
+    return JointAngles(found.reshape(*shape, count), residual.reshape(shape))
 
 
 @dataclass(frozen=True)
@@ -159,17 +178,17 @@ def _constants(geometry: Geometry) -> Constants:
     return tuple(legs), float(geometry.middle_side)
 
 
-def _single_columns(
+def _single(
     state: tuple[FloatArray, FloatArray, FloatArray], constants: Constants, corners: tuple[int, ...]
-) -> FloatArray:
+) -> JointAngles:
     """Return the values of one state, computed in Python's numbers: NumPy takes longer for arrays of one."""
     r, o, b = (a.ravel().tolist() for a in state)
     try:
         angles, slides, errors = _values(r, o, b, constants, corners, math.sqrt)
     except ZeroDivisionError:  # balls in one place or in a line
-        return np.full(13 + 6 * len(corners), np.nan)
+        return JointAngles(np.full(12 + 6 * len(corners), np.nan), np.array(np.nan))
     sines, cosines = np.array(angles).T
-    return np.concatenate([np.arctan2(sines, cosines), [*slides, max(errors)]])
+    return JointAngles(np.concatenate([np.arctan2(sines, cosines), slides]), np.array(max(errors)))
 
 
 def _values(

@@ -1,13 +1,13 @@
 """Masses, forces and accelerations of a spanning tree with closures.
 
 With the tree's mass matrix M, its nonlinear effects h (Coriolis, centrifugal and gravity g), S, Jm and Jc as in the
-module `velocity`, leg forces f, wrenches w_k at frames with Jacobians J_k and the forces λ in the cut balls,
+module `constrained_model`, leg forces f, wrenches w_k at frames with Jacobians J_k and the forces λ in the cut balls,
 
     M a + h = Sᵀ f + Σ J_kᵀ w_k + Jcᵀ λ,    Jc a + J̇c v = 0.
 
 - Forward: a from f, by `pinocchio.constraintDynamics`, regular wherever Jc has full rank.
-- Inverse: τ = rnea(q, v, a) - Σ J_kᵀ w_k is what actuators in all joints would give; [Sᵀ Jcᵀ] (f, λ) = τ shares it out
-  among legs and balls, regular wherever the legs hold the platform.
+- Inverse: τ = rnea(q, v, a) - Σ J_kᵀ w_k is what actuators in all joints would give; [Sᵀ Jcᵀ] (f, λ) = τ distributes
+  it over legs and balls, regular wherever the legs hold the platform. Statics are the case τ = -Jmᵀ w.
 - At the platform: v = X t with X = K⁻¹ [I; 0], which projects all of it to six equations in the twist t,
 
       Λ ṫ + C t + G = J_fᵀ f + w,    Λ = Xᵀ M X,    C = Xᵀ (M Ẋ + C_tree X),    G = Xᵀ g,
@@ -22,27 +22,25 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pinocchio as pin
 
-from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
+from spm_pin.errors import ArgumentError, ClosureError
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.multibody.closures import ClosureConstraints, Workspace
-from spm_pin.multibody.placement import AGREEMENT, Placement
-from spm_pin.multibody.velocity import SINGULAR, Linearization
+from spm_pin.multibody.constrained_model import ConstrainedModel, TreeKinematics
+from spm_pin.multibody.joint_layout import AGREEMENT
 
 __all__ = [
+    "AccelerationSolver",
     "Energy",
     "PlatformDynamics",
     "accelerations_for",
-    "balanced_legs",
+    "balance",
+    "drift",
     "energy_of",
     "mass_matrix",
     "platform_dynamics",
     "require_closed",
     "require_closed_accelerations",
-    "require_constrained",
-    "tree_torques",
     "wrench_torques",
 ]
 
@@ -93,107 +91,140 @@ class PlatformDynamics:
     gravity: FloatArray
 
 
-def wrench_torques(model: Any, wrenches: Wrenches, workspace: Workspace) -> FloatArray:
-    """Return Σ J_kᵀ w_k (nv,); the joints' Jacobians must be in `workspace.data`."""
-    total = np.zeros(model.nv)
+class AccelerationSolver:
+    """Accelerations under forces, by `pinocchio.constraintDynamics`, and the memory it works in."""
+
+    def __init__(self, constrained: ConstrainedModel) -> None:
+        self._model, self._data = constrained.model, constrained.model.createData()
+        self._constraints = constrained.rigid_constraints()
+        self._states = pin.StdVec_RigidConstraintData()
+        for constraint in self._constraints:
+            self._states.append(constraint.createData())
+        pin.initConstraintDynamics(self._model, self._data, self._constraints, self._states)
+        # No proximal term: one step is a direct solution.
+        self._settings = pin.ProximalSettings(0.0, 0.0, 1)
+        # References into the vector, which is slow to iterate over.
+        self._each = list(self._constraints)
+        self._gains = (0.0, 0.0)
+
+    def accelerations(
+        self, q: FloatArray, v: FloatArray, torques: FloatArray, gains: tuple[float, float] = (0.0, 0.0)
+    ) -> FloatArray:
+        """Return the joint accelerations (nv,) under generalized forces (nv,), the closures' forces included.
+
+        The gaps e obey ë + gains[1] ė + gains[0] e = 0 in the universe's axes, at any q and v, closed or not.
+        """
+        if gains != self._gains:
+            for constraint in self._each:
+                constraint.m_baumgarte_parameters.Kp, constraint.m_baumgarte_parameters.Kd = gains
+            self._gains = gains
+        given = self._model, self._data, q, v, torques, self._constraints, self._states, self._settings
+        return np.array(pin.constraintDynamics(*given))
+
+
+def wrench_torques(kinematics: TreeKinematics, wrenches: Wrenches) -> FloatArray:
+    """Return Σ J_kᵀ w_k, shape (nv,)."""
+    total = np.zeros(kinematics.model.nv)
     for frame, wrench in wrenches:
-        pin.updateFramePlacement(model, workspace.data, frame)
-        jacobian = pin.getFrameJacobian(model, workspace.data, frame, pin.LOCAL_WORLD_ALIGNED)
+        jacobian = pin.getFrameJacobian(kinematics.model, kinematics.data, frame, pin.LOCAL_WORLD_ALIGNED)
         total += jacobian.T @ wrench
     return total
 
 
-def tree_torques(
-    model: Any, q: FloatArray, v: FloatArray, a: FloatArray, wrenches: Wrenches, workspace: Workspace
-) -> FloatArray:
-    """Return the generalized forces (nv,) that move the tree without its closures; as `wrench_torques`."""
-    external = wrench_torques(model, wrenches, workspace)
-    return np.asarray(pin.rnea(model, workspace.data, q, v, a) - external)
-
-
-def balanced_legs(linearization: Linearization, torques: FloatArray) -> FloatArray:
-    """Return the leg forces (6,) that give, with those in the cut balls, the generalized forces (18,) of the tree.
+def balance(kinematics: TreeKinematics, torques: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return leg forces (6,) and forces in the cut balls (3 n,) that give the generalized forces (18,) of the tree.
 
     Raises `SingularConfigurationError` at a forward or constraint singularity.
     """
-    inverse = linearization.regular_inverse(linearization.held(), "forward")
-    # In the velocities u of the module `velocity`: Ŝᵀ f + (Jc C / d)ᵀ λ = Cᵀ τ / d.
-    return np.asarray(inverse[:, :6].T @ (linearization.columns.T @ torques)) / linearization.side
+    layout = kinematics.layout
+    # The actuators do not act on the passive joints: these give λ, and the legs what is left.
+    cuts = kinematics.forward_factors.solve_transposed(torques[layout.passive])
+    return torques[layout.legs] - cuts @ kinematics.chain_closures[:, layout.legs], cuts
+
+
+def drift(kinematics: TreeKinematics, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the accelerations where no joint accelerates: of the gaps, J̇c v (3 n,), and of m (6,) [m/s², rad/s²]."""
+    model, data, constrained = kinematics.model, kinematics.data, kinematics.constrained
+    pin.forwardKinematics(model, data, kinematics.q, v, np.zeros(model.nv))
+    points = np.array(
+        [
+            pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED).linear
+            for frame in constrained.frames
+        ]
+    )
+    gaps = points[constrained.ends[:, 1]] - points[constrained.ends[:, 0]]
+    platform = pin.getFrameClassicalAcceleration(model, data, kinematics.layout.platform, pin.LOCAL_WORLD_ALIGNED)
+    return gaps.ravel(), np.array(platform.vector)
 
 
 def accelerations_for(
-    linearization: Linearization, platform: FloatArray, drift: FloatArray, acceleration: FloatArray
+    kinematics: TreeKinematics, acceleration: FloatArray, bias: tuple[FloatArray, FloatArray]
 ) -> FloatArray:
     """Return the joint accelerations (18,) at which m has `acceleration` (6,), and the loops stay closed.
 
-    `platform` (6,) and `drift` (12,) are the accelerations of m and of the gaps where no joint accelerates. Raises
-    `SingularConfigurationError` at an inverse or constraint singularity.
+    `bias` is the `drift` of the joint velocities. Raises `SingularConfigurationError` at an inverse or constraint
+    singularity.
     """
-    inverse = linearization.regular_inverse(linearization.motion(), "inverse")
-    wanted = np.concatenate([linearization.twist_scale * (acceleration - platform), -drift / linearization.side])
-    return np.asarray(linearization.columns @ (inverse @ wanted))
+    factors = kinematics.inverse_factors
+    gaps, platform = bias
+    wanted = [kinematics.twist_scale * (acceleration - platform), -gaps / kinematics.layout.side]
+    return factors.solve(np.concatenate(wanted))
 
 
-def platform_dynamics(
-    q: FloatArray, v: FloatArray, placement: Placement, constraints: ClosureConstraints, workspace: Workspace
-) -> PlatformDynamics:
+def platform_dynamics(kinematics: TreeKinematics, v: FloatArray) -> PlatformDynamics:
     """Return the equations of motion at the platform, of a closed q and v; see `ClosedChain.platform_dynamics`."""
-    model, data = placement.model, workspace.data
-    linearization = Linearization.at(q, placement, constraints, workspace)
-    inverse = linearization.regular_inverse(linearization.motion(), "inverse")
-    # Scaled as in the module `velocity`: X = C K̂⁻¹ [A; 0], and K Ẋ = -K̇ X.
-    x = linearization.columns @ inverse[:, :6] * linearization.twist_scale
-    closures = constraints.time_variation(q, v, workspace)
-    turning = pin.getFrameJacobianTimeVariation(model, data, placement.platform, pin.LOCAL_WORLD_ALIGNED)
-    scaled = np.concatenate([linearization.twist_scale[:, None] * turning, closures / linearization.side])
-    x_rate = -linearization.columns @ (inverse @ (scaled @ x))
-    mass = mass_matrix(model, q, workspace)
+    model, data, q, layout = kinematics.model, kinematics.data, kinematics.q, kinematics.layout
+    factors, scale = kinematics.inverse_factors, kinematics.twist_scale
+    x = kinematics.velocities_of_twists()
+    twist = kinematics.platform @ v
+    pin.computeJointJacobiansTimeVariation(model, data, q, v)
+    rates = [
+        pin.getFrameJacobianTimeVariation(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        for frame in (layout.platform, *kinematics.constrained.frames)
+    ]
+    points = np.array([rate[:3] for rate in rates[1:]])
+    ends = kinematics.constrained.ends
+    closures = (points[ends[:, 1]] - points[ends[:, 0]]).reshape(-1, model.nv)
+    # K Ẋ = -K̇ X.
+    x_rate = -factors.solve(np.concatenate([scale[:, None] * rates[0], closures / layout.side]) @ x)
+    mass = mass_matrix(kinematics)
     coriolis = x.T @ (mass @ x_rate + pin.computeCoriolisMatrix(model, data, q, v) @ x)
     reflected = x.T @ mass @ x
-    twist = linearization.platform @ v
     gravity = x.T @ pin.computeGeneralizedGravity(model, data, q)
     return PlatformDynamics(0.5 * (reflected + reflected.T), coriolis, coriolis @ twist, gravity)
 
 
-def mass_matrix(model: Any, q: FloatArray, workspace: Workspace) -> FloatArray:
+def mass_matrix(kinematics: TreeKinematics) -> FloatArray:
     """Return M (nv, nv); Pinocchio fills one triangle."""
-    half = np.triu(pin.crba(model, workspace.data, q))
+    half = np.triu(pin.crba(kinematics.model, kinematics.data, kinematics.q))
     return np.asarray(half + np.triu(half, 1).T)
 
 
-def energy_of(model: Any, q: FloatArray, v: FloatArray, workspace: Workspace) -> Energy:
+def energy_of(kinematics: TreeKinematics, v: FloatArray) -> Energy:
     """Return the energy of the tree's bodies."""
-    kinetic = float(pin.computeKineticEnergy(model, workspace.data, q, v))
-    return Energy(kinetic, float(pin.computePotentialEnergy(model, workspace.data, q)))
+    kinetic = float(pin.computeKineticEnergy(kinematics.model, kinematics.data, kinematics.q, v))
+    return Energy(kinetic, float(pin.computePotentialEnergy(kinematics.model, kinematics.data, kinematics.q)))
 
 
-def require_closed(gap: FloatArray, jacobian: FloatArray, v: FloatArray, side: float, argument: str = "v") -> None:
+def require_closed(kinematics: TreeKinematics, v: FloatArray | None = None, argument: str = "v") -> None:
     """Raise unless q is closed and v keeps it so, to `AGREEMENT`."""
-    residual = float(np.linalg.norm(gap, axis=-1).max())
-    if residual > AGREEMENT * side:
+    residual = kinematics.widest_gap()
+    if residual > AGREEMENT * kinematics.layout.side:
         raise ClosureError(residual, 0, "Rounded or guessed joint values? The method project closes the loops")
-    opening = float(np.abs(jacobian @ v).max())
-    if opening > AGREEMENT * float((np.abs(jacobian) @ np.abs(v)).max()):
+    if v is None:
+        return
+    opening = np.abs(kinematics.closures @ v).max()
+    if opening > 0.0 and opening > AGREEMENT * kinematics.speed(v):
         expected = "joint velocities that keep the loops closed"
-        cause = "joint_velocities makes them from a twist, complete_rates from leg rates"
+        cause = "joint_velocities makes them from a twist, joint_rates from leg rates"
         raise ArgumentError(argument, expected, f"gaps that open at {opening:.1e} m/s", cause)
 
 
-def require_closed_accelerations(
-    jacobian: FloatArray, drift: FloatArray, v: FloatArray, a: FloatArray, side: float
-) -> None:
+def require_closed_accelerations(kinematics: TreeKinematics, drift: FloatArray, v: FloatArray, a: FloatArray) -> None:
     """Raise unless the closures allow the accelerations a at v, to `AGREEMENT`."""
-    opening = float(np.abs(jacobian @ a + drift).max())
-    speed = float((np.abs(jacobian) @ np.abs(v)).max())
-    size = float((np.abs(jacobian) @ np.abs(a)).max()) + float(np.abs(drift).max()) + speed**2 / side
+    opening = np.abs(kinematics.closures @ a + drift).max()
+    size = kinematics.speed(a) + np.abs(drift).max() + kinematics.speed(v) ** 2 / kinematics.layout.side
     if opening > AGREEMENT * size:
         expected = "joint accelerations that keep the loops closed"
         cause = "joint_accelerations makes them from the platform's, at the velocities v"
         raise ArgumentError("a", expected, f"gaps that open at {opening:.1e} m/s²", cause)
-
-
-def require_constrained(closures: npt.NDArray[np.float64]) -> None:
-    """Raise `SingularConfigurationError` where the scaled Jacobian of the closures loses rank."""
-    values = np.linalg.svd(closures, compute_uv=False)
-    if values[-1] <= SINGULAR * values[0]:
-        raise SingularConfigurationError("constraint", float(values[-1]))

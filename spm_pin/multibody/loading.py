@@ -16,7 +16,7 @@ from spm_pin.errors import DescriptionError, GeometryError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.mechanism.joint_angles import home_lengths
-from spm_pin.multibody.placement import AGREEMENT, DIMENSIONS
+from spm_pin.multibody.joint_layout import AGREEMENT, DIMENSIONS
 
 __all__ = ["read_urdf"]
 

@@ -9,24 +9,16 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, real_array
-from spm_pin.multibody.batches import over_batch
-from spm_pin.multibody.chain_dynamics import WrenchLike, read_gains, read_wrenches
-from spm_pin.multibody.closures import ClosureConstraints, Workspace
-from spm_pin.multibody.dynamics import (
-    Energy,
-    balanced_legs,
-    energy_of,
-    require_closed,
-    require_closed_accelerations,
-    require_constrained,
-    tree_torques,
-    wrench_torques,
-)
-from spm_pin.multibody.placement import Placement
-from spm_pin.multibody.velocity import Linearization
+from spm_pin.mechanism.arguments import FloatArray, broadcastable
+from spm_pin.multibody.batches import BatchedStates
+from spm_pin.multibody.constrained_model import ConstrainedModel
+from spm_pin.multibody.dynamics import Energy
+from spm_pin.multibody.joint_layout import JointLayout
+from spm_pin.multibody.state import ConstrainedState, Gains, WrenchLike, read
 
 __all__ = ["MountedChain", "joined", "wrapped"]
+
+Indices = npt.NDArray[np.intp]
 
 
 class MountedChain:
@@ -44,23 +36,23 @@ class MountedChain:
         Both trees; do not change it.
     """
 
-    def __init__(
-        self, chain: Any, placement: Placement, alone: ClosureConstraints, other: Any, both: tuple[Any, Any, Any]
-    ) -> None:
-        self.chain = chain
-        self._placement, self._alone = placement, alone
-        self._other = other
-        self._both = both
-        self.model = both[0]
-        model = self.model
-        self._constraints = ClosureConstraints(model, chain.closures)
+    def __init__(self, chain: Any, other: Any, model: Any, collisions: Any, visuals: Any) -> None:
+        self.chain, self.model = chain, model
+        self._other, self._shapes = other, (collisions, visuals)
+        layout = JointLayout(model, chain.geometry, chain.prefix)
+        self._constrained = constrained = ConstrainedModel(model, layout, chain.closures)
+        self._states = BatchedStates(lambda: ConstrainedState(constrained), self._checked)
         self._q, self._v = self._places(chain.model)
         self._other_q, self._other_v = self._places(other)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Pinocchio's constraints cannot be pickled.
+        return type(self), (self.chain, self._other, self.model, *self._shapes)
 
     def __repr__(self) -> str:
         return f"<MountedChain: {self.chain!r} and {self._other.name}, {self.model.nv} degrees of freedom of the tree>"
 
-    def _places(self, tree: Any) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    def _places(self, tree: Any) -> tuple[Indices, Indices]:
         """Return where the q and the v of one of the two trees are, in its own order."""
         q, v = np.empty(tree.nq, dtype=np.intp), np.empty(tree.nv, dtype=np.intp)
         for own in tree.joints[1:]:
@@ -69,20 +61,25 @@ class MountedChain:
             v[own.idx_v : own.idx_v + own.nv] = joint.idx_v + np.arange(own.nv)
         return q, v
 
+    def _checked(self, q: npt.ArrayLike) -> FloatArray:
+        array = self._read(q, "q", self.model.nq)
+        self._constrained.layout.checked(array[..., self._constrained.layout.q])
+        return array
+
     @property
-    def chain_indices(self) -> npt.NDArray[np.intp]:
+    def chain_indices(self) -> Indices:
         """Where the chain's joints are in v, in the order of `chain.joint_names`, shape (18,)."""
         return self._v.copy()
 
     @property
-    def other_indices(self) -> npt.NDArray[np.intp]:
+    def other_indices(self) -> Indices:
         """Where the other robot's degrees of freedom are in v, in its own order."""
         return self._other_v.copy()
 
     @property
-    def actuated_indices(self) -> npt.NDArray[np.intp]:
+    def actuated_indices(self) -> Indices:
         """Where the actuators are in v: all of the other robot's, then the six legs."""
-        return np.concatenate([self._other_v, self._v[self.chain.leg_indices]])
+        return self._constrained.actuated.copy()
 
     def join(self, other: npt.ArrayLike, chain: npt.ArrayLike) -> FloatArray:
         """Return q (..., nq) of the model from the other robot's q and the chain's (..., 18)."""
@@ -101,27 +98,19 @@ class MountedChain:
 
     def robot_wrapper(self) -> Any:
         """Return a new `pinocchio.RobotWrapper` of both trees, with the shapes of both where they are known."""
-        return pin.RobotWrapper(*self._both)
+        return pin.RobotWrapper(self.model, *self._shapes)
 
-    def workspace(self) -> Workspace:
-        """Return memory to hand to methods called often, one per thread."""
-        return self._constraints.workspace()
+    def state(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> ConstrainedState:
+        """Return the state of joint values q (nq,) and velocities v (nv,), by default at rest."""
+        return ConstrainedState(self._constrained).update(q, v)
 
-    def closure_gap(self, q: npt.ArrayLike, *, workspace: Workspace | None = None) -> FloatArray:
+    def closure_gap(self, q: npt.ArrayLike) -> FloatArray:
         """Return how far the closures are open (..., 4, 3) [m], in the axes of the universe."""
-        own = self._constraints.workspace(workspace)
-        count = len(self.chain.closures)
-        return over_batch(
-            lambda q: (self._constraints.evaluate(q, own)[0],), ((count, 3),), q=self._read(q, "q", self.model.nq)
-        )[0]
+        return self._states.closure_gap(q)
 
-    def constraint_jacobian(self, q: npt.ArrayLike, *, workspace: Workspace | None = None) -> FloatArray:
+    def constraint_jacobian(self, q: npt.ArrayLike) -> FloatArray:
         """Return the rates of `closure_gap` by joint velocities, shape (..., 12, nv)."""
-        own = self._constraints.workspace(workspace)
-        shape = (3 * len(self.chain.closures), self.model.nv)
-        return over_batch(
-            lambda q: (self._constraints.evaluate(q, own)[1],), (shape,), q=self._read(q, "q", self.model.nq)
-        )[0]
+        return self._states.constraint_jacobian(q)
 
     def forward_dynamics(
         self,
@@ -130,8 +119,7 @@ class MountedChain:
         forces: npt.ArrayLike,
         wrench: WrenchLike = None,
         *,
-        gains: tuple[float, float] | None = None,
-        workspace: Workspace | None = None,
+        gains: Gains = None,
     ) -> FloatArray:
         """Return the accelerations (..., nv) under actuators, gravity and wrenches.
 
@@ -151,32 +139,10 @@ class MountedChain:
         ArgumentError, ClosureError, SingularConfigurationError
             As `ClosedChain.forward_dynamics`.
         """
-        given = read_gains(gains)
-        own, alone = self._constraints.workspace(workspace), self._alone.workspace()
-        frames, wrenches = self._wrenches(wrench)
-        actuated = self.actuated_indices
-
-        def member(q: FloatArray, v: FloatArray, f: FloatArray, w: FloatArray) -> tuple[FloatArray]:
-            require_constrained(self._linearization(q, alone).scaled_closures())
-            gap, jacobian = self._constraints.evaluate(q, own)
-            if given is None:
-                require_closed(gap, jacobian, v, self.chain.geometry.middle_side)
-            torques = wrench_torques(self.model, zip(frames, w.reshape(-1, 6), strict=True), own)
-            torques[actuated] += f
-            return (self._constraints.accelerations(q, v, torques, given or (0.0, 0.0), own),)
-
-        read = self._read(q, "q", self.model.nq), self._read(v, "v", self.model.nv)
-        force = self._read(forces, "forces", actuated.size)
-        return over_batch(member, ((self.model.nv,),), q=read[0], v=read[1], forces=force, wrench=wrenches)[0]
+        return self._states.forward_dynamics(q, v, forces, wrench, gains)
 
     def inverse_dynamics(
-        self,
-        q: npt.ArrayLike,
-        v: npt.ArrayLike,
-        a: npt.ArrayLike,
-        wrench: WrenchLike = None,
-        *,
-        workspace: Workspace | None = None,
+        self, q: npt.ArrayLike, v: npt.ArrayLike, a: npt.ArrayLike, wrench: WrenchLike = None
     ) -> FloatArray:
         """Return the forces of all actuators (..., n), in the order of `actuated_indices`, of a motion.
 
@@ -192,50 +158,19 @@ class MountedChain:
         ArgumentError, ClosureError, SingularConfigurationError
             As `ClosedChain.inverse_dynamics`.
         """
-        own, alone = self._constraints.workspace(workspace), self._alone.workspace()
-        frames, wrenches = self._wrenches(wrench)
-        side = self.chain.geometry.middle_side
+        return self._states.inverse_dynamics(q, v, a, wrench)
 
-        def member(q: FloatArray, v: FloatArray, a: FloatArray, w: FloatArray) -> tuple[FloatArray]:
-            gap, jacobian = self._constraints.evaluate(q, own)
-            require_closed(gap, jacobian, v, side)
-            torques = tree_torques(self.model, q, v, a, zip(frames, w.reshape(-1, 6), strict=True), own)
-            require_closed_accelerations(jacobian, self._constraints.drift(q, v, own), v, a, side)
-            # Forces in the chain's own balls do no work on the other robot: its joints carry the tree's torques.
-            legs = balanced_legs(self._linearization(q, alone), torques[self._v])
-            return (np.concatenate([torques[self._other_v], legs]),)
-
-        states = {"q": self._read(q, "q", self.model.nq)}
-        states |= {name: self._read(value, name, self.model.nv) for name, value in (("v", v), ("a", a))}
-        return over_batch(member, ((self.actuated_indices.size,),), **states, wrench=wrenches)[0]
-
-    def energy(self, q: npt.ArrayLike, v: npt.ArrayLike, *, workspace: Workspace | None = None) -> Energy:
+    def energy(self, q: npt.ArrayLike, v: npt.ArrayLike) -> Energy:
         """Return the kinetic and the potential energy [J] of both robots."""
-        own = self._constraints.workspace(workspace)
-        read = {"q": self._read(q, "q", self.model.nq), "v": self._read(v, "v", self.model.nv)}
-        found = over_batch(lambda q, v: energy_of(self.model, q, v, own), ((), ()), **read)
-        return Energy(*(float(part) if part.ndim == 0 else part for part in found))
-
-    def _linearization(self, q: FloatArray, workspace: Workspace) -> Linearization:
-        """Return the velocities of the chain by itself: how it is carried is nothing to its loops."""
-        return Linearization.at(q[self._q], self._placement, self._alone, workspace)
-
-    def _wrenches(self, wrench: WrenchLike) -> tuple[list[int], FloatArray]:
-        return read_wrenches(self.model, wrench, self._placement.model.frames[self._placement.platform].name)
+        return self._states.energy(q, v)
 
     @staticmethod
     def _read(value: npt.ArrayLike, argument: str, size: int) -> FloatArray:
-        return real_array(value, argument, (size,), "in Pinocchio's order")
+        return read(value, argument, size, "in Pinocchio's order")
 
     @staticmethod
-    def _together(
-        parts: tuple[FloatArray, FloatArray], places: tuple[npt.NDArray[np.intp], ...], size: int
-    ) -> FloatArray:
-        try:
-            shape = np.broadcast_shapes(*(part.shape[:-1] for part in parts))
-        except ValueError:
-            expected = f"leading axes that broadcast with {parts[0].shape[:-1]}"
-            raise ArgumentError("chain", expected, f"shape {parts[1].shape}") from None
+    def _together(parts: tuple[FloatArray, FloatArray], places: tuple[Indices, Indices], size: int) -> FloatArray:
+        shape = broadcastable("chain", parts[1].shape[:-1], "other", parts[0].shape[:-1])
         whole = np.empty((*shape, size))
         for part, place in zip(parts, places, strict=True):
             whole[..., place] = part

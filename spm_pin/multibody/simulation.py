@@ -1,89 +1,130 @@
-"""What a simulation was: a motion in time, and why it ended."""
+"""Motion of a chain in time: what acts on it, when it is recorded, and what ends it."""
 
 from __future__ import annotations
 
-import enum
-from dataclasses import dataclass
+import itertools
+import math
+from collections.abc import Callable, Collection, Mapping
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import FloatArray, real_number
+from spm_pin.multibody.constrained_model import ConstrainedModel
+from spm_pin.multibody.dynamics import require_closed
+from spm_pin.multibody.integrator import Ending, ForceCallback, Integrator
+from spm_pin.multibody.joint_layout import one_vector
+from spm_pin.multibody.platform_path import increasing_times
+from spm_pin.multibody.simulation_result import Simulation, SimulationEnd
+from spm_pin.multibody.state import ChainState, WrenchLike, read_wrenches
 
-__all__ = ["Simulation", "SimulationEnd"]
+__all__ = ["ForceFunction", "simulate"]
+
+ForceFunction = Callable[[float, FloatArray, FloatArray], npt.ArrayLike]
+"""A function of the time, q (18,) and v (18,): leg forces (6,), or a wrench (6,)."""
+
+STOPS = {
+    "limits": SimulationEnd.LIMIT,
+    "inverse": SimulationEnd.INVERSE_SINGULARITY,
+    "forward": SimulationEnd.FORWARD_SINGULARITY,
+}
+
+SHORTEST_INTERVAL = 1e-7
+"""Shortest period and longest step that are accepted, as a share of the run: more steps would not end."""
 
 
-class SimulationEnd(enum.StrEnum):
-    """Why a simulation ended."""
+def simulate(
+    state: ChainState,
+    v0: npt.ArrayLike,
+    forces: npt.ArrayLike | ForceFunction | None,
+    times: npt.ArrayLike,
+    *,
+    wrench: WrenchLike | ForceFunction,
+    period: float | None,
+    stop_at: Collection[str],
+    tolerance: float,
+    max_step: float,
+    progress: Callable[[float], object] | None,
+) -> Simulation:
+    """Integrate the motion from a state on; see `ClosedChain.simulate`. The state is left anywhere."""
+    layout, q = state.constrained.layout, state.kinematics.q
+    v = one_vector(v0, "v0", (len(layout.v),), "rates of the joints in Pinocchio's order")
+    require_closed(state.kinematics, v, "v0")
+    recorded = increasing_times(times)
+    begin, until = float(recorded[0]), float(recorded[-1])
+    span = until - begin
+    real_number(tolerance, "tolerance", "a number from 1e-13 to 1e-3", least=1e-13, most=1e-3)
+    if max_step != math.inf:
+        _interval(max_step, "max_step", span)
+    if period is not None:
+        _interval(period, "period", span)
+    if isinstance(stop_at, str) or any(stop not in STOPS for stop in stop_at):
+        raise ArgumentError("stop_at", f"a collection of {', '.join(map(repr, STOPS))}", repr(stop_at))
+    limits = layout.geometry.limits if "limits" in stop_at else None
+    if "limits" in stop_at and limits is None:
+        raise ArgumentError("stop_at", "no limits, for a geometry without leg limits", "limits")
 
-    COMPLETE = "complete"
-    LIMIT = "leg limit"
-    INVERSE_SINGULARITY = "inverse singularity"
-    FORWARD_SINGULARITY = "forward singularity"
-    CONSTRAINT_SINGULARITY = "constraint singularity"
-    COLLAPSE = "leg of no length"
-    STOPPED = "stopped"
-    STALLED = "stalled"
+    act = _callback(np.zeros(6) if forces is None else forces, "forces", "of the six legs in newtons")
+    wrenches, frames = _wrenches(state.constrained, wrench)
+    ends = frozenset(STOPS[stop] for stop in stop_at) - {SimulationEnd.LIMIT}
+    integrator = Integrator(state, frames, wrenches, limits, ends)
+
+    def proceed(time: float) -> bool:
+        return progress is None or progress((time - begin) / span) is not False
+
+    now, samples = integrator.start(q, v), _samples(begin, until, period)
+    ending: Ending | None = integrator.beyond(begin, now)
+    for k, (start, end) in enumerate(itertools.pairwise(samples)):
+        applied = act if period is None else _constant(act(start, *integrator.parts(now)))
+        if k == 0:
+            integrator.record(begin, now, applied)
+        if ending is not None or span == 0.0:
+            break
+        inside = recorded[(recorded > start) & (recorded <= end)]
+        now, ending = integrator.advance(now, (start, end), inside, applied, tolerance, max_step, proceed)
+        if ending is not None:
+            integrator.record(ending.time, now, applied)
+    return integrator.result(ending)
 
 
-@dataclass(frozen=True)
-class Simulation:
-    """A motion of a `ClosedChain` in time.
+def _wrenches(constrained: ConstrainedModel, wrench: WrenchLike | ForceFunction) -> tuple[ForceCallback, list[int]]:
+    """Return the wrenches side by side as a function, and the frames that they act onto."""
+    if callable(wrench):
+        return _callback(wrench, "wrench", "(f, m) in N and N m"), [constrained.layout.platform]
+    together, frames = read_wrenches(constrained, wrench)
+    if together.ndim != 1:
+        cause = "One motion a call"
+        raise ArgumentError("wrench", "shape (6,), (f, m) in N and N m", f"shape {together.shape}", cause)
+    return _constant(together), frames
 
-    Attributes
-    ----------
-    times : ndarray, shape (n,)
-        Those asked for [s], as far as the motion went; the last is that of the event, if one ended it.
-    q, v, a : ndarray, shape (n, 18)
-        Joint values, velocities and accelerations.
-    leg_lengths : ndarray, shape (n, 6)
-        [m].
-    leg_forces : ndarray, shape (n, 6)
-        What the actuators gave [N]; positive pushes.
-    kinetic, potential : ndarray, shape (n,)
-        Energy of all bodies [J].
-    work : ndarray, shape (n,)
-        Of the leg forces and the wrenches since the start [J].
-    closure_gap : ndarray, shape (n,)
-        The widest of the four gaps [m].
-    end : SimulationEnd
-        Why it ended there. STALLED: the motion became too fast for any step, as where forces are discontinuous or
-        have no bound.
-    detail : str
-        Which leg and which limit; empty if there is nothing to say.
-    steps, evaluations : int
-        Steps of the integrator, evaluations of the forward dynamics.
-    """
 
-    times: FloatArray
-    q: FloatArray
-    v: FloatArray
-    a: FloatArray
-    leg_lengths: FloatArray
-    leg_forces: FloatArray
-    kinetic: FloatArray
-    potential: FloatArray
-    work: FloatArray
-    closure_gap: FloatArray
-    end: SimulationEnd
-    detail: str
-    steps: int
-    evaluations: int
+def _constant(value: FloatArray) -> ForceCallback:
+    return lambda t, q, v: value
 
-    def __repr__(self) -> str:
-        last = f"t = {self.times[-1]:g} s" if self.times.size else "no time"
-        return f"<Simulation: {self.times.size} times to {last}, {self.end}>"
 
-    @property
-    def complete(self) -> bool:
-        """Whether it went to the last of the times asked for."""
-        return self.end is SimulationEnd.COMPLETE
+def _callback(given: Any, argument: str, meaning: str) -> ForceCallback:
+    """Return a function from a constant or a function; what a function returns is checked."""
+    if isinstance(given, Mapping) or not callable(given):
+        return _constant(one_vector(given, argument, (6,), meaning))
 
-    @property
-    def energy(self) -> FloatArray:
-        """Kinetic and potential energy [J], shape (n,)."""
-        return np.asarray(self.kinetic + self.potential)
+    def checked(t: float, q: FloatArray, v: FloatArray) -> FloatArray:
+        # Copies: the function may change them.
+        return one_vector(given(t, q.copy(), v.copy()), argument, (6,), meaning)
 
-    @property
-    def energy_error(self) -> FloatArray:
-        """Energy gained since the start less the work done [J], shape (n,): zero but for errors of the method."""
-        return np.asarray(self.energy - self.energy[0] - self.work)
+    return checked
+
+
+def _interval(value: float, argument: str, span: float) -> None:
+    expected = "a time in seconds, greater than zero and not less than 1e-7 of the run"
+    real_number(value, argument, expected, above=0.0, least=SHORTEST_INTERVAL * span)
+
+
+def _samples(begin: float, until: float, period: float | None) -> list[float]:
+    """Return when forces change, from the begin to the end of the run."""
+    if period is None:
+        return [begin, until]
+    # Multiples rather than sums, and no last period of rounding's length.
+    count = max(1, math.ceil((until - begin) / period - 1e-9))
+    return [*(begin + k * period for k in range(count)), until]

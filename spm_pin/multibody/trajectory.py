@@ -1,17 +1,28 @@
-"""A motion of all joints, as programs that show or drive robots take it."""
+"""A motion of all joints along a path of the platform, in the formats that programs take."""
 
 from __future__ import annotations
 
 import csv
 import io
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from spm_pin.mechanism.arguments import FloatArray
+import numpy as np
+import numpy.typing as npt
 
-__all__ = ["JointTrajectory"]
+from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
+from spm_pin.mechanism.arguments import FloatArray, real_array
+from spm_pin.mechanism.pose import as_rigid_transform
+from spm_pin.multibody.batches import located
+from spm_pin.multibody.continuation_solver import ContinuationSolver
+from spm_pin.multibody.dynamics import require_closed
+from spm_pin.multibody.platform_path import PlatformMotion, PlatformPath, increasing_times
+from spm_pin.multibody.state import ChainState
+
+__all__ = ["JointTrajectory", "joint_trajectory"]
 
 
 @dataclass(frozen=True)
@@ -64,7 +75,7 @@ class JointTrajectory:
     def to_json(self, path: str | Path | None = None) -> str:
         """Return `to_dict` as JSON, and write it to a file if `path` is given."""
         text = json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
-        return _written(text, path)
+        return _write(text, path)
 
     def to_csv(self, path: str | Path | None = None) -> str:
         """Return a table, and write it to a file if `path` is given.
@@ -83,10 +94,55 @@ class JointTrajectory:
         writer.writerow(["time", *(f"{name}.{column}" for column in columns for name in self.joint_names)])
         for k, time in enumerate(self.times):
             writer.writerow([repr(float(time)), *(repr(x) for column in columns.values() for x in column[k].tolist())])
-        return _written(buffer.getvalue(), path)
+        return _write(buffer.getvalue(), path)
 
 
-def _written(text: str, path: str | Path | None) -> str:
+def joint_trajectory(
+    state: ChainState,
+    joint_names: tuple[str, ...],
+    path: Callable[[float], PlatformMotion],
+    times: npt.ArrayLike,
+    q: FloatArray,
+) -> JointTrajectory:
+    """Return the motion of all joints from q (18,) on; see `ClosedChain.joint_trajectory`. The state is moved."""
+    at = increasing_times(times)
+    if not callable(path):
+        raise ArgumentError("path", "a PlatformPath or another function of time", type(path).__name__)
+    state.set(q)
+    require_closed(state.kinematics)
+    rows: list[tuple[FloatArray, ...]] = []
+    # All at once where that is known to be allowed.
+    motions = zip(*path(at), strict=True) if isinstance(path, PlatformPath) else map(path, at.tolist())
+    for k, motion in enumerate(motions):
+        try:
+            rows.append(_moving(state, q, PlatformMotion(*motion)))
+        except (ArgumentError, ClosureError, SingularConfigurationError) as error:
+            raise located(error, (k,)) from error
+        q = rows[-1][0]
+    columns = (np.array(column).reshape(at.size, -1) for column in zip(*rows, strict=True))
+    return JointTrajectory(joint_names, at, *columns)
+
+
+def _moving(state: ChainState, q: FloatArray, motion: PlatformMotion) -> tuple[FloatArray, ...]:
+    """Return q, v, a and the actuators' forces of a motion of the platform."""
+    transform = as_rigid_transform(motion.pose, "path")
+    twist, acceleration = (
+        real_array(value, "path", (6,), f"{name} of the platform")
+        for value, name in zip(motion[1:], ("twist", "acceleration"), strict=True)
+    )
+    solver = ContinuationSolver(state.kinematics)
+    q = solver.to_pose(q, transform.rotation.as_matrix(), transform.translation)
+    state.set(q)
+    v = state.joint_velocities(twist)
+    state.set(q, v)
+    a = state.joint_accelerations(acceleration)
+    efforts = np.zeros(q.size)
+    efforts[state.constrained.layout.legs] = state.actuator_forces(a, np.empty(0), [])
+    return q, v, a, efforts
+
+
+def _write(text: str, path: str | Path | None) -> str:
+    """Return a text, written to a file if there is a path."""
     if path is not None:
         Path(path).write_text(text, encoding="utf-8")
     return text

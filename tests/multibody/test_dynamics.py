@@ -92,11 +92,10 @@ def test_open_gaps_close_as_the_gains_say() -> None:
     change = (-gap(-2 * h) + 16 * gap(-h) - 30 * gap(0.0) + 16 * gap(h) - gap(2 * h)) / (12 * h**2)
     assert np.abs(change + gains[1] * rate + gains[0] * gap(0.0)).max() <= 1e-6 * np.abs(change).max()
     # Another call's gains are its own.
-    own = robot.workspace()
     closed, rest = states("paper", 1, seed=203)[0][0], np.zeros(18)
-    before = robot.forward_dynamics(closed, rest, forces, workspace=own)
-    robot.forward_dynamics(q, v, forces, gains=gains, workspace=own)
-    assert np.array_equal(robot.forward_dynamics(closed, rest, forces, workspace=own), before)
+    before = robot.forward_dynamics(closed, rest, forces)
+    robot.forward_dynamics(q, v, forces, gains=gains)
+    assert np.array_equal(robot.forward_dynamics(closed, rest, forces), before)
 
 
 @pytest.mark.parametrize("engine", [Mujoco, Drake])

@@ -128,13 +128,13 @@ def test_the_closed_form_a_hundred_thousand_times(name: str) -> None:
 
 def check_forces(name: str, count: int, seed: int) -> None:
     robot, rng = chain(name), np.random.default_rng(seed)
-    d, own = robot.geometry.middle_side, robot.workspace()
+    d = robot.geometry.middle_side
     for state, q in placed(name, count, seed):
         wrench = rng.normal(size=6) * [1, 1, 1, d, d, d]
-        error = np.linalg.norm(robot.leg_forces(q, wrench, workspace=own) - spm.leg_forces(state, wrench))
+        error = np.linalg.norm(robot.leg_forces(q, wrench) - spm.leg_forces(state, wrench))
         load = np.linalg.norm(wrench / [1, 1, 1, d, d, d])
         reach = 1.0 + robot.leg_lengths(q).sum() / d
-        smallest = min(robot.singular_values(q, workspace=own).forward, wrench_conditions(state)[0])
+        smallest = min(robot.singular_values(q).forward, wrench_conditions(state)[0])
         assert error <= 32 * EPS * reach * load / smallest**2
 
 

@@ -37,15 +37,12 @@ def test_three_witnesses_at_the_six_branches(branch: int) -> None:
 
 def check_witnesses(name: str, count: int, seed: int) -> None:
     robot, d = chain(name), chain(name).geometry.middle_side
-    own = robot.workspace()
     scale = np.array([1, 1, 1, 1 / d, 1 / d, 1 / d])
     for state, q in placed(name, count, seed):
-        found = robot.inverse_jacobian(q, workspace=own)
+        found = robot.inverse_jacobian(q)
         # A solve errs by eps / σ², times the size of the rows of the twist at o.
         reach = 1.0 + np.linalg.norm(state.translation - state.middle_joints.mean(axis=0)) / d
-        allowed = (
-            32 * EPS * reach / min(robot.singular_values(q, workspace=own).inverse, wrench_conditions(state)[1]) ** 2
-        )
+        allowed = 32 * EPS * reach / min(robot.singular_values(q).inverse, wrench_conditions(state)[1]) ** 2
         for other in (spm.inverse_jacobian(state), paper.J_f(state)):
             assert np.linalg.norm((found - other) * scale) <= allowed
 

@@ -78,17 +78,16 @@ def test_convergence_is_quadratic(hold_legs: bool) -> None:
 def test_forward_displacement(start: str) -> None:
     """From a q of the physical mode, any leg lengths within the limits lead to that mode's configuration."""
     robot = chain()
-    own = robot.workspace()
     q = np.zeros(18)
     if start == "reference":
         state = next(s for s in problems.in_leg_space(PAPER, 1, seed=135).configuration)
         q = robot.joint_values(state)
     for state in problems.in_leg_space(PAPER, 150, seed=136).configuration:
         changed = robot.with_leg_lengths(q, state.leg_lengths)
-        found = robot.project(changed, hold_legs=True, workspace=own)
+        found = robot.project(changed, hold_legs=True)
         assert np.array_equal(found[robot.leg_indices], changed[robot.leg_indices])
-        forward = robot.singular_values(found, workspace=own).forward
-        reached = robot.configuration(found, workspace=own)
+        forward = robot.singular_values(found).forward
+        reached = robot.configuration(found)
         allowed = 2 * rounding(robot, q) / forward
         assert np.abs(reached.middle_joints - state.middle_joints).max() <= allowed
         assert np.abs(reached.pose.as_matrix() - state.pose.as_matrix()).max() <= 4 * allowed

@@ -73,7 +73,7 @@ class Robot:
         return self.chain.joint_names
 
     def q(self, configuration: Configuration) -> FloatArray:
-        """Return the joint values (18,) of a configuration, in Pinocchio's order; see `ClosedChain.place`."""
+        """Return the joint values (18,) of a configuration, in Pinocchio's order; see `ClosedChain.joint_values`."""
         return self.chain.joint_values(configuration)
 
     def placements(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:

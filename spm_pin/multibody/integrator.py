@@ -16,24 +16,21 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-import pinocchio as pin
 from scipy.integrate import DOP853
 from scipy.optimize import brentq
 
 from spm_pin.errors import ClosureError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import LEGS, LegLimits
-from spm_pin.multibody.closures import ClosureConstraints, Workspace
 from spm_pin.multibody.dynamics import energy_of, mass_matrix, wrench_torques
-from spm_pin.multibody.newton import close
-from spm_pin.multibody.placement import Placement
-from spm_pin.multibody.simulation import Simulation, SimulationEnd
-from spm_pin.multibody.velocity import Linearization
+from spm_pin.multibody.projection import project_to_closure
+from spm_pin.multibody.simulation_result import Simulation, SimulationEnd
+from spm_pin.multibody.state import ChainState
 
-__all__ = ["Ending", "Law", "Stepper"]
+__all__ = ["Ending", "ForceCallback", "Integrator"]
 
-Law = Callable[[float, FloatArray, FloatArray], FloatArray]
-"""What acts at (t, q, v)."""
+ForceCallback = Callable[[float, FloatArray, FloatArray], FloatArray]
+"""Forces at (t, q, v)."""
 
 LEAST_CONSTRAINED = 1e-5
 """Smallest singular value of the scaled closures at which a run ends: the forces in the balls grow as its inverse."""
@@ -41,7 +38,16 @@ LEAST_CONSTRAINED = 1e-5
 SHORTEST_LEG = 1e-6
 """Length of a leg at which a run ends, in units of the middle platform's side: less has no direction."""
 
+LARGEST_RATE = 1e100
+"""Velocity, acceleration or power at which a run ends: SciPy's step control loops for ever on infinite ones."""
+
+NOT_FINITE = "forces or accelerations beyond all measure"
+
 SINGULAR_ENDS = (SimulationEnd.INVERSE_SINGULARITY, SimulationEnd.FORWARD_SINGULARITY)
+
+
+class _InfiniteRateError(Exception):
+    """The motion is too fast to be integrated."""
 
 
 class Ending(NamedTuple):
@@ -66,17 +72,13 @@ class Margin(NamedTuple):
         return following < 0.0
 
 
-class Stepper:
-    """One simulation as it goes; a state is q, v and the work done, shape (37,).
+class Integrator:
+    """One simulation as it goes; a state vector is q, v and the work done, shape (37,).
 
     Parameters
     ----------
-    placement : Placement
-        Of the chain.
-    constraints : ClosureConstraints
-        Of the chain.
-    workspace : Workspace
-        Its memory.
+    state : ChainState
+        Of the chain; it is moved.
     frames : list of int
         Where wrenches act.
     wrenches : callable
@@ -89,19 +91,18 @@ class Stepper:
 
     def __init__(
         self,
-        placement: Placement,
-        constraints: ClosureConstraints,
-        workspace: Workspace,
+        state: ChainState,
         frames: list[int],
-        wrenches: Law,
+        wrenches: ForceCallback,
         limits: LegLimits | None,
         singular: frozenset[SimulationEnd],
     ) -> None:
-        self._placement, self._constraints, self._workspace = placement, constraints, workspace
+        self._kinematics, self._solver = state.kinematics, state.solver
+        self._layout = state.constrained.layout
         self._frames, self._wrenches = frames, wrenches
         self._limits, self._singular = limits, singular
-        self._size = int(placement.model.nv)
-        self._least = SHORTEST_LEG * placement.geometry.middle_side
+        self._size = len(self._layout.v)
+        self._least = SHORTEST_LEG * self._layout.side
         self._rows: list[dict[str, Any]] = []
         self._steps = self._evaluations = 0
 
@@ -111,7 +112,7 @@ class Stepper:
 
     def beyond(self, time: float, state: FloatArray) -> Ending | None:
         """Return the limit that a state is beyond."""
-        lengths = self._placement.leg_lengths(state[: self._size])
+        lengths = self._layout.leg_lengths(state[: self._size])
         if lengths.min() < self._least:
             return Ending(SimulationEnd.COLLAPSE, LEGS[int(lengths.argmin())], time)
         margins = (margin for margin in self._margins(state) if margin.end not in SINGULAR_ENDS)
@@ -121,28 +122,27 @@ class Stepper:
         """Return q and v of a state."""
         return state[: self._size], state[self._size : -1]
 
-    def record(self, time: float, state: FloatArray, forces: Law) -> None:
+    def record(self, time: float, state: FloatArray, forces: ForceCallback) -> None:
         """Keep the motion at one time, unless the last one kept is of that time."""
         if self._rows and self._rows[-1]["times"] == time:
             return
         q, v = self.parts(state)
         work = float(state[-1])
         a, force, _ = self._motion(time, q, v, forces)
-        gap = self._constraints.evaluate(q, self._workspace)[0]
-        energy = energy_of(self._placement.model, q, v, self._workspace)
-        widest = float(np.linalg.norm(gap, axis=-1).max())
+        self._kinematics.evaluate(q)
+        energy = energy_of(self._kinematics, v)
         self._rows.append(
             {
                 "times": time,
                 "q": q,
                 "v": v,
                 "a": a,
-                "leg_lengths": self._placement.leg_lengths(q),
+                "leg_lengths": self._layout.leg_lengths(q),
                 "leg_forces": force,
                 "kinetic": energy.kinetic,
                 "potential": energy.potential,
                 "work": work,
-                "closure_gap": widest,
+                "closure_gap": self._kinematics.widest_gap(),
             }
         )
 
@@ -157,7 +157,7 @@ class Stepper:
         state: FloatArray,
         span: tuple[float, float],
         times: FloatArray,
-        forces: Law,
+        forces: ForceCallback,
         tolerance: float,
         max_step: float,
         proceed: Callable[[float], bool],
@@ -168,15 +168,24 @@ class Stepper:
             self._evaluations += 1
             q, v = self.parts(state)
             a, _, power = self._motion(time, q, v, forces)
-            return np.concatenate([v, a, [power]])
+            rates = np.concatenate([v, a, [power]])
+            if not np.abs(rates).max() < LARGEST_RATE:
+                raise _InfiniteRateError
+            return rates
 
-        solver = DOP853(rate, span[0], state, span[1], max_step=max_step, rtol=tolerance, atol=tolerance)
         margins, waiting = self._margins(state), 0
+        try:
+            solver = DOP853(rate, span[0], state, span[1], max_step=max_step, rtol=tolerance, atol=tolerance)
+        except _InfiniteRateError:
+            return state, Ending(SimulationEnd.STALLED, NOT_FINITE, span[0])
         while solver.status == "running":
             before = float(solver.t)
-            # It returns a message where its status becomes "failed".
-            if solver.step() is not None:
-                return state, Ending(SimulationEnd.STALLED, "no step is short enough", before)
+            try:
+                # It returns a message where its status becomes "failed".
+                if solver.step() is not None:
+                    return state, Ending(SimulationEnd.STALLED, "no step is short enough", before)
+            except _InfiniteRateError:
+                return state, Ending(SimulationEnd.STALLED, NOT_FINITE, before)
             self._steps += 1
             time, collapse = self._collapse(solver, before)
             try:
@@ -217,13 +226,13 @@ class Stepper:
 
     def _collapse(self, solver: Any, before: float) -> tuple[float, Ending | None]:
         """Return where a step ends, and why if before its time: the first leg that has no length left."""
-        lengths = self._placement.leg_lengths(solver.y[: self._size])
+        lengths = self._layout.leg_lengths(solver.y[: self._size])
         if lengths.min() >= self._least:
             return float(solver.t), None
         dense = solver.dense_output()
 
         def length(moment: float, k: int) -> float:
-            left = float(self._placement.leg_lengths(np.asarray(dense(moment))[: self._size])[k]) - self._least
+            left = float(self._layout.leg_lengths(np.asarray(dense(moment))[: self._size])[k]) - self._least
             # Rounding must not take the length away before the step begins.
             return max(left, np.finfo(np.float64).tiny) if moment <= before else left
 
@@ -250,40 +259,41 @@ class Stepper:
 
     def _margins(self, state: FloatArray) -> list[Margin]:
         q = state[: self._size]
-        lengths = self._placement.leg_lengths(q)
+        lengths = self._layout.leg_lengths(q)
         margins: list[Margin] = []
         if self._limits is not None:
             for sign, bound, name in ((1.0, self._limits.minimum, "minimum"), (-1.0, self._limits.maximum, "maximum")):
                 spare = sign * (lengths - np.asarray(bound))
                 margins += [Margin(SimulationEnd.LIMIT, f"{LEGS[k]}, {name}", float(spare[k])) for k in range(6)]
-        linear = Linearization.at(q, self._placement, self._constraints, self._workspace)
-        smallest = float(np.linalg.svd(linear.scaled_closures(), compute_uv=False)[-1])
+        kinematics = self._kinematics
+        kinematics.evaluate(q)
+        kinematics.require_ball_angles()
+        smallest = float(np.linalg.svd(kinematics.scaled_closures(), compute_uv=False)[-1])
         margins.append(Margin(SimulationEnd.CONSTRAINT_SINGULARITY, "", smallest - LEAST_CONSTRAINED))
-        matrices = dict(zip(SINGULAR_ENDS, (linear.motion, linear.held), strict=True))
+        matrices = dict(zip(SINGULAR_ENDS, (kinematics.inverse_matrix, kinematics.forward_matrix), strict=True))
         margins += [
             Margin(end, "", float(np.linalg.det(matrices[end]()))) for end in SINGULAR_ENDS if end in self._singular
         ]
         return margins
 
-    def _motion(self, time: float, q: FloatArray, v: FloatArray, forces: Law) -> tuple[FloatArray, FloatArray, float]:
+    def _motion(
+        self, time: float, q: FloatArray, v: FloatArray, forces: ForceCallback
+    ) -> tuple[FloatArray, FloatArray, float]:
         """Return the accelerations, the leg forces and the power of all but gravity."""
-        model, own = self._placement.model, self._workspace
         force = forces(time, q, v)
         torques = np.zeros(self._size)
         if self._frames:
             wrenches = self._wrenches(time, q, v).reshape(-1, 6)
-            pin.computeJointJacobians(model, own.data, q)
-            torques += wrench_torques(model, zip(self._frames, wrenches, strict=True), own)
-        torques[self._placement.legs] += force
-        return self._constraints.accelerations(q, v, torques, (0.0, 0.0), own), force, float(torques @ v)
+            self._kinematics.evaluate(q)
+            torques += wrench_torques(self._kinematics, zip(self._frames, wrenches, strict=True))
+        torques[self._layout.legs] += force
+        return self._solver.accelerations(q, v, torques), force, float(torques @ v)
 
     def _closed(self, state: FloatArray) -> FloatArray:
         """Return the state with q closed and v admissible."""
-        own = self._workspace
         q, v = self.parts(state)
-        work = float(state[-1])
-        q = close(q, self._placement, self._constraints, own, False, 10)
-        jacobian = self._constraints.evaluate(q, own)[1]
-        across = np.linalg.solve(mass_matrix(self._placement.model, q, own), jacobian.T)
+        q = project_to_closure(q, self._kinematics)
+        jacobian = self._kinematics.closures
+        across = np.linalg.solve(mass_matrix(self._kinematics), jacobian.T)
         v = v - across @ np.linalg.solve(jacobian @ across, jacobian @ v)
-        return np.concatenate([q, v, [work]])
+        return np.concatenate([q, v, [state[-1]]])

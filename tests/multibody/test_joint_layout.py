@@ -1,4 +1,4 @@
-"""From configurations to joint values and back, and which joint is where."""
+"""From configurations to joint values and back, and which joint is where in q."""
 
 from __future__ import annotations
 
@@ -21,12 +21,11 @@ HOME = np.zeros(18)
 @pytest.mark.parametrize("name", problems.GEOMETRIES)
 def test_round_trip_in_every_family(name: str) -> None:
     robot = chain(name)
-    own = robot.workspace()
     for family in spm.mechanism.FAMILIES:
         for state in problems.random_branches(robot.geometry, family, 150, seed=71).configuration:
             q = robot.joint_values(state)
-            assert np.abs(robot.closure_gap(q, workspace=own)).max() <= 1e-13
-            found = robot.configuration(q, workspace=own)
+            assert np.abs(robot.closure_gap(q)).max() <= 1e-13
+            found = robot.configuration(q)
             # Ten joints lie between {B} and m, each with a rounding of a rotation and of a position.
             rounding = 32 * EPS * (1.0 + robot.leg_lengths(q).max())
             assert np.abs(found.pose.as_matrix() - state.pose.as_matrix()).max() <= rounding
@@ -164,36 +163,42 @@ def test_other_bad_vectors_are_refused(value: object) -> None:
             call(q, value)
 
 
-def test_what_is_returned_stays() -> None:
-    """Pinocchio hands out views of its data; the chain does not."""
-    robot, rng = chain(), np.random.default_rng(73)
-    own = robot.workspace()
-    calls = (
-        robot.closure_gap,
-        robot.constraint_jacobian,
-        robot.inverse_jacobian,
-        lambda q, workspace: robot.configuration(q, workspace=workspace).rotation,
-        lambda q, workspace: robot.configuration(q, workspace=workspace).translation,
-        lambda q, workspace: robot.configuration(q, workspace=workspace).middle_joints,
-    )
+def test_what_a_state_returns_stays_as_the_state_moves() -> None:
+    """Pinocchio hands out views of its data; the state does not."""
+    robot = chain()
     (_, first), (_, second), *_ = placed("paper", 3, seed=74)
+    state = robot.state(first)
+    calls = (
+        state.closure_gap,
+        state.constraint_jacobian,
+        state.inverse_jacobian,
+        lambda: state.configuration().rotation,
+        lambda: state.configuration().translation,
+        lambda: state.configuration().middle_joints,
+        lambda: state.q,
+    )
     for call in calls:
-        kept = call(first, workspace=own)
+        kept = call()
         copy = np.array(kept)
-        call(second, workspace=own)
+        state.update(second)
+        assert not np.array_equal(call(), copy)
         assert np.array_equal(kept, copy)
-        assert np.array_equal(call(first, workspace=own), call(first, workspace=None))
-    q = random_q(robot, rng)
+        kept[...] = 0.0 if kept.flags.writeable else kept
+        state.update(first)
+        assert np.array_equal(call(), copy)
+
+
+def test_arguments_are_not_changed() -> None:
+    robot = chain()
+    q = random_q(robot, np.random.default_rng(73))
     before = q.copy()
-    robot.project(robot.joint_values(six_branches()[0]) + 1e-3, workspace=own)
     robot.with_leg_lengths(q, np.ones(6))
+    robot.closure_gap(q)
+    closed = robot.joint_values(six_branches()[0]) + 1e-3
+    start = closed.copy()
+    assert not np.array_equal(robot.project(closed), start)
+    assert np.array_equal(closed, start)
     assert np.array_equal(q, before)
-
-
-def test_foreign_workspaces_are_refused() -> None:
-    q = np.zeros(18)
-    for call in (chain().configuration, chain().closure_gap, chain().singular_values, chain().project):
-        with pytest.raises(ArgumentError, match=r"^workspace: .* got that of another chain"):
-            call(q, workspace=chain("wide base").workspace())
-        with pytest.raises(ArgumentError, match=r"^workspace: .* got Data"):
-            call(q, workspace=chain().model.createData())
+    state = robot.state(q)
+    q += 1.0
+    assert np.array_equal(state.q, before)

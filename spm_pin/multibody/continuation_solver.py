@@ -1,0 +1,134 @@
+"""From one closed q to another by continuation: to six leg lengths, or to a pose of the platform.
+
+Both are eighteen equations for eighteen joints. The first Newton step from a point of the path is the path's tangent;
+where the corrections after it are no small part of it, the step is shortened. So it is, too, where the determinant of
+the equations changes its sign or too much over the step. The determinant is zero at a fold, where a path ends, and its
+sign is another on the other side: steps become shorter in proportion to what is left, and none passes the fold or leads
+to another assembly mode or branch.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pinocchio as pin
+
+from spm_pin.errors import ClosureError
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.multibody.constrained_model import TreeKinematics
+from spm_pin.multibody.projection import rounding
+
+__all__ = ["ContinuationSolver"]
+
+LONGEST_STEP = 0.25
+"""In any joint: angles [rad], slides in units of the middle platform's side."""
+CORRECTION = 0.25
+"""Largest sum of corrections, as a share of the step they correct."""
+DETERMINANT_CHANGE = 2.0
+"""Largest ratio of the determinants of the equations at both ends of a step, either way; the sign must be the same."""
+SHORTEST_SHARE = 2.0**-16
+"""Share of the path below which the search gives up."""
+MOST_CORRECTIONS = 8
+
+NewtonStep = Callable[[FloatArray, float], tuple[FloatArray, float]]
+"""Takes q and a share of the path; returns the Newton step towards there, and the error at q in units of d."""
+
+
+class ContinuationSolver:
+    """Solves for the joints of one chain from nearby solutions.
+
+    Parameters
+    ----------
+    kinematics : TreeKinematics
+        Of the chain by itself.
+    """
+
+    def __init__(self, kinematics: TreeKinematics) -> None:
+        self.kinematics, self.layout = kinematics, kinematics.layout
+
+    def to_leg_lengths(self, q: FloatArray, lengths: FloatArray) -> FloatArray:
+        """Return q of other leg lengths (6,), all six changed in proportion; raises at a forward singularity."""
+        kinematics, layout = self.kinematics, self.layout
+        begin = layout.leg_lengths(q)
+
+        def step(q: FloatArray, share: float) -> tuple[FloatArray, float]:
+            kinematics.evaluate(q)
+            # At the end the target itself, not what adding up makes of it.
+            target = lengths if share == 1.0 else begin + share * (lengths - begin)
+            short, gap = target - layout.leg_lengths(q), kinematics.gap.ravel()
+            move = np.empty(q.size)
+            move[layout.legs] = short
+            opening = gap + kinematics.chain_closures[:, layout.legs] @ short
+            move[layout.passive] = -kinematics.forward_factors.solve(opening)
+            return move, max(float(np.abs(short).max()), float(np.abs(gap).max())) / layout.side
+
+        cause = "a forward singularity, or the end of this assembly mode?"
+        return self._follow(q, step, kinematics.forward_determinant, cause)
+
+    def to_pose(self, q: FloatArray, rotation: FloatArray, translation: FloatArray) -> FloatArray:
+        """Return q of another pose of m, turned and moved in proportion; raises at an inverse singularity."""
+        kinematics, side = self.kinematics, self.layout.side
+        kinematics.evaluate(q)
+        start, place = kinematics.terminal_pose()
+        turn = pin.log3(rotation @ start.T)
+
+        def step(q: FloatArray, share: float) -> tuple[FloatArray, float]:
+            kinematics.evaluate(q)
+            now, at = kinematics.terminal_pose()
+            goal = rotation if share == 1.0 else pin.exp3(share * turn) @ start
+            wanted = translation if share == 1.0 else place + share * (translation - place)
+            error = np.concatenate([(wanted - at) / side, pin.log3(goal @ now.T), -kinematics.gap.ravel() / side])
+            return kinematics.inverse_factors.solve(error), float(np.abs(error).max())
+
+        return self._follow(q, step, kinematics.inverse_determinant, "an inverse singularity, or out of reach?")
+
+    def _follow(self, q: FloatArray, step: NewtonStep, determinant: Callable[[], float], cause: str) -> FloatArray:
+        """Return q at the end of a path, or raise `ClosureError`.
+
+        `determinant` is of the equations at the q of the last `step`.
+        """
+        done, share, attempts = 0.0, 1.0, 0
+        while done < 1.0:
+            tried, change = self._tried(q, step, determinant, done + share)
+            attempts += 1
+            if tried is not None:
+                q, done = tried, done + share
+                # The change grows with the step: the next one is to use most of what is allowed.
+                share = min(share * min(2.0, 0.8 / max(change, 0.1)), 1.0 - done)
+                continue
+            share *= 0.5
+            if share < SHORTEST_SHARE:
+                where = f"No further than {100.0 * done:.3g} % of the way from the start: {cause}"
+                raise ClosureError(step(q, 1.0)[1] * self.layout.side, attempts, where)
+        return q
+
+    def _tried(
+        self, q: FloatArray, step: NewtonStep, determinant: Callable[[], float], share: float
+    ) -> tuple[FloatArray | None, float]:
+        """Return q at a share of the path, None if it is too far for one step, and the share of the change allowed."""
+        layout = self.layout
+        tolerance = 4.0 * rounding(q, layout) / layout.side
+        allowed, begin = np.inf, 0.0
+        for iteration in range(MOST_CORRECTIONS + 1):
+            move, error = step(q, share)
+            if error <= tolerance:
+                if iteration == 0:
+                    return q, 0.0
+                ratio = determinant() / begin
+                change = abs(math.log(ratio)) / math.log(DETERMINANT_CHANGE) if ratio > 0.0 else math.inf
+                return (q if change <= 1.0 else None), change
+            size = float(np.abs(move / layout.units).max())
+            if iteration == 0:
+                if size > LONGEST_STEP:
+                    break
+                begin = determinant()
+                # A step of rounding's size corrects nothing but rounding.
+                allowed = max(CORRECTION * size, 1e-9)
+            else:
+                allowed -= size
+            q = q + move
+            if allowed < 0.0 or (layout.leg_lengths(q) < 0.0).any():
+                break
+        return None, math.inf
