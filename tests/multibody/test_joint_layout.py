@@ -183,7 +183,8 @@ def test_what_a_state_returns_stays_as_the_state_moves() -> None:
         state.update(second)
         assert not np.array_equal(call(), copy)
         assert np.array_equal(kept, copy)
-        kept[...] = 0.0 if kept.flags.writeable else kept
+        if kept.flags.writeable:
+            kept[...] = 0.0
         state.update(first)
         assert np.array_equal(call(), copy)
 
