@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import enum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -15,28 +14,9 @@ from spm_pin.errors import ArgumentError
 __all__ = ["export"]
 
 
-class Format(enum.StrEnum):
-    """Formats that can be written."""
-
-    URDF = "urdf"
-    MJCF = "mjcf"
-    SDF = "sdf"
-    EXTENDED_URDF = "extended-urdf"
-    SRDF = "srdf"
-
-
-class Anchors(enum.StrEnum):
-    """Anchors of closures in MJCF."""
-
-    BODIES = "bodies"
-    SITES = "sites"
-
-
-class Loops(enum.StrEnum):
-    """Loop closures in SDFormat."""
-
-    JOINTS = "joints"
-    DRAKE = "drake"
+Format = Literal["urdf", "mjcf", "sdf", "extended-urdf", "srdf"]
+Anchors = Literal["bodies", "sites"]
+Loops = Literal["joints", "drake"]
 
 
 @name_options(prefix="--prefix")
@@ -73,29 +53,29 @@ def export(
     from spm_pin.description.write_urdf import urdf_text
 
     check_output(out)
-    foreign, by = urdf is not None, f"with --format {format_.value}"
+    foreign, by = urdf is not None, f"with --format {format_}"
     for option, value, useless, when in (
-        ("--ros-constraints", ros_constraints, format_ is not Format.URDF, by),
-        ("--anchors", anchors, format_ is not Format.MJCF, by),
-        ("--loops", loops, format_ is not Format.SDF, by),
-        ("--urdf", urdf, format_ is Format.SRDF, by),
+        ("--ros-constraints", ros_constraints, format_ != "urdf", by),
+        ("--anchors", anchors, format_ != "mjcf", by),
+        ("--loops", loops, format_ != "sdf", by),
+        ("--urdf", urdf, format_ == "srdf", by),
         ("--closures", closures, not foreign, "without --urdf"),
         ("--prefix", prefix, foreign, "with --urdf"),
         ("--geometry", geometry, foreign, "with --urdf"),
     ):
         if value and useless:
             raise ArgumentError(option, f"to be left out {when}", value)
-    if format_ is Format.SRDF:
+    if format_ == "srdf":
         write_text(srdf_text({}, prefix=prefix), out)
         return
     robot = manipulator(read_geometry(geometry), prefix=prefix) if urdf is None else read_robot(urdf, closures)
     match format_:
-        case Format.URDF:
+        case "urdf":
             text = urdf_text(robot, ros_constraints=ros_constraints)
-        case Format.MJCF:
-            text = mjcf_text(robot, anchors=(anchors or Anchors.BODIES).value)
-        case Format.SDF:
-            text = sdf_text(robot, loops=(loops or Loops.JOINTS).value)
+        case "mjcf":
+            text = mjcf_text(robot, anchors=anchors or "bodies")
+        case "sdf":
+            text = sdf_text(robot, loops=loops or "joints")
         case _:
             text = extended_urdf_text(robot)
     write_text(text, out)

@@ -8,23 +8,10 @@ import numpy as np
 import typer
 
 from spm_pin.cli.console import fixed, print_lines, print_table, to_json
-from spm_pin.cli.options import (
-    DECIMALS,
-    AsJson,
-    GeometryFile,
-    LengthUnit,
-    Translation,
-    Unit,
-    Xyx,
-    degeneracy_remarks,
-    exit_code,
-    read_geometry,
-    read_pose,
-    unit_hint,
-)
+from spm_pin.cli.options import DECIMALS, AsJson, GeometryFile, LengthUnit, Translation, Unit, Xyx, exit_code
 from spm_pin.cli.outputs import name_options
-from spm_pin.closed_form.inverse_displacement import inverse_displacement
-from spm_pin.mechanism import LEGS, SolutionSet, Status
+from spm_pin.cli.requested_states import solve_pose
+from spm_pin.mechanism import LEGS, SolutionSet
 
 __all__ = ["inverse"]
 
@@ -41,15 +28,13 @@ def inverse(
 
     Example, the paper's: spm-pin inverse --translation 68.89 49.63 225.3 --xyx -11.08 32.97 -12.88 --unit cm
     """
-    dimensions = read_geometry(geometry)
-    solutions = inverse_displacement(dimensions, read_pose(translation, xyx, unit))
+    solutions, remarks = solve_pose(geometry, translation, xyx, unit)
     if json:
         typer.echo(to_json(_content(solutions, unit)))
     else:
         if solutions.count:
             _print_branches(solutions, unit)
-        hint = unit_hint("--translation", translation, unit, dimensions)
-        print_lines(_remarks(solutions, hint))
+        print_lines(_remarks(solutions, remarks))
     raise typer.Exit(exit_code(solutions))
 
 
@@ -69,15 +54,13 @@ def _print_branches(solutions: SolutionSet, unit: LengthUnit) -> None:
     print_table(f"Real branches: leg lengths in {unit}", headings, rows, left=[""])
 
 
-def _remarks(solutions: SolutionSet, hint: str) -> list[str]:
+def _remarks(solutions: SolutionSet, on_the_pose: list[str]) -> list[str]:
     remarks = [f"status: {solutions.status}, {solutions.count} of 8 branches real"]
     if solutions.count:
         remarks[0] += f", closure residual up to {np.nanmax(solutions.residual):.0e} m"
     if not np.array_equal(solutions.within().exists, solutions.exists):
         remarks.append("* beyond the limits of this leg")
-    remarks += degeneracy_remarks(solutions)
-    if solutions.status is Status.UNREACHABLE:
-        remarks.append(hint or "No configuration holds this pose, whatever the leg lengths.")
+    remarks += on_the_pose
     if solutions.ambiguous:
         remarks.append(
             "Two branches are physical, on either side of an inverse singularity; the straighter is likelier."

@@ -153,12 +153,12 @@ def degeneracy_remarks(solutions: SolutionSet) -> list[str]:
 
 
 def selected_labels(solutions: SolutionSet, labels: list[str] | None) -> list[str]:
-    """Return the branches of `--branch`, or all real ones; raises `ArgumentError` where one is not real."""
+    """Return the branches of `--branch`, or all real ones; raises `ArgumentError` where another one is real."""
     real = [label for label, exists in zip(solutions.labels, solutions.exists, strict=True) if exists]
     absent = [label for label in labels or () if label not in real]
-    if absent:
-        raise ArgumentError("--branch", f"real branches, here {', '.join(real) or 'none'}", ", ".join(absent))
-    return real if labels is None else labels
+    if real and absent:
+        raise ArgumentError("--branch", f"real branches, here {', '.join(real)}", ", ".join(absent))
+    return labels if real and labels is not None else real
 
 
 def exit_code(solutions: SolutionSet) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, NoReturn
 
@@ -26,16 +25,16 @@ from spm_pin.cli.options import (
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.closed_form.inverse_displacement import inverse_displacement
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import Configuration, Geometry, SolutionSet
+from spm_pin.mechanism import Configuration, Geometry, SolutionSet, Status
 
 __all__ = [
     "AnyLegs",
     "AnyTranslation",
     "AnyXyx",
-    "NamedBranches",
-    "named_branches",
+    "end_command",
     "requested_solutions",
     "select_branch",
+    "solve_pose",
 ]
 
 AnyTranslation = Annotated[Triple | None, TRANSLATION]
@@ -91,37 +90,22 @@ def select_branch(solutions: SolutionSet, default: Configuration, branch: str | 
     return state
 
 
-@dataclass(frozen=True)
-class NamedBranches:
-    """Branches of one pose by their labels, and what is to be said of the pose."""
-
-    states: dict[str, Configuration]
-    status: str
-    remarks: tuple[str, ...]
-    code: int
-
-    def finish(self) -> NoReturn:
-        """End the command: with remarks on stderr where there is no branch, and the pose's exit code."""
-        for remark in self.remarks:
-            note(remark)
-        raise typer.Exit(self.code)
-
-
-def named_branches(
-    geometry: Path | None, translation: Triple, xyx: Triple, unit: LengthUnit, labels: list[str] | None
-) -> NamedBranches:
-    """Return the branches of `--branch` of a pose, or all real ones.
-
-    Raises
-    ------
-    ArgumentError
-        If a branch is not real, or an option is wrong.
-    """
+def solve_pose(
+    geometry: Path | None, translation: Triple, xyx: Triple, unit: LengthUnit
+) -> tuple[SolutionSet, list[str]]:
+    """Return the branches of `--translation` and `--xyx`, and remarks on a pose that has none or too many."""
     dimensions = read_geometry(geometry)
     solutions = inverse_displacement(dimensions, read_pose(translation, xyx, unit))
-    remarks = []
-    if not solutions.count:
+    remarks = degeneracy_remarks(solutions)
+    if solutions.status is Status.UNREACHABLE:
         hint = unit_hint("--translation", translation, unit, dimensions)
-        remarks = [f"status: {solutions.status}, no real branch", *degeneracy_remarks(solutions), *filter(None, [hint])]
-    states = {label: solutions[label] for label in selected_labels(solutions, labels if solutions.count else None)}
-    return NamedBranches(states, str(solutions.status), tuple(remarks), exit_code(solutions))
+        remarks.append(hint or "No configuration holds this pose, whatever the leg lengths.")
+    return solutions, remarks
+
+
+def end_command(solutions: SolutionSet, remarks: list[str]) -> NoReturn:
+    """End a command with the exit code of its pose; where no branch is real, with the remarks on stderr."""
+    if not solutions.count:
+        for remark in (f"status: {solutions.status}, no real branch", *remarks):
+            note(remark)
+    raise typer.Exit(exit_code(solutions))

@@ -7,9 +7,9 @@ from typing import Any
 import typer
 
 from spm_pin.cli.console import fixed, print_table, to_json
-from spm_pin.cli.options import AsJson, Branches, GeometryFile, LengthUnit, Translation, Unit, Xyx
+from spm_pin.cli.options import AsJson, Branches, GeometryFile, LengthUnit, Translation, Unit, Xyx, selected_labels
 from spm_pin.cli.outputs import name_options
-from spm_pin.cli.requested_states import named_branches
+from spm_pin.cli.requested_states import end_command, solve_pose
 from spm_pin.closed_form.singularity_analysis import SingularityKind
 from spm_pin.closed_form.singularity_analysis import singularities as analyse
 from spm_pin.mechanism import Configuration
@@ -33,13 +33,13 @@ def singularities(
     The index is the determinant over d³, the distance the smallest singular value; both are dimensionless and zero at a
     singularity: forward for J_b and J_c, the lower and the upper stage, inverse for K.
     """
-    requested = named_branches(geometry, translation, xyx, unit, branch)
-    found = {label: _quantities(state) for label, state in requested.states.items()}
+    solutions, remarks = solve_pose(geometry, translation, xyx, unit)
+    found = {label: _quantities(solutions[label]) for label in selected_labels(solutions, branch)}
     if json:
-        typer.echo(to_json({"status": requested.status, "branches": found}))
+        typer.echo(to_json({"status": str(solutions.status), "branches": found}))
     elif found:
         _print_quantities(found)
-    requested.finish()
+    end_command(solutions, remarks)
 
 
 def _quantities(state: Configuration) -> dict[str, Any]:

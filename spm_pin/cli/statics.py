@@ -8,9 +8,19 @@ import numpy as np
 import typer
 
 from spm_pin.cli.console import print_table, significant, to_json
-from spm_pin.cli.options import AsJson, Branches, GeometryFile, LengthUnit, Translation, Triple, Unit, Xyx
+from spm_pin.cli.options import (
+    AsJson,
+    Branches,
+    GeometryFile,
+    LengthUnit,
+    Translation,
+    Triple,
+    Unit,
+    Xyx,
+    selected_labels,
+)
 from spm_pin.cli.outputs import name_options
-from spm_pin.cli.requested_states import named_branches
+from spm_pin.cli.requested_states import end_command, solve_pose
 from spm_pin.closed_form.jacobians import leg_rates
 from spm_pin.closed_form.leg_forces import leg_forces
 from spm_pin.errors import ArgumentError, SingularConfigurationError
@@ -48,16 +58,17 @@ def statics(
     twist = np.concatenate([np.array(velocity) / unit.per_metre, np.deg2rad(angular_velocity)])
     if not (json or wrench.any() or twist.any()):
         raise ArgumentError("--force", "a wrench or a twist that is not zero", "neither", "Nothing to hold or move")
-    requested = named_branches(geometry, translation, xyx, unit, branch)
-    found = {label: _quantities(state, wrench, twist, unit) for label, state in requested.states.items()}
+    solutions, remarks = solve_pose(geometry, translation, xyx, unit)
+    labels = selected_labels(solutions, branch)
+    found = {label: _quantities(solutions[label], wrench, twist, unit) for label in labels}
     if json:
-        typer.echo(to_json({"unit": unit, "status": requested.status, "branches": found}))
+        typer.echo(to_json({"unit": unit, "status": str(solutions.status), "branches": found}))
     elif found:
         if wrench.any():
             _print_quantities("Leg forces in N: positive extends the leg", found, "forces")
         if twist.any():
             _print_quantities(f"Leg rates in {unit}/s", found, "rates")
-    requested.finish()
+    end_command(solutions, remarks)
 
 
 def _quantities(state: Configuration, wrench: np.ndarray, twist: np.ndarray, unit: LengthUnit) -> dict[str, Any]:

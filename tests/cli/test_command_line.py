@@ -328,7 +328,7 @@ def test_a_defect_ends_without_a_traceback_unless_it_is_asked_for(monkeypatch: p
     def broken(*_: object) -> None:
         raise ZeroDivisionError("[a] detail")
 
-    monkeypatch.setattr("spm_pin.cli.inverse.inverse_displacement", broken)
+    monkeypatch.setattr("spm_pin.cli.requested_states.inverse_displacement", broken)
     done = run("inverse", *EXAMPLE)
     assert done.returncode == 70
     assert "error: ZeroDivisionError: [a] detail" in done.message
