@@ -43,8 +43,8 @@ figures: $(VENV)/.test
 
 # Rewrites urdf/meshes, and spm.urdf, spm.srdf, spm.xml, spm.sdf and spm_closures.yaml from their sources.
 description: $(VENV)/.demo
-	$(BIN)/python urdf/generate_meshes.py
-	$(BIN)/python urdf/generate.py
+	$(BIN)/python scripts/generate_meshes.py
+	$(BIN)/python scripts/generate_description.py
 
 $(VENV)/.python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \

@@ -19,7 +19,7 @@ Anchors = Literal["bodies", "sites"]
 Loops = Literal["joints", "drake"]
 
 
-@name_options(prefix="--prefix")
+@name_options(prefix="--prefix", out="--out")
 def export(
     format_: Annotated[Format, typer.Option("--format", help="What to write.")],
     out: Annotated[
@@ -43,10 +43,12 @@ def export(
     """Write the robot with its loops closed, in the format of another engine.
 
     urdf: Drake, Pinocchio, yourdfpy, PyBullet, ROS. mjcf: MuJoCo, Drake, Pinocchio. sdf: SDFormat. extended-urdf: the
-    YAML file that closes a URDF's loops. srdf: groups and passive joints. What a format cannot say is an error.
+    YAML file that closes a URDF's loops. srdf: groups and passive joints. What a format cannot say is an error. With
+    --out, the manipulator's meshes are put beside the file, into a folder `meshes`.
     """
     from spm_pin.description.extended_urdf import extended_urdf_text
     from spm_pin.description.load_robot import manipulator, read_robot
+    from spm_pin.description.paths import copy_meshes, description_directory
     from spm_pin.description.srdf import srdf_text
     from spm_pin.description.write_mjcf import mjcf_text
     from spm_pin.description.write_sdf import sdf_text
@@ -69,13 +71,18 @@ def export(
         write_text(srdf_text({}, prefix=prefix), out)
         return
     robot = manipulator(read_geometry(geometry), prefix=prefix) if urdf is None else read_robot(urdf, closures)
+    # Beside a file of this manipulator go its meshes; a text on standard output, or of another robot, has whole paths.
+    beside = out is not None and urdf is None and format_ != "extended-urdf"
+    folder = description_directory() if beside else None
     match format_:
         case "urdf":
-            text = urdf_text(robot, ros_constraints=ros_constraints)
+            text = urdf_text(robot, ros_constraints=ros_constraints, folder=folder)
         case "mjcf":
-            text = mjcf_text(robot, anchors=anchors or "bodies")
+            text = mjcf_text(robot, anchors=anchors or "bodies", folder=folder)
         case "sdf":
-            text = sdf_text(robot, loops=loops or "joints")
+            text = sdf_text(robot, loops=loops or "joints", folder=folder)
         case _:
             text = extended_urdf_text(robot)
+    if out is not None and beside:
+        copy_meshes(out.parent)
     write_text(text, out)

@@ -13,7 +13,7 @@ from spm_pin.cli.outputs import check_output, name_options, write_text
 __all__ = ["urdf"]
 
 
-@name_options(prefix="--prefix")
+@name_options(prefix="--prefix", out="--out")
 def urdf(
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Where to write; standard output if not given.")
@@ -23,9 +23,14 @@ def urdf(
 ) -> None:
     """Write the URDF: an open tree of eighteen joints, assembled at zero, its four loops closed by Drake's tags.
 
-    Other loaders pass over those tags; `spm-pin export` writes the closed robot for them.
+    Other loaders pass over those tags; `spm-pin export` writes the closed robot for them. With --out, the meshes are
+    put beside the file, into a folder `meshes`; a URDF on standard output names them by their whole paths.
     """
     from spm_pin.description.expand import expand
+    from spm_pin.description.paths import MESHES, copy_meshes
 
     check_output(out)
-    write_text(expand(read_geometry(geometry), prefix=prefix), out)
+    text = expand(read_geometry(geometry), prefix=prefix, meshes=MESHES if out else None)
+    if out is not None:
+        copy_meshes(out.parent)
+    write_text(text, out)

@@ -16,6 +16,7 @@ __all__ = [
     "SDF",
     "SRDF",
     "URDF",
+    "copy_meshes",
     "description_directory",
     "description_file",
 ]
@@ -60,3 +61,24 @@ def description_file(name: str) -> Path:
     if not path.is_file():
         raise DescriptionError("name", "a file of the description", str(path), "An incomplete installation?")
     return path
+
+
+def copy_meshes(folder: Path) -> None:
+    """Copy the meshes into the folder `MESHES` of a folder, for a file there that names them relative to itself.
+
+    Raises
+    ------
+    DescriptionError
+        If one cannot be written, or a file of the same name has another content: it is left as it is.
+    """
+    target = folder / MESHES
+    for source in sorted((description_directory() / MESHES).iterdir()):
+        copy, content = target / source.name, source.read_bytes()
+        try:
+            if copy.exists() and copy.read_bytes() != content:
+                cause = "Of another version? Move it away"
+                raise DescriptionError("out", "no other meshes beside the file", str(copy), cause)
+            target.mkdir(exist_ok=True)
+            copy.write_bytes(content)
+        except OSError as error:
+            raise DescriptionError("out", "a folder that can be written", str(copy), str(error.strerror)) from error

@@ -45,6 +45,36 @@ def test_another_geometry_and_a_prefix(tmp_path: Path) -> None:
     assert len(srdf.findall("passive_joint")) == 12
 
 
+@pytest.mark.parametrize(
+    ("command", "name", "named"),
+    [
+        (["export", "--format", "mjcf"], "robot.xml", 'file="meshes/tube.obj"'),
+        (["export", "--format", "sdf"], "robot.sdf", "<uri>meshes/tube.obj</uri>"),
+        (["export", "--format", "urdf"], "robot.urdf", 'filename="meshes/tube.obj"'),
+        (["urdf"], "robot.urdf", 'filename="meshes/tube.obj"'),
+    ],
+)
+def test_meshes_are_put_beside_the_file(command: list[str], name: str, named: str, tmp_path: Path) -> None:
+    target, shipped = tmp_path / name, Path(URDF_PATH).parent / "meshes"
+    for _ in range(2):  # they may be there already
+        done = run(*command, "--out", str(target))
+        assert done.returncode == 0, done.message
+    assert named in target.read_text(encoding="utf-8")
+    assert {path.name for path in tmp_path.iterdir()} == {name, "meshes"}
+    for mesh in shipped.iterdir():
+        assert (tmp_path / "meshes" / mesh.name).read_bytes() == mesh.read_bytes()
+
+
+def test_another_mesh_of_the_same_name_is_kept(tmp_path: Path) -> None:
+    (tmp_path / "meshes").mkdir()
+    mine = tmp_path / "meshes" / "tube.obj"
+    mine.write_text("mine", encoding="utf-8")
+    done = run("urdf", "--out", str(tmp_path / "robot.urdf"))
+    assert done.returncode == 2
+    assert "no other meshes beside the file" in done.message
+    assert mine.read_text(encoding="utf-8") == "mine"
+
+
 def test_another_robot_from_urdf_and_closures() -> None:
     done = run("export", "--format", "sdf", "--urdf", URDF_PATH, "--closures", CLOSURES_PATH)
     assert done.returncode == 0, done.message

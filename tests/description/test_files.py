@@ -37,6 +37,7 @@ from spm_pin.description.tree import JOINTS, PASSIVE, SLIDES
 from spm_pin.description.visuals import read_obj
 from spm_pin.errors import ArgumentError, DescriptionError
 
+SCRIPTS = Path(__file__).parents[2] / "scripts"
 PAPER = spm.Geometry.paper()
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 
@@ -48,15 +49,14 @@ def shipped(name: str) -> str:
 @pytest.mark.parametrize("name", [URDF, SRDF, MJCF, SDF, EXTENDED_URDF])
 def test_generated_files_are_fresh(name: str) -> None:
     """Every character but the last digits, in which mathematical libraries and processors differ."""
-    script = description_directory() / "generate.py"
-    fresh, kept = runpy.run_path(str(script))["generate"]()[name], shipped(name)
+    fresh, kept = runpy.run_path(str(SCRIPTS / "generate_description.py"))["generate"]()[name], shipped(name)
     assert NUMBER.sub("#", fresh) == NUMBER.sub("#", kept)
     expected = [float(number) for number in NUMBER.findall(kept)]
     np.testing.assert_allclose([float(number) for number in NUMBER.findall(fresh)], expected, rtol=1e-13, atol=1e-13)
 
 
 def test_meshes_are_fresh_closed_and_small() -> None:
-    fresh = runpy.run_path(str(description_directory() / "generate_meshes.py"))["generate"]()
+    fresh = runpy.run_path(str(SCRIPTS / "generate_meshes.py"))["generate"]()
     kept = {f"{MESHES}/{path.name}": path for path in (description_directory() / MESHES).iterdir()}
     assert fresh.keys() == kept.keys()
     for name, path in kept.items():

@@ -74,18 +74,18 @@ def test_everything_is_installed() -> None:
     assert len(installed) == 2
     listed = set(" ".join(installed).split())
     # The marker of the package and its own files are ament's business.
-    own = {"CMakeLists.txt", "package.xml", "generate.py", "generate_meshes.py", "resource", "__pycache__"}
+    own = {"CMakeLists.txt", "package.xml", "resource", "__pycache__"}
     assert listed == {path.name for path in PACKAGE.iterdir()} - own
 
 
-def test_the_wheel_lays_it_where_ament_looks() -> None:
+def test_the_wheel_holds_it_once_where_ament_looks_below_the_package() -> None:
     build = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"]["build"]
-    shared = build["targets"]["wheel"]["shared-data"]
-    assert shared == {
-        "urdf": "share/spm_description",
-        "urdf/resource/spm_description": "share/ament_index/resource_index/packages/spm_description",
+    assert build["targets"]["wheel"]["force-include"] == {
+        "urdf": "spm_pin/share/spm_description",
+        "urdf/resource/spm_description": "spm_pin/share/ament_index/resource_index/packages/spm_description",
     }
-    assert all((ROOT / source).exists() for source in shared)
+    assert "shared-data" not in build["targets"]["wheel"]
+    assert not list((ROOT / "urdf").glob("*.py"))
 
 
 def test_rviz_shows_the_robot_in_its_base() -> None:

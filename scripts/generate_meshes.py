@@ -1,8 +1,8 @@
-"""Write the meshes of the description, `meshes/*.obj`: `python urdf/generate_meshes.py`, in a checkout.
+"""Write the meshes of the description, `urdf/meshes/*.obj`: `python scripts/generate_meshes.py`, in a checkout.
 
 Each mesh is one part in lengths without unit. The xacro sources scale it: a plate by the radius of its platform and
 by the machine's size s in thickness, a tube by its radius and its length, all others by s. So one set of meshes serves
-machines of all dimensions. A test checks that the files kept in `meshes` are what this script writes.
+machines of all dimensions. A test checks that the files kept there are what this script writes.
 """
 
 from __future__ import annotations
@@ -221,7 +221,7 @@ def generate() -> dict[str, str]:
 
 
 if __name__ == "__main__":
-    folder = Path(__file__).parent
+    folder = Path(__file__).resolve().parents[1] / "urdf"
     (folder / "meshes").mkdir(exist_ok=True)
     for file, content in generate().items():
         (folder / file).write_text(content, encoding="utf-8", newline="\n")

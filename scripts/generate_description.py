@@ -1,7 +1,7 @@
-"""Write the generated robot files of the description: `python urdf/generate.py`, in a checkout.
+"""Write the generated robot files of the description: `python scripts/generate_description.py`, in a checkout.
 
 `spm.urdf`, `spm.srdf`, `spm.xml`, `spm.sdf` and `spm_closures.yaml` come from the xacro sources, from `config/*.yaml`
-and, for the named states, from solving the paper's example. A test checks that the files kept beside this script are
+and, for the named states, from solving the paper's example. A test checks that the files kept in `urdf` are
 what it writes.
 """
 
@@ -21,7 +21,7 @@ from spm_pin.description.write_mjcf import mjcf_text
 from spm_pin.description.write_sdf import sdf_text
 from spm_pin.paper.published import POSITION, TABLE_2, XYX_DEGREES
 
-FOLDER = Path(__file__).resolve().parent
+FOLDER = Path(__file__).resolve().parents[1] / "urdf"
 
 REFERENCE = "3"
 """Number of the solution that is also the state `reference`: the one the paper goes on with."""
@@ -43,7 +43,7 @@ def named_states() -> dict[str, spm.Configuration]:
 
 def generate() -> dict[str, str]:
     """Return the content of each generated file."""
-    warning = f"Written by generate.py from {CLOSURES}, which is the place for changes."
+    warning = f"Written by generate_description.py from {CLOSURES}, which is the place for changes."
     states = named_states()
     robot = manipulator(states=states)
     return {
