@@ -20,7 +20,7 @@ from pathlib import Path
 import psutil
 
 import spm_pin as spm
-from spm_pin.sweeps.domains import Grid
+from spm_pin.sweeps.domains import Domain
 from spm_pin.sweeps.runner import CHUNK
 
 GEOMETRY = spm.Geometry.paper()
@@ -61,7 +61,7 @@ class Memory:
             self.together = max(self.together, own + sum(others))
 
 
-def lattice(points: int) -> Grid:
+def lattice(points: int) -> Domain:
     """Return a lattice of about `points` poses around one in the middle of the workspace, some 2 % of them reached."""
     state = spm.forward_physical(GEOMETRY, [1.2, 1.3, 1.4, 1.25, 1.35, 1.3])
     x, y, z = state.translation

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import pose
-from spm_pin.sweeps.domains import AXES, Grid, Range, Sample, Sampling
+from spm_pin.sweeps.domains import AXES, Domain, Drawing, Range, Sampling, make_domain
 
 __all__ = ["leg_grid", "leg_sample", "pose_grid", "pose_sample"]
 
@@ -22,7 +22,7 @@ def pose_grid(
     *,
     xyx: Sequence[Range] | None = None,
     rotation: Rotation | npt.ArrayLike | None = None,
-) -> Grid:
+) -> Domain:
     """Describe a lattice of poses.
 
     Parameters
@@ -46,10 +46,10 @@ def pose_grid(
     >>> grid.dims, grid.size
     (('x', 'y'), 10201)
     """
-    return Grid.from_ranges("pose", _pose_ranges(x, y, z, xyx, rotation))
+    return make_domain("pose", _pose_ranges(x, y, z, xyx, rotation))
 
 
-def leg_grid(lower: Range | Sequence[Range], upper: Range | Sequence[Range]) -> Grid:
+def leg_grid(lower: Range | Sequence[Range], upper: Range | Sequence[Range]) -> Domain:
     """Describe a lattice of leg lengths.
 
     Parameters
@@ -63,7 +63,7 @@ def leg_grid(lower: Range | Sequence[Range], upper: Range | Sequence[Range]) -> 
     ArgumentError
         As for `pose_grid`, and if a length is not positive.
     """
-    return Grid.from_ranges("legs", _leg_ranges(lower, upper))
+    return make_domain("legs", _leg_ranges(lower, upper))
 
 
 def pose_sample(
@@ -76,7 +76,7 @@ def pose_sample(
     rotation: Rotation | npt.ArrayLike | None = None,
     method: Sampling = "sobol",
     seed: int = 0,
-) -> Sample:
+) -> Domain:
     """Describe poses drawn from a box of positions and X-Y-X angles.
 
     Parameters
@@ -87,7 +87,7 @@ def pose_sample(
         As for `pose_grid`, with ranges (start, stop). The distribution is uniform in these coordinates; one that is
         uniform over rotations has the weight ``|sin β|``.
     method : {"sobol", "uniform"}
-        Scrambled Sobol sequences, one per chunk, or independent numbers; see `Sample`.
+        Scrambled Sobol sequences, one per chunk, or independent numbers; see `Drawing`.
     seed : int
         Seed of the drawing.
 
@@ -96,7 +96,7 @@ def pose_sample(
     ArgumentError
         As for `pose_grid`, or if `count`, `method` or `seed` is not as above.
     """
-    return Sample.from_ranges("pose", _pose_ranges(x, y, z, xyx, rotation), count, method, seed)
+    return make_domain("pose", _pose_ranges(x, y, z, xyx, rotation), Drawing(count, method, seed))
 
 
 def leg_sample(
@@ -106,7 +106,7 @@ def leg_sample(
     *,
     method: Sampling = "sobol",
     seed: int = 0,
-) -> Sample:
+) -> Domain:
     """Describe leg lengths drawn from a box.
 
     Parameters
@@ -123,7 +123,7 @@ def leg_sample(
     ArgumentError
         As for `pose_sample`, and if a length is not positive.
     """
-    return Sample.from_ranges("legs", _leg_ranges(lower, upper), count, method, seed)
+    return make_domain("legs", _leg_ranges(lower, upper), Drawing(count, method, seed))
 
 
 def _pose_ranges(

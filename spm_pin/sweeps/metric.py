@@ -16,8 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import real_array
-from spm_pin.sweeps.domains import is_integer
+from spm_pin.mechanism.arguments import real_number
 from spm_pin.sweeps.identity import function_identity
 from spm_pin.sweeps.points import Points
 
@@ -84,7 +83,7 @@ class Metric:
             kind = ""
         if kind not in DTYPES or self.dtype is None:
             raise ArgumentError("dtype", f"one of {', '.join(DTYPES)}", repr(self.dtype))
-        if self.version is not None and not (isinstance(self.version, str) or is_integer(self.version)):
+        if self.version is not None and type(self.version) not in (int, str):
             raise ArgumentError("version", "a text or an integer", repr(self.version))
         object.__setattr__(self, "dtype", kind)
         object.__setattr__(self, "flags", _checked_flags(self.flags, kind))
@@ -113,7 +112,10 @@ class Metric:
         if unknown:
             raise ArgumentError(unknown[0], f"a parameter among {', '.join(self.parameters) or 'none'}", self.name)
         if getattr(self.function, "__module__", "").startswith("spm_pin."):
-            parameters = {name: _positive(value, name) for name, value in parameters.items()}
+            numbers = {name: value for name, value in parameters.items() if value is not None}
+            parameters |= {
+                name: real_number(value, name, "a positive number", above=0.0) for name, value in numbers.items()
+            }
         return dataclasses.replace(self, parameters={**self.parameters, **parameters})
 
     @property
@@ -224,10 +226,10 @@ def _checked_flags(flags: Mapping[str, int], kind: str) -> Mapping[str, int]:
     if not isinstance(flags, Mapping) or (flags and kind.startswith("float")):
         raise ArgumentError("flags", f"{expected}; none for floats", repr(flags))
     for text, value in flags.items():
-        ok = isinstance(text, str) and len(text.split()) == 1 and is_integer(value)
+        ok = isinstance(text, str) and len(text.split()) == 1 and type(value) is int
         if not ok or not np.iinfo(kind).min < value <= np.iinfo(kind).max:
             raise ArgumentError("flags", expected, f"{text!r}: {value!r}")
-    return MappingProxyType({text: int(value) for text, value in flags.items()})
+    return MappingProxyType(dict(flags))
 
 
 def _checked_parameters(parameters: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -242,12 +244,3 @@ def _checked_parameters(parameters: Mapping[str, Any]) -> Mapping[str, Any]:
         return MappingProxyType(json.loads(json.dumps(dict(parameters), allow_nan=False)))
     except (TypeError, ValueError, RecursionError) as error:
         raise ArgumentError("parameters", expected, repr(parameters), str(error)) from error
-
-
-def _positive(value: float | None, argument: str) -> float | None:
-    if value is None:
-        return None
-    number = real_array(value, argument, (), "a number")
-    if number.shape != () or not number > 0.0:
-        raise ArgumentError(argument, "a positive number", value)
-    return float(number)

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import Geometry, LegLimits
+from spm_pin.mechanism.arguments import instance
 from spm_pin.sweeps.domains import AXES, Axis, Domain, chunk_region
 from spm_pin.sweeps.metric import Metric
 from spm_pin.sweeps.metrics import metric_from_definition, status
@@ -63,11 +64,8 @@ class Plan:
         ArgumentError
             If an argument is not what it should be, or the name of a metric is that of a coordinate.
         """
-        if not isinstance(geometry, Geometry):
-            raise ArgumentError("geometry", "a Geometry", type(geometry).__name__)
-        if not isinstance(domain, Domain):
-            expected = "what pose_grid, leg_grid, pose_sample or leg_sample returns"
-            raise ArgumentError("domain", expected, type(domain).__name__)
+        instance(geometry, Geometry, "geometry")
+        instance(domain, Domain, "domain", "Made by pose_grid, leg_grid, pose_sample or leg_sample?")
         taken = sorted(_RESERVED & {one.name for one in metrics})
         if taken:
             raise ArgumentError("metrics", "names other than those of the coordinates", ", ".join(taken))
@@ -164,7 +162,7 @@ class Plan:
 
     @cached_property
     def text(self) -> str:
-        """The definition as text."""
+        """The definition as text; it is made once, and sent with the plan to workers."""
         return json.dumps(self.definition(), ensure_ascii=False, allow_nan=False)
 
 

@@ -154,7 +154,7 @@ def run(
     ----------
     geometry : Geometry
         The manipulator, with the leg limits that decide what is reachable.
-    domain : Grid or Sample
+    domain : Domain
         Poses or leg lengths: see `pose_grid`, `leg_grid`, `pose_sample`, `leg_sample`.
     metrics : iterable of str or Metric
         Names from `METRICS`, or metrics of your own.

@@ -26,7 +26,8 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, SpmError
-from spm_pin.sweeps.domains import Domain, is_integer
+from spm_pin.mechanism.arguments import file_path
+from spm_pin.sweeps.domains import Domain
 from spm_pin.sweeps.metric import DTYPES
 from spm_pin.sweeps.plan import FORMAT, Plan, definition_differences
 
@@ -95,7 +96,7 @@ class Store:
 
         self.path = path
         self.plan = plan
-        lines = definition_differences(domain_and_definition(path)[1], plan.definition())
+        lines = definition_differences(domain_and_definition(path)[1], json.loads(plan.text))
         if lines:
             raise ArgumentError(
                 "store", "a new folder, or one with a store of this very sweep", f"{path}, where {'; '.join(lines)}"
@@ -203,15 +204,13 @@ def store_path(store: str | os.PathLike[str]) -> Path:
     ArgumentError
         If it is no path.
     """
-    expected = "the path of a folder"
-    if not isinstance(store, str | os.PathLike) or not isinstance(os.fspath(store), str):
-        raise ArgumentError("store", expected, repr(store))
+    path = file_path(store, "store")
     try:
-        path = Path(store).resolve()
-    except (OSError, ValueError, RuntimeError) as error:
-        raise ArgumentError("store", expected, repr(store), str(error)) from error
+        path = path.resolve()
+    except (OSError, RuntimeError) as error:
+        raise ArgumentError("store", "the path of a folder", repr(store), str(error)) from error
     if not path.name:
-        raise ArgumentError("store", expected, repr(store))
+        raise ArgumentError("store", "the path of a folder", repr(store))
     return path
 
 
@@ -243,7 +242,7 @@ def domain_and_definition(path: Path) -> tuple[Domain, dict[str, Any]]:
                 raise StoreError(str(path), f"a store of format {definition['format']}; this version has {FORMAT}")
             parts, names = definition["chunk"], [one["name"] for one in definition["metrics"]]
             fits = len(parts) == len(domain.shape) and all(
-                is_integer(part) and 1 <= part <= length for part, length in zip(parts, domain.shape, strict=True)
+                type(part) is int and 1 <= part <= length for part, length in zip(parts, domain.shape, strict=True)
             )
             whole = fits and domain.definition() == definition["domain"] and isinstance(definition["spm_pin"], str)
             if not whole or not all(isinstance(name, str) for name in names):

@@ -19,7 +19,7 @@ import numpy as np
 
 from spm_pin.closed_form import forward_physical
 from spm_pin.errors import ArgumentError, MissingExtraError, SpmError
-from spm_pin.sweeps.domains import is_integer
+from spm_pin.mechanism.arguments import whole_number
 from spm_pin.sweeps.metrics import METRICS
 from spm_pin.sweeps.plan import Plan, package_version
 from spm_pin.sweeps.points import Points
@@ -47,8 +47,8 @@ _opened: dict[tuple[str, Path], Store] = {}
 
 def check_workers(scheduler: object, workers: object) -> None:
     """Raise `ArgumentError` if these are not a scheduler, or a number of processes, or None."""
-    if workers is not None and (not is_integer(workers) or workers < 1):  # type: ignore[operator]
-        raise ArgumentError("workers", "a positive number of processes", repr(workers))
+    if workers is not None:
+        whole_number(workers, "workers", "a positive number of processes", least=1)
     if workers is not None and scheduler is not None:
         cause = "The number of workers of a scheduler is set where it is started."
         raise ArgumentError("workers", "None beside a scheduler", workers, cause)
