@@ -17,7 +17,7 @@ from spm_pin.errors import ArgumentError, MissingExtraError
 __all__ = ["check_output", "name_options", "require_extra", "write_json", "write_text"]
 
 EXTRAS = {
-    "cluster": ("zarr", "xarray", "dask", "distributed"),
+    "cluster": ("zarr", "xarray", "dask", "distributed", "filelock", "google_crc32c"),
     "plots": ("matplotlib", "trimesh"),
     "viewer": ("viser", "trimesh"),
     "workspace": ("trimesh", "skimage"),

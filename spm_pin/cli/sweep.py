@@ -16,6 +16,7 @@ from rich.text import Text
 from spm_pin import sweeps
 from spm_pin.cli.console import note, print_lines, stderr, to_json
 from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Unit, read_geometry
+from spm_pin.cli.outputs import name_options, require_extra
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LegLimits
 from spm_pin.sweeps.domains import Domain
@@ -27,6 +28,18 @@ _DEFAULT = ("reachable", "branches", "conditioning")
 _RANGE = "START:STOP:COUNT"
 
 
+@name_options(
+    **{
+        name: f"--{name}"
+        for name in ("x", "y", "z", "xyx", "method", "seed", "limits", "length", "workers", "scheduler")
+    },
+    store="--out",
+    chunk="--chunk",
+    count="--samples",
+    metrics="--metric",
+    push="--leg-force",
+    leg="--leg-stiffness",
+)
 def sweep(
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Store of the results, in Zarr v3.")],
     x: Annotated[str | None, typer.Option(metavar=_RANGE, help="X of o in {B}, in --unit, or one number.")] = None,
@@ -81,6 +94,7 @@ def sweep(
     Killed or interrupted it loses nothing: the same command goes on, and so does spm-pin sweep --out FOLDER alone.
     """
     if not status:
+        require_extra("cluster")
         poses = {"--x": x, "--y": y, "--z": z, "--xyx": xyx}
         drawn = None if samples is None else {"count": samples, "method": method, "seed": seed}
         domain = _domain(poses, legs, drawn, 1.0 / unit.per_metre)
@@ -123,27 +137,15 @@ def _domain(poses: dict[str, Any], legs: list[str] | None, drawn: dict[str, Any]
             raise ArgumentError("--legs", "one range, two, or six", f"{len(legs)}")
         ranges = [_range("--legs", text, scale) for text in legs]
         six = ranges if len(ranges) == 6 else [one for one in ranges for _ in range(6 // len(ranges))]
-        return sweeps.leg_grid(six[:3], six[3:]) if drawn is None else _sample("legs", (six[:3], six[3:]), drawn)
+        return sweeps.leg_sample(lower=six[:3], upper=six[3:], **drawn) if drawn else sweeps.leg_grid(six[:3], six[3:])
     if len(missing) == len(poses):
         return None
     if missing:
         raise ArgumentError(", ".join(missing), "a range or a number for every coordinate of a pose", "none")
     position = [_range(option, poses[option], scale) for option in ("--x", "--y", "--z")]
     angles = [_range("--xyx", text, np.pi / 180.0) for text in poses["--xyx"]]
-    if drawn is None:
-        return sweeps.pose_grid(*position, xyx=angles)
-    return _sample("pose", position, drawn, xyx=angles)
-
-
-def _sample(space: str, ranges: Any, drawn: dict[str, Any], **others: Any) -> Domain:
-    """Draw from ranges; an error names the option."""
-    make = sweeps.leg_sample if space == "legs" else sweeps.pose_sample
-    try:
-        return make(drawn["count"], *ranges, **others, method=drawn["method"], seed=drawn["seed"])
-    except ArgumentError as error:
-        if error.argument in ("method", "seed"):
-            raise ArgumentError(f"--{error.argument}", error.expected, error.received) from error
-        raise
+    pose: dict[str, Any] = {"x": position[0], "y": position[1], "z": position[2], "xyx": angles}
+    return sweeps.pose_sample(**drawn, **pose) if drawn else sweeps.pose_grid(**pose)
 
 
 def _range(option: str, text: str, scale: float) -> float | tuple[float, ...]:

@@ -14,6 +14,7 @@ from spm_pin.closed_form import (
     determinants,
     forward_physical,
     inverse_displacement,
+    inverse_physical,
     platform_jacobian,
     singularities,
 )
@@ -111,7 +112,9 @@ class Points:
             # Most points of a box have no branch within the limits: the others alone are solved for the joints.
             there = np.asarray(self.branches_within.any(axis=-1))
             poses = _Poses(self._poses.rotation[there], self._poses.translation[there])
-            found = inverse_displacement(self.geometry, poses).within(self.limits).physical()
+            found = inverse_physical(self.geometry, poses)
+            inside = self.limits.contains(found.leg_lengths)
+            there[there], found = inside, found[inside]
         arrays = found.rotation, found.translation, found.middle_joints
         return Configuration.from_arrays(self.geometry, *(_spread(values, there) for values in arrays))
 

@@ -69,7 +69,7 @@ def test_parameters_of_metrics(tmp_path: Path) -> None:
         METRICS["payload_down"](push=900.0),
         METRICS["stiffness"](leg=2e7),
     ]
-    assert definition["metrics"] == [index.definition() for index in asked]
+    assert definition["metrics"] == [one.definition() for one in asked]
     assert definition["geometry"]["limits"] == [[1.15] * 6, [1.45] * 6]
 
 
@@ -124,9 +124,11 @@ def test_going_on_and_looking(tmp_path: Path) -> None:
         (["--legs", "2:1:5"], "start < stop"),
         (["--legs", "1:nan:5"], "finite"),
         (["--legs", "1:2", "--samples", "5", "--method", "halton"], "--method"),
-        (["--legs", "1:2:5", "--metric", "beauty"], "expected a Metric, or names among reachable"),
+        (["--x", "1:0:5", "--y", "0", "--z", "2", "--xyx", "1", "2", "3"], "--x: expected start < stop"),
+        (["--legs", "1:2:5", "--metric", "conditioning", "--length", "0"], "--length: expected a positive number"),
+        (["--legs", "1:2:5", "--metric", "beauty"], "--metric: expected a Metric, or names among reachable"),
         (["--legs", "1:2:5", "--limits", "2", "1"], "exchanged"),
-        (["--legs", "1:2:5", "--metric", "payload", "--leg-force", "-1"], "push"),
+        (["--legs", "1:2:5", "--metric", "payload", "--leg-force", "-1"], "--leg-force: expected a positive number"),
         (["--legs", "1:2:5", "--workers", "2", "--scheduler", "tcp://127.0.0.1:1"], "beside a scheduler"),
         ([], "does not exist"),
         (["--status"], "does not exist"),

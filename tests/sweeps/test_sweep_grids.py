@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from itertools import product
 from math import prod
+from typing import Any
 
 import numpy as np
 import pytest
@@ -122,6 +124,42 @@ def test_a_sample_depends_on_its_seed_alone() -> None:
 )
 def test_a_definition_makes_it_again(domain: Domain) -> None:
     assert Domain.from_definition(json.loads(json.dumps(domain.definition()))) == domain
+
+
+ODD: tuple[Any, ...] = (
+    None,
+    "x",
+    b"x",
+    [],
+    {},
+    np.nan,
+    np.inf,
+    10**400,
+    1j,
+    object(),
+    [[1, 2], [3]],
+    np.zeros((2, 2)),
+    True,
+)
+CALLS: dict[str, tuple[Callable[..., object], dict[str, Any]]] = {
+    "pose_grid": (pose_grid, {"x": (0, 1, 2), "y": 0, "z": 2, "xyx": [0.1, 0.2, 0.3]}),
+    "leg_grid": (leg_grid, {"lower": (1, 2, 3), "upper": 1}),
+    "pose_sample": (
+        pose_sample,
+        {"count": 3, "x": (0, 1), "y": 0, "z": 2, "xyx": [0.1, 0.2, 0.3], "method": "sobol", "seed": 0},
+    ),
+    "leg_sample": (leg_sample, {"count": 3, "lower": (1, 2), "upper": 1, "method": "uniform", "seed": 0}),
+}
+
+
+@pytest.mark.parametrize(("name", "argument"), [(name, one) for name, (_, given) in CALLS.items() for one in given])
+def test_odd_arguments_end_in_an_error_that_names_them(name: str, argument: str) -> None:
+    function, arguments = CALLS[name]
+    function(**arguments)
+    names = {"lower": "lower|r_b[123]", "upper": "upper|r_c[123]", "xyx": "xyx|rotation|alpha|beta|lambda_"}
+    for odd in ODD:
+        with pytest.raises(spm.SpmError, match=names.get(argument, argument)):
+            function(**{**arguments, argument: odd})
 
 
 XYX = [0.1, 0.2, 0.3]
