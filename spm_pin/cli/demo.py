@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -21,11 +23,11 @@ from spm_pin.reproduction import reproduce
 __all__ = ["demo"]
 
 _NEXT = (
-    ("spm-pin inverse --translation 68.89 49.63 225.3 --xyx -11.08 32.97 -12.88 --unit cm", "the paper's pose"),
-    ("spm-pin forward --legs 120 120 140 125 120 150 --unit cm", "and its leg lengths"),
-    ("spm-pin view", 'drag the platform in a browser; needs the extra "viewer"'),
-    ("spm-pin reproduce --cells", "every number of the paper"),
-    ("spm-pin --help", "all commands"),
+    ("inverse --help", "all branches of a pose; the paper's as example"),
+    ("forward --help", "the pose of six leg lengths"),
+    ("view", 'drag the platform in a browser; needs the extra "viewer"'),
+    ("reproduce", "the cause of each difference from the paper"),
+    ("--help", "all commands"),
 )
 
 
@@ -56,10 +58,11 @@ def demo(
     if out is not None:
         _draw_example(out)
         stdout.print(f"Picture of the six real branches of the paper's pose: {out}", soft_wrap=True)
-    print_lines(["Try next:"])
-    width = max(len(command) for command, _ in _NEXT)
-    for command, what in _NEXT:
-        stdout.print(f"  {command:{width}}  {what}", soft_wrap=True)
+    stdout.print("Try next:")
+    program = "spm-pin" if shutil.which("spm-pin") else sys.argv[0]
+    width = max(len(arguments) for arguments, _ in _NEXT)
+    for arguments, what in _NEXT:
+        stdout.print(f"  {program} {arguments:{width}}  {what}", soft_wrap=True)
     if found.unexplained or not report.agrees:
         raise typer.Exit(1)
 

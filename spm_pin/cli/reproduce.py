@@ -17,11 +17,11 @@ __all__ = ["print_summary", "reproduce", "summary_line"]
 
 _TITLES = {
     POSE: "The example's pose (cm, degrees) from the leg lengths 120, 120, 140, 125, 120, 150 cm",
-    1: "Table 1: the coordinates of b_1 (cm)",
-    2: "Table 2: the coordinates of b_2 (cm)",
-    3: "Table 3: the coordinates of b_3 (cm)",
-    4: "Table 4: leg lengths of the real solutions (cm)",
-    5: "Table 5: leg rates (cm/s) and driving forces (kN) at solution 3",
+    1: "Table 1: coordinates of b_1 (cm)",
+    2: "Table 2: coordinates of b_2 (cm)",
+    3: "Table 3: coordinates of b_3 (cm)",
+    4: "Table 4: leg lengths (cm) of the real solutions",
+    5: "Table 5: leg rates and forces (cm/s, kN) at solution 3",
 }
 _MISTAKES = {
     "printed_lever_arm": "the lever arm e_i - r_bi of Eq. (30a) instead of e_i - r_ci of Eq. (25b)",

@@ -460,3 +460,5 @@ def test_the_demo_begins_with_the_verdict_and_ends_with_what_to_try(
     next_steps = lines[lines.index("Try next:") + 1 :]
     assert len(next_steps) == 5
     assert all("spm-pin " in line for line in next_steps)
+    assert max(map(len, next_steps)) <= 80
+    assert sum("unexplained" in line for line in lines) == 1, "the table fits 80 columns"

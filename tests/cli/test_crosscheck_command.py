@@ -87,7 +87,7 @@ def test_a_method_that_cannot_be_imported_is_mentioned(monkeypatch: pytest.Monke
         (["--figure", "x.html"], "--figure: expected a file name ending in .png"),
     ],
 )
-def test_bad_input_is_an_error_of_ours(arguments: list[str], words: str) -> None:
+def test_bad_input_raises_an_argument_error(arguments: list[str], words: str) -> None:
     done = run(*arguments)
     assert isinstance(done.exception, spm.ArgumentError)
     assert words in str(done.exception)

@@ -67,14 +67,14 @@ def test_json_in_every_unit(unit: str, factor: float) -> None:
         np.testing.assert_allclose(alone[key], first[key], rtol=0, atol=1e-13 * factor)
 
 
-def test_what_cannot_be_reached_says_why() -> None:
+def test_unreachable_lengths_hint_at_the_unit() -> None:
     out = run(*LEGS[:-2], code=3)
     assert "0 of 256" in out
     assert "--legs was read in m: 150 m, on a machine of 2.64 m. In cm it would be in proportion: --unit cm." in out
     assert "--unit" not in run("--legs", "1.2", "0.1", "1.2", "1.2", "1.2", "1.2", code=3)
 
 
-def test_a_family_is_named(tmp_path: Path) -> None:
+def test_a_continuous_family_is_named(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text("base_radius: 1.0\nplatform_radius: 0.7\nmiddle_side: 2.0\n", encoding="utf-8")
     out = " ".join(run("--legs", "1", "3", "1", "2", "2", "2", "--geometry", str(path), code=4).split())

@@ -25,7 +25,7 @@ def run(*arguments: str) -> Result:
     return CliRunner().invoke(app, list(arguments), env={"COLUMNS": "80"})
 
 
-def test_it_prints_the_patches_the_volume_and_its_convergence() -> None:
+def test_workspace_prints_the_patches_the_volume_and_its_convergence() -> None:
     done = run("--limits", "110", "150", "--unit", "cm", "--resolution", "20")
     assert done.exit_code == 0, done.output
     out = done.output
@@ -59,7 +59,7 @@ def test_json_in_every_unit(unit: str, factor: float) -> None:
 
 
 @pytest.mark.parametrize("name", ["shell.stl", "shell.ply", "shell.obj", "SHELL.STL"])
-def test_meshes_by_the_files_ending(tmp_path: Path, name: str) -> None:
+def test_the_ending_of_the_file_selects_the_mesh_format(tmp_path: Path, name: str) -> None:
     done = run(*FEW, "--out", str(tmp_path / name))
     assert done.exit_code == 0, done.output
     assert f"wrote {tmp_path / name}" in "".join(done.stderr.splitlines())
@@ -73,7 +73,7 @@ def test_glb_with_its_patches(tmp_path: Path) -> None:
     assert len(trimesh.load_scene(tmp_path / "shell.glb").geometry) == 24
 
 
-def test_pictures(tmp_path: Path) -> None:
+def test_out_draws_the_shell_or_its_sections(tmp_path: Path) -> None:
     views, cuts = tmp_path / "fig2.png", tmp_path / "sections.png"
     assert run(*FEW, "--out", str(views)).exit_code == 0
     done = run(*FEW, "--sections", "--samples", "2000", "--out", str(cuts))
@@ -114,14 +114,14 @@ def test_limits_from_the_geometrys_file(tmp_path: Path) -> None:
         (["--sections", "--out", "shell.stl"], "ending in .png, .svg, .pdf, got shell.stl"),
     ],
 )
-def test_bad_input_is_an_error_of_ours(arguments: list[str], says: str) -> None:
+def test_bad_input_raises_an_argument_error(arguments: list[str], says: str) -> None:
     done = run(*arguments)
     assert isinstance(done.exception, spm.ArgumentError), done.output
     assert says in str(done.exception)
     assert "volume" not in done.output
 
 
-def test_a_directory_in_the_files_place(tmp_path: Path) -> None:
+def test_out_must_not_be_a_directory(tmp_path: Path) -> None:
     folder = tmp_path / "shell.stl"
     folder.mkdir()
     done = run(*FEW, "--out", str(folder))
