@@ -53,7 +53,7 @@ def follow_seed(geometry: Geometry, lengths: FloatArray, seed: Configuration) ->
     states, arrived = run_kernel(follow_stages, (start, end, epsilon, seeds), (), state, _MIN_BATCH_PER_THREAD)
     states[~arrived] = np.nan
     x0, x1, x2, zeta = states.T
-    zero = np.zeros_like(x0)
+    zero = 0.0 * x0  # NaN where a stage has not arrived
     plain, turned = np.stack([x0, x1, x2, zero, zeta], -1), np.stack([zero, x2, -x1, x0, -zeta], -1)
     stages = np.where(half_turned[:, None], turned, plain)
     results = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64)

@@ -1,6 +1,7 @@
 """Following one solution of a stage while its leg lengths change, over scalars.
 
-Four unknowns x = (x0, x1, x2, ζ), four equations F = (f, |quaternion|² - 1).
+Four unknowns x = (x0, x1, x2, ζ), four equations F = (f, |quaternion|² - 1). The stage is at a forward singularity where
+F' is singular, and where x0 is zero: modes T and F meet there. No step reaches either.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ _MARGIN = 0.2
 """At most this instead of 1/2, so that `_ITERATIONS` steps of Newton's method reach rounding: 0.4^(2^5) < 1e-12."""
 _ITERATIONS = 5
 _LENGTHS = readonly_array(2)
+_PART_OF_X0 = 0.25
+"""Newton's method moves x by at most twice its first step, so after a first step of less than x0 / 2 x0 is positive."""
 _SHORTEST = 1e-9
 """A step shorter than this part of the way stands before a singularity."""
 
@@ -69,7 +72,7 @@ def _product(matrix: FloatArray, x: State, i: int) -> float:
 
 
 @jit_inline
-def _reach(matrix: FloatArray, x: State) -> float:
+def _image_size(matrix: FloatArray, x: State) -> float:
     """Return |matrix · x|."""
     a, b, c, d = _product(matrix, x, 0), _product(matrix, x, 1), _product(matrix, x, 2), _product(matrix, x, 3)
     return math.sqrt(a * a + b * b + c * c + d * d)
@@ -89,8 +92,8 @@ def _curvature(epsilon: float, zeta: float) -> float:
     Term by term, for |x| <= 1.05 and ζ within 0.05 of its value: F'⁻¹ is at least 1/2, for the last row of F' is 2x,
     and K at least 20, so no step of Newton's method leaves that region.
     """
-    size, reach = 1.05, abs(zeta) + 0.05
-    harmonic = 4.0 * abs(epsilon) + 18.0 * size * size + 4.0 * size + 2.0 * reach
+    size, extent = 1.05, abs(zeta) + 0.05
+    harmonic = 4.0 * abs(epsilon) + 18.0 * size * size + 4.0 * size + 2.0 * extent
     height = 4.0 * abs(epsilon) + 12.0 * size * size
     return math.sqrt(harmonic * harmonic + height * height + 4.0)
 
@@ -112,12 +115,12 @@ def _safe_step(
     for i in range(4):
         for j in range(4):
             square += inverse[i, j] * inverse[i, j]
-    allowed = _MARGIN / (math.sqrt(square) * _curvature(epsilon, state[3])) - _reach(inverse, _value(stage, state))
-    allowed = max(allowed, 0.0)
+    longest = min(_MARGIN / (math.sqrt(square) * _curvature(epsilon, state[3])), _PART_OF_X0 * state[0])
+    allowed = max(longest - _image_size(inverse, _value(stage, state)), 0.0)
     # The squared lengths, of which F is a linear function, change by 2 l dl s + dl² s².
     a, b, c = start[0] + done * change[0], start[1] + done * change[1], start[2] + done * change[2]
-    first = _reach(inverse, _harmonics(2.0 * a * change[0], 2.0 * b * change[1], 2.0 * c * change[2]))
-    second = _reach(inverse, _harmonics(change[0] * change[0], change[1] * change[1], change[2] * change[2]))
+    first = _image_size(inverse, _harmonics(2.0 * a * change[0], 2.0 * b * change[1], 2.0 * c * change[2]))
+    second = _image_size(inverse, _harmonics(change[0] * change[0], change[1] * change[1], change[2] * change[2]))
     slowest = first + math.sqrt(first * first + 4.0 * second * allowed)
     return 2.0 * allowed / slowest if slowest > 0.0 else 1.0
 
@@ -139,8 +142,6 @@ def _followed(
             _invert(target, state, work, inverse)
             x0, x1 = state[0] - _product(inverse, value, 0), state[1] - _product(inverse, value, 1)
             state = x0, x1, state[2] - _product(inverse, value, 2), state[3] - _product(inverse, value, 3)
-    if state[0] < 0.0:
-        state = -state[0], -state[1], -state[2], state[3]
     end, _, arrived = polished(_at(start, change, 1.0, epsilon), state)
     # What had gone below the hips comes back reflected.
     if end[1] * state[1] + end[2] * state[2] + end[3] * state[3] < 0.0:
