@@ -1,6 +1,6 @@
 """Following one solution of a stage while its leg lengths change, over scalars.
 
-Four unknowns x = (x0, x1, x2, ζ), four equations F = (f, |quaternion|² - 1). The stage is at a forward singularity where
+Four unknowns x = (x0, x1, x2, ζ), four equations F = (f, |quaternion|² - 1). The stage is forward singular where
 F' is singular, and where x0 is zero: modes T and F meet there. No step reaches either.
 """
 
