@@ -25,7 +25,7 @@ __all__ = ["demo"]
 _NEXT = (
     ("inverse --help", "all branches of a pose; the paper's as example"),
     ("forward --help", "the pose of six leg lengths"),
-    ("view", 'drag the platform in a browser; needs the extra "viewer"'),
+    ("view", 'drag the platform in a browser (extra "viewer")'),
     ("reproduce", "the cause of each difference from the paper"),
     ("--help", "all commands"),
 )
