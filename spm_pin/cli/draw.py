@@ -17,11 +17,15 @@ from spm_pin.errors import ArgumentError
 
 __all__ = ["draw"]
 
-_WIDEST = 20_000
-
 
 @name_options(
-    path="--out", width="--width", view="--view", translation="--translation", xyx="--xyx", leg_lengths="--legs"
+    path="--out",
+    width="--width",
+    background="--background",
+    view="--view",
+    translation="--translation",
+    xyx="--xyx",
+    leg_lengths="--legs",
 )
 def draw(
     out: Annotated[Path, typer.Option(metavar="FILE", help=f"Picture to write: {', '.join(FORMATS)}.")],
@@ -49,7 +53,6 @@ def draw(
     """
     require_extra("plots")
     check_output(out, "--out", FORMATS)
-    _check_appearance(width, background)
     from spm_pin.display.gallery import save_gallery
     from spm_pin.display.plots import save_picture
 
@@ -69,13 +72,3 @@ def draw(
         state = select_branch(solutions, default, labels[0] if labels else None)
         save_picture(state, out, view=direction, labels=names is not False, width=width or 1000, background=background)
     note(f"wrote {out}")
-
-
-def _check_appearance(width: int | None, background: str) -> None:
-    from matplotlib.colors import is_color_like
-
-    if width is not None and width > _WIDEST:
-        raise ArgumentError("--width", f"at most {_WIDEST} pixels", width)
-    if not is_color_like(background):
-        expected = "a colour that matplotlib knows, such as white, #f0f0f0 or none"
-        raise ArgumentError("--background", expected, repr(background))

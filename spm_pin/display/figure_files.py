@@ -11,10 +11,13 @@ from spm_pin.errors import ArgumentError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["FORMATS", "named_figure", "save_figure"]
+__all__ = ["FORMATS", "WIDEST", "check_appearance", "named_figure", "save_figure"]
 
 FORMATS = (".png", ".svg", ".pdf")
 """File types that figures are written in."""
+
+WIDEST = 6000
+"""Largest width of a picture of the mechanism in pixels: one of 6000 takes 2 GB and a minute."""
 
 
 def named_figure(path: str | Path) -> Path:
@@ -31,6 +34,26 @@ def named_figure(path: str | Path) -> Path:
     return path
 
 
+def check_appearance(width: int, narrowest: int, background: str) -> None:
+    """Check the width of a picture in pixels and the colour behind it.
+
+    Raises
+    ------
+    ArgumentError
+        If the width is no whole number from `narrowest` to `WIDEST`, or matplotlib does not know the colour.
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    if not isinstance(width, int) or not narrowest <= width <= WIDEST:
+        expected = f"at least {narrowest}" if isinstance(width, int) and width < narrowest else f"at most {WIDEST}"
+        raise ArgumentError("width", f"{expected} pixels, a whole number", width)
+    with plots_extra():
+        from matplotlib.colors import is_color_like
+    if not is_color_like(background):
+        expected = "a colour that matplotlib knows, such as white, #f0f0f0 or none"
+        raise ArgumentError("background", expected, repr(background))
+
+
 def save_figure(figure: Figure, path: str | Path, *, dpi: float = 150.0, background: str = "white") -> Path:
     """Save a figure, by the end of the file's name one of `FORMATS`; a file that exists is replaced.
 
@@ -45,7 +68,7 @@ def save_figure(figure: Figure, path: str | Path, *, dpi: float = 150.0, backgro
     with plots_extra():
         from matplotlib import rc_context
 
-    # Without the date, and with names that are not drawn by lot.
+    # Without the date, and with names that do not change from run to run.
     metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix.lower())
     try:
         with rc_context({"svg.hashsalt": "spm-pin"}):

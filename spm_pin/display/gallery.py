@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
-from spm_pin.display.figure_files import named_figure, save_figure
+from spm_pin.display.figure_files import check_appearance, named_figure, save_figure
 from spm_pin.display.plots import VIEW, draw
 from spm_pin.display.scene import plots_extra
 from spm_pin.errors import ArgumentError
@@ -47,8 +47,8 @@ def save_gallery(
     Raises
     ------
     ArgumentError
-        If there is none, the suffix is another, the file cannot be written, `width` is less than 100 for each column,
-        or `draw` would raise it.
+        If there is none, the suffix is another, the file cannot be written, `width` is less than 100 for each column
+        or more than `WIDEST`, the colour is unknown, or `draw` would raise it.
     MissingExtraError
         If matplotlib or trimesh is not installed.
     """
@@ -58,8 +58,7 @@ def save_gallery(
     count = len(configurations)
     columns = count if count <= 4 else math.ceil(count / 2)
     rows = math.ceil(count / columns)
-    if width < 100 * columns:
-        raise ArgumentError("width", f"at least {100 * columns} pixels for {columns} columns", width)
+    check_appearance(width, 100 * columns, background)
     with plots_extra():
         from matplotlib.figure import Figure
 

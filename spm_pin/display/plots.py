@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from spm_pin.display.figure_files import named_figure, save_figure
+from spm_pin.display.figure_files import check_appearance, named_figure, save_figure
 from spm_pin.display.labels import Lettering, label
 from spm_pin.display.rendering import VIEW, bounds, camera_axes, render
 from spm_pin.display.scene import plots_extra, scene
@@ -122,13 +122,13 @@ def save_picture(
     Raises
     ------
     ArgumentError
-        If the suffix is another, the file cannot be written, `width` is less than 100, or `draw` would raise it.
+        If the suffix is another, the file cannot be written, `width` is less than 100 or more than
+        `WIDEST`, the colour is unknown, or `draw` would raise it.
     MissingExtraError
         If matplotlib or trimesh is not installed.
     """
     path = named_figure(path)
-    if width < 100:
-        raise ArgumentError("width", "at least 100 pixels", width)
+    check_appearance(width, 100, background)
     dpi = width / _WIDTH
     figure = cast("Figure", draw(configuration, view=view, labels=labels, dpi=dpi).figure)
     return save_figure(figure, path, dpi=dpi, background=background)

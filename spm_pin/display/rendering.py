@@ -22,6 +22,7 @@ __all__ = ["VIEW", "Extent", "Image", "bounds", "camera_axes", "render"]
 Image = npt.NDArray[np.float32]
 Extent = tuple[float, float, float, float]
 Indices = npt.NDArray[np.intp]
+Samples = npt.NDArray[np.int32]
 
 VIEW = (math.radians(15.0), math.radians(25.0))
 """The azimuth and the elevation [rad] from which pictures are taken."""
@@ -78,14 +79,18 @@ def render(solids: Scene, camera: FloatArray, resolution: float, edge: float) ->
     corners[..., 0] = (corners[..., 0] - left) * resolution * _SAMPLES - 0.5
     corners[..., 1] = (top - corners[..., 1]) * resolution * _SAMPLES - 0.5
     face, depth = _nearest_faces(corners, (height * _SAMPLES, width * _SAMPLES))
-    region = np.append(np.concatenate(regions), -1)[face]
+    region = np.append(np.concatenate(regions), -1).astype(np.int32)[face]
     edges = _edges(region, depth, max(1, round(edge * _SAMPLES)))
+    del region, depth
     # One gather: the faces' colours, the same as edges, and last, where index -1 finds it, nothing.
     lit = np.concatenate(colours)
     palette = np.zeros((2 * len(lit) + 1, 4), dtype=np.float32)
     palette[:-1, :3], palette[:-1, 3] = np.concatenate([lit, 0.4 * lit]), 1.0
-    samples = palette[np.where(edges, face + len(lit), face)]
-    image = samples.reshape(height, _SAMPLES, width, _SAMPLES, 4).mean(axis=(1, 3))
+    face[edges] += len(lit)
+    image = np.empty((height, width, 4), dtype=np.float32)
+    for row in range(height):  # the samples' colours together would take most of the memory
+        samples = palette[face[row * _SAMPLES : (row + 1) * _SAMPLES]]
+        image[row] = samples.reshape(_SAMPLES, width, _SAMPLES, 4).mean(axis=(0, 2))
     image[..., :3] /= np.maximum(image[..., 3:], 1e-9)
     return image, (left, left + width / resolution, top - height / resolution, top)
 
@@ -118,13 +123,13 @@ def _shade(colour: Colour, normals: FloatArray) -> FloatArray:
     return np.asarray(np.asarray(colour) * light ** (1.0 / 2.2))
 
 
-def _nearest_faces(triangles: FloatArray, shape: tuple[int, int]) -> tuple[Indices, FloatArray]:
+def _nearest_faces(triangles: FloatArray, shape: tuple[int, int]) -> tuple[Samples, Image]:
     """Return which triangle each pixel shows, -1 for none, and how near it is.
 
     `triangles` (n, 3, 3) holds column, row and nearness of each corner; pixel centres are whole numbers.
     """
-    index = np.full(shape, -1, dtype=np.intp)
-    depth = np.full(shape, -np.inf)
+    index = np.full(shape, -1, dtype=np.int32)
+    depth = np.full(shape, -np.inf, dtype=np.float32)
     low = np.maximum(np.ceil(triangles[..., :2].min(axis=1)), 0.0).astype(int)
     high = np.minimum(np.floor(triangles[..., :2].max(axis=1)), [shape[1] - 1, shape[0] - 1]).astype(int) + 1
     corners = np.swapaxes(triangles, 1, 2).copy()
@@ -145,7 +150,7 @@ def _nearest_faces(triangles: FloatArray, shape: tuple[int, int]) -> tuple[Indic
     return index, depth
 
 
-def _edges(region: Indices, depth: FloatArray, width: int) -> npt.NDArray[np.bool_]:
+def _edges(region: Samples, depth: Image, width: int) -> npt.NDArray[np.bool_]:
     """Return the pixels within `width` of the border of their region, on the nearer side of that border."""
     edge = np.zeros(region.shape, dtype=bool)
     for axis in (0, 1):

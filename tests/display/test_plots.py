@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import spm_pin as spm
+from spm_pin.display.gallery import save_gallery
 from spm_pin.display.plots import VIEW, draw, save_picture
 from spm_pin.display.scene import scene
 from spm_pin.errors import ArgumentError, MissingExtraError
@@ -187,9 +188,22 @@ def test_three_dimensional_axes_are_refused():
         draw(STATE, ax=Figure().add_subplot(projection="3d"))
 
 
-def test_tiny_pictures_are_refused(tmp_path):
-    with pytest.raises(ArgumentError, match="width"):
-        save_picture(STATE, tmp_path / "mechanism.png", width=4)
+@pytest.mark.parametrize(
+    "save", [save_picture, lambda state, *args, **kwargs: save_gallery({"one": state}, *args, **kwargs)]
+)
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"width": 4}, "width: expected at least 100 pixels, a whole number, got 4"),
+        ({"width": 100000}, "width: expected at most 6000 pixels, a whole number, got 100000"),
+        ({"width": 500.5}, "width: expected at most 6000 pixels, a whole number, got 500.5"),
+        ({"background": "notacolour"}, "background: expected a colour that matplotlib knows"),
+    ],
+)
+def test_impossible_pictures_are_refused(tmp_path, save, options, says):
+    with pytest.raises(ArgumentError, match=says):
+        save(STATE, tmp_path / "mechanism.png", **options)
+    assert not list(tmp_path.iterdir())
 
 
 def test_without_matplotlib_the_error_tells_how_to_install_it(monkeypatch):
