@@ -6,16 +6,23 @@ import gzip
 from functools import lru_cache
 from typing import Any
 
-__all__ = ["TITLE", "branded", "branded_html"]
+__all__ = ["PANEL_WIDTH", "PHONE_ASPECT", "PHONE_PANEL", "TITLE", "branded", "branded_html"]
 
 TITLE = "spm_pin"
 
-_STYLE = """
-@media (max-width: 36em) {
-  div[style*="position: fixed"][style*="width: 20em"] {
-    width: 100% !important; max-height: 46% !important; left: 0; border-radius: 0.8em 0.8em 0 0 !important }
-  div[style*="position: fixed"][style*="width: 20em"] div[style*="width: 20em"] { width: 100% !important }
-}
+PANEL_WIDTH = 388.0
+"""Width of the panel beside the picture [pixels]."""
+PHONE_ASPECT = 0.9
+"""A picture narrower than this share of its height is a phone's."""
+PHONE_PANEL = 0.46
+"""The share of a phone's page that the panel covers at its lower edge."""
+
+_STYLE = f"""
+@media (max-width: 36em) {{
+  div[style*="position: fixed"][style*="width: 20em"] {{
+    width: 100% !important; max-height: {100 * PHONE_PANEL:.0f}% !important; left: 0; border-radius: 0.8em 0.8em 0 0 !important }}
+  div[style*="position: fixed"][style*="width: 20em"] div[style*="width: 20em"] {{ width: 100% !important }}
+}}
 """
 
 

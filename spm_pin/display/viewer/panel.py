@@ -1,21 +1,29 @@
-"""The controls beside the picture: told by the session what to show, they tell it of events and keep no state."""
+"""The controls beside the picture. The session sets what they show; they report events and keep no state."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Coroutine
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from spm_pin.display.viewer.camera import VIEWS
+from spm_pin.display.viewer.slider_ranges import pose_coordinates
 from spm_pin.display.viewer.state import Drive, State
-from spm_pin.display.viewer.state_export import command_line, xyx_degrees
+from spm_pin.display.viewer.state_export import command_line
 from spm_pin.display.viewer.state_markup import forces_table, instruments, note, status
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import LEGS, Geometry
 
-__all__ = ["ANGLES", "POSITIONS", "Panel"]
+__all__ = ["Panel"]
 
-POSITIONS, ANGLES = ("x", "y", "z"), ("α", "β", "λ")
+_COORDINATES = ("x [m]", "y [m]", "z [m]", "α [°]", "β [°]", "λ [°]")
+_DRIVES = {"platform pose": Drive.POSE, "leg lengths": Drive.LEGS}
+_NONE = "–"
+
+# viser makes the colour of its buttons from these: light ones on a dark page, and white text on both.
+_BRAND = {False: (0, 54, 84), True: (0, 114, 178)}
 
 Report = Callable[[str, Any], Coroutine[Any, Any, None]]
 
@@ -28,30 +36,49 @@ class Panel:
     gui : viser.GuiApi
         Where to add them.
     geometry : Geometry
-        Sets the ranges of the sliders.
+        The manipulator.
     report : coroutine function
-        Told of every event: its name and its value.
+        Called with the name and the value of every event.
     dark : bool
         Whether the page is dark at first.
     duration : float, optional
         Of the recorded path [s]; without one there is no tab for it.
-    clouds : bool
-        Whether there are leg limits, hence something to show of the workspace.
+    demo : bool
+        Whether there is a demo motion.
+    narrow : bool
+        Whether the page is a phone's: the instruments then have a tab of their own.
     """
 
     def __init__(
-        self, gui: Any, geometry: Geometry, report: Report, *, dark: bool, duration: float | None, clouds: bool
+        self,
+        gui: Any,
+        geometry: Geometry,
+        report: Report,
+        *,
+        dark: bool,
+        duration: float | None,
+        demo: bool,
+        narrow: bool,
     ) -> None:
         self.gui = gui
         self._report = report
         self.theme(dark)
+        gui.main_panel.dock_right()
         self.status = gui.add_html("")
-        self.branch = gui.add_dropdown("Branch", ["–"], hint="Or click a ghost")
+        self.back = gui.add_button("Back to the reachable pose", visible=False, color="red", icon="arrow-back-up")
+        self._on_press(self.back, "back")
+        self.branch = gui.add_dropdown("Branch", [_NONE], hint="Or show the other branches as ghosts and click one")
         self._on(self.branch, "branch")
-        self.instruments = gui.add_html("")
+        views = gui.add_button_group("View", tuple(VIEWS))
+        self._on_press(views, "view", lambda widget: widget.value)
+        if not narrow:
+            self.instruments = gui.add_html("")
         tabs = gui.add_tab_group()
         with tabs.add_tab("Move"):
-            self._add_motion(geometry)
+            self._add_motion(geometry, demo)
+        if narrow:
+            with tabs.add_tab("Readings"):
+                self.instruments = gui.add_html("")
         with tabs.add_tab("Load"):
             self.force = gui.add_vector3("Force [N]", (0.0, 0.0, 0.0), step=10.0, hint="Onto m at o, in {B}")
             self.moment = gui.add_vector3("Moment [N m]", (0.0, 0.0, 0.0), step=10.0, hint="Onto m, in {B}")
@@ -59,7 +86,8 @@ class Panel:
             self._on(self.moment, "load")
             self.forces = gui.add_html("")
         with tabs.add_tab("Show"):
-            self._add_view(dark, clouds)
+            limits = geometry.limits
+            self._add_layers(dark, limits is not None and bool(np.isfinite(limits.maximum).all()))
         if duration is not None:
             with tabs.add_tab("Path"):
                 self._add_path(duration)
@@ -69,7 +97,7 @@ class Panel:
     def theme(self, dark: bool) -> None:
         """Make the page dark or light."""
         self.gui.configure_theme(
-            dark_mode=dark, show_logo=False, show_share_button=False, control_width="large", brand_color=(0, 114, 178)
+            dark_mode=dark, show_logo=False, show_share_button=False, control_width="large", brand_color=_BRAND[dark]
         )
 
     def _on(self, widget: Any, name: str, value: Callable[[Any], Any] | None = None) -> None:
@@ -80,89 +108,111 @@ class Panel:
 
         widget.on_update(updated)
 
-    def _on_press(self, button: Any, name: str) -> None:
-        async def pressed(_: Any) -> None:
-            await self._report(name, None)
+    def _on_press(self, button: Any, name: str, value: Callable[[Any], Any] | None = None) -> None:
+        async def pressed(event: Any) -> None:
+            await self._report(name, value(event.target) if value is not None else None)
 
         button.on_click(pressed)
 
-    def _add_motion(self, geometry: Geometry) -> None:
-        gui, limits = self.gui, geometry.limits
-        self.drive = gui.add_dropdown("Drive", ["platform pose", "leg lengths"])
-        self._on(self.drive, "drive", lambda widget: Drive.LEGS if widget.value == "leg lengths" else Drive.POSE)
-        longest = max(limits.maximum) if limits is not None else 3.0 * geometry.base_radius + geometry.middle_side
-        reach = 2.2 * min(longest, 10.0 * geometry.base_radius)
+    def _add_motion(self, geometry: Geometry, demo: bool) -> None:
+        gui = self.gui
+        self.drive = gui.add_dropdown("Drive", tuple(_DRIVES))
+        self._on(self.drive, "drive", lambda widget: _DRIVES.get(widget.value, Drive.POSE))
         self.pose_folder = gui.add_folder(None)
-        self.pose_sliders: list[Any] = []
         with self.pose_folder:
-            for name in POSITIONS:
-                low = 0.0 if name == "z" else -reach
-                self.pose_sliders.append(gui.add_slider(f"{name} [m]", low, reach, 0.001, 0.0))
-            for name in ANGLES:
-                self.pose_sliders.append(gui.add_slider(f"{name} [°]", -180.0, 180.0, 0.1, 0.0))
-        for k, slider in enumerate(self.pose_sliders):
-            self._on(slider, "coordinate", _numbered(k))
+            self.pose_sliders = [self._slider(name, "coordinate", k) for k, name in enumerate(_COORDINATES)]
         self.leg_folder = gui.add_folder(None, visible=False)
-        self.leg_sliders: list[Any] = []
         with self.leg_folder:
-            for k, leg in enumerate(LEGS):
-                low, high = (limits.minimum[k], limits.maximum[k]) if limits is not None else (0.0, longest)
-                low, high = max(low, 1e-3), high if np.isfinite(high) else longest
-                self.leg_sliders.append(gui.add_slider(f"{leg} [m]", low, high, 0.001, low))
-                self._on(self.leg_sliders[k], "leg", _numbered(k))
+            self.leg_sliders = [self._slider(f"{leg} [m]", "leg", k) for k, leg in enumerate(LEGS)]
         self.hold = gui.add_checkbox(
-            "Hold leg limits", True, visible=limits is not None, hint="Once within its limits the machine stays there"
+            "Hold leg limits", True, visible=geometry.limits is not None, hint="Once within its limits it stays there"
         )
         self._on(self.hold, "hold")
-        self.reset = gui.add_button("Back to the start")
-        self._on_press(self.reset, "reset")
+        self._on_press(gui.add_button("Start pose", icon="home"), "reset")
+        if demo:
+            self._on_press(gui.add_button("Demo motion", icon="player-play"), "demo")
 
-    def _add_view(self, dark: bool, clouds: bool) -> None:
-        gui = self.gui
+    def _slider(self, label: str, name: str, index: int) -> Any:
+        slider = self.gui.add_slider(label, 0.0, 1.0, 0.1 if "°" in label else 0.001, 0.0)
+
+        def clipped(widget: Any) -> tuple[int, float]:
+            return index, float(min(max(widget.value, widget.min), widget.max))
+
+        self._on(slider, name, clipped)
+        return slider
+
+    def _add_layers(self, dark: bool, limited: bool) -> None:
         for label, name, value, visible in (
-            ("Ghosts of other branches", "ghosts", True, True),
-            ("Labels", "labels", True, True),
+            ("Other branches", "ghosts", False, True),
+            ("Names of the legs", "names", True, True),
+            ("Trail of o", "trail", True, True),
             ("Gizmo", "gizmo_shown", True, True),
-            ("Workspace shell", "shell", False, clouds),
-            ("Reachable points", "points", False, clouds),
+            ("Workspace shell", "shell", False, limited),
+            ("Reachable points", "points", False, True),
             ("Dark page", "dark", dark, True),
         ):
-            self._on(gui.add_checkbox(label, value, visible=visible), name)
+            self._on(self.gui.add_checkbox(label, value, visible=visible), name)
 
     def _add_path(self, duration: float) -> None:
         gui = self.gui
-        self.play = gui.add_button("Play / pause")
-        self._on_press(self.play, "play")
+        self._on_press(gui.add_button("Play / pause", icon="player-play"), "play")
         self.time = gui.add_slider("Time [s]", 0.0, duration, max(duration / 1000.0, 1e-6), 0.0)
-        self._on(self.time, "time")
+        self._on(self.time, "time", lambda widget: float(min(max(widget.value, 0.0), duration)))
         self.path_note = gui.add_html("")
 
     def _add_export(self) -> None:
         gui = self.gui
+        for label, name, icon in (
+            ("Save picture (PNG)", "png", "photo"),
+            ("Save this view as a page (HTML)", "snapshot", "file-code"),
+            ("Save state (JSON)", "json", "download"),
+        ):
+            self._on_press(gui.add_button(label, icon=icon), name)
         self.command = gui.add_text("Command", "", multiline=True)
         self.q = gui.add_text("q", "", multiline=True, hint="Joint values in Pinocchio's order [rad, m]")
-        for label, name in (("Download JSON", "json"), ("Download this view as HTML", "snapshot")):
-            self._on_press(gui.add_button(label), name)
 
-    def show(self, state: State, q: FloatArray, geometry_file: Any, *, moved: str = "") -> None:
-        """Bring everything up to date, but for the sliders, "coordinate" or "leg", of which one is being moved."""
+    def show(
+        self,
+        state: State,
+        q: FloatArray,
+        ranges: tuple[FloatArray, FloatArray],
+        geometry_file: Path | None,
+        moved: tuple[str, int] = ("", 0),
+    ) -> None:
+        """Bring everything up to date.
+
+        Parameters
+        ----------
+        state : State
+            The state.
+        q : ndarray, shape (18,)
+            Its joint values in Pinocchio's order.
+        ranges : two ndarrays, shape (6, 2)
+            From where to where the sliders of the pose and of the legs go.
+        geometry_file : Path or None
+            For the command line.
+        moved : str and int
+            The slider that the user moves, ``"coordinate"`` or ``"leg"`` and which of them, is left alone; so are the
+            values of the others of its kind.
+        """
         self.status.content = status(state)
         self.instruments.content = instruments(state)
         self.forces.content = forces_table(state)
-        labels = state.labels or ("–",)
+        _assign(self.back, "visible", state.distance > 0.0 and state.drive is Drive.POSE)
+        labels = state.labels or (_NONE,)
         if tuple(self.branch.options) != labels:
             self.branch.options = labels
-        self.branch.value = state.label or labels[0]
-        position, angles = state.target.translation, _xyx(state)
-        values = {"coordinate": [*position, *angles], "leg": list(state.readings.leg_lengths)}
-        for kind, sliders in (("coordinate", self.pose_sliders), ("leg", self.leg_sliders)):
-            for value, slider in zip(values[kind], sliders, strict=True):
-                if kind != moved:
-                    number = round(float(value), 3 if "[m]" in slider.label else 1)
-                    slider.min, slider.max = min(slider.min, number), max(slider.max, number)
-                    slider.value = number
+        _assign(self.branch, "value", state.label or labels[0])
+        # At X-Y-X angles that are not unique, those of the state that is shown.
+        pose = pose_coordinates(state.target if state.distance > 0.0 else state.shown.pose)
+        kinds = (("coordinate", self.pose_sliders, pose), ("leg", self.leg_sliders, state.readings.leg_lengths))
+        for (kind, sliders, values), ends in zip(kinds, ranges, strict=True):
+            for k, (slider, value, (low, high)) in enumerate(zip(sliders, values, ends, strict=True)):
+                if (kind, k) != moved:
+                    value = slider.value if kind == moved[0] else float(value)
+                    _set_slider(slider, value, min(low, value), max(high, value))
         self.command.value = command_line(state.shown, geometry_file)
-        self.q.value = np.array2string(q, precision=9, separator=", ", max_line_width=60)
+        self.q.value = np.array2string(q + 0.0, precision=9, separator=", ", max_line_width=60)
 
     def show_path(self, *lines: str) -> None:
         """Show lines of text below the path's controls."""
@@ -172,7 +222,7 @@ class Panel:
         """Show the sliders of what is driven."""
         self.pose_folder.visible = drive is Drive.POSE
         self.leg_folder.visible = drive is Drive.LEGS
-        self.drive.value = "leg lengths" if drive is Drive.LEGS else "platform pose"
+        self.drive.value = next(name for name, value in _DRIVES.items() if value is drive)
 
     @property
     def wrench(self) -> FloatArray:
@@ -180,13 +230,16 @@ class Panel:
         return np.array([*self.force.value, *self.moment.value], dtype=np.float64)
 
 
-def _numbered(k: int) -> Callable[[Any], tuple[int, float]]:
-    """Return a function that gives a widget's value with its number."""
-    return lambda widget: (k, float(widget.value))
+def _set_slider(slider: Any, value: float, low: float, high: float) -> None:
+    """Set a slider's value and ends, rounded to its step; the ends outwards."""
+    step = float(slider.step)
+    digits = 3 if step < 0.01 else 1
+    _assign(slider, "min", round(np.floor(low / step + 1e-6) * step, digits) + 0.0)
+    _assign(slider, "max", round(max(np.ceil(high / step - 1e-6) * step, low + step), digits) + 0.0)
+    _assign(slider, "value", round(value, digits) + 0.0)
 
 
-def _xyx(state: State) -> list[float]:
-    if state.distance == 0.0:
-        return xyx_degrees(state.shown)
-    angles = state.target.rotation.as_euler("XYX", degrees=True, suppress_warnings=True)
-    return [float(angle) for angle in angles]
+def _assign(widget: Any, name: str, value: Any) -> None:
+    """Set a widget's property, with a message only where that changes something."""
+    if getattr(widget, name) != value:
+        setattr(widget, name, value)

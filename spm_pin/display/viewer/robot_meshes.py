@@ -1,121 +1,93 @@
-"""The robot as its URDF draws it: meshes, one for each moving part and colour, and where they are."""
+"""The solids of the description, joined where they move as one and have one colour, and where a state puts them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from spm_pin.errors import MissingExtraError
+from spm_pin.description.visuals import VisualPart, part_placements, visual_parts
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.geometry import LEGS, Geometry
 
-if TYPE_CHECKING:
-    from spm_pin.multibody.chain import ClosedChain
+__all__ = ["MovingMesh", "Placements", "RobotMeshes"]
 
-__all__ = ["Part", "Robot"]
+_STRETCHED = ("tube", "gland")
+"""Meshes of a leg with placements of their own, since they follow its length."""
 
 
-@dataclass(frozen=True)
-class Part:
-    """What moves as one and has one colour.
+@dataclass(frozen=True, eq=False)
+class MovingMesh:
+    """A mesh of one colour that moves as one.
 
     Attributes
     ----------
     name : str
-        Of its first shape in the URDF.
-    joint : int
-        The joint of the Pinocchio model that carries it; 0 does not move.
+        The first of its parts, see `VisualPart`.
+    leg : int or None
+        Which of `LEGS` it belongs to.
     colour : tuple of three ints
         sRGB, from 0 to 255.
     vertices : ndarray of float32, shape (n, 3)
-        In the frame of the joint [m].
+        [m].
     faces : ndarray of uint32, shape (m, 3)
         Triangles.
+    part : int
+        The part whose placement it has.
     """
 
     name: str
-    joint: int
+    leg: int | None
     colour: tuple[int, int, int]
     vertices: npt.NDArray[np.float32]
     faces: npt.NDArray[np.uint32]
+    part: int
 
 
-class Robot:
-    """The visual shapes of the description, through Pinocchio; read-only, so any number of sessions may share one.
+@dataclass(frozen=True)
+class Placements:
+    """Where meshes are in {B}: positions (..., 3) [m], quaternions (..., 4), scalar first, and scales (..., 3)."""
 
-    Parameters
-    ----------
-    geometry : Geometry
-        The manipulator.
+    positions: FloatArray
+    quaternions: FloatArray
+    scales: FloatArray
 
-    Raises
-    ------
-    MissingExtraError
-        If trimesh is not installed.
-    """
+
+class RobotMeshes:
+    """The meshes of a manipulator; read-only, so any number of sessions may share them."""
 
     def __init__(self, geometry: Geometry) -> None:
-        from spm_pin.multibody.chain import ClosedChain
-
         self.geometry = geometry
-        self.chain: ClosedChain = ClosedChain.from_urdf(geometry=geometry)
-        self.parts = _parts(self.chain.visual_model)
-        self._joints = [part.joint for part in self.parts]
+        groups: dict[tuple[str, tuple[int, int, int], str], list[tuple[int, VisualPart]]] = {}
+        for k, part in enumerate(visual_parts(geometry)):
+            red, green, blue = (round(255.0 * x) for x in part.colour)
+            own = part.name if part.mesh in _STRETCHED else ""
+            groups.setdefault((part.body, (red, green, blue), own), []).append((k, part))
+        self.meshes = tuple(_joined(colour, body, members) for (body, colour, _), members in groups.items())
+        self._parts = [mesh.part for mesh in self.meshes]
 
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Names of the joints in the order of q."""
-        return self.chain.joint_names
-
-    def q(self, configuration: Configuration) -> FloatArray:
-        """Return the joint values (18,) of a configuration, in Pinocchio's order; see `ClosedChain.joint_values`."""
-        return self.chain.joint_values(configuration)
-
-    def placements(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return where the parts are in {B} for joint values q (18,).
-
-        Returns
-        -------
-        positions : ndarray, shape (n, 3)
-            Of the parts' frames [m].
-        quaternions : ndarray, shape (n, 4)
-            Their orientations, scalar first.
-        """
-        import pinocchio as pin
-
-        data = self.chain.model.createData()
-        pin.forwardKinematics(self.chain.model, data, q)
-        positions = np.array([data.oMi[joint].translation for joint in self._joints])
-        matrices = np.array([data.oMi[joint].rotation for joint in self._joints])
-        return positions, np.asarray(Rotation.from_matrix(matrices).as_quat(scalar_first=True))
+    def placements(self, configuration: Configuration) -> Placements:
+        """Return where configurations (...) put the meshes: arrays of shape (..., n, k)."""
+        matrices = part_placements(configuration)[..., self._parts, :, :]
+        scales = np.linalg.norm(matrices[..., :3, :3], axis=-2)
+        rotations = matrices[..., :3, :3] / scales[..., None, :]
+        turns = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat(scalar_first=True)
+        return Placements(matrices[..., :3, 3], turns.reshape(*rotations.shape[:-2], 4), scales)
 
 
-def _parts(visuals: Any) -> tuple[Part, ...]:
-    try:
-        import trimesh
-    except ModuleNotFoundError as missing:
-        raise MissingExtraError("viewer", "trimesh") from missing
-
-    groups: dict[tuple[int, tuple[int, int, int]], list[tuple[str, Any]]] = {}
-    for shape in visuals.geometryObjects:
-        red, green, blue = (round(255 * float(x)) for x in shape.meshColor[:3])
-        mesh = _mesh(shape.geometry).apply_transform(shape.placement.homogeneous)
-        groups.setdefault((int(shape.parentJoint), (red, green, blue)), []).append((shape.name, mesh))
-    parts = []
-    for (joint, colour), members in groups.items():
-        whole: Any = trimesh.util.concatenate([mesh for _, mesh in members])
-        vertices, faces = np.asarray(whole.vertices, np.float32), np.asarray(whole.faces, np.uint32)
-        parts.append(Part(members[0][0], joint, colour, vertices, faces))
-    return tuple(parts)
-
-
-def _mesh(shape: Any) -> Any:
-    import trimesh
-
-    triangles = [shape.tri_indices(k) for k in range(shape.num_tris)]
-    return trimesh.Trimesh(shape.vertices(), [[t[0], t[1], t[2]] for t in triangles], process=False)
+def _joined(colour: tuple[int, int, int], body: str, members: list[tuple[int, VisualPart]]) -> MovingMesh:
+    starts = np.cumsum([0, *(len(part.vertices) for _, part in members)])
+    vertices = np.concatenate([part.vertices for _, part in members])
+    faces = np.concatenate([part.faces + start for (_, part), start in zip(members, starts, strict=False)])
+    leg = f"r_{body.partition('_')[2][:2]}"
+    return MovingMesh(
+        name=members[0][1].name.replace(" ", "_"),
+        leg=LEGS.index(leg) if leg in LEGS else None,
+        colour=colour,
+        vertices=np.asarray(vertices, np.float32),
+        faces=np.asarray(faces, np.uint32),
+        part=members[0][0],
+    )

@@ -1,4 +1,4 @@
-"""A state in a viser scene: the robot, the other branches as ghosts, the load and the pose asked for."""
+"""A state in a viser scene: the robot, the other branches as ghosts, the load, the pose asked for, the trail of o."""
 
 from __future__ import annotations
 
@@ -8,28 +8,31 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from spm_pin.display.viewer.robot_meshes import Part, Robot
+from spm_pin.description.visuals import section_size
+from spm_pin.display.viewer.robot_meshes import MovingMesh, Placements, RobotMeshes
 from spm_pin.display.viewer.state import State
-from spm_pin.display.viewer.state_markup import PULL, PUSH, WARN
+from spm_pin.display.viewer.state_markup import LOAD, PULL, PUSH, WARN
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.branches import BRANCHES
+from spm_pin.mechanism.geometry import LEGS
 
-__all__ = ["RobotScene", "rgb"]
+__all__ = ["RobotScene"]
 
 OnClick = Callable[[str], Coroutine[Any, Any, None]]
+Colour = tuple[int, int, int]
 
-GHOST_OPACITY = 0.2
-_LOWER, _UPPER = "#0072B2", "#E69F00"
-_LOAD = (0x7A, 0x4F, 0xB5)
+_GHOST_OPACITY = 0.16
+_PATH, _TRAIL = (204, 121, 167), (123, 79, 181)
+_TRAIL_POINTS = 300
+_TRAIL_STEP = 2e-3  # of the base radius
 
 
-def rgb(code: str) -> tuple[int, int, int]:
-    """Return the three bytes of a colour such as ``#0072B2``."""
+def _rgb(code: str) -> Colour:
     red, green, blue = bytes.fromhex(code.removeprefix("#"))
     return red, green, blue
 
 
-def _linear(colour: tuple[int, int, int]) -> tuple[int, int, int]:
+def _linear(colour: Colour) -> Colour:
     """Return a colour for many instances at once, which viser takes for linear intensities instead of sRGB."""
     red, green, blue = (round(255.0 * (channel / 255.0) ** 2.2) for channel in colour)
     return red, green, blue
@@ -42,163 +45,172 @@ class RobotScene:
     ----------
     scene : viser.SceneApi
         Where to add them.
-    robot : Robot
-        What to draw.
+    robot : RobotMeshes
+        The meshes to draw.
     on_click : coroutine function, optional
-        Told the label of a ghost that is clicked.
+        Called with the label of a ghost that is clicked.
     """
 
-    def __init__(self, scene: Any, robot: Robot, on_click: OnClick | None = None) -> None:
+    def __init__(self, scene: Any, robot: RobotMeshes, on_click: OnClick | None = None) -> None:
         self.scene = scene
         self.robot = robot
-        self.show_ghosts, self.show_labels = True, True
+        self.layers = {"ghosts": False, "names": True, "trail": True}
+        """What is shown beside the robot: the other branches, the names of the legs, the trail of o."""
         geometry = robot.geometry
-        self.size = (geometry.base_radius + geometry.platform_radius + geometry.middle_radius) / 3.0
+        self.size = section_size(geometry)
         scene.configure_default_lights(cast_shadow=False)
-        radius = 2.2 * geometry.base_radius
+        radius = 1.6 * geometry.base_radius
         scene.add_grid(
             "/floor",
             width=2.0 * radius,
             height=2.0 * radius,
             cell_size=0.25 * radius,
             section_size=radius,
-            cell_color=(150, 150, 150),
-            section_color=(120, 120, 120),
-            position=(0.0, 0.0, -0.2 * self.size),
+            cell_color=(205, 208, 212),
+            section_color=(180, 184, 190),
+            shadow_opacity=0.18,
+            position=(0.0, 0.0, -0.3 * self.size),
         )
-        self._robot = [self._mesh(f"/robot/{part.name}", part, part.colour, None) for part in robot.parts]
-        self._bodies = _ghost_bodies(robot)
-        self._terminal = [k for k, part in enumerate(robot.parts) if part.name.startswith("terminal")]
-        self._ghosts = [self._ghost(body, on_click) for _, body in self._bodies]
-        self._carriers = [k for k, _ in self._bodies]
-        self._labels: dict[str, Any] = {}
-        self._wanted = [
-            self._mesh(f"/wanted/{robot.parts[k].name}", robot.parts[k], rgb(WARN), 0.45) for k in self._terminal
-        ]
-        self._gap = scene.add_line_segments(
-            "/wanted_gap", points=np.zeros((1, 2, 3), np.float32), colors=rgb(WARN), visible=False
-        )
-        self._arrows = {
-            name: scene.add_arrows(
-                f"/load/{name}",
-                np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.01]]]),
-                _linear(colour),
-                shaft_radius=thickness * self.size,
-                head_radius=2.1 * thickness * self.size,
-                head_length=3.2 * thickness * self.size,
-                visible=False,
-            )
-            for name, colour, thickness in (
-                ("force", _LOAD, 0.035),
-                ("moment", _LOAD, 0.022),
-                ("push", rgb(PUSH), 0.08),
-                ("pull", rgb(PULL), 0.08),
-            )
-        }
+        self._robot = [self._mesh(f"/robot/{mesh.name}", mesh, mesh.colour, None) for mesh in robot.meshes]
+        self._ghosts = [self._ghost(mesh, on_click) for mesh in robot.meshes]
+        self._colours = [mesh.colour for mesh in robot.meshes]
+        self._terminal = [k for k, mesh in enumerate(robot.meshes) if mesh.name.startswith("terminal")]
+        meshes = [robot.meshes[k] for k in self._terminal]
+        self._wanted = [self._mesh(f"/wanted/{mesh.name}", mesh, _rgb(WARN), 0.45) for mesh in meshes]
+        self._gap = self._lines("/wanted_gap", _rgb(WARN))
+        self._trail = self._lines("/trail", _TRAIL)
+        self._trail_points: list[FloatArray] = []
+        self._names = [self._label(f"/names/{leg}", leg) for leg in LEGS]
+        self._branches = {label: self._label(f"/branches/{label}", label) for label in BRANCHES}
+        thicknesses = {"force": (LOAD, 0.05), "moment": (LOAD, 0.03), "push": (PUSH, 0.05), "pull": (PULL, 0.05)}
+        self._arrows = {name: self._arrow(name, _rgb(code), share) for name, (code, share) in thicknesses.items()}
 
-    def _mesh(self, name: str, part: Part, colour: tuple[int, int, int], opacity: float | None) -> Any:
+    def _mesh(self, name: str, mesh: MovingMesh, colour: Colour, opacity: float | None) -> Any:
         return self.scene.add_mesh_simple(
             name,
-            part.vertices,
-            part.faces,
+            mesh.vertices,
+            mesh.faces,
             color=colour,
             opacity=opacity,
-            flat_shading=True,
             side="double",
+            visible=opacity is None,
             cast_shadow=False,
             receive_shadow=False,
         )
 
-    def show(self, state: State) -> None:
-        """Bring everything up to date."""
-        positions, quaternions = self.robot.placements(self.robot.q(state.shown))
-        for handle, position, quaternion in zip(self._robot, positions, quaternions, strict=True):
-            handle.position, handle.wxyz = position, quaternion
-        self._show_ghosts(state)
-        self._show_wanted(state, positions, quaternions)
-        self._show_load(state)
-
-    def _show_ghosts(self, state: State) -> None:
-        count = len(state.solutions.labels)
-        positions = np.zeros((len(self._bodies), count, 3))
-        quaternions = np.tile([1.0, 0.0, 0.0, 0.0], (len(self._bodies), count, 1))
-        # What is not there has no size, so that the number of instances never changes.
-        sizes = np.zeros(count)
-        taken: list[FloatArray] = []
-        for i, label in enumerate(state.solutions.labels):
-            ghost = self.show_ghosts and label in state.labels and label != state.label
-            if ghost:
-                placed = self.robot.placements(self.robot.q(state.solutions[label]))
-                positions[:, i], quaternions[:, i] = (array[self._carriers] for array in placed)
-                sizes[i] = 1.0
-            named = self.show_labels and (ghost or label == state.label)
-            if named:
-                self._label(label, state, taken)
-            if label in self._labels:
-                self._labels[label].visible = named
-        for handle, place, turn in zip(self._ghosts, positions, quaternions, strict=True):
-            handle.batched_positions = place.astype(np.float32)
-            handle.batched_wxyzs = turn.astype(np.float32)
-            handle.batched_scales = sizes.astype(np.float32)
-
-    def _ghost(self, body: Part, on_click: OnClick | None) -> Any:
-        """Return the node of one body of all ghosts, an instance for each branch."""
+    def _ghost(self, mesh: MovingMesh, on_click: OnClick | None) -> Any:
+        """Return the node of one mesh of all ghosts, an instance for each branch."""
         count = len(BRANCHES)
         handle = self.scene.add_batched_meshes_simple(
-            f"/ghosts/{body.name}",
-            body.vertices,
-            body.faces,
+            f"/ghosts/{mesh.name}",
+            mesh.vertices,
+            mesh.faces,
             batched_wxyzs=np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (count, 1)),
             batched_positions=np.zeros((count, 3), np.float32),
-            batched_scales=np.zeros(count, np.float32),
-            batched_colors=_linear(body.colour),
-            opacity=GHOST_OPACITY,
+            batched_scales=np.zeros((count, 3), np.float32),
+            batched_colors=_linear(mesh.colour),
+            opacity=_GHOST_OPACITY,
             lod="off",
-            flat_shading=True,
             side="double",
+            visible=False,
             cast_shadow=False,
             receive_shadow=False,
         )
         if on_click is not None:
 
             async def clicked(event: Any) -> None:
-                if event.instance_index is not None:
+                if event.instance_index is not None and event.instance_index < count:
                     await on_click(BRANCHES[event.instance_index])
 
             handle.on_click(clicked)
         return handle
 
-    def _label(self, label: str, state: State, taken: list[FloatArray]) -> None:
-        """Name a branch at the rim of its middle platform, where it is farthest from the names already there."""
-        joints = state.solutions[label].middle_joints
-        rim = np.concatenate([joints, (joints + np.roll(joints, 1, axis=0)) / 2.0])
-        places = rim + 0.25 * (rim - joints.mean(axis=0))
-        gaps = [np.linalg.norm(places - other, axis=-1) for other in taken]
-        place = places[int(np.min(gaps, axis=0).argmax()) if gaps else 0]
-        taken.append(place)
-        text = f"{label} ◀" if label == state.label else label
-        if label in self._labels:
-            self._labels[label].position = place
-            self._labels[label].text = text
-        else:
-            self._labels[label] = self.scene.add_label(
-                f"/labels/{label}", text, position=place, anchor="center-center", font_screen_scale=0.9
-            )
+    def _lines(self, name: str, colour: Colour) -> Any:
+        return self.scene.add_line_segments(
+            name, np.zeros((1, 2, 3), np.float32), colors=colour, thickness=0.03 * self.size, visible=False
+        )
 
-    def _show_wanted(self, state: State, positions: FloatArray, quaternions: FloatArray) -> None:
+    def _label(self, name: str, text: str) -> Any:
+        return self.scene.add_label(name, text, anchor="center-center", font_screen_scale=0.85, visible=False)
+
+    def _arrow(self, name: str, colour: Colour, thickness: float) -> Any:
+        return self.scene.add_arrows(
+            f"/load/{name}",
+            np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.01]]]),
+            _linear(colour),
+            shaft_radius=thickness * self.size,
+            head_radius=2.1 * thickness * self.size,
+            head_length=3.5 * thickness * self.size,
+            visible=False,
+        )
+
+    def show(self, state: State) -> None:
+        """Bring everything up to date."""
+        placements = self.robot.placements(state.shown)
+        for k, (handle, mesh) in enumerate(zip(self._robot, self.robot.meshes, strict=True)):
+            handle.position, handle.wxyz = placements.positions[k], placements.quaternions[k]
+            handle.scale = tuple(float(x) for x in placements.scales[k])
+            beyond = mesh.leg is not None and state.readings.beyond[mesh.leg] != 0.0
+            colour = _rgb(WARN) if beyond else mesh.colour
+            if colour != self._colours[k]:
+                handle.color = self._colours[k] = colour
+        self._show_ghosts(state)
+        self._show_names(state)
+        self._show_wanted(state, placements)
+        self._show_load(state)
+        self._show_trail(state.shown.translation)
+
+    def _show_ghosts(self, state: State) -> None:
+        others = [label in state.labels and label != state.label for label in BRANCHES]
+        shown = self.layers["ghosts"] and any(others)
+        if shown:
+            placements = self.robot.placements(state.solutions[np.flatnonzero(others)])
+            for k, handle in enumerate(self._ghosts):
+                # An absent branch has no size, so that the number of instances never changes.
+                scales, places = np.zeros((2, len(BRANCHES), 3), np.float32)
+                turns = np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (len(BRANCHES), 1))
+                scales[others] = placements.scales[:, k]
+                places[others], turns[others] = placements.positions[:, k], placements.quaternions[:, k]
+                handle.batched_positions, handle.batched_wxyzs, handle.batched_scales = places, turns, scales
+        for handle in self._ghosts:
+            _set_visible(handle, shown)
+        taken: list[FloatArray] = []
+        for label, other in zip(BRANCHES, others, strict=True):
+            handle = self._branches[label]
+            named = shown and (other or label == state.label)
+            if named:
+                place = _free_place(state.solutions[label].middle_joints, taken)
+                taken.append(place)
+                handle.position, handle.text = place, f"{label} ◀" if label == state.label else label
+            _set_visible(handle, named)
+
+    def _show_names(self, state: State) -> None:
+        """Name each leg beside its middle, away from the axis of its stage."""
+        shown = state.shown
+        balls, axis = shown.middle_joints, shown.middle_pose.as_matrix()[:3, 3]
+        hips = np.concatenate([shown.geometry.base_joints, shown.platform_joints])
+        centres = np.stack([0.5 * axis, 0.5 * (axis + shown.translation)]).repeat(3, axis=0)
+        middles = 0.5 * (hips + np.tile(balls, (2, 1)))
+        outward = middles - centres
+        outward /= np.maximum(np.linalg.norm(outward, axis=-1, keepdims=True), 1e-9)
+        for k, handle in enumerate(self._names):
+            if self.layers["names"]:
+                handle.position = middles[k] + 0.42 * self.size * outward[k]
+            _set_visible(handle, self.layers["names"])
+
+    def _show_wanted(self, state: State, placements: Placements) -> None:
         apart = state.distance > 0.0
-        # What the terminal platform carries, moved from where it is to where it should be.
+        # The terminal platform's meshes, moved from where it is to where it should be.
         move = state.target * state.shown.pose.inv()
         for handle, k in zip(self._wanted, self._terminal, strict=True):
-            handle.visible = apart
             if apart:
-                handle.position = move.apply(positions[k])
-                turn = move.rotation * Rotation.from_quat(quaternions[k], scalar_first=True)
+                handle.position = move.apply(placements.positions[k])
+                turn = move.rotation * Rotation.from_quat(placements.quaternions[k], scalar_first=True)
                 handle.wxyz = turn.as_quat(scalar_first=True)
-        self._gap.visible = apart
+            _set_visible(handle, apart)
         if apart:
-            ends = np.stack([state.shown.translation, state.target.translation])
-            self._gap.points = ends[None].astype(np.float32)
+            self._gap.points = np.stack([state.shown.translation, state.target.translation])[None].astype(np.float32)
+        _set_visible(self._gap, apart)
 
     def _show_load(self, state: State) -> None:
         o, wrench = state.shown.translation, state.wrench
@@ -217,6 +229,8 @@ class RobotScene:
             balls = np.tile(state.shown.middle_joints, (2, 1))
             for hip, ball, share in zip(hips, balls, forces / scale, strict=True):
                 middle, half = (hip + ball) / 2.0, 0.45 * (ball - hip) * abs(share)
+                # Beside the leg, on its side away from the robot's axis.
+                middle = middle + 0.2 * self.size * _unit(middle - 0.5 * o)
                 if abs(share) > 0.02:
                     # Away from the actuator's middle where it pushes, towards it where it pulls; at both ends.
                     ends = [(middle, middle + half), (middle, middle - half)]
@@ -228,37 +242,46 @@ class RobotScene:
         handle = self._arrows[name]
         if arrows:
             handle.points = np.array(arrows, dtype=np.float32)
-        handle.visible = bool(arrows)
+        _set_visible(handle, bool(arrows))
+
+    def _show_trail(self, o: FloatArray) -> None:
+        points = self._trail_points
+        if not points or np.linalg.norm(o - points[-1]) > _TRAIL_STEP * self.robot.geometry.base_radius:
+            points.append(np.array(o))
+            del points[:-_TRAIL_POINTS]
+            if len(points) > 1 and self.layers["trail"]:
+                self._trail.points = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+        _set_visible(self._trail, self.layers["trail"] and len(points) > 1)
+
+    def clear_trail(self) -> None:
+        """Begin the trail of o anew."""
+        self._trail_points.clear()
 
     def show_path(self, points: FloatArray) -> None:
         """Draw a path of o (n, 3) [m]."""
         pieces = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
         if len(pieces):
-            self.scene.add_line_segments("/path", pieces, colors=(204, 121, 167))
+            self.scene.add_line_segments("/path", pieces, colors=_PATH, thickness=0.03 * self.size)
+
+
+def _set_visible(handle: Any, visible: bool) -> None:
+    """Show or hide a node, with a message only where that changes something."""
+    if handle.visible != visible:
+        handle.visible = visible
+
+
+def _free_place(joints: FloatArray, taken: list[FloatArray]) -> FloatArray:
+    """Return a place for a branch's name at the rim of its middle platform, as far as can be from the names there."""
+    rim = np.concatenate([joints, (joints + np.roll(joints, 1, axis=0)) / 2.0])
+    places = rim + 0.25 * (rim - joints.mean(axis=0))
+    gaps = [np.linalg.norm(places - other, axis=-1) for other in taken]
+    return np.asarray(places[int(np.min(gaps, axis=0).argmax()) if gaps else 0])
+
+
+def _unit(vector: FloatArray) -> FloatArray:
+    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-12))
 
 
 def _onto(point: FloatArray, vector: FloatArray, length: float) -> FloatArray:
     """Return the ends of an arrow of a length from a point along a vector."""
-    return np.stack([point, point + length * vector / np.linalg.norm(vector)])
-
-
-def _ghost_bodies(robot: Robot) -> list[tuple[int, Part]]:
-    """Return what differs from branch to branch, one mesh per moving body, each with a part that moves with it."""
-    bodies: dict[int, list[int]] = {}
-    for k, part in enumerate(robot.parts):
-        if part.name.startswith(("leg_", "middle_")):
-            bodies.setdefault(part.joint, []).append(k)
-    found = []
-    for members in bodies.values():
-        parts = [robot.parts[k] for k in members]
-        starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
-        colour = {"leg_b": rgb(_LOWER), "leg_c": rgb(_UPPER)}.get(parts[0].name[:5], parts[0].colour)
-        whole = Part(
-            parts[0].name,
-            parts[0].joint,
-            colour,
-            np.concatenate([part.vertices for part in parts]),
-            np.concatenate([part.faces + np.uint32(start) for part, start in zip(parts, starts, strict=True)]),
-        )
-        found.append((members[0], whole))
-    return found
+    return np.stack([point, point + length * _unit(vector)])

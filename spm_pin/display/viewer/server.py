@@ -9,14 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from spm_pin.display.viewer import viser_server
+from spm_pin.display.viewer.demo_motion import demo_motion
 from spm_pin.display.viewer.recording import Recording
-from spm_pin.display.viewer.robot_meshes import Robot
+from spm_pin.display.viewer.robot_meshes import RobotMeshes
 from spm_pin.display.viewer.session import Session, SessionConfig
 from spm_pin.display.viewer.state import Model, starting_configuration
 from spm_pin.display.viewer.workspace_layer import WorkspaceLayer
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
+from spm_pin.multibody.chain import ClosedChain
 
 __all__ = ["Viewer"]
 
@@ -34,11 +36,14 @@ class Viewer:
     port : int
         First port to try; the next free one is taken, 0 lets the system choose.
     recording : Recording, optional
-        A path to play back.
+        A path, which plays when a page is opened.
     dark : bool
         Whether pages are dark at first.
     geometry_file : Path, optional
         Where the geometry came from, for exported command lines.
+    demo : bool, optional
+        Whether a page moves from the beginning, until it is touched; by default where no configuration and no path is
+        given.
     allowed_origins : collection of str
         Other sites whose pages may connect, such as ``https://robots.example`` where a proxy serves the viewer. By
         default a browser's page connects to the server it came from and to no other.
@@ -48,7 +53,7 @@ class Viewer:
     ArgumentError
         If `start` is something else, the host is no address of this machine, or no port is free.
     MissingExtraError
-        If viser or trimesh is not installed.
+        If viser is not installed.
 
     Notes
     -----
@@ -65,17 +70,28 @@ class Viewer:
         recording: Recording | None = None,
         dark: bool = False,
         geometry_file: Path | None = None,
+        demo: bool | None = None,
         allowed_origins: Collection[str] = (),
     ) -> None:
         configuration = _configuration(start)
         free = viser_server.free_port(host, port)
         origins = _origins(allowed_origins)
-        robot = Robot(configuration.geometry)
-        robot.q(configuration)  # raises where its loops do not close
+        geometry = configuration.geometry
+        chain = ClosedChain.from_urdf(geometry=geometry)
+        chain.joint_values(configuration)  # raises where its loops do not close
         # Kernels are compiled when first called: now, so that no client waits for it.
         Model(configuration).set_legs(configuration.leg_lengths)
+        if demo is None:
+            demo = not isinstance(start, Configuration) and recording is None
         self._config = SessionConfig(
-            robot, configuration, WorkspaceLayer(configuration.geometry), recording, geometry_file, dark
+            chain,
+            RobotMeshes(geometry),
+            configuration,
+            WorkspaceLayer(geometry),
+            recording,
+            demo_motion(configuration) if demo else None,
+            geometry_file,
+            dark,
         )
         self._sessions: dict[int, Session] = {}
         self._lock = threading.Lock()
@@ -109,6 +125,7 @@ class Viewer:
         if client.client_id in self.server.get_clients():
             with self._lock:
                 self._sessions[client.client_id] = session
+            session.begin()
         else:
             session.close()
 

@@ -1,8 +1,9 @@
-"""One client's session: its model, its scene, its panel, and what happens between them."""
+"""One client's session: its state, its scene, its panel, and its events."""
 
 from __future__ import annotations
 
 import asyncio
+import io
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,22 +13,29 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from spm_pin.display.viewer.camera import FIELD_OF_VIEW, VIEWS, fit_camera, robot_points
 from spm_pin.display.viewer.event_queue import EventQueue
+from spm_pin.display.viewer.page_style import PANEL_WIDTH, PHONE_ASPECT, PHONE_PANEL
 from spm_pin.display.viewer.panel import Panel
 from spm_pin.display.viewer.playback import Player
 from spm_pin.display.viewer.recording import Playback, Recording
-from spm_pin.display.viewer.robot_meshes import Robot
+from spm_pin.display.viewer.robot_meshes import RobotMeshes
 from spm_pin.display.viewer.robot_scene import RobotScene
+from spm_pin.display.viewer.slider_ranges import leg_ranges, pose_coordinates, pose_ranges
 from spm_pin.display.viewer.state import Drive, Model, State
 from spm_pin.display.viewer.state_export import json_text
 from spm_pin.display.viewer.workspace_layer import WorkspaceLayer
 from spm_pin.errors import SpmError
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.pose import pose as make_pose
+from spm_pin.multibody.chain import ClosedChain
 
 __all__ = ["Session", "SessionConfig"]
 
 _log = logging.getLogger(__name__)
+
+_FARTHEST = 10.0
+"""How far from {B} the gizmo is followed, over the machine's size."""
 
 
 @dataclass(frozen=True)
@@ -36,24 +44,30 @@ class SessionConfig:
 
     Attributes
     ----------
-    robot : Robot
-        The manipulator's meshes.
+    chain : ClosedChain
+        The manipulator in Pinocchio, for its joint values.
+    robot : RobotMeshes
+        Its meshes.
     start : Configuration
         The state at first.
     workspace : WorkspaceLayer
         Its workspace.
     recording : Recording or None
         A path to play.
+    demo : Playback or None
+        The motion that a page begins with.
     geometry_file : Path or None
         Where the geometry came from, for the exported command.
     dark : bool
         Whether pages are dark at first.
     """
 
-    robot: Robot
+    chain: ClosedChain
+    robot: RobotMeshes
     start: Configuration
     workspace: WorkspaceLayer
     recording: Recording | None = None
+    demo: Playback | None = None
     geometry_file: Path | None = None
     dark: bool = False
 
@@ -73,50 +87,64 @@ class Session:
 
     def __init__(self, client: Any, config: SessionConfig, loop: asyncio.AbstractEventLoop) -> None:
         self.client = client
-        self._loop = loop
         self.config = config
+        self._loop = loop
         self.model = Model(config.start)
         self.queue = EventQueue(self._failed)
-        self._asked = self._coordinates()
-        self._legs = self.model.state.readings.leg_lengths.copy()
-        robot = config.robot
-        duration = None
-        if config.recording is not None:
-            duration = float(config.recording.times[-1])
-        limited = robot.geometry.limits is not None
-        self.scene = RobotScene(client.scene, robot, self._ghost_clicked)
-        self.panel = Panel(client.gui, robot.geometry, self.report, dark=config.dark, duration=duration, clouds=limited)
+        self._coordinates = pose_coordinates(config.start.pose)
+        self._legs = self.state.readings.leg_lengths.copy()
+        self._narrow = client.camera.image_width < PHONE_ASPECT * client.camera.image_height
+        recording, demo = config.recording, config.demo
+        duration = None if recording is None else float(recording.times[-1])
+        self.scene = RobotScene(client.scene, config.robot, self._ghost_clicked)
+        self.panel = Panel(
+            client.gui,
+            self.model.geometry,
+            self.report,
+            dark=config.dark,
+            duration=duration,
+            demo=demo is not None,
+            narrow=self._narrow,
+        )
         self.playback: Playback | None = None
-        self.player = Player(self.queue, self._show_frame, duration) if duration is not None else None
+        self.player = None if duration is None else Player(self.queue, self._show_frame, duration)
+        self.demo = None if demo is None else Player(self.queue, self._show_demo, demo.duration, repeat=True)
         self.gizmo = client.scene.add_transform_controls(
-            "/gizmo", scale=0.75 * self.scene.size, line_width=3.0, depth_test=False, opacity=0.9
+            "/gizmo", scale=1.1 * self.scene.size, line_width=3.0, depth_test=False, opacity=0.9
         )
         self.gizmo.on_update(self._gizmo_moved)
         self.show()
-        self.look()
+        # The panel is not at its place yet.
+        self.look("Home", 0.0 if self._narrow else PANEL_WIDTH)
 
     @property
     def state(self) -> State:
-        """What is shown."""
+        """The state that is shown."""
         return self.model.state
 
-    def look(self) -> None:
-        """Place the camera so that the robot fills what the panel leaves of the page."""
-        camera, shown = self.client.camera, self.config.start
-        height = float(shown.translation[2]) + 0.5 * self.scene.size
-        narrow = camera.image_height > 1.1 * camera.image_width
-        # On a phone the panel is a sheet over the lower part; elsewhere it stands on the right.
-        away, lift = (2.9, -0.45) if narrow else (1.5, 0.47)
-        direction = np.array([np.cos(np.deg2rad(-60.0)), np.sin(np.deg2rad(-60.0)), 0.32])
-        centre = np.array([*(0.5 * shown.translation[:2]), lift * height])
-        right = np.array([-direction[1], direction[0], 0.0])
-        centre += (0.0 if narrow else 0.22) * height * right
-        camera.up_direction = (0.0, 0.0, 1.0)
-        camera.position = centre + away * height * direction
-        camera.look_at = centre
+    def begin(self) -> None:
+        """Play the recorded path from its start, or else the demo motion; on the event loop."""
+        if self.player is not None:
+            self.queue.post("play", lambda: self._act("play", None))
+        elif self.demo is not None:
+            self.demo.play()
+
+    def look(self, view: str, panel: float = 0.0) -> None:
+        """Place the camera so that the robot fills the picture, less a panel on its right [pixels]; see `VIEWS`."""
+        camera = self.client.camera
+        aspect = max(camera.image_width - panel, 1.0) / camera.image_height
+        points = robot_points(self.state.shown, 0.3 * self.scene.size)
+        position, look_at = fit_camera(points, VIEWS[view], aspect, PHONE_PANEL if self._narrow else 0.0)
+        with self.client.atomic():
+            camera.fov = FIELD_OF_VIEW
+            camera.up_direction = (0.0, 0.0, 1.0)
+            camera.position = position
+            camera.look_at = look_at
 
     async def report(self, name: str, value: Any) -> None:
         """Take an event of the panel; on the event loop."""
+        if name not in ("view", "dark", "png", "demo"):
+            self._stop_players(name)
         key = f"{name} {value[0]}" if isinstance(value, tuple) else name
         self.queue.post(key, lambda: self._act(name, value))
 
@@ -125,18 +153,27 @@ class Session:
 
     async def _gizmo_moved(self, event: Any) -> None:
         if event.phase != "start":
+            self._stop_players("gizmo")
             self.queue.post("gizmo", lambda: self._act("gizmo", None))
 
+    def _stop_players(self, name: str) -> None:
+        """Stop the demo at the user's first event, and the path at one that moves the robot."""
+        if self.demo is not None:
+            self.demo.stop()
+        if self.player is not None and name in ("gizmo", "coordinate", "leg", "branch", "drive", "reset", "back", "time"):
+            self.player.stop()
+
     def _act(self, name: str, value: Any) -> None:
-        """Do what an event asks for; in the session's worker."""
+        """Call the method of an event; in the session's worker."""
         action: Callable[[Any], None] = getattr(self, f"_on_{name}")
         action(value)
 
     def close(self) -> None:
         """End: nothing of the session runs any longer; on the event loop."""
         self.queue.close()
-        if self.player is not None:
-            self.player.stop()
+        for player in (self.player, self.demo):
+            if player is not None:
+                player.stop()
 
     def _failed(self, error: Exception) -> None:
         if self.queue.closed:
@@ -146,45 +183,43 @@ class Session:
         else:
             _log.error("an event of the page failed", exc_info=error)
 
-    def show(self, moved: str = "") -> None:
-        """Bring the page up to date; `moved` names the sliders that are in the user's hands."""
-        state, robot = self.state, self.config.robot
+    def show(self, moved: tuple[str, int] = ("", 0)) -> None:
+        """Bring the page up to date; `moved` is the gizmo or the slider that is in the user's hands."""
+        state, config = self.state, self.config
+        ranges = pose_ranges(config.workspace.states, state.shown.pose), leg_ranges(state.shown)
         with self.client.atomic():
             self.scene.show(state)
-            self.panel.show(state, robot.q(state.shown), self.config.geometry_file, moved=moved)
-            if moved != "gizmo":
+            self.panel.show(state, config.chain.joint_values(state.shown), ranges, config.geometry_file, moved)
+            if moved[0] != "gizmo":
                 self.gizmo.position = state.target.translation
                 self.gizmo.wxyz = state.target.rotation.as_quat(scalar_first=True)
-            if moved != "coordinate":
-                self._asked = self._coordinates()
-            if moved != "leg":
-                self._legs = state.readings.leg_lengths.copy()
-
-    def _coordinates(self) -> list[float]:
-        target = self.model.state.target
-        angles = target.rotation.as_euler("XYX", degrees=True, suppress_warnings=True)
-        return [*target.translation, *angles]
+        if moved[0] != "coordinate":
+            self._coordinates = pose_coordinates(state.target)
+        if moved[0] != "leg":
+            self._legs = state.readings.leg_lengths.copy()
 
     # One method per event, named after it.
 
     def _on_gizmo(self, _: None) -> None:
-        rotation = Rotation.from_quat(self.gizmo.wxyz, scalar_first=True)
-        self.model.drag(make_pose(self.gizmo.position, rotation=rotation))
-        self.show("gizmo")
+        farthest = _FARTHEST * (self.scene.size + float(self.config.start.translation[2]))
+        position = np.clip(self.gizmo.position, -farthest, farthest)
+        self.model.drag(make_pose(position, rotation=Rotation.from_quat(self.gizmo.wxyz, scalar_first=True)))
+        self.show(("gizmo", 0))
 
     def _on_coordinate(self, value: tuple[int, float]) -> None:
-        self._asked[value[0]] = value[1]
-        self.model.drag(make_pose(self._asked[:3], xyx=np.deg2rad(self._asked[3:])))
-        self.show("coordinate")
+        self._coordinates[value[0]] = value[1]
+        self.model.drag(make_pose(self._coordinates[:3], xyx=np.deg2rad(self._coordinates[3:])))
+        self.show(("coordinate", value[0]))
 
     def _on_leg(self, value: tuple[int, float]) -> None:
         self._legs[value[0]] = value[1]
         self.model.set_legs(self._legs)
-        self.show("leg")
+        self.show(("leg", value[0]))
 
     def _on_branch(self, label: str) -> None:
         if label in self.state.labels and label != self.state.label:
             self.model.select(label)
+            self.scene.clear_trail()
             self.show()
 
     def _on_drive(self, drive: Drive) -> None:
@@ -200,21 +235,35 @@ class Session:
             self.model.drag(self.state.target)
         self.show()
 
+    def _on_back(self, _: None) -> None:
+        self.model.place(self.state.shown)
+        self.show()
+
     def _on_reset(self, _: None) -> None:
         self.model.place(self.config.start)
+        self.scene.clear_trail()
         self.show()
+
+    def _on_view(self, view: str) -> None:
+        if view in VIEWS:
+            self.look(view)
 
     def _on_load(self, _: Any) -> None:
         self.model.load(self.panel.wrench)
         self.show()
 
-    def _on_ghosts(self, shown: bool) -> None:
-        self.scene.show_ghosts = shown
+    def _show_layer(self, name: str, shown: bool) -> None:
+        self.scene.layers[name] = shown
         self.scene.show(self.state)
 
-    def _on_labels(self, shown: bool) -> None:
-        self.scene.show_labels = shown
-        self.scene.show(self.state)
+    def _on_ghosts(self, shown: bool) -> None:
+        self._show_layer("ghosts", shown)
+
+    def _on_names(self, shown: bool) -> None:
+        self._show_layer("names", shown)
+
+    def _on_trail(self, shown: bool) -> None:
+        self._show_layer("trail", shown)
 
     def _on_gizmo_shown(self, shown: bool) -> None:
         self.gizmo.visible = shown
@@ -227,6 +276,10 @@ class Session:
 
     def _on_points(self, shown: bool) -> None:
         self.config.workspace.show_points(self.client.scene, shown)
+
+    def _on_demo(self, _: None) -> None:
+        assert self.demo is not None
+        self._loop.call_soon_threadsafe(self.demo.toggle)
 
     def _on_play(self, _: None) -> None:
         assert self.player is not None
@@ -252,6 +305,7 @@ class Session:
         except SpmError as error:
             panel.show_path(f"⚠ {error}")
             raise
+        self.scene.clear_trail()
         self.scene.show_path(self.playback.path.configurations.translation)
 
     def _show_frame(self, time: float, moved: bool = False) -> None:
@@ -264,12 +318,34 @@ class Session:
             self.panel.time.value = time
         self.panel.show_path(*self.playback.report(time))
 
+    def _show_demo(self, time: float) -> None:
+        assert self.config.demo is not None
+        if self.demo is not None and self.demo.playing:
+            self.model.place(self.config.demo.at(time)[0])
+            self.show()
+
+    def _on_png(self, _: None) -> None:
+        import imageio.v3 as imageio
+
+        camera = self.client.camera
+        try:
+            picture = self.client.get_render(
+                int(camera.image_height), int(camera.image_width), transport_format="png", timeout=60.0
+            )
+        except (RuntimeError, TimeoutError) as error:
+            self.client.add_notification("No picture", str(error), color="orange", auto_close_seconds=8.0)
+            return
+        file = io.BytesIO()
+        imageio.imwrite(file, picture, extension=".png")
+        self.client.send_file_download("spm_pin.png", file.getvalue(), save_immediately=True)
+
     def _on_json(self, _: None) -> None:
-        text = json_text(self.state, self.config.robot, self.config.geometry_file)
+        text = json_text(self.state, self.config.chain, self.config.geometry_file)
         self.client.send_file_download("spm_pin_state.json", text.encode(), save_immediately=True)
 
     def _on_snapshot(self, _: None) -> None:
         from spm_pin.display.viewer.snapshot import snapshot_html
 
-        page = snapshot_html(self.state, self.config.robot, geometry_file=self.config.geometry_file)
+        ghosts = self.scene.layers["ghosts"]
+        page = snapshot_html(self.state, self.config.robot, geometry_file=self.config.geometry_file, ghosts=ghosts)
         self.client.send_file_download("spm_pin.html", page.encode(), save_immediately=True)

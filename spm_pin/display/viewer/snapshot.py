@@ -5,10 +5,9 @@ from __future__ import annotations
 from html import escape
 from pathlib import Path
 
-import numpy as np
-
+from spm_pin.display.viewer.camera import FIELD_OF_VIEW, VIEWS, fit_camera, robot_points
 from spm_pin.display.viewer.page_style import branded_html
-from spm_pin.display.viewer.robot_meshes import Robot
+from spm_pin.display.viewer.robot_meshes import RobotMeshes
 from spm_pin.display.viewer.robot_scene import RobotScene
 from spm_pin.display.viewer.state import Model, State
 from spm_pin.display.viewer.state_export import command_line
@@ -32,7 +31,7 @@ max-height:calc(100vh - 1.6em);overflow:auto}}
 
 
 def snapshot_html(
-    state: State, robot: Robot, *, dark: bool = False, geometry_file: Path | None = None, ghosts: bool = True
+    state: State, robot: RobotMeshes, *, dark: bool = False, geometry_file: Path | None = None, ghosts: bool = False
 ) -> str:
     """Return a state as an HTML page to be looked at from all sides, complete in itself.
 
@@ -40,8 +39,8 @@ def snapshot_html(
     ----------
     state : State
         What to show.
-    robot : Robot
-        Its looks.
+    robot : RobotMeshes
+        Its meshes.
     dark : bool
         A dark page.
     geometry_file : Path, optional
@@ -51,15 +50,12 @@ def snapshot_html(
     """
     with quiet_server("127.0.0.1", 0) as server:
         scene = RobotScene(server.scene, robot)
-        scene.show_ghosts = scene.show_labels = ghosts
+        scene.layers["ghosts"] = ghosts
         scene.show(state)
-        height = float(state.shown.translation[2]) + 0.5 * scene.size
-        centre = np.array([0.0, 0.0, 0.47 * height])
-        direction = np.array([0.5, -0.87, 0.3])
-        # The card stands on the right.
-        centre += 0.15 * height * np.array([0.87, 0.5, 0.0])
-        server.initial_camera.position = tuple(centre + 1.6 * height * direction)
-        server.initial_camera.look_at = tuple(centre)
+        position, look_at = fit_camera(robot_points(state.shown, 0.3 * scene.size), VIEWS["Home"], 1.0)
+        server.initial_camera.fov = FIELD_OF_VIEW
+        server.initial_camera.position = tuple(position)
+        server.initial_camera.look_at = tuple(look_at)
         page = branded_html(server.scene.as_html(dark_mode=dark))
     card = _CARD.format(
         paper="#25262b" if dark else "#ffffff",
@@ -77,7 +73,7 @@ def save_snapshot(
     path: str | Path,
     *,
     dark: bool = False,
-    ghosts: bool = True,
+    ghosts: bool = False,
     geometry_file: Path | None = None,
 ) -> Path:
     """Save a configuration as an HTML page that needs no server and no network.
@@ -109,7 +105,7 @@ def save_snapshot(
     if path.suffix.lower() not in (".html", ".htm"):
         raise ArgumentError("path", "a file name ending in .html", repr(path.name))
     state = Model(configuration).state
-    page = snapshot_html(state, Robot(configuration.geometry), dark=dark, ghosts=ghosts, geometry_file=geometry_file)
+    page = snapshot_html(state, RobotMeshes(configuration.geometry), dark=dark, ghosts=ghosts, geometry_file=geometry_file)
     try:
         path.write_text(page, encoding="utf-8")
     except OSError as error:

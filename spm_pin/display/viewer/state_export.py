@@ -10,29 +10,23 @@ from typing import Any
 
 import numpy as np
 
-from spm_pin.display.viewer.robot_meshes import Robot
+from spm_pin.display.viewer.slider_ranges import pose_coordinates
 from spm_pin.display.viewer.state import State
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, LegLimits
+from spm_pin.multibody.chain import ClosedChain
 
-__all__ = ["command_line", "content", "json_text", "xyx_degrees"]
-
-
-def xyx_degrees(configuration: Configuration) -> list[float]:
-    """Return the X-Y-X angles of a single pose [degrees]."""
-    angles = configuration.pose.rotation.as_euler("XYX", degrees=True, suppress_warnings=True)
-    return [float(angle) for angle in angles]
+__all__ = ["command_line", "content", "json_text"]
 
 
 def command_line(configuration: Configuration, geometry_file: Path | None = None) -> str:
     """Return the `spm-pin inverse` that finds all branches of a single configuration's pose, to float64's digits."""
-    position = [repr(float(x)) for x in configuration.translation]
-    angles = [repr(angle) for angle in xyx_degrees(configuration)]
-    words = ["spm-pin", "inverse", "--translation", *position, "--xyx", *angles]
+    values = [repr(float(x)) for x in pose_coordinates(configuration.pose)]
+    words = ["spm-pin", "inverse", "--translation", *values[:3], "--xyx", *values[3:]]
     return shlex.join(words + (["--geometry", str(geometry_file)] if geometry_file is not None else []))
 
 
-def content(state: State, robot: Robot, geometry_file: Path | None = None) -> dict[str, Any]:
+def content(state: State, chain: ClosedChain, geometry_file: Path | None = None) -> dict[str, Any]:
     """Return the state as data for JSON, in metres, radians and newtons."""
     shown, readings = state.shown, state.readings
     geometry = shown.geometry
@@ -47,12 +41,12 @@ def content(state: State, robot: Robot, geometry_file: Path | None = None) -> di
         "branch": state.label or None,
         "pose": shown.pose.as_matrix().tolist(),
         "translation": shown.translation.tolist(),
-        "xyx": np.deg2rad(xyx_degrees(shown)).tolist(),
+        "xyx": np.deg2rad(pose_coordinates(shown.pose)[3:]).tolist(),
         "reached": state.distance == 0.0,
         "leg_lengths": dict(zip(LEGS, readings.leg_lengths.tolist(), strict=True)),
         "middle_joints": shown.middle_joints.tolist(),
         "closure_residual": float(shown.closure_residual),
-        "q": dict(zip(robot.joint_names, robot.q(shown).tolist(), strict=True)),
+        "q": dict(zip(chain.joint_names, chain.joint_values(shown).tolist(), strict=True)),
         "physical": readings.physical,
         "singularity": {
             "kind": str(readings.kind),
@@ -72,9 +66,9 @@ def content(state: State, robot: Robot, geometry_file: Path | None = None) -> di
     }
 
 
-def json_text(state: State, robot: Robot, geometry_file: Path | None = None) -> str:
+def json_text(state: State, chain: ClosedChain, geometry_file: Path | None = None) -> str:
     """Return `content` as JSON text."""
-    return json.dumps(content(state, robot, geometry_file), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    return json.dumps(content(state, chain, geometry_file), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def _pairs(limits: LegLimits) -> dict[str, list[float | None]]:

@@ -1,46 +1,61 @@
-"""A state as HTML: what to know at a glance, never by colour alone, in the page's own light or dark colours."""
+"""A state as HTML: status, instruments and forces, never by colour alone, in the page's own light or dark colours."""
 
 from __future__ import annotations
 
 from html import escape
-from string import Template
 
 import numpy as np
 
 from spm_pin.display.viewer.readings import NEAR
+from spm_pin.display.viewer.slider_ranges import pose_coordinates
 from spm_pin.display.viewer.state import State
-from spm_pin.display.viewer.state_export import xyx_degrees
 from spm_pin.mechanism.geometry import LEGS
 
-__all__ = ["CALM", "PULL", "PUSH", "WARN", "forces_table", "instruments", "note", "status"]
+__all__ = ["LOAD", "PULL", "PUSH", "WARN", "forces_table", "instruments", "note", "number", "status"]
 
-# Okabe and Ito's palette, told apart with any colour vision.
-CALM, WARN, PUSH, PULL = "#009E73", "#D55E00", "#0072B2", "#D55E00"
+# After Okabe and Ito's palette, told apart with any colour vision. Limits and warnings have a red of their own, darker
+# than all colours of the robot.
+_CALM, _UPPER, WARN, PUSH, PULL, LOAD = "#009E73", "#E69F00", "#C8102E", "#0072B2", "#D55E00", "#7A4FB5"
 
-_BOX = "padding:0.35em 0.6em;font-size:0.8rem;line-height:1.35;white-space:nowrap;font-variant-numeric:tabular-nums"
-_ROW = "display:grid;grid-template-columns:$columns;gap:0.5em;align-items:center;margin:0.16em 0"
+_BOX = "padding:0.35em 0.6em;font-size:0.8rem;line-height:1.4;font-variant-numeric:tabular-nums"
+# One grid for all rows: a column is as wide as its widest text, and the bars take what is left.
+_GRID = "display:grid;grid-template-columns:{columns};gap:0.15em 0.6em;align-items:center;white-space:nowrap"
 _TRACK = "position:relative;height:0.62em;border-radius:0.3em;background:rgba(128,128,128,0.28);overflow:hidden"
-_NAMES = ("forward, lower", "forward, upper", "inverse")
+_RIGHT = "text-align:right"
+
+
+def number(value: float, digits: int) -> str:
+    """Return a number with so many digits after the point; zero has no sign."""
+    return f"{round(float(value), digits) + 0.0:.{digits}f}"
+
+
+def _length(value: float) -> str:
+    """Return a length in mm, or in m from ten metres on."""
+    return f"{number(1e3 * value, 0)} mm" if abs(value) < 9.9995 else f"{number(value, 1)} m"
+
+
+def _signed_length(value: float) -> str:
+    return ("+" if value > 0.0 else "−") + _length(abs(value))
 
 
 def status(state: State) -> str:
-    """Return the branch, the position and what to say about it."""
-    o, angles = state.shown.translation, xyx_degrees(state.shown)
+    """Return the branch, the position and the notices."""
+    values = pose_coordinates(state.shown.pose)
+    o, angles = (", ".join(number(x, digits) for x in part) for part, digits in ((values[:3], 3), (values[3:], 1)))
     name = escape(state.label) or "no isolated branch"
     tags = ["physical" if state.readings.physical else "not physical"]
     if state.shown.geometry.limits is not None:
         tags.append("within limits" if not state.readings.beyond.any() else "beyond limits")
     lines = [
         f'<div style="font-size:0.95rem"><b data-spm="branch">{name}</b> &nbsp;{escape(", ".join(tags))}</div>',
-        f'<div data-spm="pose" style="opacity:0.75;white-space:normal">o = ({o[0]:.3f}, {o[1]:.3f}, {o[2]:.3f}) m, '
-        f"X-Y-X = ({angles[0]:.1f}, {angles[1]:.1f}, {angles[2]:.1f})°</div>",
+        f'<div data-spm="pose" style="opacity:0.75">o = ({o}) m, X-Y-X = ({angles})°</div>',
     ]
     for notice in state.notices:
         warning = notice.level == "warning"
         sign, colour = ("⚠", WARN) if warning else ("ℹ", "#808080")
         lines.append(
             f'<div data-spm="{notice.level}" role="{"alert" if warning else "note"}" '
-            f'style="border-left:3px solid {colour};padding:0.1em 0 0.1em 0.5em;margin-top:0.3em;white-space:normal">'
+            f'style="border-left:3px solid {colour};padding:0.1em 0 0.1em 0.5em;margin-top:0.3em">'
             f"{sign} {escape(notice.text)}</div>"
         )
     return f'<div style="{_BOX}">{"".join(lines)}</div>'
@@ -51,92 +66,84 @@ def instruments(state: State) -> str:
     return f'<div style="{_BOX}">{_legs(state)}{_singularities(state)}</div>'
 
 
-def _row(columns: str, cells: list[str]) -> str:
-    return f'<div style="{Template(_ROW).substitute(columns=columns)}">{"".join(cells)}</div>'
+def note(*lines: str) -> str:
+    """Return lines of plain text."""
+    text = "<br>".join(escape(line) for line in lines)
+    return f'<div data-spm="note" style="{_BOX}">{text}</div>'
+
+
+def _grid(columns: str, cells: list[str]) -> str:
+    return f'<div style="{_GRID.format(columns=columns)}">{"".join(cells)}</div>'
+
+
+def _cell(text: str, style: str = "", name: str = "") -> str:
+    tag = f' data-spm="{name}"' if name else ""
+    return f'<span{tag} style="{style}">{text}</span>'
+
+
+def _bar(share: float, colour: str, ticks: tuple[float, ...] = (), side: str = "left", start: float = 0.0) -> str:
+    """Return a track with a bar of a share of it, from its start on a side, and ticks at shares."""
+    marks = "".join(
+        f'<div style="position:absolute;top:0;bottom:0;left:{100.0 * at:.1f}%;width:2px;background:currentColor"></div>'
+        for at in ticks
+    )
+    filled = f"position:absolute;top:0;bottom:0;{side}:{100.0 * start:.1f}%;width:{100.0 * share:.1f}%"
+    return f'<div style="{_TRACK}"><div style="{filled};background:{colour};opacity:0.85"></div>{marks}</div>'
 
 
 def _legs(state: State) -> str:
     readings, limits = state.readings, state.shown.geometry.limits
-    rows = ["<div><b>Leg lengths</b> in m" + (", between limits" if limits is not None else "") + "</div>"]
+    cells = []
     for k, leg in enumerate(LEGS):
         length, beyond = float(readings.leg_lengths[k]), float(readings.beyond[k])
         # The track is the range allowed with a tenth on either side, so that a leg beyond it is seen to be.
         low, high = (limits.minimum[k], limits.maximum[k]) if limits is not None else (0.0, np.inf)
-        ticks = [at for at, limit in ((10, low), (90, high)) if 0.0 < limit < np.inf]
+        ticks = tuple(at for at, limit in ((0.1, low), (0.9, high)) if 0.0 < limit < np.inf)
         if not np.isfinite(high):
             high = low + 1.25 * float(readings.leg_lengths.max())
-        share = float(np.clip(0.1 + 0.8 * (length - low) / (high - low), 0.0, 0.985))
-        colour = WARN if beyond else (PUSH if k < 3 else "#E69F00")
-        bar = (
-            f'<div style="{_TRACK}"><div style="position:absolute;inset:0 auto 0 0;width:{100 * share:.1f}%;'
-            f'background:{colour};opacity:0.85"></div>'
-            + "".join(
-                f'<div style="position:absolute;top:0;bottom:0;left:{at}%;width:2px;background:currentColor"></div>'
-                for at in ticks
-            )
-            + "</div>"
-        )
-        mark = f"⚠ {1e3 * beyond:+.0f} mm" if beyond else ""
-        rows.append(
-            _row(
-                "2.6em 1fr 2.8em 5em",
-                [
-                    f"<span>{leg}</span>",
-                    bar,
-                    f'<span data-spm="{leg}" style="text-align:right">{length:.3f}</span>',
-                    f"<span>{mark}</span>",
-                ],
-            )
-        )
-    return "".join(rows)
+        share = float(np.clip(0.1 + 0.8 * (length - low) / max(high - low, 1e-12), 0.0, 1.0))
+        colour = WARN if beyond else (PUSH if k < 3 else _UPPER)
+        mark = f"⚠ {_signed_length(beyond)}" if beyond else ""
+        value = _cell(number(length, 3), _RIGHT, leg)
+        cells += [_cell(leg), _bar(share, colour, ticks), value, _cell(mark, f"color:{WARN};font-weight:600")]
+    unit = "in m" + (", between limits" if limits is not None else "")
+    columns = "max-content minmax(3em,1fr) max-content max-content"
+    return f"<div><b>Leg lengths</b> {unit}</div>{_grid(columns, cells)}"
 
 
 def _singularities(state: State) -> str:
     readings, side = state.readings, state.shown.geometry.middle_side
-    heading = "<b>Singularities</b>: leg travel to the next, σ, condition"
-    rows = [f'<div style="margin-top:0.5em;white-space:normal">{heading}</div>']
     near = readings.near(side)
-    for k, name in enumerate(_NAMES):
+    cells = [_cell(text, f"opacity:0.7;{_RIGHT if k > 1 else ''}") for k, text in enumerate(("", "", "away", "σ", "cond"))]
+    for k, name in enumerate(("forward, lower", "forward, upper", "inverse")):
         travel, condition = float(readings.travel[k]), float(readings.condition[k])
-        away = f"{1e3 * travel:.0f} mm" if np.isfinite(travel) else "–"
-        share = 0.0 if not np.isfinite(travel) else min(travel / (10.0 * NEAR * side), 1.0)
-        cond = f"{condition:.3g}" if np.isfinite(condition) and condition < 1e6 else "&gt;10⁶"
-        bar = (
-            f'<div style="{_TRACK}"><div style="position:absolute;inset:0 auto 0 0;width:{max(100 * share, 2.0):.1f}%;'
-            f'background:{WARN if near[k] else CALM}"></div></div>'
-        )
-        cells = [
-            f"<span>{'⚠ ' if near[k] else ''}{name}</span>",
-            bar,
-            f'<span style="text-align:right">{away}</span>',
-            f'<span style="text-align:right">{readings.sigma[k]:.3f}</span>',
-            f'<span style="text-align:right">{cond}</span>',
+        finite = np.isfinite(travel)
+        share = min(travel / (10.0 * NEAR * side), 1.0) if finite else 0.0
+        cells += [
+            _cell(f"{'⚠ ' if near[k] else ''}{name}"),
+            _bar(max(share, 0.02), WARN if near[k] else _CALM),
+            _cell(_length(travel) if finite else "–", _RIGHT),
+            _cell(number(readings.sigma[k], 3), _RIGHT),
+            _cell(f"{condition:.3g}" if np.isfinite(condition) and condition < 1e5 else "&gt;10⁵", _RIGHT),
         ]
-        rows.append(_row("8.6em 1fr 4.8em 2.9em 3em", cells))
-    return "".join(rows)
-
-
-def note(*lines: str) -> str:
-    """Return lines of plain text."""
-    text = "<br>".join(escape(line) for line in lines)
-    return f'<div data-spm="note" style="padding:0.35em 0.6em;font-size:0.8rem">{text}</div>'
+    columns = "max-content minmax(2em,1fr) max-content max-content max-content"
+    heading = '<div style="margin-top:0.4em"><b>Singularities</b>, in leg travel</div>'
+    return heading + _grid(columns, cells)
 
 
 def forces_table(state: State) -> str:
     """Return the leg forces that hold the load, as bars from the middle."""
     forces = state.readings.forces
     if forces is None:
-        return f'<div style="{_BOX}">⚠ The legs cannot hold every load here.</div>'
+        return note("⚠ The legs cannot hold every load here.")
     largest = float(np.abs(forces).max())
-    rows = ["<div><b>Leg forces</b> in N: ▲ pushes, ▼ pulls</div>"]
+    cells = []
     for leg, force in zip(LEGS, forces, strict=True):
-        share = 50.0 * abs(force) / largest if largest > 0.0 else 0.0
-        side = "left:50%" if force >= 0.0 else "right:50%"
-        bar = (
-            f'<div style="{_TRACK}"><div style="position:absolute;top:0;bottom:0;{side};width:{share:.1f}%;'
-            f'background:{PUSH if force >= 0.0 else PULL}"></div></div>'
-        )
-        sign = "" if abs(force) < 5e-4 else ("▲" if force > 0.0 else "▼")
-        value = f'<span data-spm="force {leg}" style="text-align:right">{force:.1f} {sign}</span>'
-        rows.append(_row("2.6em 1fr 6em", [f"<span>{leg}</span>", bar, value]))
-    return f'<div style="{_BOX}">{"".join(rows)}</div>'
+        share = 0.5 * abs(force) / largest if largest > 0.0 else 0.0
+        pushes = force >= 0.0
+        bar = _bar(share, PUSH if pushes else PULL, side="left" if pushes else "right", start=0.5)
+        sign = "" if abs(force) < 5e-4 else ("▲" if pushes else "▼")
+        shown = number(force, 1) if abs(force) < 1e6 else f"{force:.3g}"
+        cells += [_cell(leg), bar, _cell(shown, _RIGHT, f"force {leg}"), _cell(sign)]
+    columns = "max-content minmax(3em,1fr) max-content 1em"
+    return f'<div style="{_BOX}"><div><b>Leg forces</b> in N: ▲ pushes, ▼ pulls</div>{_grid(columns, cells)}</div>'

@@ -1,0 +1,62 @@
+"""Where a camera stands so that the robot fills its picture."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.configuration import Configuration
+
+__all__ = ["FIELD_OF_VIEW", "VIEWS", "fit_camera", "robot_points"]
+
+VIEWS = {"Home": (15.0, 25.0), "Front": (0.0, 4.0), "Side": (90.0, 4.0), "Top": (0.0, 89.0)}
+"""Azimuth and elevation of the viewer in {B} [degrees]; the first is that of the pictures."""
+
+FIELD_OF_VIEW = np.deg2rad(28.0)
+"""Vertical [rad]: narrow, as the pictures are parallel projections."""
+
+
+def robot_points(configuration: Configuration, margin: float) -> FloatArray:
+    """Return corners (n, 3) of boxes of half a side `margin` around the joints and o [m]; a picture shows them all."""
+    shown = configuration
+    joints = [shown.geometry.base_joints, shown.middle_joints, shown.platform_joints, shown.translation[None]]
+    corners = margin * (2.0 * np.indices((2, 2, 2)).reshape(3, -1).T - 1.0)
+    return (np.concatenate(joints)[:, None] + corners).reshape(-1, 3)
+
+
+def fit_camera(
+    points: FloatArray, view: tuple[float, float], aspect: float, covered: float = 0.0, border: float = 0.06
+) -> tuple[FloatArray, FloatArray]:
+    """Return where a camera stands and looks at [m], so that points fill the free part of its picture.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        In {B} [m].
+    view : tuple of two floats
+        Azimuth and elevation of the viewer [degrees].
+    aspect : float
+        Width over height of the whole picture.
+    covered : float
+        The share of the picture, from below, that something covers.
+    border : float
+        The share of the picture's height that stays empty at every edge.
+    """
+    azimuth, elevation = np.deg2rad(view)
+    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    towards = np.cos(elevation) * level + np.sin(elevation) * np.array([0.0, 0.0, 1.0])
+    axes = np.stack([right, np.cross(towards, right), towards])
+    half = np.tan(0.5 * FIELD_OF_VIEW)
+    # Tangents of the viewing angles at the edges of the free part.
+    high = half * np.array([aspect - 2.0 * border, 1.0 - 2.0 * border])
+    low = np.array([-high[0], half * (2.0 * covered - 1.0 + 2.0 * border)])
+    local = points @ axes.T
+    centre, distance = local.mean(axis=0), 4.0 * float(np.ptp(local, axis=0).max())
+    for _ in range(30):
+        offset = local - centre
+        tangents = offset[:, :2] / (distance - offset[:, 2:])
+        least, most = tangents.min(axis=0), tangents.max(axis=0)
+        centre[:2] += 0.5 * (least + most - low - high) * distance
+        distance *= float(((most - least) / (high - low)).max())
+    return (centre + [0.0, 0.0, distance]) @ axes, centre @ axes

@@ -1,0 +1,74 @@
+"""From where to where the sliders go: the coordinates of reachable states around the one that is shown."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from spm_pin.closed_form.forward_displacement import forward_physical
+from spm_pin.mechanism.joint_angles import home_lengths
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.branches import physical
+from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.geometry import Geometry
+
+__all__ = ["leg_ranges", "pose_coordinates", "pose_ranges", "sample_states"]
+
+_SAMPLES = 4000
+_NEIGHBOURS = 400
+"""Sampled states, those nearest to the one shown, whose coordinates a slider spans."""
+_STEPS = 48
+
+
+def pose_coordinates(pose: RigidTransform) -> FloatArray:
+    """Return x, y, z [m] and the X-Y-X angles [degrees] of poses (..., 6)."""
+    angles = pose.rotation.as_euler("XYX", degrees=True, suppress_warnings=True)
+    return np.concatenate([pose.translation, angles], axis=-1) + 0.0
+
+
+def sample_states(geometry: Geometry) -> Configuration:
+    """Return states (n,) of a real machine for leg lengths spread evenly over their limits, the same at every call.
+
+    Without limits the lengths are those at home, a third more or less.
+    """
+    home = np.repeat(home_lengths(geometry), 3)
+    low, high = home / 1.33, home * 1.33
+    if geometry.limits is not None:
+        low, high = np.maximum(geometry.limits.minimum, 0.3 * home), np.minimum(geometry.limits.maximum, 3.0 * home)
+    lengths = np.random.default_rng(0).uniform(low, np.maximum(low, high), (_SAMPLES, 6))
+    states = forward_physical(geometry, lengths)
+    return states[states.exists]
+
+
+def pose_ranges(states: Configuration, target: RigidTransform) -> FloatArray:
+    """Return from where to where the coordinates of the states (n,) go that are nearest to a pose (6, 2).
+
+    x, y, z [m] and the X-Y-X angles [degrees], those around the pose's own.
+    """
+    now = pose_coordinates(target)
+    gaps = np.linalg.norm(states.platform_joints - target.apply(states.geometry.platform_joints), axis=-1).max(axis=-1)
+    nearest = states.pose[np.argsort(gaps)[:_NEIGHBOURS]] if len(gaps) else target
+    steps = np.atleast_2d(pose_coordinates(nearest) - now)
+    steps[:, 3:] = (steps[:, 3:] + 180.0) % 360.0 - 180.0
+    ends = now + np.stack([steps.min(axis=0, initial=0.0), steps.max(axis=0, initial=0.0)])
+    ends[:, 3:] = np.clip(ends[:, 3:], -180.0, 180.0)
+    return np.asarray(ends.T)
+
+
+def leg_ranges(configuration: Configuration) -> FloatArray:
+    """Return from where to where each leg goes (6, 2) [m]: its limits, or as far as its assembly mode lasts."""
+    geometry, now = configuration.geometry, np.array(configuration.leg_lengths)
+    longest = 3.0 * (geometry.base_radius + geometry.platform_radius + geometry.middle_side)
+    low, high = np.full(6, 0.05 * geometry.middle_side), np.full(6, longest)
+    limits = geometry.limits
+    if limits is not None:
+        low, high = np.maximum(low, limits.minimum), np.minimum(high, limits.maximum)
+    low, high = np.minimum(low, now), np.maximum(high, now)
+    if physical(configuration) and (limits is None or not np.isfinite(limits.maximum).all()):
+        for ends in (low, high):
+            shares = np.linspace(0.0, 1.0, _STEPS + 1)[1:, None]
+            lengths = now + shares[..., None] * np.diag(ends - now)
+            exists = np.asarray(forward_physical(geometry, lengths).exists)
+            count = np.where(exists.all(axis=0), _STEPS, exists.argmin(axis=0))
+            ends[:] = now + count / _STEPS * (ends - now)
+    return np.stack([low, high], axis=-1)
