@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import numpy as np
 from figures import GEOMETRY, IMAGES
 from PIL import Image
 
@@ -28,16 +27,16 @@ def main() -> None:
                 page = browser.new_page(viewport=size)
                 page.goto(viewer.url)
                 page.wait_for_selector('[data-spm="branch"]', state="attached", timeout=60_000)
-                until(lambda: viewer.sessions, "a session", page=page)
+                until(lambda: viewer.sessions, "a session", seconds=120.0, page=page)
                 notice = page.locator(".mantine-Notification-closeButton")  # of software rendering
-                until(notice.count, "the notice of software rendering", page=page)
-                notice.first.click()
+                until(notice.count, "the notice of software rendering", seconds=120.0, page=page)
+                notice.first.evaluate("button => button.click()")
                 if name == "load":
-                    page.get_by_role("tab", name="Load").click()
+                    page.get_by_role("tab", name="Load").click(timeout=120_000)
                     (session,) = viewer.sessions
                     session.config.workspace.show_shell(session.client.scene, True)
                     session.panel.force.value = (0.0, 0.0, -500.0)
-                    session.model.load(np.array([*session.panel.force.value, *session.panel.moment.value]))
+                    session.model.load(session.panel.wrench)
                     session.show()
                 page.wait_for_timeout(6000)
                 path = IMAGES / f"viewer_{name}.png"

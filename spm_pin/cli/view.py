@@ -26,12 +26,18 @@ def view(
     unit: Unit = LengthUnit.M,
     geometry: GeometryFile = None,
     path: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="A recorded path to play back: CSV, JSON or NPZ.")
+        Path | None, typer.Option(metavar="FILE", help="A recorded path to play: CSV, JSON or NPZ.")
     ] = None,
     host: Annotated[str, typer.Option(help="Address to listen at; only this machine reaches the default.")] = (
         "127.0.0.1"
     ),
     port: Annotated[int, typer.Option(help="First port to try; 0 lets the system choose.")] = 8080,
+    origin: Annotated[
+        list[str] | None, typer.Option(help="Another site whose pages may connect, for a proxy; may be repeated.")
+    ] = None,
+    demo: Annotated[
+        bool | None, typer.Option("--demo/--no-demo", help="Move until touched; by default if no pose is given.")
+    ] = None,
     dark: Annotated[bool, typer.Option("--dark", help="Begin with a dark page.")] = False,
     browser: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")] = True,
     snapshot: Annotated[
@@ -56,7 +62,18 @@ def view(
     from spm_pin.display.viewer.recording import read_recording
 
     recording = read_recording(path) if path is not None else None
-    with Viewer(start, host=host, port=port, recording=recording, dark=dark, geometry_file=geometry) as viewer:
+    if demo is None:
+        demo = all(option is None for option in (translation, xyx, legs, branch, path))
+    with Viewer(
+        start,
+        host=host,
+        port=port,
+        recording=recording,
+        dark=dark,
+        geometry_file=geometry,
+        demo=demo,
+        allowed_origins=origin or (),
+    ) as viewer:
         if port not in (0, viewer.port):
             stderr.print(f"port {port} is taken, this is on {viewer.port}", highlight=False)
         stderr.print(f"viewer at {viewer.url}, Ctrl-C ends it", highlight=False)
@@ -66,7 +83,7 @@ def view(
 
 
 def _has_screen() -> bool:
-    """Tell whether a browser has somewhere to appear; without one, text browsers would take the terminal."""
+    """Return whether a browser has somewhere to appear; without one, text browsers would take the terminal."""
     if sys.platform == "darwin":
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -40,7 +40,7 @@ SLIDER = {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": 1.5}}
 
 @pytest.fixture(scope="module")
 def viewer():
-    with Viewer(port=0) as started:
+    with Viewer(port=0, demo=False) as started:
         yield started
 
 

@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import chromium, pixel, until, watched
+from PIL import Image
 
 import spm_pin as spm
 from spm_pin.display.viewer import Viewer, save_snapshot
+from spm_pin.display.viewer.camera import VIEWS, robot_points
 from spm_pin.display.viewer.recording import Recording
 from spm_pin.display.viewer.state import Drive
 
@@ -44,6 +46,10 @@ def opened(browser, viewer, **options):
     until(lambda: len(viewer.sessions) > len(before), "a session of its own", page=page)
     (session,) = [one for one in viewer.sessions if id(one) not in before]
     settled(page, session)
+    until(lambda: session.player.time == 1.0 and not session.player.playing, "the end of its path", page=page)
+    np.testing.assert_allclose(session.state.shown.leg_lengths[1], 1.25, atol=1e-9)
+    assert "configurations of" in session.panel.path_note.content
+    reset(page, session)
     return page, session, errors
 
 
@@ -62,15 +68,25 @@ def settled(page, session):
         camera = session.client.camera
         last.append((*camera.position, camera.image_width))
         page.wait_for_timeout(150)
-        return len(last) > 4 and last[-1] == last[-4] and camera.image_width == page.viewport_size["width"]
+        return len(last) > 4 and last[-1] == last[-4] and camera.image_width > 0
 
     until(still, "a camera at rest", page=page)
+
+
+def send(session, name, value=None):
+    """Let an event happen and wait until its work is done."""
+
+    async def done():
+        await session.report(name, value)
+        await session.queue.drained()
+
+    asyncio.run_coroutine_threadsafe(done(), session._loop).result(timeout=60.0)
 
 
 def reset(page, session):
     session.model.hold_limits = True
     session.model.load(np.zeros(6))
-    session._on_reset(None)
+    send(session, "reset")
     page.wait_for_timeout(300)
 
 
@@ -106,8 +122,16 @@ def test_the_page_shows_the_robot_and_its_instruments(client):
     assert page.query_selector('[data-spm="warning"]') is None
     assert page.evaluate("Math.max(...Array.from(document.querySelectorAll('canvas'), c => c.width))") > 500
     picture(page, "viewer.png")
+    assert page.title() == "spm_pin"
+    # The panel stands beside the picture, not over it, and the robot fills the picture's height.
+    camera = session.client.camera
+    assert camera.image_width < SIZE["width"] - 300
+    seen = np.array([pixel(camera, point) for point in robot_points(session.state.shown, 0.0)])
+    assert (seen > 0.0).all()
+    assert (seen < [camera.image_width, camera.image_height]).all()
+    assert np.ptp(seen[:, 1]) > 0.65 * camera.image_height
+    assert not any(handle.visible for handle in session.scene._ghosts)
     assert not errors
-    assert session.client.camera.image_width == SIZE["width"]
 
 
 def test_a_dragged_gizmo_moves_the_robot(client, viewer):
@@ -123,8 +147,11 @@ def test_a_dragged_gizmo_moves_the_robot(client, viewer):
     # The joint values the page shows put Pinocchio's platform where the page's robot is.
     q = np.array(eval(session.panel.q.value.replace("\n", "")))
     np.testing.assert_allclose(chain.configuration(q).translation, shown.translation, atol=1e-6)
-    positions, _ = session.config.robot.placements(session.config.robot.q(shown))
+    positions = session.config.robot.placements(shown).positions
     np.testing.assert_allclose([handle.position for handle in session.scene._robot], positions, atol=1e-6)
+    # The trail of o begins, and other sliders have the ranges around the new state.
+    assert session.scene._trail.visible
+    assert session.panel.pose_sliders[2].min < shown.translation[2] < session.panel.pose_sliders[2].max
     until(lambda: f"{shown.translation[0]:.3f}" in page.inner_text('[data-spm="pose"]'), "its numbers", page=page)
     assert not errors
 
@@ -132,6 +159,9 @@ def test_a_dragged_gizmo_moves_the_robot(client, viewer):
 def test_a_clicked_ghost_is_selected(client):
     page, session, errors = client
     reset(page, session)
+    send(session, "ghosts", True)
+    page.wait_for_timeout(1000)
+    picture(page, "viewer_ghosts.png")
     camera = session.client.camera
     tried = []
     for label in ("FF+", "TF-", "FF-"):
@@ -155,6 +185,28 @@ def test_a_clicked_ghost_is_selected(client):
     page.locator(f'input[role=combobox][value="{session.state.label}"]').click()
     page.get_by_role("option", name="TT+").click()
     until(lambda: session.state.label == "TT+", "the branch chosen from the list", page=page)
+    send(session, "ghosts", False)
+    assert not errors
+
+
+def test_legs_beyond_their_limits_are_red(client):
+    page, session, errors = client
+    reset(page, session)
+    send(session, "branch", "FF+")
+    page.wait_for_timeout(1000)
+    picture(page, "viewer_beyond_limits.png")
+    legs = [handle for handle, mesh in zip(session.scene._robot, session.config.robot.meshes, strict=True) if mesh.leg]
+    assert {tuple(handle.color) for handle in legs} == {(0xC8, 0x10, 0x2E)}
+    # Nothing is cut off or runs into its neighbour.
+    for leg in spm.mechanism.LEGS:
+        length = page.locator(f'[data-spm="{leg}"]')
+        mark = length.locator("xpath=following-sibling::span[1]")
+        assert mark.inner_text().startswith("⚠ ")
+        ends = mark.bounding_box(), length.bounding_box()
+        assert ends[0]["x"] >= ends[1]["x"] + ends[1]["width"]
+        assert ends[0]["x"] + ends[0]["width"] <= SIZE["width"]
+    reset(page, session)
+    assert {tuple(handle.color) for handle in legs} != {(0xC8, 0x10, 0x2E)}
     assert not errors
 
 
@@ -169,6 +221,38 @@ def test_a_drag_out_of_reach_warns_and_shows_the_nearest(client):
     assert session.model.within_limits(session.state.shown)
     assert all(handle.visible for handle in session.scene._wanted)
     picture(page, "viewer_out_of_reach.png")
+    # The way back stands right below the warning.
+    back = page.get_by_role("button", name="Back to the reachable pose")
+    assert back.is_visible()
+    back.click()
+    until(lambda: session.state.distance == 0.0, "the target where the platform is", page=page)
+    until(lambda: not back.is_visible(), "no way back where none is needed", page=page)
+    assert not any(handle.visible for handle in session.scene._wanted)
+    assert not errors
+
+
+def test_camera_presets_and_a_picture(client):
+    page, session, errors = client
+    reset(page, session)
+    for name, view in VIEWS.items():
+        page.get_by_role("button", name=name, exact=True).click()
+        azimuth, elevation = np.deg2rad(view)
+
+        def looking(azimuth=azimuth, elevation=elevation):
+            line = np.array(session.client.camera.position) - session.client.camera.look_at
+            level = np.cos(elevation)
+            wanted = [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)]
+            return line @ wanted > 0.999 * np.linalg.norm(line)
+
+        until(looking, f"the view {name}", page=page)
+    send(session, "view", "Home")
+    page.get_by_role("tab", name="Share").click()
+    with page.expect_download(timeout=60_000) as saved:
+        page.get_by_role("button", name="Save picture (PNG)").click()
+    with Image.open(saved.value.path()) as image:
+        assert image.format == "PNG"
+        assert np.asarray(image.convert("RGBA"))[..., 3].mean() > 5.0
+    page.get_by_role("tab", name="Move").click()
     assert not errors
 
 
@@ -176,25 +260,20 @@ def test_legs_load_and_path_drive_it_too(client):
     page, session, errors = client
     reset(page, session)
 
-    async def events():
-        await session.report("load", None)
-        await session.report("drive", Drive.LEGS)
-        await session.report("leg", (0, 1.25))
-        await session.queue.drained()
-
     session.panel.force.value = (0.0, 0.0, -500.0)
-    loop = session.client._viser_server._event_loop
-    asyncio.run_coroutine_threadsafe(events(), loop).result(timeout=30.0)
+    send(session, "load")
+    send(session, "drive", Drive.LEGS)
+    send(session, "leg", (0, 1.25))
     assert session.state.shown.leg_lengths[0] == pytest.approx(1.25)
     expected = spm.leg_forces(session.state.shown, [0, 0, -500, 0, 0, 0])
     np.testing.assert_allclose(session.state.readings.forces, expected)
     assert session.scene._arrows["push"].visible or session.scene._arrows["pull"].visible
-    asyncio.run_coroutine_threadsafe(session.report("play", None), loop).result(timeout=30.0)
+    send(session, "play")
+    until(lambda: session.player.playing, "time to run", page=page)
     until(lambda: session.player.time == 1.0 and not session.player.playing, "the end of the path", page=page)
     until(lambda: abs(session.state.shown.leg_lengths[1] - 1.25) < 1e-9, "its last point", page=page)
-    assert "configurations of" in session.panel.path_note.content
     assert not session.gizmo.visible
-    asyncio.run_coroutine_threadsafe(session.report("drive", Drive.POSE), loop).result(timeout=30.0)
+    send(session, "drive", Drive.POSE)
     assert not errors
 
 
@@ -210,11 +289,11 @@ def test_two_clients_at_once_and_one_that_goes(browser, viewer, client):
     other_page, other, other_errors = opened(browser, viewer)
     threads = threading.active_count()
     assert len(viewer.sessions) == 2
-    asyncio.run_coroutine_threadsafe(other.report("branch", "FF+"), loop).result(timeout=30.0)
+    send(other, "branch", "FF+")
     until(lambda: other_page.inner_text('[data-spm="branch"]') == "FF+", "the other's branch", page=other_page)
     assert session.state.label == "TT+"
     assert page.inner_text('[data-spm="branch"]') == "TT+"
-    asyncio.run_coroutine_threadsafe(other.report("play", None), loop).result(timeout=30.0)
+    send(other, "play")
     until(lambda: other.player.playing, "time to run", page=other_page)
     other_page.close()
     until(lambda: viewer.sessions == (session,), "one session less", page=page)
@@ -227,13 +306,40 @@ def test_two_clients_at_once_and_one_that_goes(browser, viewer, client):
 
 def test_on_a_phone_and_in_the_dark(browser, viewer):
     page, session, errors = opened(browser, viewer, viewport={"width": 390, "height": 844})
-    asyncio.run_coroutine_threadsafe(session.report("dark", True), viewer.server._event_loop).result(timeout=30.0)
+    send(session, "dark", True)
     page.wait_for_timeout(1000)
-    # Nothing is wider than the page.
+    # Nothing is wider than the page; the panel spans it and leaves the robot free.
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    panel = page.evaluate(
+        """() => { let box = document.querySelector('[data-spm="branch"]');
+        while (getComputedStyle(box).position != "fixed") box = box.parentElement;
+        box = box.getBoundingClientRect(); return [box.left, box.right, box.top]; }"""
+    )
+    assert panel[:2] == [0, 390]
+    seen = np.array([pixel(session.client.camera, point) for point in robot_points(session.state.shown, 0.0)])
+    assert (seen > 0.0).all()
+    assert (seen < [390, panel[2]]).all()
+    assert np.ptp(seen[:, 1]) > 0.6 * panel[2]
     picture(page, "viewer_phone_dark.png")
     page.close()
     assert not errors
+
+
+def test_the_demo_moves_until_it_is_touched(browser):
+    with Viewer(port=0) as viewer:
+        page = browser.new_page(viewport=SIZE)
+        errors = watched(page)
+        page.goto(viewer.url)
+        until(lambda: viewer.sessions, "a session", page=page)
+        (session,) = viewer.sessions
+        start = viewer._config.start.translation
+        until(lambda: np.linalg.norm(session.state.shown.translation - start) > 0.05, "a motion", page=page)
+        send(session, "branch", session.state.label)
+        assert not session.demo.playing
+        page.close()
+        assert not errors
+    with Viewer(viewer._config.start, port=0) as viewer:
+        assert viewer._config.demo is None
 
 
 def test_the_snapshot_needs_neither_server_nor_network(browser, tmp_path):

@@ -6,19 +6,24 @@ import json
 import shlex
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 import problems
 import pytest
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
+from spm_pin.display.viewer.camera import FIELD_OF_VIEW, VIEWS, fit_camera, robot_points
+from spm_pin.display.viewer.demo_motion import demo_motion
 from spm_pin.display.viewer.readings import Readings
-from spm_pin.display.viewer.robot_meshes import Robot
+from spm_pin.display.viewer.robot_meshes import RobotMeshes
+from spm_pin.display.viewer.slider_ranges import leg_ranges, pose_coordinates, pose_ranges, sample_states
 from spm_pin.display.viewer.state import Drive, Model, starting_configuration
 from spm_pin.display.viewer.state_export import command_line, json_text
-from spm_pin.display.viewer.state_markup import forces_table, instruments, status
+from spm_pin.display.viewer.state_markup import forces_table, instruments, number, status
 
 PAPER = spm.Geometry.paper()
 FREE = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)
@@ -166,24 +171,99 @@ def test_readings_are_those_of_the_library():
     assert abs(spm.singularities(there).determinants[2]) < 0.1 * abs(found.determinants[2])
 
 
-def test_the_robot_is_placed_as_pinocchio_places_it():
-    robot = Robot(PAPER)
+def world_vertices(robot, state):
+    placements = robot.placements(state)
+    turns = Rotation.from_quat(placements.quaternions, scalar_first=True)
+    moved = zip(robot.meshes, turns, placements.scales, placements.positions, strict=True)
+    return {mesh.name: turn.apply(mesh.vertices * scale) + place for mesh, turn, scale, place in moved}
+
+
+def test_the_platforms_are_where_pinocchio_places_them():
+    robot, chain = RobotMeshes(PAPER), spm.ClosedChain.from_urdf()
+    data, visual = chain.model.createData(), chain.visual_model
     for state in spm.inverse_displacement(PAPER, START.pose):
-        q = robot.q(state)
-        positions, quaternions = robot.placements(q)
-        data = robot.chain.model.createData()
-        visual = robot.chain.visual_model
-        placed = visual.createData()
-        pin.updateGeometryPlacements(robot.chain.model, data, visual, placed, q)
-        for k, part in enumerate(robot.parts):
-            index = visual.getGeometryId(part.name)
-            rotation = Rotation.from_quat(quaternions[k], scalar_first=True).as_matrix()
-            shape = visual.geometryObjects[index].placement
-            np.testing.assert_allclose(rotation @ shape.rotation, placed.oMg[index].rotation, atol=1e-12)
-            origin = rotation @ shape.translation + positions[k]
-            np.testing.assert_allclose(origin, placed.oMg[index].translation, atol=1e-12)
-    # All shapes are there, and each terminal corner is drawn around its joint.
-    assert sum(len(part.faces) for part in robot.parts) > 2000
+        shown, placed = world_vertices(robot, state), visual.createData()
+        pin.updateGeometryPlacements(chain.model, data, visual, placed, chain.joint_values(state))
+        for link, plate in (("base", "base"), ("middle_platform", "middle"), ("terminal_platform", "terminal")):
+            index = visual.getGeometryId(f"{link}_0")
+            vertices = np.asarray(visual.geometryObjects[index].geometry.vertices())
+            expected = vertices @ placed.oMg[index].rotation.T + placed.oMg[index].translation
+            gaps, _ = cKDTree(shown[f"{link}_{plate}_plate"]).query(expected)
+            assert gaps.max() < 1e-6
+
+
+def test_a_leg_is_one_leg_whatever_its_length():
+    # In FF+ the legs are up to 370 mm beyond their limits: rods and barrels were drawn apart.
+    robot = RobotMeshes(PAPER)
+    short = spm.forward_physical(FREE, [0.35, 0.9, 0.9, 0.9, 0.9, 0.9])
+    states = [*spm.inverse_displacement(PAPER, START.pose), short]
+    for state in states:
+        if not state.exists:
+            continue
+        shown = world_vertices(robot, state)
+        hips = np.concatenate([PAPER.base_joints, state.platform_joints])
+        for k, leg in enumerate(spm.mechanism.LEGS):
+            length = state.leg_lengths[k]
+            axis = (state.middle_joints[k % 3] - hips[k]) / length
+            barrel, rod = ((shown[f"leg_{leg[2:]}_{half}_tube"] - hips[k]) @ axis for half in ("cylinder", "rod"))
+            assert rod.min() < barrel.max() < length
+            assert rod.max() == pytest.approx(length, abs=1e-6)
+
+
+def test_numbers_have_no_negative_zero_and_long_lengths_a_unit_that_fits():
+    assert [number(x, 1) for x in (-0.04, -0.0, 0.04, -0.06)] == ["0.0", "0.0", "0.0", "-0.1"]
+    assert "-0.0" not in forces_table(Model(START).load([0.0, 0.0, -1e-9, 0.0, 0.0, 0.0]))
+    state = Model(START).state
+    far = replace(state, readings=replace(state.readings, travel=np.array([56.999, 0.02, np.nan])))
+    assert "57.0 m<" in instruments(far)
+    assert "56999" not in instruments(far)
+
+
+def test_slider_ranges_span_reachable_poses_around_the_state():
+    states = sample_states(PAPER)
+    assert (PAPER.limits.margin(states.leg_lengths) >= -1e-12).all()
+    now = pose_coordinates(START.pose)
+    ranges = pose_ranges(states, START.pose)
+    assert (ranges[:, 0] <= now).all()
+    assert (now <= ranges[:, 1]).all()
+    # Not the 6.6 m and 360 degrees of before.
+    assert (np.ptp(ranges, axis=1) < [1.0, 1.0, 1.0, 90.0, 90.0, 90.0]).all()
+    assert (np.ptp(ranges, axis=1) > [0.3, 0.3, 0.3, 10.0, 10.0, 10.0]).all()
+    np.testing.assert_allclose(leg_ranges(START), np.tile([1.1, 1.5], (6, 1)), atol=1e-12)
+    free = leg_ranges(spm.inverse_displacement(FREE, START.pose).physical())
+    for k in range(6):
+        for end in free[k]:
+            assert spm.forward_physical(FREE, np.where(np.arange(6) == k, end, START.leg_lengths)).exists
+
+
+def test_the_demo_motion_is_closed_and_stays_clear_of_limits_and_singularities():
+    playback = demo_motion(START)
+    states = playback.path.configurations
+    np.testing.assert_allclose(states[-1].leg_lengths, START.leg_lengths, atol=1e-12)
+    assert (PAPER.limits.margin(states.leg_lengths) >= -1e-9).all()
+    signs = np.sign(spm.singularities(states).determinants)
+    assert (signs == signs[0]).all()
+    assert np.ptp(states.translation, axis=0).max() > 0.3
+    assert demo_motion(starting_configuration(FREE)) is not None
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize(("aspect", "covered"), [(1.1, 0.0), (0.46, 0.46)])
+def test_a_fitted_camera_shows_all_of_the_robot_and_little_else(view, aspect, covered):
+    points = robot_points(START, 0.1)
+    position, look_at = fit_camera(points, VIEWS[view], aspect, covered)
+    z = (look_at - position) / np.linalg.norm(look_at - position)
+    x = np.cross(z, [0.0, 0.0, 1.0])
+    x /= np.linalg.norm(x)
+    seen = (points - position) @ np.stack([x, np.cross(z, x), z]).T
+    half = np.tan(0.5 * FIELD_OF_VIEW)
+    # From the upper left, over the height of the picture.
+    picture = 0.5 + 0.5 * seen[:, :2] / seen[:, 2:] / half + [0.5 * (aspect - 1.0), 0.0]
+    low, high = picture.min(axis=0), picture.max(axis=0)
+    free = np.array([aspect, 1.0 - covered])
+    assert (low > 0.03).all()
+    assert (high < free - 0.03).all()
+    assert ((high - low) / free).max() > 0.7
 
 
 def test_the_exported_command_finds_the_state_again():
@@ -199,9 +279,9 @@ def test_the_exported_command_finds_the_state_again():
 
 
 def test_the_exported_json_holds_the_state():
-    robot = Robot(PAPER)
+    chain = spm.ClosedChain.from_urdf()
     state = Model(START).load([0.0, 0.0, -500.0, 0.0, 0.0, 0.0])
-    content = json.loads(json_text(state, robot))
+    content = json.loads(json_text(state, chain))
     pose = np.array(content["pose"])
     np.testing.assert_array_equal(pose, START.pose.as_matrix())
     np.testing.assert_allclose(
@@ -211,7 +291,7 @@ def test_the_exported_json_holds_the_state():
     assert np.abs(spm.ClosedChain.from_urdf().closure_gap(q)).max() < 1e-12
     assert content["branch"] == "TT+"
     assert content["leg_forces"]["r_b1"] == pytest.approx(spm.leg_forces(START, [0, 0, -500, 0, 0, 0])[0])
-    json_text(Model(START).set_legs([1.3] * 6), robot)  # singular, yet JSON
+    json_text(Model(START).set_legs([1.3] * 6), chain)  # singular, yet JSON
 
 
 def test_markup_says_it_in_words_and_escapes():

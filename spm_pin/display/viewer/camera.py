@@ -21,7 +21,7 @@ def robot_points(configuration: Configuration, margin: float) -> FloatArray:
     shown = configuration
     joints = [shown.geometry.base_joints, shown.middle_joints, shown.platform_joints, shown.translation[None]]
     corners = margin * (2.0 * np.indices((2, 2, 2)).reshape(3, -1).T - 1.0)
-    return (np.concatenate(joints)[:, None] + corners).reshape(-1, 3)
+    return np.asarray((np.concatenate(joints)[:, None] + corners).reshape(-1, 3))
 
 
 def fit_camera(
@@ -59,4 +59,4 @@ def fit_camera(
         least, most = tangents.min(axis=0), tangents.max(axis=0)
         centre[:2] += 0.5 * (least + most - low - high) * distance
         distance *= float(((most - least) / (high - low)).max())
-    return (centre + [0.0, 0.0, distance]) @ axes, centre @ axes
+    return (centre + np.array([0.0, 0.0, distance])) @ axes, centre @ axes

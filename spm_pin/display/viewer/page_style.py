@@ -20,7 +20,8 @@ PHONE_PANEL = 0.46
 _STYLE = f"""
 @media (max-width: 36em) {{
   div[style*="position: fixed"][style*="width: 20em"] {{
-    width: 100% !important; max-height: {100 * PHONE_PANEL:.0f}% !important; left: 0; border-radius: 0.8em 0.8em 0 0 !important }}
+    left: 0; width: 100% !important; max-height: {100 * PHONE_PANEL:.0f}% !important;
+    border-radius: 0.8em 0.8em 0 0 !important }}
   div[style*="position: fixed"][style*="width: 20em"] div[style*="width: 20em"] {{ width: 100% !important }}
 }}
 """

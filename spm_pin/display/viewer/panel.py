@@ -65,7 +65,9 @@ class Panel:
         self.theme(dark)
         gui.main_panel.dock_right()
         self.status = gui.add_html("")
-        self.back = gui.add_button("Back to the reachable pose", visible=False, color="red", icon="arrow-back-up")
+        self.back = gui.add_button(
+            "Back to the reachable pose", visible=False, color=(200, 16, 46), icon="arrow-back-up"
+        )
         self._on_press(self.back, "back")
         self.branch = gui.add_dropdown("Branch", [_NONE], hint="Or show the other branches as ghosts and click one")
         self._on(self.branch, "branch")
@@ -144,11 +146,11 @@ class Panel:
     def _add_layers(self, dark: bool, limited: bool) -> None:
         for label, name, value, visible in (
             ("Other branches", "ghosts", False, True),
-            ("Names of the legs", "names", True, True),
+            ("Leg names", "names", True, True),
             ("Trail of o", "trail", True, True),
             ("Gizmo", "gizmo_shown", True, True),
             ("Workspace shell", "shell", False, limited),
-            ("Reachable points", "points", False, True),
+            ("Points reached", "points", False, True),
             ("Dark page", "dark", dark, True),
         ):
             self._on(self.gui.add_checkbox(label, value, visible=visible), name)

@@ -247,6 +247,8 @@ class RobotScene:
     def _show_trail(self, o: FloatArray) -> None:
         points = self._trail_points
         if not points or np.linalg.norm(o - points[-1]) > _TRAIL_STEP * self.robot.geometry.base_radius:
+            if points and np.linalg.norm(o - points[-1]) > self.size:
+                points.clear()  # the robot was put elsewhere
             points.append(np.array(o))
             del points[:-_TRAIL_POINTS]
             if len(points) > 1 and self.layers["trail"]:

@@ -34,6 +34,9 @@ __all__ = ["Session", "SessionConfig"]
 
 _log = logging.getLogger(__name__)
 
+_MOTIONS = ("gizmo", "coordinate", "leg", "branch", "drive", "reset", "back", "time")
+"""Events that move the robot."""
+
 _FARTHEST = 10.0
 """How far from {B} the gizmo is followed, over the machine's size."""
 
@@ -160,7 +163,7 @@ class Session:
         """Stop the demo at the user's first event, and the path at one that moves the robot."""
         if self.demo is not None:
             self.demo.stop()
-        if self.player is not None and name in ("gizmo", "coordinate", "leg", "branch", "drive", "reset", "back", "time"):
+        if self.player is not None and name in _MOTIONS:
             self.player.stop()
 
     def _act(self, name: str, value: Any) -> None:

@@ -104,8 +104,8 @@ def save_snapshot(
     path = Path(path)
     if path.suffix.lower() not in (".html", ".htm"):
         raise ArgumentError("path", "a file name ending in .html", repr(path.name))
-    state = Model(configuration).state
-    page = snapshot_html(state, RobotMeshes(configuration.geometry), dark=dark, ghosts=ghosts, geometry_file=geometry_file)
+    state, robot = Model(configuration).state, RobotMeshes(configuration.geometry)
+    page = snapshot_html(state, robot, dark=dark, ghosts=ghosts, geometry_file=geometry_file)
     try:
         path.write_text(page, encoding="utf-8")
     except OSError as error:

@@ -17,7 +17,7 @@ __all__ = ["LOAD", "PULL", "PUSH", "WARN", "forces_table", "instruments", "note"
 # than all colours of the robot.
 _CALM, _UPPER, WARN, PUSH, PULL, LOAD = "#009E73", "#E69F00", "#C8102E", "#0072B2", "#D55E00", "#7A4FB5"
 
-_BOX = "padding:0.35em 0.6em;font-size:0.8rem;line-height:1.4;font-variant-numeric:tabular-nums"
+_BOX = "padding:0.35em 1em 0.35em 0.6em;font-size:0.8rem;line-height:1.4;font-variant-numeric:tabular-nums"
 # One grid for all rows: a column is as wide as its widest text, and the bars take what is left.
 _GRID = "display:grid;grid-template-columns:{columns};gap:0.15em 0.6em;align-items:center;white-space:nowrap"
 _TRACK = "position:relative;height:0.62em;border-radius:0.3em;background:rgba(128,128,128,0.28);overflow:hidden"
@@ -114,7 +114,7 @@ def _legs(state: State) -> str:
 def _singularities(state: State) -> str:
     readings, side = state.readings, state.shown.geometry.middle_side
     near = readings.near(side)
-    cells = [_cell(text, f"opacity:0.7;{_RIGHT if k > 1 else ''}") for k, text in enumerate(("", "", "away", "σ", "cond"))]
+    cells = [_cell(text, f"opacity:0.7;{_RIGHT}") for text in ("", "", "away", "σ", "cond")]
     for k, name in enumerate(("forward, lower", "forward, upper", "inverse")):
         travel, condition = float(readings.travel[k]), float(readings.condition[k])
         finite = np.isfinite(travel)

@@ -57,6 +57,4 @@ class WorkspaceLayer:
             return
         with self._lock:
             vertices, faces = self.shell
-        scene.add_mesh_simple(
-            "/shell", vertices, faces, color=_COLOUR, opacity=0.25, side="double", cast_shadow=False
-        )
+        scene.add_mesh_simple("/shell", vertices, faces, color=_COLOUR, opacity=0.25, side="double", cast_shadow=False)
