@@ -1,0 +1,54 @@
+"""The coordinates (x, y, Z) of the stages of a configuration without torsion, and back.
+
+The middle platform's quaternion against the base is (x0, x, y, 0) with x0 > 0, and its centre is at
+(-2r xy, r (y² - x²), Z) over the base's centre, r = d/√3. The upper stage is the same stage upside down, seen from the
+terminal platform and mirrored at its plane, so that Z is positive at home in both. See
+`docs/theory/inverse_displacement.md`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.geometry import Geometry
+
+__all__ = ["configuration_of_stages", "stage_states"]
+
+_MIRROR = np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]])
+"""Sign of x, y and Z of each stage against those of the frame that it is seen from."""
+
+_TORSION = 1e-9
+"""Part x3 of the quaternion from which on a stage has torsion."""
+
+
+def stage_states(configuration: Configuration) -> FloatArray:
+    """Return (x, y, Z [m]) of the lower and of the upper stage, shape (..., 2, 3); NaN for a stage in mode F."""
+    middle = configuration.middle_pose
+    seen = (middle, configuration.pose.inv() * middle)
+    states = []
+    for sign, pose in zip(_MIRROR, seen, strict=True):
+        quaternion = pose.rotation.as_quat()
+        x, y, x3, x0 = np.moveaxis(np.where(quaternion[..., 3:] < 0.0, -quaternion, quaternion), -1, 0)
+        straight = (np.abs(x3) <= _TORSION) & (x0 > _TORSION)
+        state = sign * np.stack([x, y, pose.translation[..., 2]], axis=-1)
+        states.append(np.where(straight[..., None], state, np.nan))
+    return np.stack(states, axis=-2)
+
+
+def configuration_of_stages(geometry: Geometry, states: FloatArray) -> Configuration:
+    """Return the configurations (...) of the stage coordinates (..., 2, 3), those of `stage_states`."""
+    r = geometry.middle_radius
+    poses = []
+    for k, sign in enumerate(_MIRROR):
+        x, y, z = np.moveaxis(sign * states[..., k, :], -1, 0)
+        quaternion = np.stack([x, y, np.zeros_like(x), np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))], axis=-1)
+        centre = np.stack([-2.0 * r * x * y, r * (y * y - x * x), z], axis=-1)
+        poses.append(RigidTransform.from_components(centre, Rotation.from_quat(quaternion)))
+    pose = poses[0] * poses[1].inv()
+    corners = r * geometry.radial_directions
+    joints = np.einsum("...ij,kj->...ki", poses[0].rotation.as_matrix(), corners)
+    joints += poses[0].translation[..., None, :]
+    return Configuration(geometry, pose, joints)

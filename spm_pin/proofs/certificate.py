@@ -1,0 +1,223 @@
+"""Certificates that leg limits hold no forward singularity, so that six leg lengths mean one configuration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.closed_form.forward_displacement import forward_physical
+from spm_pin.errors import ArgumentError, GeometryError
+from spm_pin.mechanism.arguments import FloatArray, instance, real_array, real_number, whole_number
+from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.geometry import Geometry, LegLimits
+from spm_pin.mechanism.stage_states import configuration_of_stages, stage_states
+from spm_pin.proofs.intervals import Interval
+from spm_pin.proofs.stage_proof import StageProof, prove_stage
+from spm_pin.proofs.stage_region import StageRegion
+
+__all__ = ["Certificate", "certify", "largest_certified_limits"]
+
+STAGES = ("lower", "upper")
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What was proved of the configurations that are joined to the home within leg limits.
+
+    Attributes
+    ----------
+    geometry : Geometry
+        Dimensions of the manipulator.
+    limits : LegLimits
+        Limits of the leg lengths.
+    lower, upper : StageProof
+        The subdivision of each stage.
+    witness : Configuration or None
+        A forward singular configuration within the limits, where one was found; None otherwise.
+    """
+
+    geometry: Geometry
+    limits: LegLimits
+    lower: StageProof
+    upper: StageProof
+    witness: Configuration | None
+
+    @property
+    def holds(self) -> bool:
+        """Whether it is proved that no configuration joined to the home within the limits is forward singular."""
+        return self.lower.bound > 0.0 and self.upper.bound > 0.0
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Proved lower bounds of |det J_b| / d³ and |det J_c| / d³ over these configurations; 0 where undecided."""
+        cube = self.geometry.middle_side**3
+        return self.lower.bound / cube, self.upper.bound / cube
+
+    @property
+    def undecided(self) -> tuple[FloatArray, FloatArray]:
+        """Boxes of (x, y, Z) of the lower and of the upper stage that were not decided, shapes (N, 3, 2).
+
+        (x, y) is the vector part of the middle platform's quaternion (x0, x, y, 0) against the base (lower) or the
+        terminal platform (upper, seen upside down), Z [m] the distance of its centre from the hips' plane.
+        """
+        return self.lower.undecided, self.upper.undecided
+
+    def covers(self, configuration: Configuration) -> npt.NDArray[np.bool_]:
+        """Return which configurations (...) are proved to be the only one of their leg lengths, shape (...).
+
+        They respect the limits, and both stages lie in boxes of the proof. Nothing is covered if it does not hold.
+        """
+        instance(configuration, Configuration, "configuration")
+        inside = self.limits.contains(configuration.leg_lengths)
+        if not self.holds:
+            return np.zeros_like(inside)
+        states = stage_states(configuration)
+        for k, proof in enumerate((self.lower, self.upper)):
+            inside = inside & _contained(states[..., k, :], proof.proved)
+        return np.asarray(inside)
+
+    def explain(self) -> str:
+        """Return what was proved, or what stands against it, in a few lines."""
+        low, high = zip(*zip(self.limits.minimum, self.limits.maximum, strict=True), strict=True)
+        lines = [f"Leg lengths from {min(low):g} m to {max(high):g} m, {self.lower.boxes + self.upper.boxes:,} boxes."]
+        if self.holds:
+            lower, upper = self.bounds
+            lines += [
+                "Proved: no configuration joined to the home within these limits is forward singular,",
+                f"|det J_b| >= {lower:.3g} d³ and |det J_c| >= {upper:.3g} d³.",
+                "So six lengths within them have exactly one such configuration, and straight lines in leg space are",
+                "free of forward singularities. Assembly modes that are not joined to the home are not part of this.",
+            ]
+        elif self.witness is not None:
+            lengths = ", ".join(f"{length:.6f}" for length in self.witness.leg_lengths)
+            lines += [
+                "Does not hold: a configuration within the limits is forward singular, with legs",
+                f"({lengths}) m.",
+            ]
+        else:
+            lines.append("Undecided: no singular configuration was found, and none was excluded.")
+        for name, boxes in zip(STAGES, self.undecided, strict=True):
+            if len(boxes):
+                tilt = np.degrees(
+                    2.0 * np.arcsin(np.minimum(np.sqrt((boxes[:, :2] ** 2).max(axis=2).sum(axis=1)), 1.0))
+                )
+                lines.append(f"{len(boxes):,} boxes of the {name} stage, tilted by up to {tilt.max():.0f}°.")
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        return (
+            f"<Certificate: {'holds' if self.holds else 'does not hold' if self.witness is not None else 'undecided'}>"
+        )
+
+
+def certify(geometry: Geometry, limits: LegLimits | None = None, *, boxes: int = 300_000) -> Certificate:
+    """Prove that leg limits exclude forward singularities.
+
+    Each stage is searched by interval branch and bound with outward rounding, over all orientations without torsion and
+    all heights. What is joined, within the limits, to the physical configuration at the middle of the limits is proved
+    free of forward singularities. It follows that six leg lengths within the limits have exactly one configuration
+    there, and that no straight line in leg space meets a singularity; see `docs/theory/proofs.md`.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        Dimensions.
+    limits : LegLimits, optional
+        Limits of the leg lengths, finite; by default those of the geometry.
+    boxes : int
+        Boxes to look at in each stage, at most.
+
+    Returns
+    -------
+    Certificate
+        It may not hold: then it has a singular configuration, if there is one, and the boxes left undecided.
+
+    Raises
+    ------
+    ArgumentError, GeometryError
+        If there are no limits, or one is infinite.
+    """
+    instance(geometry, Geometry, "geometry")
+    limits = geometry.limits if limits is None else instance(limits, LegLimits, "limits")
+    whole_number(boxes, "boxes", least=1)
+    if limits is None or not np.isfinite(limits.maximum).all():
+        received = "none" if limits is None else "a leg without a longest length"
+        raise GeometryError("limits", "a finite longest length of every leg", received)
+    middle = forward_physical(geometry, 0.5 * (np.array(limits.minimum) + np.array(limits.maximum)))
+    if not middle.exists:
+        raise GeometryError("limits", "lengths between them that can be assembled", "a middle that cannot be")
+    starts = stage_states(middle)
+    proofs = []
+    for k, hips in enumerate((geometry.base_radius, geometry.platform_radius)):
+        low, high = (np.array(ends[3 * k : 3 * k + 3]) for ends in (limits.minimum, limits.maximum))
+        region = StageRegion(Interval.of(hips), Interval.of(geometry.middle_side), low, high)
+        proofs.append(prove_stage(region, starts[k], most=boxes))
+    witness = None
+    if any(proof.singular is not None for proof in proofs):
+        states = [
+            start if proof.singular is None else proof.singular for start, proof in zip(starts, proofs, strict=True)
+        ]
+        witness = configuration_of_stages(geometry, np.stack(states))
+    return Certificate(geometry, limits, proofs[0], proofs[1], witness)
+
+
+def largest_certified_limits(
+    geometry: Geometry, centre: npt.ArrayLike | None = None, *, tolerance: float = 0.01, boxes: int = 300_000
+) -> Certificate:
+    """Find the widest leg limits around given lengths that are proved free of forward singularities.
+
+    All legs may differ from their centre by the same length; the widest difference is found by bisection.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        Dimensions.
+    centre : array_like, shape (6,) or (), optional
+        Leg lengths in the middle [m]; by default the middle of the geometry's limits.
+    tolerance : float
+        How far below the widest half-width that certifies the result may stay, relative to it.
+    boxes : int
+        Boxes to look at in each stage for each limits tried, at most.
+
+    Returns
+    -------
+    Certificate
+        It holds; its `limits` are the answer.
+
+    Raises
+    ------
+    ArgumentError
+        If no limits around `centre` certify, or the centre cannot be assembled.
+    """
+    instance(geometry, Geometry, "geometry")
+    real_number(tolerance, "tolerance", "a relative width between 1e-6 and 1", least=1e-6, below=1.0)
+    if centre is None:
+        if geometry.limits is None or not np.isfinite(geometry.limits.maximum).all():
+            raise ArgumentError("centre", "leg lengths, as the geometry has no finite limits", "None")
+        centre = 0.5 * (np.array(geometry.limits.minimum) + np.array(geometry.limits.maximum))
+    lengths = np.broadcast_to(real_array(centre, "centre", (), "leg lengths in metres"), 6)
+    if not (lengths > 0.0).all():
+        raise ArgumentError("centre", "positive leg lengths in metres", lengths.min())
+    best, narrow, wide = None, 0.0, float(lengths.min())
+    while wide - narrow > tolerance * wide:
+        half = 0.5 * (narrow + wide)
+        found = certify(geometry, LegLimits(tuple(lengths - half), tuple(lengths + half)), boxes=boxes)
+        if found.holds:
+            best, narrow = found, half
+        elif found.witness is not None:
+            wide = min(half, float(np.abs(found.witness.leg_lengths - lengths).max()))
+        else:
+            wide = half
+        if best is None and wide < 1e-6 * float(lengths.min()):
+            raise ArgumentError("centre", "lengths away from forward singularities", lengths)
+    assert best is not None
+    return best
+
+
+def _contained(states: FloatArray, boxes: FloatArray) -> npt.NDArray[np.bool_]:
+    """Return which states (..., 3) lie in one of the boxes (M, 3, 2), shape (...)."""
+    flat = states.reshape(-1, 3)
+    inside = [((boxes[..., 0] <= state) & (state <= boxes[..., 1])).all(axis=-1).any() for state in flat]
+    return np.array(inside, dtype=np.bool_).reshape(states.shape[:-1])

@@ -1,0 +1,97 @@
+"""Interval arithmetic with outward rounding on arrays of double-precision intervals.
+
+IEEE 754 rounds +, -, × and the square root correctly, so the exact result lies between the neighbours of the computed
+one; every operation moves its ends out by one place. An operation on intervals then contains the exact result of the
+operation on any numbers in them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.mechanism.arguments import FloatArray
+
+__all__ = ["Interval"]
+
+
+def _below(x: FloatArray) -> FloatArray:
+    return np.asarray(np.nextafter(x, -np.inf))
+
+
+def _above(x: FloatArray) -> FloatArray:
+    return np.asarray(np.nextafter(x, np.inf))
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Closed intervals [low, high], two arrays of one shape.
+
+    Parameters
+    ----------
+    low, high : ndarray
+        Ends, low <= high.
+    """
+
+    low: FloatArray
+    high: FloatArray
+
+    # NumPy leaves `array * interval` to the interval.
+    __array_ufunc__ = None
+
+    @classmethod
+    def of(cls, value: npt.ArrayLike) -> Interval:
+        """Return intervals of one number each: exactly those doubles."""
+        array = np.asarray(value, dtype=np.float64)
+        return cls(array, array)
+
+    def __add__(self, other: Interval | float) -> Interval:
+        other = _interval(other)
+        return Interval(_below(self.low + other.low), _above(self.high + other.high))
+
+    def __sub__(self, other: Interval | float) -> Interval:
+        return self + -_interval(other)
+
+    def __rsub__(self, other: float) -> Interval:
+        return _interval(other) - self
+
+    def __neg__(self) -> Interval:
+        return Interval(-self.high, -self.low)
+
+    def __mul__(self, other: Interval | float) -> Interval:
+        other = _interval(other)
+        products = (self.low * other.low, self.low * other.high, self.high * other.low, self.high * other.high)
+        low = np.minimum(np.minimum(products[0], products[1]), np.minimum(products[2], products[3]))
+        high = np.maximum(np.maximum(products[0], products[1]), np.maximum(products[2], products[3]))
+        return Interval(_below(low), _above(high))
+
+    __radd__ = __add__
+    __rmul__ = __mul__
+
+    def square(self) -> Interval:
+        """Return the squares; unlike a product of the interval with itself, never negative."""
+        low, high = self.low * self.low, self.high * self.high
+        least = np.where((self.low <= 0.0) & (self.high >= 0.0), 0.0, _below(np.minimum(low, high)))
+        return Interval(np.maximum(least, 0.0), _above(np.maximum(low, high)))
+
+    def root(self) -> Interval:
+        """Return the square roots of the part that is not negative; 0 where none is."""
+        low, high = np.sqrt(np.maximum(self.low, 0.0)), np.sqrt(np.maximum(self.high, 0.0))
+        return Interval(np.maximum(_below(low), 0.0), _above(high))
+
+    def reciprocal(self) -> Interval:
+        """Return 1/x; both ends NaN where the interval contains zero."""
+        contains_zero = (self.low <= 0.0) & (self.high >= 0.0)
+        with np.errstate(divide="ignore"):
+            low, high = _below(1.0 / self.high), _above(1.0 / self.low)
+        return Interval(np.where(contains_zero, np.nan, low), np.where(contains_zero, np.nan, high))
+
+    def misses(self, other: Interval) -> npt.NDArray[np.bool_]:
+        """Return where the two have no point in common."""
+        return np.asarray((self.low > other.high) | (self.high < other.low))
+
+
+def _interval(value: Interval | float) -> Interval:
+    return value if isinstance(value, Interval) else Interval.of(value)
