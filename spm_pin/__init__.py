@@ -9,7 +9,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from spm_pin import closed_form, crosscheck, errors, mechanism, nlp, sweeps, workspace
+    from spm_pin import closed_form as closed_form
+    from spm_pin import crosscheck as crosscheck
+    from spm_pin import errors as errors
+    from spm_pin import mechanism as mechanism
+    from spm_pin import nlp as nlp
+    from spm_pin import sweeps as sweeps
+    from spm_pin import workspace as workspace
     from spm_pin.closed_form import (
         determinants,
         follow,
@@ -35,11 +41,13 @@ if TYPE_CHECKING:
     from spm_pin.mechanism import Configuration, Geometry, LegLimits, SolutionSet, Status, pose
     from spm_pin.multibody.chain import ClosedChain
     from spm_pin.multibody.platform_path import PlatformPath
+    from spm_pin.proofs import Certificate, certify, largest_certified_limits
 
 __version__ = "0.2.0"
 
 __all__ = [
     "ArgumentError",
+    "Certificate",
     "ClosedChain",
     "ClosureError",
     "Configuration",
@@ -53,30 +61,25 @@ __all__ = [
     "SolutionSet",
     "SpmError",
     "Status",
-    "closed_form",
-    "crosscheck",
+    "certify",
     "determinants",
-    "errors",
     "follow",
     "forward_displacement",
     "forward_physical",
     "inverse_displacement",
     "inverse_jacobian",
+    "largest_certified_limits",
     "leg_forces",
     "leg_rates",
-    "mechanism",
-    "nlp",
     "pose",
     "set_threads",
     "singularities",
-    "sweeps",
     "threads",
-    "workspace",
 ]
 
 # Imported when first asked for, all of them: the start-up of the command line stays short, and Ctrl-C ends it.
 _MODULES = {"closed_form", "crosscheck", "errors", "mechanism", "nlp", "sweeps", "workspace"}
-_HOMES = ("errors", "mechanism", "closed_form", "multibody.chain", "multibody.platform_path")
+_HOMES = ("errors", "mechanism", "closed_form", "multibody.chain", "multibody.platform_path", "proofs")
 
 
 def __getattr__(name: str) -> Any:
@@ -91,4 +94,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *__all__, *_MODULES})

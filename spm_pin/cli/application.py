@@ -8,6 +8,7 @@ import sys
 import typer
 
 from spm_pin import __version__
+from spm_pin.cli.certify import certify
 from spm_pin.cli.console import note
 from spm_pin.cli.crosscheck import crosscheck
 from spm_pin.cli.demo import demo
@@ -26,10 +27,10 @@ from spm_pin.errors import SpmError
 
 __all__ = ["app", "run"]
 
-EXIT_CODES = """Exit codes: 0 done. 1 a comparison failed: methods disagree, or a printed number is unexplained.
-2 the command cannot be carried out as typed: an option, a file, a missing extra. 3 unreachable: no real solution.
-4 degenerate: a continuous family of solutions; isolated solutions beside it are shown. 70 a defect of spm-pin.
-130 interrupted: crosscheck reports the poses done, and a sweep goes on when started again."""
+EXIT_CODES = """Exit codes: 0 done. 1 a comparison or a proof failed: methods disagree, a printed number is unexplained,
+leg limits hold a singularity. 2 the command cannot be carried out as typed: an option, a file, a missing extra.
+3 unreachable: no real solution. 4 degenerate: a continuous family of solutions; isolated solutions beside it are shown.
+70 a defect of spm-pin. 130 interrupted: crosscheck reports the poses done, and a sweep goes on when started again."""
 
 app = typer.Typer(
     help="Closed-chain kinematics of the 3RPS-3SPR serial-parallel manipulator.",
@@ -44,6 +45,7 @@ _COMMANDS = (
     reproduce,
     crosscheck,
     singularities,
+    certify,
     statics,
     urdf,
     draw,

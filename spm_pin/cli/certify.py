@@ -1,0 +1,79 @@
+"""`spm-pin certify`: leg limits proved free of forward singularities, or a singular configuration within them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from spm_pin.cli.console import note, print_lines, stderr, to_json
+from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Unit, read_geometry, unit_hint
+from spm_pin.cli.outputs import check_output, name_options, require_extra
+from spm_pin.display.figure_files import FORMATS, save_figure
+from spm_pin.errors import GeometryError
+from spm_pin.mechanism import LegLimits
+from spm_pin.proofs import Certificate
+from spm_pin.proofs import certify as prove
+
+__all__ = ["certify"]
+
+
+@name_options(path="--out", boxes="--boxes")
+def certify(
+    minimum: Annotated[float | None, typer.Option("--min", help="Shortest length of all six legs, in --unit.")] = None,
+    maximum: Annotated[float | None, typer.Option("--max", help="Longest length of all six legs, in --unit.")] = None,
+    boxes: Annotated[int, typer.Option(min=1, help="Boxes to look at in each stage, at most.")] = 300_000,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Picture (.png, .svg, .pdf) of the boxes to write.")
+    ] = None,
+    unit: Unit = LengthUnit.M,
+    geometry: GeometryFile = None,
+    json: AsJson = False,
+) -> None:
+    """Prove that leg limits hold no forward singularity, so that six lengths mean one configuration.
+
+    Example: spm-pin certify --min 1.1 --max 1.5
+
+    Without --min and --max the limits are the geometry's. The exit code is 0 if the proof succeeds, 1 if a singular
+    configuration was found or boxes were left undecided. --out needs the extra "plots".
+    """
+    dimensions = read_geometry(geometry)
+    if (minimum is None) != (maximum is None):
+        raise GeometryError("--min and --max", "both or neither", "one of them")
+    limits = None
+    if minimum is not None and maximum is not None:
+        limits = LegLimits(minimum / unit.per_metre, maximum / unit.per_metre)
+    if out is not None:
+        check_output(out, "--out", FORMATS)
+        require_extra("plots")
+    if maximum is not None and (hint := unit_hint("--max", maximum, unit, dimensions)):
+        note(hint, "yellow")
+    with stderr.status("dividing the states of both stages"):
+        certificate = prove(dimensions, limits, boxes=boxes)
+    if json:
+        typer.echo(to_json(_content(certificate)))
+    else:
+        print_lines(certificate.explain().splitlines())
+    if out is not None:
+        from spm_pin.display.certificate_plots import certificate_figure
+
+        save_figure(certificate_figure(certificate), out)
+        note(f"wrote {out}")
+    if not certificate.holds:
+        raise typer.Exit(1)
+
+
+def _content(certificate: Certificate) -> dict[str, Any]:
+    lower, upper = certificate.bounds
+    witness = certificate.witness
+    return {
+        "holds": certificate.holds,
+        "limits": {"minimum": certificate.limits.minimum, "maximum": certificate.limits.maximum},
+        "bounds": {"J_b": lower, "J_c": upper},
+        "boxes": {
+            name: {"examined": proof.boxes, "proved": len(proof.proved), "undecided": len(proof.undecided)}
+            for name, proof in (("lower", certificate.lower), ("upper", certificate.upper))
+        },
+        "witness": None if witness is None else {"leg_lengths": witness.leg_lengths, "pose": witness.pose.as_matrix()},
+    }
