@@ -79,14 +79,14 @@ __all__ = [
 
 # Imported when first asked for, all of them: the start-up of the command line stays short, and Ctrl-C ends it.
 _MODULES = {"closed_form", "crosscheck", "errors", "mechanism", "nlp", "sweeps", "workspace"}
-_HOMES = ("errors", "mechanism", "closed_form", "multibody.chain", "multibody.platform_path", "proofs")
+_HOMES = ("errors", "mechanism", "closed_form", "proofs", "multibody.chain", "multibody.platform_path")
 
 
 def __getattr__(name: str) -> Any:
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     if name in _MODULES:
         return import_module(f"spm_pin.{name}")
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     homes = (import_module(f"spm_pin.{home}") for home in _HOMES)
     found = next(getattr(home, name) for home in homes if hasattr(home, name))
     globals()[name] = found

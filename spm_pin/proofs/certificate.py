@@ -197,9 +197,11 @@ def largest_certified_limits(
         if geometry.limits is None or not np.isfinite(geometry.limits.maximum).all():
             raise ArgumentError("centre", "leg lengths, as the geometry has no finite limits", "None")
         centre = 0.5 * (np.array(geometry.limits.minimum) + np.array(geometry.limits.maximum))
-    lengths = np.broadcast_to(real_array(centre, "centre", (), "leg lengths in metres"), 6)
-    if not (lengths > 0.0).all():
-        raise ArgumentError("centre", "positive leg lengths in metres", lengths.min())
+    lengths = real_array(centre, "centre", (), "leg lengths in metres")
+    if lengths.shape not in ((), (6,)) or not (lengths > 0.0).all():
+        received = f"shape {lengths.shape}" if lengths.shape not in ((), (6,)) else float(lengths.min())
+        raise ArgumentError("centre", "one or six positive leg lengths in metres", received)
+    lengths = np.broadcast_to(lengths, 6)
     best, narrow, wide = None, 0.0, float(lengths.min())
     while wide - narrow > tolerance * wide:
         half = 0.5 * (narrow + wide)

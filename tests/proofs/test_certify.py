@@ -1,0 +1,259 @@
+"""Certificates: what they prove holds in other arithmetic, and nothing is certified that holds a singularity."""
+
+from __future__ import annotations
+
+import mpmath
+import numpy as np
+import pytest
+from flint import arb
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import minimize
+
+import spm_pin as spm
+from spm_pin.mechanism.stage_states import configuration_of_stages, stage_states
+from spm_pin.proofs.intervals import Interval
+from spm_pin.proofs.stage_region import StageRegion
+
+PAPER = spm.Geometry.paper()
+LIMITS = spm.LegLimits(1.1, 1.5)
+ROOT_3 = 3.0**0.5
+
+
+@pytest.fixture(scope="module")
+def certificate() -> spm.Certificate:
+    return spm.certify(PAPER, LIMITS)
+
+
+def stage(state, hips, side, number=float, root=np.sqrt):  # type: ignore[no-untyped-def]
+    """Return the leg lengths and D of a stage, from its corners in space and written anew, in any arithmetic."""
+    x, y, height = (number(float(value)) if not isinstance(value, arb) else value for value in state)
+    side, hips = number(side), number(hips)
+    half_root, half = root(number(3)) / 2, number(1) / 2
+    radius = side / root(number(3))
+    x0 = root(1 - x * x - y * y)
+    rotation = [
+        [1 - 2 * y * y, 2 * x * y, 2 * x0 * y],
+        [2 * x * y, 1 - 2 * x * x, -2 * x0 * x],
+        [-2 * x0 * y, 2 * x0 * x, 1 - 2 * (x * x + y * y)],
+    ]
+    centre = [-2 * radius * x * y, radius * (y * y - x * x), height]
+    directions = [(half_root, -half), (number(0), number(1)), (-half_root, -half)]
+    lengths, legs, swings = [], [], []
+    for u in directions:
+        corner = [centre[i] + radius * (rotation[i][0] * u[0] + rotation[i][1] * u[1]) for i in range(3)]
+        leg = [corner[0] - hips * u[0], corner[1] - hips * u[1], corner[2]]
+        outward = leg[0] * u[0] + leg[1] * u[1]
+        lengths.append(root(sum(part * part for part in leg)))
+        legs.append(corner)
+        swings.append([-leg[2] * u[0], -leg[2] * u[1], outward])
+
+    def c(i: int, j: int):  # type: ignore[no-untyped-def]
+        return sum((legs[i][k] - legs[j][k]) * swings[i][k] for k in range(3))
+
+    return lengths, -(c(0, 1) * c(1, 2) * c(2, 0) + c(1, 0) * c(2, 1) * c(0, 2))
+
+
+def test_the_papers_limits_are_proved(certificate: spm.Certificate) -> None:
+    assert certificate.holds
+    assert all(bound > 0.1 for bound in certificate.bounds)
+    assert certificate.witness is None
+    assert not any(len(boxes) for boxes in certificate.undecided)
+    assert "Proved" in certificate.explain()
+    assert "holds" in repr(certificate)
+
+
+def test_every_set_of_lengths_has_its_physical_mode_in_the_proved_boxes(certificate: spm.Certificate) -> None:
+    legs = np.random.default_rng(0).uniform(1.1, 1.5, (2_000, 6))
+    corners = np.array(np.meshgrid(*[[1.1, 1.5]] * 6)).reshape(6, -1).T
+    state = spm.forward_physical(PAPER, np.concatenate([legs, corners]))
+    # At the corners the last digit of a length may be beyond the limits.
+    assert certificate.covers(state)[:2_000].all()
+    found = np.abs(spm.determinants(state)[..., :2]).min(axis=0) / PAPER.middle_side**3
+    assert (found >= certificate.bounds).all()
+    assert (found <= 20.0 * np.array(certificate.bounds)).all(), "the bound is of use"
+
+
+def test_other_assembly_modes_are_not_covered(certificate: spm.Certificate) -> None:
+    modes = spm.forward_displacement(PAPER, [1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
+    covered = certificate.covers(modes.configurations) & modes.exists
+    assert covered.sum() == 1
+    np.testing.assert_array_equal(covered, modes.is_physical)
+
+
+def test_the_bounds_hold_in_ball_arithmetic(certificate: spm.Certificate) -> None:
+    rng = np.random.default_rng(1)
+    for proof, hips in ((certificate.lower, PAPER.base_radius), (certificate.upper, PAPER.platform_radius)):
+        for box in proof.proved[rng.permutation(len(proof.proved))[:20]]:
+            # Arb's balls over the eight parts of a box: D is positive in each, or they hold no lengths in the limits.
+            for corner in np.ndindex(2, 2, 2):
+                low = box[:, 0] + np.array(corner) * (box[:, 1] - box[:, 0]) / 2.0
+                size = (box[:, 1] - box[:, 0]) / 4.0
+                ball = [arb(float(middle), float(radius)) for middle, radius in zip(low + size, size, strict=True)]
+                lengths, determinant = stage(ball, hips, PAPER.middle_side, arb, arb.sqrt)
+                if any(length < 1.1 or length > 1.5 for length in lengths):
+                    continue
+                if not determinant > 0:
+                    point = [arb(float(middle)) for middle in low + size]
+                    lengths, determinant = stage(point, hips, PAPER.middle_side, arb, arb.sqrt)
+                    assert determinant / (lengths[0] * lengths[1] * lengths[2]) > proof.bound
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=30)
+def test_boxes_contain_what_forty_digits_say(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    hips, side = rng.uniform(0.1, 2.0, 2)
+    region = StageRegion(Interval.of(hips), Interval.of(side), np.full(3, 0.1), np.full(3, 5.0))
+    low = rng.uniform([-0.6, -0.6, -2.0], [0.6, 0.6, 2.0])
+    high = low + rng.uniform(0.0, 0.1, 3)
+    state = low + rng.uniform(size=3) * (high - low)
+    squares, determinant = region.evaluate(
+        *(Interval(np.array(a), np.array(b)) for a, b in zip(low, high, strict=True))
+    )
+    with mpmath.workdps(40):
+        lengths, exact = stage(state, hips, side, mpmath.mpf, mpmath.sqrt)
+        assert mpmath.mpf(float(determinant.low)) <= exact <= mpmath.mpf(float(determinant.high))
+        for square, length in zip(squares, lengths, strict=True):
+            assert mpmath.mpf(float(square.low)) <= length**2 <= mpmath.mpf(float(square.high))
+
+
+def test_stage_coordinates_and_back() -> None:
+    legs = np.random.default_rng(2).uniform(1.1, 1.5, (50, 6))
+    state = spm.forward_physical(PAPER, legs)
+    back = configuration_of_stages(PAPER, stage_states(state))
+    np.testing.assert_allclose(back.leg_lengths, legs, atol=1e-14)
+    np.testing.assert_allclose(back.translation, state.translation, atol=1e-14)
+    pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
+    turned = spm.inverse_displacement(PAPER, pose)["FF+"]
+    assert np.isnan(stage_states(turned)).all()
+
+
+def first_fold(geometry: spm.Geometry, middle: np.ndarray, direction: np.ndarray) -> np.ndarray | None:
+    """Return the lengths from which on a ray from the middle has no physical mode; None if it has one to its end."""
+    ray = middle + np.linspace(0.0, 1.0, 2_001)[:, None] * direction
+    ray = ray[(ray > 0.0).all(axis=1)]
+    missing = ~spm.forward_physical(geometry, ray).exists
+    return ray[np.argmax(missing)] if missing.any() else None
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_limits_with_a_known_singularity_are_never_certified(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    size = rng.uniform(0.2, 1.0)
+    geometry = spm.Geometry(size * rng.uniform(0.6, 1.4), size * rng.uniform(0.6, 1.4), size)
+    middle = np.full(6, size * rng.uniform(1.5, 2.2))
+    fold = None
+    while fold is None:
+        fold = first_fold(geometry, middle, size * rng.normal(size=6) * 1.5)
+    limits = spm.LegLimits(tuple(np.minimum(middle, fold) * 0.999), tuple(np.maximum(middle, fold) * 1.001))
+    found = spm.certify(geometry, limits, boxes=30_000)
+    assert not found.holds
+    assert found.bounds[0] == 0.0 or found.bounds[1] == 0.0
+
+
+def test_a_witness_is_singular_in_fifty_digits_and_within_the_limits() -> None:
+    limits = spm.LegLimits(1.0, 1.6)
+    found = spm.certify(PAPER, limits, boxes=100_000)
+    assert not found.holds
+    assert found.witness is not None
+    assert limits.contains(found.witness.leg_lengths)
+    assert found.witness.closure_residual < 1e-14
+    assert "forward singular" in found.explain()
+    with mpmath.workdps(50):
+        for proof, hips in ((found.lower, PAPER.base_radius), (found.upper, PAPER.platform_radius)):
+            state = proof.singular
+            signs = set()
+            for shift in np.vstack([np.eye(3), -np.eye(3)]) * 1e-12:
+                moved = [mpmath.mpf(float(value)) + float(change) for value, change in zip(state, shift, strict=True)]
+                lengths, determinant = stage_in_digits(moved, hips)
+                signs.add(int(mpmath.sign(determinant)))
+                assert all(1.0 <= length <= 1.6 for length in lengths)
+            assert signs == {-1, 1}, "D changes its sign within 1e-12 of the state"
+
+
+def stage_in_digits(state, hips):  # type: ignore[no-untyped-def]
+    return stage(state, hips, PAPER.middle_side, mpmath.mpf, mpmath.sqrt)
+
+
+def narrowest_singular_half_width(hips: float) -> float:
+    """Return the least half-width around 1.3 m of limits that hold a singular state above the hips, by search."""
+
+    def lengths(v: np.ndarray) -> np.ndarray:
+        return np.array(stage(v[:3], hips, PAPER.middle_side)[0])
+
+    constraints = [
+        {"type": "eq", "fun": lambda v: stage(v[:3], hips, PAPER.middle_side)[1]},
+        {"type": "ineq", "fun": lambda v: v[3] - np.abs(lengths(v) - 1.3)},
+        {"type": "ineq", "fun": lambda v: 0.98 - v[0] ** 2 - v[1] ** 2},
+    ]
+    rng = np.random.default_rng(0)
+    starts = ([*rng.uniform(-0.6, 0.6, 2), rng.uniform(0.6, 1.5), 0.5] for _ in range(60))
+    found = [minimize(lambda v: v[3], start, method="SLSQP", constraints=constraints) for start in starts]
+    return min(solution.fun for solution in found if solution.success)
+
+
+@pytest.mark.slow
+def test_the_widest_certified_limits_end_shortly_before_the_first_singularity() -> None:
+    for hips in (PAPER.base_radius, PAPER.platform_radius):
+        # The other stage is the same, so that this one decides.
+        geometry = spm.Geometry(hips, hips, PAPER.middle_side)
+        found = spm.largest_certified_limits(geometry, 1.3, tolerance=0.005)
+        width = found.limits.maximum[0] - 1.3
+        assert found.holds
+        singular = narrowest_singular_half_width(hips)
+        if hips == PAPER.base_radius:
+            assert 0.9 * singular < width < singular
+        else:
+            # Nearer singular states belong to components that are not joined to the home.
+            assert width > 0.28
+
+
+def test_the_widest_limits_hold() -> None:
+    found = spm.largest_certified_limits(PAPER, 1.3, tolerance=0.2, boxes=60_000)
+    assert found.holds
+    assert found.limits.maximum[0] > 1.45
+    assert found.limits.minimum[0] == pytest.approx(2.6 - found.limits.maximum[0])
+
+
+def test_limits_that_differ_from_leg_to_leg() -> None:
+    limits = spm.LegLimits((1.15, 1.2, 1.3, 1.1, 1.25, 1.4), (1.2, 1.28, 1.4, 1.2, 1.3, 1.45))
+    found = spm.certify(PAPER, limits)
+    assert found.holds
+    middle = spm.forward_physical(PAPER, 0.5 * (np.array(limits.minimum) + np.array(limits.maximum)))
+    assert found.covers(middle)
+    assert not found.covers(spm.forward_physical(PAPER, np.full(6, 1.3)))
+
+
+def test_too_few_boxes_leave_it_undecided() -> None:
+    found = spm.certify(PAPER, LIMITS, boxes=5_000)
+    assert not found.holds
+    assert found.bounds == (0.0, 0.0) or 0.0 in found.bounds
+    assert any(len(boxes) for boxes in found.undecided)
+    assert not found.covers(spm.forward_physical(PAPER, np.full(6, 1.3)))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ((PAPER, spm.LegLimits(1.0, np.inf)), "limits"),
+        ((spm.Geometry(0.6, 0.4, 0.5),), "limits"),
+        (("paper",), "geometry"),
+        ((PAPER, (1.1, 1.5)), "limits"),
+        ((PAPER, spm.LegLimits(1e-3, 2e-3)), "limits"),
+    ],
+)
+def test_arguments_that_cannot_be(arguments: tuple[object, ...], named: str) -> None:
+    with pytest.raises(spm.ArgumentError) as caught:
+        spm.certify(*arguments)  # type: ignore[arg-type]
+    assert caught.value.argument == named
+
+
+@pytest.mark.parametrize(
+    ("keywords", "named"),
+    [({"centre": -1.0}, "centre"), ({"centre": 1.3, "tolerance": 2.0}, "tolerance"), ({"centre": [1, 2]}, "centre")],
+)
+def test_arguments_of_the_widest_limits(keywords: dict[str, object], named: str) -> None:
+    with pytest.raises(spm.ArgumentError) as caught:
+        spm.largest_certified_limits(PAPER, **keywords)  # type: ignore[arg-type]
+    assert caught.value.argument == named
