@@ -25,14 +25,14 @@ _TORSION = 1e-9
 
 
 def stage_states(configuration: Configuration) -> FloatArray:
-    """Return (x, y, Z [m]) of the lower and of the upper stage, shape (..., 2, 3); NaN where there is none or in mode F."""
+    """Return (x, y, Z [m]) of the lower and upper stage, shape (..., 2, 3); NaN where there is none or in mode F."""
     middle = configuration.middle_pose.as_matrix()
     turned, centre = middle[..., :3, :3], middle[..., :3, 3]
     to_platform = np.swapaxes(configuration.rotation, -1, -2)
     offset = (to_platform @ (centre - configuration.translation)[..., None])[..., 0]
     states = []
     for sign, matrix, position in zip(_MIRROR, (turned, to_platform @ turned), (centre, offset), strict=True):
-        there = np.isfinite(matrix).all(axis=(-2, -1))
+        there = np.asarray(np.isfinite(matrix).all(axis=(-2, -1)))
         quaternion = Rotation.from_matrix(np.where(there[..., None, None], matrix, np.eye(3))).as_quat()
         x, y, x3, x0 = np.moveaxis(np.where(quaternion[..., 3:] < 0.0, -quaternion, quaternion), -1, 0)
         straight = there & (np.abs(x3) <= _TORSION) & (x0 > _TORSION)

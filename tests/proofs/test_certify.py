@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import mpmath
 import numpy as np
 import pytest
@@ -27,7 +29,7 @@ def certificate() -> spm.Certificate:
 
 def stage(state, hips, side, number=float, root=np.sqrt):  # type: ignore[no-untyped-def]
     """Return the leg lengths and D of a stage, from its corners in space and written anew, in any arithmetic."""
-    x, y, height = (number(float(value)) if not isinstance(value, arb) else value for value in state)
+    x, y, height = (number(float(value)) if isinstance(value, np.floating) else value for value in state)
     side, hips = number(side), number(hips)
     half_root, half = root(number(3)) / 2, number(1) / 2
     radius = side / root(number(3))
@@ -118,6 +120,21 @@ def test_boxes_contain_what_forty_digits_say(seed: int) -> None:
             assert mpmath.mpf(float(square.low)) <= length**2 <= mpmath.mpf(float(square.high))
 
 
+def test_the_determinant_is_the_jacobian_of_the_lengths() -> None:
+    with mpmath.workdps(40):
+        for state in np.random.default_rng(3).uniform([-0.6, -0.6, -2.0], [0.6, 0.6, 2.0], (10, 3)):
+
+            def half_square(k, *at):  # type: ignore[no-untyped-def]
+                return stage_of_digits(at)[0][k] ** 2 / 2
+
+            x, y, height = (mpmath.mpf(float(value)) for value in state)
+            orders = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+            rows = [[mpmath.diff(partial(half_square, k), (x, y, height), n) for n in orders] for k in range(3)]
+            determinant = stage_of_digits((x, y, height))[1]
+            expected = determinant * 8 / (3 * mpmath.mpf(PAPER.middle_side) * (1 - x * x - y * y))
+            assert abs(mpmath.det(mpmath.matrix(rows)) / expected - 1) < mpmath.mpf("1e-15")
+
+
 def test_stage_coordinates_and_back() -> None:
     legs = np.random.default_rng(2).uniform(1.1, 1.5, (50, 6))
     state = spm.forward_physical(PAPER, legs)
@@ -174,6 +191,9 @@ def test_a_witness_is_singular_in_fifty_digits_and_within_the_limits() -> None:
 
 def stage_in_digits(state, hips):  # type: ignore[no-untyped-def]
     return stage(state, hips, PAPER.middle_side, mpmath.mpf, mpmath.sqrt)
+
+
+stage_of_digits = partial(stage_in_digits, hips=PAPER.base_radius)
 
 
 def narrowest_singular_half_width(hips: float) -> float:
