@@ -26,7 +26,7 @@ from spm_pin.multibody.constrained_model import ConstrainedModel, SingularValues
 from spm_pin.multibody.continuation_solver import ContinuationSolver
 from spm_pin.multibody.dynamics import Energy, PlatformDynamics, require_closed
 from spm_pin.multibody.joint_layout import JointLayout
-from spm_pin.multibody.loading import read_urdf
+from spm_pin.multibody.loading import read_chain_urdf
 from spm_pin.multibody.mounting import MountedChain, joined, wrapped
 from spm_pin.multibody.platform_path import PlatformMotion
 from spm_pin.multibody.projection import project_to_closure
@@ -93,7 +93,7 @@ class ClosedChain:
         if geometry is not None:
             instance(geometry, Geometry, "geometry")
         if path is not None:
-            return cls(*read_urdf(Path(path), geometry, prefix), prefix=prefix)
+            return cls(*read_chain_urdf(Path(path), geometry, prefix), prefix=prefix)
         paper = Geometry.paper()
         geometry = geometry or paper
         shipped = geometry == paper and prefix == ""

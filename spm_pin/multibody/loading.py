@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from spm_pin.description.expand import expand
+from spm_pin.description.read_urdf import check_inertials
 from spm_pin.description.tree import JOINTS, SLIDES
 from spm_pin.errors import DescriptionError, GeometryError
 from spm_pin.mechanism.arguments import FloatArray
@@ -18,7 +19,7 @@ from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.mechanism.joint_angles import home_lengths
 from spm_pin.multibody.joint_layout import AGREEMENT, DIMENSIONS
 
-__all__ = ["read_urdf"]
+__all__ = ["read_chain_urdf"]
 
 PLATFORMS = ("base", "middle_platform", "terminal_platform")
 ENDS = tuple(end + i for i in "123" for end in ("base_a", "middle_b", "terminal_c")) + tuple(
@@ -27,7 +28,7 @@ ENDS = tuple(end + i for i in "123" for end in ("base_a", "middle_b", "terminal_
 """The links that legs end at."""
 
 
-def read_urdf(path: Path, geometry: Geometry | None, prefix: str) -> tuple[str, Geometry]:
+def read_chain_urdf(path: Path, geometry: Geometry | None, prefix: str) -> tuple[str, Geometry]:
     """Return the text of a URDF file and its dimensions.
 
     Parameters
@@ -44,7 +45,7 @@ def read_urdf(path: Path, geometry: Geometry | None, prefix: str) -> tuple[str, 
     ------
     DescriptionError
         If the file cannot be read, or is not the tree of the description for these dimensions: same joints, frames
-        of the same names at the same places. Inertias, shapes and limits may differ.
+        of the same names at the same places. Inertias, shapes and limits may differ, but inertias must be possible.
     GeometryError
         If its dimensions are not those of `geometry`.
     """
@@ -57,6 +58,7 @@ def read_urdf(path: Path, geometry: Geometry | None, prefix: str) -> tuple[str, 
     except (ValueError, RuntimeError) as error:
         cause = "Not expanded yet? xacro writes the URDF" if path.suffix == ".xacro" else ""
         raise DescriptionError(str(path), "a URDF", str(error), cause) from error
+    check_inertials(text, str(path))
     names = set(model.names) - {"universe"}
     expected = {prefix + joint for joint in JOINTS}
     if names != expected or model.nq != len(JOINTS):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -120,6 +121,26 @@ def test_other_trees_are_refused(old: str, new: str, message: str, tmp_path: Pat
     path = tmp_path / "robot.urdf"
     path.write_text(text.replace(old, new), encoding="utf-8")
     with pytest.raises(DescriptionError, match=message):
+        ClosedChain.from_urdf(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (r'<mass value="[^"]*"', '<mass value="-5"', "a mass from 0 to 1e[+]12 kg, got -5"),
+        (r'<mass value="[^"]*"', '<mass value="1e300"', "a mass from 0 to 1e[+]12 kg, got 1e300"),
+        (r'<mass value="[^"]*"', '<mass value="nan"', "a finite number as value of <mass>, got 'nan'"),
+        (r'<mass value="[^"]*"', '<mass value="inf"', "a finite number as value of <mass>, got 'inf'"),
+        ('ixx="', 'ixx="-', "moments of inertia of which none is negative"),
+        ('<joint name="base_a1_mount"', '<joint name="base"', "a name that no link has, got 'base'"),
+    ],
+)
+def test_impossible_inertias_and_names(old: str, new: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    text, count = re.subn(old, new, SHIPPED.read_text(encoding="utf-8"), count=1)
+    assert count == 1
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(DescriptionError, match=rf"robot\.urdf:\d+: expected {message}"):
         ClosedChain.from_urdf(path)
 
 
