@@ -182,15 +182,11 @@ class TreeKinematics:
 
     def widest_gap(self) -> float:
         """Return the largest distance of two frames that a closure holds together [m]."""
-        return math.sqrt((self.gap**2).sum(axis=-1).max())
+        return math.sqrt(max(x * x + y * y + z * z for x, y, z in self.gap.tolist()))
 
     def speed(self, v: FloatArray) -> float:
         """Return the largest rate of a gap if all that joint velocities contribute to it had one sign [m/s]."""
-        return float((self._closures_size @ np.abs(v)).max())
-
-    @cached_property
-    def _closures_size(self) -> FloatArray:
-        return np.abs(self.closures)
+        return float((np.abs(self.closures) @ np.abs(v)).max())
 
     @cached_property
     def chain_closures(self) -> FloatArray:

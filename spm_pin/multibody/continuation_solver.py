@@ -28,7 +28,7 @@ CORRECTION = 0.25
 """Largest sum of corrections, as a share of the step they correct."""
 DETERMINANT_CHANGE = 2.0
 """Largest ratio of the determinants of the equations at both ends of a step, either way; the sign must be the same."""
-SHORTEST_SHARE = 2.0**-16
+SHORTEST_SHARE = 2.0**-22
 """Share of the path below which the search gives up."""
 MOST_CORRECTIONS = 8
 

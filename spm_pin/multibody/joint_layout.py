@@ -98,7 +98,7 @@ class JointLayout:
         read = one_vector if single or is_vector(q, len(JOINTS)) else real_array
         array = read(q, argument, (len(JOINTS),), "joint values in rad and m in Pinocchio's order")
         lengths = self.leg_lengths(array)
-        if (lengths < 0.0).any():
+        if (min(lengths.tolist()) if lengths.ndim == 1 else lengths.min(initial=0.0)) < 0.0:
             worst = np.unravel_index(int(lengths.argmin()), lengths.shape)
             cause = "The value of a slide is the leg's length minus its length at home"
             received = f"{lengths[worst]:g} m in {LEGS[worst[-1]]}"
@@ -138,8 +138,7 @@ class JointLayout:
 def is_vector(value: Any, size: int) -> bool:
     """Return whether a value is a NumPy array (size,) of finite float64: a quick test for calls made often."""
     plain = type(value) is np.ndarray and value.shape == (size,) and value.dtype == np.float64
-    # Large numbers overflow here and take the longer way.
-    return plain and math.isfinite(value.dot(value))
+    return plain and all(map(math.isfinite, value.tolist()))
 
 
 def one_vector(value: npt.ArrayLike, argument: str, trailing: tuple[int], meaning: str) -> FloatArray:

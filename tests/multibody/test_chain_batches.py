@@ -48,6 +48,39 @@ def test_members(method: str, shape: tuple[int, ...]) -> None:
         assert np.array_equal(together[index], METHODS[method](robot, q[index], v[index], w[index]))
 
 
+def test_a_state_answers_as_the_chain_does() -> None:
+    robot, rng = chain(), np.random.default_rng(305)
+    one = robot.state(np.zeros(18))
+    for _, q in placed("paper", 2, seed=306):
+        w = rng.normal(size=6)
+        v = robot.joint_velocities(q, 0.1 * w)
+        one.update(q, v)
+        assert np.array_equal(one.joint_velocities(0.1 * w), v)
+        a = one.joint_accelerations(w)
+        pairs = [
+            (a, robot.joint_accelerations(q, v, w)),
+            (one.inverse_dynamics(a, {"leg_c2_rod": w}), robot.inverse_dynamics(q, v, a, {"leg_c2_rod": w})),
+            (one.forward_dynamics(w, w), robot.forward_dynamics(q, v, w, w)),
+            (one.forward_dynamics(w, gains=(4.0, 4.0)), robot.forward_dynamics(q, v, w, gains=(4.0, 4.0))),
+            (one.platform_dynamics().bias, robot.platform_dynamics(q, v).bias),
+            (one.inverse_jacobian(), robot.inverse_jacobian(q)),
+            (one.joint_rates(w), robot.joint_rates(q, w)),
+            (one.leg_forces(w), robot.leg_forces(q, w)),
+            (one.cut_forces(w), robot.cut_forces(q, w)),
+            (one.leg_lengths(), robot.leg_lengths(q)),
+            (one.closure_gap(), robot.closure_gap(q)),
+            (one.v, v),
+        ]
+        for found, expected in pairs:
+            assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max() + 1e-15
+        assert one.energy() == robot.energy(q, v)
+        assert one.singular_values() == robot.singular_values(q)
+    with pytest.raises(ArgumentError, match=r"^q: expected shape \(18,\)"):
+        one.update([q, q])
+    with pytest.raises(ArgumentError, match=r"^wrench: expected"):
+        one.leg_forces(np.zeros((2, 6)))
+
+
 def test_axes_broadcast() -> None:
     robot, rng = chain(), np.random.default_rng(302)
     q = np.array([state[1] for state in placed("paper", 2, seed=303)[:3]])

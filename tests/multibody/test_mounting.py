@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from functools import cache
 from typing import Any
 
@@ -135,6 +137,23 @@ def test_batches_joining_and_wrapping() -> None:
     assert small().carrying(arm("ur5").model).robot_wrapper().visual_model is None
     assert "ur5, 24 degrees of freedom" in repr(both)
     assert sorted([*both.chain_indices, *both.other_indices]) == list(range(24))
+
+
+def test_pickles_and_states() -> None:
+    both, rng = mounted("ur5", "carried"), np.random.default_rng(506)
+    q, v = state(both, "ur5", seed=507)
+    forces = rng.normal(size=12)
+    a = both.forward_dynamics(q, v, forces)
+    for other in (pickle.loads(pickle.dumps(both)), copy.deepcopy(both)):
+        assert np.array_equal(other.forward_dynamics(q, v, forces), a)
+        assert other.robot_wrapper().visual_model.ngeoms == both.robot_wrapper().visual_model.ngeoms
+    here = both.state(q, v)
+    assert np.array_equal(here.forward_dynamics(forces), a)
+    assert np.array_equal(here.inverse_dynamics(a), both.inverse_dynamics(q, v, a))
+    assert here.energy() == both.energy(q, v)
+    assert np.array_equal(here.constraint_jacobian(), both.constraint_jacobian(q))
+    with pytest.raises(ArgumentError, match="legs of no negative length"):
+        both.closure_gap(both.join(np.zeros(6), np.full(18, -1.0)))
 
 
 def test_what_cannot_be_mounted() -> None:

@@ -302,6 +302,25 @@ def test_forces_without_bound_stall_and_say_so() -> None:
     assert run.times[-1] < 0.1
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("begin", [0.0, 1.0])
+@pytest.mark.parametrize("size", [1e30, 1e99, 1e200, 1e308])
+def test_forces_beyond_all_measure_end_a_run(size: float, begin: float) -> None:
+    run = chain().simulate(reference(), np.zeros(18), np.full(6, size), [begin, begin + 0.1])
+    assert run.end in (SimulationEnd.STALLED, SimulationEnd.CONSTRAINT_SINGULARITY)
+    assert run.detail or run.end is SimulationEnd.CONSTRAINT_SINGULARITY
+    assert np.isfinite(run.q).all()
+
+
+def test_forces_that_grow_beyond_all_measure_end_a_run_there() -> None:
+    def law(t: float, q: Array, v: Array) -> Array:
+        return np.full(6, 1e308 if t > 0.05 else 0.0)
+
+    run = chain().simulate(reference(), np.zeros(18), law, np.linspace(0.0, 0.1, 11))
+    assert (run.end, run.detail) == (SimulationEnd.STALLED, "forces or accelerations beyond all measure")
+    assert run.times[-1] <= 0.05
+
+
 BAD: dict[str, tuple[Callable[[Array], dict[str, Any]], str]] = {
     "open q": (lambda q: {"q0": q + 1e-3}, "closures are still"),
     "batch of q": (lambda q: {"q0": [q, q]}, "^q0: expected shape"),
@@ -315,6 +334,8 @@ BAD: dict[str, tuple[Callable[[Array], dict[str, Any]], str]] = {
     "one number": (lambda q: {"times": 1.0}, "^times: "),
     "tolerance": (lambda q: {"tolerance": 1e-16}, "^tolerance: "),
     "step": (lambda q: {"max_step": 0.0}, "^max_step: "),
+    "least step": (lambda q: {"max_step": 1e-300}, "^max_step: expected a time .* not less than 1e-7 of the run"),
+    "least period": (lambda q: {"period": 1e-300}, "^period: expected a time .* not less than 1e-7 of the run"),
     "period": (lambda q: {"period": -1.0}, "^period: "),
     "stop": (lambda q: {"stop_at": ["limit"]}, "^stop_at: "),
     "word": (lambda q: {"stop_at": "limits"}, "^stop_at: "),
