@@ -2,9 +2,9 @@
 
 Both are eighteen equations for eighteen joints. The first Newton step from a point of the path is the path's tangent;
 where the corrections after it are no small part of it, the step is shortened. So it is, too, where the determinant of
-the equations changes its sign or too much over the step. The determinant is zero at a fold, where a path ends, and its
-sign is another on the other side: steps become shorter in proportion to what is left, and none passes the fold or leads
-to another assembly mode or branch.
+the equations changes its sign or too much over the step or half of it. The determinant is zero at a fold, where a path
+ends, and its sign is another on the other side: steps become shorter in proportion to what is left, and none passes
+the fold or leads to another assembly mode or branch.
 """
 
 from __future__ import annotations
@@ -110,14 +110,17 @@ class ContinuationSolver:
         """Return q at a share of the path, None if it is too far for one step, and the share of the change allowed."""
         layout = self.layout
         tolerance = 4.0 * rounding(q, layout) / layout.side
-        allowed, begin = np.inf, 0.0
+        allowed, begin, start = np.inf, 0.0, q
         for iteration in range(MOST_CORRECTIONS + 1):
             move, error = step(q, share)
             if error <= tolerance:
                 if iteration == 0:
                     return q, 0.0
-                ratio = determinant() / begin
-                change = abs(math.log(ratio)) / math.log(DETERMINANT_CHANGE) if ratio > 0.0 else math.inf
+                ends = [determinant()]
+                # Two factors that change their sign together, as at a constraint singularity, show in the middle.
+                self.kinematics.evaluate(0.5 * (start + q))
+                ends.append(determinant())
+                change = max(_change(value / begin) for value in ends)
                 return (q if change <= 1.0 else None), change
             size = float(np.abs(move / layout.units).max())
             if iteration == 0:
@@ -132,3 +135,8 @@ class ContinuationSolver:
             if allowed < 0.0 or (layout.leg_lengths(q) < 0.0).any():
                 break
         return None, math.inf
+
+
+def _change(ratio: float) -> float:
+    """Return the ratio of two determinants as a share of the change allowed."""
+    return abs(math.log(ratio)) / math.log(DETERMINANT_CHANGE) if ratio > 0.0 else math.inf
