@@ -2,7 +2,8 @@
 
 Three runs, each in a store of its own: some tenth of the points, all of them, and all in chunks four times as large.
 If memory is bounded by the chunk, the first two peaks are the same and the third is higher by what the larger results
-weigh. A fourth run looks at the complete store again: every chunk is verified and none computed.
+weigh. A fourth run looks at the complete store again: every chunk is verified and none computed. Before them, the time
+that one core needs to evaluate points, by the processor's clock, so that other processes do not count.
 
 `python benchmarks/sweep.py` takes some minutes on two cores; `--points 1000000` a tenth of that.
 """
@@ -21,6 +22,8 @@ import psutil
 
 import spm_pin as spm
 from spm_pin.sweeps.domains import Domain
+from spm_pin.sweeps.metrics import resolve_metrics
+from spm_pin.sweeps.plan import Plan
 from spm_pin.sweeps.runner import CHUNK
 
 GEOMETRY = spm.Geometry.paper()
@@ -89,6 +92,19 @@ def run(name: str, points: int, workers: int, chunk: int, store: Path) -> str:
     return f"| {name} | {domain.size} | {chunk} | {seconds:.1f} | {rate:.0f} | {peaks} | {size / MIB:.1f} |"
 
 
+def per_core(points: int) -> tuple[float, float]:
+    """Return points per second of processor time: of a lattice of poses, and of leg lengths within the limits."""
+    rates = []
+    for domain in (lattice(points), spm.sweeps.leg_sample(points // 4, (1.1, 1.5), (1.1, 1.5))):
+        plan = Plan.make(GEOMETRY, domain, resolve_metrics(METRICS), CHUNK)
+        index = next(iter(plan))
+        begin = time.process_time()
+        with spm.threads(1):
+            plan.evaluate(index)
+        rates.append(plan.points_of(index) / (time.process_time() - begin))
+    return rates[0], rates[1]
+
+
 def main() -> None:
     """Print the table, and write it if asked to."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -115,6 +131,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(dir=asked.folder) as folder:
         # Kernels are compiled once per machine, which is not what is measured.
         spm.sweeps.run(GEOMETRY, lattice(2000), METRICS, Path(folder, "first"), workers=1)
+        poses, legs = per_core(asked.points // 10)
         rows = (
             ("fewer points", asked.points // 10, CHUNK, "tenth"),
             ("all", asked.points, CHUNK, "all"),
@@ -124,6 +141,9 @@ def main() -> None:
         for name, points, chunk, store in rows:
             lines.append(run(name, points, asked.workers, chunk, Path(folder, store)))
             print(lines[-1], flush=True)
+    rates = f"One core evaluates {poses:.0f} poses, or {legs:.0f} sets of leg lengths, per second of processor time."
+    lines += ["", rates]
+    print(f"\n{rates}")
     if asked.write is not None:
         asked.write.write_text("\n".join(lines) + "\n", encoding="utf-8")
 

@@ -32,6 +32,7 @@ from spm_pin.sweeps.store import (
     completed_count,
     domain_and_definition,
     plan_of_store,
+    require_file,
     store_path,
 )
 from spm_pin.sweeps.workers import WorkersLostError, check_workers, complete_chunks
@@ -54,7 +55,7 @@ __all__ = [
 ]
 
 CHUNK = 2**18
-"""Points in a chunk by default: about a third of a second's work, and two megabytes per metric."""
+"""Points in a chunk by default: a fraction of a second's work, and two megabytes per metric."""
 
 Progress = Callable[[int, int], None]
 
@@ -339,6 +340,8 @@ def locked(path: Path) -> Iterator[None]:
     file = path / LOCK
     lock = FileLock(file, fallback_to_soft=False)
     with as_store_error(path):
+        if file.exists():
+            require_file(file)
         try:
             lock.acquire(blocking=False)
         except Timeout:

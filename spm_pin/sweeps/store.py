@@ -42,6 +42,7 @@ __all__ = [
     "completed_count",
     "domain_and_definition",
     "plan_of_store",
+    "require_file",
     "store_path",
 ]
 
@@ -151,7 +152,7 @@ class Store:
         with as_store_error(self.path):
             try:
                 for name in (_RECORDS, *self._names):
-                    _require_file(self._file(name, index))
+                    require_file(self._file(name, index))
                 return bool(self._records[index] == self._checksum(index))
             except (FileNotFoundError, ValueError, RuntimeError):
                 return False
@@ -376,14 +377,14 @@ def _create(path: Path, plan: Plan) -> None:
         zarr.consolidate_metadata(path)
 
 
-def _require_file(path: Path) -> None:
+def require_file(path: Path) -> None:
     """Raise `OSError` if a path is missing, or no regular file: to open a pipe may take for ever."""
     if not stat.S_ISREG(path.stat().st_mode):
         raise OSError(errno.EINVAL, "not a regular file", str(path))
 
 
 def _read(path: Path) -> bytes:
-    _require_file(path)
+    require_file(path)
     return path.read_bytes()
 
 

@@ -225,14 +225,14 @@ def test_the_page_names_every_metric() -> None:
     assert [name for name in METRICS if f"`{name}`" not in page] == []
 
 
-# A metric of one's own
+# Metrics made by users
 
 
 def r_b1(points: Points) -> np.ndarray:
     return points.machine.leg_lengths[:, 0]
 
 
-def test_a_metric_of_ones_own() -> None:
+def test_a_metric_made_by_hand() -> None:
     mine = Metric("r_b1", "m", "length of leg r_b1", r_b1)
     points = Points(GEOMETRY, "legs", legs(4))
     np.testing.assert_allclose(mine.evaluate(points), points.coordinates[:, 0], rtol=1e-12)

@@ -483,7 +483,10 @@ def test_damaged_metadata_are_a_store_error(text: str, store: Path) -> None:
             act(store)
 
 
-@pytest.mark.parametrize("name", ["zarr.json", "status/zarr.json", "status/c.3.0.0.0", "sweep/crc32c/c.3.0.0.0"])
+PIPES = ("zarr.json", "status/zarr.json", "status/c.3.0.0.0", "sweep/crc32c/c.3.0.0.0", "sweep/lock")
+
+
+@pytest.mark.parametrize("name", PIPES)
 def test_a_pipe_in_place_of_a_file_is_refused_and_left_alone(name: str, store: Path) -> None:
     (store / name).unlink()
     os.mkfifo(store / name)
