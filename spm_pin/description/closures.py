@@ -1,4 +1,4 @@
-"""The closures: where the spanning tree is cut, and the file that says so."""
+"""Closures: the pairs of frames at which the loops of the spanning tree are cut, and the YAML file of them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ KINDS = {"point": "3d", "weld": "6d"}
 
 @dataclass(frozen=True)
 class Closure:
-    """Two frames that a loop of the mechanism holds together.
+    """Two frames that the mechanism holds together, at which a loop is cut.
 
     Parameters
     ----------
@@ -97,8 +97,8 @@ def read_closures(path: str | Path | None = None, *, prefix: str = "") -> tuple[
 
 
 def _closure(node: yaml.Node, path: Path) -> Closure:
-    given = yaml_nodes.mapping(node, {field.name for field in fields(Closure)}, path)
-    values = {key: yaml_nodes.name(value, key, path) for key, value in given.items()}
+    found = yaml_nodes.mapping(node, {field.name for field in fields(Closure)}, path)
+    values = {key: yaml_nodes.name(value, key, path) for key, value in found.items()}
     try:
         return Closure(**values)
     except DescriptionError as error:

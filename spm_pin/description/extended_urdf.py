@@ -93,13 +93,13 @@ def read_extended_urdf(path: str | Path) -> ExtendedUrdf:
         if motor in motors:
             raise DescriptionError(yaml_nodes.place(path, node), "each motor once", f"{motor} again")
         motors.append(motor)
-    for node, given in zip(lists["joint_name"], lists["joint_type"], strict=True):
-        joint, kind = yaml_nodes.name(node, "joint_name", path), yaml_nodes.name(given, "joint_type", path)
+    for node, type_node in zip(lists["joint_name"], lists["joint_type"], strict=True):
+        joint, kind = yaml_nodes.name(node, "joint_name", path), yaml_nodes.name(type_node, "joint_type", path)
         if joint in types:
             raise DescriptionError(yaml_nodes.place(path, node), "each joint once", f"{joint} again")
         if not JOINT_TYPES.fullmatch(kind):
             expected = "SPHERICAL, FIXED or UJOINT_ with two axes"
-            raise DescriptionError(yaml_nodes.place(path, given), expected, repr(kind))
+            raise DescriptionError(yaml_nodes.place(path, type_node), expected, repr(kind))
         types[joint] = kind
     return ExtendedUrdf(tuple(closures), tuple(motors), types)
 

@@ -1,4 +1,4 @@
-"""Robots as a `RobotDescription`: the manipulator of any geometry, or one of your own from a URDF and its closures."""
+"""Robots as a `RobotDescription`: the manipulator of any geometry, or another one from a URDF and its closures."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def read_robot(
     *,
     packages: Mapping[str, str | Path] | None = None,
 ) -> RobotDescription:
-    """Read a robot of your own.
+    """Read a robot from a URDF and, if given, a file of its closures.
 
     Parameters
     ----------
@@ -91,9 +91,9 @@ def _driven(robot: RobotDescription, extended: ExtendedUrdf, source: str) -> Rob
         received = ", ".join(f"{joint} as {kind}" for joint, kind in extended.joint_types.items())
         cause = "Write such joints into the URDF, one degree of freedom each"
         raise DescriptionError(source, "joints that keep the type they have in the URDF", received, cause)
-    given = {transmission.joint: transmission for transmission in robot.transmissions}
-    if given and given.keys() != set(extended.motors):
-        other = ", ".join(sorted(given.keys() ^ set(extended.motors)))
+    existing = {transmission.joint: transmission for transmission in robot.transmissions}
+    if existing and existing.keys() != set(extended.motors):
+        other = ", ".join(sorted(existing.keys() ^ set(extended.motors)))
         raise DescriptionError(source, "the motors that the URDF's transmissions drive", f"a difference in {other}")
-    made = {name: Transmission(f"{name}_transmission", name, f"{name}_motor") for name in extended.motors}
-    return replace(robot, transmissions=tuple((given or made)[name] for name in extended.motors))
+    new = {name: Transmission(f"{name}_transmission", name, f"{name}_motor") for name in extended.motors}
+    return replace(robot, transmissions=tuple((existing or new)[name] for name in extended.motors))

@@ -1,4 +1,4 @@
-"""Reading a URDF into a `RobotDescription`: all of it, or an error that names the line."""
+"""Reading a URDF into a `RobotDescription`; content that would be lost is an error that names the line."""
 
 from __future__ import annotations
 
@@ -63,8 +63,8 @@ def read_urdf(
 
     Notes
     -----
-    Passed over are the `<mujoco>` element, which tells MuJoCo how to read the file, and the colour of what collides,
-    which nobody sees. `<joint_properties>`, as onshape-to-robot writes it, is read as `<dynamics>`.
+    Passed over are the `<mujoco>` element, which tells MuJoCo how to read the file, and the colours of collision
+    shapes. `<joint_properties>`, as onshape-to-robot writes it, is read as `<dynamics>`.
     """
     path = Path(path)
     try:

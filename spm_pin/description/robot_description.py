@@ -1,4 +1,4 @@
-"""A robot in memory: links, joints, closures, transmissions. What every reader makes and every writer writes."""
+"""Data of a robot: links, joints, closures, transmissions; readers return it and writers take it."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class Material:
 
 @dataclass(frozen=True)
 class Mesh:
-    """A mesh as the source names it, and the file that this is."""
+    """A mesh file: the URI in the source, and the path."""
 
     uri: str = field(compare=False)
     path: Path
@@ -97,7 +97,7 @@ class Mesh:
 
 @dataclass(frozen=True)
 class Shape:
-    """A solid that is seen or collided.
+    """A visual or a collision shape.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The SRDF: groups, named states, passive joints, and the links whose contact means nothing."""
+"""The SRDF: groups, named states, passive joints, and pairs of links that touch by design."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ PASSIVE = tuple(name for name in JOINTS if name not in SLIDES)
 
 
 def touching_links() -> tuple[tuple[str, str], ...]:
-    """Return the pairs of links that touch by design, and whose contact says nothing: those around one joint."""
+    """Return the pairs of links that touch by design: those around one joint."""
     groups: list[tuple[str, ...]] = []
     for i in "123":
         for platform, corner, leg in (("base", f"base_a{i}", "b"), ("terminal_platform", f"terminal_c{i}", "c")):

@@ -33,10 +33,10 @@ def mjcf_text(robot: RobotDescription, *, anchors: str = "bodies", folder: Path 
     robot : RobotDescription
         Its base is welded to the world. Each state becomes a keyframe, after `home`, all joints at zero.
     anchors : str
-        How a point closure is told. "bodies": by a body and a point in it, which MuJoCo, Drake and Pinocchio take
+        How a point closure is written. "bodies": by a body and a point in it, which MuJoCo, Drake and Pinocchio take
         alike; the other body's point follows from the pose at zero, so that the robot must stand assembled there.
-        "sites": by two sites, which MuJoCo takes, and Pinocchio where neither is fixed to the base. A weld is told by
-        bodies and their relative pose, which MuJoCo and Pinocchio take.
+        "sites": by two sites, which MuJoCo takes, and Pinocchio where neither is fixed to the base. A weld is written
+        with bodies and their relative pose, which MuJoCo and Pinocchio take.
     folder : Path, optional
         Where the file will lie, if it is to name its meshes relative to that; by default their paths are absolute.
 
@@ -227,7 +227,7 @@ def _inertial(inertial: Inertial) -> Element:
 
 
 def _free(name: str, taken: set[str]) -> str:
-    """Return a name that is not taken, and take it."""
+    """Return a name that is not in `taken`, made unique by a number if need be, and add it there."""
     name = re.sub(r"\s", "_", name)
     candidates = itertools.chain([name], (f"{name}_{i}" for i in itertools.count(2)))
     found = next(candidate for candidate in candidates if candidate not in taken)

@@ -126,12 +126,12 @@ def _joint(joint: Joint) -> Element:
         return element
     SubElement(element, "axis", xyz=numbers(joint.axis))
     limit = joint.limit
-    given = {"effort": limit.effort, "velocity": limit.velocity}
+    values = {"effort": limit.effort, "velocity": limit.velocity}
     if joint.kind != "continuous":
-        given = {"lower": limit.lower, "upper": limit.upper} | given
-    finite = [math.isfinite(value) for value in given.values()]
+        values = {"lower": limit.lower, "upper": limit.upper} | values
+    finite = [math.isfinite(value) for value in values.values()]
     if all(finite):
-        SubElement(element, "limit", {key: numbers([value]) for key, value in given.items()})
+        SubElement(element, "limit", {key: numbers([value]) for key, value in values.items()})
     elif any(finite) or joint.kind != "continuous":
         raise DescriptionError("robot", "finite limits, which a URDF cannot do without", f"{limit} of {joint.name}")
     if joint.damping or joint.friction:

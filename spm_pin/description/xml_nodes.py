@@ -1,4 +1,4 @@
-"""XML with the line of every element, and numbers that survive the text."""
+"""XML with the line of every element, and numbers written without loss."""
 
 from __future__ import annotations
 

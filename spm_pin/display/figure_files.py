@@ -1,4 +1,4 @@
-"""Figures as files that come out the same whenever the same call writes them."""
+"""Figures written to files, the same bytes for the same call."""
 
 from __future__ import annotations
 

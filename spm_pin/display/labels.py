@@ -18,13 +18,13 @@ from spm_pin.mechanism.geometry import LEGS
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["Lettering", "label"]
+__all__ = ["LabelPlacer", "label"]
 
 _INK = (0.13, 0.15, 0.18)
 
 
 @dataclass
-class Lettering:
+class LabelPlacer:
     """Places labels where they are clear of edges, dark colours and one another, as far as there is room."""
 
     ax: Axes
@@ -60,9 +60,9 @@ class Lettering:
         return 2.0 * mean + 10.0 * math.sqrt(max(square - mean**2, 0.0)) + clash
 
 
-def label(configuration: Configuration, lettering: Lettering, camera: FloatArray, size: float) -> None:
+def label(configuration: Configuration, placer: LabelPlacer, camera: FloatArray, size: float) -> None:
     """Name the frames' axes, the joints and the legs."""
-    flat, h = camera[:2].T, lettering.height
+    flat, h = camera[:2].T, placer.height
     angles = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
     around = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     rotation, origin = configuration.rotation, configuration.translation
@@ -72,9 +72,9 @@ def label(configuration: Configuration, lettering: Lettering, camera: FloatArray
         for letter, tip, name in zip(letters, tips, "xyz", strict=True):
             out = tip - start
             place = tip + 0.75 * h * out / max(float(np.linalg.norm(out)), 1e-9)
-            lettering.put(f"${letter}$", AXIS_COLOURS[name], place[None], np.zeros(1), 1.0)
+            placer.put(f"${letter}$", AXIS_COLOURS[name], place[None], np.zeros(1), 1.0)
         arrows = (tips - start) / np.linalg.norm(tips - start, axis=-1, keepdims=True).clip(1e-9)
-        lettering.put(rf"$\{{{frame}\}}$", _INK, start + 1.3 * h * around, (around @ arrows.T).max(axis=-1), 2.0)
+        placer.put(rf"$\{{{frame}\}}$", _INK, start + 1.3 * h * around, (around @ arrows.T).max(axis=-1), 2.0)
 
     joints = np.stack([configuration.geometry.base_joints, configuration.middle_joints, configuration.platform_joints])
     flattened = joints @ flat
@@ -88,7 +88,7 @@ def label(configuration: Configuration, lettering: Lettering, camera: FloatArray
             # Nearer to another joint, it would seem to name that.
             distances = np.linalg.norm(places[:, None] - flattened.reshape(-1, 2), axis=-1)
             dislike += distances.min(axis=-1) < np.linalg.norm(places - point, axis=-1) - 1e-9
-            lettering.put(f"${letter}_{i + 1}$", _INK, places, dislike)
+            placer.put(f"${letter}_{i + 1}$", _INK, places, dislike)
 
     colours = {part.body: part.colour for part in visual_parts(configuration.geometry) if part.mesh == "tube"}
     along = np.linspace(0.2, 0.8, 25)
@@ -101,4 +101,4 @@ def label(configuration: Configuration, lettering: Lettering, camera: FloatArray
         dislike = np.add.outer(np.abs(along - 0.45), 0.6 * np.abs(sides) + 0.3 * (sides * outward < 0.0)).ravel()
         red, green, blue = colours[f"leg_{leg[2:]}_cylinder"]
         dark = (0.75 * red, 0.75 * green, 0.75 * blue)
-        lettering.put(f"$r_{{{leg[2:]}}}$", dark, places.reshape(-1, 2), dislike, 2.6)
+        placer.put(f"$r_{{{leg[2:]}}}$", dark, places.reshape(-1, 2), dislike, 2.6)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from spm_pin.display.figure_files import check_appearance, named_figure, save_figure
-from spm_pin.display.labels import Lettering, label
+from spm_pin.display.labels import LabelPlacer, label
 from spm_pin.display.rendering import VIEW, bounds, camera_axes, render
 from spm_pin.display.scene import plots_extra, scene
 from spm_pin.errors import ArgumentError
@@ -84,8 +84,8 @@ def draw(
     if labels:
         font = float(np.clip(1.55 * (high - low).max() / inch, 5.0, 11.0))
         darkness = image[..., 3] * (1.0 - image[..., :3].mean(axis=-1))
-        lettering = Lettering(ax, darkness, extent, font / 72.0 * inch, font)
-        label(configuration, lettering, camera, solids.size)
+        placer = LabelPlacer(ax, darkness, extent, font / 72.0 * inch, font)
+        label(configuration, placer, camera, solids.size)
     return ax
 
 

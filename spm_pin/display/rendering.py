@@ -1,4 +1,4 @@
-"""An image of a scene seen from far away, every pixel showing the nearest face.
+"""Orthographic rendering of a scene with a depth buffer: every pixel shows the nearest face.
 
 matplotlib's own 3-D axes order whole surfaces by their mean depth and so draw hidden legs over what hides them.
 Here a depth buffer decides, finer than the pixels, also where solids pass through one another.
