@@ -58,8 +58,8 @@ for _command in _COMMANDS:
     app.command()(_command)
 
 
-def _show_version(asked: bool) -> None:
-    if asked:
+def _show_version(requested: bool) -> None:
+    if requested:
         typer.echo(f"spm-pin {__version__}")
         raise typer.Exit
 

@@ -41,7 +41,7 @@ def check_output(path: Path | None, option: str = "--out", endings: Sequence[str
     Parameters
     ----------
     path : Path, optional
-        The file; None where the option was not given, which is right.
+        The file; None where the option was not used; nothing is checked then.
     option : str
         Name of the option.
     endings : sequence of str

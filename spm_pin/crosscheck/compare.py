@@ -33,10 +33,10 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True)
 class _Answer:
-    """The branches one method found at n poses; NaN where it found none or was not asked."""
+    """The branches one method found at n poses; NaN where it found none or did not solve the pose."""
 
     states: Configuration  # (n * 8,)
-    asked: BoolArray  # (n,)
+    selected: BoolArray  # (n,)
     status: npt.NDArray[np.int8]  # (n,)
     rounding: FloatArray  # (n * 8,)
 
@@ -94,27 +94,27 @@ class Comparison:
         order = list(Quantity)
         return tuple(sorted(self._differences.values(), key=lambda pair: order.index(pair.quantity)))
 
-    def add(self, poses: RigidTransform, asked: Mapping[str, BoolArray], rng: np.random.Generator) -> None:
-        """Compare the methods at poses (n,), each solving those of its mask `asked` (n,).
+    def add(self, poses: RigidTransform, selected: Mapping[str, BoolArray], rng: np.random.Generator) -> None:
+        """Compare the methods at poses (n,), each solving those of its mask `selected` (n,).
 
         Raises
         ------
         ArgumentError
             If no method solves the inverse displacement.
         """
-        states = self._compare_branches(poses, asked)
+        states = self._compare_branches(poses, selected)
         if len(states.place):
             self._compare_rates_and_forces(states, rng)
         self.poses += len(poses)
         self.reached += len(np.unique(states.place // _BRANCHES))
         self.states += len(states.place)
 
-    def _compare_branches(self, poses: RigidTransform, asked: Mapping[str, BoolArray]) -> _States:
+    def _compare_branches(self, poses: RigidTransform, selected: Mapping[str, BoolArray]) -> _States:
         """Solve poses (n,) by every method and return the states that are proved.
 
         A branch is proved by the first method whose state closes to rounding and is isolated.
         """
-        answers = {m.name: a for m in self._methods if (a := self._solve(m, poses, asked[m.name])) is not None}
+        answers = {m.name: a for m in self._methods if (a := self._solve(m, poses, selected[m.name])) is not None}
         self._solves_inverse |= bool(answers)
         if not self._solves_inverse:
             raise ArgumentError("methods", "one at least that solves the inverse displacement", list(self.scores))
@@ -167,20 +167,20 @@ class Comparison:
         matrix = np.repeat(poses.as_matrix(), _BRANCHES, axis=0)
         return Configuration.from_arrays(self._geometry, matrix[:, :3, :3], matrix[:, :3, 3], joints)
 
-    def _solve(self, method: Method, poses: RigidTransform, asked: BoolArray) -> _Answer | None:
+    def _solve(self, method: Method, poses: RigidTransform, selected: BoolArray) -> _Answer | None:
         """Return a method's branches of poses (n,); None if it solves none of them."""
-        if not asked.any():
+        if not selected.any():
             return None
         self._progress(f"{method.name}: branches")
-        solutions = method.inverse(poses[asked])
+        solutions = method.inverse(poses[selected])
         if solutions is None:
             return None
         joints = np.full((len(poses), _BRANCHES, 3, 3), np.nan)
         status = np.full(len(poses), Status.UNSOLVED, dtype=np.int8)
-        joints[asked], status[asked] = solutions.middle_joints, solutions.status
+        joints[selected], status[selected] = solutions.middle_joints, solutions.status
         states = self._configuration(poses, joints.reshape(-1, 3, 3))
         with np.errstate(invalid="ignore"):
-            return _Answer(states, asked, status, method.rounding(states))
+            return _Answer(states, selected, status, method.rounding(states))
 
     def _score(self, method: Method, answer: _Answer, proved: Configuration) -> None:
         """Count the branches a method invented, and those it missed although its arithmetic resolves them."""
@@ -189,12 +189,12 @@ class Comparison:
             share = answer.states.closure_residual / (ROWS * answer.rounding)
             resolved = Conditioning.of(proved).resolves(method.rounding(proved))
         invented = found & (share > 1.0)
-        missed = (proved.exists & resolved & ~found).reshape(-1, _BRANCHES).any(axis=-1) & answer.asked
+        missed = (proved.exists & resolved & ~found).reshape(-1, _BRANCHES).any(axis=-1) & answer.selected
         self.scores[method.name] = self.scores[method.name].combined(
             MethodScore(
                 method.name,
-                solved=int(answer.asked.sum()),
-                unsolved=int((answer.asked & (answer.status == Status.UNSOLVED)).sum()),
+                solved=int(answer.selected.sum()),
+                unsolved=int((answer.selected & (answer.status == Status.UNSOLVED)).sum()),
                 branches=int(found.sum()),
                 invented=int(invented.sum()),
                 missed=int(missed.sum()),

@@ -30,7 +30,7 @@ from spm_pin.paper.statics import f_r
 __all__ = ["METHODS", "ClosedForm", "Ipopt", "Method", "Nlp", "Paper", "Pinocchio", "make_methods"]
 
 ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
-"""What a backward stable route leaves in a closure equation, relative to the robot's size: the closed form's worst
+"""Closure residual of a backward stable route, relative to the size of the robot: the closed form's worst
 over 10⁵ poses is 45 eps, see `docs/theory/inverse_displacement.md`."""
 _REFINE = 30
 """Newton steps on Eq. (13): near a double root four leave residuals a thousand times what rounding does."""
@@ -49,7 +49,7 @@ class Method:
     miss_rate : float
         Share of poses at which its route may lose branches.
     share : float
-        Share of the poses it is asked to solve, less than one where that takes long.
+        Share of the poses it solves, less than one where that takes long.
     """
 
     geometry: Geometry

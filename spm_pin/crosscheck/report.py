@@ -43,7 +43,7 @@ class Report:
     seed : int
         Seed of the poses and wrenches.
     requested : int
-        Number of poses asked for; fewer are in the report of a run that was interrupted.
+        Number of poses requested; fewer are in the report of a run that was interrupted.
     translation, xyx : ndarray, shape (N, 3)
         The poses compared: [m], and X-Y-X angles in degrees.
     reached : int
@@ -128,10 +128,10 @@ def compare_in_batches(
             progress(description, done, poses)
 
     comparison = Comparison(geometry, made, step)
-    asked = {method.name: _spread(method.share, poses) for method in made}
+    selected = {method.name: _spread(method.share, poses) for method in made}
     while done < poses:
         batch = slice(done, min(done + _BATCH, poses))
-        comparison.add(sample[batch], {name: mask[batch] for name, mask in asked.items()}, rng)
+        comparison.add(sample[batch], {name: mask[batch] for name, mask in selected.items()}, rng)
         done = comparison.poses
         step("compared")
         yield Report(

@@ -74,7 +74,7 @@ class PairDifference:
 
 @dataclass(frozen=True)
 class MethodScore:
-    """What one method found, and what of it was wrong.
+    """Counts of one method: branches found, invented and missed, comparisons lost.
 
     Attributes
     ----------

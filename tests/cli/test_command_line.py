@@ -169,10 +169,10 @@ def test_a_level_pose_is_explained_with_a_way_on() -> None:
     level = ["--translation", "0", "0", "2.2", "--xyx"]
     for command in (["inverse"], ["singularities"], ["statics", *LOAD]):
         done = run(*command, *level, "0", "0", "0")
-        told = " ".join((done.stdout + done.stderr).split())
+        text = " ".join((done.stdout + done.stderr).split())
         assert done.returncode == 4
-        assert "The platform is level" in told
-        assert "spm-pin forward" in told
+        assert "The platform is level" in text
+        assert "spm-pin forward" in text
     assert "The platform is level" in run("draw", "--out", "x.png", *level, "0", "0", "0").message
     # The tilt that is proposed is enough.
     assert run("inverse", *level, "0", "0.1", "0").returncode == 0
