@@ -30,6 +30,8 @@ DETERMINANT_CHANGE = 2.0
 """Largest ratio of the determinants of the equations at both ends of a step, either way; the sign must be the same."""
 SHORTEST_SHARE = 2.0**-22
 """Share of the path below which the search gives up."""
+SHORTEST_STEP = 1e-6
+"""In the units of `LONGEST_STEP`: nearer to a singularity, rounding moves a solution by no small part of a step."""
 MOST_CORRECTIONS = 8
 
 NewtonStep = Callable[[FloatArray, float], tuple[FloatArray, float]]
@@ -91,7 +93,7 @@ class ContinuationSolver:
         """
         done, share, attempts = 0.0, 1.0, 0
         while done < 1.0:
-            tried, change = self._tried(q, step, determinant, done + share)
+            tried, change, size = self._tried(q, step, determinant, done + share)
             attempts += 1
             if tried is not None:
                 q, done = tried, done + share
@@ -99,34 +101,37 @@ class ContinuationSolver:
                 share = min(share * min(2.0, 0.8 / max(change, 0.1)), 1.0 - done)
                 continue
             share *= 0.5
-            if share < SHORTEST_SHARE:
+            if share < SHORTEST_SHARE or size < SHORTEST_STEP:
                 where = f"No further than {100.0 * done:.3g} % of the way from the start: {cause}"
                 raise ClosureError(step(q, 1.0)[1] * self.layout.side, attempts, where)
         return q
 
     def _tried(
         self, q: FloatArray, step: NewtonStep, determinant: Callable[[], float], share: float
-    ) -> tuple[FloatArray | None, float]:
-        """Return q at a share of the path, None if it is too far for one step, and the share of the change allowed."""
+    ) -> tuple[FloatArray | None, float, float]:
+        """Return q at a share of the path, or None if it is too far for one step.
+
+        And the change of the determinant as a share of what is allowed, and the size of the step.
+        """
         layout = self.layout
         tolerance = 4.0 * rounding(q, layout) / layout.side
-        allowed, begin, start = np.inf, 0.0, q
+        allowed, begin, start, first = np.inf, 0.0, q, np.inf
         for iteration in range(MOST_CORRECTIONS + 1):
             move, error = step(q, share)
             if error <= tolerance:
                 if iteration == 0:
-                    return q, 0.0
+                    return q, 0.0, 0.0
                 ends = [determinant()]
                 # Two factors that change their sign together, as at a constraint singularity, show in the middle.
                 self.kinematics.evaluate(0.5 * (start + q))
                 ends.append(determinant())
                 change = max(_change(value / begin) for value in ends)
-                return (q if change <= 1.0 else None), change
+                return (q if change <= 1.0 else None), change, first
             size = float(np.abs(move / layout.units).max())
             if iteration == 0:
                 if size > LONGEST_STEP:
                     break
-                begin = determinant()
+                begin, first = determinant(), size
                 # A step of rounding's size corrects nothing but rounding.
                 allowed = max(CORRECTION * size, 1e-9)
             else:
@@ -134,7 +139,7 @@ class ContinuationSolver:
             q = q + move
             if allowed < 0.0 or (layout.leg_lengths(q) < 0.0).any():
                 break
-        return None, math.inf
+        return None, math.inf, first
 
 
 def _change(ratio: float) -> float:

@@ -234,4 +234,4 @@ def require_closed_accelerations(kinematics: TreeKinematics, drift: FloatArray, 
 
 def _largest(vector: FloatArray) -> float:
     """Return the largest absolute value of a short vector: quicker than NumPy."""
-    return max(map(abs, vector.tolist()))
+    return float(max(map(abs, vector.tolist())))
