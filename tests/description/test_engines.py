@@ -15,12 +15,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from description.kinematic_tree import Array, KinematicTree, inertia, named_states
+import trimesh
+from description.kinematic_tree import Array, KinematicTree, inertia, named_states, origin, vector
 from problems import GEOMETRIES
 
 from spm_pin.description.closures import read_closures
 from spm_pin.description.expand import expand
-from spm_pin.description.paths import SRDF, URDF, description_file
+from spm_pin.description.paths import MJCF, SRDF, URDF, description_directory, description_file
 from spm_pin.description.tree import SLIDES
 
 TOLERANCE = 1e-12
@@ -179,3 +180,82 @@ def test_check_urdf(name: str, tmp_path: Path) -> None:
         assert answer.stderr == ""
         assert "Successfully Parsed XML" in answer.stdout
         assert answer.stdout.count("child(") == 1 + len(TREE.joints)
+
+
+def mesh_boxes() -> Array:
+    """The lowest and highest corner (n, 2, 3) of each mesh that is drawn, at `reference`, by trimesh and the tree."""
+    frames = TREE.frames(STATES["reference"])
+    boxes = []
+    for name, link in TREE.links.items():
+        for visual in link.findall("visual"):
+            (file,) = visual.findall("geometry/mesh")
+            mesh = trimesh.load(description_directory() / str(file.get("filename")), process=False)
+            pose = frames[name] @ origin(visual)
+            points = (mesh.vertices * vector(file.get("scale"))) @ pose[:3, :3].T + pose[:3, 3]
+            boxes.append([points.min(axis=0), points.max(axis=0)])
+    return np.array(boxes)
+
+
+def sorted_boxes(boxes: Any) -> Array:
+    rows = np.asarray(boxes).reshape(-1, 6)
+    return np.asarray(rows[np.lexsort(np.round(rows, 6).T)])
+
+
+def test_pinocchio_shows_the_meshes() -> None:
+    pin = pytest.importorskip("pinocchio")
+    model, _, shapes = pin.buildModelsFromUrdf(str(description_file(URDF)), package_dirs=str(description_directory()))
+    data, placed = model.createData(), shapes.createData()
+    q = np.array([STATES["reference"][name] for name in list(model.names)[1:]])
+    pin.updateGeometryPlacements(model, data, shapes, placed, q)
+    boxes = []
+    for shape, pose in zip(shapes.geometryObjects, placed.oMg, strict=True):
+        points = shape.geometry.vertices() @ pose.rotation.T + pose.translation
+        boxes.append([points.min(axis=0), points.max(axis=0)])
+    np.testing.assert_allclose(sorted_boxes(boxes), sorted_boxes(mesh_boxes()), atol=1e-6)
+
+
+def test_yourdfpy_shows_the_meshes() -> None:
+    yourdfpy = pytest.importorskip("yourdfpy")
+    robot = yourdfpy.URDF.load(str(description_file(URDF)))
+    robot.update_cfg(dict(STATES["reference"]))
+    boxes = mesh_boxes()
+    expected = [boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)]
+    np.testing.assert_allclose(robot.scene.bounds, expected, atol=1e-6)
+    assert len(robot.scene.graph.nodes_geometry) == len(boxes)
+
+
+@pytest.mark.parametrize("name", [URDF, MJCF])
+def test_mujoco_shows_the_meshes(name: str) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_path(str(description_file(name)))
+    data = mujoco.MjData(model)
+    for joint, value in STATES["reference"].items():
+        data.joint(joint).qpos[0] = value
+    mujoco.mj_kinematics(model, data)
+    boxes = []
+    for i in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH):
+        mesh = model.mesh(model.geom_dataid[i])
+        start, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
+        points = model.mesh_vert[start : start + count] @ data.geom_xmat[i].reshape(3, 3).T + data.geom_xpos[i]
+        boxes.append([points.min(axis=0), points.max(axis=0)])
+    np.testing.assert_allclose(sorted_boxes(boxes), sorted_boxes(mesh_boxes()), atol=1e-5)
+
+
+@pytest.mark.parametrize("name", [URDF, MJCF])
+def test_drake_shows_the_meshes(name: str) -> None:
+    pytest.importorskip("pydrake")
+    from pydrake.geometry import Role
+    from pydrake.multibody.parsing import Parser
+    from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, DiscreteContactApproximation
+    from pydrake.systems.framework import DiagramBuilder
+
+    plant, graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), 1e-3)
+    plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)  # ball constraints need SAP
+    Parser(plant).AddModels(str(description_file(name)))
+    inspector = graph.model_inspector()
+    shown = [inspector.GetShape(g) for g in inspector.GetAllGeometryIds(Role.kIllustration)]
+    found = sorted((shape.source().path().name, *shape.scale3()) for shape in shown)
+    meshes = TREE.root.findall("link/visual/geometry/mesh")
+    expected = sorted((str(m.get("filename")).rpartition("/")[2], *vector(m.get("scale"))) for m in meshes)
+    assert [file for file, *_ in found] == [file for file, *_ in expected]
+    np.testing.assert_allclose([s for _, *s in found], [s for _, *s in expected], rtol=1e-12)
