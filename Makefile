@@ -17,7 +17,8 @@ demo: $(VENV)/.demo
 	@$(BIN)/spm-pin demo --out build/demo.png
 
 test: lint
-	$(BIN)/python -m pytest $(PYTEST) -m "not slow"
+	$(BIN)/python -m pytest $(PYTEST) -m "not slow" --cov --cov-report=
+	@echo "Line coverage of spm_pin, compiled kernels aside: $$($(BIN)/coverage report --format=total) %"
 
 test-slow: $(VENV)/.test
 	$(BIN)/python -m pytest $(PYTEST) -m slow
