@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.closed_form.threads import parallel_for
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import FloatArray, instance
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import EXACT, PoseLike, checked_pose, unchecked_pose
@@ -109,7 +109,8 @@ def with_two_batch_axes(array: FloatArray, shape: tuple[int, ...], trailing: tup
 
 
 def radii(geometry: Geometry) -> tuple[float, float, float]:
-    """Return the circumradii of the middle, base and terminal platforms [m]."""
+    """Return the circumradii of the middle, base and terminal platforms [m]; raise if `geometry` is none."""
+    instance(geometry, Geometry, "geometry")
     return geometry.middle_radius, geometry.base_radius, geometry.platform_radius
 
 

@@ -13,7 +13,7 @@ from spm_pin.closed_form.batches import radii, run_kernel
 from spm_pin.closed_form.forward_continuation import follow_seed
 from spm_pin.closed_form.stage_solver import MODES, PLACES
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, first_offender, real_array
+from spm_pin.mechanism.arguments import FloatArray, first_offender, instance, real_array
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry
 from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
@@ -174,6 +174,7 @@ def _solve_physical(
 
 
 def _read(geometry: Geometry, leg_lengths: npt.ArrayLike) -> FloatArray:
+    instance(geometry, Geometry, "geometry")
     meaning = f"{', '.join(LEGS)} in metres"
     lengths = real_array(leg_lengths, "leg_lengths", (6,), meaning)
     if (lengths <= 0.0).any():

@@ -161,13 +161,11 @@ def inverse_physical(geometry: Geometry, pose: PoseLike) -> Configuration:
     """
     from spm_pin.closed_form.kernels.branch_kernels import physical_branches
 
+    sizes, limits = radii(geometry), geometry.limits
     shape, rotation, position = read_pose(pose)
-    limits = geometry.limits
     bounds = np.array([(0.0,) * 6, (np.inf,) * 6] if limits is None else [limits.minimum, limits.maximum])
     results = (((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64), ((6,), np.float64))
-    solved = run_kernel(
-        physical_branches, (rotation, position), (*radii(geometry), bounds), results, _MIN_BATCH_PER_THREAD
-    )
+    solved = run_kernel(physical_branches, (rotation, position), (*sizes, bounds), results, _MIN_BATCH_PER_THREAD)
     found = Configuration.from_arrays(geometry, *(array.reshape(*shape, *array.shape[1:]) for array in solved))
     if not shape and not found.exists:
         # The same, with the reason why there is none.
@@ -230,9 +228,7 @@ def complex_middle_joints(geometry: Geometry, pose: PoseLike) -> npt.NDArray[np.
 
     shape, rotation, position = read_pose(pose)
     results = [((8, 3, 3), np.complex128)]
-    (joints,) = run_kernel(
-        complex_branches, (rotation, position), (geometry.middle_radius,), results, _MIN_BATCH_PER_THREAD
-    )
+    (joints,) = run_kernel(complex_branches, (rotation, position), radii(geometry)[:1], results, _MIN_BATCH_PER_THREAD)
     return np.asarray(joints.reshape(*shape, 8, 3, 3))
 
 

@@ -31,7 +31,7 @@ from spm_pin.closed_form.batches import run_on_states
 from spm_pin.closed_form.stage_wrenches import refuse_singular, singular_sizes
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, real_array
-from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.configuration import Configuration, check_configuration
 
 __all__ = ["broadcast_argument", "inverse_jacobian", "leg_rates", "platform_jacobian"]
 
@@ -99,6 +99,7 @@ def platform_jacobian(configuration: Configuration) -> FloatArray:
 
 def _matrices(configuration: Configuration, kernel: Callable[..., object], kind: str) -> FloatArray:
     """Return what `kernel` computes, shape (..., 6, 6), or raise at a singularity of this kind."""
+    check_configuration(configuration)
     results = ((6, 6), np.float64), ((), np.uint8)
     matrices, suspect = run_on_states(kernel, configuration, singular_sizes(configuration.geometry), results)
     refuse_singular(configuration, suspect.reshape(-1), kind)
@@ -133,6 +134,7 @@ def leg_rates(configuration: Configuration, twist: npt.ArrayLike) -> FloatArray:
 
 def broadcast_argument(value: npt.ArrayLike, argument: str, meaning: str, configuration: Configuration) -> FloatArray:
     """Read a twist or a wrench (..., 6) whose leading axes broadcast with those of `configuration`."""
+    check_configuration(configuration)
     array = real_array(value, argument, (6,), meaning)
     try:
         np.broadcast_shapes(array.shape[:-1], configuration.shape)

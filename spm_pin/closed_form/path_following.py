@@ -20,8 +20,8 @@ from spm_pin.closed_form.inverse_displacement import inverse_displacement
 from spm_pin.closed_form.path_events import Event, EventKind, Solver, Tracker, joints_of
 from spm_pin.closed_form.singularity_analysis import singularities
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.arguments import FloatArray, as_array, instance, real_array, type_and_value, whole_number
+from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry
 from spm_pin.mechanism.pose import as_rigid_transform
 from spm_pin.mechanism.solutions import SolutionSet
@@ -104,8 +104,8 @@ def follow(
     PoseError
         If it contains what is no pose.
     """
-    if samples < 1:
-        raise ArgumentError("samples", "at least 1", samples)
+    instance(geometry, Geometry, "geometry")
+    samples = whole_number(samples, "samples", least=1, most=10**9)
     solve, knots, legs = _solver(geometry, path)
     tracker = Tracker(solve, _start(solve(0.0), start), LONGEST_MOVE * geometry.middle_side, legs=legs)
     stops = np.unique(np.concatenate([np.linspace(0.0, 1.0, samples + 1), knots]))
@@ -125,19 +125,18 @@ def _solver(geometry: Geometry, path: Any) -> tuple[Solver, FloatArray, bool]:
         if np.shape(_bare(path(0.0))) == (6,):
             return lambda s: forward_displacement(geometry, path(s)), np.array([0.0, 1.0]), True
         return lambda s: inverse_displacement(geometry, path(s)), np.array([0.0, 1.0]), False
-    bare = _bare(path)
-    points = len(bare) if np.ndim(bare) else 0
-    if np.ndim(bare) not in (2, 3) or points < 2:
+    bare = as_array(_bare(path))
+    points = len(bare) if bare is not None and bare.ndim else 0
+    if bare is None or bare.ndim not in (2, 3) or points < 2:
         expected = "a callable, or at least two poses (n, 4, 4) or sets of leg lengths (n, 6)"
-        raise ArgumentError("path", expected, f"shape {np.shape(bare)}")
+        raise ArgumentError("path", expected, type_and_value(path) if bare is None else f"shape {bare.shape}")
     knots = np.linspace(0.0, 1.0, points)
-    if np.ndim(bare) == 2:
-        lengths = np.asarray(bare, dtype=np.float64)
+    if bare.ndim == 2:
+        lengths = real_array(path, "path", (6,), "leg lengths in metres, or poses of shape (n, 4, 4)")
 
         def legs_at(s: float) -> FloatArray:
             return np.array([np.interp(s, knots, column) for column in lengths.T])
 
-        forward_displacement(geometry, lengths[0])  # refuses what are no leg lengths in its own words
         return lambda s: forward_displacement(geometry, legs_at(s)), knots, True
     poses = as_rigid_transform(path, "path")
     turn, positions = Slerp(knots, poses.rotation), poses.translation
@@ -163,6 +162,8 @@ def _start(solutions: SolutionSet, start: Configuration | str | None) -> int:
             received = f"{start!r}, while real are {', '.join(real[:8]) or 'none'}{' …' * (len(real) > 8)}"
             raise ArgumentError("start", "the label of a solution that is real where the path begins", received)
         return solutions.labels.index(start)
+    if start is not None:
+        check_configuration(start, "start", single=True, existing=True)
     chosen = solutions.physical() if start is None else solutions.nearest(start)
     if not chosen.exists:
         cause = "Out of reach, or no physical solution there: name one by its label" if start is None else ""

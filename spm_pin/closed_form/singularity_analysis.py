@@ -23,9 +23,8 @@ import numpy.typing as npt
 from spm_pin.closed_form.batches import run_on_states
 from spm_pin.closed_form.jacobians import platform_jacobian
 from spm_pin.closed_form.stage_wrenches import SINGULAR, StageWrenches
-from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.arguments import FloatArray, real_number
+from spm_pin.mechanism.configuration import Configuration, check_configuration
 
 __all__ = ["Singularities", "SingularityKind", "determinant_gradients", "determinants", "singularities"]
 
@@ -134,8 +133,8 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
     -----
     At the symmetric home K has rank 3: it is an inverse singularity in which three freedoms are lost.
     """
-    if not 0.0 <= tolerance < 1.0:
-        raise ArgumentError("tolerance", "a number from 0 to below 1", tolerance)
+    check_configuration(configuration)
+    tolerance = real_number(tolerance, "tolerance", "a number from 0 to below 1", least=0.0, below=1.0)
     wrenches = StageWrenches.of(configuration)
     exists = wrenches.exists
     stages = np.concatenate([wrenches.legs, wrenches.constraints], axis=-2)
@@ -190,7 +189,7 @@ def determinants(configuration: Configuration) -> FloatArray:
     """
     from spm_pin.closed_form.kernels.jacobian_kernels import all_determinants
 
-    geometry = configuration.geometry
+    geometry = check_configuration(configuration).geometry
     sizes = geometry.base_radius, geometry.platform_radius
     (found,) = run_on_states(all_determinants, configuration, sizes, [((3,), np.float64)])
     return np.asarray(found)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import FloatArray, generator, instance, whole_number
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.mechanism.pose import pose
 
@@ -18,13 +18,14 @@ __all__ = ["command", "in_leg_space", "on_all_rotations", "printable"]
 _STEPS = 30
 
 
-def in_leg_space(geometry: Geometry, count: int, rng: np.random.Generator) -> RigidTransform:
+def in_leg_space(geometry: Geometry, count: int, rng: np.random.Generator | int) -> RigidTransform:
     """Draw poses (count,) by leg lengths uniform within the limits, on the side of the symmetric home.
 
     Each stage is a 3RPS of its own: its three lengths, three leg planes and three sides fix its ball joints, by
     Newton's method from the level position. The two stages are then joined at the middle platform. Without
     limits, lengths are drawn within 15 % of those at a height of d.
     """
+    count, rng = _checked(geometry, count, rng)
     limits = geometry.limits or _around_home(geometry)
     found: list[FloatArray] = []
     while len(found) < count:
@@ -38,13 +39,19 @@ def in_leg_space(geometry: Geometry, count: int, rng: np.random.Generator) -> Ri
     return RigidTransform.from_matrix(np.array(found[:count]).reshape(-1, 4, 4))
 
 
-def on_all_rotations(geometry: Geometry, count: int, rng: np.random.Generator) -> RigidTransform:
+def on_all_rotations(geometry: Geometry, count: int, rng: np.random.Generator | int) -> RigidTransform:
     """Draw poses (count,) with rotations uniform on SO(3), near enough to the axis that about half have branches."""
+    count, rng = _checked(geometry, count, rng)
     far = 1.5 * geometry.middle_radius * np.sqrt(rng.uniform(size=count))
     azimuth = rng.uniform(-np.pi, np.pi, count)
     height = rng.uniform(-3.0, 3.0, count) * geometry.middle_side
     position = np.stack([far * np.cos(azimuth), far * np.sin(azimuth), height], axis=-1)
     return pose(position, rotation=Rotation.random(count, rng=rng))
+
+
+def _checked(geometry: Geometry, count: int, rng: np.random.Generator | int) -> tuple[int, np.random.Generator]:
+    instance(geometry, Geometry, "geometry")
+    return whole_number(count, "count", "a number of poses up to 10⁹", most=10**9), generator(rng)
 
 
 def printable(poses: RigidTransform) -> tuple[RigidTransform, FloatArray, FloatArray]:

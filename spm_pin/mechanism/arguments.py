@@ -40,6 +40,9 @@ __all__ = [
 FloatArray = npt.NDArray[np.float64]
 Kind = TypeVar("Kind")
 
+_PRINTED = 10**20
+"""Larger integers are not written out in messages."""
+
 
 def first_offender(wrong: npt.NDArray[np.bool_] | np.bool_) -> tuple[int, ...]:
     """Return the index of the first True entry, as plain integers; `()` for a single value."""
@@ -129,7 +132,7 @@ def real_number(
 
 
 def whole_number(
-    value: Any, argument: str, expected: str = "", *, least: int = 0, most: int | None = None, cause: str = ""
+    value: Any, argument: str, expected: str = "", *, least: int = 0, most: int = 10**12, cause: str = ""
 ) -> int:
     """Read a whole number from `least` to `most`; a float, even 2.0, is none.
 
@@ -140,7 +143,7 @@ def whole_number(
     expected : str
         What is counted, for the message; made of the range if not given.
     least, most : int
-        The range, both included.
+        The range, both included. The largest by default is more than any memory holds.
 
     Raises
     ------
@@ -148,7 +151,7 @@ def whole_number(
         If `value` is no whole number or out of the range.
     """
     if not expected:
-        expected = f"a whole number from {least} " + ("on" if most is None else f"to {most}")
+        expected = f"a whole number from {least} to {most}"
     try:
         number = None if isinstance(value, bool) else operator.index(value)
     except TypeError:
@@ -156,8 +159,9 @@ def whole_number(
     if number is None:
         shown = f"{value:g}" if isinstance(value, float) else type_and_value(value)
         raise ArgumentError(argument, expected, shown)
-    if number < least or (most is not None and number > most):
-        raise ArgumentError(argument, expected, number, cause)
+    if not least <= number <= most:
+        received = number if abs(number) < _PRINTED else "an integer of many digits"
+        raise ArgumentError(argument, expected, received, cause)
     return number
 
 
@@ -217,7 +221,8 @@ def generator(value: Any, argument: str = "rng") -> np.random.Generator:
     if isinstance(value, np.random.Generator):
         return value
     if value is not None and not isinstance(value, np.random.SeedSequence | np.random.BitGenerator):
-        value = whole_number(value, argument, "a numpy.random.Generator, a seed that is not negative, or None")
+        expected = "a numpy.random.Generator, a seed from 0 to 2¹²⁸, or None"
+        value = whole_number(value, argument, expected, most=1 << 128)
     return np.random.default_rng(value)
 
 
@@ -350,5 +355,5 @@ def type_and_value(value: Any) -> str:
     if value is None or isinstance(value, bool):
         return str(value)
     name = type(value).__name__
-    short = isinstance(value, str | bytes | float) or (isinstance(value, int) and abs(value) < 10**20)
+    short = isinstance(value, str | bytes | float) or (isinstance(value, int) and abs(value) < _PRINTED)
     return f"{name} {value!r}" if short else name

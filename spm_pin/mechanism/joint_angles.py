@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.configuration import Configuration
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import FloatArray, type_and_value, whole_number
+from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 
 __all__ = ["JointAngles", "home_leans", "home_lengths", "joint_angles"]
@@ -124,7 +125,16 @@ def joint_angles(configuration: Configuration, corners: tuple[int, ...] = (0, 1,
     -------
     JointAngles
         The values of a member are bit for bit the same in any batch.
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is of another kind.
     """
+    check_configuration(configuration)
+    if not isinstance(corners, tuple | list):
+        raise ArgumentError("corners", "a tuple of legs, 0 to 2", type_and_value(corners))
+    corners = tuple(whole_number(corner, "corners", "legs, 0 to 2", most=2) for corner in corners)
     shape, count = configuration.shape, 12 + 6 * len(corners)
     constants = _constants(configuration.geometry)
     state = configuration.rotation, configuration.translation, configuration.middle_joints

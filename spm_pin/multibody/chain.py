@@ -16,8 +16,9 @@ from spm_pin.description.closures import Closure, read_closures
 from spm_pin.description.expand import expand
 from spm_pin.description.paths import URDF, description_directory, description_file
 from spm_pin.description.srdf import srdf_text
+from spm_pin.description.tree import check_prefix
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
-from spm_pin.mechanism.arguments import FloatArray, first_offender, instance, whole_number
+from spm_pin.mechanism.arguments import FloatArray, file_path, first_offender, flag, instance, whole_number
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
@@ -90,10 +91,11 @@ class ClosedChain:
         GeometryError
             If the dimensions of the file are not those of `geometry`.
         """
+        check_prefix(prefix)
         if geometry is not None:
             instance(geometry, Geometry, "geometry")
         if path is not None:
-            return cls(*read_chain_urdf(Path(path), geometry, prefix), prefix=prefix)
+            return cls(*read_chain_urdf(file_path(path), geometry, prefix), prefix=prefix)
         paper = Geometry.paper()
         geometry = geometry or paper
         shipped = geometry == paper and prefix == ""
@@ -307,10 +309,10 @@ class ClosedChain:
         ClosureError
             If the loops of a member do not close from there: with the largest gap and the number of steps.
         """
-        most = whole_number(max_iterations, "max_iterations", "a number of steps")
+        most, held = whole_number(max_iterations, "max_iterations", "a number of steps"), flag(hold_legs, "hold_legs")
 
         def member(state: ChainState) -> tuple[FloatArray]:
-            return (project_to_closure(state.kinematics.q, state.kinematics, hold_legs, most),)
+            return (project_to_closure(state.kinematics.q, state.kinematics, held, most),)
 
         return self._over(member, ((18,),), q)[0]
 

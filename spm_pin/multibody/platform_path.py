@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform, RotationSpline
 
 from spm_pin.errors import ArgumentError, PoseError
-from spm_pin.mechanism.arguments import FloatArray, real_array
+from spm_pin.mechanism.arguments import FloatArray, flag, real_array
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose
 
 __all__ = ["PlatformMotion", "PlatformPath", "increasing_times"]
@@ -61,7 +61,7 @@ class PlatformPath:
         if transforms.shape != moments.shape:
             raise PoseError("poses", f"one for each of {moments.size} times", f"shape {transforms.shape}")
         self._times = moments
-        self._ease = bool(ease)
+        self._ease = flag(ease, "ease")
         self._translation = CubicSpline(moments, transforms.translation)
         self._rotation = RotationSpline(moments, transforms.rotation)
 

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import FloatArray, choice, instance, real_number, type_and_value, whole_number
 from spm_pin.mechanism.branches import BRANCHES
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
@@ -181,7 +181,14 @@ def search(
     The rule is tested against certified counts of branches, 200 poses in leg space and 50 on all of SO(3) with ten
     seeds each: at the default risk 0 of 2500 searches missed a branch, that is at most 0.15 % with 95 % confidence.
     """
-    _check(starts, risk, seed, solver, options)
+    instance(geometry, Geometry, "geometry")
+    if starts is not None:
+        starts = whole_number(starts, "starts", "a positive whole number, or None for the stopping rule", least=1)
+    risk = real_number(risk, "risk", "a probability between 0 and 1", above=0.0, below=1.0)
+    seed = whole_number(seed, "seed", "a whole number, not negative", most=1 << 128)
+    choice(solver, "solver", SOLVERS)
+    if options is not None:
+        options = _options(options, solver)
     transform = as_rigid_transform(pose)
     matrices = transform.as_matrix().reshape(-1, 4, 4)
     method = Ipopt(geometry, options) if options else _solver(geometry, solver)
@@ -209,17 +216,13 @@ def _solver(geometry: Geometry, solver: str) -> Ipopt | None:
     return Ipopt(geometry) if solver == "ipopt" else None
 
 
-def _check(starts: int | None, risk: float, seed: int, solver: str, options: Mapping[str, Any] | None) -> None:
-    if starts is not None and (not isinstance(starts, int | np.integer) or starts < 1):
-        raise ArgumentError("starts", "a positive whole number, or None for the stopping rule", starts)
-    if not 0.0 < risk < 1.0:
-        raise ArgumentError("risk", "a probability between 0 and 1", risk)
-    if not isinstance(seed, int | np.integer) or seed < 0:
-        raise ArgumentError("seed", "a whole number, not negative", seed)
-    if solver not in SOLVERS:
-        raise ArgumentError("solver", f"one of {', '.join(SOLVERS)}", solver)
+def _options(options: Mapping[str, Any], solver: str) -> dict[str, Any]:
+    if not isinstance(options, Mapping) or not all(isinstance(name, str) for name in options):
+        raise ArgumentError("options", "a mapping such as {'ipopt.max_iter': 50}", type_and_value(options))
     if options and solver != "ipopt":
-        raise ArgumentError("options", f"none for the solver {solver}", dict(options), "Did you mean solver='ipopt'?")
+        cause = "Did you mean solver='ipopt'?"
+        raise ArgumentError("options", f"none for the solver {solver}", ", ".join(options), cause)
+    return dict(options)
 
 
 def _collect(geometry: Geometry, transform: Any, found: list[Multistart]) -> Search:

@@ -16,11 +16,13 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import SingularConfigurationError
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.errors import ArgumentError, SingularConfigurationError
+from spm_pin.mechanism.arguments import FloatArray, instance, real_array, type_and_value
 from spm_pin.mechanism.geometry import Geometry
 
 __all__ = ["closure", "equations", "inverse_jacobian", "leg_jacobian", "leg_lengths", "leg_vectors", "placed_platform"]
+
+_SHAPES = (9, 9), (9, 6), (6, 9), (6, 6)
 
 
 def _vector(value: npt.ArrayLike) -> ca.DM:
@@ -87,7 +89,7 @@ def closure(geometry: Geometry) -> ca.Function:
         residual (9,) [m] as in `equations`, and its dense Jacobian (9, 9) with respect to b, dimensionless with
         entries of at most one where the sides are right.
     """
-    b, rotation, translation = _symbols()
+    b, rotation, translation = _symbols(geometry)
     residual = equations(geometry, b, rotation, translation)
     return ca.Function(
         "closure",
@@ -106,7 +108,7 @@ def leg_lengths(geometry: Geometry) -> ca.Function:
     casadi.Function
         ``leg_lengths(b, rotation, translation) -> lengths``: r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m]. Eq. (20).
     """
-    b, rotation, translation = _symbols()
+    b, rotation, translation = _symbols(geometry)
     lengths = [ca.norm_2(leg) for leg in leg_vectors(geometry, b, rotation, translation)]
     return ca.Function(
         "leg_lengths",
@@ -129,7 +131,7 @@ def leg_jacobian(geometry: Geometry) -> ca.Function:
         ``leg_jacobian(b, rotation, translation) -> closure_b, closure_x, lengths_b, lengths_x`` of shapes (9, 9),
         (9, 6), (6, 9) and (6, 6); derivatives with respect to an angle are in metres.
     """
-    b, rotation, translation = _symbols()
+    b, rotation, translation = _symbols(geometry)
     motion = ca.SX.sym("x", 6)
     # Around zero motion, R + [ω] R is the rotation to first order, and only that is differentiated.
     moved = rotation + ca.skew(motion[3:]) @ rotation
@@ -157,10 +159,18 @@ def inverse_jacobian(derivatives: Sequence[npt.ArrayLike | ca.DM]) -> FloatArray
 
     Raises
     ------
+    ArgumentError
+        If `derivatives` are something else.
     SingularConfigurationError
         As "inverse", where F_b is singular.
     """
-    closure_b, closure_x, lengths_b, lengths_x = (np.asarray(part, dtype=np.float64) for part in derivatives)
+    expected = "the four outputs of leg_jacobian, of shapes (9, 9), (9, 6), (6, 9), (6, 6)"
+    if not isinstance(derivatives, Sequence) or len(derivatives) != len(_SHAPES):
+        raise ArgumentError("derivatives", expected, type_and_value(derivatives))
+    closure_b, closure_x, lengths_b, lengths_x = (
+        real_array(part, "derivatives", shape, "an output of leg_jacobian")
+        for part, shape in zip(derivatives, _SHAPES, strict=True)
+    )
     try:
         motion = np.linalg.solve(closure_b, closure_x)
     except np.linalg.LinAlgError:
@@ -168,7 +178,8 @@ def inverse_jacobian(derivatives: Sequence[npt.ArrayLike | ca.DM]) -> FloatArray
     return np.asarray(lengths_x - lengths_b @ motion)
 
 
-def _symbols() -> tuple[ca.SX, ca.SX, ca.SX]:
+def _symbols(geometry: Geometry) -> tuple[ca.SX, ca.SX, ca.SX]:
+    instance(geometry, Geometry, "geometry")
     return ca.SX.sym("b", 9), ca.SX.sym("R", 3, 3), ca.SX.sym("o", 3)
 
 

@@ -227,7 +227,7 @@ def test_unseen_probability_decreases_with_the_number_of_starts() -> None:
         ({"starts": 2.5}, "starts"),
         ({"risk": 0.0}, "risk: expected a probability"),
         ({"seed": -1}, "seed"),
-        ({"solver": "snopt"}, "solver: expected one of newton, ipopt"),
+        ({"solver": "snopt"}, "solver: expected one of 'newton', 'ipopt'"),
         ({"options": {"ipopt.max_iter": 3}}, "Did you mean solver='ipopt'"),
     ],
 )

@@ -1,0 +1,336 @@
+"""Every public callable answers nonsense with a result, or with an `SpmError` that names the argument."""
+
+from __future__ import annotations
+
+import enum
+import functools
+import importlib
+import inspect
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import spm_pin as spm
+
+MODULES = ("", ".mechanism", ".closed_form", ".workspace", ".sweeps", ".nlp", ".crosscheck")
+
+
+class Foreign:
+    """An object whose conversions raise errors of other kinds."""
+
+    def __array__(self, *args: object, **keywords: object) -> np.ndarray:
+        raise RuntimeError("no array")
+
+    def __fspath__(self) -> str:
+        raise RuntimeError("no path")
+
+
+NONSENSE: dict[str, Any] = {
+    "None": None,
+    "a word": "nonsense",
+    "an empty word": "",
+    "bytes": b"bytes",
+    "a zero byte": "a\0b",
+    "True": True,
+    "a negative number": -1,
+    "zero": 0,
+    "a float": 1.5,
+    "nan": np.nan,
+    "infinity": np.inf,
+    "a huge float": 1e308,
+    "a huge integer": 10**400,
+    "a complex number": 1j,
+    "an empty list": [],
+    "a ragged list": [[1.0], [1.0, 2.0]],
+    "words in a list": ["a", "b"],
+    "an empty mapping": {},
+    "an array of another shape": np.ones((2, 7)),
+    "an array of objects": np.array([None, "a"], dtype=object),
+    "a masked array": np.ma.masked_array([1.0, 2.0], [True, False]),
+    "a foreign object": Foreign(),
+    "a module": np,
+}
+
+PAPER = spm.Geometry.paper()
+STATE = spm.forward_physical(PAPER, [1.25, 1.15, 1.40, 1.30, 1.20, 1.40])
+
+
+@functools.cache
+def chain() -> spm.ClosedChain:
+    return spm.ClosedChain.from_urdf()
+
+
+@functools.cache
+def q() -> np.ndarray:
+    return np.asarray(chain().joint_values(STATE))
+
+
+@functools.cache
+def boundary() -> Any:
+    return spm.workspace.reachable_boundary(PAPER, spacing=0.4)
+
+
+@functools.cache
+def shell() -> Any:
+    return spm.workspace.shell(PAPER, resolution=4)
+
+
+def store() -> str:
+    spm.sweeps.run(PAPER, spm.sweeps.leg_grid(1.2, (1.2, 1.3, 2)), ["branches"], "made.zarr")
+    return "made.zarr"
+
+
+PATH = [STATE.pose.as_matrix(), spm.forward_physical(PAPER, [1.3, 1.2, 1.4, 1.3, 1.2, 1.4]).pose.as_matrix()]
+"""Two poses that a platform can go between."""
+
+EXAMPLES: dict[str, Callable[[], Any]] = {
+    "acceleration": lambda: np.zeros(6),
+    "argument": lambda: "pose",
+    "configuration": lambda: STATE,
+    "confidence": lambda: 0.95,
+    "corners": lambda: (0, 1, 2),
+    "count": lambda: 4,
+    "description": lambda: "a metric",
+    "domain": lambda: spm.sweeps.pose_grid(0.0, 0.0, (2.1, 2.2, 2), xyx=[0.1, 0.2, 0.1]),
+    "metrics": lambda: ["branches"],
+    "store": lambda: "map.zarr",
+    "unit": lambda: "m",
+    "derivatives": lambda: spm.nlp.leg_jacobian(PAPER)(STATE.middle_joints.ravel(), STATE.rotation, STATE.translation),
+    "factor": lambda: 2.0,
+    "first": lambda: STATE.pose,
+    "forces": lambda: np.zeros(6),
+    "geometry": lambda: PAPER,
+    "leg_lengths": lambda: STATE.leg_lengths,
+    "leg_rates": lambda: np.zeros(6),
+    "limits": lambda: PAPER.limits,
+    "lower": lambda: (1.1, 1.5),
+    "mask": lambda: np.ones(8, dtype=bool),
+    "maximum": lambda: 1.5,
+    "middle_joints": lambda: STATE.middle_joints,
+    "minimum": lambda: 1.1,
+    "names": lambda: ["paper"],
+    "near": lambda: q(),
+    "other": lambda: spm.workspace.Estimate(1.0, 0.9, 1.1, 0.95, 10, "sampling", "m³"),
+    "path": lambda: PATH,
+    "points": lambda: STATE.translation,
+    "pose": lambda: STATE.pose,
+    "position": lambda: STATE.translation,
+    "q": lambda: q(),
+    "risk": lambda: 0.5,
+    "rng": lambda: 0,
+    "samples": lambda: 20,
+    "second": lambda: STATE.pose,
+    "prefix": lambda: "",
+    "seed": lambda: 0,
+    "shell": shell,
+    "spacing": lambda: 0.4,
+    "starts": lambda: 2,
+    "times": lambda: [0.0, 1.0],
+    "translation": lambda: STATE.translation,
+    "tries": lambda: 1,
+    "twist": lambda: np.zeros(6),
+    "upper": lambda: (1.1, 1.5),
+    "value": lambda: STATE.pose,
+    "wrench": lambda: np.zeros(6),
+    "v": lambda: np.zeros(18),
+    "a": lambda: np.zeros(18),
+    "x": lambda: (0.0, 0.1, 2),
+    "y": lambda: 0.0,
+    "z": lambda: 2.2,
+    "xyx": lambda: (0.1, 0.2, 0.1),
+    "ClosedChain.from_urdf.path": lambda: None,
+    "Configuration.pose": lambda: STATE.pose,
+    "Geometry.base_radius": lambda: 0.7,
+    "Geometry.platform_radius": lambda: 0.3,
+    "Geometry.middle_side": lambda: 0.8,
+    "Geometry.from_yaml.path": lambda: Path(__file__).parents[1] / "urdf" / "config" / "geometry.yaml",
+    "PlatformPath.poses": lambda: PATH,
+    "SolutionSet.nearest.seed": lambda: STATE,
+    "SolutionSet.physical.seed": lambda: STATE,
+    "SolutionSet.from_unordered.middle_joints": lambda: STATE.middle_joints[None],
+    "forward_physical.seed": lambda: STATE,
+    "sweeps.open.store": store,
+    "sweeps.resume.store": store,
+    "sweeps.status.store": store,
+    "leg_grid.lower": lambda: (1.2, 1.3, 2),
+    "leg_grid.upper": lambda: (1.2, 1.3, 2),
+    "sweeps.pose_sample.x": lambda: (0.0, 0.1),
+    "follow.samples": lambda: 2,
+    "nearest_reachable_pose.near": lambda: STATE,
+    "reachable_position.points": lambda: STATE.translation,
+}
+"""A good value for each parameter that has no default, or whose default takes long; by name or by place and name."""
+
+INPUTS = ("Configuration", "Geometry", "JointLimits", "LegLimits", "PlatformPath")
+"""Classes that users make themselves; the others are results, made by the package."""
+
+INSTANCES: dict[str, Callable[[], Any]] = {
+    "Boundary": boundary,
+    "ClosedChain": chain,
+    "Geometry": lambda: PAPER,
+    "JointLimits": lambda: spm.workspace.JointLimits(hip=(-1.0, 1.0)),
+    "LegLimits": lambda: spm.LegLimits(1.1, 1.5),
+    "PlatformPath": lambda: spm.PlatformPath([0.0, 1.0], PATH),
+    "Shell": shell,
+    "SolutionSet": lambda: spm.inverse_displacement(PAPER, STATE.pose),
+}
+"""Objects whose methods are called."""
+
+UNCHECKED = (
+    "Configuration.from_arrays",  # for solvers, documented to check nothing
+    "ClosedChain.simulate",  # has tests of its own arguments; a call takes long
+    "ClosedChain.joint_trajectory",
+    "ClosedChain.mounted_on",
+    "ClosedChain.carrying",
+    "make_methods",
+    "compare_methods",
+    "compare_in_batches",  # as compare_methods
+)
+"""Callables left out."""
+
+SKIPPED_PARAMETERS = ("progress", "evaluate", "argument", "workspace", "state", "scheduler")
+"""Callbacks of the user's own, names for messages, memory handed back, and addresses in a network."""
+
+
+def callables() -> Iterator[tuple[str, Callable[..., Any]]]:
+    """Yield every public function, constructor of an input, and method of an instance, with its name."""
+    seen: set[int] = set()
+    for name in MODULES:
+        module = importlib.import_module(f"spm_pin{name}")
+        for public in module.__all__:
+            member = getattr(module, public)
+            if inspect.isfunction(member) and id(member) not in seen:
+                yield (
+                    (public if name in ("", ".mechanism", ".closed_form", ".workspace") else f"{name[1:]}.{public}"),
+                    member,
+                )
+            elif inspect.isclass(member) and id(member) not in seen and not issubclass(member, enum.Enum):
+                if public in INPUTS:
+                    yield public, member
+                if public in INSTANCES:
+                    for method in sorted(vars(member)):
+                        if not method.startswith("_") and callable(getattr(member, method)):
+                            yield f"{public}.{method}", getattr(member, method)
+            seen.add(id(member))
+
+
+def parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
+    found = inspect.signature(function).parameters
+    return {name: p for name, p in found.items() if name != "self" and p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)}
+
+
+def example(place: str, parameter: str) -> Any:
+    """Return a good value for a parameter, or fail so that one is added to the table."""
+    short = place.rsplit(".", 1)[-1]
+    for key in (f"{place}.{parameter}", f"{short}.{parameter}", parameter):
+        if key in EXAMPLES:
+            return EXAMPLES[key]()
+    raise AssertionError(f"add a good value for {place}.{parameter} to EXAMPLES")
+
+
+GAPS: frozenset[str] = frozenset(
+    {
+        "JointLimits-hip",
+        "JointLimits-ball_x",
+        "JointLimits-ball_y",
+        "JointLimits-ball_z",
+        "JointLimits-clearance",
+        "JointLimits.angle_margin-configuration",
+        "JointLimits.clearance_margin-configuration",
+        "leg_clearance-configuration",
+        "pose_distance-geometry",
+    }
+)
+"""Arguments, as place-name, that are not checked yet."""
+
+CASES = [
+    (place, function, name)
+    for place, function in callables()
+    for name in parameters(function)
+    if not {place, place.rsplit(".", 1)[-1]} & set(UNCHECKED)
+    and name not in SKIPPED_PARAMETERS
+    and f"{place}-{name}" not in GAPS
+]
+
+
+SLOW = (
+    *("Boundary", "Shell", "compare_with_shell", "orientation_workspace", "pose_volume", "reachable_boundary"),
+    *("reachable_position", "reachable_volume", "sample_reachable", "shell"),
+)
+"""Callables of which an accepted call takes long."""
+
+
+def marked(place: str, function: Callable[..., Any], name: str) -> Any:
+    slow = place.split(".")[0] in SLOW
+    return pytest.param(place, function, name, id=f"{place}-{name}", marks=pytest.mark.slow if slow else ())
+
+
+@contextmanager
+def within(seconds: float) -> Iterator[None]:
+    """Raise `TimeoutError` in a call that takes longer."""
+
+    def stop(*_: object) -> None:
+        raise TimeoutError(f"no answer within {seconds:g} s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def call(place: str, function: Callable[..., Any], changed: str, value: Any) -> None:
+    chosen: dict[str, Any] = {}
+    for name, parameter in parameters(function).items():
+        special = f"{place}.{name}" in EXAMPLES
+        if name == changed:
+            chosen[name] = value
+        elif (
+            parameter.default is parameter.empty
+            or special
+            or name in ("samples", "spacing", "starts", "rng", "tries", "xyx")
+        ):
+            chosen[name] = example(place, name)
+    owner = place.split(".")[0]
+    if owner in INSTANCES and place != owner and "self" in inspect.signature(function).parameters:
+        function(INSTANCES[owner](), **chosen)
+    else:
+        function(**chosen)
+
+
+@pytest.mark.filterwarnings("ignore:.*another unit")
+@pytest.mark.parametrize(("place", "function", "name"), [marked(*case) for case in CASES])
+def test_nonsense_gives_a_result_or_an_error_that_names_the_argument(
+    place: str, function: Callable[..., Any], name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    wrong = []
+    for kind, value in NONSENSE.items():
+        try:
+            with within(60.0):
+                call(place, function, name, value)
+        except spm.SpmError as error:
+            named = {"path": str(value)[:400], "value": "pose", "lower": "r_", "upper": "r_"}.get(
+                name, name
+            )  # a file, and what as_rigid_transform is told
+            if name not in str(error) and named not in str(error):
+                wrong.append(f"{kind}: {type(error).__name__} does not name {name}: {str(error)[:200]}")
+        except Exception as error:
+            wrong.append(f"{kind}: {type(error).__name__}: {str(error)[:200]}")
+    spm.set_threads(None)
+    assert not wrong, "\n".join(wrong)
+
+
+def test_the_examples_are_accepted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for place, function in {place: function for place, function, _ in CASES}.items():
+        if place.split(".")[0] not in SLOW:
+            call(place, function, "", None)
+    spm.set_threads(None)
