@@ -7,7 +7,6 @@ import threading
 from pathlib import Path
 from typing import Any
 
-import xacro
 import yaml
 
 from spm_pin.description.paths import ENTRY, MESHES, description_directory, description_file
@@ -44,6 +43,8 @@ def expand(geometry: Geometry | None = None, *, prefix: str = "", meshes: str | 
     DescriptionError
         If `prefix` cannot begin a name.
     """
+    import xacro
+
     check_prefix(prefix)
     data = geometry_data(Geometry.paper() if geometry is None else geometry)
     with tempfile.TemporaryDirectory() as folder, _XACRO:
