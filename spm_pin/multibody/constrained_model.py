@@ -123,6 +123,9 @@ class Factors:
 
     def solve(self, right_side: FloatArray) -> FloatArray:
         """Return A⁻¹ b, for one or several columns b."""
+        if right_side.ndim > 1:
+            # One by one: for several, OpenBLAS waits for threads, which may take milliseconds.
+            return np.stack([self.solve(column) for column in right_side.T], axis=-1)
         return np.asarray(lapack.dgetrs(self.lu, self.pivots, right_side)[0])
 
     def solve_transposed(self, right_side: FloatArray) -> FloatArray:

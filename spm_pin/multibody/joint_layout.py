@@ -55,6 +55,8 @@ class JointLayout:
         Leg lengths at zero [m].
     side : float
         d, the side of the middle platform [m].
+    units : ndarray, shape (18,)
+        Of a step of order one in each joint: 1 rad, or d.
     platform : int
         The frame of the terminal platform.
     corners : list of int
@@ -76,7 +78,6 @@ class JointLayout:
         self.side = float(geometry.middle_side)
         self.platform = int(model.getFrameId(f"{prefix}terminal_platform"))
         self.corners = [int(model.getFrameId(f"{prefix}middle_b{i}")) for i in "123"]
-        # Units in which a step of one is of order one in any joint.
         units = np.ones(len(JOINTS))
         units[self.legs] = self.side
         self.units = frozen(units)
