@@ -1,4 +1,4 @@
-"""What the robot is: its dimensions, its states, and sets of states. NumPy and SciPy only."""
+"""Dimensions of the robot, its states, and sets of states. NumPy and SciPy only."""
 
 from spm_pin.mechanism.branches import BRANCHES, FAMILIES
 from spm_pin.mechanism.configuration import Configuration

@@ -1,8 +1,8 @@
-"""Which branch a configuration is: its family, its sign, and whether a real machine can be in it.
+"""The branch of a configuration: its family, its sign, and whether a real machine can be in it.
 
 Each stage's middle platform has either no torsion (mode T) or is turned half round (mode F) against the other
 end of that stage; a family names the lower stage's mode, then the upper's. A family holds at most two branches
-of one pose, told apart by a sign. Derivation: `docs/theory/inverse_displacement.md`.
+of one pose, distinguished by a sign. Derivation: `docs/theory/inverse_displacement.md`.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ def straightness(configuration: Configuration) -> FloatArray:
 
 
 def physical(configuration: Configuration) -> BoolArray:
-    """Tell which states a real machine can be in, leg limits aside, shape (...).
+    """Return which states a real machine can be in, leg limits aside, shape (...).
 
     Those reached from the symmetric home without a forward singularity: no torsion in either stage, each
     stage on the outer side of its platform, and both in the home's aspect. The signs of det J_b and det J_c do not
@@ -149,7 +149,7 @@ def physical(configuration: Configuration) -> BoolArray:
 
 
 def _at_home(configuration: Configuration) -> BoolArray:
-    """Tell of which states both stages are in the home's aspect, if they are upright, shape (...)."""
+    """Return for which upright states both stages are in the home's aspect, shape (...)."""
     tangents = np.cross([0.0, 0.0, 1.0], configuration.geometry.radial_directions)
     b, legs = configuration.middle_joints, configuration.leg_vectors
     lower = in_home_aspect(b, np.cross(tangents, legs[..., :3, :]))
@@ -158,7 +158,7 @@ def _at_home(configuration: Configuration) -> BoolArray:
 
 
 def in_home_aspect(points: FloatArray, directions: FloatArray) -> BoolArray:
-    """Tell which stages are in the aspect of their home, shape (...): joints b_i and normals w_i as rows (..., 3, 3).
+    """Return which stages are in the aspect of their home, shape (...): joints b_i and normals w_i as rows (..., 3, 3).
 
     The w_i are normal to leg i and to its revolute axis, up to a positive factor, of the sign that makes all six
     factors c_ij of `leg_plane_determinant` positive at home.

@@ -42,7 +42,7 @@ class HasRotationTranslation(Protocol):
 
     @property
     def translation(self) -> Any:
-        """Of o in {B} [m], shape (3,)."""
+        """Position of o in {B} [m], shape (3,)."""
 
 
 PoseLike = RigidTransform | npt.ArrayLike | HasRotationTranslation

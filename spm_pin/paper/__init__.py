@@ -1,1 +1,1 @@
-"""Witness 1: the paper, line by line, in its own symbols and with its own equation numbers."""
+"""The paper line by line, in its own symbols and with its own equation numbers."""

@@ -1,4 +1,4 @@
-"""Witness 1: the paper's inverse Jacobian, Eqs. (21)-(31), with its symbols and its equation numbers.
+"""The paper's inverse Jacobian, Eqs. (21)-(31), with its symbols and its equation numbers.
 
 The loop equation of each leg pair, Eq. (21), is differentiated and multiplied by R_i2, Eq. (25), and by δ_ci,
 Eq. (26); the middle platform's sides give three more equations, Eq. (28). All nine are linear in the six leg
@@ -32,9 +32,9 @@ of unit vectors computed from joint positions, carry errors of this order."""
 
 @dataclass(frozen=True)
 class Table5Mistakes:
-    """Which of the mistakes to make that together give the numbers printed in Table 5; by default none.
+    """The mistakes that together give the numbers printed in Table 5; by default none is made.
 
-    A diagnosis, not the authors' word: at solution 3 of the example, the three together reproduce every printed
+    A diagnosis made here, not in the paper: at solution 3 of the example, the three together reproduce every printed
     number to its four decimals. The rates need the first two, the lower legs' forces all three, the upper legs'
     forces the first and the third: with the lower legs locked, all ω_rbi are zero whatever their coefficients.
 

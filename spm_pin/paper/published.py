@@ -1,4 +1,4 @@
-"""What the paper prints: its example and its Tables 1-6 as data.
+"""The example and Tables 1-6 as the paper prints them, as data.
 
 Printed numbers are kept as strings, so that their digits stay countable; None where the paper leaves a cell
 empty. Lengths in cm, forces in kN, angles in degrees, as printed, misprints included.

@@ -1,4 +1,4 @@
-"""Witness 1: the paper's inverse displacement, Eqs. (5)-(20), with its symbols and its equation numbers.
+"""The paper's inverse displacement, Eqs. (5)-(20), with its symbols and its equation numbers.
 
 The ball joints lie on the lines where the planes of their two legs meet, Eq. (11), so three unknowns are left;
 the middle platform's sides give three quadratics in them, Eq. (13); eliminating b_3y and b_1y leaves |U| = 0,
@@ -205,7 +205,7 @@ class Resultant:
         return np.moveaxis(np.array([b_1, b_2, b_3], dtype=np.complex128), (0, 1), (-2, -1))
 
     def solutions(self, refine: int) -> ComplexArray:
-        """Go the paper's whole way, with Newton steps on Eq. (13) after it: b_1, b_2, b_3 [m], (N, 8, 3, 3)."""
+        """Return b_1, b_2, b_3 [m], (N, 8, 3, 3): the whole procedure, then Newton steps on Eq. (13)."""
         return self.middle_joints(self.refined(self.unknowns(self.roots()), refine))
 
 
@@ -243,7 +243,7 @@ def solve(geometry: Geometry, pose: PoseLike, *, refine: int = 0) -> ComplexArra
 def inverse_displacement(
     geometry: Geometry, pose: PoseLike, *, refine: int = 4, tolerance: float = 1e-7
 ) -> SolutionSet:
-    """Return the paper's real solutions under the canonical labels, to compare with other witnesses.
+    """Return the paper's real solutions under the canonical labels, to compare with other methods.
 
     Parameters
     ----------
