@@ -15,6 +15,7 @@ import os
 import socket
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -298,10 +299,10 @@ def open_store(store: str | os.PathLike[str]) -> xarray.Dataset:
 def _run(
     plan: Plan, path: Path, scheduler: str | Client | None, workers: int | None, progress: Progress | None
 ) -> xarray.Dataset:
+    _require_extra()
     check_workers(scheduler, workers)
     if progress is not None and not callable(progress):
         raise ArgumentError("progress", "a function of the points done and of all points", repr(progress))
-    _require_extra()
     store = Store.create(path, plan)
     with contextlib.ExitStack() as stack:
         stack.enter_context(locked(path))
@@ -369,11 +370,6 @@ def _holder(file: Path) -> str:
 
 def _require_extra() -> None:
     """Raise `MissingExtraError` if a package of the extra is not installed."""
-    try:
-        import dask  # noqa: F401
-        import filelock  # noqa: F401
-        import google_crc32c  # noqa: F401
-        import xarray  # noqa: F401
-        import zarr  # noqa: F401
-    except ImportError as missing:
-        raise MissingExtraError("cluster", missing.name or "xarray") from missing
+    for package in ("dask", "distributed", "filelock", "google_crc32c", "xarray", "zarr"):
+        if find_spec(package) is None:
+            raise MissingExtraError("cluster", package)

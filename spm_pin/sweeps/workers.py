@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spm_pin.closed_form import forward_physical
-from spm_pin.errors import ArgumentError, MissingExtraError, SpmError
+from spm_pin.errors import ArgumentError, SpmError
 from spm_pin.mechanism.arguments import whole_number
 from spm_pin.sweeps.metrics import METRICS
 from spm_pin.sweeps.plan import Plan, package_version
@@ -54,8 +54,9 @@ def check_workers(scheduler: object, workers: object) -> None:
         raise ArgumentError("workers", "None beside a scheduler", workers, cause)
     if scheduler is None or isinstance(scheduler, str):
         return
-    distributed = _distributed()
-    if not isinstance(scheduler, distributed.Client):
+    from distributed import Client
+
+    if not isinstance(scheduler, Client):
         raise ArgumentError("scheduler", "the address of a Dask scheduler, or a Client", repr(scheduler))
 
 
@@ -98,21 +99,19 @@ def complete_chunks(plan: Plan, path: Path, scheduler: str | Client | None, work
         If the store cannot be written.
     WorkersLostError
         If workers die over a chunk again and again, or the scheduler is gone.
-    MissingExtraError
-        If Dask is needed and not installed.
     """
     if scheduler is None and 1 in (workers, plan.count):
         yield from (complete_chunk(plan, path, chunk) for chunk in plan)
         return
-    distributed = _distributed()
-    if isinstance(scheduler, distributed.Client):
-        yield from _scheduled(plan, path, scheduler)
-    elif isinstance(scheduler, str):
+    import distributed
+    from dask.system import CPU_COUNT
+
+    if isinstance(scheduler, str):
         with _connected(scheduler) as client:
             yield from _scheduled(plan, path, client)
+    elif scheduler is not None:
+        yield from _scheduled(plan, path, scheduler)
     else:
-        from dask.system import CPU_COUNT
-
         _compile_kernels(plan)
         # One thread each: part of the work holds the interpreter's lock. Any free port for the dashboard: without an
         # address it takes a fixed one, which another sweep may have.
@@ -143,14 +142,6 @@ def _compile_kernels(plan: Plan) -> None:
         if one.name == "status" or one.name in METRICS:
             with contextlib.suppress(SpmError):
                 one.evaluate(points)
-
-
-def _distributed() -> Any:
-    try:
-        import distributed
-    except ImportError as missing:
-        raise MissingExtraError("cluster", missing.name or "distributed") from missing
-    return distributed
 
 
 @contextlib.contextmanager

@@ -103,11 +103,11 @@ def test_going_on_and_looking(tmp_path: Path) -> None:
     out = run("--out", store, "--status")
     assert "2 of 4 chunks complete" in out
     assert f"go on with: spm-pin sweep --out {store}" in out
-    told = json.loads(run("--out", store, "--status", "--json"))
-    assert (told["done"], told["total"], told["points"], told["complete"]) == (2, 4, 24, False)
-    assert told["shape"] == {"x": 4, "y": 3, "beta": 2}
-    told = json.loads(run("--out", store, "--workers", 1, "--json"))
-    assert told["complete"]
+    found = json.loads(run("--out", store, "--status", "--json"))
+    assert (found["done"], found["total"], found["points"], found["complete"]) == (2, 4, 24, False)
+    assert found["shape"] == {"x": 4, "y": 3, "beta": 2}
+    found = json.loads(run("--out", store, "--workers", 1, "--json"))
+    assert found["complete"]
     assert contents(store) == whole
 
 

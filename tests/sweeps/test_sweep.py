@@ -113,7 +113,7 @@ def test_results_have_names_units_and_meanings(undisturbed: Path) -> None:
     assert zarr.open_group(undisturbed, mode="r").metadata.zarr_format == 3
 
 
-def test_what_is_not_computed_can_be_told_from_what_is_not_there(undisturbed: Path, store: Path) -> None:
+def test_values_not_computed_differ_from_absent_ones(undisturbed: Path, store: Path) -> None:
     records(store)[0].unlink()
     for name in (*METRICS, "status"):
         (store / name / "c.0.0.0.0").unlink()
@@ -156,9 +156,9 @@ def test_a_lattice_of_leg_lengths_beyond_the_limits(tmp_path: Path) -> None:
 
 
 def test_progress_counts_points(tmp_path: Path) -> None:
-    told: list[tuple[int, int]] = []
-    small(tmp_path / "map.zarr", progress=lambda done, total: told.append((done, total)))
-    assert told == [(90 * k, 630) for k in range(8)]
+    counted: list[tuple[int, int]] = []
+    small(tmp_path / "map.zarr", progress=lambda done, total: counted.append((done, total)))
+    assert counted == [(90 * k, 630) for k in range(8)]
     assert status(tmp_path / "map.zarr").complete
 
 
@@ -595,7 +595,7 @@ def test_a_full_disk_leaves_what_was_done(
     assert kept.items() <= {record.name: record.stat().st_mtime_ns for record in records(path)}.items()
 
 
-def test_a_file_that_may_not_grow_is_told_by_the_system(tmp_path: Path) -> None:
+def test_a_limit_of_file_sizes_ends_a_sweep_that_resumes_later(tmp_path: Path) -> None:
     # RLIMIT_FSIZE makes write(2) itself fail halfway, as a full disk does.
     code = (
         "import pathlib, resource, signal, sys\n"
@@ -610,15 +610,15 @@ def test_a_file_that_may_not_grow_is_told_by_the_system(tmp_path: Path) -> None:
         "    print(error)\n"
     )
     environment = os.environ | {"PYTHONPATH": str(Path(stores.__file__).parent)}
-    told = subprocess.run(
+    answer = subprocess.run(
         [sys.executable, "-W", "error", "-c", code, str(tmp_path / "map")],
         capture_output=True,
         text=True,
         env=environment,
         check=True,
     )
-    assert "file too large" in told.stdout
-    assert "0 of 3 chunks are complete" in told.stdout
+    assert "file too large" in answer.stdout
+    assert "0 of 3 chunks are complete" in answer.stdout
     found = resume(tmp_path / "map", workers=1)
     assert int(found.o_x.notnull().sum()) == 9000
 

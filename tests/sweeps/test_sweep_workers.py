@@ -80,10 +80,10 @@ def wait_for_records(path: Path, count: int, process: subprocess.Popen[str]) -> 
 
 
 def test_processes_write_what_one_process_writes(tmp_path: Path, undisturbed: Path) -> None:
-    told: list[tuple[int, int]] = []
-    small(tmp_path / "map.zarr", workers=2, progress=lambda done, total: told.append((done, total)))
+    counted: list[tuple[int, int]] = []
+    small(tmp_path / "map.zarr", workers=2, progress=lambda done, total: counted.append((done, total)))
     assert contents(tmp_path / "map.zarr") == contents(undisturbed)
-    assert told == [(90 * k, 630) for k in range(8)]
+    assert counted == [(90 * k, 630) for k in range(8)]
 
 
 def test_a_sweep_killed_at_once_goes_on_without_loss(tmp_path: Path) -> None:
