@@ -40,6 +40,7 @@ def opened(browser, viewer, **options):
     """Return a new page that is up to date, its session, and its errors."""
     before = {id(session) for session in viewer.sessions}
     page = browser.new_page(**{"viewport": SIZE, **options})
+    page.set_default_timeout(90_000)
     errors = watched(page)
     page.goto(viewer.url)
     page.wait_for_selector('[data-spm="branch"]', state="attached", timeout=60_000)
@@ -159,7 +160,7 @@ def test_a_dragged_gizmo_moves_the_robot(client, viewer):
 def test_a_clicked_ghost_is_selected(client):
     page, session, errors = client
     reset(page, session)
-    send(session, "ghosts", True)
+    send(session, "layer", ("ghosts", True))
     page.wait_for_timeout(1000)
     picture(page, "viewer_ghosts.png")
     camera = session.client.camera
@@ -182,10 +183,10 @@ def test_a_clicked_ghost_is_selected(client):
     until(lambda: page.inner_text('[data-spm="branch"]') == session.state.label, "its name", page=page)
     np.testing.assert_allclose(session.state.shown.translation, session.config.start.translation, atol=1e-12)
     # And back by the list of branches.
+    send(session, "layer", ("ghosts", False))
     page.locator(f'input[role=combobox][value="{session.state.label}"]').click()
     page.get_by_role("option", name="TT+").click()
     until(lambda: session.state.label == "TT+", "the branch chosen from the list", page=page)
-    send(session, "ghosts", False)
     assert not errors
 
 

@@ -148,12 +148,12 @@ class Panel:
             ("Other branches", "ghosts", False, True),
             ("Leg names", "names", True, True),
             ("Trail of o", "trail", True, True),
-            ("Gizmo", "gizmo_shown", True, True),
+            ("Gizmo", "gizmo", True, True),
             ("Workspace shell", "shell", False, limited),
             ("Points reached", "points", False, True),
-            ("Dark page", "dark", dark, True),
         ):
-            self._on(self.gui.add_checkbox(label, value, visible=visible), name)
+            self._on(self.gui.add_checkbox(label, value, visible=visible), "layer", _named(name))
+        self._on(self.gui.add_checkbox("Dark page", dark), "dark")
 
     def _add_path(self, duration: float) -> None:
         gui = self.gui
@@ -230,6 +230,11 @@ class Panel:
     def wrench(self) -> FloatArray:
         """The load as entered (6,) [N, N m]."""
         return np.array([*self.force.value, *self.moment.value], dtype=np.float64)
+
+
+def _named(name: str) -> Callable[[Any], tuple[str, Any]]:
+    """Return a function that gives a widget's value with a name."""
+    return lambda widget: (name, widget.value)
 
 
 def _set_slider(slider: Any, value: float, low: float, high: float) -> None:

@@ -1,4 +1,4 @@
-"""What the instruments beside the picture show: leg lengths, distances from singularities, forces."""
+"""Leg lengths, distances from singularities and leg forces of a configuration, for the instruments of the page."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from spm_pin.mechanism.configuration import Configuration
 __all__ = ["NEAR", "SINGULARITIES", "Readings"]
 
 SINGULARITIES = ("forward, lower stage", "forward, upper stage", "inverse")
-"""Which singularity each of the matrices J_b, J_c, K belongs to."""
+"""The singularities that J_b, J_c and K have, in this order."""
 
 NEAR = 0.02
 """A singularity is near where legs moved by this share of d could reach it."""
@@ -27,7 +27,7 @@ _LIMIT_ROUNDING = 1e-9  # relative to d
 
 @dataclass(frozen=True)
 class Readings:
-    """The instruments of one configuration; axes of length three count J_b, J_c, K.
+    """Readings of one configuration; axes of length three count J_b, J_c, K.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Readings:
 
     @classmethod
     def of(cls, state: Configuration, wrench: npt.ArrayLike) -> Readings:
-        """Read the instruments of a single configuration that exists, under a wrench (6,) on the platform."""
+        """Compute the readings of a single configuration that exists, under a wrench (6,) on the platform."""
         lengths = np.array(state.leg_lengths)
         beyond = np.zeros(6)
         limits = state.geometry.limits
@@ -90,5 +90,5 @@ class Readings:
         )
 
     def near(self, middle_side: float) -> npt.NDArray[np.bool_]:
-        """Tell which singularities are near, shape (3,); see `NEAR`."""
+        """Return which singularities are near, shape (3,); see `NEAR`."""
         return np.asarray((self.travel < NEAR * middle_side) | np.isnan(self.travel))

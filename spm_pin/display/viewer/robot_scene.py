@@ -1,4 +1,4 @@
-"""A state in a viser scene: the robot, the other branches as ghosts, the load, the pose asked for, the trail of o."""
+"""A state in a viser scene: the robot, the other branches as ghosts, the load, the requested pose, the trail of o."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class RobotScene:
         self.scene = scene
         self.robot = robot
         self.layers = {"ghosts": False, "names": True, "trail": True}
-        """What is shown beside the robot: the other branches, the names of the legs, the trail of o."""
+        """Whether the other branches, the names of the legs and the trail of o are shown."""
         geometry = robot.geometry
         self.size = section_size(geometry)
         scene.configure_default_lights(cast_shadow=False)
@@ -72,11 +72,16 @@ class RobotScene:
             position=(0.0, 0.0, -0.3 * self.size),
         )
         self._robot = [self._mesh(f"/robot/{mesh.name}", mesh, mesh.colour, None) for mesh in robot.meshes]
-        self._ghosts = [self._ghost(mesh, on_click) for mesh in robot.meshes]
-        self._colours = [mesh.colour for mesh in robot.meshes]
-        self._terminal = [k for k, mesh in enumerate(robot.meshes) if mesh.name.startswith("terminal")]
-        meshes = [robot.meshes[k] for k in self._terminal]
-        self._wanted = [self._mesh(f"/wanted/{mesh.name}", mesh, _rgb(WARN), 0.45) for mesh in meshes]
+        # Base and terminal platform are where the robot's are; of the legs their tubes are enough.
+        meshes = robot.meshes
+        self._in_ghosts = [
+            k for k, mesh in enumerate(meshes) if mesh.name.endswith("tube") or mesh.name[:6] == "middle"
+        ]
+        self._ghosts = [self._ghost(meshes[k], on_click) for k in self._in_ghosts]
+        self._colours = [mesh.colour for mesh in meshes]
+        self._terminal = [k for k, mesh in enumerate(meshes) if mesh.name.startswith("terminal")]
+        terminal = [meshes[k] for k in self._terminal]
+        self._wanted = [self._mesh(f"/wanted/{mesh.name}", mesh, _rgb(WARN), 0.45) for mesh in terminal]
         self._gap = self._lines("/wanted_gap", _rgb(WARN))
         self._trail = self._lines("/trail", _TRAIL)
         self._trail_points: list[FloatArray] = []
@@ -165,7 +170,7 @@ class RobotScene:
         shown = self.layers["ghosts"] and any(others)
         if shown:
             placements = self.robot.placements(state.solutions[np.flatnonzero(others)])
-            for k, handle in enumerate(self._ghosts):
+            for k, handle in zip(self._in_ghosts, self._ghosts, strict=True):
                 # An absent branch has no size, so that the number of instances never changes.
                 scales, places = np.zeros((2, len(BRANCHES), 3), np.float32)
                 turns = np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (len(BRANCHES), 1))

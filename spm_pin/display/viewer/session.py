@@ -6,8 +6,6 @@ import asyncio
 import io
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,19 +16,16 @@ from spm_pin.display.viewer.event_queue import EventQueue
 from spm_pin.display.viewer.page_style import PANEL_WIDTH, PHONE_ASPECT, PHONE_PANEL
 from spm_pin.display.viewer.panel import Panel
 from spm_pin.display.viewer.playback import Player
-from spm_pin.display.viewer.recording import Playback, Recording
-from spm_pin.display.viewer.robot_meshes import RobotMeshes
+from spm_pin.display.viewer.recording import Playback
 from spm_pin.display.viewer.robot_scene import RobotScene
+from spm_pin.display.viewer.session_config import SessionConfig
 from spm_pin.display.viewer.slider_ranges import leg_ranges, pose_coordinates, pose_ranges
 from spm_pin.display.viewer.state import Drive, Model, State
 from spm_pin.display.viewer.state_export import json_text
-from spm_pin.display.viewer.workspace_layer import WorkspaceLayer
 from spm_pin.errors import SpmError
-from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.pose import pose as make_pose
-from spm_pin.multibody.chain import ClosedChain
 
-__all__ = ["Session", "SessionConfig"]
+__all__ = ["Session"]
 
 _log = logging.getLogger(__name__)
 
@@ -39,40 +34,6 @@ _MOTIONS = ("gizmo", "coordinate", "leg", "branch", "drive", "reset", "back", "t
 
 _FARTHEST = 10.0
 """How far from {B} the gizmo is followed, over the machine's size."""
-
-
-@dataclass(frozen=True)
-class SessionConfig:
-    """The data that all sessions of a viewer share; read-only.
-
-    Attributes
-    ----------
-    chain : ClosedChain
-        The manipulator in Pinocchio, for its joint values.
-    robot : RobotMeshes
-        Its meshes.
-    start : Configuration
-        The state at first.
-    workspace : WorkspaceLayer
-        Its workspace.
-    recording : Recording or None
-        A path to play.
-    demo : Playback or None
-        The motion that a page begins with.
-    geometry_file : Path or None
-        Where the geometry came from, for the exported command.
-    dark : bool
-        Whether pages are dark at first.
-    """
-
-    chain: ClosedChain
-    robot: RobotMeshes
-    start: Configuration
-    workspace: WorkspaceLayer
-    recording: Recording | None = None
-    demo: Playback | None = None
-    geometry_file: Path | None = None
-    dark: bool = False
 
 
 class Session:
@@ -255,30 +216,21 @@ class Session:
         self.model.load(self.panel.wrench)
         self.show()
 
-    def _show_layer(self, name: str, shown: bool) -> None:
-        self.scene.layers[name] = shown
-        self.scene.show(self.state)
-
-    def _on_ghosts(self, shown: bool) -> None:
-        self._show_layer("ghosts", shown)
-
-    def _on_names(self, shown: bool) -> None:
-        self._show_layer("names", shown)
-
-    def _on_trail(self, shown: bool) -> None:
-        self._show_layer("trail", shown)
-
-    def _on_gizmo_shown(self, shown: bool) -> None:
-        self.gizmo.visible = shown
+    def _on_layer(self, value: tuple[str, bool]) -> None:
+        name, shown = value
+        match name:
+            case "gizmo":
+                self.gizmo.visible = shown
+            case "shell":
+                self.config.workspace.show_shell(self.client.scene, shown)
+            case "points":
+                self.config.workspace.show_points(self.client.scene, shown)
+            case _:
+                self.scene.layers[name] = shown
+                self.scene.show(self.state)
 
     def _on_dark(self, dark: bool) -> None:
         self.panel.theme(dark)
-
-    def _on_shell(self, shown: bool) -> None:
-        self.config.workspace.show_shell(self.client.scene, shown)
-
-    def _on_points(self, shown: bool) -> None:
-        self.config.workspace.show_points(self.client.scene, shown)
 
     def _on_demo(self, _: None) -> None:
         assert self.demo is not None

@@ -1,4 +1,4 @@
-"""What a session is about, without any page: what was asked for, and what the manipulator does about it."""
+"""The state of a session and how drags, leg lengths, branches and loads change it, without any page."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _PARTS = 16  # into which a way that cannot be gone to its end is divided
 
 
 class Drive(enum.StrEnum):
-    """What the user moves."""
+    """The quantity that the user moves."""
 
     POSE = "pose"
     LEGS = "legs"
@@ -55,11 +55,11 @@ class State:
     Attributes
     ----------
     drive : Drive
-        What was moved last.
+        The quantity moved last.
     target : RigidTransform
-        The pose asked for; that of `shown` where legs were moved.
+        The requested pose; that of `shown` where legs were moved.
     shown : Configuration
-        What the manipulator does.
+        The state of the manipulator.
     label : str
         The branch of `shown`; empty where its pose has none, because its solutions form a continuous family.
     solutions : SolutionSet
@@ -71,7 +71,7 @@ class State:
     wrench : ndarray, shape (6,)
         The load (f, m) on the platform at o in {B} [N, N m].
     notices : tuple of Notice
-        What to say, most important first.
+        Sentences for the user, most important first.
     """
 
     drive: Drive
@@ -109,7 +109,7 @@ def starting_configuration(geometry: Geometry) -> Configuration:
 
 
 class Model:
-    """A session's state and what can be done to it. Not for several threads at once.
+    """A session's state and its changes. Not for several threads at once.
 
     Parameters
     ----------
@@ -124,14 +124,14 @@ class Model:
         self.state = self._state(Drive.POSE, start.pose, start, np.zeros(6), ())
 
     def drag(self, pose: PoseLike) -> State:
-        """Ask for a pose: the branch follows, or comes as near as it can."""
+        """Move to a pose on the branch, or to the nearest reachable one."""
         target = as_rigid_transform(pose)
         found, remarks = self._nearest(target)
         self.state = self._state(Drive.POSE, target, found, self.state.wrench, tuple(remarks))
         return self.state
 
     def set_legs(self, leg_lengths: npt.ArrayLike) -> State:
-        """Ask for leg lengths (6,) [m]: the configuration follows its assembly mode, as far as it lasts."""
+        """Move to leg lengths (6,) [m] in the assembly mode, as far as it lasts."""
         lengths = real_array(leg_lengths, "leg_lengths", (6,), "leg lengths in metres")
         here = self.state.shown
         # In the home mode no path needs to be followed.
@@ -172,12 +172,12 @@ class Model:
         return self.state
 
     def within_limits(self, configuration: Configuration) -> bool:
-        """Tell whether a configuration respects its leg limits, up to rounding."""
+        """Return whether a configuration respects its leg limits, up to rounding."""
         limits = self.geometry.limits
         return limits is None or bool(limits.margin(configuration.leg_lengths) >= -1e-9 * self.geometry.middle_side)
 
     def _nearest(self, target: RigidTransform) -> tuple[Configuration, list[Notice]]:
-        """Return the configuration for a pose, and what to say about it."""
+        """Return the configuration for a pose, and notices about it."""
         here, label = self.state.shown, self.state.label
         label = label or FAMILIES[max(int(family(here)), 0)] + "+"
         solutions = inverse_displacement(self.geometry, target)

@@ -22,7 +22,7 @@ _COLOUR = (86, 180, 233)
 
 
 class WorkspaceLayer:
-    """The workspace of a manipulator, computed once for all sessions and not before it is asked for."""
+    """The workspace of a manipulator, computed once for all sessions, when it is first used."""
 
     def __init__(self, geometry: Geometry) -> None:
         self.geometry = geometry
