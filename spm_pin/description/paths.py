@@ -40,7 +40,7 @@ CLOSURES = "config/closures.yaml"
 
 
 def description_directory() -> Path:
-    """Return the folder of the description, `urdf`, installed or in a checkout."""
+    """Return the folder of the description: `urdf` in a checkout, `share/spm_description` in an installed package."""
     return config_directory().parent
 
 

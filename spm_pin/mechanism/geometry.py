@@ -41,7 +41,7 @@ _AXES = np.array([[0.5, _HALF_SQRT3, 0.0], [1.0, 0.0, 0.0], [-0.5, _HALF_SQRT3, 
 
 
 def config_directory() -> Path:
-    """Return the folder of the description's numbers, `urdf/config`, installed or in a checkout."""
+    """Return the folder of the YAML files of the description, in an installed package or in a checkout."""
     package = Path(str(resources.files("spm_pin")))
     installed = package / "share" / "spm_description" / "config"
     return installed if installed.is_dir() else package.parent / "urdf" / "config"

@@ -15,7 +15,17 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from description.engines import ENGINES, Array, Drake, Engine, Mujoco, Pinocchio, Yourdfpy, reordered, worst_frame
+from description.engine_loaders import (
+    ENGINES,
+    Array,
+    Drake,
+    Engine,
+    Mujoco,
+    Pinocchio,
+    Yourdfpy,
+    reordered,
+    worst_frame,
+)
 from description.kinematic_tree import KinematicTree, inertia, named_states
 from problems import GEOMETRIES
 

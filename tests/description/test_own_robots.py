@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from description.engines import Drake, Mujoco, Pinocchio
+from description.engine_loaders import Drake, Mujoco, Pinocchio
 
 from spm_pin.description.closures import Closure
 from spm_pin.description.extended_urdf import extended_urdf_text

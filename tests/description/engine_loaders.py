@@ -1,4 +1,4 @@
-"""One face for the engines: each loads a file itself, and answers in its own words."""
+"""One interface to the engines: each loads a file of the robot itself."""
 
 from __future__ import annotations
 
