@@ -46,6 +46,7 @@ INTERNAL = {
     "workspace": "the shell of Table 6, and the reachable set",
     "sweeps": "domains, metrics, store and runs",
     "crosscheck": "methods, comparison, tolerances, report",
+    "proofs": "leg limits without forward singularities, proved by interval arithmetic",
     "reproduction": "the paper's tables recomputed",
     "display": "pictures and the viewer",
 }
@@ -119,11 +120,11 @@ def _turned(page: str, origin: Path, origins: dict[str, Path]) -> str:
 def _contents(found: dict[str, str]) -> str:
     """Return the tables of contents: what stands first, and then whatever else a folder holds."""
     kinematics = ("inverse_displacement", "forward_displacement", "rates_forces_singularities")
-    theory = (*kinematics, "workspace", "reachable_set", "dynamics")
+    theory = (*kinematics, "workspace", "reachable_set", "proofs", "dynamics")
     chapters = {
         "Theory": _ordered(found, "theory", theory),
         "The paper": ["findings", "paper"],
-        "How to": _ordered(found, "howto", ("load_elsewhere", "crosscheck", "batches", "paths", "optimal_control")),
+        "How to": _ordered(found, "howto", ("batches", "paths", "viewer", "pipelines", "load_elsewhere", "sweep")),
         "More": [
             "examples",
             "reference/index",
@@ -209,8 +210,7 @@ def _first_sentence(module: str, name: str) -> str:
     value = getattr(importlib.import_module(module), name)
     text = _assigned(home).get(own_name) or (inspect.getdoc(value) or "").partition("\n\n")[0]
     if not text:
-        print("MISSING", home, own_name)
-        text = "x"
+        raise ValueError(f"{home}.{own_name} is public and has no description")
     return " ".join(text.split()).replace("|", "\\|")
 
 
@@ -231,11 +231,14 @@ def _folder(folder: str, described: set[str]) -> str:
     """Return the page of a folder: each module, with what the public pages do not describe."""
     summary = INTERNAL[folder]
     lines = [f"# {folder}", "", f"{summary[0].upper()}{summary[1:]}.", ""]
+    public = {f"{module}.{name}" for module in PUBLIC for name in importlib.import_module(module).__all__}
     for module in _modules(folder):
         short = module.removeprefix(f"spm_pin.{folder}").removeprefix(".")
         known = sorted(name for name in importlib.import_module(module).__all__ if f"{module}.{name}" in described)
         lines += ["", f"## {short or folder}", "", f"```{{eval-rst}}\n.. automodule:: {module}"]
         lines += [f"   :exclude-members: {', '.join(known)}"] if known else []
+        # A function named as its module has the module's name as its address: only one of the two can be indexed.
+        lines += ["   :no-index:"] if module in public else []
         lines += ["```"]
     return "\n".join(lines) + "\n"
 

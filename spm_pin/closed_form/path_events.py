@@ -16,6 +16,7 @@ from spm_pin.mechanism.solutions import SolutionSet
 __all__ = ["Event", "EventKind", "Solver", "Tracker", "joints_of"]
 
 Solver = Callable[[float], SolutionSet]
+"""The solutions at a parameter of the path."""
 
 CLEARLY = 0.25
 """A solution is clearly the nearest to the predicted one if its error is at most this share of the next one's."""

@@ -28,6 +28,7 @@ __all__ = ["MODES", "PLACES", "StageModes", "placement", "solve_stage"]
 BoolArray = npt.NDArray[np.bool_]
 
 MODES = ("T", "F")
+"""The two families of solutions of a stage."""
 PLACES = 4
 """The most solutions of one mode, mirror images apart."""
 _MIN_BATCH_PER_THREAD = 1 << 9

@@ -29,6 +29,7 @@ _BRANCHES = len(BRANCHES)
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.intp]
 Progress = Callable[[str], None]
+"""A function that is called with a line of text before each part of the work."""
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,9 @@ from spm_pin.mechanism.arguments import FloatArray
 __all__ = ["VIEW", "Extent", "Image", "bounds", "camera_axes", "render"]
 
 Image = npt.NDArray[np.float32]
+"""Pixels (height, width, 4): red, green, blue and opacity, each from 0 to 1."""
 Extent = tuple[float, float, float, float]
+"""Left, right, bottom and top of an image [m]."""
 Indices = npt.NDArray[np.intp]
 Samples = npt.NDArray[np.int32]
 

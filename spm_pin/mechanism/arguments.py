@@ -38,6 +38,7 @@ __all__ = [
 ]
 
 FloatArray = npt.NDArray[np.float64]
+"""An array of 64-bit floating-point numbers."""
 Kind = TypeVar("Kind")
 
 _PRINTED = 10**20

@@ -31,7 +31,9 @@ from spm_pin.multibody.joint_layout import is_vector, one_vector
 __all__ = ["ChainState", "ConstrainedState", "Gains", "WrenchLike", "read_gains", "read_wrenches"]
 
 WrenchLike = npt.ArrayLike | Mapping[str, npt.ArrayLike] | None
+"""A wrench (6,) on the platform, wrenches by the name of their frame, or none."""
 Gains = tuple[float, float] | None
+"""Gains of the constraint stabilisation on gap [1/s²] and gap rate [1/s], or none."""
 
 WRENCH = "(f, m) at o in {B} in N and N m"
 

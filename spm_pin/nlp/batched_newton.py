@@ -25,7 +25,7 @@ from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.nlp import loop_equations
 
-__all__ = ["Certificate", "LoopEquations", "certify", "isolated", "newton"]
+__all__ = ["LoopEquations", "RootCertificate", "certify", "isolated", "newton"]
 
 _EPS = float(np.finfo(np.float64).eps)
 ROUNDING = 16.0 * _EPS
@@ -120,7 +120,7 @@ def _solve(jacobian: FloatArray, residual: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Certificate:
+class RootCertificate:
     """A bound on the distance from a point to a solution, proved up to the rounding of its own evaluation.
 
     Attributes
@@ -144,7 +144,7 @@ class Certificate:
     apart: float
 
 
-def certify(equations: LoopEquations, b: FloatArray, matrix: FloatArray) -> Certificate:
+def certify(equations: LoopEquations, b: FloatArray, matrix: FloatArray) -> RootCertificate:
     """Polish one converged point (9,) by a Newton step and certify it, as the module's docstring derives."""
     residual, jacobian = equations(b[None], matrix)
     better = b - _solve(jacobian, residual)[0]
@@ -156,8 +156,8 @@ def certify(equations: LoopEquations, b: FloatArray, matrix: FloatArray) -> Cert
     q = 1.5 / equations.geometry.middle_side
     double = (delta / q) ** 0.5
     if margin <= 0.0:
-        return Certificate(b, sigma, double, False, 4.0 * double)
-    return Certificate(b, sigma, 2.0 * delta / (sigma + margin**0.5), True, max(0.5 * sigma / q, 4.0 * double))
+        return RootCertificate(b, sigma, double, False, 4.0 * double)
+    return RootCertificate(b, sigma, 2.0 * delta / (sigma + margin**0.5), True, max(0.5 * sigma / q, 4.0 * double))
 
 
 def isolated(equations: LoopEquations, b: FloatArray, matrix: FloatArray) -> npt.NDArray[np.bool_]:

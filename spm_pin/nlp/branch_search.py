@@ -31,6 +31,7 @@ from spm_pin.nlp.starts import MOST_BRANCHES
 __all__ = ["SOLVERS", "Interrupted", "Search", "inverse_displacement", "search"]
 
 SOLVERS = ("newton", "ipopt")
+"""Names of the solvers that run from each start."""
 
 IntArray = npt.NDArray[np.int_]
 BoolArray = npt.NDArray[np.bool_]

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.solutions import Status
-from spm_pin.nlp.batched_newton import Certificate, LoopEquations, certify, isolated, newton
+from spm_pin.nlp.batched_newton import LoopEquations, RootCertificate, certify, isolated, newton
 from spm_pin.nlp.solvers import Ipopt
 from spm_pin.nlp.starts import random_starts, unseen_probability
 
@@ -29,7 +29,7 @@ class Multistart:
 
     equations: LoopEquations
     matrix: FloatArray
-    certificates: list[Certificate] = field(default_factory=list)
+    certificates: list[RootCertificate] = field(default_factory=list)
     hits: list[int] = field(default_factory=list)
     starts: int = 0
     failed: int = 0

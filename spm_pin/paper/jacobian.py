@@ -55,7 +55,9 @@ class Table5Mistakes:
 
 
 CORRECT = Table5Mistakes()
+"""The corrected equations."""
 PUBLISHED = Table5Mistakes(printed_lever_arm=True, missing_entry=True, other_load=True)
+"""The equations with every mistake that the paper's Table 5 shows."""
 
 
 def J_alpha(configuration: Configuration, mistakes: Table5Mistakes = CORRECT) -> FloatArray:

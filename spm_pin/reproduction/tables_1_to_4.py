@@ -27,6 +27,7 @@ from spm_pin.reproduction.cells import Cell, Verdict, matches, number
 __all__ = ["POSE", "TABLES", "MisprintedEquation", "Reproduction", "SolvedTwice", "reproduce"]
 
 TABLES = (1, 2, 3, 4, 5)
+"""Numbers of the paper's tables that can be recomputed."""
 POSE = 0
 """Number of the cells that compare the example's pose; the paper has no table of it."""
 # The lengths of which the printed pose is the forward displacement, found there "by simulation", in cm.

@@ -20,8 +20,11 @@ from spm_pin.mechanism.arguments import FloatArray, choice, real_array, whole_nu
 __all__ = ["AXES", "Axis", "Domain", "Drawing", "Range", "Sampling", "Space", "chunk_region", "make_domain"]
 
 Range = float | Sequence[float]
+"""One value, (start, stop, count) of a grid, or (start, stop) of a sample [m or rad]."""
 Space = Literal["pose", "legs"]
+"""The coordinates of a domain: poses of the platform, or six leg lengths."""
 Sampling = Literal["sobol", "uniform"]
+"""The distribution of sampled points: a scrambled Sobol sequence, or independent uniform ones."""
 
 _ANGLES = ("alpha", "beta", "lambda_")
 AXES: Mapping[str, tuple[str, ...]] = {"pose": ("x", "y", "z", *_ANGLES), "legs": LEGS}

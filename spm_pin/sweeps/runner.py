@@ -59,6 +59,7 @@ CHUNK = 2**18
 """Points in a chunk by default: a fraction of a second's work, and two megabytes per metric."""
 
 Progress = Callable[[int, int], None]
+"""A function that is called with the points done and all points."""
 
 
 class SweepError(SpmError):

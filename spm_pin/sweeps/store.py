@@ -47,6 +47,7 @@ __all__ = [
 ]
 
 LOCK = "sweep/lock"
+"""The lock file of a store, relative to the store."""
 _RECORDS = "sweep/crc32c"
 _CODECS = {"bytes", "zstd", "crc32c"}
 _DRAFT = re.compile(r"(c(\.\d+)*|zarr)\.[0-9a-f]{32}\.partial")

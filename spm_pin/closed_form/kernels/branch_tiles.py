@@ -70,6 +70,7 @@ UU, UV, VV, REAL, DISCRIMINANT = range(5)
 LEGS, PHYSICAL, STRAIGHT = 9, 15, 16
 
 ByteArray = npt.NDArray[np.uint8]
+"""An array of bytes: flags that compiled loops write."""
 Tiles = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 """Poses (12, TILE), what all families share (7, TILE), groups (2, 8, TILE), families (4, 5, TILE), flags (TILE,)."""
 

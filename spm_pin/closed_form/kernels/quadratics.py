@@ -34,15 +34,17 @@ __all__ = [
 ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 """Rounding of a pose relative to its size: what is smaller is taken for zero when a family is degenerate."""
 
-# Of the families TT, TF, FT, FF: the group; e = +1 for mode T, -1 for F, of the lower stage; and by what the tilt axis
-# is turned for w_a and its conjugate for conj(w_b), the sign of the family's quaternion included.
 FAMILY_GROUP = np.array([0, 1, 1, 0])
+"""The group of each of the families TT, TF, FT, FF."""
 FAMILY_LOWER = np.array([1.0, 1.0, -1.0, -1.0])
+"""The mode of the lower stage in each family: +1 for T, -1 for F."""
 FAMILY_TURNS = np.array([[1.0, 0.0, 1.0, 0.0], [0.0, 1.0, -1.0, 0.0], [1.0, 0.0, 0.0, 1.0], [0.0, -1.0, 0.0, 1.0]])
+"""Factors on w_a and on conj(w_b) by which each family turns the tilt axis, with the sign of its quaternion."""
 ROOT_SIGN = np.array([1.0, -1.0, -1.0, 1.0, -1.0, 1.0, 1.0, -1.0])
 """The root, in this order, of the branches + and - of each family (by the sign of det K)."""
 
 COS_30 = float(np.sqrt(0.75))
+"""The cosine of 30°."""
 
 
 @jit_inline

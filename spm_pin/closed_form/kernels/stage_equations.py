@@ -33,6 +33,7 @@ Equations = tuple[float, float, float, float, float, Vector]
 """ε = E/r, negative in mode F; c = m - (1 - ε)², ζ² of the level triangle; λ; the largest terms' size; the lengths."""
 
 EPS = float(np.finfo(np.float64).eps)
+"""The distance from 1 to the next larger double."""
 SAME = float(4.0 * np.sqrt(EPS))
 """Solutions closer than this, in units of r, are one: rounding resolves a double root no better."""
 NEAR = 1e3

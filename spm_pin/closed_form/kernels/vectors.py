@@ -7,6 +7,7 @@ from spm_pin.closed_form.kernels.compilation import jit_inline
 __all__ = ["Vector", "combined", "cross", "dot", "minus", "scaled"]
 
 Vector = tuple[float, float, float]
+"""A vector as three scalars, which compiled code keeps in registers."""
 
 
 @jit_inline

@@ -43,6 +43,7 @@ __all__ = [
 ]
 
 Three = tuple[Vector, Vector, Vector]
+"""Three vectors, one for each leg of a stage."""
 
 BASE_AXES = ((0.5, COS_30, 0.0), (1.0, 0.0, 0.0), (-0.5, COS_30, 0.0))
 """The axes R_i1 in {B}, and R_i2 in {m}."""

@@ -9,6 +9,7 @@ from typing import Any
 __all__ = ["PANEL_WIDTH", "PHONE_ASPECT", "PHONE_PANEL", "TITLE", "branded", "branded_html"]
 
 TITLE = "spm_pin"
+"""The title of the page."""
 
 PANEL_WIDTH = 388.0
 """Width of the panel beside the picture [pixels]."""
