@@ -173,4 +173,4 @@ def singular_state(
         stages = [stage("T", *(np.array([p[k]]) for p in parameters), geometry.middle_radius) for k in range(2)]
         return compose(geometry, stages[0], stages[1]).configuration[0]
 
-    return at(float(brentq(lambda x: spm.singularities(at(x)).index[which], low, high, xtol=1e-15, rtol=1e-15)))
+    return at(float(brentq(lambda x: spm.determinants(at(x))[which], low, high, xtol=1e-15, rtol=1e-15)))

@@ -21,6 +21,7 @@ from spm_pin.closed_form.singularity_analysis import (
     SingularityKind,
     determinant_gradients,
     determinants,
+    singular_values,
     singularities,
 )
 from spm_pin.closed_form.threads import set_threads, threads
@@ -47,6 +48,7 @@ __all__ = [
     "leg_rates",
     "platform_jacobian",
     "set_threads",
+    "singular_values",
     "singularities",
     "threads",
 ]

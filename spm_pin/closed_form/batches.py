@@ -19,8 +19,6 @@ __all__ = ["Result", "radii", "read_pose", "run_kernel", "run_on_states", "with_
 Result = tuple[tuple[int, ...], npt.DTypeLike]
 """Trailing shape and type of one result of a kernel."""
 
-_MIN_STATES_PER_THREAD = 1 << 16
-
 
 def run_kernel(
     kernel: Callable[..., object],
@@ -71,6 +69,7 @@ def run_on_states(
     results: Sequence[Result],
     *,
     load: FloatArray | None = None,
+    min_batch: int = 1 << 16,
 ) -> tuple[Any, ...]:
     """Run a kernel that takes b, R, o, and a load if there is one, on the states of a configuration.
 
@@ -82,12 +81,15 @@ def run_on_states(
         States of shape (...).
     load : ndarray, shape (..., 6), optional
         One more input, whose leading axes broadcast with those of the states.
+    min_batch : int
+        States that are worth a thread.
 
     Returns
     -------
     tuple of ndarray
         The results, their leading axes those of the states, broadcast with those of the load.
     """
+    instance(configuration, Configuration, "configuration")
     shape = configuration.shape if load is None else np.broadcast_shapes(configuration.shape, load.shape[:-1])
     state = configuration
     arrays = [state.middle_joints, state.rotation, state.translation]
@@ -96,8 +98,8 @@ def run_on_states(
         arrays.append(load)
     inputs = [with_two_batch_axes(x, shape, ends) for x, ends in zip(arrays, trailing, strict=False)]
     inner = inputs[0].shape[1]
-    min_batch = max(_MIN_STATES_PER_THREAD // max(inner, 1), 1)
-    written = run_kernel(kernel, inputs, constants, results, min_batch, packed=inner)
+    outer_batch = max(min_batch // max(inner, 1), 1)
+    written = run_kernel(kernel, inputs, constants, results, outer_batch, packed=inner)
     return tuple(array.reshape((*shape, *array.shape[1:])) for array in written)
 
 
@@ -109,7 +111,7 @@ def with_two_batch_axes(array: FloatArray, shape: tuple[int, ...], trailing: tup
 
 
 def radii(geometry: Geometry) -> tuple[float, float, float]:
-    """Return the circumradii of the middle, base and terminal platforms [m]; raise if `geometry` is none."""
+    """Return the circumradii of the middle, base and terminal platforms [m]; raise if `geometry` is no Geometry."""
     instance(geometry, Geometry, "geometry")
     return geometry.middle_radius, geometry.base_radius, geometry.platform_radius
 

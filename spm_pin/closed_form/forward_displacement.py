@@ -27,6 +27,10 @@ ASSEMBLY_MODES = tuple(f"{lower}/{upper}" for lower in STAGE_MODES for upper in 
 
 _LARGEST = 1e5
 """Lengths, relative to the machine, beyond which eleven of sixteen digits are lost."""
+_NEAR = 1e-5
+"""Distance from a family, of squared lengths and relative to their size, within which counts may be wrong."""
+_SHORT = 1e-3
+"""Length in units of r below which a leg is short."""
 _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_PHYSICAL = 1 << 8, 1 << 12
 
 
@@ -83,6 +87,7 @@ def forward_displacement(geometry: Geometry, leg_lengths: npt.ArrayLike) -> Solu
     rotation, translation, joints, dimension, status = run_kernel(
         all_modes, (lengths,), radii(geometry), results, _MIN_BATCH_PER_THREAD
     )
+    _solve_ill_conditioned(geometry, lengths, rotation, translation, joints, dimension, status)
     families = dimension.reshape(*shape, 4)
     largest = np.asarray(families.max(axis=-1))
     modes = Configuration.from_arrays(
@@ -149,6 +154,49 @@ def forward_physical(
     results = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64)
     solved = run_kernel(_solve_physical, (lengths,), radii(geometry), results, _MIN_BATCH_PER_THREAD_PHYSICAL)
     return Configuration.from_arrays(geometry, *(array.reshape(*shape, *array.shape[1:]) for array in solved))
+
+
+def _solve_ill_conditioned(
+    geometry: Geometry,
+    lengths: FloatArray,
+    rotation: FloatArray,
+    translation: FloatArray,
+    joints: FloatArray,
+    dimension: npt.NDArray[np.int8],
+    status: npt.NDArray[np.int8],
+) -> None:
+    """Solve problems again, with more digits, of which a stage is near a continuous family or has a very short leg."""
+    r, *hips = radii(geometry)
+    halves = lengths[:, :3], lengths[:, 3:]
+    doubtful = np.zeros(len(lengths), dtype=np.bool_)
+    for half, hip in zip(halves, hips, strict=True):
+        doubtful |= _is_ill_conditioned(half / r, hip / r)
+    at = np.flatnonzero(doubtful & (dimension.max(axis=-1) == 0))
+    if not len(at):
+        return
+    from spm_pin.closed_form.ill_conditioned_stages import solve_stage_with_more_digits
+    from spm_pin.closed_form.kernels.mode_kernels import compose_all
+
+    for n in at:
+        lower, upper = (
+            solve_stage_with_more_digits(half[n], hip, geometry.middle_side, sign)
+            for half, hip, sign in zip(halves, hips, (1.0, -1.0), strict=True)
+        )
+        pairs = np.repeat(lower, len(STAGE_MODES), axis=0), np.tile(upper, (len(STAGE_MODES), 1))
+        compose_all(*pairs, r, rotation[n], translation[n], joints[n])
+        status[n] = Status.UNREACHABLE if np.isnan(joints[n]).all() else Status.OK
+
+
+def _is_ill_conditioned(lengths: FloatArray, epsilon: float) -> npt.NDArray[np.bool_]:
+    """Return whether double precision may miscount the modes of stages (N, 3), lengths and hips ε in units of r."""
+    squares = lengths**2
+    scale = squares.mean(axis=-1) + (1.0 + epsilon) ** 2
+    odd, even = 9.0 * epsilon**2, 3.0 - 3.0 * epsilon**2
+    away = [np.abs(squares - np.roll([odd, even, even], k)).max(axis=-1) for k in range(3)]
+    near = (np.minimum.reduce(away) <= _NEAR * scale) & (epsilon < 1.0 + _NEAR)
+    equal = np.ptp(squares, axis=-1) <= _NEAR * scale
+    near_half = equal & (abs(2.0 * epsilon - 1.0) <= _NEAR)
+    return np.asarray(near | near_half | (lengths.min(axis=-1) < _SHORT))
 
 
 def _solve_physical(

@@ -14,8 +14,8 @@ chain along that normal is homogeneous of degree two in (P, Q):
     r Re(i s [W³ e_q (Q - S'P)² + conj(W)³ e_p (S'Q - P)²]) = h N,    N = P² + Q² - 2 κ PQ = |W|²,
 
 s = S/|S| and W scaled to modulus one in the bracket, S' = S (q/Q)/(p/P) = κ + iμ, e = +1 for T and -1 for F.
-In the coordinates u ~ P - Q, v ~ P + Q that make N = u² + v² the equation is a symmetric 2 x 2 form, and every
-step keeps the relative accuracy of small tilts. Derivation: `docs/theory/inverse_displacement.md`.
+In the coordinates u ~ P - Q, v ~ P + Q that make N = u² + v² the equation is a symmetric 2 x 2 form, and nothing
+cancels as the platform levels. Derivation: `docs/theory/inverse_displacement.md`.
 """
 
 from __future__ import annotations
@@ -156,7 +156,7 @@ def inverse_physical(geometry: Geometry, pose: PoseLike) -> Configuration:
     >>> import numpy as np, spm_pin as spm
     >>> geometry = spm.Geometry.paper()
     >>> pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
-    >>> spm.closed_form.inverse_physical(geometry, pose).leg_lengths.round(3)
+    >>> spm.inverse_physical(geometry, pose).leg_lengths.round(3)
     array([1.2 , 1.2 , 1.4 , 1.25, 1.2 , 1.5 ])
     """
     from spm_pin.closed_form.kernels.branch_kernels import physical_branches

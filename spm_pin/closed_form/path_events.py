@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spm_pin.closed_form.singularity_analysis import singularities
+from spm_pin.closed_form.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.solutions import SolutionSet
@@ -140,7 +140,7 @@ class Tracker:
             self.events.append(Event(EventKind.END, parameter, what))
             return
         # Given leg lengths end at a forward singularity of a stage, given poses at an inverse one.
-        lower, upper, _ = np.abs(singularities(self.states[-1]).index)
+        lower, upper, _ = np.abs(determinants(self.states[-1]))
         meets = ("forward, lower stage" if lower < upper else "forward, upper stage") if self.legs else "inverse"
         self.events.append(Event(EventKind.END, parameter, f"{self.labels[-1]}, at a singularity: {meets}"))
 

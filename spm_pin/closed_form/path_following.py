@@ -18,7 +18,7 @@ from scipy.spatial.transform import RigidTransform, Slerp
 from spm_pin.closed_form.forward_displacement import forward_displacement
 from spm_pin.closed_form.inverse_displacement import inverse_displacement
 from spm_pin.closed_form.path_events import Event, EventKind, Solver, Tracker, joints_of
-from spm_pin.closed_form.singularity_analysis import singularities
+from spm_pin.closed_form.singularity_analysis import determinants
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, as_array, instance, real_array, type_and_value, whole_number
 from spm_pin.mechanism.configuration import Configuration, check_configuration
@@ -174,7 +174,7 @@ def _start(solutions: SolutionSet, start: Configuration | str | None) -> int:
 
 def _monitored(geometry: Geometry, states: Configuration) -> FloatArray:
     """Return the functions whose zeros are events, shape (..., 3) or with limits (..., 15)."""
-    index = singularities(states).index
+    index = determinants(states) / geometry.middle_side**3
     if geometry.limits is None:
         return index
     lengths = states.leg_lengths

@@ -20,13 +20,24 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.batches import run_on_states
+from spm_pin.closed_form.batches import run_kernel, run_on_states
 from spm_pin.closed_form.jacobians import platform_jacobian
-from spm_pin.closed_form.stage_wrenches import SINGULAR, StageWrenches
-from spm_pin.mechanism.arguments import FloatArray, real_number
+from spm_pin.closed_form.stage_wrenches import SINGULAR
+from spm_pin.errors import ArgumentError, SingularConfigurationError
+from spm_pin.mechanism.arguments import FloatArray, first_offender, real_number, shaped_array
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 
-__all__ = ["Singularities", "SingularityKind", "determinant_gradients", "determinants", "singularities"]
+__all__ = [
+    "Singularities",
+    "SingularityKind",
+    "determinant_gradients",
+    "determinants",
+    "singular_values",
+    "singularities",
+]
+
+
+_MIN_BATCH_PER_THREAD = 1 << 11
 
 
 class SingularityKind(enum.IntFlag):
@@ -133,45 +144,72 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
     -----
     At the symmetric home K has rank 3: it is an inverse singularity in which three freedoms are lost.
     """
-    check_configuration(configuration)
     tolerance = real_number(tolerance, "tolerance", "a number from 0 to below 1", least=0.0, below=1.0)
-    wrenches = StageWrenches.of(configuration)
-    exists = wrenches.exists
-    stages = np.concatenate([wrenches.legs, wrenches.constraints], axis=-2)
-    structure = wrenches.constraints.reshape(*exists.shape, 1, 6, 6)
-    matrices = np.where(exists[..., None, None, None], np.concatenate([stages, structure], axis=-3), np.eye(6))
-    left, values, right = np.linalg.svd(matrices)
-    above = values > tolerance * values[..., :1]
-    rank = above.sum(axis=-1)
+    check_configuration(configuration)
+    from spm_pin.closed_form.kernels.singularity_kernel import describe_singularities
 
-    own = np.linalg.svd(np.where(exists[..., None, None, None], wrenches.constraints, np.eye(3, 6)), compute_uv=False)
-    dependent = (own[..., -1] <= tolerance * own[..., 0]).any(axis=-1)
+    geometry, exists = configuration.geometry, configuration.exists
+    sizes = geometry.base_radius, geometry.platform_radius, geometry.middle_side, tolerance, SINGULAR
+    three, six = ((3,), np.float64), ((6,), np.float64)
+    results = (three, three, three, ((3,), np.int8), ((2,), np.bool_), ((3, 6), np.float64), six)
+    dets, largest, smallest, rank, flags, twists, wrench = run_on_states(
+        describe_singularities, configuration, sizes, results, min_batch=_MIN_BATCH_PER_THREAD
+    )
+    dependent, short = flags[..., 0], flags[..., 1]
+    if short.any():
+        raise SingularConfigurationError("forward", 0.0, first_offender(short))
     kind = (
         np.where(rank[..., 2] < 6, SingularityKind.INVERSE, 0)
         | np.where((rank[..., :2] < 6).any(axis=-1), SingularityKind.FORWARD, 0)
         | np.where(dependent, SingularityKind.CONSTRAINT, 0)
     )
     held = (rank[..., :2] == 6).all(axis=-1)
-    twists = _at_platform(right[..., -1, :], wrenches)
-    dets = determinants(configuration)
     with np.errstate(divide="ignore"):
-        condition = values[..., 0] / values[..., -1]
-
-    def present(array: FloatArray) -> FloatArray:
-        return np.where(exists.reshape(*exists.shape, *(1,) * (array.ndim - exists.ndim)), array, np.nan)
-
+        condition = largest / smallest
     return Singularities(
         determinants=dets,
-        index=dets / configuration.geometry.middle_side**3,
-        sigma=present(values[..., -1]),
-        condition=present(condition),
-        rank=np.where(exists[..., None], rank, 0),
+        index=dets / geometry.middle_side**3,
+        sigma=smallest,
+        condition=condition,
+        rank=rank,
         kind=np.where(exists, kind, 0).astype(np.int8),
         mobility=np.where(exists, np.where(held, rank[..., 2], -1), 0),
-        gained_twist=present(twists[..., :2, :]),
-        inner_twist=present(twists[..., 2, :]),
-        lost_wrench=present(_lost_wrench(left[..., 2, :, -1], wrenches)),
+        gained_twist=twists[..., :2, :],
+        inner_twist=twists[..., 2, :],
+        lost_wrench=wrench,
     )
+
+
+def singular_values(matrices: npt.ArrayLike) -> FloatArray:
+    """Return the singular values of many small matrices, without LAPACK's overhead for each.
+
+    Parameters
+    ----------
+    matrices : array_like, shape (..., m, n)
+        Matrices with at most six rows and columns, of finite numbers; NaN gives NaN.
+
+    Returns
+    -------
+    ndarray, shape (..., min(m, n))
+        From large to small, each accurate to rounding of the largest.
+
+    Raises
+    ------
+    ArgumentError
+        If `matrices` has another shape.
+    """
+    from spm_pin.closed_form.kernels import singular_values as kernels
+
+    expected = "matrices with at most six rows and columns"
+    array = shaped_array(matrices, "matrices", (), expected, error=ArgumentError)
+    if array.ndim < 2 or max(array.shape[-2:]) > kernels.WIDTH:
+        raise ArgumentError("matrices", expected, f"shape {array.shape}")
+    if array.shape[-2] > array.shape[-1]:
+        array = np.swapaxes(array, -1, -2)
+    shape, (m, n) = array.shape[:-2], array.shape[-2:]
+    results = [((m,), np.float64)]
+    (values,) = run_kernel(kernels.singular_values, [array.reshape(-1, m, n)], (), results, _MIN_BATCH_PER_THREAD)
+    return np.asarray(values.reshape(*shape, m))
 
 
 def determinants(configuration: Configuration) -> FloatArray:
@@ -193,26 +231,6 @@ def determinants(configuration: Configuration) -> FloatArray:
     sizes = geometry.base_radius, geometry.platform_radius
     (found,) = run_on_states(all_determinants, configuration, sizes, [((3,), np.float64)])
     return np.asarray(found)
-
-
-def _at_platform(twists: FloatArray, wrenches: StageWrenches) -> FloatArray:
-    """Move twists (v, dω) at the middle platform's centre, (..., n, 6) [m/s], to (v, ω) at o [m/s, rad/s]."""
-    angular = twists[..., 3:] / wrenches.side
-    linear = twists[..., :3] + np.cross(angular, wrenches.lever[..., None, :])
-    return np.concatenate([linear, angular], axis=-1)
-
-
-def _lost_wrench(shares: FloatArray, wrenches: StageWrenches) -> FloatArray:
-    """Return the wrench at o (..., 6) that the upper stage's share of a left singular vector of K makes."""
-    rows = wrenches.constraints[..., 1, :, :]
-    wrench = np.einsum("...i,...ij->...j", shares[..., 3:], rows)
-    force = wrench[..., :3]
-    moment = wrenches.side * wrench[..., 3:] - np.cross(wrenches.lever, force)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        size = np.linalg.norm(force, axis=-1, keepdims=True)
-        couple = np.linalg.norm(moment, axis=-1, keepdims=True)
-        scale = np.where(size > SINGULAR * couple / wrenches.side, size, couple)
-        return np.asarray(np.concatenate([force, moment], axis=-1) / scale)
 
 
 def determinant_gradients(configuration: Configuration) -> FloatArray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from oracle import certified_count
@@ -9,9 +11,12 @@ from problems import GEOMETRIES, Problem, conditioning, in_leg_space, random_bra
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
+from spm_pin.closed_form.inverse_displacement import complex_middle_joints, inverse_physical
+from spm_pin.mechanism import branches
 from spm_pin.mechanism.branches import branch_sign, family
 
 EPS = np.finfo(float).eps
+PAPER = spm.Geometry.paper()
 
 
 def certified_counts(problem: Problem) -> np.ndarray:
@@ -169,3 +174,60 @@ def test_a_pose_object_of_another_library_is_read_without_importing_it() -> None
     for other in (Se3(), own.configurations[0].pose.as_matrix(), own.configurations[0].pose):
         np.testing.assert_array_equal(spm.inverse_displacement(geometry, other).middle_joints, own.middle_joints)
     assert isinstance(own.configurations[0].pose, RigidTransform)
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (3, 1, 2), (0,), (500,)])
+@pytest.mark.parametrize("limits", [None, spm.LegLimits(1.1, 1.5)])
+def test_the_physical_branch_alone_is_that_of_all(shape: tuple[int, ...], limits: spm.LegLimits | None) -> None:
+    geometry = dataclasses.replace(PAPER, limits=limits)
+    pose = in_leg_space(PAPER, 500, seed=12).pose.as_matrix()[: int(np.prod(shape))].reshape(*shape, 4, 4)
+    solutions, found = spm.inverse_displacement(geometry, pose), inverse_physical(geometry, pose)
+    chosen = solutions.physical()
+    for name in ("rotation", "translation", "middle_joints", "leg_lengths"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(chosen, name), err_msg=name)
+    if limits is None:
+        # The rule itself, on the configurations.
+        np.testing.assert_array_equal(branches.physical(solutions.configurations), solutions.is_physical)
+
+
+def test_of_two_physical_branches_the_one_tilted_less() -> None:
+    solutions = spm.inverse_displacement(PAPER, in_leg_space(PAPER, 20_000, seed=13).pose)
+    both = solutions[np.flatnonzero(solutions.ambiguous)]
+    assert len(both.ambiguous) > 10
+    less = branches.straightness(both.configurations[:, :2]).argmax(axis=-1)
+    np.testing.assert_array_equal(both.physical().middle_joints, both.middle_joints[np.arange(len(less)), less])
+
+
+def test_a_pose_without_a_physical_branch_says_why() -> None:
+    pose = spm.pose([9, 9, 2], rotation=np.diag([1.0, -1, -1]))
+    assert repr(inverse_physical(PAPER, pose)) == repr(spm.inverse_displacement(PAPER, pose).physical())
+    assert not inverse_physical(PAPER, pose).exists
+
+
+def test_the_memory_of_an_earlier_result_is_used_again() -> None:
+    poses = in_leg_space(PAPER, 40, seed=14).pose.as_matrix().reshape(2, 20, 4, 4)
+    first = spm.inverse_displacement(PAPER, poses[0])
+    kept = first.middle_joints
+    again = spm.inverse_displacement(PAPER, poses[1], out=first)
+    assert np.shares_memory(again.middle_joints, kept)
+    fresh = spm.inverse_displacement(PAPER, poses[1])
+    for name in ("rotation", "translation", "middle_joints", "leg_lengths", "discriminants", "status"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(fresh, name), err_msg=name)
+    for wrong in (poses[0], fresh[:5], spm.forward_displacement(PAPER, first[0].leg_lengths[0])):
+        with pytest.raises(spm.ArgumentError, match=r"^out: expected"):
+            spm.inverse_displacement(PAPER, poses[1], out=wrong)
+
+
+def test_complex_roots_are_nan_at_level_and_at_symmetric_poses() -> None:
+    regular = in_leg_space(PAPER, 3, seed=15).pose.as_matrix()
+    level = [spm.pose(o, rotation=np.eye(3)).as_matrix() for o in ([0, 0, 2.2], [0.1, 0.2, 2.2])]
+    half = Rotation.from_rotvec([np.pi, 0.0, 0.0]).as_matrix()
+    symmetric = [spm.pose([0.0, 0.1, 2.2], rotation=half).as_matrix()]
+    symmetric += [
+        spm.pose([0.0, y, 2.2], rotation=Rotation.from_rotvec([a, 0.0, 0.0])).as_matrix()
+        for a in (0.3, 1.0, np.pi / 2)
+        for y in (0.0, 0.2)
+    ]
+    together = complex_middle_joints(PAPER, np.stack([*regular, *level, *symmetric]))
+    np.testing.assert_array_equal(together[:3], complex_middle_joints(PAPER, regular))
+    assert np.isnan(together[3:5]).all()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mpmath
 import numpy as np
 import pytest
 from hypothesis import given
@@ -19,7 +20,12 @@ from problems import (
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.closed_form.singularity_analysis import SingularityKind, determinant_gradients, singularities
+from spm_pin.closed_form.singularity_analysis import (
+    SingularityKind,
+    determinant_gradients,
+    singular_values,
+    singularities,
+)
 
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()
@@ -254,3 +260,70 @@ def test_a_tolerance_that_makes_no_sense(tolerance: float) -> None:
     state = in_leg_space(PAPER, 1, seed=0).configuration
     with pytest.raises(spm.ArgumentError, match="tolerance: expected a number from 0"):
         singularities(state, tolerance=tolerance)
+
+
+def matrices_of(state: spm.Configuration) -> list[mpmath.matrix]:
+    """J_b, J_c and K of a state with forty digits, at the middle platform's centre and with arms over d."""
+    joints, platform = mpmath.matrix(state.middle_joints), mpmath.matrix(state.rotation)
+    root, d = mpmath.sqrt(3), mpmath.mpf(PAPER.middle_side)
+    half = mpmath.mpf(1) / 2
+    radial = [[root / 2, -half, 0], [0, 1, 0], [-root / 2, -half, 0]]
+    axes = [[half, root / 2, 0], [1, 0, 0], [-half, root / 2, 0]]
+    o = mpmath.matrix(state.translation)
+    centre = [sum(joints[i, c] for i in range(3)) / 3 for c in range(3)]
+    blocks: list[list[list[mpmath.mpf]]] = [[], [], [], []]
+    for i in range(3):
+        b = [joints[i, c] for c in range(3)]
+        turned = [sum(platform[c, j] * radial[i][j] for j in range(3)) for c in range(3)]
+        lower = [b[c] - PAPER.base_radius * radial[i][c] for c in range(3)]
+        upper = [o[c] + PAPER.platform_radius * turned[c] - b[c] for c in range(3)]
+        axis = [sum(platform[c, j] * axes[i][j] for j in range(3)) for c in range(3)]
+        arm = [(b[c] - centre[c]) / d for c in range(3)]
+        for block, force in zip(blocks, (lower, axes[i], upper, axis), strict=True):
+            size = mpmath.norm(force) if block is blocks[0] or block is blocks[2] else 1
+            f = [x / size for x in force]
+            moment = [arm[1] * f[2] - arm[2] * f[1], arm[2] * f[0] - arm[0] * f[2], arm[0] * f[1] - arm[1] * f[0]]
+            block.append([*f, *moment])
+    lower_legs, lower_axes, upper_legs, upper_axes = blocks
+    return [mpmath.matrix(x) for x in (lower_legs + lower_axes, upper_legs + upper_axes, lower_axes + upper_axes)]
+
+
+def test_singular_values_are_those_of_forty_digits() -> None:
+    """Small ones included: states up to 1e-14 from inverse and from forward singularities."""
+    regular = in_leg_space(PAPER, 5, seed=8).configuration
+    states = [regular[i] for i in range(5)]
+    for which in PAPER_TILTS:
+        singular = singular_state(which, *PAPER_TILTS[which])
+        for away in (0.0, 1e-13, 1e-10, 1e-6):
+            joints = singular.middle_joints + away * np.array([[1.0, 0.5, 0.2], [0.0, 0.3, 1.0], [0.4, 0.0, 0.1]])
+            states.append(spm.Configuration(PAPER, singular.pose, joints))
+    for state in states:
+        found = singularities(state)
+        with mpmath.workdps(40):
+            values = [mpmath.svd(matrix, compute_uv=False) for matrix in matrices_of(state)]
+        truth = np.array([[float(x) for x in row] for row in values])
+        np.testing.assert_allclose(found.sigma, truth[:, -1], rtol=0, atol=16 * EPS)
+        np.testing.assert_allclose(found.sigma * found.condition, truth[:, 0], rtol=16 * EPS)
+
+
+@pytest.mark.parametrize("size", [(6, 6), (3, 6), (6, 3), (2, 2), (1, 5)])
+@pytest.mark.parametrize("shape", [(), (0,), (17, 2)])
+def test_singular_values_of_any_matrices(size: tuple[int, int], shape: tuple[int, ...]) -> None:
+    matrices = np.random.default_rng(3).normal(size=(*shape, *size)) * np.geomspace(1.0, 1e-9, size[1])
+    found = singular_values(matrices)
+    truth = np.linalg.svd(matrices, compute_uv=False)
+    np.testing.assert_allclose(found, truth, rtol=0, atol=64 * EPS * truth.max(initial=0.0))
+
+
+def test_a_member_of_a_batch_is_what_it_is_alone() -> None:
+    states = in_leg_space(PAPER, 37, seed=9).configuration
+    together = singularities(states)
+    for i in (0, 15, 16, 36):
+        alone = singularities(states[i])
+        for name in ("determinants", "sigma", "condition", "gained_twist", "inner_twist", "lost_wrench"):
+            np.testing.assert_array_equal(getattr(together, name)[i], getattr(alone, name), err_msg=name)
+
+
+def test_matrices_with_more_than_six_columns_are_refused() -> None:
+    with pytest.raises(spm.ArgumentError, match="matrices: expected matrices with at most six"):
+        singular_values(np.zeros((3, 7)))

@@ -28,7 +28,7 @@ from spm_pin.closed_form.kernels.compilation import jit, jit_inline
 from spm_pin.closed_form.kernels.stage_equations import Equations
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["approximate_solutions"]
+__all__ = ["approximate_solutions", "quartic_coefficients"]
 
 ComplexArray = npt.NDArray[np.complex128]
 Quartic = tuple[float, float, float, float, float]
@@ -40,7 +40,7 @@ _MOST_STEPS = 60
 
 
 @jit_inline
-def _quartic(stage: Equations, size: float, x: float, y: float, omega: float, gain: float) -> Quartic:
+def quartic_coefficients(stage: Equations, size: float, x: float, y: float, omega: float, gain: float) -> Quartic:
     """Return the coefficients of tan^j γ, j = 0..4, divided by |λ|, for μ = x + iy and gain = ω/κ."""
     c = stage[1]
     g = (2.0 * stage[0] + 1.0) ** 2 + 4.0 * c
@@ -131,7 +131,7 @@ def approximate_solutions(stage: Equations, family: bool, roots: ComplexArray, s
     omega, gain = abs(kappa) / span, (-1.0 if kappa < 0.0 else 1.0) / span
     lead = complex(1.0, 0.0)
     if not family:
-        turned, lead = _turned_quartic(_quartic(stage, size, mu.real, mu.imag, omega, gain))
+        turned, lead = _turned_quartic(quartic_coefficients(stage, size, mu.real, mu.imag, omega, gain))
         _roots(turned, roots)
     count = 0
     for k in range(4):
