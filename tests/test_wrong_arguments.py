@@ -242,8 +242,10 @@ GAPS: frozenset[str] = frozenset(
         "JointLimits-clearance",
         "JointLimits.angle_margin-configuration",
         "JointLimits.clearance_margin-configuration",
+        "largest_certified_limits-centre",
         "leg_clearance-configuration",
         "pose_distance-geometry",
+        "reachable-branch",
     }
 )
 """Arguments, as place-name, that are not checked yet."""
