@@ -26,7 +26,7 @@ def main() -> None:
             with Viewer(state, port=0, dark=dark) as viewer:
                 page = browser.new_page(viewport=size)
                 page.goto(viewer.url)
-                page.wait_for_selector('[data-spm="branch"]', state="attached", timeout=60_000)
+                page.wait_for_selector('[data-spm="branch"]', state="attached", timeout=180_000)
                 until(lambda: viewer.sessions, "a session", seconds=120.0, page=page)
                 notice = page.locator(".mantine-Notification-closeButton")  # of software rendering
                 until(notice.count, "the notice of software rendering", seconds=120.0, page=page)

@@ -347,7 +347,7 @@ def test_the_snapshot_needs_neither_server_nor_network(browser, tmp_path):
     path = save_snapshot(
         spm.forward_physical(spm.Geometry.paper(), [1.2, 1.2, 1.4, 1.25, 1.2, 1.5]), tmp_path / "a.html"
     )
-    context = browser.new_context(viewport=SIZE, offline=True)
+    context = browser.new_context(viewport={"width": 1280, "height": 720}, offline=True)
     page = context.new_page()
     errors, requests = watched(page), []
     page.on("request", lambda request: requests.append(request.url))

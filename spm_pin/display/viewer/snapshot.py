@@ -26,7 +26,7 @@ max-height:calc(100vh - 1.6em);overflow:auto}}
 #spm-card code{{display:block;padding:0.5em 0.7em 0.8em;font-size:0.72rem;overflow-wrap:anywhere;user-select:all}}
 </style>
 <details id="spm-card"><summary>{title}</summary>{body}<code>{command}</code></details>
-<script>document.getElementById("spm-card").open = window.innerWidth > 700;</script>
+<script>document.getElementById("spm-card").open = innerWidth > 0.58 * innerHeight + 800;</script>
 """
 
 
@@ -52,7 +52,7 @@ def snapshot_html(
         scene = RobotScene(server.scene, robot)
         scene.layers["ghosts"] = ghosts
         scene.show(state)
-        position, look_at = fit_camera(robot_points(state.shown, 0.3 * scene.size), VIEWS["Home"], 1.0)
+        position, look_at = fit_camera(robot_points(state.shown, 0.3 * scene.size), VIEWS["Home"], 0.5, border=0.02)
         server.initial_camera.fov = FIELD_OF_VIEW
         server.initial_camera.position = tuple(position)
         server.initial_camera.look_at = tuple(look_at)

@@ -48,7 +48,7 @@ def status(state: State) -> str:
         tags.append("within limits" if not state.readings.beyond.any() else "beyond limits")
     lines = [
         f'<div style="font-size:0.95rem"><b data-spm="branch">{name}</b> &nbsp;{escape(", ".join(tags))}</div>',
-        f'<div data-spm="pose" style="opacity:0.75">o = ({o}) m, X-Y-X = ({angles})°</div>',
+        f'<div data-spm="pose" style="opacity:0.75">o = ({o}) m, X-Y-X = ({angles})\u2060°</div>',
     ]
     for notice in state.notices:
         warning = notice.level == "warning"
