@@ -16,22 +16,22 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, MissingExtraError
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import FloatArray, generator, whole_number
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.workspace.reachability.lattice import classified, crossings, lattice
 from spm_pin.workspace.reachability.leg_box import LegBox, leg_box
-from spm_pin.workspace.reachability.nearest import RESOLUTION, Nearest, Progress, merged, nearest_in_box
+from spm_pin.workspace.reachability.nearest import Nearest, merged, nearest_in_box
+from spm_pin.workspace.reachability.state_search import RESOLUTION, Progress
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
 __all__ = ["Boundary", "BoundaryPoints", "reachable_boundary"]
 
+_BESIDE = (0.05, 0.4)
+
 IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]
-
-_TRIES = 5
-_BESIDE = (0.05, 0.1, 0.4)
 
 
 @dataclass(frozen=True)
@@ -154,10 +154,10 @@ class Boundary:
         -----
         Drawn on the mesh, lifted off it until out of reach, and moved to the nearest reachable point.
         """
-        rng = np.random.default_rng(rng)
+        rng, count = generator(rng, "rng"), whole_number(count, "count", least=1)
         doubled = self._doubled_normals
         double_area = np.linalg.norm(doubled, axis=-1)
-        face = rng.choice(len(self.faces), _positive(count, "count"), p=double_area / double_area.sum())
+        face = rng.choice(len(self.faces), count, p=double_area / double_area.sum())
         share = np.sort(rng.uniform(size=(count, 2)), axis=-1)
         weights = np.stack([share[:, 0], share[:, 1] - share[:, 0], 1.0 - share[:, 1]], axis=-1)
         on_mesh = (self.vertices[self.faces[face]] * weights[..., None]).sum(axis=1)
@@ -166,29 +166,23 @@ class Boundary:
         asked = np.empty((count, 3))
         left, lift = np.arange(count), 0.1 * self.spacing
         asked[:] = on_mesh + lift * outwards
-        found = _nearest_of_all(box, asked)
+        found = _globally_nearest(box, asked)
         while len(left := left[found.distance[left] <= 0.01 * self.spacing]):
             lift *= 2.0
             asked[left] = on_mesh[left] + lift * outwards[left]
-            found = merged(found, left, _nearest_of_all(box, asked[left]))
+            found = merged(found, left, _globally_nearest(box, asked[left]))
         return BoundaryPoints.of(box, asked, found)
 
 
-def _positive(count: int, argument: str) -> int:
-    if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
-        raise ArgumentError(argument, "a whole number of at least 1", repr(count))
-    return int(count)
-
-
-def _nearest_of_all(box: LegBox, points: FloatArray) -> Nearest:
-    """Return the point of the reachable set nearest to each of `points` (N, 3), asked again just outside of it."""
-    found = nearest_in_box(box, points, tries=_TRIES)
+def _globally_nearest(box: LegBox, points: FloatArray) -> Nearest:
+    """Return the reachable point nearest to each of `points` (N, 3) outside, searched again from just beside it."""
+    found = nearest_in_box(box, points)
     for share in _BESIDE:
         left = np.flatnonzero(found.distance > RESOLUTION * box.size)
         while len(left):
             # Nothing is reachable inside the sphere around `points`; if something is, it is a better beginning.
             here, distance = found.position[left], found.distance[left]
-            beside = nearest_in_box(box, here + share * (points[left] - here), tries=_TRIES)
+            beside = nearest_in_box(box, here + share * (points[left] - here))
             wrong = beside.distance < (1.0 - 1e-6) * share * distance
             left = left[wrong]
             better = nearest_in_box(box, points[left], beside.coordinates[wrong])
@@ -249,19 +243,13 @@ def reachable_boundary(
     except ModuleNotFoundError as missing:
         raise MissingExtraError("workspace", "scikit-image") from missing
     box = leg_box(geometry, limits)
-    tell: Progress = progress or _silent
     origin, shape = lattice(box, spacing)
-    inside = classified(box, origin, shape, spacing, tell)
+    inside = classified(box, origin, shape, spacing, progress)
     if not inside.any():
-        cause = (
-            f"No node of the grid is reachable; the reachable set is about {np.ptp(box.positions, axis=0).min():.2g} m"
-        )
+        smallest = float((box.extent[1] - box.extent[0]).min())
+        cause = f"No node of the grid is reachable; the reachable set is about {smallest:.2g} m"
         raise ArgumentError("spacing", "a spacing much smaller than the reachable set, in metres", spacing, cause)
     corners, faces, _, _ = measure.marching_cubes(np.where(inside, 1.0, -1.0), 0.0)
-    vertices, lengths = crossings(box, origin, spacing, corners.astype(np.float64), inside, tell)
+    vertices, lengths = crossings(box, origin, spacing, corners.astype(np.float64), inside, progress)
     boundary = Boundary(geometry, box.limits, float(spacing), vertices, lengths, faces.astype(np.intp))
     return boundary if boundary.volume > 0.0 else replace(boundary, faces=boundary.faces[:, ::-1])
-
-
-def _silent(what: str, done: int, of: int) -> None:
-    """Tell nobody."""

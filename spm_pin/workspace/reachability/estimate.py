@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import FloatArray, real_number
 
-__all__ = ["Estimate", "check_confidence", "check_count", "from_hits", "from_mean"]
+__all__ = ["Estimate", "check_confidence", "from_hits", "from_mean"]
 
 
 @dataclass(frozen=True)
@@ -53,34 +52,37 @@ class Estimate:
         return Estimate(self.value * factor, low, high, self.confidence, self.samples, self.method, unit)
 
 
-def from_hits(hits: int, samples: int, whole: float, confidence: float, method: str, unit: str) -> Estimate:
-    """Return a part of `whole` from how many of its uniform samples hit it: Clopper and Pearson's interval."""
+def from_hits(
+    hits: int, samples: int, whole: float, confidence: float, method: str, unit: str, undecided: int = 0
+) -> Estimate:
+    """Return a part of `whole` from how many of its uniform samples hit it: Clopper and Pearson's interval.
+
+    Of `undecided` samples it is not known whether they hit: the lower end counts none of them, the upper end all.
+    """
     from scipy import stats  # takes as long to load as all the rest
 
-    interval = stats.binomtest(hits, samples).proportion_ci(confidence, method="exact")
-    ends = whole * float(interval.low), whole * float(interval.high)
+    low = stats.binomtest(hits, samples).proportion_ci(confidence, method="exact").low
+    high = stats.binomtest(hits + undecided, samples).proportion_ci(confidence, method="exact").high
+    ends = whole * float(low), whole * float(high)
     return Estimate(whole * hits / samples, *ends, confidence, samples, method, unit)
 
 
-def from_mean(values: FloatArray, whole: float, confidence: float, method: str, unit: str) -> Estimate:
-    """Return an integral over a region of size `whole` from uniform samples (N,) of it: Student's interval."""
+def from_mean(
+    values: FloatArray, whole: float, confidence: float, method: str, unit: str, relative_variance: float = 0.0
+) -> Estimate:
+    """Return an integral over a region of size `whole` from uniform samples (N,) of it: Student's interval.
+
+    The size may be an independent estimate, unbiased and with the given relative variance.
+    """
     from scipy import stats
 
     mean = float(values.mean())
-    error = float(stats.t.ppf(0.5 + 0.5 * confidence, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values)))
+    variance = float(values.var(ddof=1)) / len(values) + mean**2 * relative_variance
+    error = float(stats.t.ppf(0.5 + 0.5 * confidence, len(values) - 1)) * np.sqrt(variance)
     ends = whole * max(mean - error, 0.0), whole * (mean + error)
     return Estimate(whole * mean, *ends, confidence, len(values), method, unit)
 
 
 def check_confidence(confidence: float) -> float:
     """Return `confidence` if it is a probability."""
-    if not (isinstance(confidence, int | float) and 0.0 < confidence < 1.0):
-        raise ArgumentError("confidence", "a probability between 0 and 1", repr(confidence))
-    return float(confidence)
-
-
-def check_count(count: int, argument: str, least: int = 2) -> int:
-    """Return `count` if it is a whole number of at least `least`."""
-    if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < least:
-        raise ArgumentError(argument, f"a whole number of at least {least}", repr(count))
-    return int(count)
+    return real_number(confidence, "confidence", "a probability between 0 and 1", above=0.0, below=1.0)

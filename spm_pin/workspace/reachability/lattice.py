@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import FloatArray, real_number
 from spm_pin.workspace.reachability.edge_intersection import crossing
 from spm_pin.workspace.reachability.leg_box import LegBox
-from spm_pin.workspace.reachability.nearest import RESOLUTION, Progress, nearest_in_box
+from spm_pin.workspace.reachability.state_search import Progress, search_states
 
 __all__ = ["classified", "crossings", "lattice"]
 
 IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]
 
-_TRIES = 5
 _STRIDES = (8, 4, 2, 1)
 _PORTION = 4096
 _MOST_NODES = 5_000_000
@@ -27,10 +24,9 @@ _MOST_NODES = 5_000_000
 
 def lattice(box: LegBox, spacing: float) -> tuple[FloatArray, tuple[int, int, int]]:
     """Return the first node [m] and how many there are along each axis, wide enough to begin and to end outside."""
-    if not (isinstance(spacing, int | float | np.floating) and math.isfinite(spacing) and spacing > 0.0):
-        raise ArgumentError("spacing", "a positive length in metres", repr(spacing))
-    low, high = box.positions.min(axis=0), box.positions.max(axis=0)
-    pad = 0.05 * (high - low) + 1.5 * spacing
+    spacing = real_number(spacing, "spacing", "a positive length in metres", above=0.0)
+    low, high = box.extent
+    pad = 0.02 * (high - low) + 1.5 * spacing
     with np.errstate(over="ignore"):
         numbers = np.ceil((high - low + 2.0 * pad) / spacing) + 1.0
     if numbers.prod() > _MOST_NODES:
@@ -41,29 +37,24 @@ def lattice(box: LegBox, spacing: float) -> tuple[FloatArray, tuple[int, int, in
 
 
 def classified(
-    box: LegBox, origin: FloatArray, shape: tuple[int, int, int], spacing: float, tell: Progress
+    box: LegBox, origin: FloatArray, shape: tuple[int, int, int], spacing: float, progress: Progress | None
 ) -> BoolArray:
-    """Tell which nodes are reachable, shape `shape`; the farther away, the coarser the grid that is asked."""
+    """Return which nodes are reachable, shape `shape`; the farther away, the coarser the grid that is searched."""
     index = np.indices(shape).reshape(3, -1).T
     nodes = origin + spacing * index
     inside, known = np.zeros(len(nodes), dtype=bool), np.zeros(len(nodes), dtype=bool)
     states = np.full((len(nodes), 2, 3), np.nan)
 
-    def ask(what: str, asked: IntArray, starts: FloatArray | None, tries: int) -> FloatArray:
-        distance = np.empty(len(asked))
-        for begin in range(0, len(asked), _PORTION):
-            tell(what, begin, len(asked))
-            part = slice(begin, begin + _PORTION)
-            found = nearest_in_box(box, nodes[asked[part]], None if starts is None else starts[part], tries)
-            distance[part], states[asked[part]] = found.distance, found.coordinates
-        tell(what, len(asked), len(asked))
+    def search(what: str, asked: IntArray, starts: FloatArray | None) -> FloatArray:
+        found = search_states(box, nodes[asked], starts, what=what, progress=progress)
+        states[asked] = found.coordinates
         known[asked] = True
-        inside[asked] |= distance <= RESOLUTION * box.size
-        return distance
+        inside[asked] |= found.reached
+        return found.distance
 
     for stride in _STRIDES:
         asked = np.flatnonzero(~known & (index % stride == 0).all(axis=-1))
-        distance = ask(f"reachable nodes, every {stride * spacing:g} m", asked, None, _TRIES)
+        distance = search(f"reachable nodes, every {stride * spacing:g} m", asked, None) - box.margin
         # Nothing within that distance is reachable.
         remote = distance > spacing
         if remote.any() and not known.all():
@@ -79,13 +70,18 @@ def classified(
         for step in steps:
             # No reachable node is at the end of a row: around the set there is room.
             beside = fresh[~inside[fresh + step]] + step
-            ask("nodes beside reachable ones", beside, states[beside - step], 1)
+            search("nodes beside reachable ones", beside, states[beside - step])
         fresh = np.flatnonzero(inside & ~before)
     return inside.reshape(shape)
 
 
 def crossings(
-    box: LegBox, origin: FloatArray, spacing: float, corners: FloatArray, inside: BoolArray, tell: Progress
+    box: LegBox,
+    origin: FloatArray,
+    spacing: float,
+    corners: FloatArray,
+    inside: BoolArray,
+    progress: Progress | None,
 ) -> tuple[FloatArray, FloatArray]:
     """Move vertices of marching cubes (V, 3), in units of the grid, to the boundary; return them and leg lengths."""
     first, last = np.floor(corners).astype(int), np.ceil(corners).astype(int)
@@ -97,13 +93,15 @@ def crossings(
         cube = np.floor(corners[k]).astype(int) + np.indices((2, 2, 2)).reshape(3, -1).T
         reached = inside[tuple(cube.T)]
         middle = origin + spacing * corners[k]
-        centre = nearest_in_box(box, middle[None], tries=_TRIES).distance[0] <= RESOLUTION * box.size
+        centre = search_states(box, middle[None]).reached[0]
         ends[0][k] = middle if centre else origin + spacing * cube[reached][0]
         ends[1][k] = origin + spacing * cube[~reached][0] if centre else middle
     vertices, lengths = np.empty((len(corners), 3)), np.empty((len(corners), 6))
     for begin in range(0, len(corners), _PORTION):
-        tell("vertices", begin, len(corners))
+        if progress is not None:
+            progress("vertices", begin, len(corners))
         part = slice(begin, begin + _PORTION)
         vertices[part], lengths[part] = crossing(box, ends[0][part], ends[1][part])
-    tell("vertices", len(corners), len(corners))
+    if progress is not None:
+        progress("vertices", len(corners), len(corners))
     return vertices, lengths

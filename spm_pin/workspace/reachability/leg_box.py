@@ -1,29 +1,46 @@
-"""The leg lengths that limits allow, with a sample of them and of where they put the platform."""
+"""The leg lengths that limits allow, and how far a point is from the reachable set, searched exhaustively but coarsely.
+
+The two stages are independent, so the reachable positions are what the lower stage makes of one fixed set: with L the
+states of the lower stage and S where o is seen from the middle platform in all states of the upper one,
+
+    W = { t_a(u) + R_a(u) s : u in L, s in S },    dist(y, W) = min over u in L of dist(R_aᵀ (y - t_a), S).
+
+S has three dimensions, and its distance is a table. A sample of L is gone through for every point: no local minimum is
+overlooked, and what is found is good enough to begin an exact search with.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
-from scipy.spatial import KDTree
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import ConvexHull, KDTree
 
-from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, first_offender
+from spm_pin.mechanism.arguments import FloatArray, first_offender, instance
 from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
-from spm_pin.workspace.reachability.position_map import PositionMap, stage_coordinates
+from spm_pin.workspace.reachability.position_map import PositionMap, inverses, stage_centre, turned
+from spm_pin.workspace.reachability.stage_set import StageSet
 
 __all__ = ["LegBox", "leg_box"]
 
 _EPS = float(np.finfo(np.float64).eps)
-_TABLE = 20_000
-_SEED = 20_140_131  # of the sample: any number, but always the same
+_LOWER, _UPPER = 2048, 200_000
+"""States of the lower stage that are gone through, and of the upper stage that the table is made of."""
+_SAMPLE = 20_000
+_VOXELS = 64
+_MARGIN = 0.15
+"""Of the table around S, relative to its size."""
+_CELLS = 20
+_PORTION = 64
+_SEED = 20_140_131  # of the samples: any number, but always the same
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LegBox:
-    """The leg lengths that limits allow, and where a sample of them puts the platform.
+    """The leg lengths that limits allow, and the states and positions that belong to them.
 
     Attributes
     ----------
@@ -33,24 +50,12 @@ class LegBox:
         Of its legs.
     minimum, maximum : ndarray, shape (6,)
         The same [m].
-    lengths : ndarray, shape (n, 6)
-        A sample of the box and of its faces of all dimensions, without those that belong to no configuration [m].
-    positions : ndarray, shape (n, 3)
-        Where o is then, in {B} [m].
-    coordinates : ndarray, shape (n, 2, 3)
-        The same states for `spm_pin.workspace.reachability.position_map`.
-    tree : KDTree
-        Of `positions`.
     """
 
     geometry: Geometry
     limits: LegLimits
     minimum: FloatArray
     maximum: FloatArray
-    lengths: FloatArray
-    positions: FloatArray
-    coordinates: FloatArray
-    tree: KDTree
 
     @property
     def size(self) -> float:
@@ -58,28 +63,166 @@ class LegBox:
         g = self.geometry
         return float(g.base_radius + g.platform_radius + g.middle_side + self.maximum.max())
 
+    @property
+    def map(self) -> PositionMap:
+        """The states of a real machine by the coordinates of their stages."""
+        return PositionMap(self.geometry)
+
+    @cached_property
+    def stages(self) -> tuple[StageSet, StageSet]:
+        """The states of the lower and of the upper stage."""
+        lower, upper = (StageSet(self.map, k, *(x[3 * k : 3 * k + 3] for x in self._ends)) for k in range(2))
+        return lower, upper
+
+    @property
+    def _ends(self) -> tuple[FloatArray, FloatArray]:
+        return self.minimum, self.maximum
+
     def snapped(self, lengths: FloatArray) -> FloatArray:
         """Return `lengths` (N, 6) within the limits, those within rounding of a limit at it."""
         tolerance = 64.0 * _EPS * self.size
         lengths = np.where(lengths <= self.minimum + tolerance, self.minimum, lengths)
         return np.where(lengths >= self.maximum - tolerance, self.maximum, lengths)
 
+    def draw(self, count: int, rng: np.random.Generator) -> tuple[FloatArray, float]:
+        """Draw states uniformly in the coordinates of both stages, (count, 2, 3); and estimate their volume."""
+        lower, upper = (stage.draw(count, rng) for stage in self.stages)
+        return np.stack([lower[0], upper[0]], axis=1), lower[1] * upper[1]
+
+    @cached_property
+    def _samples(self) -> tuple[FloatArray, FloatArray]:
+        """States of the lower and of the upper stage, (n, 3) each."""
+        rng = np.random.default_rng(_SEED)
+        return self.stages[0].draw(_LOWER, rng)[0], self.stages[1].draw(_UPPER, rng)[0]
+
+    @cached_property
+    def sample(self) -> FloatArray:
+        """States within the limits, (n, 2, 3), always the same."""
+        return self.draw(_SAMPLE, np.random.default_rng(_SEED))[0]
+
+    @cached_property
+    def tree(self) -> KDTree:
+        """Where `sample` puts o."""
+        return KDTree(self.map.points(self.sample)[0])
+
+    @cached_property
+    def regular(self) -> FloatArray:
+        """A typical determinant of the derivatives of each stage's lengths, shape (2,) [m³], with its sign."""
+        both = np.stack([sample[: len(self._samples[0])] for sample in self._samples], axis=1)
+        return np.asarray(np.median(inverses(self.map.legs(both)[1])[1], axis=0))
+
+    @cached_property
+    def _seen(self) -> tuple[FloatArray, KDTree]:
+        """S as a sample (n, 3), and its tree."""
+        seen = self.map.seen(self._samples[1])[0]
+        return seen, KDTree(seen)
+
+    @cached_property
+    def _table(self) -> tuple[FloatArray, FloatArray, float]:
+        """Distances to S [m] on a grid, less how deep inside it is; the grid's origin; and its spacing [m]."""
+        seen = self._seen[0]
+        low, high = seen.min(axis=0), seen.max(axis=0)
+        margin = _MARGIN * float((high - low).max())
+        spacing = float((high - low).max() + 2.0 * margin) / _VOXELS
+        origin = low - margin
+        shape = np.ceil((high - low + 2.0 * margin) / spacing).astype(int) + 1
+        occupied = np.zeros(tuple(shape), dtype=bool)
+        occupied[tuple(((seen - origin) / spacing).astype(int).T)] = True
+        signed = distance_transform_edt(~occupied) - distance_transform_edt(occupied)
+        return (signed * spacing).astype(np.float32), origin, spacing
+
+    @cached_property
+    def _views(self) -> tuple[FloatArray, FloatArray]:
+        """R_a, shape (n, 3, 3), and R_aᵀ t_a, (n, 3) [m], of the lower stages."""
+        lower = self._samples[0]
+        rotation = np.swapaxes(turned(np.repeat(lower[:, None], 3, axis=1), np.eye(3))[0], -1, -2)
+        centre = stage_centre(lower, self.map.radii[0])[0]
+        return rotation, (np.swapaxes(rotation, -1, -2) @ centre[..., None])[..., 0]
+
     @property
-    def map(self) -> PositionMap:
-        """The map from lengths to positions."""
-        return PositionMap(self.geometry)
+    def spacing(self) -> float:
+        """Of the table of distances [m]: what `nearby` finds is hardly worse than that."""
+        return self._table[2]
+
+    @cached_property
+    def extent(self) -> tuple[FloatArray, FloatArray]:
+        """Corners of a box, (3,) each [m], that holds the reachable positions of the samples, and a margin."""
+        seen = self._seen[0]
+        seen = seen[ConvexHull(seen).vertices]
+        rotation, _ = self._views
+        centre = stage_centre(self._samples[0], self.map.radii[0])[0]
+        # Row by row: where o is along one axis of {B}, for every lower stage and every place at which o is seen.
+        along = [(centre[:, k, None] + rotation[:, k] @ seen.T) for k in range(3)]
+        pad = 2.0 * self.spacing
+        return np.array([x.min() for x in along]) - pad, np.array([x.max() for x in along]) + pad
+
+    @cached_property
+    def cells(self) -> tuple[FloatArray, FloatArray]:
+        """Lower corners (n, 3) and sides (3,) of cells [m] that together hold the reachable positions.
+
+        Cells of a grid whose centre is not farther from the set than their own corners are.
+        """
+        low, high = self.extent
+        size = (high - low) / _CELLS
+        corners = low + size * np.indices((_CELLS,) * 3).reshape(3, -1).T
+        distance, _ = self.nearby(corners + 0.5 * size)
+        return corners[distance <= 0.5 * np.linalg.norm(size) + self.margin], size
+
+    @property
+    def margin(self) -> float:
+        """Farther than this nothing is reachable by the distances of `nearby` [m]: 1.42 spacings were observed."""
+        return 2.5 * self.spacing
+
+    def nearby(self, points: FloatArray, count: int = 1) -> tuple[FloatArray, FloatArray]:
+        """Search the samples for states that put o near points.
+
+        Parameters
+        ----------
+        points : ndarray, shape (N, 3)
+            In {B} [m].
+        count : int
+            How many states for each point.
+
+        Returns
+        -------
+        distance : ndarray, shape (N,)
+            About that of the reachable set [m]: negative well inside, and meaningless, but large, far away.
+        coordinates : ndarray, shape (N, count, 2, 3)
+            States within the limits, the best first.
+        """
+        table, origin, spacing = self._table
+        rotation, offset = self._views
+        scaled = (np.swapaxes(rotation, 0, 1).reshape(3, -1) / spacing).astype(np.float32)
+        shift = (((offset + origin) / spacing).ravel()).astype(np.float32)
+        last, strides = np.array(table.shape) - 1, np.array(table.strides, dtype=np.int32) // table.itemsize
+        low, high = self.extent
+        best, distance = np.empty((len(points), count), dtype=np.intp), np.empty(len(points))
+        for begin in range(0, len(points), _PORTION):
+            part = slice(begin, begin + _PORTION)
+            index = np.clip(points[part], low, high).astype(np.float32) @ scaled
+            index -= shift
+            cells = index.reshape(len(index), -1, 3).astype(np.int32)
+            place = np.clip(cells[..., 0], 0, last[0]) * strides[0]
+            place += np.clip(cells[..., 1], 0, last[1]) * strides[1]
+            place += np.clip(cells[..., 2], 0, last[2])
+            found = table.ravel()[place]
+            order = np.argpartition(found, range(count), axis=1)[:, :count]
+            best[part], distance[part] = order, found[np.arange(len(found)), order[:, 0]]
+        lower = self._samples[0][best]
+        seen = (np.swapaxes(rotation[best], -1, -2) @ points[:, None, :, None])[..., 0] - offset[best]
+        upper = self._samples[1][self._seen[1].query(seen)[1]]
+        return distance, np.stack([lower, upper], axis=2)
 
 
 def leg_box(geometry: Geometry, limits: LegLimits | None = None) -> LegBox:
-    """Sample the box of leg lengths within `limits`, or within those of `geometry`.
+    """Return the leg lengths within `limits`, or within those of `geometry`.
 
     Raises
     ------
     ArgumentError
         If there are no limits or one is infinite, or no lengths within them belong to a configuration.
     """
-    if not isinstance(geometry, Geometry):
-        raise ArgumentError("geometry", "a Geometry", type(geometry).__name__)
+    instance(geometry, Geometry, "geometry")
     limits = geometry.limits if limits is None else limits
     if not isinstance(limits, LegLimits):
         cause = "The geometry has none of its own" if limits is None else ""
@@ -89,23 +232,16 @@ def leg_box(geometry: Geometry, limits: LegLimits | None = None) -> LegBox:
         raise ArgumentError(
             "limits", "a finite maximum for every leg", f"infinity for {leg}", "The set has no end then"
         )
-    return _sampled(geometry, limits)
+    return _checked(geometry, limits)
 
 
 @lru_cache(maxsize=8)
-def _sampled(geometry: Geometry, limits: LegLimits) -> LegBox:
-    rng = np.random.default_rng(_SEED)
+def _checked(geometry: Geometry, limits: LegLimits) -> LegBox:
     # A leg of no length has no direction.
-    low, high = np.maximum(limits.minimum, 1e-6 * np.array(limits.maximum)), np.array(limits.maximum)
-    share = rng.uniform(size=(_TABLE, 6))
-    ends = rng.uniform(size=share.shape) < rng.uniform(size=(_TABLE, 1))
-    lengths = low + np.where(ends, np.round(share), share) * (high - low)
-    states = forward_physical(geometry, lengths)
-    found = states.exists
-    if not found.any():
+    maximum = np.array(limits.maximum)
+    box = LegBox(geometry, limits, np.maximum(limits.minimum, 1e-6 * maximum), maximum)
+    if not all(len(stage.draw(1, np.random.default_rng(_SEED))[0]) for stage in box.stages):
         received = f"limits from {min(limits.minimum):g} to {max(limits.maximum):g} m, which reach no pose"
         cause = "Too short to join the platforms, too different from each other, or in another unit?"
         raise ArgumentError("limits", "leg limits within which the machine can be assembled", received, cause)
-    states = states[found]
-    coordinates, positions = stage_coordinates(states), states.translation
-    return LegBox(geometry, limits, low, high, lengths[found], positions, coordinates, KDTree(positions))
+    return box

@@ -10,22 +10,22 @@ import numpy.typing as npt
 
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.closed_form.inverse_displacement import inverse_displacement
-from spm_pin.closed_form.jacobians import platform_jacobian
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, real_array
+from spm_pin.mechanism.arguments import FloatArray, choice, generator, instance, real_array, whole_number
 from spm_pin.mechanism.branches import BRANCHES, physical, straightness
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.mechanism.pose import PoseLike
 from spm_pin.mechanism.solutions import SolutionSet, Status
 from spm_pin.workspace.reachability.joint_limits import JointLimits
-from spm_pin.workspace.reachability.leg_box import leg_box
-from spm_pin.workspace.reachability.nearest import RESOLUTION, Progress, nearest_in_box
+from spm_pin.workspace.reachability.leg_box import LegBox, leg_box
+from spm_pin.workspace.reachability.nearest import nearest_in_box
+from spm_pin.workspace.reachability.state_search import RESOLUTION, Progress
 
 __all__ = [
     "PositionReach",
     "Reachability",
-    "pose_density",
+    "pose_multiplicity",
     "reachable",
     "reachable_position",
     "sample_reachable",
@@ -33,7 +33,7 @@ __all__ = [
 
 BoolArray = npt.NDArray[np.bool_]
 
-_TRIES = 12
+_ARRIVED = 1e-6
 _PORTION = 20_000
 _MOST_ROUNDS = 1000
 
@@ -105,7 +105,7 @@ def reachable(
     joints: JointLimits | None = None,
     branch: str = "physical",
 ) -> Reachability:
-    """Tell whether poses can be reached within limits.
+    """Find which branches of poses respect limits, and by how much.
 
     Parameters
     ----------
@@ -140,17 +140,13 @@ def reachable(
     >>> answer.reachable, spm.mechanism.BRANCHES[answer.branch], float(answer.leg_margin[answer.branch].round(2))
     (True, 'TT+', 0.05)
     """
-    if not isinstance(geometry, Geometry):
-        raise ArgumentError("geometry", "a Geometry", type(geometry).__name__)
-    if branch not in ("physical", "any", *BRANCHES):
-        raise ArgumentError("branch", f'"physical", "any", or one of {", ".join(BRANCHES)}', repr(branch))
-    for name, value, kind in (("limits", limits, LegLimits), ("joints", joints, JointLimits)):
-        if value is not None and not isinstance(value, kind):
-            raise ArgumentError(name, f"{kind.__name__} or None", type(value).__name__)
+    instance(geometry, Geometry, "geometry")
+    choice(branch, "branch", ("physical", "any", *BRANCHES))
+    limits = limits if limits is None else instance(limits, LegLimits, "limits")
+    joints = JointLimits() if joints is None else instance(joints, JointLimits, "joints")
     branches = inverse_displacement(geometry, pose)
     states = branches.configurations
     limits = limits or geometry.limits
-    joints = joints or JointLimits()
     leg_margin = np.where(states.exists, np.inf, np.nan) if limits is None else limits.margin(states.leg_lengths)
     angle_margin, clearance_margin = joints.angle_margin(states), joints.clearance_margin(states)
     with np.errstate(invalid="ignore"):
@@ -178,8 +174,8 @@ class PositionReach:
         Leg lengths that put o there [m]; there may be others.
     optimality : ndarray, shape (...)
         How far `nearest` is from obeying the conditions of a nearest point, see
-        `spm_pin.workspace.reachability.nearest`;         rounding, unless the search has not arrived and
-        `distance` is only an upper bound.
+        `spm_pin.workspace.reachability.nearest`; rounding, unless the search has not arrived and `distance` is only an
+        upper bound.
     tolerance : float
         [m].
     """
@@ -191,11 +187,14 @@ class PositionReach:
     optimality: FloatArray
     tolerance: float
 
+    @property
+    def undecided(self) -> BoolArray:
+        """Points where no state was found, and no nearest one either, shape (...)."""
+        return np.asarray(~self.reachable & (self.optimality > _ARRIVED))
 
-def reachable_position(
-    geometry: Geometry, points: npt.ArrayLike, limits: LegLimits | None = None, *, tries: int = _TRIES
-) -> PositionReach:
-    """Tell whether o can be at points in some orientation, in the mode of a real machine.
+
+def reachable_position(geometry: Geometry, points: npt.ArrayLike, limits: LegLimits | None = None) -> PositionReach:
+    """Find which positions o can reach in some orientation, in the mode of a real machine, and the nearest it can.
 
     Parameters
     ----------
@@ -205,8 +204,6 @@ def reachable_position(
         In {B} [m].
     limits : LegLimits, optional
         Leg limits; the geometry's own if not given.
-    tries : int
-        Beginnings of the search; see Notes.
 
     Raises
     ------
@@ -216,15 +213,13 @@ def reachable_position(
 
     Notes
     -----
-    "Reachable" is proved: `leg_lengths` put o there. "Not reachable" is the outcome of a local search from several
-    states nearby, each of which ends at a nearest point of its surroundings. Of 10 000 points near the boundary of the
-    paper's manipulator 2 were misjudged with 12 beginnings, 47 with one.
+    "Reachable" is proved: `leg_lengths` put o there. "Not reachable" is the outcome of a search: a coarse one through
+    the states of both stages, then least squares from the best of them. Where the nearest position is not found either,
+    `undecided` says so.
     """
     array = real_array(points, "points", (3,), "positions in metres")
-    if isinstance(tries, bool) or not isinstance(tries, int | np.integer) or tries < 1:
-        raise ArgumentError("tries", "a whole number of at least 1", repr(tries))
     box = leg_box(geometry, limits)
-    found = nearest_in_box(box, array.reshape(-1, 3), tries=int(tries))
+    found = nearest_in_box(box, array.reshape(-1, 3))
     tolerance = RESOLUTION * box.size
     shape = array.shape[:-1]
     reached = found.distance <= tolerance
@@ -277,53 +272,56 @@ def sample_reachable(
 
     Notes
     -----
-    For poses, lengths l are drawn uniformly and kept in proportion to |det ∂(o, R)/∂l|, which is how much of pose space
-    they stand for, divided by the number of sets of lengths that lead to the same pose. The largest value is taken from
+    Both stages are drawn independently. For poses, their coordinates c are drawn uniformly, see
+    `spm_pin.workspace.reachability.position_map`, and states kept in proportion to |det ∂(o, R)/∂c|, which is how much
+    of pose space they stand for, divided by the number of states with the same pose. The largest value is taken from
     what has been drawn; all is drawn again whenever a larger one comes up.
     """
-    if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 0:
-        raise ArgumentError("count", "a whole number that is not negative", repr(count))
-    if space not in ("legs", "poses"):
-        raise ArgumentError("space", '"legs" or "poses"', repr(space))
-    box = leg_box(geometry, limits)
-    generator = np.random.default_rng(rng)
-    parts = [_none(geometry)]
-    largest = 0.0
+    count = whole_number(count, "count")
+    choice(space, "space", ("legs", "poses"))
+    box, rng = leg_box(geometry, limits), generator(rng)
+    parts, largest, kept = [np.empty((0, 2, 3))], 0.0, 0
     for _ in range(_MOST_ROUNDS):
-        kept = sum(len(part) for part in parts)
         if progress is not None:
-            progress("reachable states", min(kept, int(count)), int(count))
+            progress("reachable states", min(kept, count), count)
         if kept >= count:
             break
-        lengths = generator.uniform(box.minimum, box.maximum, (min(max(4 * count, 64), _PORTION), 6))
-        states = forward_physical(geometry, lengths)
-        states = states[states.exists]
-        if space == "poses" and len(states):
-            density = pose_density(states, box.limits)
+        number = min(max(4 * count, 64), _PORTION)
+        if space == "legs":
+            parts.append(_uniform_in_legs(box, number, rng))
+        else:
+            coordinates, _ = box.draw(number, rng)
+            density = box.map.pose_densities(coordinates) / pose_multiplicity(box.map.states(coordinates), box.limits)
             if density.max() > largest:
                 # A bound that a later sample will hardly exceed.
-                parts, largest = [_none(geometry)], 1.2 * float(density.max())
-            states = states[generator.uniform(size=len(density)) * largest < density]
-        parts.append(states)
+                parts, largest = [parts[0]], 1.2 * float(density.max())
+            parts.append(coordinates[rng.uniform(size=number) * largest < density])
+        kept = sum(len(part) for part in parts)
     else:
         raise ArgumentError("limits", "limits within which states are not too rare to be drawn", f"{kept} of {count}")
-    rotation, translation, joints = (
-        np.concatenate([getattr(part, name) for part in parts])[:count]
-        for name in ("rotation", "translation", "middle_joints")
-    )
-    return Configuration.from_arrays(geometry, rotation, translation, joints)
+    return box.map.states(np.concatenate(parts)[:count])
 
 
-def _none(geometry: Geometry) -> Configuration:
-    return Configuration.from_arrays(geometry, np.empty((0, 3, 3)), np.empty((0, 3)), np.empty((0, 3, 3)))
+def _uniform_in_legs(box: LegBox, count: int, rng: np.random.Generator) -> FloatArray:
+    """Draw `count` sets of leg lengths uniformly; return the coordinates of the states among them, (n, 2, 3).
 
-
-def pose_density(states: Configuration, limits: LegLimits) -> FloatArray:
-    """Return how much of pose space each of `states` (N,) stands for, per unit of the leg lengths [rad³/m³], (N,).
-
-    |det ∂(o, R)/∂l| over how many states of a real machine within `limits` hold the same pose.
+    The legs of one stage say nothing about the other stage's: each stage is drawn by itself.
     """
+    lengths = rng.uniform(box.minimum, box.maximum, (count, 6))
+    known = box.map.lengths(box.draw(1, np.random.default_rng(0))[0])[0]
+    halves = []
+    for k in range(2):
+        legs = np.tile(known, (count, 1))
+        legs[:, 3 * k : 3 * k + 3] = lengths[:, 3 * k : 3 * k + 3]
+        states = forward_physical(box.geometry, legs)
+        halves.append(box.map.coordinates(states[states.exists])[:, k])
+    number = min(len(half) for half in halves)
+    return np.stack([half[:number] for half in halves], axis=1)
+
+
+def pose_multiplicity(states: Configuration, limits: LegLimits) -> npt.NDArray[np.intp]:
+    """Return how many states of a real machine within `limits` have the pose of each of `states` (N,), (N,)."""
     branches = inverse_displacement(states.geometry, states.pose).configurations
     # A state at a limit may miss it by rounding: it counts itself at least.
-    same = np.maximum((physical(branches) & limits.contains(branches.leg_lengths)).sum(axis=-1), 1)
-    return np.asarray(np.abs(np.linalg.det(platform_jacobian(states))) / same)
+    same = (physical(branches) & limits.contains(branches.leg_lengths)).sum(axis=-1)
+    return np.asarray(np.maximum(same, 1), dtype=np.intp)

@@ -1,18 +1,19 @@
-"""The point of the reachable set nearest to a given one: least squares in the box of the leg lengths.
+"""The states nearest to given points or poses: least squares in the box of the leg lengths.
 
-In the mode of a real machine the six lengths l determine where the platform's centre o is, and the reachable positions
-are the image W of the box of the limits under that map p(l). The point of W nearest to y minimises |p(l) - y|² over the
-box. Where that is zero y is reachable; elsewhere n = (y - p)/|y - p| is an outward normal of W, and with the gradient
-q_i = n·∂p/∂l_i
+In one assembly mode the six lengths l determine where points of the platform are. For the platform's centre o alone, in
+the mode of a real machine, the reachable positions are the image W of the box of the limits under that map p(l). The
+point of W nearest to y minimises |p(l) - y|² over the box. Where that is zero y is reachable; elsewhere
+n = (y - p)/|y - p| is an outward normal of W, and with the gradient q_i = n·∂p/∂l_i
 
     q_i = 0 for a free leg,    q_i ≥ 0 for one at its maximum,    q_i ≤ 0 for one at its minimum.            (1)
 
-So a leg is at a limit, or n annihilates the whole 3 x 6 Jacobian of the position, which then has lost its rank.
+So a leg is at a limit, or n annihilates the whole 3 x 6 Jacobian of the position, which then has lost its rank. For
+three points, the platform's joints c_1, c_2, c_3, the same finds the nearest pose; n and q are those of all nine
+coordinates over √3.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,21 +22,24 @@ import numpy.typing as npt
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.workspace.reachability.leg_box import LegBox
+from spm_pin.workspace.reachability.position_map import PositionMap
+from spm_pin.workspace.reachability.state_search import RESOLUTION, damped_solution, search_states
 
-__all__ = ["RESOLUTION", "Nearest", "Progress", "merged", "nearest_in_box"]
+__all__ = ["LegSearch", "Nearest", "merged", "nearest_in_box"]
 
 BoolArray = npt.NDArray[np.bool_]
-Progress = Callable[[str, int, int], None]
-"""Called with what is being done, how many steps are done, and of how many; may raise to interrupt."""
+IntArray = npt.NDArray[np.intp]
 
 _EPS = float(np.finfo(np.float64).eps)
-RESOLUTION = 1e-9
-"""Distances are found to this share of the machine's size."""
 _CHUNK = 8192
-_GAUSS_NEWTON, _NEWTON = 30, 500
+_GAUSS_NEWTON, _NEWTON = 30, 200
+_STALLED, _PROGRESS = 10, 1e-6
+_SHORTEST = 1e4  # damping with which no step is worth another
 _FLAT = 1e-9
 """Where the gradient is at most this, no leg length that is free makes the distance shorter."""
-_DAMPING, _LEAST_DAMPING = 1e-4, 1e-10
+_DAMPING, _LEAST_DAMPING = 1e-4, 1e-12
+_STARTS, _REMOTE_STARTS = 2, 3
+_CENTRE = np.zeros((1, 3))
 _STRAYED = 1e-9
 _DIFFERENCE = 1e-4  # of lengths, relative to the machine: the rounding of a second derivative is its square's inverse
 
@@ -56,7 +60,7 @@ class Nearest:
         q of Eq. (1), with n towards the point asked for; zero where that is reachable.
     optimality : ndarray, shape (N,)
         By how much q violates Eq. (1), the largest of the six; zero where the point is reachable. Infinite where the
-        search has left the mode of a real machine; then `position` is where that mode has o.
+        search has left the mode of a real machine; then the state is the one it began with.
     coordinates : ndarray, shape (N, 2, 3)
         The state for `spm_pin.workspace.reachability.position_map`, to begin another search with.
     """
@@ -68,12 +72,12 @@ class Nearest:
     optimality: FloatArray
     coordinates: FloatArray
 
-    def part(self, index: npt.NDArray[np.intp]) -> Nearest:
+    def part(self, index: IntArray) -> Nearest:
         """Return some of the N."""
         return Nearest(*(getattr(self, name)[index] for name in Nearest.__dataclass_fields__))
 
 
-def merged(whole: Nearest, index: npt.NDArray[np.intp], part: Nearest) -> Nearest:
+def merged(whole: Nearest, index: IntArray, part: Nearest) -> Nearest:
     """Return `whole` with `part` in the places `index`."""
     arrays = {name: getattr(whole, name).copy() for name in Nearest.__dataclass_fields__}
     for name, array in arrays.items():
@@ -81,7 +85,7 @@ def merged(whole: Nearest, index: npt.NDArray[np.intp], part: Nearest) -> Neares
     return Nearest(**arrays)
 
 
-def nearest_in_box(box: LegBox, points: FloatArray, starts: FloatArray | None = None, tries: int = 1) -> Nearest:
+def nearest_in_box(box: LegBox, points: FloatArray, starts: FloatArray | None = None) -> Nearest:
     """Return the point of the reachable set nearest to each of `points` (N, 3) [m].
 
     Parameters
@@ -91,55 +95,84 @@ def nearest_in_box(box: LegBox, points: FloatArray, starts: FloatArray | None = 
     points : ndarray, shape (N, 3)
         In {B} [m].
     starts : ndarray, shape (N, 2, 3), optional
-        States within the box to begin with, as in `Nearest.coordinates`.
-    tries : int
-        How many more beginnings, near the point, are tried where it seems to be out of reach.
-
-    Notes
-    -----
-    Gauss-Newton, then Newton's method for those that have not arrived, both projected on the box: a leg at a limit
-    stays there if the gradient holds it there, see Bertsekas, SIAM J. Control Optim. 20 (1982) 221. Steps are damped
-    until they reduce the distance.
+        States within the box to begin with, as in `Nearest.coordinates`. If not given, `search_states` says which
+        points are reachable, and the others begin at the best states of `LegBox.nearby`.
     """
-    parts = []
-    for first in range(0, max(len(points), 1), _CHUNK):
-        part = slice(first, first + _CHUNK)
-        parts.append(_solved(box, points[part], None if starts is None else starts[part], tries))
-    return Nearest(*(np.concatenate([getattr(part, name) for part in parts]) for name in Nearest.__dataclass_fields__))
+    if not len(points):
+        return LegSearch(box, points, np.empty((0, 2, 3))).result()
+    return _joined([_nearest(box, points, starts, slice(k, k + _CHUNK)) for k in range(0, len(points), _CHUNK)])
 
 
-def _solved(box: LegBox, points: FloatArray, starts: FloatArray | None, tries: int) -> Nearest:
-    begin = _Search(box, points, box.coordinates[box.tree.query(points)[1]] if starts is None else starts)
-    begin.approach()
-    if tries > 1:
-        remote = np.flatnonzero(begin.distance > RESOLUTION * box.size)
-        # Neighbours in space may be neighbours in leg space too: every third of them.
-        many = min(3 * tries, len(box.lengths))
-        places = np.empty((len(points), many), dtype=np.intp)
-        places[remote] = box.tree.query(points[remote], many)[1].reshape(-1, many)
-        for k in range(0, many, 3):
-            other = _Search(box, points[remote], box.coordinates[places[remote, k]])
+def _nearest(box: LegBox, points: FloatArray, starts: FloatArray | None, part: slice) -> Nearest:
+    if starts is not None:
+        search = LegSearch(box, points[part], starts[part])
+        search.approach()
+    else:
+        found = search_states(box, points[part])
+        search = LegSearch(box, points[part], found.coordinates)
+        left = np.flatnonzero(~found.reached)
+        _, others = box.nearby(points[part][left], _STARTS)
+        # Far away the other ones are not the best.
+        remote = box.sample[box.tree.query(points[part][left], _REMOTE_STARTS)[1]]
+        others = np.concatenate([others, remote], axis=1)
+        for k in range(others.shape[1]):
+            other = LegSearch(box, points[part][left], others[:, k])
             other.approach()
-            begin.take(remote, other)
-            remote = remote[begin.distance[remote] > RESOLUTION * box.size]
-    begin.settle()
-    return begin.result()
+            search.take(left, other)
+    search.settle()
+    return search.result()
 
 
-class _Search:
-    """The iteration, on N points at once."""
+def _joined(parts: list[Nearest]) -> Nearest:
+    names = Nearest.__dataclass_fields__
+    return Nearest(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
-    def __init__(self, box: LegBox, points: FloatArray, coordinates: FloatArray) -> None:
-        self.box, self.points, self.coordinates = box, points, coordinates.copy()
-        self.lengths = box.snapped(box.map.lengths(coordinates))
-        self.position, self.jacobian = box.map.position(coordinates)
-        self.damping = np.full(len(points), _DAMPING)
+
+class LegSearch:
+    """Gauss-Newton and Newton's method over the leg lengths, for N members at once.
+
+    Both are projected on the box: a leg at a limit stays there if the gradient holds it there, see Bertsekas, SIAM J.
+    Control Optim. 20 (1982) 221. Steps are damped until they reduce the distance.
+
+    Parameters
+    ----------
+    box : LegBox
+        The leg lengths.
+    targets : ndarray, shape (N, 3K)
+        Where the points of `body` should be [m].
+    coordinates : ndarray, shape (N, 2, 3)
+        States within the box to begin with.
+    body : ndarray, shape (K, 3)
+        Points in {m} [m].
+    mapping : PositionMap, optional
+        Of the family of the states, if that is not TT.
+    """
+
+    def __init__(
+        self,
+        box: LegBox,
+        targets: FloatArray,
+        coordinates: FloatArray,
+        body: FloatArray = _CENTRE,
+        mapping: PositionMap | None = None,
+    ) -> None:
+        self.box, self.body, self.map = box, body, mapping or box.map
+        self.scale = 1.0 / np.sqrt(len(body))
+        self.points, self.first, self.coordinates = self.scale * targets, coordinates, coordinates.copy()
+        self.lengths = box.snapped(self.map.lengths(coordinates))
+        self.position, self.jacobian = self._positions(coordinates)
+        self.damping = np.full(len(targets), _DAMPING)
+
+    def _positions(self, coordinates: FloatArray) -> tuple[FloatArray, FloatArray]:
+        position, jacobian = self.map.position(coordinates, self.body)
+        return self.scale * position, self.scale * jacobian
 
     @property
     def distance(self) -> FloatArray:
+        """From the targets, shape (N,) [m]."""
         return np.asarray(np.sqrt(((self.position - self.points) ** 2).sum(axis=-1)))
 
-    def take(self, index: npt.NDArray[np.intp], other: _Search) -> None:
+    def take(self, index: IntArray, other: LegSearch) -> None:
         """Take over what `other` found nearer, for the points `index`."""
         better = other.distance < self.distance[index]
         for name in ("coordinates", "lengths", "position", "jacobian"):
@@ -161,7 +194,7 @@ class _Search:
         return held, np.where(held, 0.0, slope)
 
     def _step(
-        self, index: npt.NDArray[np.intp], error: FloatArray, held: BoolArray, slope: FloatArray, *, exact: bool
+        self, index: IntArray, error: FloatArray, held: BoolArray, slope: FloatArray, *, exact: bool
     ) -> FloatArray:
         """Return the change of the lengths, (n, 6), that leads to the nearest point to second order within the limits.
 
@@ -178,40 +211,44 @@ class _Search:
             stop = fixed[left]
             # What is at its end pulls the others along.
             right = slope[left] + (hessian[left] @ np.where(stop, step[left], 0.0)[..., None])[..., 0]
-            right = np.where(stop, 0.0, right)[..., None]
+            right = np.where(stop, 0.0, right)
             matrix = np.where(stop[:, :, None] | stop[:, None, :], np.eye(6), hessian[left])
             if exact:
-                values, vectors = np.linalg.eigh(matrix)
-                values = np.abs(values) + damping[left, None]
-                solved = vectors @ ((np.swapaxes(vectors, -1, -2) @ right) / values[..., None])
+                solved = _newton_step(matrix, right, damping[left])
             else:
-                solved = np.linalg.solve(matrix + damping[left, None, None] * np.eye(6), right)
-            free = np.where(stop, step[left], -solved[..., 0])
+                solved = damped_solution(matrix, right, damping[left])
+            if not np.isfinite(solved).all():
+                solved = np.nan_to_num(solved, nan=0.0, posinf=0.0, neginf=0.0)
+            free = np.where(stop, step[left], -solved)
             step[left] = np.clip(free, low[left], high[left])
             beyond = (step[left] != free) & ~stop
             fixed[left] |= beyond
             left = left[beyond.any(axis=-1)]
         return step
 
-    def _iterate(self, active: npt.NDArray[np.intp], steps: int, *, exact: bool) -> npt.NDArray[np.intp]:
-        """Step; return those of `active` that have not arrived."""
+    def _iterate(self, active: IntArray, steps: int, *, exact: bool) -> None:
         box = self.box
-        for _ in range(steps):
+        before = self.distance
+        for count in range(1, steps + 1):
+            if count % _STALLED == 0:
+                # Towards a forward singularity steps become shorter and shorter.
+                distance = self.distance[active]
+                active = active[distance <= (1.0 - _PROGRESS) * before[active]] if count > _STALLED else active
+                before[active] = self.distance[active]
             error = self.position[active] - self.points[active]
             held, slope = self._projected(self.lengths[active], self.jacobian[active], error)
             distance = np.sqrt((error**2).sum(axis=-1))
             arrived = distance <= 1e-3 * RESOLUTION * box.size
             arrived |= np.abs(slope).max(axis=-1, initial=0.0) <= _FLAT * distance
-            # No step is short enough.
-            arrived |= self.damping[active] > 1e8
+            arrived |= self.damping[active] > _SHORTEST
             going = ~arrived
             active, error, held, slope = active[going], error[going], held[going], slope[going]
             if not len(active):
                 break
             step = self._step(active, error, held, slope, exact=exact)
             lengths = box.snapped(self.lengths[active] + step)
-            coordinates = box.map.moved(self.coordinates[active], lengths)
-            position, derivatives = box.map.position(coordinates)
+            coordinates = self.map.moved(self.coordinates[active], lengths)
+            position, derivatives = self._positions(coordinates)
             # False for what does not exist. At the end, what a step gains is less than the rounding of the distance.
             moved = position - self.points[active]
             change = np.sqrt((moved**2).sum(axis=-1)) - distance[going]
@@ -223,26 +260,32 @@ class _Search:
             self.jacobian[chosen], self.coordinates[chosen] = derivatives[better], coordinates[better]
             damping = self.damping[active]
             self.damping[active] = np.where(better, np.maximum(0.1 * damping, _LEAST_DAMPING), 10.0 * damping)
-        return active
 
-    def _curvature(self, index: npt.NDArray[np.intp], error: FloatArray) -> FloatArray:
+    def _curvature(self, index: IntArray, error: FloatArray) -> FloatArray:
         """Return the second derivatives of error·p, (n, 6, 6), from differences of the Jacobian."""
         h = _DIFFERENCE * self.box.size
         shifted = self.lengths[index, None, :] + h * np.concatenate([np.eye(6), -np.eye(6)])
         start = np.repeat(self.coordinates[index], 12, axis=0)
-        _, jacobian = self.box.map.position(self.box.map.moved(start, np.maximum(shifted, h).reshape(-1, 6)))
-        slopes = (jacobian.reshape(len(index), 12, 3, 6) * error[:, None, :, None]).sum(axis=-2)
+        _, jacobian = self._positions(self.map.moved(start, np.maximum(shifted, h).reshape(-1, 6)))
+        slopes = (jacobian.reshape(len(index), 12, -1, 6) * error[:, None, :, None]).sum(axis=-2)
         matrix = (slopes[:, :6] - slopes[:, 6:]) / (2.0 * h)
         matrix = 0.5 * (matrix + np.swapaxes(matrix, -1, -2))
-        return np.where(np.isnan(matrix).any(axis=(-1, -2), keepdims=True), 0.0, matrix)
+        return np.where(np.isfinite(matrix).all(axis=(-1, -2), keepdims=True), matrix, 0.0)
 
     def result(self) -> Nearest:
+        """Return what was found by a search for o, each state checked against the mode of a real machine.
+
+        One that has left it is replaced by the state that it began with.
+        """
         states = forward_physical(self.box.geometry, self.lengths)
         with np.errstate(invalid="ignore"):
             strayed = ~(
                 np.abs(states.translation - self.position).max(axis=-1, initial=0.0) <= _STRAYED * self.box.size
             )
-        self.position[strayed] = states.translation[strayed]
+        if strayed.any():
+            first = LegSearch(self.box, self.points[strayed], self.first[strayed])
+            for name in ("coordinates", "lengths", "position", "jacobian"):
+                getattr(self, name)[strayed] = getattr(first, name)
         error = self.position - self.points
         _, slope = self._projected(self.lengths, self.jacobian, error)
         gradient = (self.jacobian * error[:, :, None]).sum(axis=1)
@@ -253,3 +296,13 @@ class _Search:
         optimality[strayed] = np.inf
         gradient = np.where(remote[:, None], gradient / scale, 0.0)
         return Nearest(self.position, self.lengths, distance, gradient, optimality, self.coordinates)
+
+
+def _newton_step(matrix: FloatArray, right: FloatArray, damping: FloatArray) -> FloatArray:
+    """Return the solution (N, n) with the absolute eigenvalues of symmetric matrices (N, n, n), and damping."""
+    good = np.asarray(np.isfinite(matrix).all(axis=(-1, -2)))
+    values, vectors = np.linalg.eigh(np.where(good[:, None, None], matrix, 0.0))
+    values = np.abs(values)
+    values += damping[:, None] * np.maximum(values.max(axis=-1, keepdims=True), np.finfo(float).tiny)
+    turned = np.swapaxes(vectors, -1, -2) @ np.where(good[:, None], right, 0.0)[..., None]
+    return np.asarray((vectors @ (turned / values[..., None]))[..., 0])

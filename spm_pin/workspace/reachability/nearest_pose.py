@@ -2,11 +2,10 @@
 
 Distance is measured where the platform is held: the root of the mean squared displacement of c_1, c_2, c_3.
 
-Within leg limits this is least squares over the leg lengths l. With G the platform's Jacobian, a change δ of the
-lengths moves the c_i by A G δ to first order, so each step solves min |r + A G δ|² for l_min <= l + δ <= l_max and for
-δ within a trust region, and the configuration follows its own assembly mode there. G is finite at inverse
-singularities, which legs can pass though a platform cannot: the branch may then end as another one. Without leg limits
-see `spm_pin.workspace.reachability.family_slab`.
+Within leg limits this is the least-squares problem of `spm_pin.workspace.reachability.nearest`, in the assembly mode of
+the start. Derivatives with respect to the legs are finite at inverse singularities, which legs can pass though a
+platform cannot: the branch may then end as another one. Without leg limits see
+`spm_pin.workspace.reachability.family_slab`.
 """
 
 from __future__ import annotations
@@ -15,28 +14,26 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import lsq_linear
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial import KDTree
 
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.closed_form.inverse_displacement import inverse_displacement
-from spm_pin.closed_form.jacobians import platform_jacobian
-from spm_pin.errors import ArgumentError, SingularConfigurationError
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import FloatArray, choice, instance
 from spm_pin.mechanism.branches import BRANCHES, FAMILIES, family, physical
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
+from spm_pin.mechanism.pose import pose as make_pose
 from spm_pin.workspace.reachability.family_slab import nearest_real_pose
-from spm_pin.workspace.reachability.leg_box import leg_box
+from spm_pin.workspace.reachability.leg_box import LegBox, leg_box
+from spm_pin.workspace.reachability.nearest import LegSearch
+from spm_pin.workspace.reachability.position_map import PositionMap
 
 __all__ = ["NearestPose", "nearest_reachable_pose", "pose_distance"]
 
-_STEPS = 20
-_RADIUS = 0.15
-"""First trust region: a leg changes by at most this share of d in a step."""
-_DONE = 1e-5
-"""Steps shorter than this share of d are not worth one more."""
+_STARTS = 8
+_SAME = 1e-7
 
 
 @dataclass(frozen=True)
@@ -70,6 +67,7 @@ def pose_distance(geometry: Geometry, first: PoseLike, second: PoseLike) -> Any:
     ndarray, shape (...)
         A float for two single poses.
     """
+    instance(geometry, Geometry, "geometry")
     places = [as_rigid_transform(pose, name).as_matrix() for pose, name in ((first, "first"), (second, "second"))]
     difference = places[0] - places[1]
     moved = difference[..., None, :3, 3] + geometry.platform_joints @ np.swapaxes(difference[..., :3, :3], -1, -2)
@@ -124,38 +122,38 @@ def nearest_reachable_pose(
     >>> bool(geometry.limits.contains(found.configuration.leg_lengths)), round(found.distance, 3)
     (True, 0.344)
     """
-    if not isinstance(geometry, Geometry):
-        raise ArgumentError("geometry", "a Geometry", type(geometry).__name__)
-    if limits is not None and not isinstance(limits, LegLimits):
-        raise ArgumentError("limits", "LegLimits or None", type(limits).__name__)
+    instance(geometry, Geometry, "geometry")
+    limits = limits if limits is None else instance(limits, LegLimits, "limits")
     target = as_rigid_transform(pose)
     limits = limits or geometry.limits or LegLimits(0.0, np.inf)
     limited = max(limits.minimum) > 0.0 or min(limits.maximum) < np.inf
     if near is not None:
         _check_near(geometry, near, limits)
-    if branch is not None and (limited or branch not in BRANCHES):
-        expected = "None where legs are limited" if limited else f"one of {', '.join(BRANCHES)}"
-        raise ArgumentError("branch", expected, repr(branch))
-    branch = branch or FAMILIES[0 if near is None else int(family(near))] + "+"
-    found = np.empty(target.shape, dtype=object)
-    for index in np.ndindex(target.shape):
-        single = target[index] if target.shape else target
+    if branch is not None:
         if limited:
-            found[index] = _within(_start(geometry, single, limits) if near is None else near, single, limits)
-        else:
-            real = nearest_real_pose(geometry, single, branch[:2], None if near is None else near.pose)
-            found[index] = inverse_displacement(geometry, real)[branch]
-    arrays = (
-        np.reshape([getattr(state, name) for state in found.flat], (*target.shape, *trailing))
+            raise ArgumentError("branch", "None where legs are limited", repr(branch))
+        choice(branch, "branch", BRANCHES)
+    matrices = target.as_matrix().reshape(-1, 4, 4)
+    if limited:
+        states = _within_limits(geometry, matrices, limits, near)
+    else:
+        branch = branch or FAMILIES[0 if near is None else int(family(near))] + "+"
+        from_near = None if near is None else near.pose
+        poses = [nearest_real_pose(geometry, as_rigid_transform(one), branch[:2], from_near) for one in matrices]
+        nearest = np.array([one.as_matrix() for one in poses]).reshape(-1, 4, 4)
+        states = inverse_displacement(geometry, nearest)[branch]
+    arrays = [
+        getattr(states, name).reshape(*target.shape, *trailing)
         for name, trailing in (("rotation", (3, 3)), ("translation", (3,)), ("middle_joints", (3, 3)))
-    )
+    ]
     states = Configuration.from_arrays(geometry, *arrays)
-    distance = np.where(states.exists, pose_distance(geometry, states.pose, target), np.nan)
+    found = np.where(np.isnan(arrays[0]), np.eye(3), arrays[0]), np.nan_to_num(arrays[1])
+    distance = np.where(states.exists, pose_distance(geometry, make_pose(found[1], rotation=found[0]), target), np.nan)
     return NearestPose(states, distance if target.shape else float(distance))
 
 
 def _check_near(geometry: Geometry, near: Configuration, limits: LegLimits) -> None:
-    if not isinstance(near, Configuration) or near.shape or not near.exists:
+    if instance(near, Configuration, "near").shape or not near.exists:
         raise ArgumentError("near", "a single Configuration that exists", repr(near))
     sizes = [(g.base_radius, g.platform_radius, g.middle_side) for g in (geometry, near.geometry)]
     if sizes[0] != sizes[1]:
@@ -164,50 +162,39 @@ def _check_near(geometry: Geometry, near: Configuration, limits: LegLimits) -> N
         raise ArgumentError("near", "a configuration within the leg limits", repr(near))
 
 
-def _start(geometry: Geometry, target: RigidTransform, limits: LegLimits) -> Configuration:
-    """Return the state nearest to `target` of a sample within the limits."""
-    states = forward_physical(geometry, leg_box(geometry, limits).lengths)
-    return states[int(np.argmin(pose_distance(geometry, states.pose, target)))]
-
-
-def _within(start: Configuration, target: RigidTransform, limits: LegLimits) -> Configuration:
-    """Move a configuration within leg limits as near to `target` as they allow."""
-    geometry = start.geometry
-    low, high = np.array(limits.minimum), np.array(limits.maximum)
-    wanted = target.apply(geometry.platform_joints)
-    state, lengths, error = start, np.clip(start.leg_lengths, low, high), _error(start, wanted)
-    home = bool(physical(start))
-    radius = _RADIUS * geometry.middle_side
-    for _ in range(_STEPS):
-        try:
-            delta = _step(state, wanted, np.maximum(low - lengths, -radius), np.minimum(high - lengths, radius))
-        except SingularConfigurationError:
-            break
-        longest = float(np.abs(delta).max())
-        if longest < _DONE * geometry.middle_side:
-            break
-        trial = np.clip(lengths + delta, low, high)
-        # In the home mode no path needs to be followed, and finding it costs half as much.
-        moved = forward_physical(geometry, trial, seed=None if home else state)
-        there = _error(moved, wanted) if moved.exists else np.inf
-        if there < error:
-            radius = max(radius, 2.0 * longest) if there < 0.5 * error else radius
-            state, lengths, error = moved, trial, there
-        else:
-            radius = 0.25 * longest
-    return state
-
-
-def _error(state: Configuration, wanted: FloatArray) -> float:
-    return float(((state.platform_joints - wanted) ** 2).sum())
-
-
-def _step(state: Configuration, wanted: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return the change of the lengths (6,) [m], within bounds, that brings the c_i nearest to their places."""
-    twists = platform_jacobian(state)
-    arms = state.platform_joints - state.translation
-    moves = twists[None, :3] + np.cross(twists[3:].T[None], arms[:, None]).swapaxes(-1, -2)
-    # A length on its limit still needs an interval that is not empty.
-    lower, upper = np.minimum(lower, 0.0) - 1e-12, np.maximum(upper, 0.0) + 1e-12
-    error = (wanted - state.platform_joints).ravel()
-    return np.asarray(lsq_linear(moves.reshape(9, 6), error, bounds=(lower, upper), method="bvls").x)
+def _within_limits(
+    geometry: Geometry, matrices: FloatArray, limits: LegLimits, near: Configuration | None
+) -> Configuration:
+    """Return the states (N,) within leg limits nearest to poses (N, 4, 4)."""
+    joints = geometry.platform_joints
+    targets = (matrices[:, None, :3, 3] + joints @ np.swapaxes(matrices[:, :3, :3], -1, -2)).reshape(-1, 9)
+    if near is None:
+        box = leg_box(geometry, limits)
+        mapping, tree = box.map, KDTree(box.map.points(box.sample, joints)[0])
+        starts = box.sample[tree.query(targets, _STARTS)[1]]
+    else:
+        box = LegBox(geometry, limits, np.array(limits.minimum), np.array(limits.maximum))
+        mapping = PositionMap(geometry, FAMILIES[int(family(near))])
+        single = Configuration(near.geometry, near.pose.as_matrix()[None], near.middle_joints[None])
+        starts = np.broadcast_to(mapping.coordinates(single), (len(targets), 1, 2, 3))
+    search = LegSearch(box, targets, starts[:, 0], joints, mapping)
+    search.approach()
+    for k in range(1, starts.shape[1]):
+        other = LegSearch(box, targets, starts[:, k], joints, mapping)
+        other.approach()
+        search.take(np.arange(len(targets)), other)
+    search.settle()
+    states = mapping.states(search.coordinates)
+    # Newton's method has gone in long steps: has it kept the mode?
+    home = near is None or bool(physical(near))
+    proved = forward_physical(geometry, search.lengths, seed=None if home else near)
+    with np.errstate(invalid="ignore"):
+        kept = np.abs(proved.middle_joints - states.middle_joints).max(axis=(-1, -2)) <= _SAME * geometry.middle_side
+    begun = mapping.states(starts[:, 0])
+    return Configuration.from_arrays(
+        geometry,
+        *(
+            np.where(kept.reshape(-1, *(1,) * inner), getattr(states, name), getattr(begun, name))
+            for name, inner in (("rotation", 2), ("translation", 1), ("middle_joints", 2))
+        ),
+    )

@@ -1,10 +1,11 @@
 """The orientations that the platform can have at a position.
 
-A position leaves three of six freedoms. Choose the lower legs: they place the middle platform, and from there o is seen
-in one place s, which determines the upper legs. So the box of the lower legs, where the upper ones respect their limits
-too, is the whole set of states at this position, and its orientations have the volume
+A position leaves three of six freedoms. Choose the state of the lower stage, by its coordinates u: from the middle
+platform o is then seen in one place s, which determines the upper stage's coordinates v. So the states of the lower
+stage for which the upper one respects its limits too are the whole set of states at this position, and its
+orientations have the volume
 
-    ∫ |det ∂(o, R)/∂l| / |det ∂o/∂l_upper| dl_lower.
+    ∫ |det ∂(o, R)/∂(u, v)| / |det ∂o/∂v| du.
 """
 
 from __future__ import annotations
@@ -14,15 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.forward_displacement import forward_physical
-from spm_pin.closed_form.jacobians import platform_jacobian
-from spm_pin.mechanism.arguments import FloatArray, real_array
+from spm_pin.mechanism.arguments import FloatArray, generator, real_array, whole_number
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry, LegLimits
-from spm_pin.workspace.reachability.estimate import Estimate, check_confidence, check_count, from_hits, from_mean
+from spm_pin.workspace.reachability.estimate import Estimate, check_confidence, from_hits, from_mean
 from spm_pin.workspace.reachability.leg_box import leg_box
-from spm_pin.workspace.reachability.membership import pose_density
-from spm_pin.workspace.reachability.position_map import stage_coordinates
+from spm_pin.workspace.reachability.membership import pose_multiplicity
 from spm_pin.workspace.reachability.tilt_torsion import ROTATIONS, tilt_torsion
 
 __all__ = ["OrientationWorkspace", "orientation_workspace"]
@@ -39,7 +37,7 @@ class OrientationWorkspace:
     position : ndarray, shape (3,)
         Of o in {B} [m].
     states : Configuration, shape (n,)
-        States with o there, uniform in the lower legs.
+        States with o there, uniform in the coordinates of the lower stage.
     weights : ndarray, shape (n,)
         How much of the orientations each state stands for [rad³]; they add up to `volume.value`.
     azimuth, tilt, torsion : ndarray, shape (n,)
@@ -70,7 +68,7 @@ class OrientationWorkspace:
 
         NaN for a sector with no state. A sample finds a little less than there is.
         """
-        number = check_count(sectors, "sectors", 1)
+        number = whole_number(sectors, "sectors", least=1)
         edges = np.linspace(-np.pi, np.pi, number + 1)
         sector = np.clip(np.digitize(self.azimuth, edges) - 1, 0, number - 1)
         largest = np.full(number, -np.inf)
@@ -98,9 +96,9 @@ def orientation_workspace(
     limits : LegLimits, optional
         Leg limits; the geometry's own if not given.
     samples : int
-        Sets of lower legs to try.
+        States of the lower stage to try.
     confidence : float
-        Of the volume's interval: Student's; if no state is found, Clopper and Pearson's for the share of sets of legs,
+        Of the volume's interval: Student's; if no state is found, Clopper and Pearson's for the share of states,
         taken of all rotations, which is generous.
     rng : Generator or int, optional
         Source of randomness, or its seed.
@@ -124,32 +122,19 @@ def orientation_workspace(
     point = real_array(position, "position", (3,), "a position in metres").reshape(-1, 3)
     if len(point) != 1:
         real_array(position, "position", (3, 0), "one position in metres")
-    count, confidence = check_count(samples, "samples"), check_confidence(confidence)
-    box = leg_box(geometry, limits)
-    lengths = np.empty((count, 6))
-    lengths[:, :3] = np.random.default_rng(rng).uniform(box.minimum[:3], box.maximum[:3], (count, 3))
-    # Any upper legs: only the lower stage is wanted.
-    lengths[:, 3:] = box.lengths[0, 3:]
-    assembled = forward_physical(geometry, lengths)
-    index = np.flatnonzero(assembled.exists)
-    coordinates = stage_coordinates(assembled[index])
-    coordinates[:, 1] = box.map.upper_for(coordinates[:, 0], point)
-    upper = box.map.lengths(coordinates)[:, 3:]
-    with np.errstate(invalid="ignore"):
-        good = ((upper >= box.minimum[3:]) & (upper <= box.maximum[3:])).all(axis=-1)
-    index = index[good]
-    lengths[index, 3:] = upper[good]
-    states = forward_physical(geometry, lengths[index])
-    with np.errstate(invalid="ignore"):
-        # Another mode of the upper stage may see o in the same place.
-        physical = np.abs(states.translation - point).max(axis=-1, initial=0.0) <= _SAME * box.size
-    index, states = index[physical], states[physical]
+    count, confidence = whole_number(samples, "samples", least=2), check_confidence(confidence)
+    box, rng = leg_box(geometry, limits), generator(rng)
+    lower, region = box.stages[0].draw(count, rng)
+    upper = box.map.upper_for(lower, point)
+    index = np.flatnonzero(box.stages[1].contains(upper))
+    coordinates = np.stack([lower[index], upper[index]], axis=1)
+    states = box.map.states(coordinates)
+    across = np.abs(np.linalg.det(box.map.points(coordinates)[1][:, :, 3:]))
     values = np.zeros(count)
-    values[index] = pose_density(states, box.limits) / np.abs(np.linalg.det(platform_jacobian(states)[:, :3, 3:]))
-    region = float((box.maximum - box.minimum)[:3].prod())
-    method = "change of variables from the lower legs"
+    values[index] = box.map.pose_densities(coordinates) / (across * pose_multiplicity(states, box.limits))
+    method = "change of variables from the lower stage's coordinates"
     if len(index):
-        volume = from_mean(values, region, confidence, method, "rad³")
+        volume = from_mean(values, region, confidence, method, "rad³", 1.0 / count)
     else:
         volume = from_hits(0, count, ROTATIONS, confidence, method, "rad³")
     azimuth, tilt, torsion = tilt_torsion(states.rotation)

@@ -1,14 +1,15 @@
-"""Where o is for six leg lengths, and its derivatives, near a configuration that is known.
+"""Positions and leg lengths as functions of the coordinates of the two stages, with derivatives.
 
-Both stages are without torsion: in a frame of its hips a stage's middle platform is turned by the unit quaternion
-(x0, x1, x2, 0), about a level axis, and its centre is at t = (-2r x1 x2, r (x2² - x1²), Z); see
-`docs/theory/forward_displacement.md`. So (x1, x2, Z) of both stages give everything explicitly,
+A stage of mode T has no torsion: in a frame of its hips its middle platform is turned by the unit quaternion
+(x0, x1, x2, 0), about a level axis, and its centre is at t = (-2r x1 x2, r (x2² - x1²), Z). Mode F is the same with -r
+for r and a half turn about the platform's normal first; see `docs/theory/forward_displacement.md`. So (x1, x2, Z/|r|)
+of both stages give everything explicitly, and without singularities: a point p of the platform is at
 
-    o = t_a + R_a s,    s = -R_bᵀ t_b,
+    t_a + R_a s,    s = R_bᵀ (p - t_b),
 
-s being where o is seen from the middle platform, and the leg lengths too; three at a time they are solved for the
-coordinates by Newton's method. `forward_physical` finds a configuration from nothing; where thousands of searches take
-many short steps each, going on from the last one is ten times as fast.
+s being where it is seen from the middle platform. The leg lengths are explicit too; three at a time they are solved for
+the coordinates by Newton's method. `forward_physical` finds a configuration from nothing; where thousands of searches
+take many short steps each, going on from the last one is ten times as fast.
 """
 
 from __future__ import annotations
@@ -16,38 +17,64 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.branches import in_home_aspect
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 
-__all__ = ["PositionMap", "stage_coordinates"]
+__all__ = ["PositionMap", "inverses", "turned"]
+
+BoolArray = npt.NDArray[np.bool_]
 
 _STEPS = 12
-
-
-def stage_coordinates(states: Configuration) -> FloatArray:
-    """Return (x1, x2, Z/r) of the lower and of the upper stage of states (N,) without torsion, shape (N, 2, 3)."""
-    b, rotation = states.middle_joints, states.rotation
-    middle = states.middle_pose
-    seen = np.swapaxes(rotation, -1, -2) @ middle.as_matrix()[:, :3, :3]
-    centre = b.mean(axis=-2)
-    from_m = ((centre - states.translation)[:, None, :] @ rotation)[:, 0]
-    coordinates = np.empty((len(b), 2, 3))
-    for k, (matrix, height) in enumerate(((middle.as_matrix()[:, :3, :3], centre[:, 2]), (seen, from_m[:, 2]))):
-        # Without torsion R + Rᵀ and R - Rᵀ give 4 x0² and 4 x0 (x1, x2).
-        x0 = 0.5 * np.sqrt(np.maximum(1.0 + np.trace(matrix, axis1=-2, axis2=-1), 0.0))
-        coordinates[:, k, 0] = (matrix[:, 2, 1] - matrix[:, 1, 2]) / (4.0 * x0)
-        coordinates[:, k, 1] = (matrix[:, 0, 2] - matrix[:, 2, 0]) / (4.0 * x0)
-        coordinates[:, k, 2] = height / states.geometry.middle_radius
-    return coordinates
+_BOTH = slice(None)
+_CENTRE = np.zeros((1, 3))
+_OPPOSITE = np.array([-1.0, -1.0, 1.0])
+_HALF_TURN = np.array([-1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True)
 class PositionMap:
-    """The map from leg lengths to the position of o of one manipulator."""
+    """The states of one family of a manipulator, by the coordinates of its stages.
+
+    Attributes
+    ----------
+    geometry : Geometry
+        The manipulator.
+    family : str
+        One of `spm_pin.mechanism.FAMILIES`.
+    """
 
     geometry: Geometry
+    family: str = "TT"
+
+    @property
+    def radii(self) -> FloatArray:
+        """The middle platform's radius [m], shape (2,); negative for a stage of mode F."""
+        return self.geometry.middle_radius * np.array([1.0 if mode == "T" else -1.0 for mode in self.family])
+
+    @property
+    def _between(self) -> FloatArray:
+        # A half turn of one stage, but not of the other, is left between the two.
+        return np.ones(3) if self.family[0] == self.family[1] else _HALF_TURN
+
+    def coordinates(self, states: Configuration) -> FloatArray:
+        """Return (x1, x2, Z/|r|) of the lower and of the upper stage of states (N,) of this family, (N, 2, 3)."""
+        middle = states.middle_pose.as_matrix()[:, :3, :3]
+        centre = states.middle_joints.mean(axis=-2)
+        from_m = np.swapaxes(states.rotation, -1, -2)
+        seen = (from_m @ (centre - states.translation)[..., None])[..., 0]
+        coordinates = np.empty((len(middle), 2, 3))
+        for k, (matrix, height) in enumerate(((middle, centre[:, 2]), (from_m @ middle, seen[:, 2]))):
+            matrix = matrix if self.family[k] == "T" else matrix * _HALF_TURN
+            # Without torsion R + Rᵀ and R - Rᵀ give 4 x0² and 4 x0 (x1, x2).
+            x0 = 0.5 * np.sqrt(np.maximum(1.0 + np.trace(matrix, axis1=-2, axis2=-1), 0.0))
+            coordinates[:, k, 0] = (matrix[:, 2, 1] - matrix[:, 1, 2]) / (4.0 * x0)
+            coordinates[:, k, 1] = (matrix[:, 0, 2] - matrix[:, 2, 0]) / (4.0 * x0)
+            coordinates[:, k, 2] = height / states.geometry.middle_radius
+        return coordinates
 
     def moved(self, coordinates: FloatArray, lengths: FloatArray) -> FloatArray:
         """Return the stage coordinates (N, 2, 3) that belong to `lengths` (N, 6) [m], near `coordinates`.
@@ -60,14 +87,14 @@ class PositionMap:
         active = np.arange(len(here))
         arrived = np.zeros(len(here), dtype=bool)
         for _ in range(_STEPS):
-            found, jacobian = self._legs(here[active])
-            inverse, determinant = _inverse(jacobian)
+            found, jacobian = self.legs(here[active])
+            inverse, determinant = inverses(jacobian)
             if side is None:
                 side = np.sign(determinant)
             error = target[active] - found
             good = (np.sign(determinant) == side[active]).all(axis=-1)
             near = np.abs(error).max(axis=(-1, -2), initial=0.0) <= 1e-14 * self._size(target[active])
-            with np.errstate(invalid="ignore"):
+            with np.errstate(invalid="ignore", over="ignore"):
                 here[active] += (inverse * error[..., None, :]).sum(axis=-1)
             arrived[active[near & good]] = True
             active = active[~near & good]
@@ -75,7 +102,7 @@ class PositionMap:
                 break
         else:
             # Rounding may stop just short of the tolerance.
-            found, _ = self._legs(here[active])
+            found, _ = self.legs(here[active])
             near = np.abs(target[active] - found).max(axis=(-1, -2), initial=0.0)
             arrived[active[near <= 1e-12 * self._size(target[active])]] = True
         here[~arrived] = np.nan
@@ -83,65 +110,139 @@ class PositionMap:
 
     def lengths(self, coordinates: FloatArray) -> FloatArray:
         """Return the leg lengths (N, 6) [m] of stage coordinates (N, 2, 3)."""
-        return self._legs(coordinates)[0].reshape(-1, 6)
+        return np.hypot(*self.in_leg_planes(coordinates)).reshape(-1, 6)
 
     def _size(self, lengths: FloatArray) -> FloatArray:
         radii = self.geometry.base_radius + self.geometry.platform_radius + self.geometry.middle_side
         return np.asarray(radii + lengths.max(axis=(-1, -2), initial=0.0))
 
-    def _legs(self, coordinates: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return leg lengths (N, 2, 3) [m] and their derivatives (N, 2, 3, 3): rows legs, columns coordinates [m]."""
-        g = self.geometry
-        r = g.middle_radius
-        cos, sin = g.radial_directions[:, 0], g.radial_directions[:, 1]
-        hips = np.array([g.base_radius, g.platform_radius])[:, None]
+    def in_leg_planes(self, coordinates: FloatArray, stages: slice = _BOTH) -> tuple[FloatArray, FloatArray]:
+        """Return where the ball joints are in their legs' planes: outward from the hips, and up, (N, 2, 3) each [m].
+
+        `coordinates` has the shape (N, 2, 3), or (N, 1, 3) for one of the stages.
+        """
+        r = self.radii[stages, None]
+        cos, sin = self.geometry.radial_directions[:, 0], self.geometry.radial_directions[:, 1]
         x1, x2, height = (coordinates[..., k, None] for k in range(3))
         with np.errstate(invalid="ignore"):
-            x0 = np.sqrt(1.0 - x1 * x1 - x2 * x2)
-        lift = x1 * sin - x2 * cos
-        across = r * (x0 * x0 - 2.0 * (2.0 * x1 * x2 * cos + (x1 * x1 - x2 * x2) * sin)) - hips
-        up = r * (height + 2.0 * x0 * lift)
-        lengths = np.sqrt(across * across + up * up)
-        across_1 = -2.0 * r * (x1 + 2.0 * (x2 * cos + x1 * sin))
-        across_2 = -2.0 * r * (x2 + 2.0 * (x1 * cos - x2 * sin))
-        up_1, up_2 = 2.0 * r * (x0 * sin - x1 / x0 * lift), -2.0 * r * (x0 * cos + x2 / x0 * lift)
-        rows = [(across * across_1 + up * up_1), (across * across_2 + up * up_2), r * up]
-        return lengths, np.stack(rows, axis=-1) / lengths[..., None]
+            square = 1.0 - x1 * x1 - x2 * x2
+            x0 = np.sqrt(square)
+        across = r * (square - 2.0 * (2.0 * x1 * x2 * cos + (x1 * x1 - x2 * x2) * sin)) - self._hips[stages]
+        return across, abs(r) * height + 2.0 * r * x0 * (x1 * sin - x2 * cos)
 
-    def seen(self, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return s [m], where o is seen from the middle platform, (N, 3), and its derivatives, a row per coordinate.
+    @property
+    def _hips(self) -> FloatArray:
+        return np.array([[self.geometry.base_radius], [self.geometry.platform_radius]])
+
+    def legs(self, coordinates: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return leg lengths (N, 2, 3) [m] and their derivatives (N, 2, 3, 3): rows legs, columns coordinates [m]."""
+        r = self.radii[:, None]
+        cos, sin = self.geometry.radial_directions[:, 0], self.geometry.radial_directions[:, 1]
+        across, up = self.in_leg_planes(coordinates)
+        x1, x2 = coordinates[..., 0, None], coordinates[..., 1, None]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            x0 = np.sqrt(1.0 - x1 * x1 - x2 * x2)
+            lift = (x1 * sin - x2 * cos) / x0
+            lengths = np.sqrt(across * across + up * up)
+            across_1 = -2.0 * r * (x1 + 2.0 * (x2 * cos + x1 * sin))
+            across_2 = -2.0 * r * (x2 + 2.0 * (x1 * cos - x2 * sin))
+            up_1, up_2 = 2.0 * r * (x0 * sin - x1 * lift), -2.0 * r * (x0 * cos + x2 * lift)
+            rows = [(across * across_1 + up * up_1), (across * across_2 + up * up_2), abs(r) * up]
+            return lengths, np.stack(rows, axis=-1) / lengths[..., None]
+
+    def home_aspect(self, coordinates: FloatArray, stages: slice = _BOTH) -> BoolArray:
+        """Test which stages (N, 2) of mode T are on the outer side of their platform and in the home's aspect.
+
+        For one of the stages `coordinates` has the shape (N, 1, 3), and the result (N, 1).
+        """
+        radial = self.geometry.radial_directions
+        axis = np.array([0.0, 0.0, 1.0])
+        across, up = (array[..., None] for array in self.in_leg_planes(coordinates, stages))
+        points = (across + self._hips[stages, :, None]) * radial + up * axis
+        outer = np.array([1.0, -1.0])[stages]
+        normals = outer[:, None, None] * (up * radial - across * axis)
+        with np.errstate(invalid="ignore"):
+            return (outer * coordinates[..., 2] > 0.0) & in_home_aspect(points, normals)
+
+    def points(self, coordinates: FloatArray, body: FloatArray = _CENTRE) -> tuple[FloatArray, FloatArray]:
+        """Return where points of the platform are, and the derivatives with respect to the coordinates.
+
+        Parameters
+        ----------
+        coordinates : ndarray, shape (N, 2, 3)
+            Of the stages.
+        body : ndarray, shape (K, 3)
+            Points in {m} [m].
+
+        Returns
+        -------
+        positions : ndarray, shape (N, 3K)
+            In {B} [m].
+        derivatives : ndarray, shape (N, 3K, 6)
+            [m].
+        """
+        lower, upper = coordinates[:, 0], coordinates[:, 1]
+        centre, by_lower = stage_centre(lower, self.radii[0])
+        positions, derivatives = [], []
+        for point in body:
+            s, ds = self.seen(upper, point)
+            moved, by_turn = turned(lower, s)
+            rows = np.concatenate([by_lower, turned(lower[:, None, :], ds)[0]], axis=1)
+            rows[:, :2] += by_turn
+            positions.append(centre + moved)
+            derivatives.append(np.swapaxes(rows, -1, -2))
+        return np.concatenate(positions, axis=-1), np.concatenate(derivatives, axis=-2)
+
+    def seen(self, upper: FloatArray, point: FloatArray = _CENTRE[0]) -> tuple[FloatArray, FloatArray]:
+        """Return s [m], where a point of {m} is seen from the middle platform, (N, 3), and a row per coordinate.
 
         `upper` holds the coordinates of the upper stage, (N, 3).
         """
-        r = self.geometry.middle_radius
-        t, dt = _centre(upper, r)
+        t, dt = stage_centre(upper, self.radii[1])
         # R_bᵀ is the turn about the opposite axis.
-        opposite = upper * [-1.0, -1.0, 1.0]
-        turned, by_axis = _turned(opposite, t)
-        derivatives = -_turned(opposite[:, None, :], dt)[0]
-        derivatives[:, :2] += by_axis
-        return -turned, derivatives
+        opposite = upper * _OPPOSITE
+        s, by_axis = turned(opposite, point - t)
+        derivatives = -turned(opposite[:, None, :], dt)[0]
+        derivatives[:, :2] -= by_axis
+        return self._between * s, self._between * derivatives
 
-    def position(self, coordinates: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return o [m] in {B}, (N, 3), and its derivatives with respect to the leg lengths, (N, 3, 6)."""
+    def position(self, coordinates: FloatArray, body: FloatArray = _CENTRE) -> tuple[FloatArray, FloatArray]:
+        """Return `points` and the derivatives with respect to the leg lengths, (N, 3K) [m] and (N, 3K, 6)."""
+        positions, derivatives = self.points(coordinates, body)
+        inverse, _ = inverses(self.legs(coordinates)[1])
+        with np.errstate(invalid="ignore", over="ignore"):
+            halves = [derivatives[..., 3 * k : 3 * k + 3] @ inverse[:, k] for k in range(2)]
+        return positions, np.concatenate(halves, axis=-1)
+
+    def states(self, coordinates: FloatArray) -> Configuration:
+        """Return the configurations (N,) of stage coordinates (N, 2, 3)."""
+        across, up = self.in_leg_planes(coordinates[:, :1], slice(1))
+        outward = (across + self._hips[0])[:, 0, :, None] * self.geometry.radial_directions
+        joints = outward + up[:, 0, :, None] * [0.0, 0.0, 1.0]
+        lower, upper = (np.repeat(coordinates[:, None, k], 3, axis=1) for k in range(2))
+        back = turned(upper * _OPPOSITE, np.eye(3))[0]
+        rotation = np.swapaxes(turned(lower, self._between * back)[0], -1, -2)
+        return Configuration.from_arrays(self.geometry, rotation, self.points(coordinates)[0], joints)
+
+    def pose_densities(self, coordinates: FloatArray) -> FloatArray:
+        """Return |det ∂(o, R)/∂(coordinates)| [m³ rad³], (N,): how much of pose space they stand for."""
+        _, translations = self.points(coordinates)
         lower, upper = coordinates[:, 0], coordinates[:, 1]
-        centre, d_lower = _centre(lower, self.geometry.middle_radius)
-        s, ds = self.seen(upper)
-        moved, by_lower = _turned(lower, s)
-        d_lower[:, :2] += by_lower
-        d_upper = _turned(lower[:, None, :], ds)[0]
-        # One row per coordinate so far, from here on one column per leg.
-        inverse, _ = _inverse(self._legs(coordinates)[1])
-        jacobian = [np.swapaxes(d, -1, -2) @ inverse[:, k] for k, d in enumerate((d_lower, d_upper))]
-        return centre + moved, np.concatenate(jacobian, axis=-1)
+        turns = np.zeros((len(lower), 6, 3))
+        turns[:, :2] = _angular(lower)
+        # The rotation is R_a times the turn about the opposite axis.
+        turns[:, 3:5] = turned(lower[:, None, :], -self._between * _angular(upper * _OPPOSITE))[0]
+        matrix = np.concatenate([translations, np.swapaxes(turns, -1, -2)], axis=1)
+        return np.asarray(np.abs(np.linalg.det(matrix)))
 
     def upper_for(self, lower: FloatArray, points: FloatArray) -> FloatArray:
         """Return coordinates of upper stages (N, 3) that put o at `points` (N, 3) [m], given those of the lower stages.
 
-        By Newton's method, from the middle platform's normal turned towards o; NaN where that does not arrive.
+        By Newton's method, from the middle platform's normal turned towards o; NaN where that does not arrive. For the
+        family TT only.
         """
-        centre, _ = _centre(lower, self.geometry.middle_radius)
-        target, _ = _turned(lower * [-1.0, -1.0, 1.0], points - centre)
+        centre, _ = stage_centre(lower, self.radii[0])
+        target, _ = turned(lower * _OPPOSITE, points - centre)
         distance = np.sqrt((target**2).sum(axis=-1))
         across = np.hypot(target[:, 0], target[:, 1])
         half = 0.5 * np.arctan2(across, target[:, 2])
@@ -152,27 +253,32 @@ class PositionMap:
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             for _ in range(2 * _STEPS):
                 s, ds = self.seen(upper)
-                inverse, _ = _inverse(ds)
+                inverse, _ = inverses(ds)
                 upper = upper + (np.swapaxes(inverse, -1, -2) @ (target - s)[..., None])[..., 0]
             error = np.abs(self.seen(upper)[0] - target).max(axis=-1, initial=0.0)
         return np.where((error <= 1e-12 * (1.0 + distance))[:, None], upper, np.nan)
 
 
-def _centre(coordinates: FloatArray, r: float) -> tuple[FloatArray, FloatArray]:
-    """Return t (N, 3) [m] and its derivatives, a row per coordinate, (N, 3, 3)."""
-    x1, x2, height = (r * coordinates[:, k] for k in range(3))
-    u1, u2 = coordinates[:, 0], coordinates[:, 1]
+def stage_centre(coordinates: FloatArray, r: float) -> tuple[FloatArray, FloatArray]:
+    """Return t (N, 3) [m] of a stage and its derivatives, a row per coordinate, (N, 3, 3)."""
+    x1, x2, height = coordinates[:, 0], coordinates[:, 1], abs(r) * coordinates[:, 2]
     zero = np.zeros_like(x1)
-    rows = [[-2.0 * x2, -2.0 * x1, zero], [-2.0 * x1, 2.0 * x2, zero], [zero, zero, np.full_like(x1, r)]]
-    return np.stack([-2.0 * x1 * u2, x2 * u2 - x1 * u1, height], axis=-1), np.stack(
+    rows = [
+        [-2.0 * r * x2, -2.0 * r * x1, zero],
+        [-2.0 * r * x1, 2.0 * r * x2, zero],
+        [zero, zero, np.full_like(x1, abs(r))],
+    ]
+    # The matrix is symmetric.
+    return np.stack([-2.0 * r * x1 * x2, r * (x2 * x2 - x1 * x1), height], axis=-1), np.stack(
         [np.stack(row, axis=-1) for row in rows], axis=-2
     )
 
 
-def _turned(coordinates: FloatArray, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+def turned(coordinates: FloatArray, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return R v (..., 3) for the turn by (x0, x1, x2, 0), and its derivatives by x1 and x2, rows of (..., 2, 3)."""
     x1, x2 = coordinates[..., 0, None], coordinates[..., 1, None]
-    x0 = np.sqrt(1.0 - x1 * x1 - x2 * x2)
+    with np.errstate(invalid="ignore"):
+        x0 = np.sqrt(1.0 - x1 * x1 - x2 * x2)
     a, b, c = vector[..., 0, None], vector[..., 1, None], vector[..., 2, None]
     # w = x × v, and v' = v + 2 x0 w + 2 x × w.
     w1, w2, w3 = x2 * c, -x1 * c, x1 * b - x2 * a
@@ -188,18 +294,28 @@ def _turned(coordinates: FloatArray, vector: FloatArray) -> tuple[FloatArray, Fl
     for x, p1, p2 in ((x1, one, zero), (x2, zero, one)):
         d1, d2, d3 = p2 * c, -p1 * c, p1 * b - p2 * a
         d = np.concatenate([d1 + zero, d2 + zero, d3], axis=-1)
-        slopes.append(
-            2.0 * (x0 * d - x / x0 * w) + 2.0 * (across(p1, p2, w1, w2, w3) + across(x1, x2, d1 + zero, d2 + zero, d3))
-        )
+        with np.errstate(invalid="ignore", divide="ignore"):
+            by_x0 = 2.0 * (x0 * d - x / x0 * w)
+        slopes.append(by_x0 + 2.0 * (across(p1, p2, w1, w2, w3) + across(x1, x2, d1 + zero, d2 + zero, d3)))
     return out, np.stack(slopes, axis=-2)
 
 
-def _inverse(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _angular(coordinates: FloatArray) -> FloatArray:
+    """Return the angular velocities [rad] of the turn by (x0, x1, x2, 0) per x1 and x2, rows of (N, 2, 3)."""
+    x1, x2 = coordinates[:, 0], coordinates[:, 1]
+    x0 = np.sqrt(1.0 - x1 * x1 - x2 * x2)
+    # Twice the vector part of dq q*.
+    first = [x0 + x1 * x1 / x0, x1 * x2 / x0, -x2]
+    second = [x1 * x2 / x0, x0 + x2 * x2 / x0, x1]
+    return 2.0 * np.stack([np.stack(first, axis=-1), np.stack(second, axis=-1)], axis=-2)
+
+
+def inverses(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return inverses of (..., 3, 3) by cofactors, and the determinants (...); not finite where singular."""
     a, b, c = matrix[..., 0, :], matrix[..., 1, :], matrix[..., 2, :]
-    columns = [_cross(b, c), _cross(c, a), _cross(a, b)]
-    determinant = (a * columns[0]).sum(axis=-1)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        columns = [_cross(b, c), _cross(c, a), _cross(a, b)]
+        determinant = (a * columns[0]).sum(axis=-1)
         return np.stack(columns, axis=-1) / determinant[..., None, None], determinant
 
 

@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import FloatArray, choice, generator, instance, whole_number
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.workspace.reachability.boundary import Boundary, reachable_boundary
-from spm_pin.workspace.reachability.estimate import Estimate, check_confidence, check_count, from_hits, from_mean
+from spm_pin.workspace.reachability.estimate import Estimate, check_confidence, from_hits, from_mean
 from spm_pin.workspace.reachability.leg_box import LegBox, leg_box
-from spm_pin.workspace.reachability.membership import pose_density
-from spm_pin.workspace.reachability.nearest import RESOLUTION, Progress, nearest_in_box
-
-if TYPE_CHECKING:
-    from spm_pin.workspace.table_6.shell import Shell
+from spm_pin.workspace.reachability.membership import pose_multiplicity, sample_reachable
+from spm_pin.workspace.reachability.state_search import Membership, Progress, search_states
+from spm_pin.workspace.table_6.shell import Shell
 
 __all__ = ["ShellComparison", "compare_with_shell", "pose_volume", "reachable_volume"]
 
-_TRIES = 5
-_CELLS = 12
 _PORTION = 10_000
 
 
@@ -48,7 +42,8 @@ def reachable_volume(
     limits : LegLimits, optional
         Leg limits; the geometry's own if not given.
     method : str
-        "sampling": the share of uniform points that are reachable, with Clopper and Pearson's interval. "mesh": what
+        "sampling": the share of uniform points that are reachable, with Clopper and Pearson's interval, to which
+        points are added for which the search failed. "mesh": what
         `reachable_boundary` encloses at `spacing` and at half of it, extrapolated; as error counts what the
         extrapolation adds, and the interval has no confidence.
     samples : int
@@ -73,7 +68,7 @@ def reachable_volume(
         As for `reachable_boundary`; or if another argument is not as above.
     """
     check_confidence(confidence)
-    if method == "mesh":
+    if choice(method, "method", ("sampling", "mesh")) == "mesh":
         coarse = reachable_boundary(geometry, limits, spacing=spacing, progress=progress)
         fine = reachable_boundary(geometry, limits, spacing=0.5 * spacing, progress=progress)
         # A mesh with vertices on a surface is off by the square of its spacing.
@@ -81,40 +76,23 @@ def reachable_volume(
         value, error = fine.volume + added, abs(added)
         how = f"meshes of spacing {spacing:g} and {0.5 * spacing:g} m, extrapolated"
         return Estimate(value, value - error, value + error, float("nan"), len(fine.vertices), how, "m³")
-    if method != "sampling":
-        raise ArgumentError("method", '"sampling" or "mesh"', repr(method))
-    box = leg_box(geometry, limits)
-    points, region = _points_around(box, check_count(samples, "samples"), np.random.default_rng(rng))
-    hits = int(_reached(box, points, progress).sum())
-    return from_hits(hits, samples, region, confidence, "share of uniform points", "m³")
+    box, rng = leg_box(geometry, limits), generator(rng)
+    points, region = _points_around(box, whole_number(samples, "samples", least=2), rng)
+    found = search_states(box, points, what="reachable points", progress=progress)
+    how = "share of uniform points"
+    return _share(found, region, confidence, how, "m³")
+
+
+def _share(found: Membership, region: float, confidence: float, method: str, unit: str) -> Estimate:
+    hits, undecided = int(found.reached.sum()), int(found.undecided.sum())
+    return from_hits(hits, len(found.reached), region, confidence, method, unit, undecided)
 
 
 def _points_around(box: LegBox, count: int, rng: np.random.Generator) -> tuple[FloatArray, float]:
-    """Draw points (count, 3) [m] uniformly from a region that holds the reachable set; and its volume [m³].
-
-    The region is made of the cells of a grid whose centre is not farther from the set than its own corners.
-    """
-    low, high = box.positions.min(axis=0), box.positions.max(axis=0)
-    # The sample that these come from has no point at the very ends.
-    low, high = low - 0.1 * (high - low), high + 0.1 * (high - low)
-    size = (high - low) / _CELLS
-    index = np.indices((_CELLS,) * 3).reshape(3, -1).T
-    distance = nearest_in_box(box, low + (index + 0.5) * size, tries=_TRIES).distance
-    cells = index[distance <= 0.5 * np.linalg.norm(size)]
-    points = low + (cells[rng.integers(len(cells), size=count)] + rng.uniform(size=(count, 3))) * size
-    return points, float(len(cells) * size.prod())
-
-
-def _reached(box: LegBox, points: FloatArray, progress: Progress | None) -> npt.NDArray[np.bool_]:
-    reached = np.empty(len(points), dtype=bool)
-    for begin in range(0, len(points), _PORTION):
-        if progress is not None:
-            progress("reachable points", begin, len(points))
-        part = slice(begin, begin + _PORTION)
-        reached[part] = nearest_in_box(box, points[part], tries=_TRIES).distance <= RESOLUTION * box.size
-    if progress is not None:
-        progress("reachable points", len(points), len(points))
-    return reached
+    """Draw points (count, 3) [m] uniformly from a region that holds the reachable set; and its volume [m³]."""
+    corners, size = box.cells
+    points = corners[rng.integers(len(corners), size=count)] + size * rng.uniform(size=(count, 3))
+    return points, float(len(corners) * size.prod())
 
 
 def pose_volume(
@@ -135,7 +113,7 @@ def pose_volume(
     limits : LegLimits, optional
         Leg limits; the geometry's own if not given.
     samples : int
-        Sets of leg lengths.
+        States.
     confidence : float
         Of the interval, Student's.
     rng : Generator or int, optional
@@ -155,26 +133,27 @@ def pose_volume(
 
     Notes
     -----
-    The integral of |det ∂(o, R)/∂l| over the leg lengths l, each set of lengths counted by one over how many lead to
-    its pose.
+    The integral of |det ∂(o, R)/∂c| over the coordinates c of both stages, see
+    `spm_pin.workspace.reachability.position_map`, each state counted by one over how many have its pose. In these
+    coordinates the integrand is bounded; over the leg lengths it is not, towards forward singularities.
     """
     confidence = check_confidence(confidence)
-    count = check_count(samples, "samples")
-    box = leg_box(geometry, limits)
-    generator = np.random.default_rng(rng)
-    values = np.zeros(count)
+    count = whole_number(samples, "samples", least=2)
+    box, rng = leg_box(geometry, limits), generator(rng)
+    parts, volumes = [np.empty(0)], []
     for begin in range(0, count, _PORTION):
         if progress is not None:
-            progress("leg lengths", begin, count)
-        states = forward_physical(
-            geometry, generator.uniform(box.minimum, box.maximum, (min(_PORTION, count - begin), 6))
-        )
-        found = np.flatnonzero(states.exists)
-        values[begin + found] = pose_density(states[found], box.limits)
+            progress("states", begin, count)
+        coordinates, volume = box.draw(min(_PORTION, count - begin), rng)
+        parts.append(box.map.pose_densities(coordinates) / pose_multiplicity(box.map.states(coordinates), box.limits))
+        volumes.append(volume)
     if progress is not None:
-        progress("leg lengths", count, count)
-    whole = float((box.maximum - box.minimum).prod())
-    return from_mean(values, whole, confidence, "change of variables from the leg lengths", "m³ rad³")
+        progress("states", count, count)
+    whole = float(np.average(volumes, weights=[len(part) for part in parts[1:]]))
+    how = "change of variables from the stages' coordinates"
+    # Of the size of each stage's set, of which the volume is the product.
+    variance = 2.0 / count
+    return from_mean(np.concatenate(parts), whole, confidence, how, "m³ rad³", variance)
 
 
 @dataclass(frozen=True)
@@ -213,7 +192,7 @@ def compare_with_shell(
     Parameters
     ----------
     shell : Shell
-        Of `workspace_shell`.
+        Made by `spm_pin.workspace.shell`.
     boundary : Boundary, optional
         Of the same geometry and limits; made with a spacing of 0.1 m if not given.
     samples : int
@@ -226,26 +205,25 @@ def compare_with_shell(
     A point of the boundary is on a surface if the four legs that do not vary there are at their limits.
     """
     check_confidence(confidence)
-    count = check_count(samples, "samples", 20)
-    generator = np.random.default_rng(rng)
-    geometry, limits = shell.geometry, shell.limits
+    count, rng = whole_number(samples, "samples", least=20), generator(rng)
+    geometry, limits = instance(shell, Shell, "shell").geometry, shell.limits
     box = leg_box(geometry, limits)
     boundary = boundary or reachable_boundary(geometry, limits, progress=progress)
     if (boundary.geometry, boundary.limits) != (geometry, limits):
         raise ArgumentError("boundary", "that of the shell's geometry and limits", repr(boundary))
 
-    positions = forward_physical(geometry, generator.uniform(box.minimum, box.maximum, (count, 6))).translation
-    positions = positions[np.isfinite(positions[:, 0])]
+    positions = sample_reachable(geometry, count, limits, rng=rng).translation
     outside = positions[~shell.contains(positions)]
-    legs = from_hits(len(outside), len(positions), 1.0, confidence, "uniform leg lengths", "")
+    legs = from_hits(len(outside), count, 1.0, confidence, "uniform leg lengths", "")
     farthest = float(-shell.distance(outside).min()) if len(outside) else 0.0
 
-    points, _ = _points_around(box, count, generator)
-    points = points[_reached(box, points, progress)]
+    points, _ = _points_around(box, count, rng)
+    found = search_states(box, points, what="reachable points", progress=progress)
+    points = points[found.reached]
     missed = int(np.count_nonzero(~shell.contains(points)))
     volume = from_hits(missed, len(points), 1.0, confidence, "uniform reachable points", "")
 
-    drawn = boundary.sample(count // 10, generator)
+    drawn = boundary.sample(count // 10, rng)
     surfaces = np.array(
         [[{"min": -1, "max": 1}.get(leg.value, 0) for leg in patch.settings] for patch in shell.patches]
     )

@@ -76,7 +76,7 @@ def test_for_a_fixed_orientation_the_edge_is_where_the_discriminant_vanishes():
 
 @pytest.mark.parametrize("limits", [None, spm.LegLimits(0.0, np.inf)], ids=["limited", "unlimited"])
 def test_a_reachable_pose_is_its_own_nearest(limits):
-    assert nearest_reachable_pose(PAPER, START.pose, limits).distance < 1e-6
+    assert nearest_reachable_pose(PAPER, START.pose, limits).distance < 1e-8
 
 
 def test_a_batch_has_the_results_of_its_members():

@@ -71,7 +71,7 @@ def test_the_largest_tilt_in_each_sector() -> None:
 
 
 def test_on_the_axis_the_orientations_are_threefold_symmetric() -> None:
-    answer = orientation_workspace(PAPER, [0.0, 0.0, 2.5], samples=8000, rng=5)
+    answer = orientation_workspace(PAPER, [0.0, 0.0, 2.5], samples=14_000, rng=5)
     third = 2.0 * np.pi / 3.0
     sums = [answer.weights[np.floor((answer.azimuth + np.pi) / third).astype(int) == k].sum() for k in range(3)]
     error = np.sqrt((answer.weights**2).sum()) / answer.weights.sum()

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 import spm_pin as spm
 from spm_pin.mechanism.branches import physical
 from spm_pin.workspace.reachability.joint_limits import JointLimits
-from spm_pin.workspace.reachability.membership import Reachability, pose_density, reachable, sample_reachable
+from spm_pin.workspace.reachability.membership import Reachability, pose_multiplicity, reachable, sample_reachable
 
 PAPER = GEOMETRIES["paper"]
 LIMITS = spm.LegLimits(1.1, 1.5)
@@ -143,7 +143,8 @@ def test_a_sample_of_poses_is_uniform_in_pose_space() -> None:
     steps: list[int] = []
     states = sample_reachable(PAPER, 4000, space="poses", rng=9, progress=lambda what, done, of: steps.append(done))
     assert steps[-1] == 4000
-    weight = pose_density(states, LIMITS)
+    determinant = np.linalg.det(spm.closed_form.platform_jacobian(states))
+    weight = np.abs(determinant) / pose_multiplicity(states, LIMITS)
     # Weighted back, leg lengths are uniform, but that pairs of states with one pose count one half each.
     share = (states.leg_lengths - 1.1) / 0.4
     mean = (share / weight[:, None]).sum(axis=0) / (1.0 / weight).sum()

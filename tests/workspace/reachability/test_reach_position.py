@@ -11,7 +11,7 @@ import spm_pin as spm
 from spm_pin.workspace.reachability.leg_box import leg_box
 from spm_pin.workspace.reachability.membership import reachable_position
 from spm_pin.workspace.reachability.nearest import nearest_in_box
-from spm_pin.workspace.reachability.position_map import PositionMap, stage_coordinates
+from spm_pin.workspace.reachability.position_map import PositionMap
 
 PAPER = GEOMETRIES["paper"]
 
@@ -27,7 +27,8 @@ def test_the_map_is_forward_displacement_and_its_derivatives_those_of_the_platfo
     legs = rng.uniform(limits.minimum, limits.maximum, (500, 6))
     states = spm.forward_physical(geometry, legs)
     assert states.exists.all()
-    mapping, coordinates = PositionMap(geometry), stage_coordinates(states)
+    mapping = PositionMap(geometry)
+    coordinates = mapping.coordinates(states)
     position, jacobian = mapping.position(coordinates)
     np.testing.assert_allclose(mapping.lengths(coordinates), legs, atol=1e-12)
     np.testing.assert_allclose(position, states.translation, atol=1e-12)
@@ -42,7 +43,7 @@ def test_the_map_is_forward_displacement_and_its_derivatives_those_of_the_platfo
 def test_lengths_that_belong_to_no_configuration_have_no_position() -> None:
     states = spm.forward_physical(PAPER, [[1.3] * 6, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5]])
     impossible = np.array([[3.0, 0.2, 0.2, 1.3, 1.3, 1.3], [1.3] * 6])
-    moved = PositionMap(PAPER).moved(stage_coordinates(states), impossible)
+    moved = PositionMap(PAPER).moved(PositionMap(PAPER).coordinates(states), impossible)
     assert np.isnan(moved[0]).all()
     assert np.isfinite(moved[1]).all()
 
@@ -50,7 +51,7 @@ def test_lengths_that_belong_to_no_configuration_have_no_position() -> None:
 def test_given_the_lower_legs_the_upper_ones_that_reach_a_point_are_found() -> None:
     legs = np.random.default_rng(2).uniform(1.1, 1.5, (2000, 6))
     states = spm.forward_physical(PAPER, legs)
-    coordinates = stage_coordinates(states)
+    coordinates = PositionMap(PAPER).coordinates(states)
     upper = PositionMap(PAPER).upper_for(coordinates[:, 0], states.translation)
     # The only ones within the limits: no two upper stages see o in the same place there.
     np.testing.assert_allclose(upper, coordinates[:, 1], atol=1e-10)
@@ -84,7 +85,7 @@ def test_far_points_are_not_and_know_how_far_they_are() -> None:
 def test_distances_are_those_a_bounded_least_squares_solver_finds() -> None:
     rng = np.random.default_rng(4)
     box = leg_box(PAPER)
-    points = rng.uniform(box.positions.min(axis=0) - 0.1, box.positions.max(axis=0) + 0.1, (6, 3))
+    points = rng.uniform(box.extent[0] - 0.1, box.extent[1] + 0.1, (6, 3))
     answer = reachable_position(PAPER, points)
     for k, point in enumerate(points):
 
@@ -104,11 +105,13 @@ def test_no_set_of_lower_legs_reaches_a_point_said_to_be_out_of_reach() -> None:
     """Searched exhaustively: 16³ lower stages, each with the upper legs that then put o there."""
     rng = np.random.default_rng(5)
     box = leg_box(PAPER)
-    points = rng.uniform(box.positions.min(axis=0), box.positions.max(axis=0), (20, 3))
+    points = rng.uniform(*box.extent, (20, 3))
     answer = reachable_position(PAPER, points)
     assert 3 <= answer.reachable.sum() <= 17
     grid = np.stack(np.meshgrid(*[np.linspace(1.1, 1.5, 16)] * 3), axis=-1).reshape(-1, 3)
-    lower = stage_coordinates(spm.forward_physical(PAPER, np.concatenate([grid, np.full_like(grid, 1.3)], axis=-1)))
+    lower = PositionMap(PAPER).coordinates(
+        spm.forward_physical(PAPER, np.concatenate([grid, np.full_like(grid, 1.3)], axis=-1))
+    )
     for k in range(20):
         upper = PositionMap(PAPER).upper_for(lower[:, 0], np.broadcast_to(points[k], (len(grid), 3)))
         legs = PositionMap(PAPER).lengths(np.stack([lower[:, 0], upper], axis=1))[:, 3:]
@@ -141,8 +144,8 @@ def test_where_the_machine_cannot_be_assembled_everywhere_in_the_limits_the_rest
 def test_what_satisfies_the_conditions_is_nearest_among_many_states() -> None:
     box = leg_box(PAPER)
     rng = np.random.default_rng(7)
-    points = rng.uniform(box.positions.min(axis=0) - 0.2, box.positions.max(axis=0) + 0.2, (200, 3))
-    found = nearest_in_box(box, points, tries=6)
+    points = rng.uniform(box.extent[0] - 0.2, box.extent[1] + 0.2, (200, 3))
+    found = nearest_in_box(box, points)
     sample = spm.forward_physical(PAPER, 1.1 + 0.4 * rng.beta(0.3, 0.3, (20_000, 6))).translation
     least = np.array([np.sqrt(((sample - point) ** 2).sum(axis=-1)).min() for point in points])
     assert (found.distance <= least + 1e-9).all()
@@ -154,7 +157,6 @@ def test_bad_input_is_refused() -> None:
     for words, call in (
         ("finite", lambda: reachable_position(PAPER, [0.0, 0.0, np.nan])),
         ("shape", lambda: reachable_position(PAPER, [0.0, 0.0])),
-        ("tries", lambda: reachable_position(PAPER, [0.0, 0.0, 2.0], tries=0)),
         ("assembled", lambda: reachable_position(PAPER, [0.0, 0.0, 2.0], spm.LegLimits(0.01, 0.02))),
         ("none of its own", lambda: reachable_position(spm.Geometry(0.7, 0.35, 0.8), [0.0, 0.0, 2.0])),
         ("LegLimits", lambda: reachable_position(PAPER, [0.0, 0.0, 2.0], (1.1, 1.5))),  # type: ignore[arg-type]

@@ -1,0 +1,205 @@
+"""Limits so wide that not all lengths within them can be assembled, and forward singularities bound the set."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from problems import GEOMETRIES
+
+import spm_pin as spm
+from spm_pin.workspace.reachability.leg_box import leg_box
+from spm_pin.workspace.reachability.membership import reachable_position
+from spm_pin.workspace.reachability.position_map import PositionMap
+from spm_pin.workspace.reachability.state_search import damped_solution, search_states
+from spm_pin.workspace.reachability.volume import pose_volume, reachable_volume
+
+PAPER = GEOMETRIES["paper"]
+SMALL = spm.Geometry(0.4, 0.4, 0.4)
+BOXES = [
+    (1.0, 1.5),
+    (1.0, 1.6),
+    (1.1, 1.6),
+    (0.9, 1.7),
+    (0.8, 1.8),
+    (0.7, 1.9),
+    (0.6, 2.0),
+    (0.5, 2.2),
+    (0.4, 2.5),
+    (0.3, 2.7),
+    (0.2, 3.0),
+    (1.2, 2.2),
+]
+MACHINES = {
+    "small": (SMALL, (0.5, 0.9)),
+    "equal triangles": (GEOMETRIES["equal triangles"], (0.8, 1.5)),
+    "wide base": (spm.Geometry(1.0, 0.3, 0.6), (0.9, 1.5)),
+    "wide platform": (spm.Geometry(0.5, 0.8, 0.7), (0.8, 1.4)),
+}
+# By exhaustive search, see `test_the_volumes_are_those_of_an_exhaustive_search`: m³, and a standard deviation.
+VOLUMES = {(1.1, 1.5): (1.86, 0.01), (0.8, 1.8): (26.4, 0.1), (0.6, 2.0): (42.6, 0.2)}
+
+
+def random_states(geometry: spm.Geometry, limits: spm.LegLimits, count: int, seed: int) -> spm.Configuration:
+    """States of a real machine, from leg lengths drawn for each stage by itself, a part of them at limits."""
+    rng = np.random.default_rng(seed)
+    low, high = np.array(limits.minimum), np.array(limits.maximum)
+    known = None
+    halves = [np.empty((0, 3)), np.empty((0, 3))]
+    while min(map(len, halves)) < count:
+        share = rng.uniform(size=(4 * count, 6))
+        share = np.where(rng.uniform(size=share.shape) < 0.3, np.round(share), share)
+        legs = low + share * (high - low)
+        if known is None:
+            known = legs[np.flatnonzero(spm.forward_physical(geometry, legs).exists)[0]]
+        for k in range(2):
+            asked = np.tile(known, (len(legs), 1))
+            asked[:, 3 * k : 3 * k + 3] = legs[:, 3 * k : 3 * k + 3]
+            good = spm.forward_physical(geometry, asked).exists
+            halves[k] = np.concatenate([halves[k], legs[good, 3 * k : 3 * k + 3]])
+    return spm.forward_physical(geometry, np.concatenate([half[:count] for half in halves], axis=-1))
+
+
+def check_boundary(geometry: spm.Geometry, limits: tuple[float, float], spacing: float) -> None:
+    """The mesh is closed, legs within the limits put o at its vertices, and beyond them nothing is reachable."""
+    box = spm.LegLimits(*limits)
+    boundary = spm.workspace.reachable_boundary(geometry, box, spacing=spacing)
+    edges = np.concatenate([boundary.faces[:, [0, 1]], boundary.faces[:, [1, 2]], boundary.faces[:, [2, 0]]])
+    assert {tuple(edge) for edge in edges.tolist()} == {tuple(edge[::-1]) for edge in edges.tolist()}
+    assert boundary.volume > 0.0
+    assert spm.LegLimits(limits[0] - 1e-12, limits[1] + 1e-12).contains(boundary.leg_lengths).all()
+    states = spm.forward_physical(geometry, boundary.leg_lengths)
+    assert states.exists.all()
+    assert np.abs(states.translation - boundary.vertices).max() < 1e-3 * spacing
+
+
+@pytest.mark.parametrize("limits", [(1.1, 1.6)])
+def test_a_boundary_is_found_where_legs_can_pass_forward_singularities(limits: tuple[float, float]) -> None:
+    check_boundary(PAPER, limits, 0.6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("limits", BOXES)
+def test_boundaries_of_twelve_boxes(limits: tuple[float, float]) -> None:
+    check_boundary(PAPER, limits, 0.4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MACHINES)
+def test_boundaries_of_four_geometries(name: str) -> None:
+    geometry, limits = MACHINES[name]
+    check_boundary(geometry, limits, 0.2)
+
+
+def test_a_singular_member_does_not_stop_the_others() -> None:
+    regular = np.eye(6)
+    jacobian = np.array([[1e9, 1.0, 0, 0, 0, 0], [0, 1.0, 1e9, 0, 0, 0], [0, 0, 1.0, 2.0, 0, 0]])
+    matrices = np.stack([regular, jacobian.T @ jacobian, np.full((6, 6), np.inf), np.zeros((6, 6))])
+    found = damped_solution(matrices, np.ones((4, 6)), np.full(4, 1e-13))
+    assert np.isfinite(found).all()
+    np.testing.assert_allclose(found[0], 1.0, rtol=1e-9)
+
+
+@pytest.mark.parametrize("limits", [(0.8, 1.8), (0.6, 2.0), (0.2, 3.0)])
+def test_where_legs_put_the_platform_is_reachable(limits: tuple[float, float]) -> None:
+    states = random_states(PAPER, spm.LegLimits(*limits), 500, 1)
+    found = search_states(leg_box(PAPER, spm.LegLimits(*limits)), states.translation)
+    # At a limit, or at a singularity, a search may fail; it may not be silent about it.
+    assert (found.reached | found.undecided).all()
+    assert found.reached.mean() > 0.99
+
+
+def test_legs_whose_position_was_said_to_be_out_of_reach() -> None:
+    state = spm.forward_physical(PAPER, [0.7744, 0.7266, 1.5551, 1.731, 1.2393, 1.9364])
+    answer = reachable_position(PAPER, state.translation, spm.LegLimits(0.6, 2.0))
+    assert answer.reachable
+    assert not answer.undecided
+
+
+def test_no_state_is_found_by_random_starts_where_none_was() -> None:
+    """Uniform points, half of them out of reach: least squares from thirty random states each finds no other."""
+    from scipy.optimize import least_squares
+
+    limits = spm.LegLimits(0.6, 2.0)
+    box, rng = leg_box(PAPER, limits), np.random.default_rng(2)
+    points = rng.uniform(*box.extent, (150, 3))
+    found = search_states(box, points)
+    near = np.flatnonzero(~found.reached & ~found.undecided & (found.distance < 0.3))[:8]
+    mapping = PositionMap(PAPER)
+    for k in near:
+        for start in box.draw(30, rng)[0]:
+
+            def gaps(x: np.ndarray, point: np.ndarray = points[k]) -> np.ndarray:
+                c = x.reshape(1, 2, 3)
+                legs = mapping.lengths(c)[0]
+                return np.concatenate([mapping.points(c)[0][0] - point, legs - np.clip(legs, 0.6, 2.0)])
+
+            low = np.where(np.arange(6) % 3 == 2, -np.inf, -0.7)
+            answer = least_squares(gaps, np.clip(start.ravel(), low, -low), bounds=(low, -low), max_nfev=60)
+            if answer.cost < 1e-16:
+                assert not mapping.home_aspect(answer.x.reshape(1, 2, 3)).all()
+
+
+def exhaustive_volume(limits: tuple[float, float], count: int, seed: int) -> tuple[float, float]:
+    """Share of uniform points that some of 60 000 lower stages reach with an upper stage within its limits.
+
+    No search: for each lower stage the upper one follows. A region around all states is drawn from.
+    """
+    bounds = spm.LegLimits(*limits)
+    rng = np.random.default_rng(seed)
+    mapping = PositionMap(PAPER)
+    states = random_states(PAPER, bounds, 60_000, seed)
+    coordinates = mapping.coordinates(states)
+    low, high = states.translation.min(axis=0) - 0.05, states.translation.max(axis=0) + 0.05
+    points = rng.uniform(low, high, (count, 3))
+    reached = np.zeros(count, dtype=bool)
+    for begin in range(0, len(states), 500):
+        left = np.flatnonzero(~reached)
+        if not len(left):
+            break
+        lower = np.repeat(coordinates[None, begin : begin + 500, 0], len(left), axis=0).reshape(-1, 3)
+        upper = mapping.upper_for(lower, np.repeat(points[left], 500, axis=0))
+        both = np.stack([lower, upper], axis=1)
+        with np.errstate(invalid="ignore"):
+            legs = mapping.lengths(both)[:, 3:]
+            good = ((legs >= limits[0]) & (legs <= limits[1])).all(axis=-1)
+            good[good] = mapping.home_aspect(both[good]).all(axis=-1)
+        reached[left] |= good.reshape(len(left), -1).any(axis=-1)
+    region = float((high - low).prod())
+    share = reached.mean()
+    return region * share, region * np.sqrt(share * (1.0 - share) / count)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("limits", [(1.1, 1.5), (0.8, 1.8), (0.6, 2.0)])
+def test_the_interval_covers_in_93_of_100_repetitions(limits: tuple[float, float]) -> None:
+    truth, _ = VOLUMES[limits]
+    estimates = [
+        reachable_volume(PAPER, spm.LegLimits(*limits), samples=500, rng=np.random.default_rng([3, k]))
+        for k in range(100)
+    ]
+    assert sum(estimate.low <= truth <= estimate.high for estimate in estimates) >= 93
+
+
+@pytest.mark.slow
+def test_the_pose_volume_s_interval_covers_in_93_of_100_repetitions() -> None:
+    limits = spm.LegLimits(0.6, 2.0)
+    estimates = [pose_volume(PAPER, limits, samples=2000, rng=np.random.default_rng([4, k])) for k in range(100)]
+    precise = pose_volume(PAPER, limits, samples=400_000, rng=5)
+    assert sum(estimate.low <= precise.value <= estimate.high for estimate in estimates) >= 93
+
+
+@pytest.mark.parametrize("limits", [(1.1, 1.5), (0.8, 1.8)])
+def test_the_pose_volume_is_that_of_an_integral_over_the_legs(limits: tuple[float, float]) -> None:
+    """Drawn in leg lengths, where the integrand is |det ∂(o, R)/∂l|; its tail is why the package does not."""
+    rng = np.random.default_rng(6)
+    legs = rng.uniform(*limits, (40_000, 6))
+    states = spm.forward_physical(PAPER, legs)
+    states = states[states.exists]
+    density = np.abs(np.linalg.det(spm.closed_form.platform_jacobian(states)))
+    allowed = spm.workspace.reachable(PAPER, states.pose, spm.LegLimits(*limits)).allowed.sum(axis=-1)
+    values = np.zeros(len(legs))
+    values[: len(density)] = density / np.maximum(allowed, 1)
+    whole = (limits[1] - limits[0]) ** 6
+    expected, error = whole * values.mean(), whole * values.std() / np.sqrt(len(legs))
+    found = pose_volume(PAPER, spm.LegLimits(*limits), samples=20_000, rng=7)
+    assert found.value == pytest.approx(expected, abs=4.0 * error + 2.0 * (found.high - found.low))
