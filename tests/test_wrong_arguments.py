@@ -242,7 +242,6 @@ GAPS: frozenset[str] = frozenset(
         "JointLimits-clearance",
         "JointLimits.angle_margin-configuration",
         "JointLimits.clearance_margin-configuration",
-        "largest_certified_limits-centre",
         "leg_clearance-configuration",
         "pose_distance-geometry",
         "reachable-branch",

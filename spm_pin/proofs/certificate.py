@@ -21,6 +21,9 @@ __all__ = ["Certificate", "certify", "largest_certified_limits"]
 
 STAGES = ("lower", "upper")
 
+LONGEST = 1e3
+"""Leg lengths that are worth a proof, at most, in units of the machine's size."""
+
 
 @dataclass(frozen=True)
 class Certificate:
@@ -202,6 +205,11 @@ def largest_certified_limits(
         received = f"shape {lengths.shape}" if lengths.shape not in ((), (6,)) else float(lengths.min())
         raise ArgumentError("centre", "one or six positive leg lengths in metres", received)
     lengths = np.broadcast_to(lengths, 6)
+    size = geometry.base_radius + geometry.platform_radius + geometry.middle_side
+    if not (lengths <= LONGEST * size).all() or not forward_physical(geometry, lengths).exists:
+        raise ArgumentError(
+            "centre", "leg lengths in metres that can be assembled", f"{lengths.max():g} m at the longest"
+        )
     best, narrow, wide = None, 0.0, float(lengths.min())
     while wide - narrow > tolerance * wide:
         half = 0.5 * (narrow + wide)

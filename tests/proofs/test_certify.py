@@ -271,7 +271,12 @@ def test_arguments_that_cannot_be(arguments: tuple[object, ...], named: str) -> 
 
 @pytest.mark.parametrize(
     ("keywords", "named"),
-    [({"centre": -1.0}, "centre"), ({"centre": 1.3, "tolerance": 2.0}, "tolerance"), ({"centre": [1, 2]}, "centre")],
+    [
+        ({"centre": -1.0}, "centre"),
+        ({"centre": 1.3, "tolerance": 2.0}, "tolerance"),
+        ({"centre": [1, 2]}, "centre"),
+        ({"centre": 1e300}, "centre"),
+    ],
 )
 def test_arguments_of_the_widest_limits(keywords: dict[str, object], named: str) -> None:
     with pytest.raises(spm.ArgumentError) as caught:
