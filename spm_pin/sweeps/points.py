@@ -16,6 +16,7 @@ from spm_pin.closed_form import (
     inverse_displacement,
     inverse_physical,
     platform_jacobian,
+    singular_values,
     singularities,
 )
 from spm_pin.errors import SingularConfigurationError
@@ -154,10 +155,8 @@ class Points:
     def singular_values(self, length: float) -> FloatArray:
         """Return those of G for the twist (v, Lω), L = `length` [m], shape (M, 6), falling; NaN as G is."""
         if length not in self._singular_values:
-            jacobians = self.platform_jacobians
-            regular = ~np.isnan(jacobians[:, 0, 0])
-            scaled = jacobians[regular] * np.repeat([1.0, length], 3)[:, None]
-            self._singular_values[length] = _locked(_spread(np.linalg.svd(scaled, compute_uv=False), regular))
+            scaled = self.platform_jacobians * np.repeat([1.0, length], 3)[:, None]
+            self._singular_values[length] = _locked(singular_values(scaled))
         return self._singular_values[length]
 
     @cached_property
