@@ -172,6 +172,13 @@ def _new_names(module: str, described: set[str]) -> list[str]:
     return found
 
 
+@functools.cache
+def _shown_names() -> set[str]:
+    """Return the names under which the public pages describe what they describe."""
+    described: set[str] = set()
+    return {f"{module}.{name}" for module in PUBLIC for name in _new_names(module, described)}
+
+
 def _home(module: str, name: str) -> str:
     """Return where a public name is defined, as module.name."""
     value = getattr(importlib.import_module(module), name)
@@ -231,14 +238,13 @@ def _folder(folder: str, described: set[str]) -> str:
     """Return the page of a folder: each module, with what the public pages do not describe."""
     summary = INTERNAL[folder]
     lines = [f"# {folder}", "", f"{summary[0].upper()}{summary[1:]}.", ""]
-    public = {f"{module}.{name}" for module in PUBLIC for name in importlib.import_module(module).__all__}
     for module in _modules(folder):
         short = module.removeprefix(f"spm_pin.{folder}").removeprefix(".")
         known = sorted(name for name in importlib.import_module(module).__all__ if f"{module}.{name}" in described)
         lines += ["", f"## {short or folder}", "", f"```{{eval-rst}}\n.. automodule:: {module}"]
         lines += [f"   :exclude-members: {', '.join(known)}"] if known else []
         # A function named as its module has the module's name as its address: only one of the two can be indexed.
-        lines += ["   :no-index:"] if module in public else []
+        lines += ["   :no-index:"] if module in _shown_names() else []
         lines += ["```"]
     return "\n".join(lines) + "\n"
 
