@@ -130,7 +130,7 @@ def at_discriminant(pose: RigidTransform, family: int, h_beyond: float, geometry
 
 
 def conditioning(configuration: spm.Configuration) -> Array:
-    """How much b moves [m] per rounding of the pose: of the lines the joints are on, and of the triangle on them.
+    """Displacement of b [m] per rounding of the pose: of the lines the joints are on, and of the triangle on them.
 
     Line i is the meet of two planes, so its position errs by that of the planes over the sine of their angle;
     the three side lengths then fix the joints along the lines through a 3 x 3 matrix of direction cosines.

@@ -1,4 +1,4 @@
-"""The four quadratics of a pose, for what asks how far its families are from being real.
+"""The four quadratics of a pose, which say how far its families are from being real.
 
 Notation and derivation: `spm_pin.closed_form.inverse_displacement` and `docs/theory/inverse_displacement.md`.
 """
@@ -19,7 +19,7 @@ __all__ = ["FamilyForms"]
 
 @dataclass(frozen=True)
 class FamilyForms:
-    """What the N poses say about the families TT, TF, FT, FF, arrays of shape (N,) or, per family, (N, 4)."""
+    """Quadratic forms of N poses for the families TT, TF, FT, FF, arrays of shape (N,) or, per family, (N, 4)."""
 
     cosine: FloatArray
     """c, s: half the tilt of the platform."""

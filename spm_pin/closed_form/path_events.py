@@ -27,7 +27,7 @@ MOST_UNCLEAR = 100
 
 
 class EventKind(enum.StrEnum):
-    """What can happen along a path."""
+    """Kinds of events along a path."""
 
     INVERSE_SINGULARITY = "inverse singularity"
     FORWARD_SINGULARITY = "forward singularity"

@@ -54,7 +54,7 @@ class SingularityKind(enum.IntFlag):
 
 @dataclass(frozen=True, repr=False)
 class Singularities:
-    """What is known of the singularities of states of shape (...); NaN and rank 0 where a state does not exist.
+    """Singularities of states of shape (...), and distances to them; NaN and rank 0 where a state does not exist.
 
     The axis of length three counts the matrices J_b, J_c, K.
 

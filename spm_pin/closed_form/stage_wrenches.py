@@ -112,10 +112,10 @@ def refuse_singular(configuration: Configuration, suspect: npt.NDArray[np.uint8]
     if not (smallest < np.inf).any():
         return
     first = int((smallest < np.inf).argmax())
-    own = np.linalg.svd(wrenches.constraints.reshape(len(at), 2, 3, 6)[first], compute_uv=False)
-    dependent = own[:, -1] <= SINGULAR * own[:, 0]
+    structure = np.linalg.svd(wrenches.constraints.reshape(len(at), 2, 3, 6)[first], compute_uv=False)
+    dependent = structure[:, -1] <= SINGULAR * structure[:, 0]
     if dependent.any():
-        raise SingularConfigurationError("constraint", float(own[:, -1].min()), _index(places, first))
+        raise SingularConfigurationError("constraint", float(structure[:, -1].min()), _index(places, first))
     raise SingularConfigurationError(kind, float(smallest[first]), _index(places, first))
 
 

@@ -1,4 +1,4 @@
-"""How many threads share a batch.
+"""Number of threads that solve a batch.
 
 Kernels release the interpreter's lock and the members of a batch do not depend on each other, so a batch is cut into
 parts and the parts go to threads that live as long as the call. Nothing is left behind that a fork could break, and

@@ -46,10 +46,13 @@ pose = np.load(sys.argv[1])
 solutions = spm.inverse_displacement(spm.Geometry.paper(), pose)
 state = solutions.configurations
 physical = spm.forward_physical(spm.Geometry.paper(), state[:, 0].leg_lengths)
+singular = spm.singularities(state[:2])
 np.savez(sys.argv[2], joints=solutions.middle_joints, lengths=solutions.leg_lengths, status=solutions.status,
          discriminants=solutions.discriminants, rates=spm.inverse_jacobian(state),
          twists=spm.closed_form.platform_jacobian(state),
-         forces=spm.leg_forces(state, [1, 2, 3, 4, 5, 6]), physical=physical.middle_joints)
+         forces=spm.leg_forces(state, [1, 2, 3, 4, 5, 6]), physical=physical.middle_joints,
+         chosen=spm.inverse_physical(spm.Geometry.paper(), pose).middle_joints, sigma=singular.sigma,
+         twist=singular.gained_twist, wrench=singular.lost_wrench)
 """
 
 

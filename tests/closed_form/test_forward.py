@@ -23,7 +23,7 @@ def distance(state: spm.Configuration, other: spm.Configuration) -> np.ndarray:
 
 
 def sensitivity(state: spm.Configuration) -> np.ndarray:
-    """How much the platform moves [m] per change of a leg [m]; infinite where it is singular."""
+    """Platform motion [m] per change of a leg [m]; infinite where it is singular."""
     gain = np.full(state.shape, np.inf)
     for k in np.ndindex(state.shape):
         try:

@@ -1,4 +1,4 @@
-"""What the public functions make of the kernels: against plain matrices, and in no more memory than the answer."""
+"""Public functions over the kernels: compared with plain matrices, and in no more memory than the answer."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PAPER = spm.Geometry.paper()
 @pytest.mark.parametrize("name", GEOMETRIES)
 @pytest.mark.parametrize("modes", spm.mechanism.FAMILIES)
 def test_the_three_equations_solve_the_six(name: str, modes: str) -> None:
-    """What comes from determinants of three equations solves the 6 x 6 systems of all forces."""
+    """Solutions from determinants of three equations solve the 6 x 6 systems of all forces."""
     problem = random_branches(GEOMETRIES[name], modes, 500, seed=1)
     state = problem.configuration
     wrenches = StageWrenches.of(state)

@@ -1,4 +1,4 @@
-"""Compiled kernels: the formulas of witness 2, written once, over scalars.
+"""Compiled kernels: the formulas of the closed form, written once, over scalars.
 
 A formula is a small function of plain numbers marked `jit_inline`. A kernel is a loop over a batch that calls them, and
 the only thing that is compiled on its own. Where the formula is straight-line arithmetic the loop goes over tiles of

@@ -1,4 +1,4 @@
-"""Numba behind a typed face: inlined formulas, and kernels compiled when first called and kept on disk."""
+"""Typed wrapper around Numba: inlined formulas, and kernels compiled when first called and kept on disk."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Kernel(Generic[P, R]):
         self._compiled: Callable[P, R] | None = None
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
-        """Run it, without the interpreter's lock."""
+        """Run the compiled function, without the interpreter's lock."""
         return (self._compiled or self._compile())(*args, **kwargs)
 
     def _compile(self) -> Callable[P, R]:

@@ -93,12 +93,12 @@ def inverse_jacobians(
             doubtful = is_suspect(b, axes, BASE_AXES, w, side, singular) | is_short(b, lower) | is_short(b, upper)
             flags[k] = 1.0 if doubtful else 0.0
             for i in range(3):
-                own = _row(upper[i], b[i], o)
+                fixed = _row(upper[i], b[i], o)
                 share = combined(scaled(dot(lower[i], w[i]), slide[i]), dot(lower[i], n[i]), _UNIT[i])
                 rest = combined(scaled(dot(upper[i], w[i]), slide[i]), dot(upper[i], n[i]), _UNIT[i])
                 for j in range(6):
                     out[6 * i + j, k] = _weighted(share, one, two, three, j)
-                    out[6 * (i + 3) + j, k] = own[j] - _weighted(rest, one, two, three, j)
+                    out[6 * (i + 3) + j, k] = fixed[j] - _weighted(rest, one, two, three, j)
         _put_matrices(out, flags, start, width, matrices, suspect)
 
 

@@ -98,7 +98,7 @@ def _stage(stages: FloatArray, n: int) -> tuple[float, float, float, float, floa
 
 @jit_inline
 def _is_there(modes: FloatArray, first: int) -> bool:
-    """Tell whether a stage has a mode T, counted from 0, or F, from 8; its first place is filled first."""
+    """Return whether a stage has a mode T, counted from 0, or F, from 8; its first place is filled first."""
     return not math.isnan(modes[first, 0])
 
 
@@ -180,10 +180,10 @@ def home_modes(
     """Write R, o and the b_i in the home's aspect, and where they are found (N,); arguments as for `all_modes`."""
     for n in range(len(lengths)):
         q = lengths[n]
-        lower, one = home_mode(q[0] / r, q[1] / r, q[2] / r, base_radius / r)
-        upper, other = home_mode(q[3] / r, q[4] / r, q[5] / r, platform_radius / r)
+        lower, lower_found = home_mode(q[0] / r, q[1] / r, q[2] / r, base_radius / r)
+        upper, upper_found = home_mode(q[3] / r, q[4] / r, q[5] / r, platform_radius / r)
         _put_home(lower, upper, r, n, rotation, translation, joints)
-        found[n] = one and other
+        found[n] = lower_found and upper_found
 
 
 @kernel(f"void({readonly_array(2)}, f8, f8, f8, f8[:,:,::1], f8[:,::1], f8[:,:,::1])")

@@ -42,7 +42,7 @@ _ROUNDING = 4.0 * EPS
 """Residual of a solution relative to the largest term of its equations; half of it has been seen."""
 _MOST_STEPS = 40
 _SHORT = 0.25
-"""Of a leg shorter than this the equations, which are made of squares of all legs, lose digits."""
+"""Leg length below which the equations, which are made of squares of all legs, lose digits."""
 
 
 @jit_inline
@@ -245,7 +245,7 @@ def placed(x0: float, x1: float, x2: float, x3: float, zeta: float) -> tuple[Vec
 
 @jit_inline
 def in_home_aspect(radii: Vector, heights: Vector, hips: float) -> bool:
-    """Tell whether a solution is reached from equal legs without a forward singularity.
+    """Return whether a solution is reached from equal legs without a forward singularity.
 
     With c_ij = (b_i - b_j)·w_i, w_i normal to leg i and to its revolute axis, det J_b is c12 c23 c31 + c21 c32 c13
     up to a positive factor, and all six are positive at equal legs. Where the sum is positive, none, one, three or

@@ -54,7 +54,7 @@ def workspace() -> Workspace:
 
 @jit_inline
 def is_continuous(first: float, second: float, third: float, epsilon: float, half_turned: bool) -> bool:
-    """Tell whether solutions form a continuous family: these are the only lengths at which the quartic vanishes.
+    """Return whether solutions form a continuous family: these are the only lengths at which the quartic vanishes.
 
     - E < r, one leg 3 E long and the others √3 √(r² - E²): both modes.
     - E = r/2 and equal legs longer than r/2: mode T.

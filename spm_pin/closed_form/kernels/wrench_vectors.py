@@ -181,7 +181,7 @@ def twist(b: Three, v: Three) -> tuple[Vector, Vector]:
 
 @jit_inline
 def is_suspect(b: Three, f: Three, a: Three, w: Three, side: float, singular: float) -> bool:
-    """Tell whether the smallest singular value of the forces may be `singular` times the largest or less; NaN is not.
+    """Return whether the smallest singular value of the forces may be `singular` times the largest or less; NaN is not.
 
     The five larger singular values multiply to at most (F²/5)^(5/2), F the Frobenius norm, so most matrices are known
     to be regular without a decomposition. The factor covers the determinant's rounding.
@@ -199,6 +199,6 @@ def is_suspect(b: Three, f: Three, a: Three, w: Three, side: float, singular: fl
 
 @jit_inline
 def is_short(b: Three, legs: Three) -> bool:
-    """Tell whether a leg has no length, hence a direction that is NaN, in a state that exists."""
+    """Return whether a leg has no length, hence a direction that is NaN, in a state that exists."""
     total = legs[0][0] + legs[1][0] + legs[2][0]
     return (b[0][0] == b[0][0]) & (total != total)
