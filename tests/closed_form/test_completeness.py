@@ -21,7 +21,7 @@ DIGITS = 64.0 * float(np.finfo(np.longdouble).eps)
 
 
 def discriminants(pose: np.ndarray, r: float) -> np.ndarray:
-    """Discriminants of the families' forms A P² + B Q² + C PQ, C² - 4 A B, shape (N, 4); NaN where it might be rounding."""
+    """Discriminants C² - 4 A B of the forms A P² + B Q² + C PQ, shape (N, 4); NaN where it might be rounding."""
     x1, x2, x3, x0 = Rotation.from_matrix(pose[:, :3, :3]).as_quat().T.astype(np.longdouble)
     position = pose[:, :3, 3].astype(np.longdouble)
     norm = np.sqrt(x0 * x0 + x1 * x1 + x2 * x2 + x3 * x3)
