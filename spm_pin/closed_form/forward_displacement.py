@@ -1,7 +1,7 @@
 """Forward displacement: every assembly mode of six leg lengths, and the one a real machine is in.
 
 The upper stage seen from {m} is a 3RPS stage like the lower one, so the two are solved independently, see
-`spm_pin.closed_form.stage_solver`, and every solution of one goes with every solution of the other.
+`spm_pin.closed_form.kernels.stage_equations`, and every solution of one goes with every solution of the other.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from spm_pin.closed_form.batches import radii, run_kernel
 from spm_pin.closed_form.forward_continuation import follow_seed
-from spm_pin.closed_form.stage_solver import MODES, PLACES
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, first_offender, instance, real_array
 from spm_pin.mechanism.configuration import Configuration
@@ -20,7 +19,7 @@ from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
 
 __all__ = ["ASSEMBLY_MODES", "STAGE_MODES", "forward_displacement", "forward_physical"]
 
-STAGE_MODES = tuple(f"{mode}{place + 1}{sheet}" for mode in MODES for place in range(PLACES) for sheet in "+-")
+STAGE_MODES = tuple(f"{mode}{place + 1}{sheet}" for mode in "TF" for place in range(4) for sheet in "+-")
 """Canonical order of the sixteen assembly modes of a stage: T1+, T1-, T2+ … F4-."""
 ASSEMBLY_MODES = tuple(f"{lower}/{upper}" for lower in STAGE_MODES for upper in STAGE_MODES)
 """Canonical order of the 256 assembly modes of the manipulator: the lower stage's, then the upper stage's."""

@@ -1,7 +1,7 @@
 """The 6 x 6 matrices of forces through the ball joints, and where they are singular.
 
-See `spm_pin.closed_form.jacobians` for what they are. The kernels know them by their determinants; what needs more than
-that, singular values and vectors, comes from here.
+See `spm_pin.closed_form.jacobians` for what they are. The kernels of rates and forces compute their determinants alone,
+and mark the few states that may be singular; singular values decide about these.
 """
 
 from __future__ import annotations

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from problems import GEOMETRIES
+from stages import StageModes, placement, solve_stage
 
 import spm_pin as spm
 from spm_pin.closed_form.forward_displacement import forward_displacement, forward_physical
-from spm_pin.closed_form.stage_solver import StageModes, placement, solve_stage
 from spm_pin.mechanism.branches import determinants, in_home_aspect, leg_plane_determinant
 
 PAPER = spm.Geometry.paper()

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from problems import GEOMETRIES, stage
 from stage_oracle import certified_modes, equations
+from stages import MODES, StageModes, solve_stage
 
 import spm_pin as spm
-from spm_pin.closed_form.stage_solver import MODES, StageModes, solve_stage
 
 EPS = np.finfo(float).eps
 RADIAL = spm.Geometry.paper().radial_directions

@@ -1,4 +1,4 @@
-"""Approximate solutions of one 3RPS stage and mode, over scalars. Derivation: `spm_pin.closed_form.stage_solver`.
+"""Approximate solutions of one 3RPS stage and mode, over scalars. Notation: `stage_equations`.
 
 Multiplied by e^{iψ}, ψ the azimuth of w, the equation for λ has the parts
 

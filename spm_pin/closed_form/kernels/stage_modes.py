@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.kernels.compilation import jit, jit_inline, kernel, readonly_array
+from spm_pin.closed_form.kernels.compilation import jit, jit_inline
 from spm_pin.closed_form.kernels.quartic import approximate_solutions
 from spm_pin.closed_form.kernels.stage_equations import (
     EPS,
@@ -30,11 +30,9 @@ __all__ = [
     "home_mode_of_all",
     "is_continuous",
     "solve_mode",
-    "stage_modes",
     "workspace",
 ]
 
-BoolArray = npt.NDArray[np.bool_]
 Workspace = tuple[npt.NDArray[np.complex128], FloatArray, FloatArray, FloatArray]
 """The quartic's roots, where Newton's method starts, where it ended (with the gain), and what is kept of that."""
 
@@ -182,31 +180,3 @@ def home_mode_of_all(first: float, second: float, third: float, epsilon: float, 
         if in_home_aspect(radii, heights, epsilon):
             return kept[k, 0], kept[k, 1], kept[k, 2], kept[k, 4]
     return np.nan, np.nan, np.nan, np.nan
-
-
-@kernel(f"void({readonly_array(2)}, {readonly_array(1)}, b1[::1], f8[:,:,:,::1], f8[:,:,::1], b1[:,:,::1], b1[:,::1])")
-def stage_modes(
-    lengths: FloatArray,
-    epsilon: FloatArray,
-    half_turned: BoolArray,
-    quaternion: FloatArray,
-    height: FloatArray,
-    flat: BoolArray,
-    continuous: BoolArray,
-) -> None:
-    """Solve N stages in some modes; see `spm_pin.closed_form.stage_solver.StageModes` for what is written."""
-    work = workspace()
-    kept = work[3]
-    for n in range(len(lengths)):
-        for m in range(len(half_turned)):
-            e, turned = epsilon[n], half_turned[m]
-            stage = equations(lengths[n, 0], lengths[n, 1], lengths[n, 2], -e if turned else e)
-            continuous[n, m] = is_continuous(lengths[n, 0], lengths[n, 1], lengths[n, 2], e, turned)
-            count = solve_mode(stage, turned, continuous[n, m], work)
-            for k in range(PLACES):
-                there = k < count
-                for i in range(4):
-                    quaternion[n, m, k, i] = kept[k, (i + 1) % 4] if there else np.nan
-                height[n, m, k] = kept[k, 4] if there else np.nan
-                highest = max(abs(kept[k, 8]), abs(kept[k, 9]), abs(kept[k, 10]))
-                flat[n, m, k] = there and highest <= SAME

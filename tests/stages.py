@@ -1,16 +1,4 @@
-"""All assembly modes of one 3RPS stage: a quartic for each of its two modes, and Newton's method to rounding.
-
-A stage is three legs of given lengths from hips at radius E, each in the vertical plane of its hip, to a triangle of
-circumradius r. In units of r, with ε = E/r, the height ζ of the triangle's centre and its quaternion (x0, w),
-w = x1 + i x2, the squared leg lengths of mode T have the mean m and the first harmonic λ,
-
-    m = (x0² - ε)² + 2 |w|² + ζ²,      λ = (2ε - x0²) w² + conj(w)⁴ + 2 ζ x0 conj(w),
-
-over the three azimuths. Mode F is the same with -r for r, x3 for x0 and i w for w. It follows that
-Im(λ w) = κ Im(w³), κ = 2ε - 1: the tilt |w|² is a ratio of sines of the azimuth ψ of w. Put into the rest, all high
-harmonics cancel and a trigonometric polynomial of degree two in 2ψ is left: at most four solutions per mode, each
-with its mirror image below the hips. Derivation: `docs/theory/forward_displacement.md`.
-"""
+"""All assembly modes of 3RPS stages alone, without those of the manipulator that they are part of."""
 
 from __future__ import annotations
 
@@ -21,17 +9,17 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.closed_form.batches import run_kernel
+from spm_pin.closed_form.kernels.compilation import interpreted, kernel, readonly_array
+from spm_pin.closed_form.kernels.stage_equations import SAME, equations, placed
+from spm_pin.closed_form.kernels.stage_modes import PLACES, is_continuous, solve_mode, workspace
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["MODES", "PLACES", "StageModes", "placement", "solve_stage"]
+__all__ = ["MODES", "StageModes", "placement", "solve_stage"]
 
 BoolArray = npt.NDArray[np.bool_]
 
 MODES = ("T", "F")
 """The two families of solutions of a stage."""
-PLACES = 4
-"""The most solutions of one mode, mirror images apart."""
-_MIN_BATCH_PER_THREAD = 1 << 9
 
 
 @dataclass(frozen=True)
@@ -84,8 +72,6 @@ def solve_stage(lengths: FloatArray, epsilon: float | FloatArray, modes: tuple[s
     StageModes
         Per mode by falling mean radius of the corners; where nine digits of it agree, by the azimuth of the tilt axis.
     """
-    from spm_pin.closed_form.kernels.stage_modes import stage_modes
-
     m, places = len(modes), (len(modes), PLACES)
     results = ((*places, 4), np.float64), (places, np.float64), (places, np.bool_), ((m,), np.bool_)
     hips = np.broadcast_to(np.asarray(epsilon, dtype=np.float64), len(lengths))
@@ -94,7 +80,7 @@ def solve_stage(lengths: FloatArray, epsilon: float | FloatArray, modes: tuple[s
     def solve(lengths: FloatArray, hips: FloatArray, *written: npt.NDArray[Any]) -> None:
         stage_modes(lengths, hips, half_turned, *written)
 
-    quaternion, height, flat, continuous = run_kernel(solve, (lengths, hips), (), results, _MIN_BATCH_PER_THREAD)
+    quaternion, height, flat, continuous = run_kernel(solve, (lengths, hips), (), results, 1 << 9)
     return StageModes(quaternion, *placement(quaternion, height), flat, continuous)
 
 
@@ -113,10 +99,35 @@ def placement(quaternion: FloatArray, height: FloatArray) -> tuple[FloatArray, F
     centre, radii, heights : ndarrays, shape (..., 3)
         Position of the centre, and of the corners in the vertical planes of the legs, in units of r.
     """
-    from spm_pin.closed_form.kernels.compilation import interpreted
-    from spm_pin.closed_form.kernels.stage_equations import placed
-
     x1, x2, x3, x0 = np.moveaxis(quaternion, -1, 0)
     radii, heights = interpreted(placed)(x0, x1, x2, x3, height)
     centre = np.stack([-2.0 * x1 * x2, x2 * x2 - x1 * x1, height], axis=-1)
     return centre, np.stack(radii, axis=-1), np.stack(heights, axis=-1)
+
+
+@kernel(f"void({readonly_array(2)}, {readonly_array(1)}, b1[::1], f8[:,:,:,::1], f8[:,:,::1], b1[:,:,::1], b1[:,::1])")
+def stage_modes(
+    lengths: FloatArray,
+    epsilon: FloatArray,
+    half_turned: BoolArray,
+    quaternion: FloatArray,
+    height: FloatArray,
+    flat: BoolArray,
+    continuous: BoolArray,
+) -> None:
+    """Solve N stages in some modes; see `StageModes` for what is written."""
+    work = workspace()
+    kept = work[3]
+    for n in range(len(lengths)):
+        for m in range(len(half_turned)):
+            e, turned = epsilon[n], half_turned[m]
+            stage = equations(lengths[n, 0], lengths[n, 1], lengths[n, 2], -e if turned else e)
+            continuous[n, m] = is_continuous(lengths[n, 0], lengths[n, 1], lengths[n, 2], e, turned)
+            count = solve_mode(stage, turned, continuous[n, m], work)
+            for k in range(PLACES):
+                there = k < count
+                for i in range(4):
+                    quaternion[n, m, k, i] = kept[k, (i + 1) % 4] if there else np.nan
+                height[n, m, k] = kept[k, 4] if there else np.nan
+                highest = max(abs(kept[k, 8]), abs(kept[k, 9]), abs(kept[k, 10]))
+                flat[n, m, k] = there and highest <= SAME
