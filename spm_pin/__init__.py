@@ -39,7 +39,7 @@ if TYPE_CHECKING:
         SingularConfigurationError,
         SpmError,
     )
-    from spm_pin.mechanism import Configuration, Geometry, LegLimits, SolutionSet, Status, pose
+    from spm_pin.mechanism import AsBuiltGeometry, Configuration, Geometry, LegLimits, SolutionSet, Status, pose
     from spm_pin.multibody.chain import ClosedChain
     from spm_pin.multibody.platform_path import PlatformPath
     from spm_pin.proofs import Certificate, certify, largest_certified_limits
@@ -48,6 +48,7 @@ __version__ = "0.2.0"
 
 __all__ = [
     "ArgumentError",
+    "AsBuiltGeometry",
     "Certificate",
     "ClosedChain",
     "ClosureError",

@@ -57,6 +57,7 @@ NONSENSE: dict[str, Any] = {
 }
 
 PAPER = spm.Geometry.paper()
+BUILT = spm.AsBuiltGeometry.from_nominal(PAPER)
 STATE = spm.forward_physical(PAPER, [1.25, 1.15, 1.40, 1.30, 1.20, 1.40])
 
 
@@ -83,6 +84,11 @@ def shell() -> Any:
 def store() -> str:
     spm.sweeps.run(PAPER, spm.sweeps.leg_grid(1.2, (1.2, 1.3, 2)), ["branches"], "made.zarr")
     return "made.zarr"
+
+
+def as_built_file() -> str:
+    BUILT.to_yaml("machine.yaml")
+    return "machine.yaml"
 
 
 PATH = [STATE.pose.as_matrix(), spm.forward_physical(PAPER, [1.3, 1.2, 1.4, 1.3, 1.2, 1.4]).pose.as_matrix()]
@@ -143,6 +149,14 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "y": lambda: 0.0,
     "z": lambda: 2.2,
     "xyx": lambda: (0.1, 0.2, 0.1),
+    "AsBuiltGeometry.nominal": lambda: PAPER,
+    "AsBuiltGeometry.axes": lambda: BUILT.axes,
+    "AsBuiltGeometry.pivots": lambda: BUILT.pivots,
+    "AsBuiltGeometry.balls": lambda: BUILT.balls,
+    "AsBuiltGeometry.offsets": lambda: BUILT.offsets,
+    "AsBuiltGeometry.from_parameters.parameters": lambda: BUILT.parameters,
+    "AsBuiltGeometry.from_yaml.path": as_built_file,
+    "AsBuiltGeometry.to_yaml.path": lambda: "machine.yaml",
     "ClosedChain.from_urdf.path": lambda: None,
     "Configuration.pose": lambda: STATE.pose,
     "Geometry.base_radius": lambda: 0.7,
@@ -166,10 +180,11 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
 }
 """A good value for each parameter that has no default, or whose default takes long; by name or by place and name."""
 
-INPUTS = ("Configuration", "Geometry", "JointLimits", "LegLimits", "PlatformPath")
+INPUTS = ("AsBuiltGeometry", "Configuration", "Geometry", "JointLimits", "LegLimits", "PlatformPath")
 """Classes that users make themselves; the others are results, made by the package."""
 
 INSTANCES: dict[str, Callable[[], Any]] = {
+    "AsBuiltGeometry": lambda: BUILT,
     "Boundary": boundary,
     "ClosedChain": chain,
     "Geometry": lambda: PAPER,

@@ -1,5 +1,6 @@
 """Dimensions of the robot, its states, and sets of states. NumPy and SciPy only."""
 
+from spm_pin.mechanism.as_built import PARAMETERS, AsBuiltGeometry
 from spm_pin.mechanism.branches import BRANCHES, FAMILIES
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
@@ -11,6 +12,8 @@ __all__ = [
     "BRANCHES",
     "FAMILIES",
     "LEGS",
+    "PARAMETERS",
+    "AsBuiltGeometry",
     "Configuration",
     "Degeneracy",
     "Geometry",

@@ -23,7 +23,7 @@ from spm_pin.errors import GeometryError
 from spm_pin.mechanism import yaml_nodes
 from spm_pin.mechanism.arguments import FloatArray, as_array, file_path, real_array, real_number, type_and_value
 
-__all__ = ["LEGS", "Geometry", "LegLimits", "config_directory"]
+__all__ = ["LEGS", "Geometry", "LegLimits", "config_directory", "geometry_of_node"]
 
 LEGS = ("r_b1", "r_b2", "r_b3", "r_c1", "r_c2", "r_c3")
 """Names and order of the legs: the lower stage's three, then the upper stage's."""
@@ -190,28 +190,7 @@ class Geometry:
         root = yaml_nodes.compose(path, error=GeometryError)
         if root is None:
             raise GeometryError(str(path), "a YAML mapping of dimensions", "an empty file")
-        sizes = {f"{triangle}_{size}" for triangle in ("base", "platform") for size in ("side", "radius")}
-        optional = sizes | {"leg_limits"}
-        nodes = yaml_nodes.mapping(root, {"middle_side"}, path, optional=optional, error=GeometryError)
-        limits = nodes.pop("leg_limits", None)
-        lengths = {key: _length(node, key, path) for key, node in nodes.items()}
-
-        def radius(triangle: str) -> float:
-            given = [key for key in (f"{triangle}_side", f"{triangle}_radius") if key in lengths]
-            if len(given) != 1:
-                expected = f"exactly one of the keys {triangle}_side and {triangle}_radius"
-                raise GeometryError(str(path), expected, " and ".join(given) or "neither")
-            return lengths[given[0]] / (math.sqrt(3.0) if given[0].endswith("_side") else 1.0)
-
-        read = None if limits is None else _read_limits(limits, path)
-        geometry = cls(radius("base"), radius("platform"), lengths["middle_side"], read)
-        longest = max(lengths, key=lambda key: lengths[key])
-        if lengths[longest] > _IMPLAUSIBLE:
-            text = (
-                f"{path}: {longest} is {lengths[longest]:g} m. Lengths are read as metres; are these in another unit?"
-            )
-            warnings.warn(text, stacklevel=2)
-        return geometry
+        return geometry_of_node(root, path)
 
     @property
     def middle_radius(self) -> float:
@@ -237,6 +216,30 @@ class Geometry:
     def revolute_axes(self) -> FloatArray:
         """Unit revolute axes of legs 1..3 as rows (3, 3): in {B} at the a_i, in {m} at the c_i. Eq. (4)."""
         return _AXES.copy()
+
+
+def geometry_of_node(root: yaml.Node, path: Path) -> Geometry:
+    """Read the dimensions under a node of a YAML file; keys and errors as for `Geometry.from_yaml`."""
+    sizes = {f"{triangle}_{size}" for triangle in ("base", "platform") for size in ("side", "radius")}
+    optional = sizes | {"leg_limits"}
+    nodes = yaml_nodes.mapping(root, {"middle_side"}, path, optional=optional, error=GeometryError)
+    limits = nodes.pop("leg_limits", None)
+    lengths = {key: _length(node, key, path) for key, node in nodes.items()}
+
+    def radius(triangle: str) -> float:
+        given = [key for key in (f"{triangle}_side", f"{triangle}_radius") if key in lengths]
+        if len(given) != 1:
+            expected = f"exactly one of the keys {triangle}_side and {triangle}_radius"
+            raise GeometryError(str(path), expected, " and ".join(given) or "neither")
+        return lengths[given[0]] / (math.sqrt(3.0) if given[0].endswith("_side") else 1.0)
+
+    read = None if limits is None else _read_limits(limits, path)
+    geometry = Geometry(radius("base"), radius("platform"), lengths["middle_side"], read)
+    longest = max(lengths, key=lambda key: lengths[key])
+    if lengths[longest] > _IMPLAUSIBLE:
+        text = f"{path}: {longest} is {lengths[longest]:g} m. Lengths are read as metres; are these in another unit?"
+        warnings.warn(text, stacklevel=3)
+    return geometry
 
 
 def _dimension(value: Any, argument: str) -> float:

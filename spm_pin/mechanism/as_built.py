@@ -1,0 +1,309 @@
+"""Dimensions of an imperfect manipulator: axes, pivots, ball centres and encoder offsets of its six legs.
+
+Frames as in `geometry`: lower axes and pivots in {B}, upper ones in {m}, ball centres in the middle platform's frame
+{n}. {n} has its origin at the nominal triangle's centre, x along b_3 b_1 and z normal to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+from spm_pin.errors import GeometryError
+from spm_pin.mechanism import yaml_nodes
+from spm_pin.mechanism.arguments import FloatArray, file_path, generator, instance, real_array, real_number
+from spm_pin.mechanism.geometry import LARGEST, LEGS, SMALLEST, Geometry, LegLimits, geometry_of_node
+
+__all__ = ["PARAMETERS", "AsBuiltGeometry"]
+
+_KEYS = ("axis", "pivot", "ball", "offset")
+_COMPONENTS = ("direction_1", "direction_2", *(f"{p}_{x}" for p in ("pivot", "ball") for x in "xyz"), "offset")
+PARAMETERS = tuple(f"{leg}.{component}" for leg in LEGS for component in _COMPONENTS)
+"""Names of the 54 parameters, nine for each leg, in the order of `AsBuiltGeometry.parameters`."""
+
+_UNIT = 1e-6
+"""Largest error of the length of an axis that is taken for rounding."""
+_FLAT = 1e-6
+"""Smallest height of the triangle of three balls, in units of its longest side."""
+_MOST_LENGTH, _MOST_ANGLE = 1e7, 0.2
+"""Largest standard deviations of random errors: normal numbers then do not leave the ranges accepted."""
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class AsBuiltGeometry:
+    """Dimensions of one machine as it was built.
+
+    Leg i turns about a revolute axis, along which nothing moves: its line starts at the pivot, is perpendicular to the
+    axis, and ends at the centre of a ball of the middle platform. Its reading is |ball - pivot| + offset.
+
+    Parameters
+    ----------
+    nominal : Geometry
+        The machine of the drawing: branches are named after its branches, and its leg limits hold for the readings.
+    axes : array_like, shape (6, 3)
+        Unit vectors along the revolute axes of `LEGS`, of the lower legs in {B}, of the upper legs in {m}.
+    pivots : array_like, shape (6, 3)
+        Points of these axes where the legs' lines start [m], in the same frames.
+    balls : array_like, shape (6, 3)
+        Centres of the balls [m] in {n}. Those of a lower and of an upper leg need not coincide.
+    offsets : array_like, shape (6,)
+        What each reading exceeds the length of its leg by [m].
+
+    Raises
+    ------
+    GeometryError
+        If an array has the wrong shape or numbers that are not finite or beyond 1e9 m, if an axis is no unit vector, or
+        if the balls of the lower or of the upper legs are on one line.
+
+    Notes
+    -----
+    Six of the 54 parameters are the choice of {n} and change no reading.
+    """
+
+    nominal: Geometry
+    axes: FloatArray
+    pivots: FloatArray
+    balls: FloatArray
+    offsets: FloatArray
+
+    def __post_init__(self) -> None:
+        instance(self.nominal, Geometry, "nominal")
+        axes = _array(self.axes, "axes", (6, 3), "unit vectors along the revolute axes")
+        sizes = np.sqrt((axes**2).sum(axis=-1))
+        wrong = np.abs(sizes - 1.0) > _UNIT
+        if wrong.any():
+            leg = int(wrong.argmax())
+            expected = "unit vectors along the revolute axes"
+            raise GeometryError("axes", expected, f"length {sizes[leg]:g} of {LEGS[leg]}", "Divide it by its length")
+        # An exact unit vector keeps its bits, so that writing and reading gives the same machine.
+        exact = np.abs(sizes - 1.0) <= 4.0 * np.finfo(float).eps
+        self._put("axes", axes / np.where(exact, 1.0, sizes)[:, None])
+        self._put("pivots", _array(self.pivots, "pivots", (6, 3), "points of the revolute axes in metres"))
+        balls = _array(self.balls, "balls", (6, 3), "ball centres in {n} in metres")
+        for stage, (b1, b2, b3) in (("lower", balls[:3]), ("upper", balls[3:])):
+            sides = b2 - b1, b3 - b1, b3 - b2
+            longest = max(float(np.linalg.norm(side)) for side in sides)
+            if longest < SMALLEST or np.linalg.norm(np.cross(sides[0], sides[1])) < _FLAT * longest**2:
+                expected = "three ball centres of each stage that form a triangle"
+                raise GeometryError("balls", expected, f"those of the {stage} legs on one line")
+        self._put("balls", balls)
+        self._put("offsets", _array(self.offsets, "offsets", (6,), "offsets of the readings in metres"))
+
+    def _put(self, name: str, array: FloatArray) -> None:
+        copy = np.array(array)
+        copy.flags.writeable = False
+        object.__setattr__(self, name, copy)
+
+    def __repr__(self) -> str:
+        return f"AsBuiltGeometry({self.nominal!r}, {self._deviation()})"
+
+    def _deviation(self) -> str:
+        ideal = AsBuiltGeometry.from_nominal(self.nominal)
+        length = max(
+            float(np.abs(a - b).max())
+            for a, b in ((self.pivots, ideal.pivots), (self.balls, ideal.balls), (self.offsets, ideal.offsets))
+        )
+        sine = np.sqrt((np.cross(self.axes, ideal.axes) ** 2).sum(axis=-1))
+        angle = float(np.arctan2(sine, (self.axes * ideal.axes).sum(axis=-1)).max())
+        return f"errors to {length:.3g} m, {angle:.3g} rad"
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, AsBuiltGeometry):
+            return NotImplemented
+        arrays = ("axes", "pivots", "balls", "offsets")
+        return self.nominal == other.nominal and all(
+            np.array_equal(getattr(self, name), getattr(other, name)) for name in arrays
+        )
+
+    def __hash__(self) -> int:
+        arrays = self.axes, self.pivots, self.balls, self.offsets
+        # -0.0 and 0.0 are equal and must have one hash.
+        return hash((self.nominal, *((array + 0.0).tobytes() for array in arrays)))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return AsBuiltGeometry, (self.nominal, self.axes, self.pivots, self.balls, self.offsets)
+
+    @classmethod
+    def from_nominal(cls, geometry: Geometry) -> AsBuiltGeometry:
+        """Return the machine without errors."""
+        instance(geometry, Geometry, "geometry")
+        axes, corners = geometry.revolute_axes, geometry.middle_radius * geometry.radial_directions
+        pivots = np.concatenate([geometry.base_joints, geometry.platform_joints])
+        return cls(geometry, np.concatenate([axes, axes]), pivots, np.concatenate([corners, corners]), np.zeros(6))
+
+    def perturbed(self, rng: Any = None, *, length: float = 1e-4, angle: float = 1e-4) -> AsBuiltGeometry:
+        """Return a machine with independent normal errors added to all parameters.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator, seed, or None
+            Source of the errors.
+        length : float
+            Standard deviation of each coordinate of the pivots and balls and of the offsets [m].
+        angle : float
+            Standard deviation of the turn of each axis about either direction perpendicular to it [rad].
+
+        Raises
+        ------
+        ArgumentError
+            If a standard deviation is negative, not finite, or larger than 1e7 m or 0.2 rad.
+        """
+        random = generator(rng)
+        spread = real_number(
+            length, "length", f"a standard deviation from 0 to {_MOST_LENGTH:g} m", least=0.0, most=_MOST_LENGTH
+        )
+        expected = f"a standard deviation from 0 to {_MOST_ANGLE} rad"
+        turn = real_number(angle, "angle", expected, least=0.0, most=_MOST_ANGLE, cause="Given in degrees?")
+        scale = np.tile(np.repeat([turn, spread], [2, 7]), 6)
+        return self.from_parameters(self.parameters + scale * random.standard_normal(54))
+
+    @property
+    def parameters(self) -> FloatArray:
+        """The 54 parameters, named in `PARAMETERS`: per leg the direction (2), pivot and ball (3 each) and offset.
+
+        The direction is the turn of the axis from the nominal one about the two directions perpendicular to it [rad]:
+        the tangent coordinates of the shortest arc. All else is in metres.
+        """
+        nominal, first, second = _directions(self.nominal)
+        across = np.stack([(self.axes * first).sum(axis=-1), (self.axes * second).sum(axis=-1)], axis=-1)
+        sine = np.sqrt((across**2).sum(axis=-1))
+        angle = np.arctan2(sine, (self.axes * nominal).sum(axis=-1))
+        turn = across * np.divide(angle, sine, out=np.ones(6), where=sine > 0.0)[:, None]
+        return np.concatenate([turn, self.pivots, self.balls, self.offsets[:, None]], axis=-1).reshape(54)
+
+    def from_parameters(self, parameters: npt.ArrayLike) -> AsBuiltGeometry:
+        """Return the machine of the same nominal geometry that has these 54 `parameters`.
+
+        Raises
+        ------
+        GeometryError
+            If they are not 54 finite numbers, or those of no machine.
+        """
+        values = _array(parameters, "parameters", (54,), "radians and metres, see PARAMETERS").reshape(6, 9)
+        nominal, first, second = _directions(self.nominal)
+        angle = np.sqrt((values[:, :2] ** 2).sum(axis=-1))
+        if (angle > np.pi / 2.0).any():
+            leg = int(angle.argmax())
+            expected = "directions of the axes within a quarter turn of the nominal ones, in radians"
+            raise GeometryError("parameters", expected, f"{angle[leg]:g} rad at {LEGS[leg]}", "Given in degrees?")
+        across = np.sinc(angle / np.pi)[:, None] * values[:, :2]
+        axes = np.cos(angle)[:, None] * nominal + across[:, :1] * first + across[:, 1:] * second
+        return replace(self, axes=axes, pivots=values[:, 2:5], balls=values[:, 5:8], offsets=values[:, 8])
+
+    @property
+    def limits(self) -> LegLimits | None:
+        """Limits of the readings: those of the nominal geometry."""
+        return self.nominal.limits
+
+    @classmethod
+    def from_yaml(cls, path: str | Path) -> AsBuiltGeometry:
+        """Read a machine that `to_yaml` wrote.
+
+        The keys are `nominal`, a mapping with `base_radius`, `platform_radius`, `middle_side` and perhaps `leg_limits`
+        with a pair for each leg, and `legs`, a mapping of the six legs to `axis`, `pivot`, `ball` (three numbers each)
+        and `offset`; lengths in metres.
+
+        Raises
+        ------
+        GeometryError
+            If the file cannot be read or describes no machine. The error names the line and the key.
+        """
+        path = file_path(path, error=GeometryError)
+        root = yaml_nodes.compose(path, error=GeometryError)
+        if root is None:
+            raise GeometryError(str(path), "a YAML mapping with the keys nominal and legs", "an empty file")
+        nodes = yaml_nodes.mapping(root, {"nominal", "legs"}, path, error=GeometryError)
+        nominal = geometry_of_node(nodes["nominal"], path)
+        legs = yaml_nodes.mapping(nodes["legs"], LEGS, path, error=GeometryError)
+        read = [yaml_nodes.mapping(legs[leg], _KEYS, path, error=GeometryError) for leg in LEGS]
+        vectors = ([_vector(leg[key], key, path) for leg in read] for key in _KEYS[:3])
+        axes, pivots, balls = (np.array(rows) for rows in vectors)
+        offsets = [_finite(leg["offset"], "a number of metres under the key offset", path) for leg in read]
+        try:
+            return cls(nominal, axes, pivots, balls, np.array(offsets))
+        except GeometryError as wrong:
+            place = f"{wrong.argument} in {yaml_nodes.place(path, nodes['legs'])}"
+            raise GeometryError(place, wrong.expected, wrong.received, wrong.cause) from None
+
+    def to_yaml(self, path: str | Path) -> None:
+        """Write the machine to a YAML file, every number with all its digits.
+
+        Raises
+        ------
+        GeometryError
+            If the file cannot be written.
+        """
+        path = file_path(path, error=GeometryError)
+        nominal: dict[str, Any] = {
+            name: getattr(self.nominal, name) for name in ("base_radius", "platform_radius", "middle_side")
+        }
+        if self.limits is not None:
+            pairs = zip(LEGS, self.limits.minimum, self.limits.maximum, strict=True)
+            nominal["leg_limits"] = {leg: [low, high] for leg, low, high in pairs}
+        legs = {
+            leg: {
+                "axis": self.axes[i].tolist(),
+                "pivot": self.pivots[i].tolist(),
+                "ball": self.balls[i].tolist(),
+                "offset": float(self.offsets[i]),
+            }
+            for i, leg in enumerate(LEGS)
+        }
+        text = yaml.safe_dump({"nominal": nominal, "legs": legs}, sort_keys=False, default_flow_style=None, width=120)
+        heading = "# A 3RPS-3SPR manipulator as built, lengths in metres: see AsBuiltGeometry of spm_pin.\n"
+        try:
+            path.write_text(heading + text, encoding="utf-8")
+        except OSError as failed:
+            raise GeometryError(str(path), "a file that can be written", str(failed.strerror)) from failed
+
+
+def _refused(name: str) -> property:
+    def refuse(self: AsBuiltGeometry) -> None:
+        expected = "a Geometry: this function is for the machine of the drawing alone"
+        raise GeometryError("geometry", expected, f"an AsBuiltGeometry, which has no {name}", "Pass its .nominal?")
+
+    return property(refuse)
+
+
+# A function written for the ideal machine ends in an error that says so, never in a wrong answer.
+for _name in (
+    *("base_radius", "platform_radius", "middle_side", "middle_radius"),
+    *("base_joints", "platform_joints", "radial_directions", "revolute_axes"),
+):
+    setattr(AsBuiltGeometry, _name, _refused(_name))
+
+
+def _array(value: npt.ArrayLike, argument: str, shape: tuple[int, ...], meaning: str) -> FloatArray:
+    array = real_array(value, argument, shape, meaning, error=GeometryError)
+    if array.shape != shape:
+        raise GeometryError(argument, f"shape {shape}, {meaning}", f"shape {array.shape}")
+    if (np.abs(array) > LARGEST).any():
+        raise GeometryError(argument, f"{meaning}, at most {LARGEST:g}", f"{np.abs(array).max():g}", "Another unit?")
+    return array
+
+
+def _directions(geometry: Geometry) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return each leg's nominal axis and the two directions perpendicular to it, radial and along z, (6, 3) each."""
+    axes = np.tile(geometry.revolute_axes, (2, 1))
+    up = np.broadcast_to([0.0, 0.0, 1.0], (6, 3))
+    return axes, np.cross(up, axes), up
+
+
+def _finite(node: yaml.Node, expected: str, path: Path) -> float:
+    number = yaml_nodes.number(node, expected, path, error=GeometryError)
+    if not np.isfinite(number):
+        raise GeometryError(yaml_nodes.place(path, node), expected, f"{number:g}")
+    return number
+
+
+def _vector(node: yaml.Node, key: str, path: Path) -> list[float]:
+    entries = yaml_nodes.items(node, key, path, error=GeometryError)
+    expected = f"three numbers under the key {key}"
+    if len(entries) != 3:
+        raise GeometryError(yaml_nodes.place(path, node), expected, f"{len(entries)} of them")
+    return [_finite(entry, expected, path) for entry in entries]

@@ -1,0 +1,168 @@
+"""The dimensions of an imperfect machine: what is accepted, its parameters, and its file."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from problems import GEOMETRIES
+
+import spm_pin as spm
+from spm_pin.mechanism import PARAMETERS
+
+PAPER = spm.Geometry.paper()
+
+
+def machine(seed: int = 0, length: float = 1e-3, angle: float = 1e-3) -> spm.AsBuiltGeometry:
+    return spm.AsBuiltGeometry.from_nominal(PAPER).perturbed(seed, length=length, angle=angle)
+
+
+@pytest.mark.parametrize("name", GEOMETRIES)
+def test_without_errors_it_has_the_nominal_dimensions(name: str) -> None:
+    geometry = GEOMETRIES[name]
+    ideal = spm.AsBuiltGeometry.from_nominal(geometry)
+    np.testing.assert_array_equal(ideal.pivots[:3], geometry.base_joints)
+    np.testing.assert_array_equal(ideal.pivots[3:], geometry.platform_joints)
+    np.testing.assert_array_equal(ideal.axes, np.tile(geometry.revolute_axes, (2, 1)))
+    sides = np.linalg.norm(ideal.balls[:3] - np.roll(ideal.balls[:3], 1, axis=0), axis=-1)
+    np.testing.assert_allclose(sides, geometry.middle_side, rtol=1e-15)
+    assert (ideal.parameters.reshape(6, 9)[:, :2] == 0.0).all()
+    assert ideal.limits == geometry.limits
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-12, 1e-4, 0.05, 0.2])
+def test_parameters_there_and_back(size: float) -> None:
+    built = machine(3, size, size)
+    again = built.from_parameters(built.parameters)
+    for name in ("axes", "pivots", "balls", "offsets"):
+        np.testing.assert_allclose(getattr(again, name), getattr(built, name), rtol=0, atol=4e-16)
+    assert len(PARAMETERS) == 54 == len(set(PARAMETERS))
+    assert PARAMETERS[0] == "r_b1.direction_1"
+    assert PARAMETERS[-1] == "r_c3.offset"
+
+
+def test_errors_have_the_standard_deviations_asked_for() -> None:
+    ideal = spm.AsBuiltGeometry.from_nominal(PAPER)
+    many = np.stack([machine(seed, 2e-4, 5e-4).parameters - ideal.parameters for seed in range(400)])
+    scale = np.tile(np.repeat([5e-4, 2e-4], [2, 7]), 6)
+    # 400 samples: the standard deviation of a standard deviation is 3.5 %.
+    assert (np.abs(many.std(axis=0) / scale - 1.0) < 0.18).all()
+    assert (np.abs(many.mean(axis=0)) < 0.25 * scale).all()
+    turned = machine(1, 0.0, 1e-3)
+    np.testing.assert_array_equal(turned.pivots, ideal.pivots)
+    np.testing.assert_array_equal(turned.offsets, ideal.offsets)
+    assert machine(5) == machine(5) != machine(6)
+
+
+@pytest.mark.parametrize("limits", [None, spm.LegLimits([1.0, 1.1, 1.2, 0.9, 0.8, 0.7], [1.5, np.inf, 2, 2, 2, 2])])
+def test_a_file_there_and_back_keeps_every_bit(tmp_path: Path, limits: spm.LegLimits | None) -> None:
+    nominal = spm.Geometry(0.7, 1e-7, 0.8, limits)
+    built = spm.AsBuiltGeometry.from_nominal(nominal).perturbed(2, length=1e-9, angle=1e-3)
+    file = tmp_path / "machine.yaml"
+    built.to_yaml(file)
+    assert spm.AsBuiltGeometry.from_yaml(file) == built
+    assert "r_b1:" in file.read_text(encoding="utf-8")
+
+
+def test_it_is_frozen_equal_by_value_and_copied_whole() -> None:
+    built = machine()
+    for twin in (copy.deepcopy(built), pickle.loads(pickle.dumps(built)), copy.copy(built)):
+        assert twin == built
+        assert hash(twin) == hash(built)
+        with pytest.raises(ValueError, match="read-only"):
+            twin.balls[0, 0] = 1.0
+    with pytest.raises(AttributeError):
+        built.axes = built.axes  # type: ignore[misc]
+    given = np.array(built.pivots)
+    taken = spm.AsBuiltGeometry(PAPER, built.axes, given, built.balls, built.offsets)
+    given[0, 0] = 99.0
+    assert taken == built
+    assert built != PAPER
+    assert "errors to 0.00" in repr(built)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("nominal", 1.0, "nominal: expected a Geometry"),
+        ("axes", np.eye(3), "axes"),
+        ("axes", 2.0 * np.ones((6, 3)), "r_b1.*Divide it by its length"),
+        ("pivots", np.full((6, 3), np.nan), "pivots: expected finite"),
+        ("pivots", np.full((6, 3), 1e10), "pivots.*1e\\+10"),
+        ("balls", np.outer(np.arange(6.0), [1.0, 2.0, 3.0]), "balls.*lower legs on one line"),
+        ("balls", np.zeros((6, 3)), "on one line"),
+        ("offsets", np.zeros(5), "offsets"),
+        ("offsets", "long", "offsets"),
+        ("offsets", np.zeros((2, 6)), "offsets"),
+    ],
+)
+def test_what_is_no_machine_is_an_error_that_names_the_argument(name: str, value: object, message: str) -> None:
+    built = machine()
+    arguments = {key: getattr(built, key) for key in ("nominal", "axes", "pivots", "balls", "offsets")}
+    with pytest.raises(spm.ArgumentError, match=message):
+        spm.AsBuiltGeometry(**{**arguments, name: value})
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: spm.AsBuiltGeometry.from_nominal(machine()), "geometry: expected a Geometry"),  # type: ignore[arg-type]
+        (lambda: machine(length=-1.0), "length"),
+        (lambda: machine(angle=np.inf), "angle"),
+        (lambda: machine().perturbed("seed"), "rng"),
+        (lambda: machine().from_parameters(np.zeros(53)), "parameters"),
+        (lambda: machine().from_parameters(np.full(54, 3.0)), "parameters.*degrees"),
+    ],
+)
+def test_bad_arguments_are_named(call: object, message: str) -> None:
+    with pytest.raises(spm.ArgumentError, match=message):
+        call()  # type: ignore[operator]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (None, "", "an empty file"),
+        ("offset: 0.0", "offset: .inf", "offset"),
+        ("offset: 0.0", "offset: zero", "offset"),
+        ("offset: 0.0", "ofset: 0.0", "ofset"),
+        ("axis: [0.5, 0.8660254037844386, 0.0]", "axis: [0.5, 0.866]", r"yaml:\d+: expected three numbers.* 2 of"),
+        ("axis: [0.5, 0.8660254037844386, 0.0]", "axis: [0.5, 0.5, 0.0]", "axes in .*yaml"),
+        ("r_b1:", "r_b9:", "r_b9"),
+        ("base_radius: ", "base_radius: -", "base_radius"),
+        ("nominal:", "ideal:", "ideal"),
+    ],
+)
+def test_errors_of_a_file_name_the_line_and_the_key(tmp_path: Path, old: str | None, new: str, message: str) -> None:
+    file = tmp_path / "machine.yaml"
+    spm.AsBuiltGeometry.from_nominal(spm.Geometry(0.7, 0.4, 0.8)).to_yaml(file)
+    text = file.read_text(encoding="utf-8")
+    assert old is None or old in text, text
+    file.write_text(new if old is None else text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(spm.GeometryError, match=message):
+        spm.AsBuiltGeometry.from_yaml(file)
+
+
+def test_nominal_dimensions_are_not_read_from_an_imperfect_machine() -> None:
+    built = machine()
+    for name in ("base_radius", "middle_radius", "revolute_axes", "platform_joints"):
+        with pytest.raises(spm.ArgumentError, match=f"geometry: expected a Geometry.*{name}"):
+            getattr(built, name)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda built: spm.forward_displacement(built, np.full(6, 1.3)),
+        lambda built: spm.forward_physical(built, np.full(6, 1.3)),
+        spm.certify,
+        lambda built: spm.ClosedChain.from_urdf(geometry=built),
+    ],
+)
+def test_functions_for_the_ideal_machine_refuse_an_imperfect_one(call: Callable[[object], object]) -> None:
+    with pytest.raises(spm.ArgumentError, match="geometry: expected a Geometry"):
+        call(machine())
