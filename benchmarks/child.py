@@ -1,4 +1,4 @@
-"""What needs a process of its own: a first import, a first solve, a peak of memory.
+"""Measurements that need a new process: a first import, a first solve, a peak of memory.
 
 Run by the benchmarks; each command prints a JSON object.
 """
@@ -12,15 +12,15 @@ import time
 from pathlib import Path
 from typing import Any
 
-__all__ = ["FIRST", "HEAVY", "ask"]
+__all__ = ["FIRST", "HEAVY", "measure"]
 
 ROOT = Path(__file__).resolve().parents[1]
 HEAVY = ("numba", "casadi", "pinocchio", "dask", "trimesh", "viser", "matplotlib", "xacro")
 FIRST = ("inverse_displacement", "inverse_jacobian", "leg_forces", "forward_physical", "forward_displacement")
 
 
-def ask(command: str, *arguments: str, environment: dict[str, str] | None = None) -> dict[str, Any]:
-    """Run a child to its end and return what it measured."""
+def measure(command: str, *arguments: str, environment: dict[str, str] | None = None) -> dict[str, Any]:
+    """Run a command of this file in a new process and return its measurements."""
     line = [sys.executable, str(Path(__file__).resolve()), command, *arguments]
     done = subprocess.run(line, capture_output=True, text=True, check=False, env=environment)
     if done.returncode != 0:

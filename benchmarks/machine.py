@@ -1,4 +1,4 @@
-"""What the results were measured on."""
+"""Description of the machine on which the results were measured."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def cores() -> int:
 
 
 def available_memory() -> float:
-    """Return the memory that is free for the taking [B]; infinity where the system does not say."""
+    """Return the memory that is available [B]; infinity where the system does not say."""
     try:
         for line in Path("/proc/meminfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("MemAvailable:"):

@@ -1,4 +1,4 @@
-"""Poses to measure with, from the generators that the tests use as well."""
+"""Poses of the benchmarks, from the generators of the tests."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ __all__ = ["GEOMETRY", "KINDS", "leg_space", "mixture", "tiled"]
 GEOMETRY = spm.Geometry.paper()
 
 KINDS = ("leg lengths", "all rotations", "nearly level", "near a fold")
-"""What `mixture` makes."""
+"""Kinds of poses that `mixture` makes."""
 
 
 def leg_space(count: int, seed: int = 0) -> RigidTransform:
-    """Return poses (count,) of leg lengths drawn uniformly from the limits: what a machine meets."""
+    """Return poses (count,) of leg lengths drawn uniformly from the limits."""
     return in_leg_space(GEOMETRY, count, seed).pose
 
 

@@ -23,7 +23,7 @@ __all__ = [
 ]
 
 Facts = dict[str, Spread]
-"""What the targets are checked against, by key."""
+"""Measured values that the targets are compared with, by key."""
 
 
 @dataclass

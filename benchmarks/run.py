@@ -20,7 +20,7 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.machine import describe
-from benchmarks.peers.contests import PACKAGES
+from benchmarks.peers.peers_by_task import PACKAGES
 from benchmarks.report import Facts, Section, write
 from benchmarks.sections import completeness, forward, inverse, roofline, scaling, startup, velocity
 from benchmarks.targets import check
@@ -40,9 +40,9 @@ RESULTS = Path(__file__).resolve().with_name("results.md")
 INTRODUCTION = """\
 # Benchmark results
 
-Written by `make bench`, no number by hand; [how to read it](../docs/benchmarks.md). Contestants take turns in every
-round of one run, on one thread unless said otherwise. Times are medians over the rounds with their quartiles; ratios
-are taken within each round, then summarised likewise."""
+Written by `make bench`, no number by hand; [how to read it](../docs/benchmarks.md). All peers are timed in turns in
+every round of one run, on one thread unless said otherwise. Times are medians over the rounds with their quartiles;
+ratios are taken within each round, then summarised likewise."""
 
 
 class Progress:

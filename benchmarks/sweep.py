@@ -32,7 +32,7 @@ MIB = 2**20
 
 
 class Memory:
-    """The largest resident sizes of this process and of those it starts, sampled while it is entered."""
+    """The largest resident sizes of this process and of those it starts, sampled while it is peers."""
 
     def __init__(self) -> None:
         self.driver = 0

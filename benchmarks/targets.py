@@ -1,4 +1,4 @@
-"""What the package means to reach, and whether it did in this run."""
+"""Targets of the package, and whether a run met them."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Target:
     at_least: bool = True
 
     def met(self, value: float) -> bool:
-        """Tell whether a value is on the good side."""
+        """Return whether a value meets the target."""
         return value >= self.bound if self.at_least else value <= self.bound
 
 

@@ -1,4 +1,4 @@
-"""Timing side by side: contestants take turns, so that what disturbs the machine disturbs all of them."""
+"""Timing of several calls in turns, so that a disturbance of the machine concerns all of them."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Contestant", "Pace", "Spread", "Timing", "duration", "race"]
+__all__ = ["Pace", "Spread", "TimedCall", "Timing", "duration", "time_in_turns"]
 
 Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class Pace:
-    """How thoroughly to measure.
+    """Number and length of the measurements.
 
     Attributes
     ----------
     rounds : int
-        Turns of each contestant.
+        Turns of each call.
     turn : float
         Length of a turn [s]; one call, where that takes longer.
     quick : bool
@@ -37,8 +37,8 @@ class Pace:
 
 
 @dataclass(frozen=True)
-class Contestant:
-    """A call that handles `items` things."""
+class TimedCall:
+    """A call to be timed; it processes `items` items."""
 
     name: str
     call: Callable[[], object]
@@ -83,25 +83,25 @@ def duration(call: Callable[[], object]) -> float:
     return time.perf_counter() - begin
 
 
-def race(contestants: Sequence[Contestant], pace: Pace, progress: Progress) -> dict[str, Timing]:
-    """Let all contestants take `pace.rounds` turns, each round begun by another one.
+def time_in_turns(timed_calls: Sequence[TimedCall], pace: Pace, progress: Progress) -> dict[str, Timing]:
+    """Time all calls in `pace.rounds` rounds, each begun by another call.
 
-    Every contestant is called once before, so that nothing is compiled or read from disk on the clock, and a second
-    time to see how many calls fill a turn.
+    Each is called once before, so that nothing is compiled or read from disk while it is timed, and a second time to
+    find how many calls fill a turn.
     """
     calls: list[int] = []
-    for contestant in contestants:
-        progress(f"warming up {contestant.name}")
-        first = duration(contestant.call)
-        calls.append(1 if first > pace.turn else max(1, round(pace.turn / max(duration(contestant.call), 1e-7))))
-    seconds = np.empty((pace.rounds, len(contestants)))
+    for timed in timed_calls:
+        progress(f"warming up {timed.name}")
+        first = duration(timed.call)
+        calls.append(1 if first > pace.turn else max(1, round(pace.turn / max(duration(timed.call), 1e-7))))
+    seconds = np.empty((pace.rounds, len(timed_calls)))
     for k in range(pace.rounds):
-        for step in range(len(contestants)):
-            at = (k + step) % len(contestants)
-            contestant = contestants[at]
-            progress(f"round {k + 1} of {pace.rounds}: {contestant.name}")
+        for step in range(len(timed_calls)):
+            at = (k + step) % len(timed_calls)
+            timed = timed_calls[at]
+            progress(f"round {k + 1} of {pace.rounds}: {timed.name}")
             begin = time.perf_counter()
             for _ in range(calls[at]):
-                contestant.call()
-            seconds[k, at] = (time.perf_counter() - begin) / (calls[at] * contestant.items)
-    return {contestant.name: Timing(seconds[:, at]) for at, contestant in enumerate(contestants)}
+                timed.call()
+            seconds[k, at] = (time.perf_counter() - begin) / (calls[at] * timed.items)
+    return {timed.name: Timing(seconds[:, at]) for at, timed in enumerate(timed_calls)}

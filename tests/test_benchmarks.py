@@ -1,4 +1,4 @@
-"""Every peer of the benchmarks gives the right answer; how fast is not asked here."""
+"""Every peer of the benchmarks gives the right answer; their speed is not tested."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import spm_pin as spm
 
 sys.path.append(str(Path(__file__).parents[1]))
 
-from benchmarks.peers import arms, contests
+from benchmarks.peers import arms, peers_by_task
 from benchmarks.peers.certified import real_coordinates
 from benchmarks.peers.compiled import compiler_version
 from benchmarks.peers.lines import coordinates
@@ -24,10 +24,10 @@ from benchmarks.peers.peer import Peer, Prepared, Unavailable, required
 from benchmarks.poses import GEOMETRY, KINDS, leg_space, mixture, tiled
 from benchmarks.report import Facts, count, seconds, size, table, three_digits, write
 from benchmarks.sections.completeness import tally
-from benchmarks.sections.entering import enter
+from benchmarks.sections.preparation import prepare_peers
 from benchmarks.sections.velocity import states
 from benchmarks.targets import TARGETS, check
-from benchmarks.timing import Contestant, Pace, Spread, Timing, race
+from benchmarks.timing import Pace, Spread, TimedCall, Timing, time_in_turns
 
 ROOT = Path(__file__).parents[1]
 # Poses whose branches are well apart: searches find all of them, and the octic keeps half its digits.
@@ -52,7 +52,7 @@ def certified() -> list[npt.NDArray[np.float64]]:
     return [own for own in found if own is not None]
 
 
-@pytest.mark.parametrize("peer", [needs(peer) for peer in contests.INVERSE])
+@pytest.mark.parametrize("peer", [needs(peer) for peer in peers_by_task.INVERSE])
 def test_every_peer_finds_the_certified_branches(peer: Peer) -> None:
     poses = POSES if peer.items > 1 else POSES[:1]
     found = answer(peer.prepare((GEOMETRY, poses)))
@@ -64,8 +64,8 @@ def test_every_peer_finds_the_certified_branches(peer: Peer) -> None:
         np.testing.assert_allclose(along, truth[k], atol=tolerance * SIDE, rtol=0.0)
 
 
-@pytest.mark.parametrize("peer", [needs(peer) for peer in contests.INVERSE])
-def test_what_a_peer_calls_a_branch_closes_the_loops(peer: Peer) -> None:
+@pytest.mark.parametrize("peer", [needs(peer) for peer in peers_by_task.INVERSE])
+def test_branches_of_peers_satisfy_the_loop_equations(peer: Peer) -> None:
     found = answer(peer.prepare((GEOMETRY, POSES[:1])))[0]
     whole = found[~np.isnan(found).any(axis=(-1, -2))]
     assert len(whole) or "roots" in peer.name or peer.name in ("companion matrices", "python-flint")
@@ -91,7 +91,7 @@ def test_the_c_loop_agrees_with_the_package(kind: str) -> None:
     assert (derived.closure_residual <= 1e-12).all()
 
 
-def test_the_kernel_alone_is_what_the_public_function_calls() -> None:
+def test_kernel_alone_equals_the_public_function() -> None:
     ours = spm.inverse_displacement(GEOMETRY, POSES)
     for k, found in enumerate(answer(kernel((GEOMETRY, POSES)))):
         np.testing.assert_array_equal(found, ours.middle_joints[k][ours.exists[k]])
@@ -99,7 +99,7 @@ def test_the_kernel_alone_is_what_the_public_function_calls() -> None:
 
 
 @pytest.mark.parametrize("arm", arms.ARMS)
-def test_the_serial_arms_come_back_to_their_poses(arm: str) -> None:
+def test_branches_of_serial_arms_have_the_given_pose(arm: str) -> None:
     angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (5, 6))
     poses = arms.poses_of(arm, angles)
     for k, found in enumerate(answer(arms.solve((arm, poses)))):
@@ -108,8 +108,8 @@ def test_the_serial_arms_come_back_to_their_poses(arm: str) -> None:
         assert turned.min() < 1e-8
 
 
-@pytest.mark.parametrize("peer", contests.JACOBIAN, ids=lambda peer: peer.name)
-def test_every_jacobian_is_that_of_the_9_by_9(peer: Peer) -> None:
+@pytest.mark.parametrize("peer", peers_by_task.JACOBIAN, ids=lambda peer: peer.name)
+def test_every_jacobian_equals_that_of_the_9_by_9(peer: Peer) -> None:
     from spm_pin.paper.jacobian import J_f
 
     configuration = states(6)
@@ -117,8 +117,8 @@ def test_every_jacobian_is_that_of_the_9_by_9(peer: Peer) -> None:
     np.testing.assert_allclose(answer(peer.prepare(configuration)), J_f(configuration), rtol=1e-8, atol=1e-8)
 
 
-@pytest.mark.parametrize("peer", contests.FORCES, ids=lambda peer: peer.name)
-def test_the_forces_do_the_work_of_the_wrench(peer: Peer) -> None:
+@pytest.mark.parametrize("peer", peers_by_task.FORCES, ids=lambda peer: peer.name)
+def test_power_of_leg_forces_equals_that_of_the_wrench(peer: Peer) -> None:
     configuration = states(6)
     wrenches = np.random.default_rng(1).uniform(-1.0, 1.0, (6, 6))
     forces = answer(peer.prepare((configuration, wrenches)))
@@ -130,7 +130,7 @@ def test_the_forces_do_the_work_of_the_wrench(peer: Peer) -> None:
 LENGTHS = np.random.default_rng(1).uniform(1.1, 1.5, (3, 6))
 
 
-@pytest.mark.parametrize("peer", contests.PHYSICAL, ids=lambda peer: peer.name)
+@pytest.mark.parametrize("peer", peers_by_task.PHYSICAL, ids=lambda peer: peer.name)
 def test_every_forward_solution_has_the_leg_lengths_and_is_the_physical_one(peer: Peer) -> None:
     joints = answer(peer.prepare((GEOMETRY, LENGTHS)))
     lower = np.linalg.norm(joints - GEOMETRY.base_joints, axis=-1)
@@ -140,7 +140,7 @@ def test_every_forward_solution_has_the_leg_lengths_and_is_the_physical_one(peer
     np.testing.assert_allclose(joints, spm.forward_physical(GEOMETRY, LENGTHS).middle_joints, atol=1e-8)
 
 
-@pytest.mark.parametrize("peer", contests.MODES, ids=lambda peer: peer.name)
+@pytest.mark.parametrize("peer", peers_by_task.MODES, ids=lambda peer: peer.name)
 def test_the_number_of_assembly_modes(peer: Peer) -> None:
     from stage_oracle import certified_modes
 
@@ -177,20 +177,20 @@ def test_a_missing_peer_is_listed_with_its_reason() -> None:
         raise TypeError("its signature has changed")
 
     peers = [Peer("absent", "", absent, 1), Peer("broken", "", broken, 1)]
-    entered = enter(peers, lambda n: n, Pace(1, 0.0), str)
-    assert not entered.contestants
-    assert "no-such-package is not installed" in entered.missing["absent"]
-    assert "its signature has changed" in entered.missing["broken"]
+    peers = prepare_peers(peers, lambda n: n, Pace(1, 0.0), str)
+    assert not peers.timed_calls
+    assert "no-such-package is not installed" in peers.missing["absent"]
+    assert "its signature has changed" in peers.missing["broken"]
     with pytest.raises(TypeError):
-        enter([Peer(contests.OURS, "", broken, 1)], lambda n: n, Pace(1, 0.0), str)
+        prepare_peers([Peer(peers_by_task.OURS, "", broken, 1)], lambda n: n, Pace(1, 0.0), str)
     with pytest.raises(Unavailable):
         absent(None)
 
 
-def test_contestants_take_turns() -> None:
+def test_calls_are_timed_in_turns() -> None:
     order: list[str] = []
-    pair = [Contestant(name, lambda name=name: order.append(name), 2) for name in "ab"]
-    timings = race(pair, Pace(4, 0.0), str)
+    pair = [TimedCall(name, lambda name=name: order.append(name), 2) for name in "ab"]
+    timings = time_in_turns(pair, Pace(4, 0.0), str)
     # Once to warm up, then each round begun by another one.
     assert "".join(order)[:2] == "ab"
     assert "".join(order)[-8:] == "abbaabba"
@@ -221,7 +221,7 @@ def test_targets_say_what_was_missed_and_what_was_not_measured() -> None:
     assert len(text.splitlines()) == 4 + len(TARGETS)
 
 
-def test_numbers_as_they_are_written(tmp_path: Path) -> None:
+def test_formatted_numbers(tmp_path: Path) -> None:
     assert [three_digits(x) for x in (0.012345, 1.2345, 12.345, 123.45, 12345.0)] == [
         "0.0123",
         "1.23",
@@ -266,7 +266,7 @@ def test_large_batches_repeat() -> None:
     np.testing.assert_array_equal(poses[10_000:].as_matrix(), poses[:3].as_matrix())
 
 
-def test_the_script_runs_a_part_and_writes_only_where_it_is_told(tmp_path: Path) -> None:
+def test_script_runs_one_part_and_writes_only_the_given_file(tmp_path: Path) -> None:
     results = ROOT / "benchmarks" / "results.md"
     before = results.read_bytes() if results.exists() else None
     out = tmp_path / "out.md"
@@ -275,7 +275,7 @@ def test_the_script_runs_a_part_and_writes_only_where_it_is_told(tmp_path: Path)
     assert done.returncode == 0, done.stderr
     text = out.read_text(encoding="utf-8")
     assert text in done.stdout
-    for peer in (*contests.JACOBIAN, *contests.FORCES):
+    for peer in (*peers_by_task.JACOBIAN, *peers_by_task.FORCES):
         assert f"| {peer.name} | {peer.computes} |" in text
     assert "missing" not in text
     assert (results.read_bytes() if results.exists() else None) == before

@@ -1,4 +1,4 @@
-"""What all searches from random starts have in common: where they start, what counts as found, what is one branch."""
+"""Common parts of the searches from random starts: starts, convergence test, separation of branches."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ __all__ = ["STARTS", "branches", "residuals", "search", "starts"]
 STARTS = 100
 """Starts per pose, for every search."""
 CLOSED = 1e-11
-"""In units of d: what a loop may be open where a search has converged."""
+"""Largest loop residual of a converged search, in units of d."""
 APART = 1e-5
-"""In units of d: ends further apart are two branches."""
+"""Smallest distance of two branches, in units of d."""
 
 Solve = Callable[[FloatArray, FloatArray], FloatArray]
 
@@ -54,9 +54,9 @@ def branches(geometry: Geometry, matrix: FloatArray, ends: FloatArray) -> FloatA
 def search(problem: tuple[Geometry, RigidTransform], solve: Solve) -> Prepared:
     """Solve from all starts at every pose: `solve` takes starts (n, 9) and a pose (4, 4), and returns ends (n, 9)."""
     geometry, poses = problem
-    asked = list(zip(starts(geometry, poses), poses.as_matrix(), strict=True))
+    tasks = list(zip(starts(geometry, poses), poses.as_matrix(), strict=True))
 
     def read(answers: list[FloatArray]) -> list[FloatArray]:
-        return [branches(geometry, matrix, ends) for (_, matrix), ends in zip(asked, answers, strict=True)]
+        return [branches(geometry, matrix, ends) for (_, matrix), ends in zip(tasks, answers, strict=True)]
 
-    return Prepared(lambda: [solve(own, matrix) for own, matrix in asked], read)
+    return Prepared(lambda: [solve(points, matrix) for points, matrix in tasks], read)

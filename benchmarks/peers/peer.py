@@ -1,4 +1,4 @@
-"""What a peer is: something that answers the same question, and how to ask it."""
+"""A peer: another program or method for the same task, and its preparation for timing."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ __all__ = ["FloatArray", "Peer", "Prepared", "Unavailable", "required", "version
 FloatArray = npt.NDArray[np.float64]
 
 
-class Unavailable(Exception):  # noqa: N818  (it is an answer, not an error)
-    """A peer cannot take part here; the message says why."""
+class Unavailable(Exception):  # noqa: N818  (a result, not an error)
+    """Raised where a peer cannot be timed on this machine; the message gives the reason."""
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """A question made ready for a peer.
+    """A task prepared for a peer.
 
     Attributes
     ----------
     call : callable
-        What is timed; returns the peer's own kind of answer.
+        The timed call; returns the result in the peer's format.
     read : callable
-        Turns that answer into the one all peers of the contest are compared by. Not timed.
+        Converts that result into the common format of the task; not timed.
     """
 
     call: Callable[[], Any]
@@ -37,19 +37,18 @@ class Prepared:
 
 @dataclass(frozen=True)
 class Peer:
-    """One way to answer a question.
+    """Another way to solve a task.
 
     Attributes
     ----------
     name : str
-        Short, unique within its contest.
+        Short, unique within the task.
     computes : str
-        What exactly is on the clock.
+        Description of what is timed.
     prepare : callable
-        From the problems of the contest to a `Prepared`; raises `Unavailable`.
+        Makes a `Prepared` from the problems of the task; raises `Unavailable`.
     items : int
-        Problems handed over in one timed call: as many as the fast ones need to show their speed, and few where one
-        takes long.
+        Problems in one timed call: many for fast peers, few for slow ones.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Completeness beside speed: branches found of those certified, and branches that are none."""
+"""Completeness: branches found of the certified ones, and reported branches that do not exist."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import RigidTransform
 
 from benchmarks.peers.certified import real_coordinates
-from benchmarks.peers.contests import INVERSE, OURS
 from benchmarks.peers.lines import coordinates
 from benchmarks.peers.peer import FloatArray, Peer, Unavailable
+from benchmarks.peers.peers_by_task import INVERSE, OURS
 from benchmarks.poses import GEOMETRY, KINDS, mixture
 from benchmarks.report import Facts, Section, table, three_digits
-from benchmarks.sections.entering import Progress, failure
+from benchmarks.sections.preparation import Progress, failure
 from benchmarks.timing import Pace, Spread
 
 __all__ = ["Tally", "measure", "tally"]
 
 NEAR = 1e-4
-"""In units of d: an answer further from a certified branch is not that branch."""
+"""Largest distance in units of d at which a result is matched with a certified branch."""
 
 
 @dataclass
@@ -48,7 +48,7 @@ def tally(certified: list[FloatArray], answers: list[FloatArray], side: float) -
 
 
 def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
-    """Ask every peer about every kind of pose."""
+    """Count the branches that every peer finds in every kind of pose."""
     section = Section("Completeness")
     section.add(
         "Branches found of those that ball arithmetic (python-flint) proves to be real; after a plus sign, what was "
@@ -70,9 +70,9 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
         except Unavailable as reason:
             section.add(f"*Not measured: {reason}.*")
             return section
-        sure = [k for k, own in enumerate(proved) if own is not None]
+        sure = [k for k, values in enumerate(proved) if values is not None]
         poses[kind] = made[np.array(sure)]
-        certified[kind] = [own for own in proved if own is not None]
+        certified[kind] = [values for values in proved if values is not None]
     rows = []
     for peer in INVERSE:
         if peer.name == "python-flint" or peer.name.endswith(", new arrays"):
@@ -83,7 +83,7 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
         errors = []
         try:
             for kind in KINDS:
-                result = _ask(peer, poses[kind][:n], certified[kind][:n])
+                result = _tally_of(peer, poses[kind][:n], certified[kind][:n])
                 cells.append(f"{result.found} of {result.certified}" + f" + {result.spurious}" * bool(result.spurious))
                 errors.append(result.errors)
                 if peer.name == OURS:
@@ -92,8 +92,8 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
         except Exception as reason:
             if peer.name == OURS:
                 raise
-            told = str(reason) if isinstance(reason, Unavailable) else failure(reason)
-            rows.append([peer.name, f"*missing: {told}*", *[""] * (len(KINDS) + 1)])
+            text = str(reason) if isinstance(reason, Unavailable) else failure(reason)
+            rows.append([peer.name, f"*missing: {text}*", *[""] * (len(KINDS) + 1)])
             continue
         joined = np.concatenate(errors)
         worst = f"{np.median(joined):.0e} / {joined.max():.0e} m" if len(joined) else "–"
@@ -105,11 +105,11 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
 
 
 def _allowance(peer: Peer, most: int) -> int:
-    """Return how many poses of each kind a peer is asked about."""
+    """Return the number of poses of each kind for a peer."""
     return most if peer.items >= 1000 else most // 10 if peer.items >= 20 else most // 100
 
 
-def _ask(peer: Peer, poses: RigidTransform, certified: list[FloatArray]) -> Tally:
+def _tally_of(peer: Peer, poses: RigidTransform, certified: list[FloatArray]) -> Tally:
     prepared = peer.prepare((GEOMETRY, poses))
     answers = coordinates(GEOMETRY, poses, prepared.read(prepared.call()))
     return tally(certified, answers, GEOMETRY.middle_side)
@@ -121,4 +121,4 @@ def _plus(facts: Facts, key: str, more: int) -> Spread:
 
 
 def _mean(certified: list[FloatArray]) -> str:
-    return three_digits(float(np.mean([len(own) for own in certified])))
+    return three_digits(float(np.mean([len(values) for values in certified])))

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.peers import c_loop
-from benchmarks.peers.contests import MODES, OURS, PHYSICAL
 from benchmarks.peers.forward import certified, multistart
 from benchmarks.peers.package import modes
 from benchmarks.peers.peer import Peer, Unavailable
+from benchmarks.peers.peers_by_task import MODES, OURS, PHYSICAL
 from benchmarks.poses import GEOMETRY, leg_space
 from benchmarks.report import Facts, Section, table, three_digits
-from benchmarks.sections.entering import Progress, compare, enter
+from benchmarks.sections.preparation import Progress, compare, prepare_peers
 from benchmarks.timing import Pace
 
 __all__ = ["measure"]
@@ -24,23 +24,23 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
     section = Section("Forward displacement")
     section.add(
         "Leg lengths drawn uniformly from the limits. The physical mode first; one inverse solve of the C loop is in "
-        "the same race, as the unit."
+        "the same rounds, as the unit."
     )
     limits = GEOMETRY.limits
     assert limits is not None
     size = max(peer.items for peer in PHYSICAL)
     lengths = np.random.default_rng(1).uniform(limits.minimum, limits.maximum, (size, 6))
-    entered = enter(PHYSICAL, lambda n: (GEOMETRY, lengths[:n]), pace, progress)
+    peers = prepare_peers(PHYSICAL, lambda n: (GEOMETRY, lengths[:n]), pace, progress)
     poses = leg_space(size)
     unit = Peer(_UNIT, "four quadratics in plain C, one pose", c_loop.answered, size)
-    entered.add(enter([unit], lambda n: (GEOMETRY, poses[:n]), pace, progress))
-    timings = compare(section, entered, pace, progress, item="set")
+    peers.add(prepare_peers([unit], lambda n: (GEOMETRY, poses[:n]), pace, progress))
+    timings = compare(section, peers, pace, progress, item="set")
     if _UNIT in timings:
         facts["forward/physical"] = timings[OURS].over(timings[_UNIT])
 
     section.add("All assembly modes:")
-    entered = enter(MODES, lambda n: (GEOMETRY, lengths[:n]), pace, progress)
-    timings = compare(section, entered, pace, progress, item="set")
+    peers = prepare_peers(MODES, lambda n: (GEOMETRY, lengths[:n]), pace, progress)
+    timings = compare(section, peers, pace, progress, item="set")
     if "SciPy multi-start" in timings:
         facts["forward/modes"] = timings["SciPy multi-start"].over(timings[OURS])
     section.add(_found(lengths[: 5 if pace.quick else 20], progress))

@@ -1,15 +1,15 @@
-"""Inverse displacement: the package, a C loop, and everything that answers the same question."""
+"""Inverse displacement: the package, a C loop, and all peers of the same task."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from benchmarks.peers import arms, package
-from benchmarks.peers.contests import INVERSE, OURS
 from benchmarks.peers.peer import Peer
+from benchmarks.peers.peers_by_task import INVERSE, OURS
 from benchmarks.poses import GEOMETRY, leg_space
 from benchmarks.report import Facts, Section
-from benchmarks.sections.entering import Progress, compare, enter
+from benchmarks.sections.preparation import Progress, compare, prepare_peers
 from benchmarks.timing import Pace
 
 __all__ = ["measure"]
@@ -22,7 +22,7 @@ _FACTS = {
 
 
 def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
-    """Time all peers on the same poses, and EAIK's arms on theirs, in one race."""
+    """Time all peers on the same poses, and EAIK's arms on theirs, in the same rounds."""
     section = Section("Inverse displacement")
     section.add(
         "Poses of leg lengths drawn uniformly from the limits. Every peer gets the first of the same list, as many a "
@@ -30,14 +30,14 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
         "own: another problem, and the yardstick of analytic inverse kinematics."
     )
     poses = leg_space(max(peer.items for peer in INVERSE))
-    entered = enter(INVERSE, lambda n: (GEOMETRY, poses[:n]), pace, progress)
+    peers = prepare_peers(INVERSE, lambda n: (GEOMETRY, poses[:n]), pace, progress)
     lengths = Peer(f"{OURS}, lengths only", "`branch_lengths`: six lengths and status", package.lengths_only, 10_000)
-    entered.add(enter([lengths], lambda n: (GEOMETRY, poses[:n]), pace, progress))
+    peers.add(prepare_peers([lengths], lambda n: (GEOMETRY, poses[:n]), pace, progress))
     angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (1000, 6))
     for arm in arms.ARMS:
         serial = Peer(f"EAIK, {arm}", "all branches of a serial arm, one thread", arms.solve, len(angles))
-        entered.add(enter([serial], lambda n, arm=arm: (arm, arms.poses_of(arm, angles[:n])), pace, progress))
-    timings = compare(section, entered, pace, progress)
+        peers.add(prepare_peers([serial], lambda n, arm=arm: (arm, arms.poses_of(arm, angles[:n])), pace, progress))
+    timings = compare(section, peers, pace, progress)
     for key, name in _FACTS.items():
         if name in timings:
             facts[key] = timings[name].over(timings[OURS])

@@ -1,4 +1,4 @@
-"""How far from what the machine can do at best, after Williams, Waterman and Patterson's roofline (CACM 52, 2009)."""
+"""Times relative to the machine's bounds, by the roofline model of Williams, Waterman and Patterson (CACM 52, 2009)."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 
 from benchmarks.peers import c_loop, package
 from benchmarks.peers.compiled import address, library
-from benchmarks.peers.contests import OURS
 from benchmarks.peers.operations import Operations, count_operations
 from benchmarks.peers.peer import Unavailable
+from benchmarks.peers.peers_by_task import OURS
 from benchmarks.poses import GEOMETRY, leg_space, tiled
 from benchmarks.report import Facts, Section, count, seconds, size, spread_of_seconds, table, three_digits
-from benchmarks.sections.entering import Progress
-from benchmarks.timing import Contestant, Pace, Timing, race
+from benchmarks.sections.preparation import Progress
+from benchmarks.timing import Pace, TimedCall, Timing, time_in_turns
 
 __all__ = ["measure"]
 
@@ -29,7 +29,7 @@ _FEW = 1000
 
 @dataclass(frozen=True)
 class Limits:
-    """What the machine does in one second, as measured: operations, and bytes to and from memory."""
+    """Measured throughput of the machine in one second: operations, and bytes to and from memory."""
 
     multiply_adds: float
     divisions: float
@@ -51,7 +51,7 @@ class Limits:
 
 
 def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
-    """Measure the limits and the solvers in one race, and put them side by side."""
+    """Measure the limits and the solvers in the same rounds, side by side."""
     section = Section("Roofline")
     try:
         limits_of = _limits(pace)
@@ -61,13 +61,13 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
         return section
     small, large = _FEW, 100_000 if pace.quick else 1_000_000
     few, many = leg_space(_FEW), tiled(large)
-    contestants = [
-        Contestant(f"{OURS} {small}", package.inverse((GEOMETRY, few)).call, small),
-        Contestant(f"C loop {small}", c_loop.answered((GEOMETRY, few)).call, small),
-        Contestant(f"{OURS} {large}", package.inverse((GEOMETRY, many)).call, large),
-        Contestant(f"C loop {large}", c_loop.fresh((GEOMETRY, many)).call, large),
+    timed_calls = [
+        TimedCall(f"{OURS} {small}", package.inverse((GEOMETRY, few)).call, small),
+        TimedCall(f"C loop {small}", c_loop.answered((GEOMETRY, few)).call, small),
+        TimedCall(f"{OURS} {large}", package.inverse((GEOMETRY, many)).call, large),
+        TimedCall(f"C loop {large}", c_loop.fresh((GEOMETRY, many)).call, large),
     ]
-    timings = race([*limits_of, *contestants], Pace(max(5, pace.rounds // 2), pace.turn / 2.0), progress)
+    timings = time_in_turns([*limits_of, *timed_calls], Pace(max(5, pace.rounds // 2), pace.turn / 2.0), progress)
     limits = Limits(*(1.0 / timings[one.name].spread.median for one in limits_of))
     arrays = c_loop.Arrays.of(few)
     read = arrays.poses.nbytes / small
@@ -79,7 +79,7 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
     return section
 
 
-def _limits(pace: Pace) -> list[Contestant]:
+def _limits(pace: Pace) -> list[TimedCall]:
     """Return what measures the machine, in the order of `Limits`; an item is one operation, or one byte."""
     loaded, whole, real = library("limits.c", _FLAGS), ctypes.c_int64, ctypes.c_double
     loaded.multiply_add.restype = real
@@ -103,12 +103,12 @@ def _limits(pace: Pace) -> list[Contestant]:
         loaded.multiply_add(whole(_TURNS), real(1.0))
 
     return [
-        Contestant("multiply-adds", multiply_add, _TURNS * 2 * 8 * 8),
-        Contestant("divisions", lambda: loaded.divide(*inner), _TURNS // 100 * _CACHED),
-        Contestant("square roots", lambda: loaded.square_root(*inner), _TURNS // 100 * _CACHED),
-        Contestant("triad", triad, 3 * size),
-        Contestant("fill, cached", fill_cached, cached.nbytes),
-        Contestant("fill, new memory", fill_new, size),
+        TimedCall("multiply-adds", multiply_add, _TURNS * 2 * 8 * 8),
+        TimedCall("divisions", lambda: loaded.divide(*inner), _TURNS // 100 * _CACHED),
+        TimedCall("square roots", lambda: loaded.square_root(*inner), _TURNS // 100 * _CACHED),
+        TimedCall("triad", triad, 3 * size),
+        TimedCall("fill, cached", fill_cached, cached.nbytes),
+        TimedCall("fill, new memory", fill_new, size),
     ]
 
 
@@ -184,7 +184,7 @@ def _reading(
     small: int,
     large: int,
 ) -> str:
-    told = []
+    sentences = []
     for n, new, where in (
         (small, False, "whose answers fit a cache"),
         (large, True, "whose answers go to new memory"),
@@ -193,13 +193,13 @@ def _reading(
         tightest = max(bounds, key=lambda name: bounds[name])
         listed = ", ".join(f"{name} {seconds(value)}" for name, value in bounds.items())
         ratio = timings[f"{OURS} {n}"].spread.median / bounds[tightest]
-        told.append(
+        sentences.append(
             f"Of {count(n)} poses, {where}, the least times are {listed}. The bound is {tightest}, and {OURS} takes "
             f"{three_digits(ratio)} times that."
         )
-    told.append(
+    sentences.append(
         "The units work side by side, so the largest of the three is the bound. It is that of the C loop's formulas: "
         "additions and multiplications as if all could be fused in pairs, and nothing shared between families that the "
         "loop does not share."
     )
-    return " ".join(told)
+    return " ".join(sentences)

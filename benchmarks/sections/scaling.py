@@ -7,18 +7,18 @@ import contextlib
 from benchmarks import child
 from benchmarks.machine import available_memory, cores
 from benchmarks.peers import c_loop, package
-from benchmarks.peers.contests import OURS
 from benchmarks.peers.peer import Unavailable
+from benchmarks.peers.peers_by_task import OURS
 from benchmarks.poses import GEOMETRY, tiled
 from benchmarks.report import Facts, Section, count, seconds, size, spread_of_seconds, table, times
-from benchmarks.sections.entering import Progress
-from benchmarks.timing import Contestant, Pace, race
+from benchmarks.sections.preparation import Progress
+from benchmarks.timing import Pace, TimedCall, time_in_turns
 from spm_pin.closed_form.threads import threads
 
 __all__ = ["measure"]
 
 _SHARE = 0.5
-"""Of the free memory that a batch may take."""
+"""Largest share of the free memory for a batch."""
 
 
 def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
@@ -38,7 +38,7 @@ def _memory(section: Section, pace: Pace, progress: Progress) -> float:
     """Add the memory per pose; return the peak [B]."""
     poses = 100_000 if pace.quick else 300_000
     progress(f"memory of {poses} poses")
-    measured = child.ask("memory", str(poses))
+    measured = child.measure("memory", str(poses))
     section.add(
         f"**Memory.** A batch of {count(poses)} poses raises the peak of the process by "
         f"{size(measured['peak'] / poses)} a pose, of which {size(measured['answer'] / poses)} are ball joints and leg "
@@ -57,10 +57,10 @@ def _batches(section: Section, pace: Pace, progress: Progress, per_pose: float) 
             rows.append([count(n), f"*left out: needs {size(n * per_pose)}*", "", "", "", "", ""])
             continue
         poses = tiled(n)
-        contestants = [Contestant(OURS, package.inverse((GEOMETRY, poses)).call, n)]
+        timed_calls = [TimedCall(OURS, package.inverse((GEOMETRY, poses)).call, n)]
         with contextlib.suppress(Unavailable):
-            contestants.append(Contestant("C loop", c_loop.fresh((GEOMETRY, poses)).call, n))
-        timings = race(contestants, fewer, progress)
+            timed_calls.append(TimedCall("C loop", c_loop.fresh((GEOMETRY, poses)).call, n))
+        timings = time_in_turns(timed_calls, fewer, progress)
         ours = timings[OURS]
         cells = [count(n), seconds(ours.spread.median * n), *spread_of_seconds(ours.spread)]
         if "C loop" in timings:
@@ -78,19 +78,19 @@ def _threads(section: Section, pace: Pace, progress: Progress, facts: Facts, per
         return
     call = package.inverse((GEOMETRY, tiled(n))).call
 
-    def shared(number: int) -> Contestant:
+    def shared(number: int) -> TimedCall:
         def on_threads() -> None:
             with threads(number):
                 call()
 
-        return Contestant(str(number), on_threads, n)
+        return TimedCall(str(number), on_threads, n)
 
     numbers = sorted({1, *(2**k for k in range(1, 8) if 2**k <= cores()), cores()})
     rounds = Pace(max(7, pace.rounds // 2), pace.turn, pace.quick)
-    timings = race([shared(number) for number in numbers], rounds, progress)
-    one = timings["1"]
-    rows = [[name, *spread_of_seconds(own.spread), *times(one.over(own))] for name, own in timings.items()]
+    timings = time_in_turns([shared(number) for number in numbers], rounds, progress)
+    single = timings["1"]
+    rows = [[name, *spread_of_seconds(timing.spread), *times(single.over(timing))] for name, timing in timings.items()]
     if "2" in timings:
-        facts["scaling/two threads"] = one.over(timings["2"])
+        facts["scaling/two threads"] = single.over(timings["2"])
     section.add(f"**Threads**, {count(n)} poses, on {cores()} cores:")
     section.add(table(["threads", "per pose", "quartiles", "faster than one", "quartiles"], rows, left=0))

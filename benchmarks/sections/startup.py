@@ -1,4 +1,4 @@
-"""What the first call costs, and a single one."""
+"""Times of the import, of first calls and of single calls."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import spm_pin as spm
 from benchmarks import child
 from benchmarks.poses import GEOMETRY, leg_space
 from benchmarks.report import Facts, Section, spread_of_seconds, table
-from benchmarks.sections.entering import Progress
-from benchmarks.timing import Contestant, Pace, Spread, race
+from benchmarks.sections.preparation import Progress
+from benchmarks.timing import Pace, Spread, TimedCall, time_in_turns
 
 __all__ = ["measure"]
 
@@ -24,10 +24,10 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
     imported = []
     for k in range(repeats):
         progress(f"import, {k + 1} of {repeats}")
-        imported.append(child.ask("import"))
-    loaded = Spread.of([one["seconds"] for one in imported])
+        imported.append(child.measure("import"))
+    loaded = Spread.of([result["seconds"] for result in imported])
     facts["startup/import"] = loaded
-    heavy = sorted({name for one in imported for name in one["heavy"]})
+    heavy = sorted({name for result in imported for name in result["heavy"]})
     facts["startup/heavy"] = Spread(len(heavy), len(heavy), len(heavy))
     of = ", ".join(child.HEAVY)
     section.add(
@@ -40,18 +40,18 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
 
 
 def _first(section: Section, repeats: int, progress: Progress, facts: Facts) -> None:
-    """First calls in new processes, with an empty cache of compiled kernels and with a full one."""
+    """Time first calls in new processes, with an empty cache of compiled kernels and with a full one."""
     fresh: list[dict[str, float]] = []
     warm: list[dict[str, float]] = []
     for k in range(repeats):
         progress(f"first calls, {k + 1} of {repeats}")
         with tempfile.TemporaryDirectory() as folder:
             environment = os.environ | {"NUMBA_CACHE_DIR": folder}
-            fresh.append(child.ask("first", environment=environment))
-            warm.append(child.ask("first", environment=environment))
+            fresh.append(child.measure("first", environment=environment))
+            warm.append(child.measure("first", environment=environment))
     rows = []
     for name in child.FIRST:
-        both = [Spread.of([one[name] for one in runs]) for runs in (fresh, warm)]
+        both = [Spread.of([result[name] for result in runs]) for runs in (fresh, warm)]
         rows.append([f"`{name}`", *spread_of_seconds(both[0]), *spread_of_seconds(both[1])])
         if name == "inverse_displacement":
             facts["startup/fresh"], facts["startup/warm"] = both
@@ -62,7 +62,7 @@ def _first(section: Section, repeats: int, progress: Progress, facts: Facts) -> 
 
 
 def _single(section: Section, pace: Pace, progress: Progress, facts: Facts) -> None:
-    """One problem a call."""
+    """Time calls with one problem each."""
     pose = leg_space(1)[0]
     matrix = pose.as_matrix()
     solutions = spm.inverse_displacement(GEOMETRY, pose)
@@ -85,7 +85,7 @@ def _single(section: Section, pace: Pace, progress: Progress, facts: Facts) -> N
         "`forward_physical`": lambda: spm.forward_physical(GEOMETRY, lengths),
         "`forward_displacement`": lambda: spm.forward_displacement(GEOMETRY, lengths),
     }
-    timings = race([Contestant(name, call, 1) for name, call in calls.items()], pace, progress)
+    timings = time_in_turns([TimedCall(name, call, 1) for name, call in calls.items()], pace, progress)
     first = timings[next(iter(calls))].spread
     facts["startup/one pose"] = Spread(1e6 * first.median, 1e6 * first.low, 1e6 * first.high)
     section.add("A single problem through the public functions, everything warm:")

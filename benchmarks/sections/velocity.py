@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 import spm_pin as spm
-from benchmarks.peers.contests import FORCES, JACOBIAN, OURS
+from benchmarks.peers.peers_by_task import FORCES, JACOBIAN, OURS
 from benchmarks.poses import GEOMETRY, leg_space
 from benchmarks.report import Facts, Section
-from benchmarks.sections.entering import Progress, compare, enter
+from benchmarks.sections.preparation import Progress, compare, prepare_peers
 from benchmarks.timing import Pace
 
 __all__ = ["measure", "states"]
@@ -32,10 +32,16 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
     section = Section("J_f and leg forces")
     section.add("Per real branch of the same poses; nothing derived from a state is kept between calls.")
     every = states(max(peer.items for peer in JACOBIAN))
-    jacobian = compare(section, enter(JACOBIAN, lambda n: every[:n], pace, progress), pace, progress, item="state")
+    jacobian = compare(
+        section, prepare_peers(JACOBIAN, lambda n: every[:n], pace, progress), pace, progress, item="state"
+    )
     wrenches = np.random.default_rng(1).uniform(-1.0, 1.0, (len(every), 6))
     forces = compare(
-        section, enter(FORCES, lambda n: (every[:n], wrenches[:n]), pace, progress), pace, progress, item="state"
+        section,
+        prepare_peers(FORCES, lambda n: (every[:n], wrenches[:n]), pace, progress),
+        pace,
+        progress,
+        item="state",
     )
     for key, timings in (("velocity/J_f", jacobian), ("velocity/forces", forces)):
         for name, suffix in (("NumPy 9 × 9", ""), ("NumPy 9 × 9, bare", " bare")):

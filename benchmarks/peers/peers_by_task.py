@@ -1,4 +1,4 @@
-"""Who takes part in what. The first of each contest is the package."""
+"""The peers of each task; the first of each is this package."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from benchmarks.peers.peer import Peer
 __all__ = ["FORCES", "INVERSE", "JACOBIAN", "MODES", "OURS", "PACKAGES", "PHYSICAL"]
 
 OURS = "spm_pin"
-"""Name of the package's own public function in every contest."""
+"""Name of this package's public function in every task."""
 
 PACKAGES = ("numpy", "scipy", "numba", "poselib", "casadi", "pin", "python-flint", "eaik")
 """Distributions whose versions a result depends on."""
@@ -75,5 +75,10 @@ PHYSICAL = (
 MODES = (
     Peer(OURS, "`forward_displacement`: all modes, poses and joints", package.modes, 500),
     Peer("python-flint", "degree 16 per stage, roots isolated: the number, certified", forward.certified, 4),
-    Peer("SciPy multi-start", "fsolve until the last new solution is old news", forward.multistart, 2),
+    Peer(
+        "SciPy multi-start",
+        "fsolve until as many starts again find nothing new",
+        forward.multistart,
+        2,
+    ),
 )
