@@ -11,7 +11,6 @@ import spm_pin as spm
 from benchmarks.peers.c_loop import real_branches
 from benchmarks.peers.peer import FloatArray, Prepared
 from spm_pin.closed_form.inverse_displacement import branch_lengths
-from spm_pin.mechanism.pose import EXACT
 from spm_pin.paper import resultant
 
 __all__ = [
@@ -53,12 +52,14 @@ def kernel(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
     matrices = poses.as_matrix()
     rotation, position = np.ascontiguousarray(matrices[:, :3, :3]), np.ascontiguousarray(matrices[:, :3, 3])
     n = len(position)
+    copies = np.empty_like(rotation), np.empty_like(position)
     joints, lengths, discriminants = np.empty((n, 8, 3, 3)), np.empty((n, 8, 6)), np.empty((n, 4))
+    choice = np.empty((n, 3), dtype=np.uint8)
     status, flagged = np.empty(n, dtype=np.int8), np.empty(n, dtype=np.uint8)
-    sizes = geometry.middle_radius, geometry.base_radius, geometry.platform_radius, EXACT
+    sizes = geometry.middle_radius, geometry.base_radius, geometry.platform_radius
 
     def call() -> FloatArray:
-        all_branches(rotation, position, *sizes, joints, lengths, discriminants, status, flagged)
+        all_branches(rotation, position, *sizes, *copies, joints, lengths, discriminants, choice, status, flagged)
         return joints
 
     return Prepared(call, real_branches)
