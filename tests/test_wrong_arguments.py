@@ -323,7 +323,7 @@ def call(place: str, function: Callable[..., Any], changed: str, value: Any) -> 
 
 @pytest.mark.filterwarnings("ignore:.*another unit")
 @pytest.mark.parametrize(("place", "function", "name"), [marked(*case) for case in CASES])
-def test_nonsense_gives_a_result_or_an_error_that_names_the_argument(
+def test_malformed_arguments_give_a_result_or_an_error_that_names_them(
     place: str, function: Callable[..., Any], name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

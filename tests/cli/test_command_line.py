@@ -82,7 +82,7 @@ def test_every_help_text_is_shown_without_leftover_escapes(command: str) -> None
     assert "\\" not in done.stdout
 
 
-def test_hostile_values_come_back_unchanged(tmp_path: Path) -> None:
+def test_special_characters_survive_a_round_trip(tmp_path: Path) -> None:
     for value in ("[viewer]", "[/]", "[bold]"):
         done = run("inverse", *EXAMPLE, "--geometry", tmp_path / f"{value}.yaml")
         assert (done.returncode, value in done.message) == (2, True)
@@ -367,7 +367,7 @@ main()
         (["singularities", "--translation", "0", "0", "2.2", "--xyx", "0", "0", "0", "--json"], 4),
     ],
 )
-def test_exit_codes_tell_unreachable_and_degenerate(arguments: list[str], code: int) -> None:
+def test_exit_codes_of_unreachable_and_degenerate(arguments: list[str], code: int) -> None:
     done = run(*arguments)
     assert done.returncode == code
     assert json.loads(done.stdout)["status"] == {0: "ok", 3: "unreachable", 4: "degenerate"}[code]

@@ -49,7 +49,7 @@ def test_a_grid_of_poses_is_that_of_python(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.beta, expected.beta, rtol=1e-15)
 
 
-def test_without_metrics_there_are_some(tmp_path: Path) -> None:
+def test_default_metrics_are_used(tmp_path: Path) -> None:
     out = run(*POSES, "--out", tmp_path / "map", "--workers", 1)
     assert "metrics: branches, conditioning, reachable" in out
     assert "1 of 1 chunks complete open with: xarray.open_zarr(" in out
@@ -94,7 +94,7 @@ def test_samples_of_leg_lengths(legs: list[str], ranges: list[float], tmp_path: 
     np.testing.assert_allclose(legs_found, expected, rtol=1e-15)
 
 
-def test_going_on_and_looking(tmp_path: Path) -> None:
+def test_resume_and_status(tmp_path: Path) -> None:
     store = tmp_path / "map"
     run(*POSES, "--out", store, "--workers", 1, "--chunk", 8)
     whole = contents(store)

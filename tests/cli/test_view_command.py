@@ -164,7 +164,7 @@ def test_a_free_port_is_free() -> None:
         socket.create_server(("127.0.0.1", found)).close()
 
 
-def test_an_inbox_keeps_the_newest_of_a_kind_and_stops_when_closed() -> None:
+def test_event_queue_replaces_pending_events_of_a_kind_and_stops_when_closed() -> None:
     import asyncio
     import threading
 

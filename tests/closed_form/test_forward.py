@@ -158,7 +158,7 @@ def test_a_short_leg_keeps_its_digits() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", GEOMETRIES)
-def test_round_trips_at_length(name: str) -> None:
+def test_round_trips_of_many_random_states(name: str) -> None:
     for seed in range(7):
         for modes in spm.mechanism.FAMILIES:
             assert_found(random_branches(GEOMETRIES[name], modes, 1_000, seed=100 + seed))
@@ -209,7 +209,7 @@ def test_stages_that_move_with_their_legs_locked_are_degenerate() -> None:
         ([1.2e9] * 6, "Lengths in another unit?"),
     ],
 )
-def test_lengths_that_make_no_sense_are_refused(legs: list[float], words: str) -> None:
+def test_invalid_lengths_are_refused(legs: list[float], words: str) -> None:
     for function in (forward_displacement, forward_physical):
         with pytest.raises(spm.ArgumentError) as caught:
             function(PAPER, legs)

@@ -109,7 +109,7 @@ def test_reflection_in_the_base_exchanges_the_sheets_of_both_stages(lengths: lis
 
 
 @given(legs, st.sampled_from([1e-3, 0.125, 39.37, 1e3]))
-def test_lengths_have_no_unit(lengths: list[float], scale: float) -> None:
+def test_results_do_not_depend_on_the_unit_of_length(lengths: list[float], scale: float) -> None:
     solutions = forward_displacement(PAPER, lengths)
     assume(well_separated(solutions))
     geometry = spm.Geometry(*(scale * x for x in (PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)))

@@ -140,7 +140,7 @@ def test_a_seed_far_away_gives_the_physical_mode_again() -> None:
     np.testing.assert_allclose(end.translation, forward_physical(PAPER, lengths[1]).translation, atol=1e-12)
 
 
-def test_a_seed_cannot_cross_a_singularity() -> None:
+def test_continuation_from_a_seed_ends_at_a_singularity() -> None:
     start = [0.6, 0.6, 0.6, 1.2, 1.2, 1.2]
     seed = forward_physical(PAPER, start)
     assert seed.exists
@@ -194,7 +194,7 @@ def test_the_home_aspect_is_connected_to_home() -> None:
             assert (leg_plane_determinant(*planes(radii, heights, ratio)) > 0.0).all()
 
 
-def test_seeds_that_make_no_sense_are_refused() -> None:
+def test_invalid_seeds_are_refused() -> None:
     state = forward_physical(PAPER, LEGS)
     torn = spm.Configuration(PAPER, state.pose, state.middle_joints + np.diag([0.0, 0.0, 0.01]))
     absent = forward_physical(PAPER, LEGS * 100)

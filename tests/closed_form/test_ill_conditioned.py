@@ -19,7 +19,7 @@ def lower_count(solutions: spm.SolutionSet) -> int:
 
 @pytest.mark.parametrize("ratio", [0.4, 0.75, 0.99, 0.5])
 @pytest.mark.parametrize("away", [1e-7, 1e-8, 1e-10, 1e-12, 1e-13])
-def test_beside_a_family_no_mode_is_lost(ratio: float, away: float) -> None:
+def test_all_modes_beside_a_continuous_family_are_found(ratio: float, away: float) -> None:
     rng = np.random.default_rng(5)
     geometry = spm.Geometry(ratio * R, PAPER.platform_radius, D)
     for _ in range(2):

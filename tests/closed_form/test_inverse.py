@@ -190,7 +190,7 @@ def test_the_physical_branch_alone_is_that_of_all(shape: tuple[int, ...], limits
         np.testing.assert_array_equal(branches.physical(solutions.configurations), solutions.is_physical)
 
 
-def test_of_two_physical_branches_the_one_tilted_less() -> None:
+def test_physical_chooses_the_branch_tilted_less() -> None:
     solutions = spm.inverse_displacement(PAPER, in_leg_space(PAPER, 20_000, seed=13).pose)
     both = solutions[np.flatnonzero(solutions.ambiguous)]
     assert len(both.ambiguous) > 10

@@ -46,7 +46,7 @@ def test_a_batch_is_its_singles(shape: tuple[int, ...], family: str, seed: int) 
 
 
 @given(family=families, seed=seeds)
-def test_neighbours_in_a_batch_do_not_touch_each_other(family: str, seed: int) -> None:
+def test_results_do_not_depend_on_neighbours_in_the_batch(family: str, seed: int) -> None:
     """A degenerate, an unreachable and a regular pose side by side are what each is alone."""
     regular = poses(family, (3,), seed).as_matrix()
     odd = [spm.pose([0, 0, 2], rotation=np.eye(3)), spm.pose([9, 9, 2], rotation=np.diag([1.0, -1, -1]))]

@@ -76,7 +76,7 @@ def test_lengths_alone_are_those_of_the_branches(shape: tuple[int, ...]) -> None
     np.testing.assert_array_equal(status, solutions.status)
 
 
-def test_lengths_alone_know_a_degenerate_pose() -> None:
+def test_branch_lengths_flag_a_degenerate_pose() -> None:
     poses = [spm.pose([0, 0, 2.2], rotation=np.eye(3)), spm.pose([9, 9, 2], rotation=np.diag([1.0, -1, -1]))]
     _, status = branch_lengths(PAPER, np.stack([pose.as_matrix() for pose in poses]))
     assert list(status) == [spm.Status.DEGENERATE, spm.Status.UNREACHABLE]

@@ -205,7 +205,7 @@ POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88])
         (np.stack([np.eye(4), 2 * np.eye(4)]), None, "path"),
     ],
 )
-def test_paths_that_are_refused(path: object, start: str | None, words: str) -> None:
+def test_invalid_paths_are_refused(path: object, start: str | None, words: str) -> None:
     with pytest.raises(spm.ArgumentError, match=words):
         follow(PAPER, path, start)  # type: ignore[arg-type]
 

@@ -256,7 +256,7 @@ def test_absent_members_have_no_singularity() -> None:
 
 
 @pytest.mark.parametrize("tolerance", [-0.1, 1.0, float("nan")])
-def test_a_tolerance_that_makes_no_sense(tolerance: float) -> None:
+def test_invalid_tolerance_is_refused(tolerance: float) -> None:
     state = in_leg_space(PAPER, 1, seed=0).configuration
     with pytest.raises(spm.ArgumentError, match="tolerance: expected a number from 0"):
         singularities(state, tolerance=tolerance)
@@ -315,7 +315,7 @@ def test_singular_values_of_any_matrices(size: tuple[int, int], shape: tuple[int
     np.testing.assert_allclose(found, truth, rtol=0, atol=64 * EPS * truth.max(initial=0.0))
 
 
-def test_a_member_of_a_batch_is_what_it_is_alone() -> None:
+def test_member_of_a_batch_equals_the_single_result() -> None:
     states = in_leg_space(PAPER, 37, seed=9).configuration
     together = singularities(states)
     for i in (0, 15, 16, 36):

@@ -132,7 +132,7 @@ def test_the_number_of_modes_is_certified(name: str, kind: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", STAGES)
-def test_the_number_of_modes_is_certified_at_length(name: str, kind: str) -> None:
+def test_number_of_modes_is_certified_on_many_lengths(name: str, kind: str) -> None:
     hips, d = STAGES[name]
     assert_certified(kind, hips, d, 4_000, seed=4)
 

@@ -49,7 +49,7 @@ def test_a_large_batch_is_shared_and_a_small_one_is_not() -> None:
     assert used(199, 100) == used(1, 100) == used(0, 100) == 1
 
 
-def test_who_says_how_many(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sources_of_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "2,1")
     assert used() == 2
     monkeypatch.setenv("SPM_PIN_THREADS", "1")
@@ -70,7 +70,7 @@ def test_who_says_how_many(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("count", [0, -1, 1.5, True, "2"])
-def test_a_number_that_is_none_is_refused(count: object) -> None:
+def test_text_that_is_no_number_is_refused(count: object) -> None:
     with pytest.raises(spm.ArgumentError, match="positive number of threads"):
         set_threads(count)  # type: ignore[arg-type]
     with pytest.raises(spm.ArgumentError, match="positive number of threads"), threads(count):  # type: ignore[arg-type]
@@ -90,7 +90,7 @@ def test_workers_compute_by_themselves() -> None:
         assert pool.submit(asked_for).result() == 2
 
 
-def test_an_error_in_a_thread_arrives() -> None:
+def test_error_in_a_thread_is_raised_by_the_caller() -> None:
     def fail(part: slice) -> None:
         if part.start > 0:
             raise RuntimeError("from a thread")

@@ -108,7 +108,7 @@ def check_inverse(state: spm.Configuration) -> None:
 
 
 @pytest.mark.parametrize(("name", "family"), EVERY_FAMILY)
-def test_laws_in_every_family(name, family):
+def test_symmetries_in_every_family(name, family):
     state = problems.random_branches(problems.GEOMETRIES[name], family, 500, seed=42).configuration
     check_inverse(state)
     check_determinant(state)

@@ -56,7 +56,7 @@ def test_a_seed_makes_the_same_report(report: Report) -> None:
     assert (other.translation != first.translation).any()
 
 
-def test_a_pose_of_the_report_can_be_asked_again(report: Report) -> None:
+def test_command_of_a_report_solves_its_pose(report: Report) -> None:
     worst = report.worst
     assert worst is not None
     words = shlex.split(report.command(worst.pose))
@@ -102,7 +102,7 @@ def test_lost_branches_are_found() -> None:
     assert lost.count > 0
 
 
-def test_a_method_may_miss_as_often_as_it_states() -> None:
+def test_misses_within_the_stated_rate_are_no_fault() -> None:
     careful = Forgetful(GEOMETRY, name="modest", miss_rate=0.4)
     found = compare_methods(GEOMETRY, poses=12, methods=["closed-form", careful])
     assert found.agrees

@@ -83,7 +83,7 @@ def test_rate_bound_holds_for_perturbed_entries() -> None:
     assert max(ratios) > 1e-3
 
 
-def test_near_a_fold_two_branches_cannot_be_resolves() -> None:
+def test_two_branches_near_a_fold_are_not_resolved() -> None:
     pose = at_discriminant(random_branches(GEOMETRY, "TT", 1, 2).pose[0], 0, 1e-13, GEOMETRY)
     pair = spm.inverse_displacement(GEOMETRY, pose)
     plus, minus = pair["TT+"], pair["TT-"]

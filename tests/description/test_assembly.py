@@ -133,7 +133,7 @@ def test_joint_values_of_what_a_machine_does_are_small(trees: dict[str, Kinemati
         assert trees["paper"].gap(values, CLOSURES) < 1e-12
 
 
-def test_a_ball_at_its_singularity_is_still_met() -> None:
+def test_ball_joint_values_at_a_gimbal_singularity() -> None:
     """Middle angle ±90°: the outer two are not determined, yet the rotation is."""
     geometry = spm.Geometry(0.7, 0.7, 0.7 * 3**0.5)
     tree = KinematicTree(expand(geometry))

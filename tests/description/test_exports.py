@@ -190,7 +190,7 @@ def test_limits_and_actuators(load: object) -> None:
         assert [actuator.effort_limit() for actuator in actuators] == [effort] * 6
 
 
-def test_a_motor_s_newton_is_a_newton(load: object) -> None:
+def test_unit_of_motor_forces_is_newton(load: object) -> None:
     assert callable(load)
     robot: Mujoco = load("mujoco", "mjcf")
     robot.set(STATES["reference"])
@@ -232,7 +232,7 @@ def test_sites_are_at_the_frames(load: object) -> None:
         np.testing.assert_allclose(there, expected, atol=1e-12, err_msg=site.name)
 
 
-def test_what_is_seen_and_what_collides(load: object) -> None:
+def test_visual_and_collision_shapes(load: object) -> None:
     assert callable(load)
     robot: Mujoco = load("mujoco", "mjcf")
     seen = robot.model.geom_contype == 0

@@ -98,7 +98,7 @@ def test_arguments_of_the_xacro_command(tmp_path: Path) -> None:
     assert ElementTree.canonicalize(by_hand, strip_text=True) == ours
 
 
-def test_no_path_of_this_machine_is_written() -> None:
+def test_written_files_contain_no_local_path() -> None:
     for text in (expand(meshes=MESHES), *map(shipped, (URDF, SRDF, MJCF, SDF, EXTENDED_URDF))):
         assert str(description_directory()) not in text
         assert str(Path.home()) not in text
@@ -163,7 +163,7 @@ def test_prefixes_come_out_as_they_went_in(prefix: str) -> None:
     assert KinematicTree(expand(prefix=prefix)).base == f"{prefix}base"
 
 
-def test_extended_urdf_says_what_the_closures_say() -> None:
+def test_extended_urdf_equals_the_closures() -> None:
     extended = yaml.safe_load(shipped(EXTENDED_URDF))
     closures = read_closures()
     assert extended["closed_loop"] == [[c.frame_a, c.frame_b] for c in closures]

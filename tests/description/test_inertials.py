@@ -99,7 +99,7 @@ def test_mass_goes_with_volume() -> None:
         np.testing.assert_allclose(larger, 32.0 * moments, rtol=1e-12)
 
 
-def test_drawn_and_collided(tree: KinematicTree) -> None:
+def test_visual_and_collision_geometry(tree: KinematicTree) -> None:
     materials = {str(m.get("name")) for m in tree.root.findall("material")}
     for name, link in tree.links.items():
         visuals = link.findall("visual")

@@ -120,7 +120,7 @@ def test_mjcf(engine: type[Mujoco] | type[Pinocchio], kind: str, anchors: str, t
 
 
 @pytest.mark.parametrize("kind", CLOSURE)
-def test_full_inertias_arrive(kind: str, tmp_path: Path) -> None:
+def test_full_inertias_are_exported(kind: str, tmp_path: Path) -> None:
     own = robot(kind)
     values = closed(kind, 0.3) | {"crank": -0.4}
     urdf = Pinocchio(written(tmp_path, parallelogram(kind), "own.urdf"), ())
@@ -151,7 +151,7 @@ def test_a_robot_that_is_open_at_zero(tmp_path: Path) -> None:
         assert np.abs(there.gaps({})).max() > 0.1
 
 
-def test_what_no_format_says() -> None:
+def test_closures_that_a_format_cannot_express() -> None:
     weld = robot("weld")
     with pytest.raises(DescriptionError, match="the weld loop"):
         urdf_text(weld)

@@ -63,7 +63,7 @@ def written(tmp_path: Path, text: str) -> Path:
     return path
 
 
-def test_the_description_s_own() -> None:
+def test_description_of_the_package_is_read() -> None:
     tree, robot = KinematicTree(Path(URDF_PATH).read_text(encoding="utf-8")), read_urdf(URDF_PATH)
     assert robot.base == tree.base
     assert {joint.name for joint in robot.joints} == tree.joints.keys()
@@ -82,7 +82,7 @@ def test_the_description_s_own() -> None:
         assert found == tuple(limit[key] for key in ("lower", "upper", "effort", "velocity"))
 
 
-def test_a_small_one(tmp_path: Path) -> None:
+def test_smallest_grid(tmp_path: Path) -> None:
     robot = read_urdf(written(tmp_path, GOOD))
     assert (robot.name, robot.base, [joint.name for joint in robot.moving]) == ("two", "a", ["j"])
     assert robot.transmissions == (Transmission("t", "j", "m"),)
@@ -140,7 +140,9 @@ def test_a_small_one(tmp_path: Path) -> None:
         ("</robot>", '<constraint name="c" type="universal"/></robot>', 28, "a constraint of type spherical"),
     ],
 )
-def test_what_would_be_lost_or_is_wrong(old: str, new: str, line: int, said: str, tmp_path: Path) -> None:
+def test_elements_that_cannot_be_represented_are_refused(
+    old: str, new: str, line: int, said: str, tmp_path: Path
+) -> None:
     assert old in GOOD
     path = written(tmp_path, GOOD.replace(old, new, 1))
     with pytest.raises(DescriptionError) as caught:
@@ -169,7 +171,7 @@ def test_what_would_be_lost_or_is_wrong(old: str, new: str, line: int, said: str
         ("</robot>", BALL.replace('"b"', '"x"') + "</robot>", "no link 'x'. Named by the closure a_x"),
     ],
 )
-def test_what_is_no_robot(old: str, new: str, said: str, tmp_path: Path) -> None:
+def test_files_that_describe_no_robot_are_refused(old: str, new: str, said: str, tmp_path: Path) -> None:
     assert old in GOOD
     with pytest.raises(DescriptionError) as caught:
         read_urdf(written(tmp_path, GOOD.replace(old, new, 1)))
@@ -303,7 +305,7 @@ def test_meshes_that_mujoco_cannot_read(mesh_robot: tuple[Path, Path]) -> None:
         urdf_description(GOOD.replace('<box size="1 2 3"/>', '<mesh filename="part.stl"/>'))
 
 
-def test_names_that_a_format_has_taken() -> None:
+def test_reserved_names_are_refused() -> None:
     robot = urdf_description(GOOD.replace('name="j"', 'name="b"'))
     with pytest.raises(DescriptionError, match=r"names of their own for links, joints and closures.*, got b"):
         sdf_text(robot)
@@ -311,14 +313,14 @@ def test_names_that_a_format_has_taken() -> None:
         mjcf_text(urdf_description(GOOD.replace('"a"', '"world"')))
 
 
-def test_names_need_no_care(tmp_path: Path) -> None:
+def test_names_with_special_characters(tmp_path: Path) -> None:
     odd = 'x--"y<&ü'
     robot = manipulator()
     renamed = replace(robot, name=odd)
     assert urdf_description(urdf_text(renamed)).name == odd
 
 
-def test_two_megabytes_of_newlines_are_read_in_linear_time(tmp_path: Path) -> None:
+def test_reading_time_is_linear_in_the_number_of_lines(tmp_path: Path) -> None:
     """Quadratic, it took most of a minute."""
     path = written(tmp_path, GOOD.replace("</robot>", "\n" * 2_000_000 + "</robot>"))
     assert read_urdf(path) == read_urdf(written(tmp_path, GOOD))

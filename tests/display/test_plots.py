@@ -215,7 +215,7 @@ def test_without_matplotlib_the_error_tells_how_to_install_it(monkeypatch):
     assert (again.extra, again.package, str(again)) == ("plots", "matplotlib", str(caught.value))
 
 
-def test_the_example_draws_the_picture_of_the_readme(tmp_path, monkeypatch):
+def test_example_draws_the_picture_of_the_readme(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "argv", [str(EXAMPLE), str(tmp_path)])
     runpy.run_path(str(EXAMPLE), run_name="__main__")
     (path,) = tmp_path.iterdir()

@@ -70,7 +70,7 @@ def test_names_stand_on_their_patches_and_all_are_there_from_above_and_below() -
     assert {patch for name, patch in found if name == "bottom"} == {n for n in NAMES if n[:2] in ("Sm", "Sl")}
 
 
-def test_families_can_be_told_apart_with_any_colour_vision() -> None:
+def test_family_colours_differ_for_every_colour_vision() -> None:
     # Machado, Oliveira and Fernandes 2009, complete dichromacy, https://doi.org/10.1109/TVCG.2009.113, in linear RGB.
     deficiencies = {
         "protan": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
@@ -150,7 +150,7 @@ def test_figures_that_cannot_be_written(tmp_path, name: str, says: str) -> None:
         save_figure(Figure(), tmp_path / name)
 
 
-def test_what_is_no_shell_and_no_axes() -> None:
+def test_arguments_that_are_no_shell_or_axes_are_refused() -> None:
     with pytest.raises(ArgumentError, match="a Shell, got Trimesh"):
         draw_shell(SHELL.mesh)  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="two-dimensional"):

@@ -132,7 +132,7 @@ def test_what_is_no_message_is_dropped():
     assert not acceptable(b"\x91" * 100_000)
 
 
-def test_nonsense_from_a_scripted_client_changes_nothing(viewer):
+def test_malformed_messages_of_a_client_change_nothing(viewer):
     async def scenario():
         async with connect(viewer) as socket:
             reading = asyncio.create_task(_read(socket))
@@ -165,7 +165,7 @@ async def _read(socket):
         pass
 
 
-def test_the_page_has_our_title(viewer):
+def test_page_has_the_title_of_the_package(viewer):
     for encoding in ("identity", "gzip"):
         request = urllib.request.Request(viewer.url, headers={"Accept-Encoding": encoding})
         with urllib.request.urlopen(request, timeout=20) as answer:

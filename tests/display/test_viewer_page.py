@@ -257,7 +257,7 @@ def test_camera_presets_and_a_picture(client):
     assert not errors
 
 
-def test_legs_load_and_path_drive_it_too(client):
+def test_legs_load_and_path_move_the_shown_robot(client):
     page, session, errors = client
     reset(page, session)
 
@@ -305,7 +305,7 @@ def test_two_clients_at_once_and_one_that_goes(browser, viewer, client):
     assert not other_errors
 
 
-def test_on_a_phone_and_in_the_dark(browser, viewer):
+def test_phone_layout_and_dark_mode(browser, viewer):
     page, session, errors = opened(browser, viewer, viewport={"width": 390, "height": 844})
     send(session, "dark", True)
     page.wait_for_timeout(1000)

@@ -38,7 +38,7 @@ def texts(state, level="warning"):
     return " ".join(notice.text for notice in state.notices if notice.level == level)
 
 
-def test_it_begins_with_the_paper_s_solution_3():
+def test_viewer_starts_with_the_paper_s_solution_3():
     np.testing.assert_allclose(START.leg_lengths, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5], atol=1e-12)
     state = Model(START).state
     assert state.label == "TT+"
@@ -294,7 +294,7 @@ def test_the_exported_json_holds_the_state():
     json_text(Model(START).set_legs([1.3] * 6), chain)  # singular, yet JSON
 
 
-def test_markup_says_it_in_words_and_escapes():
+def test_markup_of_a_state_is_escaped():
     model = Model(START)
     calm = status(model.state) + instruments(model.state)
     assert "⚠" not in calm

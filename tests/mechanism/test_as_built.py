@@ -35,7 +35,7 @@ def test_without_errors_it_has_the_nominal_dimensions(name: str) -> None:
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-12, 1e-4, 0.05, 0.2])
-def test_parameters_there_and_back(size: float) -> None:
+def test_stage_coordinates_round_trip(size: float) -> None:
     built = machine(3, size, size)
     again = built.from_parameters(built.parameters)
     for name in ("axes", "pivots", "balls", "offsets"):
@@ -68,7 +68,7 @@ def test_a_file_there_and_back_keeps_every_bit(tmp_path: Path, limits: spm.LegLi
     assert "r_b1:" in file.read_text(encoding="utf-8")
 
 
-def test_it_is_frozen_equal_by_value_and_copied_whole() -> None:
+def test_geometry_is_frozen_and_compared_by_value() -> None:
     built = machine()
     for twin in (copy.deepcopy(built), pickle.loads(pickle.dumps(built)), copy.copy(built)):
         assert twin == built

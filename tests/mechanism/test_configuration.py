@@ -124,7 +124,7 @@ def test_absent_members_are_nan_throughout() -> None:
         ("b", "middle_joints"),
     ],
 )
-def test_middle_joints_that_make_no_state(joints: object, words: str) -> None:
+def test_invalid_middle_joints_are_refused(joints: object, words: str) -> None:
     with pytest.raises(spm.ArgumentError, match=words):
         spm.Configuration(spm.Geometry.paper(), POSE, joints)  # type: ignore[arg-type]
 

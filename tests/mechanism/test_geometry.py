@@ -121,7 +121,7 @@ def test_numbers_of_the_description_are_found() -> None:
     assert (config_directory() / "geometry.yaml").is_file()
 
 
-def test_errors_survive_the_way_home_from_a_worker() -> None:
+def test_errors_of_a_worker_can_be_pickled() -> None:
     with pytest.raises(spm.GeometryError) as caught:
         spm.LegLimits(2.0, 1.0)
     again = pickle.loads(pickle.dumps(caught.value))

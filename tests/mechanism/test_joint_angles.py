@@ -75,7 +75,7 @@ def test_the_closure_residual_is_the_configuration_s() -> None:
     assert joint_angles(open_).closure_residual == pytest.approx(open_.closure_residual, rel=1e-12)
 
 
-def test_what_does_not_exist_is_nan() -> None:
+def test_absent_members_are_nan_everywhere() -> None:
     states = random_branches(PAPER, "TT", 3, 7).configuration
     joints = states.middle_joints.copy()
     joints[1] = np.nan

@@ -118,7 +118,7 @@ def test_nearest_refuses_a_seed_that_does_not_exist(branches: spm.SolutionSet) -
         branches.nearest(np.zeros((2, 2)))
 
 
-def test_of_no_solutions_none_is_chosen() -> None:
+def test_no_solution_has_no_physical_one() -> None:
     nothing = spm.inverse_displacement(PAPER, spm.pose([9, 9, 9], rotation=POSE.rotation))
     assert nothing.status is spm.Status.UNREACHABLE
     assert not nothing.physical().exists

@@ -48,7 +48,7 @@ def test_members(method: str, shape: tuple[int, ...]) -> None:
         assert np.array_equal(together[index], METHODS[method](robot, q[index], v[index], w[index]))
 
 
-def test_a_state_answers_as_the_chain_does() -> None:
+def test_state_and_chain_return_the_same() -> None:
     robot, rng = chain(), np.random.default_rng(305)
     one = robot.state(np.zeros(18))
     for _, q in placed("paper", 2, seed=306):

@@ -70,7 +70,7 @@ def test_one_after_the_other() -> None:
 
 
 @pytest.mark.parametrize("branch", range(6))
-def test_it_stays_in_its_assembly_mode_and_branch(branch: int) -> None:
+def test_continuation_keeps_assembly_mode_and_branch(branch: int) -> None:
     robot, state = chain(), six_branches()[branch]
     q = robot.joint_values(state)
     nearby = robot.forward_kinematics(state.leg_lengths + 1e-3 * np.sin(np.arange(6)), q)
@@ -114,7 +114,7 @@ def test_rates_are_the_other_way_of_joint_velocities() -> None:
         assert np.abs(robot.joint_velocities(q, twist) - v).max() <= allowed
 
 
-def test_ways_that_lead_nowhere() -> None:
+def test_unreachable_targets() -> None:
     robot = chain()
     q = robot.forward_kinematics([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
     with pytest.raises(ClosureError, match=r"No further than \d+\.?\d* % of the way .*forward singularity"):
@@ -219,7 +219,7 @@ def test_a_trajectory_in_files(tmp_path: Path) -> None:
         assert [point[key] for point in message["points"]] == values.tolist()
 
 
-def test_trajectories_that_cannot_be() -> None:
+def test_invalid_trajectories_are_refused() -> None:
     robot = chain()
     q = robot.joint_values(spm.inverse_displacement(PAPER, WAYPOINTS[0]).physical())
     path = PlatformPath([0.0, 1.0, 2.0], WAYPOINTS)

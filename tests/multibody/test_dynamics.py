@@ -75,7 +75,7 @@ def test_forward_dynamics_is_the_plain_solution(name: str) -> None:
         assert error <= 1e-10 * np.abs(expected).max() / robot.singular_values(q).constraint
 
 
-def test_open_gaps_close_as_the_gains_say() -> None:
+def test_open_gaps_decay_by_the_gains() -> None:
     """Off the closures as well: ë + kd ė + kp e = 0, with e differentiated by nobody but the test."""
     robot, rng = chain(), np.random.default_rng(202)
     q, v = states("paper", 1, seed=203)[0]

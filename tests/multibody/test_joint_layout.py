@@ -87,14 +87,14 @@ def test_leg_lengths() -> None:
         robot.with_leg_lengths(HOME, [1.1, 1.2, 1.3, -0.2, 1.5, -0.1])
 
 
-def test_limits_play_no_part() -> None:
+def test_results_do_not_depend_on_limits() -> None:
     (state, *_) = six_branches()
     free = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)
     same = spm.Configuration(free, state.pose, state.middle_joints)
     assert np.array_equal(chain().joint_values(same), chain().joint_values(state))
 
 
-def test_configurations_that_cannot_be_placed() -> None:
+def test_configurations_without_joint_values_are_refused() -> None:
     branches = spm.inverse_displacement(PAPER, six_branches()[0].pose)
     state = six_branches()[0]
     with pytest.raises(ArgumentError, match=r"expected a configuration that exists, got NaN at batch index \(\d,\)"):
@@ -163,7 +163,7 @@ def test_other_bad_vectors_are_refused(value: object) -> None:
             call(q, value)
 
 
-def test_what_a_state_returns_stays_as_the_state_moves() -> None:
+def test_results_of_a_state_do_not_change_with_later_updates() -> None:
     """Pinocchio hands out views of its data; the state does not."""
     robot = chain()
     (_, first), (_, second), *_ = placed("paper", 3, seed=74)

@@ -78,7 +78,7 @@ def test_closed_wherever_the_arm_is(name: str, way: str) -> None:
 
 
 @pytest.mark.parametrize(("name", "way"), CASES)
-def test_forces_and_motions_of_both(name: str, way: str) -> None:
+def test_forces_and_motions_of_both_mounted_chains(name: str, way: str) -> None:
     both, rng = mounted(name, way), np.random.default_rng(501)
     q, v = state(both, name, seed=502)
     f = rng.normal(size=both.actuated_indices.size)
@@ -156,7 +156,7 @@ def test_pickles_and_states() -> None:
         both.closure_gap(both.join(np.zeros(6), np.full(18, -1.0)))
 
 
-def test_what_cannot_be_mounted() -> None:
+def test_invalid_mountings_are_refused() -> None:
     robot = arm("ur5")
     with pytest.raises(ArgumentError, match=r"names that the chain has not, got base\. Give the chain a prefix"):
         ClosedChain.from_urdf(geometry=SMALL).mounted_on(robot, "tool0")

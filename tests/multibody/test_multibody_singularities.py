@@ -163,7 +163,7 @@ def turned(state: spm.Configuration) -> spm.Configuration:
     return spm.Configuration(PAPER, pose, np.roll(state.middle_joints @ turn.T, 1, axis=0))
 
 
-def test_singular_values_know_nothing_of_the_ball_s_angles() -> None:
+def test_singular_values_do_not_depend_on_the_ball_angles() -> None:
     """Renumbered, another leg carries the tree's balls, at other angles: the robot is as near to singularity."""
     robot = chain()
     # Tilted by 2 asin(half sine) about the level normal of leg 1's axis: that is the middle angle of its ball.

@@ -83,7 +83,7 @@ def test_the_closed_form_and_rnea_at_the_six_branches(branch: int) -> None:
 
 
 @pytest.mark.parametrize("branch", range(6))
-def test_nothing_accelerates(branch: int) -> None:
+def test_equilibrium_has_no_acceleration(branch: int) -> None:
     robot, model = chain(), weightless()
     q = robot.joint_values(six_branches()[branch])
     constraints = pinocchio.StdVec_RigidConstraintModel()

@@ -28,7 +28,7 @@ NAMES = list(problems.GEOMETRIES)
 
 
 @pytest.mark.parametrize("branch", range(6))
-def test_three_witnesses_at_the_six_branches(branch: int) -> None:
+def test_three_methods_agree_at_the_six_branches(branch: int) -> None:
     state = six_branches()[branch]
     found = chain().inverse_jacobian(chain().joint_values(state))
     for other in (spm.inverse_jacobian(state), paper.J_f(state)):
@@ -48,13 +48,13 @@ def check_witnesses(name: str, count: int, seed: int) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_three_witnesses_in_every_family(name: str) -> None:
+def test_three_methods_agree_in_every_family(name: str) -> None:
     check_witnesses(name, 125, seed=101)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
-def test_three_witnesses_a_hundred_thousand_times(name: str) -> None:
+def test_three_methods_agree_on_a_hundred_thousand_states(name: str) -> None:
     check_witnesses(name, 7000, seed=102)
 
 

@@ -27,7 +27,7 @@ class ClosureTask(pink.Task):
         return "ClosureTask()"
 
 
-def test_it_goes_where_the_platform_is_sent_and_stays_closed() -> None:
+def test_inverse_kinematics_reaches_the_pose_with_closed_loops() -> None:
     import pinocchio as pin
 
     robot = chain()

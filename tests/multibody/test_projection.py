@@ -98,7 +98,7 @@ def test_forward_displacement(start: str) -> None:
     [[1.1, 1.1, 4.0, 1.3, 1.3, 1.3], [1.3, 1.3, 1.3, 0.02, 0.02, 0.02]],
     ids=["one too long", "too short to reach"],
 )
-def test_legs_that_fit_nowhere(lengths: list[float]) -> None:
+def test_lengths_without_an_assembly_mode(lengths: list[float]) -> None:
     robot = chain()
     with pytest.raises(ClosureError, match=r"m open after \d+ iterations\. No assembly mode of these") as caught:
         robot.project(robot.with_leg_lengths(np.zeros(18), lengths), hold_legs=True)
@@ -106,7 +106,7 @@ def test_legs_that_fit_nowhere(lengths: list[float]) -> None:
     assert 0 < caught.value.iterations < 50
 
 
-def test_hopeless_starts() -> None:
+def test_starts_that_do_not_converge() -> None:
     """Whatever the start: a closed q or an error, and both kinds occur."""
     robot, rng = chain(), np.random.default_rng(137)
     residuals_left = []

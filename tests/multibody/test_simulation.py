@@ -85,7 +85,7 @@ def test_equations_of_other_engines_integrated_by_another_method(engine: Any, la
     ],
     ids=["MuJoCo, Euler", "MuJoCo, Runge-Kutta", "Drake, SAP"],
 )
-def test_other_engines_on_their_own(
+def test_simulation_by_other_engines(
     engine: Any, settings: dict[str, str], orders: tuple[float, float], best: float, law: str
 ) -> None:
     """Their own steps and their own constraints, as stiff as they come; at least of the order expected.
@@ -182,7 +182,7 @@ def test_a_wrench_that_follows_and_one_that_stays() -> None:
     assert np.abs(without.q[-1] - constant.q[-1]).max() > 1e-5
 
 
-def test_the_error_is_that_asked_for() -> None:
+def test_error_is_within_the_tolerance() -> None:
     q = reference()
     exact = chain().simulate(q, np.zeros(18), None, [0.0, 0.3], tolerance=1e-13).q[-1]
     errors = [
@@ -204,7 +204,7 @@ def test_times_between_steps_are_as_good_as_steps() -> None:
     assert one.q.shape == (1, 18)
 
 
-def test_a_digital_controller_is_asked_once_a_period() -> None:
+def test_controller_is_called_once_per_period() -> None:
     robot, (q, v) = chain(), start("driven")
     asked: list[float] = []
 
@@ -293,7 +293,7 @@ def test_errors_of_callables_reach_the_caller() -> None:
             chain().simulate(reference(), np.zeros(18), times=[0.0, 1.0], **given)
 
 
-def test_forces_without_bound_stall_and_say_so() -> None:
+def test_unbounded_forces_end_with_the_status_stalled() -> None:
     def law(t: float, q: Array, v: Array) -> Array:
         return np.full(6, 1e4 / (0.1 - t) ** 2)
 
@@ -305,14 +305,14 @@ def test_forces_without_bound_stall_and_say_so() -> None:
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("begin", [0.0, 1.0])
 @pytest.mark.parametrize("size", [1e30, 1e99, 1e200, 1e308])
-def test_forces_beyond_all_measure_end_a_run(size: float, begin: float) -> None:
+def test_huge_forces_end_a_simulation(size: float, begin: float) -> None:
     run = chain().simulate(reference(), np.zeros(18), np.full(6, size), [begin, begin + 0.1])
     assert run.end in (SimulationEnd.STALLED, SimulationEnd.CONSTRAINT_SINGULARITY)
     assert run.detail or run.end is SimulationEnd.CONSTRAINT_SINGULARITY
     assert np.isfinite(run.q).all()
 
 
-def test_forces_that_grow_beyond_all_measure_end_a_run_there() -> None:
+def test_forces_growing_without_bound_end_a_simulation() -> None:
     def law(t: float, q: Array, v: Array) -> Array:
         return np.full(6, 1e308 if t > 0.05 else 0.0)
 

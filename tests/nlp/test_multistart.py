@@ -69,7 +69,7 @@ def test_results_depend_on_pose_and_seed_not_on_the_batch() -> None:
     assert nlp.search(GEOMETRY, RigidTransform.from_matrix(np.empty((0, 4, 4)))).solutions.shape == (0,)
 
 
-def test_the_requested_number_of_starts_is_made() -> None:
+def test_requested_number_of_starts_is_made() -> None:
     assert nlp.search(GEOMETRY, EXAMPLE, starts=5).starts == 5
     few = nlp.search(GEOMETRY, EXAMPLE, starts=3)
     assert not few.settled

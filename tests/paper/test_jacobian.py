@@ -56,7 +56,7 @@ def condition_bound(configuration: spm.Configuration) -> tuple[np.ndarray, np.nd
     return scales, few * (np.linalg.cond(J_α) * norm(nine) + sigma_k[..., 0] / sigma_k[..., -1] ** 2)
 
 
-def test_both_witnesses_at_the_six_branches(six):
+def test_paper_and_closed_form_agree_at_the_six_branches(six):
     paper, closed = jacobian.J_f(six), inverse_jacobian(six)
     assert (norm(paper - closed) <= 1e-11 * norm(closed)).all()
 
@@ -71,13 +71,13 @@ def random_problems():
 
 
 @pytest.mark.parametrize("make", list(random_problems()))
-def test_both_witnesses_at_random(make):
+def test_paper_and_closed_form_agree_at_random(make):
     state = make().configuration
     scales, bound = condition_bound(state)
     assert (norm((jacobian.J_f(state) - inverse_jacobian(state)) * scales) <= bound).all()
 
 
-def test_the_bound_can_fail():
+def test_certificate_fails_where_a_singularity_is_within_the_limits():
     """A relative error of 1e-9 in one lever arm is far beyond rounding nearly everywhere."""
     state = problems.in_leg_space(PAPER, 1000, seed=33).configuration
     scales, bound = condition_bound(state)

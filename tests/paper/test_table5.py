@@ -40,7 +40,7 @@ def agrees(row: np.ndarray, printed: tuple[str | None, ...]) -> list[bool]:
     return [ours == theirs for ours, theirs in zip(decimals(row), printed, strict=True) if theirs is not None]
 
 
-def test_true_values(solution_3):
+def test_recomputed_values_of_table_5(solution_3):
     v_r, f_r = statics.table_5(solution_3)
     assert decimals(v_r) == ["-0.2932", "8.7198", "48.2731", "4.3340", "-4.7388", "-38.7021"]
     assert decimals(f_r) == ["21.5520", "-14.8906", "23.8779", "30.7096", "-12.8889", "26.9840"]

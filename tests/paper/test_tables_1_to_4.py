@@ -58,7 +58,7 @@ def test_equation_17_as_printed_has_no_real_root(found: Reproduction) -> None:
     assert np.abs(lines.determinant(true, as_printed=True)).min() > 1e-8 * scale
 
 
-def test_a_wrong_number_without_a_cause_is_not_explained_away(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unexplained_wrong_number_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = [list(row) for row in published.TABLE_4]
     rows[4][2] = "120.0142"
     monkeypatch.setattr(published, "TABLE_4", tuple(tuple(row) for row in rows))

@@ -103,7 +103,7 @@ def test_the_bounds_hold_in_ball_arithmetic(certificate: spm.Certificate) -> Non
 
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=30)
-def test_boxes_contain_what_forty_digits_say(seed: int) -> None:
+def test_boxes_contain_the_values_of_forty_digits(seed: int) -> None:
     rng = np.random.default_rng(seed)
     hips, side = rng.uniform(0.1, 2.0, 2)
     region = StageRegion(Interval.of(hips), Interval.of(side), np.full(3, 0.1), np.full(3, 5.0))
@@ -169,7 +169,7 @@ def test_limits_with_a_known_singularity_are_never_certified(seed: int) -> None:
     assert found.bounds[0] == 0.0 or found.bounds[1] == 0.0
 
 
-def test_a_witness_is_singular_in_fifty_digits_and_within_the_limits() -> None:
+def test_counterexample_is_singular_in_fifty_digits_and_within_the_limits() -> None:
     limits = spm.LegLimits(1.0, 1.6)
     found = spm.certify(PAPER, limits, boxes=100_000)
     assert not found.holds
@@ -263,7 +263,7 @@ def test_too_few_boxes_leave_it_undecided() -> None:
         ((PAPER, spm.LegLimits(1e-3, 2e-3)), "limits"),
     ],
 )
-def test_arguments_that_cannot_be(arguments: tuple[object, ...], named: str) -> None:
+def test_invalid_arguments_are_refused(arguments: tuple[object, ...], named: str) -> None:
     with pytest.raises(spm.ArgumentError) as caught:
         spm.certify(*arguments)  # type: ignore[arg-type]
     assert caught.value.argument == named

@@ -78,5 +78,5 @@ def test_rounding_is_outward() -> None:
 
 
 @pytest.mark.parametrize(("low", "high", "missed"), [(1.0, 2.0, True), (0.0, 0.5, False), (-1.0, 0.0, False)])
-def test_intervals_that_miss_each_other(low: float, high: float, missed: bool) -> None:
+def test_disjoint_intervals_do_not_agree(low: float, high: float, missed: bool) -> None:
     assert bool(Interval(np.array(low), np.array(high)).misses(Interval(np.array(-1.0), np.array(0.5)))) is missed

@@ -187,7 +187,7 @@ def test_identities_are_those_of_another_process() -> None:
     assert len(found) == 1
 
 
-def test_what_cannot_be_read_needs_a_version(tmp_path: Path) -> None:
+def test_metric_with_unreadable_state_needs_a_version(tmp_path: Path) -> None:
     with (tmp_path / "table").open("w") as file:
         mine = Metric("mine", "1", "", closing_over(file))
         with pytest.raises(spm.ArgumentError, match=r"TextIOWrapper.*version=") as error:

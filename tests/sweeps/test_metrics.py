@@ -144,7 +144,7 @@ def test_payload_is_the_most_that_leg_forces_allow_in_any_direction() -> None:
         assert value[k] == pytest.approx(held.min(), rel=5e-3)
 
 
-def test_payload_downwards_is_a_linear_programme() -> None:
+def test_payload_downwards_solves_a_linear_programme() -> None:
     points = Points(GEOMETRY, "legs", legs(8, seed=3))
     value = METRICS["payload_down"](push=900.0, pull=400.0).evaluate(points)
     for k in range(len(points)):
@@ -317,7 +317,7 @@ ARRAYS = ("coordinates", "status", "branch_lengths", "branches_within", "reachab
 
 @pytest.mark.parametrize("name", [*ARRAYS, "platform_jacobians"])
 @pytest.mark.parametrize("space", ["pose", "legs"])
-def test_metrics_cannot_change_what_others_are_given(name: str, space: Space) -> None:
+def test_metrics_cannot_modify_shared_points(name: str, space: Space) -> None:
     points = Points(GEOMETRY, space, mixed_poses(20) if space == "pose" else legs(20))
     with pytest.raises(ValueError, match="read-only"):
         getattr(points, name)[...] = 0

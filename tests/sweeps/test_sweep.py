@@ -165,14 +165,14 @@ def test_progress_counts_points(tmp_path: Path) -> None:
 # Going on
 
 
-def test_nothing_is_computed_twice(store: Path, undisturbed: Path, computed: list[tuple[int, ...]]) -> None:
+def test_shared_quantities_are_computed_once(store: Path, undisturbed: Path, computed: list[tuple[int, ...]]) -> None:
     small(store)
     resume(store, workers=1)
     assert computed == []
     assert contents(store) == contents(undisturbed)
 
 
-def test_the_order_and_the_names_of_metrics_make_no_other_sweep(store: Path, computed: list[tuple[int, ...]]) -> None:
+def test_order_of_metrics_does_not_change_the_sweep(store: Path, computed: list[tuple[int, ...]]) -> None:
     small(store, metrics=[payload(push=1.0), *reversed(METRICS[:3])])
     assert computed == []
 
@@ -214,7 +214,7 @@ def take_anothers(store: Path) -> None:
 @pytest.mark.parametrize(
     "damage", [damage_bit, damage_length, lose_data, lose_record, damage_record, empty_record, take_anothers]
 )
-def test_what_is_damaged_is_computed_again(
+def test_damaged_chunks_are_computed_again(
     damage: Callable[[Path], None], store: Path, undisturbed: Path, computed: list[tuple[int, ...]]
 ) -> None:
     damage(store)
@@ -256,7 +256,7 @@ def test_nothing_that_a_sweep_did_not_make_is_removed(tmp_path: Path) -> None:
     assert (path / "mine.partial").is_dir()
 
 
-def test_an_empty_folder_will_do(tmp_path: Path, undisturbed: Path) -> None:
+def test_empty_folder_is_accepted_as_a_store(tmp_path: Path, undisturbed: Path) -> None:
     (tmp_path / "map.zarr").mkdir()
     small(tmp_path / "map.zarr")
     assert contents(tmp_path / "map.zarr") == contents(undisturbed)
@@ -322,7 +322,7 @@ OTHERS: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("other", OTHERS)
-def test_a_store_of_another_sweep_is_refused_and_left_alone(other: str, store: Path, undisturbed: Path) -> None:
+def test_store_of_another_sweep_is_refused_and_not_changed(other: str, store: Path, undisturbed: Path) -> None:
     changes, says = OTHERS[other]
     with pytest.raises(spm.ArgumentError, match=says):
         small(store, **changes)
@@ -353,7 +353,7 @@ def put_other_results(path: Path) -> None:
 
 
 @pytest.mark.parametrize("put", [put_a_file, put_a_folder, put_other_results])
-def test_something_else_is_refused_and_left_alone(put: Callable[[Path], None], tmp_path: Path) -> None:
+def test_other_files_are_refused_and_not_changed(put: Callable[[Path], None], tmp_path: Path) -> None:
     path = tmp_path / "map.zarr"
     put(path)
     before = contents(path) if path.is_dir() else path.read_bytes()
@@ -487,7 +487,7 @@ PIPES = ("zarr.json", "status/zarr.json", "status/c.3.0.0.0", "sweep/crc32c/c.3.
 
 
 @pytest.mark.parametrize("name", PIPES)
-def test_a_pipe_in_place_of_a_file_is_refused_and_left_alone(name: str, store: Path) -> None:
+def test_pipe_in_place_of_a_file_is_refused_and_not_changed(name: str, store: Path) -> None:
     (store / name).unlink()
     os.mkfifo(store / name)
     with pytest.raises(spm.SpmError, match="not a regular file"):
@@ -673,7 +673,7 @@ def test_memory_does_not_grow_with_the_number_of_points(tmp_path: Path) -> None:
     assert many - few < 400_000
 
 
-def test_errors_survive_the_way_home() -> None:
+def test_errors_can_be_pickled() -> None:
     for error in (StoreError("a", "b"), SweepError("a", "b", 1, 2), StoreLockedError("a", "b")):
         again = pickle.loads(pickle.dumps(error))
         assert (str(again), vars(again)) == (str(error), vars(error))

@@ -58,7 +58,7 @@ def test_chunks_keep_to_their_size_and_fill_it(shape: list[int], limit: int) -> 
         assert -(-shape[cut[-1]] // fewer) * prod(chunk[cut[-1] + 1 :]) > limit
 
 
-def test_a_billion_points_weigh_nothing() -> None:
+def test_grid_of_a_billion_points_takes_no_memory() -> None:
     grid = pose_grid((-1, 1, 1001), (-1, 1, 1001), (2, 3, 1001), xyx=[0.1, (0.2, 0.8, 7), -0.1])
     assert grid.size == 7 * 1001**3
     chunk = grid.chunk_shape(50_000)

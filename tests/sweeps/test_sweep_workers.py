@@ -79,7 +79,7 @@ def wait_for_records(path: Path, count: int, process: subprocess.Popen[str]) -> 
         time.sleep(0.005)
 
 
-def test_processes_write_what_one_process_writes(tmp_path: Path, undisturbed: Path) -> None:
+def test_several_processes_write_the_same_bytes_as_one(tmp_path: Path, undisturbed: Path) -> None:
     counted: list[tuple[int, int]] = []
     small(tmp_path / "map.zarr", workers=2, progress=lambda done, total: counted.append((done, total)))
     assert contents(tmp_path / "map.zarr") == contents(undisturbed)
@@ -165,7 +165,7 @@ def test_more_chunks_than_are_handed_out_at_a_time(
     assert contents(tmp_path / "map.zarr") == contents(undisturbed)
 
 
-def test_a_metric_of_ones_own_is_sent_to_workers(tmp_path: Path, cluster: LocalCluster) -> None:
+def test_user_metric_is_sent_to_workers(tmp_path: Path, cluster: LocalCluster) -> None:
     shift = 2.0
     mine = Metric("mine", "m", "x shifted", lambda points: points.coordinates[:, 0] + shift)
     found = small(tmp_path / "map.zarr", metrics=[mine], workers=None, scheduler=cluster.scheduler_address)
@@ -189,7 +189,7 @@ def test_workers_that_die_again_and_again_end_the_sweep(tmp_path: Path) -> None:
     assert error.value.done == len(records(path)) < 7
 
 
-def test_an_error_of_a_worker_comes_home(tmp_path: Path, cluster: LocalCluster) -> None:
+def test_error_of_a_worker_is_raised_by_the_caller(tmp_path: Path, cluster: LocalCluster) -> None:
     def fragile(points: Points) -> np.ndarray:
         raise ZeroDivisionError("of my own")
 

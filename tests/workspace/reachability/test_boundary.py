@@ -47,7 +47,7 @@ def check_theorem(points: BoundaryPoints, limits: spm.LegLimits) -> None:
     assert points.violation.max() < tolerance
 
 
-def test_it_is_closed_and_outward(boundary: Boundary) -> None:
+def test_shell_mesh_is_closed_and_oriented_outward(boundary: Boundary) -> None:
     edges = np.concatenate([boundary.faces[:, [0, 1]], boundary.faces[:, [1, 2]], boundary.faces[:, [2, 0]]])
     forward, backward = {tuple(edge) for edge in edges.tolist()}, {tuple(edge[::-1]) for edge in edges.tolist()}
     assert len(forward) == len(edges), "no edge twice in the same sense"
@@ -60,7 +60,7 @@ def test_it_is_closed_and_outward(boundary: Boundary) -> None:
     assert mesh.euler_number == boundary.euler_characteristic
 
 
-def test_its_vertices_are_on_the_boundary(boundary: Boundary) -> None:
+def test_mesh_vertices_are_on_the_boundary(boundary: Boundary) -> None:
     states = spm.forward_physical(PAPER, boundary.leg_lengths)
     assert np.abs(states.translation - boundary.vertices).max() < 1e-5
     assert spm.LegLimits(1.1 - 1e-12, 1.5 + 1e-12).contains(boundary.leg_lengths).all()
@@ -78,7 +78,7 @@ def test_limits_may_differ_from_leg_to_leg() -> None:
     check_theorem(boundary.sample(100, rng=2), LEGS_APART)
 
 
-def test_pushed_outwards_they_are_out_of_reach_and_inwards_in_reach(points: BoundaryPoints) -> None:
+def test_boundary_points_moved_outwards_are_unreachable_and_inwards_reachable(points: BoundaryPoints) -> None:
     outside = reachable_position(PAPER, points.position + 1e-3 * points.normal)
     assert not outside.reachable.any()
     np.testing.assert_allclose(outside.distance, 1e-3, rtol=1e-3)
@@ -109,7 +109,7 @@ def test_a_solver_for_constrained_optimisation_gets_no_farther_out(points: Bound
             assert np.sqrt(answer.fun) >= 1.0 - 1e-3
 
 
-def test_a_dense_sample_of_the_legs_stays_inside(boundary: Boundary) -> None:
+def test_dense_sample_of_leg_lengths_lies_inside(boundary: Boundary) -> None:
     import trimesh
 
     rng = np.random.default_rng(4)
@@ -120,7 +120,7 @@ def test_a_dense_sample_of_the_legs_stays_inside(boundary: Boundary) -> None:
     assert sample.min(axis=0) == pytest.approx(boundary.vertices.min(axis=0), abs=boundary.spacing)
 
 
-def test_it_reports_progress_and_can_be_interrupted() -> None:
+def test_comparison_reports_progress_and_can_be_interrupted() -> None:
     told: list[tuple[str, int, int]] = []
 
     def tell(what: str, done: int, of: int) -> None:

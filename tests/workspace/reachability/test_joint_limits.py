@@ -61,7 +61,7 @@ def test_a_state_that_does_not_exist_has_no_margin() -> None:
     assert np.isnan(limits.clearance_margin(absent)).all()
 
 
-def test_limits_that_make_no_sense_are_refused() -> None:
+def test_invalid_limits_are_refused() -> None:
     for words, arguments in (
         ("exchanged", {"hip": (1.0, -1.0)}),
         ("minimum below", {"ball_x": (float("nan"), 1.0)}),

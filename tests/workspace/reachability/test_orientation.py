@@ -79,7 +79,7 @@ def test_on_the_axis_the_orientations_are_threefold_symmetric() -> None:
     assert np.array(sums) / np.sum(sums) == pytest.approx(1 / 3, abs=3.0 * error)
 
 
-def test_out_of_reach_there_are_none() -> None:
+def test_poses_out_of_reach_have_no_branches() -> None:
     answer = orientation_workspace(PAPER, [0.0, 0.0, 5.0], samples=100, rng=6)
     assert answer.volume.value == answer.volume.low == 0.0
     assert answer.states.shape == answer.tilt.shape == (0,)

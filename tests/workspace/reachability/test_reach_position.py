@@ -48,7 +48,7 @@ def test_lengths_that_belong_to_no_configuration_have_no_position() -> None:
     assert np.isfinite(moved[1]).all()
 
 
-def test_given_the_lower_legs_the_upper_ones_that_reach_a_point_are_found() -> None:
+def test_upper_legs_that_reach_a_point_are_found_from_the_lower_ones() -> None:
     legs = np.random.default_rng(2).uniform(1.1, 1.5, (2000, 6))
     states = spm.forward_physical(PAPER, legs)
     coordinates = PositionMap(PAPER).coordinates(states)
@@ -57,7 +57,7 @@ def test_given_the_lower_legs_the_upper_ones_that_reach_a_point_are_found() -> N
     np.testing.assert_allclose(upper, coordinates[:, 1], atol=1e-10)
 
 
-def test_where_legs_put_the_platform_is_reachable() -> None:
+def test_poses_of_leg_lengths_within_limits_are_reachable() -> None:
     rng = np.random.default_rng(3)
     share = rng.uniform(size=(400, 6))
     # A quarter of them with legs at limits, hence on or near the boundary.
@@ -72,7 +72,7 @@ def test_where_legs_put_the_platform_is_reachable() -> None:
     assert np.abs(again - position).max() <= answer.tolerance
 
 
-def test_far_points_are_not_and_know_how_far_they_are() -> None:
+def test_far_points_are_not_reachable_and_have_a_distance() -> None:
     points = [[5.0, 0.0, 2.0], [0.0, 0.0, 0.0], [0.0, 0.0, 40.0]]
     answer = reachable_position(PAPER, points)
     assert not answer.reachable.any()
@@ -141,7 +141,7 @@ def test_where_the_machine_cannot_be_assembled_everywhere_in_the_limits_the_rest
     assert answer.reachable.all()
 
 
-def test_what_satisfies_the_conditions_is_nearest_among_many_states() -> None:
+def test_states_with_the_optimality_conditions_are_nearest_among_many() -> None:
     box = leg_box(PAPER)
     rng = np.random.default_rng(7)
     points = rng.uniform(box.extent[0] - 0.2, box.extent[1] + 0.2, (200, 3))

@@ -76,7 +76,7 @@ def test_the_volume_of_poses_is_that_of_uniform_poses_in_a_part_of_them() -> Non
     assert by_legs.value < whole.value
 
 
-def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
+def test_intervals_cover_the_truth_at_the_stated_rate() -> None:
     rng = np.random.default_rng(5)
     truth = 0.03
     hits = rng.binomial(400, truth, 500)
@@ -87,7 +87,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     assert 0.85 < np.mean([one.low <= 6.0 <= one.high for one in means]) < 0.95
 
 
-def test_an_estimate_says_itself_in_words() -> None:
+def test_text_of_an_estimate() -> None:
     one = Estimate(1.859, 1.853, 1.865, 0.95, 10, "mesh", "m³")
     assert str(one) == "1.859 [1.853, 1.865] m³"
     assert str(one.times(100.0, "")) == "185.9 [185.3, 186.5]"
@@ -95,7 +95,7 @@ def test_an_estimate_says_itself_in_words() -> None:
     assert not one.agrees_with(one.times(2.0, "m³"))
 
 
-def test_what_the_shell_leaves_out() -> None:
+def test_volume_outside_the_shell() -> None:
     shell = workspace_shell(PAPER, resolution=16)
     boundary = reachable_boundary(PAPER, spacing=0.25)
     answer = compare_with_shell(shell, boundary=boundary, samples=3000, rng=6)
@@ -123,7 +123,7 @@ def test_bad_input_is_refused() -> None:
             call()
 
 
-def test_work_can_be_interrupted() -> None:
+def test_computation_can_be_interrupted() -> None:
     def stop(what: str, done: int, of: int) -> None:
         raise KeyboardInterrupt
 

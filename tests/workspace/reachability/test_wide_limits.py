@@ -101,7 +101,7 @@ def test_a_singular_member_does_not_stop_the_others() -> None:
 
 
 @pytest.mark.parametrize("limits", [(0.8, 1.8), (0.6, 2.0), (0.2, 3.0)])
-def test_where_legs_put_the_platform_is_reachable(limits: tuple[float, float]) -> None:
+def test_poses_of_leg_lengths_within_limits_are_reachable(limits: tuple[float, float]) -> None:
     states = random_states(PAPER, spm.LegLimits(*limits), 500, 1)
     found = search_states(leg_box(PAPER, spm.LegLimits(*limits)), states.translation)
     # At a limit, or at a singularity, a search may fail; it may not be silent about it.

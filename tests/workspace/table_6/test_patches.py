@@ -68,7 +68,7 @@ def test_only_the_misprints_named_are_misprints() -> None:
     assert found == ERRATA
 
 
-def test_mending_a_misprint_any_other_way_opens_the_sphere() -> None:
+def test_other_corrections_of_a_misprint_open_the_surface() -> None:
     other = {Setting.MINIMUM: Setting.MAXIMUM, Setting.MAXIMUM: Setting.MINIMUM, Setting.VARIES: Setting.MINIMUM}
     for name, leg in ERRATA:
         (k,) = [k for k, row in enumerate(ROWS) if row.name == name]
@@ -88,7 +88,7 @@ def test_mending_a_misprint_any_other_way_opens_the_sphere() -> None:
         (Range("bmin"), "two varying legs in every row, got 1 in St1"),
     ],
 )
-def test_cells_that_cannot_be_read(monkeypatch: pytest.MonkeyPatch, cell: Range, says: str) -> None:
+def test_cells_that_cannot_be_parsed(monkeypatch: pytest.MonkeyPatch, cell: Range, says: str) -> None:
     name, cells = published.TABLE_6[0]
     row = (name, (cells[0], cell, *cells[2:]))
     monkeypatch.setattr(published, "TABLE_6", (row, *published.TABLE_6[1:]))

@@ -198,14 +198,14 @@ def outside(count: int, resolution: int) -> tuple[float, float]:
     return interval.low, interval.high
 
 
-def test_some_of_what_is_reached_lies_outside() -> None:
+def test_some_reachable_points_lie_outside_the_shell() -> None:
     """Table 6 is not the whole boundary."""
     low, high = outside(20_000, 24)
     assert 0.0 < low < 0.0014 < high < 0.004
 
 
 @pytest.mark.slow
-def test_how_much_of_what_is_reached_lies_outside() -> None:
+def test_share_of_reachable_points_outside_the_shell() -> None:
     low, high = outside(1_000_000, 80)
     assert 0.0014 < low < high < 0.0019
 
@@ -229,7 +229,7 @@ def test_arrays_are_read_only_and_the_shell_says_what_it_is() -> None:
 
 
 @pytest.mark.parametrize("resolution", [1, 0, -4, 2.0, 2.5, True, "40", None])
-def test_resolutions_that_are_none(resolution: object) -> None:
+def test_invalid_resolutions_are_refused(resolution: object) -> None:
     with pytest.raises(spm.ArgumentError, match="resolution: expected a whole number of increments, at least 2"):
         workspace_shell(PAPER, resolution=resolution)  # type: ignore[arg-type]
 
@@ -253,13 +253,13 @@ def test_limits_and_geometries_without_a_shell(geometry: object, limits: object,
         workspace_shell(geometry, limits, resolution=4)  # type: ignore[arg-type]
 
 
-def test_reversed_limits_do_not_come_this_far() -> None:
+def test_reversed_limits_are_refused_by_leg_limits() -> None:
     with pytest.raises(spm.GeometryError, match="exchanged"):
         spm.LegLimits(1.5, 1.1)
 
 
 @pytest.mark.parametrize("points", [[0.0, 0.0], [np.nan, 0.0, 0.0], "here"])
-def test_points_that_are_none(points: object) -> None:
+def test_invalid_points_are_refused(points: object) -> None:
     for ask in (SHELL.contains, SHELL.distance, SHELL.winding_number):
         with pytest.raises(spm.ArgumentError, match="points: expected"):
             ask(points)  # type: ignore[arg-type]

@@ -112,7 +112,7 @@ def test_any_leading_axes(shape: tuple[int, ...]) -> None:
     np.testing.assert_array_equal(number.ravel(), flat)
 
 
-def test_what_lies_above_a_point() -> None:
+def test_faces_above_a_point() -> None:
     points = [[0.1, 0.2, 0.0], [0.1, 0.2, -5.0], [0.1, 0.2, 5.0], [2.0, 0.0, 0.0]]
     assert surface(SPHERE).covers(points).tolist() == [True, True, False, False]
 
@@ -125,6 +125,6 @@ def test_large_batches_are_taken_in_parts(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.parametrize("points", [[0.0, 0.0], [np.nan, 0.0, 0.0], [np.inf, 0.0, 0.0], "abc", [[0.0, 1.0j, 0.0]]])
-def test_points_that_are_none(points: object) -> None:
+def test_invalid_points_are_refused(points: object) -> None:
     with pytest.raises(spm.ArgumentError, match="points: expected"):
         surface(SPHERE).winding_number(points)  # type: ignore[arg-type]
