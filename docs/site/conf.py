@@ -1,5 +1,6 @@
 """Sphinx's settings; `docs/site/build.py` gathers the pages and calls it."""
 
+import itertools
 import re
 from types import GenericAlias
 
@@ -75,7 +76,16 @@ def _skipped(app: Sphinx, what: str, name: str, obj: object, skip: bool, options
 def _formula(self: HTML5Translator, node: nodes.math | nodes.math_block) -> None:
     """Write a formula as MathML."""
     display = "block" if isinstance(node, nodes.math_block) else "inline"
-    self.body.append(convert(node.astext(), display=display))
+    text = convert(node.astext(), display=display)
+    # As operators, det and bars would have the spaces of relations on both sides.
+    text = text.replace('<mo movablelimits="true">det</mo>', '<mi>det</mi><mspace width="0.17em"/>')
+    forms = itertools.cycle(("prefix", "postfix"))
+    text = re.sub(
+        r'<mo stretchy="false">&#x0007C;</mo>',
+        lambda bar: f'<mo stretchy="false" form="{next(forms)}" lspace="0" rspace="0">|</mo>',
+        text,
+    )
+    self.body.append(text)
     raise nodes.SkipNode
 
 
