@@ -1,4 +1,4 @@
-"""What the documentation shows is what happens: its Python runs, its commands answer so, its links lead somewhere."""
+"""The documentation: its Python runs, its commands print what it shows, its links have targets."""
 
 from __future__ import annotations
 

@@ -4,9 +4,11 @@ import itertools
 import re
 from types import GenericAlias
 
+import numpy.typing as npt
 from docutils import nodes
 from latex2mathml.converter import convert
 from sphinx.application import Sphinx
+from sphinx.util.typing import stringify_annotation
 from sphinx.writers.html5 import HTML5Translator
 
 import spm_pin
@@ -73,6 +75,14 @@ def _skipped(app: Sphinx, what: str, name: str, obj: object, skip: bool, options
     return True if isinstance(obj, GenericAlias) else None
 
 
+def _short_signature(
+    app: Sphinx, what: str, name: str, obj: object, options: object, arguments: str | None, result: str | None
+) -> tuple[str | None, str | None]:
+    """Write NumPy's `ArrayLike`, which annotations resolve to a long union, by its name."""
+    union = stringify_annotation(npt.ArrayLike, "smart")
+    return (arguments and arguments.replace(union, "~numpy.typing.ArrayLike")), result
+
+
 def _formula(self: HTML5Translator, node: nodes.math | nodes.math_block) -> None:
     """Write a formula as MathML."""
     display = "block" if isinstance(node, nodes.math_block) else "inline"
@@ -90,7 +100,8 @@ def _formula(self: HTML5Translator, node: nodes.math | nodes.math_block) -> None
 
 
 def setup(app: Sphinx) -> None:
-    """Register what is done to docstrings and to formulas."""
+    """Connect the functions of this file."""
     app.add_html_math_renderer("mathml", (_formula, None), (_formula, None))
     app.connect("autodoc-process-docstring", _plain_text)
+    app.connect("autodoc-process-signature", _short_signature)
     app.connect("autodoc-skip-member", _skipped)

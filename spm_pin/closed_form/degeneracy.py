@@ -1,4 +1,4 @@
-"""Where a family's solutions are continuous: which families, of which dimension, and which legs are unbound."""
+"""Continuous families of solutions: which families, their dimension, and the legs with coinciding planes."""
 
 from __future__ import annotations
 

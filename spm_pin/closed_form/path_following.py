@@ -66,7 +66,7 @@ class FollowedPath:
 
     @property
     def complete(self) -> bool:
-        """Whether the solution lasts to the end of the path."""
+        """True if the solution lasts to the end of the path."""
         return bool(self.parameters[-1] == 1.0)
 
 

@@ -1,4 +1,4 @@
-"""Where the mechanism is singular, of which kind, and how far away it is.
+"""Singularity analysis: kind, rank, distance, lost wrench and gained twist of configurations.
 
 Three 6 x 6 matrices decide, built as in `spm_pin.closed_form.jacobians` from forces through the ball joints, at the
 middle platform's centre and with lengths in units of d, so that they are dimensionless and of order one:

@@ -68,7 +68,7 @@ class Report:
 
     @property
     def agrees(self) -> bool:
-        """Whether no method has a fault and no pair differs."""
+        """True if no method has a fault and no pair differs."""
         return not any(p.disagreements for p in self.differences) and not any(s.faults for s in self.scores)
 
     @property

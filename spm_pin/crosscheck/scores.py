@@ -115,7 +115,7 @@ class MethodScore:
 
     @property
     def misses_too_often(self) -> bool:
-        """Whether the misses are more than the stated rate makes likely."""
+        """True if the misses are more than the stated rate makes likely."""
         return self.missed > 0 and float(binom.sf(self.missed - 1, self.solved, self.allowed)) < UNLIKELY
 
     @property

@@ -18,7 +18,7 @@ from spm_pin.mechanism import yaml_nodes
 __all__ = ["JOINT_TYPES", "ExtendedUrdf", "extended_urdf_text", "read_extended_urdf"]
 
 JOINT_TYPES = re.compile(r"SPHERICAL|FIXED|UJOINT_[XYZ][XYZ]")
-"""What a joint of the URDF can become when it is loaded."""
+"""Joint types that a joint of the URDF can be changed to when it is loaded."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Where the description's files are, in a checkout and in an installed package."""
+"""Paths of the description's files, in a checkout and in an installed package."""
 
 from __future__ import annotations
 

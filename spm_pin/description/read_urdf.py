@@ -28,7 +28,7 @@ from spm_pin.errors import DescriptionError
 __all__ = ["check_inertials", "read_urdf", "urdf_description"]
 
 KINDS_OF_CONSTRAINT = {"spherical": "point", "spherical_joint": "point", "link": "weld"}
-"""What the ROS proposal's `<constraint>` calls the kinds of closure."""
+"""Kinds of closure by the names in the ROS proposal's `<constraint>`."""
 
 LARGEST = 1e12
 """Largest mass [kg] and moment of inertia [kg m²] that are believed."""

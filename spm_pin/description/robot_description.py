@@ -40,7 +40,7 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Placement:
-    """Where a frame sits in another: `xyz` [m] and roll, pitch, yaw `rpy` [rad] about the fixed x, y and z axes."""
+    """Placement of a frame in another: `xyz` [m] and roll, pitch, yaw `rpy` [rad] about the fixed x, y and z axes."""
 
     xyz: Triple = (0.0, 0.0, 0.0)
     rpy: Triple = (0.0, 0.0, 0.0)
@@ -161,7 +161,7 @@ class Joint:
 
     @property
     def moves(self) -> bool:
-        """Whether it has a degree of freedom."""
+        """True if it has a degree of freedom."""
         return self.kind in MOVING
 
     def motion(self, value: float) -> FloatArray:

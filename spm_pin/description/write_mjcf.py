@@ -22,7 +22,7 @@ from spm_pin.mechanism.arguments import FloatArray
 __all__ = ["mjcf_text"]
 
 MESHES = (".stl", ".obj", ".msh")
-"""What MuJoCo reads."""
+"""Mesh formats that MuJoCo reads."""
 
 
 def mjcf_text(robot: RobotDescription, *, anchors: str = "bodies", folder: Path | None = None) -> str:

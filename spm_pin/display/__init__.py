@@ -1,1 +1,1 @@
-"""How the manipulator looks: a scene of named solids, and pictures of it in PNG or SVG."""
+"""Pictures of the manipulator in PNG or SVG, and the viewer, from one scene of named solids."""

@@ -28,7 +28,7 @@ FAMILY_COLOURS: dict[str, Colour] = {
     "Sm": (0.0, 0.62, 0.451),
     "Sl": (0.8, 0.475, 0.655),
 }
-"""What the patches St1 to St3, Sc1 to Sc9, Sm1 to Sm9 and Sl1 to Sl3 are drawn in."""
+"""Colours of the patches St1 to St3, Sc1 to Sc9, Sm1 to Sm9 and Sl1 to Sl3."""
 VIEWS: dict[str, tuple[float, float]] = {
     "isometric": (math.radians(-60.0), math.asin(1.0 / math.sqrt(3.0))),
     "top": (-0.5 * math.pi, 0.5 * math.pi),

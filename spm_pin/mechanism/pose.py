@@ -46,7 +46,7 @@ class HasRotationTranslation(Protocol):
 
 
 PoseLike = RigidTransform | npt.ArrayLike | HasRotationTranslation
-"""What functions take as a pose: a `RigidTransform`, an array (..., 4, 4), or a `pinocchio.SE3`."""
+"""Arguments accepted as a pose: a `RigidTransform`, an array (..., 4, 4), or a `pinocchio.SE3`."""
 
 
 def pose(

@@ -425,7 +425,7 @@ class SolutionSet:
 
     @property
     def ambiguous(self) -> Any:
-        """Whether several solutions of a problem are physical, shape (...); `physical` then takes one."""
+        """True if several solutions of a problem are physical, shape (...); `physical` then takes one."""
         several = np.count_nonzero(self.is_physical, axis=-1) > 1
         return several if self.shape else bool(several)
 

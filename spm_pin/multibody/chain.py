@@ -117,7 +117,7 @@ class ClosedChain:
 
     @property
     def closures(self) -> tuple[Closure, ...]:
-        """Where the tree is closed; the order of all that counts closures."""
+        """The closures, in the order of all results per closure."""
         return self._states.constrained.closures
 
     @property
@@ -137,7 +137,7 @@ class ClosedChain:
 
     @property
     def leg_indices(self) -> npt.NDArray[np.intp]:
-        """Where the slides of the legs are in q, shape (6,)."""
+        """Indices of the legs' prismatic joints in q, shape (6,)."""
         return self._layout.legs.copy()
 
     def joint_indices(self, *names: str) -> npt.NDArray[np.intp]:

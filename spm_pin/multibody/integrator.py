@@ -51,7 +51,7 @@ class _InfiniteRateError(Exception):
 
 
 class Ending(NamedTuple):
-    """What ends a run, and when."""
+    """Event that ends a simulation, and its time."""
 
     end: SimulationEnd
     detail: str
@@ -66,7 +66,7 @@ class Margin(NamedTuple):
     value: float
 
     def passed(self, following: float) -> bool:
-        """Whether it ends a run to come from this value to the next."""
+        """Return whether the event occurs between this value and the next one."""
         if self.end in SINGULAR_ENDS:
             return self.value * following < 0.0 or (following == 0.0 and self.value != 0.0)
         return following < 0.0

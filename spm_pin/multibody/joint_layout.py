@@ -1,4 +1,4 @@
-"""Where the mechanism's joints are in Pinocchio's q and v, and the joint values of configurations."""
+"""Indices of the mechanism's joints in Pinocchio's q and v, and the joint values of configurations."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ BALLS = (("ball_b1_x", "ball_b1_y", "ball_b1_z"), ("ball_c1_z", "ball_c1_y", "ba
 """The joints that stand for one ball joint each."""
 
 DIMENSIONS = ("base_radius", "platform_radius", "middle_side")
-"""What makes two geometries the same mechanism; limits only choose the home, the tree's zero."""
+"""Dimensions in which equal mechanisms agree; limits only choose the home, the tree's zero."""
 
 
 class JointLayout:

@@ -68,17 +68,17 @@ class MountedChain:
 
     @property
     def chain_indices(self) -> Indices:
-        """Where the chain's joints are in v, in the order of `chain.joint_names`, shape (18,)."""
+        """Indices of the chain's joints in v, in the order of `chain.joint_names`, shape (18,)."""
         return self._v.copy()
 
     @property
     def other_indices(self) -> Indices:
-        """Where the other robot's degrees of freedom are in v, in its own order."""
+        """Indices of the other robot's degrees of freedom in v, in that robot's order."""
         return self._other_v.copy()
 
     @property
     def actuated_indices(self) -> Indices:
-        """Where the actuators are in v: all of the other robot's, then the six legs."""
+        """Indices of the actuators in v: all of the other robot's, then the six legs."""
         return self._constrained.actuated.copy()
 
     def join(self, other: npt.ArrayLike, chain: npt.ArrayLike) -> FloatArray:

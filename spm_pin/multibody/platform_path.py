@@ -17,7 +17,7 @@ __all__ = ["PlatformMotion", "PlatformPath", "increasing_times"]
 
 
 class PlatformMotion(NamedTuple):
-    """How the terminal platform moves, at one time or several.
+    """Motion of the terminal platform at one time or several.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a simulation was: a motion in time, and why it ended."""
+"""Result of a simulation: the motion in time, and the reason of its end."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Simulation:
 
     @property
     def complete(self) -> bool:
-        """Whether it went to the last of the times asked for."""
+        """True if the simulation reached the last of the requested times."""
         return self.end is SimulationEnd.COMPLETE
 
     @property

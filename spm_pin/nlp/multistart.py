@@ -101,7 +101,7 @@ class Multistart:
 
     @property
     def continuous(self) -> bool:
-        """Whether more solutions are not isolated than there can be double roots: then they form a continuum."""
+        """True if more solutions are not isolated than there can be double roots: then they form a continuum."""
         return sum(not one.isolated for one in self.certificates) > _DOUBLE_ROOTS
 
     @property

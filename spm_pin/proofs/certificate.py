@@ -27,7 +27,7 @@ LONGEST = 1e3
 
 @dataclass(frozen=True)
 class Certificate:
-    """What was proved of the configurations that are joined to the home within leg limits.
+    """Result of a proof about the configurations that are joined to the home within leg limits.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Certificate:
 
     @property
     def holds(self) -> bool:
-        """Whether it is proved that no configuration joined to the home within the limits is forward singular."""
+        """True if it is proved that no configuration joined to the home within the limits is forward singular."""
         return self.lower.bound > 0.0 and self.upper.bound > 0.0
 
     @property

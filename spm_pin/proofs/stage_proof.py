@@ -35,7 +35,7 @@ SEARCH = 30_000
 """Boxes after which a singular state is looked for; then again whenever four times as many have been seen."""
 
 ROUNDING = 1e-9
-"""How well the start is known, in units of the cube's edges."""
+"""Uncertainty of the start, in units of the cube's edges."""
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ class Axis:
 
     @property
     def fixed(self) -> bool:
-        """Whether the coordinate has one value only."""
+        """True if the coordinate has one value only."""
         return self.count == 1
 
     @property
@@ -76,7 +76,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Drawing:
-    """How the points of a sample are drawn.
+    """Method and parameters by which the points of a sample are drawn.
 
     Attributes
     ----------

@@ -121,7 +121,7 @@ class Points:
 
     @cached_property
     def reachable(self) -> BoolArray:
-        """Whether `machine` exists, shape (N,)."""
+        """True if `machine` exists, shape (N,)."""
         return _locked(self.machine.exists)
 
     @cached_property

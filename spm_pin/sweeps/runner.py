@@ -111,7 +111,7 @@ class StoreLockedError(SpmError):
 
 @dataclass(frozen=True)
 class SweepStatus:
-    """How far a sweep is.
+    """Progress of a sweep.
 
     Attributes
     ----------
@@ -136,7 +136,7 @@ class SweepStatus:
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is left to do."""
+        """True if nothing is left to do."""
         return self.done == self.total
 
 

@@ -1,4 +1,4 @@
-"""What the platform reaches: the paper's 24 surfaces as one shell, and the reachable set itself."""
+"""Workspace of the terminal platform: the paper's 24 surfaces as one shell, and the reachable set itself."""
 
 from spm_pin.workspace.reachability.boundary import Boundary, BoundaryPoints, reachable_boundary
 from spm_pin.workspace.reachability.estimate import Estimate

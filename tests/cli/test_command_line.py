@@ -1,4 +1,4 @@
-"""What holds for every subcommand: messages, outputs, tables, hints, exit codes."""
+"""Properties of every subcommand: messages, outputs, tables, hints, exit codes."""
 
 from __future__ import annotations
 

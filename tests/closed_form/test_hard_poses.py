@@ -1,4 +1,4 @@
-"""Where the mechanism is singular or nearly so: level platforms, folds, families, and poses out of reach."""
+"""Singular and nearly singular poses: level platforms, folds, families, and poses out of reach."""
 
 from __future__ import annotations
 

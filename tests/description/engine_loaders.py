@@ -27,7 +27,7 @@ class Engine(Protocol):
         """Pose (4, 4) of every link in the world."""
 
     def gaps(self, values: Values) -> Array:
-        """What the engine's own closures, read from the file, are open by, shape (4, 3) [m]."""
+        """Return the gaps of the engine's closures, as read from the file, shape (4, 3) [m]."""
 
     def mass_matrix(self, values: Values) -> Array:
         """Joint-space inertia in the order of q."""

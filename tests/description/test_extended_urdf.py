@@ -70,7 +70,7 @@ def test_the_shipped_pair_is_the_manipulator() -> None:
 
 
 def loaded_as_its_own_loader_does(urdf: str, extended: str) -> tuple[Any, list[Any], list[int]]:
-    """What `completeRobotLoader` of example-parallel-robots makes of the keys, step by step."""
+    """Repeat, step by step, what `completeRobotLoader` of example-parallel-robots makes of the keys."""
     pin = pytest.importorskip("pinocchio")
     model = pin.buildModelFromUrdf(urdf)
     content = yaml.safe_load(Path(extended).read_text(encoding="utf-8"))

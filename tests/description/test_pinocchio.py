@@ -1,4 +1,4 @@
-"""What Pinocchio's users do with a description: named states, collisions, and mounting it on an arm."""
+"""Use of the description with Pinocchio: named states, collisions, and mounting it on an arm."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def nearest_solids(solids, view, points):
 
 
 def off_shade(pixel, colour):
-    """How far a pixel is from being a colour in some light, in which the channels keep their proportion."""
+    """Return the distance of a pixel from a colour in some light, in which the channels keep their proportion."""
     factor = np.dot(pixel, colour) / np.dot(colour, colour)
     return np.abs(pixel - factor * np.asarray(colour)).max()
 

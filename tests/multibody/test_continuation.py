@@ -39,7 +39,7 @@ def test_the_determinant_keeps_its_sign_where_no_singularity_is() -> None:
 
 
 def arrivals(count: int, seed: int, parts: int) -> list[tuple[Array | None, Array | None]]:
-    """Where paths from random modes end, in one call and in steps as fine as `parts` of it; None if they do not."""
+    """Return the ends of paths from random modes, in one call and in `parts` steps; None where a path has no end."""
     robot, rng, found = chain(), np.random.default_rng(seed), []
     while len(found) < count:
         begin = rng.uniform(0.5, 2.0, 6)

@@ -58,7 +58,7 @@ def external_forces(model: Any, q: Array, wrench: Array, cuts: Array) -> Any:
 
 
 def rounding(robot: Any, q: Array, wrench: Array) -> float:
-    """What a solve with [S; Jc] leaves of a force: eps / σ², times the load at the reach of o."""
+    """Return the error of forces from a solve with [S; Jc]: eps / σ², times the load at the distance of o."""
     d = robot.geometry.middle_side
     load = np.linalg.norm(wrench / np.array([1, 1, 1, d, d, d]))
     reach = 1.0 + robot.leg_lengths(q).sum() / d

@@ -48,7 +48,7 @@ EPS = float(np.finfo(np.float64).eps)
 SAME = float(4.0 * np.sqrt(EPS))
 """Solutions closer than this, in units of r, are one: rounding resolves a double root no better."""
 NEAR = 1e3
-"""Where a solution errs more than this many times as much as the leg lengths, a fold or a family is near."""
+"""Ratio of a solution's error to that of the leg lengths above which a fold or a family is near."""
 _ROUNDING = 4.0 * EPS
 """Residual of a solution relative to the largest term of its equations; half of it has been seen."""
 _MOST_STEPS = 40

@@ -1,4 +1,4 @@
-"""Where a camera stands so that the robot fills its picture."""
+"""Positions of a camera at which the robot fills the picture."""
 
 from __future__ import annotations
 

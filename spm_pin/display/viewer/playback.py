@@ -40,7 +40,7 @@ class Player:
 
     @property
     def playing(self) -> bool:
-        """Whether time runs."""
+        """True while the path is played."""
         return self._task is not None
 
     def stop(self) -> None:

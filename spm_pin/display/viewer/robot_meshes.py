@@ -49,7 +49,7 @@ class MovingMesh:
 
 @dataclass(frozen=True)
 class Placements:
-    """Where meshes are in {B}: positions (..., 3) [m], quaternions (..., 4), scalar first, and scales (..., 3)."""
+    """Placements of meshes in {B}: positions (..., 3) [m], quaternions (..., 4), scalar first, and scales (..., 3)."""
 
     positions: FloatArray
     quaternions: FloatArray

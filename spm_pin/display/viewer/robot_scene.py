@@ -55,7 +55,7 @@ class RobotScene:
         self.scene = scene
         self.robot = robot
         self.layers = {"ghosts": False, "names": True, "trail": True}
-        """Whether the other branches, the names of the legs and the trail of o are shown."""
+        """True if the other branches, the names of the legs and the trail of o are shown."""
         geometry = robot.geometry
         self.size = section_size(geometry)
         scene.configure_default_lights(cast_shadow=False)

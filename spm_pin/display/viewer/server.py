@@ -105,7 +105,7 @@ class Viewer:
 
     @property
     def port(self) -> int:
-        """Where it listens."""
+        """TCP port of the page."""
         return int(self.server.get_port())
 
     @property

@@ -33,7 +33,7 @@ _MOTIONS = ("gizmo", "coordinate", "leg", "branch", "drive", "reset", "back", "t
 """Events that move the robot."""
 
 _FARTHEST = 10.0
-"""How far from {B} the gizmo is followed, over the machine's size."""
+"""Largest distance from {B} at which the gizmo is followed, over the machine's size."""
 
 
 class Session:

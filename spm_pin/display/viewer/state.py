@@ -120,7 +120,7 @@ class Model:
     def __init__(self, start: Configuration) -> None:
         self.geometry = start.geometry
         self.hold_limits = True
-        """Whether a machine that is within its leg limits stays there."""
+        """True if a machine that is within its leg limits stays there."""
         self.state = self._state(Drive.POSE, start.pose, start, np.zeros(6), ())
 
     def drag(self, pose: PoseLike) -> State:

@@ -1,4 +1,4 @@
-"""Where a segment from a reachable to an unreachable point leaves the reachable set.
+"""Intersection of the boundary with a segment from a reachable to an unreachable point.
 
 From its outer end it is followed inwards, each time as far as the plane through the nearest reachable point, square to
 the shortest way there. Where that has overlooked reachable points farther out, the interval is halved instead.

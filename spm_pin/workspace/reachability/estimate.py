@@ -43,7 +43,7 @@ class Estimate:
         return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}] {self.unit}".rstrip()
 
     def agrees_with(self, other: Estimate) -> bool:
-        """Whether the two intervals have a number in common."""
+        """Return whether the two intervals have a number in common."""
         return self.low <= other.high and other.low <= self.high
 
     def times(self, factor: float, unit: str) -> Estimate:

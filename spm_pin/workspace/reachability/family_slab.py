@@ -30,7 +30,7 @@ and the manipulator is degenerate or out of reach."""
 _EXCLUDED = 1e6
 
 _INSIDE = 1e-9
-"""How far inside the slab a result is, relative to d: on its very edge rounding decides whether the branch is real."""
+"""Distance of results from the edge of the slab, over d: at the edge, rounding decides whether the branch is real."""
 
 
 def nearest_real_pose(

@@ -32,10 +32,10 @@ _LOWER, _UPPER = 2048, 200_000
 _SAMPLE = 20_000
 _VOXELS = 64
 _MARGIN = 0.15
-"""Of the table around S, relative to its size."""
+"""Margin of the table around S, relative to its size."""
 _CELLS = 20
 _PORTION = 64
-_SEED = 20_140_131  # of the samples: any number, but always the same
+_SEED = 20_140_131  # of the samples, fixed so that results repeat
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ class LegBox:
 
     @cached_property
     def tree(self) -> KDTree:
-        """Where `sample` puts o."""
+        """Search tree of the positions of o at the samples."""
         return KDTree(self.map.points(self.sample)[0])
 
     @cached_property
@@ -141,7 +141,7 @@ class LegBox:
 
     @property
     def spacing(self) -> float:
-        """Of the table of distances [m]: what `nearby` finds is hardly worse than that."""
+        """Resolution of the table of distances [m], about the error of `nearby`."""
         return self._table[2]
 
     @cached_property

@@ -1,4 +1,4 @@
-"""What the platform can reach: poses through their branches and the limits, positions in some orientation, samples."""
+"""Reachable poses by branches and limits, positions reachable in some orientation, and samples of both."""
 
 from __future__ import annotations
 
@@ -65,13 +65,13 @@ class Reachability:
 
     @property
     def reachable(self) -> Any:
-        """Whether a branch is allowed, shape (...); a bool for one pose."""
+        """True if a branch is allowed, shape (...); a bool for one pose."""
         any_branch = np.asarray(self.allowed.any(axis=-1))
         return any_branch if self.branches.shape else bool(any_branch)
 
     @property
     def undecided(self) -> Any:
-        """Whether no branch is allowed but a continuous family, which has no list of branches, may hold one."""
+        """True if no branch is allowed but a continuous family, which has no list of branches, may hold one."""
         undecided = ~self.allowed.any(axis=-1) & (np.asarray(self.branches.status) == Status.DEGENERATE)
         return undecided if self.branches.shape else bool(undecided)
 

@@ -36,7 +36,7 @@ _GAUSS_NEWTON, _NEWTON = 30, 200
 _STALLED, _PROGRESS = 10, 1e-6
 _SHORTEST = 1e4  # damping with which no step is worth another
 _FLAT = 1e-9
-"""Where the gradient is at most this, no leg length that is free makes the distance shorter."""
+"""Largest gradient at which no free leg length makes the distance shorter."""
 _DAMPING, _LEAST_DAMPING = 1e-4, 1e-12
 _STARTS, _REMOTE_STARTS = 2, 3
 _CENTRE = np.zeros((1, 3))

@@ -1,4 +1,4 @@
-"""How large the reachable set is, in two ways each, and how much of it the paper's shell leaves out."""
+"""Volumes of the reachable positions and poses, each by two methods, and the part outside the paper's shell."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ def pose_volume(
 
 @dataclass(frozen=True)
 class ShellComparison:
-    """What the paper's 24 surfaces leave out.
+    """Parts of the reachable set that the paper's 24 surfaces leave out.
 
     Attributes
     ----------

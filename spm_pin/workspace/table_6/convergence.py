@@ -34,7 +34,7 @@ class Convergence:
 
     @property
     def error(self) -> float:
-        """How much leaving out the coarsest or the finest mesh changes the limit [m³]: more than the limit errs."""
+        """Change of the limit without the coarsest or the finest mesh [m³], a bound on the limit's error."""
         parts = (slice(1, None), slice(None, -1))
         return max(abs(self.limit - _extrapolated(self.resolutions[part], self.volumes[part])) for part in parts)
 

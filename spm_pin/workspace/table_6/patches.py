@@ -34,7 +34,7 @@ has it. A missing "~" needs no mention: two limits in one cell can mean nothing 
 
 
 class Setting(enum.Enum):
-    """What Table 6 does with a leg; the value says so in its words."""
+    """Setting of a leg in Table 6; the value is the text of the table."""
 
     MINIMUM = "min"
     MAXIMUM = "max"

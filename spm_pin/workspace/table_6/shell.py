@@ -176,7 +176,7 @@ class Shell:
         return self._surface.winding_number(points)
 
     def contains(self, points: npt.ArrayLike) -> BoolArray:
-        """Tell which of `points` (..., 3) [m] are inside: those with a winding number that is not zero, shape (...).
+        """Return which of `points` (..., 3) [m] are inside: those with a winding number that is not zero, shape (...).
 
         Raises
         ------

@@ -69,7 +69,7 @@ class ClosedSurface:
         return number.reshape(array.shape[:-1])
 
     def covers(self, points: npt.ArrayLike) -> BoolArray:
-        """Tell which of `points` (..., 3) [m] have a face above them, along the third axis, shape (...).
+        """Return which of `points` (..., 3) [m] have a face above them, along the third axis, shape (...).
 
         Raises
         ------
@@ -123,7 +123,7 @@ class _Rays:
         return number, doubtful
 
     def covers(self, points: FloatArray) -> BoolArray:
-        """Tell before which points (N,) a face is."""
+        """Return which points (N,) have the face in front of them."""
         covered = np.zeros(len(points), dtype=bool)
         for point, face in self._near(points):
             turn, above, _ = self._crossings(points[point], face)

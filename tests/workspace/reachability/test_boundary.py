@@ -89,7 +89,7 @@ def test_boundary_points_moved_outwards_are_unreachable_and_inwards_reachable(po
 
 
 def test_a_solver_for_constrained_optimisation_gets_no_farther_out(points: BoundaryPoints) -> None:
-    """Of all legs that keep o within 3 cm of a boundary point's normal line, none puts it farther out nearby."""
+    """No leg lengths that keep o within 3 cm of a boundary point's normal line put it farther out nearby."""
     rng = np.random.default_rng(3)
     for k in range(6):
         place, normal = points.position[k], points.normal[k]
