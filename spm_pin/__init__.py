@@ -80,7 +80,7 @@ __all__ = [
     "threads",
 ]
 
-# Imported when first asked for, all of them: the start-up of the command line stays short, and Ctrl-C ends it.
+# All are imported on first use: the start-up of the command line stays short, and Ctrl-C ends it.
 _MODULES = {"closed_form", "crosscheck", "errors", "mechanism", "nlp", "sweeps", "workspace"}
 _HOMES = ("errors", "mechanism", "closed_form", "proofs", "multibody.chain", "multibody.platform_path")
 

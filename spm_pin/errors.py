@@ -1,6 +1,6 @@
 """The errors of `spm_pin`: one base class, and on each error the data that explains it.
 
-Every error is an `SpmError`. Those caused by a bad argument are also a `ValueError`, so code that knows
+Every error is an `SpmError`. Those caused by a bad argument are also a `ValueError`, so code that handles
 nothing of this package still catches them. "No real branch" is no error: it is a `Status`.
 """
 
@@ -105,7 +105,7 @@ class NotOneSolutionError(SpmError):
 
 
 class SingularConfigurationError(SpmError):
-    """A configuration, singular to rounding, at which what was asked for does not exist or is not unique.
+    """A configuration, singular to rounding, at which the requested quantity does not exist or is not unique.
 
     Attributes
     ----------

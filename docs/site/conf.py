@@ -78,9 +78,14 @@ def _skipped(app: Sphinx, what: str, name: str, obj: object, skip: bool, options
 def _short_signature(
     app: Sphinx, what: str, name: str, obj: object, options: object, arguments: str | None, result: str | None
 ) -> tuple[str | None, str | None]:
-    """Write NumPy's `ArrayLike`, which annotations resolve to a long union, by its name."""
+    """Write type aliases by their names, and NumPy's `ArrayLike`, which annotations resolve to a long union."""
     union = stringify_annotation(npt.ArrayLike, "smart")
-    return (arguments and arguments.replace(union, "~numpy.typing.ArrayLike")), result
+
+    def named(text: str | None) -> str | None:
+        short = text and text.replace(union, "~numpy.typing.ArrayLike")
+        return short and re.sub(r"~?[\w.]*TypeAliasForwardRef\('(\w+)'\)", r"\1", short)
+
+    return named(arguments), named(result)
 
 
 def _formula(self: HTML5Translator, node: nodes.math | nodes.math_block) -> None:

@@ -1,4 +1,4 @@
-"""Configurations that a command is asked for: branches of a pose, or a state given by leg lengths."""
+"""Configurations requested by a command's options: branches of a pose, or a state given by leg lengths."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ AnyLegs = Annotated[
 def requested_solutions(
     geometry: Geometry, translation: Triple | None, xyx: Triple | None, legs: SixLegs | None, unit: LengthUnit
 ) -> tuple[SolutionSet, Configuration]:
-    """Return the branches of the pose asked for, and the one to take if none is named.
+    """Return the branches of the requested pose, and the one to take if none is named.
 
     That is the physical one, or else the first; with `legs` the one they determine; with no option at all, a regular
     configuration near the home.

@@ -100,8 +100,8 @@ def sweep(
         domain = _domain(poses, legs, drawn, 1.0 / unit.per_metre)
         others: dict[str, Any] = {"scheduler": scheduler, "workers": workers}
         if domain is None:
-            given = {"--samples": samples, "--metric": metric, "--limits": limits, "--length": length}
-            beside = [option for option, value in given.items() if value]
+            options = {"--samples": samples, "--metric": metric, "--limits": limits, "--length": length}
+            beside = [option for option, value in options.items() if value]
             if beside:
                 cause = "To go on with a sweep, give --out alone."
                 raise ArgumentError(", ".join((*poses, "--legs")), f"ranges beside {', '.join(beside)}", "none", cause)
@@ -129,14 +129,14 @@ def sweep(
 
 def _domain(poses: dict[str, Any], legs: list[str] | None, drawn: dict[str, Any] | None, scale: float) -> Domain | None:
     """Return the domain that the options describe; None where there is none of them."""
-    missing = [option for option, given in poses.items() if given is None]
+    missing = [option for option, value in poses.items() if value is None]
     if legs and len(missing) < len(poses):
         raise ArgumentError("--legs", "poses or leg lengths, not both", "both")
     if legs:
         if len(legs) not in (1, 2, 6):
             raise ArgumentError("--legs", "one range, two, or six", f"{len(legs)}")
         ranges = [_range("--legs", text, scale) for text in legs]
-        six = ranges if len(ranges) == 6 else [one for one in ranges for _ in range(6 // len(ranges))]
+        six = ranges if len(ranges) == 6 else [interval for interval in ranges for _ in range(6 // len(ranges))]
         return sweeps.leg_sample(lower=six[:3], upper=six[3:], **drawn) if drawn else sweeps.leg_grid(six[:3], six[3:])
     if len(missing) == len(poses):
         return None

@@ -165,7 +165,7 @@ def _content(shell: Shell, unit: LengthUnit) -> dict[str, Any]:
         "patches": [
             {
                 "name": patch.name,
-                "settings": {leg: one.value for leg, one in zip(LEGS, patch.settings, strict=True)},
+                "settings": {leg: setting.value for leg, setting in zip(LEGS, patch.settings, strict=True)},
                 "area": patch.area * area,
             }
             for patch in shell.patches

@@ -143,7 +143,7 @@ def inverse_physical(geometry: Geometry, pose: PoseLike) -> Configuration:
         Of shape (...): to the bit what ``inverse_displacement(geometry, pose).physical()`` returns, in less time and
         memory. Both stages are without torsion and reached from the symmetric home without a forward
         singularity. If TT+ and TT- both are, those within the leg limits are preferred, then the one whose stages are
-        tilted less; `SolutionSet.ambiguous` tells where that happens. `.exists` is False, and everything NaN,
+        tilted less; `SolutionSet.ambiguous` is True there. `.exists` is False, and everything NaN,
         where there is no such configuration.
 
     Raises

@@ -170,11 +170,11 @@ class Nlp(Method):
         return np.asarray(-np.linalg.solve(transposed, wrench[..., None])[..., 0])
 
     def _rates(self, configuration: Configuration) -> FloatArray:
-        def one(state: Configuration) -> FloatArray:
+        def single(state: Configuration) -> FloatArray:
             arguments = state.middle_joints.ravel(), state.rotation, state.translation
             return np.asarray(self._nlp.inverse_jacobian(self._derivatives(*arguments)))
 
-        return np.stack([one(state) for state in configuration])
+        return np.stack([single(state) for state in configuration])
 
 
 @dataclass
@@ -205,18 +205,18 @@ class Pinocchio(Method):
     def inverse_jacobian(self, configuration: Configuration) -> FloatArray:
         """Return J_f (N, 6, 6)."""
 
-        def one(state: Configuration) -> Any:
+        def single(state: Configuration) -> Any:
             return self.chain.inverse_jacobian(self.chain.joint_values(state))
 
-        return np.stack([_or_nan(one, (6, 6), state) for state in configuration])
+        return np.stack([_or_nan(single, (6, 6), state) for state in configuration])
 
     def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray:
         """Return forces (N, 6) [N]."""
 
-        def one(state: Configuration, load: FloatArray) -> Any:
+        def single(state: Configuration, load: FloatArray) -> Any:
             return self.chain.leg_forces(self.chain.joint_values(state), load)
 
-        return np.stack([_or_nan(one, (6,), state, load) for state, load in zip(configuration, wrench, strict=True)])
+        return np.stack([_or_nan(single, (6,), state, load) for state, load in zip(configuration, wrench, strict=True)])
 
     def assembled(self, configuration: Configuration) -> Configuration:
         """Return the configurations that the tree's frames give at the joint values of states (N,)."""

@@ -63,7 +63,7 @@ def read_urdf(
 
     Notes
     -----
-    Passed over are the `<mujoco>` element, which tells MuJoCo how to read the file, and the colours of collision
+    Passed over are the `<mujoco>` element, with MuJoCo's settings for reading the file, and the colours of collision
     shapes. `<joint_properties>`, as onshape-to-robot writes it, is read as `<dynamics>`.
     """
     path = Path(path)

@@ -197,7 +197,7 @@ class _Writer:
 
     def _closure(self, closure: Closure) -> Element:
         (body_a, at_a), (body_b, at_b) = (self.robot.carrier(end) for end in (closure.frame_a, closure.frame_b))
-        if body_a == self.robot.base:  # Pinocchio wants the first body to move
+        if body_a == self.robot.base:  # Pinocchio needs a moving first body
             body_a, at_a, body_b, at_b = body_b, at_b, body_a, at_a
         if body_a == body_b:
             raise DescriptionError("robot", "closures between links that move apart", closure.name)

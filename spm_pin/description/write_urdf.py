@@ -1,4 +1,4 @@
-"""URDF, its loops closed by Drake's ball constraints and, if asked, by the constraints proposed for ROS."""
+"""URDF, its loops closed by Drake's ball constraints and, optionally, by the constraints proposed for ROS."""
 
 from __future__ import annotations
 

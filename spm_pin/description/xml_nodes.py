@@ -33,7 +33,7 @@ class Node:
         return DescriptionError(self.place, expected, received, cause)
 
     def check(self, *, children: Collection[str] = (), attributes: Collection[str] = ()) -> None:
-        """Raise `DescriptionError` if there is an attribute or an element inside that the reader does not know."""
+        """Raise `DescriptionError` if there is an attribute or an element inside that the reader does not support."""
         for child in self.children:
             if child.tag not in children:
                 expected = f"{', '.join(children)} in <{self.tag}>" if children else f"nothing inside <{self.tag}>"

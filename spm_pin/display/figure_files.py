@@ -40,7 +40,7 @@ def check_appearance(width: int, narrowest: int, background: str) -> None:
     Raises
     ------
     ArgumentError
-        If the width is no whole number from `narrowest` to `WIDEST`, or matplotlib does not know the colour.
+        If the width is no whole number from `narrowest` to `WIDEST`, or the colour is none of matplotlib's.
     MissingExtraError
         If matplotlib is not installed.
     """
@@ -50,7 +50,7 @@ def check_appearance(width: int, narrowest: int, background: str) -> None:
     with plots_extra():
         from matplotlib.colors import is_color_like
     if not is_color_like(background):
-        expected = "a colour that matplotlib knows, such as white, #f0f0f0 or none"
+        expected = "a colour of matplotlib, such as white, #f0f0f0 or none"
         raise ArgumentError("background", expected, repr(background))
 
 

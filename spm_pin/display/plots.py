@@ -112,7 +112,7 @@ def save_picture(
     width : int
         Width of the picture in pixels; the height follows from the view.
     background : str
-        Any colour that matplotlib knows, or ``"none"``.
+        Any colour of matplotlib, or ``"none"``.
 
     Returns
     -------

@@ -24,7 +24,7 @@ def save_mesh(shell: Shell, path: str | Path) -> Path:
     """Write a shell's mesh, lengths in metres.
 
     STL and OBJ hold one closed mesh, PLY the same with the colours of the families. GLB holds each patch as a mesh of
-    its own, named and coloured, and has its y axis upward, as that format wants it.
+    its own, named and coloured, and has its y axis upward, as that format requires.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The paper's Fig. 2: the shell of the workspace from four sides, its 24 patches told apart and named."""
+"""The paper's Fig. 2: the shell of the workspace from four sides, its 24 patches coloured and named."""
 
 from __future__ import annotations
 

@@ -188,7 +188,7 @@ def file_path(
     suffixes: Collection[str] = (),
     error: type[ArgumentError] = ArgumentError,
 ) -> Path:
-    """Read the name of a file, as str or `os.PathLike`; the file system is not asked.
+    """Read the name of a file, as str or `os.PathLike`; without access to the file system.
 
     Parameters
     ----------

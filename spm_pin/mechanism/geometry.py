@@ -227,11 +227,11 @@ def geometry_of_node(root: yaml.Node, path: Path) -> Geometry:
     lengths = {key: _length(node, key, path) for key, node in nodes.items()}
 
     def radius(triangle: str) -> float:
-        given = [key for key in (f"{triangle}_side", f"{triangle}_radius") if key in lengths]
-        if len(given) != 1:
+        keys = [key for key in (f"{triangle}_side", f"{triangle}_radius") if key in lengths]
+        if len(keys) != 1:
             expected = f"exactly one of the keys {triangle}_side and {triangle}_radius"
-            raise GeometryError(str(path), expected, " and ".join(given) or "neither")
-        return lengths[given[0]] / (math.sqrt(3.0) if given[0].endswith("_side") else 1.0)
+            raise GeometryError(str(path), expected, " and ".join(keys) or "neither")
+        return lengths[keys[0]] / (math.sqrt(3.0) if keys[0].endswith("_side") else 1.0)
 
     read = None if limits is None else _read_limits(limits, path)
     geometry = Geometry(radius("base"), radius("platform"), lengths["middle_side"], read)

@@ -72,8 +72,8 @@ class JointAngles:
     Attributes
     ----------
     values : ndarray, shape (..., 12 + 6 n)
-        The six hips, the balls' angles about x, y and z of the n lower and then of the n upper legs asked for, and the
-        six slides.
+        The six hips, the balls' angles about x, y and z of the n lower and then of the n upper legs of `corners`, and
+        the six slides.
     closure_residual : ndarray, shape (...)
         `Configuration.closure_residual` [m].
     """

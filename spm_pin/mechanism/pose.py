@@ -135,14 +135,14 @@ def unchecked_pose(value: PoseLike, argument: str = "pose") -> tuple[FloatArray,
         rotation = shaped_array(turn, f"{argument}.rotation", (3, 3), _ROTATION, error=PoseError)
         position = shaped_array(place, f"{argument}.translation", (3,), _POSITION, error=PoseError)
         return _broadcast(rotation, position, f"{argument}.translation")
-    given = shaped_array(value, argument, (4, 4), "a homogeneous transform", error=PoseError)
-    if not (given[..., 3, :] == _LAST_ROW).all():
-        finite_array(given, argument, (4, 4), "a homogeneous transform", error=PoseError)
-        index = first_offender((given[..., 3, :] != _LAST_ROW).any(axis=-1))
-        cause = "Transposed matrix?" if (given[index][:, 3] == _LAST_ROW).all() else ""
+    matrices = shaped_array(value, argument, (4, 4), "a homogeneous transform", error=PoseError)
+    if not (matrices[..., 3, :] == _LAST_ROW).all():
+        finite_array(matrices, argument, (4, 4), "a homogeneous transform", error=PoseError)
+        index = first_offender((matrices[..., 3, :] != _LAST_ROW).any(axis=-1))
+        cause = "Transposed matrix?" if (matrices[index][:, 3] == _LAST_ROW).all() else ""
         where = f" at index {index}" if index else ""
-        raise PoseError(argument, "the last row [0, 0, 0, 1]", f"{given[index][3]}{where}", cause)
-    return given[..., :3, :3], given[..., :3, 3]
+        raise PoseError(argument, "the last row [0, 0, 0, 1]", f"{matrices[index][3]}{where}", cause)
+    return matrices[..., :3, :3], matrices[..., :3, 3]
 
 
 def checked_pose(rotation: FloatArray, position: FloatArray, argument: str) -> tuple[FloatArray, FloatArray]:

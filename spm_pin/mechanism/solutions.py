@@ -81,8 +81,9 @@ class SolutionSet:
     degeneracy : Degeneracy, optional
         Details where `status` is `Status.DEGENERATE`.
     choice : ndarray of uint8, shape (..., 3), optional
-        From a solver that knows: whether a real machine can be in the first, in the second solution, and whether the
-        second is tilted less; it can be in none of the others. If left out, this is computed from the configurations.
+        From the solver, if it computes it: whether a real machine can be in the first, in the second solution, and
+        whether the second is tilted less; it can be in none of the others. If left out, this is computed from the
+        configurations.
     memory : tuple of ndarray, optional
         The arrays that a solver may write anew, see `inverse_displacement`.
 

@@ -45,8 +45,8 @@ class ClosedChain:
     Made by `from_urdf`. {B} is the link `base` and Pinocchio's universe. Methods take q, joint values [rad, m] in the
     order of `joint_names`, of one state or of a batch (..., 18), and raise `ArgumentError` if it has another shape, is
     not finite, or gives a leg a negative length. Leading axes of several arguments broadcast. Pinocchio answers one
-    state at a time, so that a batch takes as long as its members. `state` is the way to ask several questions about
-    one q and v; the closed form, where a method says so, is the way to millions.
+    state at a time, so that a batch takes as long as its members. `state` computes several quantities of
+    one q and v; methods in closed form, which say so, are for millions of states.
 
     Wrenches are (f, m) [N, N m] onto the terminal platform at o in the axes of {B}, twists (v, ω) [m/s, rad/s] of it;
     legs are in the order r_b1, r_b2, r_b3, r_c1, r_c2, r_c3, and a positive leg force pushes, to extend the leg.
@@ -351,7 +351,7 @@ class ClosedChain:
             if np.any(absent):
                 index = first_offender(absent)
                 where = f" at batch index {index}" if index else ""
-                cause = "A leg misread? near= asks for the mode that a path from there leads to"
+                cause = "A leg misread? With near=, the mode on a path from there is found"
                 expected = "lengths that the physical assembly mode can have"
                 raise ArgumentError("leg_lengths", expected, f"others{where}", cause)
             return self._layout.joint_values(configuration)
@@ -703,8 +703,8 @@ class ClosedChain:
         **vectors: FloatArray,
     ) -> tuple[FloatArray, ...]:
         """Call a function of the state at each q and v, and of vectors."""
-        given = self._states.states(q) if v is None else self._states.states(q, v=v)
-        return self._states.over(function, shapes, **given, **vectors)
+        states = self._states.states(q) if v is None else self._states.states(q, v=v)
+        return self._states.over(function, shapes, **states, **vectors)
 
     def _follow(
         self,

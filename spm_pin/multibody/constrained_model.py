@@ -134,7 +134,7 @@ class Factors:
 
 
 class TreeKinematics:
-    """Gaps, Jacobians and their factorisations of a `ConstrainedModel` at one q, each computed when first asked for.
+    """Gaps, Jacobians and their factorisations of a `ConstrainedModel` at one q, each computed on first use.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ CORRECTION = 0.25
 DETERMINANT_CHANGE = 2.0
 """Largest ratio of the determinants of the equations at both ends of a step, either way; the sign must be the same."""
 SHORTEST_SHARE = 2.0**-22
-"""Share of the path below which the search gives up."""
+"""Share of the path below which the continuation ends."""
 SHORTEST_STEP = 1e-6
 """In the units of `LONGEST_STEP`: nearer to a singularity, rounding moves a solution by no small part of a step."""
 MOST_CORRECTIONS = 8

@@ -118,8 +118,8 @@ class AccelerationSolver:
             for constraint in self._each:
                 constraint.m_baumgarte_parameters.Kp, constraint.m_baumgarte_parameters.Kd = gains
             self._gains = gains
-        given = self._model, self._data, q, v, torques, self._constraints, self._states, self._settings
-        return np.array(pin.constraintDynamics(*given))
+        arguments = self._model, self._data, q, v, torques, self._constraints, self._states, self._settings
+        return np.array(pin.constraintDynamics(*arguments))
 
 
 def wrench_torques(kinematics: TreeKinematics, wrenches: Wrenches) -> FloatArray:

@@ -111,9 +111,9 @@ class JointLayout:
         cause = "One of several solutions? .physical(), or an index, takes one"
         geometry = instance(configuration, Configuration, "configuration", cause).geometry
         for name in DIMENSIONS if geometry is not self.geometry else ():
-            own, other = getattr(self.geometry, name), getattr(geometry, name)
-            if abs(other - own) > AGREEMENT * own:
-                raise GeometryError("configuration", f"the chain's {name}, {own:.9g} m", f"{other:.9g} m")
+            expected, other = getattr(self.geometry, name), getattr(geometry, name)
+            if abs(other - expected) > AGREEMENT * expected:
+                raise GeometryError("configuration", f"the chain's {name}, {expected:.9g} m", f"{other:.9g} m")
         if geometry is not self.geometry:
             # With the chain's own limits: they set the zero of its slides.
             arrays = configuration.rotation, configuration.translation, configuration.middle_joints

@@ -73,9 +73,9 @@ def read_chain_urdf(path: Path, geometry: Geometry | None, prefix: str) -> tuple
     measured = _measured(model, prefix)
     geometry = geometry or measured
     for name in DIMENSIONS:
-        given, found = getattr(geometry, name), getattr(measured, name)
-        if abs(given - found) > AGREEMENT * found:
-            raise GeometryError("geometry", f"the {name} of {path}, {found:.9g} m", f"{given:.9g} m")
+        size, found = getattr(geometry, name), getattr(measured, name)
+        if abs(size - found) > AGREEMENT * found:
+            raise GeometryError("geometry", f"the {name} of {path}, {found:.9g} m", f"{size:.9g} m")
     expected_model = pin.buildModelFromXML(expand(geometry, prefix=prefix))
     link, distance = _deviation(model, expected_model, links, geometry.middle_side)
     if distance > AGREEMENT * geometry.middle_side:

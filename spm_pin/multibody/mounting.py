@@ -55,10 +55,10 @@ class MountedChain:
     def _places(self, tree: Any) -> tuple[Indices, Indices]:
         """Return where the q and the v of one of the two trees are, in its own order."""
         q, v = np.empty(tree.nq, dtype=np.intp), np.empty(tree.nv, dtype=np.intp)
-        for own in tree.joints[1:]:
-            joint = self.model.joints[self.model.getJointId(tree.names[own.id])]
-            q[own.idx_q : own.idx_q + own.nq] = joint.idx_q + np.arange(own.nq)
-            v[own.idx_v : own.idx_v + own.nv] = joint.idx_v + np.arange(own.nv)
+        for part in tree.joints[1:]:
+            joint = self.model.joints[self.model.getJointId(tree.names[part.id])]
+            q[part.idx_q : part.idx_q + part.nq] = joint.idx_q + np.arange(part.nq)
+            v[part.idx_v : part.idx_v + part.nv] = joint.idx_v + np.arange(part.nv)
         return q, v
 
     def _checked(self, q: npt.ArrayLike) -> FloatArray:

@@ -12,7 +12,7 @@ from spm_pin.multibody.joint_layout import JointLayout
 __all__ = ["project_to_closure", "rounding"]
 
 SHORTEST_SHARE = 2.0**-10
-"""Share of a Newton step below which the search gives up."""
+"""Share of a Newton step below which the search ends without a solution."""
 
 
 def project_to_closure(
@@ -38,7 +38,7 @@ def project_to_closure(
         jacobian = kinematics.closures[:, free] * layout.units[free]
         step = np.zeros(q.shape)
         step[free] = layout.units[free] * np.linalg.lstsq(jacobian, -gap.ravel(), rcond=None)[0]
-        # To first order a share of the step shrinks the gap by that share: a quarter of it is asked for.
+        # To first order a share of the step shrinks the gap by that share: a quarter of that is required.
         share, size = 1.0, float(np.linalg.norm(gap))
         while True:
             tried = q + share * step

@@ -104,14 +104,14 @@ def _constant(value: FloatArray) -> ForceCallback:
     return lambda t, q, v: value
 
 
-def _callback(given: Any, argument: str, meaning: str) -> ForceCallback:
+def _callback(force: Any, argument: str, meaning: str) -> ForceCallback:
     """Return a function from a constant or a function; what a function returns is checked."""
-    if isinstance(given, Mapping) or not callable(given):
-        return _constant(one_vector(given, argument, (6,), meaning))
+    if isinstance(force, Mapping) or not callable(force):
+        return _constant(one_vector(force, argument, (6,), meaning))
 
     def checked(t: float, q: FloatArray, v: FloatArray) -> FloatArray:
         # Copies: the function may change them.
-        return one_vector(given(t, q.copy(), v.copy()), argument, (6,), meaning)
+        return one_vector(force(t, q.copy(), v.copy()), argument, (6,), meaning)
 
     return checked
 

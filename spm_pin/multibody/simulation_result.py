@@ -32,7 +32,7 @@ class Simulation:
     Attributes
     ----------
     times : ndarray, shape (n,)
-        Those asked for [s], as far as the motion went; the last is that of the event, if one ended it.
+        The requested times [s], as far as the motion went; the last is that of the event, if one ended it.
     q, v, a : ndarray, shape (n, 18)
         Joint values, velocities and accelerations.
     leg_lengths : ndarray, shape (n, 6)

@@ -41,9 +41,9 @@ WRENCH = "(f, m) at o in {B} in N and N m"
 class ConstrainedState:
     """Joint values q and velocities v of a constrained model, with the memory for all that is computed from them.
 
-    Made by the method `state` of `ClosedChain` and of `MountedChain`. What a call computes, kinematics, constraint
-    Jacobian or a factorisation, the next one finds: the state is the way to ask several questions about one q and v, or
-    one question about many in turn. `update` moves it to another q and v without new memory. One state is for one
+    Made by the method `state` of `ClosedChain` and of `MountedChain`. Kinematics, constraint Jacobian and
+    factorisations are computed once and kept for later calls: use it for several quantities of one q and v, or for one
+    quantity of many in turn. `update` moves it to another q and v without new memory. One state is for one
     thread at a time. Methods are those of `ClosedChain` without q and v, for one member each, with the same errors.
     """
 

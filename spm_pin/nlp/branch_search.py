@@ -197,9 +197,9 @@ def search(
     found: list[Multistart] = []
     try:
         for matrix in matrices:
-            one = Multistart(equations, matrix)
-            one.run(method, starts, risk, np.random.default_rng(seed))
-            found.append(one)
+            started = Multistart(equations, matrix)
+            started.run(method, starts, risk, np.random.default_rng(seed))
+            found.append(started)
     except KeyboardInterrupt:
         found += [Multistart(equations, matrix) for matrix in matrices[len(found) :]]
         raise Interrupted(_collect(geometry, transform, found)) from None
@@ -231,11 +231,11 @@ def _collect(geometry: Geometry, transform: Any, found: list[Multistart]) -> Sea
     shape = transform.shape
     joints = np.full((len(found), MOST_BRANCHES, 3, 3), np.nan)
     solved = np.ones(len(found), dtype=bool)
-    for n, one in enumerate(found):
-        kept = one.kept
-        solved[n] = len(kept) <= MOST_BRANCHES and one.status is not Status.UNSOLVED
+    for n, run in enumerate(found):
+        kept = run.kept
+        solved[n] = len(kept) <= MOST_BRANCHES and run.status is not Status.UNSOLVED
         for place, k in enumerate(kept[:MOST_BRANCHES]):
-            joints[n, place] = one.certificates[k].b.reshape(3, 3)
+            joints[n, place] = run.certificates[k].b.reshape(3, 3)
     ordered = SolutionSet.from_unordered(
         geometry, transform, joints.reshape(*shape, MOST_BRANCHES, 3, 3), solved.reshape(shape)
     )
@@ -243,16 +243,16 @@ def _collect(geometry: Geometry, transform: Any, found: list[Multistart]) -> Sea
     hits = np.zeros((len(found), MOST_BRANCHES), dtype=int)
     sigma, error = np.full(hits.shape, np.nan), np.full(hits.shape, np.nan)
     isolated = np.zeros(hits.shape, dtype=bool)
-    for n, one in enumerate(found):
-        for k in one.kept:
-            at = n, (branches[n] == one.certificates[k].b).all(axis=-1)
-            hits[at], isolated[at] = one.hits[k], one.certificates[k].isolated
-            sigma[at], error[at] = one.certificates[k].sigma, one.certificates[k].error
+    for n, run in enumerate(found):
+        for k in run.kept:
+            at = n, (branches[n] == run.certificates[k].b).all(axis=-1)
+            hits[at], isolated[at] = run.hits[k], run.certificates[k].isolated
+            sigma[at], error[at] = run.certificates[k].sigma, run.certificates[k].error
     status = np.asarray(ordered.status).reshape(-1).copy()
-    for n, one in enumerate(found):
-        if one.continuous:
+    for n, run in enumerate(found):
+        if run.continuous:
             status[n] = Status.DEGENERATE
-    outcomes: Counter[str] = sum((one.outcomes for one in found), Counter())
+    outcomes: Counter[str] = sum((run.outcomes for run in found), Counter())
 
     def of(values: list[Any], kind: Any = np.float64) -> Any:
         return np.array(values, dtype=kind).reshape(shape)
@@ -262,17 +262,20 @@ def _collect(geometry: Geometry, transform: Any, found: list[Multistart]) -> Sea
         unseen_share = np.where(converged > 0, (hits == 1).sum(axis=-1) / converged, np.nan)
     return Search(
         solutions=SolutionSet(ordered.configurations, BRANCHES, status.reshape(shape)),
-        starts=of([one.starts for one in found], int),
+        starts=of([run.starts for run in found], int),
         hits=hits.reshape(*shape, MOST_BRANCHES),
-        continuous=of([one.starts - one.failed - sum(one.hits[k] for k in one.kept) for one in found], int),
-        failed=of([one.failed for one in found], int),
-        failed_residual=of([one.failed_residual for one in found]),
+        continuous=of(
+            [run.starts - run.failed - sum(run.hits[k] for k in run.kept) for run in found],
+            int,
+        ),
+        failed=of([run.failed for run in found], int),
+        failed_residual=of([run.failed_residual for run in found]),
         unseen_share=unseen_share.reshape(shape),
-        unseen_probability=of([one.unseen_probability for one in found]),
-        settled=of([one.settled for one in found], bool),
+        unseen_probability=of([run.unseen_probability for run in found]),
+        settled=of([run.settled for run in found], bool),
         sigma=sigma.reshape(*shape, MOST_BRANCHES),
         error_bound=error.reshape(*shape, MOST_BRANCHES),
         isolated=isolated.reshape(*shape, MOST_BRANCHES),
-        infeasibility=of([one.infeasibility for one in found]),
+        infeasibility=of([run.infeasibility for run in found]),
         outcomes=dict(outcomes),
     )

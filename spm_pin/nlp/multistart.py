@@ -39,7 +39,7 @@ class Multistart:
     outcomes: Counter[str] = field(default_factory=Counter)
 
     def run(self, method: Ipopt | None, starts: int | None, risk: float, rng: np.random.Generator) -> None:
-        """Make `starts` starts, or as many as the stopping rule asks for; `method` None means Newton's method."""
+        """Make `starts` starts, or until the stopping rule is met; `method` None means Newton's method."""
         size = _FIRST
         last = _LAST if starts is None else starts
         while self.starts < last and not (starts is None and self.settled):
@@ -102,12 +102,12 @@ class Multistart:
     @property
     def continuous(self) -> bool:
         """True if more solutions are not isolated than there can be double roots: then they form a continuum."""
-        return sum(not one.isolated for one in self.certificates) > _DOUBLE_ROOTS
+        return sum(not certificate.isolated for certificate in self.certificates) > _DOUBLE_ROOTS
 
     @property
     def kept(self) -> list[int]:
         """Indices of the solutions that are not on a continuous family."""
-        return [k for k, one in enumerate(self.certificates) if one.isolated or not self.continuous]
+        return [k for k, certificate in enumerate(self.certificates) if certificate.isolated or not self.continuous]
 
     @property
     def unseen_probability(self) -> float:

@@ -147,7 +147,7 @@ class Resultant:
         with np.errstate(invalid="ignore", over="ignore"):
             b_1y = _quadratic(p_15, p_11 + p_13 * y, p_14 * y**2 + p_12 * y + p_10)
             b_3y = _quadratic(p_25, p_23 * y + p_22, p_24 * y**2 + p_21 * y + p_20)
-            pairs = [np.stack([one, y, three], axis=-1) for one in b_1y for three in b_3y]
+            pairs = [np.stack([y_1, y, y_3], axis=-1) for y_1 in b_1y for y_3 in b_3y]
             mismatch = np.stack([np.abs(self.equations(pair)[..., 2]) for pair in pairs])
         best = np.where(np.isnan(mismatch), np.inf, mismatch).argmin(axis=0)
         return np.asarray(np.take_along_axis(np.stack(pairs), best[None, ..., None], axis=0)[0])

@@ -200,13 +200,13 @@ def _touching(boxes: _Boxes) -> IntArray:
         members = ordered[fine][0]
         around = boxes.position[members][:, None, :] + _NEIGHBOURS
         inside = ((around >= 0) & (around < 1 << int(fine))).all(axis=-1)
-        own = np.broadcast_to(members[:, None], inside.shape)[inside]
+        sources = np.broadcast_to(members[:, None], inside.shape)[inside]
         for coarse in levels[levels <= fine]:
             targets, keys = ordered[coarse]
             wanted = _keys(around[inside] >> int(fine - coarse), coarse)
             place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
             hit = keys[place] == wanted
-            found.append(np.stack([own[hit], targets[place[hit]]], axis=-1))
+            found.append(np.stack([sources[hit], targets[place[hit]]], axis=-1))
     return np.concatenate(found)
 
 

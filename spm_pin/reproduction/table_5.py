@@ -87,14 +87,14 @@ def rates_and_forces(true: list[TrueValue], found: list[Diagnosis]) -> list[Cell
     """Compare Table 5 with the true rates [cm/s] and forces [kN]."""
     explained = {diagnosis.row: diagnosis for diagnosis in found}
     cells = []
-    for k, (text, one) in enumerate(zip((*published.TABLE_5[0], *published.TABLE_5[1]), true, strict=True)):
-        diagnosis = explained.get(one.name[0])
+    for k, (text, value) in enumerate(zip((*published.TABLE_5[0], *published.TABLE_5[1]), true, strict=True)):
+        diagnosis = explained.get(value.name[0])
         verdict, note = Verdict.SAME, ""
         if text is None:
             verdict, note = Verdict.NOT_PRINTED, "the cell is empty"
             if diagnosis is not None:
                 note += f"; with the mistakes of its row it would read {diagnosis.values[k % 6]:.4f}"
-        elif not matches(text, complex(one.closed_form)):
+        elif not matches(text, complex(value.closed_form)):
             verdict = Verdict.UNEXPLAINED if diagnosis is None or not diagnosis.names else Verdict.MISPRINT
-        cells.append(Cell(5, one.name, "3", text, complex(one.closed_form), verdict, note))
+        cells.append(Cell(5, value.name, "3", text, complex(value.closed_form), verdict, note))
     return cells

@@ -218,7 +218,7 @@ def make_domain(space: Space, ranges: Mapping[str, Range], drawing: Drawing | No
     """
     if tuple(ranges) != AXES[space]:
         raise ArgumentError("ranges", f"the coordinates {', '.join(AXES[space])}", ", ".join(ranges))
-    axes = tuple(_axis(name, given, drawing is not None) for name, given in ranges.items())
+    axes = tuple(_axis(name, interval, drawing is not None) for name, interval in ranges.items())
     if all(axis.fixed for axis in axes):
         raise ArgumentError("ranges", "at least one coordinate that varies", "six fixed ones")
     return Domain(space, axes, drawing)
@@ -229,18 +229,18 @@ def chunk_region(shape: tuple[int, ...], index: tuple[int, ...], chunk: tuple[in
     return tuple(slice(i * n, min((i + 1) * n, total)) for i, n, total in zip(index, chunk, shape, strict=True))
 
 
-def _axis(name: str, given: Range, drawn: bool) -> Axis:
+def _axis(name: str, interval: Range, drawn: bool) -> Axis:
     """Read one value, (start, stop, count), or (start, stop) where the coordinate is drawn."""
     unit = "radians" if name in _ANGLES else "metres"
     expected = f"one value or {'(start, stop)' if drawn else '(start, stop, count)'}, in {unit}"
-    values = real_array(given, name, (), expected)
+    values = real_array(interval, name, (), expected)
     if values.shape not in ((), (2 if drawn else 3,)):
         raise ArgumentError(name, expected, f"shape {values.shape}")
     start, stop = (float(end) for end in (np.broadcast_to(values, (2,)) if values.ndim == 0 else values[:2]))
     if name in _ANGLES and max(abs(start), abs(stop)) > 2.0 * math.pi:
-        raise ArgumentError(name, "angles within ±2π radians", given, "Degrees instead of radians?")
+        raise ArgumentError(name, "angles within ±2π radians", interval, "Degrees instead of radians?")
     if name in LEGS and start <= 0.0:
-        raise ArgumentError(name, "positive lengths in metres", given)
+        raise ArgumentError(name, "positive lengths in metres", interval)
     if values.ndim == 0:
         return Axis(name, start, stop, 1)
     if not start < stop:

@@ -144,11 +144,11 @@ def _pose_ranges(
 
 def _leg_ranges(lower: Range | Sequence[Range], upper: Range | Sequence[Range]) -> dict[str, Range]:
     ranges: list[Range] = []
-    for argument, given in (("lower", lower), ("upper", upper)):
-        if isinstance(given, list):
-            if len(given) != 3:
-                raise ArgumentError(argument, "one length or range, or a list of three", f"a list of {len(given)}")
-            ranges += given
+    for argument, interval in (("lower", lower), ("upper", upper)):
+        if isinstance(interval, list):
+            if len(interval) != 3:
+                raise ArgumentError(argument, "one length or range, or a list of three", f"a list of {len(interval)}")
+            ranges += interval
         else:
-            ranges += [given] * 3  # type: ignore[list-item]  # a tuple is one range, which its type does not say
+            ranges += [interval] * 3  # type: ignore[list-item]  # a tuple is one range, which its type does not say
     return dict(zip(AXES["legs"], ranges, strict=True))

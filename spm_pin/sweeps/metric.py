@@ -91,7 +91,7 @@ class Metric:
 
     def __reduce__(self) -> tuple[type[Metric], tuple[Any, ...]]:
         # A mapping proxy has no pickle.
-        values = (getattr(self, one.name) for one in dataclasses.fields(self))
+        values = (getattr(self, field.name) for field in dataclasses.fields(self))
         return Metric, tuple(dict(value) if isinstance(value, MappingProxyType) else value for value in values)
 
     def __call__(self, **parameters: Any) -> Metric:
@@ -208,14 +208,18 @@ def metric(
     def decorate(function: Callable[..., npt.ArrayLike]) -> Metric:
         if not callable(function):
             raise ArgumentError("function", "a function of Points", type(function).__name__)
-        keywords = [one for one in inspect.signature(function).parameters.values() if one.kind is one.KEYWORD_ONLY]
-        without = [one.name for one in keywords if one.default is one.empty]
+        keywords = [
+            parameter
+            for parameter in inspect.signature(function).parameters.values()
+            if parameter.kind is parameter.KEYWORD_ONLY
+        ]
+        without = [parameter.name for parameter in keywords if parameter.default is parameter.empty]
         if without:
             raise ArgumentError(without[0], "a default for every parameter of a metric", "none")
         name = getattr(function, "__name__", "")
         # So that pickle finds the function below the name that the metric takes.
         function.__qualname__ = f"{function.__qualname__}.function"
-        parameters = {one.name: one.default for one in keywords}
+        parameters = {parameter.name: parameter.default for parameter in keywords}
         return Metric(name, unit, description, function, dtype, flags or {}, parameters, version)
 
     return decorate

@@ -180,7 +180,7 @@ def payload(points: Points, *, push: float = 1.0, pull: float | None = None) -> 
     payload per newton of leg force. A leg of force a · u under the unit force u bears at most ``|a|``, in either sense:
     the payload is the least quotient of a leg's limit and its ``|a|``, without a search over directions.
     """
-    # f = -Gᵀ w: a unit force u asks -G_v[:, i] · u of leg i, at most |G_v[:, i]| in either sense.
+    # f = -Gᵀ w: a unit force u takes -G_v[:, i] · u of leg i, at most |G_v[:, i]| in either sense.
     largest = np.linalg.norm(points.platform_jacobians[:, :3], axis=-2).max(axis=-1)
     return points.spread(_zero_if_singular(min(push, push if pull is None else pull) / largest))
 
@@ -217,7 +217,7 @@ def _zero_if_singular(values: FloatArray) -> FloatArray:
 METRICS: Mapping[str, Metric] = MappingProxyType(
     {name: value for name, value in list(globals().items()) if isinstance(value, Metric) and value is not status}
 )
-"""The metrics that a sweep knows by name; with other parameters, ``METRICS["payload"](push=900.0)``."""
+"""The metrics of the package by name; with other parameters, ``METRICS["payload"](push=900.0)``."""
 
 
 def resolve_metrics(metrics: Iterable[str | Metric]) -> tuple[Metric, ...]:
@@ -231,12 +231,12 @@ def resolve_metrics(metrics: Iterable[str | Metric]) -> tuple[Metric, ...]:
     expected = f"a Metric, or names among {', '.join(METRICS)}"
     if not isinstance(metrics, str | Metric | Iterable):
         raise ArgumentError("metrics", expected, repr(metrics))
-    given: list[Any] = [metrics] if isinstance(metrics, str | Metric) else list(metrics)
-    for one in given:
-        if not isinstance(one, Metric) and not (isinstance(one, str) and one in METRICS):
-            raise ArgumentError("metrics", expected, repr(one))
-    resolved = tuple(one if isinstance(one, Metric) else METRICS[one] for one in given)
-    names = [one.name for one in resolved]
+    entries: list[Any] = [metrics] if isinstance(metrics, str | Metric) else list(metrics)
+    for entry in entries:
+        if not isinstance(entry, Metric) and not (isinstance(entry, str) and entry in METRICS):
+            raise ArgumentError("metrics", expected, repr(entry))
+    resolved = tuple(entry if isinstance(entry, Metric) else METRICS[entry] for entry in entries)
+    names = [entry.name for entry in resolved]
     if not names or len(set(names)) < len(names):
         raise ArgumentError("metrics", "one or more metrics of different names", ", ".join(names) or "none")
     return resolved

@@ -66,11 +66,11 @@ class Plan:
         """
         instance(geometry, Geometry, "geometry")
         instance(domain, Domain, "domain", "Made by pose_grid, leg_grid, pose_sample or leg_sample?")
-        taken = sorted(_RESERVED & {one.name for one in metrics})
+        taken = sorted(_RESERVED & {metric.name for metric in metrics})
         if taken:
             raise ArgumentError("metrics", "names other than those of the coordinates", ", ".join(taken))
         # By name, so that their order makes no other sweep.
-        ordered = tuple(sorted(metrics, key=lambda one: one.name))
+        ordered = tuple(sorted(metrics, key=lambda metric: metric.name))
         return cls(geometry, domain, ordered, domain.chunk_shape(chunk), package_version())
 
     @property
@@ -111,12 +111,12 @@ class Plan:
         # Metrics are given parts of this array.
         coordinates.flags.writeable = False
         count = len(coordinates)
-        values = {one.name: np.empty(count, dtype=one.dtype) for one in self.variables}
+        values = {variable.name: np.empty(count, dtype=variable.dtype) for variable in self.variables}
         for first in range(0, count, _BLOCK):
             part = slice(first, first + _BLOCK)
             points = Points(self.geometry, self.domain.space, coordinates[part])
-            for one in self.variables:
-                values[one.name][part] = one.evaluate(points)
+            for variable in self.variables:
+                values[variable.name][part] = variable.evaluate(points)
         values |= {axis.name: coordinates[:, k] for k, axis in enumerate(self.domain.axes) if axis in self.sampled}
         shape = tuple(part.stop - part.start for part in self.region(index))
         return {name: array.reshape(shape) for name, array in values.items()}
@@ -135,7 +135,7 @@ class Plan:
                 "limits": ends and [[x if math.isfinite(x) else None for x in end] for end in ends],
             },
             "domain": self.domain.definition(),
-            "metrics": [one.definition() for one in self.metrics],
+            "metrics": [metric.definition() for metric in self.metrics],
             "chunk": list(self.chunk),
         }
 
@@ -155,7 +155,7 @@ class Plan:
         return cls(
             Geometry(**sizes, limits=limits),
             Domain.from_definition(content["domain"]),
-            tuple(metric_from_definition(one) for one in content["metrics"]),
+            tuple(metric_from_definition(definition) for definition in content["metrics"]),
             tuple(content["chunk"]),
             content["spm_pin"],
         )
@@ -172,20 +172,22 @@ def package_version() -> str:
     return str(import_module("spm_pin").__version__)
 
 
-def definition_differences(stored: Any, asked: Any, where: str = "") -> list[str]:
+def definition_differences(stored: Any, requested: Any, where: str = "") -> list[str]:
     """Return what differs between two definitions, a line for each."""
-    if isinstance(stored, dict) and isinstance(asked, dict):
-        keys = list(dict.fromkeys([*stored, *asked]))
+    if isinstance(stored, dict) and isinstance(requested, dict):
+        keys = list(dict.fromkeys([*stored, *requested]))
         prefix = f"{where}." if where else ""
         return [
-            line for key in keys for line in definition_differences(stored.get(key), asked.get(key), f"{prefix}{key}")
+            line
+            for key in keys
+            for line in definition_differences(stored.get(key), requested.get(key), f"{prefix}{key}")
         ]
-    if isinstance(stored, list) and isinstance(asked, list) and len(stored) == len(asked):
-        pairs = enumerate(zip(stored, asked, strict=True))
+    if isinstance(stored, list) and isinstance(requested, list) and len(stored) == len(requested):
+        pairs = enumerate(zip(stored, requested, strict=True))
         return [line for k, pair in pairs for line in definition_differences(*pair, f"{where}[{k}]")]
-    if isinstance(stored, list) and isinstance(asked, list) and where == "metrics":
-        stored, asked = ([one["name"] for one in side] for side in (stored, asked))
-    if stored == asked:
+    if isinstance(stored, list) and isinstance(requested, list) and where == "metrics":
+        stored, requested = ([metric["name"] for metric in metrics] for metrics in (stored, requested))
+    if stored == requested:
         return []
-    there, here = (json.dumps(value, ensure_ascii=False) for value in (stored, asked))
+    there, here = (json.dumps(value, ensure_ascii=False) for value in (stored, requested))
     return [f"{where} is {there} there and {here} here"]

@@ -258,7 +258,7 @@ def status(store: str | os.PathLike[str]) -> SweepStatus:
         done=completed_count(path),
         total=math.prod(-(-length // part) for length, part in chunks),
         points=domain.size,
-        metrics=tuple(one["name"] for one in definition["metrics"]),
+        metrics=tuple(metric["name"] for metric in definition["metrics"]),
         shape=dict(zip(domain.dims, domain.shape, strict=True)),
         version=definition["spm_pin"],
     )

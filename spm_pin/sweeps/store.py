@@ -122,7 +122,7 @@ class Store:
         """
         with as_store_error(path):
             if not path.exists() or (path.is_dir() and not any(path.iterdir())):
-                # A process that is killed leaves this hidden folder behind: no other one can know whose it is.
+                # A process that is killed leaves this hidden folder behind: no later one can find out whose it is.
                 with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
                     draft = Path(folder, "store")
                     _create(draft, plan)
@@ -140,7 +140,7 @@ class Store:
 
     @property
     def _names(self) -> tuple[str, ...]:
-        return (*(axis.name for axis in self.plan.sampled), *(one.name for one in self.plan.variables))
+        return (*(axis.name for axis in self.plan.sampled), *(variable.name for variable in self.plan.variables))
 
     def is_complete(self, index: tuple[int, ...]) -> bool:
         """Return whether the chunk at `index` has been written, and is still as it was.
@@ -242,7 +242,7 @@ def domain_and_definition(path: Path) -> tuple[Domain, dict[str, Any]]:
             domain = Domain.from_definition(definition["domain"])
             if definition["format"] != FORMAT:
                 raise StoreError(str(path), f"a store of format {definition['format']}; this version has {FORMAT}")
-            parts, names = definition["chunk"], [one["name"] for one in definition["metrics"]]
+            parts, names = definition["chunk"], [metric["name"] for metric in definition["metrics"]]
             fits = len(parts) == len(domain.shape) and all(
                 type(part) is int and 1 <= part <= length for part, length in zip(parts, domain.shape, strict=True)
             )
@@ -328,7 +328,7 @@ def _create(path: Path, plan: Plan) -> None:
         path,
         zarr_format=3,
         attributes={
-            "title": f"3RPS-3SPR manipulator: {', '.join(one.name for one in plan.metrics)}",
+            "title": f"3RPS-3SPR manipulator: {', '.join(metric.name for metric in plan.metrics)}",
             "source": f"spm_pin {plan.version}",
             "spm_pin_sweep": plan.text,
             **({"coordinates": " ".join(apart)} if apart else {}),
@@ -356,8 +356,8 @@ def _create(path: Path, plan: Plan) -> None:
             values = np.asarray(axis.start) if axis.fixed else axis.values
             names = () if axis.fixed else (axis.name,)
             group.create_array(axis.name, data=values, dimension_names=names, attributes=dict(axis.attributes))
-    for one in plan.variables:
-        array(one.name, one.dtype, one.not_computed, one.attributes())
+    for variable in plan.variables:
+        array(variable.name, variable.dtype, variable.not_computed, variable.attributes())
     group.create_group("sweep").create_array(
         "crc32c",
         shape=plan.chunks,

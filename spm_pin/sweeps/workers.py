@@ -138,10 +138,10 @@ def _compile_kernels(plan: Plan) -> None:
     angles = state.pose.rotation.as_euler("XYX", suppress_warnings=True)
     point = legs if plan.domain.space == "legs" else np.concatenate([state.translation, angles], axis=-1)
     points = Points(geometry, plan.domain.space, point)
-    for one in plan.variables:
-        if one.name == "status" or one.name in METRICS:
+    for variable in plan.variables:
+        if variable.name == "status" or variable.name in METRICS:
             with contextlib.suppress(SpmError):
-                one.evaluate(points)
+                variable.evaluate(points)
 
 
 @contextlib.contextmanager

@@ -197,7 +197,7 @@ def test_three_dimensional_axes_are_refused():
         ({"width": 4}, "width: expected at least 100 pixels, a whole number, got 4"),
         ({"width": 100000}, "width: expected at most 6000 pixels, a whole number, got 100000"),
         ({"width": 500.5}, "width: expected at most 6000 pixels, a whole number, got 500.5"),
-        ({"background": "notacolour"}, "background: expected a colour that matplotlib knows"),
+        ({"background": "notacolour"}, "background: expected a colour of matplotlib"),
     ],
 )
 def test_impossible_pictures_are_refused(tmp_path, save, options, says):

@@ -88,7 +88,7 @@ def inverse_jacobians(
             n = unit_rates(BASE_AXES, w)
             slide = slides(b, w, n)
             # As seen from {B}, a motion of the platform carries the upper legs' planes, hence the b_i, along the R_i2.
-            one, two, three = _row(axes[0], b[0], o), _row(axes[1], b[1], o), _row(axes[2], b[2], o)
+            first, second, third = _row(axes[0], b[0], o), _row(axes[1], b[1], o), _row(axes[2], b[2], o)
             lower, upper = lower_legs(b, base_radius), upper_legs(b, tile, k, platform_radius)
             doubtful = is_suspect(b, axes, BASE_AXES, w, side, singular) | is_short(b, lower) | is_short(b, upper)
             flags[k] = 1.0 if doubtful else 0.0
@@ -97,8 +97,8 @@ def inverse_jacobians(
                 share = combined(scaled(dot(lower[i], w[i]), slide[i]), dot(lower[i], n[i]), _UNIT[i])
                 rest = combined(scaled(dot(upper[i], w[i]), slide[i]), dot(upper[i], n[i]), _UNIT[i])
                 for j in range(6):
-                    out[6 * i + j, k] = _weighted(share, one, two, three, j)
-                    out[6 * (i + 3) + j, k] = fixed[j] - _weighted(rest, one, two, three, j)
+                    out[6 * i + j, k] = _weighted(share, first, second, third, j)
+                    out[6 * (i + 3) + j, k] = fixed[j] - _weighted(rest, first, second, third, j)
         _put_matrices(out, flags, start, width, matrices, suspect)
 
 

@@ -149,8 +149,8 @@ def all_modes(
         for i in range(2):
             for j in range(2):
                 free = (1 if lower[i] else 0) + (1 if upper[j] else 0)
-                one, other = lower[i] or _is_there(below, 8 * i), upper[j] or _is_there(above, 8 * j)
-                dimension[n, 2 * i + j] = free if one and other else 0
+                below_exists, above_exists = lower[i] or _is_there(below, 8 * i), upper[j] or _is_there(above, 8 * j)
+                dimension[n, 2 * i + j] = free if below_exists and above_exists else 0
 
 
 @jit_inline

@@ -177,7 +177,7 @@ def _tilts(stage: Equations, kappa: float, turn: complex, a: float, starts: Floa
         if not (fits and -0.01 < p < 1.01):
             continue
         p = min(max(p, 0.0), 1.0)
-        # b = (κ + 2p) p cos 3ψ + 2 ζ x0 |w|: its sign tells which of w and -w is the one with ζ >= 0.
+        # b = (κ + 2p) p cos 3ψ + 2 ζ x0 |w|: its sign decides which of w and -w is the one with ζ >= 0.
         upper = math.sqrt(p) if b >= (kappa + 2.0 * p) * p * cubed.real else -math.sqrt(p)
         starts[count, 0], starts[count, 1] = math.sqrt(1.0 - p), upper * turn.real
         starts[count, 2] = upper * turn.imag

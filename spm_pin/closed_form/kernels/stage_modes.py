@@ -85,13 +85,13 @@ def _copy(rows: FloatArray, source: int, target: int) -> None:
 
 
 @jit_inline
-def _distance(one: FloatArray, other: FloatArray) -> float:
+def _distance(first: FloatArray, second: FloatArray) -> float:
     """Return how far the corners of two solutions are apart, or of one and the other's mirror image."""
     across, same, mirrored = 0.0, 0.0, 0.0
     for i in range(3):
-        across += (one[5 + i] - other[5 + i]) ** 2
-        same += (one[8 + i] - other[8 + i]) ** 2
-        mirrored += (one[8 + i] + other[8 + i]) ** 2
+        across += (first[5 + i] - second[5 + i]) ** 2
+        same += (first[8 + i] - second[8 + i]) ** 2
+        mirrored += (first[8 + i] + second[8 + i]) ** 2
     return math.sqrt(across + min(same, mirrored))
 
 

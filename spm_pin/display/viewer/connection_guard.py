@@ -1,7 +1,7 @@
 """Which websockets a viewer accepts, and which of their messages.
 
 A page of another site may not open a websocket to the viewer: the browser names the page's origin, which has to be the
-viewer's own. Of the messages viser knows, those that the viewer's page sends are let through, with numbers that are
+viewer's own. Of viser's messages, those that the viewer's page sends are let through, with numbers that are
 finite and of a size that means something; anything else is dropped before viser reads it.
 """
 
@@ -34,7 +34,7 @@ Check = Callable[[Any], bool]
 
 
 def origin_allowed(origins: Collection[str], hosts: Collection[str], address: str, allowed: Collection[str]) -> bool:
-    """Return whether a websocket may be opened by the page that asks for it.
+    """Return whether the page that requests a websocket may open it.
 
     Parameters
     ----------

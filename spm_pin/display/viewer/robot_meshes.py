@@ -64,8 +64,8 @@ class RobotMeshes:
         groups: dict[tuple[str, tuple[int, int, int], str], list[tuple[int, VisualPart]]] = {}
         for k, part in enumerate(visual_parts(geometry)):
             red, green, blue = (round(255.0 * x) for x in part.colour)
-            own = part.name if part.mesh in _STRETCHED else ""
-            groups.setdefault((part.body, (red, green, blue), own), []).append((k, part))
+            separate = part.name if part.mesh in _STRETCHED else ""
+            groups.setdefault((part.body, (red, green, blue), separate), []).append((k, part))
         self.meshes = tuple(_joined(colour, body, members) for (body, colour, _), members in groups.items())
         self._parts = [mesh.part for mesh in self.meshes]
 

@@ -1,6 +1,6 @@
 """The boundary of the reachable positions, as a closed mesh whose vertices lie on it.
 
-Marching cubes need to know of the nodes of a grid only which are reachable: that says which edges the boundary crosses,
+Marching cubes need only the reachability of the nodes of a grid: it determines which edges the boundary crosses,
 and `spm_pin.workspace.reachability.edge_intersection` says where. What bounds the set is derived in
 `docs/theory/reachable_set.md`.
 """
@@ -62,9 +62,9 @@ class BoundaryPoints:
     violation: FloatArray
 
     @classmethod
-    def of(cls, box: LegBox, asked: FloatArray, found: Nearest) -> BoundaryPoints:
+    def of(cls, box: LegBox, points: FloatArray, found: Nearest) -> BoundaryPoints:
         """Describe what was found nearest to points outside the reachable set."""
-        normal = (asked - found.position) / np.maximum(found.distance, np.finfo(float).tiny)[:, None]
+        normal = (points - found.position) / np.maximum(found.distance, np.finfo(float).tiny)[:, None]
         at_limit = (found.lengths >= box.maximum).astype(np.int8) - (found.lengths <= box.minimum).astype(np.int8)
         return cls(found.position, normal, found.lengths, at_limit, found.gradient, found.optimality)
 
@@ -163,15 +163,15 @@ class Boundary:
         on_mesh = (self.vertices[self.faces[face]] * weights[..., None]).sum(axis=1)
         outwards = doubled[face] / double_area[face, None]
         box = leg_box(self.geometry, self.limits)
-        asked = np.empty((count, 3))
+        points = np.empty((count, 3))
         left, lift = np.arange(count), 0.1 * self.spacing
-        asked[:] = on_mesh + lift * outwards
-        found = _globally_nearest(box, asked)
+        points[:] = on_mesh + lift * outwards
+        found = _globally_nearest(box, points)
         while len(left := left[found.distance[left] <= 0.01 * self.spacing]):
             lift *= 2.0
-            asked[left] = on_mesh[left] + lift * outwards[left]
-            found = merged(found, left, _globally_nearest(box, asked[left]))
-        return BoundaryPoints.of(box, asked, found)
+            points[left] = on_mesh[left] + lift * outwards[left]
+            found = merged(found, left, _globally_nearest(box, points[left]))
+        return BoundaryPoints.of(box, points, found)
 
 
 def _globally_nearest(box: LegBox, points: FloatArray) -> Nearest:

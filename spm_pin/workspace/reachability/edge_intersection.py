@@ -71,18 +71,18 @@ def _followed(box: LegBox, inner: FloatArray, along: FloatArray) -> tuple[FloatA
         if not len(going):
             break
         here = at[going]
-        asked = inner[going] + here[:, None] * along[going]
-        found = nearest_in_box(box, asked, starts)
+        points = inner[going] + here[:, None] * along[going]
+        found = nearest_in_box(box, points, starts)
         # A reachable point on the segment is nearer than that: the search has to begin there.
         wrong = np.flatnonzero(found.distance > (here - low[going]) * size[going] + RESOLUTION * box.size)
-        found = merged(found, wrong, nearest_in_box(box, asked[wrong], within_reach[going[wrong]]))
+        found = merged(found, wrong, nearest_in_box(box, points[wrong], within_reach[going[wrong]]))
         reached = found.distance <= RESOLUTION * box.size
         within_reach[going[reached]] = found.coordinates[reached]
         low[going] = np.where(reached, here, low[going])
         high[going] = np.where(reached, high[going], here)
         # Of the outermost state: its legs are at limits to the last bit.
         lengths[going] = np.where(reached[:, None], lengths[going], found.lengths)
-        towards = ((asked - found.position) * along[going]).sum(axis=-1)
+        towards = ((points - found.position) * along[going]).sum(axis=-1)
         with np.errstate(divide="ignore", invalid="ignore"):
             plane = here - np.where(towards > 0.0, found.distance**2 / towards, 2.0)
         within = ~reached & (plane > low[going])

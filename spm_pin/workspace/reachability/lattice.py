@@ -45,21 +45,21 @@ def classified(
     inside, known = np.zeros(len(nodes), dtype=bool), np.zeros(len(nodes), dtype=bool)
     states = np.full((len(nodes), 2, 3), np.nan)
 
-    def search(what: str, asked: IntArray, starts: FloatArray | None) -> FloatArray:
-        found = search_states(box, nodes[asked], starts, what=what, progress=progress)
-        states[asked] = found.coordinates
-        known[asked] = True
-        inside[asked] |= found.reached
+    def search(what: str, chosen: IntArray, starts: FloatArray | None) -> FloatArray:
+        found = search_states(box, nodes[chosen], starts, what=what, progress=progress)
+        states[chosen] = found.coordinates
+        known[chosen] = True
+        inside[chosen] |= found.reached
         return found.distance
 
     for stride in _STRIDES:
-        asked = np.flatnonzero(~known & (index % stride == 0).all(axis=-1))
-        distance = search(f"reachable nodes, every {stride * spacing:g} m", asked, None) - box.margin
+        chosen = np.flatnonzero(~known & (index % stride == 0).all(axis=-1))
+        distance = search(f"reachable nodes, every {stride * spacing:g} m", chosen, None) - box.margin
         # Nothing within that distance is reachable.
         remote = distance > spacing
         if remote.any() and not known.all():
             unknown = np.flatnonzero(~known)
-            around = KDTree(nodes[unknown]).query_ball_point(nodes[asked[remote]], (1.0 - 1e-9) * distance[remote])
+            around = KDTree(nodes[unknown]).query_ball_point(nodes[chosen[remote]], (1.0 - 1e-9) * distance[remote])
             for members in around:
                 known[unknown[members]] = True
     # What a search has overlooked beside a reachable node is found from there.

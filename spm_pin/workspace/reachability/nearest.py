@@ -55,9 +55,9 @@ class Nearest:
     lengths : ndarray, shape (N, 6)
         Leg lengths that put o there [m]; a leg at a limit has that limit to the last bit.
     distance : ndarray, shape (N,)
-        From the point asked for [m].
+        Distance from the given point [m].
     gradient : ndarray, shape (N, 6)
-        q of Eq. (1), with n towards the point asked for; zero where that is reachable.
+        q of Eq. (1), with n towards the given point; zero where that is reachable.
     optimality : ndarray, shape (N,)
         By how much q violates Eq. (1), the largest of the six; zero where the point is reachable. Infinite where the
         search has left the mode of a real machine; then the state is the one it began with.

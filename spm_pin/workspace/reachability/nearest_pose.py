@@ -38,14 +38,14 @@ _SAME = 1e-7
 
 @dataclass(frozen=True)
 class NearestPose:
-    """A reachable state near an unreachable pose; arrays over the poses asked for, of shape (...).
+    """A reachable state near an unreachable pose; arrays over the given poses, of shape (...).
 
     Attributes
     ----------
     configuration : Configuration, shape (...)
         The nearest state found; NaN where none was found.
     distance : ndarray, shape (...)
-        From the pose asked for, see `pose_distance` [m]; a float for one pose.
+        Distance from the given pose, see `pose_distance` [m]; a float for one pose.
     """
 
     configuration: Configuration
@@ -139,8 +139,8 @@ def nearest_reachable_pose(
     else:
         branch = branch or FAMILIES[0 if near is None else int(family(near))] + "+"
         from_near = None if near is None else near.pose
-        poses = [nearest_real_pose(geometry, as_rigid_transform(one), branch[:2], from_near) for one in matrices]
-        nearest = np.array([one.as_matrix() for one in poses]).reshape(-1, 4, 4)
+        poses = [nearest_real_pose(geometry, as_rigid_transform(matrix), branch[:2], from_near) for matrix in matrices]
+        nearest = np.array([pose.as_matrix() for pose in poses]).reshape(-1, 4, 4)
         states = inverse_displacement(geometry, nearest)[branch]
     arrays = [
         getattr(states, name).reshape(*target.shape, *trailing)

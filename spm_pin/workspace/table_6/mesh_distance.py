@@ -54,9 +54,9 @@ class FacesByPlace:
             few = min(few, len(self._triangles))
             for part in np.array_split(left, -(-len(left) * few // _CHUNK)):
                 apart, near = (np.asarray(found) for found in self._tree.query(points[part], k=np.arange(1, few + 1)))
-                asked = np.repeat(points[part], few, axis=0)
-                nearest = trimesh.triangles.closest_point(self._triangles[near.ravel()], asked)
-                shortest[part] = np.linalg.norm(nearest - asked, axis=1).reshape(near.shape).min(axis=1)
+                queries = np.repeat(points[part], few, axis=0)
+                nearest = trimesh.triangles.closest_point(self._triangles[near.ravel()], queries)
+                shortest[part] = np.linalg.norm(nearest - queries, axis=1).reshape(near.shape).min(axis=1)
                 # A face whose centroid is farther than this is itself farther than the nearest one found.
                 settled[part] = (apart[:, -1] - self._reach >= shortest[part]) | (few == len(self._triangles))
             left, few = left[~settled[left]], 4 * few

@@ -30,7 +30,7 @@ _ROUNDING = 32.0 * float(np.finfo(np.float64).eps)
 
 
 class ClosedSurface:
-    """A closed, oriented triangle mesh that tells how it winds round points.
+    """A closed, oriented triangle mesh, and its winding numbers round points.
 
     Parameters
     ----------
