@@ -1,4 +1,4 @@
-"""All branches of a pose, and what each asks of the legs.
+"""All branches of a pose, and the leg lengths of each.
 
 Needs `pip install ".[plots]"`. Writes its picture into the folder given, or into this one.
 """

@@ -1,4 +1,4 @@
-"""Number of real branches of a pose, proved by ball arithmetic (python-flint), by a route of its own.
+"""Number of real branches of a pose, proved by ball arithmetic (python-flint), by another method than the package's.
 
 Neither the paper's unknowns nor the package's quaternions: each ball joint is a point at arc length l_i on the
 line of its two leg planes, the three distances are monic quadratics in the l_i, and l_3 and l_1 are eliminated by

@@ -1,4 +1,4 @@
-"""Number of real assembly modes of a 3RPS stage, proved in exact arithmetic (python-flint), by a route of its own.
+"""Number of real assembly modes of a 3RPS stage, proved in exact arithmetic (python-flint) by another method.
 
 Neither the package's quaternions nor its harmonics: the unknowns are t_k = tan(θ_k / 2) of the legs' angles in their
 vertical planes, the equations the three sides of the triangle. The azimuths being a third of a turn apart, their

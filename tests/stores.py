@@ -15,7 +15,7 @@ CHUNK = 100
 
 
 def small(path: Path, **changes: Any) -> Any:
-    """Run the small sweep, in this process unless told otherwise."""
+    """Run the small sweep, in this process by default."""
     asked = {"geometry": GEOMETRY, "domain": GRID, "metrics": METRICS, "chunk": CHUNK, "workers": 1} | changes
     return spm.sweeps.run(store=path, **asked)
 

@@ -1,4 +1,4 @@
-"""Every example runs as it stands, and the index knows it."""
+"""Every example runs as it stands and is listed in the index."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Importing the package is light: nothing heavy comes along until it is asked for."""
+"""Import of the package: heavy libraries are imported on first use only."""
 
 from __future__ import annotations
 

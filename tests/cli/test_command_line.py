@@ -71,7 +71,7 @@ def test_no_subcommand_makes_a_console_or_markup_of_its_own() -> None:
         text = path.read_text(encoding="utf-8")
         for word in ("rich.markup", "from_markup", "markup=True", "[bold", "[red]", "Console("):
             assert word not in text or (word == "Console(" and path.name == "console.py"), (path.name, word)
-        # Columns of progress bars read their text as markup unless told otherwise.
+        # Columns of progress bars read their text as markup by default.
         assert text.count("TextColumn(") == text.count('description}", markup=False)'), path.name
 
 

@@ -264,7 +264,7 @@ def losses(state: spm.Configuration) -> tuple[float, float, float]:
 
 @pytest.mark.parametrize("target", [1e-2, 1e-6, 1e-10, 1e-14])
 def test_digits_kept_towards_a_fold(target):
-    """The error of -Gᵀ w knows nothing of the discriminant; that of J_f's inverse grows with its inverse root."""
+    """The error of -Gᵀ w does not depend on the discriminant; that of J_f's inverse grows with its inverse root."""
     branches = fold(target)
     errors = np.array([losses(state) for state in branches])
     assert (errors[:, 0] <= 8 * EPS * stage_conditions(branches)).all()

@@ -120,7 +120,7 @@ def test_the_tree_has_eighteen_joints_that_load_everywhere() -> None:
 
 
 def test_limits_leave_room_for_the_paper_s_forces() -> None:
-    """Table 5 asks for 105 kN."""
+    """The largest force in Table 5 is 105 kN."""
     tree = KinematicTree(shipped(URDF))
     assert all(tree.moving[name].limit["effort"] > 1.05e5 for name in SLIDES)
 

@@ -1,4 +1,4 @@
-"""PyBullet reads the URDF; its closures are made of the extended's pairs, at the centres of mass, as it wants them.
+"""PyBullet reads the URDF; its closures are made from the Extended-URDF's pairs, at the centres of mass.
 
 It hands poses over in single precision, at 2.6 m: what the other engines hold to 1e-12 is known to 1e-6 here.
 """

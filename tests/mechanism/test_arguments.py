@@ -21,7 +21,7 @@ HUGE = 10**5000
 
 
 class Hostile:
-    """An object whose conversions raise what nobody expects."""
+    """An object whose conversions raise unusual errors."""
 
     def __array__(self, *args: object, **keywords: object) -> np.ndarray:
         raise RuntimeError("no array")

@@ -76,7 +76,7 @@ def test_forward_dynamics_is_the_plain_solution(name: str) -> None:
 
 
 def test_open_gaps_decay_by_the_gains() -> None:
-    """Off the closures as well: ë + kd ė + kp e = 0, with e differentiated by nobody but the test."""
+    """Off the closures as well: ë + kd ė + kp e = 0, with e differentiated in the test alone."""
     robot, rng = chain(), np.random.default_rng(202)
     q, v = states("paper", 1, seed=203)[0]
     q, v = q + 1e-2 * rng.normal(size=18), v + 1e-2 * rng.normal(size=18)

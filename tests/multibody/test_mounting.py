@@ -84,7 +84,7 @@ def test_forces_and_motions_of_both_mounted_chains(name: str, way: str) -> None:
     f = rng.normal(size=both.actuated_indices.size)
     pushes = {"spm_leg_c2_rod": rng.normal(size=6), "spm_terminal_platform": rng.normal(size=6)}
     a = both.forward_dynamics(q, v, f, pushes)
-    # The plain equations, with Jacobians that know nothing of the package.
+    # The plain equations, with Jacobians computed without the package.
     model, data = both.model, both.model.createData()
     ends = [[model.getFrameId(frame) for frame in (c.frame_a, c.frame_b)] for c in small().closures]
 

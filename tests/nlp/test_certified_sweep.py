@@ -61,7 +61,7 @@ def test_the_miss_rate_is_at_most_the_stated_risk() -> None:
     searches, missed = compare(sample, certified(sample), range(10))
     interval = binomtest(missed, searches).proportion_ci(0.95, "exact")
     print(f"missed {missed} of {searches}: at most {interval.high:.1e} with 95 % confidence")
-    # Were the stated risk the truth, more misses than these would come up once in ten thousand such sweeps.
+    # If the stated risk is right, more misses than these occur once in ten thousand such sweeps.
     assert missed <= binom.isf(1e-4, searches, RISK)
 
 

@@ -1,4 +1,4 @@
-"""The paper's route as a witness: it agrees with the closed form, and its losses are its own."""
+"""The paper's route against the closed form, and its losses of digits and of branches."""
 
 from __future__ import annotations
 

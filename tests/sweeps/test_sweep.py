@@ -625,7 +625,7 @@ def test_a_limit_of_file_sizes_ends_a_sweep_that_resumes_later(tmp_path: Path) -
 
 @pytest.fixture
 def closed(tmp_path: Path) -> Iterator[Path]:
-    """A folder that may be read and not written, also by root, who gives up the rights of root for it."""
+    """A folder that may be read and not written; a process of root gives up root's rights for it."""
     folder = tmp_path / "closed"
     folder.mkdir()
     user = os.geteuid()

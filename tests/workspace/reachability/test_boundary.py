@@ -1,4 +1,4 @@
-"""The boundary's mesh, and the theorem that makes it one, checked by searches that know nothing of it."""
+"""The boundary's mesh, and the theorem behind it, checked by searches that do not use it."""
 
 from __future__ import annotations
 

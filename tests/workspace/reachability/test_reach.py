@@ -139,7 +139,7 @@ def test_a_sample_in_leg_space_is_uniform_there_and_repeatable() -> None:
 
 
 def test_a_sample_of_poses_is_uniform_in_pose_space() -> None:
-    """As often in each of two boxes of poses as uniform poses, which the inverse displacement tells to be reachable."""
+    """As often in each of two boxes of poses as uniform poses that are reachable by the inverse displacement."""
     steps: list[int] = []
     states = sample_reachable(PAPER, 4000, space="poses", rng=9, progress=lambda what, done, of: steps.append(done))
     assert steps[-1] == 4000

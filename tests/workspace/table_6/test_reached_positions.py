@@ -16,7 +16,7 @@ def test_positions_are_those_of_legs_within_their_limits() -> None:
     limits = spm.LegLimits([1.1, 1.2, 1.3, 1.1, 1.2, 1.3], [1.5, 1.4, 1.5, 1.2, 1.4, 1.5])
     found = reached_positions(PAPER, limits, count=300, seed=1)
     assert found.positions.shape == (300, 3)
-    # The same numbers again, through a solver that is not asked for positions alone.
+    # The same numbers again, through a solver that returns more than positions.
     rng = np.random.default_rng(1)
     share = np.sin(np.pi / 2 * rng.random((300, 6))) ** 2
     share = np.where(rng.random((300, 6)) < 0.35, share.round(), share)
