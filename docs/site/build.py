@@ -121,10 +121,13 @@ def _contents(found: dict[str, str]) -> str:
     """Return the tables of contents: what stands first, and then whatever else a folder holds."""
     kinematics = ("inverse_displacement", "forward_displacement", "rates_forces_singularities")
     theory = (*kinematics, "workspace", "reachable_set", "proofs", "dynamics")
+    guides = ("batches", "paths", "workspace", "viewer", "pipelines", "load_elsewhere", "sweep")
     chapters = {
         "Theory": _ordered(found, "theory", theory),
         "The paper": ["findings", "paper"],
-        "How to": _ordered(found, "howto", ("batches", "paths", "viewer", "pipelines", "load_elsewhere", "sweep")),
+        "How to": _ordered(
+            found, "howto", ("batches", "paths", "workspace", "viewer", "pipelines", "load_elsewhere", "sweep")
+        ),
         "More": [
             "examples",
             "reference/index",
