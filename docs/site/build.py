@@ -125,9 +125,7 @@ def _contents(found: dict[str, str]) -> str:
     chapters = {
         "Theory": _ordered(found, "theory", theory),
         "The paper": ["findings", "paper"],
-        "How to": _ordered(
-            found, "howto", ("batches", "paths", "workspace", "viewer", "pipelines", "load_elsewhere", "sweep")
-        ),
+        "How to": _ordered(found, "howto", guides),
         "More": [
             "examples",
             "reference/index",

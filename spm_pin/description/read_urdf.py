@@ -31,7 +31,7 @@ KINDS_OF_CONSTRAINT = {"spherical": "point", "spherical_joint": "point", "link":
 """Kinds of closure by the names in the ROS proposal's `<constraint>`."""
 
 LARGEST = 1e12
-"""Largest mass [kg] and moment of inertia [kg m²] that are believed."""
+"""Largest mass [kg] and moment of inertia [kg m²] accepted."""
 
 TRANSMISSION = "transmission_interface/SimpleTransmission"
 
@@ -96,7 +96,7 @@ class _Reader:
         for node in root.all("material"):
             node.get("name")
             self._material(node)
-        # Those with names first.
+        # Named materials first.
         inside = [*map(_constraint, root.all("constraint")), *map(_ball, root.all("drake:ball_constraint"))]
         return RobotDescription(
             root.get("name"),

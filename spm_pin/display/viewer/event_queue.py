@@ -39,7 +39,7 @@ class EventQueue:
             self._task = asyncio.get_running_loop().create_task(self._work())
 
     def close(self) -> None:
-        """Drop what waits; what runs comes to its end."""
+        """Drop waiting actions; the running one is completed."""
         self.closed = True
         self._waiting.clear()
 

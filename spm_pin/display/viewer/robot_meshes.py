@@ -16,7 +16,7 @@ from spm_pin.mechanism.geometry import LEGS, Geometry
 __all__ = ["MovingMesh", "Placements", "RobotMeshes"]
 
 _STRETCHED = ("tube", "gland")
-"""Meshes of a leg with placements of their own, since they follow its length."""
+"""Meshes of a leg with placements of their own, which depend on its length."""
 
 
 @dataclass(frozen=True, eq=False)

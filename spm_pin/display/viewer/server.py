@@ -122,7 +122,7 @@ class Viewer:
 
     async def _connected(self, client: Any) -> None:
         session = await asyncio.to_thread(Session, client, self._config, asyncio.get_running_loop())
-        # It may have left while its page was made.
+        # The client may have disconnected while its page was made.
         if client.client_id in self.server.get_clients():
             with self._lock:
                 self._sessions[client.client_id] = session
@@ -138,7 +138,7 @@ class Viewer:
 
     def wait(self) -> None:
         """Serve until `stop` is called, or the process interrupted."""
-        # With a timeout, since a wait without one does not hear Ctrl-C everywhere.
+        # With a timeout: a wait without one cannot be interrupted by Ctrl-C on every system.
         while not self._stopped.wait(timeout=0.5):
             pass
 

@@ -78,7 +78,7 @@ class Session:
         )
         self.gizmo.on_update(self._gizmo_moved)
         self.show()
-        # The panel is not at its place yet.
+        # The panel is not placed yet.
         self.look("Home", 0.0 if self._narrow else PANEL_WIDTH)
 
     @property

@@ -135,7 +135,7 @@ def stop(server: Any) -> None:
 
 @contextlib.contextmanager
 def quiet_server(host: str, port: int) -> Iterator[Any]:
-    """Have a server for as long as the block lasts."""
+    """Run a server while the block is executed."""
     server = start(host, port)
     try:
         yield server

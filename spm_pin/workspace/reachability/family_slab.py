@@ -24,7 +24,7 @@ from spm_pin.mechanism.pose import pose as make_pose
 __all__ = ["LEAST_TILT", "nearest_real_pose"]
 
 LEAST_TILT = np.deg2rad(0.1)
-"""Angle between the Z axes of {B} and {m} [rad] below which nothing is sought: parallel, they have no common normal,
+"""Angle between the Z axes of {B} and {m} [rad] below which there is no search: parallel, they have no common normal,
 and the manipulator is degenerate or out of reach."""
 
 _EXCLUDED = 1e6

@@ -209,7 +209,7 @@ class LegSearch:
         left, fixed = np.arange(len(index)), held.copy()
         while len(left):
             stop = fixed[left]
-            # What is at its end pulls the others along.
+            # Legs at a limit change the step of the others.
             right = slope[left] + (hessian[left] @ np.where(stop, step[left], 0.0)[..., None])[..., 0]
             right = np.where(stop, 0.0, right)
             matrix = np.where(stop[:, :, None] | stop[:, None, :], np.eye(6), hessian[left])

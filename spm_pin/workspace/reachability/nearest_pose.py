@@ -185,7 +185,7 @@ def _within_limits(
         search.take(np.arange(len(targets)), other)
     search.settle()
     states = mapping.states(search.coordinates)
-    # Newton's method has gone in long steps: has it kept the mode?
+    # After long steps of Newton's method the mode is checked.
     home = near is None or bool(physical(near))
     proved = forward_physical(geometry, search.lengths, seed=None if home else near)
     with np.errstate(invalid="ignore"):
