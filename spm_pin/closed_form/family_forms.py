@@ -1,4 +1,4 @@
-"""The four quadratics of a pose, which say how far its families are from being real.
+"""The four quadratics of a pose; their discriminants measure how far its families are from being real.
 
 Notation and derivation: `spm_pin.closed_form.inverse_displacement` and `docs/theory/inverse_displacement.md`.
 """

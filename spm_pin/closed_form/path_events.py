@@ -21,9 +21,9 @@ Solver = Callable[[float], SolutionSet]
 CLEARLY = 0.25
 """A solution is clearly the nearest to the predicted one if its error is at most this share of the next one's."""
 SHORTEST_STEP = 1e-11
-"""In the path's parameter: where even this does not tell solutions apart, they meet."""
+"""Shortest step in the path's parameter; solutions that it does not separate are taken to meet."""
 MOST_UNCLEAR = 100
-"""After so many shortest steps in a row two solutions do not cross but coincide, and following one means nothing."""
+"""Number of successive shortest steps after which two solutions are taken to coincide."""
 
 
 class EventKind(enum.StrEnum):
@@ -56,7 +56,7 @@ class Event:
 
 
 def joints_of(configuration: Configuration) -> FloatArray:
-    """Return the points that tell solutions apart, b_i and c_i, shape (..., 6, 3)."""
+    """Return the points by which solutions are compared, b_i and c_i, shape (..., 6, 3)."""
     return np.concatenate([configuration.middle_joints, configuration.platform_joints], axis=-2)
 
 

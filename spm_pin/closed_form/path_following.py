@@ -29,7 +29,7 @@ from spm_pin.mechanism.solutions import SolutionSet
 __all__ = ["FollowedPath", "follow"]
 
 LONGEST_MOVE = 0.1
-"""A joint moves at most this share of d in a step, lest a turn be missed."""
+"""A joint moves at most this share of d in a step, so that no turn is missed."""
 
 
 _MOST_EVENTS = 4

@@ -44,7 +44,7 @@ _INK = (0.13, 0.15, 0.18)
 def draw_shell(
     shell: Shell, *, ax: Axes | None = None, view: tuple[float, float] = VIEW, labels: bool = True, dpi: float = 200.0
 ) -> Axes:
-    """Draw a shell into a 2-D matplotlib Axes, seen from far away.
+    """Draw a shell into a 2-D matplotlib Axes, in orthographic projection.
 
     Every pixel shows the nearest patch, in the colour of its family, see `FAMILY_COLOURS`. Data coordinates are metres
     to the right of O and above it as the viewer sees it.

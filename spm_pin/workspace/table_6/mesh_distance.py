@@ -12,7 +12,7 @@ from spm_pin.mechanism.arguments import FloatArray
 __all__ = ["FacesByPlace"]
 
 _FEW = 16
-"""Faces looked at first."""
+"""Number of nearest faces examined first."""
 _CHUNK = 1 << 20
 """Points times faces whose distances are computed together."""
 

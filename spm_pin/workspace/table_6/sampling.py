@@ -1,4 +1,4 @@
-"""Positions that are reached for certain: forward displacement of leg lengths drawn at random.
+"""Positions reached by construction: forward displacement of leg lengths drawn at random.
 
 Drawn evenly, leg lengths seldom put the platform near the boundary of what it can reach; here many legs are at their
 limits, or near them.
@@ -43,7 +43,7 @@ class ReachedPositions:
 def reached_positions(
     geometry: Geometry, limits: LegLimits, *, count: int = 200_000, seed: int = 0
 ) -> ReachedPositions:
-    """Draw leg lengths within limits, and tell where they put the platform.
+    """Draw leg lengths within limits and return the positions of the platform.
 
     Parameters
     ----------

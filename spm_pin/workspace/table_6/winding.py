@@ -60,7 +60,7 @@ class ClosedSurface:
         flat = array.reshape(-1, 3)
         number = np.zeros(len(flat), dtype=np.int32)
         left = np.arange(len(flat))
-        # A ray along a steep face leaves a doubt. One along another axis settles it, unless the point is on the face.
+        # A ray along a steep face may be undecided; one along another axis decides, unless the point is on the face.
         for axis in (2, 0, 1):
             number[left], doubtful = self._along(axis).count(np.roll(flat[left], 2 - axis, axis=-1))
             left = left[doubtful]
