@@ -94,8 +94,8 @@ class Tracker:
             solutions = self.solve(ahead)
             place, clear = self._nearest(solutions, ahead)
             shortest = ahead - here <= SHORTEST_STEP
-            # Two solutions that all but meet look like two that cross, but for their labels: a label may change
-            # hands only where the shortest step says so.
+            # Two solutions that nearly meet look like two that cross, except for their labels: labels are exchanged
+            # only where the shortest step confirms it.
             same = place is not None and solutions.labels[place] == self.labels[-1]
             if place is not None and ((clear and same) or (shortest and self._unclear < MOST_UNCLEAR)):
                 self._unclear = 0 if clear else self._unclear + 1
