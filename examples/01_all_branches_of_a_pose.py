@@ -1,6 +1,6 @@
 """All branches of a pose, and the leg lengths of each.
 
-Needs `pip install ".[plots]"`. Writes its picture into the given folder, or into the current one.
+Needs `pip install ".[plots]"`. Writes its picture into the given folder, or the current one.
 """
 
 import sys

@@ -1,6 +1,6 @@
 """Draw the paper's example pose: the physical branch beside all real ones.
 
-Needs `pip install ".[plots]"`. Writes its picture into the given folder, or into the current one.
+Needs `pip install ".[plots]"`. Writes its picture into the given folder, or the current one.
 """
 
 import sys

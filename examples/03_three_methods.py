@@ -1,6 +1,6 @@
 """The same Jacobian from the closed form, from the paper's 9 x 9, and from Pinocchio's constraints.
 
-Needs `pip install ".[plots]"`. Writes its picture into the given folder, or into the current one.
+Needs `pip install ".[plots]"`. Writes its picture into the given folder, or the current one.
 """
 
 import sys

@@ -1,6 +1,6 @@
 """Follow the machine along a path of leg lengths, and see what it meets.
 
-Needs `pip install ".[plots]"`. Writes its picture into the given folder, or into the current one.
+Needs `pip install ".[plots]"`. Writes its picture into the given folder, or the current one.
 """
 
 import sys

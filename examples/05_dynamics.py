@@ -1,6 +1,6 @@
 """Leg forces along a motion of the platform, and a free fall that keeps its energy.
 
-Needs `pip install ".[plots]"`. Writes its picture into the given folder, or into the current one.
+Needs `pip install ".[plots]"`. Writes its picture into the given folder, or the current one.
 """
 
 import sys

@@ -1,6 +1,6 @@
 """Hold the platform against a push, and bring it elsewhere: control in task space, at 1 kHz.
 
-Needs `pip install ".[plots]"`. Writes its picture into the given folder, or into the current one.
+Needs `pip install ".[plots]"`. Writes its picture into the given folder, or the current one.
 """
 
 import sys

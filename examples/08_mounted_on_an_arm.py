@@ -1,6 +1,6 @@
 """A small manipulator as the wrist of a UR5, in one Pinocchio model with its loops closed.
 
-Needs `pip install ".[plots,robots]"`. Writes its picture into the given folder, or into the current one.
+Needs `pip install ".[plots,robots]"`. Writes its picture into the given folder, or the current one.
 """
 
 import sys

@@ -1,6 +1,6 @@
 """The paper's workspace as a closed surface, its volume, and what lies outside it.
 
-Needs `pip install ".[plots]"`. Writes its picture into the given folder, or into the current one.
+Needs `pip install ".[plots]"`. Writes its picture into the given folder, or the current one.
 """
 
 import sys

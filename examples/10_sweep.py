@@ -1,6 +1,6 @@
 """A map of the conditioning over leg lengths, written chunk by chunk: stopped or killed, the same call goes on.
 
-Needs `pip install ".[cluster,plots]"`. Writes map.zarr and its picture into the given folder, or into the current one.
+Needs `pip install ".[cluster,plots]"`. Writes map.zarr and its picture into the given folder, or the current one.
 """
 
 import sys
