@@ -1,6 +1,6 @@
 """All eighteen joints from six leg lengths and from a platform path, as CSV and as a ROS JointTrajectory.
 
-Needs `pip install ".[plots]"`. Writes joints.csv, joints.json and its picture into the given folder, or the current one.
+Needs `pip install ".[plots]"`. Writes joints.csv, joints.json and a picture into the given folder, or the current one.
 """
 
 import sys

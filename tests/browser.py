@@ -1,4 +1,4 @@
-"""Chromium without a screen, and where things of a viewer's scene are in its picture."""
+"""Headless Chromium, and the positions of a viewer's objects in its picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every public callable answers nonsense with a result, or with an `SpmError` that names the argument."""
+"""Every public callable returns a result for malformed arguments, or raises an `SpmError` that names one."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from spm_pin import Geometry
 __all__ = ["compiled_newton", "ipopt", "mapped_newton"]
 
 STEPS = 25
-"""Newton steps from each start of the compiled version, whatever it has reached."""
+"""Newton steps from each start of the compiled version, without a test of convergence."""
 ITERATIONS = 60
 """At most so many steps of the mapped one, which stops where the loops are closed."""
 

@@ -1,4 +1,4 @@
-"""The C sources of the benchmarks, compiled on the spot by the machine's own compiler."""
+"""The C sources of the benchmarks, compiled by the machine's compiler when first used."""
 
 from __future__ import annotations
 

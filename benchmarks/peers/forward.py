@@ -1,4 +1,4 @@
-"""Forward displacement by other ways: per stage, on its three distance equations in the angles of the legs."""
+"""Forward displacement by other methods: per stage, on its three distance equations in the angles of the legs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""J_f and leg forces by other ways, per branch."""
+"""J_f and leg forces by other methods, per branch."""
 
 from __future__ import annotations
 

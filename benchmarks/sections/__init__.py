@@ -1,1 +1,1 @@
-"""The parts of the results, in their order."""
+"""The sections of the results, in order."""

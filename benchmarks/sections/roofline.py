@@ -24,7 +24,7 @@ _CACHED = 2048
 """Doubles that stay in the first cache."""
 _TURNS = 100_000
 _FEW = 1000
-"""Poses whose answers, a megabyte, stay in a cache."""
+"""Poses whose results, a megabyte, stay in a cache."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The command line run in this process, which spares the start of another one."""
+"""The command line run in this process."""
 
 from __future__ import annotations
 

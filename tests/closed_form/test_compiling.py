@@ -1,4 +1,4 @@
-"""Compiled kernels: vector instructions and no others than IEEE's, and a cache that never is in the way."""
+"""Compiled kernels: vector instructions, IEEE arithmetic, and a cache whose failures have no effect."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Forward displacement: every assembly mode is found, and what has none or a family of them is named."""
+"""Forward displacement: all assembly modes are found; lengths with none or with a family are reported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Laws of the forward displacement: batches, symmetries of the mechanism, units."""
+"""Forward displacement: batches, symmetries of the mechanism, units."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Laws of the inverse displacement, over batch shapes and the mechanism's own symmetries."""
+"""Symmetries of the inverse displacement, over batch shapes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A followed solution stays itself, and what happens on the way is reported where it happens."""
+"""A followed solution keeps its identity, and events are reported at their parameters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Singularities are found where the mechanism is singular, named right, and their screws do what is said of them."""
+"""Singularities: found where the mechanism is singular, of the right kind, with the right screws."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Leg forces: laws, the equilibrium of every body, and the digits kept at an inverse singularity."""
+"""Leg forces: symmetries, the equilibrium of every body, and the digits kept at an inverse singularity."""
 
 from __future__ import annotations
 

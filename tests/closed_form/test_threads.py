@@ -1,4 +1,4 @@
-"""Sharing a batch among threads: the same answer, only where it is wanted, and nothing left behind."""
+"""Batches divided among threads: equal results, only where requested, without lasting effects."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Leg rates and the platform's twist: laws, finite differences of the displacement, singular states."""
+"""Leg rates and the platform's twist: symmetries, finite differences of the displacement, singular states."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Methods with a fault each, for the report to find."""
+"""Methods with one fault each, for tests of the report."""
 
 from __future__ import annotations
 

@@ -135,7 +135,7 @@ class Drake:
             self.plant.WeldFrames(self.plant.world_frame(), self.plant.GetFrameByName("base"))
         self.plant.Finalize()
         self.context = self.plant.CreateDefaultContext()
-        # Drake hands its ball constraints over as the equations of an inverse-kinematics program, which must live on.
+        # Drake hands its ball constraints over as the equations of an inverse-kinematics program; keep it.
         self.kinematics = InverseKinematics(self.plant, with_joint_limits=False)
         self.equations = self.kinematics.prog().GetAllConstraints()
         moving = [self.plant.get_joint(i) for i in self.plant.GetJointIndices()]

@@ -1,4 +1,4 @@
-"""Forward kinematics of a URDF, read with the standard library alone: the measure for every other reader."""
+"""Forward kinematics of a URDF, read with the standard library alone, as reference for all readers."""
 
 from __future__ import annotations
 

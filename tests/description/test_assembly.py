@@ -1,4 +1,4 @@
-"""The tree stands assembled: at home for every geometry, and in every configuration that is a real one."""
+"""The tree is assembled at home for every geometry, and in every real configuration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reading closures, and saying where a file is wrong."""
+"""Reading closures, and errors that name the line."""
 
 from __future__ import annotations
 

@@ -112,7 +112,7 @@ def mujoco_model(mujoco: Any) -> tuple[Any, Any]:
         equality = spec.add_equality()
         equality.type, equality.objtype = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtObj.mjOBJ_BODY
         equality.name, equality.name1, equality.name2 = closure.name, closure.frame_a, closure.frame_b
-        # The anchor in frame_a; what MuJoCo puts there unasked is the default of another type.
+        # The anchor in frame_a; MuJoCo's default is of another type.
         equality.data = np.zeros_like(equality.data)
     model = spec.compile()
     return model, mujoco.MjData(model)

@@ -1,4 +1,4 @@
-"""A robot of one's own: a parallelogram, whose closed states are known, read from a URDF and exported."""
+"""A user's robot: a parallelogram, whose closed states are known, read from a URDF and exported."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ INERTIAL = (
     '<inertial><origin xyz="0.01 0.02 0.03" rpy="0.4 0.5 0.6"/><mass value="2"/>'
     '<inertia ixx="0.3" ixy="0.01" ixz="-0.02" iyy="0.4" iyz="0.03" izz="0.5"/></inertial>'
 )
-"""Turned and full: what only an oblique frame shows."""
+"""Inertias in oblique frames, with products of inertia."""
 
 
 def link(name: str) -> str:

@@ -1,4 +1,4 @@
-"""The description where others look for one: constants of its paths, and a ROS package around it."""
+"""The description as other programs find it: constants of its paths, and a ROS package."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_everything_is_installed() -> None:
     installed = re.findall(r"(?:FILES|DIRECTORY) ([^)]*?)DESTINATION", text)
     assert len(installed) == 2
     listed = set(" ".join(installed).split())
-    # The marker of the package and its own files are ament's business.
+    # The marker of the package and its own files are installed by ament.
     own = {"CMakeLists.txt", "package.xml", "resource", "__pycache__"}
     assert listed == {path.name for path in PACKAGE.iterdir()} - own
 

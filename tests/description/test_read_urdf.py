@@ -1,4 +1,4 @@
-"""Reading a URDF: everything, or the line at which something would be lost."""
+"""Reading a URDF: complete, or an error with the line of what is not supported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures: what is nearer hides what is farther, at every pixel; files; the example."""
+"""Pictures: hidden surfaces at every pixel, files, the example."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Connections to the viewer: foreign pages, scripted clients, and addresses that are none."""
+"""Connections to the viewer: foreign pages, scripted clients, malformed addresses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The viewer's page in a browser: dragged, clicked, warned, by two at once, and left."""
+"""The viewer's page in a browser: drags, clicks, warnings, two clients, disconnection."""
 
 from __future__ import annotations
 
@@ -198,7 +198,7 @@ def test_legs_beyond_their_limits_are_red(client):
     picture(page, "viewer_beyond_limits.png")
     legs = [handle for handle, mesh in zip(session.scene._robot, session.config.robot.meshes, strict=True) if mesh.leg]
     assert {tuple(handle.color) for handle in legs} == {(0xC8, 0x10, 0x2E)}
-    # Nothing is cut off or runs into its neighbour.
+    # No text is cut off or overlaps another.
     for leg in spm.mechanism.LEGS:
         length = page.locator(f'[data-spm="{leg}"]')
         mark = length.locator("xpath=following-sibling::span[1]")

@@ -1,4 +1,4 @@
-"""Recorded paths in a viewer: files good and bad, and the time that runs along them."""
+"""Recorded paths in a viewer: valid and invalid files, and playback."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The viewer's session without a page: what it does when it is dragged, and what it says."""
+"""The viewer's session without a page: drags and notices."""
 
 from __future__ import annotations
 

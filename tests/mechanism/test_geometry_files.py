@@ -1,4 +1,4 @@
-"""Geometries read from YAML files, and files that are none."""
+"""Geometries read from YAML files, and invalid files."""
 
 from __future__ import annotations
 

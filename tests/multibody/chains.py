@@ -1,4 +1,4 @@
-"""Chains, configurations and measures that the tests of the Pinocchio floor share."""
+"""Chains, configurations and norms shared by the tests of `multibody`."""
 
 from __future__ import annotations
 

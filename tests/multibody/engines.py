@@ -1,4 +1,4 @@
-"""The mechanism in MuJoCo and in Drake: their masses and Jacobians, and their own steps.
+"""The mechanism in MuJoCo and in Drake: masses, Jacobians and time steps of the engines.
 
 Both read the same URDF as Pinocchio does. Collisions and joint limits are off: they are not what is compared.
 """

@@ -1,4 +1,4 @@
-"""Leading axes: every method says of a batch what it says of the members, and of a bad member which it is."""
+"""Leading axes: methods return for a batch what they return for its members, and errors name the member."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The closures' Jacobian: of this q and no other, and exact wherever the tree stands."""
+"""The closures' Jacobian: evaluated at the given q, and exact everywhere."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Singular configurations: recognised, named, and with all that is still finite there."""
+"""Singular configurations: recognised, named, and with the quantities that stay finite there."""
 
 from __future__ import annotations
 

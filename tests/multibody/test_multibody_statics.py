@@ -109,7 +109,7 @@ def test_equilibrium_has_no_acceleration(branch: int) -> None:
             np.linalg.norm(pinocchio.constraintDynamics(model, data, q, rest, torque, constraints, state, settings))
             for torque in (load, held)
         )
-        # What rounding leaves of the forces accelerates the lightest of the tree, as far as the closures let it.
+        # What rounding leaves of the forces accelerates the lightest body of the tree, as far as the closures allow.
         size = np.linalg.norm(legs) + np.linalg.norm(cuts) + np.linalg.norm(wrench)
         assert still <= 8 * EPS * mobility * size / robot.singular_values(q).constraint
         assert still <= 1e-6 * let_go

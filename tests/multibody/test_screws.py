@@ -1,4 +1,4 @@
-"""The screws named at singularities, pushed in Pinocchio: what they say is free is free there too."""
+"""The screws at singularities, applied in Pinocchio: the motions that they allow are free there too."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Motions in time: three engines, energy, closures, and every way to an end."""
+"""Simulations: three engines, energy, closures, and every reason to end."""
 
 from __future__ import annotations
 

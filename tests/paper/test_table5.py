@@ -1,4 +1,4 @@
-"""Table 5: what is true at solution 3, and the three mistakes that together give what is printed."""
+"""Table 5: the true values at solution 3, and the three mistakes that together give the printed ones."""
 
 from __future__ import annotations
 

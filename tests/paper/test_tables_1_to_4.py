@@ -1,4 +1,4 @@
-"""Regressions named after the paper's tables; what is printed wrong is found, not listed."""
+"""Regressions named after the paper's tables; misprints are found by computation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Certificates: what they prove holds in other arithmetic, and nothing is certified that holds a singularity."""
+"""Certificates: checked in other arithmetic, and refused for limits with a singularity."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Indices against their definitions, by routes that share no code with them."""
+"""Metrics against their definitions, computed without shared code."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sweeps by several processes, which are killed, interrupted, or lost."""
+"""Sweeps by several processes that are killed, interrupted, or lost."""
 
 from __future__ import annotations
 

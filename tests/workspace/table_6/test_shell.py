@@ -1,4 +1,4 @@
-"""The shell: closed, oriented, symmetric, of the known volume, and not the whole of what is reached."""
+"""The shell: closed, oriented, symmetric, of the known volume, and smaller than the reachable set."""
 
 from __future__ import annotations
 
