@@ -228,7 +228,7 @@ def callables() -> Iterator[tuple[str, Callable[..., Any]]]:
                 if public in INPUTS:
                     yield public, member
                 if public in INSTANCES:
-                    for method in sorted(vars(member)):
+                    for method in sorted({name for base in member.__mro__[:-1] for name in vars(base)}):
                         if not method.startswith("_") and callable(getattr(member, method)):
                             yield f"{public}.{method}", getattr(member, method)
             seen.add(id(member))

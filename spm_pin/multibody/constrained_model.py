@@ -18,9 +18,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -45,8 +44,7 @@ SUSPECT = 1e-9
 """Reciprocal condition number below which a factorisation is checked by singular values: they take longer."""
 
 
-@dataclass(frozen=True)
-class SingularValues:
+class SingularValues(NamedTuple):
     """Smallest singular values at a configuration, dimensionless; each is named after what its zero means.
 
     Lengths are in units of the middle platform's side, the rates of a ball joint are its angular velocity. Arrays (...)
@@ -93,6 +91,10 @@ class ConstrainedModel:
         self.ends = np.array([[self.frames.index(frame) for frame in pair] for pair in pairs]).reshape(-1, 2)
         self.actuated = np.concatenate([layout.others, layout.v[layout.legs]])
 
+    def differences(self, points: FloatArray) -> FloatArray:
+        """Return what belongs to `frame_b` of each closure less what belongs to `frame_a`, of arrays over `frames`."""
+        return np.asarray(points[self.ends[:, 1]] - points[self.ends[:, 0]])
+
     def rigid_constraints(self) -> Any:
         """Return the closures in the form that `pinocchio.constraintDynamics` takes; they hold gains."""
         constraints = pin.StdVec_RigidConstraintModel()
@@ -103,15 +105,8 @@ class ConstrainedModel:
         return constraints
 
 
-@dataclass(frozen=True)
-class Factors:
-    """The LU factorisation of a regular matrix.
-
-    Attributes
-    ----------
-    lu, pivots : ndarray
-        As of LAPACK's dgetrf.
-    """
+class Factors(NamedTuple):
+    """The LU factorisation of a regular matrix, as of LAPACK's dgetrf."""
 
     lu: FloatArray
     pivots: Any
@@ -172,16 +167,14 @@ class TreeKinematics:
     @cached_property
     def gap(self) -> FloatArray:
         """From the origin of `frame_a` to that of `frame_b` of each closure, in the universe's axes [m], (n, 3)."""
-        points, ends = np.array(self._points), self.constrained.ends
-        return np.asarray(points[ends[:, 1]] - points[ends[:, 0]])
+        return self.constrained.differences(np.array(self._points))
 
     @cached_property
     def closures(self) -> FloatArray:
         """Jc: joint velocities (nv,) to the rates of the gaps, shape (3 n, nv); exact at any q, closed or not."""
         for row, frame in zip(self._rows, self.constrained.frames, strict=True):
             row[...] = pin.getFrameJacobian(self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED)[:3]
-        ends = self.constrained.ends
-        return np.asarray(self._rows[ends[:, 1]] - self._rows[ends[:, 0]]).reshape(-1, self.model.nv)
+        return self.constrained.differences(self._rows).reshape(-1, self.model.nv)
 
     def widest_gap(self) -> float:
         """Return the largest distance of two frames that a closure holds together [m]."""
@@ -240,20 +233,14 @@ class TreeKinematics:
 
     @cached_property
     def forward_factors(self) -> Factors:
-        """Factors of Jc's columns of the passive joints (12, 12), which are regular where N is.
-
-        Raises `SingularConfigurationError` at a forward or a constraint singularity.
-        """
+        """Factors of Jc's columns of the passive joints (12, 12), regular where N is; else raises."""
         return self._factors(self.chain_closures[:, self.layout.passive], "forward")
 
     @cached_property
     def inverse_factors(self) -> Factors:
-        """Factors of `motion_matrix`; raises at an inverse or a constraint singularity."""
-        return self._factors(self.motion_matrix(), "inverse")
-
-    def motion_matrix(self) -> FloatArray:
-        """Return [A Jm; Jc / d], K with rows of one unit, shape (18, 18)."""
-        return np.concatenate([self.twist_scale[:, None] * self.platform, self.chain_closures / self.layout.side])
+        """Factors of [A Jm; Jc / d] (18, 18), K with rows of one unit; raises where it is singular."""
+        rows = self.twist_scale[:, None] * self.platform, self.chain_closures / self.layout.side
+        return self._factors(np.concatenate(rows), "inverse")
 
     def velocities_of_twists(self) -> FloatArray:
         """Return X = K⁻¹ [I; 0]: twists of m to velocities of the mechanism's joints, shape (18, 6)."""

@@ -17,8 +17,6 @@ module `constrained_model`, leg forces f, wrenches w_k at frames with Jacobians 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,9 +42,6 @@ __all__ = [
     "wrench_torques",
 ]
 
-Wrenches = Iterable[tuple[int, FloatArray]]
-"""Frames of a model, each with a wrench (6,) at its origin in the axes of the universe."""
-
 
 class Energy(NamedTuple):
     """Energy of all moving bodies [J].
@@ -66,8 +61,7 @@ class Energy(NamedTuple):
         return self.kinetic + self.potential
 
 
-@dataclass(frozen=True)
-class PlatformDynamics:
+class PlatformDynamics(NamedTuple):
     """The mechanism's equations of motion at its terminal platform, Λ ṫ + C t + G = J_fᵀ f + w.
 
     t = (v, ω) is the twist of m at o, ṫ its time derivative: the acceleration of the point o and the angular
@@ -118,24 +112,21 @@ class AccelerationSolver:
             for constraint in self._each:
                 constraint.m_baumgarte_parameters.Kp, constraint.m_baumgarte_parameters.Kd = gains
             self._gains = gains
-        arguments = self._model, self._data, q, v, torques, self._constraints, self._states, self._settings
-        return np.array(pin.constraintDynamics(*arguments))
+        constraints = self._constraints, self._states, self._settings
+        return np.array(pin.constraintDynamics(self._model, self._data, q, v, torques, *constraints))
 
 
-def wrench_torques(kinematics: TreeKinematics, wrenches: Wrenches) -> FloatArray:
-    """Return Σ J_kᵀ w_k, shape (nv,)."""
+def wrench_torques(kinematics: TreeKinematics, frames: list[int], wrenches: FloatArray) -> FloatArray:
+    """Return Σ J_kᵀ w_k (nv,) of wrenches (6 n,) at the origins of n frames, in the axes of the universe."""
     total = np.zeros(kinematics.model.nv)
-    for frame, wrench in wrenches:
+    for frame, wrench in zip(frames, wrenches.reshape(-1, 6), strict=True):
         jacobian = pin.getFrameJacobian(kinematics.model, kinematics.data, frame, pin.LOCAL_WORLD_ALIGNED)
         total += jacobian.T @ wrench
     return total
 
 
 def balance(kinematics: TreeKinematics, torques: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return leg forces (6,) and forces in the cut balls (3 n,) that give the generalized forces (18,) of the tree.
-
-    Raises `SingularConfigurationError` at a forward or constraint singularity.
-    """
+    """Return leg forces (6,) and forces in the cut balls (3 n,) that give the generalized forces (18,) of the tree."""
     layout = kinematics.layout
     # The actuators do not act on the passive joints: these give λ, and the legs what is left.
     cuts = kinematics.forward_factors.solve_transposed(torques[layout.passive])
@@ -146,29 +137,20 @@ def drift(kinematics: TreeKinematics, v: FloatArray) -> tuple[FloatArray, FloatA
     """Return the accelerations where no joint accelerates: of the gaps, J̇c v (3 n,), and of m (6,) [m/s², rad/s²]."""
     model, data, constrained = kinematics.model, kinematics.data, kinematics.constrained
     pin.forwardKinematics(model, data, kinematics.q, v, np.zeros(model.nv))
-    points = np.array(
-        [
-            pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED).linear
-            for frame in constrained.frames
-        ]
+    platform, *points = (
+        np.array(pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED).vector)
+        for frame in (kinematics.layout.platform, *constrained.frames)
     )
-    gaps = points[constrained.ends[:, 1]] - points[constrained.ends[:, 0]]
-    platform = pin.getFrameClassicalAcceleration(model, data, kinematics.layout.platform, pin.LOCAL_WORLD_ALIGNED)
-    return gaps.ravel(), np.array(platform.vector)
+    return constrained.differences(np.array(points)[:, :3]).ravel(), platform
 
 
 def accelerations_for(
     kinematics: TreeKinematics, acceleration: FloatArray, bias: tuple[FloatArray, FloatArray]
 ) -> FloatArray:
-    """Return the joint accelerations (18,) at which m has `acceleration` (6,), and the loops stay closed.
-
-    `bias` is the `drift` of the joint velocities. Raises `SingularConfigurationError` at an inverse or constraint
-    singularity.
-    """
-    factors = kinematics.inverse_factors
+    """Return joint accelerations (18,) for one of m (6,) that keep the loops closed; `bias` is the `drift`."""
     gaps, platform = bias
     wanted = [kinematics.twist_scale * (acceleration - platform), -gaps / kinematics.layout.side]
-    return factors.solve(np.concatenate(wanted))
+    return kinematics.inverse_factors.solve(np.concatenate(wanted))
 
 
 def platform_dynamics(kinematics: TreeKinematics, v: FloatArray) -> PlatformDynamics:
@@ -178,15 +160,13 @@ def platform_dynamics(kinematics: TreeKinematics, v: FloatArray) -> PlatformDyna
     x = kinematics.velocities_of_twists()
     twist = kinematics.platform @ v
     pin.computeJointJacobiansTimeVariation(model, data, q, v)
-    rates = [
+    platform, *points = (
         pin.getFrameJacobianTimeVariation(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
         for frame in (layout.platform, *kinematics.constrained.frames)
-    ]
-    points = np.array([rate[:3] for rate in rates[1:]])
-    ends = kinematics.constrained.ends
-    closures = (points[ends[:, 1]] - points[ends[:, 0]]).reshape(-1, model.nv)
+    )
+    closures = kinematics.constrained.differences(np.array(points)[:, :3]).reshape(-1, model.nv)
     # K Ẋ = -K̇ X.
-    x_rate = -factors.solve(np.concatenate([scale[:, None] * rates[0], closures / layout.side]) @ x)
+    x_rate = -factors.solve(np.concatenate([scale[:, None] * platform, closures / layout.side]) @ x)
     mass = mass_matrix(kinematics)
     coriolis = x.T @ (mass @ x_rate + pin.computeCoriolisMatrix(model, data, q, v) @ x)
     reflected = x.T @ mass @ x

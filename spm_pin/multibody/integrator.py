@@ -12,6 +12,7 @@ the state, so that energy less work is constant in every run, driven or not.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -22,10 +23,10 @@ from scipy.optimize import brentq
 from spm_pin.errors import ClosureError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import LEGS, LegLimits
+from spm_pin.multibody.closure_solvers import project_to_closure
+from spm_pin.multibody.constrained_state import ChainState
 from spm_pin.multibody.dynamics import energy_of, mass_matrix, wrench_torques
-from spm_pin.multibody.projection import project_to_closure
 from spm_pin.multibody.simulation_result import Simulation, SimulationEnd
-from spm_pin.multibody.state import ChainState
 
 __all__ = ["Ending", "ForceCallback", "Integrator"]
 
@@ -103,7 +104,7 @@ class Integrator:
         self._limits, self._singular = limits, singular
         self._size = len(self._layout.v)
         self._least = SHORTEST_LEG * self._layout.side
-        self._rows: list[dict[str, Any]] = []
+        self._rows: list[tuple[Any, ...]] = []
         self._steps = self._evaluations = 0
 
     def start(self, q: FloatArray, v: FloatArray) -> FloatArray:
@@ -124,32 +125,20 @@ class Integrator:
 
     def record(self, time: float, state: FloatArray, forces: ForceCallback) -> None:
         """Keep the motion at one time, unless the last one kept is of that time."""
-        if self._rows and self._rows[-1]["times"] == time:
+        if self._rows and self._rows[-1][0] == time:
             return
         q, v = self.parts(state)
-        work = float(state[-1])
         a, force, _ = self._motion(time, q, v, forces)
         self._kinematics.evaluate(q)
         energy = energy_of(self._kinematics, v)
-        self._rows.append(
-            {
-                "times": time,
-                "q": q,
-                "v": v,
-                "a": a,
-                "leg_lengths": self._layout.leg_lengths(q),
-                "leg_forces": force,
-                "kinetic": energy.kinetic,
-                "potential": energy.potential,
-                "work": work,
-                "closure_gap": self._kinematics.widest_gap(),
-            }
-        )
+        gap = self._kinematics.widest_gap()
+        self._rows.append((time, q, v, a, self._layout.leg_lengths(q), force, *energy, float(state[-1]), gap))
 
     def result(self, ending: Ending | None) -> Simulation:
         """Return what was kept."""
-        columns: dict[str, Any] = {name: np.array([row[name] for row in self._rows]) for name in self._rows[0]}
         end, detail = (SimulationEnd.COMPLETE, "") if ending is None else ending[:2]
+        names = (field.name for field in dataclasses.fields(Simulation))
+        columns: dict[str, Any] = dict(zip(names, map(np.array, zip(*self._rows, strict=True)), strict=False))
         return Simulation(**columns, end=end, detail=detail, steps=self._steps, evaluations=self._evaluations)
 
     def advance(
@@ -283,9 +272,9 @@ class Integrator:
         force = forces(time, q, v)
         torques = np.zeros(self._size)
         if self._frames:
-            wrenches = self._wrenches(time, q, v).reshape(-1, 6)
+            wrenches = self._wrenches(time, q, v)
             self._kinematics.evaluate(q)
-            torques += wrench_torques(self._kinematics, zip(self._frames, wrenches, strict=True))
+            torques += wrench_torques(self._kinematics, self._frames, wrenches)
         torques[self._layout.legs] += force
         return self._solver.accelerations(q, v, torques), force, float(torques @ v)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -10,21 +9,19 @@ import numpy.typing as npt
 
 from spm_pin.description.tree import ANGLES, JOINTS, SLIDES
 from spm_pin.errors import ArgumentError, GeometryError
-from spm_pin.mechanism.arguments import FloatArray, first_offender, frozen, instance, real_array
+from spm_pin.mechanism.arguments import FloatArray, first_offender, frozen, instance
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry
 from spm_pin.mechanism.joint_angles import home_lengths, joint_angles
+from spm_pin.multibody.vector_arguments import read_vector, read_vectors
 
-__all__ = ["AGREEMENT", "BALLS", "DIMENSIONS", "JointLayout", "is_vector", "one_vector"]
+__all__ = ["AGREEMENT", "BALLS", "JointLayout", "require_dimensions"]
 
 AGREEMENT = 1e-9
 """Lengths that differ by this share of the robot's own are taken for rounded, more for another robot's."""
 
 BALLS = (("ball_b1_x", "ball_b1_y", "ball_b1_z"), ("ball_c1_z", "ball_c1_y", "ball_c1_x"))
 """The joints that stand for one ball joint each."""
-
-DIMENSIONS = ("base_radius", "platform_radius", "middle_side")
-"""Dimensions in which equal mechanisms agree; limits only choose the home, the tree's zero."""
 
 
 class JointLayout:
@@ -96,8 +93,7 @@ class JointLayout:
 
     def checked(self, q: npt.ArrayLike, argument: str = "q", *, single: bool = False) -> FloatArray:
         """Return the chain's q (..., 18) as an array, or raise `ArgumentError`."""
-        read = one_vector if single or is_vector(q, len(JOINTS)) else real_array
-        array = read(q, argument, (len(JOINTS),), "joint values in rad and m in Pinocchio's order")
+        array = (read_vector if single else read_vectors)(q, argument, len(JOINTS))
         lengths = self.leg_lengths(array)
         if (min(lengths.tolist()) if lengths.ndim == 1 else lengths.min(initial=0.0)) < 0.0:
             worst = np.unravel_index(int(lengths.argmin()), lengths.shape)
@@ -110,11 +106,8 @@ class JointLayout:
         """Return the chain's q (..., 18) of a configuration; see `ClosedChain.joint_values`."""
         cause = "One of several solutions? .physical(), or an index, takes one"
         geometry = instance(configuration, Configuration, "configuration", cause).geometry
-        for name in DIMENSIONS if geometry is not self.geometry else ():
-            expected, other = getattr(self.geometry, name), getattr(geometry, name)
-            if abs(other - expected) > AGREEMENT * expected:
-                raise GeometryError("configuration", f"the chain's {name}, {expected:.9g} m", f"{other:.9g} m")
         if geometry is not self.geometry:
+            require_dimensions(geometry, self.geometry, "configuration", "the chain")
             # With the chain's own limits: they set the zero of its slides.
             arrays = configuration.rotation, configuration.translation, configuration.middle_joints
             configuration = Configuration.from_arrays(self.geometry, *arrays)
@@ -136,18 +129,9 @@ class JointLayout:
         return ArgumentError("configuration", "a closed mechanism", received, cause)
 
 
-def is_vector(value: Any, size: int) -> bool:
-    """Return whether a value is a NumPy array (size,) of finite float64: a quick test for calls made often."""
-    plain = type(value) is np.ndarray and value.shape == (size,) and value.dtype == np.float64
-    return plain and all(map(math.isfinite, value.tolist()))
-
-
-def one_vector(value: npt.ArrayLike, argument: str, trailing: tuple[int], meaning: str) -> FloatArray:
-    """Read `value` as float64 of shape `trailing`, or raise `ArgumentError`."""
-    if is_vector(value, trailing[0]):
-        return np.asarray(value)
-    array = real_array(value, argument, trailing, meaning)
-    if array.ndim != 1:
-        cause = "One motion a call"
-        raise ArgumentError(argument, f"shape ({trailing[0]},), {meaning}", f"shape {array.shape}", cause)
-    return array
+def require_dimensions(geometry: Geometry, expected: Geometry, argument: str, owner: str) -> None:
+    """Raise `GeometryError` unless both are the same mechanism; limits only choose the home, the tree's zero."""
+    for name in ("base_radius", "platform_radius", "middle_side"):
+        found, sought = getattr(geometry, name), getattr(expected, name)
+        if abs(found - sought) > AGREEMENT * sought:
+            raise GeometryError(argument, f"the {name} of {owner}, {sought:.9g} m", f"{found:.9g} m")

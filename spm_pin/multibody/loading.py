@@ -1,9 +1,8 @@
-"""Reading a URDF for a `ClosedChain`: its dimensions, and whether it is the description's tree at all."""
+"""Reading a URDF for a `ClosedChain`: its dimensions, whether it is the description's tree at all, and its shapes."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,44 +10,58 @@ import numpy as np
 import pinocchio as pin
 
 from spm_pin.description.expand import expand
+from spm_pin.description.paths import URDF, description_directory, description_file
 from spm_pin.description.read_urdf import check_inertials
-from spm_pin.description.tree import JOINTS, SLIDES
+from spm_pin.description.srdf import srdf_text
+from spm_pin.description.tree import JOINTS, SLIDES, check_prefix
 from spm_pin.errors import DescriptionError, GeometryError
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import FloatArray, file_path, instance
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.mechanism.joint_angles import home_lengths
-from spm_pin.multibody.joint_layout import AGREEMENT, DIMENSIONS
+from spm_pin.multibody.joint_layout import AGREEMENT, require_dimensions
 
-__all__ = ["read_chain_urdf"]
+__all__ = ["collision_shapes", "read_description", "visual_shapes"]
 
-PLATFORMS = ("base", "middle_platform", "terminal_platform")
-ENDS = tuple(end + i for i in "123" for end in ("base_a", "middle_b", "terminal_c")) + tuple(
-    f"leg_{leg}_tip" for leg in ("b1", "b2", "b3", "c1", "c2", "c3")
+LINKS = (
+    *("base", "middle_platform", "terminal_platform"),
+    *(end + i for i in "123" for end in ("base_a", "middle_b", "terminal_c")),
+    *(f"leg_{leg}_tip" for leg in ("b1", "b2", "b3", "c1", "c2", "c3")),
 )
-"""The links that legs end at."""
+"""The platforms, and the links that legs end at."""
 
 
-def read_chain_urdf(path: Path, geometry: Geometry | None, prefix: str) -> tuple[str, Geometry]:
-    """Return the text of a URDF file and its dimensions.
+def read_description(path: str | Path | None, geometry: Geometry | None, prefix: str) -> tuple[str, Geometry]:
+    """Return the text of a URDF and its dimensions, as `ClosedChain.from_urdf` takes them, with its errors.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    geometry : Geometry, optional
-        What the file is expected to describe. By default its dimensions are measured in the tree at zero; its
-        limits are those of the slides, or none if these do not give the tree's home.
-    prefix : str
-        Before the name of every link and joint.
-
-    Raises
-    ------
-    DescriptionError
-        If the file cannot be read, or is not the tree of the description for these dimensions: same joints, frames
-        of the same names at the same places. Inertias, shapes and limits may differ, but inertias must be possible.
-    GeometryError
-        If its dimensions are not those of `geometry`.
+    Without `geometry`, the dimensions of a file are measured in the tree at zero; its limits are those of the slides,
+    or none if these do not give the tree's home.
     """
+    check_prefix(prefix)
+    if geometry is not None:
+        instance(geometry, Geometry, "geometry")
+    if path is not None:
+        return _read_file(file_path(path), geometry, prefix)
+    paper = Geometry.paper()
+    if (geometry or paper) == paper and prefix == "":
+        return description_file(URDF).read_text(encoding="utf-8"), geometry or paper
+    return expand(geometry or paper, prefix=prefix), geometry or paper
+
+
+def visual_shapes(model: Any, urdf: str) -> Any:
+    """Return the visual shapes of a URDF, a `pinocchio.GeometryModel`."""
+    folder = str(description_directory())
+    return pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.VISUAL, package_dirs=folder)
+
+
+def collision_shapes(model: Any, urdf: str, prefix: str) -> Any:
+    """Return the collision shapes of a URDF, with the pairs that do not touch by design."""
+    shapes = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.COLLISION)
+    shapes.addAllCollisionPairs()
+    pin.removeCollisionPairsFromXML(model, shapes, srdf_text({}, prefix=prefix))
+    return shapes
+
+
+def _read_file(path: Path, geometry: Geometry | None, prefix: str) -> tuple[str, Geometry]:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -66,37 +79,33 @@ def read_chain_urdf(path: Path, geometry: Geometry | None, prefix: str) -> tuple
         received = f"{', '.join(missing) or 'none'} missing, {', '.join(foreign) or 'none'} foreign, nq = {model.nq}"
         what = f"the joints of the description, one degree of freedom each, with the prefix {prefix!r}"
         raise DescriptionError(str(path), what, received)
-    links = [prefix + link for link in (*PLATFORMS, *ENDS)]
+    links = [prefix + link for link in LINKS]
     absent = [link for link in links if not model.existFrame(link, pin.FrameType.BODY)]
     if absent:
         raise DescriptionError(str(path), "the links of the description", f"no {', '.join(absent)}")
-    measured = _measured(model, prefix)
+    zero = _placements(model, pin.neutral(model), links)
+    measured = _measured(model, prefix, zero)
     geometry = geometry or measured
-    for name in DIMENSIONS:
-        size, found = getattr(geometry, name), getattr(measured, name)
-        if abs(size - found) > AGREEMENT * found:
-            raise GeometryError("geometry", f"the {name} of {path}, {found:.9g} m", f"{size:.9g} m")
-    expected_model = pin.buildModelFromXML(expand(geometry, prefix=prefix))
-    link, distance = _deviation(model, expected_model, links, geometry.middle_side)
+    require_dimensions(geometry, measured, "geometry", str(path))
+    link, distance = _deviation(model, pin.buildModelFromXML(expand(geometry, prefix=prefix)), links, geometry)
     if distance > AGREEMENT * geometry.middle_side:
         cause = "Another joint axis, order or zero? The zero follows from the leg limits the URDF was made for"
         raise DescriptionError(str(path), "the tree of the description", f"{link} {distance:.1e} m off", cause)
     return text, geometry
 
 
-def _placements(model: Any, q: FloatArray, links: Iterable[str]) -> dict[str, Any]:
-    """Return the poses of links in {B} as pinocchio.SE3."""
+def _placements(model: Any, q: FloatArray, links: list[str]) -> dict[str, FloatArray]:
+    """Return the poses of links in {B}, (4, 4)."""
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
-    return {link: data.oMf[model.getFrameId(link)].copy() for link in links}
+    return {link: data.oMf[model.getFrameId(link)].homogeneous for link in links}
 
 
-def _measured(model: Any, prefix: str) -> Geometry:
+def _measured(model: Any, prefix: str, zero: dict[str, FloatArray]) -> Geometry:
     """Return the dimensions of a tree at zero, with the limits of its slides if they give its home, else without."""
-    found = _placements(model, pin.neutral(model), [prefix + link for link in (*PLATFORMS, *ENDS)])
 
     def distance(a: str, b: str) -> float:
-        return float(np.linalg.norm(found[prefix + a].translation - found[prefix + b].translation))
+        return float(np.linalg.norm(zero[prefix + a][:3, 3] - zero[prefix + b][:3, 3]))
 
     dimensions = (
         distance("base", "base_a1"),
@@ -114,22 +123,16 @@ def _measured(model: Any, prefix: str) -> Geometry:
     return Geometry(*dimensions)
 
 
-def _deviation(model: Any, expected: Any, links: Sequence[str], side: float) -> tuple[str, float]:
+def _deviation(model: Any, expected: Any, links: list[str], geometry: Geometry) -> tuple[str, float]:
     """Return the link whose frame in `model` is farthest from that in `expected`, and how far [m].
 
-    Of a frame, its origin is compared and the points at `side` [m] on its axes; all at one q with every joint away
-    from zero, where each placement and each axis shows.
+    Of a frame, its origin is compared and the points on its axes in the distance of the middle platform's side; all at
+    one q with every joint away from zero, where each placement and each axis shows.
     """
     values = dict(zip(expected.names[1:], np.linspace(0.2, 0.9, expected.nq), strict=True))
-    found, sought = (_placements(tree, _vector(tree, values), links) for tree in (model, expected))
-    lever = np.array([side, side, side, 1.0])
-    off = {a: float(np.abs((found[a].homogeneous - sought[a].homogeneous) * lever).max()) for a in links}
-    worst = max(off, key=lambda link: off[link])
-    return worst, off[worst]
-
-
-def _vector(model: Any, values: Mapping[str, float]) -> FloatArray:
-    q = np.empty(model.nq)
-    for name, value in values.items():
-        q[model.joints[model.getJointId(name)].idx_q] = value
-    return q
+    found, sought = (
+        _placements(tree, np.array([values[name] for name in tree.names[1:]]), links) for tree in (model, expected)
+    )
+    lever = np.array([geometry.middle_side] * 3 + [1.0])
+    off = {link: float(np.abs((found[link] - sought[link]) * lever).max()) for link in links}
+    return max(off.items(), key=lambda item: item[1])

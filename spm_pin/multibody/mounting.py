@@ -10,23 +10,25 @@ import pinocchio as pin
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, broadcastable
-from spm_pin.multibody.batches import BatchedStates
+from spm_pin.multibody.batched_methods import ConstrainedMethods
+from spm_pin.multibody.batched_states import BatchedStates
 from spm_pin.multibody.constrained_model import ConstrainedModel
-from spm_pin.multibody.dynamics import Energy
+from spm_pin.multibody.constrained_state import ConstrainedState
 from spm_pin.multibody.joint_layout import JointLayout
-from spm_pin.multibody.state import ConstrainedState, Gains, WrenchLike, read
+from spm_pin.multibody.vector_arguments import read_vectors
 
-__all__ = ["MountedChain", "joined", "wrapped"]
+__all__ = ["MountedChain", "joined"]
 
 Indices = npt.NDArray[np.intp]
 
 
-class MountedChain:
+class MountedChain(ConstrainedMethods):
     """A `ClosedChain` and another robot in one Pinocchio model, the loops closed; read-only.
 
     Made by `ClosedChain.mounted_on` and `ClosedChain.carrying`. Its q is that of `model`; `join` and `split` put it
     together from the other robot's and the chain's and take it apart. Leading axes broadcast. The universe is that of
-    whichever robot carries the other: all that is "in {B}" for a chain alone is in its axes here.
+    whichever robot carries the other: all that is "in {B}" for a chain alone is in its axes here. Actuators are all of
+    the other robot's, then the six legs: `actuated_indices`.
 
     Attributes
     ----------
@@ -62,7 +64,7 @@ class MountedChain:
         return q, v
 
     def _checked(self, q: npt.ArrayLike) -> FloatArray:
-        array = self._read(q, "q", self.model.nq)
+        array = read_vectors(q, "q", self.model.nq)
         self._constrained.layout.checked(array[..., self._constrained.layout.q])
         return array
 
@@ -83,17 +85,15 @@ class MountedChain:
 
     def join(self, other: npt.ArrayLike, chain: npt.ArrayLike) -> FloatArray:
         """Return q (..., nq) of the model from the other robot's q and the chain's (..., 18)."""
-        parts = self._read(other, "other", self._other.nq), self._read(chain, "chain", self.chain.model.nq)
-        return self._together(parts, (self._other_q, self._q), self.model.nq)
+        return _together(other, self._other_q, chain, self._q)
 
     def join_velocities(self, other: npt.ArrayLike, chain: npt.ArrayLike) -> FloatArray:
         """Return v (..., nv), or accelerations, from the other robot's and the chain's (..., 18)."""
-        parts = self._read(other, "other", self._other.nv), self._read(chain, "chain", self.chain.model.nv)
-        return self._together(parts, (self._other_v, self._v), self.model.nv)
+        return _together(other, self._other_v, chain, self._v)
 
     def split(self, q: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the other robot's q and the chain's (..., 18) from q (..., nq) of the model."""
-        array = self._read(q, "q", self.model.nq)
+        array = read_vectors(q, "q", self.model.nq)
         return array[..., self._other_q], array[..., self._q]
 
     def robot_wrapper(self) -> Any:
@@ -104,94 +104,25 @@ class MountedChain:
         """Return the state of joint values q (nq,) and velocities v (nv,), by default at rest."""
         return ConstrainedState(self._constrained).update(q, v)
 
-    def closure_gap(self, q: npt.ArrayLike) -> FloatArray:
-        """Return how far the closures are open (..., 4, 3) [m], in the axes of the universe."""
-        return self._states.closure_gap(q)
 
-    def constraint_jacobian(self, q: npt.ArrayLike) -> FloatArray:
-        """Return the rates of `closure_gap` by joint velocities, shape (..., 12, nv)."""
-        return self._states.constraint_jacobian(q)
-
-    def forward_dynamics(
-        self,
-        q: npt.ArrayLike,
-        v: npt.ArrayLike,
-        forces: npt.ArrayLike,
-        wrench: WrenchLike = None,
-        *,
-        gains: Gains = None,
-    ) -> FloatArray:
-        """Return the accelerations (..., nv) under actuators, gravity and wrenches.
-
-        Parameters
-        ----------
-        q : array_like, shape (..., nq)
-            Of the model.
-        v : array_like, shape (..., nv)
-            Its rates.
-        forces : array_like, shape (..., n)
-            Of all actuators in the order of `actuated_indices`: the other robot's, then the legs.
-        wrench, gains
-            As in `ClosedChain.forward_dynamics`; in the axes of the universe.
-
-        Raises
-        ------
-        ArgumentError, ClosureError, SingularConfigurationError
-            As `ClosedChain.forward_dynamics`.
-        """
-        return self._states.forward_dynamics(q, v, forces, wrench, gains)
-
-    def inverse_dynamics(
-        self, q: npt.ArrayLike, v: npt.ArrayLike, a: npt.ArrayLike, wrench: WrenchLike = None
-    ) -> FloatArray:
-        """Return the forces of all actuators (..., n), in the order of `actuated_indices`, of a motion.
-
-        Parameters
-        ----------
-        q, v, a : array_like, shapes (..., nq), (..., nv), (..., nv)
-            Of the model, closed.
-        wrench
-            As in `ClosedChain.forward_dynamics`; in the axes of the universe.
-
-        Raises
-        ------
-        ArgumentError, ClosureError, SingularConfigurationError
-            As `ClosedChain.inverse_dynamics`.
-        """
-        return self._states.inverse_dynamics(q, v, a, wrench)
-
-    def energy(self, q: npt.ArrayLike, v: npt.ArrayLike) -> Energy:
-        """Return the kinetic and the potential energy [J] of both robots."""
-        return self._states.energy(q, v)
-
-    @staticmethod
-    def _read(value: npt.ArrayLike, argument: str, size: int) -> FloatArray:
-        return read(value, argument, size, "in Pinocchio's order")
-
-    @staticmethod
-    def _together(parts: tuple[FloatArray, FloatArray], places: tuple[Indices, Indices], size: int) -> FloatArray:
-        shape = broadcastable("chain", parts[1].shape[:-1], "other", parts[0].shape[:-1])
-        whole = np.empty((*shape, size))
-        for part, place in zip(parts, places, strict=True):
-            whole[..., place] = part
-        return whole
+def _together(other: npt.ArrayLike, other_place: Indices, chain: npt.ArrayLike, place: Indices) -> FloatArray:
+    """Return vectors of the model from those of the other robot and of the chain."""
+    parts = read_vectors(other, "other", other_place.size), read_vectors(chain, "chain", place.size)
+    shape = broadcastable("chain", parts[1].shape[:-1], "other", parts[0].shape[:-1])
+    whole = np.empty((*shape, other_place.size + place.size))
+    whole[..., other_place], whole[..., place] = parts
+    return whole
 
 
-def wrapped(robot: Any) -> Any:
-    """Return a `pinocchio.RobotWrapper` of a model or of a wrapper, or raise `ArgumentError`."""
-    if isinstance(robot, pin.RobotWrapper):
-        return robot
-    if isinstance(robot, pin.Model):
-        return pin.RobotWrapper(robot)
-    cause = "Its loops would be lost" if isinstance(getattr(robot, "closures", None), tuple) else ""
-    raise ArgumentError("other", "a pinocchio.Model or a pinocchio.RobotWrapper", type(robot).__name__, cause)
-
-
-def joined(parent: Any, child: Any, frame: str, placement: Any) -> tuple[Any, Any, Any]:
-    """Return one model of two trees, and its collision and visual shapes.
-
-    `parent` and `child` are `pinocchio.RobotWrapper`; the shapes are None where one of them has none.
-    """
+def joined(chain: Any, other: Any, frame: str, placement: Any, *, carried: bool) -> MountedChain:
+    """Return a chain on another robot or with it; see `ClosedChain.mounted_on` and `ClosedChain.carrying`."""
+    if isinstance(other, pin.Model):
+        other = pin.RobotWrapper(other)
+    if not isinstance(other, pin.RobotWrapper):
+        cause = "Its loops would be lost" if isinstance(other, ConstrainedMethods) else ""
+        raise ArgumentError("other", "a pinocchio.Model or a pinocchio.RobotWrapper", type(other).__name__, cause)
+    robots = chain.robot_wrapper(), other
+    parent, child = robots if carried else robots[::-1]
     if not parent.model.existFrame(frame):
         cause = "The name of a link or another frame of the robot that carries"
         raise ArgumentError("frame", f"a frame of {parent.model.name}", repr(frame), cause)
@@ -210,4 +141,4 @@ def joined(parent: Any, child: Any, frame: str, placement: Any) -> tuple[Any, An
         pair = getattr(parent, kind), getattr(child, kind)
         known = all(shape is not None for shape in pair)
         shapes.append(pin.appendModel(parent.model, child.model, *pair, index, where)[1] if known else None)
-    return model, shapes[0], shapes[1]
+    return MountedChain(chain, other.model, model, *shapes)

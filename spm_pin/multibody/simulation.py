@@ -13,12 +13,12 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, real_number
 from spm_pin.multibody.constrained_model import ConstrainedModel
+from spm_pin.multibody.constrained_state import ChainState
 from spm_pin.multibody.dynamics import require_closed
 from spm_pin.multibody.integrator import Ending, ForceCallback, Integrator
-from spm_pin.multibody.joint_layout import one_vector
 from spm_pin.multibody.platform_path import increasing_times
 from spm_pin.multibody.simulation_result import Simulation, SimulationEnd
-from spm_pin.multibody.state import ChainState, WrenchLike, read_wrenches
+from spm_pin.multibody.vector_arguments import WrenchLike, read_vector, read_wrenches
 
 __all__ = ["ForceFunction", "simulate"]
 
@@ -40,7 +40,6 @@ def simulate(
     v0: npt.ArrayLike,
     forces: npt.ArrayLike | ForceFunction | None,
     times: npt.ArrayLike,
-    *,
     wrench: WrenchLike | ForceFunction,
     period: float | None,
     stop_at: Collection[str],
@@ -50,7 +49,7 @@ def simulate(
 ) -> Simulation:
     """Integrate the motion from a state on; see `ClosedChain.simulate`. The state is left anywhere."""
     layout, q = state.constrained.layout, state.kinematics.q
-    v = one_vector(v0, "v0", (len(layout.v),), "rates of the joints in Pinocchio's order")
+    v = read_vector(v0, "v0", len(layout.v))
     require_closed(state.kinematics, v, "v0")
     recorded = increasing_times(times)
     begin, until = float(recorded[0]), float(recorded[-1])
@@ -66,7 +65,7 @@ def simulate(
     if "limits" in stop_at and limits is None:
         raise ArgumentError("stop_at", "no limits, for a geometry without leg limits", "limits")
 
-    act = _callback(np.zeros(6) if forces is None else forces, "forces", "of the six legs in newtons")
+    act = _callback(np.zeros(6) if forces is None else forces, "forces")
     wrenches, frames = _wrenches(state.constrained, wrench)
     ends = frozenset(STOPS[stop] for stop in stop_at) - {SimulationEnd.LIMIT}
     integrator = Integrator(state, frames, wrenches, limits, ends)
@@ -92,8 +91,8 @@ def simulate(
 def _wrenches(constrained: ConstrainedModel, wrench: WrenchLike | ForceFunction) -> tuple[ForceCallback, list[int]]:
     """Return the wrenches side by side as a function, and the frames that they act onto."""
     if callable(wrench):
-        return _callback(wrench, "wrench", "(f, m) in N and N m"), [constrained.layout.platform]
-    together, frames = read_wrenches(constrained, wrench)
+        return _callback(wrench, "wrench"), [constrained.layout.platform]
+    together, frames = read_wrenches(wrench, constrained.model, constrained.layout.platform)
     if together.ndim != 1:
         cause = "One motion a call"
         raise ArgumentError("wrench", "shape (6,), (f, m) in N and N m", f"shape {together.shape}", cause)
@@ -104,16 +103,12 @@ def _constant(value: FloatArray) -> ForceCallback:
     return lambda t, q, v: value
 
 
-def _callback(force: Any, argument: str, meaning: str) -> ForceCallback:
+def _callback(force: Any, argument: str) -> ForceCallback:
     """Return a function from a constant or a function; what a function returns is checked."""
     if isinstance(force, Mapping) or not callable(force):
-        return _constant(one_vector(force, argument, (6,), meaning))
-
-    def checked(t: float, q: FloatArray, v: FloatArray) -> FloatArray:
-        # Copies: the function may change them.
-        return one_vector(force(t, q.copy(), v.copy()), argument, (6,), meaning)
-
-    return checked
+        return _constant(read_vector(force, argument, 6))
+    # Copies: the function may change them.
+    return lambda t, q, v: read_vector(force(t, q.copy(), v.copy()), argument, 6)
 
 
 def _interval(value: float, argument: str, span: float) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,11 +14,11 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray, real_array
 from spm_pin.mechanism.pose import as_rigid_transform
-from spm_pin.multibody.batches import located
-from spm_pin.multibody.continuation_solver import ContinuationSolver
+from spm_pin.multibody.batched_states import located
+from spm_pin.multibody.closure_solvers import ContinuationSolver
+from spm_pin.multibody.constrained_state import ChainState
 from spm_pin.multibody.dynamics import require_closed
 from spm_pin.multibody.platform_path import PlatformMotion, PlatformPath, increasing_times
-from spm_pin.multibody.state import ChainState
 
 __all__ = ["JointTrajectory", "joint_trajectory"]
 
@@ -89,12 +87,9 @@ class JointTrajectory:
             "acceleration": self.accelerations,
             "effort": self.efforts,
         }
-        buffer = io.StringIO()
-        writer = csv.writer(buffer, lineterminator="\n")
-        writer.writerow(["time", *(f"{name}.{column}" for column in columns for name in self.joint_names)])
-        for k, time in enumerate(self.times):
-            writer.writerow([repr(float(time)), *(repr(x) for column in columns.values() for x in column[k].tolist())])
-        return _write(buffer.getvalue(), path)
+        head = ["time", *(f"{name}.{column}" for column in columns for name in self.joint_names)]
+        table = np.column_stack([self.times, *columns.values()]).tolist()
+        return _write("".join(",".join(row) + "\n" for row in (head, *(map(repr, row) for row in table))), path)
 
 
 def joint_trajectory(

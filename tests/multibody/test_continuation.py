@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 
 import numpy as np
+import problems
 import pytest
 from multibody.chains import PAPER, Array, chain
 
 import spm_pin as spm
-from spm_pin.errors import ArgumentError, ClosureError, SpmError
+from spm_pin.errors import ArgumentError, ClosureError, PoseError, SpmError
 
 pytest.importorskip("pinocchio")
 
@@ -74,8 +75,9 @@ def test_random_modes_arrive_where_fine_steps_lead() -> None:
 
 
 @pytest.mark.slow
-def test_ten_thousand_random_modes_arrive_where_steps_a_thousand_times_finer_lead() -> None:
-    check_arrivals(count=10_000, seed=412, parts=1000)
+def test_a_thousand_random_modes_arrive_where_steps_a_thousand_times_finer_lead() -> None:
+    """About 0.2 s a mode: four minutes in all."""
+    check_arrivals(count=1000, seed=412, parts=1000)
 
 
 def test_the_physical_mode_of_a_batch_is_that_of_its_members() -> None:
@@ -95,3 +97,44 @@ def test_lengths_that_the_physical_mode_cannot_have_are_refused() -> None:
         chain().forward_kinematics([1.2, 1.2, 1.2, 1.2, 1.2, 9.0])
     with pytest.raises(ArgumentError, match=expected + r" at batch index \(1,\)"):
         chain().forward_kinematics([[1.3] * 6, [1.2, 1.2, 1.2, 1.2, 1.2, 9.0]])
+
+
+def test_the_physical_branch_of_a_batch_is_that_of_its_members_and_of_the_path_there() -> None:
+    robot, rng = chain(), np.random.default_rng(414)
+    legs = rng.uniform(1.1, 1.5, (2, 3, 6))
+    poses = spm.forward_physical(PAPER, legs).pose.as_matrix()
+    together = robot.inverse_kinematics(poses)
+    reached = robot.configuration(together)
+    assert np.abs(reached.pose.as_matrix() - poses).max() <= 1e-13
+    # The pose and its legs belong to one physical state, which forward displacement comes from and inverse goes to.
+    assert np.abs(robot.leg_lengths(together) - legs).max() <= 1e-9
+    assert np.abs(robot.closure_gap(together)).max() <= 1e-13
+    for index in np.ndindex(2, 3):
+        assert np.array_equal(together[index], robot.inverse_kinematics(poses[index]))
+        near = robot.forward_kinematics(legs[index] + 1e-4 * rng.normal(size=6))
+        followed = robot.inverse_kinematics(poses[index], near)
+        assert np.abs(np.exp(1j * followed) - np.exp(1j * together[index])).max() <= 1e-9
+
+
+@pytest.mark.parametrize("name", problems.GEOMETRIES)
+def test_the_physical_branch_is_that_of_all_branches(name: str) -> None:
+    geometry, robot = problems.GEOMETRIES[name], chain(name)
+    legs = robot.leg_lengths(np.zeros(18)) * np.random.default_rng(415).uniform(0.98, 1.02, (20, 6))
+    poses = spm.forward_physical(geometry, legs).pose
+    expected = robot.joint_values(spm.inverse_displacement(geometry, poses).physical())
+    assert np.array_equal(robot.inverse_kinematics(poses), expected)
+    assert robot.inverse_kinematics(poses[:0]).shape == (0, 18)
+
+
+def test_poses_that_no_physical_branch_has_are_refused() -> None:
+    home, away = spm.pose([0.0, 0.0, 2.3], xyx=[0.0, 0.0, 0.0]), spm.pose([0.1, 0.2, 9.0], xyx=[0.1, 0.2, 0.3])
+    good = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
+    expected = r"^pose: expected poses that a physical branch has, got others"
+    for pose in (home, away):
+        with pytest.raises(ArgumentError, match=expected):
+            chain().inverse_kinematics(pose)
+    both = np.stack([good.as_matrix(), away.as_matrix()])
+    with pytest.raises(ArgumentError, match=expected + r" at batch index \(1,\)"):
+        chain().inverse_kinematics(both)
+    with pytest.raises(PoseError):
+        chain().inverse_kinematics(np.eye(3))

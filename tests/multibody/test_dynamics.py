@@ -8,7 +8,7 @@ import numpy as np
 import problems
 import pytest
 from multibody.chains import Array, chain, closure_jacobian, frame_jacobian, placed, six_branches
-from multibody.engines import Drake, Mujoco, accelerations
+from multibody.engine_dynamics import Drake, Mujoco, accelerations
 
 import spm_pin as spm
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError

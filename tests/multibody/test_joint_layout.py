@@ -109,7 +109,7 @@ def test_configurations_without_joint_values_are_refused() -> None:
     for name in ("base_radius", "platform_radius", "middle_side"):
         dimensions = {key: getattr(PAPER, key) for key in ("base_radius", "platform_radius", "middle_side")}
         other = spm.Geometry(**{**dimensions, name: 1.001 * dimensions[name]})
-        with pytest.raises(GeometryError, match=f"expected the chain's {name}, "):
+        with pytest.raises(GeometryError, match=f"expected the {name} of the chain, "):
             chain().joint_values(spm.Configuration(other, state.pose, state.middle_joints))
 
 

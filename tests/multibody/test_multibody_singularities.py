@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple
-
 import numpy as np
 import problems
 import pytest
@@ -174,5 +172,5 @@ def test_singular_values_do_not_depend_on_the_ball_angles() -> None:
         (angle,) = robot.joint_values(state)[robot.joint_indices("ball_b1_y")]
         assert abs(angle) == pytest.approx(tilt)
     for state in [*six_branches(), *steep]:
-        before, after = (astuple(robot.singular_values(robot.joint_values(s))) for s in (state, turned(state)))
+        before, after = (robot.singular_values(robot.joint_values(s)) for s in (state, turned(state)))
         assert np.abs(np.log(np.divide(after, before))).max() < np.log(3.0)

@@ -10,7 +10,7 @@ import numpy as np
 import problems
 import pytest
 from multibody.chains import Array, chain
-from multibody.engines import Drake, Mujoco, accelerations, rk4
+from multibody.engine_dynamics import Drake, Mujoco, accelerations, rk4
 
 import spm_pin as spm
 from spm_pin.errors import ArgumentError, ClosureError

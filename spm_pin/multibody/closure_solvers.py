@@ -1,10 +1,10 @@
-"""From one closed q to another by continuation: to six leg lengths, or to a pose of the platform.
+"""Closed joint values by Newton's method: from an open q nearby, and by continuation from another closed one.
 
-Both are eighteen equations for eighteen joints. The first Newton step from a point of the path is the path's tangent;
-where the corrections after it are no small part of it, the step is shortened. So it is, too, where the determinant of
-the equations changes its sign or too much over the step or half of it. The determinant is zero at a fold, where a path
-ends, and its sign is another on the other side: steps become shorter in proportion to what is left, and none passes
-the fold or leads to another assembly mode or branch.
+Continuation leads to six leg lengths, or to a pose of the platform: eighteen equations for eighteen joints. The first
+Newton step from a point of the path is the path's tangent; where the corrections after it are no small part of it, the
+step is shortened. So it is, too, where the determinant of the equations changes its sign or too much over the step or
+half of it. The determinant is zero at a fold, where a path ends, and its sign is another on the other side: steps
+become shorter in proportion to what is left, and none passes the fold or leads to another assembly mode or branch.
 """
 
 from __future__ import annotations
@@ -15,15 +15,18 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 
-from spm_pin.errors import ClosureError
+from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.multibody.batched_states import located
 from spm_pin.multibody.constrained_model import TreeKinematics
-from spm_pin.multibody.projection import rounding
+from spm_pin.multibody.joint_layout import JointLayout
 
-__all__ = ["ContinuationSolver"]
+__all__ = ["ContinuationSolver", "project_to_closure"]
 
+SHORTEST_NEWTON_SHARE = 2.0**-10
+"""Share of a Newton step below which the projection ends without a solution."""
 LONGEST_STEP = 0.25
-"""In any joint: angles [rad], slides in units of the middle platform's side."""
+"""Of the continuation, in any joint: angles [rad], slides in units of the middle platform's side."""
 CORRECTION = 0.25
 """Largest sum of corrections, as a share of the step they correct."""
 DETERMINANT_CHANGE = 2.0
@@ -38,17 +41,68 @@ NewtonStep = Callable[[FloatArray, float], tuple[FloatArray, float]]
 """Takes q and a share of the path; returns the Newton step towards there, and the error at q in units of d."""
 
 
-class ContinuationSolver:
-    """Solves for the joints of one chain from nearby solutions.
+def project_to_closure(
+    q: FloatArray, kinematics: TreeKinematics, hold_legs: bool = False, max_iterations: int = 10
+) -> FloatArray:
+    """Return closed joint values near q (18,), or raise `ClosureError`; see `ClosedChain.project`.
 
-    Parameters
-    ----------
-    kinematics : TreeKinematics
-        Of the chain by itself.
+    `kinematics`, of the chain by itself, is left at the joint values returned.
     """
+    layout = kinematics.layout
+    free = np.ones(q.shape, dtype=bool)
+    free[layout.legs] = not hold_legs
+    tolerance = _rounding(q, layout)
+    cause = "No assembly mode of these leg lengths nearby?" if hold_legs else "Too far from any closed q?"
+
+    kinematics.evaluate(q)
+    for iteration in range(max_iterations + 1):
+        residual, gap = kinematics.widest_gap(), kinematics.gap
+        if residual <= tolerance:
+            return q
+        if iteration == max_iterations:
+            break
+        jacobian = kinematics.closures[:, free] * layout.units[free]
+        step = np.zeros(q.shape)
+        step[free] = layout.units[free] * np.linalg.lstsq(jacobian, -gap.ravel(), rcond=None)[0]
+        # To first order a share of the step shrinks the gap by that share: a quarter of that is required.
+        share, size = 1.0, float(np.linalg.norm(gap))
+        while True:
+            tried = q + share * step
+            if (layout.leg_lengths(tried) >= 0.0).all():
+                kinematics.evaluate(tried)
+                if np.linalg.norm(kinematics.gap) <= (1.0 - 0.25 * share) * size:
+                    break
+            share *= 0.5
+            if share < SHORTEST_NEWTON_SHARE:
+                raise ClosureError(residual, iteration, cause)
+        q = tried
+    raise ClosureError(residual, max_iterations, cause)
+
+
+def _rounding(q: FloatArray, layout: JointLayout) -> float:
+    """Return what rounding may leave of a closed gap [m]: a few eps times the loop length."""
+    geometry = layout.geometry
+    length = geometry.base_radius + geometry.middle_side + geometry.platform_radius + layout.leg_lengths(q).sum()
+    return 16.0 * float(np.finfo(np.float64).eps) * float(length)
+
+
+class ContinuationSolver:
+    """Solves for the joints of one chain by itself from nearby solutions."""
 
     def __init__(self, kinematics: TreeKinematics) -> None:
         self.kinematics, self.layout = kinematics, kinematics.layout
+
+    def to_each(
+        self, solve: Callable[..., FloatArray], q: FloatArray, shape: tuple[int, ...], *targets: FloatArray
+    ) -> FloatArray:
+        """Return the q (*shape, 18) of each target, from that of the one before; `solve` is one of the two methods."""
+        found = np.empty((*shape, q.size))
+        for index in np.ndindex(shape):
+            try:
+                q = found[index] = solve(self, q, *(array[index] for array in targets))
+            except (ArgumentError, ClosureError, SingularConfigurationError) as error:
+                raise located(error, index) from error
+        return found
 
     def to_leg_lengths(self, q: FloatArray, lengths: FloatArray) -> FloatArray:
         """Return q of other leg lengths (6,), all six changed in proportion; raises at a forward singularity."""
@@ -114,7 +168,7 @@ class ContinuationSolver:
         And the change of the determinant as a share of what is allowed, and the size of the step.
         """
         layout = self.layout
-        tolerance = 4.0 * rounding(q, layout) / layout.side
+        tolerance = 4.0 * _rounding(q, layout) / layout.side
         allowed, begin, start, first = np.inf, 0.0, q, np.inf
         for iteration in range(MOST_CORRECTIONS + 1):
             move, error = step(q, share)

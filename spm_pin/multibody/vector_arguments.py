@@ -1,0 +1,88 @@
+"""Reading joint values, rates, twists, wrenches and gains; quick for a single vector, as control loops need it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import FloatArray, real_array
+
+__all__ = ["Gains", "WrenchLike", "read_gains", "read_vector", "read_vectors", "read_wrenches"]
+
+WrenchLike = npt.ArrayLike | Mapping[str, npt.ArrayLike] | None
+"""A wrench (6,) on the platform, wrenches by the name of their frame, or none."""
+Gains = tuple[float, float] | None
+"""Gains of the constraint stabilisation on gap [1/s²] and gap rate [1/s], or none."""
+
+JOINTS = "joint values in rad and m in Pinocchio's order"
+RATES = "rates of the joints in Pinocchio's order"
+MEANINGS = {
+    **dict.fromkeys(("q", "q0", "near"), JOINTS),
+    **dict.fromkeys(("v", "v0", "a"), RATES),
+    **dict.fromkeys(("other", "chain"), "in Pinocchio's order"),
+    "leg_lengths": "of r_b1 to r_c3 in m",
+    "leg_rates": "of r_b1 to r_c3 in m/s",
+    "forces": "of the actuators in N and N m",
+    "twist": "(v, ω) at o in {B} in m/s and rad/s",
+    "acceleration": "of o in m/s², angular in rad/s², in {B}",
+    "wrench": "(f, m) in N and N m in the axes of {B}",
+}
+"""What each argument holds, for messages."""
+
+
+def read_vectors(value: npt.ArrayLike, argument: str, size: int) -> FloatArray:
+    """Return vectors (..., size) as float64, or raise `ArgumentError`."""
+    return np.asarray(value) if _is_plain(value, size) else real_array(value, argument, (size,), MEANINGS[argument])
+
+
+def read_vector(value: npt.ArrayLike, argument: str, size: int) -> FloatArray:
+    """Return one vector (size,) as float64, or raise `ArgumentError`."""
+    array = read_vectors(value, argument, size)
+    if array.ndim != 1:
+        expected = f"shape ({size},), {MEANINGS[argument]}"
+        raise ArgumentError(argument, expected, f"shape {array.shape}", "One motion a call")
+    return array
+
+
+def _is_plain(value: Any, size: int) -> bool:
+    """Return whether a value is a NumPy array (size,) of finite float64; quicker than NumPy's own tests."""
+    plain = type(value) is np.ndarray and value.shape == (size,) and value.dtype == np.float64
+    return plain and all(map(math.isfinite, value.tolist()))
+
+
+def read_wrenches(wrench: WrenchLike, model: Any, platform: int) -> tuple[FloatArray, list[int]]:
+    """Return wrenches side by side, shape (..., 6 n), and the n frames of the model that they act onto.
+
+    One without a name acts onto the frame `platform`.
+    """
+    if wrench is None:
+        return np.empty((0,)), []
+    if not isinstance(wrench, Mapping):
+        return read_vectors(wrench, "wrench", 6), [platform]
+    unknown = [name for name in wrench if not (isinstance(name, str) and model.existFrame(name))]
+    if unknown:
+        cause = "The names of links, with the prefix"
+        raise ArgumentError("wrench", "frames of the model", ", ".join(map(repr, unknown)), cause)
+    arrays = [read_vectors(value, "wrench", 6) for value in wrench.values()]
+    try:
+        spread = np.broadcast_arrays(*arrays)
+    except ValueError:
+        shapes = ", ".join(str(array.shape) for array in arrays)
+        raise ArgumentError("wrench", "leading axes that broadcast", f"shapes {shapes}") from None
+    together = np.concatenate(spread, axis=-1) if spread else np.empty((0,))
+    return together, [int(model.getFrameId(name)) for name in wrench]
+
+
+def read_gains(gains: Gains) -> tuple[float, float]:
+    """Return the gains of a drift control, zero by default, or raise `ArgumentError`."""
+    if gains is None:
+        return 0.0, 0.0
+    array = real_array(gains, "gains", (2,), "kp in 1/s² and kd in 1/s")
+    if array.ndim != 1 or (array < 0.0).any():
+        raise ArgumentError("gains", "a pair (kp, kd), not negative", repr(gains))
+    return float(array[0]), float(array[1])
