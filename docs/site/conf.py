@@ -38,7 +38,9 @@ autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
 autodoc_type_aliases = {name: name for name in ("BoolArray", "ComplexArray", "FloatArray", "IntArray", "PoseLike")}
-autodoc_default_options = {"members": True, "show-inheritance": True}
+# Methods of our own bases are described with each class, not those of Python's.
+foreign_bases = "BaseException, ImportError, Enum, int, str, dict, tuple, object"
+autodoc_default_options = {"members": True, "show-inheritance": True, "inherited-members": foreign_bases}
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
 numpydoc_xref_param_type = False

@@ -16,10 +16,10 @@ from spm_pin.multibody.vector_arguments import read_vectors
 
 __all__ = ["BatchedStates", "located"]
 
-State = TypeVar("State", bound=ConstrainedState)
+_State = TypeVar("_State", bound=ConstrainedState)
 
 
-class BatchedStates(Generic[State]):
+class BatchedStates(Generic[_State]):
     """States of one constrained model for calls about batches; free ones are kept with their memory.
 
     Parameters
@@ -30,14 +30,14 @@ class BatchedStates(Generic[State]):
         Reads joint values (..., nq).
     """
 
-    def __init__(self, make: Callable[[], State], checked: Callable[[npt.ArrayLike], FloatArray]) -> None:
+    def __init__(self, make: Callable[[], _State], checked: Callable[[npt.ArrayLike], FloatArray]) -> None:
         self._make, self._checked, self._free = make, checked, [make()]
         self.constrained = self._free[0].constrained
         nv = self.constrained.model.nv
         self._sizes = {"v": nv, "a": nv, "forces": self.constrained.actuated.size}
 
     @contextmanager
-    def borrowed(self) -> Iterator[State]:
+    def borrowed(self) -> Iterator[_State]:
         """Yield a state for the caller alone."""
         try:
             state = self._free.pop()

@@ -95,7 +95,7 @@ class ContinuationSolver:
     def to_each(
         self, solve: Callable[..., FloatArray], q: FloatArray, shape: tuple[int, ...], *targets: FloatArray
     ) -> FloatArray:
-        """Return the q (*shape, 18) of each target, from that of the one before; `solve` is one of the two methods."""
+        """Return the q (..., 18) of each target, from that of the one before; `solve` is one of the two methods."""
         found = np.empty((*shape, q.size))
         for index in np.ndindex(shape):
             try:
