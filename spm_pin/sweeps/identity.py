@@ -25,6 +25,7 @@ from spm_pin.errors import ArgumentError
 
 __all__ = ["function_identity"]
 
+_CACHED = type(functools.cache(len))
 _PLAIN = (type(None), bool, int, float, complex, str, bytes, type(Ellipsis))
 _DESCRIPTORS = (types.MemberDescriptorType, types.GetSetDescriptorType, types.WrapperDescriptorType)
 _LEFT_OUT = {
@@ -98,6 +99,8 @@ class _Reader:
             yield from self._code(value)
         elif isinstance(value, ModuleType):
             yield value.__name__.encode()
+            if not self._is_installed(value.__name__):
+                yield self.digest({name: member for name, member in vars(value).items() if not name.startswith("__")})
         elif isinstance(value, type):
             yield from self._class(value)
         elif isinstance(value, enum.Enum):
@@ -106,15 +109,17 @@ class _Reader:
         elif type(value) in (tuple, list):
             yield from self._each(value)
         elif type(value) in (dict, MappingProxyType):
-            yield from sorted(map(self.digest, value.items()))
+            yield from self._each(value.items())
         elif type(value) in (set, frozenset):
             yield from sorted(map(self.digest, value))
         elif type(value) is np.ndarray and not value.dtype.hasobject:
             yield f"{value.dtype.descr} {value.shape}".encode()
             yield value.tobytes()
-        elif hasattr(value, "__wrapped__"):
+        elif isinstance(value, _CACHED):
             yield self.digest(value.__wrapped__)
         elif isinstance(value, BuiltinFunctionType | np.ufunc):
+            if isinstance(value, np.ufunc) and not _has_name(value):
+                raise _UnreadableError(f"one that uses {value.__name__}, a ufunc whose function cannot be read")
             yield f"{getattr(value, '__module__', '')}.{value.__name__}".encode()
             owner = getattr(value, "__self__", None)
             yield b"" if isinstance(owner, ModuleType) else self.digest(owner)
@@ -128,7 +133,7 @@ class _Reader:
         if self._by_name(function):
             yield f"{function.__module__}.{function.__qualname__}".encode()
             return
-        yield from self._each((function.__code__, function.__defaults__, function.__kwdefaults__))
+        yield from self._each((function.__code__, function.__defaults__, function.__kwdefaults__, vars(function)))
         for cell in function.__closure__ or ():
             try:
                 yield self.digest(cell.cell_contents)
@@ -141,11 +146,11 @@ class _Reader:
             if name not in names:
                 continue
             yield name.encode()
-            yield self.digest(names[name])
-            if isinstance(names[name], ModuleType) and not self._is_installed(names[name].__name__):
-                # Each name may be an attribute of the module.
-                used = {name: value for name, value in vars(names[name]).items() if name in code.co_names}
-                yield self.digest(used)
+            value = names[name]
+            if isinstance(value, ModuleType) and not self._is_installed(value.__name__):
+                # Each name may be an attribute of the module; a module inside it is read as a whole.
+                value = {name: member for name, member in vars(value).items() if name in code.co_names}
+            yield self.digest(value)
         for constant in code.co_consts:
             if isinstance(constant, CodeType):
                 yield from self._globals(constant, names)
@@ -199,6 +204,12 @@ def _plain_member(value: Any) -> Any:
         return value.func
     # Descriptors of slots and the like have a name and no content.
     return value.__name__ if isinstance(value, _DESCRIPTORS) else value
+
+
+def _has_name(function: np.ufunc) -> bool:
+    """Return whether a ufunc is the one that NumPy or SciPy has below its name."""
+    modules = (sys.modules.get(name) for name in ("numpy", "scipy.special"))
+    return any(getattr(module, function.__name__, None) is function for module in modules)
 
 
 def _root(module: str | None) -> str:

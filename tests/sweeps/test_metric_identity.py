@@ -78,6 +78,35 @@ def with_module(value: Any) -> Callable[[Points], Any]:
     return function
 
 
+def with_submodule(value: Any) -> Callable[[Points], Any]:
+    own, inner = types.ModuleType("own_package"), types.ModuleType("own_package.numbers")
+    vars(own)["numbers"], vars(inner)["factor"] = inner, value
+    function = eval("lambda points: points.coordinates[:, 0] * own.numbers.factor", {"own": own})
+    assert callable(function)
+    return function
+
+
+def closing_over_module(value: Any) -> Callable[[Points], Any]:
+    own = types.ModuleType("own_numbers")
+    vars(own)["factor"] = value
+    return closing_over(own)
+
+
+def with_attribute(value: Any) -> Callable[[Points], Any]:
+    def function(points: Points) -> Any:
+        return points.coordinates[:, 0] * vars(function)["factor"]
+
+    vars(function)["factor"] = value
+    return function
+
+
+def wrapped(value: Any) -> Callable[[Points], Any]:
+    """An object that says of what it is made, as decorators do, and has state beside that."""
+    made = Scale(value)
+    functools.update_wrapper(made, helper)
+    return made
+
+
 def helper(value: Any) -> Any:
     return value
 
@@ -104,6 +133,7 @@ VALUES: dict[str, tuple[Any, Any]] = {
     "shapes": (np.zeros((2, 3)), np.zeros((3, 2))),
     "arrays of objects": (np.array([1, "a"], dtype=object), np.array([1, "b"], dtype=object)),
     "lists": ([1.0, 2.0], [1.0, 3.0]),
+    "order of keys": ({"a": 1.0, "b": 2.0}, {"b": 2.0, "a": 1.0}),
     "nested": ({"a": [{1, 2}, ("b",)]}, {"a": [{1, 3}, ("b",)]}),
     "dataclasses": (Settings(1.0), Settings(2.0)),
     "members of enumerations": (Kind.LOWER, Kind.UPPER),
@@ -124,6 +154,10 @@ WAYS: dict[str, Callable[[Any], Any]] = {
     "partial": lambda value: partial(operator.mul, value),
     "partial keyword": lambda value: partial(helper, value=value),
     "own module": with_module,
+    "module inside a package": with_submodule,
+    "module in a closure": closing_over_module,
+    "attribute of the function": with_attribute,
+    "object that wraps a function": wrapped,
 }
 
 
@@ -195,6 +229,12 @@ def test_metric_with_unreadable_state_needs_a_version(tmp_path: Path) -> None:
         assert error.value.argument == "metric"
         versions = [dataclasses.replace(mine, version=version).definition() for version in (1, 2, "a")]
     assert [definition["function"] for definition in versions] == ["version 1", "version 2", "version a"]
+
+
+def test_a_ufunc_made_of_a_function_needs_a_version() -> None:
+    assert function_identity(closing_over(np.sin)) != function_identity(closing_over(np.cos))
+    with pytest.raises(spm.ArgumentError, match=r"a ufunc whose function cannot be read.*version="):
+        function_identity(closing_over(np.frompyfunc(lambda x: 2.0 * x, 1, 1)))
 
 
 def test_a_stored_metric_whose_object_has_another_state_is_refused(tmp_path: Path) -> None:
