@@ -31,7 +31,7 @@ KINDS_OF_CONSTRAINT = {"spherical": "point", "spherical_joint": "point", "link":
 """Kinds of closure by the names in the ROS proposal's `<constraint>`."""
 
 LARGEST = 1e12
-"""Largest mass [kg] and moment of inertia [kg m²] accepted."""
+"""Largest mass [kg], moment of inertia [kg m²] and distance of a centre of mass [m] accepted."""
 
 TRANSMISSION = "transmission_interface/SimpleTransmission"
 
@@ -246,6 +246,8 @@ def _inertial(node: Node) -> Inertial:
     if not 0.0 <= value <= LARGEST:
         raise mass.error(f"a mass from 0 to {LARGEST:g} kg", mass.get("value"))
     inertial = Inertial(value, (xx, xy, xz, yy, yz, zz), _origin(node))
+    if max(map(abs, inertial.placement.xyz)) > LARGEST:
+        raise node.error(f"a centre of mass up to {LARGEST:g} m away", f"{max(inertial.placement.xyz, key=abs):g} m")
     if max(map(abs, inertial.moments)) > LARGEST:
         raise inertia.error(f"moments of inertia up to {LARGEST:g} kg m²", f"{max(inertial.moments, key=abs):g}")
     smallest, largest = np.linalg.eigvalsh(inertial.matrix)[[0, -1]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from xml.etree import ElementTree
@@ -11,6 +12,9 @@ from xml.parsers import expat
 from spm_pin.errors import DescriptionError
 
 __all__ = ["Node", "document", "numbers", "parse"]
+
+_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+"""As C++ reads it: other readers leave out what only Python takes for a number, a whole inertia for example."""
 
 
 @dataclass(eq=False)
@@ -75,11 +79,9 @@ class Node:
         text = self.attributes.get(attribute, default)
         if text is None:
             text = self.get(attribute)
-        try:
-            values = tuple(float(word) for word in text.split())
-        except ValueError:
-            values = ()
-        if len(values) != count or not all(math.isfinite(value) for value in values):
+        words = [text] if count == 1 else text.split()
+        values = tuple(float(word) for word in words if _NUMBER.fullmatch(word))
+        if len(words) != count or len(values) != count or not all(math.isfinite(value) for value in values):
             many = "a finite number" if count == 1 else f"{count} finite numbers"
             raise self.error(f"{many} as {attribute} of <{self.tag}>", repr(text))
         return values
