@@ -65,8 +65,9 @@ def test_sources_of_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> No
     finally:
         set_threads(None)
     assert used() == 1
-    monkeypatch.setenv("SPM_PIN_THREADS", "many")
-    assert used() == 2
+    for nonsense in ("many", "²", "-1", "0", ""):
+        monkeypatch.setenv("SPM_PIN_THREADS", nonsense)
+        assert used() == 2
 
 
 @pytest.mark.parametrize("count", [0, -1, 1.5, True, "2"])
