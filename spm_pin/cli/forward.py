@@ -15,8 +15,8 @@ from spm_pin.cli.options import (
     LengthUnit,
     SixLegs,
     Unit,
-    degeneracy_remarks,
     exit_code,
+    pose_remarks,
     read_geometry,
     unit_hint,
 )
@@ -87,7 +87,7 @@ def _remarks(modes: SolutionSet, physical: Configuration, hint: str) -> list[str
     if modes.count:
         remarks[0] += f", closure residual up to {np.nanmax(modes.residual):.0e} m"
     if modes.status is Status.DEGENERATE:
-        remarks += ["With these legs locked the platform can still move.", *degeneracy_remarks(modes)]
+        remarks += ["With these legs locked the platform can still move.", *pose_remarks(modes)]
     if modes.status is Status.UNREACHABLE:
         remarks.append(hint or "A stage cannot be closed with these leg lengths.")
     elif not physical.exists:

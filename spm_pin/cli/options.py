@@ -27,8 +27,8 @@ __all__ = [
     "Triple",
     "Unit",
     "Xyx",
-    "degeneracy_remarks",
     "exit_code",
+    "pose_remarks",
     "read_geometry",
     "read_pose",
     "selected_labels",
@@ -64,9 +64,7 @@ GeometryFile = Annotated[
     typer.Option("--geometry", metavar="FILE", help="YAML file of dimensions in metres; the paper's if not given."),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
-Branches = Annotated[
-    list[str] | None, typer.Option("--branch", help="Branch, such as TT+; may be repeated. All real ones if not given.")
-]
+Branches = Annotated[list[str] | None, typer.Option("--branch", help="Branch, such as TT+; may be repeated.")]
 
 _PROPORTION = 10.0
 """Lengths this many times the machine's size, or less than its inverse, are read as a wrong unit."""
@@ -133,8 +131,10 @@ def unit_hint(option: str, typed: float | tuple[float, ...], unit: LengthUnit, g
     )
 
 
-def degeneracy_remarks(solutions: SolutionSet) -> list[str]:
-    """Return sentences on the continuous families of one degenerate problem, and on the way on; none if it has none."""
+def pose_remarks(solutions: SolutionSet) -> list[str]:
+    """Return sentences on why one pose has no isolated branches, and on the way on; none for other poses."""
+    if solutions.status is Status.UNREACHABLE and abs(solutions.rotation[..., 2, 2]).max() == 1.0:
+        return ["A level platform is held only with its centre o on the Z axis of the base, and then in many ways."]
     degeneracy = solutions.degeneracy
     if solutions.status is not Status.DEGENERATE or degeneracy is None:
         return []
@@ -147,7 +147,8 @@ def degeneracy_remarks(solutions: SolutionSet) -> list[str]:
     if len(legs) == 3:
         remarks.append(
             "The platform is level, as in the symmetric home, where the pose alone does not determine the middle "
-            "platform. Give leg lengths instead (spm-pin forward), or tilt the platform a little (--xyx 0 0.1 0)."
+            "platform. Give leg lengths instead (spm-pin forward), or a tilted pose; nearly level ones have "
+            "branches, but far beyond usual leg limits."
         )
     return remarks
 

@@ -15,8 +15,8 @@ from spm_pin.cli.options import (
     LengthUnit,
     SixLegs,
     Triple,
-    degeneracy_remarks,
     exit_code,
+    pose_remarks,
     read_geometry,
     read_pose,
     selected_labels,
@@ -66,7 +66,7 @@ def requested_solutions(
     if translation is not None and xyx is not None:
         solutions = inverse_displacement(geometry, read_pose(translation, xyx, unit))
         if not solutions.count:
-            cause = unit_hint("--translation", translation, unit, geometry) or " ".join(degeneracy_remarks(solutions))
+            cause = unit_hint("--translation", translation, unit, geometry) or " ".join(pose_remarks(solutions))
             raise ArgumentError("--translation", "a pose with a real branch", f"status {solutions.status}", cause)
         physical = solutions.physical()
         return solutions, physical if physical.exists else solutions[int(solutions.exists.argmax())]
@@ -96,10 +96,10 @@ def solve_pose(
     """Return the branches of `--translation` and `--xyx`, and remarks on a pose that has none or too many."""
     dimensions = read_geometry(geometry)
     solutions = inverse_displacement(dimensions, read_pose(translation, xyx, unit))
-    remarks = degeneracy_remarks(solutions)
-    if solutions.status is Status.UNREACHABLE:
-        hint = unit_hint("--translation", translation, unit, dimensions)
-        remarks.append(hint or "No configuration holds this pose, whatever the leg lengths.")
+    hint = unit_hint("--translation", translation, unit, dimensions)
+    remarks = [hint] if hint else pose_remarks(solutions)
+    if solutions.status is Status.UNREACHABLE and not remarks:
+        remarks.append("No configuration holds this pose, whatever the leg lengths.")
     return solutions, remarks
 
 

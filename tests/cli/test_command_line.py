@@ -174,8 +174,20 @@ def test_a_level_pose_is_explained_with_a_way_on() -> None:
         assert "The platform is level" in text
         assert "spm-pin forward" in text
     assert "The platform is level" in run("draw", "--out", "x.png", *level, "0", "0", "0").message
-    # The tilt that is proposed is enough.
-    assert run("inverse", *level, "0", "0.1", "0").returncode == 0
+    # A slight tilt is enough for branches, but not within the limits.
+    tilted = run("inverse", *level, "0", "0.1", "0")
+    assert tilted.returncode == 0
+    assert "* beyond the limits" in tilted.stdout
+    # Off the axis no level platform can be.
+    off_axis = run("inverse", "--translation", "0.1", "0.2", "2.2", "--xyx", "0", "0", "0")
+    assert off_axis.returncode == 3
+    assert "only with its centre o on the Z axis" in " ".join(off_axis.stdout.split())
+
+
+def test_lengths_too_small_for_the_machine_are_noticed_where_branches_exist() -> None:
+    done = run("inverse", "--translation", "0.6889", "0.4963", "2.253", "--xyx", *EXAMPLE[5:8], "--unit", "cm")
+    assert done.returncode == 0
+    assert "--unit m" in done.stdout
 
 
 # Numbers
