@@ -1,12 +1,12 @@
 """Metrics over any number of poses or leg lengths: domains, metrics, and runs that can be resumed."""
 
-from spm_pin.sweeps.grids import leg_grid, leg_sample, pose_grid, pose_sample
+from spm_pin.sweeps.domains import leg_grid, leg_sample, pose_grid, pose_sample
 from spm_pin.sweeps.metric import Metric, metric
 from spm_pin.sweeps.metrics import METRICS
 from spm_pin.sweeps.points import Points
-from spm_pin.sweeps.runner import StoreLockedError, SweepError, SweepStatus, resume, run, status
+from spm_pin.sweeps.runner import SweepError, SweepStatus, resume, run, status
 from spm_pin.sweeps.runner import open_store as open  # noqa: A004
-from spm_pin.sweeps.store import StoreError
+from spm_pin.sweeps.store import StoreError, StoreLockedError
 
 __all__ = [
     "METRICS",

@@ -12,27 +12,28 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import LEGS
+from spm_pin.mechanism import LEGS, pose
 from spm_pin.mechanism.arguments import FloatArray, choice, real_array, whole_number
 
-__all__ = ["AXES", "Axis", "Domain", "Drawing", "Range", "Sampling", "Space", "chunk_region", "make_domain"]
+__all__ = ["AXES", "Axis", "Domain", "Sample", "Space", "leg_grid", "leg_sample", "pose_grid", "pose_sample"]
 
 Range = float | Sequence[float]
 """One value, (start, stop, count) of a grid, or (start, stop) of a sample [m or rad]."""
 Space = Literal["pose", "legs"]
 """The coordinates of a domain: poses of the platform, or six leg lengths."""
-Sampling = Literal["sobol", "uniform"]
+Method = Literal["sobol", "uniform"]
 """The distribution of sampled points: a scrambled Sobol sequence, or independent uniform ones."""
 
-_ANGLES = ("alpha", "beta", "lambda_")
+_ANGLES = {"alpha": "α", "beta": "β", "lambda_": "λ"}
 AXES: Mapping[str, tuple[str, ...]] = {"pose": ("x", "y", "z", *_ANGLES), "legs": LEGS}
 """Names of the six coordinates of each space."""
-
-_LONG_NAMES = {
+_DESCRIPTIONS = {
     **{name: f"{name.upper()} of o in {{B}}" for name in "xyz"},
-    **{name: f"X-Y-X Euler angle {sign}" for name, sign in zip(_ANGLES, "αβλ", strict=True)},
+    **{name: f"X-Y-X Euler angle {sign}" for name, sign in _ANGLES.items()},
     **{leg: f"length of leg {leg}" for leg in LEGS},
 }
 _MOST_VALUES = 10**8
@@ -41,22 +42,13 @@ _MOST_VALUES = 10**8
 
 @dataclass(frozen=True)
 class Axis:
-    """One coordinate and its values.
-
-    Attributes
-    ----------
-    name : str
-        x, y, z, alpha, beta, lambda_, or a leg.
-    start, stop : float
-        First and last value [m or rad]; equal where the coordinate is fixed.
-    count : int
-        Number of equally spaced values, both ends included; 1 where the coordinate is fixed, 0 where it is drawn.
-    """
+    """One coordinate, x, y, z, alpha, beta, lambda_, or a leg, and its first and last value [m or rad]."""
 
     name: str
     start: float
     stop: float
     count: int
+    """Number of equally spaced values, both ends included; 1 where the coordinate is fixed, 0 where it is sampled."""
 
     @property
     def fixed(self) -> bool:
@@ -69,26 +61,20 @@ class Axis:
         return np.linspace(self.start, self.stop, self.count)
 
     @property
-    def attributes(self) -> dict[str, str]:
-        """Unit and description, named as in the CF conventions."""
-        return {"units": "rad" if self.name in _ANGLES else "m", "long_name": _LONG_NAMES[self.name]}
+    def unit(self) -> str:
+        """Unit, "rad" or "m"."""
+        return "rad" if self.name in _ANGLES else "m"
+
+    @property
+    def description(self) -> str:
+        """One line that says what the coordinate is."""
+        return _DESCRIPTIONS[self.name]
 
 
 @dataclass(frozen=True)
-class Drawing:
+class Sample:
     """Method and parameters by which the points of a sample are drawn.
 
-    Attributes
-    ----------
-    count : int
-        Number of points.
-    method : {"sobol", "uniform"}
-        Scrambled Sobol sequences, one per chunk, or independent numbers.
-    seed : int
-        Seed of the drawing.
-
-    Notes
-    -----
     Each chunk is drawn on its own, from the seed and its index: with "uniform" independently, with "sobol" as a Sobol
     sequence with its own random scrambling. The means over chunks of equal length are then independent and unbiased,
     and their scatter estimates the error of their mean [1]_. A chunk of a power of two is balanced best.
@@ -98,7 +84,7 @@ class Drawing:
     """
 
     count: int
-    method: Sampling
+    method: Method
     seed: int
 
     def __post_init__(self) -> None:
@@ -120,31 +106,23 @@ class Drawing:
 
 @dataclass(frozen=True)
 class Domain:
-    """The points of a sweep. Made by `pose_grid`, `leg_grid`, `pose_sample` and `leg_sample`.
-
-    Attributes
-    ----------
-    space : {"pose", "legs"}
-        Whether a point is a pose or a set of leg lengths.
-    axes : tuple of six Axis
-        x, y, z, alpha, beta, lambda_, or the legs.
-    drawing : Drawing, optional
-        How points are drawn from the box of the axes; a lattice, all combinations of their values, if not given.
-    """
+    """The points of a sweep. Made by `pose_grid`, `leg_grid`, `pose_sample` and `leg_sample`."""
 
     space: Space
     axes: tuple[Axis, ...]
-    drawing: Drawing | None = None
+    """The six coordinates, in the order of `AXES`."""
+    sample: Sample | None = None
+    """How points are drawn from the box of the axes; a lattice, all combinations of their values, if not given."""
 
     @property
     def dims(self) -> tuple[str, ...]:
         """Names of the dimensions of the results: those of the axes that are not fixed, or "sample"."""
-        return ("sample",) if self.drawing else tuple(axis.name for axis in self.axes if not axis.fixed)
+        return ("sample",) if self.sample else tuple(axis.name for axis in self.axes if not axis.fixed)
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Lengths of those dimensions."""
-        return (self.drawing.count,) if self.drawing else tuple(axis.count for axis in self.axes if not axis.fixed)
+        return (self.sample.count,) if self.sample else tuple(axis.count for axis in self.axes if not axis.fixed)
 
     @property
     def size(self) -> int:
@@ -153,38 +131,31 @@ class Domain:
 
     def chunk_shape(self, limit: int) -> tuple[int, ...]:
         """Return the shape of chunks of at most `limit` points: the last dimensions whole, as far as they fit."""
-        chunk, room = [], whole_number(limit, "chunk", "a positive number of points", least=1)
-        if self.drawing:
-            return (min(room, self.drawing.count),)
+        room = whole_number(limit, "chunk", "a positive number of points", least=1)
+        if self.sample:
+            return (min(room, self.sample.count),)
+        chunk: list[int] = []
         for length in reversed(self.shape):
             # Parts of nearly equal length: a short last chunk would be stored at the size of a whole one.
             parts = -(-length // max(1, min(length, room)))
-            chunk.append(-(-length // parts))
-            room //= chunk[-1]
-        return tuple(reversed(chunk))
+            chunk.insert(0, -(-length // parts))
+            room //= chunk[0]
+        return tuple(chunk)
+
+    def region(self, index: tuple[int, ...], chunk: tuple[int, ...]) -> tuple[slice, ...]:
+        """Return the slices of the chunk at `index` in the results; the last ones may be shorter than `chunk`."""
+        lengths = zip(index, chunk, self.shape, strict=True)
+        return tuple(slice(i * n, min((i + 1) * n, total)) for i, n, total in lengths)
 
     def points(self, index: tuple[int, ...], chunk: tuple[int, ...]) -> FloatArray:
-        """Return the coordinates of one chunk, the last dimension fastest.
-
-        Parameters
-        ----------
-        index : tuple of int
-            Index of the chunk along `dims`.
-        chunk : tuple of int
-            Shape of the chunks; the last ones along a dimension may be shorter.
-
-        Returns
-        -------
-        ndarray, shape (N, 6)
-            Coordinates in the order of `axes` [m, rad].
-        """
-        region = chunk_region(self.shape, index, chunk)
-        if self.drawing:
+        """Return the coordinates of the chunk at `index` [m, rad], shape (N, 6), the last dimension fastest."""
+        region = self.region(index, chunk)
+        if self.sample:
             count = region[0].stop - region[0].start
             free = [k for k, axis in enumerate(self.axes) if not axis.fixed]
             start, stop = np.array([(axis.start, axis.stop) for axis in self.axes]).T
             points = np.tile(start, (count, 1))
-            points[:, free] += self.drawing.draw(len(free), index, count) * (stop - start)[free]
+            points[:, free] += self.sample.draw(len(free), index, count) * (stop - start)[free]
             return points
         parts = iter(region)
         values = [axis.values if axis.fixed else axis.values[next(parts)] for axis in self.axes]
@@ -196,7 +167,7 @@ class Domain:
     def definition(self) -> dict[str, Any]:
         """Return the numbers that describe the domain, as JSON."""
         axes = {axis.name: [axis.start, axis.stop, axis.count] for axis in self.axes}
-        return {"space": self.space, "axes": axes, "drawing": self.drawing and asdict(self.drawing)}
+        return {"space": self.space, "axes": axes, "sample": self.sample and asdict(self.sample)}
 
     @staticmethod
     def from_definition(content: Mapping[str, Any]) -> Domain:
@@ -205,49 +176,174 @@ class Domain:
             name: start if count == 1 else (start, stop, count) if count else (start, stop)
             for name, (start, stop, count) in content["axes"].items()
         }
-        return make_domain(content["space"], ranges, content["drawing"] and Drawing(**content["drawing"]))
+        return _domain(content["space"], ranges, content["sample"] and Sample(**content["sample"]))
 
 
-def make_domain(space: Space, ranges: Mapping[str, Range], drawing: Drawing | None = None) -> Domain:
-    """Make a domain of the ranges of the six coordinates, by name.
+def pose_grid(
+    x: Range,
+    y: Range,
+    z: Range,
+    *,
+    xyx: Sequence[Range] | None = None,
+    rotation: Rotation | npt.ArrayLike | None = None,
+) -> Domain:
+    """Describe a lattice of poses.
+
+    Parameters
+    ----------
+    x, y, z : float or (start, stop, count)
+        Position of o in {B} [m]: one value, or equally spaced ones with both ends among them.
+    xyx : three of float or (start, stop, count), optional
+        The paper's Euler angles α, β, λ [rad], likewise.
+    rotation : Rotation or array_like, shape (3, 3), optional
+        One orientation instead of `xyx`; it is kept as its X-Y-X angles.
 
     Raises
     ------
     ArgumentError
-        If a range is reversed, empty, not finite, or of fewer than two values, or if nothing varies.
+        If a range is reversed, empty, not finite, or of fewer than two points, if nothing varies, or if both or neither
+        of `xyx` and `rotation` are given.
+
+    Examples
+    --------
+    >>> grid = pose_grid((-0.5, 0.5, 101), (-0.5, 0.5, 101), 2.4, xyx=[0.3, 0.5, -0.3])
+    >>> grid.dims, grid.size
+    (('x', 'y'), 10201)
     """
+    return _domain("pose", _pose_ranges(x, y, z, xyx, rotation))
+
+
+def leg_grid(lower: Range | Sequence[Range], upper: Range | Sequence[Range]) -> Domain:
+    """Describe a lattice of leg lengths.
+
+    Parameters
+    ----------
+    lower, upper : float, (start, stop, count), or three of these
+        Lengths of the lower legs r_b1, r_b2, r_b3 and of the upper legs r_c1, r_c2, r_c3 [m]: the same for the three,
+        or one after another in a list. A tuple of three numbers is a range.
+
+    Raises
+    ------
+    ArgumentError
+        As for `pose_grid`, and if a length is not positive.
+    """
+    return _domain("legs", _leg_ranges(lower, upper))
+
+
+def pose_sample(
+    count: int,
+    x: Range,
+    y: Range,
+    z: Range,
+    *,
+    xyx: Sequence[Range] | None = None,
+    rotation: Rotation | npt.ArrayLike | None = None,
+    method: Method = "sobol",
+    seed: int = 0,
+) -> Domain:
+    """Describe poses drawn from a box of positions and X-Y-X angles.
+
+    Parameters
+    ----------
+    count : int
+        Number of poses.
+    x, y, z, xyx, rotation
+        As for `pose_grid`, with ranges (start, stop). The distribution is uniform in these coordinates; one that is
+        uniform over rotations has the weight ``|sin β|``.
+    method : {"sobol", "uniform"}
+        Scrambled Sobol sequences, one per chunk, or independent numbers; see `Sample`.
+    seed : int
+        Seed of the random generator.
+
+    Raises
+    ------
+    ArgumentError
+        As for `pose_grid`, or if `count`, `method` or `seed` is not as above.
+    """
+    return _domain("pose", _pose_ranges(x, y, z, xyx, rotation), Sample(count, method, seed))
+
+
+def leg_sample(
+    count: int,
+    lower: Range | Sequence[Range],
+    upper: Range | Sequence[Range],
+    *,
+    method: Method = "sobol",
+    seed: int = 0,
+) -> Domain:
+    """Describe leg lengths drawn from a box.
+
+    Parameters
+    ----------
+    count : int
+        Number of sets of six lengths.
+    lower, upper : float, (start, stop), or three of these
+        As for `leg_grid`.
+    method, seed
+        As for `pose_sample`.
+
+    Raises
+    ------
+    ArgumentError
+        As for `pose_sample`, and if a length is not positive.
+    """
+    return _domain("legs", _leg_ranges(lower, upper), Sample(count, method, seed))
+
+
+def _pose_ranges(
+    x: Range, y: Range, z: Range, xyx: Sequence[Range] | None, rotation: Rotation | npt.ArrayLike | None
+) -> dict[str, Range]:
+    if (xyx is None) == (rotation is None):
+        raise ArgumentError("rotation", "either xyx=... or rotation=...", "neither" if xyx is None else "both")
+    if rotation is not None:
+        # Reads a matrix or a Rotation, with the checks that a pose has.
+        orientation = pose(np.zeros(3), rotation=rotation).rotation
+        if orientation.shape != ():
+            raise ArgumentError("rotation", "one orientation", f"shape {orientation.shape}")
+        xyx = [float(angle) for angle in orientation.as_euler("XYX", suppress_warnings=True)]
+    if not isinstance(xyx, Sequence | np.ndarray) or isinstance(xyx, str) or len(xyx) != 3:
+        raise ArgumentError("xyx", "three angles or ranges [rad]", repr(xyx))
+    return dict(zip(AXES["pose"], (x, y, z, *xyx), strict=True))
+
+
+def _leg_ranges(lower: Range | Sequence[Range], upper: Range | Sequence[Range]) -> dict[str, Range]:
+    ranges: list[Any] = []
+    for argument, lengths in (("lower", lower), ("upper", upper)):
+        if isinstance(lengths, list) and len(lengths) != 3:
+            raise ArgumentError(argument, "one length or range, or a list of three", f"a list of {len(lengths)}")
+        ranges += lengths if isinstance(lengths, list) else [lengths] * 3
+    return dict(zip(AXES["legs"], ranges, strict=True))
+
+
+def _domain(space: Space, ranges: Mapping[str, Range], sample: Sample | None = None) -> Domain:
+    """Make a domain of the ranges of the six coordinates, by name."""
     if tuple(ranges) != AXES[space]:
         raise ArgumentError("ranges", f"the coordinates {', '.join(AXES[space])}", ", ".join(ranges))
-    axes = tuple(_axis(name, interval, drawing is not None) for name, interval in ranges.items())
+    axes = tuple(_axis(name, values, sample is not None) for name, values in ranges.items())
     if all(axis.fixed for axis in axes):
         raise ArgumentError("ranges", "at least one coordinate that varies", "six fixed ones")
-    return Domain(space, axes, drawing)
+    return Domain(space, axes, sample)
 
 
-def chunk_region(shape: tuple[int, ...], index: tuple[int, ...], chunk: tuple[int, ...]) -> tuple[slice, ...]:
-    """Return the slices of the chunk at `index` in an array of `shape`."""
-    return tuple(slice(i * n, min((i + 1) * n, total)) for i, n, total in zip(index, chunk, shape, strict=True))
-
-
-def _axis(name: str, interval: Range, drawn: bool) -> Axis:
-    """Read one value, (start, stop, count), or (start, stop) where the coordinate is drawn."""
+def _axis(name: str, value: Range, sampled: bool) -> Axis:
+    """Read one value, (start, stop, count), or (start, stop) where the coordinate is sampled."""
     unit = "radians" if name in _ANGLES else "metres"
-    expected = f"one value or {'(start, stop)' if drawn else '(start, stop, count)'}, in {unit}"
-    values = real_array(interval, name, (), expected)
-    if values.shape not in ((), (2 if drawn else 3,)):
-        raise ArgumentError(name, expected, f"shape {values.shape}")
-    start, stop = (float(end) for end in (np.broadcast_to(values, (2,)) if values.ndim == 0 else values[:2]))
+    expected = f"one value or {'(start, stop)' if sampled else '(start, stop, count)'}, in {unit}"
+    numbers = real_array(value, name, (), expected)
+    if numbers.shape not in ((), (2 if sampled else 3,)):
+        raise ArgumentError(name, expected, f"shape {numbers.shape}")
+    start, stop = map(float, numbers[:2] if numbers.ndim else (numbers, numbers))
     if name in _ANGLES and max(abs(start), abs(stop)) > 2.0 * math.pi:
-        raise ArgumentError(name, "angles within ±2π radians", interval, "Degrees instead of radians?")
+        raise ArgumentError(name, "angles within ±2π radians", value, "Degrees instead of radians?")
     if name in LEGS and start <= 0.0:
-        raise ArgumentError(name, "positive lengths in metres", interval)
-    if values.ndim == 0:
+        raise ArgumentError(name, "positive lengths in metres", value)
+    if numbers.ndim == 0:
         return Axis(name, start, stop, 1)
     if not start < stop:
         cause = "The ends exchanged?" if start > stop else "Give a fixed coordinate as one number."
         raise ArgumentError(name, "start < stop", f"{start:g} and {stop:g}", cause)
-    count = 0.0 if drawn else float(values[2])
-    if not drawn and (not 2 <= count <= _MOST_VALUES or count != int(count)):
+    count = 0.0 if sampled else float(numbers[2])
+    if not sampled and (not 2 <= count <= _MOST_VALUES or count != int(count)):
         cause = "Give a fixed coordinate as one number." if count == 1 else ""
         raise ArgumentError(name, f"an integer count of at least 2, at most {_MOST_VALUES}", f"{count:g}", cause)
     return Axis(name, start, stop, int(count))

@@ -45,13 +45,7 @@ class _UnreadableError(Exception):
 
 
 def function_identity(function: Callable[..., Any]) -> str:
-    """Return the name of a function of this package, or a digest of what another function does.
-
-    Raises
-    ------
-    ArgumentError
-        If the function uses an object whose content cannot be read, such as an open file.
-    """
+    """Return the name of a function of this package, or a digest of what another function does."""
     module, name = str(getattr(function, "__module__", "")), getattr(function, "__qualname__", "")
     if module.startswith("spm_pin.") and "<" not in name:
         return f"{module}.{name}"
@@ -83,109 +77,93 @@ class _Reader:
             return b"cycle %d" % (len(self._open) - self._open[id(value)])
         self._open[id(value)] = len(self._open)
         digest = hashlib.sha256(type(value).__qualname__.encode())
-        for part in self._content(value):
+        for part in map(self.digest, self._parts(value)):
             digest.update(b"%d " % len(part))
             digest.update(part)
         del self._open[id(value)]
         self._done[id(value)] = digest.digest(), value
         return digest.digest()
 
-    def _content(self, value: Any) -> Iterator[bytes]:
+    def _parts(self, value: Any) -> Iterable[Any]:
+        """Return the values that a value is made of."""
         if isinstance(value, FunctionType):
-            yield from self._function(value)
-        elif isinstance(value, MethodType):
-            yield from self._each((value.__func__, value.__self__))
-        elif isinstance(value, CodeType):
-            yield from self._code(value)
-        elif isinstance(value, ModuleType):
-            yield value.__name__.encode()
-            if not self._is_installed(value.__name__):
-                yield self.digest({name: member for name, member in vars(value).items() if not name.startswith("__")})
-        elif isinstance(value, type):
-            yield from self._class(value)
-        elif isinstance(value, enum.Enum):
-            yield f"{type(value).__module__}.{type(value).__qualname__}.{value.name}".encode()
-            yield self.digest(value.value)
-        elif type(value) in (tuple, list):
-            yield from self._each(value)
-        elif type(value) in (dict, MappingProxyType):
-            yield from self._each(value.items())
-        elif type(value) in (set, frozenset):
-            yield from sorted(map(self.digest, value))
-        elif type(value) is np.ndarray and not value.dtype.hasobject:
-            yield f"{value.dtype.descr} {value.shape}".encode()
-            yield value.tobytes()
-        elif isinstance(value, _CACHED):
-            yield self.digest(value.__wrapped__)
-        elif isinstance(value, BuiltinFunctionType | np.ufunc):
-            if isinstance(value, np.ufunc) and not _has_name(value):
-                raise _UnreadableError(f"one that uses {value.__name__}, a ufunc whose function cannot be read")
-            yield f"{getattr(value, '__module__', '')}.{value.__name__}".encode()
+            return self._function(value)
+        if isinstance(value, MethodType):
+            return value.__func__, value.__self__
+        if isinstance(value, CodeType):
+            names = value.co_names, value.co_varnames, value.co_freevars
+            return value.co_code, getattr(value, "co_exceptiontable", b""), value.co_consts, *names, value.co_flags
+        if isinstance(value, ModuleType):
+            members = {name: member for name, member in vars(value).items() if not name.startswith("__")}
+            return value.__name__, None if self._is_installed(value.__name__) else members
+        if isinstance(value, type):
+            return self._class(value)
+        if isinstance(value, enum.Enum):
+            return type(value).__module__, type(value).__qualname__, value.name, value.value
+        if type(value) in (tuple, list):
+            return tuple(value)
+        if type(value) in (dict, MappingProxyType):
+            return tuple(value.items())
+        if type(value) in (set, frozenset):
+            return sorted(map(self.digest, value))
+        if type(value) is np.ndarray and not value.dtype.hasobject:
+            return f"{value.dtype.descr} {value.shape}", value.tobytes()
+        if isinstance(value, _CACHED):
+            return (value.__wrapped__,)
+        if isinstance(value, np.ufunc) and not _has_name(value):
+            raise _UnreadableError(f"one that uses {value.__name__}, a ufunc whose function cannot be read")
+        if isinstance(value, BuiltinFunctionType | np.ufunc):
             owner = getattr(value, "__self__", None)
-            yield b"" if isinstance(owner, ModuleType) else self.digest(owner)
-        else:
-            yield from self._object(value)
+            return getattr(value, "__module__", ""), value.__name__, None if isinstance(owner, ModuleType) else owner
+        if callable(getattr(value, "py_func", None)):  # Numba's functions, whose pickles differ from run to run
+            return (value.py_func,)
+        return self._object(value)
 
-    def _each(self, values: Iterable[Any]) -> Iterator[bytes]:
-        return map(self.digest, values)
-
-    def _function(self, function: FunctionType) -> Iterator[bytes]:
+    def _function(self, function: FunctionType) -> Iterator[Any]:
         if self._by_name(function):
-            yield f"{function.__module__}.{function.__qualname__}".encode()
+            yield from (function.__module__, function.__qualname__)
             return
-        yield from self._each((function.__code__, function.__defaults__, function.__kwdefaults__, vars(function)))
+        yield from (function.__code__, function.__defaults__, function.__kwdefaults__, vars(function))
         for cell in function.__closure__ or ():
             try:
-                yield self.digest(cell.cell_contents)
+                yield cell.cell_contents
             except ValueError:
-                yield b"empty"
+                yield "an empty cell"
         yield from self._globals(function.__code__, function.__globals__)
 
-    def _globals(self, code: CodeType, names: dict[str, Any]) -> Iterator[bytes]:
+    def _globals(self, code: CodeType, names: dict[str, Any]) -> Iterator[Any]:
         for name in code.co_names:
             if name not in names:
                 continue
-            yield name.encode()
             value = names[name]
             if isinstance(value, ModuleType) and not self._is_installed(value.__name__):
                 # Each name may be an attribute of the module; a module inside it is read as a whole.
                 value = {name: member for name, member in vars(value).items() if name in code.co_names}
-            yield self.digest(value)
+            yield from (name, value)
         for constant in code.co_consts:
             if isinstance(constant, CodeType):
                 yield from self._globals(constant, names)
 
-    def _code(self, code: CodeType) -> Iterator[bytes]:
-        yield code.co_code
-        yield getattr(code, "co_exceptiontable", b"")
-        yield from self._each((code.co_consts, code.co_names, code.co_varnames, code.co_freevars, code.co_flags))
-
-    def _class(self, kind: type) -> Iterator[bytes]:
-        yield f"{kind.__module__}.{kind.__qualname__}".encode()
+    def _class(self, kind: type) -> Iterator[Any]:
+        yield from (kind.__module__, kind.__qualname__)
         if not self._by_name(kind):
-            yield from self._each(kind.__bases__)
-            members = {name: _plain_member(value) for name, value in vars(kind).items() if name not in _LEFT_OUT}
-            yield self.digest(members)
+            yield kind.__bases__
+            yield {name: _plain_member(value) for name, value in vars(kind).items() if name not in _LEFT_OUT}
 
-    def _object(self, value: Any) -> Iterator[bytes]:
-        """Read an object as it would be pickled: its class, the arguments that make it, and its state."""
-        if callable(getattr(value, "py_func", None)):  # Numba's functions, whose pickles differ from run to run
-            yield self.digest(value.py_func)
-            return
+    def _object(self, value: Any) -> tuple[Any, ...]:
+        """Return what an object would be pickled as: its class, the arguments that make it, and its state."""
         kind = type(value)
         try:
             reduce = copyreg.dispatch_table.get(kind)
             reduced = value.__reduce_ex__(4) if reduce is None else reduce(value)
         except Exception as error:
             raise _UnreadableError(f"one that uses a {kind.__qualname__}, which cannot be read: {error}") from error
-        yield self.digest(kind)
         if isinstance(reduced, str):
             if not self._is_installed(getattr(value, "__module__", None) or kind.__module__):
                 raise _UnreadableError(f"one that uses {reduced}, a {kind.__qualname__} that is known by name alone")
-            yield reduced.encode()
-            return
+            return kind, reduced
         make, arguments, state, items, pairs = (*reduced, None, None, None)[:5]
-        yield from self._each((make, arguments, state, list(items or ()), dict(pairs or ())))
+        return kind, make, arguments, state, list(items or ()), dict(pairs or ())
 
     def _by_name(self, value: FunctionType | type) -> bool:
         return self._is_installed(value.__module__) and "<locals>" not in value.__qualname__

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import real_number
+from spm_pin.mechanism.arguments import instance, real_number
 from spm_pin.sweeps.identity import function_identity
 from spm_pin.sweeps.points import Points
 
@@ -25,7 +25,7 @@ __all__ = ["DTYPES", "Metric", "metric"]
 DTYPES = ("float64", "float32", "float16", "int64", "int32", "int16", "int8")
 """Types in which a metric can be stored."""
 
-_ATTRIBUTES = {"long_name", "units", "not_computed", "flag_values", "flag_meanings", "coordinates"}
+_ATTRIBUTES = ("long_name", "units", "not_computed", "flag_values", "flag_meanings", "coordinates")
 _NAME = re.compile(r"(?!__)[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 
 
@@ -72,21 +72,20 @@ class Metric:
     def __post_init__(self) -> None:
         if not (isinstance(self.name, str) and _NAME.fullmatch(self.name)):
             raise ArgumentError("name", "letters, digits and underscores", repr(self.name))
-        for argument in ("unit", "description"):
-            if not isinstance(getattr(self, argument), str):
-                raise ArgumentError(argument, "a text", repr(getattr(self, argument)))
+        instance(self.unit, str, "unit")
+        instance(self.description, str, "description")
         if not callable(self.function):
             raise ArgumentError("function", "a function of Points", type(self.function).__name__)
         try:
-            kind = np.dtype(self.dtype).name
+            dtype = "" if self.dtype is None else np.dtype(self.dtype).name
         except (TypeError, ValueError):
-            kind = ""
-        if kind not in DTYPES or self.dtype is None:
+            dtype = ""
+        if dtype not in DTYPES:
             raise ArgumentError("dtype", f"one of {', '.join(DTYPES)}", repr(self.dtype))
         if self.version is not None and type(self.version) not in (int, str):
             raise ArgumentError("version", "a text or an integer", repr(self.version))
-        object.__setattr__(self, "dtype", kind)
-        object.__setattr__(self, "flags", _checked_flags(self.flags, kind))
+        object.__setattr__(self, "dtype", dtype)
+        object.__setattr__(self, "flags", _checked_flags(self.flags, dtype))
         object.__setattr__(self, "parameters", _checked_parameters(self.parameters))
 
     def __reduce__(self) -> tuple[type[Metric], tuple[Any, ...]]:
@@ -112,10 +111,9 @@ class Metric:
         if unknown:
             raise ArgumentError(unknown[0], f"a parameter among {', '.join(self.parameters) or 'none'}", self.name)
         if getattr(self.function, "__module__", "").startswith("spm_pin."):
-            numbers = {name: value for name, value in parameters.items() if value is not None}
-            parameters |= {
-                name: real_number(value, name, "a positive number", above=0.0) for name, value in numbers.items()
-            }
+            for name, value in parameters.items():
+                if value is not None:
+                    parameters[name] = real_number(value, name, "a positive number", above=0.0)
         return dataclasses.replace(self, parameters={**self.parameters, **parameters})
 
     @property
@@ -124,38 +122,35 @@ class Metric:
         return math.nan if self.dtype.startswith("float") else int(np.iinfo(self.dtype).min)
 
     def evaluate(self, points: Points) -> npt.NDArray[Any]:
-        """Return the metric at `points` in its own type, shape (N,).
-
-        Raises
-        ------
-        ArgumentError
-            If the function returns another shape, or a value that the type cannot hold.
-        """
+        """Return the metric at `points` in its own type, shape (N,), after a check of what the function returns."""
         try:
             values = np.asanyarray(self.function(points, **self.parameters))
         except Exception as error:
             error.add_note(f"while evaluating the metric {self.name!r}")
             raise
-        argument, kind = f"metric {self.name}", np.dtype(self.dtype)
-        holds = f"values that {kind} can hold"
+        dtype = np.dtype(self.dtype)
+
+        def refused(received: str, cause: str = "") -> ArgumentError:
+            return ArgumentError(f"metric {self.name}", f"values that {dtype} can hold", received, cause)
+
         if values.shape != (len(points),):
-            raise ArgumentError(argument, f"an array of shape ({len(points)},)", f"shape {values.shape}")
-        if values.dtype.kind not in ("biuf" if kind.kind == "f" else "biu"):
-            raise ArgumentError(argument, holds, f"values of type {values.dtype}")
+            raise ArgumentError(f"metric {self.name}", f"an array of shape ({len(points)},)", f"shape {values.shape}")
+        if values.dtype.kind not in ("biuf" if dtype.kind == "f" else "biu"):
+            raise refused(f"values of type {values.dtype}")
+        if dtype.kind == "i":
+            if np.ma.is_masked(values):
+                raise refused("masked values", "Integers have no NaN: fill the masked values.")
+            values = np.asarray(values)
+            if values.size and not self.not_computed < int(values.min()) <= int(values.max()) <= np.iinfo(dtype).max:
+                raise refused(f"values from {values.min()} to {values.max()}")
+            return values.astype(dtype)
         if isinstance(values, np.ma.MaskedArray):
-            if kind.kind == "i" and np.ma.getmaskarray(values).any():
-                cause = "Integers have no NaN: fill the masked values."
-                raise ArgumentError(argument, holds, "masked values", cause)
-            values = np.ma.filled(values.astype(np.float64), np.nan) if kind.kind == "f" else values.data
-        if kind.kind == "i":
-            if values.size and not self.not_computed < int(values.min()) <= int(values.max()) <= np.iinfo(kind).max:
-                raise ArgumentError(argument, holds, f"values from {values.min()} to {values.max()}")
-            return np.asarray(values).astype(kind)
+            values = np.ma.filled(values.astype(np.float64), np.nan)
         with np.errstate(over="ignore"):
-            stored = np.asarray(values).astype(kind)
+            stored = np.asarray(values).astype(dtype)
         overflown = np.isinf(stored) & np.isfinite(values)
         if overflown.any():
-            raise ArgumentError(argument, holds, f"{values[overflown][0]:g}", "Store it as another type, dtype=...")
+            raise refused(f"{values[overflown][0]:g}", "Store it as another type, dtype=...")
         return stored
 
     def definition(self) -> dict[str, Any]:
@@ -165,7 +160,7 @@ class Metric:
             "unit": self.unit,
             "dtype": self.dtype,
             "parameters": dict(self.parameters),
-            "function": function_identity(self.function) if self.version is None else f"version {self.version}",
+            "function": function_identity(self.function) if self.version is None else self.version,
         }
 
     def attributes(self) -> dict[str, Any]:
@@ -225,26 +220,24 @@ def metric(
     return decorate
 
 
-def _checked_flags(flags: Mapping[str, int], kind: str) -> Mapping[str, int]:
-    expected = "texts without blanks, each with an integer that the type can hold"
-    if not isinstance(flags, Mapping) or (flags and kind.startswith("float")):
-        raise ArgumentError("flags", f"{expected}; none for floats", repr(flags))
+def _checked_flags(flags: Mapping[str, int], dtype: str) -> Mapping[str, int]:
+    expected = "texts without blanks, each with an integer that the type can hold; none for floats"
+    if not isinstance(flags, Mapping) or (flags and dtype.startswith("float")):
+        raise ArgumentError("flags", expected, repr(flags))
     for text, value in flags.items():
-        ok = isinstance(text, str) and len(text.split()) == 1 and type(value) is int
-        if not ok or not np.iinfo(kind).min < value <= np.iinfo(kind).max:
+        fits = isinstance(text, str) and len(text.split()) == 1 and type(value) is int
+        if not fits or not np.iinfo(dtype).min < value <= np.iinfo(dtype).max:
             raise ArgumentError("flags", expected, f"{text!r}: {value!r}")
     return MappingProxyType(dict(flags))
 
 
 def _checked_parameters(parameters: Mapping[str, Any]) -> Mapping[str, Any]:
-    expected = "names with values that JSON can hold"
-    if not isinstance(parameters, Mapping) or not all(isinstance(name, str) for name in parameters):
-        raise ArgumentError("parameters", expected, repr(parameters))
-    taken = _ATTRIBUTES & set(parameters)
-    if taken:
-        raise ArgumentError("parameters", "names other than those of attributes", ", ".join(sorted(taken)))
+    expected = f"names other than {', '.join(_ATTRIBUTES)}, with values that JSON can hold"
     try:
         # A copy, of plain types, that no caller changes afterwards.
-        return MappingProxyType(json.loads(json.dumps(dict(parameters), allow_nan=False)))
+        copy = json.loads(json.dumps(dict(parameters), allow_nan=False))
     except (TypeError, ValueError, RecursionError) as error:
         raise ArgumentError("parameters", expected, repr(parameters), str(error)) from error
+    if not isinstance(parameters, Mapping) or copy.keys() != set(parameters) or set(_ATTRIBUTES) & set(copy):
+        raise ArgumentError("parameters", expected, repr(parameters))
+    return MappingProxyType(copy)

@@ -8,6 +8,7 @@ rotation about o gives to the joints c_i. Parameters are positive numbers.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
@@ -23,7 +24,7 @@ from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.sweeps.metric import Metric, metric
 from spm_pin.sweeps.points import Points
 
-__all__ = ["METRICS", "metric_from_definition", "resolve_metrics", "status"]
+__all__ = ["METRICS", "metric_from_definition", "resolve_metrics", "status", "unavailable"]
 
 Values = npt.NDArray[Any]
 
@@ -220,40 +221,31 @@ METRICS: Mapping[str, Metric] = MappingProxyType(
 """The metrics of the package by name; with other parameters, ``METRICS["payload"](push=900.0)``."""
 
 
-def resolve_metrics(metrics: Iterable[str | Metric]) -> tuple[Metric, ...]:
-    """Return metrics given by name or as they are.
-
-    Raises
-    ------
-    ArgumentError
-        If there is none, a name is unknown, or two have one name.
-    """
-    expected = f"a Metric, or names among {', '.join(METRICS)}"
-    if not isinstance(metrics, str | Metric | Iterable):
-        raise ArgumentError("metrics", expected, repr(metrics))
-    entries: list[Any] = [metrics] if isinstance(metrics, str | Metric) else list(metrics)
-    for entry in entries:
-        if not isinstance(entry, Metric) and not (isinstance(entry, str) and entry in METRICS):
-            raise ArgumentError("metrics", expected, repr(entry))
-    resolved = tuple(entry if isinstance(entry, Metric) else METRICS[entry] for entry in entries)
-    names = [entry.name for entry in resolved]
+def resolve_metrics(metrics: str | Metric | Iterable[str | Metric]) -> tuple[Metric, ...]:
+    """Return metrics, each given by its name or as it is."""
+    single = isinstance(metrics, str | Metric) or not isinstance(metrics, Iterable)
+    resolved: list[Metric] = []
+    for wanted in [metrics] if single else metrics:  # type: ignore[union-attr]
+        found = METRICS.get(wanted) if isinstance(wanted, str) else wanted
+        if not isinstance(found, Metric):
+            raise ArgumentError("metrics", f"a Metric, or names among {', '.join(METRICS)}", repr(wanted))
+        resolved.append(found)
+    names = [metric.name for metric in resolved]
     if not names or len(set(names)) < len(names):
         raise ArgumentError("metrics", "one or more metrics of different names", ", ".join(names) or "none")
-    return resolved
+    return tuple(resolved)
+
+
+def unavailable(points: Points, **parameters: Any) -> Values:
+    """Stand for the function of a metric whose definition alone is known."""
+    raise ArgumentError("metrics", f"metrics among {', '.join(METRICS)}", "one whose function is not known")
 
 
 def metric_from_definition(content: Mapping[str, Any]) -> Metric:
-    """Make a metric from its `definition`.
-
-    Raises
-    ------
-    ArgumentError
-        If it is not one of `METRICS` with other parameters.
-    """
-    if content["name"] in METRICS:
-        found = METRICS[content["name"]](**content["parameters"])
-        found = dataclasses.replace(found, dtype=content["dtype"])
-        if found.definition() == content:
-            return found
-    cause = "A metric of your own has to be given again, to `run`, with all the rest."
-    raise ArgumentError("metrics", f"metrics among {', '.join(METRICS)}", content["name"], cause)
+    """Make a metric from its `definition`; the function is `unavailable` where it is none of `METRICS`."""
+    name, dtype, parameters = content["name"], content["dtype"], content["parameters"]
+    with contextlib.suppress(KeyError, ArgumentError):
+        known = dataclasses.replace(METRICS[name](**parameters), dtype=dtype)
+        if known.definition() == content:
+            return known
+    return Metric(name, content["unit"], "", unavailable, dtype, {}, parameters, content["function"])

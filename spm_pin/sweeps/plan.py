@@ -16,7 +16,7 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import Geometry, LegLimits
 from spm_pin.mechanism.arguments import instance
-from spm_pin.sweeps.domains import AXES, Axis, Domain, chunk_region
+from spm_pin.sweeps.domains import AXES, Domain
 from spm_pin.sweeps.metric import Metric
 from spm_pin.sweeps.metrics import metric_from_definition, status
 from spm_pin.sweeps.points import Points
@@ -33,37 +33,20 @@ _RESERVED = {*AXES["pose"], *AXES["legs"], "sample", "status", "sweep"}
 
 @dataclass(frozen=True)
 class Plan:
-    """Everything that determines the bytes of a store.
-
-    Attributes
-    ----------
-    geometry : Geometry
-        The manipulator.
-    domain : Domain
-        The points.
-    metrics : tuple of Metric
-        What is computed, in the order of the names.
-    chunk : tuple of int
-        Shape of a chunk along the dimensions of the domain.
-    version : str
-        Version of this package.
-    """
+    """Everything that determines the bytes of a store."""
 
     geometry: Geometry
     domain: Domain
     metrics: tuple[Metric, ...]
+    """What is computed, in the order of the names."""
     chunk: tuple[int, ...]
+    """Shape of a chunk along the dimensions of the domain."""
     version: str
+    """Version of this package."""
 
     @classmethod
     def make(cls, geometry: Geometry, domain: Domain, metrics: tuple[Metric, ...], chunk: int) -> Plan:
-        """Make a plan with chunks of at most `chunk` points.
-
-        Raises
-        ------
-        ArgumentError
-            If an argument is not what it should be, or the name of a metric is that of a coordinate.
-        """
+        """Make a plan with chunks of at most `chunk` points."""
         instance(geometry, Geometry, "geometry")
         instance(domain, Domain, "domain", "Made by pose_grid, leg_grid, pose_sample or leg_sample?")
         taken = sorted(_RESERVED & {metric.name for metric in metrics})
@@ -75,13 +58,13 @@ class Plan:
 
     @property
     def variables(self) -> tuple[Metric, ...]:
-        """The metrics, and before them the status."""
-        return (status, *self.metrics)
-
-    @property
-    def sampled(self) -> tuple[Axis, ...]:
-        """Coordinates that are stored point by point."""
-        return tuple(axis for axis in self.domain.axes if axis.count == 0)
+        """What is stored point by point: coordinates of a sample, the status, and the metrics."""
+        sampled = [
+            Metric(axis.name, axis.unit, axis.description, lambda points, k=k: points.coordinates[:, k])
+            for k, axis in enumerate(self.domain.axes)
+            if axis.count == 0
+        ]
+        return (*sampled, status, *self.metrics)
 
     @property
     def chunks(self) -> tuple[int, ...]:
@@ -97,34 +80,29 @@ class Plan:
         """Iterate over the indices of the chunks, without a list of them."""
         return (tuple(map(int, np.unravel_index(number, self.chunks))) for number in range(self.count))
 
-    def region(self, index: tuple[int, ...]) -> tuple[slice, ...]:
-        """Return the slices of the chunk at `index` in the results."""
-        return chunk_region(self.domain.shape, index, self.chunk)
-
     def points_of(self, index: tuple[int, ...]) -> int:
         """Return the number of points of the chunk at `index`."""
-        return math.prod(part.stop - part.start for part in self.region(index))
+        return math.prod(part.stop - part.start for part in self.domain.region(index, self.chunk))
 
     def evaluate(self, index: tuple[int, ...]) -> dict[str, npt.NDArray[Any]]:
         """Return the values of all variables on the chunk at `index`, each of the shape of its region."""
         coordinates = self.domain.points(index, self.chunk)
         # Metrics are given parts of this array.
         coordinates.flags.writeable = False
-        count = len(coordinates)
-        values = {variable.name: np.empty(count, dtype=variable.dtype) for variable in self.variables}
+        variables, count = self.variables, len(coordinates)
+        values = {metric.name: np.empty(count, dtype=metric.dtype) for metric in variables}
         for first in range(0, count, _BLOCK):
             part = slice(first, first + _BLOCK)
             points = Points(self.geometry, self.domain.space, coordinates[part])
-            for variable in self.variables:
-                values[variable.name][part] = variable.evaluate(points)
-        values |= {axis.name: coordinates[:, k] for k, axis in enumerate(self.domain.axes) if axis in self.sampled}
-        shape = tuple(part.stop - part.start for part in self.region(index))
+            for metric in variables:
+                values[metric.name][part] = metric.evaluate(points)
+        shape = tuple(part.stop - part.start for part in self.domain.region(index, self.chunk))
         return {name: array.reshape(shape) for name, array in values.items()}
 
     def definition(self) -> dict[str, Any]:
         """Return what determines the results, as JSON."""
         limits = self.geometry.limits
-        ends = None if limits is None else (limits.minimum, limits.maximum)
+        ends = () if limits is None else (limits.minimum, limits.maximum)
         return {
             "format": FORMAT,
             "spm_pin": self.version,
@@ -132,7 +110,7 @@ class Plan:
                 "base_radius": self.geometry.base_radius,
                 "platform_radius": self.geometry.platform_radius,
                 "middle_side": self.geometry.middle_side,
-                "limits": ends and [[x if math.isfinite(x) else None for x in end] for end in ends],
+                "limits": [[x if math.isfinite(x) else None for x in end] for end in ends] or None,
             },
             "domain": self.domain.definition(),
             "metrics": [metric.definition() for metric in self.metrics],
@@ -141,24 +119,23 @@ class Plan:
 
     @classmethod
     def from_definition(cls, content: Mapping[str, Any]) -> Plan:
-        """Make a plan from its `definition`.
+        """Make a plan from its `definition`, checked by comparison with that of the plan it makes.
 
-        Raises
-        ------
-        ArgumentError
-            If a metric is none of this package's.
+        Metrics that are none of this package's can be named, but not computed. Anything but a definition ends in an
+        `SpmError`, or in one of the errors of subscripts, attributes, types and values.
         """
         sizes = dict(content["geometry"])
         limits = sizes.pop("limits")
         if limits is not None:
             limits = LegLimits(*([math.inf if x is None else x for x in end] for end in limits))
-        return cls(
-            Geometry(**sizes, limits=limits),
-            Domain.from_definition(content["domain"]),
-            tuple(metric_from_definition(definition) for definition in content["metrics"]),
-            tuple(content["chunk"]),
-            content["spm_pin"],
-        )
+        domain = Domain.from_definition(content["domain"])
+        metrics = tuple(map(metric_from_definition, content["metrics"]))
+        chunk = domain.chunk_shape(math.prod(content["chunk"]))
+        plan = cls(Geometry(**sizes, limits=limits), domain, metrics, chunk, str(content["spm_pin"]))
+        lines = definition_differences(content, plan.definition())
+        if lines:
+            raise ValueError(lines[0])
+        return plan
 
     @cached_property
     def text(self) -> str:
@@ -174,20 +151,15 @@ def package_version() -> str:
 
 def definition_differences(stored: Any, requested: Any, where: str = "") -> list[str]:
     """Return what differs between two definitions, a line for each."""
+    pairs: list[tuple[str, Any, Any]] = []
     if isinstance(stored, dict) and isinstance(requested, dict):
-        keys = list(dict.fromkeys([*stored, *requested]))
-        prefix = f"{where}." if where else ""
-        return [
-            line
-            for key in keys
-            for line in definition_differences(stored.get(key), requested.get(key), f"{prefix}{key}")
-        ]
-    if isinstance(stored, list) and isinstance(requested, list) and len(stored) == len(requested):
-        pairs = enumerate(zip(stored, requested, strict=True))
-        return [line for k, pair in pairs for line in definition_differences(*pair, f"{where}[{k}]")]
-    if isinstance(stored, list) and isinstance(requested, list) and where == "metrics":
-        stored, requested = ([metric["name"] for metric in metrics] for metrics in (stored, requested))
-    if stored == requested:
-        return []
+        pairs = [(f"{where}.{key}".lstrip("."), stored.get(key), requested.get(key)) for key in {**stored, **requested}]
+    elif isinstance(stored, list) and isinstance(requested, list):
+        if len(stored) == len(requested):
+            pairs = [(f"{where}[{k}]", *pair) for k, pair in enumerate(zip(stored, requested, strict=True))]
+        elif where == "metrics":
+            stored, requested = ([metric["name"] for metric in side] for side in (stored, requested))
+    if pairs or stored == requested:
+        return [line for name, *pair in pairs for line in definition_differences(pair[0], pair[1], name)]
     there, here = (json.dumps(value, ensure_ascii=False) for value in (stored, requested))
     return [f"{where} is {there} there and {here} here"]

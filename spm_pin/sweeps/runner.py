@@ -8,12 +8,8 @@ disk.
 from __future__ import annotations
 
 import contextlib
-import errno
-import json
-import math
 import os
-import socket
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,37 +19,16 @@ from spm_pin.errors import ArgumentError, MissingExtraError, SpmError
 from spm_pin.mechanism import Geometry
 from spm_pin.sweeps.domains import Domain
 from spm_pin.sweeps.metric import Metric
-from spm_pin.sweeps.metrics import resolve_metrics
+from spm_pin.sweeps.metrics import METRICS, resolve_metrics, unavailable
 from spm_pin.sweeps.plan import Plan, package_version
-from spm_pin.sweeps.store import (
-    LOCK,
-    Store,
-    StoreError,
-    as_store_error,
-    completed_count,
-    domain_and_definition,
-    plan_of_store,
-    require_file,
-    store_path,
-)
+from spm_pin.sweeps.store import Store, StoreError, as_store_error, completed_count, locked, read_plan, store_path
 from spm_pin.sweeps.workers import WorkersLostError, check_workers, complete_chunks
 
 if TYPE_CHECKING:
     import xarray
     from distributed import Client
 
-__all__ = [
-    "CHUNK",
-    "Progress",
-    "StoreLockedError",
-    "SweepError",
-    "SweepStatus",
-    "locked",
-    "open_store",
-    "resume",
-    "run",
-    "status",
-]
+__all__ = ["CHUNK", "Progress", "SweepError", "SweepStatus", "open_store", "resume", "run", "status"]
 
 CHUNK = 2**18
 """Points in a chunk by default: a fraction of a second's work, and two megabytes per metric."""
@@ -87,26 +62,6 @@ class SweepError(SpmError):
 
     def __reduce__(self) -> tuple[type[SweepError], tuple[str, str, int, int]]:
         return type(self), (self.store, self.reason, self.done, self.total)
-
-
-class StoreLockedError(SpmError):
-    """Another process is at work on a store.
-
-    Attributes
-    ----------
-    store : str
-        Path of the store.
-    holder : str
-        The process that holds the lock, as far as known.
-    """
-
-    def __init__(self, store: str, holder: str) -> None:
-        self.store = store
-        self.holder = holder
-        super().__init__(f"{store}: {holder} is at work on this store. Wait for it, or end it; what it did is kept")
-
-    def __reduce__(self) -> tuple[type[StoreLockedError], tuple[str, str]]:
-        return type(self), (self.store, self.holder)
 
 
 @dataclass(frozen=True)
@@ -231,11 +186,15 @@ def resume(
         As for `run`.
     """
     path = store_path(store)
-    version, here = domain_and_definition(path)[1]["spm_pin"], package_version()
-    if version != here:
+    plan, here = read_plan(path), package_version()
+    if plan.version != here:
         cause = "Results of two versions would be mixed."
-        raise ArgumentError("store", f"a sweep of spm_pin {here}", f"{path}, made by {version}", cause)
-    return _run(plan_of_store(path), path, scheduler, workers, progress)
+        raise ArgumentError("store", f"a sweep of spm_pin {here}", f"{path}, made by {plan.version}", cause)
+    unknown = [metric.name for metric in plan.metrics if metric.function is unavailable]
+    if unknown:
+        cause = "A metric of your own has to be given again, to `run`, with all the rest."
+        raise ArgumentError("metrics", f"metrics among {', '.join(METRICS)}", ", ".join(unknown), cause)
+    return _run(plan, path, scheduler, workers, progress)
 
 
 def status(store: str | os.PathLike[str]) -> SweepStatus:
@@ -252,15 +211,14 @@ def status(store: str | os.PathLike[str]) -> SweepStatus:
         If there is no such store, or it cannot be read.
     """
     path = store_path(store)
-    domain, definition = domain_and_definition(path)
-    chunks = zip(domain.shape, definition["chunk"], strict=True)
+    plan = read_plan(path)
     return SweepStatus(
         done=completed_count(path),
-        total=math.prod(-(-length // part) for length, part in chunks),
-        points=domain.size,
-        metrics=tuple(metric["name"] for metric in definition["metrics"]),
-        shape=dict(zip(domain.dims, domain.shape, strict=True)),
-        version=definition["spm_pin"],
+        total=plan.count,
+        points=plan.domain.size,
+        metrics=tuple(metric.name for metric in plan.metrics),
+        shape=dict(zip(plan.domain.dims, plan.domain.shape, strict=True)),
+        version=plan.version,
     )
 
 
@@ -285,7 +243,7 @@ def open_store(store: str | os.PathLike[str]) -> xarray.Dataset:
         Without the extra ``cluster``.
     """
     path = store_path(store)
-    domain_and_definition(path)
+    read_plan(path)
     _require_extra()
     import xarray
 
@@ -304,19 +262,17 @@ def _run(
     check_workers(scheduler, workers)
     if progress is not None and not callable(progress):
         raise ArgumentError("progress", "a function of the points done and of all points", repr(progress))
+    report = progress or (lambda done, total: None)
     store = Store.create(path, plan)
-    with contextlib.ExitStack() as stack:
-        stack.enter_context(locked(path))
+    with locked(path):
         store.remove_drafts()
         done, total = 0, plan.domain.size
-        if progress is not None:
-            progress(done, total)
+        report(done, total)
         try:
-            chunks = stack.enter_context(contextlib.closing(complete_chunks(plan, path, scheduler, workers)))
-            for chunk in chunks:
-                done += plan.points_of(chunk)
-                if progress is not None:
-                    progress(done, total)
+            with contextlib.closing(complete_chunks(plan, path, scheduler, workers)) as chunks:
+                for chunk in chunks:
+                    done += plan.points_of(chunk)
+                    report(done, total)
         except KeyboardInterrupt as interrupt:
             interrupt.add_note(str(SweepError(str(path), "interrupted", completed_count(path), plan.count)))
             raise
@@ -324,49 +280,6 @@ def _run(
             raise SweepError(str(path), str(error), completed_count(path), plan.count) from error
         store.remove_drafts()
     return open_store(path)
-
-
-@contextlib.contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """Hold the lock of a store, the file `LOCK` in it, which the system releases however its holder ends.
-
-    Raises
-    ------
-    StoreLockedError
-        If another process holds it.
-    StoreError
-        If the file cannot be written.
-    """
-    from filelock import FileLock, Timeout
-
-    file = path / LOCK
-    lock = FileLock(file, fallback_to_soft=False)
-    with as_store_error(path):
-        if file.exists():
-            require_file(file)
-        try:
-            lock.acquire(blocking=False)
-        except Timeout:
-            raise StoreLockedError(str(path), _holder(file)) from None
-        except OSError as error:
-            # A file system without locks; two processes would write the same bytes, each file as a whole.
-            if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
-                raise
-        file.write_text(json.dumps({"host": socket.gethostname(), "pid": os.getpid()}), encoding="utf-8")
-    try:
-        yield
-    finally:
-        with contextlib.suppress(OSError):
-            file.write_text("", encoding="utf-8")
-        lock.release()
-
-
-def _holder(file: Path) -> str:
-    try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-        return f"process {content['pid']} on {content['host']}"
-    except (OSError, ValueError, KeyError, TypeError):
-        return "another process"
 
 
 def _require_extra() -> None:

@@ -20,39 +20,33 @@ import tempfile
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, SpmError
 from spm_pin.mechanism.arguments import file_path
-from spm_pin.sweeps.domains import Domain
 from spm_pin.sweeps.metric import DTYPES
 from spm_pin.sweeps.plan import FORMAT, Plan, definition_differences
 
-if TYPE_CHECKING:
-    import zarr
-
 __all__ = [
-    "LOCK",
     "Store",
     "StoreError",
+    "StoreLockedError",
     "as_store_error",
     "completed_count",
-    "domain_and_definition",
-    "plan_of_store",
-    "require_file",
+    "locked",
+    "read_plan",
     "store_path",
 ]
 
-LOCK = "sweep/lock"
-"""The lock file of a store, relative to the store."""
+_LOCK = "sweep/lock"
 _RECORDS = "sweep/crc32c"
 _CODECS = {"bytes", "zstd", "crc32c"}
-_DRAFT = re.compile(r"(c(\.\d+)*|zarr)\.[0-9a-f]{32}\.partial")
-_KEYS: dict[str, Any] = {"name": "default", "separator": "."}
-_DAMAGED = (KeyError, TypeError, ValueError, ArithmeticError, AttributeError, IndexError, RecursionError)
+_CHUNK = r"c(\.\d+)*"
+_DRAFT = rf"({_CHUNK}|zarr)\.[0-9a-f]{{32}}\.partial"
+_UNREADABLE = (SpmError, LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError)
 
 
 class StoreError(SpmError):
@@ -75,51 +69,37 @@ class StoreError(SpmError):
         return type(self), (self.path, self.reason)
 
 
+class StoreLockedError(StoreError):
+    """Another process is at work on a store."""
+
+
 class Store:
-    """The store of one plan.
-
-    Parameters
-    ----------
-    path : Path
-        Its folder, on a file system that all workers see.
-    plan : Plan
-        The sweep that it must be of.
-
-    Raises
-    ------
-    ArgumentError
-        If there is something else at `path`, or a store of another plan.
-    StoreError
-        If it cannot be read.
-    """
+    """The store of one plan: `ArgumentError` if there is something else at the path, or a store of another plan."""
 
     def __init__(self, path: Path, plan: Plan) -> None:
         import zarr
 
         self.path = path
         self.plan = plan
-        lines = definition_differences(domain_and_definition(path)[1], json.loads(plan.text))
+        lines = definition_differences(read_plan(path).definition(), plan.definition())
         if lines:
-            raise ArgumentError(
-                "store", "a new folder, or one with a store of this very sweep", f"{path}, where {'; '.join(lines)}"
-            )
+            expected = "a new folder, or one with a store of this very sweep"
+            raise ArgumentError("store", expected, f"{path}, where {'; '.join(lines)}")
+        self._names = tuple(metric.name for metric in plan.variables)
         with as_store_error(path):
             try:
                 group = zarr.open_group(path, mode="r+", zarr_format=3)
-                self._arrays = {name: _array(group, name) for name in (*self._names, _RECORDS)}
-            except (KeyError, TypeError, ValueError) as error:
+                # A chunk of nothing but fill values is a file like the others: a missing one is always an accident.
+                self._arrays: dict[str, Any] = {
+                    name: group[name].with_config({"write_empty_chunks": True})  # type: ignore[union-attr]
+                    for name in (*self._names, _RECORDS)
+                }
+            except _UNREADABLE as error:
                 raise _damaged(path, "metadata", error) from error
-        self._records = self._arrays.pop(_RECORDS)
 
     @classmethod
     def create(cls, path: Path, plan: Plan) -> Store:
-        """Open the store; make it if there is none or an empty folder. It appears as a whole.
-
-        Raises
-        ------
-        ArgumentError, StoreError
-            As for the class, or if it cannot be written.
-        """
+        """Open the store; make it if there is none or an empty folder. It appears as a whole."""
         with as_store_error(path):
             if not path.exists() or (path.is_dir() and not any(path.iterdir())):
                 # A process that is killed leaves this hidden folder behind: no later one can find out whose it is.
@@ -127,8 +107,7 @@ class Store:
                     draft = Path(folder, "store")
                     _create(draft, plan)
                     for place, _, files in os.walk(draft):
-                        for name in (*files, "."):
-                            _synchronise(Path(place, name))
+                        _synchronise(*(Path(place, name) for name in (*files, ".")))
                     try:
                         draft.rename(path)
                     except OSError:
@@ -138,50 +117,32 @@ class Store:
                 _synchronise(path.parent)
         return cls(path, plan)
 
-    @property
-    def _names(self) -> tuple[str, ...]:
-        return (*(axis.name for axis in self.plan.sampled), *(variable.name for variable in self.plan.variables))
-
     def is_complete(self, index: tuple[int, ...]) -> bool:
-        """Return whether the chunk at `index` has been written, and is still as it was.
-
-        Raises
-        ------
-        StoreError
-            If something that is no file stands in the place of one.
-        """
+        """Return whether the chunk at `index` has been written, and is still as it was."""
         with as_store_error(self.path):
             try:
-                for name in (_RECORDS, *self._names):
-                    require_file(self._file(name, index))
-                return bool(self._records[index] == self._checksum(index))
+                _require_file(self._file(_RECORDS, index))
+                return bool(self._arrays[_RECORDS][index] == self._checksum(index))
             except (FileNotFoundError, ValueError, RuntimeError):
                 return False
 
     def write(self, index: tuple[int, ...], values: dict[str, npt.NDArray[Any]]) -> None:
-        """Write the chunk at `index`, then its record.
-
-        Raises
-        ------
-        StoreError
-            If that fails, as on a full disk. The chunk then has no record, or the one it had.
-        """
+        """Write the chunk at `index`, then its record. If that fails, it has no record, or the one it had."""
+        region = self.plan.domain.region(index, self.plan.chunk)
         with as_store_error(self.path):
-            for name, array in self._arrays.items():
-                array[self.plan.region(index)] = values[name]
             for name in self._names:
-                _synchronise(self._file(name, index))
-                _synchronise(self.path / name)
-            self._records[index] = self._checksum(index)
-            _synchronise(self._file(_RECORDS, index))
-            _synchronise(self.path / _RECORDS)
+                self._arrays[name][region] = values[name]
+            for name in self._names:
+                _synchronise(self._file(name, index), self.path / name)
+            self._arrays[_RECORDS][index] = self._checksum(index)
+            _synchronise(self._file(_RECORDS, index), self.path / _RECORDS)
 
     def remove_drafts(self) -> None:
         """Remove the files that processes which were killed had not yet renamed."""
         with as_store_error(self.path):
             for name in (*self._names, _RECORDS):
                 for entry in os.scandir(self.path / name):
-                    if _DRAFT.fullmatch(entry.name) and entry.is_file(follow_symlinks=False):
+                    if re.fullmatch(_DRAFT, entry.name) and entry.is_file(follow_symlinks=False):
                         Path(entry.path).unlink(missing_ok=True)
 
     def _file(self, name: str, index: tuple[int, ...]) -> Path:
@@ -199,13 +160,7 @@ class Store:
 
 
 def store_path(store: str | os.PathLike[str]) -> Path:
-    """Return the absolute path of a store, links followed: workers may run in another folder.
-
-    Raises
-    ------
-    ArgumentError
-        If it is no path.
-    """
+    """Return the absolute path of a store, links followed: workers may run in another folder."""
     path = file_path(store, "store")
     try:
         path = path.resolve()
@@ -216,69 +171,37 @@ def store_path(store: str | os.PathLike[str]) -> Path:
     return path
 
 
-def domain_and_definition(path: Path) -> tuple[Domain, dict[str, Any]]:
-    """Return the domain and the definition of the sweep whose store is at `path`, after a check of its metadata.
+def read_plan(path: Path) -> Plan:
+    """Return the plan of the sweep whose store is at `path`, after a check of its metadata.
 
-    Raises
-    ------
-    ArgumentError
-        If there is no such store.
-    StoreError
-        If it cannot be read, is damaged, or uses a codec or a type that no sweep writes.
+    Raises `ArgumentError` if there is no such store, `StoreError` if it is damaged, or not written by a sweep.
     """
     with as_store_error(path):
         try:
             text = _read(path / "zarr.json")
         except (FileNotFoundError, NotADirectoryError):
-            received = f"{path}, which holds none" if path.exists() else f"{path}, which does not exist"
-            raise ArgumentError("store", "the folder of a sweep", received) from None
+            received = "which holds none" if path.exists() else "which does not exist"
+            raise ArgumentError("store", "the folder of a sweep", f"{path}, {received}") from None
         try:
             metadata = json.loads(text)
-            attributes = metadata["attributes"]
-            if "spm_pin_sweep" not in attributes:
-                raise ArgumentError("store", "the folder of a sweep", f"{path}, which holds something else")
-            _check_metadata(path, metadata)
-            definition = json.loads(attributes["spm_pin_sweep"])
-            domain = Domain.from_definition(definition["domain"])
-            if definition["format"] != FORMAT:
-                raise StoreError(str(path), f"a store of format {definition['format']}; this version has {FORMAT}")
-            parts, names = definition["chunk"], [metric["name"] for metric in definition["metrics"]]
-            fits = len(parts) == len(domain.shape) and all(
-                type(part) is int and 1 <= part <= length for part, length in zip(parts, domain.shape, strict=True)
-            )
-            whole = fits and domain.definition() == definition["domain"] and isinstance(definition["spm_pin"], str)
-            if not whole or not all(isinstance(name, str) for name in names):
-                raise ValueError("its parts do not fit together")
-        except (SpmError, *_DAMAGED) as error:
-            if isinstance(error, StoreError) or (isinstance(error, ArgumentError) and error.argument == "store"):
-                raise
-            raise _damaged(path, "definition", error) from error
-    return domain, definition
-
-
-def plan_of_store(path: Path) -> Plan:
-    """Return the plan of the sweep whose store is at `path`.
-
-    Raises
-    ------
-    ArgumentError
-        If a metric is none of this package's.
-    StoreError
-        If the definition is damaged.
-    """
-    definition = domain_and_definition(path)[1]
-    try:
-        return Plan.from_definition(definition)
-    except (SpmError, *_DAMAGED) as error:
-        if isinstance(error, ArgumentError) and error.argument == "metrics":
+            stored = metadata["attributes"].get("spm_pin_sweep")
+            if stored is not None:
+                _check_metadata(path, metadata)
+                definition = json.loads(stored)
+                if definition["format"] != FORMAT:
+                    raise StoreError(str(path), f"a store of format {definition['format']}; this version has {FORMAT}")
+                return Plan.from_definition(definition)
+        except StoreError:
             raise
-        raise _damaged(path, "definition", error) from error
+        except _UNREADABLE as error:
+            raise _damaged(path, "definition", error) from error
+    raise ArgumentError("store", "the folder of a sweep", f"{path}, which holds something else")
 
 
 def completed_count(path: Path) -> int:
     """Return the number of chunks with a record, without reading them."""
     with as_store_error(path):
-        return sum(re.fullmatch(r"c(\.\d+)*", entry.name) is not None for entry in os.scandir(path / _RECORDS))
+        return sum(re.fullmatch(_CHUNK, entry.name) is not None for entry in os.scandir(path / _RECORDS))
 
 
 def _check_metadata(path: Path, metadata: dict[str, Any]) -> None:
@@ -291,8 +214,7 @@ def _check_metadata(path: Path, metadata: dict[str, Any]) -> None:
             continue
         codecs = [codec["name"] if isinstance(codec, dict) else codec for codec in member["codecs"]]
         strange = [codec for codec in codecs if codec not in _CODECS]
-        if member["data_type"] not in DTYPES:
-            strange.append(member["data_type"])
+        strange += [member["data_type"]] if member["data_type"] not in DTYPES else []
         strange += member.get("storage_transformers", ())
         if strange:
             reason = f"{name} is stored by {strange[0]!r}, which no sweep writes, and is not read"
@@ -301,101 +223,83 @@ def _check_metadata(path: Path, metadata: dict[str, Any]) -> None:
 
 def _damaged(path: Path, what: str, error: BaseException) -> StoreError:
     text = " ".join(str(error).split())[:200]
-    return StoreError(
-        str(path), f"its {what} cannot be read ({type(error).__name__}: {text}). Sweep into another folder"
-    )
-
-
-def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:
-    import zarr
-
-    array = group[name]
-    if not isinstance(array, zarr.Array):
-        raise TypeError(f"{name} is no array")
-    # A chunk of nothing but fill values is a file like the others: a missing one is always an accident.
-    return array.with_config({"write_empty_chunks": True})
+    reason = f"its {what} cannot be read ({type(error).__name__}: {text}). Sweep into another folder"
+    return StoreError(str(path), reason)
 
 
 def _create(path: Path, plan: Plan) -> None:
-    """Write the metadata and the coordinates."""
+    """Write the metadata and the coordinates that are the same for all points of a row."""
     import zarr
     from zarr.codecs import BytesCodec, Crc32cCodec, ZstdCodec
 
-    domain = plan.domain
-    fixed = [axis for axis in domain.axes if axis.fixed]
-    apart = [axis.name for axis in (*fixed, *plan.sampled)]
-    group = zarr.create_group(
-        path,
-        zarr_format=3,
-        attributes={
-            "title": f"3RPS-3SPR manipulator: {', '.join(metric.name for metric in plan.metrics)}",
-            "source": f"spm_pin {plan.version}",
-            "spm_pin_sweep": plan.text,
-            **({"coordinates": " ".join(apart)} if apart else {}),
-        },
-    )
-
-    def array(name: str, dtype: str, fill: float, attributes: dict[str, Any]) -> None:
+    axes = plan.domain.axes
+    apart = " ".join(axis.name for axis in axes if axis.count < 2)
+    attributes = {
+        "title": f"3RPS-3SPR manipulator: {', '.join(metric.name for metric in plan.metrics)}",
+        "source": f"spm_pin {plan.version}",
+        "spm_pin_sweep": plan.text,
+    }
+    group = zarr.create_group(path, zarr_format=3, attributes=attributes | ({"coordinates": apart} if apart else {}))
+    for axis in axes:
+        if axis.count:
+            group.create_array(
+                axis.name,
+                data=np.asarray(axis.start) if axis.fixed else axis.values,
+                dimension_names=() if axis.fixed else (axis.name,),
+                attributes={"units": axis.unit, "long_name": axis.description},
+            )
+    layout: dict[str, Any] = {
+        "chunk_key_encoding": {"name": "default", "separator": "."},
+        "dimension_names": plan.domain.dims,
+    }
+    for metric in plan.variables:
         group.create_array(
-            name,
-            shape=domain.shape,
+            metric.name,
+            shape=plan.domain.shape,
             chunks=plan.chunk,
-            dtype=dtype,
-            fill_value=fill,
-            serializer=BytesCodec(endian="little") if np.dtype(dtype).itemsize > 1 else BytesCodec(endian=None),
+            dtype=metric.dtype,
+            fill_value=metric.not_computed,
+            serializer=BytesCodec(endian=None if metric.dtype == "int8" else "little"),
             compressors=[ZstdCodec(level=3), Crc32cCodec()],
-            dimension_names=domain.dims,
-            chunk_key_encoding=_KEYS,
-            attributes=attributes,
+            attributes=metric.attributes(),
+            **layout,
         )
-
-    for axis in domain.axes:
-        if axis in plan.sampled:
-            array(axis.name, "float64", np.nan, dict(axis.attributes))
-        else:
-            values = np.asarray(axis.start) if axis.fixed else axis.values
-            names = () if axis.fixed else (axis.name,)
-            group.create_array(axis.name, data=values, dimension_names=names, attributes=dict(axis.attributes))
-    for variable in plan.variables:
-        array(variable.name, variable.dtype, variable.not_computed, variable.attributes())
-    group.create_group("sweep").create_array(
-        "crc32c",
+    group.create_array(
+        _RECORDS,
         shape=plan.chunks,
         chunks=(1,) * len(plan.chunks),
         dtype="int64",
         fill_value=-1,
         compressors=[Crc32cCodec()],
-        dimension_names=domain.dims,
-        chunk_key_encoding=_KEYS,
-        attributes={
-            "long_name": "CRC32C of the definition and of the chunk's bytes in all variables; -1 if incomplete"
-        },
+        attributes={"long_name": "CRC32C of the definition and of the chunk's bytes in all variables; -1: incomplete"},
+        **layout,
     )
-    (path / LOCK).touch()
+    (path / _LOCK).touch()
     with warnings.catch_warnings():
         # Zarr 3 warns that other readers may ignore it, which is what they should do; xarray warns where it is missing.
         warnings.simplefilter("ignore", category=UserWarning)
         zarr.consolidate_metadata(path)
 
 
-def require_file(path: Path) -> None:
+def _require_file(path: Path) -> None:
     """Raise `OSError` if a path is missing, or no regular file: to open a pipe may take for ever."""
     if not stat.S_ISREG(path.stat().st_mode):
         raise OSError(errno.EINVAL, "not a regular file", str(path))
 
 
 def _read(path: Path) -> bytes:
-    require_file(path)
+    _require_file(path)
     return path.read_bytes()
 
 
-def _synchronise(path: Path) -> None:
-    """Wait until a file, or the names in a folder, are on the disk."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+def _synchronise(*paths: Path) -> None:
+    """Wait until files, or the names in folders, are on the disk."""
+    for path in paths:
+        descriptor = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 @contextlib.contextmanager
@@ -407,3 +311,39 @@ def as_store_error(path: Path) -> Iterator[None]:
         where = f" at {error.filename}" if error.filename and str(error.filename) != str(path) else ""
         reason = f"{(error.strerror or str(error)).lower()}{where}, on host {socket.gethostname()}"
         raise StoreError(str(path), reason) from error
+
+
+@contextlib.contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Hold the lock of a store, a file in it, which the system releases however its holder ends."""
+    from filelock import FileLock, Timeout
+
+    file = path / _LOCK
+    lock = FileLock(file, fallback_to_soft=False)
+    with as_store_error(path):
+        if file.exists():
+            _require_file(file)
+        try:
+            lock.acquire(blocking=False)
+        except Timeout:
+            reason = f"{_holder(file)} is at work on this store. Wait for it, or end it; what it did is kept"
+            raise StoreLockedError(str(path), reason) from None
+        except OSError as error:
+            # A file system without locks; two processes would write the same bytes, each file as a whole.
+            if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
+                raise
+        file.write_text(json.dumps({"host": socket.gethostname(), "pid": os.getpid()}), encoding="utf-8")
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            file.write_text("", encoding="utf-8")
+        lock.release()
+
+
+def _holder(file: Path) -> str:
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        return f"process {content['pid']} on {content['host']}"
+    except (OSError, ValueError, KeyError, TypeError):
+        return "another process"

@@ -10,7 +10,6 @@ import itertools
 import logging
 import signal
 import socket
-import uuid
 from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +18,7 @@ import numpy as np
 
 from spm_pin.closed_form import forward_physical
 from spm_pin.errors import ArgumentError, SpmError
-from spm_pin.mechanism.arguments import whole_number
+from spm_pin.mechanism.arguments import instance, whole_number
 from spm_pin.sweeps.metrics import METRICS
 from spm_pin.sweeps.plan import Plan, package_version
 from spm_pin.sweeps.points import Points
@@ -49,25 +48,17 @@ def check_workers(scheduler: object, workers: object) -> None:
     """Raise `ArgumentError` if these are not a scheduler, or a number of processes, or None."""
     if workers is not None:
         whole_number(workers, "workers", "a positive number of processes", least=1)
-    if workers is not None and scheduler is not None:
-        cause = "The number of workers of a scheduler is set where it is started."
-        raise ArgumentError("workers", "None beside a scheduler", workers, cause)
-    if scheduler is None or isinstance(scheduler, str):
-        return
-    from distributed import Client
+        if scheduler is not None:
+            cause = "The number of workers of a scheduler is set where it is started."
+            raise ArgumentError("workers", "None beside a scheduler", workers, cause)
+    if scheduler is not None and not isinstance(scheduler, str):
+        from distributed import Client
 
-    if not isinstance(scheduler, Client):
-        raise ArgumentError("scheduler", "the address of a Dask scheduler, or a Client", repr(scheduler))
+        instance(scheduler, Client, "scheduler", "Give the address of a Dask scheduler, or a Client.")
 
 
 def complete_chunk(plan: Plan, path: Path, chunk: Chunk) -> Chunk:
-    """Compute and write a chunk unless it is complete; return its index. This is the task of a worker.
-
-    Raises
-    ------
-    StoreError
-        If the store cannot be written, is not seen from here, or this is another version of the package.
-    """
+    """Compute and write a chunk unless it is complete; return its index. This is the task of a worker."""
     store = _opened.get((plan.text, path)) or _open(plan, path)
     if not store.is_complete(chunk):
         store.write(chunk, plan.evaluate(chunk))
@@ -89,44 +80,35 @@ def _open(plan: Plan, path: Path) -> Store:
 
 
 def complete_chunks(plan: Plan, path: Path, scheduler: str | Client | None, workers: int | None) -> Generator[Chunk]:
-    """Complete all chunks, in any order, and yield the index of each.
-
-    Raises
-    ------
-    ArgumentError
-        If the scheduler cannot be reached.
-    StoreError
-        If the store cannot be written.
-    WorkersLostError
-        If workers die over a chunk again and again, or the scheduler is gone.
-    """
+    """Complete all chunks, in any order, and yield the index of each; `ArgumentError` without the scheduler."""
     if scheduler is None and 1 in (workers, plan.count):
         yield from (complete_chunk(plan, path, chunk) for chunk in plan)
         return
-    import distributed
     from dask.system import CPU_COUNT
+    from distributed import Client, LocalCluster
 
-    if isinstance(scheduler, str):
-        with _connected(scheduler) as client:
-            yield from _scheduled(plan, path, client)
-    elif scheduler is not None:
-        yield from _scheduled(plan, path, scheduler)
-    else:
-        _compile_kernels(plan)
-        # One thread each: part of the work holds the interpreter's lock. Any free port for the dashboard: without an
-        # address it takes a fixed one, which another sweep may have.
-        with (
-            distributed.LocalCluster(
+    with contextlib.ExitStack() as stack:
+        client: Any = scheduler
+        if isinstance(scheduler, str):
+            try:
+                client = stack.enter_context(Client(scheduler, timeout=_PATIENCE, set_as_default=False))
+            except (OSError, ValueError, TypeError) as error:
+                cause = "Is it running, and can it be reached from here?"
+                raise ArgumentError("scheduler", "the address of a Dask scheduler", repr(scheduler), cause) from error
+        elif scheduler is None:
+            _compile_kernels(plan)
+            # One thread each: part of the work holds the interpreter's lock. Any free port for the dashboard: without
+            # an address it takes a fixed one, which another sweep may have.
+            cluster = LocalCluster(
                 n_workers=min(workers or CPU_COUNT, plan.count),
                 threads_per_worker=1,
                 dashboard_address="127.0.0.1:0",
                 silence_logs=logging.CRITICAL,
                 env={"SPM_PIN_THREADS": "1", "NUMBA_NUM_THREADS": "1"},
-            ) as cluster,
-            distributed.Client(cluster, set_as_default=False) as client,
-        ):
+            )
+            client = stack.enter_context(Client(stack.enter_context(cluster), set_as_default=False))
             client.register_plugin(_ignore_interrupts())
-            yield from _scheduled(plan, path, client)
+        yield from _scheduled(plan, path, client)
 
 
 def _compile_kernels(plan: Plan) -> None:
@@ -138,45 +120,25 @@ def _compile_kernels(plan: Plan) -> None:
     angles = state.pose.rotation.as_euler("XYX", suppress_warnings=True)
     point = legs if plan.domain.space == "legs" else np.concatenate([state.translation, angles], axis=-1)
     points = Points(geometry, plan.domain.space, point)
-    for variable in plan.variables:
-        if variable.name == "status" or variable.name in METRICS:
+    for metric in plan.variables:
+        if metric.name == "status" or metric.name in METRICS:
             with contextlib.suppress(SpmError):
-                variable.evaluate(points)
-
-
-@contextlib.contextmanager
-def _connected(address: str) -> Iterator[Client]:
-    from distributed import Client
-
-    try:
-        client = Client(address, timeout=_PATIENCE, set_as_default=False)
-    except (OSError, ValueError, TypeError) as error:
-        cause = "Is it running, and can it be reached from here?"
-        raise ArgumentError("scheduler", "the address of a Dask scheduler", repr(address), cause) from error
-    with client:
-        yield client
+                metric.evaluate(points)
 
 
 def _scheduled(plan: Plan, path: Path, client: Client) -> Iterator[Chunk]:
     from distributed import KilledWorker, as_completed
 
-    name = f"spm_pin.sweep-{uuid.uuid4().hex}"
-    under_way: set[Future[Any]] = set()
-
-    def submit(chunk: Chunk) -> Future[Any]:
-        key = f"{name}-{'.'.join(map(str, chunk))}"
-        future = client.submit(complete_chunk, plan, path, chunk, key=key, pure=False)
-        under_way.add(future)
-        return future
+    def submit(count: int) -> list[Future[Any]]:
+        chunks = itertools.islice(left, count)
+        return [client.submit(complete_chunk, plan, path, chunk, pure=False) for chunk in chunks]
 
     left = iter(plan)
-    finished = as_completed([submit(chunk) for chunk in itertools.islice(left, _AHEAD)], loop=client.loop)
+    finished = as_completed(submit(_AHEAD), loop=client.loop)
     try:
         for future in finished:
             chunk: Chunk = future.result()
-            under_way.discard(future)
-            for following in itertools.islice(left, 1):
-                finished.add(submit(following))
+            finished.update(submit(1))
             yield chunk
     except KilledWorker as error:
         cause = "out of memory, where a smaller chunk helps, or ended by somebody"
@@ -184,8 +146,9 @@ def _scheduled(plan: Plan, path: Path, client: Client) -> Iterator[Chunk]:
     except (concurrent.futures.CancelledError, asyncio.CancelledError) as error:
         raise WorkersLostError("the scheduler is gone") from error
     finally:
+        under_way = list(finished.futures)
         if under_way and client.status == "running":
-            client.cancel(list(under_way))
+            client.cancel(under_way)
 
 
 def _ignore_interrupts() -> object:
@@ -193,8 +156,6 @@ def _ignore_interrupts() -> object:
     from distributed import WorkerPlugin
 
     class IgnoreInterrupts(WorkerPlugin):
-        idempotent = True
-
         def setup(self, worker: Worker) -> None:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
 

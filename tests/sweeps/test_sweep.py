@@ -41,7 +41,8 @@ from spm_pin.sweeps import (
     status,
 )
 from spm_pin.sweeps.plan import Plan
-from spm_pin.sweeps.runner import locked, open_store
+from spm_pin.sweeps.runner import open_store
+from spm_pin.sweeps.store import locked
 
 payload = spm.sweeps.METRICS["payload"]
 
@@ -534,14 +535,14 @@ def test_the_floor_of_numcodecs_refuses_pickles() -> None:
 def test_two_at_once_are_kept_apart(store: Path) -> None:
     with locked(store), pytest.raises(StoreLockedError, match=f"process {os.getpid()} on ") as error:
         small(store)
-    assert error.value.store == str(store)
+    assert error.value.path == str(store)
     small(store)
 
 
 def test_the_lock_of_a_process_that_was_killed_is_free(store: Path, undisturbed: Path) -> None:
     code = (
         "import pathlib, signal, sys\n"
-        "from spm_pin.sweeps.runner import locked\n"
+        "from spm_pin.sweeps.store import locked\n"
         "with locked(pathlib.Path(sys.argv[1])):\n"
         "    print('held', flush=True)\n"
         "    signal.pause()\n"
