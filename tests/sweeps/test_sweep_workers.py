@@ -33,13 +33,6 @@ def run_long(path: Path, workers: int, slices: int = 60, chunk: int = 2000) -> A
     return run(stores.GEOMETRY, domain, EVERYTHING, path, workers=workers, chunk=chunk)
 
 
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("undisturbed") / "map.zarr"
-    small(path)
-    return path
-
-
 def local_cluster(count: int) -> LocalCluster:
     return LocalCluster(
         n_workers=count, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL

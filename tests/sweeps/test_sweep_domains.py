@@ -73,7 +73,7 @@ def test_axes_and_names() -> None:
     assert (grid.dims, grid.shape) == (("x", "z", "beta"), (3, 2, 7))
     assert leg_grid((1.1, 1.5, 4), 1.2).dims == ("r_b1", "r_b2", "r_b3")
     assert leg_grid(1.2, [1.1, (1.1, 1.5, 4), 1.3]).dims == ("r_c2",)
-    assert [axis.attributes["units"] for axis in grid.axes] == ["m"] * 3 + ["rad"] * 3
+    assert [axis.unit for axis in grid.axes] == ["m"] * 3 + ["rad"] * 3
 
 
 def test_an_orientation_is_kept_as_angles() -> None:
