@@ -22,6 +22,8 @@ TILE = 16
 """Problems computed side by side: two or more registers' worth on every processor, and small enough for its cache."""
 
 _OPTIONS = {"error_model": "numpy", "nogil": True}
+# Only kernels are called from Python; the rest compiles sooner without wrappers for that.
+_INNER = {**_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 # Numba's own annotations are partial.
 _njit: Any = numba.njit
 _numba_cache: Any = caching.FunctionCache
@@ -33,13 +35,13 @@ _SOURCES = hashlib.sha256(b"".join(p.read_bytes() for p in sorted(Path(__file__)
 
 def jit_inline(function: Callable[P, R]) -> Callable[P, R]:
     """Mark a formula that kernels call; it becomes part of their loops."""
-    compiled: Callable[P, R] = _njit(forceinline=True, **_OPTIONS)(function)
+    compiled: Callable[P, R] = _njit(forceinline=True, **_INNER)(function)
     return compiled
 
 
 def jit(function: Callable[P, R]) -> Callable[P, R]:
     """Mark a function that kernels call as such, for it is too long to be copied to every place it is called from."""
-    compiled: Callable[P, R] = _njit(**_OPTIONS)(function)
+    compiled: Callable[P, R] = _njit(**_INNER)(function)
     return compiled
 
 

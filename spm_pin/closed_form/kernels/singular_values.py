@@ -3,7 +3,7 @@
 A tile of matrices is an array (rows, columns, TILE). Householder's reflections make a square matrix triangular, which
 halves the number of rotations; then pairs of rows are rotated until all are orthogonal (Jacobi's method from one side):
 each row then is a singular value times its right singular vector. Small singular values are as accurate as rounding of
-the matrix allows. Further columns beside the first six are carried along by all operations on rows.
+the matrix allows. Other matrices may be given, whose rows undergo the same operations.
 
 What is done to a matrix does not depend on the others in its tile: one that is finished is not rotated any more.
 """
@@ -34,54 +34,65 @@ _LAST_SWEEP = 1e-18
 """Square of the largest cosine met in a sweep that leaves only rounding: a sweep leaves about the square of it."""
 _MOST_SWEEPS = 30
 _COSINE, _SINE, _ACTIVE, _MORE = range(4)
+_TOTAL, _SCALE, _LEAD = range(3)
 
 
 @jit
-def triangularize(rows: FloatArray, work: FloatArray) -> None:
-    """Make matrices (6, 6, TILE), or wider ones, upper triangular by reflections; `work` is (2, TILE)."""
-    _clear_column(rows, 0, work)
-    _clear_column(rows, 1, work)
-    _clear_column(rows, 2, work)
-    _clear_column(rows, 3, work)
-    _clear_column(rows, 4, work)
-
-
-@jit_inline
-def _clear_column(rows: FloatArray, j: int, work: FloatArray) -> None:
-    """Reflect the rows from j on, so that column j is zero below."""
-    for k in range(TILE):
-        square = 0.0
-        for i in range(j, WIDTH):
-            square += rows[i, j, k] * rows[i, j, k]
-        size, lead = np.sqrt(square), rows[j, j, k]
-        product = size * (size + abs(lead))
-        work[0, k], work[1, k] = (1.0 / product if product > 0.0 else 0.0), (size if lead < 0.0 else -size)
-        rows[j, j, k] = lead - work[1, k]
-    for c in range(j + 1, rows.shape[1]):
+def triangularize(rows: FloatArray, beside: FloatArray, work: FloatArray) -> None:
+    """Make matrices upper triangular by reflections, applied to those `beside`, too, if any; `work` is (3, TILE)."""
+    for j in range(WIDTH - 1):
         for k in range(TILE):
-            total = 0.0
-            for i in range(j, WIDTH):
-                total += rows[i, j, k] * rows[i, c, k]
-            total *= work[0, k]
-            for i in range(j, WIDTH):
-                rows[i, c, k] -= total * rows[i, j, k]
-    for k in range(TILE):
-        rows[j, j, k] = work[1, k]
+            work[_TOTAL, k] = 0.0
+        for i in range(j, WIDTH):
+            for k in range(TILE):
+                work[_TOTAL, k] += rows[i, j, k] * rows[i, j, k]
+        for k in range(TILE):
+            size, lead = np.sqrt(work[_TOTAL, k]), rows[j, j, k]
+            product = size * (size + abs(lead))
+            work[_SCALE, k] = 1.0 / product if product > 0.0 else 0.0
+            work[_LEAD, k] = size if lead < 0.0 else -size
+            rows[j, j, k] = lead - work[_LEAD, k]
+        for c in range(j + 1, WIDTH):
+            _reflect_column(rows, j, rows, c, work)
+        if len(beside) > 0:
+            for c in range(WIDTH):
+                _reflect_column(rows, j, beside, c, work)
+        for k in range(TILE):
+            rows[j, j, k] = work[_LEAD, k]
         for i in range(j + 1, WIDTH):
-            rows[i, j, k] = 0.0
+            for k in range(TILE):
+                rows[i, j, k] = 0.0
 
 
 @jit
-def orthogonalize(rows: FloatArray, first: int, last: int, work: FloatArray) -> None:
-    """Rotate the rows from `first` to before `last` until they are orthogonal; `work` is (4, TILE)."""
+def _reflect_column(rows: FloatArray, j: int, matrices: FloatArray, c: int, work: FloatArray) -> None:
+    """Reflect column c of matrices along the normal in column j of the rows, from its place j on."""
+    for k in range(TILE):
+        work[_TOTAL, k] = 0.0
+    for i in range(j, WIDTH):
+        for k in range(TILE):
+            work[_TOTAL, k] += rows[i, j, k] * matrices[i, c, k]
+    for k in range(TILE):
+        work[_TOTAL, k] *= work[_SCALE, k]
+    for i in range(j, WIDTH):
+        for k in range(TILE):
+            matrices[i, c, k] -= work[_TOTAL, k] * rows[i, j, k]
+
+
+@jit
+def orthogonalize(rows: FloatArray, beside: FloatArray, work: FloatArray) -> None:
+    """Rotate six rows until they are orthogonal, and those `beside`, if any, with them; `work` is (4, TILE)."""
     for k in range(TILE):
         work[_ACTIVE, k] = 1.0
     for _ in range(_MOST_SWEEPS):
         for k in range(TILE):
             work[_MORE, k] = 0.0
-        for i in range(first, last - 1):
-            for j in range(i + 1, last):
-                _rotate(rows, i, j, work)
+        for i in range(WIDTH - 1):
+            for j in range(i + 1, WIDTH):
+                if _find_rotation(rows[i], rows[j], work):
+                    _rotate(rows[i], rows[j], work)
+                    if len(beside) > 0:
+                        _rotate(beside[i], beside[j], work)
         unfinished = False
         for k in range(TILE):
             work[_ACTIVE, k] = work[_MORE, k]
@@ -91,13 +102,13 @@ def orthogonalize(rows: FloatArray, first: int, last: int, work: FloatArray) -> 
 
 
 @jit_inline
-def _rotate(rows: FloatArray, i: int, j: int, work: FloatArray) -> None:
-    """Make two rows orthogonal."""
+def _find_rotation(first: FloatArray, second: FloatArray, work: FloatArray) -> bool:
+    """Write the cosines and sines that make two rows orthogonal; return whether any matrix needs them."""
     some = False
     for k in range(TILE):
         a, b, g = 0.0, 0.0, 0.0
         for c in range(WIDTH):
-            x, y = rows[i, c, k], rows[j, c, k]
+            x, y = first[c, k], second[c, k]
             a, b, g = a + x * x, b + y * y, g + x * y
         need = (g * g > _ORTHOGONAL * (a * b)) & (work[_ACTIVE, k] > 0.0)
         work[_MORE, k] += 1.0 if need & (g * g > _LAST_SWEEP * (a * b)) else 0.0
@@ -107,34 +118,43 @@ def _rotate(rows: FloatArray, i: int, j: int, work: FloatArray) -> None:
         scale = 1.0 / np.sqrt(adjacent * adjacent + g2 * g2)
         work[_COSINE, k], work[_SINE, k] = (adjacent * scale if need else 1.0), (g2 * scale if need else 0.0)
         some = some | need
-    if some:
-        for c in range(rows.shape[1]):
-            for k in range(TILE):
-                x, y = rows[i, c, k], rows[j, c, k]
-                rows[i, c, k] = work[_COSINE, k] * x - work[_SINE, k] * y
-                rows[j, c, k] = work[_SINE, k] * x + work[_COSINE, k] * y
+    return some
 
 
 @jit_inline
-def put_norms(rows: FloatArray, count: int, norms: FloatArray) -> None:
-    """Write the lengths (count, TILE) of the rows, the singular values if these are orthogonal."""
-    for i in range(count):
+def _rotate(first: FloatArray, second: FloatArray, work: FloatArray) -> None:
+    for c in range(WIDTH):
         for k in range(TILE):
-            square = 0.0
-            for c in range(WIDTH):
-                square += rows[i, c, k] * rows[i, c, k]
-            norms[i, k] = np.sqrt(square)
+            x, y = first[c, k], second[c, k]
+            first[c, k] = work[_COSINE, k] * x - work[_SINE, k] * y
+            second[c, k] = work[_SINE, k] * x + work[_COSINE, k] * y
 
 
 @jit
-def put_smallest_last(rows: FloatArray, norms: FloatArray) -> None:
-    """Exchange the shortest row with the last of all."""
-    last = rows.shape[0] - 1
+def put_norms(rows: FloatArray, norms: FloatArray) -> None:
+    """Write the lengths (6, TILE) of the rows, the singular values if these are orthogonal."""
+    for i in range(WIDTH):
+        for k in range(TILE):
+            norms[i, k] = 0.0
+        for c in range(WIDTH):
+            for k in range(TILE):
+                norms[i, k] += rows[i, c, k] * rows[i, c, k]
+        for k in range(TILE):
+            norms[i, k] = np.sqrt(norms[i, k])
+
+
+@jit
+def put_smallest_last(rows: FloatArray, beside: FloatArray, norms: FloatArray) -> None:
+    """Exchange the shortest of six rows with the last."""
+    last = WIDTH - 1
     for i in range(last):
-        for c in range(rows.shape[1]):
+        for c in range(WIDTH):
             for k in range(TILE):
                 x, y, exchange = rows[i, c, k], rows[last, c, k], norms[i, k] < norms[last, k]
                 rows[i, c, k], rows[last, c, k] = (y if exchange else x), (x if exchange else y)
+            for k in range(TILE):
+                x, y, exchange = beside[i, c, k], beside[last, c, k], norms[i, k] < norms[last, k]
+                beside[i, c, k], beside[last, c, k] = (y if exchange else x), (x if exchange else y)
         for k in range(TILE):
             x, y, exchange = norms[i, k], norms[last, k], norms[i, k] < norms[last, k]
             norms[i, k], norms[last, k] = (y if exchange else x), (x if exchange else y)
@@ -142,51 +162,47 @@ def put_smallest_last(rows: FloatArray, norms: FloatArray) -> None:
 
 @jit
 def null_vector(rows: FloatArray, vector: FloatArray, work: FloatArray) -> None:
-    """Write the unit vector (6, TILE) orthogonal to the first five rows, which are overwritten; `work` is (5, TILE).
+    """Write the unit vector (6, TILE) orthogonal to the first five rows, which are overwritten; `work` is (6, TILE).
 
     The last right singular vector, where the last singular value is zero, too.
     """
-    _make_normal(rows, 0, work)
-    _make_normal(rows, 1, work)
-    _make_normal(rows, 2, work)
-    _make_normal(rows, 3, work)
-    _make_normal(rows, 4, work)
-    for k in range(TILE):
-        for c in range(WIDTH - 1):
-            vector[c, k] = 0.0
-        vector[WIDTH - 1, k] = 1.0
-    _reflect(rows[4], vector, 4, work[4])
-    _reflect(rows[3], vector, 3, work[3])
-    _reflect(rows[2], vector, 2, work[2])
-    _reflect(rows[1], vector, 1, work[1])
-    _reflect(rows[0], vector, 0, work[0])
-
-
-@jit_inline
-def _make_normal(rows: FloatArray, j: int, work: FloatArray) -> None:
-    """Turn row j into the normal of the reflection that takes it to an axis, and reflect the rows after it."""
-    for k in range(TILE):
-        square = 0.0
+    last = WIDTH - 1
+    for j in range(last):
+        # Row j becomes the normal of the reflection that takes it to an axis; the rows after it are reflected.
+        total = work[last]
+        for k in range(TILE):
+            total[k] = 0.0
         for c in range(j, WIDTH):
-            square += rows[j, c, k] * rows[j, c, k]
-        size, lead = np.sqrt(square), rows[j, j, k]
-        product = size * (size + abs(lead))
-        rows[j, j, k] = lead - size if lead < 0.0 else lead + size
-        work[j, k] = 1.0 / product if product > 0.0 else 0.0
-    for i in range(j + 1, WIDTH - 1):
-        _reflect(rows[j], rows[i], j, work[j])
+            for k in range(TILE):
+                total[k] += rows[j, c, k] * rows[j, c, k]
+        for k in range(TILE):
+            size, lead = np.sqrt(total[k]), rows[j, j, k]
+            product = size * (size + abs(lead))
+            rows[j, j, k] = lead - size if lead < 0.0 else lead + size
+            work[j, k] = 1.0 / product if product > 0.0 else 0.0
+        for i in range(j + 1, last):
+            _reflect(rows[j], rows[i], j, work[j], total)
+    for c in range(WIDTH):
+        for k in range(TILE):
+            vector[c, k] = 0.0 if c < last else 1.0
+    for i in range(last):
+        j = last - 1 - i
+        _reflect(rows[j], vector, j, work[j], work[last])
 
 
-@jit_inline
-def _reflect(normal: FloatArray, vector: FloatArray, first: int, scale: FloatArray) -> None:
-    """Reflect vectors (6, TILE) along normals that begin at place `first`."""
+@jit
+def _reflect(normal: FloatArray, vector: FloatArray, first: int, scale: FloatArray, total: FloatArray) -> None:
+    """Reflect vectors (6, TILE) along normals that begin at place `first`; `total` is (TILE,), overwritten."""
     for k in range(TILE):
-        total = 0.0
-        for c in range(first, WIDTH):
-            total += normal[c, k] * vector[c, k]
-        total *= scale[k]
-        for c in range(first, WIDTH):
-            vector[c, k] -= total * normal[c, k]
+        total[k] = 0.0
+    for c in range(first, WIDTH):
+        for k in range(TILE):
+            total[k] += normal[c, k] * vector[c, k]
+    for k in range(TILE):
+        total[k] *= scale[k]
+    for c in range(first, WIDTH):
+        for k in range(TILE):
+            vector[c, k] -= total[k] * normal[c, k]
 
 
 @kernel(f"void({readonly_array(3)}, f8[:,::1])")
@@ -202,9 +218,9 @@ def singular_values(matrices: FloatArray, values: FloatArray) -> None:
                 for j in range(columns):
                     rows[i, j, k] = matrices[start + k, i, j]
         if count == WIDTH:
-            triangularize(rows, work)
-        orthogonalize(rows, 0, count, work)
-        put_norms(rows, count, norms)
+            triangularize(rows, rows[:0], work)
+        orthogonalize(rows, rows[:0], work)
+        put_norms(rows, norms)
         for k in range(width):
             for i in range(count):
                 at = i

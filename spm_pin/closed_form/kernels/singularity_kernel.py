@@ -37,6 +37,8 @@ ByteArray = npt.NDArray[np.uint8]
 _STATES = f"{readonly_array(4)}, {readonly_array(4)}, {readonly_array(3)}"
 # Blocks of three rows of a tile: the forces of the lower and of the upper legs, and their revolute axes.
 _LOWER, _UPPER, _LOWER_AXES, _UPPER_AXES = range(4)
+# The blocks of J_b, J_c and K.
+_FIRST, _SECOND = (_LOWER, _UPPER, _LOWER_AXES), (_LOWER_AXES, _UPPER_AXES, _UPPER_AXES)
 
 
 @jit_inline
@@ -56,16 +58,6 @@ def _put_six(row: FloatArray, first: Vector, second: Vector) -> None:
 def _put_block(blocks: FloatArray, block: int, k: int, forces: Three, arms: Three) -> None:
     for i in range(3):
         _put_row(blocks, block, i, k, forces[i], arms[i])
-
-
-@jit
-def _decompose(rows: FloatArray, norms: FloatArray, vector: FloatArray, work: FloatArray) -> None:
-    """Bring matrices to singular values, the smallest last, and its right singular vector; destroys `rows` but one."""
-    triangularize(rows, work)
-    orthogonalize(rows, 0, WIDTH, work)
-    put_norms(rows, WIDTH, norms)
-    put_smallest_last(rows, norms)
-    null_vector(rows, vector, work)
 
 
 @jit
@@ -91,9 +83,9 @@ def _dependent(block: FloatArray, tolerance: float, rows: FloatArray, norms: Flo
         for i in range(3):
             for j in range(WIDTH):
                 for k in range(TILE):
-                    rows[i, j, k] = block[i, j, k]
-        orthogonalize(rows, 0, 3, work)
-        put_norms(rows, 3, norms)
+                    rows[i, j, k], rows[3 + i, j, k] = block[i, j, k], 0.0
+        orthogonalize(rows, rows[:0], work)
+        put_norms(rows, norms)
         for k in range(TILE):
             least, largest = norms[0, k], norms[0, k]
             for i in range(1, 3):
@@ -146,7 +138,8 @@ def describe_singularities(
         Sum of the upper constraints at o, weighted by the left singular vector of K, of |f| = 1, or |m| = 1.
     """
     tile, blocks = np.ones((21, TILE)), np.empty((4, 3, WIDTH, TILE))
-    rows, wide = np.ones((WIDTH, WIDTH, TILE)), np.ones((WIDTH, 2 * WIDTH, TILE))
+    # Beside K, the share of the upper stage in what its rows carry.
+    rows, beside = np.ones((WIDTH, WIDTH, TILE)), np.ones((WIDTH, WIDTH, TILE))
     norms, vector, work = np.empty((WIDTH, TILE)), np.empty((WIDTH, TILE)), np.empty((WIDTH, TILE))
     out = np.empty((3, TILE))
     for start in range(0, len(determinants), TILE):
@@ -177,13 +170,15 @@ def describe_singularities(
             for i in range(3):
                 for c in range(WIDTH):
                     for k in range(TILE):
-                        if which < 2:
-                            rows[i, c, k], rows[3 + i, c, k] = blocks[which, i, c, k], blocks[2 + which, i, c, k]
-                        else:
-                            # Beside K, what comes from the upper stage.
-                            wide[i, c, k], wide[3 + i, c, k] = blocks[2, i, c, k], blocks[3, i, c, k]
-                            wide[i, WIDTH + c, k], wide[3 + i, WIDTH + c, k] = 0.0, blocks[3, i, c, k]
-            _decompose(wide if which == 2 else rows, norms, vector, work)
+                        rows[i, c, k] = blocks[_FIRST[which], i, c, k]
+                        rows[3 + i, c, k] = blocks[_SECOND[which], i, c, k]
+                        beside[i, c, k], beside[3 + i, c, k] = 0.0, blocks[_UPPER_AXES, i, c, k]
+            others = beside[: WIDTH if which == 2 else 0]
+            triangularize(rows, others, work)
+            orthogonalize(rows, others, work)
+            put_norms(rows, norms)
+            put_smallest_last(rows, beside, norms)
+            null_vector(rows, vector, work)
             for k in range(width):
                 most = norms[0, k]
                 for i in range(1, WIDTH):
@@ -199,9 +194,9 @@ def describe_singularities(
                 _put_six(twists[start + k, which], linear, angular)
         for k in range(width):
             lever = minus(position_of(tile, k), mean(joints_of(tile, k)))
-            last = wide[WIDTH - 1]
-            force = last[WIDTH, k], last[WIDTH + 1, k], last[WIDTH + 2, k]
-            moment = scaled(side, (last[WIDTH + 3, k], last[WIDTH + 4, k], last[WIDTH + 5, k]))
+            last = beside[WIDTH - 1]
+            force = last[0, k], last[1, k], last[2, k]
+            moment = scaled(side, (last[3, k], last[4, k], last[5, k]))
             moment = combined(moment, -1.0, cross(lever, force))
             size, couple = np.sqrt(dot(force, force)), np.sqrt(dot(moment, moment))
             scale = 1.0 / (size if size > couple_only * couple / side else couple)
