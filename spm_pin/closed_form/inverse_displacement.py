@@ -25,10 +25,12 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from spm_pin.closed_form.as_built_inverse import as_built_complex_joints, as_built_inverse
 from spm_pin.closed_form.batches import radii, read_pose, run_kernel
 from spm_pin.closed_form.degeneracy import find_degeneracy
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.branches import BRANCHES
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
@@ -50,12 +52,14 @@ _RESULTS = (
 )
 
 
-def inverse_displacement(geometry: Geometry, pose: PoseLike, *, out: SolutionSet | None = None) -> SolutionSet:
+def inverse_displacement(
+    geometry: Geometry | AsBuiltGeometry, pose: PoseLike, *, out: SolutionSet | None = None
+) -> SolutionSet:
     """Find all configurations of the manipulator that hold the platform in a pose.
 
     Parameters
     ----------
-    geometry : Geometry
+    geometry : Geometry or AsBuiltGeometry
         The manipulator. Its leg limits are not applied; see `SolutionSet.within`.
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
         Pose of {m} in {B}, translation in metres; one, or a batch of shape (...).
@@ -71,14 +75,16 @@ def inverse_displacement(geometry: Geometry, pose: PoseLike, *, out: SolutionSet
         (..., 4), dimensionless, are those of the families' quadratics divided by r² = d²/3: the two branches
         of a family are real where it is not negative, and meet where it is zero, at an inverse singularity.
         `.status` (...) is `Status.OK`; `UNREACHABLE` where no branch is real; or `DEGENERATE` where some
-        family is continuous: it is left out, and `.degeneracy` describes it.
+        family is continuous: it is left out, and `.degeneracy` describes it. For an `AsBuiltGeometry` `.leg_lengths`
+        are readings, offsets included, labels are carried from the nominal machine, `.met` (..., 8) is true where two
+        branches met on the way, and the status may be `UNSOLVED`; see `docs/theory/as_built.md`.
 
     Raises
     ------
     PoseError
         If `pose` is not a rigid transform of finite numbers.
     ArgumentError
-        If `out` is no result of this function for a batch of this shape.
+        If `out` is no result of this function for a batch of this shape, or given for an `AsBuiltGeometry`.
 
     Notes
     -----
@@ -93,6 +99,10 @@ def inverse_displacement(geometry: Geometry, pose: PoseLike, *, out: SolutionSet
     >>> spm.inverse_displacement(geometry, pose)
     <SolutionSet: ok, 6 of 8 real: TT+, TT-, TF+, TF-, FF+, FF->
     """
+    if isinstance(geometry, AsBuiltGeometry):
+        if out is not None:
+            raise ArgumentError("out", "None for an AsBuiltGeometry", type(out).__name__)
+        return as_built_inverse(geometry, pose)
     from spm_pin.closed_form.kernels.branch_kernels import all_branches
 
     shape, rotation, position = read_pose(pose)
@@ -127,7 +137,7 @@ def _memory_of(out: SolutionSet, shape: tuple[int, ...]) -> tuple[npt.NDArray[np
     return out.memory
 
 
-def inverse_physical(geometry: Geometry, pose: PoseLike) -> Configuration:
+def inverse_physical(geometry: Geometry | AsBuiltGeometry, pose: PoseLike) -> Configuration:
     """Find the configuration in which a real machine holds the platform in a pose.
 
     Parameters
@@ -161,6 +171,8 @@ def inverse_physical(geometry: Geometry, pose: PoseLike) -> Configuration:
     """
     from spm_pin.closed_form.kernels.branch_kernels import physical_branches
 
+    if isinstance(geometry, AsBuiltGeometry):
+        return as_built_inverse(geometry, pose).physical()
     sizes, limits = radii(geometry), geometry.limits
     shape, rotation, position = read_pose(pose)
     bounds = np.array([(0.0,) * 6, (np.inf,) * 6] if limits is None else [limits.minimum, limits.maximum])
@@ -205,7 +217,7 @@ def branch_lengths(geometry: Geometry, pose: PoseLike) -> tuple[FloatArray, npt.
     return lengths.reshape(*shape, 8, 6), status.reshape(shape)
 
 
-def complex_middle_joints(geometry: Geometry, pose: PoseLike) -> npt.NDArray[np.complex128]:
+def complex_middle_joints(geometry: Geometry | AsBuiltGeometry, pose: PoseLike) -> npt.NDArray[np.complex128]:
     """Return all eight roots of the inverse displacement, real or complex.
 
     Parameters
@@ -226,6 +238,8 @@ def complex_middle_joints(geometry: Geometry, pose: PoseLike) -> npt.NDArray[np.
     """
     from spm_pin.closed_form.kernels.branch_kernels import complex_branches
 
+    if isinstance(geometry, AsBuiltGeometry):
+        return as_built_complex_joints(geometry, pose)
     shape, rotation, position = read_pose(pose)
     results = [((8, 3, 3), np.complex128)]
     (joints,) = run_kernel(complex_branches, (rotation, position), radii(geometry)[:1], results, _MIN_BATCH_PER_THREAD)

@@ -195,6 +195,15 @@ class AsBuiltGeometry:
         axes = np.cos(angle)[:, None] * nominal + across[:, :1] * first + across[:, 1:] * second
         return replace(self, axes=axes, pivots=values[:, 2:5], balls=values[:, 5:8], offsets=values[:, 8])
 
+    def all_balls(self, lower: FloatArray) -> FloatArray:
+        """Return the centres of all six balls (..., 6, 3) in {B} [m], from those of the lower legs (..., 3, 3)."""
+        corner, first, second = self.balls[0], self.balls[1] - self.balls[0], self.balls[2] - self.balls[0]
+        basis = np.stack([first, second, np.cross(first, second)], axis=-1)
+        weights = np.linalg.solve(basis, (self.balls[3:] - corner).T).T
+        sides = lower[..., 1, :] - lower[..., 0, :], lower[..., 2, :] - lower[..., 0, :]
+        moved = np.stack([*sides, np.cross(*sides)], axis=-2)
+        return np.concatenate([lower, lower[..., :1, :] + weights @ moved], axis=-2)
+
     @property
     def limits(self) -> LegLimits | None:
         """Limits of the readings: those of the nominal geometry."""

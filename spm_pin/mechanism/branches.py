@@ -12,7 +12,9 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.geometry import Geometry
 
 __all__ = [
     "BRANCHES",
@@ -73,9 +75,9 @@ def _structure_determinant(configuration: Configuration) -> FloatArray:
     return -leg_plane_determinant(configuration.middle_joints, across)
 
 
-def _mean_radii(configuration: Configuration) -> tuple[FloatArray, FloatArray]:
-    """Return the means of b_i along the radial directions of {B} and of {m} [m]."""
-    radial = configuration.geometry.radial_directions
+def _mean_radii(configuration: Configuration, geometry: Geometry | None = None) -> tuple[FloatArray, FloatArray]:
+    """Return the means of b_i along the radial directions of {B} and of {m} [m]; of a `geometry` if that is given."""
+    radial = (geometry or configuration.geometry).radial_directions
     # The radial directions add up to zero, so b_i may stand for b_i - o.
     moments = np.swapaxes(configuration.middle_joints, -1, -2) @ radial
     lower = moments[..., 0, 0] + moments[..., 1, 1] + moments[..., 2, 2]
@@ -134,12 +136,15 @@ def physical(configuration: Configuration) -> BoolArray:
     Those reached from the symmetric home without a forward singularity: no torsion in either stage, each
     stage on the outer side of its platform, and both in the home's aspect. The signs of det J_b and det J_c do not
     tell the aspect alone: they are sums of two products of three factors, all six positive at home, and in the
-    home's aspect at most one of them is negative; see `docs/theory/forward_displacement.md`.
+    home's aspect at most one of them is negative; see `docs/theory/forward_displacement.md`. Of a machine as built, the
+    directions of the nominal geometry tell the mode and its own axes the aspect.
     """
+    geometry = configuration.geometry
+    nominal = geometry.nominal if isinstance(geometry, AsBuiltGeometry) else geometry
     centre = configuration.middle_joints.mean(axis=-2)
     upward = configuration.rotation[..., :, 2]
     heights = centre[..., 2], np.einsum("...i,...i->...", configuration.translation - centre, upward)
-    upright = np.logical_and.reduce([value > 0.0 for value in (*_mean_radii(configuration), *heights)])
+    upright = np.logical_and.reduce([value > 0.0 for value in (*_mean_radii(configuration, nominal), *heights)])
     if not configuration.shape:
         return np.asarray(upright & _at_home(configuration))
     # Few are upright, and the rest is the longer part.
@@ -150,10 +155,17 @@ def physical(configuration: Configuration) -> BoolArray:
 
 def _at_home(configuration: Configuration) -> BoolArray:
     """Return for which upright states both stages are in the home's aspect, shape (...)."""
-    tangents = np.cross([0.0, 0.0, 1.0], configuration.geometry.radial_directions)
-    b, legs = configuration.middle_joints, configuration.leg_vectors
-    lower = in_home_aspect(b, np.cross(tangents, legs[..., :3, :]))
-    upper = in_home_aspect(b, np.cross(tangents @ np.swapaxes(configuration.rotation, -1, -2), legs[..., 3:, :]))
+    geometry, legs, balls = configuration.geometry, configuration.leg_vectors, configuration.balls
+    if isinstance(geometry, AsBuiltGeometry):
+        # The axes with the signs that make them tangents, as those of the ideal machine are.
+        tangents = np.cross([0.0, 0.0, 1.0], geometry.nominal.radial_directions)
+        signs = np.sign((tangents * geometry.nominal.revolute_axes).sum(axis=-1))[:, None]
+        below, above = signs * geometry.axes[:3], signs * geometry.axes[3:]
+    else:
+        below = above = np.cross([0.0, 0.0, 1.0], geometry.radial_directions)
+    lower = in_home_aspect(balls[..., :3, :], np.cross(below, legs[..., :3, :]))
+    seen = above @ np.swapaxes(configuration.rotation, -1, -2)
+    upper = in_home_aspect(balls[..., 3:, :], np.cross(seen, legs[..., 3:, :]))
     return np.asarray(lower & upper)
 
 

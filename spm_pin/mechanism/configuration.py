@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, broadcastable, first_offender, frozen, instance, real_array
+from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 
@@ -23,13 +24,13 @@ class Configuration:
 
     Parameters
     ----------
-    geometry : Geometry
+    geometry : Geometry or AsBuiltGeometry
         The manipulator.
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
         Pose of the terminal platform {m} in the base {B}.
     middle_joints : array_like, shape (..., 3, 3)
-        Centres of the compound ball joints b_1, b_2, b_3 as rows, in {B} [m]. A member that does not exist
-        is NaN throughout. Leading axes broadcast with those of `pose`.
+        Centres of the compound ball joints b_1, b_2, b_3 as rows, in {B} [m]; of a machine as built, those of the lower
+        legs' balls. A member that does not exist is NaN throughout. Leading axes broadcast with those of `pose`.
 
     Raises
     ------
@@ -50,7 +51,8 @@ class Configuration:
     absence = ""
 
     def __init__(self, geometry: Geometry, pose: PoseLike, middle_joints: npt.ArrayLike) -> None:
-        instance(geometry, Geometry, "geometry")
+        if not isinstance(geometry, AsBuiltGeometry):
+            instance(geometry, Geometry, "geometry")
         transform = as_rigid_transform(pose)
         joints = real_array(
             middle_joints, "middle_joints", (3, 3), "rows b_1, b_2, b_3 in {B} in metres", allow_nan=True
@@ -70,7 +72,7 @@ class Configuration:
 
     def _set(
         self,
-        geometry: Geometry,
+        geometry: Geometry | AsBuiltGeometry,
         rotation: FloatArray,
         translation: FloatArray,
         joints: FloatArray,
@@ -86,7 +88,7 @@ class Configuration:
     @classmethod
     def from_arrays(
         cls,
-        geometry: Geometry,
+        geometry: Geometry | AsBuiltGeometry,
         rotation: FloatArray,
         translation: FloatArray,
         middle_joints: FloatArray,
@@ -144,8 +146,8 @@ class Configuration:
         return self._middle_joints.shape[:-2]
 
     @property
-    def geometry(self) -> Geometry:
-        """The manipulator."""
+    def geometry(self) -> Any:
+        """The manipulator, a `Geometry` or an `AsBuiltGeometry`."""
         return self._geometry
 
     @property
@@ -179,39 +181,56 @@ class Configuration:
         return self.__dict__.get("leg_lengths")
 
     @cached_property
+    def balls(self) -> FloatArray:
+        """Centres of the six legs' balls as rows in {B} [m], (..., 6, 3); twice b_1, b_2, b_3 in the ideal machine."""
+        b, geometry = self._middle_joints, self._geometry
+        if isinstance(geometry, AsBuiltGeometry):
+            return frozen(geometry.all_balls(b))
+        return frozen(np.concatenate([b, b], axis=-2))
+
+    @cached_property
     def platform_joints(self) -> FloatArray:
-        """Upper revolute joints c_1, c_2, c_3 as rows in {B} [m], shape (..., 3, 3). Eq. (2)."""
-        local = self._geometry.platform_joints
-        return frozen(local @ np.swapaxes(self._rotation, -1, -2) + self._translation[..., None, :])
+        """Upper revolute joints c_1, c_2, c_3, or pivots, as rows in {B} [m], shape (..., 3, 3). Eq. (2)."""
+        return frozen(self._local[1][3:] @ np.swapaxes(self._rotation, -1, -2) + self._translation[..., None, :])
 
     @cached_property
     def platform_axes(self) -> FloatArray:
         """Unit revolute axes at c_1, c_2, c_3 as rows in {B}, shape (..., 3, 3). Eq. (4b)."""
-        return frozen(self._geometry.revolute_axes @ np.swapaxes(self._rotation, -1, -2))
+        return frozen(self._local[0][3:] @ np.swapaxes(self._rotation, -1, -2))
+
+    @property
+    def _local(self) -> tuple[FloatArray, FloatArray]:
+        """Axes and pivots (6, 3) of the legs, the lower in {B}, the upper in {m}."""
+        geometry = self._geometry
+        if isinstance(geometry, AsBuiltGeometry):
+            return geometry.axes, geometry.pivots
+        axes = geometry.revolute_axes
+        return np.concatenate([axes, axes]), np.concatenate([geometry.base_joints, geometry.platform_joints])
 
     @cached_property
     def leg_vectors(self) -> FloatArray:
         """a_i to b_i of the lower legs, then b_i to c_i of the upper legs, as rows in {B} [m], (..., 6, 3)."""
-        lower = self._middle_joints - self._geometry.base_joints
-        upper = self.platform_joints - self._middle_joints
+        lower = self.balls[..., :3, :] - self._local[1][:3]
+        upper = self.platform_joints - self.balls[..., 3:, :]
         return frozen(np.concatenate([lower, upper], axis=-2))
 
     @cached_property
     def leg_lengths(self) -> FloatArray:
-        """r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], shape (..., 6). Eq. (20)."""
-        return frozen(np.sqrt((self.leg_vectors**2).sum(axis=-1)))
+        """r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], shape (..., 6). Eq. (20). Readings, offsets included, if as built."""
+        lengths = np.sqrt((self.leg_vectors**2).sum(axis=-1))
+        geometry = self._geometry
+        return frozen(lengths + geometry.offsets if isinstance(geometry, AsBuiltGeometry) else lengths)
 
     @cached_property
     def middle_pose(self) -> RigidTransform:
-        """Pose of the middle platform in {B}: origin at the triangle's centre, x along b_3 b_1, z its normal."""
-        b1, b2, b3 = (self._middle_joints[..., i, :] for i in range(3))
-        x = b1 - b3
-        y = 2.0 * b2 - b1 - b3
-        with np.errstate(invalid="ignore", divide="ignore"):
-            x = x / np.linalg.norm(x, axis=-1, keepdims=True)
-            y = y - (x * y).sum(axis=-1, keepdims=True) * x
-            y = y / np.linalg.norm(y, axis=-1, keepdims=True)
-        return _transform(np.stack([x, y, np.cross(x, y)], axis=-1), self._middle_joints.mean(axis=-2))
+        """Pose of the middle platform {n} in {B}: origin at the triangle's centre, x along b_3 b_1, z its normal."""
+        geometry = self._geometry
+        frames, centres = _frames(self._middle_joints), self._middle_joints.mean(axis=-2)
+        if isinstance(geometry, AsBuiltGeometry):
+            # {n} is where the nominal triangle would be, from where the balls are.
+            frames = frames @ _frames(geometry.balls[:3]).T
+            centres = centres - frames @ geometry.balls[:3].mean(axis=0)
+        return _transform(frames, centres)
 
     @cached_property
     def closure_residual(self) -> FloatArray:
@@ -220,15 +239,37 @@ class Configuration:
         The distances of each b_i from the planes of its lower and of its upper leg, Eqs. (5b) and (5c), and
         the errors of the middle platform's three sides, Eq. (12).
         """
-        b = self._middle_joints
-        lower = (b * self._geometry.revolute_axes).sum(axis=-1)
-        upper = ((b - self.platform_joints) * self.platform_axes).sum(axis=-1)
-        sides = np.sqrt(((b - np.roll(b, -1, axis=-2)) ** 2).sum(axis=-1)) - self._geometry.middle_side
+        b, geometry = self._middle_joints, self._geometry
+        axes, pivots = self._local
+        if isinstance(geometry, AsBuiltGeometry):
+            lower = ((b - pivots[:3]) * axes[:3]).sum(axis=-1)
+            right = np.sqrt(((geometry.balls[:3] - np.roll(geometry.balls[:3], -1, axis=0)) ** 2).sum(axis=-1))
+        else:
+            lower = (b * axes[:3]).sum(axis=-1)
+            right = np.broadcast_to(geometry.middle_side, 3)
+        upper = ((self.balls[..., 3:, :] - self.platform_joints) * self.platform_axes).sum(axis=-1)
+        sides = np.sqrt(((b - np.roll(b, -1, axis=-2)) ** 2).sum(axis=-1)) - right
         return frozen(np.asarray(np.abs(np.concatenate([lower, upper, sides], axis=-1)).max(axis=-1)))
 
 
+def _frames(b: FloatArray) -> FloatArray:
+    """Return the axes (..., 3, 3) of triangles b_1, b_2, b_3: x along b_3 b_1, y towards b_2, z normal, as columns."""
+    x = b[..., 0, :] - b[..., 2, :]
+    y = 2.0 * b[..., 1, :] - b[..., 0, :] - b[..., 2, :]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        x = x / np.linalg.norm(x, axis=-1, keepdims=True)
+        y = y - (x * y).sum(axis=-1, keepdims=True) * x
+        y = y / np.linalg.norm(y, axis=-1, keepdims=True)
+    return np.stack([x, y, np.cross(x, y)], axis=-1)
+
+
 def check_configuration(
-    value: Any, argument: str = "configuration", *, single: bool = False, existing: bool = False
+    value: Any,
+    argument: str = "configuration",
+    *,
+    single: bool = False,
+    existing: bool = False,
+    as_built: bool = False,
 ) -> Configuration:
     """Return `value` if it is a configuration.
 
@@ -242,6 +283,8 @@ def check_configuration(
         Refuse batches.
     existing : bool
         Refuse states that do not exist.
+    as_built : bool
+        Accept states of an `AsBuiltGeometry`.
 
     Raises
     ------
@@ -251,6 +294,9 @@ def check_configuration(
     several = hasattr(type(value), "physical")
     cause = "Choose one of its solutions: .physical(), .nearest(seed), or a label such as ['TT+']" if several else ""
     configuration = instance(value, Configuration, argument, cause)
+    if not as_built and isinstance(configuration.geometry, AsBuiltGeometry):
+        expected = "a configuration of a Geometry: this function is for the machine of the drawing alone"
+        raise ArgumentError(argument, expected, "one of an AsBuiltGeometry")
     if single and configuration.shape:
         cause = f"Choose one by its index: {argument}[0]"
         raise ArgumentError(argument, "a single configuration", f"a batch of shape {configuration.shape}", cause)

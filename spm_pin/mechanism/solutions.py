@@ -86,6 +86,8 @@ class SolutionSet:
         configurations.
     memory : tuple of ndarray, optional
         The arrays that a solver may write anew, see `inverse_displacement`.
+    met : ndarray of bool, shape (..., n), optional
+        Of a machine as built, see `met`.
 
     Notes
     -----
@@ -105,6 +107,7 @@ class SolutionSet:
         degeneracy: Degeneracy | None = None,
         choice: npt.NDArray[np.uint8] | None = None,
         memory: tuple[npt.NDArray[Any], ...] | None = None,
+        met: BoolArray | None = None,
     ) -> None:
         shape = instance(configurations, Configuration, "configurations").shape
         if not shape or shape[-1] != len(labels):
@@ -116,6 +119,7 @@ class SolutionSet:
         self._degeneracy = degeneracy
         self._choice = choice
         self._memory = memory
+        self._met = met
 
     def __getstate__(self) -> dict[str, Any]:
         # A copy does not own the memory.
@@ -179,8 +183,8 @@ class SolutionSet:
         return self._configurations.shape[:-1]
 
     @property
-    def geometry(self) -> Geometry:
-        """The manipulator."""
+    def geometry(self) -> Any:
+        """The manipulator, a `Geometry` or an `AsBuiltGeometry`."""
         return self._configurations.geometry
 
     @property
@@ -244,6 +248,15 @@ class SolutionSet:
         return self._degeneracy
 
     @property
+    def met(self) -> BoolArray | None:
+        """Where a label could not be carried from the nominal machine, shape (..., n); None for a `Geometry`.
+
+        True where the branch of this label met another one while the errors grew from zero to those of the machine:
+        it has ended, or what is under its label now is a root left over, whose label is a name only.
+        """
+        return self._met
+
+    @property
     def memory(self) -> tuple[npt.NDArray[Any], ...] | None:
         """The arrays that a solver may write anew, if it handed them over."""
         return self._memory
@@ -270,6 +283,7 @@ class SolutionSet:
             discriminants=None if self._discriminants is None else self._discriminants[inner],
             degeneracy=None if self._degeneracy is None else self._degeneracy[batch],
             choice=None if self._choice is None else self._choice[inner],
+            met=None if self._met is None else self._met[inner],
         )
 
     def __iter__(self) -> Iterator[Configuration]:
@@ -360,6 +374,7 @@ class SolutionSet:
             discriminants=self._discriminants,
             degeneracy=self._degeneracy,
             choice=self._choice,
+            met=self._met,
         )
 
     def within(self, limits: LegLimits | None = None) -> SolutionSet:

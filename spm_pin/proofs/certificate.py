@@ -10,7 +10,7 @@ import numpy.typing as npt
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.mechanism.arguments import FloatArray, instance, real_array, real_number, whole_number
-from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.mechanism.stage_states import configuration_of_stages, stage_states
 from spm_pin.proofs.intervals import Interval
@@ -72,7 +72,7 @@ class Certificate:
 
         They respect the limits, and both stages lie in boxes of the proof. Nothing is covered if it does not hold.
         """
-        instance(configuration, Configuration, "configuration")
+        check_configuration(configuration)
         inside = self.limits.contains(configuration.leg_lengths)
         if not self.holds:
             return np.zeros_like(inside)

@@ -1,0 +1,112 @@
+"""Inverse displacement of a machine as built: three quadrics, all eight roots, the labels of the nominal machine.
+
+Derivation, and what becomes of the ideal machine's branches: `docs/theory/as_built.md`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.closed_form.batches import radii, read_pose, run_kernel
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.as_built import AsBuiltGeometry
+from spm_pin.mechanism.branches import BRANCHES
+from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.pose import PoseLike
+from spm_pin.mechanism.solutions import SolutionSet, Status
+
+__all__ = ["as_built_complex_joints", "as_built_inverse"]
+
+_MIN_BATCH_PER_THREAD = 1 << 9
+_IDEAL = (
+    ((3, 3), np.float64),
+    ((3,), np.float64),
+    ((8, 3, 3), np.float64),
+    ((8, 6), np.float64),
+    ((4,), np.float64),
+    ((3,), np.uint8),
+    ((), np.int8),
+    ((), np.uint8),
+)
+
+
+def as_built_inverse(geometry: AsBuiltGeometry, pose: PoseLike) -> SolutionSet:
+    """Find all configurations of a machine as built that hold the platform in a pose; see `inverse_displacement`.
+
+    `.met` is true under a label whose branch of the nominal machine ended on the straight way from the nominal axes,
+    pivots and balls to those of this machine, and under a label left over that a real root of this machine took: pairs
+    of a root and a label near each other first. `.status` is `DEGENERATE` where the leg planes do not determine the
+    position, and `UNSOLVED` where not all eight roots could be isolated. Without errors the result is that of the
+    nominal geometry.
+    """
+    if geometry == AsBuiltGeometry.from_nominal(geometry.nominal):
+        return _of_nominal(geometry, pose)
+    shape, rotation, position = read_pose(pose)
+    joints, lengths, carried, status, _ = _solve(geometry, rotation, position, complex_roots=False)
+    branches = Configuration.from_arrays(
+        geometry,
+        np.broadcast_to(rotation.reshape(*shape, 1, 3, 3), (*shape, 8, 3, 3)).copy(),
+        np.broadcast_to(position.reshape(*shape, 1, 3), (*shape, 8, 3)).copy(),
+        joints.reshape(*shape, 8, 3, 3),
+        lengths.reshape(*shape, 8, 6) + geometry.offsets,
+    )
+    return SolutionSet(branches, BRANCHES, status.reshape(shape), met=(carried == 0).reshape(*shape, 8))
+
+
+def as_built_complex_joints(geometry: AsBuiltGeometry, pose: PoseLike) -> npt.NDArray[np.complex128]:
+    """Return the centres of the lower legs' balls of all eight roots; see `complex_middle_joints`.
+
+    Real roots stand under their labels of `as_built_inverse`, the others under those left over.
+    """
+    shape, rotation, position = read_pose(pose)
+    joints: npt.NDArray[np.complex128] = _solve(geometry, rotation, position, complex_roots=True)[4]
+    return joints.reshape(*shape, 8, 3, 3)
+
+
+def _of_nominal(geometry: AsBuiltGeometry, pose: PoseLike) -> SolutionSet:
+    from spm_pin.closed_form.inverse_displacement import inverse_displacement
+
+    ideal = inverse_displacement(geometry.nominal, pose)
+    state = ideal.configurations
+    branches = Configuration.from_arrays(
+        geometry, state.rotation, state.translation, state.middle_joints, state.leg_lengths
+    )
+    return SolutionSet(
+        branches,
+        BRANCHES,
+        ideal.status,
+        discriminants=ideal.discriminants,
+        degeneracy=ideal.degeneracy,
+        met=np.zeros(branches.shape, dtype=np.bool_),
+    )
+
+
+def _solve(
+    geometry: AsBuiltGeometry, rotation: FloatArray, position: FloatArray, *, complex_roots: bool
+) -> tuple[Any, ...]:
+    """Run the kernels on N poses: joints, lengths without offsets, carried, status, and the complex joints if asked."""
+    from spm_pin.closed_form.kernels.as_built_kernels import as_built_branches
+    from spm_pin.closed_form.kernels.branch_kernels import all_branches, complex_branches
+
+    sizes = radii(geometry.nominal)
+    unit = sizes[0]
+    poses = rotation, position
+    ideal = run_kernel(all_branches, poses, sizes, _IDEAL, _MIN_BATCH_PER_THREAD)
+    # The branches left of a degenerate pose are not followed: what they would meet is a continuous family.
+    ideal[2][(ideal[6] == Status.DEGENERATE) | (ideal[7] != 0)] = np.nan
+    (everything,) = run_kernel(complex_branches, poses, sizes[:1], [((8, 3, 3), np.complex128)], _MIN_BATCH_PER_THREAD)
+    nominal = AsBuiltGeometry.from_nominal(geometry.nominal)
+    machines = (np.stack([g.axes, g.pivots / unit, g.balls / unit]) for g in (nominal, geometry))
+    count = len(position)
+    results = (
+        ((8, 3, 3), np.float64),
+        ((8, 6), np.float64),
+        ((8,), np.uint8),
+        ((), np.int8),
+        np.empty((count if complex_roots else 0, 8, 3, 3), np.complex128),
+    )
+    inputs = rotation, position, ideal[2], everything
+    return run_kernel(as_built_branches, inputs, (*machines, unit), results, _MIN_BATCH_PER_THREAD)
