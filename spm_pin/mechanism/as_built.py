@@ -19,7 +19,7 @@ from spm_pin.mechanism import yaml_nodes
 from spm_pin.mechanism.arguments import FloatArray, file_path, generator, instance, real_array, real_number
 from spm_pin.mechanism.geometry import LARGEST, LEGS, SMALLEST, Geometry, LegLimits, geometry_of_node
 
-__all__ = ["PARAMETERS", "AsBuiltGeometry"]
+__all__ = ["PARAMETERS", "AsBuiltGeometry", "all_balls"]
 
 _KEYS = ("axis", "pivot", "ball", "offset")
 _COMPONENTS = ("direction_1", "direction_2", *(f"{p}_{x}" for p in ("pivot", "ball") for x in "xyz"), "offset")
@@ -195,15 +195,6 @@ class AsBuiltGeometry:
         axes = np.cos(angle)[:, None] * nominal + across[:, :1] * first + across[:, 1:] * second
         return replace(self, axes=axes, pivots=values[:, 2:5], balls=values[:, 5:8], offsets=values[:, 8])
 
-    def all_balls(self, lower: FloatArray) -> FloatArray:
-        """Return the centres of all six balls (..., 6, 3) in {B} [m], from those of the lower legs (..., 3, 3)."""
-        corner, first, second = self.balls[0], self.balls[1] - self.balls[0], self.balls[2] - self.balls[0]
-        basis = np.stack([first, second, np.cross(first, second)], axis=-1)
-        weights = np.linalg.solve(basis, (self.balls[3:] - corner).T).T
-        sides = lower[..., 1, :] - lower[..., 0, :], lower[..., 2, :] - lower[..., 0, :]
-        moved = np.stack([*sides, np.cross(*sides)], axis=-2)
-        return np.concatenate([lower, lower[..., :1, :] + weights @ moved], axis=-2)
-
     @property
     def limits(self) -> LegLimits | None:
         """Limits of the readings: those of the nominal geometry."""
@@ -269,6 +260,17 @@ class AsBuiltGeometry:
             path.write_text(heading + text, encoding="utf-8")
         except OSError as failed:
             raise GeometryError(str(path), "a file that can be written", str(failed.strerror)) from failed
+
+
+def all_balls(geometry: AsBuiltGeometry, lower: FloatArray) -> FloatArray:
+    """Return the centres of all six balls (..., 6, 3) in {B} [m], from those of the lower legs (..., 3, 3)."""
+    balls = geometry.balls
+    corner, first, second = balls[0], balls[1] - balls[0], balls[2] - balls[0]
+    basis = np.stack([first, second, np.cross(first, second)], axis=-1)
+    weights = np.linalg.solve(basis, (balls[3:] - corner).T).T
+    sides = lower[..., 1, :] - lower[..., 0, :], lower[..., 2, :] - lower[..., 0, :]
+    moved = np.stack([*sides, np.cross(*sides)], axis=-2)
+    return np.concatenate([lower, lower[..., :1, :] + weights @ moved], axis=-2)
 
 
 def _refused(name: str) -> property:

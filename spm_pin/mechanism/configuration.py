@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, broadcastable, first_offender, frozen, instance, real_array
-from spm_pin.mechanism.as_built import AsBuiltGeometry
+from spm_pin.mechanism.as_built import AsBuiltGeometry, all_balls
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 
@@ -185,7 +185,7 @@ class Configuration:
         """Centres of the six legs' balls as rows in {B} [m], (..., 6, 3); twice b_1, b_2, b_3 in the ideal machine."""
         b, geometry = self._middle_joints, self._geometry
         if isinstance(geometry, AsBuiltGeometry):
-            return frozen(geometry.all_balls(b))
+            return frozen(all_balls(geometry, b))
         return frozen(np.concatenate([b, b], axis=-2))
 
     @cached_property
