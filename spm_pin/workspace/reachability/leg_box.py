@@ -21,7 +21,7 @@ from scipy.spatial import ConvexHull, KDTree
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, first_offender, instance
 from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
-from spm_pin.workspace.reachability.position_map import PositionMap, inverses, stage_centre, turned
+from spm_pin.workspace.reachability.position_map import PositionMap, inverses, rotated, stage_centre
 from spm_pin.workspace.reachability.stage_set import StageSet
 
 __all__ = ["LegBox", "leg_box"]
@@ -135,7 +135,7 @@ class LegBox:
     def _views(self) -> tuple[FloatArray, FloatArray]:
         """R_a, shape (n, 3, 3), and R_aᵀ t_a, (n, 3) [m], of the lower stages."""
         lower = self._samples[0]
-        rotation = np.swapaxes(turned(np.repeat(lower[:, None], 3, axis=1), np.eye(3))[0], -1, -2)
+        rotation = np.swapaxes(rotated(lower[:, None], np.eye(3)), -1, -2)
         centre = stage_centre(lower, self.map.radii[0])[0]
         return rotation, (np.swapaxes(rotation, -1, -2) @ centre[..., None])[..., 0]
 

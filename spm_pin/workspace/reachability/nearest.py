@@ -178,9 +178,9 @@ class LegSearch:
         for name in ("coordinates", "lengths", "position", "jacobian"):
             getattr(self, name)[index[better]] = getattr(other, name)[better]
 
-    def approach(self) -> None:
+    def approach(self, steps: int = _GAUSS_NEWTON) -> None:
         """Go by Gauss-Newton, which arrives where the point is reachable, or free legs move o only along the set."""
-        self._iterate(np.arange(len(self.points)), _GAUSS_NEWTON, exact=False)
+        self._iterate(np.arange(len(self.points)), steps, exact=False)
 
     def settle(self) -> None:
         """Go on by Newton's method where that has not arrived."""

@@ -33,6 +33,8 @@ from spm_pin.workspace.reachability.position_map import PositionMap
 __all__ = ["NearestPose", "nearest_reachable_pose", "pose_distance"]
 
 _STARTS = 8
+_STEPS, _STEPS_FROM_NEAR = 30, 2
+"""Of Gauss-Newton's method before Newton's, which takes fewer steps from a state that is nearly the nearest."""
 _SAME = 1e-7
 
 
@@ -178,7 +180,7 @@ def _within_limits(
         single = Configuration(near.geometry, near.pose.as_matrix()[None], near.middle_joints[None])
         starts = np.broadcast_to(mapping.coordinates(single), (len(targets), 1, 2, 3))
     search = LegSearch(box, targets, starts[:, 0], joints, mapping)
-    search.approach()
+    search.approach(_STEPS if near is None else _STEPS_FROM_NEAR)
     for k in range(1, starts.shape[1]):
         other = LegSearch(box, targets, starts[:, k], joints, mapping)
         other.approach()

@@ -24,7 +24,7 @@ from spm_pin.mechanism.branches import in_home_aspect
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 
-__all__ = ["PositionMap", "inverses", "turned"]
+__all__ = ["PositionMap", "inverses", "rotated", "turned"]
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -181,29 +181,28 @@ class PositionMap:
         derivatives : ndarray, shape (N, 3K, 6)
             [m].
         """
-        lower, upper = coordinates[:, 0], coordinates[:, 1]
+        lower, upper = coordinates[:, None, 0], coordinates[:, None, 1]
         centre, by_lower = stage_centre(lower, self.radii[0])
-        positions, derivatives = [], []
-        for point in body:
-            s, ds = self.seen(upper, point)
-            moved, by_turn = turned(lower, s)
-            rows = np.concatenate([by_lower, turned(lower[:, None, :], ds)[0]], axis=1)
-            rows[:, :2] += by_turn
-            positions.append(centre + moved)
-            derivatives.append(np.swapaxes(rows, -1, -2))
-        return np.concatenate(positions, axis=-1), np.concatenate(derivatives, axis=-2)
+        s, ds = self.seen(upper, body)
+        moved, by_turn = turned(lower, s)
+        by_upper = rotated(lower[:, :, None], ds)
+        rows = np.concatenate([np.broadcast_to(by_lower, by_upper.shape), by_upper], axis=-2)
+        rows[..., :2, :] += by_turn
+        count = 3 * len(body)
+        return (centre + moved).reshape(-1, count), np.swapaxes(rows, -1, -2).reshape(-1, count, 6)
 
     def seen(self, upper: FloatArray, point: FloatArray = _CENTRE[0]) -> tuple[FloatArray, FloatArray]:
-        """Return s [m], where a point of {m} is seen from the middle platform, (N, 3), and a row per coordinate.
+        """Return s [m], where points of {m} are seen from the middle platform, (..., 3), and a row per coordinate.
 
-        `upper` holds the coordinates of the upper stage, (N, 3).
+        `upper` holds the coordinates of the upper stage, (..., 3), `point` the points, (3,) or (..., 3).
         """
         t, dt = stage_centre(upper, self.radii[1])
         # R_bᵀ is the turn about the opposite axis.
         opposite = upper * _OPPOSITE
         s, by_axis = turned(opposite, point - t)
-        derivatives = -turned(opposite[:, None, :], dt)[0]
-        derivatives[:, :2] -= by_axis
+        by_centre = -rotated(opposite[..., None, :], dt)
+        derivatives = np.broadcast_to(by_centre, (*s.shape[:-1], 3, 3)).copy()
+        derivatives[..., :2, :] -= by_axis
         return self._between * s, self._between * derivatives
 
     def position(self, coordinates: FloatArray, body: FloatArray = _CENTRE) -> tuple[FloatArray, FloatArray]:
@@ -219,9 +218,9 @@ class PositionMap:
         across, up = self.in_leg_planes(coordinates[:, :1], slice(1))
         outward = (across + self._hips[0])[:, 0, :, None] * self.geometry.radial_directions
         joints = outward + up[:, 0, :, None] * [0.0, 0.0, 1.0]
-        lower, upper = (np.repeat(coordinates[:, None, k], 3, axis=1) for k in range(2))
-        back = turned(upper * _OPPOSITE, np.eye(3))[0]
-        rotation = np.swapaxes(turned(lower, self._between * back)[0], -1, -2)
+        lower, upper = coordinates[:, None, 0], coordinates[:, None, 1]
+        back = rotated(upper * _OPPOSITE, np.eye(3))
+        rotation = np.swapaxes(rotated(lower, self._between * back), -1, -2)
         return Configuration.from_arrays(self.geometry, rotation, self.points(coordinates)[0], joints)
 
     def pose_densities(self, coordinates: FloatArray) -> FloatArray:
@@ -231,7 +230,7 @@ class PositionMap:
         turns = np.zeros((len(lower), 6, 3))
         turns[:, :2] = _angular(lower)
         # The rotation is R_a times the turn about the opposite axis.
-        turns[:, 3:5] = turned(lower[:, None, :], -self._between * _angular(upper * _OPPOSITE))[0]
+        turns[:, 3:5] = rotated(lower[:, None, :], -self._between * _angular(upper * _OPPOSITE))
         matrix = np.concatenate([translations, np.swapaxes(turns, -1, -2)], axis=1)
         return np.asarray(np.abs(np.linalg.det(matrix)))
 
@@ -242,7 +241,7 @@ class PositionMap:
         family TT only.
         """
         centre, _ = stage_centre(lower, self.radii[0])
-        target, _ = turned(lower * _OPPOSITE, points - centre)
+        target = rotated(lower * _OPPOSITE, points - centre)
         distance = np.sqrt((target**2).sum(axis=-1))
         across = np.hypot(target[:, 0], target[:, 1])
         half = 0.5 * np.arctan2(across, target[:, 2])
@@ -260,44 +259,45 @@ class PositionMap:
 
 
 def stage_centre(coordinates: FloatArray, r: float) -> tuple[FloatArray, FloatArray]:
-    """Return t (N, 3) [m] of a stage and its derivatives, a row per coordinate, (N, 3, 3)."""
-    x1, x2, height = coordinates[:, 0], coordinates[:, 1], abs(r) * coordinates[:, 2]
-    zero = np.zeros_like(x1)
+    """Return t (..., 3) [m] of a stage and its derivatives, a row per coordinate, (..., 3, 3)."""
+    x1, x2, height = (coordinates[..., k] for k in range(3))
+    rows = np.zeros((*x1.shape, 3, 3))
+    rows[..., 0, 1] = rows[..., 1, 0] = -2.0 * r * x1
+    rows[..., 0, 0], rows[..., 1, 1] = -2.0 * r * x2, 2.0 * r * x2
+    rows[..., 2, 2] = abs(r)
+    return np.stack([-2.0 * r * x1 * x2, r * (x2 * x2 - x1 * x1), abs(r) * height], axis=-1), rows
+
+
+def rotated(coordinates: FloatArray, vector: FloatArray) -> FloatArray:
+    """Return R v (..., 3) for the turn by (x0, x1, x2, 0)."""
+    x1, x2 = coordinates[..., 0], coordinates[..., 1]
+    with np.errstate(invalid="ignore"):
+        x0 = np.sqrt(1.0 - x1 * x1 - x2 * x2)
+    a, b, c = (vector[..., k] for k in range(3))
+    # w = x × v, and v' = v + 2 x0 w + 2 x × w.
+    w1, w2, w3 = x2 * c, -x1 * c, x1 * b - x2 * a
     rows = [
-        [-2.0 * r * x2, -2.0 * r * x1, zero],
-        [-2.0 * r * x1, 2.0 * r * x2, zero],
-        [zero, zero, np.full_like(x1, abs(r))],
+        a + 2.0 * (x0 * w1 + x2 * w3),
+        b + 2.0 * (x0 * w2 - x1 * w3),
+        c + 2.0 * (x0 * w3 + x1 * w2 - x2 * w1),
     ]
-    # The matrix is symmetric.
-    return np.stack([-2.0 * r * x1 * x2, r * (x2 * x2 - x1 * x1), height], axis=-1), np.stack(
-        [np.stack(row, axis=-1) for row in rows], axis=-2
-    )
+    return np.stack(rows, axis=-1)
 
 
 def turned(coordinates: FloatArray, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return R v (..., 3) for the turn by (x0, x1, x2, 0), and its derivatives by x1 and x2, rows of (..., 2, 3)."""
-    x1, x2 = coordinates[..., 0, None], coordinates[..., 1, None]
+    """Return R v as `rotated`, and its derivatives by x1 and x2, rows of (..., 2, 3)."""
+    x1, x2 = coordinates[..., 0], coordinates[..., 1]
     with np.errstate(invalid="ignore"):
         x0 = np.sqrt(1.0 - x1 * x1 - x2 * x2)
-    a, b, c = vector[..., 0, None], vector[..., 1, None], vector[..., 2, None]
-    # w = x × v, and v' = v + 2 x0 w + 2 x × w.
+    a, b, c = (vector[..., k] for k in range(3))
     w1, w2, w3 = x2 * c, -x1 * c, x1 * b - x2 * a
-
-    def across(p1: FloatArray, p2: FloatArray, q1: FloatArray, q2: FloatArray, q3: FloatArray) -> FloatArray:
-        return np.concatenate([p2 * q3, -p1 * q3, p1 * q2 - p2 * q1], axis=-1)
-
-    w = np.concatenate([w1, w2, w3], axis=-1)
-    zero = np.zeros_like(w3)
-    one = zero + 1.0
-    out = vector + 2.0 * x0 * w + 2.0 * across(x1, x2, w1, w2, w3)
-    slopes = []
-    for x, p1, p2 in ((x1, one, zero), (x2, zero, one)):
-        d1, d2, d3 = p2 * c, -p1 * c, p1 * b - p2 * a
-        d = np.concatenate([d1 + zero, d2 + zero, d3], axis=-1)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            by_x0 = 2.0 * (x0 * d - x / x0 * w)
-        slopes.append(by_x0 + 2.0 * (across(p1, p2, w1, w2, w3) + across(x1, x2, d1 + zero, d2 + zero, d3)))
-    return out, np.stack(slopes, axis=-2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        first, second = x1 / x0, x2 / x0
+    # w changes by (0, -c, b) per x1 and by (c, 0, -a) per x2.
+    by_first = [x2 * b - first * w1, -x0 * c - first * w2 - x1 * b - w3, x0 * b - first * w3 - x1 * c + w2]
+    by_second = [x0 * c - second * w1 - x2 * a + w3, x1 * a - second * w2, -x0 * a - second * w3 - x2 * c - w1]
+    slopes = np.stack([np.stack(by_first, axis=-1), np.stack(by_second, axis=-1)], axis=-2)
+    return rotated(coordinates, vector), 2.0 * slopes
 
 
 def _angular(coordinates: FloatArray) -> FloatArray:
