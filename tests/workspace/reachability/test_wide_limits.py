@@ -38,8 +38,8 @@ MACHINES = {
     "wide base": (spm.Geometry(1.0, 0.3, 0.6), (0.9, 1.5)),
     "wide platform": (spm.Geometry(0.5, 0.8, 0.7), (0.8, 1.4)),
 }
-# m³: from meshes, see docs/theory/reachable_set.md; and from the points of `volume_by_orientations`, sides 17 and 12, that
-# it or `search_states` reaches. By itself it gives 26.10 and 42.86. Every point counted has a pose within the limits.
+# m³: from meshes, see docs/theory/reachable_set.md; from the points of `volume_by_orientations`, sides 17 and 12,
+# that it or `search_states` reaches. Alone it gives 26.10 and 42.86. Every point counted has a pose within the limits.
 VOLUMES = {(1.1, 1.5): 1.859, (0.8, 1.8): 26.47, (0.6, 2.0): 43.07}
 
 
