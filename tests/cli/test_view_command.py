@@ -136,7 +136,7 @@ def test_draw_one_branch_or_all(run: Run, tmp_path: Path) -> None:
         (["--out", "/nowhere/x.png", "--width", "100", "--no-names"], "a file that can be written"),
         (["--out", "/nowhere/x.png", "--all", "--width", "300"], "a file that can be written"),
         (["--out", "x.png", "--width", "3"], "at least 100 pixels"),
-        (["--out", "x.png", "--all", "--width", "150"], "at least 300 pixels for 3 columns"),
+        (["--out", "x.png", "--all", "--width", "150"], "at least 300 pixels"),
         (["--out", "x.png", "--view", "900", "0"], "azimuth and elevation"),
     ],
 )
