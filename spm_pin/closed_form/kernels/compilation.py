@@ -22,8 +22,8 @@ TILE = 16
 """Problems computed side by side: two or more registers' worth on every processor, and small enough for its cache."""
 
 _OPTIONS = {"error_model": "numpy", "nogil": True}
-# Only kernels are called from Python; the rest compiles sooner without wrappers for that.
-_INNER = {**_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+# Nothing but kernels is called from C. The wrappers for Python stay: without them a call from Python would crash.
+_INNER = {**_OPTIONS, "no_cfunc_wrapper": True}
 # Numba's own annotations are partial.
 _njit: Any = numba.njit
 _numba_cache: Any = caching.FunctionCache
