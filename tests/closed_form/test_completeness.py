@@ -114,6 +114,6 @@ def test_ten_thousand_poses() -> None:
 
 
 @pytest.mark.slow
-def test_a_million_poses() -> None:
-    for seed in range(10):
+def test_two_hundred_thousand_poses() -> None:
+    for seed in range(2):
         everything(100_000, seed=100 + seed)
