@@ -101,6 +101,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "confidence": lambda: 0.95,
     "corners": lambda: (0, 1, 2),
     "count": lambda: 4,
+    "matrices": lambda: np.eye(3),
     "description": lambda: "a metric",
     "domain": lambda: spm.sweeps.pose_grid(0.0, 0.0, (2.1, 2.2, 2), xyx=[0.1, 0.2, 0.1]),
     "metrics": lambda: ["branches"],

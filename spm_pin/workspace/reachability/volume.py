@@ -208,7 +208,9 @@ def compare_with_shell(
     count, rng = whole_number(samples, "samples", least=20), generator(rng)
     geometry, limits = instance(shell, Shell, "shell").geometry, shell.limits
     box = leg_box(geometry, limits)
-    boundary = boundary or reachable_boundary(geometry, limits, progress=progress)
+    if boundary is None:
+        boundary = reachable_boundary(geometry, limits, progress=progress)
+    instance(boundary, Boundary, "boundary")
     if (boundary.geometry, boundary.limits) != (geometry, limits):
         raise ArgumentError("boundary", "that of the shell's geometry and limits", repr(boundary))
 

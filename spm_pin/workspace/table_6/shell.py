@@ -7,7 +7,6 @@ the shell is closed by construction. It is not the whole boundary of what can be
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,7 +17,7 @@ import numpy.typing as npt
 
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError, GeometryError, MissingExtraError
-from spm_pin.mechanism.arguments import FloatArray, first_offender, frozen, real_array
+from spm_pin.mechanism.arguments import FloatArray, first_offender, frozen, real_array, whole_number
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
 from spm_pin.workspace.table_6.convergence import Convergence
@@ -33,6 +32,10 @@ __all__ = ["Patch", "Shell", "workspace_shell"]
 
 BoolArray = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.intp]
+
+
+FINEST = 2000
+"""Increments of a varying leg, at most: 24 surfaces of four million vertices."""
 
 
 @dataclass(frozen=True)
@@ -358,11 +361,4 @@ def _read_limits(geometry: Geometry, limits: LegLimits | None) -> LegLimits:
 
 
 def _read_resolution(resolution: int) -> int:
-    expected = "a whole number of increments, at least 2"
-    try:
-        n = operator.index(resolution)
-    except TypeError:
-        raise ArgumentError("resolution", expected, repr(resolution)) from None
-    if n < 2 or isinstance(resolution, bool):
-        raise ArgumentError("resolution", expected, resolution)
-    return n
+    return whole_number(resolution, "resolution", "a whole number of increments, at least 2", least=2, most=FINEST)
