@@ -25,7 +25,7 @@ def test_a_path_through_a_half_turn_ends_there() -> None:
 
 @pytest.mark.parametrize(
     ("count", "draw"),
-    [(300, 0), pytest.param(9_000, 1, marks=pytest.mark.slow), pytest.param(9_000, 2, marks=pytest.mark.slow)],
+    [(300, 0), pytest.param(9_000, 1, marks=pytest.mark.exhaustive), pytest.param(9_000, 2, marks=pytest.mark.slow)],
 )
 def test_the_solution_stays_on_its_path(count: int, draw: int) -> None:
     """Random modes, followed far: no arrival jumps, and no determinant changes its sign on the way to one."""

@@ -213,7 +213,7 @@ def narrowest_singular_half_width(hips: float) -> float:
     return min(solution.fun for solution in found if solution.success)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_widest_certified_limits_end_shortly_before_the_first_singularity() -> None:
     for hips in (PAPER.base_radius, PAPER.platform_radius):
         # The other stage is the same, so that this one decides.

@@ -152,7 +152,7 @@ def test_a_sample_needs_a_count(boundary: Boundary) -> None:
         boundary.sample(0)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_ten_thousand_boundary_points_obey_the_theorem() -> None:
     points = reachable_boundary(PAPER, spacing=0.1).sample(10_000, rng=5)
     check_theorem(points, spm.LegLimits(1.1, 1.5))

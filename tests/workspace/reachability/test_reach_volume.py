@@ -132,7 +132,7 @@ def test_computation_can_be_interrupted() -> None:
             call(PAPER, NARROW, samples=100, progress=stop)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_reachable_volume_is_more_than_a_tenth_larger_than_the_shell() -> None:
     sampled = reachable_volume(PAPER, samples=20_000, rng=7)
     meshed = reachable_volume(PAPER, method="mesh", spacing=0.1)

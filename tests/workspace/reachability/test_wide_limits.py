@@ -149,13 +149,13 @@ def test_a_boundary_is_found_where_legs_can_pass_forward_singularities(limits: t
     check_boundary(PAPER, limits, 0.6)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("limits", BOXES)
 def test_boundaries_of_twelve_boxes(limits: tuple[float, float]) -> None:
     check_boundary(PAPER, limits, 0.4)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", MACHINES)
 def test_boundaries_of_four_geometries(name: str) -> None:
     geometry, limits = MACHINES[name]
@@ -211,7 +211,7 @@ def test_no_state_is_found_by_random_starts_where_none_was() -> None:
                 assert not mapping.home_aspect(answer.x.reshape(1, 2, 3)).all()
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("limits", [(1.1, 1.5), (0.8, 1.8), (0.6, 2.0)])
 def test_the_interval_covers_in_93_of_100_repetitions(limits: tuple[float, float]) -> None:
     truth = VOLUMES[limits]
@@ -225,7 +225,7 @@ def test_the_interval_covers_in_93_of_100_repetitions(limits: tuple[float, float
     assert values.mean() == pytest.approx(truth, abs=0.01 * truth + 4.0 * values.std() / 10.0)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("limits", "side"), [((0.8, 1.8), 9), ((0.6, 2.0), 12)])
 def test_points_with_an_orientation_within_the_limits_are_reachable(limits: tuple[float, float], side: int) -> None:
     volume, points, reachable = volume_by_orientations(limits, side, 1)
@@ -234,7 +234,7 @@ def test_points_with_an_orientation_within_the_limits_are_reachable(limits: tupl
     assert volume == pytest.approx(VOLUMES[limits], rel=0.06)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_pose_volume_s_interval_covers_in_93_of_100_repetitions() -> None:
     limits = spm.LegLimits(0.6, 2.0)
     estimates = [pose_volume(PAPER, limits, samples=2000, rng=np.random.default_rng([4, k])) for k in range(100)]
