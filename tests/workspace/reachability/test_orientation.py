@@ -70,6 +70,7 @@ def test_the_largest_tilt_in_each_sector() -> None:
     assert answer.share.value == pytest.approx(answer.volume.value / ROTATIONS)
 
 
+@pytest.mark.exhaustive
 def test_on_the_axis_the_orientations_are_threefold_symmetric() -> None:
     answer = orientation_workspace(PAPER, [0.0, 0.0, 2.5], samples=14_000, rng=5)
     third = 2.0 * np.pi / 3.0
