@@ -26,7 +26,7 @@ __all__ = ["ContinuationSolver", "project_to_closure"]
 SHORTEST_NEWTON_SHARE = 2.0**-10
 """Share of a Newton step below which the projection ends without a solution."""
 LONGEST_STEP = 0.25
-"""Of the continuation, in any joint: angles [rad], slides in units of the middle platform's side."""
+"""Largest step of the continuation in any joint: angles [rad], slides in units of the middle platform's side."""
 CORRECTION = 0.25
 """Largest sum of corrections, as a share of the step they correct."""
 DETERMINANT_CHANGE = 2.0

@@ -32,7 +32,7 @@ MEANINGS = {
     "acceleration": "of o in m/s², angular in rad/s², in {B}",
     "wrench": "(f, m) in N and N m in the axes of {B}",
 }
-"""What each argument holds, for messages."""
+"""Meaning of each argument, for messages."""
 
 
 def read_vectors(value: npt.ArrayLike, argument: str, size: int) -> FloatArray:

@@ -38,7 +38,7 @@ class Plan:
     geometry: Geometry
     domain: Domain
     metrics: tuple[Metric, ...]
-    """What is computed, in the order of the names."""
+    """Metrics computed, in the order of their names."""
     chunk: tuple[int, ...]
     """Shape of a chunk along the dimensions of the domain."""
     version: str
@@ -58,7 +58,7 @@ class Plan:
 
     @property
     def variables(self) -> tuple[Metric, ...]:
-        """What is stored point by point: coordinates of a sample, the status, and the metrics."""
+        """Variables stored for every point: coordinates of a sample, the status, and the metrics."""
         sampled = [
             Metric(axis.name, axis.unit, axis.description, lambda points, k=k: points.coordinates[:, k])
             for k, axis in enumerate(self.domain.axes)

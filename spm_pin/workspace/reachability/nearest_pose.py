@@ -34,7 +34,7 @@ __all__ = ["NearestPose", "nearest_reachable_pose", "pose_distance"]
 
 _STARTS = 8
 _STEPS, _STEPS_FROM_NEAR = 30, 2
-"""Of Gauss-Newton's method before Newton's, which takes fewer steps from a state that is nearly the nearest."""
+"""Steps of Gauss-Newton before those of Newton: fewer are needed from a state that is nearly the nearest."""
 _SAME = 1e-7
 
 
