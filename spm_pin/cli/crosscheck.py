@@ -51,9 +51,10 @@ def crosscheck(
     if json is not None:
         write_json(_content(report, file), json)
     if figure is not None:
-        from spm_pin.display.agreement_plot import save_agreement
+        from spm_pin.display.agreement_plot import agreement_figure
+        from spm_pin.display.figure_files import save_figure
 
-        save_agreement(report, figure)
+        save_figure(agreement_figure(report), figure)
         note(f"wrote {figure}")
     if len(report.xyx) < poses:
         raise typer.Exit(130)

@@ -68,7 +68,7 @@ def demo(
 
 
 def _draw_example(out: Path) -> None:
-    from spm_pin.display.gallery import save_gallery
+    from spm_pin.display.plots import save_gallery
 
     example = pose(np.array(published.POSITION) / 100.0, xyx=np.deg2rad(published.XYX_DEGREES))
     solutions = inverse_displacement(Geometry.paper(), example)

@@ -53,8 +53,7 @@ def draw(
     """
     require_extra("plots")
     check_output(out, "--out", FORMATS)
-    from spm_pin.display.gallery import save_gallery
-    from spm_pin.display.plots import save_picture
+    from spm_pin.display.plots import save_gallery, save_picture
 
     if every and branch is not None:
         raise ArgumentError("--all", "all branches or some", "both --all and --branch")

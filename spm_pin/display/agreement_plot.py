@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from spm_pin.crosscheck import Quantity, Report
-from spm_pin.display.figure_files import named_figure, save_figure
-from spm_pin.display.scene import plots_extra
+from spm_pin.display.figure_files import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["agreement_figure", "save_agreement"]
+__all__ = ["agreement_figure"]
 
 _COLOURS = {
     Quantity.POSITIONS: "#0072b2",
@@ -24,23 +22,9 @@ _SMALLEST = 1e-8
 
 
 def agreement_figure(report: Report) -> Figure:
-    """Draw the largest difference of every pair of methods as a share of its tolerance, on a logarithmic axis.
-
-    Parameters
-    ----------
-    report : Report
-        Result of `spm_pin.crosscheck.compare_methods`.
-
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
-    """
-    with plots_extra():
-        from matplotlib.figure import Figure
-
+    """Draw the largest difference of every pair of methods as a share of its tolerance, on a logarithmic axis."""
     pairs = report.differences
-    figure = Figure(figsize=(8.0, 1.6 + 0.24 * len(pairs)), layout="constrained")
+    figure = new_figure(8.0, 1.6 + 0.24 * len(pairs), layout="constrained")
     ax = figure.add_subplot()
     rows = range(len(pairs))
     for quantity, colour in _COLOURS.items():
@@ -57,16 +41,3 @@ def agreement_figure(report: Report) -> Figure:
     ax.spines[["top", "right"]].set_visible(False)
     ax.set_title(f"{report.verdict} {len(report.xyx)} poses, {report.states} configurations", loc="left")
     return figure
-
-
-def save_agreement(report: Report, path: str | Path) -> Path:
-    """Save `agreement_figure` to a file; one that exists is replaced.
-
-    Raises
-    ------
-    ArgumentError
-        If the name ends in none of `FORMATS`, or the file cannot be written.
-    MissingExtraError
-        If matplotlib is not installed.
-    """
-    return save_figure(agreement_figure(report), named_figure(path))

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from spm_pin.display.scene import plots_extra
-from spm_pin.errors import ArgumentError
+from spm_pin.display.figure_files import new_figure
+from spm_pin.mechanism.arguments import instance
 from spm_pin.proofs import Certificate
 
 if TYPE_CHECKING:
@@ -22,19 +22,9 @@ TILTS = (30, 60, 90, 120)
 
 
 def certificate_figure(certificate: Certificate) -> Figure:
-    """Draw the boxes of both stages over the tilt of the middle platform, seen along Z.
-
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
-    """
-    if not isinstance(certificate, Certificate):
-        raise ArgumentError("certificate", "a Certificate", type(certificate).__name__)
-    with plots_extra():
-        from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9, 4.6), layout="constrained")
+    """Draw the boxes of both stages over the tilt of the middle platform, seen along Z."""
+    instance(certificate, Certificate, "certificate")
+    figure = new_figure(9.0, 4.6, layout="constrained")
     stages = (("lower stage", certificate.lower, 0), ("upper stage", certificate.upper, 1))
     for ax, (name, proof, k) in zip(figure.subplots(1, 2), stages, strict=True):
         _draw_boxes(ax, proof.proved, PROVED, "proved")

@@ -1,17 +1,18 @@
-"""Figures written to files, the same bytes for the same call."""
+"""Figures made, and written to files: the same bytes for the same call."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from spm_pin.display.scene import plots_extra
 from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import file_path, writing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["FORMATS", "WIDEST", "check_appearance", "named_figure", "save_figure"]
+__all__ = ["FORMATS", "WIDEST", "check_appearance", "new_figure", "save_figure"]
 
 FORMATS = (".png", ".svg", ".pdf")
 """File types that figures are written in."""
@@ -20,30 +21,16 @@ WIDEST = 6000
 """Largest width of a picture of the mechanism in pixels: one of 6000 takes 2 GB and a minute."""
 
 
-def named_figure(path: str | Path) -> Path:
-    """Return the path of a figure.
+def new_figure(width: float, height: float, **options: Any) -> Figure:
+    """Return a matplotlib figure of a size in inches, or raise `MissingExtraError`."""
+    with plots_extra():
+        from matplotlib.figure import Figure
 
-    Raises
-    ------
-    ArgumentError
-        If its name does not end in one of `FORMATS`.
-    """
-    path = Path(path)
-    if path.suffix.lower() not in FORMATS:
-        raise ArgumentError("path", f"a file name ending in {', '.join(FORMATS)}", repr(path.name))
-    return path
+    return Figure(figsize=(width, height), **options)
 
 
 def check_appearance(width: int, narrowest: int, background: str) -> None:
-    """Check the width of a picture in pixels and the colour behind it.
-
-    Raises
-    ------
-    ArgumentError
-        If the width is no whole number from `narrowest` to `WIDEST`, or the colour is none of matplotlib's.
-    MissingExtraError
-        If matplotlib is not installed.
-    """
+    """Check the width of a picture in pixels, from `narrowest` to `WIDEST`, and the colour behind it."""
     if not isinstance(width, int) or not narrowest <= width <= WIDEST:
         expected = f"at least {narrowest}" if isinstance(width, int) and width < narrowest else f"at most {WIDEST}"
         raise ArgumentError("width", f"{expected} pixels, a whole number", width)
@@ -61,18 +48,13 @@ def save_figure(figure: Figure, path: str | Path, *, dpi: float = 150.0, backgro
     ------
     ArgumentError
         If the name ends otherwise, or the file cannot be written.
-    MissingExtraError
-        If matplotlib is not installed.
     """
-    path = named_figure(path)
+    path = file_path(path, suffixes=FORMATS)
     with plots_extra():
         from matplotlib import rc_context
 
     # Without the date, and with names that do not change from run to run.
     metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix.lower())
-    try:
-        with rc_context({"svg.hashsalt": "spm-pin"}):
-            figure.savefig(path, dpi=dpi, facecolor=background, metadata=metadata)
-    except OSError as error:
-        raise ArgumentError("path", "a file that can be written", path, str(error.strerror)) from error
+    with writing(path), rc_context({"svg.hashsalt": "spm-pin"}):
+        figure.savefig(path, dpi=dpi, facecolor=background, metadata=metadata)
     return path

@@ -1,28 +1,63 @@
-"""Pictures of a configuration in a 2-D matplotlib Axes, or in a file."""
+"""Pictures of configurations in a 2-D matplotlib Axes, or in a file, alone or side by side."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from spm_pin.display.figure_files import check_appearance, named_figure, save_figure
+from spm_pin.display.figure_files import FORMATS, check_appearance, new_figure, save_figure
 from spm_pin.display.labels import LabelPlacer, label
-from spm_pin.display.rendering import VIEW, bounds, camera_axes, render
-from spm_pin.display.scene import plots_extra, scene
+from spm_pin.display.rendering import VIEW, Extent, Image, bounds, camera_axes, render
+from spm_pin.display.scene import Scene, scene
 from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import FloatArray, file_path
 from spm_pin.mechanism.configuration import Configuration
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["VIEW", "draw", "save_picture"]
+__all__ = ["VIEW", "draw", "draw_solids", "save_gallery", "save_picture"]
 
 _EDGE = 0.45  # width of edges in points
-_WIDTH = 4.0  # of a figure of our own, in inches
-_MARGIN = 0.035  # for labels
+_WIDTH = 4.0  # of a new figure, in inches
+_MARGINS = (0.049, 0.035)  # for labels
+_GALLERY = np.array([2.6, 3.3])  # width and height of one picture, in inches
+
+
+def draw_solids(
+    solids: Scene, camera: FloatArray, margins: tuple[float, float], *, ax: Axes | None, dpi: float, edge: float
+) -> tuple[Axes, float, Image, Extent]:
+    """Draw solids into an Axes, a new one without axes lines if not given, with margins and edges [points] around them.
+
+    Returns
+    -------
+    Axes, float, Image, Extent
+        The axes, metres per inch in them, and the image with its place.
+
+    Raises
+    ------
+    ArgumentError
+        If `ax` is three-dimensional.
+    """
+    low, high = bounds(solids, camera, margins)
+    if ax is None:
+        width, height = (high - low) / (high - low)[0] * _WIDTH
+        ax = new_figure(width, height).add_axes((0.0, 0.0, 1.0, 1.0))
+        ax.axis("off")
+    elif ax.name == "3d":
+        cause = "The view is projected here: leave out projection='3d'"
+        raise ArgumentError("ax", "two-dimensional axes", "3-D axes", cause)
+    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    ax.apply_aspect()
+    inch = float((high - low)[1]) / ax.get_window_extent().transformed(ax.figure.dpi_scale_trans.inverted()).height
+    image, extent = render(solids, camera, dpi / inch, edge / 72.0 * dpi)
+    ax.imshow(image, extent=extent, interpolation_stage="rgba")
+    return ax, inch, image, extent
 
 
 def draw(
@@ -43,7 +78,7 @@ def draw(
     configuration : Configuration
         A single configuration that exists.
     ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure, unknown to pyplot, if not given: ``ax.figure``.
+        Where to draw; a new figure if not given: ``ax.figure``.
     view : tuple of two floats
         Azimuth and elevation of the viewer in {B} [rad].
     labels : bool
@@ -60,32 +95,16 @@ def draw(
     ------
     ArgumentError
         If the configuration is a batch or does not exist, `ax` is three-dimensional, or `view` is not two angles.
-    MissingExtraError
-        If matplotlib or trimesh is not installed.
     """
-    solids = scene(configuration, frames=labels)
-    with plots_extra():
-        from matplotlib.figure import Figure
-
-    camera = camera_axes(view)
-    low, high = bounds(solids, camera, _MARGIN if labels else 0.01)
-    if ax is None:
-        width, height = (high - low) / (high - low)[0] * _WIDTH
-        ax = Figure(figsize=(width, height)).add_axes((0.0, 0.0, 1.0, 1.0))
-    elif ax.name == "3d":
-        cause = "The view is projected here: leave out projection='3d'"
-        raise ArgumentError("ax", "two-dimensional axes", "3-D axes", cause)
-    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    solids, camera = scene(configuration, frames=labels), camera_axes(view)
+    margins = _MARGINS if labels else (0.014, 0.01)
+    ax, inch, image, extent = draw_solids(solids, camera, margins, ax=ax, dpi=dpi, edge=_EDGE)
     ax.axis("off")
-    ax.apply_aspect()
-    inch = float((high - low)[1]) / ax.get_window_extent().transformed(ax.figure.dpi_scale_trans.inverted()).height
-    image, extent = render(solids, camera, dpi / inch, _EDGE / 72.0 * dpi)
-    ax.imshow(image, extent=extent, interpolation_stage="rgba")
     if labels:
-        font = float(np.clip(1.55 * (high - low).max() / inch, 5.0, 11.0))
+        size = max(float(np.ptp(ax.get_xlim())), float(np.ptp(ax.get_ylim())))
+        font = float(np.clip(1.55 * size / inch, 5.0, 11.0))
         darkness = image[..., 3] * (1.0 - image[..., :3].mean(axis=-1))
-        placer = LabelPlacer(ax, darkness, extent, font / 72.0 * inch, font)
-        label(configuration, placer, camera, solids.size)
+        label(configuration, LabelPlacer(ax, darkness, extent, font / 72.0 * inch, font), camera, solids.size)
     return ax
 
 
@@ -124,11 +143,56 @@ def save_picture(
     ArgumentError
         If the suffix is another, the file cannot be written, `width` is less than 100 or more than
         `WIDEST`, the colour is unknown, or `draw` would raise it.
-    MissingExtraError
-        If matplotlib or trimesh is not installed.
     """
-    path = named_figure(path)
+    path = file_path(path, suffixes=FORMATS)
     check_appearance(width, 100, background)
     dpi = width / _WIDTH
     figure = cast("Figure", draw(configuration, view=view, labels=labels, dpi=dpi).figure)
+    return save_figure(figure, path, dpi=dpi, background=background)
+
+
+def save_gallery(
+    configurations: Mapping[str, Configuration],
+    path: str | Path,
+    *,
+    view: tuple[float, float] = VIEW,
+    labels: bool = False,
+    width: int = 1600,
+    background: str = "white",
+) -> Path:
+    """Save a picture of several configurations, each under its name.
+
+    Parameters
+    ----------
+    configurations : mapping of str to Configuration
+        Single configurations that exist, by what is written above them.
+    path, view, labels, background
+        As for `save_picture`.
+    width : int
+        Width of the whole picture in pixels.
+
+    Returns
+    -------
+    Path
+        `path`.
+
+    Raises
+    ------
+    ArgumentError
+        If there is none, `width` is less than 100 for each column, or `save_picture` would raise it.
+    """
+    path = file_path(path, suffixes=FORMATS)
+    if not configurations:
+        raise ArgumentError("configurations", "at least one", "none", "No real branch?")
+    count = len(configurations)
+    columns = count if count <= 4 else math.ceil(count / 2)
+    rows = math.ceil(count / columns)
+    check_appearance(width, 100 * columns, background)
+    figure = new_figure(*(_GALLERY * (columns, rows)))
+    dpi = width / (columns * _GALLERY[0])
+    for k, (name, configuration) in enumerate(configurations.items()):
+        column, row = k % columns, rows - 1 - k // columns
+        place = ((column + 0.04) / columns, (row + 0.02) / rows, 0.92 / columns, 0.86 / rows)
+        ax = draw(configuration, ax=figure.add_axes(place), view=view, labels=labels, dpi=dpi)
+        ax.set_title(name, fontsize=11, pad=3)
     return save_figure(figure, path, dpi=dpi, background=background)

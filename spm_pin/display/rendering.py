@@ -48,11 +48,13 @@ def camera_axes(view: tuple[float, float]) -> FloatArray:
     return np.stack([right, np.cross(near, right), near])
 
 
-def bounds(solids: Scene, camera: FloatArray, margin: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    """Return the lower left and the upper right corner [m] of the scene in view, with a margin over its longer side."""
+def bounds(
+    solids: Scene, camera: FloatArray, margins: tuple[float, float] = (0.0, 0.0)
+) -> tuple[FloatArray, FloatArray]:
+    """Return the lower left and upper right corner [m] of the scene in view; margins are shares of its longer side."""
     points = np.concatenate([solid.vertices for solid in solids.solids]) @ camera[:2].T
     low, high = points.min(axis=0), points.max(axis=0)
-    border = margin * float((high - low).max()) * np.array([1.4, 1.0])
+    border = float((high - low).max()) * np.array(margins)
     return low - border, high + border
 
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from spm_pin.description.visuals import part_placements, section_size, visual_parts
 from spm_pin.errors import ArgumentError, MissingExtraError
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.configuration import Configuration, check_configuration
 
 __all__ = ["AXIS_COLOURS", "TRIAD", "Colour", "Scene", "Solid", "plots_extra", "scene"]
 
@@ -64,13 +64,7 @@ class Scene:
 
 @contextmanager
 def plots_extra() -> Iterator[None]:
-    """Turn the absence of matplotlib or trimesh into an error that says how to install them.
-
-    Raises
-    ------
-    MissingExtraError
-        If an import inside the block fails for want of either.
-    """
+    """Turn the absence of matplotlib or trimesh into a `MissingExtraError` that says how to install them."""
     try:
         yield
     except ModuleNotFoundError as missing:
@@ -96,7 +90,11 @@ def scene(configuration: Configuration, *, frames: bool = True) -> Scene:
         If the configuration is a batch, does not exist, has a leg of no length, or its three middle joints
         lie on one line.
     """
-    _check(configuration)
+    check_configuration(configuration, single=True, existing=True)
+    if not (configuration.leg_lengths > 0.0).all():
+        raise ArgumentError("configuration", "legs of positive length", configuration.leg_lengths)
+    if not np.isfinite(configuration.middle_pose.as_matrix()).all():
+        raise ArgumentError("configuration", "middle joints that span a plane", configuration.middle_joints.tolist())
     parts = visual_parts(configuration.geometry)
     solids = [
         Solid(part.name, "robot", part.colour, part.vertices @ pose[:3, :3].T + pose[:3, 3], part.faces)
@@ -107,22 +105,6 @@ def scene(configuration: Configuration, *, frames: bool = True) -> Scene:
         solids += _triad("{B}", np.eye(3), np.zeros(3), TRIAD * size)
         solids += _triad("{m}", configuration.rotation, configuration.translation, TRIAD * size)
     return Scene(tuple(solids), size)
-
-
-def _check(configuration: Configuration) -> None:
-    if not isinstance(configuration, Configuration):
-        cause = "A SolutionSet? Choose one of its solutions, for instance .physical()"
-        raise ArgumentError("configuration", "a Configuration", type(configuration).__name__, cause)
-    if configuration.shape:
-        cause = "Choose one by its index: configuration[0]"
-        raise ArgumentError("configuration", "a single configuration", f"a batch of shape {configuration.shape}", cause)
-    if not configuration.exists:
-        cause = "The pose has no such real branch: see .status and .exists of the SolutionSet"
-        raise ArgumentError("configuration", "a configuration that exists", "NaN", cause)
-    if not (configuration.leg_lengths > 0.0).all():
-        raise ArgumentError("configuration", "legs of positive length", configuration.leg_lengths)
-    if not np.isfinite(configuration.middle_pose.as_matrix()).all():
-        raise ArgumentError("configuration", "middle joints that span a plane", configuration.middle_joints.tolist())
 
 
 def _triad(frame: str, rotation: FloatArray, origin: FloatArray, length: float) -> list[Solid]:

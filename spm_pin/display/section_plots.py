@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from spm_pin.display.scene import plots_extra
-from spm_pin.display.shell_plots import FAMILY_COLOURS
+from spm_pin.display.figure_files import new_figure
+from spm_pin.display.shell_plots import FAMILY_COLOURS, check_shell, patch_symbol, style_axes
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, real_array
+from spm_pin.mechanism.arguments import FloatArray, real_array, real_number
 from spm_pin.workspace.table_6.shell import Shell
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def draw_section(
     plane : Plane
         Where to cut.
     ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure, unknown to pyplot, if not given: ``ax.figure``.
+        Where to draw; a new figure if not given: ``ax.figure``.
     reached : array_like, shape (N, 3), optional
         Positions of o that are reached, in {B} [m], as `spm_pin.workspace.table_6.sampling` draws them. Cells of the
         plane are filled that have one of them nearer than half a cell.
@@ -111,17 +111,13 @@ def draw_section(
     ArgumentError
         If `shell` is no Shell, `reached` is not of that shape or not finite, `aspect` has another length or comes
         alone, or `cell` is not positive.
-    MissingExtraError
-        If matplotlib or trimesh is not installed.
     """
-    if not isinstance(shell, Shell):
-        raise ArgumentError("shell", "a Shell", type(shell).__name__, "Make one with workspace_shell(geometry)")
-    if not (cell > 0.0 and math.isfinite(cell)):
-        raise ArgumentError("cell", "a positive size in metres", cell)
+    check_shell(shell)
+    real_number(cell, "cell", "a positive size in metres", above=0.0)
     points, signs = _read_reached(reached, aspect)
-    with plots_extra():
-        from matplotlib.collections import LineCollection
-        from matplotlib.figure import Figure
+    if ax is None:
+        ax = new_figure(4.0, 4.0, layout="constrained").add_subplot()
+    from matplotlib.collections import LineCollection
 
     near = np.abs((points - np.array(plane.origin)) @ plane.normal) < cell / 2.0
     flat, signs = plane.project(points[near]), signs[near]
@@ -130,8 +126,6 @@ def draw_section(
     everything = np.concatenate([flat, outline.reshape(-1, 2), truth.reshape(-1, 2)])
     if not len(everything):
         raise ArgumentError("plane", "a plane through the shell", plane.name, "Metres are meant")
-    if ax is None:
-        ax = Figure(figsize=(4.0, 4.0), layout="constrained").add_subplot()
     if len(flat):
         _fill(ax, flat, signs, cell)
     ax.add_collection(LineCollection(list(truth), **_TRUTH))
@@ -142,10 +136,7 @@ def draw_section(
     margin = 0.05 * float((high - low).max())
     ax.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin), aspect="equal")
     ax.set_title(plane.name, fontsize=10.0)
-    ax.set_xlabel(plane.labels[0], fontsize=8.0)
-    ax.set_ylabel(plane.labels[1], fontsize=8.0)
-    ax.tick_params(labelsize=8.0)
-    ax.spines[["top", "right"]].set_visible(False)
+    style_axes(ax, plane.labels)
     return ax
 
 
@@ -211,41 +202,29 @@ def sections_figure(
 
     Parameters
     ----------
-    shell : Shell
-        What `spm_pin.workspace_shell` returns.
+    shell, reached, aspect, boundary, cell
+        As for `draw_section`.
     planes : sequence of Plane, optional
         Where to cut; three level ones and two upright ones if not given.
-    reached, aspect, boundary, cell
-        As for `draw_section`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Unknown to pyplot.
 
     Raises
     ------
     ArgumentError
         If there are no planes, or `draw_section` would raise it.
-    MissingExtraError
-        If matplotlib or trimesh is not installed.
     """
-    if not isinstance(shell, Shell):
-        raise ArgumentError("shell", "a Shell", type(shell).__name__, "Make one with workspace_shell(geometry)")
+    check_shell(shell)
     if planes is None:
         bottom, top = float(shell.vertices[:, 2].min()), float(shell.vertices[:, 2].max())
         heights = [float(f"{bottom + share * (top - bottom):.2g}") for share in (0.21, 0.36, 0.65)]
         planes = [*map(Plane.level, heights), Plane.upright(0.0), Plane.upright(0.5 * math.pi)]
     if not planes:
         raise ArgumentError("planes", "at least one plane", "none")
-    with plots_extra():
-        from matplotlib.figure import Figure
-        from matplotlib.lines import Line2D
-        from matplotlib.patches import Patch as Swatch
-
     columns = min(len(planes), 3)
     rows = -(-len(planes) // columns)
-    figure = Figure(layout="constrained")
+    figure = new_figure(3.4 * columns, 3.0 * rows, layout="constrained")
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch as Swatch
+
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for ax, plane in zip(panels, planes, strict=False):
         draw_section(shell, plane, ax=ax, reached=reached, aspect=aspect, boundary=boundary, cell=cell)
@@ -256,7 +235,7 @@ def sections_figure(
     panels[0].get_gridspec().set_height_ratios(heights + 0.5)
     figure.set_size_inches(3.4 * columns, float(heights.sum()) + 0.7 * rows + 0.3)
     handles: list[Line2D | Swatch] = [
-        Line2D([], [], color=colour, linewidth=2.0, label=f"shell, ${family[0]}_{{{family[1:]}}}$")
+        Line2D([], [], color=colour, linewidth=2.0, label=f"shell, {patch_symbol(family)}")
         for family, colour in FAMILY_COLOURS.items()
     ]
     if boundary is not None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from spm_pin.display.scene import plots_extra
 from spm_pin.display.shell_plots import FAMILY_COLOURS
-from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import file_path, writing
 from spm_pin.workspace.table_6.shell import Patch, Shell
 
 __all__ = ["MESH_FORMATS", "save_mesh"]
@@ -37,18 +37,12 @@ def save_mesh(shell: Shell, path: str | Path) -> Path:
     ------
     ArgumentError
         If the name ends otherwise, or the file cannot be written.
-    MissingExtraError
-        If trimesh is not installed.
     """
-    path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in MESH_FORMATS:
-        raise ArgumentError("path", f"a file name ending in {', '.join(MESH_FORMATS)}", repr(path.name))
-    content = _patchwork(shell) if suffix == ".glb" else _whole(shell, suffix[1:])
-    try:
+    path = file_path(path, suffixes=MESH_FORMATS)
+    with plots_extra():
+        content = _patchwork(shell) if path.suffix.lower() == ".glb" else _whole(shell, path.suffix.lower()[1:])
+    with writing(path):
         path.write_bytes(content)
-    except OSError as error:
-        raise ArgumentError("path", "a file that can be written", path, str(error.strerror)) from error
     return path
 
 
@@ -57,8 +51,7 @@ def _rgba(patch: Patch) -> list[int]:
 
 
 def _whole(shell: Shell, kind: str) -> bytes:
-    with plots_extra():
-        import trimesh
+    import trimesh
 
     colours = [np.tile(_rgba(patch), (len(patch.faces), 1)) for patch in shell.patches]
     mesh = trimesh.Trimesh(
@@ -69,8 +62,7 @@ def _whole(shell: Shell, kind: str) -> bytes:
 
 
 def _patchwork(shell: Shell) -> bytes:
-    with plots_extra():
-        import trimesh
+    import trimesh
 
     scene = trimesh.Scene()
     for patch in shell.patches:

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
-from spm_pin.display.rendering import VIEW, camera_axes, render
-from spm_pin.display.scene import Colour, Scene, Solid, plots_extra
-from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.display.figure_files import new_figure
+from spm_pin.display.plots import draw_solids
+from spm_pin.display.rendering import VIEW, camera_axes
+from spm_pin.display.scene import Colour, Scene, Solid
+from spm_pin.mechanism.arguments import FloatArray, instance
 from spm_pin.workspace.table_6.shell import Patch, Shell
 from spm_pin.workspace.table_6.winding import ClosedSurface
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["FAMILY_COLOURS", "VIEWS", "draw_shell", "shell_figure"]
+__all__ = ["FAMILY_COLOURS", "VIEWS", "check_shell", "draw_shell", "patch_symbol", "shell_figure", "style_axes"]
 
 # Okabe and Ito's, light ones for surfaces, https://jfly.uni-koeln.de/color/.
 FAMILY_COLOURS: dict[str, Colour] = {
@@ -52,9 +53,9 @@ def draw_shell(
     Parameters
     ----------
     shell : Shell
-        What `spm_pin.workspace_shell` returns.
+        What `spm_pin.workspace.shell` returns.
     ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure, unknown to pyplot, if not given: ``ax.figure``.
+        Where to draw; a new figure if not given: ``ax.figure``.
     view : tuple of two floats
         Azimuth and elevation of the viewer in {B} [rad].
     labels : bool
@@ -66,44 +67,39 @@ def draw_shell(
     ------
     ArgumentError
         If `shell` is no Shell, `ax` is three-dimensional, or `view` is not two angles.
-    MissingExtraError
-        If matplotlib is not installed.
     """
-    if not isinstance(shell, Shell):
-        raise ArgumentError("shell", "a Shell", type(shell).__name__, "Make one with workspace_shell(geometry)")
+    check_shell(shell)
     camera = camera_axes(view)
-    with plots_extra():
-        from matplotlib.figure import Figure
-        from matplotlib.patheffects import withStroke
-
-    seen = shell.vertices @ camera.T
-    low, high = seen[:, :2].min(axis=0), seen[:, :2].max(axis=0)
-    border = 0.03 * float((high - low).max())
-    if ax is None:
-        width, height = (high - low + 2.0 * border) / float((high - low).max()) * 4.0
-        ax = Figure(figsize=(width, height)).add_axes((0.0, 0.0, 1.0, 1.0))
-        ax.axis("off")
-    elif ax.name == "3d":
-        raise ArgumentError("ax", "two-dimensional axes", "3-D axes", "The view is projected here")
-    ax.set(xlim=(low[0] - border, high[0] + border), ylim=(low[1] - border, high[1] + border), aspect="equal")
-    ax.apply_aspect()
-    inches = ax.get_window_extent().transformed(ax.figure.dpi_scale_trans.inverted()).height
-    inch = float(high[1] - low[1] + 2.0 * border) / inches
     solids = [
         # The renderer shows what faces the viewer, and that is all one sees of a closed shell.
         Solid(patch.name, "robot", FAMILY_COLOURS[patch.family], shell.vertices, shell.faces[patch.faces])
         for patch in shell.patches
     ]
-    image, extent = render(Scene(tuple(solids), 1.0), camera, dpi / inch, _EDGE / 72.0 * dpi)
-    ax.imshow(image, extent=extent, interpolation_stage="rgba")
+    ax, inch, _, _ = draw_solids(Scene(tuple(solids), 1.0), camera, (0.03, 0.03), ax=ax, dpi=dpi, edge=_EDGE)
     if labels:
-        for patch, (x, y) in _places(shell, seen, 0.6 * _FONT / 72.0 * inch):
-            written = ax.text(x, y, _symbol(patch.name), fontsize=_FONT, color=_INK, ha="center", va="center")
+        from matplotlib.patheffects import withStroke
+
+        for patch, (x, y) in _places(shell, shell.vertices @ camera.T, 0.6 * _FONT / 72.0 * inch):
+            written = ax.text(x, y, patch_symbol(patch.name), fontsize=_FONT, color=_INK, ha="center", va="center")
             written.set_path_effects([withStroke(linewidth=0.25 * _FONT, foreground="white", alpha=0.7)])
     return ax
 
 
-def _symbol(name: str) -> str:
+def check_shell(value: Shell) -> None:
+    """Raise `ArgumentError` unless `value` is a `Shell`."""
+    instance(value, Shell, "shell", "Make one with workspace.shell(geometry)")
+
+
+def style_axes(ax: Axes, labels: tuple[str, str]) -> None:
+    """Give the axes of a panel names, small numbers, and lines on two sides."""
+    ax.set_xlabel(labels[0], fontsize=8.0)
+    ax.set_ylabel(labels[1], fontsize=8.0)
+    ax.tick_params(labelsize=8.0)
+    ax.spines[["top", "right"]].set_visible(False)
+
+
+def patch_symbol(name: str) -> str:
+    """Return the name of a patch or a family as TeX."""
     return f"${name[0]}_{{{name[1:]}}}$"
 
 
@@ -132,50 +128,24 @@ def shell_figure(shell: Shell, *, labels: bool = True, dpi: float = 200.0) -> Fi
 
     The isometric, the top and the front view, and for what those hide the one from below; a legend names the families.
 
-    Parameters
-    ----------
-    shell : Shell
-        What `spm_pin.workspace_shell` returns.
-    labels : bool
-        Name the patches.
-    dpi : float
-        Pixels per inch of the surfaces.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Unknown to pyplot.
-
-    Raises
-    ------
-    ArgumentError
-        If `shell` is no Shell.
-    MissingExtraError
-        If matplotlib or trimesh is not installed.
+    Parameters and errors are those of `draw_shell`.
     """
-    with plots_extra():
-        from matplotlib.figure import Figure
-        from matplotlib.patches import Patch as Swatch
+    figure = new_figure(9.0, 7.4, layout="constrained")
+    from matplotlib.patches import Patch as Swatch
 
-    figure = Figure(figsize=(9.0, 7.4), layout="constrained")
     panels = zip("abcd", VIEWS.items(), figure.subplots(2, 2).ravel(), strict=True)
-    names = {"top": ("X", "Y"), "front": ("X", "Z"), "bottom": ("X", "\N{MINUS SIGN}Y")}
+    names = {"top": "Y", "front": "Z", "bottom": "\N{MINUS SIGN}Y"}
     for letter, (name, view), ax in panels:
         draw_shell(shell, ax=ax, view=view, labels=labels, dpi=dpi)
         ax.set_title(f"({letter}) {name}", fontsize=10.0)
-        ax.tick_params(labelsize=8.0)
-        ax.spines[["top", "right"]].set_visible(False)
         if name in names:
-            across, up = names[name]
-            ax.set_xlabel(f"{across} [m]", fontsize=8.0)
-            ax.set_ylabel(f"{up} [m]", fontsize=8.0)
+            style_axes(ax, ("X [m]", f"{names[name]} [m]"))
         else:
             ax.axis("off")
     swatches = []
     for family, colour in FAMILY_COLOURS.items():
         members = [patch.name for patch in shell.patches if patch.family == family]
-        swatches.append(
-            Swatch(facecolor=colour, edgecolor=_INK, label=f"{_symbol(members[0])} \N{EN DASH} {_symbol(members[-1])}")
-        )
+        ends = f"{patch_symbol(members[0])} \N{EN DASH} {patch_symbol(members[-1])}"
+        swatches.append(Swatch(facecolor=colour, edgecolor=_INK, label=ends))
     figure.legend(handles=swatches, loc="outside lower center", ncols=4, frameon=False, fontsize=9.0)
     return figure

@@ -6,9 +6,10 @@ name of the argument in the caller's signature.
 
 from __future__ import annotations
 
+import contextlib
 import operator
 import os
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -35,6 +36,7 @@ __all__ = [
     "shaped_array",
     "type_and_value",
     "whole_number",
+    "writing",
 ]
 
 FloatArray = npt.NDArray[np.float64]
@@ -215,6 +217,15 @@ def file_path(
     if suffixes and path.suffix.lower() not in suffixes:
         raise error(argument, f"a file name ending in {', '.join(suffixes)}", repr(path.name))
     return path
+
+
+@contextlib.contextmanager
+def writing(path: Path, argument: str = "path", *, error: type[ArgumentError] = ArgumentError) -> Iterator[None]:
+    """Turn an `OSError` of the block, which writes a file, into an error that names the argument."""
+    try:
+        yield
+    except OSError as failed:
+        raise error(argument, "a file that can be written", path, str(failed.strerror)) from failed
 
 
 def generator(value: Any, argument: str = "rng") -> np.random.Generator:

@@ -15,7 +15,7 @@ from PIL import Image
 
 import spm_pin as spm
 from spm_pin.cli import main
-from spm_pin.display.gallery import save_gallery
+from spm_pin.display.plots import save_gallery
 from spm_pin.display.viewer.event_queue import EventQueue
 from spm_pin.display.viewer.viser_server import free_port
 

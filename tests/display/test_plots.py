@@ -17,8 +17,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import spm_pin as spm
-from spm_pin.display.gallery import save_gallery
-from spm_pin.display.plots import VIEW, draw, save_picture
+from spm_pin.display.plots import VIEW, draw, save_gallery, save_picture
 from spm_pin.display.scene import scene
 from spm_pin.errors import ArgumentError, MissingExtraError
 

@@ -161,7 +161,7 @@ def test_sizes_scale_with_the_machine():
     [
         (SOLUTIONS, "SolutionSet"),
         (SOLUTIONS.configurations, "batch of shape"),
-        (SOLUTIONS["FT+"], "no such real branch"),
+        (SOLUTIONS["FT+"], "configuration that exists"),
         (spm.Configuration(PAPER, POSE, PAPER.base_joints), "positive length"),
         (spm.Configuration(PAPER, POSE, [[0.0, 0.0, 1.0], [0.0, 0.1, 1.0], [0.0, 0.2, 1.0]]), "span a plane"),
     ],
