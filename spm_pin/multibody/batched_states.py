@@ -36,13 +36,16 @@ class BatchedStates(Generic[_State]):
         nv = self.constrained.model.nv
         self._sizes = {"v": nv, "a": nv, "forces": self.constrained.actuated.size}
 
+    def _take(self) -> _State:
+        try:
+            return self._free.pop()
+        except IndexError:
+            return self._make()
+
     @contextmanager
     def borrowed(self) -> Iterator[_State]:
         """Yield a state for the caller alone."""
-        try:
-            state = self._free.pop()
-        except IndexError:
-            state = self._make()
+        state = self._take()
         try:
             yield state
         finally:
@@ -90,14 +93,16 @@ class BatchedStates(Generic[_State]):
         if wrenches is not None:
             arguments["wrench"] = wrenches
         moving = 2 if "v" in vectors else 1
+        state = self._take()
 
-        with self.borrowed() as state:
+        def member(*values: FloatArray) -> tuple[Any, ...]:
+            state.set(*values[:moving])
+            return function(state, *values[moving:])
 
-            def member(*values: FloatArray) -> tuple[Any, ...]:
-                state.set(*values[:moving])
-                return function(state, *values[moving:])
-
+        try:
             return _over_batch(member, trailing, arguments)
+        finally:
+            self._free.append(state)
 
     def array(
         self, function: Callable[..., Any], trailing: tuple[int, ...], q: npt.ArrayLike, **vectors: Any
@@ -110,7 +115,7 @@ def _over_batch(
     function: Callable[..., tuple[Any, ...]], trailing: tuple[tuple[int, ...], ...], arguments: dict[str, FloatArray]
 ) -> tuple[Any, ...]:
     """Call a function of vectors for each member of a batch; results are not shared with it."""
-    if all(array.ndim == 1 for array in arguments.values()):
+    if max([array.ndim for array in arguments.values()]) == 1:
         values = function(*arguments.values())
         return tuple(np.array(value) if last else value for value, last in zip(values, trailing, strict=True))
     shape: tuple[int, ...] = ()

@@ -113,12 +113,14 @@ class AccelerationSolver:
                 constraint.m_baumgarte_parameters.Kp, constraint.m_baumgarte_parameters.Kd = gains
             self._gains = gains
         constraints = self._constraints, self._states, self._settings
-        return np.array(pin.constraintDynamics(self._model, self._data, q, v, torques, *constraints))
+        return np.asarray(pin.constraintDynamics(self._model, self._data, q, v, torques, *constraints).copy())
 
 
 def wrench_torques(kinematics: TreeKinematics, frames: list[int], wrenches: FloatArray) -> FloatArray:
     """Return Σ J_kᵀ w_k (nv,) of wrenches (6 n,) at the origins of n frames, in the axes of the universe."""
     total = np.zeros(kinematics.model.nv)
+    if not frames:
+        return total
     for frame, wrench in zip(frames, wrenches.reshape(-1, 6), strict=True):
         jacobian = pin.getFrameJacobian(kinematics.model, kinematics.data, frame, pin.LOCAL_WORLD_ALIGNED)
         total += jacobian.T @ wrench
@@ -129,19 +131,17 @@ def balance(kinematics: TreeKinematics, torques: FloatArray) -> tuple[FloatArray
     """Return leg forces (6,) and forces in the cut balls (3 n,) that give the generalized forces (18,) of the tree."""
     layout = kinematics.layout
     # The actuators do not act on the passive joints: these give λ, and the legs what is left.
-    cuts = kinematics.forward_factors.solve_transposed(torques[layout.passive])
-    return torques[layout.legs] - cuts @ kinematics.chain_closures[:, layout.legs], cuts
+    cuts = kinematics.forward_factors.solve_transposed(torques.take(layout.passive))
+    return torques.take(layout.legs) - cuts.dot(kinematics.chain_closures).take(layout.legs), cuts
 
 
 def drift(kinematics: TreeKinematics, v: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the accelerations where no joint accelerates: of the gaps, J̇c v (3 n,), and of m (6,) [m/s², rad/s²]."""
     model, data, constrained = kinematics.model, kinematics.data, kinematics.constrained
-    pin.forwardKinematics(model, data, kinematics.q, v, np.zeros(model.nv))
-    platform, *points = (
-        np.array(pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED).vector)
-        for frame in (kinematics.layout.platform, *constrained.frames)
-    )
-    return constrained.differences(np.array(points)[:, :3]).ravel(), platform
+    pin.forwardKinematics(model, data, kinematics.q, v, kinematics.still)
+    frames = *constrained.frames, kinematics.layout.platform
+    found = [pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED).vector for frame in frames]
+    return constrained.differences(np.concatenate(found[:-1]).reshape(-1, 6))[:, :3].ravel(), found[-1]
 
 
 def accelerations_for(
@@ -188,12 +188,13 @@ def energy_of(kinematics: TreeKinematics, v: FloatArray) -> Energy:
 
 def require_closed(kinematics: TreeKinematics, v: FloatArray | None = None, argument: str = "v") -> None:
     """Raise unless q is closed and v keeps it so, to `AGREEMENT`."""
-    residual = kinematics.widest_gap()
-    if residual > AGREEMENT * kinematics.layout.side:
+    gap, most = kinematics.gap.ravel(), AGREEMENT * kinematics.layout.side
+    # None is wider than all of them together: quicker, and mostly enough.
+    if gap.dot(gap) > most * most and (residual := kinematics.widest_gap()) > most:
         raise ClosureError(residual, 0, "Rounded or guessed joint values? The method project closes the loops")
     if v is None:
         return
-    opening = _largest(kinematics.closures @ v)
+    opening = _largest(kinematics.closures.dot(v))
     if opening > 0.0 and opening > AGREEMENT * kinematics.speed(v):
         expected = "joint velocities that keep the loops closed"
         cause = "joint_velocities makes them from a twist, joint_rates from leg rates"
@@ -202,7 +203,7 @@ def require_closed(kinematics: TreeKinematics, v: FloatArray | None = None, argu
 
 def require_closed_accelerations(kinematics: TreeKinematics, drift: FloatArray, v: FloatArray, a: FloatArray) -> None:
     """Raise unless the closures allow the accelerations a at v, to `AGREEMENT`."""
-    opening, size = _largest(kinematics.closures @ a + drift), _largest(drift)
+    opening, size = _largest(kinematics.closures.dot(a) + drift), _largest(drift)
     # The rest of the size takes longer and is rarely needed.
     if opening > AGREEMENT * size and opening > AGREEMENT * (
         size + kinematics.speed(a) + kinematics.speed(v) ** 2 / kinematics.layout.side

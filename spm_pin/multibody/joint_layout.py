@@ -89,7 +89,7 @@ class JointLayout:
 
     def leg_lengths(self, q: FloatArray) -> FloatArray:
         """Return the six leg lengths (..., 6) [m] in the chain's q (..., 18)."""
-        return np.asarray(self.home + q[..., self.legs])
+        return np.asarray(self.home + q.take(self.legs, axis=-1))
 
     def checked(self, q: npt.ArrayLike, argument: str = "q", *, single: bool = False) -> FloatArray:
         """Return the chain's q (..., 18) as an array, or raise `ArgumentError`."""

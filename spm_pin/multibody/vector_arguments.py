@@ -19,6 +19,7 @@ WrenchLike = npt.ArrayLike | Mapping[str, npt.ArrayLike] | None
 Gains = tuple[float, float] | None
 """Gains of the constraint stabilisation on gap [1/s²] and gap rate [1/s], or none."""
 
+_FLOAT = np.dtype(np.float64)
 JOINTS = "joint values in rad and m in Pinocchio's order"
 RATES = "rates of the joints in Pinocchio's order"
 MEANINGS = {
@@ -37,7 +38,15 @@ MEANINGS = {
 
 def read_vectors(value: npt.ArrayLike, argument: str, size: int) -> FloatArray:
     """Return vectors (..., size) as float64, or raise `ArgumentError`."""
-    return np.asarray(value) if _is_plain(value, size) else real_array(value, argument, (size,), MEANINGS[argument])
+    if (
+        type(value) is np.ndarray
+        and value.shape == (size,)
+        and value.dtype == _FLOAT
+        # Quicker than NumPy's own tests; far too large numbers may have a sum that is not finite, either.
+        and (math.isfinite(sum(value.tolist())) or np.isfinite(value).all())
+    ):
+        return value
+    return real_array(value, argument, (size,), MEANINGS[argument])
 
 
 def read_vector(value: npt.ArrayLike, argument: str, size: int) -> FloatArray:
@@ -47,12 +56,6 @@ def read_vector(value: npt.ArrayLike, argument: str, size: int) -> FloatArray:
         expected = f"shape ({size},), {MEANINGS[argument]}"
         raise ArgumentError(argument, expected, f"shape {array.shape}", "One motion a call")
     return array
-
-
-def _is_plain(value: Any, size: int) -> bool:
-    """Return whether a value is a NumPy array (size,) of finite float64; quicker than NumPy's own tests."""
-    plain = type(value) is np.ndarray and value.shape == (size,) and value.dtype == np.float64
-    return plain and all(map(math.isfinite, value.tolist()))
 
 
 def read_wrenches(wrench: WrenchLike, model: Any, platform: int) -> tuple[FloatArray, list[int]]:
