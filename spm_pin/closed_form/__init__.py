@@ -16,6 +16,7 @@ from spm_pin.closed_form.jacobians import inverse_jacobian, leg_rates, platform_
 from spm_pin.closed_form.leg_forces import leg_forces
 from spm_pin.closed_form.path_events import Event, EventKind
 from spm_pin.closed_form.path_following import FollowedPath, follow
+from spm_pin.closed_form.precompile import compile_kernels
 from spm_pin.closed_form.singularity_analysis import (
     Singularities,
     SingularityKind,
@@ -35,6 +36,7 @@ __all__ = [
     "Singularities",
     "SingularityKind",
     "branch_lengths",
+    "compile_kernels",
     "complex_middle_joints",
     "determinant_gradients",
     "determinants",

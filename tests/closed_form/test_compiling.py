@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import platform
 import re
@@ -74,8 +75,10 @@ def test_the_interpreter_gets_the_same_bits(tmp_path: Path) -> None:
 
 SOLVE = """
 import numpy as np, spm_pin as spm
+from spm_pin.closed_form.batches import read_pose
 from spm_pin.closed_form.singularity_analysis import determinants
 geometry = spm.Geometry(0.7, 0.35, 0.8)
+read_pose(np.eye(4))
 print(determinants(spm.Configuration(geometry, np.eye(4), np.arange(9.0).reshape(3, 3) ** 2)).tolist())
 """
 ANSWER = determinants(
@@ -101,11 +104,11 @@ def start(package: Path, **environment: object) -> subprocess.Popen[str]:
 
 
 def has_compiled(process: subprocess.Popen[str]) -> bool:
-    """Wait for a right answer, and tell whether it said that it compiled, and nothing else."""
+    """Return, after a right answer, whether the process said that it compiled: once for both kernels, and nothing else."""
     out, err = process.communicate()
     assert process.returncode == 0, err
     assert out.strip() == str(ANSWER)
-    assert err == "" or re.fullmatch("spm_pin: compiling its kernel all_determinants .*\n", err), err
+    assert err == "" or re.fullmatch(r"spm_pin: compiling .*compile_kernels\(\).*\n", err), err
     return bool(err)
 
 
@@ -137,6 +140,13 @@ def test_without_a_place_for_a_cache_every_process_compiles(package: Path, tmp_p
     for _ in range(2):
         process = start(package, HOME=tmp_path / "file", NUMBA_CACHE_DIR=tmp_path / "file" / "cache")
         assert has_compiled(process)
+
+
+def test_all_kernels_can_be_compiled_in_advance() -> None:
+    spm.closed_form.compile_kernels()
+    kernels = [found for found in gc.get_objects() if type(found) is Kernel]
+    assert {"all_branches", "all_modes", "as_built_branches"} <= {kernel._function.__name__ for kernel in kernels}
+    assert all(kernel._compiled is not None for kernel in kernels)
 
 
 def blocked(package: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import logging
 import threading
@@ -77,9 +78,10 @@ class Kernel(Generic[P, R]):
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
         """Run the compiled function, without the interpreter's lock."""
-        return (self._compiled or self._compile())(*args, **kwargs)
+        return (self._compiled or self.compile())(*args, **kwargs)
 
-    def _compile(self) -> Callable[P, R]:
+    def compile(self) -> Callable[P, R]:
+        """Return the compiled function, loaded from the cache if it is there."""
         with self._lock:
             if self._compiled is None and _config.DISABLE_JIT:
                 self._compiled = self._function
@@ -88,9 +90,7 @@ class Kernel(Generic[P, R]):
                 try:
                     dispatcher._cache = _Cache(self._function)
                 except RuntimeError:  # no place for a cache
-                    _announce(
-                        self._function.__name__, "at every start, for no cache can be written, see NUMBA_CACHE_DIR"
-                    )
+                    _announce("at every start, for no cache can be written, see NUMBA_CACHE_DIR")
                 dispatcher.compile(self._signature)
                 dispatcher.disable_compile()
                 self._compiled = dispatcher
@@ -107,7 +107,6 @@ class _Cache:
     """Numba's cache on disk, keyed by all sources of the kernels, that no file system can turn into an error."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        self._name = function.__name__
         self._inner = _numba_cache(function)
         own_key = self._inner._index_key
         self._inner._index_key = lambda sig, codegen: (*own_key(sig, codegen), _SOURCES)
@@ -124,7 +123,7 @@ class _Cache:
             with contextlib.suppress(OSError):
                 self._inner.flush()
         if found is None:
-            _announce(self._name, "for this machine, once")
+            _announce("for this machine, once")
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -134,5 +133,11 @@ class _Cache:
             _LOG.warning("spm_pin: the compiled kernel cannot be kept, see NUMBA_CACHE_DIR: %s", error)
 
 
-def _announce(name: str, when: str) -> None:
-    _LOG.warning("spm_pin: compiling its kernel %s %s; this takes a few seconds", name, when)
+@functools.cache
+def _announce(when: str) -> None:
+    """Log, once in a process, that kernels are compiled, and how long that takes."""
+    _LOG.warning(
+        "spm_pin: compiling %s. A function's first call takes 1 to 20 s, all functions together a minute, more on a "
+        "busy machine; spm_pin.closed_form.compile_kernels() compiles everything in advance",
+        when,
+    )
