@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import sys
+from typing import Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
 from spm_pin import __version__
 from spm_pin.cli.certify import certify
@@ -30,9 +32,41 @@ __all__ = ["app", "run"]
 EXIT_CODES = """Exit codes: 0 done. 1 a comparison or a proof failed: methods disagree, a printed number is unexplained,
 leg limits hold a singularity. 2 the command cannot be carried out as typed: an option, a file, a missing extra.
 3 unreachable: no real solution. 4 degenerate: a continuous family of solutions; isolated solutions beside it are shown.
-70 a defect of spm-pin. 130 interrupted: crosscheck reports the poses done, and a sweep goes on when started again."""
+70 a defect of spm-pin. 130 Ctrl-C, which ends every command, also view; crosscheck reports the poses done, and a sweep
+goes on when started again."""
+
+
+class _WithoutBool:
+    """Help texts that show no type for a flag, which takes no value."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the options."""
+        params: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        for param in params:
+            if getattr(param, "is_flag", False):
+                param.metavar = ""
+        return params
+
+
+class _Group(_WithoutBool, TyperGroup):
+    pass
+
+
+class _Command(_WithoutBool, TyperCommand):
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse, after a check that no option takes the name of another one for its value."""
+        options = {name: param for param in self.get_params(ctx) for name in (*param.opts, *param.secondary_opts)}
+        for place, name in enumerate(args):
+            count = getattr(options.get(name), "nargs", 1)
+            values = args[place + 1 : place + 1 + count] if count > 1 else []
+            given = next((k for k, value in enumerate(values) if value in options), None)
+            if given is not None:
+                ctx.fail(f"Option '{name}' requires {count} arguments, {options[name].metavar}; got {given}.")
+        return super().parse_args(ctx, args)
+
 
 app = typer.Typer(
+    cls=_Group,
     help="Closed-chain kinematics of the 3RPS-3SPR serial-parallel manipulator.",
     epilog=EXIT_CODES,
     no_args_is_help=True,
@@ -54,8 +88,9 @@ _COMMANDS = (
     workspace,
     sweep,
 )
+
 for _command in _COMMANDS:
-    app.command()(_command)
+    app.command(cls=_Command)(_command)
 
 
 def _show_version(requested: bool) -> None:

@@ -24,7 +24,7 @@ def crosscheck(
     poses: Annotated[int, typer.Option(min=1, help="Random poses, four fifths of them in leg space.")] = 200,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the poses and of the wrenches.")] = 0,
     method: Annotated[
-        list[str] | None, typer.Option(help=f"{', '.join(METHODS)}; may be repeated. All if not given.")
+        list[str] | None, typer.Option(metavar="NAME", help=f"{', '.join(METHODS)}; may be repeated. All if not given.")
     ] = None,
     pairs: Annotated[bool, typer.Option("--pairs", help="Show every pair of methods, not only the worst.")] = False,
     geometry: GeometryFile = None,

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from spm_pin.cli.options import GeometryFile, read_geometry
-from spm_pin.cli.outputs import check_output, name_options, write_text
+from spm_pin.cli.outputs import check_output, name_options, write_model, write_text
 from spm_pin.errors import ArgumentError
 
 __all__ = ["export"]
@@ -48,7 +48,7 @@ def export(
     """
     from spm_pin.description.extended_urdf import extended_urdf_text
     from spm_pin.description.load_robot import manipulator, read_robot
-    from spm_pin.description.paths import copy_meshes, description_directory
+    from spm_pin.description.paths import description_directory
     from spm_pin.description.srdf import srdf_text
     from spm_pin.description.write_mjcf import mjcf_text
     from spm_pin.description.write_sdf import sdf_text
@@ -83,6 +83,4 @@ def export(
             text = sdf_text(robot, loops=loops or "joints", folder=folder)
         case _:
             text = extended_urdf_text(robot)
-    if out is not None and beside:
-        copy_meshes(out.parent)
-    write_text(text, out)
+    (write_model if beside else write_text)(text, out)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import enum
-import math
 import warnings
 from pathlib import Path
 from typing import Annotated
@@ -15,6 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from spm_pin.cli.console import note
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.mechanism import FAMILIES, Geometry, SolutionSet, Status, pose
+from spm_pin.mechanism.units import PER_METRE, likely_unit, machine_size
 
 __all__ = [
     "DECIMALS",
@@ -46,7 +46,7 @@ class LengthUnit(enum.StrEnum):
     @property
     def per_metre(self) -> float:
         """Number of units in a metre."""
-        return {"m": 1.0, "cm": 100.0, "mm": 1000.0}[self.value]
+        return PER_METRE[self.value]
 
 
 DECIMALS = {LengthUnit.M: 5, LengthUnit.CM: 3, LengthUnit.MM: 2}
@@ -64,10 +64,9 @@ GeometryFile = Annotated[
     typer.Option("--geometry", metavar="FILE", help="YAML file of dimensions in metres; the paper's if not given."),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
-Branches = Annotated[list[str] | None, typer.Option("--branch", help="Branch, such as TT+; may be repeated.")]
-
-_PROPORTION = 10.0
-"""Lengths this many times the machine's size, or less than its inverse, are read as a wrong unit."""
+Branches = Annotated[
+    list[str] | None, typer.Option("--branch", metavar="LABEL", help="Branch, such as TT+; may be repeated.")
+]
 
 
 def read_geometry(path: Path | None) -> Geometry:
@@ -98,10 +97,6 @@ def read_pose(translation: Triple, xyx: Triple, unit: LengthUnit) -> RigidTransf
     return pose(np.array(translation) / unit.per_metre, xyx=np.deg2rad(turned))
 
 
-def _size(geometry: Geometry) -> float:
-    return geometry.base_radius + geometry.platform_radius + 2.0 * geometry.middle_side
-
-
 def unit_hint(option: str, typed: float | tuple[float, ...], unit: LengthUnit, geometry: Geometry) -> str:
     """Return a hint at the unit where lengths are out of proportion to the machine, else an empty string.
 
@@ -117,16 +112,12 @@ def unit_hint(option: str, typed: float | tuple[float, ...], unit: LengthUnit, g
         The machine.
     """
     length = float(np.linalg.norm(typed))
-    size = _size(geometry)
-
-    def ratio(tried: LengthUnit) -> float:
-        return abs(math.log(length / tried.per_metre / size)) if length else math.inf
-
-    better = min(LengthUnit, key=ratio)
-    if not length or ratio(unit) < math.log(_PROPORTION) or better is unit:
+    better = likely_unit(geometry, length / unit.per_metre, unit)
+    if better is None:
         return ""
+    size = machine_size(geometry) * unit.per_metre
     return (
-        f"{option} was read in {unit}: {length:g} {unit}, on a machine of {size * unit.per_metre:.3g} {unit}. "
+        f"{option} was read in {unit}: {length:g} {unit}, on a machine of {size:.3g} {unit}. "
         f"In {better} it would be in proportion: --unit {better}."
     )
 
@@ -156,10 +147,13 @@ def pose_remarks(solutions: SolutionSet) -> list[str]:
 def selected_labels(solutions: SolutionSet, labels: list[str] | None) -> list[str]:
     """Return the branches of `--branch`, or all real ones; raises `ArgumentError` where another one is real."""
     real = [label for label, exists in zip(solutions.labels, solutions.exists, strict=True) if exists]
-    absent = [label for label in labels or () if label not in real]
-    if real and absent:
+    if not real or labels is None:
+        return real
+    chosen = [label.upper() for label in labels]
+    absent = [typed for typed, label in zip(labels, chosen, strict=True) if label not in real]
+    if absent:
         raise ArgumentError("--branch", f"real branches, here {', '.join(real)}", ", ".join(absent))
-    return labels if real and labels is not None else real
+    return chosen
 
 
 def exit_code(solutions: SolutionSet) -> int:

@@ -14,7 +14,7 @@ import typer
 from spm_pin.cli.console import note, to_json
 from spm_pin.errors import ArgumentError, MissingExtraError
 
-__all__ = ["check_output", "name_options", "require_extra", "write_json", "write_text"]
+__all__ = ["check_output", "name_options", "require_extra", "write_json", "write_model", "write_text"]
 
 EXTRAS = {
     "cluster": ("zarr", "xarray", "dask", "distributed", "filelock", "google_crc32c"),
@@ -82,6 +82,17 @@ def write_text(text: str, path: Path | None, option: str = "--out") -> None:
     note(f"wrote {path}")
 
 
+def write_model(text: str, path: Path | None) -> None:
+    """Write a model as `write_text` does, and the meshes into a folder beside its file; raises as `copy_meshes`."""
+    from spm_pin.description.paths import copy_meshes
+
+    if path is not None:
+        copy_meshes(path.parent)
+    write_text(text, path)
+    if path is not None and path.suffix == ".urdf":
+        note(f'in Pinocchio: pinocchio.buildModelsFromUrdf("{path}", package_dirs="{path.parent}"), for the meshes')
+
+
 def write_json(content: Any, path: Path | None, option: str = "--json") -> None:
     """Write a JSON file; without a path, print the JSON."""
     write_text(to_json(content) + "\n", path, option)
@@ -89,6 +100,8 @@ def write_json(content: Any, path: Path | None, option: str = "--json") -> None:
 
 def name_options(**options: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Decorate a command so that its errors name the options typed, not the arguments of the functions it calls.
+
+    Errors in a file, which name the file, get the option before.
 
     Parameters
     ----------
@@ -102,9 +115,12 @@ def name_options(**options: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
             try:
                 return command(*args, **kwargs)
             except ArgumentError as error:
-                if error.argument not in options:
+                option = options.get(error.argument)
+                for name, value in kwargs.items():
+                    if isinstance(value, Path) and error.argument.partition(":")[0] == str(value):
+                        option = f"--{name}: {error.argument}"
+                if option is None:
                     raise
-                option = options[error.argument]
                 raise type(error)(option, error.expected, error.received, error.cause) from error
 
         return run

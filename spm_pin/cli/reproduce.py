@@ -34,7 +34,8 @@ _STYLES = {Verdict.MISPRINT: "yellow", Verdict.NOT_PRINTED: "yellow", Verdict.UN
 @name_options(tables="--table")
 def reproduce(
     table: Annotated[
-        list[int] | None, typer.Option(help="Show every cell of a table, 1 to 5; may be repeated. All if not given.")
+        list[int] | None,
+        typer.Option(metavar="NUMBER", help="Show every cell of a table, 1 to 5; may be repeated. All if not given."),
     ] = None,
     cells: Annotated[bool, typer.Option("--cells", help="Show every cell of all tables.")] = False,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write everything as JSON.")] = None,

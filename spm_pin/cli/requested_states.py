@@ -24,6 +24,7 @@ from spm_pin.cli.options import (
 )
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.closed_form.inverse_displacement import inverse_displacement
+from spm_pin.closed_form.starting_configuration import starting_configuration
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import Configuration, Geometry, SolutionSet, Status
 
@@ -71,8 +72,6 @@ def requested_solutions(
         physical = solutions.physical()
         return solutions, physical if physical.exists else solutions[int(solutions.exists.argmax())]
     if legs is None:
-        from spm_pin.display.viewer.state import starting_configuration
-
         state = starting_configuration(geometry)
     else:
         state = forward_physical(geometry, np.array(legs) / unit.per_metre)

@@ -6,7 +6,7 @@ from typing import Any
 
 import typer
 
-from spm_pin.cli.console import fixed, print_table, to_json
+from spm_pin.cli.console import print_table, significant, to_json
 from spm_pin.cli.options import AsJson, Branches, GeometryFile, LengthUnit, Translation, Unit, Xyx, selected_labels
 from spm_pin.cli.outputs import name_options
 from spm_pin.cli.requested_states import end_command, solve_pose
@@ -59,8 +59,7 @@ def _print_quantities(found: dict[str, dict[str, Any]]) -> None:
     rows = []
     for label, quantities in found.items():
         numbers = [quantities[name][matrix] for name in ("index", "distance") for matrix in _MATRICES]
-        kind = quantities["kind"]
-        rows.append([label, *(fixed(x, 4) for x in numbers), "" if kind == "regular" else kind])
+        rows.append([label, *(significant(x, 1.0, 4) for x in numbers), quantities["kind"]])
     headings = ["branch", *(f"{name} {matrix}" for name in ("det", "σ") for matrix in _MATRICES), "kind"]
     title = "Determinant over d³ and smallest singular value: J_b, J_c (forward), K (inverse)"
     print_table(title, headings, rows, left=["kind"])

@@ -15,7 +15,7 @@ from rich.text import Text
 
 from spm_pin import sweeps
 from spm_pin.cli.console import note, print_lines, stderr, to_json
-from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Unit, read_geometry
+from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Unit, read_geometry, unit_hint
 from spm_pin.cli.outputs import name_options, require_extra
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LegLimits
@@ -63,7 +63,10 @@ def sweep(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the drawing.")] = 0,
     metric: Annotated[
         list[str] | None,
-        typer.Option(help=f"May be repeated; {', '.join(_DEFAULT)} if not given. One of {', '.join(sweeps.METRICS)}."),
+        typer.Option(
+            metavar="NAME",
+            help=f"May be repeated; {', '.join(_DEFAULT)} if not given. One of {', '.join(sweeps.METRICS)}.",
+        ),
     ] = None,
     limits: Annotated[
         tuple[float, float] | None,
@@ -109,8 +112,13 @@ def sweep(
                 sweeps.resume(out, **others)
         else:
             machine = read_geometry(geometry)
+            typed = {"--legs" if legs else "--x, --y, --z": _longest(domain) * unit.per_metre}
             if limits is not None:
+                typed["--limits"] = limits[1]
                 machine = dataclasses.replace(machine, limits=LegLimits(*(end / unit.per_metre for end in limits)))
+            for option, largest in typed.items():
+                if hint := unit_hint(option, largest, unit, machine):
+                    note(hint, "yellow")
             parameters: dict[str, float] = {"push": leg_force, "leg": leg_stiffness}
             if length is not None:
                 parameters["length"] = length / unit.per_metre
@@ -146,6 +154,10 @@ def _domain(poses: dict[str, Any], legs: list[str] | None, drawn: dict[str, Any]
     angles = [_range("--xyx", text, np.pi / 180.0) for text in poses["--xyx"]]
     pose: dict[str, Any] = {"x": position[0], "y": position[1], "z": position[2], "xyx": angles}
     return sweeps.pose_sample(**drawn, **pose) if drawn else sweeps.pose_grid(**pose)
+
+
+def _longest(domain: Domain) -> float:
+    return max(abs(end) for axis in domain.axes if axis.unit == "m" for end in (axis.start, axis.stop))
 
 
 def _range(option: str, text: str, scale: float) -> float | tuple[float, ...]:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from spm_pin.cli.options import GeometryFile, read_geometry
-from spm_pin.cli.outputs import check_output, name_options, write_text
+from spm_pin.cli.outputs import check_output, name_options, write_model
 
 __all__ = ["urdf"]
 
@@ -24,13 +24,11 @@ def urdf(
     """Write the URDF: an open tree of eighteen joints, assembled at zero, its four loops closed by Drake's tags.
 
     Other loaders pass over those tags; `spm-pin export` writes the closed robot for them. With --out, the meshes are
-    put beside the file, into a folder `meshes`; a URDF on standard output names them by their whole paths.
+    put beside the file, into a folder `meshes`, and named relative to it; Pinocchio finds them if it is told the
+    file's folder, package_dirs=".". A URDF on standard output names them by their whole paths.
     """
     from spm_pin.description.expand import expand
-    from spm_pin.description.paths import MESHES, copy_meshes
+    from spm_pin.description.paths import MESHES
 
     check_output(out)
-    text = expand(read_geometry(geometry), prefix=prefix, meshes=MESHES if out else None)
-    if out is not None:
-        copy_meshes(out.parent)
-    write_text(text, out)
+    write_model(expand(read_geometry(geometry), prefix=prefix, meshes=MESHES if out else None), out)

@@ -12,17 +12,26 @@ import typer
 
 from spm_pin.cli.console import stderr
 from spm_pin.cli.options import GeometryFile, LengthUnit, Unit, read_geometry
-from spm_pin.cli.outputs import require_extra
+from spm_pin.cli.outputs import check_output, name_options, require_extra
 from spm_pin.cli.requested_states import AnyLegs, AnyTranslation, AnyXyx, requested_solutions, select_branch
 
 __all__ = ["view"]
 
 
+@name_options(
+    host="--host",
+    port="--port",
+    allowed_origins="--origin",
+    leg_lengths="--legs",
+    translation="--translation",
+    xyx="--xyx",
+    path="--path",
+)
 def view(
     translation: AnyTranslation = None,
     xyx: AnyXyx = None,
     legs: AnyLegs = None,
-    branch: Annotated[str | None, typer.Option(help="Branch to begin with, such as TT+.")] = None,
+    branch: Annotated[str | None, typer.Option(metavar="LABEL", help="Branch to begin with, such as TT+.")] = None,
     unit: Unit = LengthUnit.M,
     geometry: GeometryFile = None,
     path: Annotated[
@@ -33,7 +42,8 @@ def view(
     ),
     port: Annotated[int, typer.Option(help="First port to try; 0 lets the system choose.")] = 8080,
     origin: Annotated[
-        list[str] | None, typer.Option(help="Another site whose pages may connect, for a proxy; may be repeated.")
+        list[str] | None,
+        typer.Option(metavar="URL", help="Another site whose pages may connect, for a proxy; may be repeated."),
     ] = None,
     demo: Annotated[
         bool | None, typer.Option("--demo/--no-demo", help="Move until touched; by default if no pose is given.")
@@ -49,6 +59,7 @@ def view(
     Needs the extra "viewer".
     """
     require_extra("viewer")
+    check_output(snapshot, "--snapshot", (".html",))
     dimensions = read_geometry(geometry)
     solutions, default = requested_solutions(dimensions, translation, xyx, legs, unit)
     start = select_branch(solutions, default, branch)

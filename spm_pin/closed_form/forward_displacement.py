@@ -16,6 +16,7 @@ from spm_pin.mechanism.arguments import FloatArray, first_offender, instance, re
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry
 from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
+from spm_pin.mechanism.units import unit_hint
 
 __all__ = ["ASSEMBLY_MODES", "STAGE_MODES", "forward_displacement", "forward_physical"]
 
@@ -95,6 +96,8 @@ def forward_displacement(geometry: Geometry, leg_lengths: npt.ArrayLike) -> Solu
         translation.reshape(*shape, n, 3),
         joints.reshape(*shape, n, 3, 3),
     )
+    if not shape and status[0] == Status.UNREACHABLE:
+        modes.absence = unit_hint(geometry, checked)
     return SolutionSet(
         modes,
         ASSEMBLY_MODES,
@@ -152,7 +155,11 @@ def forward_physical(
     shape, lengths = checked.shape[:-1], checked.reshape(-1, 6)
     results = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64)
     solved = run_kernel(_solve_physical, (lengths,), radii(geometry), results, _MIN_BATCH_PER_THREAD_PHYSICAL)
-    return Configuration.from_arrays(geometry, *(array.reshape(*shape, *array.shape[1:]) for array in solved))
+    found = Configuration.from_arrays(geometry, *(array.reshape(*shape, *array.shape[1:]) for array in solved))
+    if not shape and not found.exists:
+        absence = "with these leg lengths no configuration is reached from the home without a forward singularity"
+        found.absence = f"{absence}. {unit_hint(geometry, checked)}".rstrip(". ")
+    return found
 
 
 def _solve_ill_conditioned(

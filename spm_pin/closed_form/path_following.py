@@ -31,7 +31,8 @@ __all__ = ["FollowedPath", "follow"]
 LONGEST_MOVE = 0.1
 """A joint moves at most this share of d in a step, so that no turn is missed."""
 
-
+_ROUNDING = 1e-12
+"""Share of d by which rounding may move the length of a leg."""
 _MOST_EVENTS = 4
 """Events that the text of a path shows."""
 
@@ -166,7 +167,7 @@ def _start(solutions: SolutionSet, start: Configuration | str | None) -> int:
         check_configuration(start, "start", single=True, existing=True)
     chosen = solutions.physical() if start is None else solutions.nearest(start)
     if not chosen.exists:
-        cause = "Out of reach, or no physical solution there: name one by its label" if start is None else ""
+        cause = f"{chosen.absence}. A solution that is not physical is named by its label" if start is None else ""
         raise ArgumentError("start", "a solution that exists where the path begins", "none", cause)
     gap = np.abs(joints_of(solutions.configurations) - joints_of(chosen)).max(axis=(-1, -2))
     return int(np.where(solutions.exists, gap, np.inf).argmin())
@@ -196,6 +197,8 @@ def _event(geometry: Geometry, which: int, parameter: float, after: float) -> Ev
 def _sign_changes(geometry: Geometry, tracker: Tracker, states: Configuration) -> list[Event]:
     """Find the zeros of the monitored functions along the followed solution."""
     values = _monitored(geometry, states)
+    # A leg that is as long as its limit, to rounding, is within it.
+    values[:, 3:][np.abs(values[:, 3:]) <= _ROUNDING * geometry.middle_side] = 0.0
     parameters = tracker.parameters
     events = []
     for which in range(values.shape[-1]):
@@ -206,6 +209,9 @@ def _sign_changes(geometry: Geometry, tracker: Tracker, states: Configuration) -
 
         for k in range(len(parameters) - 1):
             low, high = parameters[k], parameters[k + 1]
+            before, after = column[k : k + 2]
+            if which >= 3 and min(before, after) < 0.0 == max(before, after):
+                events.append(_event(geometry, which, high if before < 0.0 else low, after - before))
             brackets = [(low, high)] if column[k] * column[k + 1] < 0.0 else _dip(value, parameters, column, k)
             for left, right in brackets:
                 root = float(brentq(value, left, right, xtol=1e-13, rtol=8.9e-16))

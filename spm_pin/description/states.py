@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from spm_pin.description.tree import ANGLES, JOINTS, SLIDES
-from spm_pin.errors import DescriptionError
-from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.joint_angles import joint_angles
 
 __all__ = ["home_configuration_values", "joint_values"]
@@ -31,14 +30,10 @@ def joint_values(configuration: Configuration) -> dict[str, float]:
 
     Raises
     ------
-    DescriptionError
-        If `configuration` is a batch or does not exist.
+    ArgumentError
+        If `configuration` is none, is a batch or does not exist.
     """
-    if configuration.shape:
-        expected = "a single configuration"
-        raise DescriptionError("configuration", expected, f"a batch of shape {configuration.shape}")
-    if not configuration.exists:
-        raise DescriptionError("configuration", "a configuration that exists", "NaN", "Not a real branch?")
+    check_configuration(configuration, single=True, existing=True)
     found = joint_angles(configuration, corners=(0,)).values
     values = dict(zip((*ANGLES, *SLIDES), found.tolist(), strict=True))
     return {name: values[name] for name in JOINTS}

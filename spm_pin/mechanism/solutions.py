@@ -17,6 +17,7 @@ from spm_pin.mechanism.branches import BRANCHES, FAMILIES, branch_sign, family, 
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
+from spm_pin.mechanism.units import unit_hint
 
 __all__ = ["Degeneracy", "SolutionSet", "Status"]
 
@@ -297,7 +298,8 @@ class SolutionSet:
             return f"<SolutionSet: {self.shape} problems ({tally}), {len(self._labels)} solutions each>"
         real = [label for label, real in zip(self._labels, self.exists, strict=True) if real]
         shown = ", ".join(real[:8]) + ", …" * (len(real) > 8)
-        return f"<SolutionSet: {self.status}, {self.count} of {len(self._labels)} real: {shown or 'none'}>"
+        hint = self._hint() if self.status is Status.UNREACHABLE else ""
+        return f"<SolutionSet: {self.status}, {self.count} of {len(self._labels)} real: {shown or 'none'}{hint}>"
 
     def _repr_html_(self) -> str:
         """Return a small table: the solutions of a single problem, or the outcomes of a batch."""
@@ -333,7 +335,14 @@ class SolutionSet:
             return "the pose or the leg lengths are singular, the solutions are a continuous family; see .degeneracy"
         if status is Status.OK:
             return "none of the solutions is physical, or .within(limits) and .where(mask) excluded them"
-        return "out of reach: no solution is real" if status is Status.UNREACHABLE else "the method failed here"
+        if status is Status.UNREACHABLE:
+            return f"out of reach: no solution is real{self._hint(index)}"
+        return "the method failed here"
+
+    def _hint(self, index: tuple[int, ...] = ()) -> str:
+        """Return what an unreachable problem's lengths suggest about their unit, after a stop; or an empty string."""
+        hint = self._configurations.absence or unit_hint(self.geometry, self.translation[index][0])
+        return hint and f". {hint}"
 
     def _select(self, index: npt.NDArray[np.intp], exists: BoolArray) -> Configuration:
         """Return one solution per problem, NaN throughout, the pose too, where `exists` is False."""

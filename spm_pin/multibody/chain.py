@@ -336,7 +336,7 @@ class ClosedChain(ChainMethods):
         if np.any(absent):
             index = first_offender(absent)
             where = f" at batch index {index}" if index else ""
-            cause = f"{cause} With near=, the solution on a path from there is found"
+            cause = f"{found.absence or cause} With near=, the solution on a path from there is found"
             raise ArgumentError(argument, expected, f"others{where}", cause)
         return self._layout.joint_values(found)
 

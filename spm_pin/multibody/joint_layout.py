@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from spm_pin.description.tree import ANGLES, JOINTS, SLIDES
 from spm_pin.errors import ArgumentError, GeometryError
-from spm_pin.mechanism.arguments import FloatArray, first_offender, frozen, instance
-from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.arguments import FloatArray, first_offender, frozen
+from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry
 from spm_pin.mechanism.joint_angles import home_lengths, joint_angles
 from spm_pin.multibody.vector_arguments import read_vector, read_vectors
@@ -104,29 +104,21 @@ class JointLayout:
 
     def joint_values(self, configuration: Configuration) -> FloatArray:
         """Return the chain's q (..., 18) of a configuration; see `ClosedChain.joint_values`."""
-        cause = "One of several solutions? .physical(), or an index, takes one"
-        geometry = instance(configuration, Configuration, "configuration", cause).geometry
+        geometry = check_configuration(configuration, existing=True).geometry
         if geometry is not self.geometry:
             require_dimensions(geometry, self.geometry, "configuration", "the chain")
             # With the chain's own limits: they set the zero of its slides.
             arrays = configuration.rotation, configuration.translation, configuration.middle_joints
             configuration = Configuration.from_arrays(self.geometry, *arrays)
         angles = joint_angles(configuration, corners=(0,))
-        if not np.all(angles.closure_residual <= AGREEMENT * self.side):
-            raise self._not_a_state(angles.closure_residual)
+        open_ = angles.closure_residual > AGREEMENT * self.side
+        if np.any(open_):
+            index = first_offender(open_)
+            where = f" at batch index {index}" if index else ""
+            received = f"a closure residual of {angles.closure_residual[index]:.1e} m{where}"
+            cause = "Rounded numbers? inverse_displacement closes the loops for a pose"
+            raise ArgumentError("configuration", "a closed mechanism", received, cause)
         return np.take(angles.values, self._order, axis=-1)
-
-    def _not_a_state(self, residual: FloatArray) -> ArgumentError:
-        """Return the error of a configuration that does not exist or is not closed."""
-        absent = np.isnan(residual)
-        index = first_offender(absent if absent.any() else residual > AGREEMENT * self.side)
-        where = f" at batch index {index}" if index else ""
-        if absent.any():
-            cause = "Not a real branch? .exists says which are"
-            return ArgumentError("configuration", "a configuration that exists", f"NaN{where}", cause)
-        received = f"a closure residual of {residual[index]:.1e} m{where}"
-        cause = "Rounded numbers? inverse_displacement closes the loops for a pose"
-        return ArgumentError("configuration", "a closed mechanism", received, cause)
 
 
 def require_dimensions(geometry: Geometry, expected: Geometry, argument: str, owner: str) -> None:

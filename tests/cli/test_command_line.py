@@ -80,6 +80,8 @@ def test_every_help_text_is_shown_without_leftover_escapes(command: str) -> None
     done = run(command, "--help")
     assert done.returncode == 0
     assert "\\" not in done.stdout
+    # A flag takes no value.
+    assert "<bool>" not in done.stdout
 
 
 def test_special_characters_survive_a_round_trip(tmp_path: Path) -> None:
@@ -102,12 +104,39 @@ def test_special_characters_survive_a_round_trip(tmp_path: Path) -> None:
         (["workspace", "--resolution", "1"], "error: --resolution: expected"),
         (["draw", "--out", "x.png", "--width", "3"], "error: --width: expected"),
         (["draw", "--out", "x.png", "--view", "900", "0"], "error: --view: expected"),
+        (["export", "--format", "mjcf", "--urdf", "nope.urdf"], "error: --urdf: nope.urdf: expected a readable"),
+        (["export", "--format", "mjcf", "--urdf", "README.md"], "error: --urdf: README.md:1: expected XML"),
+        (
+            ["export", "--format", "mjcf", "--urdf", "urdf/spm.urdf", "--closures", "nope.yaml"],
+            "error: --closures: nope.yaml: expected a readable",
+        ),
+        (["view", "--path", "nope.csv"], "error: --path: expected a readable file"),
+        (["view", "--path", "README.md"], "error: --path: expected a file name ending in .csv"),
+        (["view", "--host", "203.0.113.7"], "error: --host: expected an address of this machine"),
+        (["view", "--snapshot", "page.png"], "error: --snapshot: expected a file name ending in .html"),
+        (
+            ["inverse", "--translation", "1", "2", "--xyx", "-1", "2", "3"],
+            "'--translation' requires 3 arguments, X Y Z; got 2.",
+        ),
+        (
+            ["forward", "--legs", "1", "1", "1", "1", "1", "--unit", "cm"],
+            "'--legs' requires 6 arguments, B1 B2 B3 C1 C2 C3; got 5.",
+        ),
+        (["draw", "--view", "10", "--names"], "'--view' requires 2 arguments, AZIMUTH ELEVATION; got 1."),
     ],
 )
-def test_messages_name_the_option_typed(arguments: list[str], words: str) -> None:
+def test_messages_name_the_option_typed(arguments: list[str], words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(Path(__file__).parents[2])
     done = run(*arguments)
     assert done.returncode == 2
     assert words in done.message
+
+
+def test_branches_are_named_in_either_case() -> None:
+    for label in ("TT+", "tt+"):
+        done = run("singularities", *EXAMPLE, "--unit", "cm", "--branch", label)
+        assert (done.returncode, done.stdout.count("TT+")) == (0, 1)
+    assert "got ft+" in run("singularities", *EXAMPLE, "--unit", "cm", "--branch", "ft+").message
 
 
 def test_messages_name_the_key_of_a_geometry_file(tmp_path: Path) -> None:
@@ -251,6 +280,19 @@ def test_zeros_of_commands_are_zeros() -> None:
         assert len(numbers) >= 6
         assert not [text for text in numbers if float(text) == 0.0 and text.startswith("-")]
         assert not [text for text in numbers if 0.0 < abs(float(text)) < 1e-10]
+
+
+def test_small_determinants_are_printed_with_significant_digits() -> None:
+    # Near the home, which is an inverse singularity: with four decimals det K would be 0.0000.
+    state = spm.forward_physical(spm.Geometry.paper(), [1.3, 1.31, 1.29, 1.305, 1.3, 1.295])
+    xyx = np.rad2deg(state.pose.rotation.as_euler("XYX"))
+    pose = ["--translation", *map(repr, state.translation.tolist()), "--xyx", *map(repr, xyx.tolist())]
+    done = run("singularities", *pose, "--branch", "TT-")
+    row = next(line for line in done.stdout.splitlines() if "TT-" in line).split()
+    expected = spm.singularities(state)
+    np.testing.assert_allclose([float(x) for x in row[1:7]], [*expected.index, *expected.sigma], rtol=6e-4)
+    assert 1e-6 < abs(float(row[3])) < 1e-5
+    assert row[7] == "regular"
 
 
 def test_json_has_null_for_what_is_not_finite() -> None:
@@ -434,6 +476,39 @@ class Interrupting(ClosedForm):
         if type(self).batches == 3:
             raise KeyboardInterrupt
         return super().inverse(pose)
+
+
+WORK: dict[str, tuple[str, list[str]]] = {
+    "certify": ("prove", []),
+    "crosscheck": ("compare_in_batches", []),
+    "demo": ("reproduce", []),
+    "draw": ("requested_solutions", ["--out", "x.png"]),
+    "export": ("read_geometry", ["--format", "mjcf"]),
+    "forward": ("forward_displacement", LEGS),
+    "inverse": ("solve_pose", EXAMPLE),
+    "reproduce": ("recompute", []),
+    "singularities": ("solve_pose", EXAMPLE),
+    "statics": ("solve_pose", [*EXAMPLE, *LOAD]),
+    "sweep": ("sweeps.run", ["--legs", "1.2:1.3:2", "--out", "map"]),
+    "urdf": ("read_geometry", []),
+    "view": ("requested_solutions", ["--no-open"]),
+    "workspace": ("workspace_shell", []),
+}
+"""For each command the function that takes long, by its name in the command's module, and arguments."""
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_ctrl_c_ends_every_command_with_130(command: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path)
+    work, arguments = WORK[command]
+    monkeypatch.setattr(f"spm_pin.cli.{command}.{work}", interrupted)
+    done = run(command, *arguments)
+    assert (done.returncode, done.stdout) == (130, "")
+    assert done.stderr.splitlines()[-1] == "interrupted"
+    assert "Traceback" not in done.stderr
 
 
 def test_an_interrupted_crosscheck_reports_what_it_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
+import pinocchio
 import pytest
 import yaml
 from cli.running import run
 
 import spm_pin as spm
-from spm_pin.description import CLOSURES_PATH, MJCF_PATH, SDF_PATH, SRDF_PATH, URDF_PATH
+from spm_pin.description import CLOSURES_PATH, MJCF_PATH, PACKAGE_PATH, SDF_PATH, SRDF_PATH, URDF_PATH
 from spm_pin.description.load_robot import manipulator
 from spm_pin.description.write_mjcf import mjcf_text
 from spm_pin.description.write_sdf import sdf_text
@@ -63,6 +65,11 @@ def test_meshes_are_put_beside_the_file(command: list[str], name: str, named: st
     assert {path.name for path in tmp_path.iterdir()} == {name, "meshes"}
     for mesh in shipped.iterdir():
         assert (tmp_path / "meshes" / mesh.name).read_bytes() == mesh.read_bytes()
+    advice = re.search(r"pinocchio\.buildModelsFromUrdf\(.*?\)", done.stderr)
+    assert (advice is not None) == name.endswith(".urdf")
+    if advice is not None:
+        _, _, visual = eval(advice[0], {"pinocchio": pinocchio})
+        assert visual.ngeoms == pinocchio.buildModelsFromUrdf(URDF_PATH, package_dirs=PACKAGE_PATH)[2].ngeoms
 
 
 def test_another_mesh_of_the_same_name_is_kept(tmp_path: Path) -> None:

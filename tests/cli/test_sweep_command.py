@@ -49,6 +49,15 @@ def test_a_grid_of_poses_is_that_of_python(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.beta, expected.beta, rtol=1e-15)
 
 
+def test_lengths_in_the_wrong_unit_are_noticed(tmp_path: Path) -> None:
+    poses = ["--x", 37, "--y", -16, "--z", "250:251:2", "--xyx", 1, 17, 6, "--limits", 110, 150]
+    out = run(*poses, "--out", tmp_path / "map", "--workers", 1)
+    assert "--x, --y, --z was read in m: 251 m" in out
+    assert "--limits was read in m: 150 m" in out
+    assert "--unit cm" in out
+    assert "--unit" not in run(*POSES, "--out", tmp_path / "right", "--workers", 1)
+
+
 def test_default_metrics_are_used(tmp_path: Path) -> None:
     out = run(*POSES, "--out", tmp_path / "map", "--workers", 1)
     assert "metrics: branches, conditioning, reachable" in out

@@ -104,7 +104,7 @@ def start(package: Path, **environment: object) -> subprocess.Popen[str]:
 
 
 def has_compiled(process: subprocess.Popen[str]) -> bool:
-    """Return, after a right answer, whether the process said that it compiled: once for both kernels, and nothing else."""
+    """Return, after a right answer, whether the process said, in one line, that it compiled both kernels."""
     out, err = process.communicate()
     assert process.returncode == 0, err
     assert out.strip() == str(ANSWER)

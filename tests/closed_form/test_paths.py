@@ -132,6 +132,30 @@ def test_two_crossings_within_one_step_are_found() -> None:
         assert there == pytest.approx(length + 1e-7, abs=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("lengths", "expected"),
+    [
+        ([1.3, 1.5], []),
+        ([1.3, 1.5, 1.3], []),
+        ([1.5, 1.3], []),
+        ([1.5, 1.5], []),
+        ([1.3, 1.5, 1.5, 1.3], []),
+        ([1.3, 1.5, 1.6], [(0.5, "goes beyond")]),
+        ([1.3, 1.5, 1.5, 1.6, 1.5], [(0.5, "goes beyond"), (1.0, "comes back within")]),
+        ([1.4, 1.6], [(0.5, "goes beyond")]),
+    ],
+)
+def test_a_leg_as_long_as_its_limit_is_within_it(lengths: list[float], expected: list[tuple[float, str]]) -> None:
+    legs = np.full((len(lengths), 6), 1.25)
+    legs[:, 3] = 1.3
+    legs[:, 5] = lengths
+    found = follow(PAPER, legs, samples=12)
+    events = [event for event in found.events if event.kind is EventKind.LIMIT]
+    assert [(event.parameter, event.detail) for event in events] == [
+        (pytest.approx(parameter, abs=RESOLUTION), f"r_c3 {verb} its maximum, 1.5 m") for parameter, verb in expected
+    ]
+
+
 def test_along_leg_lengths_the_machine_stays_in_its_mode() -> None:
     rng = np.random.default_rng(2)
     for _ in range(4):

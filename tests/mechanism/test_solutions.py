@@ -256,6 +256,36 @@ def test_the_ways_on_from_a_level_pose_lead_to_it() -> None:
 )
 def test_a_state_that_does_not_exist_says_why(absent: Callable[[], spm.SolutionSet], words: str) -> None:
     assert re.search(f"does not exist: .*{words}", repr(absent().physical()))
+    assert "metres" not in repr(absent()) + repr(absent().physical())
+
+
+FAR = spm.pose([68.89, 49.63, 225.3], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
+LONG = [120, 120, 140, 125, 120, 150]
+
+
+@pytest.mark.parametrize("length", [225.3, 150])
+def test_what_does_not_hold_in_another_unit_hints_at_it(length: float) -> None:
+    long = length == 150
+    solutions = spm.forward_displacement(PAPER, LONG) if long else spm.inverse_displacement(PAPER, FAR)
+    absent = spm.forward_physical(PAPER, LONG) if long else spm.inverse_physical(PAPER, FAR)
+    hint = f"{length:g} m are out of proportion to this machine; is it {length:g} cm?"
+    assert solutions.status is spm.Status.UNREACHABLE
+    for found in (solutions, solutions.physical(), absent, pickle.loads(pickle.dumps(solutions))):
+        assert hint in repr(found)
+    with pytest.raises(spm.NotOneSolutionError, match=re.escape(hint)):
+        solutions.one()
+    with pytest.raises(spm.ArgumentError, match=re.escape(hint)):
+        spm.follow(PAPER, [LONG, LONG] if long else [FAR.as_matrix()] * 2)
+    chain = spm.ClosedChain.from_urdf()
+    with pytest.raises(spm.ArgumentError, match=re.escape(hint)):
+        chain.forward_kinematics(LONG) if long else chain.inverse_kinematics(FAR)
+    with pytest.raises(spm.ArgumentError, match=re.escape(hint)):
+        chain.joint_values(absent)
+    if not long:
+        with pytest.raises(spm.NotOneSolutionError, match=re.escape(hint)):
+            spm.inverse_displacement(PAPER, np.stack([FAR.as_matrix()] * 2)).one()
+        built = spm.AsBuiltGeometry.from_nominal(PAPER)
+        assert hint in repr(spm.inverse_displacement(built, FAR))
 
 
 @pytest.mark.parametrize(

@@ -8,13 +8,14 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
+from spm_pin.closed_form.starting_configuration import starting_configuration
 from spm_pin.display.viewer import viser_server
 from spm_pin.display.viewer.demo_motion import demo_motion
 from spm_pin.display.viewer.recording import Recording
 from spm_pin.display.viewer.robot_meshes import RobotMeshes
 from spm_pin.display.viewer.session import Session
 from spm_pin.display.viewer.session_config import SessionConfig
-from spm_pin.display.viewer.state import Model, starting_configuration
+from spm_pin.display.viewer.state import Model
 from spm_pin.display.viewer.workspace_layer import WorkspaceLayer
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.configuration import Configuration

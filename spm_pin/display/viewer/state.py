@@ -19,14 +19,12 @@ from spm_pin.mechanism.arguments import FloatArray, real_array
 from spm_pin.mechanism.branches import FAMILIES, family, physical
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
-from spm_pin.mechanism.joint_angles import home_lengths
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.mechanism.solutions import SolutionSet, Status
 from spm_pin.workspace.reachability.nearest_pose import nearest_reachable_pose, pose_distance
 
-__all__ = ["Drive", "Model", "Notice", "State", "starting_configuration"]
+__all__ = ["Drive", "Model", "Notice", "State"]
 
-_START = np.array([1.20, 1.20, 1.40, 1.25, 1.20, 1.50]) / 1.30
 _UNLIMITED = LegLimits(0.0, np.inf)
 _REACHED = 1e-6  # of d
 _SAME = 1e-4  # of d: closer joints are one solution
@@ -88,24 +86,6 @@ class State:
     def labels(self) -> tuple[str, ...]:
         """The real branches of the pose of `shown`."""
         return tuple(str(label) for label in np.array(self.solutions.labels)[self.solutions.exists])
-
-
-def starting_configuration(geometry: Geometry) -> Configuration:
-    """Return a regular configuration of the manipulator: the paper's solution 3, in proportion.
-
-    Its leg lengths are the paper's 120, 120, 140, 125, 120 and 150 cm over 130 cm, times the home lengths.
-
-    Raises
-    ------
-    ArgumentError
-        If the manipulator has no such configuration.
-    """
-    home = np.repeat(home_lengths(geometry), 3)
-    for share in (1.0, 0.5, 0.2, 0.05):
-        state = forward_physical(geometry, home * (1.0 + share * (_START - 1.0)))
-        if state.exists:
-            return state
-    raise ArgumentError("geometry", "a manipulator that stands near its home", geometry, "Give a pose instead")
 
 
 class Model:

@@ -1,0 +1,47 @@
+"""Lengths out of proportion to the machine, and the unit they may be in."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.mechanism.as_built import AsBuiltGeometry
+from spm_pin.mechanism.geometry import Geometry
+
+__all__ = ["PER_METRE", "likely_unit", "machine_size", "unit_hint"]
+
+PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
+"""Units of length, and how many of them are a metre."""
+
+_PROPORTION = 10.0
+"""Lengths this many times the machine's size, or less than its inverse, are read as a wrong unit."""
+
+
+def machine_size(geometry: Geometry | AsBuiltGeometry) -> float:
+    """Return E + C + 2 d [m], about the height of a machine."""
+    nominal = geometry.nominal if isinstance(geometry, AsBuiltGeometry) else geometry
+    return nominal.base_radius + nominal.platform_radius + 2.0 * nominal.middle_side
+
+
+def likely_unit(geometry: Geometry | AsBuiltGeometry, length: float, unit: str = "m") -> str | None:
+    """Return the unit in which a length [m], if it was typed in `unit`, would be in proportion; None if it is."""
+    size = machine_size(geometry)
+
+    def disproportion(tried: str) -> float:
+        return abs(math.log(length * PER_METRE[unit] / PER_METRE[tried] / size))
+
+    if not (np.isfinite(length) and length > 0.0) or disproportion(unit) < math.log(_PROPORTION):
+        return None
+    better = min(PER_METRE, key=disproportion)
+    return better if better != unit else None
+
+
+def unit_hint(geometry: Geometry | AsBuiltGeometry, lengths: npt.ArrayLike) -> str:
+    """Return a sentence on the unit that the largest of these lengths [m] may be in; empty if in proportion."""
+    length = float(np.abs(lengths).max())
+    unit = likely_unit(geometry, length)
+    if unit is None:
+        return ""
+    return f"Lengths are in metres, and {length:g} m are out of proportion to this machine; is it {length:g} {unit}?"
