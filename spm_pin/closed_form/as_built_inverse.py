@@ -13,14 +13,16 @@ import numpy.typing as npt
 from spm_pin.closed_form.batches import radii, read_pose, run_kernel
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.as_built import AsBuiltGeometry
-from spm_pin.mechanism.branches import BRANCHES
+from spm_pin.mechanism.branches import BRANCHES, tangent_signs
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.pose import PoseLike
 from spm_pin.mechanism.solutions import SolutionSet, Status
 
-__all__ = ["as_built_complex_joints", "as_built_inverse"]
+__all__ = ["as_built_complex_joints", "as_built_inverse", "as_built_physical"]
 
 _MIN_BATCH_PER_THREAD = 1 << 9
+_LARGE = 5e-3
+"""Errors, of directions and in units of the middle platform's radius, that may make other branches physical."""
 _IDEAL = (
     ((3, 3), np.float64),
     ((3,), np.float64),
@@ -54,6 +56,44 @@ def as_built_inverse(geometry: AsBuiltGeometry, pose: PoseLike) -> SolutionSet:
         lengths.reshape(*shape, 8, 6) + geometry.offsets,
     )
     return SolutionSet(branches, BRANCHES, status.reshape(shape), met=(carried == 0).reshape(*shape, 8))
+
+
+def as_built_physical(geometry: AsBuiltGeometry, pose: PoseLike) -> Configuration:
+    """Find the configuration in which a machine as built holds the platform in a pose; see `inverse_physical`.
+
+    Newton's method starts from the branches TT+ and TT- of the nominal machine. All branches are solved for where it
+    cannot be followed from there, where neither branch is one that a real machine can be in, and for large errors.
+    """
+    from spm_pin.closed_form.kernels.as_built_physical_kernel import certain_physical_branches
+    from spm_pin.closed_form.kernels.branch_kernels import all_branches
+
+    nominal, limits = AsBuiltGeometry.from_nominal(geometry.nominal), geometry.limits
+    sizes = radii(geometry.nominal)
+    machines = [np.stack([g.axes, g.pivots / sizes[0], g.balls / sizes[0]]) for g in (nominal, geometry)]
+    if geometry == nominal or np.abs(machines[1] - machines[0]).max() > _LARGE:
+        return as_built_inverse(geometry, pose).physical()
+    shape, rotation, position = read_pose(pose)
+    ideal = run_kernel(all_branches, (rotation, position), sizes, _IDEAL, _MIN_BATCH_PER_THREAD)
+    ideal[2][(ideal[6] == Status.DEGENERATE) | (ideal[7] != 0)] = np.nan
+    bounds = np.array([(-np.inf,) * 6, (np.inf,) * 6] if limits is None else [limits.minimum, limits.maximum])
+    constants = *machines, tangent_signs(geometry.nominal), bounds - geometry.offsets, sizes[0]
+    results = ((3, 3), np.float64), ((6,), np.float64), ((), np.bool_)
+    joints, lengths, certain = run_kernel(
+        certain_physical_branches, (rotation, position, ideal[2]), constants, results, _MIN_BATCH_PER_THREAD
+    )
+    lengths += geometry.offsets
+    turned, moved = ideal[0], ideal[1]
+    rest = np.flatnonzero(~certain)
+    if len(rest):
+        matrices = np.tile(np.eye(4), (len(rest), 1, 1))
+        matrices[:, :3, :3], matrices[:, :3, 3] = rotation[rest], position[rest]
+        others = as_built_inverse(geometry, matrices if shape else matrices[0]).physical()
+        if not shape:
+            return others
+        turned[rest], moved[rest] = others.rotation, others.translation
+        joints[rest], lengths[rest] = others.middle_joints, others.leg_lengths
+    arrays = turned, moved, joints, lengths
+    return Configuration.from_arrays(geometry, *(x.reshape(*shape, *x.shape[1:]) for x in arrays))
 
 
 def as_built_complex_joints(geometry: AsBuiltGeometry, pose: PoseLike) -> npt.NDArray[np.complex128]:

@@ -12,18 +12,15 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from spm_pin.closed_form.as_built_forward import check_seed
 from spm_pin.closed_form.batches import run_kernel
-from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, first_offender
+from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 
 __all__ = ["follow_seed"]
 
 BoolArray = npt.NDArray[np.bool_]
-
-_OPEN = 1e-6
-"""Closure residual of a seed, relative to d, from which on it is no configuration."""
 
 _MIN_BATCH_PER_THREAD = 1 << 10
 
@@ -33,7 +30,7 @@ def follow_seed(geometry: Geometry, lengths: FloatArray, seed: Configuration) ->
     from spm_pin.closed_form.kernels.continuation_kernel import follow_stages
     from spm_pin.closed_form.kernels.mode_kernels import compose_all
 
-    _check_seed(geometry, lengths, seed)
+    check_seed(geometry, lengths, seed)
     shape = np.broadcast_shapes(lengths.shape[:-1], seed.shape)
     r = geometry.middle_radius
     start, end = (
@@ -74,23 +71,3 @@ def _states(geometry: Geometry, joints: FloatArray) -> tuple[FloatArray, BoolArr
     length = np.sqrt((states[:, :3] ** 2).sum(axis=-1))
     states[:, :3] /= np.where(states[:, 0] < 0.0, -length, length)[:, None]
     return states, half_turned
-
-
-def _check_seed(geometry: Geometry, lengths: FloatArray, seed: Configuration) -> None:
-    if not isinstance(seed, Configuration):
-        raise ArgumentError("seed", "a Configuration", type(seed).__name__)
-    dimensions = [(g.base_radius, g.platform_radius, g.middle_side) for g in (geometry, seed.geometry)]
-    if dimensions[0] != dimensions[1]:
-        expected = f"a configuration of this geometry, with E, C, d = {dimensions[0]} m"
-        raise ArgumentError("seed", expected, dimensions[1])
-    try:
-        np.broadcast_shapes(lengths.shape[:-1], seed.shape)
-    except ValueError:
-        expected = f"leading axes that broadcast with those of leg_lengths, {lengths.shape[:-1]}"
-        raise ArgumentError("seed", expected, seed.shape) from None
-    if not seed.exists.all():
-        raise ArgumentError("seed", "states that exist", f"NaN at index {first_offender(~seed.exists)}")
-    torn = float(seed.closure_residual.max(initial=0.0))
-    if torn > _OPEN * geometry.middle_side:
-        received = f"a closure residual of {torn:.1e} m"
-        raise ArgumentError("seed", "a configuration that closes", received)

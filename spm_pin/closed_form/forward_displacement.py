@@ -9,16 +9,18 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from spm_pin.closed_form.as_built_forward import as_built_forward
 from spm_pin.closed_form.batches import radii, run_kernel
 from spm_pin.closed_form.forward_continuation import follow_seed
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, first_offender, instance, real_array
+from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry
 from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
 from spm_pin.mechanism.units import unit_hint
 
-__all__ = ["ASSEMBLY_MODES", "STAGE_MODES", "forward_displacement", "forward_physical"]
+__all__ = ["ASSEMBLY_MODES", "STAGE_MODES", "forward_displacement", "forward_physical", "read_lengths"]
 
 STAGE_MODES = tuple(f"{mode}{place + 1}{sheet}" for mode in "TF" for place in range(4) for sheet in "+-")
 """Canonical order of the sixteen assembly modes of a stage: T1+, T1-, T2+ … F4-."""
@@ -75,7 +77,7 @@ def forward_displacement(geometry: Geometry, leg_lengths: npt.ArrayLike) -> Solu
     """
     from spm_pin.closed_form.kernels.mode_kernels import all_modes
 
-    checked = _read(geometry, leg_lengths)
+    checked = read_lengths(geometry, leg_lengths)
     shape, lengths, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
     results = (
         ((n, 3, 3), np.float64),
@@ -107,16 +109,16 @@ def forward_displacement(geometry: Geometry, leg_lengths: npt.ArrayLike) -> Solu
 
 
 def forward_physical(
-    geometry: Geometry, leg_lengths: npt.ArrayLike, seed: Configuration | None = None
+    geometry: Geometry | AsBuiltGeometry, leg_lengths: npt.ArrayLike, seed: Configuration | None = None
 ) -> Configuration:
     """Find the configuration that a real machine with these leg lengths is in.
 
     Parameters
     ----------
-    geometry : Geometry
+    geometry : Geometry or AsBuiltGeometry
         The manipulator. Its leg limits are not applied.
     leg_lengths : array_like, shape (..., 6)
-        r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m].
+        r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m]; of a machine as built the readings, offsets included.
     seed : Configuration, optional
         Where the machine was. Its leading axes broadcast with those of `leg_lengths`.
 
@@ -140,7 +142,9 @@ def forward_physical(
     The home's aspect holds one configuration at most, so what Newton's method finds from level stages is taken if it is
     in there; if not, all solutions of mode T are found and looked at. It is T1+/T1+ unless E or C is less than
     a twentieth of d. With a seed each step is so short that Newton's method provably stays on the path, see
-    `spm_pin.closed_form.forward_continuation`; so the seed may be far.
+    `spm_pin.closed_form.forward_continuation`; so the seed may be far. A machine as built is followed from the one of
+    the drawing, or from the seed, in steps at whose start the theorem of Newton and Kantorovich holds; see
+    `docs/theory/as_built.md`.
 
     Examples
     --------
@@ -149,7 +153,9 @@ def forward_physical(
     >>> state.pose.rotation.as_euler("XYX", degrees=True).round(4)
     array([-11.0818,  32.9691, -12.8831])
     """
-    checked = _read(geometry, leg_lengths)
+    if isinstance(geometry, AsBuiltGeometry):
+        return as_built_forward(geometry, leg_lengths, seed)
+    checked = read_lengths(geometry, leg_lengths)
     if seed is not None:
         return follow_seed(geometry, checked, seed)
     shape, lengths = checked.shape[:-1], checked.reshape(-1, 6)
@@ -227,7 +233,8 @@ def _solve_physical(
         rotation[rest], translation[rest], joints[rest] = states
 
 
-def _read(geometry: Geometry, leg_lengths: npt.ArrayLike) -> FloatArray:
+def read_lengths(geometry: Geometry, leg_lengths: npt.ArrayLike) -> FloatArray:
+    """Read leg lengths (..., 6) [m] that this machine can be resolved beside."""
     instance(geometry, Geometry, "geometry")
     meaning = f"{', '.join(LEGS)} in metres"
     lengths = real_array(leg_lengths, "leg_lengths", (6,), meaning)

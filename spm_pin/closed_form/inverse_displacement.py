@@ -25,7 +25,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.as_built_inverse import as_built_complex_joints, as_built_inverse
+from spm_pin.closed_form.as_built_inverse import as_built_complex_joints, as_built_inverse, as_built_physical
 from spm_pin.closed_form.batches import radii, read_pose, run_kernel
 from spm_pin.closed_form.degeneracy import find_degeneracy
 from spm_pin.errors import ArgumentError
@@ -154,7 +154,7 @@ def inverse_physical(geometry: Geometry | AsBuiltGeometry, pose: PoseLike) -> Co
         memory. Both stages are without torsion and reached from the symmetric home without a forward
         singularity. If TT+ and TT- both are, those within the leg limits are preferred, then the one whose stages are
         tilted less; `SolutionSet.ambiguous` is True there. `.exists` is False, and everything NaN,
-        where there is no such configuration.
+        where there is no such configuration. Of a machine as built the same, to rounding.
 
     Raises
     ------
@@ -172,7 +172,7 @@ def inverse_physical(geometry: Geometry | AsBuiltGeometry, pose: PoseLike) -> Co
     from spm_pin.closed_form.kernels.branch_kernels import physical_branches
 
     if isinstance(geometry, AsBuiltGeometry):
-        return as_built_inverse(geometry, pose).physical()
+        return as_built_physical(geometry, pose)
     sizes, limits = radii(geometry), geometry.limits
     shape, rotation, position = read_pose(pose)
     bounds = np.array([(0.0,) * 6, (np.inf,) * 6] if limits is None else [limits.minimum, limits.maximum])

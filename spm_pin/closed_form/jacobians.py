@@ -27,10 +27,12 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from spm_pin.closed_form.as_built_jacobians import as_built_inverse_jacobian, as_built_platform_jacobian
 from spm_pin.closed_form.batches import run_on_states
 from spm_pin.closed_form.stage_wrenches import refuse_singular, singular_sizes
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, real_array
+from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 
 __all__ = ["broadcast_argument", "inverse_jacobian", "leg_rates", "platform_jacobian"]
@@ -64,6 +66,8 @@ def inverse_jacobian(configuration: Configuration) -> FloatArray:
     """
     from spm_pin.closed_form.kernels.jacobian_kernels import inverse_jacobians
 
+    if _is_as_built(configuration):
+        return as_built_inverse_jacobian(configuration)
     return _matrices(configuration, inverse_jacobians, "inverse")
 
 
@@ -94,12 +98,17 @@ def platform_jacobian(configuration: Configuration) -> FloatArray:
     """
     from spm_pin.closed_form.kernels.jacobian_kernels import platform_jacobians
 
+    if _is_as_built(configuration):
+        return as_built_platform_jacobian(configuration)
     return _matrices(configuration, platform_jacobians, "forward")
+
+
+def _is_as_built(configuration: Configuration) -> bool:
+    return isinstance(check_configuration(configuration, as_built=True).geometry, AsBuiltGeometry)
 
 
 def _matrices(configuration: Configuration, kernel: Callable[..., object], kind: str) -> FloatArray:
     """Return what `kernel` computes, shape (..., 6, 6), or raise at a singularity of this kind."""
-    check_configuration(configuration)
     results = ((6, 6), np.float64), ((), np.uint8)
     matrices, suspect = run_on_states(kernel, configuration, singular_sizes(configuration.geometry), results)
     refuse_singular(configuration, suspect.reshape(-1), kind)
@@ -134,7 +143,7 @@ def leg_rates(configuration: Configuration, twist: npt.ArrayLike) -> FloatArray:
 
 def broadcast_argument(value: npt.ArrayLike, argument: str, meaning: str, configuration: Configuration) -> FloatArray:
     """Read a twist or a wrench (..., 6) whose leading axes broadcast with those of `configuration`."""
-    check_configuration(configuration)
+    check_configuration(configuration, as_built=True)
     array = real_array(value, argument, (6,), meaning)
     try:
         np.broadcast_shapes(array.shape[:-1], configuration.shape)

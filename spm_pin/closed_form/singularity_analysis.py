@@ -20,11 +20,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from spm_pin.closed_form.as_built_jacobians import as_built_determinants, as_built_singularities
 from spm_pin.closed_form.batches import run_kernel, run_on_states
 from spm_pin.closed_form.jacobians import platform_jacobian
 from spm_pin.closed_form.stage_wrenches import SINGULAR
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray, first_offender, real_number, shaped_array
+from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 
 __all__ = [
@@ -145,16 +147,21 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
     At the symmetric home K has rank 3: it is an inverse singularity in which three freedoms are lost.
     """
     tolerance = real_number(tolerance, "tolerance", "a number from 0 to below 1", least=0.0, below=1.0)
-    check_configuration(configuration)
-    from spm_pin.closed_form.kernels.singularity_kernel import describe_singularities
+    geometry = check_configuration(configuration, as_built=True).geometry
+    exists = configuration.exists
+    if isinstance(geometry, AsBuiltGeometry):
+        described, side = as_built_singularities(configuration, tolerance), geometry.nominal.middle_side
+    else:
+        from spm_pin.closed_form.kernels.singularity_kernel import describe_singularities
 
-    geometry, exists = configuration.geometry, configuration.exists
-    sizes = geometry.base_radius, geometry.platform_radius, geometry.middle_side, tolerance, SINGULAR
-    three, six = ((3,), np.float64), ((6,), np.float64)
-    results = (three, three, three, ((3,), np.int8), ((2,), np.bool_), ((3, 6), np.float64), six)
-    dets, largest, smallest, rank, flags, twists, wrench = run_on_states(
-        describe_singularities, configuration, sizes, results, min_batch=_MIN_BATCH_PER_THREAD
-    )
+        side = geometry.middle_side
+        sizes = geometry.base_radius, geometry.platform_radius, side, tolerance, SINGULAR
+        three, six = ((3,), np.float64), ((6,), np.float64)
+        results = (three, three, three, ((3,), np.int8), ((2,), np.bool_), ((3, 6), np.float64), six)
+        described = run_on_states(
+            describe_singularities, configuration, sizes, results, min_batch=_MIN_BATCH_PER_THREAD
+        )
+    dets, largest, smallest, rank, flags, twists, wrench = described
     dependent, short = flags[..., 0], flags[..., 1]
     if short.any():
         raise SingularConfigurationError("forward", 0.0, first_offender(short))
@@ -168,7 +175,7 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
         condition = largest / smallest
     return Singularities(
         determinants=dets,
-        index=dets / geometry.middle_side**3,
+        index=dets / side**3,
         sigma=smallest,
         condition=condition,
         rank=rank,
@@ -227,7 +234,9 @@ def determinants(configuration: Configuration) -> FloatArray:
     """
     from spm_pin.closed_form.kernels.jacobian_kernels import all_determinants
 
-    geometry = check_configuration(configuration).geometry
+    geometry = check_configuration(configuration, as_built=True).geometry
+    if isinstance(geometry, AsBuiltGeometry):
+        return as_built_determinants(configuration)
     sizes = geometry.base_radius, geometry.platform_radius
     (found,) = run_on_states(all_determinants, configuration, sizes, [((3,), np.float64)])
     return np.asarray(found)
@@ -253,6 +262,7 @@ def determinant_gradients(configuration: Configuration) -> FloatArray:
     SingularConfigurationError
         At a forward or a constraint singularity, where the leg lengths do not determine the motion.
     """
+    check_configuration(configuration)
     # Twists (v, ω) at the middle platform's centre per unit leg rate: of the middle platform, and of m against it.
     jacobian = platform_jacobian(configuration)
     lever = configuration.translation - configuration.middle_joints.mean(axis=-2)

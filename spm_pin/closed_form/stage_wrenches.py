@@ -1,4 +1,4 @@
-"""The 6 x 6 matrices of forces through the ball joints, and where they are singular.
+"""The 6 x 6 matrices of forces through the ball joints, and where they are singular; of machines as built too.
 
 See `spm_pin.closed_form.jacobians` for what they are. The kernels of rates and forces compute their determinants alone,
 and mark the few states that may be singular; singular values decide about these.
@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from spm_pin.errors import SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray, first_offender
+from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 
@@ -32,12 +33,13 @@ a smaller singular value may as well be zero.
 class StageWrenches:
     """The forces of the legs as rows (f, (b_i - p) x f / d) at the middle platform's centre p, in {B}.
 
+    Of a machine as built the b_i of a lower leg and of an upper leg are those of its own ball, p is the centre of the
+    lower balls, and d the nominal side.
+
     Attributes
     ----------
     legs, constraints : ndarray, shape (..., 2, 3, 6)
         [A_b, A_c] and [K_b, K_c]: the lower stage first.
-    points : ndarray, shape (..., 3, 3)
-        (b_i - p)/d as rows.
     lever : ndarray, shape (..., 3)
         o - p [m].
     side : float
@@ -48,33 +50,33 @@ class StageWrenches:
 
     legs: FloatArray
     constraints: FloatArray
-    points: FloatArray
     lever: FloatArray
     side: float
     exists: npt.NDArray[np.bool_]
 
     @classmethod
-    def of(cls, configuration: Configuration) -> StageWrenches:
-        """Set up the rows; raises `SingularConfigurationError` ("forward") where a leg has no length."""
-        lengths = configuration.leg_lengths
-        short = (lengths == 0.0).any(axis=-1)
-        if short.any():
+    def of(cls, configuration: Configuration, *, short_legs: bool = False) -> StageWrenches:
+        """Set up the rows.
+
+        Raises
+        ------
+        SingularConfigurationError
+            As "forward", where a leg has no length; unless `short_legs`, whose rows are NaN then.
+        """
+        vectors, shape = configuration.leg_vectors, configuration.shape
+        lengths = np.sqrt((vectors**2).sum(axis=-1, keepdims=True))
+        short = (lengths == 0.0).any(axis=(-1, -2))
+        if short.any() and not short_legs:
             raise SingularConfigurationError("forward", 0.0, first_offender(short))
-        shape = configuration.shape
-        side = configuration.geometry.middle_side
-        b = configuration.middle_joints
-        centre = b.mean(axis=-2)
-        points = (b - centre[..., None, :]) / side
-        axes = np.stack(
-            [np.broadcast_to(configuration.geometry.revolute_axes, b.shape), configuration.platform_axes], axis=-3
-        )
-        directions = (configuration.leg_vectors / lengths[..., None]).reshape(*shape, 2, 3, 3)
+        geometry, centre = configuration.geometry, configuration.middle_joints.mean(axis=-2)
+        side = (geometry.nominal if isinstance(geometry, AsBuiltGeometry) else geometry).middle_side
+        arms = (configuration.balls - centre[..., None, :]) / side
 
         def rows(forces: FloatArray) -> FloatArray:
-            return np.concatenate([forces, np.cross(points[..., None, :, :], forces)], axis=-1)
+            return np.concatenate([forces, np.cross(arms, forces)], axis=-1).reshape(*shape, 2, 3, 6)
 
         lever = configuration.translation - centre
-        return cls(rows(directions), rows(axes), points, lever, side, configuration.exists)
+        return cls(rows(vectors / lengths), rows(configuration.leg_axes), lever, side, configuration.exists)
 
     def matrices(self, kind: str) -> FloatArray:
         """Return what is singular at a "forward" singularity, J_b and J_c, or "inverse", K, shape (..., n, 6, 6)."""

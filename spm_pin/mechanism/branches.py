@@ -26,6 +26,7 @@ __all__ = [
     "leg_plane_determinant",
     "physical",
     "straightness",
+    "tangent_signs",
 ]
 
 FAMILIES = ("TT", "TF", "FT", "FF")
@@ -157,16 +158,20 @@ def _at_home(configuration: Configuration) -> BoolArray:
     """Return for which upright states both stages are in the home's aspect, shape (...)."""
     geometry, legs, balls = configuration.geometry, configuration.leg_vectors, configuration.balls
     if isinstance(geometry, AsBuiltGeometry):
-        # The axes with the signs that make them tangents, as those of the ideal machine are.
-        tangents = np.cross([0.0, 0.0, 1.0], geometry.nominal.radial_directions)
-        signs = np.sign((tangents * geometry.nominal.revolute_axes).sum(axis=-1))[:, None]
-        below, above = signs * geometry.axes[:3], signs * geometry.axes[3:]
+        tangents = tangent_signs(geometry.nominal)[:, None] * geometry.axes
+        below, above = tangents[:3], tangents[3:]
     else:
         below = above = np.cross([0.0, 0.0, 1.0], geometry.radial_directions)
     lower = in_home_aspect(balls[..., :3, :], np.cross(below, legs[..., :3, :]))
     seen = above @ np.swapaxes(configuration.rotation, -1, -2)
     upper = in_home_aspect(balls[..., 3:, :], np.cross(seen, legs[..., 3:, :]))
     return np.asarray(lower & upper)
+
+
+def tangent_signs(geometry: Geometry) -> FloatArray:
+    """Return the signs (6,) that make the legs' axes tangents of their platforms, counterclockwise about z."""
+    tangents = np.cross([0.0, 0.0, 1.0], geometry.radial_directions)
+    return np.tile(np.sign((tangents * geometry.revolute_axes).sum(axis=-1)), 2)
 
 
 def in_home_aspect(points: FloatArray, directions: FloatArray) -> BoolArray:

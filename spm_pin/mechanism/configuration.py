@@ -16,7 +16,7 @@ from spm_pin.mechanism.as_built import AsBuiltGeometry, all_balls
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 
-__all__ = ["Configuration", "check_configuration"]
+__all__ = ["Configuration", "check_configuration", "triangle_frames"]
 
 
 class Configuration:
@@ -198,6 +198,12 @@ class Configuration:
         """Unit revolute axes at c_1, c_2, c_3 as rows in {B}, shape (..., 3, 3). Eq. (4b)."""
         return frozen(self._local[0][3:] @ np.swapaxes(self._rotation, -1, -2))
 
+    @cached_property
+    def leg_axes(self) -> FloatArray:
+        """Unit revolute axes of the six legs as rows in {B}, shape (..., 6, 3). Eq. (4)."""
+        lower = np.broadcast_to(self._local[0][:3], self.platform_axes.shape)
+        return frozen(np.concatenate([lower, self.platform_axes], axis=-2))
+
     @property
     def _local(self) -> tuple[FloatArray, FloatArray]:
         """Axes and pivots (6, 3) of the legs, the lower in {B}, the upper in {m}."""
@@ -225,10 +231,10 @@ class Configuration:
     def middle_pose(self) -> RigidTransform:
         """Pose of the middle platform {n} in {B}: origin at the triangle's centre, x along b_3 b_1, z its normal."""
         geometry = self._geometry
-        frames, centres = _frames(self._middle_joints), self._middle_joints.mean(axis=-2)
+        frames, centres = triangle_frames(self._middle_joints), self._middle_joints.mean(axis=-2)
         if isinstance(geometry, AsBuiltGeometry):
             # {n} is where the nominal triangle would be, from where the balls are.
-            frames = frames @ _frames(geometry.balls[:3]).T
+            frames = frames @ triangle_frames(geometry.balls[:3]).T
             centres = centres - frames @ geometry.balls[:3].mean(axis=0)
         return _transform(frames, centres)
 
@@ -252,7 +258,7 @@ class Configuration:
         return frozen(np.asarray(np.abs(np.concatenate([lower, upper, sides], axis=-1)).max(axis=-1)))
 
 
-def _frames(b: FloatArray) -> FloatArray:
+def triangle_frames(b: FloatArray) -> FloatArray:
     """Return the axes (..., 3, 3) of triangles b_1, b_2, b_3: x along b_3 b_1, y towards b_2, z normal, as columns."""
     x = b[..., 0, :] - b[..., 2, :]
     y = 2.0 * b[..., 1, :] - b[..., 0, :] - b[..., 2, :]

@@ -158,7 +158,6 @@ def test_nominal_dimensions_are_not_read_from_an_imperfect_machine() -> None:
     "call",
     [
         lambda built: spm.forward_displacement(built, np.full(6, 1.3)),
-        lambda built: spm.forward_physical(built, np.full(6, 1.3)),
         spm.certify,
         lambda built: spm.ClosedChain.from_urdf(geometry=built),
     ],

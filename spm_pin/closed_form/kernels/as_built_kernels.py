@@ -23,14 +23,14 @@ from spm_pin.closed_form.kernels.three_quadrics import (
 )
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["as_built_branches"]
+__all__ = ["SHORTEST_AT_FIRST", "as_built_branches", "followed", "put_planes", "put_quaternion"]
 
 ComplexArray = npt.NDArray[np.complex128]
 
 OK, UNREACHABLE, DEGENERATE, UNSOLVED = 0, 1, 2, 3
 _SHORTEST = 1e-7
 """A step of the errors shorter than this part of them stands before two branches that meet."""
-_SHORTEST_AT_FIRST = 0.02
+SHORTEST_AT_FIRST = 0.02
 """The same while it is not known yet whether any real root will be left for such a branch."""
 _FIRST_STEP = 0.1
 _CONTRACTION = 0.1
@@ -42,7 +42,7 @@ _SAME = 1e-6
 
 
 @jit
-def _put_planes(
+def put_planes(
     rotation: FloatArray,
     position: FloatArray,
     nominal: FloatArray,
@@ -76,7 +76,7 @@ def _put_planes(
 
 
 @jit
-def _put_quaternion(b: FloatArray, x: FloatArray) -> None:
+def put_quaternion(b: FloatArray, x: FloatArray) -> None:
     """Write the quaternion (4,), scalar last, of the middle platform with its joints at the rows of b (3, 3)."""
     u0, u1, u2 = b[0, 0] - b[2, 0], b[0, 1] - b[2, 1], b[0, 2] - b[2, 2]
     size = 1.0 / math.sqrt(u0 * u0 + u1 * u1 + u2 * u2)
@@ -110,7 +110,7 @@ def _is_real(x: ComplexArray) -> bool:
 
 
 @jit
-def _followed(
+def followed(
     rotation: FloatArray,
     position: FloatArray,
     nominal: FloatArray,
@@ -131,7 +131,7 @@ def _followed(
     while done < 1.0:
         target = min(done + step, 1.0)
         if target < 1.0:
-            _put_planes(rotation, position, nominal, built, target, normals, heights, balls)
+            put_planes(rotation, position, nominal, built, target, normals, heights, balls)
             put_quadrics(normals, heights, balls, own, forms)
         there = last if target == 1.0 else forms
         for i in range(4):
@@ -203,7 +203,7 @@ def as_built_branches(
         joints[n], lengths[n], carried[n] = np.nan, np.nan, 2
         if len(complex_joints):
             complex_joints[n] = np.nan
-        _put_planes(rotation[n], place, nominal, built, 1.0, last_normals, last_heights, last_balls)
+        put_planes(rotation[n], place, nominal, built, 1.0, last_normals, last_heights, last_balls)
         spans = put_quadrics(last_normals, last_heights, last_balls, own, last)
         count = eight_roots(last, roots) if spans else 0
         if count < 8:
@@ -223,9 +223,9 @@ def as_built_branches(
                 if np.isnan(ideal[n, label, 0, 0]) or carried[n, label] == 1:
                     continue
                 carried[n, label] = 0
-                _put_quaternion(ideal[n, label], x)
-                shortest = _SHORTEST_AT_FIRST if attempt == 0 else _SHORTEST
-                if _followed(
+                put_quaternion(ideal[n, label], x)
+                shortest = SHORTEST_AT_FIRST if attempt == 0 else _SHORTEST
+                if followed(
                     rotation[n],
                     place,
                     nominal,

@@ -1,0 +1,144 @@
+"""Forward displacement of a machine as built: each stage is followed from the nominal machine, or from a seed."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.closed_form.batches import run_kernel
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import FloatArray, broadcastable, first_offender, instance, real_array
+from spm_pin.mechanism.as_built import AsBuiltGeometry
+from spm_pin.mechanism.branches import physical
+from spm_pin.mechanism.configuration import Configuration, triangle_frames
+from spm_pin.mechanism.geometry import LEGS, Geometry
+
+__all__ = ["as_built_forward", "check_seed"]
+
+_OPEN = 1e-6
+"""Closure residual of a seed, relative to d, from which on it is no configuration."""
+_MIN_BATCH_PER_THREAD = 1 << 11
+
+
+def as_built_forward(
+    geometry: AsBuiltGeometry, leg_lengths: npt.ArrayLike, seed: Configuration | None
+) -> Configuration:
+    """Find the configuration that a machine as built with these readings is in; see `forward_physical`.
+
+    Without a seed, the state of the nominal machine with the same distances from pivots to balls is followed while the
+    dimensions change to those of this machine, or, where that gives none, the level state with equal legs is followed
+    to the given legs.
+    """
+    lengths = _read(geometry, leg_lengths)
+    if seed is not None:
+        check_seed(geometry, lengths, seed)
+        shape = np.broadcast_shapes(lengths.shape[:-1], seed.shape)
+        rotation, position = seed.rotation[..., None, :, :], seed.translation[..., None, :]
+        upper = ((seed.balls[..., 3:, :] - position)[..., None, :] @ rotation)[..., 0, :]
+        balls = np.concatenate([seed.balls[..., :3, :], upper], axis=-2)
+        flat = [
+            np.broadcast_to(x, (*shape, *x.shape[-k:])).reshape(-1, *x.shape[-k:])
+            for x, k in ((balls, 2), (seed.leg_lengths - geometry.offsets, 1), (lengths, 1))
+        ]
+        return _compose(geometry, _follow(geometry, geometry, *flat), shape)
+    from spm_pin.closed_form.forward_displacement import forward_physical
+
+    shape, lengths = lengths.shape[:-1], lengths.reshape(-1, 6)
+    nominal = AsBuiltGeometry.from_nominal(geometry.nominal)
+    ideal = forward_physical(geometry.nominal, lengths)
+    if geometry == nominal:
+        state = ideal.rotation, ideal.translation, ideal.middle_joints
+        return Configuration.from_arrays(geometry, *(x.reshape(*shape, *x.shape[1:]) for x in state))
+    upper = (ideal.middle_joints - ideal.translation[:, None]) @ ideal.rotation
+    balls = _follow(nominal, geometry, np.concatenate([ideal.middle_joints, upper], axis=1), lengths, lengths)
+    found = physical(_compose(geometry, balls, (len(lengths),)))
+    rest = np.flatnonzero(~found)
+    if len(rest):
+        balls[rest] = _follow_from_home(nominal, geometry, lengths[rest])
+        found[rest] = physical(_compose(geometry, balls[rest], (len(rest),)))
+        balls[~found] = np.nan
+    return _compose(geometry, balls, shape)
+
+
+def check_seed(geometry: Geometry | AsBuiltGeometry, lengths: FloatArray, seed: Configuration) -> None:
+    """Raise an ArgumentError if `seed` is no closed state of this geometry that goes with lengths (..., 6)."""
+    instance(seed, Configuration, "seed")
+    if _dimensions(geometry) != _dimensions(seed.geometry):
+        raise ArgumentError("seed", f"a configuration of this geometry, {geometry!r}", repr(seed.geometry))
+    broadcastable("seed", seed.shape, "leg_lengths", lengths.shape[:-1])
+    if not seed.exists.all():
+        raise ArgumentError("seed", "states that exist", f"NaN at index {first_offender(~seed.exists)}")
+    torn = float(seed.closure_residual.max(initial=0.0))
+    nominal = geometry.nominal if isinstance(geometry, AsBuiltGeometry) else geometry
+    if torn > _OPEN * nominal.middle_side:
+        raise ArgumentError("seed", "a configuration that closes", f"a closure residual of {torn:.1e} m")
+
+
+def _dimensions(geometry: Geometry | AsBuiltGeometry) -> object:
+    """Return what distinguishes a machine from another, limits aside."""
+    if isinstance(geometry, AsBuiltGeometry):
+        return tuple(a.tobytes() for a in (geometry.axes, geometry.pivots, geometry.balls, geometry.offsets))
+    return geometry.base_radius, geometry.platform_radius, geometry.middle_side
+
+
+def _read(geometry: AsBuiltGeometry, leg_lengths: npt.ArrayLike) -> FloatArray:
+    """Return the distances (..., 6) from pivots to balls [m] of the readings."""
+    from spm_pin.closed_form.forward_displacement import read_lengths
+
+    readings = real_array(leg_lengths, "leg_lengths", (6,), f"readings of {', '.join(LEGS)} in metres")
+    lengths = np.asarray(readings - geometry.offsets)
+    if (lengths <= 0.0).any():
+        index = first_offender(lengths <= 0.0)
+        where = f" for {LEGS[index[-1]]}" + (f" at index {index[:-1]}" if index[:-1] else "")
+        expected = f"readings that exceed their offset, {geometry.offsets[index[-1]]:g} m{where}"
+        raise ArgumentError("leg_lengths", expected, f"{readings[index]:g}")
+    return read_lengths(geometry.nominal, lengths)
+
+
+def _follow(
+    start: AsBuiltGeometry, end: AsBuiltGeometry, balls: FloatArray, start_lengths: FloatArray, end_lengths: FloatArray
+) -> FloatArray:
+    """Follow states to other dimensions and lengths (N, 6); balls (N, 6, 3), the lower in {B}, the upper in {m}."""
+    from spm_pin.closed_form.kernels.ball_circles import follow_circles
+
+    unit, found = end.nominal.middle_radius, np.empty_like(balls)
+    for stage in (slice(3), slice(3, 6)):
+        machines = [np.stack([g.axes[stage], g.pivots[stage] / unit]) for g in (start, end)]
+        sides = [_sides(g.balls[stage]) / unit for g in (start, end)]
+        inputs = balls[:, stage] / unit, start_lengths[:, stage] / unit, end_lengths[:, stage] / unit
+        results = ((3, 3), np.float64), ((), np.bool_)
+        moved, _ = run_kernel(follow_circles, inputs, (*machines, *sides), results, _MIN_BATCH_PER_THREAD)
+        found[:, stage] = moved * unit
+    found[np.isnan(found).any(axis=(-1, -2))] = np.nan
+    return found
+
+
+def _follow_from_home(nominal: AsBuiltGeometry, geometry: AsBuiltGeometry, lengths: FloatArray) -> FloatArray:
+    """Follow the level state with equal legs to legs (N, 6); return its balls as `_follow` does."""
+    ideal = geometry.nominal
+    hips = np.array([ideal.base_radius, ideal.platform_radius]) - ideal.middle_radius
+    # Legs at least so long that the level stage is well away from flat.
+    equal = np.maximum(lengths.reshape(-1, 2, 3).mean(axis=-1), np.hypot(1.0, 0.5) * np.abs(hips))
+    height = np.sqrt(np.maximum(equal**2 - hips**2, 0.0))
+    level = ideal.middle_radius * ideal.radial_directions
+    balls = np.concatenate([np.broadcast_to(level, (len(lengths), 3, 3))] * 2, axis=1)
+    balls[..., 2] = np.repeat(height * [1.0, -1.0], 3, axis=-1)
+    legs = np.repeat(equal, 3, axis=-1)
+    return _follow(geometry, geometry, _follow(nominal, geometry, balls, legs, legs), legs, lengths)
+
+
+def _sides(balls: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(((balls - np.roll(balls, -1, axis=0)) ** 2).sum(axis=-1)))
+
+
+def _compose(geometry: AsBuiltGeometry, balls: FloatArray, shape: tuple[int, ...]) -> Configuration:
+    """Return the states of shape (...) in which {n} is where balls (N, 6, 3) are, seen from {B} and from {m}."""
+    local, placed = geometry.balls.reshape(2, 3, 3), balls.reshape(-1, 2, 3, 3)
+    turns = triangle_frames(placed) @ np.swapaxes(triangle_frames(local), -1, -2)
+    places = placed.mean(axis=-2) - (turns @ local.mean(axis=-2)[..., None])[..., 0]
+    rotation = turns[:, 0] @ np.swapaxes(turns[:, 1], -1, -2)
+    translation = places[:, 0] - (rotation @ places[:, 1, :, None])[..., 0]
+    lower = np.ascontiguousarray(balls[:, :3])
+    return Configuration.from_arrays(
+        geometry, rotation.reshape(*shape, 3, 3), translation.reshape(*shape, 3), lower.reshape(*shape, 3, 3)
+    )
