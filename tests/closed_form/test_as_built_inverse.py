@@ -217,7 +217,7 @@ def test_the_physical_branch_of_a_small_error_is_near_that_of_the_drawing() -> N
 def test_the_physical_branch_alone_is_that_of_all_branches(name: str, size: float) -> None:
     geometry = GEOMETRIES[name]
     built = machine(geometry, size, seed=3)
-    sets = [random_branches(geometry, "TT", 300, seed=2)]
+    sets = [random_branches(geometry, "TT", 1500, seed=2)]
     if geometry.limits is not None:
         sets.append(in_leg_space(geometry, 700, seed=1))
     for problem in sets:
