@@ -206,7 +206,8 @@ def test_singular_states_are_refused_as_those_of_the_ideal_machine() -> None:
     assert raised.value.kind == "inverse"
     assert spm.singularities(state).rank[2] == spm.singularities(home).rank[2] == 3
     assert np.isfinite(spm.leg_forces(state, np.ones(6))).all()
-    flat = spm.Configuration(ideal, spm.pose([0.0, 0.0, 0.0], rotation=np.eye(3)), PAPER.middle_radius * PAPER.radial_directions)
+    level = spm.pose(np.zeros(3), rotation=np.eye(3))
+    flat = spm.Configuration(ideal, level, PAPER.middle_radius * PAPER.radial_directions)
     with pytest.raises(spm.SingularConfigurationError) as raised:
         spm.leg_forces(flat, np.ones(6))
     assert raised.value.kind == "forward"
