@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from flint import acb_poly, arb, arb_poly, ctx
+from flint import acb_poly, arb, arb_poly, ctx, fmpq
 
 Vector = list[Any]
 
@@ -95,6 +95,56 @@ def octic(
         quartic[-2] -= top * b1
     r0, r1 = quartic
     return r1 * r1 * b1 - r1 * r0 * a1 + r0 * r0
+
+
+def discriminants(
+    rotation: npt.NDArray[np.float64], position: npt.NDArray[np.float64], d: float, bits: int = 128
+) -> list[arb]:
+    """Return balls around the discriminants over r² of the families TT, TF, FT, FF, for a pose in a matrix.
+
+    With R = Rz(γ1) Ry(θ) Rz(γ2), s and t the half sum and half difference of γ1 and γ2, and azimuths counted from the
+    second leg, a family is A P² + B P Q + C Q² = 0 in sines and cosines of s and t. The pose is that of the quaternion
+    which the largest component of the matrix, taken as exact, defines.
+    """
+    ctx.prec = bits
+    numbers = [arb(x) for x in quaternion_of(rotation)]
+    length = sum((x * x for x in numbers), arb(0)).sqrt()
+    x0, x1, x2, x3 = (x / length for x in numbers)
+    c, half_sine = (x0 * x0 + x3 * x3).sqrt(), (x1 * x1 + x2 * x2).sqrt()
+    # The azimuth of w from the second leg is a quarter turn less.
+    (cos_s, sin_s), (cos_t, sin_t) = (x0 / c, x3 / c), (-x1 / half_sine, -x2 / half_sine)
+    cos_3s, sin_3s = 4 * cos_s**3 - 3 * cos_s, 3 * sin_s - 4 * sin_s**3
+    cos_3t, sin_3t = 4 * cos_t**3 - 3 * cos_t, 3 * sin_t - 4 * sin_t**3
+    r = arb(float(d)) / arb(3).sqrt()
+    k1 = r * (c * c * (sin_3s * cos_3t + cos_3s * sin_3t) + sin_s * cos_3t - cos_s * sin_3t)
+    k2 = r * (c * c * (sin_3s * cos_3t - cos_3s * sin_3t) + sin_s * cos_3t + cos_s * sin_3t)
+    x, y = arb(float(position[0])), arb(float(position[1]))
+    h = -(cos_s * cos_t - sin_s * sin_t) * x - (sin_s * cos_t + cos_s * sin_t) * y
+    even, odd = 8 * c * r * sin_s * cos_s * cos_3t, 8 * c * r * sin_s * cos_s * sin_3t
+    forms = (
+        (k1 - h, 2 * h * c * cos_s - even, k2 - h),
+        (k1 - h, -2 * h * c * sin_s - odd, -k2 - h),
+        (-k1 - h, 2 * h * c * sin_s - odd, k2 - h),
+        (-k1 - h, 2 * h * c * cos_s + even, -k2 - h),
+    )
+    sizes = (4 * r * r * (1 - kappa * kappa) for kappa in (x0, x3, x3, x0))
+    return [(pq * pq - 4 * pp * qq) / size for (pp, pq, qq), size in zip(forms, sizes, strict=True)]
+
+
+def quaternion_of(rotation: npt.NDArray[np.float64]) -> tuple[fmpq, fmpq, fmpq, fmpq]:
+    """Return x0, x1, x2, x3, of any length, from the largest component of a rotation matrix, exactly."""
+    m = [[fmpq(*float(v).as_integer_ratio()) for v in row] for row in rotation]
+    trace = m[0][0] + m[1][1] + m[2][2]
+    across = m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]
+    entries = [float(rotation[0, 0] + rotation[1, 1] + rotation[2, 2]), *(float(rotation[i, i]) for i in (2, 1, 0))]
+    largest = entries.index(max(entries))
+    if largest == 0:
+        return 1 + trace, *across
+    k = 3 - largest
+    i, j = (k + 1) % 3, (k + 2) % 3
+    found = [across[k], fmpq(0), fmpq(0), fmpq(0)]
+    found[1 + k], found[1 + i], found[1 + j] = 1 - trace + 2 * m[k][k], m[k][i] + m[i][k], m[k][j] + m[j][k]
+    return found[0], found[1], found[2], found[3]
 
 
 def _rotation(quaternion: Vector) -> list[Vector]:

@@ -21,6 +21,7 @@ cancels as the platform levels. Derivation: `docs/theory/inverse_displacement.md
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +40,9 @@ from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
 
 __all__ = ["branch_lengths", "complex_middle_joints", "inverse_displacement", "inverse_physical"]
 
+ROUNDING_BOUND = 2.0**-39
+"""Bound of the rounding error of a discriminant over r², divided by (1 + (|x| + |y|)/r)²: `docs/theory/proofs.md`."""
+
 _MIN_BATCH_PER_THREAD = 1 << 14
 _RESULTS = (
     ((3, 3), np.float64),
@@ -53,7 +57,7 @@ _RESULTS = (
 
 
 def inverse_displacement(
-    geometry: Geometry | AsBuiltGeometry, pose: PoseLike, *, out: SolutionSet | None = None
+    geometry: Geometry | AsBuiltGeometry, pose: PoseLike, *, out: SolutionSet | None = None, certify: bool = False
 ) -> SolutionSet:
     """Find all configurations of the manipulator that hold the platform in a pose.
 
@@ -66,6 +70,9 @@ def inverse_displacement(
     out : SolutionSet, optional
         What an earlier call for a batch of this shape returned. Its memory is written anew, which saves what the system
         takes to provide memory; it and everything taken from it then hold the new numbers.
+    certify : bool
+        Decide the families that are not `certain` without rounding, and compute their branches with more digits, a few
+        milliseconds each; and bound the error of all joints, in `SolutionSet.radius`.
 
     Returns
     -------
@@ -77,14 +84,16 @@ def inverse_displacement(
         `.status` (...) is `Status.OK`; `UNREACHABLE` where no branch is real; or `DEGENERATE` where some
         family is continuous: it is left out, and `.degeneracy` describes it. For an `AsBuiltGeometry` `.leg_lengths`
         are readings, offsets included, labels are carried from the nominal machine, `.met` (..., 8) is true where two
-        branches met on the way, and the status may be `UNSOLVED`; see `docs/theory/as_built.md`.
+        branches met on the way, and the status may be `UNSOLVED`; see `docs/theory/as_built.md`. For a `Geometry`
+        `.certain` (..., 4) says which families are proved to be real, or not; see `docs/theory/proofs.md`.
 
     Raises
     ------
     PoseError
         If `pose` is not a rigid transform of finite numbers.
     ArgumentError
-        If `out` is no result of this function for a batch of this shape, or given for an `AsBuiltGeometry`.
+        If `out` is no result of this function for a batch of this shape, or it or `certify` is given for an
+        `AsBuiltGeometry`.
 
     Notes
     -----
@@ -102,14 +111,43 @@ def inverse_displacement(
     if isinstance(geometry, AsBuiltGeometry):
         if out is not None:
             raise ArgumentError("out", "None for an AsBuiltGeometry", type(out).__name__)
+        if certify:
+            raise ArgumentError("certify", "False for an AsBuiltGeometry", certify)
         return as_built_inverse(geometry, pose)
+    from spm_pin.closed_form.certified_branches import existence_radii, settle_families
     from spm_pin.closed_form.kernels.branch_kernels import all_branches
+    from spm_pin.closed_form.kernels.branch_tiles import VERTICAL
 
     shape, rotation, position = read_pose(pose)
     results = _RESULTS if out is None else _memory_of(out, shape)
     solved = run_kernel(all_branches, (rotation, position), radii(geometry), results, _MIN_BATCH_PER_THREAD)
     rotation, position, joints, lengths, discriminants, choice, status, flagged = solved
     degeneracy = _degeneracy(geometry, shape, rotation, position, flagged, status)
+    found = _solution_set(geometry, shape, solved, degeneracy)
+    if not certify:
+        return found
+    certain = np.asarray(found.certain).reshape(-1, 4)
+    vertical = (flagged & VERTICAL) > 0
+    undecided = ~certain & ~degeneracy.families.reshape(-1, 4) & ~vertical[:, None]
+    radius = existence_radii(rotation, position, joints, geometry.middle_side)
+    settled, precise = settle_families(
+        geometry, rotation, position, joints, lengths, discriminants, choice, status, undecided
+    )
+    radius = np.where(np.repeat(undecided, 2, axis=-1), precise, radius)
+    return _solution_set(
+        geometry, shape, solved, degeneracy, (certain | settled).reshape(*shape, 4), radius.reshape(*shape, 8)
+    )
+
+
+def _solution_set(
+    geometry: Geometry,
+    shape: tuple[int, ...],
+    solved: tuple[Any, ...],
+    degeneracy: Degeneracy,
+    certain: npt.NDArray[np.bool_] | None = None,
+    radius: FloatArray | None = None,
+) -> SolutionSet:
+    rotation, position, joints, lengths, discriminants, choice, status, _ = solved
     branches = Configuration.from_arrays(
         geometry,
         np.broadcast_to(rotation.reshape(*shape, 1, 3, 3), (*shape, 8, 3, 3)),
@@ -125,6 +163,9 @@ def inverse_displacement(
         degeneracy=degeneracy,
         choice=choice.reshape(*shape, 3),
         memory=solved,
+        rounding=ROUNDING_BOUND,
+        certain=certain,
+        radius=radius,
     )
 
 

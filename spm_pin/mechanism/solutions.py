@@ -23,6 +23,9 @@ __all__ = ["Degeneracy", "SolutionSet", "Status"]
 
 BoolArray = npt.NDArray[np.bool_]
 
+_PARALLEL = 1e-12
+"""Sine of the tilt up to which the Z axes of {B} and {m} are taken for parallel in proofs."""
+
 _MOST_ROWS = 16
 """Solutions that a table for notebooks shows."""
 
@@ -89,6 +92,10 @@ class SolutionSet:
         The arrays that a solver may write anew, see `inverse_displacement`.
     met : ndarray of bool, shape (..., n), optional
         Of a machine as built, see `met`.
+    rounding : float, optional
+        Bound of the rounding error of a discriminant, divided by (1 + (|x| + |y|)/r)².
+    certain, radius : ndarray, shapes (..., 4) and (..., n), optional
+        See `certain` and `radius`; without the former it is computed from `rounding`.
 
     Notes
     -----
@@ -109,6 +116,9 @@ class SolutionSet:
         choice: npt.NDArray[np.uint8] | None = None,
         memory: tuple[npt.NDArray[Any], ...] | None = None,
         met: BoolArray | None = None,
+        rounding: float | None = None,
+        certain: BoolArray | None = None,
+        radius: FloatArray | None = None,
     ) -> None:
         shape = instance(configurations, Configuration, "configurations").shape
         if not shape or shape[-1] != len(labels):
@@ -121,6 +131,9 @@ class SolutionSet:
         self._choice = choice
         self._memory = memory
         self._met = met
+        self._rounding = rounding
+        self._certain = certain
+        self._radius = radius
 
     def __getstate__(self) -> dict[str, Any]:
         # A copy does not own the memory.
@@ -258,6 +271,32 @@ class SolutionSet:
         return self._met
 
     @property
+    def certain(self) -> BoolArray | None:
+        """Which families TT, TF, FT, FF are proved to be real, or not to be, as `exists` says, shape (..., 4).
+
+        True where the discriminant is larger than all that rounding can have changed. False for a continuous family,
+        and where the Z axes of {B} and {m} are parallel to 1e-12 rad. None for other problems than the inverse
+        displacement of a `Geometry`.
+        """
+        if self._certain is not None or self._rounding is None or self._discriminants is None:
+            return self._certain
+        position, rotation = self.translation[..., 0, :], self.rotation[..., 0, :, 2]
+        least = np.abs(position[..., 0]) + np.abs(position[..., 1])
+        least = self._rounding * (1.0 + least / self.geometry.middle_radius) ** 2
+        # Not to be proved where the tilt is rounding.
+        parallel = np.abs(rotation[..., 0]) + np.abs(rotation[..., 1]) <= _PARALLEL
+        certain = (np.abs(self._discriminants) > least[..., None]) & ~parallel[..., None]
+        return np.asarray(certain if self._degeneracy is None else certain & ~self._degeneracy.families)
+
+    @property
+    def radius(self) -> FloatArray | None:
+        """Radius [m] around each middle joint within which the exact one is, shape (..., n); NaN where not proved.
+
+        Exactly one solution has all three joints within it. None unless the solver was asked to certify.
+        """
+        return self._radius
+
+    @property
     def memory(self) -> tuple[npt.NDArray[Any], ...] | None:
         """The arrays that a solver may write anew, if it handed them over."""
         return self._memory
@@ -285,6 +324,9 @@ class SolutionSet:
             degeneracy=None if self._degeneracy is None else self._degeneracy[batch],
             choice=None if self._choice is None else self._choice[inner],
             met=None if self._met is None else self._met[inner],
+            rounding=self._rounding,
+            certain=None if self._certain is None else self._certain[inner],
+            radius=None if self._radius is None else self._radius[inner],
         )
 
     def __iter__(self) -> Iterator[Configuration]:
@@ -384,6 +426,9 @@ class SolutionSet:
             degeneracy=self._degeneracy,
             choice=self._choice,
             met=self._met,
+            rounding=self._rounding,
+            certain=self._certain,
+            radius=None if self._radius is None else np.where(kept[..., 0], self._radius, np.nan),
         )
 
     def within(self, limits: LegLimits | None = None) -> SolutionSet:

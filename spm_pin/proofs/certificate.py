@@ -8,12 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.closed_form.forward_displacement import forward_physical
+from spm_pin.closed_form.intervals import Interval
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.mechanism.arguments import FloatArray, instance, real_array, real_number, whole_number
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.mechanism.stage_states import configuration_of_stages, stage_states
-from spm_pin.proofs.intervals import Interval
 from spm_pin.proofs.stage_proof import StageProof, prove_stage
 from spm_pin.proofs.stage_region import StageRegion
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from spm_pin.closed_form.intervals import Interval
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.proofs.intervals import Interval
 from spm_pin.proofs.stage_region import StageRegion
 
 __all__ = ["singular_state"]

@@ -19,12 +19,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from spm_pin.closed_form.intervals import SQRT_3, Interval
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.proofs.intervals import Interval
 
 __all__ = ["StageRegion"]
-
-SQRT_3 = Interval(np.nextafter(np.sqrt(3.0), 0.0), np.nextafter(np.sqrt(3.0), 2.0))
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 import spm_pin as spm
+from spm_pin.closed_form.intervals import Interval
 from spm_pin.mechanism.stage_states import configuration_of_stages, stage_states
-from spm_pin.proofs.intervals import Interval
 from spm_pin.proofs.stage_region import StageRegion
 
 PAPER = spm.Geometry.paper()

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spm_pin.proofs.intervals import Interval
+from spm_pin.closed_form.intervals import Interval
 
 NUMBERS = st.floats(-1e3, 1e3, allow_nan=False).filter(lambda x: x == 0.0 or abs(x) > 1e-30)
 

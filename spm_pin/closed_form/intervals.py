@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["Interval"]
+__all__ = ["SQRT_3", "Interval"]
 
 
 def _below(x: FloatArray) -> FloatArray:
@@ -67,6 +67,9 @@ class Interval:
         high = np.maximum(np.maximum(products[0], products[1]), np.maximum(products[2], products[3]))
         return Interval(_below(low), _above(high))
 
+    def __rtruediv__(self, other: float) -> Interval:
+        return other * self.reciprocal()
+
     __radd__ = __add__
     __rmul__ = __mul__
 
@@ -95,3 +98,7 @@ class Interval:
 
 def _interval(value: Interval | float) -> Interval:
     return value if isinstance(value, Interval) else Interval.of(value)
+
+
+SQRT_3 = Interval(np.nextafter(np.sqrt(3.0), 0.0), np.nextafter(np.sqrt(3.0), 2.0))
+"""The square root of three."""
