@@ -16,6 +16,7 @@ __all__ = [
     "MissingExtraError",
     "NotOneSolutionError",
     "PoseError",
+    "SelectionError",
     "SingularConfigurationError",
     "SpmError",
 ]
@@ -70,6 +71,10 @@ class GeometryError(ArgumentError):
 
 class PoseError(ArgumentError):
     """A pose that is not a rigid transform of finite numbers."""
+
+
+class SelectionError(ArgumentError, LookupError):
+    """An index or a label in square brackets that selects nothing."""
 
 
 class NotOneSolutionError(SpmError):

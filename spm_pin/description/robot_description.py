@@ -329,6 +329,8 @@ class RobotDescription:
 def _unique(argument: str, names: Sequence[str] | Iterable[str], what: str = "names") -> None:
     seen: set[str] = set()
     for name in names:
+        if name == "universe":
+            raise DescriptionError(argument, "names other than 'universe', Pinocchio's of the root", repr(name))
         if name in seen:
             raise DescriptionError(argument, f"{what} that occur once", f"{name!r} twice")
         seen.add(name)

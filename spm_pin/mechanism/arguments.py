@@ -31,6 +31,7 @@ __all__ = [
     "frozen",
     "generator",
     "instance",
+    "number_pair",
     "real_array",
     "real_number",
     "shaped_array",
@@ -132,6 +133,16 @@ def real_number(
     if not (np.isfinite(number) and number > above and least <= number <= most and number < below):
         raise error(argument, expected, f"{number:g}", cause if np.isfinite(number) else "")
     return number
+
+
+def number_pair(
+    value: Any, argument: str, unit: str, *, error: type[ArgumentError] = ArgumentError
+) -> tuple[float, float]:
+    """Read a pair (minimum, maximum), which may be infinite, in a unit for the message; raises as `real_number`."""
+    array = as_array(value)
+    if array is None or array.shape != (2,) or array.dtype.kind not in "fiu":
+        raise error(argument, f"a pair (minimum, maximum) in {unit}", type_and_value(value))
+    return float(array[0]), float(array[1])
 
 
 def whole_number(

@@ -10,8 +10,16 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform
 
-from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, broadcastable, first_offender, frozen, instance, real_array
+from spm_pin.errors import ArgumentError, SelectionError
+from spm_pin.mechanism.arguments import (
+    FloatArray,
+    broadcastable,
+    first_offender,
+    frozen,
+    instance,
+    real_array,
+    type_and_value,
+)
 from spm_pin.mechanism.as_built import AsBuiltGeometry, all_balls
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
@@ -111,17 +119,21 @@ class Configuration:
     def __getitem__(self, index: object) -> Configuration:
         """Index the batch axes as NumPy would."""
         if not self.shape:
-            raise IndexError("a single configuration has no batch axes to index")
+            raise SelectionError("index", "a batch of configurations", "a single one", "It has no batch axes to index")
         batch = index if isinstance(index, tuple) else (index,)
         if not any(part is Ellipsis for part in batch):
             batch = (*batch, Ellipsis)
-        return Configuration.from_arrays(
-            self._geometry,
-            self._rotation[(*batch, slice(None), slice(None))],
-            self._translation[(*batch, slice(None))],
-            self._middle_joints[(*batch, slice(None), slice(None))],
-            None if self.known_lengths is None else self.known_lengths[(*batch, slice(None))],
-        )
+        try:
+            return Configuration.from_arrays(
+                self._geometry,
+                self._rotation[(*batch, slice(None), slice(None))],
+                self._translation[(*batch, slice(None))],
+                self._middle_joints[(*batch, slice(None), slice(None))],
+                None if self.known_lengths is None else self.known_lengths[(*batch, slice(None))],
+            )
+        except Exception as error:  # whatever NumPy makes of a foreign object
+            expected = f"an index of the batch axes {self.shape}"
+            raise SelectionError("index", expected, type_and_value(index), str(error)) from error
 
     def __iter__(self) -> Iterator[Configuration]:
         if not self.shape:

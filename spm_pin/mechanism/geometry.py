@@ -21,7 +21,15 @@ import yaml
 
 from spm_pin.errors import GeometryError
 from spm_pin.mechanism import yaml_nodes
-from spm_pin.mechanism.arguments import FloatArray, as_array, file_path, real_array, real_number, type_and_value
+from spm_pin.mechanism.arguments import (
+    FloatArray,
+    as_array,
+    file_path,
+    number_pair,
+    real_array,
+    real_number,
+    type_and_value,
+)
 
 __all__ = ["LEGS", "Geometry", "LegLimits", "config_directory", "geometry_of_node"]
 
@@ -59,13 +67,6 @@ def _six(value: float | Sequence[float], argument: str) -> tuple[float, ...]:
     return tuple(float(x) for x in np.broadcast_to(array, 6))
 
 
-def _pair(value: Sequence[float], argument: str) -> tuple[float, float]:
-    array = as_array(value)
-    if array is None or array.shape != (2,) or array.dtype.kind not in "fiu":
-        raise GeometryError(argument, "a pair (minimum, maximum) in metres", type_and_value(value))
-    return float(array[0]), float(array[1])
-
-
 @dataclass(frozen=True, init=False, repr=False)
 class LegLimits:
     """Shortest and longest length of each leg.
@@ -99,8 +100,9 @@ class LegLimits:
     @classmethod
     def stages(cls, lower: Sequence[float], upper: Sequence[float]) -> LegLimits:
         """Make limits from one (minimum, maximum) pair [m] for the lower legs and one for the upper."""
-        minimum, maximum = zip(_pair(lower, "lower"), _pair(upper, "upper"), strict=True)
-        return cls([minimum[0]] * 3 + [minimum[1]] * 3, [maximum[0]] * 3 + [maximum[1]] * 3)
+        pairs = [number_pair(lower, "lower", "metres", error=GeometryError)] * 3
+        pairs += [number_pair(upper, "upper", "metres", error=GeometryError)] * 3
+        return cls(*zip(*pairs, strict=True))
 
     def __repr__(self) -> str:
         pairs = [f"{low:.6g}, {high:.6g}" for low, high in zip(self.minimum, self.maximum, strict=True)]

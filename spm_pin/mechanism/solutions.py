@@ -11,8 +11,16 @@ from typing import Any, overload
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError, NotOneSolutionError
-from spm_pin.mechanism.arguments import FloatArray, boolean_array, broadcastable, first_offender, instance, real_array
+from spm_pin.errors import ArgumentError, NotOneSolutionError, SelectionError
+from spm_pin.mechanism.arguments import (
+    FloatArray,
+    boolean_array,
+    broadcastable,
+    first_offender,
+    instance,
+    real_array,
+    type_and_value,
+)
 from spm_pin.mechanism.branches import BRANCHES, FAMILIES, branch_sign, family, physical, straightness
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
@@ -101,8 +109,8 @@ class SolutionSet:
     -----
     A single problem is indexed by its solutions: ``solutions[0]``, ``solutions["TT+"]``. A batch is indexed as
     NumPy would index its batch axes: ``solutions[i]`` is the `SolutionSet` of problem i; a label picks that
-    solution of every problem. Iterating over a single problem yields the solutions that exist; the problems of a
-    batch are taken by their index.
+    solution of every problem. What selects nothing is a `SelectionError`, which is a `LookupError`. Iterating over a
+    single problem yields the solutions that exist; the problems of a batch are taken by their index.
     """
 
     def __init__(
@@ -308,7 +316,8 @@ class SolutionSet:
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, str):
             if index not in self._labels:
-                raise KeyError(f"{index!r}; the labels are {', '.join(self._labels)}")
+                labels = ", ".join(self._labels[:8]) + ", …" * (len(self._labels) > 8)
+                raise SelectionError("index", f"a label: {labels}", repr(index))
             return self._configurations[..., self._labels.index(index)]
         if not self.shape:
             return self._configurations[index]
@@ -316,8 +325,13 @@ class SolutionSet:
         if not any(part is Ellipsis for part in batch):
             batch = (*batch, Ellipsis)
         inner = (*batch, slice(None))
+        try:
+            chosen = self._configurations[inner]
+        except SelectionError as error:
+            expected = f"a label, or an index of the problems {self.shape}"
+            raise SelectionError("index", expected, type_and_value(index), error.cause) from error
         return SolutionSet(
-            self._configurations[inner],
+            chosen,
             self._labels,
             self._status[index],
             discriminants=None if self._discriminants is None else self._discriminants[inner],

@@ -186,6 +186,7 @@ def read_plan(path: Path) -> Plan:
             metadata = json.loads(text)
             stored = metadata["attributes"].get("spm_pin_sweep")
             if stored is not None:
+                _require_files(path)
                 _check_metadata(path, metadata)
                 definition = json.loads(stored)
                 if definition["format"] != FORMAT:
@@ -285,6 +286,20 @@ def _require_file(path: Path) -> None:
     """Raise `OSError` if a path is missing, or no regular file: to open a pipe may take for ever."""
     if not stat.S_ISREG(path.stat().st_mode):
         raise OSError(errno.EINVAL, "not a regular file", str(path))
+
+
+def _require_files(path: Path) -> None:
+    """Raise `OSError` if there is anything but folders and regular files in a store; readers open what they find."""
+    folders = [str(path)]
+    while folders:
+        with os.scandir(folders.pop()) as scan:
+            entries = list(scan)
+        for entry in entries:
+            if entry.is_dir(follow_symlinks=False):
+                folders.append(entry.path)
+            elif not entry.is_file():
+                with contextlib.suppress(FileNotFoundError):  # a draft that has just been renamed
+                    _require_file(Path(entry.path))
 
 
 def _read(path: Path) -> bytes:

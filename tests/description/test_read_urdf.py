@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import pickle
 import re
 from dataclasses import replace
@@ -12,9 +13,10 @@ import numpy as np
 import pytest
 from description.kinematic_tree import KinematicTree, inertia
 
-from spm_pin.description import URDF_PATH
+import spm_pin as spm
+from spm_pin.description import CLOSURES_PATH, URDF_PATH
 from spm_pin.description.closures import Closure
-from spm_pin.description.load_robot import manipulator
+from spm_pin.description.load_robot import manipulator, read_robot
 from spm_pin.description.read_urdf import check_inertials, read_urdf, urdf_description
 from spm_pin.description.robot_description import Joint, Link, RobotDescription, Transmission
 from spm_pin.description.write_mjcf import mjcf_text
@@ -102,6 +104,8 @@ def test_smallest_grid(tmp_path: Path) -> None:
         ("</robot>", '<link name="c"><sensor/></link></robot>', 28, "in <link>, got <sensor>"),
         ('<link name="b">', '<link type="x" name="b">', 10, "no attributes of <link> but name, got type"),
         ('<link name="b">', "<link>", 10, "the attribute name of <link>, got none"),
+        ('<link name="b">', '<link name="">', 10, "the attribute name of <link>, got none"),
+        ('<joint name="j"', '<joint name=""', 16, "the attribute name of <joint>, got none"),
         ('size="1 2 3"', 'size="1 2"', 6, "3 finite numbers as size of <box>, got '1 2'"),
         ('size="1 2 3"', 'size="1 2 -3"', 6, "positive dimensions"),
         ('size="1 2 3"', 'size="1 2 nan"', 6, "3 finite numbers"),
@@ -164,6 +168,7 @@ def test_elements_that_cannot_be_represented_are_refused(
     [
         ('<parent link="a"/>', '<parent link="z"/>', "links of two, got 'z' in the joint j"),
         ('<link name="b">', '<link name="a">', "names that occur once, got 'a' twice"),
+        ('<joint name="j"', '<joint name="universe"', "Pinocchio's of the root, got 'universe'"),
         ('<parent link="a"/>', '<parent link="b"/>', "a tree"),
         ("</robot>", '<link name="c"/></robot>', "a tree with one root link, got 2: a, c"),
         ("</robot>", GOOD[GOOD.index("  <joint") : GOOD.index("  <trans")] + "</robot>", "occur once, got 'j' twice"),
@@ -181,6 +186,16 @@ def test_files_that_describe_no_robot_are_refused(old: str, new: str, said: str,
     with pytest.raises(DescriptionError) as caught:
         read_urdf(written(tmp_path, GOOD.replace(old, new, 1)))
     assert said in str(caught.value)
+
+
+def test_a_byte_order_mark_is_passed_over(tmp_path: Path) -> None:
+    """Editors on Windows write one before the text."""
+    marked = tmp_path / "robot.urdf", tmp_path / "closures.yaml"
+    for path, source in zip(marked, (URDF_PATH, CLOSURES_PATH), strict=True):
+        path.write_bytes(codecs.BOM_UTF8 + Path(source).read_bytes())
+    (tmp_path / "meshes").symlink_to(Path(URDF_PATH).parent / "meshes")
+    assert read_robot(*marked).closures == read_robot(URDF_PATH, CLOSURES_PATH).closures
+    assert spm.ClosedChain.from_urdf(marked[0]).geometry == spm.ClosedChain.from_urdf(URDF_PATH).geometry
 
 
 def test_loops_in_the_tree_are_refused() -> None:

@@ -10,6 +10,7 @@ from problems import in_leg_space
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
+from spm_pin.errors import SelectionError
 from spm_pin.mechanism.configuration import check_configuration
 
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
@@ -140,7 +141,7 @@ def test_arguments_that_do_not_fit_together() -> None:
 
 
 def test_a_single_state_is_no_sequence(configuration: spm.Configuration) -> None:
-    with pytest.raises(IndexError, match="no batch axes"):
+    with pytest.raises(SelectionError, match="no batch axes"):
         configuration[0]
     with pytest.raises(TypeError, match="no batch axes"):
         iter(configuration)

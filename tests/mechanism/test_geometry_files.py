@@ -31,6 +31,11 @@ def test_yaml_with_radii_and_without_limits(tmp_path: Path) -> None:
     assert spm.Geometry.from_yaml(path) == spm.Geometry(0.5, 0.3 / 3**0.5, 0.4)
 
 
+def test_yaml_with_a_byte_order_mark(tmp_path: Path) -> None:
+    """Editors on Windows write one before the text."""
+    assert spm.Geometry.from_yaml(write(tmp_path / "robot.yaml", "\ufeff" + GOOD)) == spm.Geometry.paper()
+
+
 def test_yaml_with_limits_leg_by_leg(tmp_path: Path) -> None:
     legs = "".join(f"  {leg}: [{1 + k / 10}, {2 + k / 10}]\n" for k, leg in enumerate(spm.mechanism.LEGS))
     path = write(tmp_path / "robot.yaml", "base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits:\n" + legs)

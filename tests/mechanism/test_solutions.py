@@ -11,6 +11,7 @@ import pytest
 from problems import in_leg_space, random_branches
 
 import spm_pin as spm
+from spm_pin.errors import SelectionError
 from spm_pin.mechanism.branches import determinants, straightness
 from spm_pin.mechanism.configuration import check_configuration
 
@@ -39,9 +40,9 @@ def test_a_single_problem_is_indexed_by_its_solutions(branches: spm.SolutionSet)
     assert len(real) == 6
     assert all(state.exists for state in real)
     np.testing.assert_array_equal(real[4].leg_lengths, branches["FF+"].leg_lengths)
-    with pytest.raises(KeyError, match="the labels are TT"):
+    with pytest.raises(SelectionError, match=r"index: expected a label: TT\+, .*, got 'TT'"):
         branches["TT"]
-    with pytest.raises(IndexError):
+    with pytest.raises(SelectionError, match=r"index: expected an index of the batch axes \(8,\), got int 8"):
         branches[8]
 
 
@@ -64,8 +65,28 @@ def test_a_batch_is_indexed_by_its_problems(batch: spm.SolutionSet) -> None:
     assert grid[1, 0].shape == ()
     assert grid[:, 1].shape == (3,)
     assert grid[..., 1].shape == (3,)
-    with pytest.raises(IndexError):
+    with pytest.raises(SelectionError, match=r"a label, or an index of the problems \(3, 2\), got tuple"):
         grid[0, 0, 0]
+
+
+def test_what_selects_nothing_is_one_kind_of_error(branches: spm.SolutionSet, batch: spm.SolutionSet) -> None:
+    assert issubclass(SelectionError, LookupError)
+    for wrong in (
+        1.5,
+        "\0",
+        "tt+",
+        1j,
+        10**400,
+        {},
+        object(),
+        [[0], [0, 1]],
+        (0, 0, 0),
+        np.ones(9, dtype=bool),
+        b"TT+",
+    ):
+        for indexed in (branches, batch, branches.configurations, branches[0]):
+            with pytest.raises(SelectionError, match=r"^index: expected .*, got "):
+                indexed[wrong]
 
 
 def test_shapes_are_as_documented(batch: spm.SolutionSet) -> None:

@@ -458,6 +458,8 @@ def test_pipe_in_place_of_a_file_is_refused_and_not_changed(name: str, store: Pa
         small(store)
     with pytest.raises(spm.SpmError, match="not a regular file"):
         resume(store, workers=1)
+    with pytest.raises(spm.SpmError, match="not a regular file"):
+        open_store(store).load()
     assert (store / name).is_fifo()
 
 

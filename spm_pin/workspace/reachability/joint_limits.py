@@ -5,14 +5,13 @@ Angles are those of `spm_pin.mechanism.joint_angles`: of the description's joint
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.arguments import FloatArray, number_pair, real_number
+from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.joint_angles import joint_angles
 
 __all__ = ["JointLimits", "leg_clearance"]
@@ -52,29 +51,25 @@ class JointLimits:
     clearance: float | None = None
 
     def __post_init__(self) -> None:
-        for field in fields(self)[:4]:
-            pair = getattr(self, field.name)
+        for name in _ANGLES:
+            pair = getattr(self, name)
             if pair is None:
                 continue
-            try:
-                low, high = (float(angle) for angle in pair)
-            except (TypeError, ValueError):
-                raise ArgumentError(field.name, "a pair (minimum, maximum) in radians", repr(pair)) from None
+            low, high = number_pair(pair, name, "radians")
             if not low < high:
                 cause = "Minimum and maximum exchanged?" if low > high else ""
-                raise ArgumentError(
-                    field.name, "a minimum below the maximum, in radians", f"({low:g}, {high:g})", cause
-                )
-            object.__setattr__(self, field.name, (low, high))
-        if self.clearance is not None and not (math.isfinite(self.clearance) and self.clearance >= 0.0):
-            raise ArgumentError("clearance", "a distance in metres that is not negative", repr(self.clearance))
+                raise ArgumentError(name, "a minimum below the maximum, in radians", f"({low:g}, {high:g})", cause)
+            object.__setattr__(self, name, (low, high))
+        if self.clearance is not None:
+            clearance = real_number(self.clearance, "clearance", "a distance in metres, not negative", least=0.0)
+            object.__setattr__(self, "clearance", clearance)
 
     def angle_margin(self, configuration: Configuration) -> FloatArray:
         """Return how far the worst angle is inside its limits, shape (...) [rad].
 
         Negative outside, infinite without limits, NaN where a state does not exist.
         """
-        margin = np.full(configuration.shape, np.inf)
+        margin = np.full(check_configuration(configuration).shape, np.inf)
         if any(getattr(self, name) is not None for name in _ANGLES):
             angles = joint_angles(configuration)
             for name in _ANGLES:
@@ -86,7 +81,7 @@ class JointLimits:
     def clearance_margin(self, configuration: Configuration) -> FloatArray:
         """Return by how much the nearest legs are farther apart than they must, shape (...) [m]; as `angle_margin`."""
         if self.clearance is None:
-            return np.where(configuration.exists, np.inf, np.nan)
+            return np.where(check_configuration(configuration).exists, np.inf, np.nan)
         return leg_clearance(configuration) - self.clearance
 
 
@@ -96,7 +91,7 @@ def leg_clearance(configuration: Configuration) -> FloatArray:
     An axis is the segment from the revolute joint to the ball joint's centre. Of the fifteen pairs of legs, the three
     that meet in a ball joint are left out. NaN where a state does not exist.
     """
-    b = configuration.middle_joints
+    b = check_configuration(configuration).middle_joints
     feet = np.broadcast_to(configuration.geometry.base_joints, b.shape)
     starts = np.concatenate([feet, b], axis=-2)
     along = configuration.leg_vectors

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.closed_form.forward_displacement import forward_physical
-from spm_pin.errors import ArgumentError, GeometryError, MissingExtraError
-from spm_pin.mechanism.arguments import FloatArray, first_offender, frozen, real_array, whole_number
+from spm_pin.errors import ArgumentError, GeometryError, MissingExtraError, SelectionError
+from spm_pin.mechanism.arguments import FloatArray, first_offender, frozen, real_array, type_and_value, whole_number
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
 from spm_pin.workspace.table_6.convergence import Convergence
@@ -115,7 +115,8 @@ class Shell:
         for patch in self.patches:
             if patch.name == name:
                 return patch
-        raise KeyError(f"{name!r}; the patches are {', '.join(patch.name for patch in self.patches)}")
+        expected = f"a patch: {', '.join(patch.name for patch in self.patches)}"
+        raise SelectionError("name", expected, type_and_value(name))
 
     @property
     def vertices(self) -> FloatArray:

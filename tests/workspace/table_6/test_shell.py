@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import binomtest
 
 import spm_pin as spm
+from spm_pin.errors import SelectionError
 from spm_pin.paper import published
 from spm_pin.workspace.table_6.shell import Shell, workspace_shell
 
@@ -91,7 +92,7 @@ def test_patches_are_forward_displacement_of_their_legs() -> None:
         assert set(np.unique(SHELL.faces[patch.faces])) == set(patch.grid.ravel())
     assert SHELL.area == pytest.approx(SHELL.mesh.area, rel=1e-12)
     assert SHELL["Sm5"].varying == ("r_b1", "r_b3")
-    with pytest.raises(KeyError, match="the patches are St1"):
+    with pytest.raises(SelectionError, match=r"name: expected a patch: St1, .*, got str 'Sx1'"):
         SHELL["Sx1"]
 
 
