@@ -1,8 +1,8 @@
 """Build the documentation as a static site: `python docs/site/build.py [FOLDER]`. Needs `pip install ".[docs]"`.
 
 Pages in docs/ link to source files as one does on disk; on the site such a link leads to the module's entry in the
-reference, so that the same text reads well in either. The reference, the examples and the paper's tables are made
-here, by the code they describe. Nothing is fetched, and a warning is an error.
+reference, so that the same text reads well in either. The reference, the examples, the paper's tables and those of the
+literature's claims are made here, by the code they describe. Nothing is fetched, and a warning is an error.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import sys
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 
+from literature import with_tables
 from sphinx.cmd.build import build_main
 
 from spm_pin.reproduction import reproduce
@@ -61,6 +62,7 @@ def main(folder: Path) -> int:
             (sources / page).parent.mkdir(parents=True, exist_ok=True)
             (sources / page).write_text(text, encoding="utf-8")
         shutil.copytree(ROOT / "docs/images", sources / "images")
+        shutil.copy(ROOT / "docs/references.bib", sources)
         settings = str(ROOT / "docs/site")
         options = ["-q", "-W", "--keep-going", "-E", "-b", "html", "-c", settings, "-d", f"{name}.doctrees"]
         try:
@@ -77,6 +79,7 @@ def pages() -> dict[str, str]:
     origins |= {"changelog.md": ROOT / "CHANGELOG.md", "examples.md": ROOT / "examples/README.md"}
     origins |= {"results.md": ROOT / "benchmarks/results.md", "results_sweep.md": ROOT / "benchmarks/sweep.md"}
     found = {page: _turned(page, origin, origins) for page, origin in origins.items()}
+    found["theory/literature_checks.md"] = with_tables(found["theory/literature_checks.md"])
     found["examples.md"] += _scripts()
     found["index.md"] += _contents(found)
     found["paper.md"] = _paper()
@@ -107,8 +110,8 @@ def _turned(page: str, origin: Path, origins: dict[str, Path]) -> str:
             return f"[{text}](#{'.'.join(parts)})"
         elif parts[0] == "spm_pin" and len(parts) > 1 and parts[1] in INTERNAL:
             shown = f"reference/modules/{parts[1]}.md"
-        elif parts[:2] == ("docs", "images"):
-            shown = "images/" + "/".join(path.relative_to(ROOT / "docs/images").parts)
+        elif parts[:2] == ("docs", "images") or path.suffix == ".bib":
+            shown = path.relative_to(ROOT / "docs").as_posix()
         else:
             return text  # a file of the tree that the site does not show
         return f"[{text}]({posixpath.relpath(shown, posixpath.dirname(page) or '.')}{anchor})"
@@ -120,11 +123,11 @@ def _turned(page: str, origin: Path, origins: dict[str, Path]) -> str:
 def _contents(found: dict[str, str]) -> str:
     """Return the tables of contents: what stands first, and then whatever else a folder holds."""
     kinematics = ("inverse_displacement", "forward_displacement", "rates_forces_singularities")
-    theory = (*kinematics, "workspace", "reachable_set", "proofs", "dynamics")
+    theory = ("README", *kinematics, "literature_checks", "workspace", "reachable_set", "proofs", "as_built")
     guides = ("batches", "paths", "workspace", "viewer", "pipelines", "load_elsewhere", "sweep")
     chapters = {
         "Theory": _ordered(found, "theory", theory),
-        "The paper": ["findings", "paper"],
+        "The paper, and others": ["findings", "paper", "related_work"],
         "How to": _ordered(found, "howto", guides),
         "More": [
             "examples",

@@ -1,0 +1,334 @@
+"""Claims of the literature recomputed: the tables of docs/theory/literature_checks.md, made when the site is built.
+
+`python docs/site/literature.py` prints them. The states are composed from the two stages, so no solver of the package
+takes part in making one.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from assembly_mode_changes import Array, NonsingularChange, differences, nonsingular_changes
+from scipy.spatial.transform import RigidTransform, Rotation
+
+import spm_pin as spm
+from spm_pin.closed_form.singularity_analysis import singular_values
+
+PAGE = Path(__file__).parents[1] / "theory/literature_checks.md"
+GEOMETRY = spm.Geometry.paper()
+FAMILIES = ("TT", "TF", "FT", "FF")
+SAMPLES = 50
+"""States of each family or stratum."""
+
+
+def quaternion(mode: str, azimuth: npt.ArrayLike, half_tilt: npt.ArrayLike) -> Array:
+    """Return the middle platform's quaternion (..., 4) in a stage, scalar last, from its tilt's axis and half angle."""
+    azimuth, half_tilt = np.broadcast_arrays(azimuth, half_tilt)
+    zero, rest = np.zeros(azimuth.shape), np.cos(half_tilt)
+    tilted = np.sin(half_tilt) * np.cos(azimuth), np.sin(half_tilt) * np.sin(azimuth)
+    return np.stack([*tilted, *((zero, rest) if mode == "T" else (rest, zero))], axis=-1)
+
+
+def compose(quaternions: Array, heights: Array) -> spm.Configuration:
+    """Return the configurations (...) of two stages: quaternions (..., 2, 4) and heights (..., 2) [m]."""
+    joints, lower = place(quaternions[..., 0, :], heights[..., 0])
+    _, upper = place(quaternions[..., 1, :], heights[..., 1])
+    return spm.Configuration(GEOMETRY, lower * upper.inv(), joints)
+
+
+def place(turned: Array, height: Array) -> tuple[Array, RigidTransform]:
+    """Return the corners (..., 3, 3) and the pose of the middle platform in one stage, at quaternions (..., 4)."""
+    r, (x1, x2) = GEOMETRY.middle_radius, np.moveaxis(turned[..., :2], -1, 0)
+    centre = np.stack([-2.0 * r * x1 * x2, r * (x2 * x2 - x1 * x1), height], axis=-1)
+    pose = RigidTransform.from_components(centre, Rotation.from_quat(turned))
+    corners = np.einsum("...ij,kj->...ki", pose.as_matrix()[..., :3, :3], r * GEOMETRY.radial_directions)
+    return corners + centre[..., None, :], pose
+
+
+# The characteristic tetrahedron
+
+
+@dataclass(frozen=True)
+class Tetrahedron:
+    """Determinant of the four planes over det K, for states of one family."""
+
+    family: str
+    states: int
+    ratio: float
+    deviation: float
+
+
+def tetrahedron_determinants(configuration: spm.Configuration) -> tuple[Array, Array]:
+    """Return the determinant of the tetrahedron's planes (...) and det K (...) [m³].
+
+    The planes, rows of a 4 x 4 matrix: at each ball joint that of its two revolute axes, with their cross product for
+    its normal; and that of the three ball joints, with a normal of length one, hence the factor 2 / (√3 d²).
+    """
+    joints, axes = configuration.middle_joints, configuration.geometry.revolute_axes
+    normals = np.cross(np.broadcast_to(axes, joints.shape), axes @ np.swapaxes(configuration.rotation, -1, -2))
+    flat = np.cross(joints[..., 1, :] - joints[..., 0, :], joints[..., 2, :] - joints[..., 0, :])
+    normals = np.concatenate([normals, flat[..., None, :] / np.linalg.norm(flat, axis=-1)[..., None, None]], axis=-2)
+    points = np.concatenate([joints, joints[..., :1, :]], axis=-2)
+    planes = np.concatenate([normals, -(normals * points).sum(axis=-1)[..., None]], axis=-1)
+    return np.asarray(np.linalg.det(planes)), spm.closed_form.determinants(configuration)[..., 2]
+
+
+def tetrahedron() -> list[Tetrahedron]:
+    """Return the ratio of the tetrahedron's determinant and det K, in units of 2 / (√3 d²), for each family."""
+    rng = np.random.default_rng(0)
+    unit = 2.0 / (np.sqrt(3.0) * GEOMETRY.middle_side**2)
+    found = []
+    for family in FAMILIES:
+        planes, structure = tetrahedron_determinants(random_states(family, rng))
+        ratios = planes / (unit * structure)
+        found.append(Tetrahedron(family, len(ratios), float(np.median(ratios)), float(np.ptp(ratios))))
+    return found
+
+
+def random_states(family: str, rng: np.random.Generator) -> spm.Configuration:
+    """Return configurations (SAMPLES,) of a family, all tilts and heights of both signs."""
+    azimuths = rng.uniform(-np.pi, np.pi, (SAMPLES, 2))
+    half_tilts = np.arcsin(np.sqrt(rng.uniform(0.0, 1.0, (SAMPLES, 2))))
+    turned = np.stack([quaternion(mode, azimuths[:, k], half_tilts[:, k]) for k, mode in enumerate(family)], axis=1)
+    return compose(turned, rng.uniform(-2.0, 2.0, (SAMPLES, 2)))
+
+
+# Strata of the rank of K
+
+
+@dataclass(frozen=True)
+class Stratum:
+    """States of one kind: their dimension, the rank of K, and how the middle platform moves between ends at rest.
+
+    `dimension` counts the parameters of the states that matter, `bound` is that of the tangent space of the states of
+    this rank, so that the dimension of the set of all of them near these lies between; `finite` is the dimension of
+    the continuous family of configurations of the pose, `infinitesimal` that of the twists.
+    """
+
+    states: str
+    rank: int
+    dimension: int
+    bound: int
+    infinitesimal: int
+    finite: int
+
+
+HALF = 0.5 * np.pi
+AXIS = np.pi / 3.0
+"""Azimuth of a revolute axis."""
+
+# Azimuths of both tilt axes and half tilts of both stages, from two random azimuths and two random half tilts.
+Angles = tuple[float, float, float, float]
+STRATA: dict[str, Callable[[float, float, float, float], Angles]] = {
+    "in general": lambda p, q, a, b: (p, q, a, b),
+    "one stage turned by a half turn": lambda p, q, a, b: (p, q, HALF, b),
+    "both tilted about the revolute axis of one leg": lambda p, q, a, b: (AXIS, AXIS, a, b),
+    "upside down: opposite tilts that add up to a half turn": lambda p, q, a, b: (p, p + np.pi, a, HALF - a),
+    "the same about the revolute axis of one leg": lambda p, q, a, b: (AXIS, AXIS + np.pi, a, HALF - a),
+    "a half turn and a tilt about the revolute axis of one leg": lambda p, q, a, b: (AXIS, AXIS, HALF, b),
+    "a half turn across the revolute axis of one leg, a tilt about it": lambda p, q, a, b: (AXIS + HALF, AXIS, HALF, b),
+    "equal tilts, the symmetric home among them": lambda p, q, a, b: (p, p, a, a),
+    "both stages turned by half turns": lambda p, q, a, b: (p, q, HALF, HALF),
+    "one stage turned by a half turn, the other level": lambda p, q, a, b: (p, q, HALF, 0.0),
+    "equal half turns": lambda p, q, a, b: (p, p, HALF, HALF),
+}
+
+
+def strata() -> list[Stratum]:
+    """Return the strata of family TT, those of lowest rank last."""
+    rng = np.random.default_rng(1)
+    return [_stratum(name, angles, rng) for name, angles in STRATA.items()]
+
+
+def _stratum(name: str, angles: Callable[..., Angles], rng: np.random.Generator) -> Stratum:
+    def states(drawn: Array) -> tuple[Array, Array]:
+        p, q, a, b = np.transpose([np.broadcast_to(angles(*row), 4) for row in drawn[:, :4]])
+        return np.stack([quaternion("T", p, a), quaternion("T", q, b)], axis=1), drawn[:, 4:]
+
+    drawn = rng.uniform([-np.pi, -np.pi, 0.2, 0.2, 0.5, -2.0], [np.pi, np.pi, 1.3, 1.3, 2.0, -0.5], (SAMPLES, 6))
+    turned, heights = states(drawn)
+    configurations = compose(turned, heights)
+    found = spm.singularities(configurations)
+    (rank,) = np.unique(found.rank[:, 2])
+    family = spm.inverse_displacement(GEOMETRY, configurations.pose).degeneracy
+    assert family is not None
+    (finite,) = np.unique(family.dimension)
+
+    def coordinates(rows: Array) -> Array:
+        return np.hstack([states(rows)[0].reshape(len(rows), -1), rows[:, 4:]])
+
+    (dimension,) = {_rank(differences(coordinates, row)) for row in drawn}
+    (bound,) = {6 - _rank(_linearised(turned[n], heights[n], int(rank))) for n in range(SAMPLES)}
+    return Stratum(name, int(rank), dimension, bound, 6 - int(rank), int(finite))
+
+
+def structure_matrix(turned: Array, heights: Array) -> Array:
+    """Return K (N, 6, 6) at the middle platform's centre, lengths in units of d."""
+    configuration = compose(turned, heights)
+    axes = GEOMETRY.revolute_axes
+    forces = np.concatenate(
+        [np.broadcast_to(axes, (len(turned), 3, 3)), axes @ np.swapaxes(configuration.rotation, -1, -2)], axis=1
+    )
+    arms = configuration.middle_joints - configuration.middle_joints.mean(axis=1, keepdims=True)
+    return np.concatenate([forces, np.cross(np.tile(arms, (1, 2, 1)) / GEOMETRY.middle_side, forces)], axis=-1)
+
+
+def _linearised(turned: Array, heights: Array, rank: int) -> Array:
+    """Return how the part of K that vanishes at a state changes with the six coordinates of the state."""
+    left, _, right = np.linalg.svd(structure_matrix(turned[None], heights[None])[0])
+    # Tangents of the sphere of quaternions without torsion, then the heights.
+    basis = [np.linalg.svd(q[None, [0, 1, 3]])[2][1:] for q in turned]
+
+    def moved(steps: Array) -> Array:
+        q = turned + np.zeros((len(steps), 2, 4))
+        for k in (0, 1):
+            q[:, k, [0, 1, 3]] += steps[:, 2 * k : 2 * k + 2] @ basis[k]
+        q /= np.linalg.norm(q, axis=-1, keepdims=True)
+        matrices = structure_matrix(q, heights + steps[:, 4:])
+        return (left[:, rank:].T @ matrices @ right[rank:].T).reshape(len(steps), -1)
+
+    return differences(moved, np.zeros(6))
+
+
+def _rank(matrix: Array) -> int:
+    return int((np.linalg.svd(matrix, compute_uv=False) > 1e-7).sum()) if matrix.size else 0
+
+
+# Degrees of freedom
+
+
+@dataclass(frozen=True)
+class Freedoms:
+    """Freedoms of the mechanism at a state, and those of its terminal platform."""
+
+    state: str
+    joints: int
+    closures: int
+    mechanism: int
+    platform: int
+
+
+def freedoms() -> list[Freedoms]:
+    """Return the mobility from the rank of the closures in Pinocchio, and the rank of the platform's Jacobian."""
+    chain = spm.ClosedChain.from_urdf()
+    home = spm.forward_physical(GEOMETRY, [1.3] * 6)
+    mirrored = quaternion("T", [AXIS, AXIS], [0.2, -0.1])
+    states = {
+        "solution 3 of the paper": spm.forward_physical(GEOMETRY, [1.20, 1.20, 1.40, 1.25, 1.20, 1.50]),
+        "both stages tilted about the revolute axis of leg 1": compose(mirrored, np.array([1.1, -1.2])),
+        "the symmetric home": home,
+    }
+    found = []
+    for name, state in states.items():
+        closures = _rank(chain.constraint_jacobian(chain.joint_values(state)))
+        platform = _rank(spm.closed_form.platform_jacobian(state))
+        found.append(Freedoms(name, 18, closures, 18 - closures, platform))
+    return found
+
+
+# Operation modes
+
+
+@dataclass(frozen=True)
+class Passage:
+    """The lower stage passes from mode T to mode F: states before, at and after the half turn."""
+
+    state: str
+    families: str
+    closure: float
+    rank: int
+    determinant: float
+
+
+def passages() -> list[Passage]:
+    """Return states along a motion of the lower stage through a half turn: x0 falls to zero, then x3 rises."""
+    azimuth, upper = 0.7, quaternion("T", 1.9, 0.2)
+    states = {
+        "x0 = 0.2": quaternion("T", azimuth, np.arccos(0.2)),
+        "x0 = x3 = 0": quaternion("T", azimuth, HALF),
+        "x3 = 0.2": quaternion("F", azimuth, np.arccos(0.2)),
+    }
+    found = []
+    for name, lower in states.items():
+        state = compose(np.stack([lower, upper]), np.array([1.1, -1.2]))
+        values = singular_values(_lower_structure(state))
+        mean_radius = (state.middle_joints * GEOMETRY.radial_directions).sum(axis=-1).mean()
+        mode = "T or F" if abs(mean_radius) < 1e-12 else "T" if mean_radius > 0.0 else "F"
+        determinant = float(spm.singularities(state).index[0])
+        rank = int((values > 1e-12).sum())
+        found.append(Passage(name, mode, float(state.closure_residual), rank, determinant))
+    return found
+
+
+def _lower_structure(state: spm.Configuration) -> Array:
+    """Return K_b (3, 6), the wrenches of the lower stage's revolute joints."""
+    arms = (state.middle_joints - state.middle_joints.mean(axis=0)) / GEOMETRY.middle_side
+    return np.concatenate([GEOMETRY.revolute_axes, np.cross(arms, GEOMETRY.revolute_axes)], axis=-1)
+
+
+def self_motion(steps: int = 200) -> tuple[Array, Array]:
+    """Return leg lengths (2, N, 3) along a self-motion in units of r, in mode T and in mode F, and p = sin²(tilt / 2).
+
+    Hips at E = 0.75 r as in the paper's upper stage, one leg 3E long, the others √(3(r² - E²)); from the half turn at
+    which both modes meet. With ψ counted from the axis of the odd leg, p = (1 ± 2E/r) / (1 ± 2 cos 2ψ).
+    """
+    e, r = GEOMETRY.platform_radius / GEOMETRY.middle_radius, GEOMETRY.middle_radius
+    psi = 0.5 * np.arccos(e) * np.linspace(1.0, 0.0, steps)
+    lengths, tilts = [], []
+    for mode, sign in (("T", 1.0), ("F", -1.0)):
+        p = np.minimum((1.0 + sign * 2.0 * e) / (1.0 + sign * 2.0 * np.cos(2.0 * psi)), 1.0)
+        # Leg 2 is the odd one: the axis of its revolute joint has the azimuth 180°.
+        joints = place(quaternion(mode, np.pi + psi, np.arcsin(np.sqrt(p))), np.zeros(steps))[0] / r
+        joints = joints - e * GEOMETRY.radial_directions
+        joints[..., 2] -= joints[:, 1:2, 2]  # leg 2 lies flat across the base
+        lengths.append(np.linalg.norm(joints, axis=-1))
+        tilts.append(p)
+    return np.stack(lengths), np.stack(tilts)
+
+
+# Tables
+
+
+def tables() -> dict[str, str]:
+    """Return the tables of the page by name, in Markdown."""
+    lengths, p = self_motion()
+    spread = float(np.ptp(lengths, axis=(0, 1)).max())
+    tilts = np.degrees(2.0 * np.arcsin(np.sqrt(p)))
+    motion = (
+        f"Largest change of a leg along both halves: {spread:.0e} r. The tilt goes from {tilts[0, -1]:.1f}° in mode T "
+        f"to {tilts[0, 0]:.1f}° and on to {tilts[1, -1]:.1f}° in mode F.\n"
+    )
+    ends = "legs [r], ends apart [r], lengths differ by [r], boxes, proved: \\|D\\| / r⁶ at least"
+    return {
+        "tetrahedron": _table("family, states, ratio, largest difference of two ratios", tetrahedron()),
+        "strata": _table("states, rank of K, dimension, bound, infinitesimal, finite", strata()),
+        "freedoms": _table("state, joints, rank of the closures, mechanism, platform", freedoms()),
+        "passages": _table("state, mode, closure residual [m], rank of K_b, det J_b / d³", passages()),
+        "self_motion": motion,
+        "cuspidal": _table(f"stage, E/r, {ends}", nonsingular_changes(GEOMETRY)),
+    }
+
+
+def with_tables(page: str) -> str:
+    """Return the text of a page with its comments `table: name` replaced by the tables."""
+    found = tables()
+    return re.sub(r"<!-- table: (\w+) -->", lambda match: found[match[1]], page)
+
+
+def _table(headings: str, rows: Sequence[Tetrahedron | Stratum | Freedoms | Passage | NonsingularChange]) -> str:
+    titles = headings.split(", ")
+    lines = [f"| {' | '.join(titles)} |", f"|{'---|' * len(titles)}"]
+    for row in rows:
+        values = [getattr(row, field.name) for field in fields(row)]
+        lines.append(f"| {' | '.join(f'{v:.3g}' if isinstance(v, float) else str(v) for v in values)} |")
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    for name, text in tables().items():
+        print(f"{name}\n{text}")
