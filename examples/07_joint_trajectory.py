@@ -34,14 +34,13 @@ trajectory.to_csv(folder / "joints.csv")
 trajectory.to_json(folder / "joints.json")
 print(trajectory, f"loops open by {np.abs(chain.closure_gap(trajectory.positions)).max():.0e} m")
 
-figure, (legs, passive) = plt.subplots(2, 1, figsize=(6, 4.2), sharex=True, layout="constrained")
+figure, (legs, passive) = plt.subplots(2, 1, figsize=(8, 6.6), sharex=True, layout="constrained", height_ratios=[1, 2])
 change = trajectory.positions - trajectory.positions[0]
-actuated = set(chain.leg_indices)
-for joint, name in enumerate(chain.joint_names):
-    ax = legs if joint in actuated else passive
-    ax.plot(trajectory.times, change[:, joint], label=name)
+for ax, joints in ((legs, chain.leg_indices), (passive, np.setdiff1d(np.arange(18), chain.leg_indices))):
+    for place, joint in enumerate(sorted(joints, key=chain.joint_names.__getitem__)):
+        ax.plot(trajectory.times, change[:, joint], color=f"C{place % 6}", ls=["-", "--"][place // 6])
+        ax.lines[-1].set_label(chain.joint_names[joint])
+    ax.legend(fontsize=9, loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
 legs.set(ylabel="leg [m]", title="eighteen joints along a platform path, from their start")
 passive.set(xlabel="time [s]", ylabel="passive joint [rad]")
-for ax in (legs, passive):
-    ax.legend(fontsize=5, ncols=2, loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
 figure.savefig(folder / "07_joint_trajectory.png", dpi=160)

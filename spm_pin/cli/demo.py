@@ -15,6 +15,7 @@ from spm_pin.cli.crosscheck import compare_with_progress, print_report, verdict_
 from spm_pin.cli.options import selected_labels
 from spm_pin.cli.outputs import check_output, require_extra
 from spm_pin.cli.reproduce import print_summary, summary_line
+from spm_pin.cli.requested_states import titled_branches
 from spm_pin.closed_form.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import Geometry, pose
 from spm_pin.paper import published
@@ -72,5 +73,4 @@ def _draw_example(out: Path) -> None:
 
     example = pose(np.array(published.POSITION) / 100.0, xyx=np.deg2rad(published.XYX_DEGREES))
     solutions = inverse_displacement(Geometry.paper(), example)
-    states = {label: solutions[label] for label in selected_labels(solutions, None)}
-    save_gallery(states, out)
+    save_gallery(titled_branches(solutions, selected_labels(solutions, None)), out)

@@ -11,7 +11,14 @@ import typer
 from spm_pin.cli.console import note
 from spm_pin.cli.options import Branches, GeometryFile, LengthUnit, Unit, read_geometry, selected_labels
 from spm_pin.cli.outputs import check_output, name_options, require_extra
-from spm_pin.cli.requested_states import AnyLegs, AnyTranslation, AnyXyx, requested_solutions, select_branch
+from spm_pin.cli.requested_states import (
+    AnyLegs,
+    AnyTranslation,
+    AnyXyx,
+    requested_solutions,
+    select_branch,
+    titled_branches,
+)
 from spm_pin.display.figure_files import FORMATS
 from spm_pin.errors import ArgumentError
 
@@ -41,7 +48,8 @@ def draw(
     ] = (15.0, 25.0),
     width: Annotated[int | None, typer.Option(help="Width of the picture in pixels.")] = None,
     names: Annotated[
-        bool | None, typer.Option("--names/--no-names", help="Name joints, legs and axes; alone, a branch has names.")
+        bool | None,
+        typer.Option("--names/--no-names", help="Name joints, legs and axes; a branch alone has names."),
     ] = None,
     background: Annotated[str, typer.Option(help="A colour, or none.")] = "white",
 ) -> None:
@@ -53,7 +61,7 @@ def draw(
     """
     require_extra("plots")
     check_output(out, "--out", FORMATS)
-    from spm_pin.display.plots import save_gallery, save_picture
+    from spm_pin.display.plots import NARROWEST, save_gallery, save_picture
 
     if every and branch is not None:
         raise ArgumentError("--all", "all branches or some", "both --all and --branch")
@@ -62,12 +70,11 @@ def draw(
     direction = float(azimuth), float(elevation)
     labels = selected_labels(solutions, branch) if every or branch is not None else []
     if len(labels) > 1:
-        states = {
-            label + ", physical" * bool(solutions.is_physical[solutions.labels.index(label)]): solutions[label]
-            for label in labels
-        }
+        states = titled_branches(solutions, labels)
         save_gallery(states, out, view=direction, labels=bool(names), width=width or 1600, background=background)
     else:
         state = select_branch(solutions, default, labels[0] if labels else None)
-        save_picture(state, out, view=direction, labels=names is not False, width=width or 1000, background=background)
+        width = width or 1000
+        names = width >= NARROWEST[True] if names is None else names
+        save_picture(state, out, view=direction, labels=names, width=width, background=background)
     note(f"wrote {out}")

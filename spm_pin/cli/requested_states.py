@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, NoReturn
 
@@ -36,6 +37,7 @@ __all__ = [
     "requested_solutions",
     "select_branch",
     "solve_pose",
+    "titled_branches",
 ]
 
 AnyTranslation = Annotated[Triple | None, TRANSLATION]
@@ -87,6 +89,13 @@ def select_branch(solutions: SolutionSet, default: Configuration, branch: str | 
         return default
     state: Configuration = solutions[selected_labels(solutions, [branch])[0]]
     return state
+
+
+def titled_branches(solutions: SolutionSet, labels: Sequence[str]) -> dict[str, Configuration]:
+    """Return branches of a pose under the titles of their pictures."""
+    physical = solutions.is_physical
+    places = [solutions.labels.index(label) for label in labels]
+    return {solutions.labels[k] + ", physical" * bool(physical[k]): solutions[k] for k in places}
 
 
 def solve_pose(

@@ -21,11 +21,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["VIEW", "draw", "draw_solids", "save_gallery", "save_picture"]
+__all__ = ["NARROWEST", "VIEW", "draw", "draw_solids", "save_gallery", "save_picture"]
 
 _EDGE = 0.45  # width of edges in points
 _WIDTH = 4.0  # of a new figure, in inches
 _MARGINS = (0.049, 0.035)  # for labels
+NARROWEST = {False: 100, True: 200}
+"""Least width of a picture in pixels, without and with labels, which are seven pixels high there."""
+_NARROWEST_NAMED_COLUMN = 260
 _GALLERY = np.array([2.6, 3.3])  # width and height of one picture, in inches
 
 
@@ -141,11 +144,11 @@ def save_picture(
     Raises
     ------
     ArgumentError
-        If the suffix is another, the file cannot be written, `width` is less than 100 or more than
-        `WIDEST`, the colour is unknown, or `draw` would raise it.
+        If the suffix is another, the file cannot be written, `width` is less than 100, or 200 with labels, or more
+        than `WIDEST`, the colour is unknown, or `draw` would raise it.
     """
     path = file_path(path, suffixes=FORMATS)
-    check_appearance(width, 100, background)
+    check_appearance(width, NARROWEST[labels], background)
     dpi = width / _WIDTH
     figure = cast("Figure", draw(configuration, view=view, labels=labels, dpi=dpi).figure)
     return save_figure(figure, path, dpi=dpi, background=background)
@@ -179,7 +182,7 @@ def save_gallery(
     Raises
     ------
     ArgumentError
-        If there is none, `width` is less than 100 for each column, or `save_picture` would raise it.
+        If there is none, `width` is less than 100 for each column, 260 with labels, or `save_picture` would raise it.
     """
     path = file_path(path, suffixes=FORMATS)
     if not configurations:
@@ -187,7 +190,7 @@ def save_gallery(
     count = len(configurations)
     columns = count if count <= 4 else math.ceil(count / 2)
     rows = math.ceil(count / columns)
-    check_appearance(width, 100 * columns, background)
+    check_appearance(width, columns * (_NARROWEST_NAMED_COLUMN if labels else NARROWEST[False]), background)
     figure = new_figure(*(_GALLERY * (columns, rows)))
     dpi = width / (columns * _GALLERY[0])
     for k, (name, configuration) in enumerate(configurations.items()):

@@ -106,6 +106,7 @@ def test_a_snapshot_is_one_file(run: Run, tmp_path: Path) -> None:
 
 def test_draw_one_branch_or_all(run: Run, tmp_path: Path) -> None:
     one, every, some = tmp_path / "one.png", tmp_path / "all.png", tmp_path / "some.svg"
+    assert run("draw", "--out", str(one), "--width", "120").returncode == 0  # too small for names
     assert run("draw", "--out", str(one), "--width", "200").returncode == 0
     assert run("draw", "--out", str(every), "--all", "--width", "400").returncode == 0
     pose = ["--translation", "68.89", "49.63", "225.3", "--xyx", "-11.08", "32.97", "-12.88", "--unit", "cm"]
@@ -137,6 +138,8 @@ def test_draw_one_branch_or_all(run: Run, tmp_path: Path) -> None:
         (["--out", "/nowhere/x.png", "--all", "--width", "300"], "a file that can be written"),
         (["--out", "x.png", "--width", "3"], "at least 100 pixels"),
         (["--out", "x.png", "--all", "--width", "150"], "at least 300 pixels"),
+        (["--out", "x.png", "--all", "--names", "--width", "300"], "at least 780 pixels"),
+        (["--out", "x.png", "--names", "--width", "199"], "at least 200 pixels"),
         (["--out", "x.png", "--view", "900", "0"], "azimuth and elevation"),
     ],
 )
