@@ -47,7 +47,7 @@ INTERNAL = {
     "workspace": "the shell of Table 6, and the reachable set",
     "sweeps": "domains, metrics, store and runs",
     "crosscheck": "methods, comparison, tolerances, report",
-    "proofs": "leg limits without forward singularities, proved by interval arithmetic",
+    "proofs": "leg limits and poses without singularities, proved by interval arithmetic",
     "reproduction": "the paper's tables recomputed",
     "display": "pictures and the viewer",
 }

@@ -67,6 +67,9 @@ class Interval:
         high = np.maximum(np.maximum(products[0], products[1]), np.maximum(products[2], products[3]))
         return Interval(_below(low), _above(high))
 
+    def __truediv__(self, other: Interval) -> Interval:
+        return self * other.reciprocal()
+
     def __rtruediv__(self, other: float) -> Interval:
         return other * self.reciprocal()
 

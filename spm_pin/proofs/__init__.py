@@ -1,5 +1,14 @@
-"""Proofs by interval arithmetic: leg limits without forward singularities."""
+"""Proofs by interval arithmetic: leg limits and poses without singularities."""
 
 from spm_pin.proofs.certificate import Certificate, certify, largest_certified_limits
+from spm_pin.proofs.inverse_certificate import InverseCertificate, certify_inverse
+from spm_pin.proofs.pose_certificate import certify_poses
 
-__all__ = ["Certificate", "certify", "largest_certified_limits"]
+__all__ = [
+    "Certificate",
+    "InverseCertificate",
+    "certify",
+    "certify_inverse",
+    "certify_poses",
+    "largest_certified_limits",
+]

@@ -17,7 +17,7 @@ from spm_pin.mechanism.stage_states import configuration_of_stages, stage_states
 from spm_pin.proofs.stage_proof import StageProof, prove_stage
 from spm_pin.proofs.stage_region import StageRegion
 
-__all__ = ["Certificate", "certify", "largest_certified_limits"]
+__all__ = ["Certificate", "certify", "largest_certified_limits", "stage_regions"]
 
 STAGES = ("lower", "upper")
 
@@ -153,10 +153,8 @@ def certify(geometry: Geometry, limits: LegLimits | None = None, *, boxes: int =
         raise GeometryError("limits", "lengths between them that can be assembled", "a middle that cannot be")
     starts = stage_states(middle)
     proofs = []
-    for k, hips in enumerate((geometry.base_radius, geometry.platform_radius)):
-        low, high = (np.array(ends[3 * k : 3 * k + 3]) for ends in (limits.minimum, limits.maximum))
-        region = StageRegion(Interval.of(hips), Interval.of(geometry.middle_side), low, high)
-        proofs.append(prove_stage(region, starts[k], most=boxes))
+    for region, start in zip(stage_regions(geometry, limits), starts, strict=True):
+        proofs.append(prove_stage(region, start, most=boxes))
     witness = None
     if any(proof.singular is not None for proof in proofs):
         states = [
@@ -224,6 +222,13 @@ def largest_certified_limits(
             raise ArgumentError("centre", "lengths away from forward singularities", lengths)
     assert best is not None
     return best
+
+
+def stage_regions(geometry: Geometry, limits: LegLimits) -> list[StageRegion]:
+    """Return what is searched in the lower and in the upper stage."""
+    side, ends = Interval.of(geometry.middle_side), np.array([limits.minimum, limits.maximum])
+    hips = (geometry.base_radius, geometry.platform_radius)
+    return [StageRegion(Interval.of(hips[k]), side, *ends[:, 3 * k : 3 * k + 3]) for k in range(2)]
 
 
 def _contained(states: FloatArray, boxes: FloatArray) -> npt.NDArray[np.bool_]:

@@ -1,0 +1,234 @@
+"""Certificates that leg limits hold no inverse singularity: lower bounds of |det K|.
+
+det K depends on the tilts of the two stages alone. Seen from the middle platform, leg i has its ball at r u_i and its
+revolute axes along
+
+    v = (2ξη, 1 - 2ξ², ∓2 x0 ξ)
+
+in the directions u_i, z × u_i and z, minus in the lower stage, plus in the upper, where ξ and η are the components of a
+stage's (x, y) along the first two. With w_i the vector product of the lower axis and the upper one,
+
+    det K = -r³ [Π (3/2 w_iu - √3/2 w_ia) + Π (3/2 w_iu + √3/2 w_ia)].
+
+The squares of the four tilts (x, y) of both stages are divided into sixteen again and again: what has no
+lengths within the limits goes, what keeps the sign of det K is proved. Derivation: `docs/theory/proofs.md`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import brentq
+
+from spm_pin.closed_form.forward_displacement import forward_physical
+from spm_pin.closed_form.intervals import SQRT_3, Interval
+from spm_pin.closed_form.singularity_analysis import determinants
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.geometry import Geometry, LegLimits
+from spm_pin.proofs.certificate import certify, stage_regions
+from spm_pin.proofs.stage_proof import StageProof
+from spm_pin.proofs.stage_region import StageRegion
+
+__all__ = ["SAMPLES", "InverseCertificate", "certify_inverse"]
+
+BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.int64]
+Cells = tuple[Interval, Interval]
+"""x and y of cells of one stage."""
+
+SAMPLES = 2_000
+"""States among which a singular one, and the least |det K|, are looked for."""
+DEEPEST = 20
+_GRID = 5
+"""Level of division to begin with; a cell of level n has 2¹⁻ⁿ of the unit disc's radius."""
+_CORNERS = np.array(list(product((0, 1), repeat=4))).reshape(16, 2, 2)
+
+
+@dataclass(frozen=True)
+class InverseCertificate:
+    """Result of a proof about det K, which vanishes at inverse singularities.
+
+    Attributes
+    ----------
+    geometry : Geometry
+        Dimensions of the manipulator.
+    region : str
+        Which limits or poses were searched, in words.
+    bound : float
+        Proved lower bound of |det K| / d³; 0 where something is undecided, infinity if the region holds no state.
+    least : float
+        Smallest |det K| / d³ of states sampled in the region: the minimum lies between `bound` and this.
+    undecided : ndarray, shape (N, 4, 2) or (N, 6, 2)
+        Boxes in which det K may be zero, low and high ends: of x and y of the lower and the upper stage; or of the
+        vector part of the platform's turn against the given pose, seen from {B}, of x and y of o [m], and of φ.
+    witness : Configuration or None
+        A configuration of the region with det K = 0 to rounding, where one was found.
+    boxes : int
+        Boxes looked at.
+    """
+
+    geometry: Geometry
+    region: str
+    bound: float
+    least: float
+    undecided: FloatArray
+    witness: Configuration | None
+    boxes: int
+
+    @property
+    def holds(self) -> bool:
+        """True if it is proved that no configuration of the region is inverse singular."""
+        return self.bound > 0.0
+
+    def explain(self) -> str:
+        """Return what was proved, or what stands against it, in a few lines."""
+        lines = [f"{self.region}, {self.boxes:,} boxes."]
+        if np.isinf(self.bound):
+            lines.append("Proved: there is no configuration without torsion in both stages.")
+        elif self.holds:
+            lines.append(
+                f"Proved: no inverse singularity, |det K| >= {self.bound:.3g} d³; sampled: {self.least:.3g} d³."
+            )
+        elif self.witness is not None:
+            lengths = ", ".join(f"{length:.6f}" for length in self.witness.leg_lengths)
+            lines.append(f"Does not hold: inverse singular with legs ({lengths}) m.")
+        else:
+            lines.append(f"Undecided in {len(self.undecided):,} boxes; no singular configuration was found.")
+        return "\n".join(lines)
+
+
+def certify_inverse(geometry: Geometry, limits: LegLimits | None = None, *, boxes: int = 300_000) -> InverseCertificate:
+    """Prove that leg limits exclude inverse singularities, of what is joined to the home within them.
+
+    Parameters
+    ----------
+    geometry, limits, boxes
+        As for `spm_pin.certify`; `boxes` for the pairs of stages as well.
+
+    Returns
+    -------
+    InverseCertificate
+        With a witness for limits in which det K changes its sign, as between 1.1 and 1.5 m of the paper's machine.
+
+    Raises
+    ------
+    ArgumentError, GeometryError
+        As for `spm_pin.certify`.
+    """
+    forward = certify(geometry, limits, boxes=boxes)
+    limits = forward.limits
+    stages = [
+        _StageCells(region, proof)
+        for region, proof in zip(stage_regions(geometry, limits), (forward.lower, forward.upper), strict=True)
+    ]
+    low, high = np.array(limits.minimum), np.array(limits.maximum)
+    legs = np.random.default_rng(0).uniform(low, high, (SAMPLES, 6))
+    legs[0] = 0.5 * (low + high)
+    legs = legs[forward_physical(geometry, legs).exists]
+
+    def value(lengths: FloatArray) -> Any:
+        return determinants(forward_physical(geometry, lengths))[..., 2] / geometry.middle_side**3
+
+    values, witness = value(legs), None
+    if values.min() <= 0.0 <= values.max():
+        start, end = legs[values.argmin()], legs[values.argmax()]
+        share = brentq(lambda s: float(value(start + s * (end - start))), 0.0, 1.0, xtol=1e-15)
+        witness = forward_physical(geometry, start + share * (end - start))
+    name = f"Leg lengths from {low.min():g} m to {high.max():g} m"
+    least = float(np.abs(values).min())
+    if witness is not None:
+        return InverseCertificate(geometry, name, 0.0, 0.0, np.empty((0, 4, 2)), witness, 0)
+    bound, undecided, seen = _divide(stages, 0.5 * least, boxes)
+    return InverseCertificate(geometry, name, bound, least, undecided, None, seen)
+
+
+class _StageCells:
+    """Cells (x, y) of one stage that may hold a state joined to the home within the leg limits."""
+
+    def __init__(self, region: StageRegion, proof: StageProof) -> None:
+        boxes = np.concatenate([proof.proved, proof.undecided])
+        self._region = region
+        # Above the hips the sign of a corner's height is known, if no box says otherwise.
+        heights = region.corners(*(Interval(boxes[:, i, 0], boxes[:, i, 1]) for i in range(3)))[1]
+        self._upward = all((height.low > 0.0).all() for height in heights)
+        side = 1 << _GRID
+        ends = (boxes[:, :2] + 1.0) * (side / 2)
+        first, last = np.floor(ends[..., 0]).astype(int), np.ceil(ends[..., 1]).astype(int)
+        self._occupied = np.zeros((side, side), dtype=np.bool_)
+        for (i, j), (k, m) in zip(np.maximum(first, 0), last, strict=True):
+            self._occupied[i:k, j:m] = True
+
+    def contain(self, level: int, position: IntArray) -> BoolArray:
+        """Return for which cells (N, 2) of a level there may be a height with lengths within the limits."""
+        cell = position >> (level - _GRID)
+        region, (x, y) = self._region, _ends(level, position)
+        radii, rises = region.corners(x, y, Interval.of(0.0))
+        lowest, highest = np.full(len(position), -np.inf), np.full(len(position), np.inf)
+        for radius, rise, least, most in zip(radii, rises, region.minimum, region.maximum, strict=True):
+            across = (radius - region.hips).square()
+            room = Interval.of(most).square() - across
+            top = np.where(room.high < 0.0, -np.inf, room.root().high)
+            bottom = (Interval.of(least).square() - across).root().low if self._upward else -top
+            heights = Interval(bottom, np.maximum(top, bottom)) - rise
+            lowest = np.maximum(lowest, heights.low)
+            highest = np.minimum(highest, np.where(top < bottom, -np.inf, heights.high))
+        inside = (x.square() + y.square()).low <= 1.0
+        return np.asarray(self._occupied[cell[:, 0], cell[:, 1]] & inside & (lowest <= highest))
+
+
+def _ends(level: int, position: IntArray) -> Cells:
+    """Return x and y of cells (N, 2): exact, so that neighbours share theirs."""
+    size = 2.0 ** (1 - level)
+    x, y = (Interval(column * size - 1.0, (column + 1) * size - 1.0) for column in position.T)
+    return x, y
+
+
+def _scalar(cells: Cells) -> Interval:
+    return (1.0 - (cells[0].square() + cells[1].square())).root()
+
+
+def _axes(cells: Cells, upward: float) -> list[tuple[Interval, Interval, Interval]]:
+    """Return the directions v of a stage's three revolute axes, seen from the middle platform."""
+    (x, y), x0 = cells, _scalar(cells)
+    across = 0.5 * SQRT_3
+    side, half = across * x, 0.5 * y
+    lift, back = across * y, 0.5 * x
+    found = []
+    for xi, eta in ((side - half, back + lift), (y, -x), (-(side + half), back - lift)):
+        found.append((2.0 * (xi * eta), 1.0 - 2.0 * xi.square(), upward * (x0 * xi)))
+    return found
+
+
+def structure_determinant(lower: Cells, upper: Cells) -> Interval:
+    """Return enclosures of det K / d³ over pairs of cells."""
+    minus = plus = Interval.of(1.0)
+    for (a, b, c), (d, e, f) in zip(_axes(lower, -2.0), _axes(upper, 2.0), strict=True):
+        first, second = 1.5 * (b * f - c * e), 0.5 * SQRT_3 * (c * d - a * f)
+        minus, plus = minus * (first - second), plus * (first + second)
+    return -(minus + plus) * (SQRT_3.reciprocal() * Interval.of(3.0).reciprocal())
+
+
+def _divide(stages: list[_StageCells], target: float, most: int) -> tuple[float, FloatArray, int]:
+    """Return the proved bound of |det K| / d³, the undecided boxes of tilts (N, 4, 2), and how many were looked at."""
+    level, seen, bound = _GRID, 0, np.inf
+    side = np.arange(1 << level)
+    cells = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
+    first, second = (cells[stage.contain(level, cells)] for stage in stages)
+    pairs = np.stack([np.repeat(first, len(second), axis=0), np.tile(second, (len(first), 1))], axis=1)
+    while True:
+        seen += len(pairs)
+        value = structure_determinant(_ends(level, pairs[:, 0]), _ends(level, pairs[:, 1]))
+        least = np.maximum(np.maximum(value.low, -value.high), 0.0)
+        bound = min(bound, float(least[least > target].min(initial=np.inf)))
+        pairs, least = pairs[least <= target], least[least <= target]
+        if not len(pairs) or level == DEEPEST or seen + 16 * len(pairs) > most:
+            ends = [np.stack([x.low, x.high], axis=-1) for k in range(2) for x in _ends(level, pairs[least <= 0.0, k])]
+            return min(bound, float(least.min(initial=np.inf))), np.stack(ends, axis=1), seen
+        halves = (2 * pairs[:, None] + _CORNERS).reshape(-1, 2, 2)
+        level += 1
+        pairs = halves[stages[0].contain(level, halves[:, 0]) & stages[1].contain(level, halves[:, 1])]

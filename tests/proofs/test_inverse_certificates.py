@@ -1,0 +1,171 @@
+"""Lower bounds of |det K| over leg limits and poses: checked in other arithmetic, and refused beside a singularity."""
+
+from __future__ import annotations
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from problems import random_branches
+from scipy.spatial.transform import Rotation
+
+import spm_pin as spm
+from spm_pin.closed_form.intervals import Interval
+from spm_pin.mechanism.stage_states import configuration_of_stages, stage_states
+from spm_pin.proofs import certify_inverse, certify_poses
+from spm_pin.proofs.inverse_certificate import structure_determinant
+
+PAPER = spm.Geometry.paper()
+LEGS = np.array([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
+STATE = spm.forward_physical(PAPER, LEGS)
+
+
+def determinant(tilts: list[object]) -> object:
+    """Return det K / d³ in mpmath, the determinant of six forces on the middle platform, from (x, y) of both stages."""
+    root = mpmath.sqrt(3)
+    radial = [(root / 2, mpmath.mpf(-1) / 2), (mpmath.mpf(0), mpmath.mpf(1)), (-root / 2, mpmath.mpf(-1) / 2)]
+    rows = []
+    for x, y in ((tilts[0], tilts[1]), (-tilts[2], -tilts[3])):
+        x0 = mpmath.sqrt(1 - x * x - y * y)
+        turn = mpmath.matrix(
+            [
+                [1 - 2 * y * y, 2 * x * y, 2 * x0 * y],
+                [2 * x * y, 1 - 2 * x * x, -2 * x0 * x],
+                [-2 * x0 * y, 2 * x0 * x, 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        for u, v in radial:
+            force = turn.T * mpmath.matrix([-v, u, 0])
+            arm = (u / root, v / root)
+            moment = [arm[1] * force[2], -arm[0] * force[2], arm[0] * force[1] - arm[1] * force[0]]
+            rows.append([*force, *moment])
+    return mpmath.det(mpmath.matrix(rows))
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=30, deadline=None)
+def test_boxes_contain_the_determinant_of_forty_digits(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    low = rng.uniform(-0.6, 0.6, 4)
+    high = low + rng.uniform(0.0, 0.1, 4)
+    inside = low + rng.uniform(size=4) * (high - low)
+    cells = [Interval(np.array(a), np.array(b)) for a, b in zip(low, high, strict=True)]
+    found = structure_determinant((cells[0], cells[1]), (cells[2], cells[3]))
+    with mpmath.workdps(40):
+        exact = determinant([mpmath.mpf(float(x)) for x in inside])
+        assert mpmath.mpf(float(found.low)) <= exact <= mpmath.mpf(float(found.high))
+
+
+def test_the_determinant_is_that_of_configurations() -> None:
+    states = spm.forward_physical(PAPER, np.random.default_rng(0).uniform(1.1, 1.5, (50, 6)))
+    tilts = stage_states(states)[..., :2].reshape(-1, 4)
+    expected = spm.determinants(states)[:, 2] / PAPER.middle_side**3
+    with mpmath.workdps(30):
+        found = [float(determinant([mpmath.mpf(float(x)) for x in row])) for row in tilts]
+    np.testing.assert_allclose(np.abs(found), np.abs(expected), atol=1e-14)
+
+
+def singular_at_fifty_digits(state: spm.Configuration) -> bool:
+    """Return whether det K changes its sign within 1e-11 of the tilts of a state, along its gradient."""
+    tilts = stage_states(state)[:, :2].ravel()
+    with mpmath.workdps(50):
+        point = [mpmath.mpf(float(x)) for x in tilts]
+        step = mpmath.mpf("1e-20")
+        slope = [
+            (determinant([*point[:i], point[i] + step, *point[i + 1 :]]) - determinant(point)) / step for i in range(4)
+        ]
+        size = mpmath.sqrt(sum(s * s for s in slope))
+        ends = [
+            determinant([x + sign * mpmath.mpf("1e-11") * s / size for x, s in zip(point, slope, strict=True)])
+            for sign in (-1, 1)
+        ]
+    return bool(ends[0] < 0 < ends[1])
+
+
+@pytest.mark.parametrize("half", [0.003, 0.01])
+def test_narrow_limits_are_proved(half: float) -> None:
+    limits = spm.LegLimits(tuple(LEGS - half), tuple(LEGS + half))
+    found = certify_inverse(PAPER, limits)
+    assert found.holds
+    assert found.witness is None
+    assert "Proved" in found.explain()
+    legs = np.random.default_rng(1).uniform(LEGS - half, LEGS + half, (3_000, 6))
+    corners = np.array(np.meshgrid(*[[-half, half]] * 6)).reshape(6, -1).T + LEGS
+    values = np.abs(spm.determinants(spm.forward_physical(PAPER, np.concatenate([legs, corners])))[:, 2])
+    assert values.min() / PAPER.middle_side**3 >= found.bound
+    assert found.bound >= 0.4 * found.least, "the bound is of use"
+
+
+@pytest.mark.parametrize("half", [0.02, 0.05])
+def test_limits_in_which_the_determinant_changes_its_sign_have_a_witness(half: float) -> None:
+    limits = spm.LegLimits(tuple(LEGS - half), tuple(LEGS + half))
+    found = certify_inverse(PAPER, limits)
+    assert not found.holds
+    assert found.witness is not None
+    assert limits.contains(found.witness.leg_lengths)
+    assert singular_at_fifty_digits(found.witness)
+    assert "Does not hold" in found.explain()
+
+
+def test_the_papers_limits_hold_inverse_singularities() -> None:
+    found = certify_inverse(PAPER, spm.LegLimits(1.1, 1.5))
+    assert found.witness is not None
+    assert singular_at_fifty_digits(found.witness)
+
+
+def test_poses_around_a_regular_one_are_proved() -> None:
+    distance, angle = 0.002, 0.002
+    found = certify_poses(STATE, distance, angle)
+    assert found.holds
+    rng = np.random.default_rng(2)
+    turns = rng.normal(size=(3_000, 3))
+    turns *= angle * rng.uniform(0.9, 1.0, (3_000, 1)) / np.linalg.norm(turns, axis=-1, keepdims=True)
+    place = STATE.translation + rng.uniform(-1.0, 1.0, (3_000, 3)) * [distance, distance, 0.5]
+    around = spm.pose(place, rotation=Rotation.from_rotvec(turns) * STATE.pose.rotation)
+    label = spm.inverse_displacement(PAPER, STATE.pose).labels[0]
+    branch = spm.inverse_displacement(PAPER, around)[label]
+    assert branch.exists.all()
+    values = np.abs(spm.determinants(branch)[:, 2]) / PAPER.middle_side**3
+    assert values.min() >= found.bound >= 0.4 * found.least
+
+
+def test_poses_that_hold_a_fold_have_a_witness() -> None:
+    found = certify_poses(STATE, 0.03, 0.03)
+    assert not found.holds
+    witness = found.witness
+    assert witness is not None
+    assert singular_at_fifty_digits(witness)
+    assert np.abs((witness.translation - STATE.translation)[:2]).max() <= 0.03 + 1e-6
+    assert (witness.pose.rotation * STATE.pose.rotation.inv()).magnitude() <= 0.03 + 1e-6
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_poses_that_hold_a_known_fold_are_never_proved(seed: int) -> None:
+    # Halfway between the branches TT+ and TT- of a pose det K is zero, at another pose.
+    problem = random_branches(PAPER, "TT", 40, seed)
+    solutions = spm.inverse_displacement(PAPER, problem.pose)
+    at = int(np.flatnonzero(solutions.exists[:, :2].all(axis=-1))[0])
+    pair = stage_states(solutions[at].configurations[:2])
+    middle = configuration_of_stages(PAPER, pair.mean(axis=0))
+    state = solutions[at]["TT+"]
+    distance = float(np.abs((middle.translation - state.translation)[:2]).max()) * 1.01
+    angle = (middle.pose.rotation * state.pose.rotation.inv()).magnitude() * 1.01
+    found = certify_poses(state, distance, min(angle, 3.1), boxes=20_000)
+    assert not found.holds
+    if found.witness is not None:
+        assert singular_at_fifty_digits(found.witness)
+
+
+def test_invalid_arguments_are_refused() -> None:
+    with pytest.raises(spm.ArgumentError, match="configuration"):
+        certify_poses(PAPER, 0.1, 0.1)  # type: ignore[arg-type]
+    with pytest.raises(spm.ArgumentError, match="distance"):
+        certify_poses(STATE, -1.0, 0.1)
+    with pytest.raises(spm.ArgumentError, match="angle"):
+        certify_poses(STATE, 0.1, 4.0)
+    turned = spm.inverse_displacement(PAPER, STATE.pose)["FF+"]
+    with pytest.raises(spm.ArgumentError, match="without torsion"):
+        certify_poses(turned, 0.1, 0.1)
+    with pytest.raises(spm.GeometryError, match="limits"):
+        certify_inverse(spm.Geometry(0.6, 0.4, 0.5))
