@@ -29,6 +29,14 @@ _LONGEST = 500
 class SpmError(Exception):
     """Base of all errors raised on purpose by this package."""
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Errors of worker processes travel pickled, made anew from the attributes that the parameters are named after;
+        # the default would pass the message instead.
+        code = getattr(type(self).__init__, "__code__", None)
+        if code is None:
+            return type(self), self.args
+        return type(self), tuple(getattr(self, name) for name in code.co_varnames[1 : code.co_argcount])
+
 
 class ArgumentError(SpmError, ValueError):
     """An argument that cannot be what the function needs.
@@ -50,10 +58,6 @@ class ArgumentError(SpmError, ValueError):
         self.cause = cause
         message = f"{argument}: expected {expected}, got {_brief(received)}"
         super().__init__(f"{message}. {cause}" if cause else message)
-
-    def __reduce__(self) -> tuple[type[ArgumentError], tuple[str, str, Any, str]]:
-        # Errors of worker processes travel pickled; the default would pass the message as `argument`.
-        return type(self), (self.argument, self.expected, self.received, self.cause)
 
 
 def _brief(received: Any) -> str:
@@ -105,9 +109,6 @@ class NotOneSolutionError(SpmError):
             message = f"expected exactly one solution, got none{where}: {cause}"
         super().__init__(message)
 
-    def __reduce__(self) -> tuple[type[NotOneSolutionError], tuple[tuple[str, ...], tuple[int, ...], str]]:
-        return type(self), (self.labels, self.index, self.cause)
-
 
 class SingularConfigurationError(SpmError):
     """A configuration, singular to rounding, at which the requested quantity does not exist or is not unique.
@@ -135,9 +136,6 @@ class SingularConfigurationError(SpmError):
         where = f" at batch index {index}" if index else ""
         super().__init__(f"{kind} singularity{where}: {meaning[kind]} (smallest singular value {sigma_min:.1e})")
 
-    def __reduce__(self) -> tuple[type[SingularConfigurationError], tuple[str, float, tuple[int, ...]]]:
-        return type(self), (self.kind, self.sigma_min, self.index)
-
 
 class MissingExtraError(SpmError, ImportError):
     """A package of an optional extra is not installed.
@@ -156,9 +154,6 @@ class MissingExtraError(SpmError, ImportError):
         # Not published on a package index yet: the advice is for a folder of the sources.
         advice = f'pip install ".[{extra}]" in the folder of the sources'
         super().__init__(f"this needs {package}, of the extra {extra}: {advice}", name=package)
-
-    def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str]]:
-        return type(self), (self.extra, self.package)
 
 
 class DescriptionError(ArgumentError):
@@ -185,6 +180,3 @@ class ClosureError(SpmError):
         self.cause = cause
         message = f"the closures are still {residual:.1e} m open after {iterations} iterations"
         super().__init__(f"{message}. {cause}" if cause else message)
-
-    def __reduce__(self) -> tuple[type[ClosureError], tuple[float, int, str]]:
-        return type(self), (self.residual, self.iterations, self.cause)

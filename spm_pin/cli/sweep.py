@@ -19,7 +19,7 @@ from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Unit, read_geo
 from spm_pin.cli.outputs import name_options, require_extra
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LegLimits
-from spm_pin.sweeps.domains import Domain
+from spm_pin.sweeps.domain import Domain
 from spm_pin.sweeps.runner import CHUNK
 
 __all__ = ["sweep"]

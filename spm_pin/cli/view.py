@@ -70,7 +70,7 @@ def view(
         stderr.print(f"wrote {snapshot}")
         return
     from spm_pin.display.viewer import Viewer
-    from spm_pin.display.viewer.recording import read_recording
+    from spm_pin.display.viewer.recording_files import read_recording
 
     recording = read_recording(path) if path is not None else None
     if demo is None:

@@ -16,7 +16,8 @@ from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.branches import BRANCHES, tangent_signs
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.pose import PoseLike
-from spm_pin.mechanism.solutions import SolutionSet, Status
+from spm_pin.mechanism.solution_status import Status
+from spm_pin.mechanism.solutions import SolutionSet
 
 __all__ = ["as_built_complex_joints", "as_built_inverse", "as_built_physical"]
 

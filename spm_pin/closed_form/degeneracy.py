@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.solutions import Degeneracy
+from spm_pin.mechanism.solution_status import Degeneracy
 
 __all__ = ["find_degeneracy"]
 

@@ -17,7 +17,8 @@ from spm_pin.mechanism.arguments import FloatArray, first_offender, instance, re
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry
-from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
+from spm_pin.mechanism.solution_status import Degeneracy, Status
+from spm_pin.mechanism.solutions import SolutionSet
 from spm_pin.mechanism.units import unit_hint
 
 __all__ = ["ASSEMBLY_MODES", "STAGE_MODES", "forward_displacement", "forward_physical", "read_lengths"]

@@ -36,7 +36,8 @@ from spm_pin.mechanism.branches import BRANCHES
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import PoseLike
-from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
+from spm_pin.mechanism.solution_status import Degeneracy, Status
+from spm_pin.mechanism.solutions import SolutionSet
 
 __all__ = ["branch_lengths", "complex_middle_joints", "inverse_displacement", "inverse_physical"]
 

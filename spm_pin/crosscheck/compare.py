@@ -19,7 +19,7 @@ from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.branches import BRANCHES
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.solutions import Status
+from spm_pin.mechanism.solution_status import Status
 
 __all__ = ["Comparison", "Progress"]
 

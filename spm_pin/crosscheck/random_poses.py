@@ -10,8 +10,9 @@ import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.mechanism.arguments import FloatArray, generator, instance, whole_number
+from spm_pin.mechanism.configuration import triangle_frames
 from spm_pin.mechanism.geometry import Geometry, LegLimits
-from spm_pin.mechanism.pose import pose
+from spm_pin.mechanism.pose import homogeneous, pose
 
 __all__ = ["command", "in_leg_space", "on_all_rotations", "printable"]
 
@@ -34,8 +35,8 @@ def in_leg_space(geometry: Geometry, count: int, rng: np.random.Generator | int)
         # Seen from {m} the middle platform hangs below.
         upper, closed_upper = _stage(geometry, geometry.platform_radius, lengths[:, 3:], -1.0)
         both = closed_lower & closed_upper
-        joined = _frame(lower[both]) @ np.linalg.inv(_frame(upper[both]))
-        found.extend(joined)
+        below, above = (homogeneous(triangle_frames(b), b.mean(axis=1)) for b in (lower[both], upper[both]))
+        found.extend(below @ np.linalg.inv(above))
     return RigidTransform.from_matrix(np.array(found[:count]).reshape(-1, 4, 4))
 
 
@@ -117,16 +118,3 @@ def _stage(
         b = b - np.linalg.solve(jacobian, error[..., None])[..., 0].reshape(-1, 3, 3)
     closed = (np.abs(error).max(axis=-1) < 1e-12 * d) & (side * b[..., 2].mean(axis=-1) > 0.0)
     return b, closed
-
-
-def _frame(b: FloatArray) -> FloatArray:
-    """Return the pose (n, 4, 4) of triangles (n, 3, 3): origin at b_3, x along b_3 b_1, z their normal."""
-    x = b[:, 0] - b[:, 2]
-    x = x / np.linalg.norm(x, axis=-1, keepdims=True)
-    z = np.cross(x, b[:, 1] - b[:, 2])
-    z = z / np.linalg.norm(z, axis=-1, keepdims=True)
-    matrix = np.zeros((len(b), 4, 4))
-    matrix[:, :3, :3] = np.stack([x, np.cross(z, x), z], axis=-1)
-    matrix[:, :3, 3] = b[:, 2]
-    matrix[:, 3, 3] = 1.0
-    return matrix

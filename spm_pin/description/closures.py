@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
-
-import yaml
 
 from spm_pin.description.paths import CLOSURES, description_file
 from spm_pin.description.tree import check_prefix
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism import yaml_nodes
 
-__all__ = ["KINDS", "Closure", "read_closures"]
+__all__ = ["KINDS", "Closure", "closure_at", "read_closures"]
 
 KINDS = {"point": "3d", "weld": "6d"}
 """Kinds of closure, each with its name in an Extended-URDF file."""
@@ -52,6 +51,11 @@ class Closure:
         if self.frame_a == self.frame_b:
             raise DescriptionError("frame_b", "another frame than frame_a", repr(self.frame_b))
 
+    @property
+    def pair(self) -> frozenset[str]:
+        """The two frames."""
+        return frozenset((self.frame_a, self.frame_b))
+
     def prefixed(self, prefix: str) -> Closure:
         """Return the same closure of a robot whose names all begin with `prefix`."""
         return Closure(prefix + self.name, self.kind, prefix + self.frame_a, prefix + self.frame_b)
@@ -76,31 +80,27 @@ def read_closures(path: str | Path | None = None, *, prefix: str = "") -> tuple[
     """
     check_prefix(prefix)
     path = description_file(CLOSURES) if path is None else Path(path)
-    root = yaml_nodes.compose(path)
-    if root is None:
-        raise DescriptionError(str(path), "the key closures", "an empty file")
+    root = yaml_nodes.compose(path, "the key closures")
     listed = yaml_nodes.mapping(root, {"closures"}, path)["closures"]
-    closures: dict[str, Closure] = {}
-    pairs: dict[frozenset[str], str] = {}
+    closures: list[Closure] = []
     for node in yaml_nodes.items(listed, "closures", path):
-        closure = _closure(node, path)
+        found = yaml_nodes.mapping(node, {field.name for field in fields(Closure)}, path)
+        values = {key: yaml_nodes.name(value, key, path) for key, value in found.items()}
         place = yaml_nodes.place(path, node)
-        if closure.name in closures:
-            raise DescriptionError(place, "a name of its own under the key name", repr(closure.name))
-        pair = frozenset((closure.frame_a, closure.frame_b))
-        if pair in pairs:
-            received = f"{closure.frame_a} and {closure.frame_b}, as in {pairs[pair]}"
-            raise DescriptionError(place, "two frames that no other closure holds", received)
-        closures[closure.name] = closure
-        pairs[pair] = closure.name
-    return tuple(closure.prefixed(prefix) for closure in closures.values())
+        if any(values["name"] == other.name for other in closures):
+            raise DescriptionError(place, "a name of its own under the key name", repr(values["name"]))
+        closures.append(closure_at(place, closures, **values))
+    return tuple(closure.prefixed(prefix) for closure in closures)
 
 
-def _closure(node: yaml.Node, path: Path) -> Closure:
-    found = yaml_nodes.mapping(node, {field.name for field in fields(Closure)}, path)
-    values = {key: yaml_nodes.name(value, key, path) for key, value in found.items()}
+def closure_at(place: str, others: Iterable[Closure], **values: str) -> Closure:
+    """Make a closure read at a place of a file; raise `DescriptionError` if another one holds its frames together."""
     try:
-        return Closure(**values)
+        closure = Closure(**values)
     except DescriptionError as error:
-        expected = f"{error.expected} under the key {error.argument}"
-        raise DescriptionError(yaml_nodes.place(path, node), expected, error.received) from error
+        raise DescriptionError(place, f"{error.expected} under the key {error.argument}", error.received) from error
+    for other in others:
+        if other.pair == closure.pair:
+            received = f"{closure.frame_a} and {closure.frame_b}, as in {other.name}"
+            raise DescriptionError(place, "two frames that no other closure holds", received)
+    return closure

@@ -5,15 +5,14 @@ from __future__ import annotations
 import tempfile
 import threading
 from pathlib import Path
-from typing import Any
 
 import yaml
 
 from spm_pin.description.paths import ENTRY, MESHES, description_directory, description_file
 from spm_pin.description.tree import check_prefix
-from spm_pin.mechanism.geometry import LEGS, Geometry
+from spm_pin.mechanism.geometry import Geometry, geometry_data
 
-__all__ = ["expand", "geometry_data"]
+__all__ = ["expand"]
 
 # xacro keeps its state in module globals.
 _XACRO = threading.Lock()
@@ -59,20 +58,3 @@ def expand(geometry: Geometry | None = None, *, prefix: str = "", meshes: str | 
     banner = f" Expanded from {ENTRY}, which is the place for changes. "
     document.insertBefore(document.createComment(banner), document.documentElement)
     return str(document.toprettyxml(indent="  "))
-
-
-def geometry_data(geometry: Geometry) -> dict[str, Any]:
-    """Return a geometry as the data of a YAML file that the xacro sources read.
-
-    The keys are those of `Geometry.from_yaml`, with radii, and limits per leg: `leg_limits` holds a pair
-    (minimum, maximum) [m] under each name of `spm_pin.LEGS`.
-    """
-    data: dict[str, Any] = {
-        "base_radius": geometry.base_radius,
-        "platform_radius": geometry.platform_radius,
-        "middle_side": geometry.middle_side,
-    }
-    if geometry.limits is not None:
-        pairs = zip(geometry.limits.minimum, geometry.limits.maximum, strict=True)
-        data["leg_limits"] = {leg: list(pair) for leg, pair in zip(LEGS, pairs, strict=True)}
-    return data

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from spm_pin.description.closures import KINDS, Closure
+from spm_pin.description.closures import KINDS, Closure, closure_at
 from spm_pin.description.robot_description import RobotDescription
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism import yaml_nodes
@@ -57,9 +57,7 @@ def read_extended_urdf(path: str | Path) -> ExtendedUrdf:
         much.
     """
     path = Path(path)
-    root = yaml_nodes.compose(path)
-    if root is None:
-        raise DescriptionError(str(path), "the keys closed_loop, name_mot and type", "an empty file")
+    root = yaml_nodes.compose(path, "the keys closed_loop, name_mot and type")
     found = yaml_nodes.mapping(root, {"closed_loop", "type", "name_mot"}, path, optional={"joint_name", "joint_type"})
     lists = {key: yaml_nodes.items(node, key, path) for key, node in found.items()}
     for several, each in (("type", "closed_loop"), ("joint_type", "joint_name")):
@@ -80,11 +78,7 @@ def read_extended_urdf(path: str | Path) -> ExtendedUrdf:
         kind = yaml_nodes.name(named, "type", path).lower()
         if kind not in kinds:
             raise DescriptionError(yaml_nodes.place(path, named), f"a type {' or '.join(kinds)}", repr(kind))
-        if any({a, b} == {other.frame_a, other.frame_b} for other in closures):
-            raise DescriptionError(place, "each pair of frames once", f"{a} and {b} again")
-        if a == b:
-            raise DescriptionError(place, "two different frames", f"{a} twice")
-        closures.append(Closure(f"{a}C{b}", kinds[kind], a, b))
+        closures.append(closure_at(place, closures, name=f"{a}C{b}", kind=kinds[kind], frame_a=a, frame_b=b))
 
     motors: list[str] = []
     types: dict[str, str] = {}

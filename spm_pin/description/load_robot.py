@@ -12,8 +12,9 @@ from spm_pin.description.closures import read_closures
 from spm_pin.description.expand import expand
 from spm_pin.description.extended_urdf import ExtendedUrdf, read_extended_urdf
 from spm_pin.description.read_urdf import read_urdf, urdf_description
-from spm_pin.description.robot_description import RobotDescription, Transmission
-from spm_pin.description.states import joint_values
+from spm_pin.description.robot_description import RobotDescription
+from spm_pin.description.robot_parts import Transmission
+from spm_pin.description.tree import joint_values
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism import yaml_nodes
 from spm_pin.mechanism.configuration import Configuration
@@ -39,7 +40,9 @@ def manipulator(
     Raises
     ------
     DescriptionError
-        If `prefix` cannot begin a name, or a state is a batch, does not exist or has other dimensions.
+        If `prefix` cannot begin a name, or a state has other dimensions.
+    ArgumentError
+        If a state is a batch or does not exist.
     """
     geometry = Geometry.paper() if geometry is None else geometry
     robot = urdf_description(expand(geometry, prefix=prefix), read_closures(prefix=prefix))
@@ -77,7 +80,7 @@ def read_robot(
     """
     if closures is None:
         return read_urdf(urdf, packages=packages)
-    root = yaml_nodes.compose(Path(closures))
+    root = yaml_nodes.compose(Path(closures), "closures")
     ours = isinstance(root, yaml.MappingNode) and any(key.value == "closures" for key, _ in root.value)
     if ours:
         return read_urdf(urdf, read_closures(closures), packages=packages)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from spm_pin.errors import DescriptionError
+from spm_pin.mechanism.arguments import writing
 from spm_pin.mechanism.geometry import config_directory
 
 __all__ = [
@@ -74,11 +75,9 @@ def copy_meshes(folder: Path) -> None:
     target = folder / MESHES
     for source in sorted((description_directory() / MESHES).iterdir()):
         copy, content = target / source.name, source.read_bytes()
-        try:
+        with writing(copy, "out", error=DescriptionError):
             if copy.exists() and copy.read_bytes() != content:
                 cause = "Of another version? Move it away"
                 raise DescriptionError("out", "no other meshes beside the file", str(copy), cause)
             target.mkdir(exist_ok=True)
             copy.write_bytes(content)
-        except OSError as error:
-            raise DescriptionError("out", "a folder that can be written", str(copy), str(error.strerror)) from error

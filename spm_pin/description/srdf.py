@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from spm_pin.description.states import home_configuration_values, joint_values
-from spm_pin.description.tree import JOINTS, PASSIVE, SLIDES, check_prefix, touching_links
+from spm_pin.description.tree import JOINTS, PASSIVE, SLIDES, check_prefix, joint_values, touching_links
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism.configuration import Configuration
 
@@ -28,7 +27,9 @@ def srdf_text(configurations: Mapping[str, Configuration], *, prefix: str = "") 
     Raises
     ------
     DescriptionError
-        If a state is called `home`, is no single configuration that exists, or has another geometry than the rest.
+        If a state is called `home`, or has another geometry than the rest.
+    ArgumentError
+        If a state is no single configuration that exists.
     """
     check_prefix(prefix)
     lines = ['<?xml version="1.0" ?>', '<robot name="spm">']
@@ -36,7 +37,7 @@ def srdf_text(configurations: Mapping[str, Configuration], *, prefix: str = "") 
         lines.append(f'  <group name="{group}">')
         lines += [f'    <joint name="{prefix}{name}"/>' for name in joints]
         lines.append("  </group>")
-    lines += _state(HOME, home_configuration_values(), prefix)
+    lines += _state(HOME, dict.fromkeys(JOINTS, 0.0), prefix)
     geometries = set()
     for name, configuration in configurations.items():
         if name == HOME:

@@ -1,4 +1,4 @@
-"""The spanning tree's conventions: the names and the zero of its joints, as `urdf/spm_macro.xacro` has them."""
+"""The joints of the spanning tree, as `urdf/spm_macro.xacro` has them: names, values in a configuration, neighbours."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import itertools
 import re
 
 from spm_pin.errors import DescriptionError
+from spm_pin.mechanism.configuration import Configuration, check_configuration
+from spm_pin.mechanism.joint_angles import joint_angles
 
-__all__ = ["ANGLES", "JOINTS", "PASSIVE", "SLIDES", "check_prefix", "touching_links"]
+__all__ = ["ANGLES", "JOINTS", "PASSIVE", "SLIDES", "check_prefix", "joint_values", "touching_links"]
 
 JOINTS = (
     *("leg_b1_hip", "leg_b1_slide", "ball_b1_x", "ball_b1_y", "ball_b1_z"),
@@ -28,6 +30,18 @@ ANGLES = (
 
 PASSIVE = tuple(name for name in JOINTS if name not in SLIDES)
 """The joints without an actuator."""
+
+
+def joint_values(configuration: Configuration) -> dict[str, float]:
+    """Return the values of the tree's eighteen joints in a single configuration that exists.
+
+    By name, without prefix, in the order of `JOINTS`: angles in [-π, π] [rad], slides [m] as length minus home length.
+    Where the configuration violates the mechanism's closure, so does the tree.
+    """
+    check_configuration(configuration, single=True, existing=True)
+    found = joint_angles(configuration, corners=(0,)).values
+    values = dict(zip((*ANGLES, *SLIDES), found.tolist(), strict=True))
+    return {name: values[name] for name in JOINTS}
 
 
 def touching_links() -> tuple[tuple[str, str], ...]:

@@ -18,6 +18,7 @@ from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry
 from spm_pin.mechanism.joint_angles import home_lengths
+from spm_pin.mechanism.pose import homogeneous
 
 __all__ = ["BODIES", "VisualPart", "part_placements", "read_obj", "section_size", "visual_parts"]
 
@@ -28,27 +29,13 @@ BODIES = (*PLATFORMS, *(f"leg_{leg[2:]}_{half}" for half in ("cylinder", "rod") 
 
 @dataclass(frozen=True, eq=False)
 class VisualPart:
-    """A closed surface of one colour, fixed to a body of the robot.
+    """A closed surface of one colour, fixed to a body of the robot."""
 
-    Attributes
-    ----------
-    name : str
-        Its link in the URDF and its mesh: ``"base_a1 clevis"``, ``"leg_b1_rod tube"``.
-    body : str
-        The body it moves with, one of `BODIES`.
-    colour : tuple of three floats
-        sRGB, from 0 to 1.
-    vertices : ndarray, shape (n, 3)
-        In the frame of the body [m]; for a leg of the length that the URDF has at zero.
-    faces : ndarray of int32, shape (m, 3)
-        Triangles, counter-clockwise seen from outside.
-    """
-
-    name: str
-    body: str
-    colour: tuple[float, float, float]
-    vertices: FloatArray
-    faces: npt.NDArray[np.int32]
+    name: str  # its link in the URDF and its mesh: "base_a1 clevis", "leg_b1_rod tube"
+    body: str  # the body it moves with, one of `BODIES`
+    colour: tuple[float, float, float]  # sRGB, from 0 to 1
+    vertices: FloatArray  # (n, 3) in the frame of the body [m]; for a leg of the length that the URDF has at zero
+    faces: npt.NDArray[np.int32]  # triangles (m, 3), counter-clockwise seen from outside
 
     @property
     def mesh(self) -> str:
@@ -138,17 +125,12 @@ def _body_poses(configuration: Configuration) -> dict[str, FloatArray]:
     """Return the pose (..., 4, 4) of each body in {B}: of platforms, barrels and rods as the URDF has their frames."""
     geometry, shape = configuration.geometry, configuration.shape
     base = np.broadcast_to(np.eye(4), (*shape, 4, 4))
-    terminal = np.zeros((*shape, 4, 4))
-    terminal[..., :3, :3], terminal[..., :3, 3] = configuration.rotation, configuration.translation
-    terminal[..., 3, 3] = 1.0
+    terminal = homogeneous(configuration.rotation, configuration.translation)
     poses = dict(zip(PLATFORMS, (base, configuration.middle_pose.as_matrix(), terminal), strict=True))
-    axes = np.concatenate(
-        [np.broadcast_to(geometry.revolute_axes, (*shape, 3, 3)), configuration.platform_axes], axis=-2
-    )
-    hips = np.concatenate(
-        [np.broadcast_to(geometry.base_joints, (*shape, 3, 3)), configuration.platform_joints], axis=-2
-    )
-    balls = np.concatenate([configuration.middle_joints] * 2, axis=-2)
+    below = np.broadcast_to([geometry.revolute_axes, geometry.base_joints], (*shape, 2, 3, 3))
+    axes = np.concatenate([below[..., 0, :, :], configuration.platform_axes], axis=-2)
+    hips = np.concatenate([below[..., 1, :, :], configuration.platform_joints], axis=-2)
+    balls = configuration.balls
     with np.errstate(invalid="ignore"):
         z = (balls - hips) / configuration.leg_lengths[..., None]
         y = np.cross(z, axes)
@@ -156,7 +138,5 @@ def _body_poses(configuration: Configuration) -> dict[str, FloatArray]:
     turns = np.stack([np.cross(y, z), y, z], axis=-1)
     for half, origins in (("cylinder", hips), ("rod", balls)):
         for i, leg in enumerate(LEGS):
-            pose = np.zeros((*shape, 4, 4))
-            pose[..., :3, :3], pose[..., :3, 3], pose[..., 3, 3] = turns[..., i, :, :], origins[..., i, :], 1.0
-            poses[f"leg_{leg[2:]}_{half}"] = pose
+            poses[f"leg_{leg[2:]}_{half}"] = homogeneous(turns[..., i, :, :], origins[..., i, :])
     return poses

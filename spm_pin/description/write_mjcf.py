@@ -13,7 +13,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from spm_pin.description.closures import Closure
-from spm_pin.description.robot_description import ASSEMBLED, Inertial, Joint, Material, RobotDescription, Shape
+from spm_pin.description.robot_description import ASSEMBLED, RobotDescription
+from spm_pin.description.robot_parts import Inertial, Joint, Material, Shape
 from spm_pin.description.srdf import HOME
 from spm_pin.description.xml_nodes import document, numbers
 from spm_pin.errors import ArgumentError, DescriptionError
@@ -133,7 +134,7 @@ class _Writer:
                     raise DescriptionError("robot", f"meshes in {', '.join(MESHES)}", shape.mesh.uri)
                 name = _free(shape.mesh.path.stem, taken)
                 self.meshes[str(shape.mesh.path), shape.size] = name
-                file = shape.mesh.reference(self.folder)
+                file = shape.mesh.reference(self.folder, uri=False)
                 SubElement(assets, "mesh", name=name, file=file, scale=numbers(shape.size))
         if len(assets):
             root.append(assets)

@@ -7,7 +7,8 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
 from spm_pin.description.closures import Closure
-from spm_pin.description.robot_description import ASSEMBLED, Joint, Link, Placement, RobotDescription, Shape
+from spm_pin.description.robot_description import ASSEMBLED, RobotDescription
+from spm_pin.description.robot_parts import Joint, Link, Placement, Shape
 from spm_pin.description.xml_nodes import document, numbers
 from spm_pin.errors import ArgumentError, DescriptionError
 
@@ -113,7 +114,7 @@ def _shape(tag: str, name: str, shape: Shape, folder: Path | None) -> Element:
     _pose(element, shape.placement)
     solid = SubElement(SubElement(element, "geometry"), shape.kind)
     if shape.mesh is not None:
-        _text(solid, "uri", shape.mesh.uri if "://" in shape.mesh.uri else shape.mesh.reference(folder))
+        _text(solid, "uri", shape.mesh.reference(folder))
         _text(solid, "scale", numbers(shape.size))
     elif shape.kind == "box":
         _text(solid, "size", numbers(shape.size))

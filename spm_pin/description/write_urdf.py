@@ -8,7 +8,8 @@ from xml.etree.ElementTree import Element, SubElement
 
 from spm_pin.description.closures import Closure
 from spm_pin.description.read_urdf import TRANSMISSION
-from spm_pin.description.robot_description import Joint, Link, Material, Placement, RobotDescription, Shape
+from spm_pin.description.robot_description import RobotDescription
+from spm_pin.description.robot_parts import Joint, Link, Material, Placement, Shape
 from spm_pin.description.xml_nodes import document, numbers
 from spm_pin.errors import DescriptionError
 
@@ -103,7 +104,7 @@ def _shape(tag: str, shape: Shape, folder: Path | None) -> Element:
     _origin(element, shape.placement)
     solid = SubElement(SubElement(element, "geometry"), shape.kind)
     if shape.mesh is not None:
-        uri = shape.mesh.uri if "://" in shape.mesh.uri else shape.mesh.reference(folder)
+        uri = shape.mesh.reference(folder)
         solid.attrib.update(filename=uri, scale=numbers(shape.size))
     elif shape.kind == "box":
         solid.set("size", numbers(shape.size))

@@ -86,6 +86,11 @@ class Node:
             raise self.error(f"{many} as {attribute} of <{self.tag}>", repr(text))
         return values
 
+    def triple(self, attribute: str, default: str | None = None) -> tuple[float, float, float]:
+        """Return the three numbers in an attribute."""
+        x, y, z = self.floats(attribute, 3, default)
+        return x, y, z
+
     def number(self, attribute: str, default: str | None = None) -> float:
         """Return the number in an attribute."""
         return self.floats(attribute, 1, default)[0]

@@ -31,27 +31,13 @@ _SIDES = 24  # of an arrow
 
 @dataclass(frozen=True)
 class Solid:
-    """One closed surface of a scene.
+    """One closed surface of a scene."""
 
-    Attributes
-    ----------
-    name : str
-        The link and the mesh, ``"base_a1 clevis"``, or the frame and the axis, ``"{B} x"``; unique in its scene.
-    kind : {"robot", "frame"}
-        Arrows of a frame are no part of the machine.
-    colour : tuple of three floats
-        sRGB, from 0 to 1.
-    vertices : ndarray, shape (n, 3)
-        In {B} [m].
-    faces : ndarray of int, shape (m, 3)
-        Triangles, counter-clockwise seen from outside.
-    """
-
-    name: str
-    kind: Literal["robot", "frame"]
+    name: str  # the link and the mesh, "base_a1 clevis", or the frame and the axis, "{B} x"; unique in its scene
+    kind: Literal["robot", "frame"]  # arrows of a frame are no part of the machine
     colour: Colour
-    vertices: FloatArray
-    faces: npt.NDArray[np.signedinteger]
+    vertices: FloatArray  # (n, 3) in {B} [m]
+    faces: npt.NDArray[np.signedinteger]  # triangles (m, 3), counter-clockwise seen from outside
 
 
 @dataclass(frozen=True)

@@ -32,25 +32,13 @@ _TRUTH: dict[str, Any] = {"colors": "#222428", "linewidths": 1.0, "linestyles": 
 
 @dataclass(frozen=True)
 class Plane:
-    """A plane to cut with.
+    """A plane to cut with, given by a point of it in {B} [m], and orthogonal unit vectors in {B}."""
 
-    Attributes
-    ----------
-    name : str
-        The title of its picture.
-    origin : tuple of three floats
-        A point of it in {B} [m], which becomes the origin of the picture.
-    across, up : tuple of three floats
-        Orthogonal unit vectors in {B}, to the right and up in the picture.
-    labels : tuple of two str
-        Names of the two axes.
-    """
-
-    name: str
-    origin: tuple[float, float, float]
-    across: tuple[float, float, float]
+    name: str  # the title of its picture
+    origin: tuple[float, float, float]  # becomes the origin of the picture
+    across: tuple[float, float, float]  # to the right in the picture
     up: tuple[float, float, float]
-    labels: tuple[str, str]
+    labels: tuple[str, str]  # of the two axes
 
     @classmethod
     def level(cls, height: float) -> Plane:

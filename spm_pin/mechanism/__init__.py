@@ -6,7 +6,8 @@ from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
 from spm_pin.mechanism.joint_angles import JointAngles, joint_angles
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose
-from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
+from spm_pin.mechanism.solution_status import Degeneracy, Status
+from spm_pin.mechanism.solutions import SolutionSet
 
 __all__ = [
     "BRANCHES",

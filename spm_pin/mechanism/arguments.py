@@ -1,7 +1,9 @@
 """Checks of arguments, one for each kind: each returns the value read, or raises an error that names the argument.
 
-All rooms use these, so that the same mistake gives the same message everywhere. Every check takes the value, then the
-name of the argument in the caller's signature.
+All rooms use these, so that the same mistake gives the same message everywhere. Every check takes the value as the
+caller gave it, then `argument`, its name in the caller's signature. In messages, `expected` and `meaning` say in words
+what is accepted, with the unit, and `cause` what the caller may have meant. An `ArgumentError` is raised, or the kind
+of it given as `error`.
 """
 
 from __future__ import annotations
@@ -61,24 +63,7 @@ def frozen(array: FloatArray) -> FloatArray:
 
 
 def instance(value: Any, kind: type[Kind], argument: str, cause: str = "") -> Kind:
-    """Return `value` if it is an instance of `kind`.
-
-    Parameters
-    ----------
-    value : Any
-        The argument as the caller gave it.
-    kind : type
-        The class it must be of.
-    argument : str
-        Its name in the caller's signature.
-    cause : str
-        What the caller may have meant, for the message.
-
-    Raises
-    ------
-    ArgumentError
-        If it is of another class.
-    """
+    """Return `value` if it is an instance of `kind`."""
     if not isinstance(value, kind):
         article = "an" if kind.__name__[0] in "AEIOU" else "a"
         raise ArgumentError(argument, f"{article} {kind.__name__}", type(value).__name__, cause)
@@ -97,28 +82,9 @@ def real_number(
     error: type[ArgumentError] = ArgumentError,
     cause: str = "",
 ) -> float:
-    """Read a finite real number.
+    """Read a finite real number with above < number < below and least <= number <= most.
 
-    Parameters
-    ----------
-    value : Any
-        The argument as the caller gave it. Python's and NumPy's integers and floats are numbers, and arrays of one
-        without axes; booleans and text are not.
-    argument : str
-        Its name in the caller's signature.
-    expected : str
-        The range in words, with the unit: "a positive length in metres".
-    above, least, most, below : float
-        The range: above < value, least <= value, value <= most, value < below.
-    error : type of ArgumentError
-        The error to raise.
-    cause : str
-        Likely cause of a number out of range, for the message.
-
-    Raises
-    ------
-    ArgumentError
-        If `value` is no number, is not finite, or is out of the range.
+    Python's and NumPy's integers and floats are numbers, and arrays of one without axes; booleans and text are not.
     """
     if isinstance(value, float | int) and not isinstance(value, bool):
         try:
@@ -148,22 +114,7 @@ def number_pair(
 def whole_number(
     value: Any, argument: str, expected: str = "", *, least: int = 0, most: int = 10**12, cause: str = ""
 ) -> int:
-    """Read a whole number from `least` to `most`; a float, even 2.0, is none.
-
-    Parameters
-    ----------
-    value, argument, cause
-        As for `real_number`.
-    expected : str
-        What is counted, for the message; made of the range if not given.
-    least, most : int
-        The range, both included. The largest by default is more than any memory holds.
-
-    Raises
-    ------
-    ArgumentError
-        If `value` is no whole number or out of the range.
-    """
+    """Read a whole number from `least` to `most`, by default more than any memory holds; a float, even 2.0, is none."""
     if not expected:
         expected = f"a whole number from {least} to {most}"
     try:
@@ -203,17 +154,7 @@ def file_path(
 ) -> Path:
     """Read the name of a file, as str or `os.PathLike`; without access to the file system.
 
-    Parameters
-    ----------
-    value, argument, error
-        As for `real_number`.
-    suffixes : collection of str, optional
-        The endings accepted, lower case and with their dot; any if not given.
-
-    Raises
-    ------
-    ArgumentError
-        If `value` is no name that a file can have, or ends otherwise.
+    The endings accepted are `suffixes`, lower case and with their dot; any if not given.
     """
     if not isinstance(value, str | os.PathLike):
         raise error(argument, "the name of a file", type_and_value(value))
@@ -261,30 +202,20 @@ def boolean_array(value: Any, argument: str, shape: tuple[int, ...]) -> npt.NDAr
         raise ArgumentError(argument, expected, f"shape {array.shape}") from None
 
 
-def broadcastable(argument: str, shape: tuple[int, ...], other: str, other_shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the shape to which the leading axes of two arguments broadcast.
-
-    Parameters
-    ----------
-    argument : str
-        The argument to be named in an error.
-    shape : tuple of int
-        Its leading axes.
-    other : str
-        The argument it has to fit.
-    other_shape : tuple of int
-        The leading axes of that one.
-
-    Raises
-    ------
-    ArgumentError
-        If the two do not broadcast.
-    """
+def broadcastable(
+    argument: str,
+    shape: tuple[int, ...],
+    other: str,
+    other_shape: tuple[int, ...],
+    *,
+    error: type[ArgumentError] = ArgumentError,
+) -> tuple[int, ...]:
+    """Return the shape to which the leading axes of an argument and of another broadcast."""
     try:
         return np.broadcast_shapes(shape, other_shape)
     except ValueError:
         expected = f"leading axes that broadcast with those of {other}, {other_shape}"
-        raise ArgumentError(argument, expected, f"{shape}") from None
+        raise error(argument, expected, f"{shape}") from None
 
 
 def real_array(
@@ -296,27 +227,9 @@ def real_array(
     error: type[ArgumentError] = ArgumentError,
     allow_nan: bool = False,
 ) -> FloatArray:
-    """Read `value` as float64 of shape `(..., *trailing)`.
+    """Read finite real numbers as float64 of shape `(..., *trailing)`.
 
-    Parameters
-    ----------
-    value : array_like
-        The argument as the caller gave it.
-    argument : str
-        Its name in the caller's signature.
-    trailing : tuple of int
-        The last axes it must have.
-    meaning : str
-        What it holds and in which unit, for the error message.
-    error : type of ArgumentError
-        The error to raise.
-    allow_nan : bool
-        Accept NaN, which marks an absent member of a batch. Infinity is never accepted.
-
-    Raises
-    ------
-    ArgumentError
-        If `value` is not numeric and real, has another shape, or holds a number that is not finite.
+    With `allow_nan` NaN is accepted, which marks an absent member of a batch; infinity never is.
     """
     array = shaped_array(value, argument, trailing, meaning, error=error)
     return finite_array(array, argument, trailing, meaning, error=error, allow_nan=allow_nan)

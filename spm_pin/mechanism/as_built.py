@@ -16,8 +16,8 @@ import yaml
 
 from spm_pin.errors import GeometryError
 from spm_pin.mechanism import yaml_nodes
-from spm_pin.mechanism.arguments import FloatArray, file_path, generator, instance, real_array, real_number
-from spm_pin.mechanism.geometry import LARGEST, LEGS, SMALLEST, Geometry, LegLimits, geometry_of_node
+from spm_pin.mechanism.arguments import FloatArray, file_path, generator, instance, real_array, real_number, writing
+from spm_pin.mechanism.geometry import LARGEST, LEGS, SMALLEST, Geometry, LegLimits, geometry_data, geometry_of_node
 
 __all__ = ["PARAMETERS", "AsBuiltGeometry", "all_balls"]
 
@@ -214,9 +214,7 @@ class AsBuiltGeometry:
             If the file cannot be read or describes no machine. The error names the line and the key.
         """
         path = file_path(path, error=GeometryError)
-        root = yaml_nodes.compose(path, error=GeometryError)
-        if root is None:
-            raise GeometryError(str(path), "a YAML mapping with the keys nominal and legs", "an empty file")
+        root = yaml_nodes.compose(path, "a YAML mapping with the keys nominal and legs", error=GeometryError)
         nodes = yaml_nodes.mapping(root, {"nominal", "legs"}, path, error=GeometryError)
         nominal = geometry_of_node(nodes["nominal"], path)
         legs = yaml_nodes.mapping(nodes["legs"], LEGS, path, error=GeometryError)
@@ -239,12 +237,6 @@ class AsBuiltGeometry:
             If the file cannot be written.
         """
         path = file_path(path, error=GeometryError)
-        nominal: dict[str, Any] = {
-            name: getattr(self.nominal, name) for name in ("base_radius", "platform_radius", "middle_side")
-        }
-        if self.limits is not None:
-            pairs = zip(LEGS, self.limits.minimum, self.limits.maximum, strict=True)
-            nominal["leg_limits"] = {leg: [low, high] for leg, low, high in pairs}
         legs = {
             leg: {
                 "axis": self.axes[i].tolist(),
@@ -254,12 +246,12 @@ class AsBuiltGeometry:
             }
             for i, leg in enumerate(LEGS)
         }
-        text = yaml.safe_dump({"nominal": nominal, "legs": legs}, sort_keys=False, default_flow_style=None, width=120)
+        text = yaml.safe_dump(
+            {"nominal": geometry_data(self.nominal), "legs": legs}, sort_keys=False, default_flow_style=None, width=120
+        )
         heading = "# A 3RPS-3SPR manipulator as built, lengths in metres: see AsBuiltGeometry of spm_pin.\n"
-        try:
+        with writing(path, error=GeometryError):
             path.write_text(heading + text, encoding="utf-8")
-        except OSError as failed:
-            raise GeometryError(str(path), "a file that can be written", str(failed.strerror)) from failed
 
 
 def all_balls(geometry: AsBuiltGeometry, lower: FloatArray) -> FloatArray:

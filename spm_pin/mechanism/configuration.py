@@ -22,7 +22,7 @@ from spm_pin.mechanism.arguments import (
 )
 from spm_pin.mechanism.as_built import AsBuiltGeometry, all_balls
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
+from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, unchecked_transform
 
 __all__ = ["Configuration", "check_configuration", "triangle_frames"]
 
@@ -175,7 +175,7 @@ class Configuration:
     @cached_property
     def pose(self) -> RigidTransform:
         """Pose of the terminal platform {m} in {B}; NaN where a member has no pose."""
-        return _transform(self._rotation, self._translation)
+        return unchecked_transform(self._rotation, self._translation)
 
     @property
     def middle_joints(self) -> FloatArray:
@@ -248,7 +248,7 @@ class Configuration:
             # {n} is where the nominal triangle would be, from where the balls are.
             frames = frames @ triangle_frames(geometry.balls[:3]).T
             centres = centres - frames @ geometry.balls[:3].mean(axis=0)
-        return _transform(frames, centres)
+        return unchecked_transform(frames, centres)
 
     @cached_property
     def closure_residual(self) -> FloatArray:
@@ -289,25 +289,10 @@ def check_configuration(
     existing: bool = False,
     as_built: bool = False,
 ) -> Configuration:
-    """Return `value` if it is a configuration.
+    """Return `value` if it is a configuration, and no `SolutionSet`; see `spm_pin.mechanism.arguments`.
 
-    Parameters
-    ----------
-    value : Any
-        The argument as the caller gave it.
-    argument : str
-        Its name in the caller's signature.
-    single : bool
-        Refuse batches.
-    existing : bool
-        Refuse states that do not exist.
-    as_built : bool
-        Accept states of an `AsBuiltGeometry`.
-
-    Raises
-    ------
-    ArgumentError
-        If it is of another class, such as a `SolutionSet`, or refused as above.
+    A `single` one is no batch, an `existing` one has no NaN. States of an `AsBuiltGeometry` are accepted with
+    `as_built` only.
     """
     several = hasattr(type(value), "physical")
     cause = "Choose one of its solutions: .physical(), .nearest(seed), or a label such as ['TT+']" if several else ""
@@ -324,11 +309,3 @@ def check_configuration(
         cause = configuration.absence or "Not a real solution? See .status and .exists of the SolutionSet"
         raise ArgumentError(argument, "a configuration that exists", f"NaN{where}", cause)
     return configuration
-
-
-def _transform(rotation: FloatArray, translation: FloatArray) -> RigidTransform:
-    matrix = np.zeros((*rotation.shape[:-2], 4, 4))
-    matrix[..., :3, :3] = rotation
-    matrix[..., :3, 3] = translation
-    matrix[..., 3, 3] = 1.0
-    return RigidTransform(matrix, normalize=False, copy=False)

@@ -31,7 +31,7 @@ from spm_pin.mechanism.arguments import (
     type_and_value,
 )
 
-__all__ = ["LEGS", "Geometry", "LegLimits", "config_directory", "geometry_of_node"]
+__all__ = ["LEGS", "Geometry", "LegLimits", "config_directory", "geometry_data", "geometry_of_node"]
 
 LEGS = ("r_b1", "r_b2", "r_b3", "r_c1", "r_c2", "r_c3")
 """Names and order of the legs: the lower stage's three, then the upper stage's."""
@@ -189,10 +189,7 @@ class Geometry:
             describe no manipulator. The error names the line and the key.
         """
         path = file_path(path, error=GeometryError)
-        root = yaml_nodes.compose(path, error=GeometryError)
-        if root is None:
-            raise GeometryError(str(path), "a YAML mapping of dimensions", "an empty file")
-        return geometry_of_node(root, path)
+        return geometry_of_node(yaml_nodes.compose(path, "a YAML mapping of dimensions", error=GeometryError), path)
 
     @property
     def middle_radius(self) -> float:
@@ -242,6 +239,15 @@ def geometry_of_node(root: yaml.Node, path: Path) -> Geometry:
         text = f"{path}: {longest} is {lengths[longest]:g} m. Lengths are read as metres; are these in another unit?"
         warnings.warn(text, stacklevel=3)
     return geometry
+
+
+def geometry_data(geometry: Geometry) -> dict[str, Any]:
+    """Return a geometry as the data of a YAML file: radii, and limits per leg, as `Geometry.from_yaml` takes them."""
+    data: dict[str, Any] = {name: getattr(geometry, name) for name in ("base_radius", "platform_radius", "middle_side")}
+    if geometry.limits is not None:
+        pairs = zip(LEGS, geometry.limits.minimum, geometry.limits.maximum, strict=True)
+        data["leg_limits"] = {leg: [low, high] for leg, low, high in pairs}
+    return data
 
 
 def _dimension(value: Any, argument: str) -> float:

@@ -10,7 +10,14 @@ import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.errors import PoseError
-from spm_pin.mechanism.arguments import FloatArray, finite_array, first_offender, real_array, shaped_array
+from spm_pin.mechanism.arguments import (
+    FloatArray,
+    broadcastable,
+    finite_array,
+    first_offender,
+    real_array,
+    shaped_array,
+)
 
 __all__ = [
     "EXACT",
@@ -18,8 +25,10 @@ __all__ = [
     "PoseLike",
     "as_rigid_transform",
     "checked_pose",
+    "homogeneous",
     "pose",
     "unchecked_pose",
+    "unchecked_transform",
 ]
 
 ORTHONORMALITY_TOLERANCE = 1e-6
@@ -91,13 +100,17 @@ def pose(
         raise PoseError("rotation", "either xyx=... or rotation=...", received)
     if xyx is not None:
         angles = real_array(xyx, "xyx", (3,), "X-Y-X Euler angles in radians", error=PoseError)
-        _warn_of_degrees(angles)
-        matrices = _euler(angles)
+        largest = float(np.abs(angles).max(initial=0.0))
+        if largest > 2.0 * np.pi * (1.0 + EXACT):
+            cause = "Angles are in radians; numpy.deg2rad converts"
+            warnings.warn(f"xyx: an angle of {largest:g} rad is beyond a full turn. {cause}", stacklevel=2)
+        # scipy reads shape (3,) as one rotation and (..., 3) as a batch, empty ones included.
+        matrices = np.asarray(Rotation.from_euler("XYX", angles).as_matrix())
     elif isinstance(rotation, Rotation):
         matrices = np.asarray(rotation.as_matrix())
     else:
         matrices = shaped_array(rotation, "rotation", (3, 3), _ROTATION, error=PoseError)  # type: ignore[arg-type]
-    return _assemble(*_broadcast(_rotations(matrices, "rotation"), position, "translation"))
+    return unchecked_transform(*_broadcast(_rotations(matrices, "rotation"), position, "translation"))
 
 
 def as_rigid_transform(value: PoseLike, argument: str = "pose") -> RigidTransform:
@@ -115,7 +128,7 @@ def as_rigid_transform(value: PoseLike, argument: str = "pose") -> RigidTransfor
     PoseError
         If `value` is none of these, or is not a rigid transform of finite numbers.
     """
-    return _assemble(*checked_pose(*unchecked_pose(value, argument), argument))
+    return unchecked_transform(*checked_pose(*unchecked_pose(value, argument), argument))
 
 
 def unchecked_pose(value: PoseLike, argument: str = "pose") -> tuple[FloatArray, FloatArray]:
@@ -151,18 +164,6 @@ def checked_pose(rotation: FloatArray, position: FloatArray, argument: str) -> t
     return _rotations(rotation, argument), position
 
 
-def _warn_of_degrees(angles: FloatArray) -> None:
-    largest = float(np.abs(angles).max(initial=0.0))
-    if largest > 2.0 * np.pi * (1.0 + EXACT):
-        text = f"xyx: an angle of {largest:g} rad is beyond a full turn. Angles are in radians; numpy.deg2rad converts"
-        warnings.warn(text, stacklevel=3)
-
-
-def _euler(angles: FloatArray) -> FloatArray:
-    # scipy reads shape (3,) as one rotation and (..., 3) as a batch, empty ones included.
-    return np.asarray(Rotation.from_euler("XYX", angles).as_matrix())
-
-
 def _rotations(matrices: FloatArray, argument: str) -> FloatArray:
     """Return matrices (..., 3, 3), those that rounding made no rotations repaired; raise if one is far from any."""
     finite_array(matrices, argument, (3, 3), _ROTATION, error=PoseError)
@@ -186,17 +187,19 @@ def _rotations(matrices: FloatArray, argument: str) -> FloatArray:
 
 
 def _broadcast(rotation: FloatArray, position: FloatArray, argument: str) -> tuple[FloatArray, FloatArray]:
-    try:
-        shape = np.broadcast_shapes(rotation.shape[:-2], position.shape[:-1])
-    except ValueError:
-        expected = f"leading axes that broadcast with those of the rotation, {rotation.shape[:-2]}"
-        raise PoseError(argument, expected, position.shape[:-1]) from None
+    shape = broadcastable(argument, position.shape[:-1], "the rotation", rotation.shape[:-2], error=PoseError)
     return np.broadcast_to(rotation, (*shape, 3, 3)), np.broadcast_to(position, (*shape, 3))
 
 
-def _assemble(rotation: FloatArray, position: FloatArray) -> RigidTransform:
-    transform = np.zeros((*position.shape[:-1], 4, 4))
-    transform[..., :3, :3] = rotation
-    transform[..., :3, 3] = position
-    transform[..., 3, 3] = 1.0
-    return RigidTransform(transform, normalize=False, copy=False)
+def homogeneous(rotation: FloatArray, position: FloatArray) -> FloatArray:
+    """Return the matrices (..., 4, 4) of rotations (..., 3, 3) and positions (..., 3)."""
+    matrix = np.zeros((*position.shape[:-1], 4, 4))
+    matrix[..., :3, :3] = rotation
+    matrix[..., :3, 3] = position
+    matrix[..., 3, 3] = 1.0
+    return matrix
+
+
+def unchecked_transform(rotation: FloatArray, position: FloatArray) -> RigidTransform:
+    """Return the pose of arrays known to be valid, bit by bit."""
+    return RigidTransform(homogeneous(rotation, position), normalize=False, copy=False)

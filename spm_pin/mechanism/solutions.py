@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import enum
-import html
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any, overload
 
 import numpy as np
@@ -21,60 +18,21 @@ from spm_pin.mechanism.arguments import (
     real_array,
     type_and_value,
 )
-from spm_pin.mechanism.branches import BRANCHES, FAMILIES, branch_sign, family, physical, straightness
+from spm_pin.mechanism.branches import BRANCHES, physical, straightness
+from spm_pin.mechanism.canonical_order import in_canonical_order
 from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
+from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
+from spm_pin.mechanism.solution_status import Degeneracy, Status
+from spm_pin.mechanism.solution_table import html_table
 from spm_pin.mechanism.units import unit_hint
 
-__all__ = ["Degeneracy", "SolutionSet", "Status"]
+__all__ = ["SolutionSet"]
 
 BoolArray = npt.NDArray[np.bool_]
 
 _PARALLEL = 1e-12
 """Sine of the tilt up to which the Z axes of {B} and {m} are taken for parallel in proofs."""
-
-_MOST_ROWS = 16
-"""Solutions that a table for notebooks shows."""
-
-
-class Status(enum.IntEnum):
-    """Outcome of one problem."""
-
-    OK = 0
-    """At least one real solution, and all solutions are isolated."""
-    UNREACHABLE = 1
-    """No real solution."""
-    DEGENERATE = 2
-    """Some solutions form a continuous family, of which none is picked; those of the other families are kept."""
-    UNSOLVED = 3
-    """The method failed: nothing is known about the problem."""
-
-    def __str__(self) -> str:
-        return self.name.lower()
-
-
-@dataclass(frozen=True)
-class Degeneracy:
-    """Description of the continuous families of solutions, where there are any.
-
-    Attributes
-    ----------
-    dimension : ndarray of int8, shape (...)
-        Dimension of the family; 0 where all solutions are isolated.
-    families : ndarray of bool, shape (..., 4)
-        Which of TT, TF, FT, FF are continuous.
-    legs : ndarray of bool, shape (..., 3)
-        Legs whose lower and upper plane coincide, so that b_i is bound to no line.
-    """
-
-    dimension: npt.NDArray[np.int8]
-    families: BoolArray
-    legs: BoolArray
-
-    def __getitem__(self, batch: tuple[Any, ...]) -> Degeneracy:
-        inner = (*batch, slice(None))
-        return Degeneracy(self.dimension[batch], self.families[inner], self.legs[inner])
 
 
 class SolutionSet:
@@ -177,26 +135,7 @@ class SolutionSet:
             raise ArgumentError("middle_joints", "shape (..., n, 3, 3) with n from 1", f"shape {joints.shape}")
         shape = broadcastable("middle_joints", joints.shape[:-3], "the pose", transform.shape)
         good = boolean_array(solved, "solved", shape)
-        matrix = transform.as_matrix()[..., None, :, :]
-        found = Configuration(geometry, matrix, joints)
-        families, signs = family(found), branch_sign(found)
-        ordered = np.full((*found.shape[:-1], len(BRANCHES), 3, 3), np.nan)
-        counts = np.stack([(families == index).sum(axis=-1) for index in range(len(FAMILIES))], axis=-1)
-        good = good & (counts <= 2).all(axis=-1)
-        for index in range(len(FAMILIES)):
-            member = families == index
-            count = np.where(good, counts[..., index], 0)
-            top = np.where(member, signs, -np.inf).argmax(axis=-1)[..., None]
-            bottom = np.where(member, signs, np.inf).argmin(axis=-1)[..., None]
-            # Two members are distinguished by their order, which is right also where rounding hides a sign.
-            plus = (count == 2) | ((count == 1) & (np.take_along_axis(signs, top, -1)[..., 0] >= 0.0))
-            minus = (count == 2) | ((count == 1) & ~plus)
-            for place, chosen, present in ((2 * index, top, plus), (2 * index + 1, bottom, minus)):
-                joint = np.take_along_axis(found.middle_joints, chosen[..., None, None], -3)[..., 0, :, :]
-                ordered[..., place, :, :] = np.where(present[..., None, None], joint, np.nan)
-        branches = Configuration(geometry, matrix, ordered)
-        reached = np.where(branches.exists.any(axis=-1), Status.OK, Status.UNREACHABLE)
-        status = np.where(good, reached, Status.UNSOLVED)
+        branches, status = in_canonical_order(geometry, transform, joints, good)
         return cls(branches, BRANCHES, status)
 
     @property
@@ -359,23 +298,7 @@ class SolutionSet:
 
     def _repr_html_(self) -> str:
         """Return a small table: the solutions of a single problem, or the outcomes of a batch."""
-        if self.shape:
-            header = ["status", "problems", "solutions"]
-            at = [(status, self._status == status) for status in Status]
-            rows = [[str(s), f"{np.count_nonzero(m)}", f"{np.count_nonzero(self.exists[m])}"] for s, m in at]
-        else:
-            header = ["", *(f"{leg} [m]" for leg in LEGS), "physical"]
-            shown = np.flatnonzero(self.exists)[:_MOST_ROWS]
-            rows = [
-                [self._labels[i], *(f"{r:.4f}" for r in self.leg_lengths[i]), "✓" if self.is_physical[i] else ""]
-                for i in shown
-            ]
-            if self.count > len(shown):
-                rows.append([f"… {self.count - len(shown)} more", *[""] * 7])
-        lines = [f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>" for row in rows]
-        top = "".join(f"<th>{html.escape(name)}</th>" for name in header)
-        title = html.escape(repr(self))
-        return f"<table><caption>{title}</caption><thead><tr>{top}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
+        return html_table(self)
 
     def _absence(self, index: tuple[int, ...] = ()) -> str:
         """Return why no solution of a problem can be chosen."""

@@ -23,8 +23,8 @@ _INFINITY = re.compile(r"[-+]?\.(inf|Inf|INF)")
 Error = type[ArgumentError]
 
 
-def compose(path: Path, *, error: Error = DescriptionError) -> yaml.Node | None:
-    """Return the root node of a YAML file, None if the file is empty."""
+def compose(path: Path, expected: str, *, error: Error = DescriptionError) -> yaml.Node:
+    """Return the root node of a YAML file, of which `expected` says what it holds."""
     try:
         with path.open(encoding="utf-8") as file:
             text = file.read(LARGEST_FILE + 1)
@@ -35,9 +35,12 @@ def compose(path: Path, *, error: Error = DescriptionError) -> yaml.Node | None:
     if len(text) > LARGEST_FILE:
         raise error(str(path), f"a YAML file of at most {LARGEST_FILE} characters", "a longer one")
     try:
-        return yaml.compose(text, Loader=yaml.SafeLoader)
+        root: yaml.Node | None = yaml.compose(text, Loader=yaml.SafeLoader)
     except Exception as failed:  # YAMLError; of malformed escapes, tags and nesting also other kinds
         raise error(str(path), "a YAML file", str(failed) or type(failed).__name__) from failed
+    if root is None:
+        raise error(str(path), expected, "an empty file")
+    return root
 
 
 def place(path: Path, node: yaml.Node) -> str:

@@ -71,25 +71,9 @@ class LoopEquations:
 def newton(
     equations: LoopEquations, starts: FloatArray, matrix: FloatArray, iterations: int
 ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-    """Iterate Newton's method from each start.
+    """Iterate Newton's method from each of the starts b (n, 9) [m], for a pose (4, 4).
 
-    Parameters
-    ----------
-    equations : LoopEquations
-        What to solve.
-    starts : ndarray, shape (n, 9)
-        b_1, b_2, b_3 [m].
-    matrix : ndarray, shape (4, 4)
-        The pose.
-    iterations : int
-        Steps a start may take.
-
-    Returns
-    -------
-    b : ndarray, shape (n, 9)
-        Where each start ended [m].
-    converged : ndarray of bool, shape (n,)
-        Whether all equations hold there to rounding.
+    Returns where each start ended (n, 9) [m], and whether all equations hold there to rounding (n,).
     """
     b = starts.copy()
     converged = np.zeros(len(b), dtype=bool)
@@ -121,27 +105,18 @@ def _solve(jacobian: FloatArray, residual: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class RootCertificate:
-    """A bound on the distance from a point to a solution, proved up to the rounding of its own evaluation.
-
-    Attributes
-    ----------
-    b : ndarray, shape (9,)
-        The point after a last Newton step where that helps [m].
-    sigma : float
-        Smallest singular value of the loop equations' Jacobian, dimensionless: zero at inverse singularities.
-    error : float
-        Largest distance to a solution [m], in the norm of all nine coordinates.
-    isolated : bool
-        Whether that bound is proved. If not, `error` is that of a double root.
-    apart : float
-        Points closer than this are the same solution [m].
-    """
+    """A bound on the distance from a point to a solution, proved up to the rounding of its own evaluation."""
 
     b: FloatArray
+    """The point (9,) after a last Newton step where that helps [m]."""
     sigma: float
+    """Smallest singular value of the loop equations' Jacobian, dimensionless: zero at inverse singularities."""
     error: float
+    """Largest distance to a solution [m], in the norm of all nine coordinates."""
     isolated: bool
+    """Whether that bound is proved. If not, `error` is that of a double root."""
     apart: float
+    """Points closer than this are the same solution [m]."""
 
 
 def certify(equations: LoopEquations, b: FloatArray, matrix: FloatArray) -> RootCertificate:

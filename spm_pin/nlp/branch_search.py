@@ -22,7 +22,8 @@ from spm_pin.mechanism.arguments import FloatArray, choice, instance, real_numbe
 from spm_pin.mechanism.branches import BRANCHES
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
-from spm_pin.mechanism.solutions import SolutionSet, Status
+from spm_pin.mechanism.solution_status import Status
+from spm_pin.mechanism.solutions import SolutionSet
 from spm_pin.nlp.batched_newton import LoopEquations
 from spm_pin.nlp.multistart import Multistart
 from spm_pin.nlp.solvers import Ipopt
@@ -115,20 +116,8 @@ def inverse_displacement(
 ) -> SolutionSet:
     """Find the configurations that hold the platform in a pose, numerically.
 
-    Parameters
-    ----------
-    geometry, pose, starts, seed, solver, options
-        As for `search`, which also returns the statistics of the search.
-
-    Returns
-    -------
-    SolutionSet
-        With the labels of `spm_pin.inverse_displacement`, without discriminants and degeneracy.
-
-    Raises
-    ------
-    PoseError, ArgumentError, Interrupted
-        As for `search`.
+    Parameters and errors are those of `search`, which also returns the statistics. The `SolutionSet` has the labels of
+    `spm_pin.inverse_displacement`, without discriminants and degeneracy.
     """
     return search(geometry, pose, starts=starts, seed=seed, solver=solver, options=options).solutions
 
@@ -192,8 +181,8 @@ def search(
         options = _options(options, solver)
     transform = as_rigid_transform(pose)
     matrices = transform.as_matrix().reshape(-1, 4, 4)
-    method = Ipopt(geometry, options) if options else _solver(geometry, solver)
-    equations = loop_equations_of(geometry)
+    method = Ipopt(geometry, options) if options else _ipopt(geometry) if solver == "ipopt" else None
+    equations = _loop_equations(geometry)
     found: list[Multistart] = []
     try:
         for matrix in matrices:
@@ -206,15 +195,8 @@ def search(
     return _collect(geometry, transform, found)
 
 
-@functools.lru_cache(maxsize=32)
-def loop_equations_of(geometry: Geometry) -> LoopEquations:
-    """Return the loop equations of a geometry, made once."""
-    return LoopEquations(geometry)
-
-
-@functools.lru_cache(maxsize=32)
-def _solver(geometry: Geometry, solver: str) -> Ipopt | None:
-    return Ipopt(geometry) if solver == "ipopt" else None
+_loop_equations = functools.lru_cache(maxsize=32)(LoopEquations)
+_ipopt = functools.lru_cache(maxsize=32)(Ipopt)
 
 
 def _options(options: Mapping[str, Any], solver: str) -> dict[str, Any]:
@@ -229,17 +211,14 @@ def _options(options: Mapping[str, Any], solver: str) -> dict[str, Any]:
 def _collect(geometry: Geometry, transform: Any, found: list[Multistart]) -> Search:
     """Gather the searches of all poses into arrays of the batch's shape."""
     shape = transform.shape
-    joints = np.full((len(found), MOST_BRANCHES, 3, 3), np.nan)
-    solved = np.ones(len(found), dtype=bool)
+    joints = np.full((len(found), MOST_BRANCHES, 9), np.nan)
+    solved = [len(run.kept) <= MOST_BRANCHES and run.status is not Status.UNSOLVED for run in found]
     for n, run in enumerate(found):
-        kept = run.kept
-        solved[n] = len(kept) <= MOST_BRANCHES and run.status is not Status.UNSOLVED
-        for place, k in enumerate(kept[:MOST_BRANCHES]):
-            joints[n, place] = run.certificates[k].b.reshape(3, 3)
-    ordered = SolutionSet.from_unordered(
-        geometry, transform, joints.reshape(*shape, MOST_BRANCHES, 3, 3), solved.reshape(shape)
-    )
-    branches = ordered.middle_joints.reshape(len(found), MOST_BRANCHES, 9)
+        for place, k in enumerate(run.kept[:MOST_BRANCHES]):
+            joints[n, place] = run.certificates[k].b
+    by_place = joints.reshape(*shape, MOST_BRANCHES, 3, 3)
+    ordered = SolutionSet.from_unordered(geometry, transform, by_place, np.array(solved, dtype=bool).reshape(shape))
+    branches = ordered.middle_joints.reshape(joints.shape)
     hits = np.zeros((len(found), MOST_BRANCHES), dtype=int)
     sigma, error = np.full(hits.shape, np.nan), np.full(hits.shape, np.nan)
     isolated = np.zeros(hits.shape, dtype=bool)
@@ -248,10 +227,8 @@ def _collect(geometry: Geometry, transform: Any, found: list[Multistart]) -> Sea
             at = n, (branches[n] == run.certificates[k].b).all(axis=-1)
             hits[at], isolated[at] = run.hits[k], run.certificates[k].isolated
             sigma[at], error[at] = run.certificates[k].sigma, run.certificates[k].error
-    status = np.asarray(ordered.status).reshape(-1).copy()
-    for n, run in enumerate(found):
-        if run.continuous:
-            status[n] = Status.DEGENERATE
+    continuous = np.array([run.continuous for run in found], dtype=bool).reshape(shape)
+    status = np.where(continuous, Status.DEGENERATE, ordered.status)
     outcomes: Counter[str] = sum((run.outcomes for run in found), Counter())
 
     def of(values: list[Any], kind: Any = np.float64) -> Any:
@@ -261,13 +238,10 @@ def _collect(geometry: Geometry, transform: Any, found: list[Multistart]) -> Sea
     with np.errstate(invalid="ignore", divide="ignore"):
         unseen_share = np.where(converged > 0, (hits == 1).sum(axis=-1) / converged, np.nan)
     return Search(
-        solutions=SolutionSet(ordered.configurations, BRANCHES, status.reshape(shape)),
+        solutions=SolutionSet(ordered.configurations, BRANCHES, status),
         starts=of([run.starts for run in found], int),
         hits=hits.reshape(*shape, MOST_BRANCHES),
-        continuous=of(
-            [run.starts - run.failed - sum(run.hits[k] for k in run.kept) for run in found],
-            int,
-        ),
+        continuous=of([run.starts - run.failed - sum(run.hits[k] for k in run.kept) for run in found], int),
         failed=of([run.failed for run in found], int),
         failed_residual=of([run.failed_residual for run in found]),
         unseen_share=unseen_share.reshape(shape),

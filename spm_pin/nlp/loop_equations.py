@@ -77,11 +77,6 @@ def leg_vectors(geometry: Geometry, b: ca.SX, rotation: ca.SX, translation: ca.S
 def closure(geometry: Geometry) -> ca.Function:
     """Make the loop equations and their Jacobian.
 
-    Parameters
-    ----------
-    geometry : Geometry
-        The manipulator.
-
     Returns
     -------
     casadi.Function
@@ -89,15 +84,9 @@ def closure(geometry: Geometry) -> ca.Function:
         residual (9,) [m] as in `equations`, and its dense Jacobian (9, 9) with respect to b, dimensionless with
         entries of at most one where the sides are right.
     """
-    b, rotation, translation = _symbols(geometry)
+    b, rotation, translation = state = _symbols(geometry)
     residual = equations(geometry, b, rotation, translation)
-    return ca.Function(
-        "closure",
-        [b, rotation, translation],
-        [residual, ca.densify(ca.jacobian(residual, b))],
-        ["b", "rotation", "translation"],
-        ["residual", "jacobian"],
-    )
+    return _function("closure", state, residual=residual, jacobian=ca.densify(ca.jacobian(residual, b)))
 
 
 def leg_lengths(geometry: Geometry) -> ca.Function:
@@ -108,15 +97,8 @@ def leg_lengths(geometry: Geometry) -> ca.Function:
     casadi.Function
         ``leg_lengths(b, rotation, translation) -> lengths``: r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m]. Eq. (20).
     """
-    b, rotation, translation = _symbols(geometry)
-    lengths = [ca.norm_2(leg) for leg in leg_vectors(geometry, b, rotation, translation)]
-    return ca.Function(
-        "leg_lengths",
-        [b, rotation, translation],
-        [ca.vertcat(*lengths)],
-        ["b", "rotation", "translation"],
-        ["lengths"],
-    )
+    state = _symbols(geometry)
+    return _function("leg_lengths", state, lengths=ca.vertcat(*map(ca.norm_2, leg_vectors(geometry, *state))))
 
 
 def leg_jacobian(geometry: Geometry) -> ca.Function:
@@ -131,25 +113,19 @@ def leg_jacobian(geometry: Geometry) -> ca.Function:
         ``leg_jacobian(b, rotation, translation) -> closure_b, closure_x, lengths_b, lengths_x`` of shapes (9, 9),
         (9, 6), (6, 9) and (6, 6); derivatives with respect to an angle are in metres.
     """
-    b, rotation, translation = _symbols(geometry)
+    b, rotation, translation = state = _symbols(geometry)
     motion = ca.SX.sym("x", 6)
     # Around zero motion, R + [ω] R is the rotation to first order, and only that is differentiated.
     moved = rotation + ca.skew(motion[3:]) @ rotation
     position = translation + motion[:3]
     residual = equations(geometry, b, moved, position)
     lengths = ca.vertcat(*(ca.norm_2(leg) for leg in leg_vectors(geometry, b, moved, position)))
-    at_rest = [
-        ca.densify(ca.substitute(ca.jacobian(of, by), motion, ca.SX.zeros(6)))
-        for of in (residual, lengths)
-        for by in (b, motion)
-    ]
-    return ca.Function(
-        "leg_jacobian",
-        [b, rotation, translation],
-        at_rest,
-        ["b", "rotation", "translation"],
-        ["closure_b", "closure_x", "lengths_b", "lengths_x"],
-    )
+    at_rest = {
+        f"{name}_{variable}": ca.densify(ca.substitute(ca.jacobian(value, by), motion, ca.SX.zeros(6)))
+        for name, value in (("closure", residual), ("lengths", lengths))
+        for variable, by in (("b", b), ("x", motion))
+    }
+    return _function("leg_jacobian", state, **at_rest)
 
 
 def inverse_jacobian(derivatives: Sequence[npt.ArrayLike | ca.DM]) -> FloatArray:
@@ -181,6 +157,10 @@ def inverse_jacobian(derivatives: Sequence[npt.ArrayLike | ca.DM]) -> FloatArray
 def _symbols(geometry: Geometry) -> tuple[ca.SX, ca.SX, ca.SX]:
     instance(geometry, Geometry, "geometry")
     return ca.SX.sym("b", 9), ca.SX.sym("R", 3, 3), ca.SX.sym("o", 3)
+
+
+def _function(name: str, state: tuple[ca.SX, ca.SX, ca.SX], **values: ca.SX) -> ca.Function:
+    return ca.Function(name, list(state), list(values.values()), ["b", "rotation", "translation"], list(values))
 
 
 def _points(b: ca.SX) -> list[ca.SX]:

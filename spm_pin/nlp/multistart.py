@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.solutions import Status
+from spm_pin.mechanism.solution_status import Status
 from spm_pin.nlp.batched_newton import LoopEquations, RootCertificate, certify, isolated, newton
 from spm_pin.nlp.solvers import Ipopt
 from spm_pin.nlp.starts import random_starts, unseen_probability

@@ -25,10 +25,7 @@ _UNUSABLE = ("Invalid_Option", "Invalid_Problem_Definition", "Insufficient_Memor
 class Ipopt:
     """The square feasibility problem: no objective, the nine loop equations as constraints.
 
-    Raises
-    ------
-    ArgumentError
-        If IPOPT or CasADi refuses an option.
+    Options that IPOPT or CasADi refuses raise `ArgumentError`, some of them only when the solver is called.
     """
 
     def __init__(self, geometry: Geometry, options: Mapping[str, Any] | None = None) -> None:
@@ -46,19 +43,7 @@ class Ipopt:
     def __call__(self, starts: FloatArray, matrix: FloatArray) -> tuple[FloatArray, Counter[str]]:
         """Solve from each start (n, 9) [m] for a pose (4, 4).
 
-        Returns
-        -------
-        ends : ndarray, shape (n, 9)
-            Where each start ended [m].
-        outcomes : Counter of str
-            How often IPOPT returned which status.
-
-        Raises
-        ------
-        ArgumentError
-            If IPOPT finds out only now that an option cannot be met, such as a linear solver it lacks.
-        KeyboardInterrupt
-            If it was stopped by Ctrl-C.
+        Returns where each start ended (n, 9) [m], and how often IPOPT returned which status.
         """
         pose = np.concatenate([matrix[:3, :3].T.ravel(), matrix[:3, 3]])
         ends = np.empty_like(starts)

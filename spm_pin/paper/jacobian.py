@@ -9,6 +9,9 @@ Misprints corrected: the lever arm in J_λ is e_i - r_ci, as Eq. (25b) derives i
 v_rib in (25b) is v_rbi, ä in (26a) is ω, e_i in (29f) is e_3, ω_r33 in (29i) is ω_rb3. `Table5Mistakes` puts back
 those that the published numbers were computed with.
 
+The functions take a `Configuration` of shape (...) and the `mistakes` to make, by default none. A member that does not
+exist gives NaN. All raise `SingularConfigurationError` as "forward", where a leg has no length, hence no direction.
+
 J_α is singular at an inverse singularity, and J then loses digits near it; `spm_pin.closed_form` has no need of
 it for forces.
 """
@@ -61,25 +64,10 @@ PUBLISHED = Table5Mistakes(printed_lever_arm=True, missing_entry=True, other_loa
 
 
 def J_alpha(configuration: Configuration, mistakes: Table5Mistakes = CORRECT) -> FloatArray:
-    """Return J_α of Eq. (30a), rebuilt from Eq. (29).
+    """Return J_α of Eq. (30a), rebuilt from Eq. (29), shape (..., 9, 9); of the mistakes, `missing_entry` matters.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        States of shape (...).
-    mistakes : Table5Mistakes
-        Of these, `missing_entry` matters here.
-
-    Returns
-    -------
-    ndarray, shape (..., 9, 9)
-        Rows Eqs. (29a)-(29i), the last three divided by d; columns v_rb1..v_rb3, v_rc1..v_rc3 [m/s] and
-        ω_rb1..ω_rb3 [rad/s]. NaN for a member that does not exist.
-
-    Raises
-    ------
-    SingularConfigurationError
-        As "forward", where a leg has no length, hence no direction.
+    Rows are Eqs. (29a)-(29i), the last three divided by d; columns v_rb1..v_rb3, v_rc1..v_rc3 [m/s] and ω_rb1..ω_rb3
+    [rad/s].
     """
     r_b, _, δ_b, δ_c = _legs(configuration)
     R_1 = configuration.geometry.revolute_axes
@@ -108,24 +96,9 @@ def J_alpha(configuration: Configuration, mistakes: Table5Mistakes = CORRECT) ->
 
 
 def J_lambda(configuration: Configuration, mistakes: Table5Mistakes = CORRECT) -> FloatArray:
-    """Return J_λ of Eq. (30a).
+    """Return J_λ of Eq. (30a), shape (..., 9, 9); of the mistakes, `printed_lever_arm` matters.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        States of shape (...).
-    mistakes : Table5Mistakes
-        Of these, `printed_lever_arm` matters here.
-
-    Returns
-    -------
-    ndarray, shape (..., 9, 9)
-        Columns v [m/s], ω [rad/s] and three zeros. NaN for a member that does not exist.
-
-    Raises
-    ------
-    SingularConfigurationError
-        As "forward", where a leg has no length, hence no direction.
+    Columns are v [m/s], ω [rad/s] and three zeros.
     """
     r_b, r_c, _, δ_c = _legs(configuration)
     R_2 = configuration.platform_axes
@@ -140,24 +113,12 @@ def J_lambda(configuration: Configuration, mistakes: Table5Mistakes = CORRECT) -
 
 
 def J(configuration: Configuration, mistakes: Table5Mistakes = CORRECT) -> FloatArray:
-    """Return J = J_α⁻¹ J_λ of Eq. (30b).
-
-    Parameters
-    ----------
-    configuration : Configuration
-        States of shape (...).
-    mistakes : Table5Mistakes
-        The load's does not matter here.
-
-    Returns
-    -------
-    ndarray, shape (..., 9, 9)
-        From (v, ω, 0, 0, 0) to the leg rates and ω_rb1..ω_rb3, SI. NaN for a member that does not exist.
+    """Return J = J_α⁻¹ J_λ of Eq. (30b), shape (..., 9, 9), from (v, ω, 0, 0, 0) to the leg rates and ω_rb1..ω_rb3, SI.
 
     Raises
     ------
     SingularConfigurationError
-        As "inverse", where J_α is singular to rounding; as "forward", where a leg has no length.
+        Also as "inverse", where J_α is singular to rounding.
     """
     J_α = J_alpha(configuration, mistakes)
     scaled = J_α.copy()
@@ -168,25 +129,9 @@ def J(configuration: Configuration, mistakes: Table5Mistakes = CORRECT) -> Float
 
 
 def J_f(configuration: Configuration, mistakes: Table5Mistakes = CORRECT) -> FloatArray:
-    """Return the inverse Jacobian J_f of Eq. (31), the first six rows and columns of J.
+    """Return the inverse Jacobian J_f (..., 6, 6) of Eq. (31), the first six rows and columns of J, and raise as `J`.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        States of shape (...).
-    mistakes : Table5Mistakes
-        The load's does not matter here.
-
-    Returns
-    -------
-    ndarray, shape (..., 6, 6)
-        From (v, ω) [m/s, rad/s] of m at o in {B} to v_rb1..v_rb3, v_rc1..v_rc3 [m/s]. NaN for a member that
-        does not exist.
-
-    Raises
-    ------
-    SingularConfigurationError
-        As for `J`.
+    From (v, ω) [m/s, rad/s] of m at o in {B} to v_rb1..v_rb3, v_rc1..v_rc3 [m/s].
     """
     return J(configuration, mistakes)[..., :6, :6]
 

@@ -29,6 +29,11 @@ __all__ = ["Resultant", "inverse_displacement", "solve"]
 ComplexArray = npt.NDArray[np.complex128]
 q = math.sqrt(3.0)
 
+_ORDER = ((0, 1, 5, 4), (1, 2, 4, 5), (0, 2, 4, 5))
+"""Of Eqs. (13a)-(13c) the two unknowns b_jy and b_ky, by their places, and the coefficients p_i of their squares.
+
+Eqs. (13b) and (13c) list b_3y's coefficients first; p_i2 and p_i1 belong to the other order."""
+
 
 @dataclass(frozen=True)
 class Resultant:
@@ -148,46 +153,27 @@ class Resultant:
             b_1y = _quadratic(p_15, p_11 + p_13 * y, p_14 * y**2 + p_12 * y + p_10)
             b_3y = _quadratic(p_25, p_23 * y + p_22, p_24 * y**2 + p_21 * y + p_20)
             pairs = [np.stack([y_1, y, y_3], axis=-1) for y_1 in b_1y for y_3 in b_3y]
-            mismatch = np.stack([np.abs(self.equations(pair)[..., 2]) for pair in pairs])
+            mismatch = np.stack([np.abs(self.equations(pair)[0][..., 2]) for pair in pairs])
         best = np.where(np.isnan(mismatch), np.inf, mismatch).argmin(axis=0)
         return np.asarray(np.take_along_axis(np.stack(pairs), best[None, ..., None], axis=0)[0])
 
-    def equations(self, unknowns: ComplexArray) -> ComplexArray:
-        """Return the left sides of Eqs. (13a)-(13c) [m²] at (b_1y, b_2y, b_3y), (N, 8, 3)."""
-        b_1y, b_2y, b_3y = np.moveaxis(unknowns, -1, 0)
-        pairs = ((b_1y, b_2y), (b_2y, b_3y), (b_1y, b_3y))
-        # Eq. (13b) lists b_3y's coefficients first, Eq. (13c) too; p_i2 and p_i1 belong to the other order.
-        order = ((5, 4, 1, 2), (4, 5, 1, 2), (4, 5, 1, 2))
-        sides = []
-        for i, ((u, v), (uu, vv, first, second)) in enumerate(zip(pairs, order, strict=True)):
-            p = self.p[:, i, :, None]
-            linear = p[:, first] * u + p[:, second] * v + p[:, 0]
-            sides.append(p[:, uu] * u**2 + p[:, vv] * v**2 + p[:, 3] * u * v + linear)
-        return np.stack(sides, axis=-1)
+    def equations(self, unknowns: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return the left sides of Eqs. (13a)-(13c) [m²] at (b_1y, b_2y, b_3y), (N, 8, 3), and their Jacobian."""
+        values, jacobian = np.empty_like(unknowns), np.zeros((*unknowns.shape, 3), dtype=np.complex128)
+        for i, (j, k, jj, kk) in enumerate(_ORDER):
+            u, v, p = unknowns[..., j], unknowns[..., k], self.p[:, i, :, None]
+            linear = p[:, 1] * u + p[:, 2] * v + p[:, 0]
+            values[..., i] = p[:, jj] * u**2 + p[:, kk] * v**2 + p[:, 3] * u * v + linear
+            jacobian[..., i, j] = 2 * p[:, jj] * u + p[:, 3] * v + p[:, 1]
+            jacobian[..., i, k] = 2 * p[:, kk] * v + p[:, 3] * u + p[:, 2]
+        return values, jacobian
 
     def refined(self, unknowns: ComplexArray, steps: int) -> ComplexArray:
         """Take Newton steps on Eq. (13) from (b_1y, b_2y, b_3y), (N, 8, 3)."""
-        p_1, p_2, p_3 = (self.p[:, i, :, None] for i in range(3))
         for _ in range(steps):
-            b_1y, b_2y, b_3y = np.moveaxis(unknowns, -1, 0)
-            zero = np.zeros_like(b_1y)
-            jacobian = np.stack(
-                [
-                    2 * p_1[:, 5] * b_1y + p_1[:, 3] * b_2y + p_1[:, 1],
-                    2 * p_1[:, 4] * b_2y + p_1[:, 3] * b_1y + p_1[:, 2],
-                    zero,
-                    zero,
-                    2 * p_2[:, 4] * b_2y + p_2[:, 3] * b_3y + p_2[:, 1],
-                    2 * p_2[:, 5] * b_3y + p_2[:, 3] * b_2y + p_2[:, 2],
-                    2 * p_3[:, 4] * b_1y + p_3[:, 3] * b_3y + p_3[:, 1],
-                    zero,
-                    2 * p_3[:, 5] * b_3y + p_3[:, 3] * b_1y + p_3[:, 2],
-                ],
-                axis=-1,
-            ).reshape(*zero.shape, 3, 3)
-            value = self.equations(unknowns)
+            value, jacobian = self.equations(unknowns)
             # A vertical line gives NaN, a double root a singular matrix: no step is taken there.
-            good = np.isfinite(jacobian).all(axis=(-1, -2)) & np.isfinite(value).all(axis=-1)
+            good = np.asarray(np.isfinite(jacobian).all(axis=(-1, -2)) & np.isfinite(value).all(axis=-1))
             good &= np.abs(np.linalg.det(np.where(good[..., None, None], jacobian, 0.0))) > 0.0
             jacobian = np.where(good[..., None, None], jacobian, np.eye(3))
             step = np.linalg.solve(jacobian, np.where(good[..., None], value, 0.0)[..., None])[..., 0]

@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, real_array
+from spm_pin.mechanism.arguments import FloatArray, broadcastable, real_array
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.paper import published
 from spm_pin.paper.jacobian import CORRECT, J_f, Table5Mistakes, refuse_singular
@@ -51,11 +50,8 @@ def f_r(
     """
     force = real_array(F, "F", (3,), "the force at o in {B} in newtons")
     torque = real_array(T, "T", (3,), "the torque in {B} in newton metres")
-    try:
-        shape = np.broadcast_shapes(force.shape[:-1], torque.shape[:-1], configuration.shape)
-    except ValueError:
-        expected = f"leading axes that broadcast with F's, {force.shape[:-1]}, and with {configuration.shape}"
-        raise ArgumentError("T", expected, torque.shape[:-1]) from None
+    shape = broadcastable("F", force.shape[:-1], "the configuration", configuration.shape)
+    shape = broadcastable("T", torque.shape[:-1], "F and the configuration", shape)
     matrix = J_f(configuration, mistakes)
     scaled = matrix.copy()
     scaled[..., 3:] /= configuration.geometry.middle_side

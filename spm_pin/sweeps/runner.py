@@ -17,11 +17,12 @@ from typing import TYPE_CHECKING
 
 from spm_pin.errors import ArgumentError, MissingExtraError, SpmError
 from spm_pin.mechanism import Geometry
-from spm_pin.sweeps.domains import Domain
+from spm_pin.sweeps.domain import Domain
 from spm_pin.sweeps.metric import Metric
 from spm_pin.sweeps.metrics import METRICS, resolve_metrics, unavailable
 from spm_pin.sweeps.plan import Plan, package_version
-from spm_pin.sweeps.store import Store, StoreError, as_store_error, completed_count, locked, read_plan, store_path
+from spm_pin.sweeps.store import Store, completed_count, read_plan, store_path
+from spm_pin.sweeps.store_files import StoreError, as_store_error, locked
 from spm_pin.sweeps.workers import WorkersLostError, check_workers, complete_chunks
 
 if TYPE_CHECKING:
@@ -59,9 +60,6 @@ class SweepError(SpmError):
             f"{reason}. {done} of {total} chunks are complete in {store} and stay so; "
             "the same sweep, started again, does the others"
         )
-
-    def __reduce__(self) -> tuple[type[SweepError], tuple[str, str, int, int]]:
-        return type(self), (self.store, self.reason, self.done, self.total)
 
 
 @dataclass(frozen=True)

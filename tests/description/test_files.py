@@ -18,7 +18,7 @@ from problems import in_leg_space, random_branches
 
 import spm_pin as spm
 from spm_pin.description.closures import read_closures
-from spm_pin.description.expand import expand, geometry_data
+from spm_pin.description.expand import expand
 from spm_pin.description.extended_urdf import extended_urdf_text
 from spm_pin.description.load_robot import manipulator
 from spm_pin.description.paths import (
@@ -36,6 +36,7 @@ from spm_pin.description.srdf import srdf_text
 from spm_pin.description.tree import JOINTS, PASSIVE, SLIDES
 from spm_pin.description.visuals import read_obj
 from spm_pin.errors import ArgumentError, DescriptionError
+from spm_pin.mechanism.geometry import geometry_data
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 PAPER = spm.Geometry.paper()

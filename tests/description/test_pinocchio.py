@@ -15,7 +15,7 @@ import spm_pin as spm
 from spm_pin.description.closures import read_closures
 from spm_pin.description.expand import expand
 from spm_pin.description.paths import EXTENDED_URDF, SRDF, URDF, description_file
-from spm_pin.description.states import joint_values
+from spm_pin.description.tree import joint_values
 
 pin = pytest.importorskip("pinocchio")
 

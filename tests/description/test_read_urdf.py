@@ -17,8 +17,10 @@ import spm_pin as spm
 from spm_pin.description import CLOSURES_PATH, URDF_PATH
 from spm_pin.description.closures import Closure
 from spm_pin.description.load_robot import manipulator, read_robot
-from spm_pin.description.read_urdf import check_inertials, read_urdf, urdf_description
-from spm_pin.description.robot_description import Joint, Link, RobotDescription, Transmission
+from spm_pin.description.read_urdf import read_urdf, urdf_description
+from spm_pin.description.robot_description import RobotDescription
+from spm_pin.description.robot_parts import Joint, Link, Transmission
+from spm_pin.description.urdf_elements import check_inertials
 from spm_pin.description.write_mjcf import mjcf_text
 from spm_pin.description.write_sdf import sdf_text
 from spm_pin.description.write_urdf import urdf_text

@@ -10,7 +10,7 @@ from description.kinematic_tree import KinematicTree, origin, vector
 
 import spm_pin as spm
 from spm_pin.description.expand import expand
-from spm_pin.description.states import joint_values
+from spm_pin.description.tree import joint_values
 from spm_pin.description.visuals import part_placements, visual_parts
 from spm_pin.display.scene import AXIS_COLOURS, TRIAD, scene
 from spm_pin.errors import ArgumentError

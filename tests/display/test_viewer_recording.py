@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import spm_pin as spm
-from spm_pin.display.viewer.recording import Recording, read_recording
+from spm_pin.display.viewer.recording import Recording
+from spm_pin.display.viewer.recording_files import read_recording
 
 PAPER = spm.Geometry.paper()
 LEGS = np.array(
@@ -80,7 +81,7 @@ def test_the_branch_is_followed_from_the_one_named():
 @pytest.mark.parametrize(
     ("name", "text", "says"),
     [
-        ("path.txt", "", "ending in .csv, .json or .npz"),
+        ("path.txt", "", "ending in .csv, .json, .npz"),
         ("path.csv", "", "a header of the columns"),
         ("path.csv", "x, y, z\n1, 2, 3\n1, 2, 4", "xyx_deg"),
         ("path.csv", "x, y, phi\n1, 2, 3", "a header of the columns"),

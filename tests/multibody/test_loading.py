@@ -186,5 +186,5 @@ def test_shapes_and_the_wrapper() -> None:
 
 
 def test_the_package_alone_does_not_import_pinocchio() -> None:
-    program = "import sys, spm_pin, spm_pin.description.states; sys.exit('pinocchio' in sys.modules)"
+    program = "import sys, spm_pin, spm_pin.description.tree; sys.exit('pinocchio' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

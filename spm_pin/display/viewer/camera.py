@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from spm_pin.display.rendering import camera_axes
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
 
@@ -27,26 +28,13 @@ def robot_points(configuration: Configuration, margin: float) -> FloatArray:
 def fit_camera(
     points: FloatArray, view: tuple[float, float], aspect: float, covered: float = 0.0, border: float = 0.06
 ) -> tuple[FloatArray, FloatArray]:
-    """Return where a camera stands and looks at [m], so that points fill the free part of its picture.
+    """Return where a camera stands and looks at [m], so that points (n, 3) fill the free part of its picture.
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, 3)
-        In {B} [m].
-    view : tuple of two floats
-        Azimuth and elevation of the viewer [degrees].
-    aspect : float
-        Width over height of the whole picture.
-    covered : float
-        The share of the picture, from below, that something covers.
-    border : float
-        The share of the picture's height that stays empty at every edge.
+    `view` is the azimuth and elevation of the viewer [degrees], `aspect` width over height of the whole picture. From
+    below something covers the share `covered` of it; a `border`, in shares of its height, stays empty at every edge.
     """
     azimuth, elevation = np.deg2rad(view)
-    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
-    level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-    towards = np.cos(elevation) * level + np.sin(elevation) * np.array([0.0, 0.0, 1.0])
-    axes = np.stack([right, np.cross(towards, right), towards])
+    axes = camera_axes((float(azimuth), float(elevation)))
     half = np.tan(0.5 * FIELD_OF_VIEW)
     # Tangents of the viewing angles at the edges of the free part.
     high = half * np.array([aspect - 2.0 * border, 1.0 - 2.0 * border])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Coroutine
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -29,24 +30,10 @@ Report = Callable[[str, Any], Coroutine[Any, Any, None]]
 
 
 class Panel:
-    """The widgets of one client.
+    """The widgets of one client, added to a `viser.GuiApi`.
 
-    Parameters
-    ----------
-    gui : viser.GuiApi
-        Where to add them.
-    geometry : Geometry
-        The manipulator.
-    report : coroutine function
-        Called with the name and the value of every event.
-    dark : bool
-        Whether the page is dark at first.
-    duration : float, optional
-        Of the recorded path [s]; without one there is no tab for it.
-    demo : bool
-        Whether there is a demo motion.
-    narrow : bool
-        Whether the page is a phone's: the instruments then have a tab of their own.
+    The coroutine function `report` is called with the name and the value of every event. Without the `duration` of a
+    recorded path [s] there is no tab for it; on the `narrow` page of a phone the instruments have a tab of their own.
     """
 
     def __init__(
@@ -68,11 +55,11 @@ class Panel:
         self.back = gui.add_button(
             "Back to the reachable pose", visible=False, color=(200, 16, 46), icon="arrow-back-up"
         )
-        self._on_press(self.back, "back")
+        self._on(self.back.on_click, "back")
         self.branch = gui.add_dropdown("Branch", [_NONE], hint="Or show the other branches as ghosts and click one")
-        self._on(self.branch, "branch")
+        self._on(self.branch.on_update, "branch")
         views = gui.add_button_group("View", tuple(VIEWS))
-        self._on_press(views, "view", lambda widget: widget.value)
+        self._on(views.on_click, "view")
         if not narrow:
             self.instruments = gui.add_html("")
         tabs = gui.add_tab_group()
@@ -84,8 +71,8 @@ class Panel:
         with tabs.add_tab("Load"):
             self.force = gui.add_vector3("Force [N]", (0.0, 0.0, 0.0), step=10.0, hint="Onto m at o, in {B}")
             self.moment = gui.add_vector3("Moment [N m]", (0.0, 0.0, 0.0), step=10.0, hint="Onto m, in {B}")
-            self._on(self.force, "load")
-            self._on(self.moment, "load")
+            self._on(self.force.on_update, "load")
+            self._on(self.moment.on_update, "load")
             self.forces = gui.add_html("")
         with tabs.add_tab("Show"):
             limits = geometry.limits
@@ -102,24 +89,20 @@ class Panel:
             dark_mode=dark, show_logo=False, show_share_button=False, control_width="large", brand_color=_BRAND[dark]
         )
 
-    def _on(self, widget: Any, name: str, value: Callable[[Any], Any] | None = None) -> None:
-        async def updated(event: Any) -> None:
+    def _on(self, register: Any, name: str, value: Callable[[Any], Any] = attrgetter("value")) -> None:
+        """Report the events for which a widget registers callbacks, with the value of the widget."""
+
+        async def happened(event: Any) -> None:
             # What the server assigns comes back as an event of no client.
             if event.client_id is not None:
-                await self._report(name, value(event.target) if value is not None else event.target.value)
+                await self._report(name, value(event.target))
 
-        widget.on_update(updated)
-
-    def _on_press(self, button: Any, name: str, value: Callable[[Any], Any] | None = None) -> None:
-        async def pressed(event: Any) -> None:
-            await self._report(name, value(event.target) if value is not None else None)
-
-        button.on_click(pressed)
+        register(happened)
 
     def _add_motion(self, geometry: Geometry, demo: bool) -> None:
         gui = self.gui
         self.drive = gui.add_dropdown("Drive", tuple(_DRIVES))
-        self._on(self.drive, "drive", lambda widget: _DRIVES.get(widget.value, Drive.POSE))
+        self._on(self.drive.on_update, "drive", lambda widget: _DRIVES.get(widget.value, Drive.POSE))
         self.pose_folder = gui.add_folder(None)
         with self.pose_folder:
             self.pose_sliders = [self._slider(name, "coordinate", k) for k, name in enumerate(_COORDINATES)]
@@ -129,10 +112,10 @@ class Panel:
         self.hold = gui.add_checkbox(
             "Hold leg limits", True, visible=geometry.limits is not None, hint="Once within its limits it stays there"
         )
-        self._on(self.hold, "hold")
-        self._on_press(gui.add_button("Start pose", icon="home"), "reset")
+        self._on(self.hold.on_update, "hold")
+        self._on(gui.add_button("Start pose", icon="home").on_click, "reset")
         if demo:
-            self._on_press(gui.add_button("Demo motion", icon="player-play"), "demo")
+            self._on(gui.add_button("Demo motion", icon="player-play").on_click, "demo")
 
     def _slider(self, label: str, name: str, index: int) -> Any:
         slider = self.gui.add_slider(label, 0.0, 1.0, 0.1 if "°" in label else 0.001, 0.0)
@@ -140,7 +123,7 @@ class Panel:
         def clipped(widget: Any) -> tuple[int, float]:
             return index, float(min(max(widget.value, widget.min), widget.max))
 
-        self._on(slider, name, clipped)
+        self._on(slider.on_update, name, clipped)
         return slider
 
     def _add_layers(self, dark: bool, limited: bool) -> None:
@@ -152,14 +135,15 @@ class Panel:
             ("Workspace shell", "shell", False, limited),
             ("Points reached", "points", False, True),
         ):
-            self._on(self.gui.add_checkbox(label, value, visible=visible), "layer", _named(name))
-        self._on(self.gui.add_checkbox("Dark page", dark), "dark")
+            box = self.gui.add_checkbox(label, value, visible=visible)
+            self._on(box.on_update, "layer", lambda widget, name=name: (name, widget.value))  # type: ignore[misc]
+        self._on(self.gui.add_checkbox("Dark page", dark).on_update, "dark")
 
     def _add_path(self, duration: float) -> None:
         gui = self.gui
-        self._on_press(gui.add_button("Play / pause", icon="player-play"), "play")
+        self._on(gui.add_button("Play / pause", icon="player-play").on_click, "play")
         self.time = gui.add_slider("Time [s]", 0.0, duration, max(duration / 1000.0, 1e-6), 0.0)
-        self._on(self.time, "time", lambda widget: float(min(max(widget.value, 0.0), duration)))
+        self._on(self.time.on_update, "time", lambda widget: float(min(max(widget.value, 0.0), duration)))
         self.path_note = gui.add_html("")
 
     def _add_export(self) -> None:
@@ -169,7 +153,7 @@ class Panel:
             ("Save this view as a page (HTML)", "snapshot", "file-code"),
             ("Save state (JSON)", "json", "download"),
         ):
-            self._on_press(gui.add_button(label, icon=icon), name)
+            self._on(gui.add_button(label, icon=icon).on_click, name)
         self.command = gui.add_text("Command", "", multiline=True)
         self.q = gui.add_text("q", "", multiline=True, hint="Joint values in Pinocchio's order [rad, m]")
 
@@ -181,21 +165,10 @@ class Panel:
         geometry_file: Path | None,
         moved: tuple[str, int] = ("", 0),
     ) -> None:
-        """Bring everything up to date.
+        """Show a state and its joint values q (18,); the sliders of pose and legs go over `ranges`, each (6, 2).
 
-        Parameters
-        ----------
-        state : State
-            The state.
-        q : ndarray, shape (18,)
-            Its joint values in Pinocchio's order.
-        ranges : two ndarrays, shape (6, 2)
-            From where to where the sliders of the pose and of the legs go.
-        geometry_file : Path or None
-            For the command line.
-        moved : str and int
-            The slider that the user moves, ``"coordinate"`` or ``"leg"`` and which of them, is left alone; so are the
-            values of the others of its kind.
+        The slider that the user moves, ``"coordinate"`` or ``"leg"`` and which of them, is left alone; so are the
+        values of the others of its kind.
         """
         self.status.content = status(state)
         self.instruments.content = instruments(state)
@@ -230,11 +203,6 @@ class Panel:
     def wrench(self) -> FloatArray:
         """The load as entered (6,) [N, N m]."""
         return np.array([*self.force.value, *self.moment.value], dtype=np.float64)
-
-
-def _named(name: str) -> Callable[[Any], tuple[str, Any]]:
-    """Return a function that gives a widget's value with a name."""
-    return lambda widget: (name, widget.value)
 
 
 def _set_slider(slider: Any, value: float, low: float, high: float) -> None:

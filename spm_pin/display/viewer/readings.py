@@ -27,36 +27,25 @@ _LIMIT_ROUNDING = 1e-9  # relative to d
 
 @dataclass(frozen=True)
 class Readings:
-    """Readings of one configuration; axes of length three count J_b, J_c, K.
-
-    Attributes
-    ----------
-    leg_lengths : ndarray, shape (6,)
-        [m].
-    beyond : ndarray, shape (6,)
-        By how much each leg is longer than its longest (positive) or shorter than its shortest (negative) [m].
-    sigma, condition, index : ndarray, shape (3,)
-        Smallest singular value, condition number, and determinant over d³; see `Singularities`.
-    travel : ndarray, shape (3,)
-        To first order, how far the leg lengths would have to move, in the Euclidean norm, to make the determinant
-        zero [m]: |det| over the norm of its gradient. The nearer, the more exact.
-    kind : SingularityKind
-        What the configuration is to rounding.
-    physical : bool
-        Whether a real machine can be in it: reached from the symmetric home without a forward singularity.
-    forces : ndarray, shape (6,), or None
-        Leg forces that hold the load [N]; None where the legs cannot hold every load.
-    """
+    """Readings of one configuration; axes of length three count J_b, J_c, K."""
 
     leg_lengths: FloatArray
+    """[m], shape (6,)."""
     beyond: FloatArray
+    """By how much each leg is longer than its longest (positive) or shorter than its shortest (negative) [m]."""
     sigma: FloatArray
+    """Smallest singular values, shape (3,); these and the next two as in `Singularities`."""
     condition: FloatArray
     index: FloatArray
+    """Determinants over d³."""
     travel: FloatArray
+    """To first order, how far the leg lengths would have to move, in the Euclidean norm, to make the determinant zero
+    [m]: its absolute value over the norm of its gradient. The nearer, the more exact."""
     kind: SingularityKind
     physical: bool
+    """Whether a real machine can be in it: reached from the symmetric home without a forward singularity."""
     forces: FloatArray | None
+    """Leg forces that hold the load (6,) [N]; None where the legs cannot hold every load."""
 
     @classmethod
     def of(cls, state: Configuration, wrench: npt.ArrayLike) -> Readings:

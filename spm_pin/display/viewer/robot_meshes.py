@@ -21,30 +21,14 @@ _STRETCHED = ("tube", "gland")
 
 @dataclass(frozen=True, eq=False)
 class MovingMesh:
-    """A mesh of one colour that moves as one.
+    """A mesh of one colour that moves as one."""
 
-    Attributes
-    ----------
-    name : str
-        The first of its parts, see `VisualPart`.
-    leg : int or None
-        Which of `LEGS` it belongs to.
-    colour : tuple of three ints
-        sRGB, from 0 to 255.
-    vertices : ndarray of float32, shape (n, 3)
-        [m].
-    faces : ndarray of uint32, shape (m, 3)
-        Triangles.
-    part : int
-        The part whose placement it has.
-    """
-
-    name: str
-    leg: int | None
-    colour: tuple[int, int, int]
-    vertices: npt.NDArray[np.float32]
-    faces: npt.NDArray[np.uint32]
-    part: int
+    name: str  # the first of its parts, see `VisualPart`
+    leg: int | None  # which of `LEGS` it belongs to
+    colour: tuple[int, int, int]  # sRGB, from 0 to 255
+    vertices: npt.NDArray[np.float32]  # (n, 3) [m]
+    faces: npt.NDArray[np.uint32]  # triangles (m, 3)
+    part: int  # the part whose placement it has
 
 
 @dataclass(frozen=True)

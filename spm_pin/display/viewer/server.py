@@ -18,7 +18,7 @@ from spm_pin.display.viewer.session_config import SessionConfig
 from spm_pin.display.viewer.state import Model
 from spm_pin.display.viewer.workspace_layer import WorkspaceLayer
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.multibody.chain import ClosedChain
 
@@ -54,8 +54,6 @@ class Viewer:
     ------
     ArgumentError
         If `start` is something else, the host is no address of this machine, or no port is free.
-    MissingExtraError
-        If viser is not installed.
 
     Notes
     -----
@@ -165,10 +163,4 @@ def _origins(allowed: Collection[str]) -> tuple[str, ...]:
 def _configuration(start: Configuration | Geometry | None) -> Configuration:
     if start is None or isinstance(start, Geometry):
         return starting_configuration(start or Geometry.paper())
-    if not isinstance(start, Configuration):
-        cause = "One of several solutions? .physical(), or an index, takes one"
-        raise ArgumentError("start", "a Configuration or a Geometry", type(start).__name__, cause)
-    if start.shape or not start.exists:
-        received = f"a batch of shape {start.shape}" if start.shape else "one that does not exist"
-        raise ArgumentError("start", "a single configuration that exists", received)
-    return start
+    return check_configuration(start, "start", single=True, existing=True)

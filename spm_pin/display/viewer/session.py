@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import io
 import logging
-from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -37,17 +37,7 @@ _FARTHEST = 10.0
 
 
 class Session:
-    """One client's state, scene, panel and events. Nothing of it is shared with another client.
-
-    Parameters
-    ----------
-    client : viser.ClientHandle
-        The page.
-    config : SessionConfig
-        What it begins with.
-    loop : asyncio.AbstractEventLoop
-        The server's event loop.
-    """
+    """One client's state, scene, panel and events, on the server's event loop; none is shared with another client."""
 
     def __init__(self, client: Any, config: SessionConfig, loop: asyncio.AbstractEventLoop) -> None:
         self.client = client
@@ -60,7 +50,7 @@ class Session:
         self._narrow = client.camera.image_width < PHONE_ASPECT * client.camera.image_height
         recording, demo = config.recording, config.demo
         duration = None if recording is None else float(recording.times[-1])
-        self.scene = RobotScene(client.scene, config.robot, self._ghost_clicked)
+        self.scene = RobotScene(client.scene, config.robot, partial(self.report, "branch"))
         self.panel = Panel(
             client.gui,
             self.model.geometry,
@@ -89,7 +79,7 @@ class Session:
     def begin(self) -> None:
         """Play the recorded path from its start, or else the demo motion; on the event loop."""
         if self.player is not None:
-            self.queue.post("play", lambda: self._act("play", None))
+            self.queue.post("play", partial(self._on_play, None))
         elif self.demo is not None:
             self.demo.play()
 
@@ -110,15 +100,12 @@ class Session:
         if name not in ("view", "dark", "png", "demo"):
             self._stop_players(name)
         key = f"{name} {value[0]}" if isinstance(value, tuple) else name
-        self.queue.post(key, lambda: self._act(name, value))
-
-    async def _ghost_clicked(self, label: str) -> None:
-        await self.report("branch", label)
+        self.queue.post(key, partial(getattr(self, f"_on_{name}"), value))
 
     async def _gizmo_moved(self, event: Any) -> None:
         if event.phase != "start":
             self._stop_players("gizmo")
-            self.queue.post("gizmo", lambda: self._act("gizmo", None))
+            self.queue.post("gizmo", partial(self._on_gizmo, None))
 
     def _stop_players(self, name: str) -> None:
         """Stop the demo at the user's first event, and the path at one that moves the robot."""
@@ -126,11 +113,6 @@ class Session:
             self.demo.stop()
         if self.player is not None and name in _MOTIONS:
             self.player.stop()
-
-    def _act(self, name: str, value: Any) -> None:
-        """Call the method of an event; in the session's worker."""
-        action: Callable[[Any], None] = getattr(self, f"_on_{name}")
-        action(value)
 
     def close(self) -> None:
         """End: nothing of the session runs any longer; on the event loop."""
@@ -162,7 +144,7 @@ class Session:
         if moved[0] != "leg":
             self._legs = state.readings.leg_lengths.copy()
 
-    # One method per event, named after it.
+    # One method per event, named after it; they run in the session's worker.
 
     def _on_gizmo(self, _: None) -> None:
         farthest = _FARTHEST * (self.scene.size + float(self.config.start.translation[2]))

@@ -16,33 +16,16 @@ __all__ = ["SessionConfig"]
 
 @dataclass(frozen=True)
 class SessionConfig:
-    """The data that all sessions of a viewer share; read-only.
-
-    Attributes
-    ----------
-    chain : ClosedChain
-        The manipulator in Pinocchio, for its joint values.
-    robot : RobotMeshes
-        Its meshes.
-    start : Configuration
-        The state at first.
-    workspace : WorkspaceLayer
-        Its workspace.
-    recording : Recording or None
-        A path to play.
-    demo : Playback or None
-        The motion that a page begins with.
-    geometry_file : Path or None
-        Where the geometry came from, for the exported command.
-    dark : bool
-        Whether pages are dark at first.
-    """
+    """The data that all sessions of a viewer share; read-only. Options are those of `Viewer`."""
 
     chain: ClosedChain
+    """The manipulator in Pinocchio, for its joint values."""
     robot: RobotMeshes
     start: Configuration
+    """The state at first."""
     workspace: WorkspaceLayer
     recording: Recording | None = None
     demo: Playback | None = None
+    """The motion that a page begins with."""
     geometry_file: Path | None = None
     dark: bool = False

@@ -13,7 +13,7 @@ from spm_pin.display.viewer.state import Model, State
 from spm_pin.display.viewer.state_export import command_line
 from spm_pin.display.viewer.state_markup import forces_table, instruments, status
 from spm_pin.display.viewer.viser_server import quiet_server
-from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import file_path, writing
 from spm_pin.mechanism.configuration import Configuration
 
 __all__ = ["save_snapshot", "snapshot_html"]
@@ -33,21 +33,7 @@ max-height:calc(100vh - 1.6em);overflow:auto}}
 def snapshot_html(
     state: State, robot: RobotMeshes, *, dark: bool = False, geometry_file: Path | None = None, ghosts: bool = False
 ) -> str:
-    """Return a state as an HTML page to be looked at from all sides, complete in itself.
-
-    Parameters
-    ----------
-    state : State
-        What to show.
-    robot : RobotMeshes
-        Its meshes.
-    dark : bool
-        A dark page.
-    geometry_file : Path, optional
-        For the command line on the page.
-    ghosts : bool
-        Show the other branches.
-    """
+    """Return a state as a complete HTML page to be looked at from all sides; options as for `save_snapshot`."""
     with quiet_server("127.0.0.1", 0) as server:
         scene = RobotScene(server.scene, robot)
         scene.layers["ghosts"] = ghosts
@@ -98,16 +84,10 @@ def save_snapshot(
     ------
     ArgumentError
         If the suffix is another, or the file cannot be written.
-    MissingExtraError
-        If viser is not installed.
     """
-    path = Path(path)
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise ArgumentError("path", "a file name ending in .html", repr(path.name))
+    path = file_path(path, suffixes=(".html", ".htm"))
     state, robot = Model(configuration).state, RobotMeshes(configuration.geometry)
     page = snapshot_html(state, robot, dark=dark, ghosts=ghosts, geometry_file=geometry_file)
-    try:
+    with writing(path):
         path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise ArgumentError("path", "a file that can be written", path, str(error.strerror)) from error
     return path

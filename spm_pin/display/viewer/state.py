@@ -20,7 +20,8 @@ from spm_pin.mechanism.branches import FAMILIES, family, physical
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
-from spm_pin.mechanism.solutions import SolutionSet, Status
+from spm_pin.mechanism.solution_status import Status
+from spm_pin.mechanism.solutions import SolutionSet
 from spm_pin.workspace.reachability.nearest_pose import nearest_reachable_pose, pose_distance
 
 __all__ = ["Drive", "Model", "Notice", "State"]
@@ -48,39 +49,17 @@ class Notice:
 
 @dataclass(frozen=True)
 class State:
-    """One moment of a session.
+    """One moment of a session."""
 
-    Attributes
-    ----------
-    drive : Drive
-        The quantity moved last.
-    target : RigidTransform
-        The requested pose; that of `shown` where legs were moved.
-    shown : Configuration
-        The state of the manipulator.
-    label : str
-        The branch of `shown`; empty where its pose has none, because its solutions form a continuous family.
-    solutions : SolutionSet
-        All branches of the pose of `shown`.
-    distance : float
-        Root mean square distance of the c_i from where they should be [m]; 0 where the pose is reached.
-    readings : Readings
-        Instruments of `shown`.
-    wrench : ndarray, shape (6,)
-        The load (f, m) on the platform at o in {B} [N, N m].
-    notices : tuple of Notice
-        Sentences for the user, most important first.
-    """
-
-    drive: Drive
-    target: RigidTransform
-    shown: Configuration
-    label: str
-    solutions: SolutionSet
-    distance: float
-    readings: Readings
-    wrench: FloatArray
-    notices: tuple[Notice, ...]
+    drive: Drive  # the quantity moved last
+    target: RigidTransform  # the requested pose; that of `shown` where legs were moved
+    shown: Configuration  # the state of the manipulator
+    label: str  # its branch; empty where its pose has none, because its solutions form a continuous family
+    solutions: SolutionSet  # all branches of the pose of `shown`
+    distance: float  # root mean square distance of the c_i from where they should be [m]; 0 where the pose is reached
+    readings: Readings  # instruments of `shown`
+    wrench: FloatArray  # the load (f, m) on the platform at o in {B} (6,) [N, N m]
+    notices: tuple[Notice, ...]  # sentences for the user, most important first
 
     @property
     def labels(self) -> tuple[str, ...]:

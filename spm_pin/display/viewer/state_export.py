@@ -13,7 +13,7 @@ import numpy as np
 from spm_pin.display.viewer.slider_ranges import pose_coordinates
 from spm_pin.display.viewer.state import State
 from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import LEGS, LegLimits
+from spm_pin.mechanism.geometry import LEGS, geometry_data
 from spm_pin.multibody.chain import ClosedChain
 
 __all__ = ["command_line", "content", "json_text"]
@@ -27,17 +27,10 @@ def command_line(configuration: Configuration, geometry_file: Path | None = None
 
 
 def content(state: State, chain: ClosedChain, geometry_file: Path | None = None) -> dict[str, Any]:
-    """Return the state as data for JSON, in metres, radians and newtons."""
+    """Return the state as data, in metres, radians and newtons."""
     shown, readings = state.shown, state.readings
-    geometry = shown.geometry
-    limits = geometry.limits
     return {
-        "geometry": {
-            "base_radius": geometry.base_radius,
-            "platform_radius": geometry.platform_radius,
-            "middle_side": geometry.middle_side,
-            "leg_limits": None if limits is None else _pairs(limits),
-        },
+        "geometry": {"leg_limits": None, **geometry_data(shown.geometry)},
         "branch": state.label or None,
         "pose": shown.pose.as_matrix().tolist(),
         "translation": shown.translation.tolist(),
@@ -51,7 +44,7 @@ def content(state: State, chain: ClosedChain, geometry_file: Path | None = None)
         "singularity": {
             "kind": str(readings.kind),
             **{
-                name: dict(zip(("J_b", "J_c", "K"), [_finite(x) for x in values.tolist()], strict=True))
+                name: dict(zip(("J_b", "J_c", "K"), values.tolist(), strict=True))
                 for name, values in (
                     ("sigma", readings.sigma),
                     ("condition", readings.condition),
@@ -68,12 +61,14 @@ def content(state: State, chain: ClosedChain, geometry_file: Path | None = None)
 
 def json_text(state: State, chain: ClosedChain, geometry_file: Path | None = None) -> str:
     """Return `content` as JSON text."""
-    return json.dumps(content(state, chain, geometry_file), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    found = _finite(content(state, chain, geometry_file))
+    return json.dumps(found, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
-def _pairs(limits: LegLimits) -> dict[str, list[float | None]]:
-    return {leg: [low, _finite(high)] for leg, low, high in zip(LEGS, limits.minimum, limits.maximum, strict=True)}
-
-
-def _finite(x: float) -> float | None:
-    return x if math.isfinite(x) else None
+def _finite(value: Any) -> Any:
+    """Return the data with None for numbers that are not finite."""
+    if isinstance(value, dict):
+        return {key: _finite(part) for key, part in value.items()}
+    if isinstance(value, list):
+        return [_finite(part) for part in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -62,19 +62,7 @@ def free_port(host: str, port: int) -> int:
 def start(host: str, port: int, allowed_origins: Collection[str] = ()) -> Any:
     """Start a server; `port` was free a moment ago, and viser takes a later one if it is no longer.
 
-    Parameters
-    ----------
-    host, port : str, int
-        See `free_port`.
-    allowed_origins : collection of str
-        Sites beside its own whose pages may open its websocket.
-
-    Raises
-    ------
-    MissingExtraError
-        If viser is not installed.
-    ArgumentError
-        If the server does not start.
+    Pages of `allowed_origins` may open its websocket, beside its own. If it does not start, raises `ArgumentError`.
     """
     try:
         import viser

@@ -16,7 +16,8 @@ from spm_pin.mechanism.branches import BRANCHES, physical, straightness
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.mechanism.pose import PoseLike
-from spm_pin.mechanism.solutions import SolutionSet, Status
+from spm_pin.mechanism.solution_status import Status
+from spm_pin.mechanism.solutions import SolutionSet
 from spm_pin.workspace.reachability.joint_limits import JointLimits
 from spm_pin.workspace.reachability.leg_box import LegBox, leg_box
 from spm_pin.workspace.reachability.nearest import nearest_in_box

@@ -1,0 +1,51 @@
+"""The outcome of a problem: solved, unreachable, degenerate or unsolved, and what is degenerate."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["Degeneracy", "Status"]
+
+
+class Status(enum.IntEnum):
+    """Outcome of one problem."""
+
+    OK = 0
+    """At least one real solution, and all solutions are isolated."""
+    UNREACHABLE = 1
+    """No real solution."""
+    DEGENERATE = 2
+    """Some solutions form a continuous family, of which none is picked; those of the other families are kept."""
+    UNSOLVED = 3
+    """The method failed: nothing is known about the problem."""
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+@dataclass(frozen=True)
+class Degeneracy:
+    """Description of the continuous families of solutions, where there are any.
+
+    Attributes
+    ----------
+    dimension : ndarray of int8, shape (...)
+        Dimension of the family; 0 where all solutions are isolated.
+    families : ndarray of bool, shape (..., 4)
+        Which of TT, TF, FT, FF are continuous.
+    legs : ndarray of bool, shape (..., 3)
+        Legs whose lower and upper plane coincide, so that b_i is bound to no line.
+    """
+
+    dimension: npt.NDArray[np.int8]
+    families: npt.NDArray[np.bool_]
+    legs: npt.NDArray[np.bool_]
+
+    def __getitem__(self, batch: tuple[Any, ...]) -> Degeneracy:
+        inner = (*batch, slice(None))
+        return Degeneracy(self.dimension[batch], self.families[inner], self.legs[inner])
