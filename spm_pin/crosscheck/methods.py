@@ -24,8 +24,8 @@ from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.solutions import SolutionSet
 from spm_pin.paper import resultant
+from spm_pin.paper.driving_forces import f_r
 from spm_pin.paper.jacobian import CORRECT, J_f, Table5Mistakes
-from spm_pin.paper.statics import f_r
 
 __all__ = ["METHODS", "ClosedForm", "Ipopt", "Method", "Nlp", "Paper", "Pinocchio", "make_methods"]
 

@@ -30,7 +30,7 @@ ComplexArray = npt.NDArray[np.complex128]
 q = math.sqrt(3.0)
 
 _ORDER = ((0, 1, 5, 4), (1, 2, 4, 5), (0, 2, 4, 5))
-"""Of Eqs. (13a)-(13c) the two unknowns b_jy and b_ky, by their places, and the coefficients p_i of their squares.
+"""The two unknowns b_jy and b_ky of Eqs. (13a)-(13c), by their places, and the coefficients p_i of their squares.
 
 Eqs. (13b) and (13c) list b_3y's coefficients first; p_i2 and p_i1 belong to the other order."""
 

@@ -12,8 +12,8 @@ from spm_pin.closed_form.leg_forces import leg_forces
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS
 from spm_pin.paper import published
+from spm_pin.paper.driving_forces import load, table_5
 from spm_pin.paper.jacobian import Table5Mistakes
-from spm_pin.paper.statics import load, table_5
 from spm_pin.reproduction.cells import Cell, Verdict, matches
 
 __all__ = ["Diagnosis", "TrueValue", "diagnoses", "rates_and_forces", "true_values"]
@@ -49,7 +49,7 @@ class Diagnosis:
 
 def diagnoses(third: Configuration) -> list[Diagnosis]:
     """Find the fewest mistakes that give each printed row of Table 5; none where no combination does."""
-    combinations = sorted((Table5Mistakes(*flags) for flags in product((False, True), repeat=3)), key=_count)
+    combinations = [Table5Mistakes(*flags) for flags in sorted(product((False, True), repeat=3), key=sum)]
     found = []
     for row, (name, printed) in enumerate(zip(_ROWS, published.TABLE_5, strict=True)):
         for mistakes in combinations:
@@ -58,10 +58,6 @@ def diagnoses(third: Configuration) -> list[Diagnosis]:
                 found.append(Diagnosis(name, mistakes, tuple(float(x) for x in values)))
                 break
     return found
-
-
-def _count(mistakes: Table5Mistakes) -> int:
-    return sum(getattr(mistakes, field.name) for field in fields(mistakes))
 
 
 def true_values(third: Configuration) -> list[TrueValue]:

@@ -102,7 +102,8 @@ def reproduce(tables: Sequence[int] = TABLES) -> Reproduction:
     closed = complex_middle_joints(geometry, example) * _CM
     printed = np.array([[[number(c) for c in row] for row in table] for table in _COORDINATES.values()])
     printed = np.moveaxis(printed, -1, 0)  # (solution, joint, coordinate)
-    joints = _in_order_of(printed, resultant.solve(geometry, example) * _CM)
+    found = resultant.solve(geometry, example) * _CM
+    joints = found[_order(printed, found)]
     other = _order(joints, closed)
     solutions = tuple(
         SolvedTwice(
@@ -148,10 +149,6 @@ def _order(first: npt.NDArray[np.complex128], second: npt.NDArray[np.complex128]
     return np.asarray(linear_sum_assignment(cost)[1])
 
 
-def _in_order_of(first: npt.NDArray[np.complex128], second: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
-    return np.asarray(second[_order(first, second)])
-
-
 def _coordinates(
     table: int, joints: npt.NDArray[np.complex128], printed: npt.NDArray[np.complex128], side: float
 ) -> list[Cell]:
@@ -176,17 +173,14 @@ def _conjugated(
         return Verdict.UNEXPLAINED, ""
     mended = printed.copy()
     mended[place] = printed[place].conjugate()
-    before, after = (np.abs(_squared_sides(triangle) - side**2).max() for triangle in (printed, mended))
+    # Sums of squares, not of moduli: Eq. (12) holds over the complex numbers.
+    edges = (triangle - np.roll(triangle, 1, axis=0) for triangle in (printed, mended))
+    before, after = (np.abs((edge**2).sum(axis=-1) - side**2).max() for edge in edges)
     note = (
         f"sign of the imaginary part: as printed, Eq. (12) is off by {before:,.0f} cm²; "
         f"with the sign changed by {after:,.1f}, the rounding of five digits"
     )
     return Verdict.MISPRINT if after < 1e-2 * before else Verdict.UNEXPLAINED, note
-
-
-def _squared_sides(triangle: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
-    # A sum of squares, not of moduli: Eq. (12) holds over the complex numbers.
-    return np.asarray(((triangle - np.roll(triangle, 1, axis=0)) ** 2).sum(axis=-1))
 
 
 def _leg_lengths(geometry: Geometry, matrix: npt.NDArray[np.float64], joints: npt.NDArray[np.complex128]) -> list[Cell]:

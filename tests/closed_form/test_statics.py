@@ -15,7 +15,7 @@ import spm_pin as spm
 from spm_pin.closed_form.jacobians import inverse_jacobian, leg_rates, platform_jacobian
 from spm_pin.closed_form.leg_forces import leg_forces
 from spm_pin.errors import ArgumentError, SingularConfigurationError
-from spm_pin.paper import statics as paper
+from spm_pin.paper import driving_forces as paper
 
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()

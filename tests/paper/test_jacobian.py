@@ -12,7 +12,8 @@ from spm_pin.closed_form.jacobians import inverse_jacobian
 from spm_pin.closed_form.leg_forces import leg_forces
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.mechanism.branches import determinants
-from spm_pin.paper import jacobian, statics
+from spm_pin.paper import jacobian
+from spm_pin.paper.driving_forces import f_r, load
 
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()
@@ -134,8 +135,8 @@ def test_determinant_of_j_alpha(name):
 
 
 def test_forces_are_those_of_the_wrench_form(six):
-    F, T = statics.load()
-    paper = statics.f_r(six, F, T)
+    F, T = load()
+    paper = f_r(six, F, T)
     closed = leg_forces(six, np.concatenate([F, T]))
     scaled = jacobian.J_f(six) / [1, 1, 1, *[PAPER.middle_side] * 3]
     relative = np.linalg.norm(paper - closed, axis=-1) / np.linalg.norm(closed, axis=-1)
@@ -155,10 +156,8 @@ def test_a_batch_is_its_members(six):
     assert np.array_equal(np.isnan(everything).all(axis=(-1, -2)), ~branches.exists)
     assert np.array_equal(everything[branches.exists], jacobian.J_f(six))
     F, T = np.zeros((5, 1, 3)), np.array([1.0, 2.0, 3.0])
-    assert (
-        np.isnan(statics.f_r(branches.configurations, F, T)).any(axis=-1).tolist() == [(~branches.exists).tolist()] * 5
-    )
-    assert statics.f_r(six[:0], F[0], T).shape == (0, 6)
+    assert np.isnan(f_r(branches.configurations, F, T)).any(axis=-1).tolist() == [(~branches.exists).tolist()] * 5
+    assert f_r(six[:0], F[0], T).shape == (0, 6)
 
 
 def test_singular_states_are_refused(six):
@@ -185,8 +184,8 @@ def test_singular_states_are_refused(six):
 
 def test_bad_loads_are_refused(six):
     with pytest.raises(ArgumentError, match="F: expected"):
-        statics.f_r(six, [1.0, 2.0], [0.0, 0.0, 0.0])
+        f_r(six, [1.0, 2.0], [0.0, 0.0, 0.0])
     with pytest.raises(ArgumentError, match="T: expected"):
-        statics.f_r(six, [1.0, 2.0, 3.0], np.zeros((5, 3)))
+        f_r(six, [1.0, 2.0, 3.0], np.zeros((5, 3)))
     with pytest.raises(ArgumentError, match="finite"):
-        statics.f_r(six, [1.0, 2.0, np.nan], np.zeros(3))
+        f_r(six, [1.0, 2.0, np.nan], np.zeros(3))

@@ -86,7 +86,7 @@ def test_equations_13_are_the_sides_of_the_triangle() -> None:
     unknowns = np.random.default_rng(0).normal(size=(1, 8, 3)) + 0j
     b = lines.middle_joints(unknowns)[0].real
     sides = [((b[:, i] - b[:, j]) ** 2).sum(axis=-1) - 0.64 for i, j in ((0, 1), (2, 1), (0, 2))]
-    np.testing.assert_allclose(lines.equations(unknowns)[0].real, np.stack(sides, axis=-1), rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(lines.equations(unknowns)[0][0].real, np.stack(sides, axis=-1), rtol=1e-12, atol=1e-12)
     configuration = spm.Configuration(PAPER, EXAMPLE, b)
     planes = (b - configuration.platform_joints) * configuration.platform_axes
     np.testing.assert_allclose(planes.sum(axis=-1), 0.0, atol=1e-13)

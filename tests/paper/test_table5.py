@@ -9,7 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.paper import published, statics
+from spm_pin.paper import published
+from spm_pin.paper.driving_forces import load, table_5
 from spm_pin.paper.jacobian import CORRECT, PUBLISHED, J_alpha, J_f, J_lambda, Table5Mistakes
 
 SWITCHES = ("printed_lever_arm", "missing_entry", "other_load")
@@ -41,7 +42,7 @@ def agrees(row: np.ndarray, printed: tuple[str | None, ...]) -> list[bool]:
 
 
 def test_recomputed_values_of_table_5(solution_3):
-    v_r, f_r = statics.table_5(solution_3)
+    v_r, f_r = table_5(solution_3)
     assert decimals(v_r) == ["-0.2932", "8.7198", "48.2731", "4.3340", "-4.7388", "-38.7021"]
     assert decimals(f_r) == ["21.5520", "-14.8906", "23.8779", "30.7096", "-12.8889", "26.9840"]
 
@@ -59,7 +60,7 @@ def test_true_rates_are_those_of_the_displacement(solution_3):
 
     # Richardson: the error of `fine` is about a fifteenth of its change; the lengths' rounding, 1e-13 m, over h.
     coarse, fine = ((4 * central(h / 2) - central(h)) / 3 for h in (4e-3, 2e-3))
-    v_r, _ = statics.table_5(solution_3)
+    v_r, _ = table_5(solution_3)
     error = np.abs(100 * fine - v_r)
     tolerance = 100 * (np.abs(fine - coarse) + 1e-13 / 2e-3)
     assert (tolerance < 0.5e-4).all(), "too coarse to confirm four decimals"
@@ -68,7 +69,7 @@ def test_true_rates_are_those_of_the_displacement(solution_3):
 
 def test_true_forces_balance_the_true_rates(solution_3):
     """Virtual work, Eq. (32), with the twist that produced the rates."""
-    v_r, f_r = statics.table_5(solution_3)
+    v_r, f_r = table_5(solution_3)
     twist = np.concatenate([published.VELOCITY[:3], np.deg2rad(published.VELOCITY[3:])])
     powers = np.concatenate([f_r * v_r, np.concatenate([published.FORCE, published.TORQUE]) * twist])
     # The forces are off by the condition number of J_f with lengths in units of d, and a few tens of eps.
@@ -77,13 +78,13 @@ def test_true_forces_balance_the_true_rates(solution_3):
 
 
 def test_printed_values_come_from_three_mistakes(solution_3):
-    v_r, f_r = statics.table_5(solution_3, PUBLISHED)
+    v_r, f_r = table_5(solution_3, PUBLISHED)
     assert agrees(v_r, published.TABLE_5[0]) == [True] * 5
     assert agrees(f_r, published.TABLE_5[1]) == [True] * 5
 
 
 def test_missing_entries(solution_3):
-    v_r, f_r = statics.table_5(solution_3, PUBLISHED)
+    v_r, f_r = table_5(solution_3, PUBLISHED)
     assert published.TABLE_5[0][5] is None
     assert published.TABLE_5[1][5] is None
     assert (decimals(v_r)[5], decimals(f_r)[5]) == ("35.6654", "79.9695")
@@ -95,7 +96,7 @@ def test_which_mistakes_a_row_needs(solution_3, row, made):
     """A number comes out when all the mistakes it needs are made, and never without one of them."""
     mistakes = Table5Mistakes(*made)
     names = {name for name, active in zip(SWITCHES, made, strict=True) if active}
-    hits = agrees(statics.table_5(solution_3, mistakes)[row], published.TABLE_5[row])
+    hits = agrees(table_5(solution_3, mistakes)[row], published.TABLE_5[row])
     upper = NEEDED_BY_UPPER_FORCES if row == 1 else NEEDED[row]
     assert hits == [names >= NEEDED[row]] * 3 + [names >= upper] * 2
 
@@ -103,16 +104,19 @@ def test_which_mistakes_a_row_needs(solution_3, row, made):
 @pytest.mark.parametrize("dropped", SWITCHES)
 def test_one_mistake_dropped(solution_3, dropped):
     switches = {name: name != dropped for name in SWITCHES}
-    rows = statics.table_5(solution_3, Table5Mistakes(**switches))
+    rows = table_5(solution_3, Table5Mistakes(**switches))
     for row, printed, needed in zip(rows, published.TABLE_5, NEEDED, strict=True):
         assert all(agrees(row, printed)) == (dropped not in needed)
 
 
 def test_printed_load_is_the_default():
-    F, T = statics.load()
+    F, T = load()
     assert F.tolist() == [-20e3, -30e3, -30e3]
     assert T.tolist() == [-300.0, -300.0, 1000.0]
-    assert [array.tolist() for array in statics.load(Table5Mistakes(other_load=True))] != [F.tolist(), T.tolist()]
+    assert [array.tolist() for array in load(Table5Mistakes(other_load=True))] != [
+        F.tolist(),
+        T.tolist(),
+    ]
 
 
 def test_switches_touch_what_they_name(solution_3):
@@ -131,5 +135,5 @@ def test_switches_touch_what_they_name(solution_3):
 
 def test_defaults_make_no_mistake(solution_3):
     assert Table5Mistakes() == CORRECT
-    for ours, again in zip(statics.table_5(solution_3), statics.table_5(solution_3, CORRECT), strict=True):
+    for ours, again in zip(table_5(solution_3), table_5(solution_3, CORRECT), strict=True):
         assert np.array_equal(ours, again)

@@ -42,7 +42,7 @@ class Playback:
 
     path: FollowedPath
     times: FloatArray
-    """Of the recorded points (n,) [s]."""
+    """When the recorded points (n,) were reached [s]."""
 
     @property
     def duration(self) -> float:

@@ -13,8 +13,7 @@ from spm_pin.display.viewer import viser_server
 from spm_pin.display.viewer.demo_motion import demo_motion
 from spm_pin.display.viewer.recording import Recording
 from spm_pin.display.viewer.robot_meshes import RobotMeshes
-from spm_pin.display.viewer.session import Session
-from spm_pin.display.viewer.session_config import SessionConfig
+from spm_pin.display.viewer.session import Session, SessionConfig
 from spm_pin.display.viewer.state import Model
 from spm_pin.display.viewer.workspace_layer import WorkspaceLayer
 from spm_pin.errors import ArgumentError

@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import io
 import logging
+from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,16 +18,19 @@ from spm_pin.display.viewer.event_queue import EventQueue
 from spm_pin.display.viewer.page_style import PANEL_WIDTH, PHONE_ASPECT, PHONE_PANEL
 from spm_pin.display.viewer.panel import Panel
 from spm_pin.display.viewer.playback import Player
-from spm_pin.display.viewer.recording import Playback
+from spm_pin.display.viewer.recording import Playback, Recording
+from spm_pin.display.viewer.robot_meshes import RobotMeshes
 from spm_pin.display.viewer.robot_scene import RobotScene
-from spm_pin.display.viewer.session_config import SessionConfig
 from spm_pin.display.viewer.slider_ranges import leg_ranges, pose_coordinates, pose_ranges
 from spm_pin.display.viewer.state import Drive, Model, State
 from spm_pin.display.viewer.state_export import json_text
+from spm_pin.display.viewer.workspace_layer import WorkspaceLayer
 from spm_pin.errors import SpmError
+from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.pose import pose as make_pose
+from spm_pin.multibody.chain import ClosedChain
 
-__all__ = ["Session"]
+__all__ = ["Session", "SessionConfig"]
 
 _log = logging.getLogger(__name__)
 
@@ -34,6 +39,23 @@ _MOTIONS = ("gizmo", "coordinate", "leg", "branch", "drive", "reset", "back", "t
 
 _FARTHEST = 10.0
 """Largest distance from {B} at which the gizmo is followed, over the machine's size."""
+
+
+@dataclass(frozen=True)
+class SessionConfig:
+    """The data that all sessions of a viewer share; read-only. Options are those of `Viewer`."""
+
+    chain: ClosedChain
+    """The manipulator in Pinocchio, for its joint values."""
+    robot: RobotMeshes
+    start: Configuration
+    """The state at first."""
+    workspace: WorkspaceLayer
+    recording: Recording | None = None
+    demo: Playback | None = None
+    """The motion that a page begins with."""
+    geometry_file: Path | None = None
+    dark: bool = False
 
 
 class Session:
@@ -96,23 +118,19 @@ class Session:
             camera.look_at = look_at
 
     async def report(self, name: str, value: Any) -> None:
-        """Take an event of the panel; on the event loop."""
+        """Take an event of the page; on the event loop."""
         if name not in ("view", "dark", "png", "demo"):
-            self._stop_players(name)
+            # The demo stops at the user's first event, and the path at one that moves the robot.
+            if self.demo is not None:
+                self.demo.stop()
+            if self.player is not None and name in _MOTIONS:
+                self.player.stop()
         key = f"{name} {value[0]}" if isinstance(value, tuple) else name
         self.queue.post(key, partial(getattr(self, f"_on_{name}"), value))
 
     async def _gizmo_moved(self, event: Any) -> None:
         if event.phase != "start":
-            self._stop_players("gizmo")
-            self.queue.post("gizmo", partial(self._on_gizmo, None))
-
-    def _stop_players(self, name: str) -> None:
-        """Stop the demo at the user's first event, and the path at one that moves the robot."""
-        if self.demo is not None:
-            self.demo.stop()
-        if self.player is not None and name in _MOTIONS:
-            self.player.stop()
+            await self.report("gizmo", None)
 
     def close(self) -> None:
         """End: nothing of the session runs any longer; on the event loop."""
