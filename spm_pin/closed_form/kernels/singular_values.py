@@ -1,9 +1,9 @@
 """Singular values and vectors of a tile of small matrices, by plane rotations of their rows.
 
-A tile of matrices is an array (rows, columns, TILE). Householder's reflections make a square matrix triangular, which
-halves the number of rotations; then pairs of rows are rotated until all are orthogonal (Jacobi's method from one side):
-each row then is a singular value times its right singular vector. Small singular values are as accurate as rounding of
-the matrix allows. Other matrices may be given, whose rows undergo the same operations.
+A tile of matrices is an array (rows, columns, lanes). Householder's reflections make a square matrix triangular, which
+halves the number of rotations, the more so if its long columns come first; then pairs of rows are rotated until all are
+orthogonal (Jacobi's method from one side): each row then is a singular value times its right singular vector. Small
+singular values are as accurate as rounding of the matrix allows.
 
 What is done to a matrix does not depend on the others in its tile: one that is finished is not rotated any more.
 """
@@ -12,11 +12,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from spm_pin.closed_form.kernels.compilation import TILE, jit, jit_inline, kernel, readonly_array
+from spm_pin.closed_form.kernels.compilation import jit, jit_inline, kernel, readonly_array
 from spm_pin.closed_form.kernels.stage_equations import EPS
 from spm_pin.mechanism.arguments import FloatArray
 
 __all__ = [
+    "LANES",
     "WIDTH",
     "null_vector",
     "orthogonalize",
@@ -26,6 +27,10 @@ __all__ = [
     "triangularize",
 ]
 
+LANES = 64
+"""Matrices in a tile: more than elsewhere, for the loops are many and short."""
+LANES = 64
+"""Matrices in a tile: more than elsewhere, for the loops are many and short."""
 WIDTH = 6
 """Columns of the matrices; narrower ones are filled up with zeros."""
 _ORTHOGONAL = 16.0 * EPS * EPS
@@ -38,63 +43,62 @@ _TOTAL, _SCALE, _LEAD = range(3)
 
 
 @jit
-def triangularize(rows: FloatArray, beside: FloatArray, work: FloatArray) -> None:
-    """Make matrices upper triangular by reflections, applied to those `beside`, too, if any; `work` is (3, TILE)."""
-    for j in range(WIDTH - 1):
-        for k in range(TILE):
+def triangularize(rows: FloatArray, work: FloatArray) -> None:
+    """Make matrices upper triangular by reflections; `work` is (3, lanes)."""
+    # Here and below not `WIDTH`: loops that are unrolled, and every one vectorised, take long to compile.
+    width, _, lanes = rows.shape
+    for j in range(width - 1):
+        for k in range(lanes):
             work[_TOTAL, k] = 0.0
-        for i in range(j, WIDTH):
-            for k in range(TILE):
+        for i in range(j, width):
+            for k in range(lanes):
                 work[_TOTAL, k] += rows[i, j, k] * rows[i, j, k]
-        for k in range(TILE):
+        for k in range(lanes):
             size, lead = np.sqrt(work[_TOTAL, k]), rows[j, j, k]
             product = size * (size + abs(lead))
             work[_SCALE, k] = 1.0 / product if product > 0.0 else 0.0
             work[_LEAD, k] = size if lead < 0.0 else -size
             rows[j, j, k] = lead - work[_LEAD, k]
-        for c in range(j + 1, WIDTH):
-            _reflect_column(rows, j, rows, c, work)
-        if len(beside) > 0:
-            for c in range(WIDTH):
-                _reflect_column(rows, j, beside, c, work)
-        for k in range(TILE):
+        for c in range(j + 1, width):
+            _reflect_column(rows, j, c, work)
+        for k in range(lanes):
             rows[j, j, k] = work[_LEAD, k]
-        for i in range(j + 1, WIDTH):
-            for k in range(TILE):
+        for i in range(j + 1, width):
+            for k in range(lanes):
                 rows[i, j, k] = 0.0
 
 
 @jit
-def _reflect_column(rows: FloatArray, j: int, matrices: FloatArray, c: int, work: FloatArray) -> None:
-    """Reflect column c of matrices along the normal in column j of the rows, from its place j on."""
-    for k in range(TILE):
+def _reflect_column(rows: FloatArray, j: int, c: int, work: FloatArray) -> None:
+    """Reflect column c along the normal in column j, from its place j on."""
+    width, _, lanes = rows.shape
+    for k in range(lanes):
         work[_TOTAL, k] = 0.0
-    for i in range(j, WIDTH):
-        for k in range(TILE):
-            work[_TOTAL, k] += rows[i, j, k] * matrices[i, c, k]
-    for k in range(TILE):
+    for i in range(j, width):
+        for k in range(lanes):
+            work[_TOTAL, k] += rows[i, j, k] * rows[i, c, k]
+    for k in range(lanes):
         work[_TOTAL, k] *= work[_SCALE, k]
-    for i in range(j, WIDTH):
-        for k in range(TILE):
-            matrices[i, c, k] -= work[_TOTAL, k] * rows[i, j, k]
+    for i in range(j, width):
+        for k in range(lanes):
+            rows[i, c, k] -= work[_TOTAL, k] * rows[i, j, k]
 
 
 @jit
-def orthogonalize(rows: FloatArray, beside: FloatArray, work: FloatArray) -> None:
-    """Rotate six rows until they are orthogonal, and those `beside`, if any, with them; `work` is (4, TILE)."""
-    for k in range(TILE):
+def orthogonalize(rows: FloatArray, work: FloatArray) -> None:
+    """Rotate six rows until they are orthogonal; `work` is (4, lanes)."""
+    width, _, lanes = rows.shape
+    for k in range(lanes):
         work[_ACTIVE, k] = 1.0
     for _ in range(_MOST_SWEEPS):
-        for k in range(TILE):
+        for k in range(lanes):
             work[_MORE, k] = 0.0
-        for i in range(WIDTH - 1):
-            for j in range(i + 1, WIDTH):
+        for i in range(width - 1):
+            for j in range(i + 1, width):
                 if _find_rotation(rows[i], rows[j], work):
                     _rotate(rows[i], rows[j], work)
-                    if len(beside) > 0:
-                        _rotate(beside[i], beside[j], work)
         unfinished = False
-        for k in range(TILE):
+        for k in range(lanes):
             work[_ACTIVE, k] = work[_MORE, k]
             unfinished = unfinished | (work[_MORE, k] > 0.0)
         if not unfinished:
@@ -104,8 +108,8 @@ def orthogonalize(rows: FloatArray, beside: FloatArray, work: FloatArray) -> Non
 @jit_inline
 def _find_rotation(first: FloatArray, second: FloatArray, work: FloatArray) -> bool:
     """Write the cosines and sines that make two rows orthogonal; return whether any matrix needs them."""
-    some = False
-    for k in range(TILE):
+    some, lanes = False, first.shape[1]
+    for k in range(lanes):
         a, b, g = 0.0, 0.0, 0.0
         for c in range(WIDTH):
             x, y = first[c, k], second[c, k]
@@ -123,8 +127,9 @@ def _find_rotation(first: FloatArray, second: FloatArray, work: FloatArray) -> b
 
 @jit_inline
 def _rotate(first: FloatArray, second: FloatArray, work: FloatArray) -> None:
-    for c in range(WIDTH):
-        for k in range(TILE):
+    width, lanes = first.shape
+    for c in range(width):
+        for k in range(lanes):
             x, y = first[c, k], second[c, k]
             first[c, k] = work[_COSINE, k] * x - work[_SINE, k] * y
             second[c, k] = work[_SINE, k] * x + work[_COSINE, k] * y
@@ -132,58 +137,58 @@ def _rotate(first: FloatArray, second: FloatArray, work: FloatArray) -> None:
 
 @jit
 def put_norms(rows: FloatArray, norms: FloatArray) -> None:
-    """Write the lengths (6, TILE) of the rows, the singular values if these are orthogonal."""
-    for i in range(WIDTH):
-        for k in range(TILE):
+    """Write the lengths (6, lanes) of the rows, the singular values if these are orthogonal."""
+    width, _, lanes = rows.shape
+    for i in range(width):
+        for k in range(lanes):
             norms[i, k] = 0.0
-        for c in range(WIDTH):
-            for k in range(TILE):
+        for c in range(width):
+            for k in range(lanes):
                 norms[i, k] += rows[i, c, k] * rows[i, c, k]
-        for k in range(TILE):
+        for k in range(lanes):
             norms[i, k] = np.sqrt(norms[i, k])
 
 
 @jit
-def put_smallest_last(rows: FloatArray, beside: FloatArray, norms: FloatArray) -> None:
+def put_smallest_last(rows: FloatArray, norms: FloatArray) -> None:
     """Exchange the shortest of six rows with the last."""
-    last = WIDTH - 1
+    width, _, lanes = rows.shape
+    last = width - 1
     for i in range(last):
-        for c in range(WIDTH):
-            for k in range(TILE):
+        for c in range(width):
+            for k in range(lanes):
                 x, y, exchange = rows[i, c, k], rows[last, c, k], norms[i, k] < norms[last, k]
                 rows[i, c, k], rows[last, c, k] = (y if exchange else x), (x if exchange else y)
-            for k in range(TILE):
-                x, y, exchange = beside[i, c, k], beside[last, c, k], norms[i, k] < norms[last, k]
-                beside[i, c, k], beside[last, c, k] = (y if exchange else x), (x if exchange else y)
-        for k in range(TILE):
+        for k in range(lanes):
             x, y, exchange = norms[i, k], norms[last, k], norms[i, k] < norms[last, k]
             norms[i, k], norms[last, k] = (y if exchange else x), (x if exchange else y)
 
 
 @jit
 def null_vector(rows: FloatArray, vector: FloatArray, work: FloatArray) -> None:
-    """Write the unit vector (6, TILE) orthogonal to the first five rows, which are overwritten; `work` is (6, TILE).
+    """Write the unit vector (6, lanes) orthogonal to the first five rows, which are overwritten; `work` is (6, lanes).
 
     The last right singular vector, where the last singular value is zero, too.
     """
-    last = WIDTH - 1
+    width, _, lanes = rows.shape
+    last = width - 1
     for j in range(last):
         # Row j becomes the normal of the reflection that takes it to an axis; the rows after it are reflected.
         total = work[last]
-        for k in range(TILE):
+        for k in range(lanes):
             total[k] = 0.0
-        for c in range(j, WIDTH):
-            for k in range(TILE):
+        for c in range(j, width):
+            for k in range(lanes):
                 total[k] += rows[j, c, k] * rows[j, c, k]
-        for k in range(TILE):
+        for k in range(lanes):
             size, lead = np.sqrt(total[k]), rows[j, j, k]
             product = size * (size + abs(lead))
             rows[j, j, k] = lead - size if lead < 0.0 else lead + size
             work[j, k] = 1.0 / product if product > 0.0 else 0.0
         for i in range(j + 1, last):
             _reflect(rows[j], rows[i], j, work[j], total)
-    for c in range(WIDTH):
-        for k in range(TILE):
+    for c in range(width):
+        for k in range(lanes):
             vector[c, k] = 0.0 if c < last else 1.0
     for i in range(last):
         j = last - 1 - i
@@ -192,16 +197,17 @@ def null_vector(rows: FloatArray, vector: FloatArray, work: FloatArray) -> None:
 
 @jit
 def _reflect(normal: FloatArray, vector: FloatArray, first: int, scale: FloatArray, total: FloatArray) -> None:
-    """Reflect vectors (6, TILE) along normals that begin at place `first`; `total` is (TILE,), overwritten."""
-    for k in range(TILE):
+    """Reflect vectors (6, lanes) along normals that begin at place `first`; `total` is (lanes,), overwritten."""
+    width, lanes = vector.shape
+    for k in range(lanes):
         total[k] = 0.0
-    for c in range(first, WIDTH):
-        for k in range(TILE):
+    for c in range(first, width):
+        for k in range(lanes):
             total[k] += normal[c, k] * vector[c, k]
-    for k in range(TILE):
+    for k in range(lanes):
         total[k] *= scale[k]
-    for c in range(first, WIDTH):
-        for k in range(TILE):
+    for c in range(first, width):
+        for k in range(lanes):
             vector[c, k] -= total[k] * normal[c, k]
 
 
@@ -209,17 +215,18 @@ def _reflect(normal: FloatArray, vector: FloatArray, first: int, scale: FloatArr
 def singular_values(matrices: FloatArray, values: FloatArray) -> None:
     """Write the singular values (N, rows), from large to small, of N matrices with at most six columns and rows."""
     _, count, columns = matrices.shape
-    rows, norms, work = np.ones((WIDTH, WIDTH, TILE)), np.empty((WIDTH, TILE)), np.empty((4, TILE))
-    for start in range(0, len(matrices), TILE):
-        width = min(TILE, len(matrices) - start)
+    lanes = min(LANES, len(matrices))
+    rows, norms, work = np.ones((WIDTH, WIDTH, lanes)), np.empty((WIDTH, lanes)), np.empty((4, lanes))
+    for start in range(0, len(matrices), LANES):
+        width = min(LANES, len(matrices) - start)
         rows[:, :, :] = 0.0
         for k in range(width):
             for i in range(count):
                 for j in range(columns):
                     rows[i, j, k] = matrices[start + k, i, j]
         if count == WIDTH:
-            triangularize(rows, rows[:0], work)
-        orthogonalize(rows, rows[:0], work)
+            triangularize(rows, work)
+        orthogonalize(rows, work)
         put_norms(rows, norms)
         for k in range(width):
             for i in range(count):
