@@ -123,17 +123,13 @@ def part_placements(configuration: Configuration) -> FloatArray:
 
 def _body_poses(configuration: Configuration) -> dict[str, FloatArray]:
     """Return the pose (..., 4, 4) of each body in {B}: of platforms, barrels and rods as the URDF has their frames."""
-    geometry, shape = configuration.geometry, configuration.shape
-    base = np.broadcast_to(np.eye(4), (*shape, 4, 4))
+    base = np.broadcast_to(np.eye(4), (*configuration.shape, 4, 4))
     terminal = homogeneous(configuration.rotation, configuration.translation)
     poses = dict(zip(PLATFORMS, (base, configuration.middle_pose.as_matrix(), terminal), strict=True))
-    below = np.broadcast_to([geometry.revolute_axes, geometry.base_joints], (*shape, 2, 3, 3))
-    axes = np.concatenate([below[..., 0, :, :], configuration.platform_axes], axis=-2)
-    hips = np.concatenate([below[..., 1, :, :], configuration.platform_joints], axis=-2)
-    balls = configuration.balls
+    hips, balls = configuration.hips, configuration.balls
     with np.errstate(invalid="ignore"):
         z = (balls - hips) / configuration.leg_lengths[..., None]
-        y = np.cross(z, axes)
+        y = np.cross(z, configuration.leg_axes)
         y /= np.linalg.norm(y, axis=-1, keepdims=True)
     turns = np.stack([np.cross(y, z), y, z], axis=-1)
     for half, origins in (("cylinder", hips), ("rod", balls)):

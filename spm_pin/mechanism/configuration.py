@@ -211,6 +211,12 @@ class Configuration:
         return frozen(self._local[0][3:] @ np.swapaxes(self._rotation, -1, -2))
 
     @cached_property
+    def hips(self) -> FloatArray:
+        """Revolute joints of the six legs, a_1 to a_3 and c_1 to c_3, as rows in {B} [m], shape (..., 6, 3)."""
+        lower = np.broadcast_to(self._local[1][:3], self.platform_joints.shape)
+        return frozen(np.concatenate([lower, self.platform_joints], axis=-2))
+
+    @cached_property
     def leg_axes(self) -> FloatArray:
         """Unit revolute axes of the six legs as rows in {B}, shape (..., 6, 3). Eq. (4)."""
         lower = np.broadcast_to(self._local[0][:3], self.platform_axes.shape)

@@ -19,8 +19,7 @@ FIELD_OF_VIEW = np.deg2rad(28.0)
 
 def robot_points(configuration: Configuration, margin: float) -> FloatArray:
     """Return corners (n, 3) of boxes of half a side `margin` around the joints and o [m]; a picture shows them all."""
-    shown = configuration
-    joints = [shown.geometry.base_joints, shown.middle_joints, shown.platform_joints, shown.translation[None]]
+    joints = [configuration.hips, configuration.middle_joints, configuration.translation[None]]
     corners = margin * (2.0 * np.indices((2, 2, 2)).reshape(3, -1).T - 1.0)
     return np.asarray((np.concatenate(joints)[:, None] + corners).reshape(-1, 3))
 

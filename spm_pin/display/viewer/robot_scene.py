@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Sequence
 from typing import Any
 
 import numpy as np
@@ -192,12 +192,10 @@ class RobotScene:
     def _show_names(self, state: State) -> None:
         """Name each leg beside its middle, away from the axis of its stage."""
         shown = state.shown
-        balls, axis = shown.middle_joints, shown.middle_pose.as_matrix()[:3, 3]
-        hips = np.concatenate([shown.geometry.base_joints, shown.platform_joints])
+        axis = shown.middle_pose.as_matrix()[:3, 3]
         centres = np.stack([0.5 * axis, 0.5 * (axis + shown.translation)]).repeat(3, axis=0)
-        middles = 0.5 * (hips + np.tile(balls, (2, 1)))
-        outward = middles - centres
-        outward /= np.maximum(np.linalg.norm(outward, axis=-1, keepdims=True), 1e-9)
+        middles = 0.5 * (shown.hips + shown.balls)
+        outward = _unit(middles - centres)
         for k, handle in enumerate(self._names):
             if self.layers["names"]:
                 handle.position = middles[k] + 0.42 * self.size * outward[k]
@@ -225,29 +223,23 @@ class RobotScene:
         # A moment has two heads.
         axis = _onto(o, moment, length) if moment.any() else None
         self._point("moment", [axis, np.stack([o, o + 0.82 * (axis[1] - o)])] if axis is not None else [])
-        forces = state.readings.forces
-        scale = 0.0 if forces is None else float(np.abs(forces).max())
-        pushes: list[Any] = []
-        pulls: list[Any] = []
-        if forces is not None and scale > 0.0:
-            hips = np.concatenate([state.shown.geometry.base_joints, state.shown.platform_joints])
-            balls = np.tile(state.shown.middle_joints, (2, 1))
-            for hip, ball, share in zip(hips, balls, forces / scale, strict=True):
-                middle, half = (hip + ball) / 2.0, 0.45 * (ball - hip) * abs(share)
-                # Beside the leg, on its side away from the robot's axis.
-                middle = middle + 0.2 * self.size * _unit(middle - 0.5 * o)
-                if abs(share) > 0.02:
-                    # Away from the actuator's middle where it pushes, towards it where it pulls; at both ends.
-                    ends = [(middle, middle + half), (middle, middle - half)]
-                    (pushes if share > 0.0 else pulls).extend(ends if share > 0.0 else [(b, a) for a, b in ends])
-        self._point("push", pushes)
-        self._point("pull", pulls)
+        forces = np.zeros(6) if state.readings.forces is None else state.readings.forces
+        shares = forces / max(float(np.abs(forces).max()), 1e-300)
+        hips, balls = state.shown.hips, state.shown.balls
+        # Beside the leg, on its side away from the robot's axis.
+        middles = (hips + balls) / 2.0
+        middles = middles + 0.2 * self.size * _unit(middles - 0.5 * o)
+        half = 0.45 * (balls - hips) * np.abs(shares)[:, None]
+        # Away from the actuator's middle where it pushes, towards it where it pulls; at both ends.
+        outward = np.stack([[middles, middles + half], [middles, middles - half]]).transpose(2, 0, 1, 3)
+        self._point("push", outward[shares > 0.02].reshape(-1, 2, 3))
+        self._point("pull", outward[shares < -0.02][:, :, ::-1].reshape(-1, 2, 3))
 
-    def _point(self, name: str, arrows: list[Any]) -> None:
+    def _point(self, name: str, arrows: Sequence[FloatArray] | FloatArray) -> None:
         handle = self._arrows[name]
-        if arrows:
+        if len(arrows):
             handle.points = np.array(arrows, dtype=np.float32)
-        _set_visible(handle, bool(arrows))
+        _set_visible(handle, len(arrows) > 0)
 
     def _show_trail(self, o: FloatArray) -> None:
         points = self._trail_points
@@ -285,8 +277,8 @@ def _free_place(joints: FloatArray, taken: list[FloatArray]) -> FloatArray:
     return np.asarray(places[int(np.min(gaps, axis=0).argmax()) if gaps else 0])
 
 
-def _unit(vector: FloatArray) -> FloatArray:
-    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-12))
+def _unit(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12))
 
 
 def _onto(point: FloatArray, vector: FloatArray, length: float) -> FloatArray:
