@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
+import numpy as np
 from flint import Ordering, arb, ctx, fmpz_mpoly, fmpz_mpoly_ctx, fmpz_poly
 
 _CONTEXT = fmpz_mpoly_ctx.get(("t1", "t2", "t3"), Ordering.lex)
@@ -39,6 +40,34 @@ def certified_modes(lengths: Sequence[float], hip_radius: float, d: float) -> in
                 return None
             real += 2 * bool(discriminant > 0)
     return real
+
+
+def scanned_modes(lengths: Sequence[float], hip_radius: float, d: float) -> int:
+    """Count the real assembly modes of a stage without elimination: sign changes of side 23 as leg 1 turns round.
+
+    For each angle of leg 1 its sides to legs 2 and 3 give two angles of each in closed form.
+    """
+    # Closer steps about 0 and π, where modes beside a family are close together.
+    closer = np.geomspace(1e-9, 0.5 * np.pi, 100_000)
+    angle = np.sort(np.concatenate([base + sign * closer for base in (0.0, np.pi) for sign in (-1.0, 1.0)]))
+    rho, z = hip_radius + lengths[0] * np.cos(angle), lengths[0] * np.sin(angle)
+
+    def ends(r: float) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
+        # a cos θ + b sin θ + c = 0.
+        a, b = r * (2.0 * hip_radius + rho), -2.0 * r * z
+        c = rho**2 + hip_radius**2 + r**2 + rho * hip_radius + z**2 - d**2
+        square, root = a * a + b * b, np.sqrt(np.maximum(a * a + b * b - c * c, 0.0))
+        pairs = [((-a * c - t * b) / square, (-b * c + t * a) / square) for t in (root, -root)]
+        return a * a + b * b >= c * c, [(hip_radius + r * cosine, r * sine) for cosine, sine in pairs]
+
+    (real_2, second), (real_3, third) = ends(lengths[1]), ends(lengths[2])
+    both = real_2 & real_3
+    count = 0
+    for rho_2, z_2 in second:
+        for rho_3, z_3 in third:
+            side = rho_2**2 + rho_3**2 + rho_2 * rho_3 + (z_2 - z_3) ** 2 - d**2
+            count += int(((side[:-1] < 0.0) != (side[1:] < 0.0))[both[:-1] & both[1:]].sum())
+    return count
 
 
 def equations(lengths: Sequence[float], hip_radius: float, d: float) -> list[fmpz_mpoly]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from stage_oracle import certified_modes
+from stage_oracle import certified_modes, scanned_modes
 
 import spm_pin as spm
 
@@ -32,10 +32,14 @@ def test_all_modes_beside_a_continuous_family_are_found(ratio: float, away: floa
 
 
 def test_the_papers_upper_stage_beside_its_family() -> None:
+    """It has four real modes; a scan of equal steps finds eight, for another leg is free where the first is level."""
     legs = [1.0392304745246594, 0.529150245775729, 0.5291502561685462]
     solutions = spm.forward_displacement(PAPER, [*REGULAR, *legs])
     upper = int(solutions.exists.reshape(16, 16).any(axis=0).sum())
-    assert upper == certified_modes(legs, PAPER.platform_radius, D)
+    assert upper == certified_modes(legs, PAPER.platform_radius, D) == 4
+    for first in range(3):
+        assert scanned_modes(np.roll(legs, -first), PAPER.platform_radius, D) == 4
+    assert scanned_modes(REGULAR, PAPER.base_radius, D) == certified_modes(REGULAR, PAPER.base_radius, D) == 12
 
 
 @pytest.mark.parametrize("size", [1e-4, 1e-6, 1e-8])
