@@ -2,7 +2,7 @@
 
 The names of everyday use are here. All else is in public modules: `spm_pin.mechanism` (dimensions, states, sets of
 states), `spm_pin.closed_form` (branches, assembly modes, singularities, paths), `spm_pin.workspace`, `spm_pin.sweeps`,
-`spm_pin.nlp`, `spm_pin.crosscheck` and `spm_pin.errors`.
+`spm_pin.symbolic`, `spm_pin.nlp`, `spm_pin.crosscheck` and `spm_pin.errors`.
 """
 
 from importlib import import_module
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from spm_pin import mechanism as mechanism
     from spm_pin import nlp as nlp
     from spm_pin import sweeps as sweeps
+    from spm_pin import symbolic as symbolic
     from spm_pin import workspace as workspace
     from spm_pin.closed_form import (
         determinants,
@@ -81,7 +82,7 @@ __all__ = [
 ]
 
 # All are imported on first use: the start-up of the command line stays short, and Ctrl-C ends it.
-_MODULES = {"closed_form", "crosscheck", "errors", "mechanism", "nlp", "sweeps", "workspace"}
+_MODULES = {"closed_form", "crosscheck", "errors", "mechanism", "nlp", "sweeps", "symbolic", "workspace"}
 _HOMES = ("errors", "mechanism", "closed_form", "proofs", "multibody.chain", "multibody.platform_path")
 
 

@@ -1,12 +1,13 @@
-"""`spm-pin export`: the robot with its loops closed, in the format of another engine."""
+"""`spm-pin export`: the robot with its loops closed, in the format of another engine, or its closed forms in C."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import typer
 
+from spm_pin.cli.console import note
 from spm_pin.cli.options import GeometryFile, read_geometry
 from spm_pin.cli.outputs import check_output, name_options, write_model, write_text
 from spm_pin.errors import ArgumentError
@@ -14,18 +15,19 @@ from spm_pin.errors import ArgumentError
 __all__ = ["export"]
 
 
-Format = Literal["urdf", "mjcf", "sdf", "extended-urdf", "srdf"]
+Format = Literal["urdf", "mjcf", "sdf", "extended-urdf", "srdf", "c"]
 Anchors = Literal["bodies", "sites"]
 Loops = Literal["joints", "drake"]
 
 
-@name_options(prefix="--prefix", out="--out")
+@name_options(prefix="--prefix", out="--out", directory="--out", geometry="--geometry")
 def export(
-    format_: Annotated[Format, typer.Option("--format", help="What to write.")],
+    format_: Annotated[Format | None, typer.Argument(metavar="[FORMAT]", help="What to write.")] = None,
+    option: Annotated[Format | None, typer.Option("--format", help="The same, as an option.")] = None,
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Where to write; standard output if not given.")
+        Path | None, typer.Option(metavar="FILE", help="Where to write; standard output if not given. c: a directory.")
     ] = None,
-    prefix: Annotated[str, typer.Option(help="Put before every name, such as left_.")] = "",
+    prefix: Annotated[str, typer.Option(help="Put before every name, such as left_; c: spm_ if not given.")] = "",
     geometry: GeometryFile = None,
     urdf: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Another robot instead of this manipulator.")
@@ -40,11 +42,13 @@ def export(
     anchors: Annotated[Anchors | None, typer.Option(help="mjcf: anchor closures in bodies, or in sites.")] = None,
     loops: Annotated[Loops | None, typer.Option(help="sdf: close loops by joints, or by Drake's elements.")] = None,
 ) -> None:
-    """Write the robot with its loops closed, in the format of another engine.
+    """Write the robot with its loops closed, in the format of another engine, or its closed forms in C.
 
     urdf: Drake, Pinocchio, yourdfpy, PyBullet, ROS. mjcf: MuJoCo, Drake, Pinocchio. sdf: SDFormat. extended-urdf: the
     YAML file that closes a URDF's loops. srdf: groups and passive joints. What a format cannot say is an error. With
     --out, the manipulator's meshes are put beside the file, into a folder `meshes`.
+
+    c: inverse and forward displacement, J_f and leg forces in C99 for controllers, with a test program.
     """
     from spm_pin.description.extended_urdf import extended_urdf_text
     from spm_pin.description.load_robot import manipulator, read_robot
@@ -53,20 +57,31 @@ def export(
     from spm_pin.description.write_mjcf import mjcf_text
     from spm_pin.description.write_sdf import sdf_text
     from spm_pin.description.write_urdf import urdf_text
+    from spm_pin.symbolic import write_c
 
-    check_output(out)
+    if (format_ is None) == (option is None):
+        received = "none" if format_ is None else "two"
+        raise ArgumentError("FORMAT", f"one of {', '.join(get_args(Format))}", received)
+    format_ = format_ or option
     foreign, by = urdf is not None, f"with --format {format_}"
-    for option, value, useless, when in (
+    for name, value, useless, when in (
         ("--ros-constraints", ros_constraints, format_ != "urdf", by),
         ("--anchors", anchors, format_ != "mjcf", by),
         ("--loops", loops, format_ != "sdf", by),
-        ("--urdf", urdf, format_ == "srdf", by),
+        ("--urdf", urdf, format_ in ("srdf", "c"), by),
         ("--closures", closures, not foreign, "without --urdf"),
         ("--prefix", prefix, foreign, "with --urdf"),
         ("--geometry", geometry, foreign, "with --urdf"),
     ):
         if value and useless:
-            raise ArgumentError(option, f"to be left out {when}", value)
+            raise ArgumentError(name, f"to be left out {when}", value)
+    if format_ == "c":
+        if out is None:
+            raise ArgumentError("--out", "the directory to write into", "none")
+        for path in write_c(read_geometry(geometry), out, prefix=prefix or "spm_"):
+            note(f"wrote {path}")
+        return
+    check_output(out)
     if format_ == "srdf":
         write_text(srdf_text({}, prefix=prefix), out)
         return

@@ -85,7 +85,10 @@ def read_geometry(path: Path | None) -> Geometry:
             geometry = Geometry.from_yaml(path)
     except GeometryError as error:
         where = "--geometry" if error.argument == "path" else f"--geometry: {error.argument}"
-        raise GeometryError(where, error.expected, error.received, error.cause) from error
+        cause = (
+            "A machine as built? The command line takes ideal ones" if "'nominal'" in error.received else error.cause
+        )
+        raise GeometryError(where, error.expected, error.received, cause) from error
     for warning in caught:
         note(f"--geometry: {warning.message}", "yellow")
     return geometry

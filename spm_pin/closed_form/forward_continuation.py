@@ -10,7 +10,6 @@ Newton's method ends on it and on no other mode.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from spm_pin.closed_form.as_built_forward import check_seed
 from spm_pin.closed_form.batches import run_kernel
@@ -20,14 +19,12 @@ from spm_pin.mechanism.geometry import Geometry
 
 __all__ = ["follow_seed"]
 
-BoolArray = npt.NDArray[np.bool_]
-
 _MIN_BATCH_PER_THREAD = 1 << 10
 
 
 def follow_seed(geometry: Geometry, lengths: FloatArray, seed: Configuration) -> Configuration:
     """Follow `seed` to the leg lengths (..., 6), each stage by itself; NaN where a stage meets a singularity."""
-    from spm_pin.closed_form.kernels.continuation_kernel import follow_stages
+    from spm_pin.closed_form.kernels.continuation_kernel import follow_stages, stage_states
     from spm_pin.closed_form.kernels.mode_kernels import compose_all
 
     check_seed(geometry, lengths, seed)
@@ -44,10 +41,10 @@ def follow_seed(geometry: Geometry, lengths: FloatArray, seed: Configuration) ->
     # The lower stages, then the upper ones as they are seen from {m}.
     corners = np.concatenate([b, (b - translation[:, None]) @ rotation])
     hips = np.repeat([geometry.base_radius / r, geometry.platform_radius / r], count)
-    seeds, half_turned = _states(geometry, corners)
+    stage = ((4,), np.float64), ((), np.bool_)
+    seeds, half_turned = run_kernel(stage_states, (corners,), (r,), stage, _MIN_BATCH_PER_THREAD)
     epsilon = np.where(half_turned, -hips, hips)
-    state = ((4,), np.float64), ((), np.bool_)
-    states, arrived = run_kernel(follow_stages, (start, end, epsilon, seeds), (), state, _MIN_BATCH_PER_THREAD)
+    states, arrived = run_kernel(follow_stages, (start, end, epsilon, seeds), (), stage, _MIN_BATCH_PER_THREAD)
     states[~arrived] = np.nan
     x0, x1, x2, zeta = states.T
     zero = 0.0 * x0  # NaN where a stage has not arrived
@@ -56,18 +53,3 @@ def follow_seed(geometry: Geometry, lengths: FloatArray, seed: Configuration) ->
     results = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64)
     found = run_kernel(compose_all, (stages[:count], stages[count:]), (r,), results, _MIN_BATCH_PER_THREAD)
     return Configuration.from_arrays(geometry, *(array.reshape(*shape, *array.shape[1:]) for array in found))
-
-
-def _states(geometry: Geometry, joints: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return the states (M, 4) of stages with these corners (M, 3, 3) [m], and which are in mode F."""
-    pose = Configuration.from_arrays(geometry, np.eye(3), np.zeros(3), joints).middle_pose
-    x1, x2, x3, x0 = np.moveaxis(pose.rotation.as_quat(), -1, 0)
-    zeta = pose.translation[..., 2] / geometry.middle_radius
-    half_turned = np.abs(x3) > np.abs(x0)
-    states = np.where(
-        half_turned[:, None], np.stack([x3, -x2, x1, -zeta], axis=-1), np.stack([x0, x1, x2, zeta], axis=-1)
-    )
-    # The other of x0 and x3 is rounding.
-    length = np.sqrt((states[:, :3] ** 2).sum(axis=-1))
-    states[:, :3] /= np.where(states[:, 0] < 0.0, -length, length)[:, None]
-    return states, half_turned

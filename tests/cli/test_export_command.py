@@ -92,7 +92,8 @@ def test_another_robot_from_urdf_and_closures() -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "Missing option '--format'"),
+        ([], "FORMAT: expected one of urdf, mjcf, sdf, extended-urdf, srdf, c, got none"),
+        (["mjcf", "--format", "sdf"], "FORMAT: expected one of urdf, mjcf, sdf, extended-urdf, srdf, c, got two"),
         (["--format", "collada"], "collada"),
         (["--format", "mjcf", "--ros-constraints"], "--ros-constraints: expected to be left out with --format mjcf"),
         (["--format", "urdf", "--anchors", "sites"], "--anchors: expected to be left out with --format urdf"),

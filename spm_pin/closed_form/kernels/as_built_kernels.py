@@ -20,10 +20,11 @@ from spm_pin.closed_form.kernels.three_quadrics import (
     polished,
     projective_distance,
     put_quadrics,
+    put_quaternion,
 )
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["SHORTEST_AT_FIRST", "as_built_branches", "followed", "put_planes", "put_quaternion"]
+__all__ = ["SHORTEST_AT_FIRST", "as_built_branches", "followed", "put_planes"]
 
 ComplexArray = npt.NDArray[np.complex128]
 
@@ -73,34 +74,6 @@ def put_planes(
                 normals[i, j] = rotation[j, 0] * a0 + rotation[j, 1] * a1 + rotation[j, 2] * a2
                 height += normals[i, j] * position[j]
         heights[i] = height
-
-
-@jit
-def put_quaternion(b: FloatArray, x: FloatArray) -> None:
-    """Write the quaternion (4,), scalar last, of the middle platform with its joints at the rows of b (3, 3)."""
-    u0, u1, u2 = b[0, 0] - b[2, 0], b[0, 1] - b[2, 1], b[0, 2] - b[2, 2]
-    size = 1.0 / math.sqrt(u0 * u0 + u1 * u1 + u2 * u2)
-    u0, u1, u2 = u0 * size, u1 * size, u2 * size
-    v0, v1 = 2.0 * b[1, 0] - b[0, 0] - b[2, 0], 2.0 * b[1, 1] - b[0, 1] - b[2, 1]
-    v2 = 2.0 * b[1, 2] - b[0, 2] - b[2, 2]
-    size = u0 * v0 + u1 * v1 + u2 * v2
-    v0, v1, v2 = v0 - size * u0, v1 - size * u1, v2 - size * u2
-    size = 1.0 / math.sqrt(v0 * v0 + v1 * v1 + v2 * v2)
-    v0, v1, v2 = v0 * size, v1 * size, v2 * size
-    w0, w1, w2 = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
-    # The column of x xᵀ with the largest diagonal entry keeps the digits.
-    xx, yy, zz, ww = u0 - v1 - w2, v1 - u0 - w2, w2 - u0 - v1, u0 + v1 + w2
-    if ww >= xx and ww >= yy and ww >= zz:
-        x[0], x[1], x[2], x[3] = v2 - w1, w0 - u2, u1 - v0, 1.0 + ww
-    elif xx >= yy and xx >= zz:
-        x[0], x[1], x[2], x[3] = 1.0 + xx, v0 + u1, w0 + u2, v2 - w1
-    elif yy >= zz:
-        x[0], x[1], x[2], x[3] = v0 + u1, 1.0 + yy, w1 + v2, w0 - u2
-    else:
-        x[0], x[1], x[2], x[3] = w0 + u2, w1 + v2, 1.0 + zz, u1 - v0
-    size = 1.0 / math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2] + x[3] * x[3])
-    for i in range(4):
-        x[i] *= size
 
 
 @jit

@@ -11,9 +11,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.kernels.as_built_kernels import SHORTEST_AT_FIRST, followed, put_planes, put_quaternion
+from spm_pin.closed_form.kernels.as_built_kernels import SHORTEST_AT_FIRST, followed, put_planes
 from spm_pin.closed_form.kernels.compilation import jit, kernel, readonly_array
-from spm_pin.closed_form.kernels.three_quadrics import image, put_quadrics
+from spm_pin.closed_form.kernels.three_quadrics import image, put_quadrics, put_quaternion
 from spm_pin.mechanism.arguments import FloatArray
 
 __all__ = ["certain_physical_branches"]

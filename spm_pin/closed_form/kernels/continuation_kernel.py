@@ -14,10 +14,11 @@ import numpy.typing as npt
 from spm_pin.closed_form.kernels.compilation import jit, jit_inline, kernel, readonly_array
 from spm_pin.closed_form.kernels.quadratics import COS_30
 from spm_pin.closed_form.kernels.stage_equations import Equations, State, derivatives, equations, polished, residual
+from spm_pin.closed_form.kernels.three_quadrics import put_quaternion
 from spm_pin.closed_form.kernels.vectors import Vector
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["follow_stages"]
+__all__ = ["follow_stages", "stage_states"]
 
 _MARGIN = 0.2
 """At most this instead of 1/2, so that `_ITERATIONS` steps of Newton's method reach rounding: 0.4^(2^5) < 1e-12."""
@@ -180,3 +181,25 @@ def follow_stages(
         seed = seeds[k, 0], seeds[k, 1], seeds[k, 2], seeds[k, 3]
         state, arrived[k] = _followed(here, change, epsilon[k], seed, work, inverse)
         states[k, 0], states[k, 1], states[k, 2], states[k, 3] = state
+
+
+@kernel(f"void({readonly_array(3)}, f8, f8[:,::1], b1[::1])")
+def stage_states(corners: FloatArray, r: float, states: FloatArray, half_turned: npt.NDArray[np.bool_]) -> None:
+    """Write the states (M, 4) of stages whose triangles have these corners (M, 3, 3) [m], and which are in mode F (M,).
+
+    In mode F the coordinates are those of the mode, see `stage_equations`. `r` is the triangles' circumradius [m].
+    """
+    x = np.empty(4)
+    for k in range(len(states)):
+        b = corners[k]
+        put_quaternion(b, x)
+        zeta = (b[0, 2] + b[1, 2] + b[2, 2]) / (3.0 * r)
+        turned = abs(x[2]) > abs(x[3])
+        first, second = (-x[1] if turned else x[0]), (x[0] if turned else x[1])
+        x0 = x[2] if turned else x[3]
+        # The other of x0 and x3 is rounding.
+        length = math.sqrt(x0 * x0 + first * first + second * second)
+        scale = -1.0 / length if x0 < 0.0 else 1.0 / length
+        states[k, 0], states[k, 1], states[k, 2] = scale * x0, scale * first, scale * second
+        states[k, 3] = -zeta if turned else zeta
+        half_turned[k] = turned

@@ -69,12 +69,13 @@ def _turned_quartic(quartic: Quartic) -> tuple[Quartic, complex]:
     second = complex(0.125 * (c0 - c2 + c4), -0.125 * (c1 - c3))
     best, largest = 0, -1.0
     for k in range(8):
-        turn = _EIGHTHS[k]
-        value = abs(mean - (first * turn**2).real + (second * turn**4).real)
+        turn = _EIGHTHS[k] * _EIGHTHS[k]
+        value = abs(mean - (first * turn).real + (second * (turn * turn)).real)
         if value > largest:
             best, largest = k, value
     turn = _EIGHTHS[best]
-    first, second = first * turn**2, second * turn**4
+    twice = turn * turn
+    first, second = first * twice, second * (twice * twice)
     leading = mean - first.real + second.real
     leading = 1.0 if leading == 0.0 else leading
     a3, a2 = 4.0 * second.imag - 2.0 * first.imag, 2.0 * mean - 6.0 * second.real

@@ -1,0 +1,291 @@
+"""The exported C: compiled without a warning, and compared with the kernels it was translated from."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli.running import run
+from problems import GEOMETRIES, conditioning
+from symbolic.c_library import STRICT, CLibrary, as_states, compile_c, compilers
+from symbolic.c_poses import hard_poses, held_states, possible_lengths, spread_poses
+
+import spm_pin as spm
+from spm_pin.errors import ArgumentError
+
+EXACT = "-ffp-contract=off"
+CONTRACTED = ("-O3", "-march=native", "-ffp-contract=fast")
+NOT_PHYSICAL, SINGULAR, NOT_FINITE, NOT_A_ROTATION, BAD_LENGTH, BAD_GEOMETRY, BAD_SEED = 4, 5, -1, -2, -3, -4, -5
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> CLibrary:
+    return CLibrary.build(GEOMETRIES["paper"], tmp_path_factory.mktemp("c"), "-O2", EXACT)
+
+
+def of_geometry(library: CLibrary, name: str) -> CLibrary:
+    """The same library, given other dimensions."""
+    return CLibrary(library.library, GEOMETRIES[name])
+
+
+def compare_inverse(library: CLibrary, rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Compare all branches and the physical one to the bit; return which poses have the latter."""
+    geometry, pose = library.geometry, spm.pose(position, rotation=rotation)
+    branches = spm.inverse_displacement(geometry, pose)
+    joints, lengths, discriminants, status = library.inverse(rotation, position)
+    np.testing.assert_array_equal(status, branches.status)
+    np.testing.assert_array_equal(joints, branches.middle_joints)
+    np.testing.assert_array_equal(lengths, branches.leg_lengths)
+    np.testing.assert_array_equal(discriminants, branches.discriminants)
+    states, status = library.inverse_physical(rotation, position)
+    physical = spm.inverse_physical(geometry, pose)
+    np.testing.assert_array_equal(states, as_states(physical))
+    there = branches.status == spm.Status.OK
+    expected = np.where(physical.exists, 0, np.where(there, NOT_PHYSICAL, branches.status))
+    np.testing.assert_array_equal(status, expected)
+    return np.asarray(physical.exists)
+
+
+@pytest.mark.parametrize("name", GEOMETRIES)
+def test_inverse_displacement_is_that_of_the_kernels_to_the_bit(library: CLibrary, name: str) -> None:
+    physical = compare_inverse(of_geometry(library, name), *spread_poses(GEOMETRIES[name], 20000, 1))
+    assert physical.sum() > 50
+    compare_inverse(of_geometry(library, name), *hard_poses(GEOMETRIES[name], 20000, 2))
+
+
+def test_hard_poses_have_every_status(library: CLibrary) -> None:
+    _, _, _, status = library.inverse(*hard_poses(library.geometry, 20000, 2))
+    assert {int(s) for s in status} == {0, 1, 2}
+    assert min(np.count_nonzero(status == s) for s in range(3)) > 1000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", GEOMETRIES)
+def test_a_million_poses_are_solved_as_by_the_kernels(library: CLibrary, name: str) -> None:
+    for seed in range(4):
+        compare_inverse(of_geometry(library, name), *spread_poses(GEOMETRIES[name], 200000, 100 + 10 * seed))
+        compare_inverse(of_geometry(library, name), *hard_poses(GEOMETRIES[name], 50000, 200 + 10 * seed))
+
+
+def test_contraction_changes_lengths_by_no_more_than_rounding_of_the_pose(tmp_path: Path) -> None:
+    contracted = CLibrary.build(GEOMETRIES["paper"], tmp_path, *CONTRACTED)
+    state = held_states(contracted.geometry, 5000, 5)
+    states, status = contracted.inverse_physical(state.rotation, state.translation)
+    expected = spm.inverse_physical(contracted.geometry, state.pose).leg_lengths
+    assert (status == 0).all()
+    error = np.abs(states[:, 21:] - expected)
+    assert (error <= np.finfo(float).eps * conditioning(state)[:, None]).all()
+    assert np.median(error / np.spacing(expected)) <= 4.0
+
+
+@pytest.mark.parametrize("name", GEOMETRIES)
+def test_forward_displacement_is_that_of_the_kernels(library: CLibrary, name: str) -> None:
+    own, geometry = of_geometry(library, name), GEOMETRIES[name]
+    size = geometry.base_radius + geometry.platform_radius + geometry.middle_side
+    anywhere = size * np.random.default_rng(3).uniform(0.02, 2.0, (3000, 6))
+    lengths = np.concatenate([possible_lengths(geometry, 3000, 3, 1.0), anywhere])
+    lengths[:50] = lengths[:50, :1]
+    states, status = own.forward(lengths)
+    expected = spm.forward_physical(geometry, lengths)
+    np.testing.assert_array_equal(status, np.where(expected.exists, 0, 1))
+    assert 500 < np.count_nonzero(status == 0) < len(lengths)
+    np.testing.assert_array_equal(states[:, :21], as_states(expected)[:, :21])
+    np.testing.assert_allclose(states[:, 21:], expected.leg_lengths, rtol=1e-15)
+
+
+def test_forward_displacement_from_a_seed_follows_the_path_of_the_package(library: CLibrary) -> None:
+    geometry = library.geometry
+    rng = np.random.default_rng(4)
+    seeds = spm.mechanism.Configuration.from_arrays(
+        geometry,
+        *(
+            np.concatenate([getattr(part, field) for part in (held_states(geometry, 300, 6), other)])
+            for other in [spm.inverse_displacement(geometry, held_states(geometry, 300, 7).pose)["FF+"]]
+            for field in ("rotation", "translation", "middle_joints")
+        ),
+    )
+    seeds = seeds[seeds.exists]
+    lengths = seeds.leg_lengths + rng.uniform(-0.15, 0.15, (len(seeds.exists), 6))
+    expected = spm.forward_physical(geometry, lengths, seed=seeds)
+    states, status = library.forward(lengths, as_states(seeds))
+    np.testing.assert_array_equal(status, np.where(expected.exists, 0, SINGULAR))
+    assert {int(s) for s in status} == {0, SINGULAR}
+    found = status == 0
+    np.testing.assert_allclose(states[found, :21], as_states(expected)[found, :21], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", GEOMETRIES)
+def test_jacobians_and_forces_are_those_of_the_kernels_to_the_bit(library: CLibrary, name: str) -> None:
+    own = of_geometry(library, name)
+    state = held_states(own.geometry, 2000, 8)
+    matrices, status = own.inverse_jacobian(as_states(state))
+    assert (status == 0).all()
+    np.testing.assert_array_equal(matrices, spm.inverse_jacobian(state))
+    wrench = np.random.default_rng(9).normal(size=(len(state.exists), 6))
+    forces, status = own.leg_forces(as_states(state), wrench)
+    assert (status == 0).all()
+    np.testing.assert_array_equal(forces, spm.leg_forces(state, wrench))
+
+
+def test_singular_states_are_refused(library: CLibrary) -> None:
+    geometry = library.geometry
+    home = spm.forward_physical(geometry, [[1.3] * 6])  # level: an inverse singularity
+    assert library.inverse_jacobian(as_states(home))[1].tolist() == [SINGULAR]
+    assert library.leg_forces(as_states(home), np.ones((1, 6)))[1].tolist() == [0]
+    r, e = geometry.middle_radius, geometry.base_radius
+    # The middle platform in the base's plane: three lower legs in one plane.
+    flat = spm.Configuration(
+        geometry, spm.pose([[0, 0, 0.8]], xyx=[[0.3, 0.1, 0.0]]), r * geometry.radial_directions[None]
+    )
+    assert r != e
+    found, status = library.leg_forces(as_states(flat), np.ones((1, 6)))
+    assert status.tolist() == [SINGULAR]
+    assert np.isnan(found).all()
+    with pytest.raises(spm.SingularConfigurationError):
+        spm.leg_forces(flat, np.ones(6))
+
+
+def test_errors_are_statuses_and_results_are_nan(library: CLibrary) -> None:
+    rotation, position = (x[:1] for x in spread_poses(library.geometry, 10, 1))
+    unknown, mirror, sheared = position * np.nan, rotation * [1, 1, -1], rotation + 1e-5 * np.eye(3)
+    for bad in ((rotation, unknown), (rotation * np.inf, position)):
+        assert library.inverse(*bad)[3].tolist() == [NOT_FINITE]
+    for bad in ((mirror, position), (sheared, position), (0.0 * rotation, position)):
+        joints, lengths, discriminants, status = library.inverse(*bad)
+        assert status.tolist() == [NOT_A_ROTATION]
+        assert all(np.isnan(x).all() for x in (joints, lengths, discriminants))
+        states, status = library.inverse_physical(*bad)
+        assert status.tolist() == [NOT_A_ROTATION]
+        assert np.isnan(states).all()
+    lengths = np.full((4, 6), 1.3)
+    lengths[0, 2], lengths[1, 5], lengths[2, 0], lengths[3, 1] = 0.0, -1.0, np.nan, 1e6
+    states, status = library.forward(lengths)
+    assert status.tolist() == [BAD_LENGTH, BAD_LENGTH, NOT_FINITE, BAD_LENGTH]
+    assert np.isnan(states).all()
+    state = as_states(held_states(library.geometry, 1, 1))
+    torn = state.copy()
+    torn[0, 12] += 1e-3
+    assert library.forward(lengths[:1] * 0 + 1.3, torn)[1].tolist() == [BAD_SEED]
+    assert library.forward(lengths[:1] * 0 + 1.3, state * np.nan)[1].tolist() == [NOT_FINITE]
+    assert library.leg_forces(state, np.full((1, 6), np.inf))[1].tolist() == [NOT_FINITE]
+
+
+def test_a_rotation_with_rounding_of_single_precision_is_repaired_as_by_the_package(library: CLibrary) -> None:
+    state = held_states(library.geometry, 500, 11)
+    rounded = state.rotation.astype(np.float32).astype(np.float64)
+    states, status = library.inverse_physical(rounded, state.translation)
+    expected = spm.inverse_physical(library.geometry, spm.pose(state.translation, rotation=rounded))
+    np.testing.assert_array_equal(status == 0, expected.exists)
+    assert expected.exists.mean() > 0.9
+    away = expected.exists & (np.abs(spm.determinants(state)[..., 2]) > 0.1)
+    np.testing.assert_allclose(states[away, 21:], expected.leg_lengths[away], rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("name", "flags"),
+    list(
+        zip(
+            GEOMETRIES,
+            [
+                ("-O2",),
+                ("-O0", EXACT),
+                CONTRACTED,
+                ("-O1", "-fsanitize=undefined,address", "-fno-sanitize-recover=all"),
+            ],
+            strict=True,
+        )
+    ),
+    ids=["default", "exact", "contracted", "sanitized"],
+)
+def test_the_test_program_builds_without_a_warning_and_finds_all_right(
+    name: str, flags: tuple[str, ...], tmp_path: Path
+) -> None:
+    spm.symbolic.write_c(GEOMETRIES[name], tmp_path, prefix="left_")
+    for compiler in compilers():
+        compile_c(compiler, *STRICT, *flags, *sorted(tmp_path.glob("*.c")), "-lm", "-o", tmp_path / "program")
+        done = subprocess.run([tmp_path / "program"], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout
+        assert "12 poses compared, 0 wrong" in done.stdout
+
+
+def test_the_test_program_finds_a_wrong_answer(tmp_path: Path) -> None:
+    header, source, test, _ = spm.symbolic.write_c(GEOMETRIES["paper"], tmp_path)
+    text = source.read_text(encoding="utf-8")
+    assert "    0.6928203230275509," in text
+    source.write_text(text.replace("    0.6928203230275509,", "    0.6928203230276,"), encoding="utf-8")
+    compile_c(compilers()[0], source, test, "-lm", "-o", tmp_path / "program")
+    assert header.exists()
+    done = subprocess.run([tmp_path / "program"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, "1e-13 m is within the tolerance"
+    source.write_text(text.replace("    0.6928203230275509,", "    0.6928203240275509,"), encoding="utf-8")
+    compile_c(compilers()[0], source, test, "-lm", "-o", tmp_path / "program")
+    done = subprocess.run([tmp_path / "program"], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "wrong: TT+ of case 0" in done.stdout
+
+
+def test_nothing_is_allocated_and_only_mathematics_is_called(tmp_path: Path) -> None:
+    _, source, *_ = spm.symbolic.write_c(GEOMETRIES["paper"], tmp_path)
+    compile_c(compilers()[0], "-O2", "-c", source, "-o", tmp_path / "object.o")
+    tool = shutil.which("nm")
+    if tool is None:
+        pytest.skip("no nm, of the binutils that come with a compiler")
+    listed = subprocess.run([tool, "-u", tmp_path / "object.o"], capture_output=True, text=True, check=True).stdout
+    called = {line.split()[-1] for line in listed.splitlines()} - {"_GLOBAL_OFFSET_TABLE_", "__stack_chk_fail"}
+    assert called <= {"atan2", "fmod", "hypot", "pow", "rint", "sqrt", "fmax", "memcpy", "memmove", "memset"}
+
+
+def test_the_command_writes_the_four_files(tmp_path: Path) -> None:
+    done = run("export", "c", "--out", tmp_path / "c", "--prefix", "arm_")
+    assert done.returncode == 0, done.message
+    names = {"arm_kinematics.h", "arm_kinematics.c", "arm_kinematics_test.c", "CMakeLists.txt"}
+    assert {path.name for path in (tmp_path / "c").iterdir()} == names
+    header = (tmp_path / "c" / "arm_kinematics.h").read_text(encoding="utf-8")
+    assert f"Generated by spm_pin {spm.__version__} for Geometry(base_radius=0.69282," in header
+    assert "@" not in header
+    assert run("export", "--format", "c", "--out", tmp_path / "c").returncode == 0
+
+
+def test_bad_arguments_are_clear_errors_and_nothing_is_written(tmp_path: Path) -> None:
+    as_built = tmp_path / "as_built.yaml"
+    spm.AsBuiltGeometry.from_nominal(GEOMETRIES["paper"]).to_yaml(as_built)
+    out, file = tmp_path / "c", tmp_path / "file"
+    file.write_text("mine", encoding="utf-8")
+    for arguments, words in (
+        (["--out", out, "--prefix", "1st"], "--prefix: expected letters, digits and underscores"),
+        (["--out", out, "--prefix", "a-b"], "--prefix: expected letters, digits and underscores"),
+        (["--out", out, "--geometry", as_built], "A machine as built?"),
+        (["--out", out, "--geometry", tmp_path / "none.yaml"], "expected a readable YAML file"),
+        (["--out", out / "deep" / "er"], "--out: expected a directory that can be written"),
+        (["--out", file], "--out: expected a directory that can be written"),
+        (["--out", out, "--urdf", "x.urdf"], "--urdf: expected to be left out with --format c"),
+        ([], "--out: expected the directory to write into"),
+    ):
+        done = run("export", "c", *arguments)
+        assert done.returncode == 2
+        assert words in done.message
+        assert not out.exists()
+    assert file.read_text(encoding="utf-8") == "mine"
+    with pytest.raises(ArgumentError, match="geometry: expected a Geometry, got AsBuiltGeometry"):
+        spm.symbolic.c_sources(spm.AsBuiltGeometry.from_nominal(GEOMETRIES["paper"]))  # type: ignore[arg-type]
+
+
+def test_a_directory_is_left_as_it_was_where_not_all_can_be_written(tmp_path: Path) -> None:
+    (tmp_path / "spm_kinematics_test.c").mkdir()
+    with pytest.raises(ArgumentError, match="directory: expected a directory that can be written"):
+        spm.symbolic.write_c(GEOMETRIES["paper"], tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["spm_kinematics_test.c"]
+
+
+def test_it_builds_with_cmake(tmp_path: Path) -> None:
+    tool = shutil.which("cmake")
+    if tool is None:
+        pytest.skip("no cmake")
+    spm.symbolic.write_c(GEOMETRIES["paper"], tmp_path)
+    for step in (["-S", tmp_path, "-B", tmp_path / "build"], ["--build", tmp_path / "build"]):
+        done = subprocess.run([tool, *step], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+    assert subprocess.run([tmp_path / "build" / "spm_kinematics_test"], check=False).returncode == 0
