@@ -16,7 +16,7 @@ from spm_pin.cli.application import app
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-LANGUAGES = {"python", "console", "sh", "yaml", "xml", "json", ""}
+LANGUAGES = {"python", "console", "sh", "yaml", "xml", "json", "c", ""}
 """Python and console are run here, sh sets up a machine, the others are contents of files; plain blocks, formulas."""
 
 
