@@ -67,7 +67,12 @@ def forward_displacement(geometry: Geometry, leg_lengths: npt.ArrayLike) -> Solu
     stands above the base, or hangs below the terminal platform, - its mirror image. Two modes that are to rounding
     the same, at a forward singularity, count once. A problem takes 43 kB: give large batches in parts.
 
-    The paper left this problem to CAD.
+    The paper left this problem to CAD. T and F are the operation modes of the 3-RPS stage [1]_.
+
+    References
+    ----------
+    .. [1] J. Schadlbauer, M. Husty, S. Caro, P. Wenger, "Self-Motions of 3-RPS Manipulators", Frontiers of Mechanical
+       Engineering 8 (2013). More in docs/related_work.md.
 
     Examples
     --------

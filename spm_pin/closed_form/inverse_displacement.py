@@ -98,8 +98,16 @@ def inverse_displacement(
 
     Notes
     -----
-    Hu, Lu, Yu, Zhuang obtain the same branches from a resultant of degree eight, Eqs. (5)-(20); that route is
-    `spm_pin.paper.resultant`. This one has no denominator that a regular pose can make zero.
+    Hu, Lu, Yu, Zhuang [1]_ obtain the same branches from a resultant of degree eight, Eqs. (5)-(20); that route is
+    `spm_pin.paper.resultant`. This one has no denominator that a regular pose can make zero. As far as we remember,
+    four quadratic factors are in [2]_ as well.
+
+    References
+    ----------
+    .. [1] B. Hu, Y. Lu, J. J. Yu, S. Zhuang, "Analyses of Inverse Kinematics, Statics and Workspace of a Novel
+       3RPS-3SPR Serial-Parallel Manipulator".
+    .. [2] A. Nayak, S. Caro, P. Wenger, "Kinematic Analysis of the 3-RPS-3-SPR Series-Parallel Manipulator", Robotica
+       37 (2019). More in docs/related_work.md.
 
     Examples
     --------

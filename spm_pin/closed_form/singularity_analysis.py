@@ -144,7 +144,17 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
 
     Notes
     -----
-    At the symmetric home K has rank 3: it is an inverse singularity in which three freedoms are lost.
+    At the symmetric home K has rank 3: it is an inverse singularity in which three freedoms are lost. Inverse and
+    forward singularities are those of [1]_, constraint singularities those of [2]_; det K is the determinant of the
+    tetrahedron of [3]_, see docs/theory/literature_checks.md.
+
+    References
+    ----------
+    .. [1] C. Gosselin, J. Angeles, "Singularity Analysis of Closed-Loop Kinematic Chains", IEEE Transactions on
+       Robotics and Automation 6 (1990).
+    .. [2] D. Zlatanov, I. Bonev, C. Gosselin, "Constraint Singularities of Parallel Mechanisms", ICRA 2002.
+    .. [3] A. Nayak, S. Caro, P. Wenger, "Kinematic Analysis of the 3-RPS-3-SPR Series-Parallel Manipulator", Robotica
+       37 (2019).
     """
     tolerance = real_number(tolerance, "tolerance", "a number from 0 to below 1", least=0.0, below=1.0)
     geometry = check_configuration(configuration, as_built=True).geometry

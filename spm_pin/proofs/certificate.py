@@ -118,10 +118,10 @@ class Certificate:
 def certify(geometry: Geometry, limits: LegLimits | None = None, *, boxes: int = 300_000) -> Certificate:
     """Prove that leg limits exclude forward singularities.
 
-    Each stage is searched by interval branch and bound with outward rounding, over all orientations without torsion and
-    all heights. What is joined, within the limits, to the physical configuration at the middle of the limits is proved
-    free of forward singularities. It follows that six leg lengths within the limits have exactly one configuration
-    there, and that no straight line in leg space meets a singularity; see `docs/theory/proofs.md`.
+    Each stage is searched by interval branch and bound [1]_ with outward rounding, over all orientations without
+    torsion and all heights. What is joined, within the limits, to the physical configuration at the middle of the
+    limits is proved free of forward singularities. It follows that six leg lengths within the limits have exactly one
+    configuration there, and that no straight line in leg space meets a singularity; see `docs/theory/proofs.md`.
 
     Parameters
     ----------
@@ -141,6 +141,11 @@ def certify(geometry: Geometry, limits: LegLimits | None = None, *, boxes: int =
     ------
     ArgumentError, GeometryError
         If there are no limits, or one is infinite.
+
+    References
+    ----------
+    .. [1] J.-P. Merlet, "Interval Analysis for Certified Numerical Solution of Problems in Robotics", International
+       Journal of Applied Mathematics and Computer Science 19 (2009).
     """
     instance(geometry, Geometry, "geometry")
     limits = geometry.limits if limits is None else instance(limits, LegLimits, "limits")
