@@ -36,10 +36,11 @@ lint: $(VENV)/.test
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 
-# The documentation as a static site in build/site; `make figures` draws its figures anew,
+# The documentation as a static site in build/site, its theory as build/theory.pdf; `make figures` draws its figures anew,
 # but for those of the viewer, which need Chromium: docs/site/viewer_figures.py.
 docs: $(VENV)/.test
 	$(BIN)/python docs/site/build.py build/site
+	$(BIN)/python docs/site/theory_pdf.py build/theory.pdf
 	@echo "Open build/site/index.html"
 
 figures: $(VENV)/.test
@@ -64,7 +65,7 @@ $(VENV)/.demo: $(VENV)/.python pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.test: $(VENV)/.demo
-	$(INSTALL) '.[plots,cluster,viewer,engines,robots,docs,benchmarks,dev]'
+	$(INSTALL) '.[plots,cluster,viewer,engines,robots,docs,pdf,benchmarks,dev]'
 	@touch $@
 
 $(VENV)/.bench: $(VENV)/.demo

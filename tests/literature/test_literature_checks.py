@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
+from pathlib import Path
+
 import literature
 import numpy as np
 import pytest
@@ -130,3 +133,16 @@ def test_every_table_of_the_page_is_made() -> None:
     text = literature.with_tables(literature.PAGE.read_text(encoding="utf-8"))
     assert "<!-- table" not in text
     assert text.count("\n|---|") == 5
+
+
+def test_the_theory_is_set_as_one_paper(tmp_path: Path) -> None:
+    pytest.importorskip("typst", reason="the extra pdf is not installed")
+    theory_pdf = importlib.import_module("theory_pdf")
+    assert [page.name for page in theory_pdf.pages()[:3]] == [
+        "README.md",
+        "inverse_displacement.md",
+        "forward_displacement.md",
+    ]
+    assert {page.name for page in theory_pdf.pages()} == {page.name for page in literature.PAGE.parent.glob("*.md")}
+    theory_pdf.main(tmp_path / "theory.pdf")
+    assert (tmp_path / "theory.pdf").read_bytes().startswith(b"%PDF-")
