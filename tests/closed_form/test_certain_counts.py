@@ -61,12 +61,13 @@ def folds(geometry: spm.Geometry, family: int, count: int, seed: int, beyond: fl
 
 def check_against_balls(geometry: spm.Geometry, solutions: spm.SolutionSet) -> None:
     """Check that no family is said to be certainly real, or not, that is otherwise."""
-    assert solutions.certain is not None
+    certain, exists = solutions.certain, solutions.exists
+    assert certain is not None
     rotation, position = solutions.rotation[:, 0], solutions.translation[:, 0]
     for n in range(len(position)):
         values = discriminants(rotation[n], position[n], geometry.middle_side)
-        for family in np.flatnonzero(solutions.certain[n]):
-            real = solutions.exists[n, 2 * family]
+        for family in np.flatnonzero(certain[n]):
+            real = exists[n, 2 * family]
             value = values[family]
             if not (value > 0 or value < 0):
                 value = discriminants(rotation[n], position[n], geometry.middle_side, bits=2000)[family]
