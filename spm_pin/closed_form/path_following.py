@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+import numpy.typing as npt
 from scipy.optimize import brentq, minimize_scalar
 from scipy.spatial.transform import RigidTransform, Slerp
 
@@ -26,7 +27,7 @@ from spm_pin.mechanism.geometry import LEGS, Geometry
 from spm_pin.mechanism.pose import as_rigid_transform
 from spm_pin.mechanism.solutions import SolutionSet
 
-__all__ = ["FollowedPath", "follow"]
+__all__ = ["CertifiedLimits", "FollowedPath", "follow"]
 
 LONGEST_MOVE = 0.1
 """A joint moves at most this share of d in a step, so that no turn is missed."""
@@ -35,6 +36,13 @@ _ROUNDING = 1e-12
 """Share of d by which rounding may move the length of a leg."""
 _MOST_EVENTS = 4
 """Events that the text of a path shows."""
+
+
+class CertifiedLimits(Protocol):
+    """What `follow` asks of a `Certificate`."""
+
+    def covers(self, configuration: Configuration) -> npt.NDArray[np.bool_]:
+        """Return which configurations (...) are proved to be the only one of their leg lengths, shape (...)."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -51,19 +59,26 @@ class FollowedPath:
         Its labels.
     events : tuple of Event
         In the order of their parameters.
+    certified : ndarray of bool, shape (n,), or None
+        Which configurations a certificate covers, if one was given. A path on straight lines between leg lengths is in
+        the certified limits as a whole if it is so at both ends of each line.
     """
 
     parameters: FloatArray
     configurations: Configuration
     labels: tuple[str, ...]
     events: tuple[Event, ...]
+    certified: npt.NDArray[np.bool_] | None = None
 
     def __repr__(self) -> str:
         labels = ", ".join(dict.fromkeys(self.labels))
         ends = "complete" if self.complete else f"ends at {self.parameters[-1]:.4g}"
         events = ", ".join(f"{event.kind} at {event.parameter:.4g}" for event in self.events[:_MOST_EVENTS])
         more = f", … {len(self.events)} in all" if len(self.events) > _MOST_EVENTS else ""
-        return f"<FollowedPath: {ends}, {len(self.parameters)} states of {labels}; {events or 'no events'}{more}>"
+        inside = "" if self.certified is None else f"; {self.certified.sum()} states in certified limits"
+        return (
+            f"<FollowedPath: {ends}, {len(self.parameters)} states of {labels}; {events or 'no events'}{more}{inside}>"
+        )
 
     @property
     def complete(self) -> bool:
@@ -77,6 +92,7 @@ def follow(
     start: Configuration | str | None = None,
     *,
     samples: int = 200,
+    certificate: CertifiedLimits | None = None,
 ) -> FollowedPath:
     """Follow one solution along a path of poses or of leg lengths.
 
@@ -92,6 +108,8 @@ def follow(
     samples : int
         The path is solved in at least so many steps. Two crossings within one step of the same limit or of the
         same kind of singularity are found if the function in between has its extremum beyond zero.
+    certificate : Certificate, optional
+        Certified leg limits, see `spm_pin.certify`: the result then says which states are in them.
 
     Returns
     -------
@@ -107,6 +125,8 @@ def follow(
     """
     instance(geometry, Geometry, "geometry")
     samples = whole_number(samples, "samples", least=1, most=10**9)
+    if certificate is not None and not hasattr(certificate, "covers"):
+        raise ArgumentError("certificate", "a Certificate", type(certificate).__name__)
     solve, knots, legs = _solver(geometry, path)
     tracker = Tracker(solve, _start(solve(0.0), start), LONGEST_MOVE * geometry.middle_side, legs=legs)
     stops = np.unique(np.concatenate([np.linspace(0.0, 1.0, samples + 1), knots]))
@@ -115,9 +135,9 @@ def follow(
             break
     found = tracker.configurations()
     events = _sign_changes(geometry, tracker, found) + tracker.events
-    return FollowedPath(
-        np.array(tracker.parameters), found, tuple(tracker.labels), tuple(sorted(events, key=lambda e: e.parameter))
-    )
+    covered = None if certificate is None else certificate.covers(found)
+    ordered = tuple(sorted(events, key=lambda e: e.parameter))
+    return FollowedPath(np.array(tracker.parameters), found, tuple(tracker.labels), ordered, covered)
 
 
 def _solver(geometry: Geometry, path: Any) -> tuple[Solver, FloatArray, bool]:

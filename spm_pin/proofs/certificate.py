@@ -20,6 +20,7 @@ from spm_pin.proofs.stage_region import StageRegion
 __all__ = ["Certificate", "certify", "largest_certified_limits", "stage_regions"]
 
 STAGES = ("lower", "upper")
+_DIMENSIONS = ("base_radius", "platform_radius", "middle_side")
 
 LONGEST = 1e3
 """Leg lengths that are worth a proof, at most, in units of the machine's size."""
@@ -71,8 +72,15 @@ class Certificate:
         """Return which configurations (...) are proved to be the only one of their leg lengths, shape (...).
 
         They respect the limits, and both stages lie in boxes of the proof. Nothing is covered if it does not hold.
+
+        Raises
+        ------
+        ArgumentError
+            If they are not states of the certificate's geometry.
         """
         check_configuration(configuration)
+        if any(getattr(configuration.geometry, name) != getattr(self.geometry, name) for name in _DIMENSIONS):
+            raise ArgumentError("configuration", "a state of the certificate's geometry", "one of another")
         inside = self.limits.contains(configuration.leg_lengths)
         if not self.holds:
             return np.zeros_like(inside)

@@ -68,6 +68,7 @@ def test_without_times_a_path_takes_ten_seconds_and_time_runs_along_it(tmp_path)
     assert playback.time(0.25) == pytest.approx(2.5)
     halfway, _ = playback.at(2.5)
     np.testing.assert_allclose(halfway.leg_lengths, LEGS[:2].mean(axis=0), atol=1e-9)
+    assert any("in certified limits" in line for line in playback.report(0.0))
 
 
 def test_the_branch_is_followed_from_the_one_named():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from itertools import product
 
 import mpmath
 import numpy as np
@@ -10,7 +11,6 @@ import pytest
 from flint import arb
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import minimize
 
 import spm_pin as spm
 from spm_pin.closed_form.intervals import Interval
@@ -196,37 +196,33 @@ def stage_in_digits(state, hips):  # type: ignore[no-untyped-def]
 stage_of_digits = partial(stage_in_digits, hips=PAPER.base_radius)
 
 
-def narrowest_singular_half_width(hips: float) -> float:
-    """Return the least half-width around 1.3 m of limits that hold a singular state above the hips, by search."""
-
-    def lengths(v: np.ndarray) -> np.ndarray:
-        return np.array(stage(v[:3], hips, PAPER.middle_side)[0])
-
-    constraints = [
-        {"type": "eq", "fun": lambda v: stage(v[:3], hips, PAPER.middle_side)[1]},
-        {"type": "ineq", "fun": lambda v: v[3] - np.abs(lengths(v) - 1.3)},
-        {"type": "ineq", "fun": lambda v: 0.98 - v[0] ** 2 - v[1] ** 2},
-    ]
+def half_width_of_the_first_fold(geometry: spm.Geometry, middle: float) -> float:
+    """Return the least half-width of equal limits at which a lower stage, of 2,000 directions sampled, has a fold."""
     rng = np.random.default_rng(0)
-    starts = ([*rng.uniform(-0.6, 0.6, 2), rng.uniform(0.6, 1.5), 0.5] for _ in range(60))
-    found = [minimize(lambda v: v[3], start, method="SLSQP", constraints=constraints) for start in starts]
-    return min(solution.fun for solution in found if solution.success)
+    directions = rng.uniform(-1.0, 1.0, (2_000, 3))
+    directions = np.concatenate(
+        [directions / np.abs(directions).max(axis=-1, keepdims=True), list(product((-1, 1), repeat=3))]
+    )
+    low, high = np.zeros(len(directions)), np.full(len(directions), 0.999 * middle)
+    for _ in range(20):
+        width = 0.5 * (low + high)
+        legs = np.full((len(directions), 6), middle)
+        legs[:, :3] += width[:, None] * directions
+        there = spm.forward_physical(geometry, legs).exists
+        low, high = np.where(there, width, low), np.where(there, high, width)
+    return float(high.min())
 
 
-@pytest.mark.exhaustive
-def test_the_widest_certified_limits_end_shortly_before_the_first_singularity() -> None:
-    for hips in (PAPER.base_radius, PAPER.platform_radius):
-        # The other stage is the same, so that this one decides.
-        geometry = spm.Geometry(hips, hips, PAPER.middle_side)
-        found = spm.largest_certified_limits(geometry, 1.3, tolerance=0.005)
-        width = found.limits.maximum[0] - 1.3
-        assert found.holds
-        singular = narrowest_singular_half_width(hips)
-        if hips == PAPER.base_radius:
-            assert 0.9 * singular < width < singular
-        else:
-            # Nearer singular states belong to components that are not joined to the home.
-            assert width > 0.28
+@pytest.mark.slow
+@pytest.mark.parametrize(("hips", "side", "middle"), [(PAPER.base_radius, 0.8, 1.3), (0.5, 0.6, 1.0), (0.9, 0.7, 1.4)])
+def test_limits_certify_until_shortly_before_the_first_singularity(hips: float, side: float, middle: float) -> None:
+    # Both stages are the same.
+    geometry = spm.Geometry(hips, hips, side)
+    fold = half_width_of_the_first_fold(geometry, middle)
+    assert spm.certify(geometry, spm.LegLimits(middle - 0.9 * fold, middle + 0.9 * fold)).holds
+    beyond = spm.certify(geometry, spm.LegLimits(middle - 1.01 * fold, middle + 1.01 * fold), boxes=60_000)
+    assert not beyond.holds
+    assert beyond.witness is not None
 
 
 def test_the_widest_limits_hold() -> None:
@@ -282,3 +278,24 @@ def test_arguments_of_the_widest_limits(keywords: dict[str, object], named: str)
     with pytest.raises(spm.ArgumentError) as caught:
         spm.largest_certified_limits(PAPER, **keywords)  # type: ignore[arg-type]
     assert caught.value.argument == named
+
+
+def test_states_of_a_path_in_certified_limits(certificate: spm.Certificate) -> None:
+    inside, outside = [1.2, 1.2, 1.4, 1.25, 1.2, 1.45], [1.2, 1.2, 1.4, 1.25, 1.2, 1.6]
+    straight = spm.follow(PAPER, np.array([inside, [1.3] * 6]), samples=20, certificate=certificate)
+    assert straight.certified is not None
+    assert straight.certified.all()
+    assert "in certified limits" in repr(straight)
+    leaving = spm.follow(PAPER, np.array([inside, outside]), samples=20, certificate=certificate)
+    assert leaving.certified is not None
+    beyond = (leaving.configurations.leg_lengths > 1.5).any(axis=-1)
+    np.testing.assert_array_equal(leaving.certified, ~beyond)
+    assert spm.follow(PAPER, np.array([inside, outside]), samples=5).certified is None
+    with pytest.raises(spm.ArgumentError, match="certificate"):
+        spm.follow(PAPER, np.array([inside, outside]), certificate=LIMITS)  # type: ignore[arg-type]
+
+
+def test_states_of_another_machine_are_refused(certificate: spm.Certificate) -> None:
+    other = spm.forward_physical(spm.Geometry(0.6, 0.4, 0.8), np.full(6, 1.3))
+    with pytest.raises(spm.ArgumentError, match="configuration"):
+        certificate.covers(other)

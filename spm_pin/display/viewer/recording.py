@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.closed_form.path_following import FollowedPath, follow
-from spm_pin.errors import ArgumentError
+from spm_pin.errors import ArgumentError, SpmError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
+from spm_pin.proofs import Certificate, certify
 
 __all__ = ["Playback", "Recording"]
 
@@ -26,7 +28,7 @@ class Recording:
 
     def follow(self, geometry: Geometry, start: Configuration | str | None = None) -> Playback:
         """Follow a solution along the path, by default the physical one; see `spm_pin.follow`."""
-        return Playback(follow(geometry, self.points, start), self.times)
+        return Playback(follow(geometry, self.points, start, certificate=_certificate(geometry)), self.times)
 
     def follow_from(self, geometry: Geometry, start: Configuration | str | None) -> Playback:
         """Follow from `start` where the path begins there, else the physical solution."""
@@ -34,6 +36,16 @@ class Recording:
             return self.follow(geometry, start)
         except ArgumentError:
             return self.follow(geometry)
+
+
+@lru_cache
+def _certificate(geometry: Geometry) -> Certificate | None:
+    """Return the certificate of a geometry's leg limits; None if it has none that holds."""
+    try:
+        found = certify(geometry, boxes=100_000)
+    except SpmError:
+        return None
+    return found if found.holds else None
 
 
 @dataclass(frozen=True)
@@ -69,6 +81,10 @@ class Playback:
         if not self.path.complete:
             last = self.time(float(self.path.parameters[-1]))
             lines.append(f"⚠ The solution ends at {last:.2f} s; the last is shown from there on.")
+        if self.path.certified is not None:
+            inside = int(self.path.certified.sum())
+            share = "All" if self.path.certified.all() else f"{inside}"
+            lines.append(f"{share} of them in certified limits: the only ones of their leg lengths.")
         for event in events[:most]:
             time = self.time(event.parameter)
             lines.append(f"{'●' if time <= now else '○'} {time:.2f} s: {event.kind}, {event.detail}")
