@@ -24,8 +24,7 @@ from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.mechanism.solution_status import Degeneracy, Status
-from spm_pin.mechanism.solution_table import html_table
-from spm_pin.mechanism.units import unit_hint
+from spm_pin.mechanism.solution_text import absence_reason, html_table, short_text
 
 __all__ = ["SolutionSet"]
 
@@ -288,40 +287,10 @@ class SolutionSet:
         return (self._configurations[int(i)] for i in np.flatnonzero(self.exists))
 
     def __repr__(self) -> str:
-        if self.shape:
-            tally = ", ".join(f"{np.count_nonzero(self._status == s)} {s}" for s in Status)
-            return f"<SolutionSet: {self.shape} problems ({tally}), {len(self._labels)} solutions each>"
-        real = [label for label, real in zip(self._labels, self.exists, strict=True) if real]
-        shown = ", ".join(real[:8]) + ", …" * (len(real) > 8)
-        hint = self._hint() if self.status is Status.UNREACHABLE else ""
-        return f"<SolutionSet: {self.status}, {self.count} of {len(self._labels)} real: {shown or 'none'}{hint}>"
+        return short_text(self)
 
     def _repr_html_(self) -> str:
-        """Return a small table: the solutions of a single problem, or the outcomes of a batch."""
         return html_table(self)
-
-    def _absence(self, index: tuple[int, ...] = ()) -> str:
-        """Return why no solution of a problem can be chosen."""
-        status = Status(int(self._status[index]))
-        if status is Status.DEGENERATE:
-            legs = self._degeneracy is not None and bool(self._degeneracy.legs[index].all())
-            if self._labels == BRANCHES and legs:
-                return (
-                    "a level platform over the axis of the base is singular for the inverse, its solutions are a "
-                    "continuous family. Give leg lengths to forward_physical instead; or tilt the pose, which makes "
-                    "the solutions isolated, and choose with .nearest(seed)"
-                )
-            return "the pose or the leg lengths are singular, the solutions are a continuous family; see .degeneracy"
-        if status is Status.OK:
-            return "none of the solutions is physical, or .within(limits) and .where(mask) excluded them"
-        if status is Status.UNREACHABLE:
-            return f"out of reach: no solution is real{self._hint(index)}"
-        return "the method failed here"
-
-    def _hint(self, index: tuple[int, ...] = ()) -> str:
-        """Return what an unreachable problem's lengths suggest about their unit, after a stop; or an empty string."""
-        hint = self._configurations.absence or unit_hint(self.geometry, self.translation[index][0])
-        return hint and f". {hint}"
 
     def _select(self, index: npt.NDArray[np.intp], exists: BoolArray) -> Configuration:
         """Return one solution per problem, NaN throughout, the pose too, where `exists` is False."""
@@ -340,7 +309,7 @@ class SolutionSet:
             None if state.known_lengths is None else np.where(exists[..., None], take(state.known_lengths, 1), np.nan),
         )
         if not self.shape and not exists:
-            selected.absence = self._absence()
+            selected.absence = absence_reason(self)
         return selected
 
     def where(self, mask: npt.ArrayLike) -> SolutionSet:
@@ -464,5 +433,5 @@ class SolutionSet:
         if wrong.any():
             index = first_offender(wrong)
             labels = tuple(np.array(self._labels)[self.exists[index]])
-            raise NotOneSolutionError(labels, index, "" if labels else self._absence(index))
+            raise NotOneSolutionError(labels, index, "" if labels else absence_reason(self, index))
         return self._select(self.exists.argmax(axis=-1), np.ones(self.shape, dtype=bool))
