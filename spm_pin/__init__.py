@@ -2,13 +2,14 @@
 
 The names of everyday use are here. All else is in public modules: `spm_pin.mechanism` (dimensions, states, sets of
 states), `spm_pin.closed_form` (branches, assembly modes, singularities, paths), `spm_pin.workspace`, `spm_pin.sweeps`,
-`spm_pin.symbolic`, `spm_pin.nlp`, `spm_pin.crosscheck` and `spm_pin.errors`.
+`spm_pin.calibration`, `spm_pin.symbolic`, `spm_pin.nlp`, `spm_pin.crosscheck` and `spm_pin.errors`.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from spm_pin import calibration as calibration
     from spm_pin import closed_form as closed_form
     from spm_pin import crosscheck as crosscheck
     from spm_pin import errors as errors
@@ -82,7 +83,7 @@ __all__ = [
 ]
 
 # All are imported on first use: the start-up of the command line stays short, and Ctrl-C ends it.
-_MODULES = {"closed_form", "crosscheck", "errors", "mechanism", "nlp", "sweeps", "symbolic", "workspace"}
+_MODULES = {"calibration", "closed_form", "crosscheck", "errors", "mechanism", "nlp", "sweeps", "symbolic", "workspace"}
 _HOMES = ("errors", "mechanism", "closed_form", "proofs", "multibody.chain", "multibody.platform_path")
 
 

@@ -17,7 +17,7 @@ import pytest
 
 import spm_pin as spm
 
-MODULES = ("", ".mechanism", ".closed_form", ".workspace", ".sweeps", ".nlp", ".crosscheck")
+MODULES = ("", ".mechanism", ".closed_form", ".workspace", ".sweeps", ".calibration", ".nlp", ".crosscheck")
 
 
 class Foreign:
@@ -58,6 +58,7 @@ NONSENSE: dict[str, Any] = {
 
 PAPER = spm.Geometry.paper()
 BUILT = spm.AsBuiltGeometry.from_nominal(PAPER)
+MEASURED = spm.forward_physical(PAPER, np.random.default_rng(0).uniform(1.15, 1.45, (16, 6)))
 STATE = spm.forward_physical(PAPER, [1.25, 1.15, 1.40, 1.30, 1.20, 1.40])
 
 
@@ -89,6 +90,11 @@ def store() -> str:
 def as_built_file() -> str:
     BUILT.to_yaml("machine.yaml")
     return "machine.yaml"
+
+
+def measurements_file() -> str:
+    Path("measured.csv").write_text("x,y,z,r_b1,r_b2,r_b3,r_c1,r_c2,r_c3\n0,0,2,1,1,1,1,1,1\n")
+    return "measured.csv"
 
 
 PATH = [STATE.pose.as_matrix(), spm.forward_physical(PAPER, [1.3, 1.2, 1.4, 1.3, 1.2, 1.4]).pose.as_matrix()]
@@ -158,6 +164,13 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "AsBuiltGeometry.from_parameters.parameters": lambda: BUILT.parameters,
     "AsBuiltGeometry.from_yaml.path": as_built_file,
     "AsBuiltGeometry.to_yaml.path": lambda: "machine.yaml",
+    "calibration.choose_poses.candidates": lambda: 40,
+    "calibration.choose_poses.count": lambda: 8,
+    "calibration.identify.leg_lengths": lambda: MEASURED.leg_lengths,
+    "calibration.identify.poses": lambda: MEASURED.pose,
+    "calibration.read_measurements.path": measurements_file,
+    "calibration.tolerance.states": lambda: 3,
+    "calibration.tolerance.tolerances": lambda: {"ball": 1e-4},
     "ClosedChain.from_urdf.path": lambda: None,
     "Configuration.pose": lambda: STATE.pose,
     "Geometry.base_radius": lambda: 0.7,

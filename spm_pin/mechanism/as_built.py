@@ -196,6 +196,19 @@ class AsBuiltGeometry:
         return replace(self, axes=axes, pivots=values[:, 2:5], balls=values[:, 5:8], offsets=values[:, 8])
 
     @property
+    def axis_derivatives(self) -> FloatArray:
+        """Derivatives of `axes` with respect to the two coordinates of their direction in `parameters`, (6, 3, 2)."""
+        nominal, first, second = _directions(self.nominal)
+        turn = self.parameters.reshape(6, 9)[:, None, :2]
+        angle = np.sqrt((turn**2).sum(axis=-1, keepdims=True))
+        sinc, across = np.sinc(angle / np.pi), np.stack([first, second], axis=-1)
+        # (cos a - sin a / a) / a², which is -1/3 at zero.
+        small = angle < 1e-3
+        curve = np.where(small, -1.0 / 3.0 + angle**2 / 30.0, (np.cos(angle) - sinc) / np.where(small, 1.0, angle) ** 2)
+        along = (across * turn).sum(axis=-1, keepdims=True)
+        return np.asarray(sinc * (across - turn * nominal[..., None]) + curve * turn * along)
+
+    @property
     def limits(self) -> LegLimits | None:
         """Limits of the readings: those of the nominal geometry."""
         return self.nominal.limits

@@ -1,0 +1,216 @@
+"""Measurements of poses and readings: their file, their uncertainty, and mistakes in them that can be named."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from spm_pin.calibration.error_model import platform_error
+from spm_pin.closed_form.forward_displacement import forward_physical
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import FloatArray, as_array, file_path, first_offender, real_array
+from spm_pin.mechanism.as_built import AsBuiltGeometry
+from spm_pin.mechanism.geometry import LEGS
+from spm_pin.mechanism.pose import as_rigid_transform
+from spm_pin.mechanism.units import unit_hint
+
+__all__ = ["MeasurementError", "Measurements", "covariances", "read_measurements"]
+
+_POSITION, _QUATERNION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
+_UNIT = 1e-3
+"""Largest error of the length of a quaternion that is taken for rounding."""
+_SUSPICIOUS = 0.02
+"""Median error of the positions, in sides of the middle platform, from which on exchanged columns are looked for."""
+_BETTER = 5.0
+"""How many times smaller it must become when columns are exchanged."""
+
+
+class MeasurementError(ArgumentError):
+    """Measurements that do not fit the machine, or do not determine what is asked for."""
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """N poses and readings, checked.
+
+    Attributes
+    ----------
+    rotation : ndarray, shape (N, 3, 3)
+        Measured rotations from {m} to {B}; identities if only positions were measured.
+    position : ndarray, shape (N, 3)
+        Measured positions of o in {B} [m].
+    readings : ndarray, shape (N, 6)
+        Readings of the legs [m].
+    components : int
+        6 for poses, 3 for positions alone.
+    """
+
+    rotation: FloatArray
+    position: FloatArray
+    readings: FloatArray
+    components: int
+
+    @classmethod
+    def check(cls, geometry: AsBuiltGeometry, poses: Any, leg_lengths: npt.ArrayLike) -> Measurements:
+        """Read the arguments of `identify`.
+
+        Raises
+        ------
+        PoseError, ArgumentError
+            If they are no poses or positions and no readings, in equal numbers.
+        MeasurementError
+            If lengths are in another unit, columns of legs exchanged, or readings such that the machine has no state.
+        """
+        array = as_array(poses) if not isinstance(poses, RigidTransform) else None
+        if array is not None and array.shape[-1:] == (3,):
+            position = real_array(poses, "poses", (3,), "positions of o in {B} in metres")
+            rotation, components = np.broadcast_to(np.eye(3), (*position.shape, 3)), 3
+        else:
+            matrix = as_rigid_transform(poses, "poses").as_matrix()
+            rotation, position, components = matrix[..., :3, :3], matrix[..., :3, 3], 6
+        readings = real_array(leg_lengths, "leg_lengths", (6,), f"readings of {', '.join(LEGS)} in metres")
+        if position.ndim != 2 or readings.shape != (len(position), 6):
+            expected = f"one row of six readings for each of N poses, whose shape is {position.shape[:-1]}"
+            raise ArgumentError("leg_lengths", expected, f"shape {readings.shape}")
+        found = cls(rotation, position, readings, components)
+        for name, lengths in (("leg_lengths", readings), ("poses", position)):
+            hint = unit_hint(geometry, np.median(np.abs(lengths), axis=0).max()) if len(position) else ""
+            if hint:
+                raise MeasurementError(name, "lengths in metres", f"values of {np.median(np.abs(lengths)):g}", hint)
+        found._check_columns(geometry)
+        return found
+
+    def errors(self, geometry: AsBuiltGeometry) -> FloatArray:
+        """Return the predicted less the measured poses (N, components) [m, rad]; NaN where there is no state."""
+        state = forward_physical(geometry, self.readings)
+        return platform_error(state, self.rotation, self.position)[:, : self.components]
+
+    def _check_columns(self, geometry: AsBuiltGeometry) -> None:
+        """Raise if there is no state, or if exchanged columns explain the positions much better."""
+        below = self.readings <= geometry.offsets
+        if below.any():
+            row, leg = first_offender(below)
+            received = f"{self.readings[row, leg]:g} for {LEGS[leg]} in row {row}"
+            raise MeasurementError("leg_lengths", "readings that exceed the offsets", received)
+        errors = self.errors(geometry)
+        side = geometry.nominal.middle_side
+        size = np.linalg.norm(np.nan_to_num(errors[:, :3], nan=np.inf), axis=-1)
+        typical = float(np.median(size)) if len(size) else 0.0
+        if typical > _SUSPICIOUS * side:
+            best, order = typical, tuple(range(6))
+            for tried in itertools.permutations(range(6)):
+                swapped = Measurements(self.rotation, self.position, self.readings[:, tried], 3)
+                if (swapped.readings > geometry.offsets).all():
+                    with np.errstate(invalid="ignore"):
+                        gaps = np.linalg.norm(np.nan_to_num(swapped.errors(geometry), nan=np.inf), axis=-1)
+                    if np.median(gaps) < best:
+                        best, order = float(np.median(gaps)), tried
+            if best * _BETTER < typical:
+                wrong = [f"{LEGS[i]} holds {LEGS[order.index(i)]}" for i in range(6) if order[i] != i]
+                received = f"columns in another order: {', '.join(wrong)}"
+                cause = f"In that order the positions agree to {1e3 * best:.3g} mm"
+                if np.isfinite(typical):
+                    cause += f" instead of {1e3 * typical:.3g} mm"
+                raise MeasurementError("leg_lengths", f"readings in the order {', '.join(LEGS)}", received, cause)
+        if np.isnan(errors).any():
+            row = int(np.isnan(errors).any(axis=-1).argmax())
+            received = f"row {row} with {', '.join(f'{x:g}' for x in self.readings[row])}"
+            cause = "A mistyped reading, offsets not subtracted, or another machine? Correct the row or leave it out"
+            raise MeasurementError("leg_lengths", "readings that this machine can have", received, cause)
+
+
+def covariances(noise: npt.ArrayLike, argument: str, components: int, count: int) -> FloatArray:
+    """Read standard deviations or covariances of measurements with this many components, as (count, n, n).
+
+    A pair for poses, one number for positions or readings, n numbers, or a covariance (n, n) or (count, n, n).
+    """
+    array = real_array(noise, argument, (), "standard deviations in metres and radians, or covariances")
+    if array.shape == () or (array.shape == (2,) and argument == "pose_noise"):
+        array = np.repeat(np.broadcast_to(array, 2), 3)[:components]
+    if array.shape == (components,):
+        array = np.diag(array**2)
+    if array.shape not in ((components, components), (count, components, components)):
+        expected = f"one standard deviation, {components}, or covariances of shape ({components}, {components})"
+        raise ArgumentError(argument, expected, f"shape {array.shape}")
+    array = np.broadcast_to(array, (count, components, components))
+    scale = np.abs(array).max(axis=(-1, -2), initial=0.0)[..., None, None]
+    uneven = (np.abs(array - np.swapaxes(array, -1, -2)) > 1e-9 * scale).any()
+    if uneven or (count and np.linalg.eigvalsh(array).min() <= 0.0):
+        raise ArgumentError(
+            argument, "positive standard deviations, or symmetric positive definite covariances", "other"
+        )
+    return array
+
+
+def read_measurements(path: str | Path) -> tuple[Any, FloatArray]:
+    """Read a CSV file of measurements.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        A file with a heading. The columns x, y, z are the position of o in {B} [m]; qx, qy, qz, qw, if there, the
+        rotation from {m} to {B} as a unit quaternion, scalar last; r_b1 to r_c3 the readings [m]. The order is free.
+
+    Returns
+    -------
+    poses : RigidTransform, shape (N,), or ndarray, shape (N, 3)
+        Poses, or positions if there is no quaternion.
+    leg_lengths : ndarray, shape (N, 6)
+        Readings [m].
+
+    Raises
+    ------
+    MeasurementError
+        If the file cannot be read, a column is missing, unknown or given twice, or an entry is no finite number; with
+        line and column.
+    """
+    path = file_path(path, error=MeasurementError)
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            reader = csv.reader(file)
+            lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
+    except (OSError, UnicodeDecodeError, csv.Error) as failed:
+        raise MeasurementError(str(path), "a CSV file in UTF-8", str(failed)) from failed
+    lines = [(number, row) for number, row in lines if any(row)]
+    heading = lines[0][1] if lines else []
+    turned = bool(set(heading) & set(_QUATERNION))
+    columns = (*_POSITION, *(_QUATERNION if turned else ()), *LEGS)
+    if sorted(heading) != sorted(columns):
+        missing = [name for name in columns if name not in heading]
+        odd = [name for name in heading if name not in columns or heading.count(name) > 1]
+        received = "; ".join(
+            f"{what} {', '.join(names)}" for what, names in (("without", missing), ("with", odd)) if names
+        )
+        raise MeasurementError(f"{path}:1", f"a heading with the columns {', '.join(columns)}", received)
+    if len(lines) < 2:
+        raise MeasurementError(str(path), "rows of measurements below the heading", "none")
+    table = np.empty((len(lines) - 1, len(columns)))
+    for row, (number, cells) in enumerate(lines[1:]):
+        if len(cells) != len(heading):
+            raise MeasurementError(f"{path}:{number}", f"{len(heading)} numbers", f"{len(cells)} entries")
+        for name, cell in zip(heading, cells, strict=True):
+            try:
+                value = float(cell)
+            except ValueError:
+                value = np.nan
+            if not np.isfinite(value):
+                cause = "A decimal comma?" if "," in cell else ""
+                place = f"column {name} in {path}:{number}"
+                raise MeasurementError(place, "a finite number", repr(cell) if cell else "nothing", cause)
+            table[row, columns.index(name)] = value
+    position, readings = table[:, :3], table[:, -6:]
+    if not turned:
+        return position, readings
+    size = np.linalg.norm(table[:, 3:7], axis=-1)
+    if (np.abs(size - 1.0) > _UNIT).any():
+        row = int((np.abs(size - 1.0) > _UNIT).argmax())
+        place = f"columns qx to qw in {path}:{lines[1 + row][0]}"
+        raise MeasurementError(place, "a quaternion of length 1", f"length {size[row]:g}", "Rounded to few digits?")
+    return RigidTransform.from_components(position, Rotation.from_quat(table[:, 3:7])), readings

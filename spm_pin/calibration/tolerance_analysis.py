@@ -1,0 +1,172 @@
+"""Accuracy of the platform from tolerances of the dimensions, and which dimensions it depends on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.calibration.error_model import as_built, error_jacobian, platform_error, selected
+from spm_pin.calibration.pose_choice import random_states
+from spm_pin.closed_form.forward_displacement import forward_physical
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import FloatArray, generator, real_array, real_number, whole_number
+from spm_pin.mechanism.as_built import PARAMETERS, AsBuiltGeometry
+from spm_pin.mechanism.configuration import Configuration, check_configuration
+from spm_pin.mechanism.geometry import Geometry
+
+__all__ = ["ToleranceAnalysis", "tolerance"]
+
+
+@dataclass(frozen=True, repr=False)
+class ToleranceAnalysis:
+    """Errors of the platform of machines whose dimensions are normally distributed, at N states.
+
+    Attributes
+    ----------
+    states : Configuration, shape (N,)
+        The states of the machine without errors.
+    deviations : ndarray, shape (54,)
+        Standard deviations of the parameters [m, rad].
+    covariance : ndarray, shape (N, 6, 6)
+        Of the platform's error (displacement, rotation vector) [m, rad] in {B}, to first order.
+    shares : ndarray, shape (54,)
+        Part of the mean variance of the position that each parameter causes; they add up to 1.
+    samples : ndarray, shape (S, N, 6)
+        Errors of S random machines, not linearised; NaN where a machine cannot have the readings.
+    """
+
+    states: Configuration
+    deviations: FloatArray
+    covariance: FloatArray
+    shares: FloatArray
+    samples: FloatArray
+
+    def __repr__(self) -> str:
+        position, angle = self.rms
+        return (
+            f"<ToleranceAnalysis: {1e3 * position:.3g} mm and {1e3 * angle:.3g} mrad RMS, {len(self.samples)} samples>"
+        )
+
+    @property
+    def rms(self) -> tuple[float, float]:
+        """Root mean squares of the displacement [m] and of the rotation angle [rad], to first order."""
+        diagonal = np.diagonal(self.covariance, axis1=-2, axis2=-1)
+        return float(np.sqrt(diagonal[:, :3].sum(axis=-1).mean())), float(np.sqrt(diagonal[:, 3:].sum(axis=-1).mean()))
+
+    @property
+    def sampled_rms(self) -> tuple[float, float]:
+        """The same of the samples, NaN if there are none."""
+        if not len(self.samples):
+            return float("nan"), float("nan")
+        squares = self.samples**2
+        return tuple(float(np.sqrt(np.nanmean(squares[..., k : k + 3].sum(axis=-1)))) for k in (0, 3))  # type: ignore[return-value]
+
+    def percentile(self, percent: float = 95.0) -> tuple[float, float]:
+        """Return the displacement [m] and the angle [rad] that this part of the samples does not exceed."""
+        part = real_number(percent, "percent", "a percentage from 0 to 100", least=0.0, most=100.0)
+        if not len(self.samples):
+            raise ArgumentError("samples", "a Monte Carlo analysis, samples > 0", 0)
+        sizes = (np.linalg.norm(self.samples[..., k : k + 3], axis=-1) for k in (0, 3))
+        return tuple(float(np.nanpercentile(size, part)) for size in sizes)  # type: ignore[return-value]
+
+    def ranking(self, by: str = "parameter") -> list[tuple[str, float]]:
+        """Return names and shares, the largest first.
+
+        Parameters
+        ----------
+        by : {"parameter", "component", "kind", "leg"}
+            What to add up: "r_b1.pivot_x", "pivot_x", "pivot", or "r_b1".
+        """
+        names = {
+            "parameter": lambda name: name,
+            "component": lambda name: name.split(".")[1],
+            "kind": lambda name: name.split(".")[1].split("_")[0],
+            "leg": lambda name: name.split(".")[0],
+        }
+        if by not in names:
+            raise ArgumentError("by", f"one of {', '.join(names)}", repr(by))
+        totals: dict[str, float] = {}
+        for name, share in zip(PARAMETERS, self.shares, strict=True):
+            key = names[by](name)
+            totals[key] = totals.get(key, 0.0) + float(share)
+        return sorted(totals.items(), key=lambda item: -item[1])
+
+
+def tolerance(
+    geometry: Geometry | AsBuiltGeometry,
+    tolerances: Mapping[str, float] | npt.ArrayLike,
+    states: Configuration | int = 60,
+    *,
+    samples: int = 200,
+    rng: Any = None,
+) -> ToleranceAnalysis:
+    """Predict the accuracy of the platform from tolerances of the dimensions.
+
+    Parameters
+    ----------
+    geometry : Geometry or AsBuiltGeometry
+        The machine whose readings are commanded.
+    tolerances : mapping of str to float, or array_like, shape (54,)
+        Standard deviations [m, rad]: of each of `PARAMETERS`, or under names of parameters, components such as
+        "pivot_x", kinds ("direction", "pivot", "ball", "offset") or legs; a later name replaces an earlier one, what is
+        not named has no error.
+    states : Configuration or int
+        Where: states of shape (N,), or the number of states to draw uniformly within the leg limits.
+    samples : int
+        Random machines for the Monte Carlo analysis; 0 for none.
+    rng : numpy.random.Generator, seed, or None
+        Source of states and samples.
+
+    Raises
+    ------
+    ArgumentError
+        If a name is unknown, a tolerance negative or not finite, or `states` do not exist or belong to another machine.
+
+    Examples
+    --------
+    >>> import spm_pin as spm
+    >>> table = {"direction": 1e-4, "pivot": 1e-4, "ball": 1e-4, "offset": 1e-4}
+    >>> found = spm.calibration.tolerance(spm.Geometry.paper(), table, samples=0, rng=0)
+    >>> [f"{name} {share:.0%}" for name, share in found.ranking("kind")]
+    ['ball 33%', 'pivot 33%', 'offset 31%', 'direction 4%']
+    """
+    machine, random = as_built(geometry), generator(rng)
+    deviations = _deviations(tolerances)
+    samples = whole_number(samples, "samples", least=0, most=10**6)
+    if isinstance(states, Configuration):
+        at = check_configuration(states, "states", existing=True, as_built=True)
+        if len(at.shape) != 1 or as_built(at.geometry) != machine:
+            raise ArgumentError("states", "states of this machine, shape (N,)", f"shape {at.shape}, {at.geometry!r}")
+    else:
+        at = random_states(machine, whole_number(states, "states", least=1), random)
+    scaled = error_jacobian(at) * deviations
+    variances = (scaled[:, :3] ** 2).sum(axis=1).mean(axis=0)
+    errors = np.empty((samples, len(at), 6))
+    for sample in range(samples):
+        built = machine.from_parameters(machine.parameters + deviations * random.standard_normal(54))
+        errors[sample] = platform_error(forward_physical(built, at.leg_lengths), at.rotation, at.translation)
+    return ToleranceAnalysis(
+        states=at,
+        deviations=deviations,
+        covariance=scaled @ np.swapaxes(scaled, -1, -2),
+        shares=variances / max(variances.sum(), np.finfo(float).tiny),
+        samples=errors,
+    )
+
+
+def _deviations(tolerances: Mapping[str, float] | npt.ArrayLike) -> FloatArray:
+    """Return the standard deviations (54,) of the parameters."""
+    if isinstance(tolerances, Mapping):
+        found = np.zeros(54)
+        for name, value in tolerances.items():
+            expected = "a standard deviation in metres or radians, not negative"
+            found[selected([name], "tolerances")] = real_number(value, f"tolerances[{name!r}]", expected, least=0.0)
+        return found
+    found = real_array(tolerances, "tolerances", (54,), "standard deviations of the parameters")
+    if found.shape != (54,) or (found < 0.0).any():
+        raise ArgumentError("tolerances", "54 standard deviations, or a mapping of names to them", "others")
+    return found

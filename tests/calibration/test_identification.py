@@ -1,0 +1,279 @@
+"""Machines identified from synthetic measurements, and mistakes in measurements named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from calibration.measured import NOMINAL, PAPER, elsewhere, measure, plan, position_errors
+from scipy.stats import chi2, kstest
+
+import spm_pin as spm
+from spm_pin import calibration
+from spm_pin.calibration import MeasurementError, identify
+from spm_pin.mechanism import PARAMETERS
+
+
+@pytest.mark.parametrize("positions_only", [False, True])
+def test_the_platform_is_placed_to_micrometres_afterwards(positions_only: bool) -> None:
+    before, after = [], []
+    for seed in range(5):
+        machine = NOMINAL.perturbed(seed)
+        poses, readings = measure(machine, seed)
+        found = identify(PAPER, poses[:, :3, 3] if positions_only else poses, readings)
+        before.append(position_errors(NOMINAL, machine))
+        after.append(position_errors(found.geometry, machine))
+        assert not found.outliers.any()
+        assert len(found.deviations) == (45 if positions_only else 48)
+        assert len(found.unidentifiable) == (9 if positions_only else 6)
+        # As predicted from the covariance, all over the workspace.
+        variance = np.trace(found.accuracy(elsewhere())[:, :3, :3], axis1=-2, axis2=-1)
+        assert 0.4 < np.sqrt((after[-1] ** 2).mean() / variance.mean()) < 2.0
+    assert 5e-4 < np.sqrt((np.array(before) ** 2).mean()) < 1.3e-3
+    assert np.array(after).max() < 5e-5
+
+
+def test_exact_measurements_give_the_machine_up_to_the_choice_of_the_middle_frame() -> None:
+    machine = NOMINAL.perturbed(1)
+    found = identify(PAPER, *measure(machine, 0, noise=0.0))
+    assert position_errors(found.geometry, machine).max() < 1e-11
+    assert np.abs(found.residuals).max() < 1e-12
+    scale = np.tile(np.repeat([1.0, PAPER.middle_side], [2, 7]), 6)
+    difference = (found.geometry.parameters - machine.parameters) / scale
+    # What is not identified has been left as it was, all else is right.
+    np.testing.assert_allclose(found.identifiable @ difference, 0.0, atol=1e-6)
+    moved = (found.geometry.parameters - NOMINAL.parameters) / scale
+    np.testing.assert_allclose(found.unidentifiable @ moved, 0.0, atol=1e-12)
+    np.testing.assert_allclose(found.identifiable @ found.identifiable.T, np.eye(48), atol=1e-12)
+    np.testing.assert_allclose(found.identifiable @ found.unidentifiable.T, 0.0, atol=1e-12)
+
+
+def test_parameters_not_asked_for_keep_their_values() -> None:
+    ideal = NOMINAL.parameters
+    wanted = np.array([name.split(".")[1] == "offset" or "pivot_z" in name for name in PARAMETERS])
+    errors = np.where(wanted, 2e-4 * np.random.default_rng(3).standard_normal(54), 0.0)
+    machine = NOMINAL.from_parameters(ideal + errors)
+    found = identify(PAPER, *measure(machine, 1), parameters=["offset", "pivot_z"])
+    changed = found.geometry.parameters - ideal
+    np.testing.assert_array_equal(changed[~wanted], 0.0)
+    deviations = np.sqrt(np.diagonal(found.covariance))
+    assert (deviations[~wanted] == 0.0).all()
+    assert (np.abs(changed - errors)[wanted] < 5.0 * deviations[wanted]).all()
+    assert len(found.deviations) == 12
+    # A machine known before is the start, and what is not asked for stays as it was.
+    again = identify(machine, *measure(machine, 2), parameters="r_b1")
+    same = np.array([not name.startswith("r_b1") for name in PARAMETERS])
+    np.testing.assert_allclose(again.geometry.parameters[same], machine.parameters[same], atol=1e-15)
+
+
+def test_weights_are_those_of_the_noise() -> None:
+    machine = NOMINAL.perturbed(2)
+    poses, readings = measure(machine, 3)
+    pair = identify(PAPER, poses, readings, pose_noise=(1e-5, 1e-5), length_noise=1e-6)
+    pose = np.broadcast_to(1e-10 * np.eye(6), (40, 6, 6))
+    full = identify(PAPER, poses, readings, pose_noise=pose, length_noise=1e-12 * np.eye(6))
+    assert position_errors(full.geometry, pair.geometry).max() < 1e-9
+    twice = identify(PAPER, poses, readings, pose_noise=(2e-5, 2e-5), length_noise=2e-6)
+    np.testing.assert_allclose(twice.deviations, 2.0 * pair.deviations, rtol=1e-3)
+    np.testing.assert_allclose(twice.misfit, 0.5 * pair.misfit, rtol=1e-2)
+
+
+@pytest.mark.slow
+def test_the_covariance_covers_the_errors_as_often_as_it_says() -> None:
+    """200 machines and noises: errors of predicted positions, in units of their covariance, are distributed as χ²."""
+    squares, inside = [], []
+    states = elsewhere()[:5]
+    for seed in range(200):
+        machine = NOMINAL.perturbed(seed)
+        found = identify(PAPER, *measure(machine, 1000 + seed))
+        legs = states.leg_lengths
+        true, predicted = (spm.forward_physical(m, legs) for m in (machine, found.geometry))
+        gap = predicted.translation - true.translation
+        covariance = found.accuracy(predicted)[:, :3, :3]
+        squares.append((gap[0] * np.linalg.solve(covariance[0], gap[0])).sum())
+        deviation = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+        inside.append(np.abs(gap) < 1.96 * deviation)
+    # Binomial with correlated entries of a repetition: four standard deviations of 200 independent ones.
+    assert abs(np.mean(inside) - 0.95) < 4.0 * np.sqrt(0.95 * 0.05 / 200)
+    assert kstest(squares, chi2(3).cdf).pvalue > 1e-3
+
+
+def swapped(poses: Any, readings: Any) -> tuple[Any, Any]:
+    return poses, readings[:, [0, 4, 2, 3, 1, 5]]
+
+
+def with_an_outlier(poses: Any, readings: Any) -> tuple[Any, Any]:
+    wrong = readings.copy()
+    wrong[17, 2] += 1e-3
+    return poses, wrong
+
+
+def in_millimetres(poses: Any, readings: Any) -> tuple[Any, Any]:
+    wrong = poses.copy()
+    wrong[:, :3, 3] *= 1000.0
+    return wrong, readings
+
+
+def mistyped(poses: Any, readings: Any) -> tuple[Any, Any]:
+    wrong = readings.copy()
+    wrong[5, 3] = 0.13
+    return poses, wrong
+
+
+def not_finite(poses: Any, readings: Any) -> tuple[Any, Any]:
+    wrong = readings.copy()
+    wrong[5, 3] = np.nan
+    return poses, wrong
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda poses, readings: (poses, 100.0 * readings), r"leg_lengths: expected lengths in metres.*cm\?"),
+        (in_millimetres, r"poses: expected lengths in metres.*mm\?"),
+        (swapped, r"leg_lengths.*r_b2 holds r_c2, r_c2 holds r_b2.*instead of"),
+        (lambda p, r: (p[:, :3, 3], np.roll(r, 3, axis=-1)), r"leg_lengths.*r_b1 holds r_c1.*r_c3 holds r_b3"),
+        (with_an_outlier, r"poses: .*outliers in the rows 17\. Look at these rows"),
+        (mistyped, r"leg_lengths.*row 5 with.*0\.13.*mistyped"),
+        (not_finite, r"leg_lengths: expected finite.*index \(5, 3\)"),
+        (lambda poses, readings: (poses[:7], readings[:7]), "poses: expected at least 8 measurements for 48.*got 7"),
+        (lambda p, r: (p[:14, :3, 3], r[:14]), "poses: expected at least 15 measurements for 45.*got 14"),
+        (
+            lambda p, r: (np.repeat(p[:1], 30, 0), np.repeat(r[:1], 30, 0)),
+            "poses that determine 48.*30 poses.*choose_poses",
+        ),
+        (lambda poses, readings: (poses, readings[:5]), "leg_lengths: expected one row.*shape"),
+        (lambda poses, readings: (poses[0], readings[0]), "leg_lengths: expected one row"),
+        (lambda poses, readings: (np.zeros((4, 4)), readings), "pose"),
+        (lambda poses, readings: (poses, -readings), "leg_lengths.*exceed the offsets.*row 0"),
+    ],
+)
+def test_wrong_measurements_are_named_and_not_fitted(change: Callable[..., Any], message: str) -> None:
+    with pytest.raises(spm.ArgumentError, match=message):
+        identify(PAPER, *change(*measure(NOMINAL.perturbed(4), 5)))
+
+
+def test_a_robust_loss_marks_outliers_and_hardly_feels_them() -> None:
+    machine = NOMINAL.perturbed(4)
+    found = identify(PAPER, *with_an_outlier(*measure(machine, 5)), loss="cauchy")
+    assert np.flatnonzero(found.outliers).tolist() == [17]
+    assert position_errors(found.geometry, machine).max() < 5e-5
+    assert found.misfit[17] > 10.0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"parameters": "balls"}, "parameters.*got balls"),
+        ({"parameters": []}, "parameters.*got none"),
+        ({"loss": "l1"}, "loss"),
+        ({"pose_noise": 0.0}, "pose_noise.*positive"),
+        ({"pose_noise": np.ones((6, 6))}, "pose_noise.*positive definite"),
+        ({"length_noise": [1e-6] * 5}, "length_noise"),
+        ({"length_noise": np.inf}, "length_noise"),
+    ],
+)
+def test_wrong_options_are_named(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(spm.ArgumentError, match=message):
+        identify(PAPER, *measure(NOMINAL.perturbed(4), 5), **options)
+
+
+def test_chosen_poses_identify_better_than_random_ones() -> None:
+    random = elsewhere()[:40]
+    machine = NOMINAL.perturbed(6)
+    chosen, others = (identify(PAPER, *measure(machine, 7, states=states)) for states in (plan(), random))
+    # D: the volume of the ellipsoid of uncertainty, here as a mean deviation.
+    assert np.log(chosen.deviations).mean() < np.log(others.deviations).mean() - 0.1
+    spread = calibration.choose_poses(PAPER, 40, candidates=300, rng=0, criterion="A")
+    mean = identify(PAPER, *measure(machine, 7, states=spread))
+    assert (mean.deviations**2).sum() < 1.05 * (chosen.deviations**2).sum()
+    assert len(np.unique(plan().leg_lengths, axis=0)) == 40
+    assert PAPER.limits is not None
+    assert PAPER.limits.contains(plan().leg_lengths).all()
+    again = calibration.choose_poses(PAPER, 40, candidates=300, rng=0)
+    np.testing.assert_array_equal(again.leg_lengths, plan().leg_lengths)
+
+
+@pytest.mark.parametrize("criterion", ["D", "A"])
+def test_few_candidates_are_chosen_from_as_by_trying_all(criterion: str) -> None:
+    from itertools import combinations
+
+    legs = np.random.default_rng(8).uniform(1.1, 1.5, (9, 6))
+    states = spm.forward_physical(PAPER, legs)
+    options: dict[str, Any] = {"parameters": "offset", "criterion": criterion}
+    chosen = calibration.choose_poses(PAPER, 3, candidates=states, **options)
+
+    def value(part: spm.Configuration) -> float:
+        found = identify(PAPER, part.pose, part.leg_lengths, parameters="offset")
+        return float(np.log(found.deviations).sum() if criterion == "D" else (found.deviations**2).sum())
+
+    best = min(value(states[list(part)]) for part in combinations(range(9), 3))
+    assert value(chosen) <= best + (0.2 if criterion == "D" else 0.2 * best)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: calibration.choose_poses(PAPER, 5), "count.*at least 8 for 48"),
+        (lambda: calibration.choose_poses(PAPER, 40, candidates=20), "candidates.*at least 40"),
+        (lambda: calibration.choose_poses(PAPER, criterion="E"), "criterion"),
+        (lambda: calibration.choose_poses(spm.Geometry(0.7, 0.3, 0.8), 40), "geometry.*leg limits"),
+        (lambda: calibration.choose_poses(PAPER, 10, candidates=plan()[0]), "candidates.*one axis"),
+    ],
+)
+def test_plans_that_cannot_be_made_are_refused(call: Callable[[], object], message: str) -> None:
+    with pytest.raises(spm.ArgumentError, match=message):
+        call()
+
+
+HEADING = "x,y,z,qx,qy,qz,qw,r_b1,r_b2,r_b3,r_c1,r_c2,r_c3"
+ROW = "0.1,0.2,2.2,0,0,0,1,1.2,1.3,1.4,1.2,1.3,1.4"
+
+
+def test_a_file_of_measurements_is_read_in_any_order_of_columns(tmp_path: Path) -> None:
+    poses, readings = measure(NOMINAL, 1)
+    rotation = spm.mechanism.as_rigid_transform(poses).rotation
+    columns = dict(
+        zip(HEADING.split(","), np.concatenate([poses[:, :3, 3], rotation.as_quat(), readings], 1).T, strict=True)
+    )
+    file = tmp_path / "measured.csv"
+    names = sorted(columns)
+    rows = "\n".join(", ".join(repr(float(x)) for x in row) for row in np.stack([columns[n] for n in names], 1))
+    file.write_text(f"\ufeff{', '.join(names)}\n{rows}\n\n", encoding="utf-8")
+    found, lengths = calibration.read_measurements(file)
+    np.testing.assert_array_equal(lengths, readings)
+    np.testing.assert_allclose(found.as_matrix(), poses, atol=1e-15)
+    names = [name for name in names if not name.startswith("q")]
+    rows = "\n".join(",".join(repr(float(x)) for x in row) for row in np.stack([columns[n] for n in names], 1))
+    file.write_text(f"{','.join(names)}\n{rows}\n", encoding="utf-8")
+    positions, lengths = calibration.read_measurements(file)
+    np.testing.assert_array_equal(positions, poses[:, :3, 3])
+    np.testing.assert_array_equal(lengths, readings)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "columns x, y, z.*without x"),
+        (HEADING, "rows of measurements"),
+        (f"{HEADING}\n{ROW}\n{ROW},9", r"csv:3: expected 13 numbers, got 14"),
+        (f"{HEADING}\n{ROW}\n\n{ROW.replace('1.3', 'nan', 1)}", r"column r_b2 in .*csv:4: expected a finite number"),
+        (f"{HEADING}\n{ROW.replace('2.2', '', 1)}", r"column z in .*csv:2.*got nothing"),
+        (f"{HEADING}\n{ROW.replace('2.2', 'high', 1)}", r"column z in .*got 'high'"),
+        (f"{HEADING}\n{ROW.replace('2.2', chr(34) + '2,2' + chr(34), 1)}", r"column z.*decimal comma"),
+        (f"{HEADING}\n{ROW.replace('0,0,0,1', '0,0,0,2', 1)}", r"qx to qw in .*csv:2.*length 1, got length 2"),
+        (HEADING.replace("r_c3", "r_c4"), r"csv:1.*without r_c3; with r_c4"),
+        (HEADING.replace("qw,", ""), r"csv:1.*without qw"),
+        (f"{HEADING},x", r"csv:1.*with x, x"),
+    ],
+)
+def test_a_malformed_file_is_refused_with_line_and_column(tmp_path: Path, text: str, message: str) -> None:
+    file = tmp_path / "measured.csv"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(MeasurementError, match=message):
+        calibration.read_measurements(file)
+    with pytest.raises(MeasurementError, match="No such file"):
+        calibration.read_measurements(tmp_path / "other.csv")
