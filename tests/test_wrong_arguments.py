@@ -165,7 +165,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "AsBuiltGeometry.from_yaml.path": as_built_file,
     "AsBuiltGeometry.to_yaml.path": lambda: "machine.yaml",
     "calibration.choose_poses.candidates": lambda: 40,
-    "calibration.choose_poses.count": lambda: 8,
+    "calibration.choose_poses.count": lambda: 16,
     "calibration.identify.leg_lengths": lambda: MEASURED.leg_lengths,
     "calibration.identify.poses": lambda: MEASURED.pose,
     "calibration.read_measurements.path": measurements_file,

@@ -129,10 +129,11 @@ def parameter_scale(geometry: AsBuiltGeometry) -> FloatArray:
 
 def selected(names: Collection[str] | str, argument: str) -> npt.NDArray[np.bool_]:
     """Return which of `PARAMETERS` are meant by names of parameters, legs, components or kinds, such as `ball`."""
-    wanted = {names} if isinstance(names, str) else set(instance(names, Collection, argument))  # type: ignore[type-abstract]
+    several = [names] if isinstance(names, str) else instance(names, Collection, argument)  # type: ignore[type-abstract]
+    wanted = {name if isinstance(name, str) else repr(name) for name in several}
     parts = [name.split(".") for name in PARAMETERS]
     keys = [{name, leg, part, part.split("_")[0]} for name, (leg, part) in zip(PARAMETERS, parts, strict=True)]
-    unknown = sorted(str(name) for name in wanted if not any(name in key for key in keys))
+    unknown = sorted(name for name in wanted if not any(name in key for key in keys))
     if unknown or not wanted:
         expected = (
             f"names of parameters such as r_b1.pivot_x, components such as pivot_x, {', '.join(_KINDS)}, or legs "

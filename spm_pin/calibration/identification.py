@@ -231,7 +231,10 @@ def _check_determined(slopes: FloatArray, basis: FloatArray, count: int) -> None
         worst = basis @ right[-1]
         names = ", ".join(PARAMETERS[k] for k in np.argsort(-np.abs(worst))[:3])
         received = f"{count} poses that determine {int((~unknown).sum())}; the least determined one moves {names}"
-        cause = "Measure at poses further apart, see choose_poses, or name fewer `parameters`"
+        cause = (
+            "Measure at poses further apart, see choose_poses, or name fewer `parameters`. "
+            "Are pose_noise and length_noise too large?"
+        )
         raise MeasurementError("poses", f"poses that determine {len(unknown)} combinations", received, cause)
 
 

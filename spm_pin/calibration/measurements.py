@@ -17,7 +17,7 @@ from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, as_array, file_path, first_offender, real_array
 from spm_pin.mechanism.as_built import AsBuiltGeometry
-from spm_pin.mechanism.geometry import LEGS
+from spm_pin.mechanism.geometry import LARGEST, LEGS
 from spm_pin.mechanism.pose import as_rigid_transform
 from spm_pin.mechanism.units import unit_hint
 
@@ -132,6 +132,10 @@ def covariances(noise: npt.ArrayLike, argument: str, components: int, count: int
     A pair for poses, one number for positions or readings, n numbers, or a covariance (n, n) or (count, n, n).
     """
     array = real_array(noise, argument, (), "standard deviations in metres and radians, or covariances")
+    if (np.abs(array) > LARGEST).any() or (array.ndim < 2 and (array <= 0.0).any()):
+        raise ArgumentError(
+            argument, "positive standard deviations, or covariances, in metres and radians", f"{array.ravel()[0]:g}"
+        )
     if array.shape == () or (array.shape == (2,) and argument == "pose_noise"):
         array = np.repeat(np.broadcast_to(array, 2), 3)[:components]
     if array.shape == (components,):
@@ -186,7 +190,7 @@ def read_measurements(path: str | Path) -> tuple[Any, FloatArray]:
         missing = [name for name in columns if name not in heading]
         odd = [name for name in heading if name not in columns or heading.count(name) > 1]
         received = "; ".join(
-            f"{what} {', '.join(names)}" for what, names in (("without", missing), ("with", odd)) if names
+            f"{what} {', '.join(names)}" for what, names in (("missing", missing), ("unknown or twice", odd)) if names
         )
         raise MeasurementError(f"{path}:1", f"a heading with the columns {', '.join(columns)}", received)
     if len(lines) < 2:

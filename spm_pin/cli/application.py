@@ -10,6 +10,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from spm_pin import __version__
+from spm_pin.cli.calibrate import calibrate
 from spm_pin.cli.certify import certify
 from spm_pin.cli.console import note
 from spm_pin.cli.crosscheck import crosscheck
@@ -22,6 +23,7 @@ from spm_pin.cli.reproduce import reproduce
 from spm_pin.cli.singularities import singularities
 from spm_pin.cli.statics import statics
 from spm_pin.cli.sweep import sweep
+from spm_pin.cli.tolerance import tolerance
 from spm_pin.cli.urdf import urdf
 from spm_pin.cli.view import view
 from spm_pin.cli.workspace import workspace
@@ -80,6 +82,8 @@ _COMMANDS = (
     crosscheck,
     singularities,
     certify,
+    calibrate,
+    tolerance,
     statics,
     urdf,
     draw,

@@ -10,19 +10,20 @@ import typer
 from spm_pin.cli.console import fixed, print_lines, print_table, to_json
 from spm_pin.cli.options import (
     DECIMALS,
+    AnyGeometryFile,
     AsJson,
-    GeometryFile,
     LengthUnit,
     SixLegs,
     Unit,
     exit_code,
     pose_remarks,
-    read_geometry,
+    read_any_geometry,
     unit_hint,
 )
 from spm_pin.cli.outputs import name_options
 from spm_pin.closed_form.forward_displacement import forward_displacement, forward_physical
-from spm_pin.mechanism import Configuration, SolutionSet, Status
+from spm_pin.errors import GeometryError
+from spm_pin.mechanism import AsBuiltGeometry, Configuration, SolutionSet, Status
 
 __all__ = ["forward"]
 
@@ -37,7 +38,7 @@ def forward(
         bool, typer.Option("--all", help="Show every assembly mode, not only the one a real machine is in.")
     ] = False,
     unit: Unit = LengthUnit.M,
-    geometry: GeometryFile = None,
+    geometry: AnyGeometryFile = None,
     json: AsJson = False,
 ) -> None:
     """Find the pose of the platform from the leg lengths.
@@ -45,9 +46,16 @@ def forward(
     Example, the paper's: spm-pin forward --legs 120 120 140 125 120 150 --unit cm
     """
     lengths = np.array(legs) / unit.per_metre
-    dimensions = read_geometry(geometry)
-    modes = forward_displacement(dimensions, lengths)
+    dimensions = read_any_geometry(geometry)
     physical = forward_physical(dimensions, lengths)
+    if isinstance(dimensions, AsBuiltGeometry):
+        if every:
+            raise GeometryError(
+                "--geometry", "dimensions of a drawing for --all", "a machine as built", "Leave out --all"
+            )
+        modes = _alone(physical)
+    else:
+        modes = forward_displacement(dimensions, lengths)
     shown = _states(modes, physical, every)
     if json:
         typer.echo(to_json(_content(modes, shown, unit)))
@@ -56,6 +64,13 @@ def forward(
             _print_states(shown, unit, "Assembly modes" if every else "The physical configuration")
         print_lines(_remarks(modes, physical, unit_hint("--legs", max(legs), unit, dimensions)))
     raise typer.Exit(exit_code(modes))
+
+
+def _alone(physical: Configuration) -> SolutionSet:
+    """Return the physical configuration as the only mode that is sought."""
+    state = physical.rotation[None], physical.translation[None], physical.middle_joints[None]
+    status = Status.OK if physical.exists else Status.UNREACHABLE
+    return SolutionSet(Configuration.from_arrays(physical.geometry, *state), ("physical",), status)
 
 
 def _states(modes: SolutionSet, physical: Configuration, every: bool) -> list[tuple[str, Configuration, bool]]:
@@ -83,7 +98,9 @@ def _print_states(states: list[tuple[str, Configuration, bool]], unit: LengthUni
 
 
 def _remarks(modes: SolutionSet, physical: Configuration, hint: str) -> list[str]:
-    remarks = [f"status: {modes.status}, {modes.count} of 256 assembly modes real"]
+    remarks = [f"status: {modes.status}"]
+    if len(modes.labels) > 1:
+        remarks[0] += f", {modes.count} of {len(modes.labels)} assembly modes real"
     if modes.count:
         remarks[0] += f", closure residual up to {np.nanmax(modes.residual):.0e} m"
     if modes.status is Status.DEGENERATE:
@@ -97,12 +114,11 @@ def _remarks(modes: SolutionSet, physical: Configuration, hint: str) -> list[str
 
 def _content(modes: SolutionSet, shown: list[tuple[str, Configuration, bool]], unit: LengthUnit) -> dict[str, Any]:
     degeneracy = modes.degeneracy
-    assert degeneracy is not None
     return {
         "unit": unit,
         "status": str(modes.status),
         "count": modes.count,
-        "degeneracy": {"dimension": degeneracy.dimension, "families": degeneracy.families},
+        "degeneracy": degeneracy and {"dimension": degeneracy.dimension, "families": degeneracy.families},
         "modes": [
             {
                 "label": label,

@@ -8,7 +8,7 @@ import numpy as np
 import typer
 
 from spm_pin.cli.console import fixed, print_lines, print_table, to_json
-from spm_pin.cli.options import DECIMALS, AsJson, GeometryFile, LengthUnit, Translation, Unit, Xyx, exit_code
+from spm_pin.cli.options import DECIMALS, AnyGeometryFile, AsJson, LengthUnit, Translation, Unit, Xyx, exit_code
 from spm_pin.cli.outputs import name_options
 from spm_pin.cli.requested_states import solve_pose
 from spm_pin.mechanism import LEGS, SolutionSet
@@ -21,7 +21,7 @@ def inverse(
     translation: Translation,
     xyx: Xyx,
     unit: Unit = LengthUnit.M,
-    geometry: GeometryFile = None,
+    geometry: AnyGeometryFile = None,
     json: AsJson = False,
 ) -> None:
     """Find every configuration that holds the platform in a pose.
@@ -71,11 +71,11 @@ def _remarks(solutions: SolutionSet, on_the_pose: list[str]) -> list[str]:
 def _content(solutions: SolutionSet, unit: LengthUnit) -> dict[str, Any]:
     inside, physical = solutions.within().exists, solutions.is_physical
     degeneracy = solutions.degeneracy
-    assert degeneracy is not None
     return {
         "unit": unit,
         "status": str(solutions.status),
-        "degeneracy": {
+        "degeneracy": degeneracy
+        and {
             "dimension": degeneracy.dimension,
             "families": degeneracy.families,
             "legs": degeneracy.legs,

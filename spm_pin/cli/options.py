@@ -13,11 +13,13 @@ from scipy.spatial.transform import RigidTransform
 
 from spm_pin.cli.console import note
 from spm_pin.errors import ArgumentError, GeometryError
-from spm_pin.mechanism import FAMILIES, Geometry, SolutionSet, Status, pose
+from spm_pin.mechanism import FAMILIES, AsBuiltGeometry, Geometry, SolutionSet, Status, pose
+from spm_pin.mechanism.as_built import any_geometry_from_yaml
 from spm_pin.mechanism.units import PER_METRE, likely_unit, machine_size
 
 __all__ = [
     "DECIMALS",
+    "AnyGeometryFile",
     "AsJson",
     "Branches",
     "GeometryFile",
@@ -29,6 +31,7 @@ __all__ = [
     "Xyx",
     "exit_code",
     "pose_remarks",
+    "read_any_geometry",
     "read_geometry",
     "read_pose",
     "selected_labels",
@@ -63,6 +66,12 @@ GeometryFile = Annotated[
     Path | None,
     typer.Option("--geometry", metavar="FILE", help="YAML file of dimensions in metres; the paper's if not given."),
 ]
+AnyGeometryFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--geometry", metavar="FILE", help="YAML file of dimensions, or of a machine as built; the paper's if not."
+    ),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 Branches = Annotated[
     list[str] | None, typer.Option("--branch", metavar="LABEL", help="Branch, such as TT+; may be repeated.")
@@ -75,14 +84,23 @@ def read_geometry(path: Path | None) -> Geometry:
     Raises
     ------
     GeometryError
-        If the file cannot be read or describes no manipulator.
+        If the file cannot be read, describes no manipulator, or a machine as built.
     """
+    found = read_any_geometry(path)
+    if isinstance(found, AsBuiltGeometry):
+        cause = "This command is for the machine of the drawing: give the dimensions under the key nominal"
+        raise GeometryError("--geometry", "dimensions of a drawing", f"{path}, a machine as built", cause)
+    return found
+
+
+def read_any_geometry(path: Path | None) -> Geometry | AsBuiltGeometry:
+    """Return the geometry of `--geometry`, of a drawing or of a machine as built, as `read_geometry` does."""
     if path is None:
         return Geometry.paper()
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            geometry = Geometry.from_yaml(path)
+            geometry = any_geometry_from_yaml(path)
     except GeometryError as error:
         where = "--geometry" if error.argument == "path" else f"--geometry: {error.argument}"
         cause = (
@@ -100,7 +118,9 @@ def read_pose(translation: Triple, xyx: Triple, unit: LengthUnit) -> RigidTransf
     return pose(np.array(translation) / unit.per_metre, xyx=np.deg2rad(turned))
 
 
-def unit_hint(option: str, typed: float | tuple[float, ...], unit: LengthUnit, geometry: Geometry) -> str:
+def unit_hint(
+    option: str, typed: float | tuple[float, ...], unit: LengthUnit, geometry: Geometry | AsBuiltGeometry
+) -> str:
     """Return a hint at the unit where lengths are out of proportion to the machine, else an empty string.
 
     Parameters

@@ -18,7 +18,7 @@ from spm_pin.cli.options import (
     Triple,
     exit_code,
     pose_remarks,
-    read_geometry,
+    read_any_geometry,
     read_pose,
     selected_labels,
     unit_hint,
@@ -102,7 +102,7 @@ def solve_pose(
     geometry: Path | None, translation: Triple, xyx: Triple, unit: LengthUnit
 ) -> tuple[SolutionSet, list[str]]:
     """Return the branches of `--translation` and `--xyx`, and remarks on a pose that has none or too many."""
-    dimensions = read_geometry(geometry)
+    dimensions = read_any_geometry(geometry)
     solutions = inverse_displacement(dimensions, read_pose(translation, xyx, unit))
     hint = unit_hint("--translation", translation, unit, dimensions)
     remarks = [hint] if hint else pose_remarks(solutions)

@@ -7,7 +7,7 @@ from typing import Any
 import typer
 
 from spm_pin.cli.console import print_table, significant, to_json
-from spm_pin.cli.options import AsJson, Branches, GeometryFile, LengthUnit, Translation, Unit, Xyx, selected_labels
+from spm_pin.cli.options import AnyGeometryFile, AsJson, Branches, LengthUnit, Translation, Unit, Xyx, selected_labels
 from spm_pin.cli.outputs import name_options
 from spm_pin.cli.requested_states import end_command, solve_pose
 from spm_pin.closed_form.singularity_analysis import SingularityKind
@@ -25,7 +25,7 @@ def singularities(
     xyx: Xyx,
     branch: Branches = None,
     unit: Unit = LengthUnit.M,
-    geometry: GeometryFile = None,
+    geometry: AnyGeometryFile = None,
     json: AsJson = False,
 ) -> None:
     """Compute how near each branch of a pose is to a singularity.

@@ -9,9 +9,9 @@ import typer
 
 from spm_pin.cli.console import print_table, significant, to_json
 from spm_pin.cli.options import (
+    AnyGeometryFile,
     AsJson,
     Branches,
-    GeometryFile,
     LengthUnit,
     Translation,
     Triple,
@@ -47,7 +47,7 @@ def statics(
     ] = _NONE,
     branch: Branches = None,
     unit: Unit = LengthUnit.M,
-    geometry: GeometryFile = None,
+    geometry: AnyGeometryFile = None,
     json: AsJson = False,
 ) -> None:
     """Find the leg forces that hold a wrench on the platform, and the leg rates of its twist.

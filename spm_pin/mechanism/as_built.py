@@ -19,7 +19,7 @@ from spm_pin.mechanism import yaml_nodes
 from spm_pin.mechanism.arguments import FloatArray, file_path, generator, instance, real_array, real_number, writing
 from spm_pin.mechanism.geometry import LARGEST, LEGS, SMALLEST, Geometry, LegLimits, geometry_data, geometry_of_node
 
-__all__ = ["PARAMETERS", "AsBuiltGeometry", "all_balls"]
+__all__ = ["PARAMETERS", "AsBuiltGeometry", "all_balls", "any_geometry_from_yaml"]
 
 _KEYS = ("axis", "pivot", "ball", "offset")
 _COMPONENTS = ("direction_1", "direction_2", *(f"{p}_{x}" for p in ("pivot", "ball") for x in "xyz"), "offset")
@@ -265,6 +265,14 @@ class AsBuiltGeometry:
         heading = "# A 3RPS-3SPR manipulator as built, lengths in metres: see AsBuiltGeometry of spm_pin.\n"
         with writing(path, error=GeometryError):
             path.write_text(heading + text, encoding="utf-8")
+
+
+def any_geometry_from_yaml(path: str | Path) -> Geometry | AsBuiltGeometry:
+    """Read a YAML file of dimensions, or one that `AsBuiltGeometry.to_yaml` wrote, by its keys."""
+    root = yaml_nodes.compose(file_path(path, error=GeometryError), "a YAML mapping of dimensions", error=GeometryError)
+    entries = root.value if isinstance(root, yaml.MappingNode) else []
+    keys = {key.value for key, _ in entries if isinstance(key, yaml.ScalarNode)}
+    return AsBuiltGeometry.from_yaml(path) if {"nominal", "legs"} & keys else Geometry.from_yaml(path)
 
 
 def all_balls(geometry: AsBuiltGeometry, lower: FloatArray) -> FloatArray:

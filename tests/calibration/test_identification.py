@@ -257,7 +257,7 @@ def test_a_file_of_measurements_is_read_in_any_order_of_columns(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "columns x, y, z.*without x"),
+        ("", "columns x, y, z.*missing x"),
         (HEADING, "rows of measurements"),
         (f"{HEADING}\n{ROW}\n{ROW},9", r"csv:3: expected 13 numbers, got 14"),
         (f"{HEADING}\n{ROW}\n\n{ROW.replace('1.3', 'nan', 1)}", r"column r_b2 in .*csv:4: expected a finite number"),
@@ -265,9 +265,9 @@ def test_a_file_of_measurements_is_read_in_any_order_of_columns(tmp_path: Path) 
         (f"{HEADING}\n{ROW.replace('2.2', 'high', 1)}", r"column z in .*got 'high'"),
         (f"{HEADING}\n{ROW.replace('2.2', chr(34) + '2,2' + chr(34), 1)}", r"column z.*decimal comma"),
         (f"{HEADING}\n{ROW.replace('0,0,0,1', '0,0,0,2', 1)}", r"qx to qw in .*csv:2.*length 1, got length 2"),
-        (HEADING.replace("r_c3", "r_c4"), r"csv:1.*without r_c3; with r_c4"),
-        (HEADING.replace("qw,", ""), r"csv:1.*without qw"),
-        (f"{HEADING},x", r"csv:1.*with x, x"),
+        (HEADING.replace("r_c3", "r_c4"), r"csv:1.*missing r_c3; unknown or twice r_c4"),
+        (HEADING.replace("qw,", ""), r"csv:1.*missing qw"),
+        (f"{HEADING},x", r"csv:1.*twice x, x"),
     ],
 )
 def test_a_malformed_file_is_refused_with_line_and_column(tmp_path: Path, text: str, message: str) -> None:

@@ -479,6 +479,7 @@ class Interrupting(ClosedForm):
 
 
 WORK: dict[str, tuple[str, list[str]]] = {
+    "calibrate": ("read_measurements", ["measured.csv"]),
     "certify": ("prove", []),
     "crosscheck": ("compare_in_batches", []),
     "demo": ("reproduce", []),
@@ -490,6 +491,7 @@ WORK: dict[str, tuple[str, list[str]]] = {
     "singularities": ("solve_pose", EXAMPLE),
     "statics": ("solve_pose", [*EXAMPLE, *LOAD]),
     "sweep": ("sweeps.run", ["--legs", "1.2:1.3:2", "--out", "map"]),
+    "tolerance": ("analyse", []),
     "urdf": ("read_geometry", []),
     "view": ("requested_solutions", ["--no-open"]),
     "workspace": ("workspace_shell", []),

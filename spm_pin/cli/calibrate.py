@@ -1,0 +1,134 @@
+"""`spm-pin calibrate`: the machine as built from measured poses and leg readings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from spm_pin.calibration import Calibration, identify, read_measurements
+from spm_pin.cli.console import note, print_lines, print_table, significant, to_json
+from spm_pin.cli.options import AnyGeometryFile, AsJson, read_any_geometry
+from spm_pin.cli.outputs import check_output, name_options, require_extra
+from spm_pin.display.figure_files import FORMATS, save_figure
+from spm_pin.mechanism import LEGS, PARAMETERS, AsBuiltGeometry
+
+__all__ = ["calibrate"]
+
+
+@name_options(loss="--loss", parameters="--identify", pose_noise="--pose-noise", length_noise="--length-noise")
+def calibrate(
+    measurements: Annotated[
+        Path,
+        typer.Argument(
+            metavar="CSV", help="Columns x y z [m], qx qy qz qw if orientations were measured, r_b1 to r_c3 [m]."
+        ),
+    ],
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="YAML file of the machine to write.")] = None,
+    figure: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Picture (.png, .svg, .pdf) of the errors to write.")
+    ] = None,
+    identified: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--identify", metavar="NAME", help="Parameters, such as offset or r_b1; may be repeated. All if not."
+        ),
+    ] = None,
+    pose_noise: Annotated[
+        tuple[float, float],
+        typer.Option(metavar="M RAD", help="Standard deviations of measured positions and orientations."),
+    ] = (1e-5, 1e-5),
+    length_noise: Annotated[float, typer.Option(metavar="M", help="Standard deviation of the readings.")] = 1e-6,
+    loss: Annotated[
+        str, typer.Option(help="linear refuses outliers; soft_l1, huber, cauchy give them less weight.")
+    ] = "linear",
+    geometry: AnyGeometryFile = None,
+    json: AsJson = False,
+) -> None:
+    """Identify the machine as built from measured poses and leg readings.
+
+    Example: spm-pin calibrate measurements.csv --out machine.yaml
+
+    Lengths are in metres, angles in radians. The quaternion is the rotation from {m} to {B}, scalar last. The file
+    written can be given as --geometry to other commands. --figure needs the extra "plots".
+    """
+    check_output(out, "--out", (".yaml", ".yml"))
+    if figure is not None:
+        check_output(figure, "--figure", FORMATS)
+        require_extra("plots")
+    dimensions = read_any_geometry(geometry)
+    poses, readings = read_measurements(measurements)
+    found = identify(
+        dimensions,
+        poses,
+        readings,
+        parameters=identified,
+        pose_noise=pose_noise,
+        length_noise=length_noise,
+        loss=loss,
+    )
+    if json:
+        typer.echo(to_json(_content(found)))
+    else:
+        _report(found)
+    if out is not None:
+        found.geometry.to_yaml(out)
+        note(f"wrote {out}")
+    if figure is not None:
+        from spm_pin.display.calibration_plots import calibration_figure
+
+        save_figure(calibration_figure(found), figure)
+        note(f"wrote {figure}")
+
+
+def _sizes(found: Calibration) -> list[tuple[str, str, float, float]]:
+    """Return what is compared, its unit, and its root mean square before and after."""
+    rows = []
+    for name, unit, part in (("position", "mm", slice(3)), ("orientation", "mrad", slice(3, 6))):
+        if found.before[:, part].size:
+            sizes = [1e3 * np.sqrt((e[:, part] ** 2).sum(axis=-1).mean()) for e in (found.before, found.residuals)]
+            rows.append((name, unit, float(sizes[0]), float(sizes[1])))
+    return rows
+
+
+def _report(found: Calibration) -> None:
+    known, total = len(found.deviations), len(found.deviations) + len(found.unidentifiable)
+    misfit = float(np.sqrt((found.misfit[~found.outliers] ** 2).mean()))
+    lines = [f"{known} of {total} combinations of parameters identified from {len(found.misfit)} measurements"]
+    lines += [
+        f"{name} predicted from the readings, RMS error: {before:.3g} {unit} before, {after:.3g} {unit} after"
+        for name, unit, before, after in _sizes(found)
+    ]
+    lines.append(f"residuals are {misfit:.2g} times what the noise given explains")
+    if misfit > 3.0:
+        lines.append("The noise is larger than given, or the machine has errors that are not among the parameters.")
+    scale = np.tile(np.repeat([1.0, 1.0 / found.geometry.nominal.middle_side], [2, 7]), 6)
+    worst = np.argsort(-np.abs(found.identifiable[-1]))[:2]
+    apart = 1e3 * found.deviations[-1] * np.abs(found.identifiable[-1, worst] / scale[worst])
+    units = ["mrad" if k % 9 < 2 else "mm" for k in worst]
+    least = " and ".join(f"{PARAMETERS[k]} by {x:.2g} {u}" for k, x, u in zip(worst, apart, units, strict=True))
+    lines.append(f"least known is the combination that moves {least} (standard deviation)")
+    if found.outliers.any():
+        lines.append(
+            f"outliers in the rows {', '.join(map(str, np.flatnonzero(found.outliers)))} after the heading, from 0"
+        )
+    print_lines(lines)
+    nominal = AsBuiltGeometry.from_nominal(found.geometry.nominal)
+    changes = (found.geometry.parameters - nominal.parameters).reshape(6, 9)
+    names = [name.split(".")[1] for name in PARAMETERS[:9]]
+    table = [[leg, *(significant(1e3 * x, 3) for x in row)] for leg, row in zip(LEGS, changes, strict=True)]
+    print_table("Differences from the nominal machine [mm, mrad]", ["leg", *names], table)
+
+
+def _content(found: Calibration) -> dict[str, Any]:
+    return {
+        "measurements": len(found.misfit),
+        "identified": len(found.deviations),
+        "rms": {name: {"unit": unit, "before": a, "after": b} for name, unit, a, b in _sizes(found)},
+        "misfit": found.misfit,
+        "outliers": np.flatnonzero(found.outliers),
+        "parameters": dict(zip(PARAMETERS, found.geometry.parameters, strict=True)),
+        "standard_deviations": dict(zip(PARAMETERS, np.sqrt(np.diagonal(found.covariance)), strict=True)),
+    }

@@ -1,0 +1,100 @@
+"""`spm-pin calibrate` and `tolerance`, and the file of a machine as built given to other commands."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from calibration.measured import NOMINAL, measure, position_errors
+from cli.running import run
+from scipy.spatial.transform import Rotation
+
+import spm_pin as spm
+
+POSE = ["--translation", "68.89", "49.63", "225.3", "--xyx", "-11.08", "32.97", "-12.88", "--unit", "cm"]
+LEGS = ["--legs", "1.2", "1.2", "1.4", "1.25", "1.2", "1.5"]
+MACHINE = NOMINAL.perturbed(3)
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("calibrate") / "measured.csv"
+    poses, readings = measure(MACHINE, 1)
+    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+    heading = "x,y,z,qx,qy,qz,qw,r_b1,r_b2,r_b3,r_c1,r_c2,r_c3"
+    rows = np.concatenate([poses[:, :3, 3], quaternions, readings], axis=1)
+    np.savetxt(file, rows, delimiter=",", header=heading, comments="", fmt="%.9f")
+    return file
+
+
+def test_a_machine_is_identified_and_written(measured: Path, tmp_path: Path) -> None:
+    out, figure = tmp_path / "machine.yaml", tmp_path / "errors.png"
+    done = run("calibrate", str(measured), "--out", str(out), "--figure", str(figure))
+    assert done.returncode == 0, done.stderr
+    assert "48 of 54 combinations of parameters identified from 40 measurements" in done.stdout
+    assert "least known is the combination that moves" in done.stdout
+    assert position_errors(spm.AsBuiltGeometry.from_yaml(out), MACHINE).max() < 5e-5
+    assert figure.stat().st_size > 10_000
+    for command, arguments in (
+        ("inverse", POSE),
+        ("singularities", POSE),
+        ("statics", [*POSE, "--force", "0", "0", "-9"]),
+        ("forward", LEGS),
+    ):
+        other = run(command, *arguments, "--geometry", str(out))
+        assert other.returncode == 0, other.stderr
+        assert ("TT+" if command != "forward" else "physical") in other.stdout
+    pose = json.loads(run("forward", *LEGS, "--geometry", str(out), "--json").stdout)["modes"][0]["translation"]
+    found = spm.AsBuiltGeometry.from_yaml(out)
+    legs = [float(x) for x in LEGS[1:]]
+    np.testing.assert_allclose(pose, spm.forward_physical(found, legs).translation, atol=1e-12)
+    assert json.loads(run("inverse", *POSE, "--geometry", str(out), "--json").stdout)["degeneracy"] is None
+    again = run("calibrate", str(measured), "--geometry", str(out), "--identify", "offset", "--json")
+    content = json.loads(again.stdout)
+    assert content["identified"] == 6
+    assert content["rms"]["position"]["before"] < 0.03
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        (["forward", "--all", *LEGS], "--geometry: expected dimensions of a drawing for --all"),
+        (
+            ["certify", "--min", "1.1", "--max", "1.5"],
+            "a machine as built. This command is for the machine of",
+        ),
+    ],
+)
+def test_commands_for_the_drawing_refuse_a_machine_as_built(command: list[str], message: str, tmp_path: Path) -> None:
+    file = tmp_path / "machine.yaml"
+    MACHINE.to_yaml(file)
+    done = run(*command, "--geometry", str(file))
+    assert (done.returncode, done.stdout) == (2, "")
+    assert message in done.stderr
+
+
+def test_wrong_measurements_end_with_a_line_on_stderr(measured: Path, tmp_path: Path) -> None:
+    lines = measured.read_text(encoding="utf-8").splitlines()
+    lines[0] = lines[0].replace("r_b1,r_b2", "r_b2,r_b1")
+    wrong = tmp_path / "swapped.csv"
+    wrong.write_text("\n".join(lines), encoding="utf-8")
+    done = run("calibrate", str(wrong))
+    assert done.returncode == 2
+    assert "r_b1 holds r_b2, r_b2 holds r_b1" in done.stderr
+    wrong.write_text("\n".join([lines[0], lines[1].rsplit(",", 1)[0] + ","]), encoding="utf-8")
+    done = run("calibrate", str(wrong))
+    assert done.returncode == 2
+    assert f"column r_c3 in {wrong}:2: expected a finite number, got nothing" in done.stderr
+
+
+def test_tolerances_are_weighed() -> None:
+    done = run("tolerance", "--samples", "20", "--json")
+    content = json.loads(done.stdout)
+    assert content["rms"]["position"] == pytest.approx(8.8e-4, rel=0.05)
+    assert content["sampled_rms"]["position"] == pytest.approx(content["rms"]["position"], rel=0.3)
+    assert next(iter(content["shares"])) == "offset"
+    shown = run("tolerance", "--samples", "0", "--by", "kind", "--offset", "0").stdout
+    assert next(line for line in shown.splitlines() if "offset" in line).split() == ["offset", "0.0%"]
+    assert run("tolerance", "--by", "machine").returncode == 2
