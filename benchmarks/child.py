@@ -90,11 +90,30 @@ def _memory(count: int) -> dict[str, Any]:
     return {"peak": _peak() - before, "answer": kept}
 
 
+def _batch(kind: str, count: int) -> dict[str, Any]:
+    """Time the first large batch of a process: all branches, or the physical one."""
+    import spm_pin as spm
+    from benchmarks.poses import GEOMETRY, tiled
+
+    poses = tiled(count)
+    solve = spm.inverse_displacement if kind == "all" else spm.inverse_physical
+    solve(GEOMETRY, poses[:1])
+    begin = time.perf_counter()
+    with spm.threads(1):
+        solve(GEOMETRY, poses)
+    return {"seconds": time.perf_counter() - begin}
+
+
 def main() -> None:
     """Run the command of the first argument."""
     sys.path.insert(0, str(ROOT))
     command, *arguments = sys.argv[1:]
-    measured = {"import": _import, "first": _first, "memory": lambda: _memory(int(arguments[0]))}
+    measured = {
+        "import": _import,
+        "first": _first,
+        "memory": lambda: _memory(int(arguments[0])),
+        "batch": lambda: _batch(arguments[0], int(arguments[1])),
+    }
     print(json.dumps(measured[command]()))
 
 

@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.machine import describe
 from benchmarks.peers.peers_by_task import PACKAGES
 from benchmarks.report import Facts, Section, write
-from benchmarks.sections import completeness, forward, inverse, roofline, scaling, startup, velocity
+from benchmarks.sections import completeness, forward, inverse, jobs, roofline, scaling, startup, states, velocity
 from benchmarks.targets import check
 from benchmarks.timing import Pace
 
@@ -30,6 +30,8 @@ SECTIONS = {
     "inverse": inverse.measure,
     "velocity": velocity.measure,
     "forward": forward.measure,
+    "states": states.measure,
+    "jobs": jobs.measure,
     "completeness": completeness.measure,
     "scaling": scaling.measure,
     "roofline": roofline.measure,

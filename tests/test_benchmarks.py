@@ -127,6 +127,56 @@ def test_power_of_leg_forces_equals_that_of_the_wrench(peer: Peer) -> None:
     np.testing.assert_allclose(forces, -np.einsum("nij,ni->nj", twists, wrenches), rtol=1e-8, atol=1e-8)
 
 
+def test_plain_pinocchio_has_the_dynamics_of_the_chain() -> None:
+    pytest.importorskip("pinocchio")
+    from benchmarks.peers.one_state import PlainPinocchio
+
+    chain = spm.ClosedChain.from_urdf()
+    plain = PlainPinocchio(chain)
+    for q in chain.joint_values(spm.inverse_physical(GEOMETRY, POSES)):
+        v = chain.joint_velocities(q, [0.1, -0.2, 0.1, 0.2, 0.1, -0.1])
+        a = chain.joint_accelerations(q, v, [1.0, 0.5, -0.5, 0.2, 0.3, 0.1])
+        forces = chain.inverse_dynamics(q, v, a)
+        np.testing.assert_allclose(plain.inverse(q, v, a), forces, rtol=1e-9)
+        np.testing.assert_allclose(plain.forward(q, v, forces), a, atol=1e-8)
+
+
+def test_a_control_tick_lets_the_platform_move_on_evenly() -> None:
+    pytest.importorskip("pinocchio")
+    from benchmarks.sections.jobs import tick, walk
+
+    chain = spm.ClosedChain.from_urdf()
+    lengths = walk(2)
+    rates = (lengths[1] - lengths[0]) / 1e-3
+    forces = tick(chain)(lengths[0], rates)
+    q = chain.forward_kinematics(lengths[0])
+    v = chain.joint_rates(q, rates)
+    a = chain.forward_dynamics(q, v, forces)
+    np.testing.assert_allclose(a, chain.joint_accelerations(q, v, np.zeros(6)), atol=1e-7)
+
+
+def test_metrics_by_numpy_are_those_of_sweeps() -> None:
+    pytest.importorskip("xarray")
+    from benchmarks.sections.jobs import METRICS, box, metrics_by_numpy
+
+    drawn = np.random.default_rng(0).uniform(*np.transpose(box()), (500, 6))
+    poses = spm.pose(drawn[:, :3], xyx=drawn[:, 3:])
+    points = spm.sweeps.Points(GEOMETRY, "pose", drawn)
+    found = metrics_by_numpy(poses)
+    assert found[0].any()
+    for name, values in zip(METRICS, found, strict=True):
+        np.testing.assert_allclose(values, spm.sweeps.METRICS[name].evaluate(points), rtol=1e-9, err_msg=name)
+
+
+def test_singular_values_by_numpy_are_those_of_the_package() -> None:
+    from benchmarks.sections.states import by_numpy
+
+    configuration = states(6)
+    forward, inverse = by_numpy(configuration)
+    smallest = np.concatenate([forward[..., -1], inverse[..., -1]], axis=-1)
+    np.testing.assert_allclose(spm.singularities(configuration).sigma, smallest, atol=1e-14)
+
+
 LENGTHS = np.random.default_rng(1).uniform(1.1, 1.5, (3, 6))
 
 

@@ -15,7 +15,7 @@ from benchmarks.peers.peers_by_task import OURS
 from benchmarks.poses import GEOMETRY, leg_space, tiled
 from benchmarks.report import Facts, Section, count, seconds, size, spread_of_seconds, table, three_digits
 from benchmarks.sections.preparation import Progress
-from benchmarks.timing import Pace, TimedCall, Timing, time_in_turns
+from benchmarks.timing import Pace, Spread, TimedCall, Timing, time_in_turns
 
 __all__ = ["measure"]
 
@@ -72,6 +72,9 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
     arrays = c_loop.Arrays.of(few)
     read = arrays.poses.nbytes / small
     written = (arrays.joints.nbytes + arrays.lengths.nbytes + arrays.status.nbytes) / small
+    least = max(_bounds(limits, operations, read, written, new=False).values())
+    ours = timings[f"{OURS} {small}"].spread
+    facts["roofline/inverse"] = Spread(ours.median / least, ours.low / least, ours.high / least)
     section.add(_account(operations, read, written))
     section.add(_limits_table(limits, timings))
     section.add(_table(limits, operations, read, written, timings, small, large))

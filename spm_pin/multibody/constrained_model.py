@@ -152,6 +152,7 @@ class TreeKinematics:
         self.constrained, self.layout, self.model = constrained, constrained.layout, constrained.model
         self.data = self.model.createData()
         self.q = np.zeros(0)
+        self._values: bytes | None = None
         self.still = np.zeros(self.model.nv)
         # The diagonal of A.
         self.twist_scale = np.array([1.0 / self.layout.side] * 3 + [1.0] * 3)
@@ -163,10 +164,13 @@ class TreeKinematics:
         self._chain = self.layout.v if len(self.layout.others) else None
 
     def evaluate(self, q: FloatArray) -> None:
-        """Set the joint values (nq,) of the model."""
+        """Set the joint values (nq,) of the model; nothing is computed again for the last ones."""
+        values, self.q = q.tobytes(), q
+        if values == self._values:
+            return
+        self._values = values
         pin.computeJointJacobians(self.model, self.data, q)
         pin.updateFramePlacements(self.model, self.data)
-        self.q = q
         known = self.__dict__
         for name in _CACHED:
             known.pop(name, None)

@@ -195,7 +195,9 @@ def require_closed(kinematics: TreeKinematics, v: FloatArray | None = None, argu
     if v is None:
         return
     opening = _largest(kinematics.closures.dot(v))
-    if opening > 0.0 and opening > AGREEMENT * kinematics.speed(v):
+    # A leg's own rate is part of the speed, along one axis or more: quicker, and mostly enough.
+    rate = _largest(v.take(kinematics.constrained.actuated[-6:]))
+    if opening > 0.5 * AGREEMENT * rate and opening > AGREEMENT * kinematics.speed(v):
         expected = "joint velocities that keep the loops closed"
         cause = "joint_velocities makes them from a twist, joint_rates from leg rates"
         raise ArgumentError(argument, expected, f"gaps that open at {opening:.1e} m/s", cause)

@@ -1,0 +1,147 @@
+"""Steps between poses, states and joints: per item of a batch, and of one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import spm_pin as spm
+from benchmarks import child
+from benchmarks.peers.one_state import PlainPinocchio
+from benchmarks.peers.package import renewed
+from benchmarks.poses import GEOMETRY, leg_space, tiled
+from benchmarks.report import Facts, Section, count, spread_of_seconds, table, times
+from benchmarks.sections.preparation import Progress
+from benchmarks.sections.velocity import states
+from benchmarks.timing import Pace, Spread, TimedCall, Timing, time_in_turns
+from spm_pin.closed_form.stage_wrenches import StageWrenches
+
+__all__ = ["by_numpy", "measure"]
+
+_MANY = 10_000
+
+
+def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
+    """Time each step beside the call or the library that it stands on."""
+    section = Section("States and joints")
+    with spm.threads(1):
+        _batches(section, pace, progress, facts)
+        _singles(section, pace, progress, facts)
+        _memory(section, pace, progress, facts)
+    return section
+
+
+def by_numpy(configuration: spm.Configuration) -> list[np.ndarray]:
+    """Return the singular values of J_b, J_c and K (n, 6) by NumPy, with all vectors."""
+    wrenches = StageWrenches.of(configuration)
+    both = [wrenches.matrices("forward"), wrenches.matrices("inverse")]
+    return [np.linalg.svd(matrices)[1] for matrices in both]
+
+
+def _microseconds(timing: Timing) -> Spread:
+    spread = timing.spread
+    return Spread(*(1e6 * x for x in (spread.median, spread.low, spread.high)))
+
+
+def _batches(section: Section, pace: Pace, progress: Progress, facts: Facts) -> None:
+    poses, few = leg_space(_MANY), 1000
+    every = states(_MANY)
+    chain = spm.ClosedChain.from_urdf()
+    physical = spm.inverse_physical(GEOMETRY, poses)
+    some = every[:few]
+    calls = [
+        TimedCall("`inverse_displacement`", lambda: spm.inverse_displacement(GEOMETRY, poses), _MANY),
+        TimedCall("`inverse_physical`", lambda: spm.inverse_physical(GEOMETRY, poses), _MANY),
+        TimedCall(
+            "`SolutionSet.physical` of those", lambda: spm.inverse_displacement(GEOMETRY, poses).physical(), _MANY
+        ),
+        TimedCall("`singularities`", lambda: spm.singularities(renewed(every)), _MANY),
+        TimedCall("the same matrices, `numpy.linalg.svd`", lambda: by_numpy(renewed(some)), few),
+        TimedCall("`ClosedChain.joint_values`", lambda: chain.joint_values(renewed(physical)), _MANY),
+    ]
+    timings = time_in_turns(calls, pace, progress)
+    rows = [[one.name, count(one.items), *spread_of_seconds(timings[one.name].spread)] for one in calls]
+    section.add("Per item of a batch:")
+    section.add(table(["", "items a call", "per item", "quartiles"], rows))
+    facts["states/physical"] = timings["`inverse_physical`"].over(timings["`inverse_displacement`"])
+    facts["states/singularities"] = _microseconds(timings["`singularities`"])
+    facts["states/joint values"] = _microseconds(timings["`ClosedChain.joint_values`"])
+
+
+def _singles(section: Section, pace: Pace, progress: Progress, facts: Facts) -> None:
+    """Time single calls, and the dynamics beside the Pinocchio calls and matrices that are within them."""
+    chain = spm.ClosedChain.from_urdf()
+    plain = PlainPinocchio(chain)
+    pose = leg_space(1)[0]
+    physical = spm.inverse_physical(GEOMETRY, pose)
+    q = chain.joint_values(physical)
+    v = chain.joint_velocities(q, [0.1, -0.2, 0.1, 0.2, 0.1, -0.1])
+    a = chain.joint_accelerations(q, v, [1.0, 0.5, -0.5, 0.2, 0.3, 0.1])
+    # Two states in turns, for the second call about the same one computes less.
+    motions = [(q, v), (chain.forward_kinematics(physical.leg_lengths * 1.001), v)]
+    motions[1] = motions[1][0], chain.joint_velocities(motions[1][0], [0.1, -0.2, 0.1, 0.2, 0.1, -0.1])
+    forces, state = np.full(6, 100.0), chain.state(q, v)
+    accelerations = [a, chain.joint_accelerations(*motions[1], [1.0, 0.5, -0.5, 0.2, 0.3, 0.1])]
+    calls = {
+        "`inverse_physical`": lambda: spm.inverse_physical(GEOMETRY, pose),
+        "`ClosedChain.joint_values`": lambda: chain.joint_values(renewed(physical)),
+        "forward dynamics, Pinocchio's calls alone": lambda: [plain.forward(*m, forces) for m in motions],
+        "`ClosedChain.forward_dynamics`": lambda: [chain.forward_dynamics(*m, forces) for m in motions],
+        "`state.forward_dynamics`": lambda: [state.update(*m).forward_dynamics(forces) for m in motions],
+        "inverse dynamics, Pinocchio's calls alone": lambda: [
+            plain.inverse(*m, x) for m, x in zip(motions, accelerations, strict=True)
+        ],
+        "`ClosedChain.inverse_dynamics`": lambda: [
+            chain.inverse_dynamics(*m, x) for m, x in zip(motions, accelerations, strict=True)
+        ],
+        "`state.inverse_dynamics`": lambda: [
+            state.update(*m).inverse_dynamics(x) for m, x in zip(motions, accelerations, strict=True)
+        ],
+    }
+    timed = [TimedCall(name, call, 1 if k < 2 else 2) for k, (name, call) in enumerate(calls.items())]
+    timings = time_in_turns(timed, pace, progress)
+    rows = []
+    for name, timing in timings.items():
+        kind = "forward" if "forward" in name else "inverse"
+        ratio = timing.over(timings[f"{kind} dynamics, Pinocchio's calls alone"])
+        rows.append([name, *spread_of_seconds(timing.spread), *(times(ratio) if "dynamics" in name else ["", ""])])
+    section.add(
+        "One item a call. Pinocchio's calls alone are those for frames, constraint Jacobian, accelerations and its "
+        "factorisation, without checks of arguments, closure or singularity:"
+    )
+    section.add(table(["one call of", "time", "quartiles", "× Pinocchio's calls", "quartiles"], rows))
+    facts["states/one pose"] = _microseconds(timings["`inverse_physical`"])
+    facts["states/one joint values"] = _microseconds(timings["`ClosedChain.joint_values`"])
+    for kind in ("forward", "inverse"):
+        ratio = timings[f"`state.{kind}_dynamics`"].over(timings[f"{kind} dynamics, Pinocchio's calls alone"])
+        facts[f"states/{kind} dynamics"] = ratio
+
+
+def _memory(section: Section, pace: Pace, progress: Progress, facts: Facts) -> None:
+    """Time first calls on new memory, and large batches on memory written before."""
+    repeats, rows = 3 if pace.quick else 5, []
+    for command, key, text in (
+        ("all", "states/fresh all", "`inverse_displacement`"),
+        ("physical", "states/fresh physical", "`inverse_physical`"),
+    ):
+        progress(f"first large batch of {command}")
+        measured = [child.measure("batch", command, "100000")["seconds"] / 1e5 for _ in range(repeats)]
+        rows.append(
+            [
+                f"{text}, {count(100_000)} poses, the first large call of a process",
+                *spread_of_seconds(Spread.of(measured)),
+            ]
+        )
+        facts[key] = Spread.of(1e6 * np.array(measured))
+    n = 100_000 if pace.quick else 1_000_000
+    large, small = tiled(n), leg_space(_MANY)
+    found, less = spm.inverse_displacement(GEOMETRY, large), spm.inverse_displacement(GEOMETRY, small)
+    names = [f"`inverse_displacement(out=...)`, {count(n)} poses", f"the same, {count(_MANY)}"]
+    calls = [
+        TimedCall(names[0], lambda: spm.inverse_displacement(GEOMETRY, large, out=found), n),
+        TimedCall(names[1], lambda: spm.inverse_displacement(GEOMETRY, small, out=less), _MANY),
+    ]
+    timings = time_in_turns(calls, Pace(max(5, pace.rounds // 3), pace.turn), progress)
+    facts["states/out"] = timings[names[0]].over(timings[names[1]])
+    rows += [[name, *spread_of_seconds(timings[name].spread)] for name in names]
+    section.add("Memory new from the system, and memory written before:")
+    section.add(table(["", "per pose", "quartiles"], rows))
