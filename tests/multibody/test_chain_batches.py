@@ -81,6 +81,18 @@ def test_state_and_chain_return_the_same() -> None:
         one.leg_forces(np.zeros((2, 6)))
 
 
+def test_joint_values_that_change_in_place_are_computed_anew() -> None:
+    robot, (_, q) = chain(), placed("paper", 1, seed=307)[0]
+    once, before = robot.closure_gap(q), robot.constraint_jacobian(q)
+    q = q.copy()
+    assert np.array_equal(robot.constraint_jacobian(q), before)
+    q[robot.leg_indices[0]] += 0.01
+    assert np.abs(robot.closure_gap(q) - once).max() > 1e-3
+    assert np.abs(robot.constraint_jacobian(q) - before).max() > 1e-4
+    q[robot.leg_indices[0]] -= 0.01
+    np.testing.assert_allclose(robot.constraint_jacobian(q), before, atol=1e-14)
+
+
 def test_axes_broadcast() -> None:
     robot, rng = chain(), np.random.default_rng(302)
     q = np.array([state[1] for state in placed("paper", 2, seed=303)[:3]])
