@@ -74,7 +74,7 @@ def test_random_modes_arrive_where_fine_steps_lead() -> None:
     check_arrivals(count=25, seed=411, parts=100)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.slow
 def test_a_thousand_random_modes_arrive_where_steps_a_thousand_times_finer_lead() -> None:
     """About 0.2 s a mode: four minutes in all."""
     check_arrivals(count=1000, seed=412, parts=1000)

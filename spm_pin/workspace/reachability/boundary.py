@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Boundary", "BoundaryPoints", "reachable_boundary"]
 
-_BESIDE = (0.05, 0.4)
+_BESIDE = 0.05
+"""Share of the way from a point found nearest to the given one, where nothing may be nearer."""
 
 IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]
@@ -177,19 +178,18 @@ class Boundary:
 def _globally_nearest(box: LegBox, points: FloatArray) -> Nearest:
     """Return the reachable point nearest to each of `points` (N, 3) outside, searched again from just beside it."""
     found = nearest_in_box(box, points)
-    for share in _BESIDE:
-        left = np.flatnonzero(found.distance > RESOLUTION * box.size)
-        while len(left):
-            # Nothing is reachable inside the sphere around `points`; if something is, it is a better beginning.
-            here, distance = found.position[left], found.distance[left]
-            beside = nearest_in_box(box, here + share * (points[left] - here))
-            wrong = beside.distance < (1.0 - 1e-6) * share * distance
-            left = left[wrong]
-            better = nearest_in_box(box, points[left], beside.coordinates[wrong])
-            nearer = np.flatnonzero(better.distance < (1.0 - 1e-9) * found.distance[left])
-            left = left[nearer]
-            found = merged(found, left, better.part(nearer))
-            left = left[found.distance[left] > RESOLUTION * box.size]
+    left = np.flatnonzero(found.distance > RESOLUTION * box.size)
+    while len(left):
+        # Nothing is reachable inside the sphere around `points`; if something is, it is a better beginning.
+        here, distance = found.position[left], found.distance[left]
+        beside = nearest_in_box(box, here + _BESIDE * (points[left] - here))
+        wrong = np.flatnonzero(beside.distance < (1.0 - 1e-6) * _BESIDE * distance)
+        left = left[wrong]
+        better = nearest_in_box(box, points[left], beside.coordinates[wrong])
+        nearer = np.flatnonzero(better.distance < (1.0 - 1e-9) * found.distance[left])
+        left = left[nearer]
+        found = merged(found, left, better.part(nearer))
+        left = left[found.distance[left] > RESOLUTION * box.size]
     return found
 
 
@@ -244,12 +244,12 @@ def reachable_boundary(
         raise MissingExtraError("workspace", "scikit-image") from missing
     box = leg_box(geometry, limits)
     origin, shape = lattice(box, spacing)
-    inside = classified(box, origin, shape, spacing, progress)
+    inside, states = classified(box, origin, shape, spacing, progress)
     if not inside.any():
         smallest = float((box.extent[1] - box.extent[0]).min())
         cause = f"No node of the grid is reachable; the reachable set is about {smallest:.2g} m"
         raise ArgumentError("spacing", "a spacing much smaller than the reachable set, in metres", spacing, cause)
     corners, faces, _, _ = measure.marching_cubes(np.where(inside, 1.0, -1.0), 0.0)
-    vertices, lengths = crossings(box, origin, spacing, corners.astype(np.float64), inside, progress)
+    vertices, lengths = crossings(box, origin, spacing, corners.astype(np.float64), inside, states, progress)
     boundary = Boundary(geometry, box.limits, float(spacing), vertices, lengths, faces.astype(np.intp))
     return boundary if boundary.volume > 0.0 else replace(boundary, faces=boundary.faces[:, ::-1])

@@ -38,8 +38,11 @@ def lattice(box: LegBox, spacing: float) -> tuple[FloatArray, tuple[int, int, in
 
 def classified(
     box: LegBox, origin: FloatArray, shape: tuple[int, int, int], spacing: float, progress: Progress | None
-) -> BoolArray:
-    """Return which nodes are reachable, shape `shape`; the farther away, the coarser the grid that is searched."""
+) -> tuple[BoolArray, FloatArray]:
+    """Return which nodes are reachable, shape `shape`, and states (*shape, 2, 3) there.
+
+    The farther away, the coarser the grid that is searched.
+    """
     index = np.indices(shape).reshape(3, -1).T
     nodes = origin + spacing * index
     inside, known = np.zeros(len(nodes), dtype=bool), np.zeros(len(nodes), dtype=bool)
@@ -72,7 +75,7 @@ def classified(
             beside = fresh[~inside[fresh + step]] + step
             search("nodes beside reachable ones", beside, states[beside - step])
         fresh = np.flatnonzero(inside & ~before)
-    return inside.reshape(shape)
+    return inside.reshape(shape), states.reshape(*shape, 2, 3)
 
 
 def crossings(
@@ -81,27 +84,34 @@ def crossings(
     spacing: float,
     corners: FloatArray,
     inside: BoolArray,
+    states: FloatArray,
     progress: Progress | None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Move vertices of marching cubes (V, 3), in units of the grid, to the boundary; return them and leg lengths."""
+    """Move vertices of marching cubes (V, 3), in units of the grid, to the boundary; return them and leg lengths.
+
+    `inside` and `states` are those of `classified`.
+    """
     first, last = np.floor(corners).astype(int), np.ceil(corners).astype(int)
     a, b = inside[tuple(first.T)], inside[tuple(last.T)]
-    inner, outer = np.where(a[:, None], first, last), np.where(a[:, None], last, first)
-    ends = [origin + spacing * end for end in (inner, outer)]
+    nodes = np.where(a[:, None], first, last)
+    inner, outer = nodes.astype(np.float64), np.where(a[:, None], last, first).astype(np.float64)
+    known = states[tuple(nodes.T)]
     # A vertex in the middle of a cube, which some ambiguous ones have, is on no edge.
     for k in np.flatnonzero((a == b) | ((last - first).sum(axis=-1) != 1)):
         cube = np.floor(corners[k]).astype(int) + np.indices((2, 2, 2)).reshape(3, -1).T
         reached = inside[tuple(cube.T)]
-        middle = origin + spacing * corners[k]
-        centre = search_states(box, middle[None]).reached[0]
-        ends[0][k] = middle if centre else origin + spacing * cube[reached][0]
-        ends[1][k] = origin + spacing * cube[~reached][0] if centre else middle
-    vertices, lengths = np.empty((len(corners), 3)), np.empty((len(corners), 6))
+        centre = search_states(box, origin + spacing * corners[k : k + 1])
+        if centre.reached[0]:
+            inner[k], outer[k], known[k] = corners[k], cube[~reached][0], centre.coordinates[0]
+        else:
+            inner[k], outer[k], known[k] = cube[reached][0], corners[k], states[tuple(cube[reached][0])]
+    parts = []
     for begin in range(0, len(corners), _PORTION):
         if progress is not None:
             progress("vertices", begin, len(corners))
         part = slice(begin, begin + _PORTION)
-        vertices[part], lengths[part] = crossing(box, ends[0][part], ends[1][part])
+        parts.append(crossing(box, origin + spacing * inner[part], origin + spacing * outer[part], known[part]))
     if progress is not None:
         progress("vertices", len(corners), len(corners))
-    return vertices, lengths
+    vertices, lengths = zip(*parts, strict=True)
+    return np.concatenate(vertices), np.concatenate(lengths)

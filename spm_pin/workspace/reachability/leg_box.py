@@ -15,13 +15,14 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import ConvexHull, KDTree
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, first_offender, instance
 from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
-from spm_pin.workspace.reachability.position_map import PositionMap, inverses, rotated, stage_centre
+from spm_pin.workspace.reachability.position_map import PositionMap, rotated, stage_centre
 from spm_pin.workspace.reachability.stage_set import StageSet
 
 __all__ = ["LegBox", "leg_box"]
@@ -34,7 +35,7 @@ _VOXELS = 64
 _MARGIN = 0.15
 """Margin of the table around S, relative to its size."""
 _CELLS = 20
-_PORTION = 64
+_PORTION, _POOL = 64, 512
 _SEED = 20_140_131  # of the samples, fixed so that results repeat
 
 
@@ -63,7 +64,7 @@ class LegBox:
         g = self.geometry
         return float(g.base_radius + g.platform_radius + g.middle_side + self.maximum.max())
 
-    @property
+    @cached_property
     def map(self) -> PositionMap:
         """The states of a real machine by the coordinates of their stages."""
         return PositionMap(self.geometry)
@@ -104,12 +105,6 @@ class LegBox:
     def tree(self) -> KDTree:
         """Search tree of the positions of o at the samples."""
         return KDTree(self.map.points(self.sample)[0])
-
-    @cached_property
-    def regular(self) -> FloatArray:
-        """A typical determinant of the derivatives of each stage's lengths, shape (2,) [m³], with its sign."""
-        both = np.stack([sample[: len(self._samples[0])] for sample in self._samples], axis=1)
-        return np.asarray(np.median(inverses(self.map.legs(both)[1])[1], axis=0))
 
     @cached_property
     def _seen(self) -> tuple[FloatArray, KDTree]:
@@ -173,7 +168,7 @@ class LegBox:
         """Farther than this nothing is reachable by the distances of `nearby` [m]: 1.42 spacings were observed."""
         return 2.5 * self.spacing
 
-    def nearby(self, points: FloatArray, count: int = 1) -> tuple[FloatArray, FloatArray]:
+    def nearby(self, points: FloatArray, count: int = 1, *, spread: bool = False) -> tuple[FloatArray, FloatArray]:
         """Search the samples for states that put o near points.
 
         Parameters
@@ -182,6 +177,8 @@ class LegBox:
             In {B} [m].
         count : int
             How many states for each point.
+        spread : bool
+            Not the best ones, but after the best those among the best 512 whose lower stages differ most.
 
         Returns
         -------
@@ -190,13 +187,14 @@ class LegBox:
         coordinates : ndarray, shape (N, count, 2, 3)
             States within the limits, the best first.
         """
+        pool = _POOL if spread else count
         table, origin, spacing = self._table
         rotation, offset = self._views
         scaled = (np.swapaxes(rotation, 0, 1).reshape(3, -1) / spacing).astype(np.float32)
         shift = (((offset + origin) / spacing).ravel()).astype(np.float32)
         last, strides = np.array(table.shape) - 1, np.array(table.strides, dtype=np.int32) // table.itemsize
         low, high = self.extent
-        best, distance = np.empty((len(points), count), dtype=np.intp), np.empty(len(points))
+        best, distance = np.empty((len(points), pool), dtype=np.intp), np.empty(len(points))
         for begin in range(0, len(points), _PORTION):
             part = slice(begin, begin + _PORTION)
             index = np.clip(points[part], low, high).astype(np.float32) @ scaled
@@ -206,12 +204,25 @@ class LegBox:
             place += np.clip(cells[..., 1], 0, last[1]) * strides[1]
             place += np.clip(cells[..., 2], 0, last[2])
             found = table.ravel()[place]
-            order = np.argpartition(found, range(count), axis=1)[:, :count]
+            order = np.argpartition(found, (0, pool - 1) if spread else range(count), axis=1)[:, :pool]
             best[part], distance[part] = order, found[np.arange(len(found)), order[:, 0]]
+        if spread:
+            best = np.take_along_axis(best, _far_apart(self._samples[0][best], count), axis=1)
         lower = self._samples[0][best]
         seen = (np.swapaxes(rotation[best], -1, -2) @ points[:, None, :, None])[..., 0] - offset[best]
         upper = self._samples[1][self._seen[1].query(seen)[1]]
         return distance, np.stack([lower, upper], axis=2)
+
+
+def _far_apart(points: FloatArray, count: int) -> npt.NDArray[np.intp]:
+    """Return which of points (N, M, 3) to choose so that the next one is the farthest from all before, (N, count)."""
+    chosen = np.zeros((len(points), count), dtype=np.intp)
+    distance = np.full(points.shape[:2], np.inf)
+    for k in range(1, count):
+        last = points[np.arange(len(points)), chosen[:, k - 1], None]
+        distance = np.minimum(distance, ((points - last) ** 2).sum(axis=-1))
+        chosen[:, k] = distance.argmax(axis=1)
+    return chosen
 
 
 def leg_box(geometry: Geometry, limits: LegLimits | None = None) -> LegBox:

@@ -7,14 +7,20 @@ n = (y - p)/|y - p| is an outward normal of W, and with the gradient q_i = n·�
 
     q_i = 0 for a free leg,    q_i ≥ 0 for one at its maximum,    q_i ≤ 0 for one at its minimum.            (1)
 
-So a leg is at a limit, or n annihilates the whole 3 x 6 Jacobian of the position, which then has lost its rank. For
-three points, the platform's joints c_1, c_2, c_3, the same finds the nearest pose; n and q are those of all nine
+So a leg is at a limit, or n annihilates the whole 3 x 6 Jacobian of the position, which then has lost its rank; or a
+stage is at a forward singularity, where p has no derivative. In the coordinates c of the stages all these are the
+conditions of Karush, Kuhn and Tucker, with q as the multipliers of the limits. They are found by the method of
+multipliers (Bertsekas, "Constrained Optimization and Lagrange Multiplier Methods", 1982, chapter 3): what is outside
+limits counts in the least squares, and limits are shifted against it until nothing is.
+
+For three points, the platform's joints c_1, c_2, c_3, the same finds the nearest pose; n and q are those of all nine
 coordinates over √3.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,26 +28,23 @@ import numpy.typing as npt
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.workspace.reachability.leg_box import LegBox
-from spm_pin.workspace.reachability.position_map import PositionMap
-from spm_pin.workspace.reachability.state_search import RESOLUTION, damped_solution, search_states
+from spm_pin.workspace.reachability.state_search import RESOLUTION, StateSearch, search_states
 
-__all__ = ["LegSearch", "Nearest", "merged", "nearest_in_box"]
+__all__ = ["CLEAR", "Nearest", "approach", "merged", "nearest_in_box", "settle"]
 
-BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.intp]
 
-_EPS = float(np.finfo(np.float64).eps)
+CLEAR = 1e-6
+"""How far from forward singularities states are kept: nearer, rounding of the lengths moves o farther than that."""
 _CHUNK = 8192
-_GAUSS_NEWTON, _NEWTON = 30, 200
-_STALLED, _PROGRESS = 10, 1e-6
-_SHORTEST = 1e4  # damping with which no step is worth another
+_ROUNDS = 30
+_WEIGHTS, _REMOTE = (1.0, 3.0, 10.0), 1000.0
+_STEPS, _PROGRESS = 200, 1e-6
+_SHIFTED = 1e-13
 _FLAT = 1e-9
-"""Largest gradient at which no free leg length makes the distance shorter."""
-_DAMPING, _LEAST_DAMPING = 1e-4, 1e-12
-_STARTS, _REMOTE_STARTS = 2, 3
-_CENTRE = np.zeros((1, 3))
-_STRAYED = 1e-9
-_DIFFERENCE = 1e-4  # of lengths, relative to the machine: the rounding of a second derivative is its square's inverse
+"""Slope at which no change of the state makes the distance shorter."""
+_STARTS, _REMOTE_STARTS = 1, 3
+_STRAYED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -59,8 +62,8 @@ class Nearest:
     gradient : ndarray, shape (N, 6)
         q of Eq. (1), with n towards the given point; zero where that is reachable.
     optimality : ndarray, shape (N,)
-        By how much q violates Eq. (1), the largest of the six; zero where the point is reachable. Infinite where the
-        search has left the mode of a real machine; then the state is the one it began with.
+        By how much n and q miss the conditions of a nearest point; zero where the point is reachable. Infinite where
+        the search has left the mode of a real machine; then the state is the one it began with.
     coordinates : ndarray, shape (N, 2, 3)
         The state for `spm_pin.workspace.reachability.position_map`, to begin another search with.
     """
@@ -98,211 +101,85 @@ def nearest_in_box(box: LegBox, points: FloatArray, starts: FloatArray | None = 
         States within the box to begin with, as in `Nearest.coordinates`. If not given, `search_states` says which
         points are reachable, and the others begin at the best states of `LegBox.nearby`.
     """
-    if not len(points):
-        return LegSearch(box, points, np.empty((0, 2, 3))).result()
-    return _joined([_nearest(box, points, starts, slice(k, k + _CHUNK)) for k in range(0, len(points), _CHUNK)])
+    parts = [_nearest(box, points, starts, slice(k, k + _CHUNK)) for k in range(0, max(len(points), 1), _CHUNK)]
+    return Nearest(*(np.concatenate([getattr(one, name) for one in parts]) for name in Nearest.__dataclass_fields__))
 
 
 def _nearest(box: LegBox, points: FloatArray, starts: FloatArray | None, part: slice) -> Nearest:
+    points = points[part]
     if starts is not None:
-        search = LegSearch(box, points[part], starts[part])
-        search.approach()
+        first, choice = starts[part], starts[part][:, None]
     else:
-        found = search_states(box, points[part])
-        search = LegSearch(box, points[part], found.coordinates)
+        found = search_states(box, points)
+        first = found.coordinates
+        # Far away what misses least is not the nearest.
+        choice = np.repeat(first[:, None], 1 + _STARTS + _REMOTE_STARTS, axis=1)
         left = np.flatnonzero(~found.reached)
-        _, others = box.nearby(points[part][left], _STARTS)
-        # Far away the other ones are not the best.
-        remote = box.sample[box.tree.query(points[part][left], _REMOTE_STARTS)[1]]
-        others = np.concatenate([others, remote], axis=1)
-        for k in range(others.shape[1]):
-            other = LegSearch(box, points[part][left], others[:, k])
-            other.approach()
-            search.take(left, other)
-    search.settle()
-    return search.result()
+        choice[left, 1 : 1 + _STARTS] = box.nearby(points[left], _STARTS)[1]
+        choice[left, 1 + _STARTS :] = box.sample[box.tree.query(points[left], _REMOTE_STARTS)[1]]
+    search = approach(box, points, choice, clear=CLEAR)
+    settle(search)
+    return _result(box, points, first, search)
 
 
-def _joined(parts: list[Nearest]) -> Nearest:
-    names = Nearest.__dataclass_fields__
-    return Nearest(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+def approach(box: LegBox, targets: FloatArray, starts: FloatArray, **options: Any) -> StateSearch:
+    """Go from all `starts` (N, M, 2, 3) by Gauss-Newton, with limits that give way, and return a search at the best.
 
-
-class LegSearch:
-    """Gauss-Newton and Newton's method over the leg lengths, for N members at once.
-
-    Both are projected on the box: a leg at a limit stays there if the gradient holds it there, see Bertsekas, SIAM J.
-    Control Optim. 20 (1982) 221. Steps are damped until they reduce the distance.
-
-    Parameters
-    ----------
-    box : LegBox
-        The leg lengths.
-    targets : ndarray, shape (N, 3K)
-        Where the points of `body` should be [m].
-    coordinates : ndarray, shape (N, 2, 3)
-        States within the box to begin with.
-    body : ndarray, shape (K, 3)
-        Points in {m} [m].
-    mapping : PositionMap, optional
-        Of the family of the states, if that is not TT.
+    `options` are those of `StateSearch`.
     """
-
-    def __init__(
-        self,
-        box: LegBox,
-        targets: FloatArray,
-        coordinates: FloatArray,
-        body: FloatArray = _CENTRE,
-        mapping: PositionMap | None = None,
-    ) -> None:
-        self.box, self.body, self.map = box, body, mapping or box.map
-        self.scale = 1.0 / np.sqrt(len(body))
-        self.points, self.first, self.coordinates = self.scale * targets, coordinates, coordinates.copy()
-        self.lengths = box.snapped(self.map.lengths(coordinates))
-        self.position, self.jacobian = self._positions(coordinates)
-        self.damping = np.full(len(targets), _DAMPING)
-
-    def _positions(self, coordinates: FloatArray) -> tuple[FloatArray, FloatArray]:
-        position, jacobian = self.map.position(coordinates, self.body)
-        return self.scale * position, self.scale * jacobian
-
-    @property
-    def distance(self) -> FloatArray:
-        """From the targets, shape (N,) [m]."""
-        return np.asarray(np.sqrt(((self.position - self.points) ** 2).sum(axis=-1)))
-
-    def take(self, index: IntArray, other: LegSearch) -> None:
-        """Take over what `other` found nearer, for the points `index`."""
-        better = other.distance < self.distance[index]
-        for name in ("coordinates", "lengths", "position", "jacobian"):
-            getattr(self, name)[index[better]] = getattr(other, name)[better]
-
-    def approach(self, steps: int = _GAUSS_NEWTON) -> None:
-        """Go by Gauss-Newton, which arrives where the point is reachable, or free legs move o only along the set."""
-        self._iterate(np.arange(len(self.points)), steps, exact=False)
-
-    def settle(self) -> None:
-        """Go on by Newton's method where that has not arrived."""
-        self.damping[:] = _DAMPING
-        self._iterate(np.arange(len(self.points)), _NEWTON, exact=True)
-
-    def _projected(self, lengths: FloatArray, jacobian: FloatArray, error: FloatArray) -> tuple[BoolArray, FloatArray]:
-        """Return which legs a limit holds, and Jᵀ (p - y) without them, both (n, 6)."""
-        slope = (jacobian * error[:, :, None]).sum(axis=1)
-        held = ((lengths <= self.box.minimum) & (slope > 0.0)) | ((lengths >= self.box.maximum) & (slope < 0.0))
-        return held, np.where(held, 0.0, slope)
-
-    def _step(
-        self, index: IntArray, error: FloatArray, held: BoolArray, slope: FloatArray, *, exact: bool
-    ) -> FloatArray:
-        """Return the change of the lengths, (n, 6), that leads to the nearest point to second order within the limits.
-
-        Legs that would go beyond a limit stop there, and the others go where that is best.
-        """
-        jacobian, lengths, damping = self.jacobian[index], self.lengths[index], self.damping[index]
-        hessian = np.swapaxes(jacobian, -1, -2) @ jacobian
-        if exact:
-            hessian = hessian + self._curvature(index, error)
-        low, high = self.box.minimum - lengths, self.box.maximum - lengths
-        step = np.zeros_like(slope)
-        left, fixed = np.arange(len(index)), held.copy()
-        while len(left):
-            stop = fixed[left]
-            # Legs at a limit change the step of the others.
-            right = slope[left] + (hessian[left] @ np.where(stop, step[left], 0.0)[..., None])[..., 0]
-            right = np.where(stop, 0.0, right)
-            matrix = np.where(stop[:, :, None] | stop[:, None, :], np.eye(6), hessian[left])
-            if exact:
-                solved = _newton_step(matrix, right, damping[left])
-            else:
-                solved = damped_solution(matrix, right, damping[left])
-            if not np.isfinite(solved).all():
-                solved = np.nan_to_num(solved, nan=0.0, posinf=0.0, neginf=0.0)
-            free = np.where(stop, step[left], -solved)
-            step[left] = np.clip(free, low[left], high[left])
-            beyond = (step[left] != free) & ~stop
-            fixed[left] |= beyond
-            left = left[beyond.any(axis=-1)]
-        return step
-
-    def _iterate(self, active: IntArray, steps: int, *, exact: bool) -> None:
-        box = self.box
-        before = self.distance
-        for count in range(1, steps + 1):
-            if count % _STALLED == 0:
-                # Towards a forward singularity steps become shorter and shorter.
-                distance = self.distance[active]
-                active = active[distance <= (1.0 - _PROGRESS) * before[active]] if count > _STALLED else active
-                before[active] = self.distance[active]
-            error = self.position[active] - self.points[active]
-            held, slope = self._projected(self.lengths[active], self.jacobian[active], error)
-            distance = np.sqrt((error**2).sum(axis=-1))
-            arrived = distance <= 1e-3 * RESOLUTION * box.size
-            arrived |= np.abs(slope).max(axis=-1, initial=0.0) <= _FLAT * distance
-            arrived |= self.damping[active] > _SHORTEST
-            going = ~arrived
-            active, error, held, slope = active[going], error[going], held[going], slope[going]
-            if not len(active):
-                break
-            step = self._step(active, error, held, slope, exact=exact)
-            lengths = box.snapped(self.lengths[active] + step)
-            coordinates = self.map.moved(self.coordinates[active], lengths)
-            position, derivatives = self._positions(coordinates)
-            # False for what does not exist. At the end, what a step gains is less than the rounding of the distance.
-            moved = position - self.points[active]
-            change = np.sqrt((moved**2).sum(axis=-1)) - distance[going]
-            _, after = self._projected(lengths, derivatives, moved)
-            flatter = np.abs(after).max(axis=-1, initial=0.0) < np.abs(slope).max(axis=-1, initial=0.0)
-            better = (change < -4.0 * _EPS * box.size) | ((change < 4.0 * _EPS * box.size) & flatter)
-            chosen = active[better]
-            self.lengths[chosen], self.position[chosen] = lengths[better], position[better]
-            self.jacobian[chosen], self.coordinates[chosen] = derivatives[better], coordinates[better]
-            damping = self.damping[active]
-            self.damping[active] = np.where(better, np.maximum(0.1 * damping, _LEAST_DAMPING), 10.0 * damping)
-
-    def _curvature(self, index: IntArray, error: FloatArray) -> FloatArray:
-        """Return the second derivatives of error·p, (n, 6, 6), from differences of the Jacobian."""
-        h = _DIFFERENCE * self.box.size
-        shifted = self.lengths[index, None, :] + h * np.concatenate([np.eye(6), -np.eye(6)])
-        start = np.repeat(self.coordinates[index], 12, axis=0)
-        _, jacobian = self._positions(self.map.moved(start, np.maximum(shifted, h).reshape(-1, 6)))
-        slopes = (jacobian.reshape(len(index), 12, -1, 6) * error[:, None, :, None]).sum(axis=-2)
-        matrix = (slopes[:, :6] - slopes[:, 6:]) / (2.0 * h)
-        matrix = 0.5 * (matrix + np.swapaxes(matrix, -1, -2))
-        return np.where(np.isfinite(matrix).all(axis=(-1, -2), keepdims=True), matrix, 0.0)
-
-    def result(self) -> Nearest:
-        """Return what was found by a search for o, each state checked against the mode of a real machine.
-
-        One that has left it is replaced by the state that it began with.
-        """
-        states = forward_physical(self.box.geometry, self.lengths)
-        with np.errstate(invalid="ignore"):
-            strayed = ~(
-                np.abs(states.translation - self.position).max(axis=-1, initial=0.0) <= _STRAYED * self.box.size
-            )
-        if strayed.any():
-            first = LegSearch(self.box, self.points[strayed], self.first[strayed])
-            for name in ("coordinates", "lengths", "position", "jacobian"):
-                getattr(self, name)[strayed] = getattr(first, name)
-        error = self.position - self.points
-        _, slope = self._projected(self.lengths, self.jacobian, error)
-        gradient = (self.jacobian * error[:, :, None]).sum(axis=1)
-        distance = self.distance
-        remote = distance > RESOLUTION * self.box.size
-        scale = np.where(remote, -distance, 1.0)[:, None]
-        optimality = np.where(remote, np.abs(slope / scale).max(axis=-1, initial=0.0), 0.0)
-        optimality[strayed] = np.inf
-        gradient = np.where(remote[:, None], gradient / scale, 0.0)
-        return Nearest(self.position, self.lengths, distance, gradient, optimality, self.coordinates)
+    count, members = starts.shape[1], np.arange(len(targets))
+    search = StateSearch(box, np.repeat(targets, count, axis=0), starts.reshape(-1, 2, 3), **options)
+    everywhere = np.arange(len(search.targets))
+    _weigh(search, everywhere, _WEIGHTS[0])
+    search.iterate(everywhere)
+    best = search.gap.reshape(-1, count).argmin(axis=1)
+    return StateSearch(box, targets, search.coordinates.reshape(-1, count, 2, 3)[members, best], **options)
 
 
-def _newton_step(matrix: FloatArray, right: FloatArray, damping: FloatArray) -> FloatArray:
-    """Return the solution (N, n) with the absolute eigenvalues of symmetric matrices (N, n, n), and damping."""
-    good = np.asarray(np.isfinite(matrix).all(axis=(-1, -2)))
-    values, vectors = np.linalg.eigh(np.where(good[:, None, None], matrix, 0.0))
-    values = np.abs(values)
-    values += damping[:, None] * np.maximum(values.max(axis=-1, keepdims=True), np.finfo(float).tiny)
-    turned = np.swapaxes(vectors, -1, -2) @ np.where(good[:, None], right, 0.0)[..., None]
-    return np.asarray((vectors @ (turned / values[..., None]))[..., 0])
+def settle(search: StateSearch) -> None:
+    """Go from there to the nearest state within the limits, by Newton's method."""
+    active = np.flatnonzero(search.distance > RESOLUTION * search.box.size)
+    for count in range(_ROUNDS):
+        if not len(active):
+            break
+        _weigh(search, active, _WEIGHTS[min(count, len(_WEIGHTS) - 1)])
+        search.iterate(active, exact=True, flat=_FLAT, progress=_PROGRESS, steps=_STEPS)
+        before = search.shifts[active]
+        search.shifts[active] = search.residual[active, -8:] / search.weights[active, None]
+        search.refresh(active)
+        change = np.abs(search.shifts[active] - before).max(axis=-1)
+        active = active[~(change <= _SHIFTED * search.box.size)]
+
+
+def _weigh(search: StateSearch, members: IntArray, weight: float) -> None:
+    """Set what legs outside limits weigh: more where the target is remote. Forces of the limits stay what they are."""
+    before = search.weights[members, None]
+    search.weights[members] = weight * np.sqrt(np.maximum(1.0, _REMOTE * search.distance[members] / search.box.size))
+    search.shifts[members] *= (before / search.weights[members, None]) ** 2
+    search.refresh(members)
+
+
+def _result(box: LegBox, points: FloatArray, first: FloatArray, search: StateSearch) -> Nearest:
+    """Return what was found by a search for o, each state checked against the mode of a real machine.
+
+    One that has left it is replaced by the state that it began with.
+    """
+    lengths = box.snapped(box.map.lengths(search.coordinates))
+    lengths = np.where(search.shifts[:, :6] > 0.0, box.maximum, lengths)
+    lengths = np.where(search.shifts[:, :6] < 0.0, box.minimum, lengths)
+    states = forward_physical(box.geometry, lengths)
+    position, coordinates = states.translation.copy(), search.coordinates
+    with np.errstate(invalid="ignore"):
+        strayed = ~(np.abs(position - search.position).max(axis=-1, initial=0.0) <= _STRAYED * box.size)
+    coordinates[strayed] = first[strayed]
+    position[strayed], lengths[strayed] = (
+        array[strayed] for array in (box.map.points(first)[0], box.map.lengths(first))
+    )
+    distance = np.sqrt(((points - position) ** 2).sum(axis=-1))
+    remote = distance > RESOLUTION * box.size
+    scale = np.where(remote, distance, np.inf)
+    gradient = search.weights[:, None] ** 2 * search.shifts[:, :6] / scale[:, None]
+    slope = np.einsum("nij,ni->nj", search.jacobian, search.residual)
+    optimality = np.abs(slope).max(axis=-1, initial=0.0) / scale
+    gradient[strayed], optimality[strayed] = 0.0, np.inf
+    return Nearest(position, box.snapped(lengths), distance, gradient, optimality, coordinates)

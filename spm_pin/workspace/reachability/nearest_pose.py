@@ -27,14 +27,12 @@ from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.mechanism.pose import pose as make_pose
 from spm_pin.workspace.reachability.family_slab import nearest_real_pose
 from spm_pin.workspace.reachability.leg_box import LegBox, leg_box
-from spm_pin.workspace.reachability.nearest import LegSearch
+from spm_pin.workspace.reachability.nearest import CLEAR, approach, settle
 from spm_pin.workspace.reachability.position_map import PositionMap
 
 __all__ = ["NearestPose", "nearest_reachable_pose", "pose_distance"]
 
 _STARTS = 8
-_STEPS, _STEPS_FROM_NEAR = 30, 2
-"""Steps of Gauss-Newton before those of Newton: fewer are needed from a state that is nearly the nearest."""
 _SAME = 1e-7
 
 
@@ -179,24 +177,20 @@ def _within_limits(
         mapping = PositionMap(geometry, FAMILIES[int(family(near))])
         single = Configuration(near.geometry, near.pose.as_matrix()[None], near.middle_joints[None])
         starts = np.broadcast_to(mapping.coordinates(single), (len(targets), 1, 2, 3))
-    search = LegSearch(box, targets, starts[:, 0], joints, mapping)
-    search.approach(_STEPS if near is None else _STEPS_FROM_NEAR)
-    for k in range(1, starts.shape[1]):
-        other = LegSearch(box, targets, starts[:, k], joints, mapping)
-        other.approach()
-        search.take(np.arange(len(targets)), other)
-    search.settle()
-    states = mapping.states(search.coordinates)
-    # After long steps of Newton's method the mode is checked.
+    sides = np.ones(2) if near is None else np.sign(mapping.determinants(mapping.legs(starts[0])[1]))[0]
+    search = approach(box, targets, starts, body=joints, mapping=mapping, sides=sides, clear=CLEAR)
+    settle(search)
+    # Of long steps of Newton's method the mode is checked.
     home = near is None or bool(physical(near))
-    proved = forward_physical(geometry, search.lengths, seed=None if home else near)
+    lengths = np.clip(mapping.lengths(search.coordinates), limits.minimum, limits.maximum)
+    proved = forward_physical(geometry, lengths, seed=None if home else near)
+    found, begun = mapping.states(search.coordinates), mapping.states(starts[:, 0])
     with np.errstate(invalid="ignore"):
-        kept = np.abs(proved.middle_joints - states.middle_joints).max(axis=(-1, -2)) <= _SAME * geometry.middle_side
-    begun = mapping.states(starts[:, 0])
+        kept = np.abs(proved.middle_joints - found.middle_joints).max(axis=(-1, -2)) <= _SAME * geometry.middle_side
     return Configuration.from_arrays(
         geometry,
         *(
-            np.where(kept.reshape(-1, *(1,) * inner), getattr(states, name), getattr(begun, name))
+            np.where(kept.reshape(-1, *(1,) * inner), getattr(proved, name), getattr(begun, name))
             for name, inner in (("rotation", 2), ("translation", 1), ("middle_joints", 2))
         ),
     )

@@ -7,9 +7,7 @@ of both stages give everything explicitly, and without singularities: a point p 
 
     t_a + R_a s,    s = R_bᵀ (p - t_b),
 
-s being where it is seen from the middle platform. The leg lengths are explicit too; three at a time they are solved for
-the coordinates by Newton's method. `forward_physical` finds a configuration from nothing; where thousands of searches
-take many short steps each, going on from the last one is ten times as fast.
+s being where it is seen from the middle platform. The leg lengths are explicit too.
 """
 
 from __future__ import annotations
@@ -28,7 +26,7 @@ __all__ = ["PositionMap", "inverses", "rotated", "turned"]
 
 BoolArray = npt.NDArray[np.bool_]
 
-_STEPS = 12
+_STEPS = 24
 _BOTH = slice(None)
 _CENTRE = np.zeros((1, 3))
 _OPPOSITE = np.array([-1.0, -1.0, 1.0])
@@ -76,45 +74,9 @@ class PositionMap:
             coordinates[:, k, 2] = height / states.geometry.middle_radius
         return coordinates
 
-    def moved(self, coordinates: FloatArray, lengths: FloatArray) -> FloatArray:
-        """Return the stage coordinates (N, 2, 3) that belong to `lengths` (N, 6) [m], near `coordinates`.
-
-        NaN where Newton's method does not arrive, or has gone past a singularity of a stage.
-        """
-        here = coordinates.copy()
-        target = lengths.reshape(-1, 2, 3)
-        side = None
-        active = np.arange(len(here))
-        arrived = np.zeros(len(here), dtype=bool)
-        for _ in range(_STEPS):
-            found, jacobian = self.legs(here[active])
-            inverse, determinant = inverses(jacobian)
-            if side is None:
-                side = np.sign(determinant)
-            error = target[active] - found
-            good = (np.sign(determinant) == side[active]).all(axis=-1)
-            near = np.abs(error).max(axis=(-1, -2), initial=0.0) <= 1e-14 * self._size(target[active])
-            with np.errstate(invalid="ignore", over="ignore"):
-                here[active] += (inverse * error[..., None, :]).sum(axis=-1)
-            arrived[active[near & good]] = True
-            active = active[~near & good]
-            if not len(active):
-                break
-        else:
-            # Rounding may stop just short of the tolerance.
-            found, _ = self.legs(here[active])
-            near = np.abs(target[active] - found).max(axis=(-1, -2), initial=0.0)
-            arrived[active[near <= 1e-12 * self._size(target[active])]] = True
-        here[~arrived] = np.nan
-        return here
-
     def lengths(self, coordinates: FloatArray) -> FloatArray:
         """Return the leg lengths (N, 6) [m] of stage coordinates (N, 2, 3)."""
         return np.hypot(*self.in_leg_planes(coordinates)).reshape(-1, 6)
-
-    def _size(self, lengths: FloatArray) -> FloatArray:
-        radii = self.geometry.base_radius + self.geometry.platform_radius + self.geometry.middle_side
-        return np.asarray(radii + lengths.max(axis=(-1, -2), initial=0.0))
 
     def in_leg_planes(self, coordinates: FloatArray, stages: slice = _BOTH) -> tuple[FloatArray, FloatArray]:
         """Return where the ball joints are in their legs' planes: outward from the hips, and up, (N, 2, 3) each [m].
@@ -149,6 +111,13 @@ class PositionMap:
             up_1, up_2 = 2.0 * r * (x0 * sin - x1 * lift), -2.0 * r * (x0 * cos + x2 * lift)
             rows = [(across * across_1 + up * up_1), (across * across_2 + up * up_2), abs(r) * up]
             return lengths, np.stack(rows, axis=-1) / lengths[..., None]
+
+    def determinants(self, slopes: FloatArray) -> FloatArray:
+        """Return the determinants (N, 2) of the derivatives (N, 2, 3, 3) that `legs` gives; 1 near home, 0 if singular.
+
+        They are zero at forward singularities, and negative on the other side of them.
+        """
+        return np.asarray(inverses(slopes)[1] / (6.0 * np.sqrt(3.0) * self.geometry.middle_radius**3) * [1.0, -1.0])
 
     def home_aspect(self, coordinates: FloatArray, stages: slice = _BOTH) -> BoolArray:
         """Test which stages (N, 2) of mode T are on the outer side of their platform and in the home's aspect.
@@ -205,14 +174,6 @@ class PositionMap:
         derivatives[..., :2, :] -= by_axis
         return self._between * s, self._between * derivatives
 
-    def position(self, coordinates: FloatArray, body: FloatArray = _CENTRE) -> tuple[FloatArray, FloatArray]:
-        """Return `points` and the derivatives with respect to the leg lengths, (N, 3K) [m] and (N, 3K, 6)."""
-        positions, derivatives = self.points(coordinates, body)
-        inverse, _ = inverses(self.legs(coordinates)[1])
-        with np.errstate(invalid="ignore", over="ignore"):
-            halves = [derivatives[..., 3 * k : 3 * k + 3] @ inverse[:, k] for k in range(2)]
-        return positions, np.concatenate(halves, axis=-1)
-
     def states(self, coordinates: FloatArray) -> Configuration:
         """Return the configurations (N,) of stage coordinates (N, 2, 3)."""
         across, up = self.in_leg_planes(coordinates[:, :1], slice(1))
@@ -250,7 +211,7 @@ class PositionMap:
         height = -distance / self.geometry.middle_radius
         upper = np.stack([np.sin(half) * axis[0], np.sin(half) * axis[1], height], axis=-1)
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            for _ in range(2 * _STEPS):
+            for _ in range(_STEPS):
                 s, ds = self.seen(upper)
                 inverse, _ = inverses(ds)
                 upper = upper + (np.swapaxes(inverse, -1, -2) @ (target - s)[..., None])[..., 0]

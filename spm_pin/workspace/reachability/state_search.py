@@ -1,10 +1,13 @@
-"""States within leg limits that put the platform's centre at given points: which points are reachable.
+"""States within leg limits that put points of the platform where they should be, or as near as they can.
 
 Unknown are the coordinates c of both stages. To be zero are p(c) - y, by how much each of the six lengths l(c) is
-outside its limits, and how far each stage is beyond a forward singularity: eleven functions of six unknowns, without
-the infinite derivatives that the position has as a function of the lengths. The search begins at states that
-`LegBox.nearby` finds by going through all of the set, and a state found counts only if it is one of a real machine: the
-position that its lengths give, snapped to the limits, is compared with the point.
+outside its limits, and how far each stage is beyond a forward singularity: smooth functions of c, without the infinite
+derivatives that the position has as a function of the lengths. All searches here are damped least squares of that kind,
+for many members at once.
+
+A point is reachable if all of it can vanish. The search begins at states that `LegBox.nearby` finds by going through
+all of the set, and a state found counts only if it is one of a real machine: the position that its lengths give,
+snapped to the limits, is compared with the point.
 """
 
 from __future__ import annotations
@@ -18,26 +21,215 @@ import numpy.typing as npt
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.workspace.reachability.leg_box import LegBox
-from spm_pin.workspace.reachability.position_map import inverses
+from spm_pin.workspace.reachability.position_map import PositionMap
 
-__all__ = ["RESOLUTION", "Membership", "Progress", "damped_solution", "search_states"]
+__all__ = ["RESOLUTION", "Membership", "Progress", "StateSearch", "search_states"]
 
 BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.intp]
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how many steps are done, and of how many; may raise to interrupt."""
 
 RESOLUTION = 1e-9
 """Distances are found to this share of the machine's size."""
-_STARTS = 8
+_EPS = float(np.finfo(np.float64).eps)
+_OTHERS, _SPREAD = 7, 24
+"""Starts after the best one: the next best, and different ones, as near the rim all good states may be elsewhere."""
 _STEPS = 40
 _STALLED, _PROGRESS = 8, 1e-3
 _SHORTEST = 1e3  # damping with which no step is worth another
 _DOUBT = 1e-4
 """A search that stalls with a gap below this share of the machine's size is not taken for an answer."""
 _FLAT = 1e-6
-_LEAST_DAMPING = 1e-13
+_DAMPING, _LEAST_DAMPING = 1e-3, 1e-13
 _PORTION = 4096
-_DIFFERENCE = 1e-7
+_DIFFERENCE, _SECOND_DIFFERENCE = 1e-7, 1e-4
+_CENTRE = np.zeros((1, 3))
+
+
+class StateSearch:
+    """Damped least squares over the coordinates of both stages, for N members at once.
+
+    Parameters
+    ----------
+    box : LegBox
+        The leg lengths.
+    targets : ndarray, shape (N, 3K)
+        Where the points of `body` should be [m].
+    coordinates : ndarray, shape (N, 2, 3)
+        States to begin with.
+    body : ndarray, shape (K, 3)
+        Points in {m} [m].
+    mapping : PositionMap, optional
+        Of the family of the states, if that is not TT.
+    sides : ndarray, shape (2,)
+        On which side of its forward singularities each stage has to be: 1 for the side of the home.
+    clear : float
+        How far from them, as a share of what `PositionMap.determinants` is at home.
+
+    Attributes
+    ----------
+    coordinates : ndarray, shape (N, 2, 3)
+        The states that have been reached.
+    flat : ndarray of bool, shape (N,)
+        Where that is a minimum.
+    weights : ndarray, shape (N,)
+        Of what is outside limits, against the distance from the targets.
+    shifts : ndarray, shape (N, 8)
+        Added to the lengths, and to how far stages are from singularities, before they are held against limits [m].
+    """
+
+    def __init__(
+        self,
+        box: LegBox,
+        targets: FloatArray,
+        coordinates: FloatArray,
+        body: FloatArray = _CENTRE,
+        mapping: PositionMap | None = None,
+        sides: FloatArray | float = 1.0,
+        clear: float = 0.0,
+    ) -> None:
+        self.box, self.body, self.map = box, body, mapping or box.map
+        self.scale = 1.0 / np.sqrt(len(body))
+        self.targets, self.coordinates = self.scale * targets, coordinates.copy()
+        self._unit = box.size * np.broadcast_to(sides, 2)
+        self._low = np.concatenate([box.minimum, np.full(2, clear * box.size)])
+        self._high = np.concatenate([box.maximum, np.full(2, np.inf)])
+        count = len(targets)
+        self.weights, self.shifts = np.ones(count), np.zeros((count, 8))
+        self.flat = np.zeros(count, dtype=bool)
+        self.refresh(np.arange(count))
+
+    def refresh(self, index: IntArray) -> None:
+        """Evaluate members anew, as after a change of weights or shifts."""
+        residual, jacobian = self._gaps(index, self.coordinates[index])
+        if len(index) == len(self.coordinates):
+            self.residual, self.jacobian = residual, jacobian
+        else:
+            self.residual[index], self.jacobian[index] = residual, jacobian
+
+    @property
+    def gap(self) -> FloatArray:
+        """How much is left at the states [m], the root of the sum of squares that is minimised, shape (N,)."""
+        return np.asarray(np.sqrt((self.residual**2).sum(axis=-1)))
+
+    @property
+    def position(self) -> FloatArray:
+        """Where the points are, times `scale`, shape (N, 3K) [m]."""
+        return np.asarray(self.targets + self.error)
+
+    @property
+    def error(self) -> FloatArray:
+        """How far the points are from the targets, times `scale`, shape (N, 3K) [m]."""
+        return np.asarray(self.residual[:, :-8])
+
+    @property
+    def distance(self) -> FloatArray:
+        """Root mean square distance of the points from the targets, shape (N,) [m]."""
+        return np.asarray(np.sqrt((self.error**2).sum(axis=-1)))
+
+    def proved(self) -> tuple[BoolArray, BoolArray]:
+        """Return which members have a state of a real machine with o at the target, and which are in doubt, (N,) each.
+
+        In doubt are those in another assembly mode, and those that stalled just short of a state.
+        """
+        solved = self.gap <= RESOLUTION * self.box.size
+        lengths = self.box.snapped(self.map.lengths(self.coordinates[solved]))
+        with np.errstate(invalid="ignore"):
+            missed = np.abs(forward_physical(self.box.geometry, lengths).translation - self.targets[solved])
+            good = solved.copy()
+            good[solved] = missed.max(axis=-1, initial=0.0) <= RESOLUTION * self.box.size
+        return good, ~good & (solved | (~self.flat & (self.gap <= _DOUBT * self.box.size)))
+
+    def _gaps(
+        self, index: IntArray, coordinates: FloatArray, active: BoolArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return what has to vanish, (n, 3K + 8) [m], and its derivatives with respect to the coordinates.
+
+        By how much points miss targets, by how much lengths miss their limits, and how far each stage is beyond a
+        forward singularity. Of the last eight, the derivatives of those that are `active`: not within limits.
+        """
+        position, derivatives = self.map.points(coordinates, self.body)
+        lengths, slopes = self.map.legs(coordinates)
+        determinants = self._unit * self.map.determinants(slopes)
+        values = np.concatenate([lengths.reshape(-1, 6), determinants], axis=-1) + self.shifts[index]
+        outside = values - np.clip(values, self._low, self._high)
+        active = outside != 0.0 if active is None else active
+        rows = position.shape[-1]
+        jacobian = np.zeros((len(index), rows + 8, 6))
+        jacobian[:, :rows] = self.scale * derivatives
+        for k in range(2):
+            part = slice(3 * k, 3 * k + 3)
+            jacobian[:, rows + 3 * k : rows + 3 * k + 3, part] = np.where(active[:, part, None], slopes[:, k], 0.0)
+        crossed = np.flatnonzero(active[:, 6:].any(axis=-1))
+        if len(crossed):
+            there = coordinates[crossed] + _DIFFERENCE * np.eye(3)[:, None, None]
+            change = self._unit * self.map.determinants(self.map.legs(there)[1]) - determinants[crossed]
+            for k in range(2):
+                slope = np.where(active[crossed, 6 + k], change[..., k] / _DIFFERENCE, 0.0)
+                jacobian[crossed, rows + 6 + k, 3 * k : 3 * k + 3] = slope.T
+        weights = self.weights[index, None]
+        jacobian[:, rows:] *= weights[..., None]
+        return np.concatenate([self.scale * position - self.targets[index], weights * outside], axis=-1), jacobian
+
+    def _curvature(self, index: IntArray) -> FloatArray:
+        """Return the residual times its second derivatives, (n, 6, 6), from differences of the Jacobian."""
+        steps = _SECOND_DIFFERENCE * np.concatenate([np.eye(6), -np.eye(6)]).reshape(12, 2, 3)
+        residual = self.residual[index]
+        there = (self.coordinates[index, None] + steps).reshape(-1, 2, 3)
+        _, jacobian = self._gaps(np.repeat(index, 12), there, np.repeat(residual[:, -8:] != 0.0, 12, axis=0))
+        slopes = np.einsum("nkij,ni->nkj", jacobian.reshape(len(index), 12, -1, 6), residual)
+        matrix = (slopes[:, :6] - slopes[:, 6:]) / (2.0 * _SECOND_DIFFERENCE)
+        matrix = 0.5 * (matrix + np.swapaxes(matrix, -1, -2))
+        return np.where(np.isfinite(matrix).all(axis=(-1, -2), keepdims=True), matrix, 0.0)
+
+    def iterate(
+        self,
+        active: IntArray,
+        *,
+        exact: bool = False,
+        flat: float = _FLAT,
+        progress: float = _PROGRESS,
+        steps: int = _STEPS,
+    ) -> None:
+        """Go on with the members `active` by the method of Gauss and Newton, or if `exact` by Newton's.
+
+        Until the slope is `flat` times the gap, the gap vanishes, or steps gain little.
+        """
+        self.damping = np.full(len(self.coordinates), _DAMPING)
+        before = self.gap
+        for count in range(1, steps + 1):
+            residual, jacobian, gap = self.residual[active], self.jacobian[active], self.gap[active]
+            slope = np.einsum("nij,ni->nj", jacobian, residual)
+            steep = np.abs(slope).max(axis=-1, initial=0.0)
+            self.flat[active] = steep <= flat * gap
+            going = ~self.flat[active] & (gap > 1e-3 * RESOLUTION * self.box.size)
+            going &= self.damping[active] < _SHORTEST
+            if count % _STALLED == 0:
+                # Newton's method near a solution is faster than that.
+                going &= gap <= (1.0 - progress) * before[active]
+                before[active] = gap
+            active = active[going]
+            jacobian, slope, steep, gap = (array[going] for array in (jacobian, slope, steep, gap))
+            if not len(active):
+                break
+            matrix = np.swapaxes(jacobian, -1, -2) @ jacobian
+            if exact:
+                step = newton_step(matrix + self._curvature(active), slope, self.damping[active])
+            else:
+                step = damped_solution(matrix, slope, self.damping[active])
+            trial = self.coordinates[active] - step.reshape(-1, 2, 3)
+            errors, derivatives = self._gaps(active, trial)
+            # False for NaN, beyond the unit circle. At the end, what a step gains is less than the gap's rounding.
+            change = np.sqrt((errors**2).sum(axis=-1)) - gap
+            flatter = np.abs(np.einsum("nij,ni->nj", derivatives, errors)).max(axis=-1, initial=0.0) < steep
+            rounding = 4.0 * _EPS * self.box.size
+            better = (change < -rounding) | ((change < rounding) & flatter)
+            chosen = active[better]
+            self.coordinates[chosen] = trial[better]
+            self.residual[chosen], self.jacobian[chosen] = errors[better], derivatives[better]
+            damping = self.damping[active]
+            self.damping[active] = np.where(better, np.maximum(0.1 * damping, _LEAST_DAMPING), 10.0 * damping)
 
 
 @dataclass(frozen=True)
@@ -52,7 +244,7 @@ class Membership:
         Points without one for which a search failed: it ended in another assembly mode, or stalled just short of a
         state.
     coordinates : ndarray, shape (N, 2, 3)
-        The states found; where there is none, states within the limits with o nearby.
+        The states found; where there is none, those found to miss the point and the limits least.
     lengths : ndarray, shape (N, 6)
         Their leg lengths [m].
     distance : ndarray, shape (N,)
@@ -103,94 +295,32 @@ def search_states(
 
 def _searched(box: LegBox, points: FloatArray, near: FloatArray | None) -> Membership:
     if near is None:
-        distance, starts = box.nearby(points, _STARTS)
+        distance, starts = box.nearby(points)
     else:
         starts = near[:, None]
         distance = np.sqrt(((box.map.points(near)[0] - points) ** 2).sum(axis=-1))
-    reached, undecided = np.zeros((2, len(points)), dtype=bool)
-    coordinates = starts[:, 0].copy()
-    lengths = box.snapped(box.map.lengths(coordinates))
+    coordinates, undecided = starts[:, 0].copy(), np.zeros(len(points), dtype=bool)
+    least, tolerance = np.full(len(points), np.inf), RESOLUTION * box.size
     left = np.flatnonzero(distance <= box.margin) if near is None else np.arange(len(points))
-    for k in range(starts.shape[1]):
-        if not len(left):
-            break
-        found, gap, flat = _solved(box, points[left], starts[left, k])
-        legs = box.snapped(box.map.lengths(found))
-        tolerance = RESOLUTION * box.size
-        solved = np.flatnonzero(gap <= tolerance)
-        states = forward_physical(box.geometry, legs[solved])
-        with np.errstate(invalid="ignore"):
-            good = np.abs(states.translation - points[left[solved]]).max(axis=-1, initial=0.0) <= tolerance
-        done = solved[good]
-        reached[left[done]] = True
-        coordinates[left[done]], lengths[left[done]] = found[done], legs[done]
-        # Solved by another assembly mode, or stalled just short of a solution.
-        undecided[left] |= (gap <= tolerance) | (~flat & (gap <= _DOUBT * box.size))
-        left = np.delete(left, done)
+    # The best start by itself, as it is enough for most; then others for the points that are left.
+    for count in (1, _OTHERS, _SPREAD) if near is None else (1,):
+        chosen = starts[left]
+        if count > 1:
+            chosen = box.nearby(points[left], count + 1, spread=count == _SPREAD)[1][:, 1:]
+        search = StateSearch(box, np.repeat(points[left], count, axis=0), chosen.reshape(-1, 2, 3))
+        search.iterate(np.arange(len(search.targets)))
+        good, doubtful = (mask.reshape(-1, count) for mask in search.proved())
+        gap = np.where(good, 0.0, search.gap.reshape(-1, count) + tolerance)
+        best = np.arange(len(left)), gap.argmin(axis=1)
+        better = gap[best] < least[left]
+        coordinates[left[better]] = search.coordinates.reshape(-1, count, 2, 3)[best][better]
+        least[left[better]] = gap[best][better]
+        undecided[left] |= doubtful.any(axis=1)
+        left = left[~good.any(axis=1)]
+    reached = least == 0.0
+    lengths = box.snapped(box.map.lengths(coordinates))
     distance = np.where(reached, 0.0, np.maximum(distance, 0.0))
     return Membership(reached, undecided & ~reached, coordinates, lengths, distance)
-
-
-def _solved(box: LegBox, points: FloatArray, starts: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return coordinates (N, 2, 3) that miss points and limits least, by how much [m], and where that is a minimum."""
-    coordinates = starts.copy()
-    residual, jacobian = _gaps(box, points, coordinates)
-    gap = np.sqrt((residual**2).sum(axis=-1))
-    damping = np.full(len(points), 1e-3)
-    flat = np.zeros(len(points), dtype=bool)
-    active = np.arange(len(points))
-    before = gap.copy()
-    for count in range(1, _STEPS + 1):
-        if count % _STALLED == 0:
-            # Newton's method near a solution is faster than that.
-            active = active[gap[active] <= (1.0 - _PROGRESS) * before[active]]
-            before[active] = gap[active]
-        slope = (jacobian[active] * residual[active, :, None]).sum(axis=1)
-        flat[active] = np.abs(slope).max(axis=-1, initial=0.0) <= _FLAT * gap[active]
-        going = ~flat[active] & (gap[active] > 1e-3 * RESOLUTION * box.size) & (damping[active] < _SHORTEST)
-        active, slope = active[going], slope[going]
-        if not len(active):
-            break
-        matrix = np.swapaxes(jacobian[active], -1, -2) @ jacobian[active]
-        step = damped_solution(matrix, slope, damping[active])
-        trial = coordinates[active] - step.reshape(-1, 2, 3)
-        errors, derivatives = _gaps(box, points[active], trial)
-        there = np.sqrt((errors**2).sum(axis=-1))
-        better = there < gap[active]  # False for NaN, beyond the unit circle
-        chosen = active[better]
-        coordinates[chosen], residual[chosen], jacobian[chosen] = trial[better], errors[better], derivatives[better]
-        gap[chosen] = there[better]
-        damping[active] = np.where(better, np.maximum(0.1 * damping[active], _LEAST_DAMPING), 10.0 * damping[active])
-    return coordinates, gap, flat
-
-
-def _gaps(box: LegBox, points: FloatArray, coordinates: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return what has to vanish, (N, 11) [m], and its derivatives with respect to the coordinates, (N, 11, 6).
-
-    By how much o misses `points`, by how much lengths miss their limits, and how far each stage is beyond a forward
-    singularity, as the determinant of the lengths' derivatives in units of that of a stage inside.
-    """
-    position, derivatives = box.map.points(coordinates)
-    legs, slopes = box.map.legs(coordinates)
-    lengths = legs.reshape(-1, 6)
-    outside = lengths - np.clip(lengths, box.minimum, box.maximum)
-    determinants = box.size * inverses(slopes)[1] / box.regular
-    beyond = np.minimum(determinants, 0.0)
-    jacobian = np.zeros((len(points), 11, 6))
-    jacobian[:, :3] = derivatives
-    crossed = np.flatnonzero((beyond < 0.0).any(axis=-1))
-    for k in range(2):
-        rows = slice(3 * k, 3 * k + 3)
-        jacobian[:, 3 + 3 * k : 6 + 3 * k, rows] = np.where(outside[:, rows, None] != 0.0, slopes[:, k], 0.0)
-    for column in range(3):
-        shifted = coordinates[crossed].copy()
-        shifted[..., column] += _DIFFERENCE
-        change = box.size * inverses(box.map.legs(shifted)[1])[1] / box.regular - determinants[crossed]
-        for k in range(2):
-            jacobian[crossed, 9 + k, 3 * k + column] = np.where(
-                beyond[crossed, k] < 0.0, change[:, k] / _DIFFERENCE, 0.0
-            )
-    return np.concatenate([position - points, outside, beyond], axis=-1), jacobian
 
 
 def damped_solution(matrix: FloatArray, right: FloatArray, damping: FloatArray) -> FloatArray:
@@ -206,3 +336,13 @@ def damped_solution(matrix: FloatArray, right: FloatArray, damping: FloatArray) 
     shift = (damping * np.where(good, trace, 1.0))[:, None, None] * np.eye(size)
     solution = np.linalg.solve(matrix + shift, np.where(good[:, None], right, 0.0)[..., None])
     return np.asarray(solution[..., 0])
+
+
+def newton_step(matrix: FloatArray, right: FloatArray, damping: FloatArray) -> FloatArray:
+    """Return the solution (N, n) with the absolute eigenvalues of symmetric matrices (N, n, n), and damping."""
+    good = np.asarray(np.isfinite(matrix).all(axis=(-1, -2)))
+    values, vectors = np.linalg.eigh(np.where(good[:, None, None], matrix, 0.0))
+    values = np.abs(values)
+    values += damping[:, None] * np.maximum(values.max(axis=-1, keepdims=True), np.finfo(float).tiny)
+    turned = np.swapaxes(vectors, -1, -2) @ np.where(good[:, None], right, 0.0)[..., None]
+    return np.asarray((vectors @ (turned / values[..., None]))[..., 0])

@@ -6,7 +6,7 @@ from problems import GEOMETRIES
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.workspace.reachability.boundary import reachable_boundary
+from spm_pin.workspace.reachability.boundary import Boundary, reachable_boundary
 from spm_pin.workspace.reachability.estimate import Estimate, from_hits, from_mean
 from spm_pin.workspace.reachability.membership import pose_multiplicity, reachable
 from spm_pin.workspace.reachability.volume import compare_with_shell, pose_volume, reachable_volume
@@ -20,6 +20,11 @@ def density_over_legs(states: spm.Configuration, limits: spm.LegLimits) -> np.nd
     """|det ∂(o, R)/∂l| over how many states have the same pose: by leg lengths, as the package does not."""
     determinant = np.linalg.det(spm.closed_form.platform_jacobian(states))
     return np.abs(determinant) / pose_multiplicity(states, limits)
+
+
+@pytest.fixture(scope="module")
+def boundary() -> Boundary:
+    return reachable_boundary(PAPER, spacing=0.25)
 
 
 def test_two_methods_agree_on_the_volume() -> None:
@@ -95,9 +100,8 @@ def test_text_of_an_estimate() -> None:
     assert not one.agrees_with(one.times(2.0, "m³"))
 
 
-def test_volume_outside_the_shell() -> None:
+def test_volume_outside_the_shell(boundary: Boundary) -> None:
     shell = workspace_shell(PAPER, resolution=16)
-    boundary = reachable_boundary(PAPER, spacing=0.25)
     answer = compare_with_shell(shell, boundary=boundary, samples=3000, rng=6)
     assert 0.0 < answer.legs.low < answer.legs.high < 0.006
     assert answer.volume.low > 0.05
@@ -105,9 +109,8 @@ def test_volume_outside_the_shell() -> None:
     assert 0.0 < answer.farthest < 0.12
 
 
-def test_bad_input_is_refused() -> None:
+def test_bad_input_is_refused(boundary: Boundary) -> None:
     shell = workspace_shell(PAPER, NARROW, resolution=4)
-    other = reachable_boundary(PAPER, spacing=0.4)
     for words, call in (
         ("method", lambda: reachable_volume(PAPER, method="guess")),  # type: ignore[arg-type]
         ("samples", lambda: reachable_volume(PAPER, samples=0)),
@@ -115,8 +118,8 @@ def test_bad_input_is_refused() -> None:
         ("confidence", lambda: reachable_volume(PAPER, confidence=95)),
         ("confidence", lambda: pose_volume(PAPER, confidence=1.0)),
         ("spacing", lambda: reachable_volume(PAPER, method="mesh", spacing=-1.0)),
-        ("boundary", lambda: compare_with_shell(shell, boundary=other)),
-        ("samples", lambda: compare_with_shell(shell, boundary=other, samples=3)),
+        ("boundary", lambda: compare_with_shell(shell, boundary=boundary)),
+        ("samples", lambda: compare_with_shell(shell, boundary=boundary, samples=3)),
         ("assembled", lambda: reachable_volume(PAPER, spm.LegLimits(0.01, 0.02))),
     ):
         with pytest.raises(spm.ArgumentError, match=words):
@@ -132,7 +135,7 @@ def test_computation_can_be_interrupted() -> None:
             call(PAPER, NARROW, samples=100, progress=stop)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.slow
 def test_the_reachable_volume_is_more_than_a_tenth_larger_than_the_shell() -> None:
     sampled = reachable_volume(PAPER, samples=20_000, rng=7)
     meshed = reachable_volume(PAPER, method="mesh", spacing=0.1)
