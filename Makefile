@@ -10,22 +10,18 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt --editable
 
-.PHONY: demo test test-slow test-exhaustive bench lint docs figures description clean
+.PHONY: demo test test-slow bench lint docs figures description clean
 
 demo: $(VENV)/.demo
 	@mkdir -p build
 	@$(BIN)/spm-pin demo --out build/demo.png
 
 test: lint
-	$(BIN)/python -m pytest $(PYTEST) -m "not slow and not exhaustive" --cov --cov-report=
+	$(BIN)/python -m pytest $(PYTEST) -m "not slow" --cov --cov-report=
 	@echo "Line coverage of spm_pin, compiled kernels aside: $$($(BIN)/coverage report --format=total) %"
 
 test-slow: $(VENV)/.test
 	$(BIN)/python -m pytest $(PYTEST) -m slow
-
-# Checks of wide limits and long continuations; some of them fail or have not been run to their end yet.
-test-exhaustive: $(VENV)/.test
-	$(BIN)/python -m pytest $(PYTEST) -m exhaustive
 
 bench: $(VENV)/.bench
 	$(BIN)/python benchmarks/run.py $(BENCH)

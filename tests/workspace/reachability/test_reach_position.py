@@ -91,7 +91,7 @@ def test_distances_are_those_a_bounded_least_squares_solver_finds() -> None:
 
 
 def test_no_set_of_lower_legs_reaches_a_point_said_to_be_out_of_reach() -> None:
-    """Searched exhaustively: 16³ lower stages, each with the upper legs that then put o there."""
+    """On a grid of 16³ lower stages, each with the upper legs that then put o there."""
     rng = np.random.default_rng(5)
     box = leg_box(PAPER)
     points = rng.uniform(*box.extent, (20, 3))
