@@ -17,6 +17,7 @@ from spm_pin.closed_form.intervals import Interval
 from spm_pin.proofs.stage_region import SQRT_3, StageRegion
 
 Array = npt.NDArray[np.float64]
+Shape = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -32,8 +33,8 @@ class NonsingularChange:
     least: float
 
 
-CURVES = {0.2: (0.1435, 0.3605, 0.7788), 0.3: (0.1732, 0.3444, 0.6522), 0.4: (0.1928, 0.1649, 0.4532)}
-"""Paths for E/r between 1/6 and 1/2: p at equal legs, p and Z/r in the middle of the path."""
+RANGES = ((0.166, 0.3, (0.1435, 0.3605, 0.7788)), (0.3, 0.5, (0.18, 0.18, 0.45)))
+"""Of E/r in mode T, and the path between states with equal legs: p at these, p and Z/r in the middle of the path."""
 
 POLYGON = np.array([[0.349559, 0.847166, -1.216897], [0.316326, 0.838279, -1.126552], [-0.957473, 0.138829, -1.185849]])
 """A path (x, y, Z/r) in mode F for E = r/2, its legs not equal; the end is corrected to the lengths of the start."""
@@ -49,7 +50,7 @@ def nonsingular_changes(geometry: spm.Geometry) -> list[NonsingularChange]:
         ("the paper's upper, mode F", -upper, circle(-upper)),
     ]
     rows += [("mode T", epsilon, circle(epsilon)) for epsilon in (0.1, 0.6, 1.0, 3.0, 10.0)]
-    rows += [("mode T", epsilon, curve(epsilon, *shape)) for epsilon, shape in CURVES.items()]
+    rows += [("mode T", 0.5 * (low + high), curve(0.5 * (low + high), *shape)) for low, high, shape in RANGES]
     rows += [("mode F", epsilon, circle(epsilon)) for epsilon in (-0.1, -1.0, -10.0)]
     rows += [("mode F", -0.5, corrected(POLYGON, -0.5))]
     return [_certified(*row) for row in rows]
@@ -91,6 +92,89 @@ def reduced_determinant(p: Array, epsilon: float, u: Array) -> Array:
     shared = 2 * e - 1 + 2 * p
     constant = shared * (-8 * e**2 * p + 12 * e**2 + 8 * e * p - 4 * e + 16 * p**3 - 16 * p**2 - 2 * p + 3)
     return np.asarray(-16 * p**2 * (1 - p) * shared * u**2 + linear * u + constant)
+
+
+@dataclass(frozen=True)
+class ProvedRange:
+    """Radii E/r of the hips for all of which a path is proved to be free of singularities."""
+
+    least: float
+    most: float
+    boxes: int
+
+
+def proved_ranges() -> list[ProvedRange]:
+    """Return ranges of E/r in mode T, 1/2 excluded, on which D < 0 is proved along `RANGES`, and the boxes.
+
+    At E = r/2 D vanishes at equal legs, u = 1. Before it D is negative there, Q(1) = 3 κ (κ + 2)², and increases with u
+    near u = 1, so it is negative for smaller u as well.
+    """
+    (low, middle, first), (_, high, second) = RANGES
+    boxes = negative(first, determinant_on_curve, (low, middle), (-1.0, 1.0))
+    near = high - 1e-3
+    others = negative(second, determinant_on_curve, (middle, near), (-1.0, 1.0))
+    others += negative(second, determinant_on_curve, (near, high), (-1.0, 0.9))
+    others += negative(second, falling_on_curve, (near, high), (0.9, 1.0))
+    return [ProvedRange(low, middle, boxes), ProvedRange(middle, high, others)]
+
+
+def negative(
+    shape: Shape,
+    function: Callable[[Interval, Interval, Shape], Interval],
+    epsilon: tuple[float, float],
+    u: tuple[float, float],
+    most: int = 20_000,
+) -> int:
+    """Return the number of boxes of (ε, u) that prove a function to be negative; an error if it is not."""
+    boxes, count = np.array([[epsilon, u]]), 0
+    while len(boxes):
+        count += len(boxes)
+        value = function(*(Interval(boxes[:, i, 0], boxes[:, i, 1]) for i in (0, 1)), shape)
+        if count > most or (value.low > 0.0).any():
+            raise ValueError("the function is not proved to be negative")
+        boxes = boxes[value.high >= 0.0]
+        for i in (0, 1):
+            halves = boxes.copy(), boxes.copy()
+            halves[0][:, i, 1] = halves[1][:, i, 0] = boxes[:, i].mean(axis=1)
+            boxes = np.concatenate(halves)
+    return count
+
+
+def determinant_on_curve(epsilon: Interval, u: Interval, shape: Shape) -> Interval:
+    """Return 4 D / (27 √(1 - p) r⁶) on the path of `curve`, over boxes of ε and u = cos 3ψ."""
+    square, linear, constant, *_ = _coefficients(epsilon, u, shape)
+    return square * u.square() + linear * u + constant
+
+
+def falling_on_curve(epsilon: Interval, u: Interval, shape: Shape) -> Interval:
+    """Return minus the derivative of `determinant_on_curve` with u, where p is constant."""
+    square, linear, _, p, z, rise = _coefficients(epsilon, u, shape)
+    lever, power = (1.0 - p).root(), p.root() * p
+    by_height = 4.0 * (lever * p.square() * p) * u.square() + 4.0 * (power * z * (epsilon - 3.0 * p + 2.0)) * u
+    by_height += lever * (3.0 * z.square() * (1.0 - 2.0 * p) + _level(epsilon, p))
+    return -(2.0 * square * u + linear + by_height * rise)
+
+
+def _coefficients(epsilon: Interval, u: Interval, shape: Shape) -> tuple[Interval, ...]:
+    """Return the coefficients of u², u and 1, then p, Z and dZ/du."""
+    p_end, p_middle, z_middle = (Interval.of(value) for value in shape)
+    towards = 0.5 * (1.0 - u)
+    p = p_end + towards * (p_middle - p_end)
+    z_end = -0.5 * ((2.0 * epsilon - 1.0 + 2.0 * p_end) * p_end.root() * (1.0 - p_end).root().reciprocal())
+    z, rise = z_end + towards * (z_middle - z_end), -0.5 * (z_middle - z_end)
+    lever, left, z_2 = (1.0 - p).root(), 1.0 - p, z.square()
+    linear = (
+        z_2 * (epsilon - 3.0 * p + 2.0)
+        + 2.0 * (epsilon.square() * left)
+        - epsilon * left.square()
+        - p * (1.0 - p.square())
+    )
+    constant = z * lever * (z_2 * (1.0 - 2.0 * p) + _level(epsilon, p))
+    return 4.0 * (z * lever * p.square() * p), 2.0 * (p.root() * p * linear), constant, p, z, rise
+
+
+def _level(epsilon: Interval, p: Interval) -> Interval:
+    return p * (2.0 * p.square() + p - 1.0 + 2.0 * epsilon - 4.0 * (epsilon * p) - 4.0 * epsilon.square())
 
 
 def stage_region(epsilon: float) -> StageRegion:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from assembly_mode_changes import Array, NonsingularChange, differences, nonsingular_changes
+from assembly_mode_changes import Array, NonsingularChange, ProvedRange, differences, nonsingular_changes, proved_ranges
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
@@ -310,6 +310,7 @@ def tables() -> dict[str, str]:
         "freedoms": _table("state, joints, rank of the closures, mechanism, platform", freedoms()),
         "passages": _table("state, mode, closure residual [m], rank of K_b, det J_b / d³", passages()),
         "self_motion": motion,
+        "ranges": _table("from E/r, to, boxes", proved_ranges()),
         "cuspidal": _table(f"stage, E/r, {ends}", nonsingular_changes(GEOMETRY)),
     }
 
@@ -320,7 +321,9 @@ def with_tables(page: str) -> str:
     return re.sub(r"<!-- table: (\w+) -->", lambda match: found[match[1]], page)
 
 
-def _table(headings: str, rows: Sequence[Tetrahedron | Stratum | Freedoms | Passage | NonsingularChange]) -> str:
+def _table(
+    headings: str, rows: Sequence[Tetrahedron | Stratum | Freedoms | Passage | NonsingularChange | ProvedRange]
+) -> str:
     titles = headings.split(", ")
     lines = [f"| {' | '.join(titles)} |", f"|{'---|' * len(titles)}"]
     for row in rows:

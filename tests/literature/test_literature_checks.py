@@ -8,7 +8,19 @@ from pathlib import Path
 import literature
 import numpy as np
 import pytest
-from assembly_mode_changes import certificate, circle, nonsingular_changes, reduced_determinant, stage_region
+from assembly_mode_changes import (
+    RANGES,
+    certificate,
+    circle,
+    curve,
+    determinant_on_curve,
+    falling_on_curve,
+    negative,
+    nonsingular_changes,
+    proved_ranges,
+    reduced_determinant,
+    stage_region,
+)
 from problems import PAPER_TILTS, singular_state
 from stages import solve_stage
 
@@ -74,7 +86,7 @@ def test_a_self_motion_passes_from_mode_t_to_mode_f() -> None:
 def test_assembly_modes_of_equal_lengths_are_joined_without_a_singularity() -> None:
     found = nonsingular_changes(literature.GEOMETRY)
     hips = {mode: {round(row.hips, 9) for row in found if row.stage.endswith(mode)} for mode in ("T", "F")}
-    assert hips["T"] >= {0.1, 0.2, 0.3, 0.4, 0.6, 0.75, 1.0, 1.5, 3.0}
+    assert hips["T"] >= {0.1, 0.233, 0.4, 0.6, 0.75, 1.0, 1.5, 3.0}
     assert hips["F"] >= {0.1, 0.5, 0.75, 1.0, 1.5}
     for row in found:
         assert row.lengths_differ < 1e-13, row
@@ -112,6 +124,35 @@ def test_the_determinant_on_the_circle_is_the_quadratic_of_the_proof() -> None:
         np.testing.assert_allclose(reduced_determinant(p, epsilon, -1.0), last, rtol=1e-9, atol=1e-9)
 
 
+def test_the_ranges_of_the_proof_close_the_gap_between_the_circles() -> None:
+    first, second = proved_ranges()
+    assert first.least < 1.0 / 6.0
+    assert first.most == second.least
+    assert second.most == 0.5
+    with pytest.raises(ValueError, match="not proved"):
+        negative(RANGES[0][2], determinant_on_curve, (0.4, 0.6), (-1.0, 1.0))
+
+
+def test_the_determinant_on_the_path_is_that_of_the_stage() -> None:
+    for low, high, shape in RANGES:
+        epsilon = 0.4 * low + 0.6 * high
+        path, u = curve(epsilon, *shape), np.cos(3.0 * np.linspace(0.0, 2.0 * np.pi / 3.0, 49))
+        _, expected = stage_region(epsilon).evaluate(*(Interval.of(path[:, i]) for i in range(3)))
+        lever = np.sqrt(1.0 - (path[:, :2] ** 2).sum(axis=1))
+        found = determinant_on_curve(Interval.of(epsilon), Interval.of(u), shape)
+        np.testing.assert_allclose(6.75 * lever * middle(found), middle(expected), atol=1e-13)
+        if shape[0] == shape[1]:
+            ends = [
+                middle(determinant_on_curve(Interval.of(epsilon), Interval.of(u + h), shape)) for h in (1e-6, -1e-6)
+            ]
+            slope = -middle(falling_on_curve(Interval.of(epsilon), Interval.of(u), shape))
+            np.testing.assert_allclose(slope, (ends[0] - ends[1]) / 2e-6, atol=1e-8)
+
+
+def middle(interval: Interval) -> np.ndarray:
+    return np.asarray(0.5 * (interval.low + interval.high))
+
+
 def test_a_path_through_a_singularity_is_refused() -> None:
     home, mirrored = [0.0, 0.0, 2.0], [0.01, 0.0, -2.0]
     with pytest.raises(ValueError, match="determinant"):
@@ -132,7 +173,7 @@ def test_circles_above_the_hips_are_not_in_the_aspect_of_the_home() -> None:
 def test_every_table_of_the_page_is_made() -> None:
     text = literature.with_tables(literature.PAGE.read_text(encoding="utf-8"))
     assert "<!-- table" not in text
-    assert text.count("\n|---|") == 5
+    assert text.count("\n|---|") == 6
 
 
 def test_the_theory_is_set_as_one_paper(tmp_path: Path) -> None:
