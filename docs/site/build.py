@@ -32,7 +32,7 @@ PUBLIC = {
     "spm_pin.workspace": "what the terminal platform reaches: the paper's shell, and the reachable set",
     "spm_pin.sweeps": "metrics over any number of poses or leg lengths",
     "spm_pin.nlp": "the loop equations in CasADi, and the branches found from them by multi-start",
-    "spm_pin.symbolic": "the closed forms in C for controllers",
+    "spm_pin.symbolic": "the closed forms as CasADi functions, and in C for controllers",
     "spm_pin.crosscheck": "methods compared on random poses",
     "spm_pin.errors": "what is raised, and what it carries",
 }
@@ -47,7 +47,7 @@ INTERNAL = {
     "multibody": "the robot in Pinocchio, its loops closed by constraints",
     "workspace": "the shell of Table 6, and the reachable set",
     "sweeps": "domains, metrics, store and runs",
-    "symbolic": "the kernels translated",
+    "symbolic": "the kernels traced and translated",
     "crosscheck": "methods, comparison, tolerances, report",
     "proofs": "leg limits and poses without singularities, proved by interval arithmetic",
     "reproduction": "the paper's tables recomputed",

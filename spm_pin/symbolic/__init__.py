@@ -1,5 +1,25 @@
-"""The closed forms outside of Python: CasADi functions with derivatives of any order, and C99 for controllers."""
+"""The closed forms outside of Python: CasADi functions with derivatives of any order, and C99 for controllers.
+
+Both are made from the kernels' own source, see `spm_pin.closed_form.kernels`.
+"""
 
 from spm_pin.symbolic.c_export import c_sources, write_c
+from spm_pin.symbolic.functions import (
+    closure_residual,
+    forward_physical,
+    inverse_branch,
+    inverse_jacobian,
+    inverse_physical,
+    leg_forces,
+)
 
-__all__ = ["c_sources", "write_c"]
+__all__ = [
+    "c_sources",
+    "closure_residual",
+    "forward_physical",
+    "inverse_branch",
+    "inverse_jacobian",
+    "inverse_physical",
+    "leg_forces",
+    "write_c",
+]

@@ -1,0 +1,289 @@
+"""CasADi functions traced from the kernels: values, derivatives, what they are out of reach, and their own C."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import casadi as ca
+import mpmath
+import numpy as np
+import pytest
+from problems import GEOMETRIES, conditioning, random_branches
+from symbolic.c_library import compile_c, compilers
+from symbolic.c_poses import hard_poses, held_states, possible_lengths, spread_poses
+
+import spm_pin as spm
+from spm_pin.errors import ArgumentError
+
+PAPER = GEOMETRIES["paper"]
+EPS = np.finfo(float).eps
+
+
+def numbers(function: ca.Function, *arguments: np.ndarray) -> list[np.ndarray]:
+    """Call a function; return its outputs as arrays."""
+    return [np.asarray(x) for x in function.call([ca.DM(np.asarray(a)) for a in arguments])]
+
+
+def called(function: ca.Function, *batches: np.ndarray) -> list[np.ndarray]:
+    """Map a function over batches (n, ...) of row-major arrays; return its outputs with the batch first."""
+    n = len(batches[0])
+    columns = [np.moveaxis(x.reshape(n, *x.shape[1:], *([1] * (3 - x.ndim))), 0, 1) for x in batches]
+    found = numbers(function.map(n), *(x.reshape(x.shape[0], -1) for x in columns))
+    outputs = []
+    for i, part in enumerate(found):
+        shape = function.size_out(i)
+        whole = part.reshape(shape[0], n, shape[1])
+        outputs.append(np.moveaxis(whole, 1, 0).reshape(n, *(shape if shape[1] > 1 else shape[:1])))
+    return outputs
+
+
+def as_columns(state: spm.Configuration) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return state.middle_joints, state.rotation, state.translation
+
+
+@pytest.mark.parametrize("name", GEOMETRIES)
+def test_every_branch_has_the_lengths_and_joints_of_the_package(name: str) -> None:
+    geometry = GEOMETRIES[name]
+    for index, label in enumerate(spm.mechanism.BRANCHES):
+        problem = random_branches(geometry, label[:2], 300, index)
+        expected = spm.inverse_displacement(geometry, problem.pose)[label]
+        function = spm.symbolic.inverse_branch(label, geometry)
+        rotation = problem.pose.rotation.as_matrix()
+        lengths, joints, discriminant, exists = called(function, rotation, problem.pose.translation)
+        there = expected.exists
+        np.testing.assert_array_equal(exists[:, 0] == 1.0, there)
+        np.testing.assert_array_equal(discriminant[:, 0] >= 0.0, there)
+        tolerance = 16.0 * EPS * conditioning(expected[there])
+        assert (np.abs(lengths - expected.leg_lengths)[there].max(axis=-1) <= tolerance).all()
+        assert (np.abs(joints - expected.middle_joints)[there].max(axis=(-1, -2)) <= tolerance).all()
+
+
+@pytest.mark.parametrize("name", GEOMETRIES)
+def test_the_physical_branch_is_that_of_the_package_and_nothing_is_ever_nan(name: str) -> None:
+    geometry = GEOMETRIES[name]
+    parts = [hard_poses(geometry, 1000, 2), spread_poses(geometry, 1000, 3)]
+    held = held_states(geometry, 500, 4)
+    rotation = np.concatenate([*(part[0] for part in parts), held.rotation])
+    position = np.concatenate([*(part[1] for part in parts), held.translation])
+    expected = spm.inverse_physical(geometry, spm.pose(position, rotation=rotation))
+    function = spm.symbolic.inverse_physical(geometry)
+    found = called(function, rotation, position)
+    np.testing.assert_array_equal(found[3][:, 0] == 1.0, expected.exists)
+    assert 300 < expected.exists.sum() < len(position) - 1000
+    assert all(np.isfinite(part).all() for part in found)
+    away = np.flatnonzero(expected.exists)
+    error = np.abs(found[0] - expected.leg_lengths)[away].max(axis=-1)
+    assert (error <= 16.0 * EPS * conditioning(expected[away])).all()
+    # Derivatives of first and second order are finite as well, wherever the platform is.
+    pose = ca.SX.sym("pose", 12)
+    lengths = function(ca.reshape(pose[:9], 3, 3), pose[9:])[0]
+    second = ca.hessian(ca.sum1(lengths), pose)[0]
+    derivatives = ca.Function("derivatives", [pose], [ca.jacobian(lengths, pose), second])
+    columns = np.concatenate([rotation.transpose(0, 2, 1).reshape(-1, 9), position], axis=-1)
+    assert all(np.isfinite(part).all() for part in called(derivatives, columns))
+
+
+def test_symbolic_dimensions_give_what_built_in_ones_give() -> None:
+    geometry = GEOMETRIES["wide base"]
+    state = held_states(geometry, 20, 1)[0]
+    sizes = [geometry.base_radius, geometry.platform_radius, geometry.middle_side]
+    pose, parts = (state.rotation, state.translation), (state.middle_joints, state.rotation, state.translation)
+    for make, arguments in (
+        (spm.symbolic.inverse_physical, pose),
+        (spm.symbolic.forward_physical, (state.leg_lengths,)),
+        (spm.symbolic.inverse_jacobian, parts),
+        (spm.symbolic.leg_forces, (*parts, np.ones(6))),
+        (spm.symbolic.closure_residual, parts),
+    ):
+        symbolic = make("symbolic")
+        assert symbolic.name_in()[-1] == "dimensions"
+        for a, b in zip(numbers(make(geometry), *arguments), numbers(symbolic, *arguments, sizes), strict=True):
+            np.testing.assert_allclose(b, a, rtol=1e-12, atol=1e-14)
+
+
+def test_without_a_geometry_it_is_the_papers_machine() -> None:
+    state = spm.forward_physical(PAPER, [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
+    function = spm.symbolic.inverse_physical()
+    assert function.name_in() == ["rotation", "position"]
+    assert function.name_out() == ["lengths", "joints", "discriminant", "exists"]
+    lengths = numbers(function, state.rotation, state.translation)[0]
+    np.testing.assert_allclose(lengths[:, 0], state.leg_lengths, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", GEOMETRIES)
+def test_jacobians_forces_and_residuals_are_those_of_the_package(name: str) -> None:
+    geometry = GEOMETRIES[name]
+    state = held_states(geometry, 500, 6)
+    (matrices,) = called(spm.symbolic.inverse_jacobian(geometry), *as_columns(state))
+    expected = spm.inverse_jacobian(state)
+    assert (np.abs(matrices - expected).max(axis=(-1, -2)) <= 1e-12 * np.abs(expected).max(axis=(-1, -2)) ** 2).all()
+    wrench = np.random.default_rng(1).normal(size=(len(expected), 6))
+    (forces,) = called(spm.symbolic.leg_forces(geometry), *as_columns(state), wrench)
+    known = spm.leg_forces(state, wrench)
+    assert (np.abs(forces - known).max(axis=-1) <= 1e-11 * np.abs(known).max(axis=-1)).all()
+    (residual,) = called(spm.symbolic.closure_residual(geometry), *as_columns(state))
+    size = np.abs(state.middle_joints).max()
+    assert np.abs(residual).max() <= 64 * EPS * size
+    moved = state.middle_joints + np.random.default_rng(2).normal(size=state.middle_joints.shape) * 0.01 * size
+    (residual,) = called(spm.symbolic.closure_residual(geometry), moved, state.rotation, state.translation)
+    torn = spm.Configuration.from_arrays(geometry, state.rotation, state.translation, moved).closure_residual
+    np.testing.assert_allclose(np.abs(residual[:, :6]).max(axis=-1) <= torn * (1.0 + 1e-9), True)
+    assert np.abs(residual).max() > 1e-3 * size
+
+
+@pytest.mark.parametrize("name", GEOMETRIES)
+def test_forward_displacement_is_that_of_the_package(name: str) -> None:
+    geometry = GEOMETRIES[name]
+    lengths = possible_lengths(geometry, 1000, 7, 0.8)
+    expected = spm.forward_physical(geometry, lengths)
+    rotation, position, joints, _, exists = called(spm.symbolic.forward_physical(geometry), lengths)
+    there = exists[:, 0] == 1.0
+    assert not (there & ~expected.exists).any()
+    # Beside a fold fourteen steps may be too few.
+    assert there.sum() >= 0.98 * expected.exists.sum()
+    assert (~expected.exists).sum() > 50
+    scale = np.linalg.norm(spm.closed_form.platform_jacobian(expected[np.flatnonzero(there)]), axis=(-1, -2))
+    size = np.abs(expected.middle_joints[there]).max()
+    assert (np.abs(rotation - expected.rotation)[there].max(axis=(-1, -2)) <= 64 * EPS * scale * (1.0 + size)).all()
+    assert (np.abs(position - expected.translation)[there].max(axis=-1) <= 64 * EPS * scale * (1.0 + size)).all()
+    assert (np.abs(joints - expected.middle_joints)[there].max(axis=(-1, -2)) <= 64 * EPS * scale * (1.0 + size)).all()
+
+
+def test_nothing_of_the_forward_displacement_is_nan_where_legs_cannot_be_joined() -> None:
+    size = PAPER.base_radius + PAPER.platform_radius + PAPER.middle_side
+    anywhere = size * np.random.default_rng(3).uniform(0.02, 2.0, (2000, 6))
+    found = called(spm.symbolic.forward_physical(PAPER), anywhere)
+    assert all(np.isfinite(part).all() for part in found)
+    np.testing.assert_array_equal(found[4][:, 0] == 1.0, spm.forward_physical(PAPER, anywhere).exists)
+
+
+def test_the_derivative_of_the_forward_displacement_is_the_inverse_of_that_of_the_inverse() -> None:
+    """To second order: the forward displacement after the inverse one is the identity."""
+    forward, inverse = spm.symbolic.forward_physical(PAPER), spm.symbolic.inverse_physical(PAPER)
+    q = ca.MX.sym("q", 6)
+    rotation, position, *_ = forward(q)
+    again = inverse(rotation, position)[0]
+    function = ca.Function("both", [q], [ca.jacobian(again, q), ca.jacobian(ca.jacobian(again, q), q)])
+    for state in held_states(PAPER, 20, 9):
+        if np.abs(spm.determinants(state)[..., 2]) > 0.005:
+            first, second = numbers(function, state.leg_lengths)
+            np.testing.assert_allclose(first, np.eye(6), rtol=0, atol=1e-9)
+            assert np.abs(second).max() < 1e-5
+
+
+def exact_lengths(state: spm.Configuration, twist: np.ndarray, step: mpmath.mpf) -> list[mpmath.mpf]:
+    """Leg lengths with fifty digits, the platform moved by v t and turned by ω t, from the closure equations alone."""
+    d, e, c = (mpmath.mpf(x) for x in (PAPER.middle_side, PAPER.base_radius, PAPER.platform_radius))
+    half = mpmath.sqrt(3) / 2
+    axes = [mpmath.matrix(a) for a in ([0.5, half, 0], [1, 0, 0], [-0.5, half, 0])]
+    radial = [mpmath.matrix(a) for a in ([half, -0.5, 0], [0, 1, 0], [-half, -0.5, 0])]
+    w = mpmath.matrix([[0, -twist[5], twist[4]], [twist[5], 0, -twist[3]], [-twist[4], twist[3], 0]])
+    turn = mpmath.eye(3) + step * w + step**2 / 2 * w * w  # to third order; the second derivative needs no more
+    rotation = turn * mpmath.matrix(state.rotation.tolist())
+    o = mpmath.matrix((state.translation).tolist()) + step * mpmath.matrix(twist[:3].tolist())
+    b = mpmath.matrix(state.middle_joints.ravel().tolist())
+    upper = [rotation * a for a in axes]
+    for _ in range(4):
+        rows, values = mpmath.zeros(9, 9), mpmath.zeros(9, 1)
+        points = [b[3 * i : 3 * i + 3] for i in range(3)]
+        for i in range(3):
+            for k in range(3):
+                rows[i, 3 * i + k], rows[3 + i, 3 * i + k] = axes[i][k], upper[i][k]
+            values[i] = sum(axes[i][k] * points[i][k] for k in range(3))
+            values[3 + i] = sum(upper[i][k] * (points[i][k] - o[k]) for k in range(3))
+            j = (i + 1) % 3
+            for k in range(3):
+                gap = points[i][k] - points[j][k]
+                rows[6 + i, 3 * i + k], rows[6 + i, 3 * j + k] = 2 * gap, -2 * gap
+            values[6 + i] = sum((points[i][k] - points[j][k]) ** 2 for k in range(3)) - d * d
+        b -= mpmath.lu_solve(rows, values)
+    points = [b[3 * i : 3 * i + 3] for i in range(3)]
+    lower = [mpmath.norm(mpmath.matrix([points[i][k] - e * radial[i][k] for k in range(3)])) for i in range(3)]
+    ends = [o + c * (rotation * radial[i]) for i in range(3)]
+    return lower + [mpmath.norm(mpmath.matrix([ends[i][k] - points[i][k] for k in range(3)])) for i in range(3)]
+
+
+def worst_derivatives(count: int) -> tuple[float, float]:
+    """Errors of the first two derivatives along a twist, relative to the largest and to the conditioning."""
+    function = spm.symbolic.inverse_physical(PAPER)
+    t, rotation, position, twist = ca.SX.sym("t"), ca.SX.sym("R", 3, 3), ca.SX.sym("o", 3), ca.SX.sym("twist", 6)
+    w = ca.skew(twist[3:])
+    turned = (ca.SX.eye(3) + t * w + t * t / 2 * w @ w) @ rotation
+    lengths = function(turned, position + t * twist[:3])[0]
+    first = ca.jacobian(lengths, t)
+    found = ca.substitute([first, ca.jacobian(first, t)], [t], [ca.SX(0)])
+    derivatives = ca.Function("derivatives", [rotation, position, twist], found)
+    states = held_states(PAPER, 4 * count, 12)
+    states = states[np.flatnonzero(np.abs(spm.determinants(states)[..., 2]) > 0.005)[:count]]
+    rng, worst = np.random.default_rng(13), [0.0, 0.0]
+    assert len(states.exists) == count
+    with mpmath.workdps(60):
+        h = mpmath.mpf(10) ** -20
+        for state, condition in zip(states, conditioning(states), strict=True):
+            along = rng.normal(size=6)
+            one, two = (x[:, 0] for x in numbers(derivatives, state.rotation, state.translation, along))
+            behind, here, ahead = (exact_lengths(state, along, k * h) for k in (-1, 0, 1))
+            slope = np.array([float((a - b) / (2 * h)) for a, b in zip(ahead, behind, strict=True)])
+            bend = np.array([float((a - 2 * m + b) / h**2) for a, m, b in zip(ahead, here, behind, strict=True)])
+            worst[0] = max(worst[0], np.abs(one - slope).max() / (np.abs(slope).max() * condition))
+            worst[1] = max(worst[1], np.abs(two - bend).max() / (np.abs(bend).max() * condition))
+    return worst[0], worst[1]
+
+
+def test_derivatives_agree_with_sixty_digits_from_the_closure_equations() -> None:
+    first, second = worst_derivatives(20)
+    assert first < 1e-13
+    assert second < 1e-12
+
+
+@pytest.mark.slow
+def test_derivatives_of_a_thousand_states_agree_with_sixty_digits() -> None:
+    first, second = worst_derivatives(1000)
+    assert first < 1e-13
+    assert second < 1e-12
+
+
+def test_a_hundred_thousand_poses_are_mapped() -> None:
+    lengths = possible_lengths(PAPER, 100_000, 20, 0.3)
+    state = spm.forward_physical(PAPER, lengths)
+    found = called(spm.symbolic.inverse_physical(PAPER), state.rotation, state.translation)[0]
+    np.testing.assert_array_equal(np.isfinite(found), True)
+    there = spm.inverse_physical(PAPER, state.pose).exists
+    assert there.mean() > 0.9
+    away = there & (np.abs(spm.determinants(state)[..., 2]) > 0.005)
+    np.testing.assert_allclose(found[away], lengths[away], rtol=0, atol=1e-10)
+
+
+def test_c_code_of_the_derivatives_compiles_and_computes_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    state = spm.forward_physical(PAPER, [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
+    generator = ca.CodeGenerator("generated.c")
+    parts = (state.middle_joints, state.rotation, state.translation)
+    functions = {
+        "inverse_physical": (spm.symbolic.inverse_physical(), parts[1:]),
+        "forward_physical": (spm.symbolic.forward_physical(), (state.leg_lengths,)),
+        "leg_forces": (spm.symbolic.leg_forces(), (*parts, np.ones(6))),
+        "inverse_jacobian": (spm.symbolic.inverse_jacobian(), parts),
+    }
+    derivatives = {name: (f.jacobian(), arguments) for name, (f, arguments) in functions.items()}
+    for function, _ in derivatives.values():
+        generator.add(function)
+    generator.generate()
+    compile_c(compilers()[0], "-shared", "-fPIC", "-O1", "generated.c", "-lm", "-o", "generated.so")
+    for name, (function, arguments) in derivatives.items():
+        outputs = [np.zeros(functions[name][0].size_out(i)) for i in range(functions[name][0].n_out())]
+        compiled = ca.external(function.name(), "./generated.so")
+        expected, found = (numbers(f, *arguments, *outputs) for f in (function, compiled))
+        for a, b in zip(expected, found, strict=True):
+            np.testing.assert_allclose(b, a, rtol=1e-9, atol=1e-11)
+
+
+def test_bad_arguments_are_clear_errors() -> None:
+    with pytest.raises(ArgumentError, match=r"branch: expected one of TT\+, .*, got 'TX'"):
+        spm.symbolic.inverse_branch("TX")
+    with pytest.raises(ArgumentError, match='geometry: expected a Geometry, "symbolic" or None'):
+        spm.symbolic.leg_forces(3)  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="geometry: expected a Geometry, got AsBuiltGeometry"):
+        spm.symbolic.inverse_physical(spm.AsBuiltGeometry.from_nominal(PAPER))  # type: ignore[arg-type]
