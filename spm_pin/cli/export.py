@@ -8,7 +8,7 @@ from typing import Annotated, Literal, get_args
 import typer
 
 from spm_pin.cli.console import note
-from spm_pin.cli.options import GeometryFile, read_geometry
+from spm_pin.cli.options import GeometryFile, Prefix, TextFile, read_geometry
 from spm_pin.cli.outputs import check_output, name_options, write_model, write_text
 from spm_pin.errors import ArgumentError
 
@@ -24,10 +24,8 @@ Loops = Literal["joints", "drake"]
 def export(
     format_: Annotated[Format | None, typer.Argument(metavar="[FORMAT]", help="What to write.")] = None,
     option: Annotated[Format | None, typer.Option("--format", help="The same, as an option.")] = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Where to write; standard output if not given. c: a directory.")
-    ] = None,
-    prefix: Annotated[str, typer.Option(help="Put before every name, such as left_; c: spm_ if not given.")] = "",
+    out: TextFile = None,
+    prefix: Prefix = "",
     geometry: GeometryFile = None,
     urdf: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Another robot instead of this manipulator.")

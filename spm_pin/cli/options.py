@@ -24,7 +24,10 @@ __all__ = [
     "Branches",
     "GeometryFile",
     "LengthUnit",
+    "Limits",
+    "Prefix",
     "SixLegs",
+    "TextFile",
     "Translation",
     "Triple",
     "Unit",
@@ -73,6 +76,14 @@ AnyGeometryFile = Annotated[
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+Limits = Annotated[
+    tuple[float, float] | None,
+    typer.Option("--limits", metavar="MIN MAX", help="Limits of all six legs, in --unit; the geometry's if not given."),
+]
+TextFile = Annotated[
+    Path | None, typer.Option("--out", metavar="FILE", help="Where to write; standard output if not given.")
+]
+Prefix = Annotated[str, typer.Option("--prefix", help="Put before every name, such as left_.")]
 Branches = Annotated[
     list[str] | None, typer.Option("--branch", metavar="LABEL", help="Branch, such as TT+; may be repeated.")
 ]

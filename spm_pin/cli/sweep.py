@@ -15,7 +15,7 @@ from rich.text import Text
 
 from spm_pin import sweeps
 from spm_pin.cli.console import note, print_lines, stderr, to_json
-from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Unit, read_geometry, unit_hint
+from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Limits, Unit, read_geometry, unit_hint
 from spm_pin.cli.outputs import name_options, require_extra
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LegLimits
@@ -68,10 +68,7 @@ def sweep(
             help=f"May be repeated; {', '.join(_DEFAULT)} if not given. One of {', '.join(sweeps.METRICS)}.",
         ),
     ] = None,
-    limits: Annotated[
-        tuple[float, float] | None,
-        typer.Option(metavar="MIN MAX", help="Limits of all six legs, in --unit; the geometry's if not given."),
-    ] = None,
+    limits: Limits = None,
     length: Annotated[
         float | None,
         typer.Option(help="Characteristic length of conditioning and isotropy, in --unit; the platform's radius."),

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
-
-import typer
-
-from spm_pin.cli.options import GeometryFile, read_geometry
+from spm_pin.cli.options import GeometryFile, Prefix, TextFile, read_geometry
 from spm_pin.cli.outputs import check_output, name_options, write_model
 
 __all__ = ["urdf"]
@@ -15,10 +10,8 @@ __all__ = ["urdf"]
 
 @name_options(prefix="--prefix", out="--out")
 def urdf(
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Where to write; standard output if not given.")
-    ] = None,
-    prefix: Annotated[str, typer.Option(help="Put before every name, such as left_.")] = "",
+    out: TextFile = None,
+    prefix: Prefix = "",
     geometry: GeometryFile = None,
 ) -> None:
     """Write the URDF: an open tree of eighteen joints, assembled at zero, its four loops closed by Drake's tags.

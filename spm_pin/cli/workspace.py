@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from spm_pin.cli.console import note, print_lines, print_table, significant, stderr, to_json
-from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Unit, read_geometry, unit_hint
+from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Limits, Unit, read_geometry, unit_hint
 from spm_pin.cli.outputs import check_output, name_options, require_extra
 from spm_pin.display.figure_files import FORMATS, save_figure
 from spm_pin.display.shell_files import MESH_FORMATS, save_mesh
@@ -24,10 +24,7 @@ __all__ = ["workspace"]
 
 @name_options(path="--out", resolution="--resolution")
 def workspace(
-    limits: Annotated[
-        tuple[float, float] | None,
-        typer.Option(metavar="MIN MAX", help="Limits of all six legs, in --unit; the geometry's if not given."),
-    ] = None,
+    limits: Limits = None,
     resolution: Annotated[int, typer.Option(help="Increments of a varying leg, at least 2.")] = 40,
     out: Annotated[
         Path | None,
