@@ -182,7 +182,7 @@ def search(
     transform = as_rigid_transform(pose)
     matrices = transform.as_matrix().reshape(-1, 4, 4)
     method = Ipopt(geometry, options) if options else _ipopt(geometry) if solver == "ipopt" else None
-    equations = _loop_equations(geometry)
+    equations = loop_equations_of(geometry)
     found: list[Multistart] = []
     try:
         for matrix in matrices:
@@ -195,7 +195,7 @@ def search(
     return _collect(geometry, transform, found)
 
 
-_loop_equations = functools.lru_cache(maxsize=32)(LoopEquations)
+loop_equations_of = functools.lru_cache(maxsize=32)(LoopEquations)
 _ipopt = functools.lru_cache(maxsize=32)(Ipopt)
 
 
