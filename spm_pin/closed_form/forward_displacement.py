@@ -232,8 +232,8 @@ def _solve_physical(
     sizes = r, base_radius, platform_radius
     found = np.empty(len(lengths), dtype=np.bool_)
     home_modes(lengths, *sizes, rotation, translation, joints, found)
-    rest = np.flatnonzero(~found)
-    if len(rest):
+    if not found.all():
+        rest = np.flatnonzero(~found)
         states = np.empty((len(rest), 3, 3)), np.empty((len(rest), 3)), np.empty((len(rest), 3, 3))
         home_modes_of_all(lengths[rest], *sizes, *states)
         rotation[rest], translation[rest], joints[rest] = states

@@ -294,19 +294,22 @@ class SolutionSet:
 
     def _select(self, index: npt.NDArray[np.intp], exists: BoolArray) -> Configuration:
         """Return one solution per problem, NaN throughout, the pose too, where `exists` is False."""
-        state = self._configurations
+        state, everywhere = self._configurations, bool(exists.all())
+        # For a single problem a slice, so that nothing shares memory with the others.
+        at = (*np.indices(index.shape, sparse=True), index) if self.shape else (slice(index, index + 1),)
 
         def take(array: FloatArray, inner: int) -> FloatArray:
-            at = index.reshape(*index.shape, *(1,) * (inner + 1))
-            taken = np.take_along_axis(array, at, axis=-inner - 1)
-            return np.asarray(taken.squeeze(axis=-inner - 1))
+            taken = array[at].reshape(*self.shape, *array.shape[-inner:])
+            if everywhere and self.shape:
+                return taken
+            return np.where(exists.reshape(*self.shape, *(1,) * inner), taken, np.nan)
 
         selected = Configuration.from_arrays(
             self.geometry,
-            np.where(exists[..., None, None], take(state.rotation, 2), np.nan),
-            np.where(exists[..., None], take(state.translation, 1), np.nan),
-            np.where(exists[..., None, None], take(state.middle_joints, 2), np.nan),
-            None if state.known_lengths is None else np.where(exists[..., None], take(state.known_lengths, 1), np.nan),
+            take(state.rotation, 2),
+            take(state.translation, 1),
+            take(state.middle_joints, 2),
+            None if state.known_lengths is None else take(state.known_lengths, 1),
         )
         if not self.shape and not exists:
             selected.absence = absence_reason(self)
@@ -390,13 +393,16 @@ class SolutionSet:
         the limits, the others are dropped; chain ``.within().physical()`` to exclude all that do not.
         """
         if self._choice is None:
-            mode = physical(self._configurations)
+            mode, most = physical(self._configurations), len(self._labels)
         else:
-            mode = np.zeros(self._configurations.shape, dtype=np.bool_)
-            mode[..., :2] = self._choice[..., :2]
+            mode, most = np.zeros(self._configurations.shape, dtype=np.bool_), 2
+            mode[..., :most] = self._choice[..., :most]
             mode &= self.exists
         limits = self.geometry.limits
-        inside = mode if limits is None else mode & limits.contains(self.leg_lengths)
+        if limits is None:
+            return mode
+        inside = mode.copy()
+        inside[..., :most] &= limits.contains(self.leg_lengths[..., :most, :])
         return np.where(inside.any(axis=-1, keepdims=True), inside, mode)
 
     @property

@@ -332,9 +332,8 @@ class ClosedChain(ChainMethods):
 
     def _physical(self, found: Configuration, argument: str, expected: str, cause: str) -> FloatArray:
         """Return q of configurations, or raise `ArgumentError` if one does not exist."""
-        absent = ~found.exists
-        if np.any(absent):
-            index = first_offender(absent)
+        if not found.exists.all():
+            index = first_offender(~found.exists)
             where = f" at batch index {index}" if index else ""
             cause = f"{found.absence or cause} With near=, the solution on a path from there is found"
             raise ArgumentError(argument, expected, f"others{where}", cause)

@@ -112,13 +112,13 @@ class JointLayout:
             configuration = Configuration.from_arrays(self.geometry, *arrays)
         angles = joint_angles(configuration, corners=(0,))
         open_ = angles.closure_residual > AGREEMENT * self.side
-        if np.any(open_):
+        if open_.any():
             index = first_offender(open_)
             where = f" at batch index {index}" if index else ""
             received = f"a closure residual of {angles.closure_residual[index]:.1e} m{where}"
             cause = "Rounded numbers? inverse_displacement closes the loops for a pose"
             raise ArgumentError("configuration", "a closed mechanism", received, cause)
-        return np.take(angles.values, self._order, axis=-1)
+        return angles.values.take(self._order, axis=-1)
 
 
 def require_dimensions(geometry: Geometry, expected: Geometry, argument: str, owner: str) -> None:
