@@ -220,9 +220,8 @@ def test_limits_certify_until_shortly_before_the_first_singularity(hips: float, 
     geometry = spm.Geometry(hips, hips, side)
     fold = half_width_of_the_first_fold(geometry, middle)
     assert spm.certify(geometry, spm.LegLimits(middle - 0.9 * fold, middle + 0.9 * fold)).holds
-    beyond = spm.certify(geometry, spm.LegLimits(middle - 1.01 * fold, middle + 1.01 * fold), boxes=60_000)
-    assert not beyond.holds
-    assert beyond.witness is not None
+    assert not spm.certify(geometry, spm.LegLimits(middle - 1.01 * fold, middle + 1.01 * fold), boxes=60_000).holds
+    assert spm.certify(geometry, spm.LegLimits(middle - 1.1 * fold, middle + 1.1 * fold)).witness is not None
 
 
 def test_the_widest_limits_hold() -> None:

@@ -1,0 +1,171 @@
+"""The aspect of the home cannot be left without a forward singularity: the rule of `in_home_aspect`, by subdivision.
+
+With z_k = Z + 2 x0 √p sin(φ_k - ψ) and ρ_k = 1 - p - 2p sin(2ψ + φ_k), lengths in units of r, the six factors
+m_ij = z_i (ε + ρ_j/2) + z_j (ρ_i - ε) of a stage are linear in (Z, 2 x0 √p). Up to a positive factor these are cos θ
+and sin θ, 0 <= θ <= π, so that p, ψ and θ cover all states of mode T. See `docs/theory/forward_displacement.md`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise, product
+
+import numpy as np
+import pytest
+
+from spm_pin.closed_form.intervals import Interval
+
+AZIMUTHS = np.radians([-30.0, 90.0, 210.0])
+PAIRS = ((0, 1), (1, 2), (2, 0), (1, 0), (2, 1), (0, 2))
+PARTS = (8, 24, 12, 1)
+"""Into how many cells p, ψ, θ and ε are divided at first."""
+
+
+def sine_and_cosine(centre: np.ndarray, half: np.ndarray) -> tuple[Interval, Interval]:
+    """Return enclosures over [centre - half, centre + half], half < π/2; the functions' own rounding is below 1e-15."""
+    rounding = Interval(np.full_like(half, -4e-15), np.full_like(half, 4e-15))
+    near, aside = (
+        Interval(np.cos(half) - 1e-15, np.ones_like(half)),
+        Interval(-np.sin(half) - 1e-15, np.sin(half) + 1e-15),
+    )
+    sine, cosine = Interval.of(np.sin(centre)), Interval.of(np.cos(centre))
+    return sine * near + cosine * aside + rounding, cosine * near - sine * aside + rounding
+
+
+def middle_and_half(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return 0.5 * (low + high), 0.5 * (high - low) * (1.0 + 1e-12) + 1e-14
+
+
+def factors(p: Interval, azimuth, rise, ratio: Interval):  # type: ignore[no-untyped-def]
+    """Return the six m_ij, and their derivatives with respect to ψ."""
+    (sine, cosine), radii, heights, d_radii, d_heights = sine_and_cosine(*rise), [], [], [], []
+    for phi in AZIMUTHS:
+        s2, c2 = sine_and_cosine(2.0 * azimuth[0] + phi, 2.0 * azimuth[1])
+        s1, c1 = sine_and_cosine(phi - azimuth[0], azimuth[1])
+        radii.append(1.0 - p * (1.0 + 2.0 * s2))
+        heights.append(cosine + sine * s1)
+        d_radii.append(-4.0 * (p * c2))
+        d_heights.append(-(sine * c1))
+    values, slopes = {}, {}
+    for i, j in PAIRS:
+        low, out = ratio + 0.5 * radii[j], radii[i] - ratio
+        values[i, j] = heights[i] * low + heights[j] * out
+        slopes[i, j] = (
+            d_heights[i] * low + heights[i] * (0.5 * d_radii[j]) + d_heights[j] * out + heights[j] * d_radii[i]
+        )
+    return values, slopes
+
+
+def sign(x: Interval) -> np.ndarray:
+    return np.where(x.low > 0.0, 1, np.where(x.high < 0.0, -1, 0))
+
+
+def undecided(excluded: Callable[..., np.ndarray], ends: tuple[tuple[float, float], ...], boxes: int) -> int:
+    """Return how many cells of p, ψ, θ and ε between ends are not excluded after so many boxes; 0 if all are."""
+    grids = [np.linspace(*end, parts + 1) for end, parts in zip(ends, PARTS, strict=True)]
+    cells = np.array([list(box) for box in product(*(pairwise(grid) for grid in grids))])
+    scale = [1.0, 0.5, 0.5, 1.0 / max(1.0, ends[3][1])]
+    seen = 0
+    while len(cells) and seen <= boxes:
+        seen += len(cells)
+        cells = cells[~excluded(cells)]
+        rows, axis = np.arange(len(cells)), ((cells[..., 1] - cells[..., 0]) * scale).argmax(axis=-1)
+        middle = cells[rows, axis].mean(axis=-1)
+        lower, upper = cells.copy(), cells
+        lower[rows, axis, 1], upper[rows, axis, 0] = middle, middle
+        cells = np.concatenate([lower, upper])
+    return len(cells)
+
+
+def evaluated(cells: np.ndarray, low: np.ndarray, high: np.ndarray):  # type: ignore[no-untyped-def]
+    """Return factors, their derivatives, and D over cells whose azimuths are replaced by [low, high]."""
+    p, ratio = (Interval(cells[:, k, 0], cells[:, k, 1]) for k in (0, 3))
+    m, slopes = factors(p, middle_and_half(low, high), middle_and_half(*cells[:, 2].T), ratio)
+    return m, slopes, m[0, 1] * m[1, 2] * m[2, 0] + m[1, 0] * m[2, 1] * m[0, 2]
+
+
+def without_exit(cells: np.ndarray) -> np.ndarray:
+    """Return which cells hold no states with D > 0, m12, m23 <= 0 and m21, m32, m13 >= 0.
+
+    Some cells without such states are beside a plane of symmetry, ψ = ψ0. There two legs change places, and with them
+    m12 and m32, m21 and m23 for legs 1 and 3: their differences are (ψ - ψ0) times derivatives in between, and have
+    signs that agree with the inequalities for ψ = ψ0 only, where the four are zero and D is too.
+    """
+    m, _, determinant = evaluated(cells, *cells[:, 1].T)
+    gone = (m[0, 1].low > 0.0) | (m[1, 2].low > 0.0) | (determinant.high <= 0.0)
+    for pair in ((1, 0), (2, 1), (0, 2)):
+        gone |= m[pair].high < 0.0
+    number = np.round(cells[:, 1].mean(axis=-1) / (np.pi / 3.0)).astype(int)
+    plane = number * np.pi / 3.0
+    _, d, _ = evaluated(cells, np.minimum(cells[:, 1, 0], plane), np.maximum(cells[:, 1, 1], plane))
+    # Legs 1 and 3 change places at multiples of a half turn, 2 and 3, and 1 and 2, a third of a turn from there.
+    signs = (
+        sign(d[0, 1] - d[2, 1]) * sign(d[1, 0] - d[1, 2]),
+        -sign(d[0, 1] - d[0, 2]) * sign(d[1, 2] - d[2, 1]),
+        -sign(d[0, 1] - d[1, 0]) * sign(d[1, 2] - d[0, 2]),
+    )
+    return gone | (np.choose(number % 3, signs) > 0)
+
+
+def without_rule(cells: np.ndarray) -> np.ndarray:
+    """Return which cells hold no states with D > 0 and at most one negative factor."""
+    m, _, determinant = evaluated(cells, *cells[:, 1].T)
+    negative = np.sum([value.high < 0.0 for value in m.values()], axis=0)
+    return np.asarray((determinant.high <= 0.0) | (negative >= 2))
+
+
+def exits(least: float, most: float, boxes: int) -> int:
+    ends = (0.0, 1.0), (-np.pi - 1e-12, np.pi + 1e-12), (0.0, np.pi + 1e-12), (least, most)
+    return undecided(without_exit, ends, boxes)
+
+
+def below_the_hips(least: float, most: float) -> int:
+    ends = (0.0, 1.0), (-np.pi - 1e-12, np.pi + 1e-12), (np.pi / 2.0 - 1e-12, np.pi + 1e-12), (least, most)
+    return undecided(without_rule, ends, 100_000)
+
+
+@pytest.mark.parametrize("ratio", [0.02, 0.1, 0.4330127, 0.8660254, 1.0, 2.0, 10.0])
+def test_the_rule_cannot_be_left_without_a_singularity(ratio: float) -> None:
+    assert exits(ratio * (1.0 - 1e-6), ratio * (1.0 + 1e-6), 200_000) == 0
+    assert below_the_hips(ratio * (1.0 - 1e-6), ratio * (1.0 + 1e-6)) == 0
+
+
+def test_what_does_not_hold_is_not_proved() -> None:
+    # Hips at radius zero, and a base that is too large for the subdivision.
+    assert exits(0.0, 1e-3, 20_000) > 0
+    assert exits(0.5, 5.0, 20_000) > 0
+
+
+def test_the_factors_are_those_of_the_package() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        p, psi, height, ratio = rng.uniform([0.0, -3.0, -2.0, 0.1], [1.0, 3.0, 2.0, 3.0])
+        reach = 2.0 * np.sqrt((1.0 - p) * p)
+        radii = 1.0 - p - 2.0 * p * np.sin(2.0 * psi + AZIMUTHS)
+        heights = height + reach * np.sin(AZIMUTHS - psi)
+        x, y = np.sqrt(p) * np.cos(psi), np.sqrt(p) * np.sin(psi)
+        x0 = np.sqrt(1.0 - p)
+        # Radii and heights as in `spm_pin.proofs.stage_region`.
+        expected = [1.0 - 2.0 * y * y - 12**0.5 * x * y, 1.0 - 3.0 * x * x + y * y, 1.0 - 2.0 * y * y + 12**0.5 * x * y]
+        np.testing.assert_allclose(radii, expected, atol=1e-14)
+        rises = [-x0 * (x + 3**0.5 * y), 2.0 * x0 * x, -x0 * (x - 3**0.5 * y)]
+        np.testing.assert_allclose(heights, height + np.array(rises), atol=1e-14)
+        size, theta = np.hypot(height, reach), np.arctan2(reach, height)
+        point = [np.array([value]) for value in (p, psi, theta, ratio)]
+        none = np.zeros(1)
+        found, slopes = factors(Interval.of(point[0]), (point[1], none), (point[2], none), Interval.of(point[3]))
+        nearby, _ = factors(Interval.of(point[0]), (point[1] + 1e-6, none), (point[2], none), Interval.of(point[3]))
+        for i, j in PAIRS:
+            value = heights[i] * (ratio + radii[j] / 2.0) + heights[j] * (radii[i] - ratio)
+            assert size * found[i, j].low[0] <= value + 1e-12
+            assert value - 1e-12 <= size * found[i, j].high[0]
+            difference = (nearby[i, j].low[0] - found[i, j].low[0]) / 1e-6
+            assert slopes[i, j].low[0] == pytest.approx(difference, abs=1e-4)
+
+
+@pytest.mark.slow
+def test_the_rule_holds_for_hips_from_a_fiftieth_to_ten_times_the_middle_radius() -> None:
+    ratios = np.geomspace(0.02, 10.0, 60)
+    for least, most in pairwise(ratios):
+        assert exits(least * (1.0 - 1e-12), most * (1.0 + 1e-12), 400_000) == 0
+        assert below_the_hips(least * (1.0 - 1e-12), most * (1.0 + 1e-12)) == 0
