@@ -51,6 +51,8 @@ class ExpressionTranslator:
     ----------
     variables : dict
         Types of variables by their names.
+    fixed : dict
+        Values of integers that are assigned once, and known beforehand, such as lengths of arrays.
     read : set of str
         Variables that are used.
     lines : list of str
@@ -62,6 +64,7 @@ class ExpressionTranslator:
         self.globals = names
         self.names: dict[str, str] = {}
         self.variables: dict[str, Type] = {}
+        self.fixed: dict[str, int] = {}
         self.read: set[str] = set()
         self.lines: list[str] = []
         self.indent, self.count = 1, 0
@@ -125,6 +128,8 @@ class ExpressionTranslator:
 
     def _name(self, node: ast.Name) -> Value:
         own = self.names.get("", "") + node.id
+        if own in self.fixed:
+            return literal(self.fixed[own])
         if own in self.variables:
             self.read.add(own)
             return Value(self.identifier(node.id), self.variables[own])

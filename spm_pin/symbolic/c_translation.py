@@ -11,6 +11,7 @@ from __future__ import annotations
 import ast
 import inspect
 import textwrap
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -138,6 +139,8 @@ class FunctionTranslator(ExpressionTranslator):
         names = [argument.arg for argument in self._tree.args.args]
         self._arguments = dict(zip(names, arguments, strict=True))
         self._result: Type | None = None
+        nodes = (node for node in ast.walk(self._tree) if isinstance(node, ast.Name))
+        self._stores = Counter(node.id for node in nodes if isinstance(node.ctx, ast.Store))
 
     def translate(self, name: str) -> tuple[str, Type | None]:
         """Return the definition, and the type of the result."""
@@ -283,6 +286,8 @@ class FunctionTranslator(ExpressionTranslator):
         elif isinstance(target, ast.Name):
             if target.id != "_":
                 self.assign_type(target.id, value.type)
+                if isinstance(value.known, int) and self._stores[target.id] == 1 and not self.names:
+                    self.fixed[target.id] = value.known
                 own = self.variables[self.names.get("", "") + target.id]
                 self.emit(f"{self.identifier(target.id)} = {bare(self.text(value, own))};")
         else:
