@@ -23,6 +23,7 @@ _FLAGS = ("-O3", "-march=native", "-fno-math-errno")
 _CACHED = 2048
 """Doubles that stay in the first cache."""
 _TURNS = 100_000
+_KERNEL = f"{OURS}, kernel alone"
 _FEW = 1000
 """Poses whose results, a megabyte, stay in a cache."""
 
@@ -63,6 +64,7 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
     few, many = leg_space(_FEW), tiled(large)
     timed_calls = [
         TimedCall(f"{OURS} {small}", package.inverse((GEOMETRY, few)).call, small),
+        TimedCall(f"{_KERNEL} {small}", package.kernel((GEOMETRY, few)).call, small),
         TimedCall(f"C loop {small}", c_loop.answered((GEOMETRY, few)).call, small),
         TimedCall(f"{OURS} {large}", package.inverse((GEOMETRY, many)).call, large),
         TimedCall(f"C loop {large}", c_loop.fresh((GEOMETRY, many)).call, large),
@@ -73,8 +75,8 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
     read = arrays.poses.nbytes / small
     written = (arrays.joints.nbytes + arrays.lengths.nbytes + arrays.status.nbytes) / small
     least = max(_bounds(limits, operations, read, written, new=False).values())
-    ours = timings[f"{OURS} {small}"].spread
-    facts["roofline/inverse"] = Spread(ours.median / least, ours.low / least, ours.high / least)
+    kernel = timings[f"{_KERNEL} {small}"].spread
+    facts["roofline/inverse"] = Spread(kernel.median / least, kernel.low / least, kernel.high / least)
     section.add(_account(operations, read, written))
     section.add(_limits_table(limits, timings))
     section.add(_table(limits, operations, read, written, timings, small, large))
@@ -172,7 +174,9 @@ def _table(
         bounds = _bounds(limits, operations, read, written, new=new)
         least = max(bounds.values())
         rows.append([count(n), "at best", seconds(least), "", "1"])
-        for who in (OURS, "C loop"):
+        for who in (OURS, _KERNEL, "C loop"):
+            if f"{who} {n}" not in timings:
+                continue
             spread = timings[f"{who} {n}"].spread
             rows.append([count(n), who, *spread_of_seconds(spread), three_digits(spread.median / least)])
     return table(["poses a call", "", "per pose", "quartiles", "× at best"], rows, left=2)
@@ -195,9 +199,10 @@ def _reading(
         bounds = _bounds(limits, operations, read, written, new=new)
         tightest = max(bounds, key=lambda name: bounds[name])
         listed = ", ".join(f"{name} {seconds(value)}" for name, value in bounds.items())
-        ratio = timings[f"{OURS} {n}"].spread.median / bounds[tightest]
+        who = _KERNEL if f"{_KERNEL} {n}" in timings else OURS
+        ratio = timings[f"{who} {n}"].spread.median / bounds[tightest]
         sentences.append(
-            f"Of {count(n)} poses, {where}, the least times are {listed}. The bound is {tightest}, and {OURS} takes "
+            f"Of {count(n)} poses, {where}, the least times are {listed}. The bound is {tightest}, and {who} takes "
             f"{three_digits(ratio)} times that."
         )
     sentences.append(
