@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import least_squares
-from scipy.stats import chi2
+from scipy.special import gammainccinv
 
 from spm_pin.calibration.error_model import as_built, error_jacobian, invisible_errors, parameter_scale, selected
 from spm_pin.calibration.measurements import MeasurementError, Measurements, covariances
@@ -218,6 +217,8 @@ def _whitening(start: AsBuiltGeometry, data: Measurements, pose_noise: Any, leng
 
 
 def _solved(residuals: Any, jacobian: Any, first: FloatArray, loss: Any) -> FloatArray:
+    from scipy.optimize import least_squares  # takes a third of a second, which other commands need not wait
+
     tolerances: Any = dict.fromkeys(("xtol", "ftol", "gtol"), _CONVERGED)
     result = least_squares(residuals, first, jac=jacobian, loss=loss, max_nfev=_EVALUATIONS, **tolerances)
     return np.asarray(result.x)
@@ -242,5 +243,5 @@ def _outliers(whitened: FloatArray) -> BoolArray:
     """Return which rows (N, n) of whitened residuals do not belong to the others."""
     squares, freedom = (whitened**2).sum(axis=-1), whitened.shape[1]
     # The fit takes part of the noise away, or the noise was given too small: the median tells its size.
-    scale = np.median(squares) / chi2.median(freedom)
-    return np.asarray(squares > max(scale, 1e-12) * chi2.isf(_CHANCE / len(squares), freedom))
+    median, largest = (2.0 * gammainccinv(0.5 * freedom, p) for p in (0.5, _CHANCE / len(squares)))  # of χ²
+    return np.asarray(squares > max(np.median(squares) / median, 1e-12) * largest)
