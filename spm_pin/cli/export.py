@@ -8,7 +8,7 @@ from typing import Annotated, Literal, get_args
 import typer
 
 from spm_pin.cli.console import note
-from spm_pin.cli.options import GeometryFile, Prefix, TextFile, read_geometry
+from spm_pin.cli.options import AnyGeometryFile, Prefix, TextFile, read_any_geometry, read_geometry
 from spm_pin.cli.outputs import check_output, name_options, write_model, write_text
 from spm_pin.errors import ArgumentError
 
@@ -26,7 +26,7 @@ def export(
     option: Annotated[Format | None, typer.Option("--format", help="The same, as an option.")] = None,
     out: TextFile = None,
     prefix: Prefix = "",
-    geometry: GeometryFile = None,
+    geometry: AnyGeometryFile = None,
     urdf: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Another robot instead of this manipulator.")
     ] = None,
@@ -83,17 +83,19 @@ def export(
     if format_ == "srdf":
         write_text(srdf_text({}, prefix=prefix), out)
         return
-    robot = manipulator(read_geometry(geometry), prefix=prefix) if urdf is None else read_robot(urdf, closures)
+    robot = manipulator(read_any_geometry(geometry), prefix=prefix) if urdf is None else read_robot(urdf, closures)
     # Beside a file of this manipulator go its meshes; a text on standard output, or of another robot, has whole paths.
     beside = out is not None and urdf is None and format_ != "extended-urdf"
     folder = description_directory() if beside else None
+    # A machine as built is not assembled at zero, which MuJoCo's bodies and SDFormat's joints ask for.
+    apart = bool(robot.open_closures())
     match format_:
         case "urdf":
             text = urdf_text(robot, ros_constraints=ros_constraints, folder=folder)
         case "mjcf":
-            text = mjcf_text(robot, anchors=anchors or "bodies", folder=folder)
+            text = mjcf_text(robot, anchors=anchors or ("sites" if apart else "bodies"), folder=folder)
         case "sdf":
-            text = sdf_text(robot, loops=loops or "joints", folder=folder)
+            text = sdf_text(robot, loops=loops or ("drake" if apart else "joints"), folder=folder)
         case _:
             text = extended_urdf_text(robot)
     (write_model if beside else write_text)(text, out)

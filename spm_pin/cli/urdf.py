@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from spm_pin.cli.options import GeometryFile, Prefix, TextFile, read_geometry
+from spm_pin.cli.options import AnyGeometryFile, Prefix, TextFile, read_any_geometry
 from spm_pin.cli.outputs import check_output, name_options, write_model
+from spm_pin.mechanism import AsBuiltGeometry
 
 __all__ = ["urdf"]
 
@@ -12,7 +13,7 @@ __all__ = ["urdf"]
 def urdf(
     out: TextFile = None,
     prefix: Prefix = "",
-    geometry: GeometryFile = None,
+    geometry: AnyGeometryFile = None,
 ) -> None:
     """Write the URDF: an open tree of eighteen joints, assembled at zero, its four loops closed by Drake's tags.
 
@@ -21,7 +22,14 @@ def urdf(
     file's folder, package_dirs=".". A URDF on standard output names them by their whole paths.
     """
     from spm_pin.description.expand import expand
-    from spm_pin.description.paths import MESHES
+    from spm_pin.description.load_robot import manipulator
+    from spm_pin.description.paths import MESHES, description_directory
+    from spm_pin.description.write_urdf import urdf_text
 
     check_output(out)
-    write_model(expand(read_geometry(geometry), prefix=prefix, meshes=MESHES if out else None), out)
+    dimensions = read_any_geometry(geometry)
+    if isinstance(dimensions, AsBuiltGeometry):
+        folder = description_directory() if out else None
+        write_model(urdf_text(manipulator(dimensions, prefix=prefix), folder=folder), out)
+    else:
+        write_model(expand(dimensions, prefix=prefix, meshes=MESHES if out else None), out)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import yaml
 
+from spm_pin.description.as_built_tree import as_built_robot
 from spm_pin.description.closures import read_closures
 from spm_pin.description.expand import expand
 from spm_pin.description.extended_urdf import ExtendedUrdf, read_extended_urdf
@@ -17,6 +18,7 @@ from spm_pin.description.robot_parts import Transmission
 from spm_pin.description.tree import joint_values
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism import yaml_nodes
+from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 
@@ -24,13 +26,16 @@ __all__ = ["manipulator", "read_robot"]
 
 
 def manipulator(
-    geometry: Geometry | None = None, *, prefix: str = "", states: Mapping[str, Configuration] | None = None
+    geometry: Geometry | AsBuiltGeometry | None = None,
+    *,
+    prefix: str = "",
+    states: Mapping[str, Configuration] | None = None,
 ) -> RobotDescription:
     """Return the manipulator of this package.
 
     Parameters
     ----------
-    geometry : Geometry, optional
+    geometry : Geometry or AsBuiltGeometry, optional
         By default the paper's.
     prefix : str
         Put before every name but those of the states.
@@ -45,7 +50,10 @@ def manipulator(
         If a state is a batch or does not exist.
     """
     geometry = Geometry.paper() if geometry is None else geometry
-    robot = urdf_description(expand(geometry, prefix=prefix), read_closures(prefix=prefix))
+    nominal = geometry.nominal if isinstance(geometry, AsBuiltGeometry) else geometry
+    robot = urdf_description(expand(nominal, prefix=prefix), read_closures(prefix=prefix))
+    if isinstance(geometry, AsBuiltGeometry):
+        robot = as_built_robot(robot, geometry, prefix)
     values = {}
     for name, configuration in (states or {}).items():
         if configuration.geometry != geometry:

@@ -6,6 +6,7 @@ import itertools
 import re
 
 from spm_pin.errors import DescriptionError
+from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.joint_angles import joint_angles
 
@@ -38,7 +39,12 @@ def joint_values(configuration: Configuration) -> dict[str, float]:
     By name, without prefix, in the order of `JOINTS`: angles in [-π, π] [rad], slides [m] as length minus home length.
     Where the configuration violates the mechanism's closure, so does the tree.
     """
-    check_configuration(configuration, single=True, existing=True)
+    check_configuration(configuration, single=True, existing=True, as_built=True)
+    if isinstance(configuration.geometry, AsBuiltGeometry):
+        from spm_pin.description.as_built_tree import as_built_joint_values
+
+        values = as_built_joint_values(configuration)
+        return {name: values[name] for name in JOINTS}
     found = joint_angles(configuration, corners=(0,)).values
     values = dict(zip((*ANGLES, *SLIDES), found.tolist(), strict=True))
     return {name: values[name] for name in JOINTS}

@@ -484,7 +484,7 @@ WORK: dict[str, tuple[str, list[str]]] = {
     "crosscheck": ("compare_in_batches", []),
     "demo": ("reproduce", []),
     "draw": ("requested_solutions", ["--out", "x.png"]),
-    "export": ("read_geometry", ["--format", "mjcf"]),
+    "export": ("read_any_geometry", ["--format", "mjcf"]),
     "forward": ("forward_displacement", LEGS),
     "inverse": ("solve_pose", EXAMPLE),
     "reproduce": ("recompute", []),
@@ -492,7 +492,7 @@ WORK: dict[str, tuple[str, list[str]]] = {
     "statics": ("solve_pose", [*EXAMPLE, *LOAD]),
     "sweep": ("sweeps.run", ["--legs", "1.2:1.3:2", "--out", "map"]),
     "tolerance": ("analyse", []),
-    "urdf": ("read_geometry", []),
+    "urdf": ("read_any_geometry", []),
     "view": ("requested_solutions", ["--no-open"]),
     "workspace": ("workspace_shell", []),
 }

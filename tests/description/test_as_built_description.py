@@ -1,0 +1,155 @@
+"""The robot of a machine as built: its loops close, and engines find its rates and forces."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli.running import run
+
+import spm_pin as spm
+from spm_pin.description.load_robot import manipulator, read_robot
+from spm_pin.description.tree import JOINTS, SLIDES, joint_values
+from spm_pin.description.write_mjcf import mjcf_text
+from spm_pin.description.write_urdf import urdf_text
+
+PAPER = spm.Geometry.paper()
+NOMINAL = spm.AsBuiltGeometry.from_nominal(PAPER)
+MACHINES = {
+    "without errors": NOMINAL,
+    "a millimetre": NOMINAL.perturbed(1, length=1e-3, angle=1e-3),
+    "centimetres": NOMINAL.perturbed(2, length=2e-2, angle=5e-2),
+}
+LEGS = np.random.default_rng(0).uniform(1.2, 1.4, (12, 6))
+
+
+def states(machine: spm.AsBuiltGeometry) -> spm.Configuration:
+    found = spm.forward_physical(machine, LEGS)
+    assert found.exists.sum() > 8
+    return found[found.exists]
+
+
+@pytest.mark.parametrize("prefix", ["", "left_"])
+@pytest.mark.parametrize("name", MACHINES)
+def test_loops_close_to_rounding_at_the_joint_values_of_a_state(name: str, prefix: str) -> None:
+    machine = MACHINES[name]
+    robot = manipulator(machine, prefix=prefix)
+    for state in states(machine):
+        values = {prefix + joint: value for joint, value in joint_values(state).items()}
+        frames = robot.frames(values)
+        np.testing.assert_allclose(frames[f"{prefix}terminal_platform"], state.pose.as_matrix(), atol=1e-14)
+        np.testing.assert_allclose(frames[f"{prefix}middle_platform"], state.middle_pose.as_matrix(), atol=1e-14)
+        for closure in robot.closures:
+            gap = frames[closure.frame_a][:3, 3] - frames[closure.frame_b][:3, 3]
+            np.testing.assert_allclose(gap, 0.0, atol=1e-14)
+        # What a slide says is the length without the offset, less the length at home.
+        for slide, reading, offset in zip(SLIDES, state.leg_lengths, machine.offsets, strict=True):
+            assert values[prefix + slide] == pytest.approx(reading - offset - 1.3, abs=1e-14)
+
+
+def test_without_errors_joint_values_are_those_of_the_ideal_machine() -> None:
+    ideal = spm.forward_physical(PAPER, LEGS[0])
+    same = spm.Configuration(NOMINAL, ideal.pose, ideal.middle_joints)
+    expected, found = joint_values(ideal), joint_values(same)
+    assert tuple(found) == tuple(expected) == JOINTS
+    np.testing.assert_allclose(list(found.values()), list(expected.values()), atol=1e-14)
+
+
+def test_the_mass_is_that_of_the_nominal_robot() -> None:
+    masses = [
+        sum(link.inertial.mass for link in manipulator(geometry).links if link.inertial)
+        for geometry in (PAPER, MACHINES["a millimetre"])
+    ]
+    assert masses[1] == pytest.approx(masses[0], rel=1e-12)
+
+
+def test_a_state_named_in_the_description_is_assembled() -> None:
+    machine = MACHINES["a millimetre"]
+    state = states(machine)[0]
+    robot = manipulator(machine, states={"measured": state})
+    assert not robot.open_closures(robot.states["measured"])
+    with pytest.raises(spm.SpmError, match="states"):
+        manipulator(PAPER, states={"measured": state})
+
+
+def test_slide_limits_are_those_of_the_readings() -> None:
+    machine = MACHINES["centimetres"]
+    assert PAPER.limits is not None
+    slides = {joint.name: joint.limit for joint in manipulator(machine).joints if joint.name in SLIDES}
+    for k, name in enumerate(SLIDES):
+        assert slides[name].lower + 1.3 + machine.offsets[k] == pytest.approx(PAPER.limits.minimum[k])
+        assert slides[name].upper + 1.3 + machine.offsets[k] == pytest.approx(PAPER.limits.maximum[k])
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_leg_rates_are_those_of_pinocchios_constraints(name: str) -> None:
+    pin = pytest.importorskip("pinocchio")
+    machine = MACHINES[name]
+    model = pin.buildModelFromXML(urdf_text(manipulator(machine)))
+    data = model.createData()
+    twists = np.random.default_rng(1).standard_normal((len(LEGS), 6))
+    for state, twist in zip(states(machine), twists, strict=False):
+        q = np.zeros(model.nq)
+        for joint, value in joint_values(state).items():
+            q[model.joints[model.getJointId(joint)].idx_q] = value
+        pin.computeJointJacobians(model, data, q)
+        pin.updateFramePlacements(model, data)
+
+        def jacobian(frame: str) -> np.ndarray:
+            return np.asarray(pin.getFrameJacobian(model, data, model.getFrameId(frame), pin.LOCAL_WORLD_ALIGNED))
+
+        pairs = [("middle_b2", "leg_b2_tip"), ("middle_b3", "leg_b3_tip")]
+        pairs += [("middle_b2_upper", "leg_c2_tip"), ("middle_b3_upper", "leg_c3_tip")]
+        rows = np.concatenate([jacobian("terminal_platform"), *(jacobian(a)[:3] - jacobian(b)[:3] for a, b in pairs)])
+        velocity = np.linalg.solve(rows, np.concatenate([twist, np.zeros(12)]))
+        rates = [velocity[model.joints[model.getJointId(slide)].idx_v] for slide in SLIDES]
+        np.testing.assert_allclose(rates, spm.leg_rates(state, twist), rtol=1e-7, atol=1e-7)
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_leg_forces_balance_in_mujoco(name: str) -> None:
+    """Slide forces and forces of MuJoCo's constraints together hold the wrench, in all eighteen joints."""
+    mujoco = pytest.importorskip("mujoco")
+    machine = MACHINES[name]
+    model = mujoco.MjModel.from_xml_string(mjcf_text(manipulator(machine), anchors="sites"))
+    data = mujoco.MjData(model)
+    loads = np.random.default_rng(2).standard_normal((len(LEGS), 6))
+    for state, load in zip(states(machine), loads, strict=False):
+        for joint, value in joint_values(state).items():
+            data.qpos[model.joint(joint).qposadr[0]] = value
+        mujoco.mj_forward(model, data)
+        body = model.body("terminal_c1").id  # MuJoCo has fused the platform with its corner
+        linear, angular = np.zeros((2, 3, model.nv))
+        mujoco.mj_jac(model, data, linear, angular, state.translation, body)
+        applied = linear.T @ load[:3] + angular.T @ load[3:]
+        # Before the rows of joint limits come those of the four closures.
+        constraints = data.efc_J.reshape(-1, model.nv)[:12]
+        assert np.abs(data.efc_pos[:12]).max() < 1e-12
+        actuated = np.zeros((model.nv, 6))
+        actuated[[model.joint(slide).dofadr[0] for slide in SLIDES], range(6)] = 1.0
+        unknown = np.linalg.solve(np.concatenate([actuated, constraints.T], axis=1), -applied)
+        np.testing.assert_allclose(unknown[:6], spm.leg_forces(state, load), rtol=1e-7, atol=1e-7)
+
+
+def test_commands_write_the_machine_of_a_file(tmp_path: Path) -> None:
+    machine = MACHINES["a millimetre"]
+    file = tmp_path / "machine.yaml"
+    machine.to_yaml(file)
+    values = joint_values(states(machine)[0])
+    for arguments in (["urdf"], ["export", "urdf"]):
+        out = tmp_path / f"{arguments[-1]}.urdf"
+        done = run(*arguments, "--geometry", str(file), "--out", str(out))
+        assert done.returncode == 0, done.stderr
+        robot = read_robot(out)
+        assert not robot.open_closures(values)
+        np.testing.assert_allclose(
+            robot.frames(values)["terminal_platform"], states(machine)[0].pose.as_matrix(), atol=1e-13
+        )
+    for kind in ("mjcf", "sdf", "extended-urdf"):
+        done = run("export", kind, "--geometry", str(file))
+        assert done.returncode == 0, done.stderr
+        assert "middle_b2_upper" in done.stdout
+    refused = run("export", "mjcf", "--anchors", "bodies", "--geometry", str(file))
+    assert refused.returncode == 2
+    assert "closed to 1e-09 m at zero" in refused.stderr
