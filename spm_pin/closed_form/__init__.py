@@ -25,6 +25,7 @@ from spm_pin.closed_form.singularity_analysis import (
     singular_values,
     singularities,
 )
+from spm_pin.closed_form.stiffness import PrincipalStiffness, compliance, principal_stiffness, stiffness
 from spm_pin.closed_form.threads import set_threads, threads
 
 __all__ = [
@@ -33,11 +34,13 @@ __all__ = [
     "Event",
     "EventKind",
     "FollowedPath",
+    "PrincipalStiffness",
     "Singularities",
     "SingularityKind",
     "branch_lengths",
     "compile_kernels",
     "complex_middle_joints",
+    "compliance",
     "determinant_gradients",
     "determinants",
     "follow",
@@ -49,8 +52,10 @@ __all__ = [
     "leg_forces",
     "leg_rates",
     "platform_jacobian",
+    "principal_stiffness",
     "set_threads",
     "singular_values",
     "singularities",
+    "stiffness",
     "threads",
 ]

@@ -10,8 +10,8 @@ from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.multibody.batched_states import BatchedStates
 from spm_pin.multibody.constrained_model import SingularValues
 from spm_pin.multibody.constrained_state import ChainState, ConstrainedState
-from spm_pin.multibody.dynamics import Energy, PlatformDynamics
-from spm_pin.multibody.vector_arguments import Gains, WrenchLike, read_gains, read_wrenches
+from spm_pin.multibody.dynamics import Energy, NaturalFrequencies, PlatformDynamics
+from spm_pin.multibody.vector_arguments import Gains, WrenchLike, read_gains, read_stiffness, read_wrenches
 
 __all__ = ["ChainMethods", "ConstrainedMethods"]
 
@@ -174,3 +174,19 @@ class ChainMethods(ConstrainedMethods):
         q, v and the errors are those of `joint_accelerations`.
         """
         return PlatformDynamics(*self._states.over(ChainState.platform_dynamics, ((6, 6), (6, 6), (6,), (6,)), q, v=v))
+
+    def natural_frequencies(self, q: npt.ArrayLike, stiffness: npt.ArrayLike) -> NaturalFrequencies:
+        """Return the small vibrations of the platform with its motors held, on legs that are elastic.
+
+        q is closed, `stiffness` (..., 6, 6) the platform's as of `spm_pin.stiffness`; all bodies' masses take part as
+        if rigid. What weights add to the stiffness is left out: it is of the size of weight / leg length. Raises
+        `ClosureError` if q is open, `ArgumentError` if a matrix is not symmetric and positive definite, and
+        `SingularConfigurationError` at an inverse or a constraint singularity.
+        """
+        matrices = read_stiffness(stiffness)
+
+        def member(state: ChainState, matrix: FloatArray) -> NaturalFrequencies:
+            return state.natural_frequencies(matrix.reshape(6, 6))
+
+        flat = matrices.reshape(*matrices.shape[:-2], 36)
+        return NaturalFrequencies(*self._states.over(member, ((6,), (6, 6)), q, stiffness=flat))

@@ -34,7 +34,7 @@ class BatchedStates(Generic[_State]):
         self._make, self._checked, self._free = make, checked, [make()]
         self.constrained = self._free[0].constrained
         nv = self.constrained.model.nv
-        self._sizes = {"v": nv, "a": nv, "forces": self.constrained.actuated.size}
+        self._sizes = {"v": nv, "a": nv, "forces": self.constrained.actuated.size, "stiffness": 36}
 
     def _take(self) -> _State:
         try:

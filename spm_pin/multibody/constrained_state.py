@@ -12,8 +12,8 @@ from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.multibody import dynamics
 from spm_pin.multibody.constrained_model import ConstrainedModel, SingularValues, TreeKinematics
-from spm_pin.multibody.dynamics import AccelerationSolver, Energy, PlatformDynamics
-from spm_pin.multibody.vector_arguments import Gains, WrenchLike, read_gains, read_vector, read_wrenches
+from spm_pin.multibody.dynamics import AccelerationSolver, Energy, NaturalFrequencies, PlatformDynamics
+from spm_pin.multibody.vector_arguments import Gains, WrenchLike, read_gains, read_stiffness, read_vector, read_wrenches
 
 __all__ = ["ChainState", "ConstrainedState"]
 
@@ -164,6 +164,21 @@ class ChainState(ConstrainedState):
         wanted = read_vector(acceleration, "acceleration", 6)
         dynamics.require_closed(self.kinematics, self._v)
         return dynamics.accelerations_for(self.kinematics, wanted, self._bias())
+
+    def joint_accelerations_of_legs(self, leg_accelerations: npt.ArrayLike) -> FloatArray:
+        """Return the accelerations of all joints (18,) for those of the legs (6,) [m/s²]."""
+        wanted = read_vector(leg_accelerations, "leg_accelerations", 6)
+        dynamics.require_closed(self.kinematics, self._v)
+        return dynamics.accelerations_for_legs(self.kinematics, wanted, self._bias())
+
+    def platform_acceleration(self, a: npt.ArrayLike) -> FloatArray:
+        """Return the time derivative of the twist of m (6,) [m/s², rad/s²] for joint accelerations (nv,)."""
+        return np.asarray(self.kinematics.platform @ read_vector(a, "a", self.constrained.model.nv) + self._bias()[1])
+
+    def natural_frequencies(self, stiffness: npt.ArrayLike) -> NaturalFrequencies:
+        """Return the vibrations of the platform on elastic legs, of a stiffness (6, 6) as of `spm_pin.stiffness`."""
+        dynamics.require_closed(self.kinematics)
+        return dynamics.natural_frequencies(self.kinematics, read_stiffness(stiffness))
 
     def platform_dynamics(self) -> PlatformDynamics:
         """Return the equations of motion at the terminal platform."""

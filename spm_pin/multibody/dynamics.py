@@ -17,10 +17,12 @@ module `constrained_model`, leg forces f, wrenches w_k at frames with Jacobians 
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from scipy.linalg import LinAlgError, eigh
 
 from spm_pin.errors import ArgumentError, ClosureError
 from spm_pin.mechanism.arguments import FloatArray
@@ -30,12 +32,15 @@ from spm_pin.multibody.joint_layout import AGREEMENT
 __all__ = [
     "AccelerationSolver",
     "Energy",
+    "NaturalFrequencies",
     "PlatformDynamics",
     "accelerations_for",
+    "accelerations_for_legs",
     "balance",
     "drift",
     "energy_of",
     "mass_matrix",
+    "natural_frequencies",
     "platform_dynamics",
     "require_closed",
     "require_closed_accelerations",
@@ -83,6 +88,21 @@ class PlatformDynamics(NamedTuple):
     coriolis: FloatArray
     bias: FloatArray
     gravity: FloatArray
+
+
+class NaturalFrequencies(NamedTuple):
+    """Vibrations of the platform on elastic legs, slowest first.
+
+    Attributes
+    ----------
+    frequencies : ndarray, shape (..., 6)
+        [Hz].
+    modes : ndarray, shape (..., 6, 6)
+        As rows, the small displacements (of o [m], rotation [rad]) in {B} of the same order; Mᵀ Λ M = 1 of the columns.
+    """
+
+    frequencies: FloatArray
+    modes: FloatArray
 
 
 class AccelerationSolver:
@@ -153,6 +173,15 @@ def accelerations_for(
     return kinematics.inverse_factors.solve(np.concatenate(wanted))
 
 
+def accelerations_for_legs(
+    kinematics: TreeKinematics, acceleration: FloatArray, bias: tuple[FloatArray, FloatArray]
+) -> FloatArray:
+    """Return joint accelerations (18,) for those of the legs (6,) that keep the loops closed; `bias` is the `drift`."""
+    a = kinematics.velocities_of_legs(acceleration)
+    a[kinematics.layout.passive] -= kinematics.forward_factors.solve(bias[0])
+    return a
+
+
 def platform_dynamics(kinematics: TreeKinematics, v: FloatArray) -> PlatformDynamics:
     """Return the equations of motion at the platform, of a closed q and v; see `ClosedChain.platform_dynamics`."""
     model, data, q, layout = kinematics.model, kinematics.data, kinematics.q, kinematics.layout
@@ -172,6 +201,18 @@ def platform_dynamics(kinematics: TreeKinematics, v: FloatArray) -> PlatformDyna
     reflected = x.T @ mass @ x
     gravity = x.T @ pin.computeGeneralizedGravity(model, data, q)
     return PlatformDynamics(0.5 * (reflected + reflected.T), coriolis, coriolis @ twist, gravity)
+
+
+def natural_frequencies(kinematics: TreeKinematics, stiffness: FloatArray) -> NaturalFrequencies:
+    """Return the vibrations of Λ ẍ + K x = 0 with the stiffness K (6, 6); see `ClosedChain.natural_frequencies`."""
+    x = kinematics.velocities_of_twists()
+    try:
+        squares, modes = eigh(stiffness, x.T @ mass_matrix(kinematics) @ x)
+    except LinAlgError as error:
+        raise ArgumentError("stiffness", "a symmetric matrix, positive definite", str(error)) from error
+    if squares[0] <= 0.0:
+        raise ArgumentError("stiffness", "a symmetric matrix, positive definite", f"a least ω² of {squares[0]:g} 1/s²")
+    return NaturalFrequencies(np.sqrt(squares) / (2.0 * math.pi), modes.T)
 
 
 def mass_matrix(kinematics: TreeKinematics) -> FloatArray:

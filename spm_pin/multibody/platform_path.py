@@ -66,6 +66,11 @@ class PlatformPath:
         self._rotation = RotationSpline(moments, transforms.rotation)
 
     @property
+    def start(self) -> float:
+        """First time [s]."""
+        return float(self._times[0])
+
+    @property
     def duration(self) -> float:
         """From the first to the last time [s]."""
         return float(self._times[-1] - self._times[0])

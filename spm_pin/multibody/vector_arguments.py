@@ -12,7 +12,7 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, real_array
 
-__all__ = ["Gains", "WrenchLike", "read_gains", "read_vector", "read_vectors", "read_wrenches"]
+__all__ = ["Gains", "WrenchLike", "read_gains", "read_stiffness", "read_vector", "read_vectors", "read_wrenches"]
 
 WrenchLike = npt.ArrayLike | Mapping[str, npt.ArrayLike] | None
 """A wrench (6,) on the platform, wrenches by the name of their frame, or none."""
@@ -28,6 +28,8 @@ MEANINGS = {
     **dict.fromkeys(("other", "chain"), "in Pinocchio's order"),
     "leg_lengths": "of r_b1 to r_c3 in m",
     "leg_rates": "of r_b1 to r_c3 in m/s",
+    "stiffness": "of the platform, row by row",
+    "leg_accelerations": "of r_b1 to r_c3 in m/s²",
     "forces": "of the actuators in N and N m",
     "twist": "(v, ω) at o in {B} in m/s and rad/s",
     "acceleration": "of o in m/s², angular in rad/s², in {B}",
@@ -56,6 +58,14 @@ def read_vector(value: npt.ArrayLike, argument: str, size: int) -> FloatArray:
         expected = f"shape ({size},), {MEANINGS[argument]}"
         raise ArgumentError(argument, expected, f"shape {array.shape}", "One motion a call")
     return array
+
+
+def read_stiffness(value: npt.ArrayLike) -> FloatArray:
+    """Return symmetric matrices (..., 6, 6) of a platform's stiffness, or raise `ArgumentError`."""
+    matrices = real_array(value, "stiffness", (6, 6), "in N/m, N/rad, N and N m/rad, as of spm_pin.stiffness")
+    if (np.abs(matrices - matrices.swapaxes(-1, -2)) > 1e-9 * np.abs(matrices).max(initial=0.0)).any():
+        raise ArgumentError("stiffness", "symmetric matrices", "others")
+    return matrices
 
 
 def read_wrenches(wrench: WrenchLike, model: Any, platform: int) -> tuple[FloatArray, list[int]]:

@@ -1,0 +1,188 @@
+"""Stiffness of the platform from that of the legs: along each leg, and across it where its structure gives way.
+
+With the forces of a stage as rows of J_b = [A_b; K_b] and J_c = [A_c; K_c], see `spm_pin.closed_form.jacobians`, three
+along the legs and three along their revolute axes, both stages carry the whole load (they are in series), so that their
+compliances add:
+
+    C = J_b⁻¹ D_b J_b⁻ᵀ + J_c⁻¹ D_c J_c⁻ᵀ,    D = diag(1 / stiffness) of the six forces.
+
+With rigid structures that is C = G diag(1/k) Gᵀ, G = J_f⁻¹. Weights and other loads are taken to be small: what a load
+itself adds by turning the legs is of the size load / (leg length · k) relative to C⁻¹.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.closed_form.jacobians import inverse_jacobian
+from spm_pin.closed_form.stage_wrenches import SINGULAR, StageWrenches
+from spm_pin.errors import ArgumentError, SingularConfigurationError
+from spm_pin.mechanism.arguments import FloatArray, broadcastable, first_offender, real_array
+from spm_pin.mechanism.configuration import Configuration, check_configuration
+
+__all__ = ["PrincipalStiffness", "compliance", "principal_stiffness", "stiffness"]
+
+
+class PrincipalStiffness(NamedTuple):
+    """Stiffness in its principal directions, weakest first.
+
+    Attributes
+    ----------
+    translational : ndarray, shape (..., 3)
+        Force per displacement of o while the platform turns as it likes [N/m].
+    translational_directions : ndarray, shape (..., 3, 3)
+        Their unit vectors in {B}, as rows.
+    rotational : ndarray, shape (..., 3)
+        Moment per rotation while o moves as it likes [N m/rad].
+    rotational_directions : ndarray, shape (..., 3, 3)
+        Their unit vectors in {B}, as rows.
+    """
+
+    translational: FloatArray
+    translational_directions: FloatArray
+    rotational: FloatArray
+    rotational_directions: FloatArray
+
+
+def compliance(configuration: Configuration, legs: npt.ArrayLike, structure: npt.ArrayLike | None = None) -> FloatArray:
+    """Return the displacement of the platform per unit wrench.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        States of shape (...).
+    legs : array_like, shape (..., 6) or ()
+        Stiffness of each actuator with its leg, along the leg [N/m], one number for all.
+    structure : array_like, shape (..., 6) or (), optional
+        Stiffness of each leg and its joints along the axis of its revolute joint, at the ball joint [N/m]; rigid by
+        default.
+
+    Returns
+    -------
+    ndarray, shape (..., 6, 6)
+        Maps (f, m) at o in {B} [N, N m] to a displacement of o [m] and a small rotation [rad] in {B}; symmetric.
+        Of rank less than 6 at an inverse singularity with rigid structures. NaN for a member that does not exist.
+
+    Raises
+    ------
+    ArgumentError
+        If a stiffness is not a positive number.
+    SingularConfigurationError
+        At a forward or a constraint singularity, where the legs do not hold the platform.
+    """
+    check_configuration(configuration)
+    along = _inverses(legs, "legs", configuration)
+    across = np.zeros(6) if structure is None else _inverses(structure, "structure", configuration)
+    wrenches = StageWrenches.of(configuration)
+    matrices = np.nan_to_num(wrenches.matrices("forward"))
+    exists = wrenches.exists[..., None]
+    matrices[~wrenches.exists] = np.eye(6)
+    values = np.linalg.svd(matrices, compute_uv=False)
+    singular = ((values[..., -1] <= SINGULAR * values[..., 0]) & exists).any(axis=-1)
+    if singular.any():
+        index = first_offender(singular)
+        raise SingularConfigurationError("forward", float(values[index][..., -1].min()), index)
+    total = np.zeros((*np.broadcast_shapes(wrenches.exists.shape, along.shape[:-1], across.shape[:-1]), 6, 6))
+    for stage, part in enumerate((slice(0, 3), slice(3, 6))):
+        motions = np.linalg.inv(matrices[..., stage, :, :])
+        shares = np.concatenate(np.broadcast_arrays(along[..., part], across[..., part]), axis=-1)
+        total = total + (motions * shares[..., None, :]) @ motions.swapaxes(-1, -2)
+    # From the middle platform's centre p and rotations times d, to o and rotations.
+    to_o = np.zeros((*wrenches.exists.shape, 6, 6))
+    to_o[..., :3, :3] = np.eye(3)
+    to_o[..., :3, 3:] = np.cross(np.eye(3), wrenches.lever[..., None, :]).swapaxes(-1, -2) / wrenches.side
+    to_o[..., 3:, 3:] = np.eye(3) / wrenches.side
+    found = to_o @ total @ to_o.swapaxes(-1, -2)
+    return np.where(exists[..., None], 0.5 * (found + found.swapaxes(-1, -2)), np.nan)
+
+
+def stiffness(configuration: Configuration, legs: npt.ArrayLike, structure: npt.ArrayLike | None = None) -> FloatArray:
+    """Return the wrench per unit displacement of the platform: the inverse of `compliance`.
+
+    Parameters
+    ----------
+    configuration, legs, structure
+        As for `compliance`.
+
+    Returns
+    -------
+    ndarray, shape (..., 6, 6)
+        Maps a displacement of o [m] and a small rotation [rad] to (f, m) at o [N, N m], all in {B}; symmetric and
+        positive definite. NaN for a member that does not exist.
+
+    Raises
+    ------
+    ArgumentError
+        If a stiffness is not a positive number.
+    SingularConfigurationError
+        At a forward or a constraint singularity; with a rigid structure at an inverse one as well, where the legs'
+        lengths do not show some motion of the platform: its stiffness is infinite there, `compliance` is not.
+
+    Examples
+    --------
+    >>> import spm_pin as spm
+    >>> state = spm.forward_physical(spm.Geometry.paper(), [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
+    >>> spm.stiffness(state, legs=1e7)[2, 2].round(-5)
+    np.float64(28900000.0)
+    """
+    if structure is not None:
+        return _inverse(compliance(configuration, legs, structure))
+    along = 1.0 / _inverses(legs, "legs", configuration)
+    jacobian = inverse_jacobian(configuration)
+    return np.asarray(jacobian.swapaxes(-1, -2) @ (along[..., None] * jacobian))
+
+
+def principal_stiffness(compliances: npt.ArrayLike) -> PrincipalStiffness:
+    """Return the stiffness against pure forces at o and against pure moments, in their principal directions.
+
+    Parameters
+    ----------
+    compliances : array_like, shape (..., 6, 6)
+        Of `compliance`, or the inverse of `stiffness`; symmetric. NaN gives NaN.
+
+    Returns
+    -------
+    PrincipalStiffness
+        Infinite where a direction is rigid.
+
+    Raises
+    ------
+    ArgumentError
+        If a matrix has another shape or is not symmetric.
+    """
+    matrices = real_array(compliances, "compliances", (6, 6), "in m/N, rad/(N m)", allow_nan=True)
+    asymmetry = np.abs(matrices - matrices.swapaxes(-1, -2)).max(axis=(-1, -2), initial=0.0)
+    if (asymmetry > 1e-9 * np.abs(matrices).max(axis=(-1, -2), initial=0.0)).any():
+        raise ArgumentError("compliances", "symmetric matrices", f"asymmetry of {np.nanmax(asymmetry):.1e}")
+    absent = np.asarray(np.isnan(matrices).any(axis=(-1, -2)))
+    parts: list[FloatArray] = []
+    for block in (matrices[..., :3, :3], matrices[..., 3:, 3:]):
+        values, vectors = np.linalg.eigh(np.where(absent[..., None, None], np.eye(3), block))
+        rigid = values <= 1e-14 * values[..., -1:]
+        with np.errstate(divide="ignore"):
+            found = np.where(rigid, np.inf, 1.0 / np.where(rigid, 1.0, values))[..., ::-1]
+        directions = vectors.swapaxes(-1, -2)[..., ::-1, :]
+        parts += [np.where(absent[..., None], np.nan, found), np.where(absent[..., None, None], np.nan, directions)]
+    return PrincipalStiffness(*parts)
+
+
+def _inverses(value: npt.ArrayLike, argument: str, configuration: Configuration) -> FloatArray:
+    """Return 1 / stiffness of six forces, shape (..., 6)."""
+    array = np.asarray(value)
+    expected = "the stiffness of r_b1 to r_c3 in N/m, or one for all"
+    numbers = real_array(value, argument, (6,) if array.ndim else (), expected)
+    if (numbers <= 0.0).any():
+        cause = "A rigid leg has a large stiffness, not none" if (numbers == 0.0).any() else ""
+        raise ArgumentError(argument, "positive stiffnesses in N/m", f"{numbers.min():g}", cause)
+    inverses = 1.0 / (numbers if array.ndim else np.full(6, numbers))
+    broadcastable(argument, inverses.shape[:-1], "configuration", configuration.shape)
+    return inverses
+
+
+def _inverse(matrices: FloatArray) -> FloatArray:
+    absent = np.isnan(matrices).any(axis=(-1, -2), keepdims=True)
+    found = np.linalg.inv(np.where(absent, np.eye(6), matrices))
+    return np.where(absent, np.nan, 0.5 * (found + found.swapaxes(-1, -2)))

@@ -1,0 +1,85 @@
+"""A smooth path through leg lengths."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicSpline
+
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import FloatArray, real_array
+
+__all__ = ["LegMotion", "LegPath"]
+
+
+class LegMotion(NamedTuple):
+    """Leg lengths along a path, and their derivatives by its parameter.
+
+    Attributes
+    ----------
+    lengths, first, second : ndarray, shape (..., 6)
+        Of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], the derivatives per unit of the parameter.
+    """
+
+    lengths: FloatArray
+    first: FloatArray
+    second: FloatArray
+
+
+class LegPath:
+    """A twice continuously differentiable path through given leg lengths, over a parameter from 0 to 1.
+
+    A straight line between two, a natural cubic spline through more. The parameter grows with the distance between
+    them, √Σ(difference of a length)².
+
+    Parameters
+    ----------
+    lengths : array_like, shape (n, 6)
+        Where it passes [m], in order, at least two and no two in succession the same.
+
+    Raises
+    ------
+    ArgumentError
+        If `lengths` is malformed, not positive, or has a part of no length.
+    """
+
+    def __init__(self, lengths: npt.ArrayLike) -> None:
+        points = real_array(lengths, "lengths", (6,), "leg lengths in metres, one row after another")
+        if points.ndim != 2 or len(points) < 2:
+            raise ArgumentError("lengths", "shape (n, 6), at least two rows", f"shape {points.shape}")
+        if (points <= 0.0).any():
+            raise ArgumentError("lengths", "positive lengths in metres", f"{points.min():g} m")
+        distances = np.linalg.norm(np.diff(points, axis=0), axis=-1)
+        if (distances == 0.0).any():
+            row = int(distances.argmin())
+            raise ArgumentError("lengths", "rows that differ", f"rows {row} and {row + 1} equal", "No motion there?")
+        self._points = points.copy()
+        self._knots = np.concatenate([[0.0], np.cumsum(distances) / distances.sum()])
+        self._knots[-1] = 1.0
+        self._spline = CubicSpline(self._knots, points, bc_type="natural" if len(points) > 2 else "not-a-knot")
+
+    def __repr__(self) -> str:
+        return f"<LegPath: {'a straight line' if len(self._points) == 2 else f'through {len(self._points)} points'}>"
+
+    @property
+    def points(self) -> FloatArray:
+        """Leg lengths that it passes, shape (n, 6) [m]; a copy."""
+        return self._points.copy()
+
+    @property
+    def knots(self) -> FloatArray:
+        """Parameters of `points`, shape (n,), from 0 to 1; a copy."""
+        return self._knots.copy()
+
+    def __call__(self, parameters: npt.ArrayLike) -> LegMotion:
+        """Return the lengths at parameters (...) from 0 to 1; raises `ArgumentError` outside."""
+        at = real_array(parameters, "parameters", (), "from 0 to 1")
+        if ((at < 0.0) | (at > 1.0)).any():
+            raise ArgumentError("parameters", "numbers from 0 to 1", f"from {at.min():g} to {at.max():g}")
+        lengths, first, second = (np.asarray(self._spline(at, order)) for order in range(3))
+        if len(self._points) == 2:
+            # Not beyond its ends by rounding.
+            lengths = np.clip(lengths, self._points.min(axis=0), self._points.max(axis=0))
+        return LegMotion(lengths, first, second)

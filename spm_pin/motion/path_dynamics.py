@@ -1,0 +1,129 @@
+"""All joints along a path of the platform or of the legs, and the leg forces as functions of how it is gone through.
+
+At a parameter s of the path, gone through with the speed ṡ and the acceleration s̈,
+
+    v = q' ṡ,    a = q' s̈ + q'' ṡ²,    f = f_a s̈ + f_b ṡ² + f_c,
+
+because the equations of motion are linear in the accelerations and quadratic in the velocities.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from spm_pin.errors import ArgumentError, ClosureError, PoseError, SingularConfigurationError, SpmError
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.motion.leg_path import LegPath
+from spm_pin.motion.payload import Payload
+from spm_pin.multibody.chain import ClosedChain
+from spm_pin.multibody.constrained_state import ChainState
+from spm_pin.multibody.platform_path import PlatformPath
+
+__all__ = ["PathDynamics", "path_dynamics"]
+
+Path = LegPath | PlatformPath
+
+
+@dataclass(frozen=True)
+class PathDynamics:
+    """The mechanism at parameters (n,) of a path; see the module.
+
+    Attributes
+    ----------
+    parameters : ndarray, shape (n,)
+        From 0 to 1.
+    q, first, second : ndarray, shape (n, 18)
+        Joint values, continuous along the path, and their derivatives by the parameter.
+    twist : ndarray, shape (n, 6)
+        Of the terminal platform, (v, ω) at o in {B} per unit of ṡ.
+    inertial, centrifugal, static : ndarray, shape (n, 6)
+        f_a, f_b and f_c [N].
+    """
+
+    parameters: FloatArray
+    q: FloatArray
+    first: FloatArray
+    second: FloatArray
+    twist: FloatArray
+    inertial: FloatArray
+    centrifugal: FloatArray
+    static: FloatArray
+
+
+def path_dynamics(chain: ClosedChain, path: Path, parameters: FloatArray, payload: Payload | None) -> PathDynamics:
+    """Return the mechanism along a path, in the physical mode.
+
+    Raises
+    ------
+    ArgumentError
+        If the path is out of reach or meets a singularity somewhere, with the parameter.
+    """
+    if isinstance(path, LegPath):
+        legs = path(parameters)
+        q = _closed(lambda s: chain.forward_kinematics(path(s).lengths), parameters)
+        rates, changes = legs.first, legs.second
+    else:
+        span = path.duration
+        motion = path(path.start + parameters * span)
+        q = _closed(lambda s: chain.inverse_kinematics(path(path.start + s * span).pose), parameters)
+        rates, changes = span * motion.twist, span**2 * motion.acceleration
+    # Slides are not angles, but never jump either.
+    q = np.unwrap(q, axis=0)
+    state, rows = chain.state(q[0]), []
+    for k, joints in enumerate(q):
+        try:
+            rows.append(_at(state, joints, rates[k], changes[k], isinstance(path, LegPath), payload))
+        except SingularConfigurationError as error:
+            expected = "a path that keeps away from singularities"
+            at = f"a {error.kind} singularity at parameter {parameters[k]:.6g}"
+            raise ArgumentError("path", expected, at, "plan with a larger margin goes around") from error
+    return PathDynamics(parameters, q, *(np.array(column) for column in zip(*rows, strict=True)))
+
+
+def _closed(solve: object, parameters: FloatArray) -> FloatArray:
+    """Return q (n, 18) of all parameters, or raise with the first one that has none."""
+    assert callable(solve)
+    try:
+        return np.asarray(solve(parameters))
+    except (ArgumentError, PoseError, ClosureError) as error:
+        bad = next((s for s in parameters if _fails(solve, s)), None)
+        if bad is None:
+            raise
+        expected = "a path that the machine can go along in its physical mode"
+        raise ArgumentError("path", expected, f"no such state at parameter {bad:.6g}", error.cause) from error
+
+
+def _fails(solve: object, parameter: float) -> bool:
+    assert callable(solve)
+    try:
+        solve(parameter)
+    except SpmError:
+        return True
+    return False
+
+
+def _at(
+    state: ChainState, q: FloatArray, rate: FloatArray, change: FloatArray, of_legs: bool, payload: Payload | None
+) -> tuple[FloatArray, ...]:
+    """Return q', q'', the twist, f_a, f_b and f_c at one q, from the derivatives of leg lengths or of the platform."""
+    state.set(q)
+    first = state.joint_rates(rate) if of_legs else state.joint_velocities(rate)
+    twist = state.kinematics.platform @ first
+    rest = np.zeros(len(q))
+    still, moved = (_forces(state, a, np.zeros(6), payload) for a in (rest, first))
+    state.set(q, first)
+    second = state.joint_accelerations_of_legs(change) if of_legs else state.joint_accelerations(change)
+    driven = _forces(state, second, twist, payload)
+    return first, second, twist, moved - still, driven - still, still
+
+
+def _forces(state: ChainState, a: FloatArray, twist: FloatArray, payload: Payload | None) -> FloatArray:
+    """Return the leg forces (6,) of joint accelerations a at the velocity of the state."""
+    if payload is None:
+        return state.actuator_forces(a, np.empty(0), [])
+    rotation, _ = state.kinematics.terminal_pose()
+    gravity = state.constrained.model.gravity.linear
+    load = payload.wrench(rotation, twist, state.platform_acceleration(a), gravity)
+    return state.actuator_forces(a, load, [state.constrained.layout.platform])

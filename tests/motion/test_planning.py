@@ -1,0 +1,190 @@
+"""Paths between states of the physical mode."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import spm_pin as spm
+from spm_pin.motion import LegPath, MotionPlan
+from spm_pin.workspace import JointLimits, leg_clearance
+
+PAPER = spm.Geometry.paper()
+START = [1.20, 1.20, 1.40, 1.25, 1.20, 1.50]
+GOAL = [1.40, 1.20, 1.20, 1.20, 1.50, 1.25]
+
+
+def check(found: MotionPlan, limits: spm.LegLimits, start: object, goal: object, samples: int = 400) -> None:
+    """Samples of a plan keep the limits, move little from one to the next, and never cross a singularity."""
+    states = found.configurations(samples)
+    assert states.exists.all()
+    assert (limits.margin(states.leg_lengths) > -1e-9).all()
+    np.testing.assert_allclose(states.leg_lengths[[0, -1]], [start, goal], atol=1e-12)
+    signs = np.sign(spm.determinants(states)[:, :2])
+    assert (signs == signs[0]).all()
+    moves = np.abs(np.diff(states.middle_joints, axis=0)).max()
+    assert moves < 0.1 * found.geometry.middle_side
+
+
+def test_a_straight_line_is_taken_where_it_is_safe() -> None:
+    found = spm.plan(PAPER, START, GOAL)
+    assert found.method == "straight in leg lengths"
+    assert isinstance(found.path, LegPath)
+    np.testing.assert_allclose(found.path(0.25).lengths, 0.75 * np.array(START) + 0.25 * np.array(GOAL))
+    assert found.reason == ""
+    assert not found.certified
+    check(found, spm.LegLimits(1.1, 1.5), START, GOAL)
+
+
+def test_a_plan_within_a_certificate_is_certified() -> None:
+    limits = spm.LegLimits(1.1, 1.5)
+    assert spm.plan(PAPER, START, GOAL, limits, certificate=spm.certify(PAPER, limits)).certified
+    narrow = spm.certify(PAPER, spm.LegLimits(1.1, 1.45))
+    assert not spm.plan(PAPER, START, GOAL, limits, certificate=narrow).certified
+
+
+def test_configurations_poses_and_lengths_are_places() -> None:
+    start, goal = (spm.forward_physical(PAPER, lengths) for lengths in (START, GOAL))
+    for first, last in ((start, goal), (start.pose, goal.pose), (START, goal)):
+        found = spm.plan(PAPER, first, last)
+        np.testing.assert_allclose(found.configurations(2).leg_lengths, [START, GOAL], atol=1e-9)
+
+
+def test_via_points_are_passed() -> None:
+    via = [[1.3, 1.4, 1.2, 1.3, 1.3, 1.3], [1.45, 1.3, 1.25, 1.2, 1.4, 1.3]]
+    found = spm.plan(PAPER, START, GOAL, via=via)
+    assert isinstance(found.path, LegPath)
+    points = found.path.points
+    for place in via:
+        assert np.abs(points - place).max(axis=-1).min() < 1e-12
+    check(found, spm.LegLimits(1.1, 1.5), START, GOAL)
+
+
+NARROW = ([1.295, 1.741, 1.194, 0.991, 1.063, 1.415], [0.835, 0.836, 1.872, 1.229, 1.239, 0.711])
+"""Lengths between which, in a straight line, legs come nearer to each other than at either end."""
+
+
+def test_a_way_around_keeps_the_clearance_that_the_line_breaks() -> None:
+    limits, joints = spm.LegLimits(0.7, 1.9), JointLimits(clearance=0.415)
+    pair = spm.forward_physical(PAPER, NARROW)
+    assert leg_clearance(pair).min() > 0.415 > leg_clearance(spm.forward_physical(PAPER, np.linspace(*NARROW))).min()
+    found = spm.plan(PAPER, *NARROW, limits, joint_limits=joints, margin=0.0)
+    assert found.method == "around"
+    assert "too near" in found.reason
+    check(found, limits, *NARROW)
+    assert (joints.clearance_margin(found.configurations(1000)) > -1e-4).all()
+    # The search depends on its seed alone.
+    again = spm.plan(PAPER, *NARROW, limits, joint_limits=joints, margin=0.0)
+    np.testing.assert_array_equal(found.configurations(50).middle_joints, again.configurations(50).middle_joints)
+
+
+def test_the_search_can_be_limited_and_stopped() -> None:
+    arguments = {"joint_limits": JointLimits(clearance=0.415), "margin": 0.0}
+    limits = spm.LegLimits(0.7, 1.9)
+    found = spm.plan(PAPER, *NARROW, limits, **arguments, tries=0)
+    assert not found.exists
+    assert "no way around was found in 0 steps" in found.reason
+    with pytest.raises(spm.ArgumentError, match="too near"):
+        found.configurations()
+    shares: list[float] = []
+    stopped = spm.plan(PAPER, *NARROW, limits, **arguments, progress=lambda share: bool(shares.append(share)))
+    assert not stopped.exists
+    assert "stopped after 0 steps" in stopped.reason
+    assert shares == [0.0]
+
+
+def test_places_that_break_a_rule_are_named() -> None:
+    with pytest.raises(spm.ArgumentError, match="passive joint") as caught:
+        spm.plan(PAPER, [1.3] * 6, GOAL, joint_limits=JointLimits(hip=(-0.02, 0.02)))
+    assert caught.value.argument == "goal"
+    with pytest.raises(spm.ArgumentError, match="forward singularity") as caught:
+        spm.plan(PAPER, START, GOAL, margin=2.0)
+    assert caught.value.argument == "start"
+
+
+def test_a_line_of_poses_turns_about_one_axis() -> None:
+    start, goal = (spm.forward_physical(PAPER, lengths) for lengths in (START, [1.22, 1.22, 1.42, 1.3, 1.2, 1.45]))
+    found = spm.plan(PAPER, start, goal, line="poses")
+    assert found.method == "straight in poses"
+    states = found.configurations(11)
+    line = np.linspace(start.translation, goal.translation, 11)
+    np.testing.assert_allclose(states.translation, line, atol=1e-12)
+    turns = (states.pose.rotation * start.pose.rotation.inv()).as_rotvec()
+    np.testing.assert_allclose(turns, np.linspace(0.0, 1.0, 11)[:, None] * turns[-1], atol=1e-9)
+
+
+def test_a_line_of_poses_does_not_pass_an_inverse_singularity() -> None:
+    """From a tilt to the opposite one: level in between, where det K is zero."""
+    ends = spm.forward_physical(PAPER, [[1.3, 1.3, 1.4, 1.3, 1.3, 1.4], [1.4, 1.4, 1.3, 1.4, 1.4, 1.3]])
+    found = spm.plan(PAPER, ends[0], ends[1], line="poses")
+    assert not found.exists
+    assert "%" in found.reason
+    assert spm.plan(PAPER, ends[0], ends[1]).exists
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "name", "text"),
+    [
+        ([1.6, 1.2, 1.4, 1.25, 1.2, 1.5], GOAL, "start", "r_b1 of 1.6 m is outside its limits"),
+        (START, [1.4, 1.2, 1.2, 1.2, 1.5, 1.0], "goal", "r_c3"),
+        (START, START, "goal", "no length"),
+        ([120.0, 120, 140, 125, 120, 150], GOAL, "start", "physical mode"),
+        (START, [0.3, 0.3, 3.0, 1.2, 1.2, 1.2], "goal", "physical mode"),
+        (START, [1.2, np.nan, 1.2, 1.2, 1.2, 1.2], "goal", "finite"),
+        (START, "there", "goal", "homogeneous transform"),
+        (START, np.eye(4), "goal", "pose"),
+    ],
+)
+def test_states_that_cannot_be_planned_to_are_named(start: object, goal: object, name: str, text: str) -> None:
+    with pytest.raises(spm.ArgumentError, match=text) as caught:
+        spm.plan(PAPER, start, goal)  # type: ignore[arg-type]
+    assert caught.value.argument == name
+
+
+def test_a_state_in_another_branch_is_named() -> None:
+    pose = spm.forward_physical(PAPER, START).pose
+    solutions = spm.inverse_displacement(PAPER, pose)
+    other = next(solutions[label] for label in solutions.labels if solutions[label].exists and label != "TT+")
+    with pytest.raises(spm.ArgumentError, match="physical mode") as caught:
+        spm.plan(PAPER, other, GOAL)
+    assert caught.value.argument == "start"
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"margin": -1.0}, {"line": "curved"}, {"tries": -1}, {"limits": 1.5}, {"joint_limits": 3}, {"rng": "x"},
+     {"certificate": True}],
+)  # fmt: skip
+def test_wrong_arguments_of_a_plan_are_named(wrong: dict[str, object]) -> None:
+    with pytest.raises(spm.ArgumentError) as caught:
+        spm.plan(PAPER, START, GOAL, **wrong)  # type: ignore[arg-type]
+    assert caught.value.argument in wrong
+
+
+@pytest.mark.parametrize(
+    "geometry",
+    [PAPER, spm.Geometry(0.5, 0.5, 0.6), pytest.param(spm.Geometry(0.9, 0.3, 1.0), marks=pytest.mark.slow)],
+)
+@pytest.mark.parametrize("count", [30, pytest.param(350, marks=pytest.mark.slow)])
+def test_random_pairs_have_a_plan_or_a_reason(geometry: spm.Geometry, count: int) -> None:
+    rng = np.random.default_rng(count)
+    size = geometry.base_radius + geometry.middle_side
+    limits = spm.LegLimits(0.6 * size, 1.3 * size)
+    starts, goals = (spm.forward_physical(geometry, rng.uniform(0.6, 1.3, (count, 6)) * size) for _ in range(2))
+    planned = eligible = 0
+    for start, goal in zip(starts, goals, strict=True):
+        if not (start.exists and goal.exists):
+            continue
+        least = min(np.abs(spm.determinants(state)[:2]).min() for state in (start, goal))
+        if least < 0.05 * geometry.middle_side**3:
+            with pytest.raises(spm.ArgumentError, match="forward singularity"):
+                spm.plan(geometry, start, goal, limits)
+            continue
+        eligible += 1
+        found = spm.plan(geometry, start, goal, limits)
+        assert found.exists or "%" in found.reason
+        if found.exists:
+            planned += 1
+            check(found, limits, start.leg_lengths, goal.leg_lengths)
+            assert found.margin > 0.05 - 1e-9
+    assert planned >= 0.95 * eligible > 0

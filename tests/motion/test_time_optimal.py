@@ -1,0 +1,196 @@
+"""Fastest motions along a path, against a convex programme in CasADi, inverse dynamics and MuJoCo."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import spm_pin as spm
+from spm_pin.motion import LegPath, Payload
+from spm_pin.motion.path_dynamics import path_dynamics
+
+PAPER = spm.Geometry.paper()
+CHAIN = spm.ClosedChain.from_urdf()
+LEGS = CHAIN.leg_indices
+START = [1.20, 1.20, 1.40, 1.25, 1.20, 1.50]
+GOAL = [1.40, 1.20, 1.20, 1.20, 1.50, 1.25]
+LINE = LegPath([START, GOAL])
+CURVE = LegPath([START, [1.3, 1.4, 1.2, 1.3, 1.3, 1.3], GOAL])
+LOAD = Payload(15.0, (0.02, -0.01, 0.1), np.diag([0.3, 0.2, 0.25]))
+
+
+def poses() -> spm.PlatformPath:
+    ends = spm.forward_physical(PAPER, [START, [1.22, 1.22, 1.42, 1.3, 1.2, 1.45]])
+    return spm.PlatformPath([0.0, 1.0], ends.pose)
+
+
+CASES = {
+    "line, forces": (LINE, {"leg_forces": 1500.0}),
+    "line, all": (LINE, {"leg_forces": 1500.0, "leg_rates": 0.4, "leg_accelerations": 5.0, "twist": (0.8, 0.9)}),
+    "curve, forces and rates": (CURVE, {"leg_forces": 1500.0, "leg_rates": 0.6}),
+    "curve, payload": (CURVE, {"leg_forces": 1800.0, "leg_rates": 0.6, "payload": LOAD}),
+    "curve, accelerations": (CURVE, {"leg_accelerations": 3.0}),
+    "poses": (None, {"leg_forces": 1500.0, "twist": (0.5, 0.5)}),
+}
+
+
+def shares(motion: object, limits: dict[str, object]) -> np.ndarray:
+    """How much of each limit is used at each row, shape (n, kinds)."""
+    columns = []
+    if "leg_rates" in limits:
+        columns.append(np.abs(motion.velocities[:, LEGS]).max(axis=-1) / limits["leg_rates"])
+    if "leg_accelerations" in limits:
+        columns.append(np.abs(motion.accelerations[:, LEGS]).max(axis=-1) / limits["leg_accelerations"])
+    if "leg_forces" in limits:
+        columns.append(np.abs(motion.efforts[:, LEGS]).max(axis=-1) / limits["leg_forces"])
+    if "twist" in limits:
+        for k, row in enumerate(twists(motion)):
+            columns.append(np.linalg.norm(row, axis=-1) / limits["twist"][k])
+    return np.stack(columns, axis=-1)
+
+
+def twists(motion: object) -> tuple[np.ndarray, np.ndarray]:
+    jacobian = np.linalg.inv(CHAIN.inverse_jacobian(motion.positions))
+    twist = (jacobian @ motion.velocities[:, LEGS, None])[..., 0]
+    return twist[:, :3], twist[:, 3:]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_rows_keep_the_limits_and_some_limit_is_always_used(name: str) -> None:
+    path, limits = CASES[name]
+    motion = spm.time_optimal(CHAIN, path or poses(), **limits)
+    used = shares(motion, limits)
+    assert used.max() < 1.01
+    # The rows where the acceleration switches lie between two parts of the grid.
+    assert (used.max(axis=-1) >= 0.99).mean() > 0.97
+    np.testing.assert_allclose(motion.velocities[[0, -1]], 0.0, atol=1e-6)
+    assert CHAIN.closure_gap(motion.positions).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", ["line, all", "curve, payload", "poses"])
+def test_a_convex_programme_finds_the_same_duration(name: str) -> None:
+    """Direct transcription with u and x = ṡ² on a finer grid, solved by IPOPT."""
+    path, limits = CASES[name]
+    way = path or poses()
+    n = 800
+    grid = np.linspace(0.0, 1.0, n + 1)
+    along = path_dynamics(CHAIN, way, grid, limits.get("payload"))
+    first, second = along.first[:, LEGS], along.second[:, LEGS]
+    problem = ca.Opti()
+    x, u = problem.variable(n + 1), problem.variable(n)
+    problem.subject_to(x[1:] - x[:-1] == 2.0 / n * u)
+    problem.subject_to([x[0] == 0.0, x[-1] == 0.0])
+    problem.subject_to(x[1:-1] >= 1e-9)
+    middle = 0.5 * (x[1:] + x[:-1])
+    for leg in range(6):
+        mean = lambda values, leg=leg: ca.DM(0.5 * (values[1:, leg] + values[:-1, leg]))  # noqa: E731
+        if "leg_forces" in limits:
+            force = mean(along.inertial) * u + mean(along.centrifugal) * middle + mean(along.static)
+            problem.subject_to(problem.bounded(-limits["leg_forces"], force, limits["leg_forces"]))
+        if "leg_accelerations" in limits and first[:, leg].any():
+            change = mean(first) * u + mean(second) * middle
+            problem.subject_to(problem.bounded(-limits["leg_accelerations"], change, limits["leg_accelerations"]))
+        if "leg_rates" in limits and first[:, leg].any():
+            problem.subject_to(x * ca.DM(first[:, leg] ** 2) <= limits["leg_rates"] ** 2)
+    for part, speed in enumerate(limits.get("twist", ())):
+        size = np.linalg.norm(along.twist[:, 3 * part : 3 * part + 3], axis=-1)
+        problem.subject_to(x * ca.DM(size**2) <= speed**2)
+    roots = ca.sqrt(ca.fmax(x, 1e-12))
+    problem.minimize(ca.sum1(2.0 / n / (roots[1:] + roots[:-1])))
+    problem.set_initial(x, 0.01)
+    problem.solver("ipopt", {"print_time": False}, {"print_level": 0, "sb": "yes", "max_iter": 1000})
+    duration = float(problem.solve().value(problem.f))
+    motion = spm.time_optimal(CHAIN, way, **limits)
+    assert motion.times[-1] == pytest.approx(duration, rel=0.01)
+
+
+def test_halved_limits_never_shorten_the_motion() -> None:
+    limits = {"leg_forces": 2400.0, "leg_rates": 0.8, "leg_accelerations": 8.0, "twist": (1.0, 1.2)}
+    full = spm.time_optimal(CHAIN, CURVE, **limits).times[-1]
+    for name, value in limits.items():
+        half = np.array(value) / 2.0
+        slower = spm.time_optimal(CHAIN, CURVE, **{**limits, name: half}).times[-1]
+        assert slower >= full * (1.0 - 1e-6)
+    halved = {name: np.array(value) / 2.0 for name, value in limits.items()}
+    assert spm.time_optimal(CHAIN, CURVE, **halved).times[-1] > 1.2 * full
+
+
+def test_efforts_are_those_of_inverse_dynamics() -> None:
+    motion = spm.time_optimal(CHAIN, CURVE, leg_forces=1500.0, leg_rates=0.6)
+    forces = CHAIN.inverse_dynamics(motion.positions, motion.velocities, motion.accelerations)
+    np.testing.assert_allclose(motion.efforts[:, LEGS], forces, rtol=0, atol=1e-6)
+
+
+def test_a_payload_weighs_at_rest_and_pushes_when_it_is_moved() -> None:
+    """The same body added to the terminal platform of the model, by Pinocchio."""
+    import pinocchio as pin
+
+    heavy = spm.ClosedChain.from_urdf()
+    inertia = pin.Inertia(LOAD.mass, np.asarray(LOAD.centre), np.asarray(LOAD.inertia))
+    frame = heavy.model.frames[heavy.model.getFrameId("terminal_platform")]
+    model = heavy.model
+    body = model.inertias[frame.parentJoint]
+    model.inertias[frame.parentJoint] = body + frame.placement.act(inertia)
+    loaded = spm.time_optimal(CHAIN, CURVE, leg_forces=1800.0, payload=LOAD)
+    expected = heavy.inverse_dynamics(loaded.positions, loaded.velocities, loaded.accelerations)
+    # Made anew: a chain keeps memory of its model.
+    np.testing.assert_allclose(loaded.efforts[:, LEGS], expected, rtol=0, atol=1e-6)
+
+
+def test_limited_jerk_is_slower_smooth_and_within_the_limits() -> None:
+    limits = {"leg_forces": 1500.0, "leg_rates": 0.6}
+    fast = spm.time_optimal(CHAIN, CURVE, **limits)
+    smooth = spm.time_optimal(CHAIN, CURVE, **limits, leg_jerks=40.0, period=1e-3)
+    assert smooth.times[-1] > fast.times[-1]
+    assert shares(smooth, limits).max() < 1.01
+    jerk = np.diff(smooth.accelerations[:, LEGS], axis=0) / np.diff(smooth.times)[:, None]
+    assert np.abs(jerk).max() < 1.01 * 40.0
+    np.testing.assert_allclose(smooth.accelerations[[0, -1]], 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        ({"leg_forces": 1.0}, "at rest"),
+        ({"leg_rates": 1.0}, "neither"),
+        ({"leg_forces": -5.0}, "positive"),
+        ({"leg_forces": [[100.0] * 6, [-100.0] * 6]}, "least"),
+        ({"leg_accelerations": 1.0, "leg_rates": [1.0] * 5}, "shape"),
+        ({"leg_accelerations": 1.0, "twist": (1.0, -1.0)}, "positive"),
+        ({"leg_accelerations": 1.0, "payload": 5.0}, "Payload"),
+        ({"leg_accelerations": 1.0, "grid": 2}, "parts"),
+        ({"leg_accelerations": 1.0, "period": 0.0}, "seconds"),
+        ({"leg_accelerations": 1.0, "period": 1e-9}, "rows"),
+        ({"leg_accelerations": np.nan}, "finite"),
+    ],
+)
+def test_wrong_limits_are_named(wrong: dict[str, object], text: str) -> None:
+    with pytest.raises(spm.ArgumentError, match=text) as caught:
+        spm.time_optimal(CHAIN, LINE, **wrong)  # type: ignore[arg-type]
+    assert caught.value.argument in wrong or caught.value.argument == "leg_forces"
+
+
+def test_paths_that_cannot_be_gone_along_are_named() -> None:
+    with pytest.raises(spm.ArgumentError, match=r"no such state at parameter 0\.\d+"):
+        spm.time_optimal(CHAIN, LegPath([START, [0.2, 0.2, 3.0, 1.2, 1.2, 1.2]]), leg_accelerations=1.0)
+    eased = spm.PlatformPath([0.0, 1.0], spm.forward_physical(PAPER, [START, GOAL]).pose, ease=True)
+    with pytest.raises(spm.ArgumentError, match="ease"):
+        spm.time_optimal(CHAIN, eased, leg_accelerations=1.0)
+    with pytest.raises(spm.ArgumentError, match="MotionPlan"):
+        spm.time_optimal(CHAIN, [START, GOAL], leg_accelerations=1.0)  # type: ignore[arg-type]
+    for rows in ([START], [START, START], [[-1.0] * 6, START], [[1.0] * 5] * 2):
+        with pytest.raises(spm.ArgumentError, match="lengths"):
+            LegPath(rows)
+    with pytest.raises(spm.ArgumentError, match="parameters"):
+        LINE(1.5)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"mass": -1.0}, {"mass": 1.0, "centre": (0.0, 1.0)}, {"mass": 1.0, "inertia": np.diag([1.0, 1.0, 3.0])},
+     {"mass": 1.0, "inertia": np.arange(9.0).reshape(3, 3)}, {"mass": np.inf}],
+)  # fmt: skip
+def test_impossible_payloads_are_refused(wrong: dict[str, object]) -> None:
+    with pytest.raises(spm.ArgumentError):
+        Payload(**wrong)  # type: ignore[arg-type]
