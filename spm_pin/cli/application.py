@@ -19,6 +19,7 @@ from spm_pin.cli.draw import draw
 from spm_pin.cli.export import export
 from spm_pin.cli.forward import forward
 from spm_pin.cli.inverse import inverse
+from spm_pin.cli.move import move
 from spm_pin.cli.reproduce import reproduce
 from spm_pin.cli.singularities import singularities
 from spm_pin.cli.statics import statics
@@ -84,6 +85,7 @@ _COMMANDS = (
     certify,
     calibrate,
     tolerance,
+    move,
     statics,
     urdf,
     draw,

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import BPoly
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, real_array
@@ -31,8 +31,9 @@ class LegMotion(NamedTuple):
 class LegPath:
     """A twice continuously differentiable path through given leg lengths, over a parameter from 0 to 1.
 
-    A straight line between two, a natural cubic spline through more. The parameter grows with the distance between
-    them, √Σ(difference of a length)².
+    A straight line between two; through more, quintic polynomials from each to the next, on which no leg leaves the
+    range between its two lengths: limits that the points keep are kept all along. The parameter grows with the distance
+    between them, √Σ(difference of a length)².
 
     Parameters
     ----------
@@ -58,7 +59,9 @@ class LegPath:
         self._points = points.copy()
         self._knots = np.concatenate([[0.0], np.cumsum(distances) / distances.sum()])
         self._knots[-1] = 1.0
-        self._spline = CubicSpline(self._knots, points, bc_type="natural" if len(points) > 2 else "not-a-knot")
+        slopes = _slopes(points, self._knots)
+        self._path = BPoly.from_derivatives(self._knots, np.stack([points, slopes, np.zeros_like(points)], axis=1))
+        self._derivatives = self._path.derivative(1), self._path.derivative(2)
 
     def __repr__(self) -> str:
         return f"<LegPath: {'a straight line' if len(self._points) == 2 else f'through {len(self._points)} points'}>"
@@ -78,8 +81,23 @@ class LegPath:
         at = real_array(parameters, "parameters", (), "from 0 to 1")
         if ((at < 0.0) | (at > 1.0)).any():
             raise ArgumentError("parameters", "numbers from 0 to 1", f"from {at.min():g} to {at.max():g}")
-        lengths, first, second = (np.asarray(self._spline(at, order)) for order in range(3))
-        if len(self._points) == 2:
-            # Not beyond its ends by rounding.
-            lengths = np.clip(lengths, self._points.min(axis=0), self._points.max(axis=0))
-        return LegMotion(lengths, first, second)
+        # Not beyond its points by rounding.
+        lengths = np.clip(self._path(at), self._points.min(axis=0), self._points.max(axis=0))
+        return LegMotion(lengths, *(np.asarray(derivative(at)) for derivative in self._derivatives))
+
+
+def _slopes(points: FloatArray, knots: FloatArray) -> FloatArray:
+    """Return derivatives at the points, shape (n, 6), with which the path between two is monotonic.
+
+    Zero where a leg turns back, else the harmonic mean of both sides, as PCHIP takes it. A quintic from y0 to y1 with
+    the slopes d0, d1 and no curvature at its ends has the Bézier points y0 + (0, 1, 2) d0 h / 5 and
+    y1 - (2, 1, 0) d1 h / 5: in order if d0 + d1 is at most 5/2 (y1 - y0) / h.
+    """
+    secants = np.diff(points, axis=0) / np.diff(knots)[:, None]
+    before, after = secants[:-1], secants[1:]
+    same = before * after > 0.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = np.where(same, 2.0 * before * after / (before + after), 0.0)
+    least = np.minimum(np.abs(before), np.abs(after))
+    inner = np.sign(mean) * np.minimum(np.abs(mean), 1.25 * least)
+    return np.concatenate([secants[:1], inner, secants[-1:]])

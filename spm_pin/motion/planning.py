@@ -253,16 +253,20 @@ def plan(
             raise ArgumentError(names[k + 1], f"another state than {names[k]}", "the same: a motion of no length")
     if line == "poses":
         return _along_poses(rules, states, certificate)
-    points, reason = [states[0].leg_lengths], ""
-    for state in states[1:]:
-        part, why = _connect(geometry, rules, points[-1], state.leg_lengths, most, random, progress)
+    places = [state.leg_lengths for state in states]
+    if allowed is not None:
+        # Not beyond the limits by rounding.
+        places = [np.clip(lengths, allowed.minimum, allowed.maximum) for lengths in places]
+    points, reason = places[:1], ""
+    for place in places[1:]:
+        part, why = _connect(geometry, rules, points[-1], place, most, random, progress)
         reason = reason or why
         if part is None:
             return MotionPlan(geometry, None, "none", False, why, float("nan"))
         points += part[1:]
     path = _smoothed(geometry, rules, points)
     if path is None:
-        reason = f"{reason}; a way around was found, but no smooth one"
+        reason = "; ".join(filter(None, [reason, "there is a way with corners, but no smooth one was found"]))
         return MotionPlan(geometry, None, "none", False, reason, float("nan"))
     return _finished(
         geometry, path, "around" if len(points) > len(states) else "straight in leg lengths", reason, certificate

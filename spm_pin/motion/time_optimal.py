@@ -66,7 +66,7 @@ def time_optimal(
     twist: tuple[float, float] | None = None,
     payload: Payload | None = None,
     leg_jerks: npt.ArrayLike | None = None,
-    grid: int = 1000,
+    grid: int = 2000,
     period: float = 2e-3,
 ) -> JointTrajectory:
     """Return the fastest motion along a path, from rest to rest.
@@ -255,22 +255,20 @@ def _fastest(parameters: FloatArray, rows: _Rows) -> Callable[[float], _Clock]:
     return clock
 
 
-def _smooth(
-    chain: ClosedChain, along: PathDynamics, rows: _Rows, jerks: FloatArray | None
-) -> Callable[[float], _Clock]:
+def _smooth(chain: ClosedChain, along: PathDynamics, rows: _Rows, jerks: FloatArray) -> Callable[[float], _Clock]:
     """Return the clock of limited jerk, as `_fastest`: the quickest of ruckig's profiles that keep all limits."""
     try:
         import ruckig
     except ImportError as error:
         raise MissingExtraError("motion", "ruckig") from error
     legs = chain.leg_indices
-    first, second = (np.abs(x[:, legs]) for x in (along.first, along.second))
-    third = np.abs(np.gradient(along.second[:, legs], along.parameters, axis=0))
+    first, second = np.abs(along.first[:, legs]), np.abs(along.second[:, legs])
+    third = np.abs(np.asarray(np.gradient(along.second[:, legs], along.parameters, axis=0)))
 
     def bounds(speed: float) -> tuple[float, float]:
         """Return the largest |s̈| and jerk of s with which all limits hold at every ṡ up to a speed; NaN for none."""
-        above = rows.upper - rows.c - np.maximum(rows.b, 0.0) * speed**2
-        below = rows.c + np.minimum(rows.b, 0.0) * speed**2 - rows.lower
+        above = (rows.upper - rows.c) - np.maximum(rows.b, 0.0) * speed**2
+        below = np.minimum(rows.b, 0.0) * speed**2 + (rows.c - rows.lower)
         # The jerk of a leg is l' s⃛ + 3 l'' ṡ s̈ + l''' ṡ³; half of the limit is kept for its first term.
         spare = jerks - third * speed**3
         with np.errstate(divide="ignore", invalid="ignore"):

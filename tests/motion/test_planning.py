@@ -64,6 +64,25 @@ NARROW = ([1.295, 1.741, 1.194, 0.991, 1.063, 1.415], [0.835, 0.836, 1.872, 1.22
 """Lengths between which, in a straight line, legs come nearer to each other than at either end."""
 
 
+def test_a_leg_path_is_smooth_and_stays_between_its_points() -> None:
+    points = np.random.default_rng(4).uniform(1.1, 1.5, (7, 6))
+    path = LegPath(points)
+    np.testing.assert_allclose(path(path.knots).lengths, points, atol=1e-14)
+    s = np.linspace(0.0, 1.0, 20_001)
+    motion = path(s)
+    part = np.clip(np.searchsorted(path.knots, s, side="right") - 1, 0, 5)
+    low, high = np.minimum(points[:-1], points[1:])[part], np.maximum(points[:-1], points[1:])[part]
+    assert ((motion.lengths >= low - 1e-14) & (motion.lengths <= high + 1e-14)).all()
+    # The derivatives are those of the lengths, and continuous.
+    for values, derivative in ((motion.lengths, motion.first), (motion.first, motion.second)):
+        slopes = (values[2:] - values[:-2]) / (s[2] - s[0])
+        np.testing.assert_allclose(slopes, derivative[1:-1], atol=2e-3 * np.abs(derivative).max())
+    # A straight line between two points.
+    line = LegPath(points[:2])(s)
+    np.testing.assert_allclose(line.first, np.broadcast_to(points[1] - points[0], line.first.shape), atol=1e-13)
+    np.testing.assert_allclose(line.second, 0.0, atol=1e-12)
+
+
 def test_a_way_around_keeps_the_clearance_that_the_line_breaks() -> None:
     limits, joints = spm.LegLimits(0.7, 1.9), JointLimits(clearance=0.415)
     pair = spm.forward_physical(PAPER, NARROW)

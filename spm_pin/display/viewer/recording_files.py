@@ -21,6 +21,8 @@ from spm_pin.mechanism.pose import as_rigid_transform, pose
 __all__ = ["read_recording"]
 
 _POSITION, _XYX, _QUATERNION = ("x", "y", "z"), ("alpha_deg", "beta_deg", "lambda_deg"), ("qx", "qy", "qz", "qw")
+_KNOWN = {*LEGS, *_POSITION, *_XYX, *_QUATERNION, "t"}
+_KNOWN |= {f"{leg}.{kind}" for leg in LEGS for kind in ("rate", "acceleration", "force")}
 _COLUMNS = f"{', '.join(LEGS)}; or {', '.join(_POSITION)} with {', '.join(_XYX)}, or with {', '.join(_QUATERNION)}"
 _KEYS = ("poses", "leg_lengths", "translation", "xyx_deg", "time")
 _SECONDS = 10.0  # that a path without times takes
@@ -33,7 +35,8 @@ def read_recording(path: str | Path) -> Recording:
     ----------
     path : str or Path
         The file. A CSV has a header naming its columns: ``r_b1`` to ``r_c3`` [m]; or ``x, y, z`` [m] with
-        ``alpha_deg, beta_deg, lambda_deg``, the X-Y-X angles in degrees, or with the quaternion ``qx, qy, qz, qw``.
+        ``alpha_deg, beta_deg, lambda_deg``, the X-Y-X angles in degrees, or with the quaternion ``qx, qy, qz, qw``;
+        the further columns of ``spm-pin move`` are not shown.
         JSON and NPZ hold ``leg_lengths`` (n, 6); or ``poses`` (n, 4, 4); or ``translation`` (n, 3) with ``xyx_deg``
         (n, 3). All may have times [s]: a column ``t``, or the key ``time``; else the path takes ten seconds.
 
@@ -64,7 +67,7 @@ def _csv(path: Path) -> dict[str, Any]:
             table = np.array([[float(cell) for cell in row] for row in rows])
         except ValueError as error:
             raise ArgumentError(str(path), "a header, then numbers only", str(error)) from error
-    if not header or not {*header} <= {*LEGS, *_POSITION, *_XYX, *_QUATERNION, "t"} or len({*header}) != len(header):
+    if not header or not {*header} <= _KNOWN or len({*header}) != len(header):
         raise ArgumentError(str(path), f"a header of the columns {_COLUMNS}; and t", ", ".join(header) or "none")
     if table.ndim != 2 or table.shape[1] != len(header):
         raise ArgumentError(str(path), f"rows of {len(header)} numbers", f"shape {table.shape}")

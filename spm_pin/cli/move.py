@@ -1,0 +1,160 @@
+"""`spm-pin move`: the fastest motion from one state to another, within limits of the legs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from scipy.spatial.transform import RigidTransform
+
+from spm_pin.cli.console import fixed, note, print_lines, print_table, to_json
+from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, SixLegs, Unit, read_geometry, read_pose, unit_hint
+from spm_pin.cli.outputs import check_output, name_options, require_extra, write_text
+from spm_pin.display.figure_files import FORMATS, save_figure
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism import LEGS, LegLimits
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.motion import Payload, plan, time_optimal
+from spm_pin.multibody.chain import ClosedChain
+from spm_pin.multibody.trajectory import JointTrajectory
+from spm_pin.proofs import certify
+
+__all__ = ["move"]
+
+_NAMES = {"start": "--from", "goal": "--to", "leg_rates": "--leg-rate", "leg_accelerations": "--leg-acceleration"}
+_NAMES |= {"leg_forces": "--leg-force", "leg_jerks": "--leg-jerk", "mass": "--payload", "path": "--out"}
+_NAMES |= {"period": "--period", "margin": "--margin", "limits": "--limits", "twist": "--twist"}
+
+
+@name_options(**_NAMES)
+def move(
+    start: Annotated[
+        SixLegs | None, typer.Option("--from", metavar="B1 B2 B3 C1 C2 C3", help="Leg lengths at the start, in --unit.")
+    ] = None,
+    goal: Annotated[
+        SixLegs | None, typer.Option("--to", metavar="B1 B2 B3 C1 C2 C3", help="Leg lengths at the end, in --unit.")
+    ] = None,
+    start_pose: Annotated[
+        SixLegs | None,
+        typer.Option("--from-pose", metavar="X Y Z A B L", help="Instead: o in --unit, X-Y-X angles in degrees."),
+    ] = None,
+    goal_pose: Annotated[
+        SixLegs | None, typer.Option("--to-pose", metavar="X Y Z A B L", help="Instead of --to, as --from-pose.")
+    ] = None,
+    limits: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="MIN MAX", help="Leg lengths allowed, in --unit; the geometry's if not given."),
+    ] = None,
+    leg_rate: Annotated[float | None, typer.Option(help="Largest speed of a leg [m/s].")] = None,
+    leg_acceleration: Annotated[float | None, typer.Option(help="Largest acceleration of a leg [m/s²].")] = None,
+    leg_force: Annotated[float | None, typer.Option(help="Largest force of a leg, pushing or pulling [N].")] = None,
+    leg_jerk: Annotated[
+        float | None, typer.Option(help="Largest jerk of a leg [m/s³]: a smooth motion, slower.")
+    ] = None,
+    twist: Annotated[
+        tuple[float, float] | None, typer.Option(metavar="V OMEGA", help="Speed limits of o [m/s] and turning [rad/s].")
+    ] = None,
+    payload: Annotated[float, typer.Option(help="Mass on the terminal platform, at o [kg].")] = 0.0,
+    margin: Annotated[float, typer.Option(help="Least |det J| of a stage over d³ on the way.")] = 0.05,
+    straight: Annotated[bool, typer.Option("--straight", help="Move o on a straight line, and nowhere else.")] = False,
+    period: Annotated[float, typer.Option(help="Time between the rows [s].")] = 2e-3,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="CSV of the legs to write.")] = None,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Picture (.png, .svg, .pdf) to write.")] = None,
+    unit: Unit = LengthUnit.M,
+    geometry: GeometryFile = None,
+    json: AsJson = False,
+) -> None:
+    """Plan the fastest motion from one state to another, at rest at both ends.
+
+    Example: spm-pin move --from 120 120 140 125 120 150 --to 140 120 120 120 150 125 --unit cm --leg-force 1500
+    --leg-rate 0.5 --out motion.csv --plot motion.png
+
+    A limit of force or of acceleration is needed. The CSV has the time, the length, rate, acceleration and force of
+    each leg in SI units; spm-pin view --path plays it. Exit code 3 if there is no path. Needs the extra "motion",
+    --plot "plots" as well.
+    """
+    require_extra("motion")
+    check_output(out, "--out", (".csv",))
+    check_output(plot, "--plot", FORMATS)
+    if plot is not None:
+        require_extra("plots")
+    dimensions = read_geometry(geometry)
+    first, last = _place(start, start_pose, "--from", unit), _place(goal, goal_pose, "--to", unit)
+    allowed = dimensions.limits
+    if limits is not None:
+        if hint := unit_hint("--limits", max(limits), unit, dimensions):
+            note(hint, "yellow")
+        allowed = LegLimits(limits[0] / unit.per_metre, limits[1] / unit.per_metre)
+    certificate = certify(dimensions, allowed) if allowed is not None else None
+    line = "poses" if straight else "legs"
+    planned = plan(dimensions, first, last, allowed, margin=margin, line=line, certificate=certificate)
+    if planned.path is None:
+        note(f"no path: {planned.reason}")
+        raise typer.Exit(3)
+    chain = ClosedChain.from_urdf(geometry=dimensions)
+    motion = time_optimal(
+        chain,
+        planned,
+        leg_rates=leg_rate,
+        leg_accelerations=leg_acceleration,
+        leg_forces=leg_force,
+        leg_jerks=leg_jerk,
+        twist=twist,
+        payload=Payload(payload) if payload else None,
+        period=period,
+    )
+    lengths = chain.leg_lengths(motion.positions)
+    table = _columns(chain, motion, lengths)
+    if json:
+        content = {"method": planned.method, "certified": planned.certified, "margin": planned.margin}
+        typer.echo(to_json({**content, **table}))
+    else:
+        _report(planned.method, planned.certified, motion, chain, lengths)
+    if out is not None:
+        rows = zip(*(column.tolist() for column in table.values()), strict=True)
+        write_text("\n".join([",".join(table), *(",".join(map(repr, row)) for row in rows)]) + "\n", out)
+    if plot is not None:
+        from spm_pin.display.motion_plots import motion_figure
+
+        largest = {"leg_rates": leg_rate, "leg_accelerations": leg_acceleration, "leg_forces": leg_force}
+        save_figure(motion_figure(motion, lengths, allowed, largest), plot)
+        note(f"wrote {plot}")
+
+
+def _place(legs: SixLegs | None, at: SixLegs | None, option: str, unit: LengthUnit) -> FloatArray | RigidTransform:
+    """Return leg lengths or a pose, in metres, of one end of the motion."""
+    if legs is not None and at is None:
+        return np.array(legs) / unit.per_metre
+    if at is None or legs is not None:
+        received = "neither" if at is None else "both"
+        raise ArgumentError(option, f"six numbers, with either {option} or {option}-pose", received)
+    return read_pose(at[:3], at[3:], unit)
+
+
+def _columns(chain: ClosedChain, motion: JointTrajectory, lengths: FloatArray) -> dict[str, FloatArray]:
+    legs = chain.leg_indices
+    kinds = {
+        "": lengths,
+        ".rate": motion.velocities[:, legs],
+        ".acceleration": motion.accelerations[:, legs],
+        ".force": motion.efforts[:, legs],
+    }
+    columns = {"t": motion.times}
+    # No negative zeros.
+    return columns | {leg + kind: values[:, k] + 0.0 for kind, values in kinds.items() for k, leg in enumerate(LEGS)}
+
+
+def _report(method: str, certified: bool, motion: JointTrajectory, chain: ClosedChain, lengths: FloatArray) -> None:
+    proved = ", proved to be free of forward singularities" if certified else ""
+    print_lines([f"{motion.times[-1]:.4g} s, {method}{proved}"])
+    legs = chain.leg_indices
+    arrays = motion.velocities[:, legs], motion.accelerations[:, legs], motion.efforts[:, legs]
+    rows = []
+    for k, leg in enumerate(LEGS):
+        peaks = [
+            fixed(float(np.abs(values[:, k]).max()), digits) for values, digits in zip(arrays, (3, 2, 1), strict=True)
+        ]
+        rows.append([leg, fixed(float(lengths[0, k]), 4), fixed(float(lengths[-1, k]), 4), *peaks])
+    print_table("Legs", ["leg", "from [m]", "to [m]", "rate [m/s]", "acc. [m/s²]", "force [N]"], rows)

@@ -1,0 +1,84 @@
+"""`spm-pin move`."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli.running import run
+
+import spm_pin as spm
+
+pytest.importorskip("toppra", reason="toppra has wheels for Linux on x86_64 only")
+
+ENDS = [
+    "--from",
+    *["120", "120", "140", "125", "120", "150"],
+    "--to",
+    *["140", "120", "120", "120", "150", "125"],
+    "--unit",
+    "cm",
+]
+
+
+def test_the_csv_has_the_motion_and_the_viewer_reads_it(tmp_path: Path) -> None:
+    from spm_pin.display.viewer.recording_files import read_recording
+
+    out, plot = tmp_path / "motion.csv", tmp_path / "motion.png"
+    done = run("move", *ENDS, "--leg-force", "1500", "--leg-rate", "0.5", "--out", str(out), "--plot", str(plot))
+    assert done.returncode == 0, done.stderr
+    assert "proved to be free of forward singularities" in done.stdout
+    with out.open() as file:
+        rows = list(csv.DictReader(file))
+    lengths = np.array([[float(rows[k][f"r_{leg}"]) for leg in ("b1", "b2", "b3", "c1", "c2", "c3")] for k in (0, -1)])
+    np.testing.assert_allclose(lengths, [[1.2, 1.2, 1.4, 1.25, 1.2, 1.5], [1.4, 1.2, 1.2, 1.2, 1.5, 1.25]], atol=1e-9)
+    assert max(abs(float(row["r_b3.force"])) for row in rows) == pytest.approx(1500.0, rel=0.01)
+    recording = read_recording(out)
+    assert recording.times[-1] == pytest.approx(float(rows[-1]["t"]))
+    assert recording.follow(spm.Geometry.paper()).path.complete
+    assert plot.stat().st_size > 10_000
+
+
+def test_json_has_every_column() -> None:
+    done = run("move", *ENDS, "--leg-acceleration", "3", "--json")
+    assert done.returncode == 0, done.stderr
+    content = json.loads(done.stdout)
+    assert content["certified"] is True
+    assert len(content["t"]) == len(content["r_c3.force"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ([*ENDS, "--leg-force", "5"], "--leg-force: expected forces that hold the machine"),
+        ([*ENDS, "--leg-rate", "0.5"], "--leg-force: expected limits"),
+        (["--leg-force", "1500"], "--from: expected six numbers"),
+        ([*ENDS[:-2], "--leg-force", "1500"], "is it 150 cm?"),
+        ([*ENDS[:7], *ENDS[:1], *ENDS[1:7], "--unit", "cm", "--leg-force", "9"], "--to: expected six numbers"),
+        ([*ENDS, "--leg-force", "1500", "--out", "motion.txt"], "--out: expected a file name ending in .csv"),
+        ([*ENDS, "--leg-force", "1500", "--limits", "110", "140"], "--from: expected a state that keeps the rules"),
+        ([*ENDS[:7], "--to", *ENDS[1:7], "--unit", "cm", "--leg-force", "1500"], "a motion of no length"),
+    ],
+)
+def test_what_cannot_be_done_is_said_with_the_option(arguments: list[str], text: str) -> None:
+    done = run("move", *arguments)
+    assert done.returncode == 2
+    assert text in " ".join(done.stderr.split())
+
+
+def test_no_path_is_exit_code_3() -> None:
+    """From a tilt to the opposite one in a straight line of poses: level in between."""
+    tilts = [
+        "--from",
+        *["130", "130", "140", "130", "130", "140"],
+        "--to",
+        *["140", "140", "130", "140", "140", "130"],
+        "--unit",
+        "cm",
+    ]
+    done = run("move", *tilts, "--straight", "--leg-force", "1500")
+    assert done.returncode == 3
+    assert "no path" in done.stderr
