@@ -31,6 +31,7 @@ PUBLIC = {
     "spm_pin.closed_form": "branches, assembly modes, rates, forces, singularities and paths in closed form",
     "spm_pin.workspace": "what the terminal platform reaches: the paper's shell, and the reachable set",
     "spm_pin.sweeps": "metrics over any number of poses or leg lengths",
+    "spm_pin.motion": "paths from one state to another, and the fastest motion along them",
     "spm_pin.nlp": "the loop equations in CasADi, and the branches found from them by multi-start",
     "spm_pin.symbolic": "the closed forms as CasADi functions, and in C for controllers",
     "spm_pin.crosscheck": "methods compared on random poses",
@@ -50,6 +51,7 @@ INTERNAL = {
     "symbolic": "the kernels traced and translated",
     "crosscheck": "methods, comparison, tolerances, report",
     "proofs": "leg limits and poses without singularities, proved by interval arithmetic",
+    "motion": "planning, and time-optimal motion",
     "reproduction": "the paper's tables recomputed",
     "display": "pictures and the viewer",
 }
@@ -126,7 +128,7 @@ def _contents(found: dict[str, str]) -> str:
     """Return the tables of contents: what stands first, and then whatever else a folder holds."""
     kinematics = ("inverse_displacement", "forward_displacement", "rates_forces_singularities")
     theory = ("README", *kinematics, "literature_checks", "workspace", "reachable_set", "proofs", "as_built")
-    guides = ("batches", "paths", "workspace", "viewer", "pipelines", "load_elsewhere", "controller", "sweep")
+    guides = ("batches", "paths", "motion", "workspace", "viewer", "pipelines", "load_elsewhere", "controller", "sweep")
     chapters = {
         "Theory": _ordered(found, "theory", theory),
         "The paper, and others": ["findings", "paper", "related_work"],

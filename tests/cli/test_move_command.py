@@ -14,14 +14,8 @@ import spm_pin as spm
 
 pytest.importorskip("toppra", reason="toppra has wheels for Linux on x86_64 only")
 
-ENDS = [
-    "--from",
-    *["120", "120", "140", "125", "120", "150"],
-    "--to",
-    *["140", "120", "120", "120", "150", "125"],
-    "--unit",
-    "cm",
-]
+START, GOAL = ["120", "120", "140", "125", "120", "150"], ["140", "120", "120", "120", "150", "125"]
+ENDS = ["--from", *START, "--to", *GOAL, "--unit", "cm"]
 
 
 def test_the_csv_has_the_motion_and_the_viewer_reads_it(tmp_path: Path) -> None:
@@ -71,14 +65,8 @@ def test_what_cannot_be_done_is_said_with_the_option(arguments: list[str], text:
 
 def test_no_path_is_exit_code_3() -> None:
     """From a tilt to the opposite one in a straight line of poses: level in between."""
-    tilts = [
-        "--from",
-        *["130", "130", "140", "130", "130", "140"],
-        "--to",
-        *["140", "140", "130", "140", "140", "130"],
-        "--unit",
-        "cm",
-    ]
+    first, last = ["130", "130", "140"] * 2, ["140", "140", "130"] * 2
+    tilts = ["--from", *first, "--to", *last, "--unit", "cm"]
     done = run("move", *tilts, "--straight", "--leg-force", "1500")
     assert done.returncode == 3
     assert "no path" in done.stderr
