@@ -17,7 +17,7 @@ import pytest
 
 import spm_pin as spm
 
-MODULES = ("", ".mechanism", ".closed_form", ".workspace", ".sweeps", ".calibration", ".nlp", ".crosscheck")
+MODULES = ("", ".mechanism", ".closed_form", ".workspace", ".motion", ".sweeps", ".calibration", ".nlp", ".crosscheck")
 
 
 class Foreign:
@@ -100,9 +100,14 @@ def measurements_file() -> str:
 PATH = [STATE.pose.as_matrix(), spm.forward_physical(PAPER, [1.3, 1.2, 1.4, 1.3, 1.2, 1.4]).pose.as_matrix()]
 """Two poses that a platform can go between."""
 
+LINE = [[1.20, 1.20, 1.40, 1.25, 1.20, 1.50], [1.40, 1.20, 1.20, 1.20, 1.50, 1.25]]
+"""Two sets of leg lengths that the legs can go between."""
+
 EXAMPLES: dict[str, Callable[[], Any]] = {
     "acceleration": lambda: np.zeros(6),
     "argument": lambda: "pose",
+    "chain": lambda: chain(),
+    "compliances": lambda: np.eye(6),
     "configuration": lambda: STATE,
     "confidence": lambda: 0.95,
     "corners": lambda: (0, 1, 2),
@@ -120,6 +125,9 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "geometry": lambda: PAPER,
     "leg_lengths": lambda: STATE.leg_lengths,
     "leg_rates": lambda: np.zeros(6),
+    "legs": lambda: 1e7,
+    "lengths": lambda: LINE,
+    "mass": lambda: 1.0,
     "limits": lambda: PAPER.limits,
     "lower": lambda: (1.1, 1.5),
     "mask": lambda: np.ones(8, dtype=bool),
@@ -142,7 +150,10 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "seed": lambda: 0,
     "shell": shell,
     "spacing": lambda: 0.4,
+    "start": lambda: LINE[0],
+    "goal": lambda: LINE[1],
     "starts": lambda: 2,
+    "stiffness": lambda: np.eye(6),
     "times": lambda: [0.0, 1.0],
     "translation": lambda: STATE.translation,
     "tries": lambda: 1,
@@ -189,12 +200,25 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "leg_grid.upper": lambda: (1.2, 1.3, 2),
     "sweeps.pose_sample.x": lambda: (0.0, 0.1),
     "follow.samples": lambda: 2,
+    "time_optimal.path": lambda: spm.motion.LegPath(LINE),
+    "time_optimal.leg_accelerations": lambda: 5.0,
+    "time_optimal.grid": lambda: 20,
+    "time_optimal.period": lambda: 0.05,
     "nearest_reachable_pose.near": lambda: STATE,
     "reachable_position.points": lambda: STATE.translation,
 }
 """A good value for each parameter that has no default, or whose default takes long; by name or by place and name."""
 
-INPUTS = ("AsBuiltGeometry", "Configuration", "Geometry", "JointLimits", "LegLimits", "PlatformPath")
+INPUTS = (
+    "AsBuiltGeometry",
+    "Configuration",
+    "Geometry",
+    "JointLimits",
+    "LegLimits",
+    "LegPath",
+    "Payload",
+    "PlatformPath",
+)
 """Classes that users make themselves; the others are results, made by the package."""
 
 INSTANCES: dict[str, Callable[[], Any]] = {
@@ -235,7 +259,11 @@ def callables() -> Iterator[tuple[str, Callable[..., Any]]]:
             member = getattr(module, public)
             if inspect.isfunction(member) and id(member) not in seen:
                 yield (
-                    (public if name in ("", ".mechanism", ".closed_form", ".workspace") else f"{name[1:]}.{public}"),
+                    (
+                        public
+                        if name in ("", ".mechanism", ".closed_form", ".motion", ".workspace")
+                        else f"{name[1:]}.{public}"
+                    ),
                     member,
                 )
             elif inspect.isclass(member) and id(member) not in seen and not issubclass(member, enum.Enum):

@@ -20,10 +20,14 @@ import numpy.typing as npt
 from spm_pin.closed_form.jacobians import inverse_jacobian
 from spm_pin.closed_form.stage_wrenches import SINGULAR, StageWrenches
 from spm_pin.errors import ArgumentError, SingularConfigurationError
-from spm_pin.mechanism.arguments import FloatArray, broadcastable, first_offender, real_array
+from spm_pin.mechanism.arguments import FloatArray, as_array, broadcastable, first_offender, real_array
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 
 __all__ = ["PrincipalStiffness", "compliance", "principal_stiffness", "stiffness"]
+
+
+_STIFFEST = 1e100
+"""Largest stiffness [N/m]: products of two are still numbers."""
 
 
 class PrincipalStiffness(NamedTuple):
@@ -130,7 +134,7 @@ def stiffness(configuration: Configuration, legs: npt.ArrayLike, structure: npt.
     """
     if structure is not None:
         return _inverse(compliance(configuration, legs, structure))
-    along = 1.0 / _inverses(legs, "legs", configuration)
+    along = 1.0 / _inverses(legs, "legs", check_configuration(configuration))
     jacobian = inverse_jacobian(configuration)
     return np.asarray(jacobian.swapaxes(-1, -2) @ (along[..., None] * jacobian))
 
@@ -171,13 +175,17 @@ def principal_stiffness(compliances: npt.ArrayLike) -> PrincipalStiffness:
 
 def _inverses(value: npt.ArrayLike, argument: str, configuration: Configuration) -> FloatArray:
     """Return 1 / stiffness of six forces, shape (..., 6)."""
-    array = np.asarray(value)
-    expected = "the stiffness of r_b1 to r_c3 in N/m, or one for all"
-    numbers = real_array(value, argument, (6,) if array.ndim else (), expected)
-    if (numbers <= 0.0).any():
+    array = as_array(value)
+    single = array is not None and not array.ndim
+    numbers = real_array(
+        value, argument, () if single else (6,), "the stiffness of r_b1 to r_c3 in N/m, or one for all"
+    )
+    outside = (numbers <= 0.0) | (numbers > _STIFFEST)
+    if outside.any():
         cause = "A rigid leg has a large stiffness, not none" if (numbers == 0.0).any() else ""
-        raise ArgumentError(argument, "positive stiffnesses in N/m", f"{numbers.min():g}", cause)
-    inverses = 1.0 / (numbers if array.ndim else np.full(6, numbers))
+        expected = f"positive stiffnesses in N/m, at most {_STIFFEST:g}"
+        raise ArgumentError(argument, expected, f"{numbers[outside].flat[0]:g}", cause)
+    inverses = 1.0 / (np.full(6, numbers) if single else numbers)
     broadcastable(argument, inverses.shape[:-1], "configuration", configuration.shape)
     return inverses
 

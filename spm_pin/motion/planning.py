@@ -28,6 +28,7 @@ from spm_pin.mechanism.arguments import (
     instance,
     real_array,
     real_number,
+    type_and_value,
     whole_number,
 )
 from spm_pin.mechanism.configuration import Configuration, check_configuration
@@ -139,7 +140,7 @@ class _Rules:
                 f"{self.limits.minimum[leg]:g} to {self.limits.maximum[leg]:g} m"
             )
         if least < -1e-9:
-            return f"a forward singularity is near: |det J| of {least + self.margin:.3g} d³, less than {self.margin:g}"
+            return f"a forward singularity is near: |det J| of {least + self.margin:.3g} d³, less than the margin of {self.margin:g}"
         if angles < -1e-9:
             return f"a passive joint is {-angles:.3g} rad beyond its limit"
         if clearance < -1e-9:
@@ -243,6 +244,8 @@ def plan(
         instance(certificate, Certificate, "certificate")
         if dataclasses.replace(certificate.geometry, limits=None) != dataclasses.replace(geometry, limits=None):
             raise ArgumentError("certificate", "a certificate of `geometry`", "one of other dimensions")
+    if not isinstance(via, Sequence | np.ndarray) or isinstance(via, str | bytes):
+        raise ArgumentError("via", "a sequence of states to pass", type_and_value(via))
     names = ["start", *(f"via[{k}]" for k in range(len(via))), "goal"]
     states = [_state(geometry, place, name) for place, name in zip([start, *via, goal], names, strict=True)]
     for state, name in zip(states, names, strict=True):

@@ -124,7 +124,7 @@ def time_optimal(
     jerks = _largest(leg_jerks, "leg_jerks", "m/s³")
     forces, speeds = _forces(leg_forces), _speeds(twist)
     if forces is None and limits["leg_accelerations"] is None:
-        expected = "limits of the legs' forces, accelerations, or both"
+        expected = "limits of forces or of accelerations, leg_forces or leg_accelerations"
         raise ArgumentError("leg_forces", expected, "neither", "Without them the motion would start with a jump")
     parameters = np.linspace(0.0, 1.0, parts + 1)
     along = path_dynamics(chain, way, parameters, payload)
@@ -202,7 +202,7 @@ def _rows(
             raise ArgumentError("leg_forces", "forces that hold the machine along the path", received, "Too heavy?")
         blocks.append((along.inertial, along.centrifugal, along.static, *forces))
     fastest = np.full(len(first), np.inf)
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
         if (rates := limits["leg_rates"]) is not None:
             fastest = np.minimum(fastest, ((rates / np.abs(first)) ** 2).min(axis=-1))
         for part, speed in enumerate(speeds or ()):
@@ -271,7 +271,7 @@ def _smooth(chain: ClosedChain, along: PathDynamics, rows: _Rows, jerks: FloatAr
         below = np.minimum(rows.b, 0.0) * speed**2 + (rows.c - rows.lower)
         # The jerk of a leg is l' s⃛ + 3 l'' ṡ s̈ + l''' ṡ³; half of the limit is kept for its first term.
         spare = jerks - third * speed**3
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             acceleration = float(np.nanmin(np.minimum(above, below) / np.abs(rows.a)))
             acceleration = min(acceleration, float(np.nanmin(spare / (6.0 * second * speed))))
             jerk = float(np.nanmin((spare - 3.0 * second * speed * acceleration) / first))
@@ -287,7 +287,7 @@ def _smooth(chain: ClosedChain, along: PathDynamics, rows: _Rows, jerks: FloatAr
         result = ruckig.Ruckig(1).calculate(given, found)
         return found if result in (ruckig.Result.Working, ruckig.Result.Finished) else None
 
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
         top = min(float(np.sqrt(rows.fastest.min())), float(np.cbrt(np.min(jerks / third))), _FASTEST)
     trials = [found for found in map(profile, np.geomspace(1e-3, 1.0, _TRIES) * top) if found is not None]
     if not trials:
