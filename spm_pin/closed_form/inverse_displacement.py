@@ -30,7 +30,7 @@ from spm_pin.closed_form.as_built_inverse import as_built_complex_joints, as_bui
 from spm_pin.closed_form.batches import radii, read_pose, run_kernel
 from spm_pin.closed_form.degeneracy import find_degeneracy
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import FloatArray, flag
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.branches import BRANCHES
 from spm_pin.mechanism.configuration import Configuration
@@ -117,10 +117,11 @@ def inverse_displacement(
     >>> spm.inverse_displacement(geometry, pose)
     <SolutionSet: ok, 6 of 8 real: TT+, TT-, TF+, TF-, FF+, FF->
     """
+    certified = flag(certify, "certify")
     if isinstance(geometry, AsBuiltGeometry):
         if out is not None:
             raise ArgumentError("out", "None for an AsBuiltGeometry", type(out).__name__)
-        if certify:
+        if certified:
             raise ArgumentError("certify", "False for an AsBuiltGeometry", certify)
         return as_built_inverse(geometry, pose)
     from spm_pin.closed_form.certified_branches import existence_radii, settle_families
@@ -133,7 +134,7 @@ def inverse_displacement(
     rotation, position, joints, lengths, discriminants, choice, status, flagged = solved
     degeneracy = _degeneracy(geometry, shape, rotation, position, flagged, status)
     found = _solution_set(geometry, shape, solved, degeneracy)
-    if not certify:
+    if not certified:
         return found
     certain = np.asarray(found.certain).reshape(-1, 4)
     vertical = (flagged & VERTICAL) > 0

@@ -140,7 +140,8 @@ class _Rules:
                 f"{self.limits.minimum[leg]:g} to {self.limits.maximum[leg]:g} m"
             )
         if least < -1e-9:
-            return f"a forward singularity is near: |det J| of {least + self.margin:.3g} d³, less than the margin of {self.margin:g}"
+            found = f"|det J| of {least + self.margin:.3g} d³"
+            return f"a forward singularity is near: {found}, less than the margin of {self.margin:g}"
         if angles < -1e-9:
             return f"a passive joint is {-angles:.3g} rad beyond its limit"
         if clearance < -1e-9:

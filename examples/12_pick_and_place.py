@@ -56,7 +56,7 @@ names = ["r_b1", "r_b2", "r_b3", "r_c1", "r_c2", "r_c3"]
 figure.legend(axes[0].lines[:6], names, loc="outside upper center", ncols=6, frameon=False, fontsize=9)
 axes[2].set_xlabel("time [s]")
 figure.align_ylabels(axes)
-figure.savefig(folder / "11_pick_and_place.png", dpi=160)
+figure.savefig(folder / "12_pick_and_place.png", dpi=160)
 
 stiff = spm.stiffness(spm.forward_physical(geometry, place), legs=2e7)
 frequencies = chain.natural_frequencies(chain.forward_kinematics(place), stiff).frequencies
