@@ -40,6 +40,8 @@ class Certificate:
         The subdivision of each stage.
     witness : Configuration or None
         A forward singular configuration within the limits, where one was found; None otherwise.
+    dimension_error : float
+        How far E, C and d may be from those of the geometry [m].
     """
 
     geometry: Geometry
@@ -47,6 +49,7 @@ class Certificate:
     lower: StageProof
     upper: StageProof
     witness: Configuration | None
+    dimension_error: float = 0.0
 
     @property
     def holds(self) -> bool:
@@ -76,10 +79,12 @@ class Certificate:
         Raises
         ------
         ArgumentError
-            If they are not states of the certificate's geometry.
+            If they are not states of the certificate's geometry, nor of one within its error.
         """
         check_configuration(configuration)
-        if any(getattr(configuration.geometry, name) != getattr(self.geometry, name) for name in _DIMENSIONS):
+        machine = configuration.geometry
+        off = [abs(getattr(machine, name, np.inf) - getattr(self.geometry, name)) for name in _DIMENSIONS]
+        if max(off) > self.dimension_error:
             raise ArgumentError("configuration", "a state of the certificate's geometry", "one of another")
         inside = self.limits.contains(configuration.leg_lengths)
         if not self.holds:
@@ -93,6 +98,10 @@ class Certificate:
         """Return what was proved, or what stands against it, in a few lines."""
         low, high = zip(*zip(self.limits.minimum, self.limits.maximum, strict=True), strict=True)
         lines = [f"Leg lengths from {min(low):g} m to {max(high):g} m, {self.lower.boxes + self.upper.boxes:,} boxes."]
+        if self.dimension_error:
+            lines.append(
+                f"For all machines whose E, C and d are within {1e3 * self.dimension_error:g} mm of the nominal ones."
+            )
         if self.holds:
             lower, upper = self.bounds
             lines += [
@@ -123,7 +132,9 @@ class Certificate:
         )
 
 
-def certify(geometry: Geometry, limits: LegLimits | None = None, *, boxes: int = 300_000) -> Certificate:
+def certify(
+    geometry: Geometry, limits: LegLimits | None = None, *, boxes: int = 300_000, dimension_error: float = 0.0
+) -> Certificate:
     """Prove that leg limits exclude forward singularities.
 
     Each stage is searched by interval branch and bound [1]_ with outward rounding, over all orientations without
@@ -139,6 +150,8 @@ def certify(geometry: Geometry, limits: LegLimits | None = None, *, boxes: int =
         Limits of the leg lengths, finite; by default those of the geometry.
     boxes : int
         Boxes to look at in each stage, at most.
+    dimension_error : float
+        Prove it for all machines whose E, C and d are so near to those of `geometry` [m].
 
     Returns
     -------
@@ -158,6 +171,8 @@ def certify(geometry: Geometry, limits: LegLimits | None = None, *, boxes: int =
     instance(geometry, Geometry, "geometry")
     limits = geometry.limits if limits is None else instance(limits, LegLimits, "limits")
     whole_number(boxes, "boxes", least=1)
+    smallest = min(getattr(geometry, name) for name in _DIMENSIONS)
+    real_number(dimension_error, "dimension_error", "metres from 0, below all dimensions", least=0.0, below=smallest)
     if limits is None or not np.isfinite(limits.maximum).all():
         received = "none" if limits is None else "a leg without a longest length"
         raise GeometryError("limits", "a finite longest length of every leg", received)
@@ -166,7 +181,7 @@ def certify(geometry: Geometry, limits: LegLimits | None = None, *, boxes: int =
         raise GeometryError("limits", "lengths between them that can be assembled", "a middle that cannot be")
     starts = stage_states(middle)
     proofs = []
-    for region, start in zip(stage_regions(geometry, limits), starts, strict=True):
+    for region, start in zip(stage_regions(geometry, limits, dimension_error), starts, strict=True):
         proofs.append(prove_stage(region, start, most=boxes))
     witness = None
     if any(proof.singular is not None for proof in proofs):
@@ -174,7 +189,7 @@ def certify(geometry: Geometry, limits: LegLimits | None = None, *, boxes: int =
             start if proof.singular is None else proof.singular for start, proof in zip(starts, proofs, strict=True)
         ]
         witness = configuration_of_stages(geometry, np.stack(states))
-    return Certificate(geometry, limits, proofs[0], proofs[1], witness)
+    return Certificate(geometry, limits, proofs[0], proofs[1], witness, dimension_error)
 
 
 def largest_certified_limits(
@@ -237,11 +252,13 @@ def largest_certified_limits(
     return best
 
 
-def stage_regions(geometry: Geometry, limits: LegLimits) -> list[StageRegion]:
-    """Return what is searched in the lower and in the upper stage."""
-    side, ends = Interval.of(geometry.middle_side), np.array([limits.minimum, limits.maximum])
-    hips = (geometry.base_radius, geometry.platform_radius)
-    return [StageRegion(Interval.of(hips[k]), side, *ends[:, 3 * k : 3 * k + 3]) for k in range(2)]
+def stage_regions(geometry: Geometry, limits: LegLimits, error: float = 0.0) -> list[StageRegion]:
+    """Return what is searched in the lower and in the upper stage, for all dimensions within an error [m]."""
+    around = Interval(np.array(-error), np.array(error))
+    sizes = (getattr(geometry, name) for name in _DIMENSIONS)
+    base, platform, side = (Interval.of(size) + around if error else Interval.of(size) for size in sizes)
+    ends = np.array([limits.minimum, limits.maximum])
+    return [StageRegion(hips, side, *ends[:, 3 * k : 3 * k + 3]) for k, hips in enumerate((base, platform))]
 
 
 def _contained(states: FloatArray, boxes: FloatArray) -> npt.NDArray[np.bool_]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from spm_pin.closed_form.intervals import Interval
@@ -22,6 +24,7 @@ def singular_state(region: StageRegion, boxes: FloatArray) -> FloatArray | None:
     """
     if not len(boxes):
         return None
+    region = replace(region, hips=Interval.of(_middle(region.hips)), side=Interval.of(_middle(region.side)))
     chosen = boxes[np.linspace(0, len(boxes) - 1, min(len(boxes), STARTS)).astype(np.intp)]
     states = chosen.mean(axis=-1)
     states = states[(states[:, :2] ** 2).sum(axis=1) < 1.0]
