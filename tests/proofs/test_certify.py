@@ -14,7 +14,9 @@ from hypothesis import strategies as st
 
 import spm_pin as spm
 from spm_pin.closed_form.intervals import Interval
+from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.stage_states import configuration_of_stages, stage_states
+from spm_pin.proofs.stage_proof import StageProof
 from spm_pin.proofs.stage_region import StageRegion
 
 PAPER = spm.Geometry.paper()
@@ -83,22 +85,27 @@ def test_other_assembly_modes_are_not_covered(certificate: spm.Certificate) -> N
     np.testing.assert_array_equal(covered, modes.is_physical)
 
 
-def test_the_bounds_hold_in_ball_arithmetic(certificate: spm.Certificate) -> None:
-    rng = np.random.default_rng(1)
-    for proof, hips in ((certificate.lower, PAPER.base_radius), (certificate.upper, PAPER.platform_radius)):
-        for box in proof.proved[rng.permutation(len(proof.proved))[:20]]:
-            # Arb's balls over the eight parts of a box: D is positive in each, or they hold no lengths in the limits.
-            for corner in np.ndindex(2, 2, 2):
-                low = box[:, 0] + np.array(corner) * (box[:, 1] - box[:, 0]) / 2.0
-                size = (box[:, 1] - box[:, 0]) / 4.0
-                ball = [arb(float(middle), float(radius)) for middle, radius in zip(low + size, size, strict=True)]
-                lengths, determinant = stage(ball, hips, PAPER.middle_side, arb, arb.sqrt)
-                if any(length < 1.1 or length > 1.5 for length in lengths):
-                    continue
-                if not determinant > 0:
-                    point = [arb(float(middle)) for middle in low + size]
-                    lengths, determinant = stage(point, hips, PAPER.middle_side, arb, arb.sqrt)
-                    assert determinant / (lengths[0] * lengths[1] * lengths[2]) > proof.bound
+def check_in_balls(proof: StageProof, hips: float, boxes: FloatArray) -> None:
+    """Check with Arb that all parts of boxes have |det J| above the bound, or no lengths within the limits."""
+    rest = [(box, 0) for box in boxes]
+    while rest:
+        box, depth = rest.pop()
+        ball = [arb(float(x), float(r)) for x, r in zip(box.mean(axis=-1), (box[:, 1] - box[:, 0]) / 2.0, strict=True)]
+        lengths, determinant = stage(ball, hips, PAPER.middle_side, arb, arb.sqrt)
+        if any(length < 1.1 or length > 1.5 for length in lengths):
+            continue
+        if determinant > proof.bound * lengths[0] * lengths[1] * lengths[2]:
+            continue
+        assert depth < 5
+        middle = box.mean(axis=-1)
+        for corner in product((0, 1), repeat=3):
+            low, high = np.where(corner, middle, box[:, 0]), np.where(corner, box[:, 1], middle)
+            rest.append((np.stack([low, high], axis=-1), depth + 1))
+
+
+def test_the_bounds_of_all_boxes_hold_in_ball_arithmetic(certificate: spm.Certificate) -> None:
+    check_in_balls(certificate.lower, PAPER.base_radius, certificate.lower.proved)
+    check_in_balls(certificate.upper, PAPER.platform_radius, certificate.upper.proved)
 
 
 @given(st.integers(0, 2**32 - 1))
