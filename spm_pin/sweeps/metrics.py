@@ -201,9 +201,22 @@ def stiffness(points: Points, *, leg: float = 1.0) -> Values:
     `leg` is the stiffness of each actuator [N/m]; everything else is rigid. A force f moves o by ``G_v G_vᵀ f / leg``,
     G_v the upper three rows of G, while the platform turns as it likes.
     """
-    linear = points.platform_jacobians[:, :3]
-    compliance = np.linalg.eigvalsh(np.nan_to_num(linear @ linear.swapaxes(-1, -2)))[:, -1]
-    return points.spread(_zero_if_singular(leg / np.where(np.isnan(linear[:, 0, 0]), np.nan, compliance)))
+    return _least_stiffness(points, points.platform_jacobians[:, :3], leg)
+
+
+@metric("N m rad-1", f"least rotational stiffness, for a stiffness of each leg; {_ABSENT}")
+def rotational_stiffness(points: Points, *, leg: float = 1.0) -> Values:
+    """Return the stiffness against a moment about the axis for which it is least, while o moves as it likes.
+
+    `leg` [N/m] and the rest as for `stiffness`, with the lower three rows of G.
+    """
+    return _least_stiffness(points, points.platform_jacobians[:, 3:], leg)
+
+
+def _least_stiffness(points: Points, rows: FloatArray, leg: float) -> Values:
+    """Return leg over the largest eigenvalue of rows · rowsᵀ, NaN where a state does not exist."""
+    compliance = np.linalg.eigvalsh(np.nan_to_num(rows @ rows.swapaxes(-1, -2)))[:, -1]
+    return points.spread(_zero_if_singular(leg / np.where(np.isnan(rows[:, 0, 0]), np.nan, compliance)))
 
 
 def _characteristic(points: Points, length: float | None) -> float:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from multibody.engine_dynamics import Mujoco
 
 import spm_pin as spm
 from spm_pin.motion import LegPath, Payload
 from spm_pin.motion.path_dynamics import path_dynamics
+
+pytest.importorskip("toppra", reason="toppra has wheels for Linux on x86_64 only")
 
 PAPER = spm.Geometry.paper()
 CHAIN = spm.ClosedChain.from_urdf()
@@ -194,3 +197,20 @@ def test_paths_that_cannot_be_gone_along_are_named() -> None:
 def test_impossible_payloads_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(spm.ArgumentError):
         Payload(**wrong)  # type: ignore[arg-type]
+
+
+def test_a_replay_in_mujoco_tracks_the_motion() -> None:
+    """Efforts as feed-forward, held for a step of 0.2 ms, with a weak spring and damper on the legs."""
+    motion = spm.time_optimal(CHAIN, CURVE, leg_forces=1500.0, leg_rates=0.5, payload=None, period=2e-4)
+    engine = Mujoco(CHAIN, step=2e-4, integrator="mjINT_IMPLICITFAST")
+    errors: list[float] = []
+
+    def forces(time: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        k = min(round(time / motion.times[-1] * (len(motion.times) - 1)), len(motion.times) - 1)
+        away = (motion.positions[k] - q)[LEGS]
+        errors.append(float(np.abs(away).max()))
+        return motion.efforts[k, LEGS] + 2e4 * away + 4e2 * (motion.velocities[k] - v)[LEGS]
+
+    end = engine.run(motion.positions[0], motion.velocities[0], forces, float(motion.times[-1]), LEGS)
+    assert max(errors) < 5e-4
+    assert np.abs((end - motion.positions[-1])[LEGS]).max() < 5e-4

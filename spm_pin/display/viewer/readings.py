@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from spm_pin.closed_form.leg_forces import leg_forces
 from spm_pin.closed_form.singularity_analysis import SingularityKind, determinant_gradients, singularities
+from spm_pin.closed_form.stiffness import compliance, principal_stiffness
 from spm_pin.errors import SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.branches import physical
@@ -46,6 +47,8 @@ class Readings:
     """Whether a real machine can be in it: reached from the symmetric home without a forward singularity."""
     forces: FloatArray | None
     """Leg forces that hold the load (6,) [N]; None where the legs cannot hold every load."""
+    softest: float
+    """Translational stiffness at o where it is least, for legs of stiffness one; zero where they do not hold."""
 
     @classmethod
     def of(cls, state: Configuration, wrench: npt.ArrayLike) -> Readings:
@@ -64,8 +67,9 @@ class Readings:
             travel = np.where(found.rank < 6, 0.0, np.nan)
         try:
             forces = leg_forces(state, wrench)
+            softest = float(principal_stiffness(compliance(state, 1.0)).translational[0])
         except SingularConfigurationError:
-            forces = None
+            forces, softest = None, 0.0
         return cls(
             leg_lengths=lengths,
             beyond=beyond,
@@ -76,6 +80,7 @@ class Readings:
             kind=SingularityKind(int(found.kind)),
             physical=bool(physical(state)),
             forces=forces,
+            softest=softest,
         )
 
     def near(self, middle_side: float) -> npt.NDArray[np.bool_]:

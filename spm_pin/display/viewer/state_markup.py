@@ -146,4 +146,6 @@ def forces_table(state: State) -> str:
         shown = number(force, 1) if abs(force) < 1e6 else f"{force:.3g}"
         cells += [_cell(leg), bar, _cell(shown, _RIGHT, f"force {leg}"), _cell(sign)]
     columns = "max-content minmax(3em,1fr) max-content 1em"
-    return f'<div style="{_BOX}"><div><b>Leg forces</b> in N: ▲ pushes, ▼ pulls</div>{_grid(columns, cells)}</div>'
+    soft = f"<div>Softest direction of o: {state.readings.softest:.2g} × the stiffness of a leg</div>"
+    heading = "<div><b>Leg forces</b> in N: ▲ pushes, ▼ pulls</div>"
+    return f'<div style="{_BOX}">{heading}{_grid(columns, cells)}{soft}</div>'
