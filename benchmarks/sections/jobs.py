@@ -192,7 +192,7 @@ def _simulation(section: Section, chain: Any, pace: Pace, progress: Progress, fa
         return run
 
     peers: list[tuple[str, Callable[[], Callable[[float], FloatArray]], list[float]]] = [
-        ("spm_pin, `ClosedChain.simulate`", lambda: ours, [10.0**-k for k in range(1, 9)]),
+        ("spm_pin, `ClosedChain.simulate`", lambda: ours, [10.0**-k for k in range(3, 9)]),
         ("MuJoCo, Runge-Kutta", lambda: engine("Mujoco", integrator="mjINT_RK4"), [4e-3 / 2**k for k in range(7)]),
         ("MuJoCo, Euler", lambda: engine("Mujoco", integrator="mjINT_EULER"), [4e-3 / 2**k for k in range(8)]),
         ("Drake, SAP", lambda: engine("Drake"), [4e-3 / 2**k for k in range(7)]),

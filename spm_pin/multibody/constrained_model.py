@@ -168,9 +168,10 @@ class TreeKinematics:
         values, self.q = q.tobytes(), q
         if values == self._values:
             return
-        self._values = values
+        self._values = None
         pin.computeJointJacobians(self.model, self.data, q)
         pin.updateFramePlacements(self.model, self.data)
+        self._values = values
         known = self.__dict__
         for name in _CACHED:
             known.pop(name, None)
