@@ -51,8 +51,9 @@ class BoundaryPoints:
         -1 for a leg at its minimum, 1 at its maximum, 0 for one that is free.
     gradient : ndarray, shape (n, 6)
         How fast o moves along the normal with each leg: zero for those free, else of the sign of `at_limit`, or zero.
+        At a forward singularity, where that is infinite, the multipliers of the limits.
     violation : ndarray, shape (n,)
-        By how much `gradient` does not obey that; rounding.
+        By how much normal and `gradient` miss the conditions of a nearest point; rounding.
     """
 
     position: FloatArray

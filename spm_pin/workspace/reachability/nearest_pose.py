@@ -180,7 +180,7 @@ def _within_limits(
     sides = np.ones(2) if near is None else np.sign(mapping.determinants(mapping.legs(starts[0])[1]))[0]
     search = approach(box, targets, starts, body=joints, mapping=mapping, sides=sides, clear=CLEAR)
     settle(search)
-    # Of long steps of Newton's method the mode is checked.
+    # Newton's method takes long steps: the assembly mode is checked.
     home = near is None or bool(physical(near))
     lengths = np.clip(mapping.lengths(search.coordinates), limits.minimum, limits.maximum)
     proved = forward_physical(geometry, lengths, seed=None if home else near)

@@ -188,6 +188,15 @@ def test_legs_whose_position_was_said_to_be_out_of_reach() -> None:
     assert not answer.undecided
 
 
+def test_points_at_the_rim_that_the_best_starts_miss_are_reachable() -> None:
+    """Legs within the limits put o there, but from all states of the coarse search nearest to it the search fails."""
+    points = [
+        [-1.652707286540605, 1.0849784717830464, 0.46500716046279306],
+        [-0.7339725659912846, 1.3696271722165698, 0.042995802957564166],
+    ]
+    assert reachable_position(PAPER, points, spm.LegLimits(0.8, 1.8)).reachable.all()
+
+
 def test_no_state_is_found_by_random_starts_where_none_was() -> None:
     """Uniform points, half of them out of reach: least squares from thirty random states each finds no other."""
     from scipy.optimize import least_squares
