@@ -8,9 +8,8 @@ and `spm_pin.workspace.reachability.edge_intersection` says where. What bounds t
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,13 +17,11 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError, MissingExtraError
 from spm_pin.mechanism.arguments import FloatArray, generator, whole_number
 from spm_pin.mechanism.geometry import Geometry, LegLimits
+from spm_pin.workspace.closed_mesh import ClosedMesh
 from spm_pin.workspace.reachability.lattice import classified, crossings, lattice
 from spm_pin.workspace.reachability.leg_box import LegBox, leg_box
 from spm_pin.workspace.reachability.nearest import Nearest, merged, nearest_in_box
 from spm_pin.workspace.reachability.state_search import RESOLUTION, Progress
-
-if TYPE_CHECKING:
-    from trimesh import Trimesh
 
 __all__ = ["Boundary", "BoundaryPoints", "reachable_boundary"]
 
@@ -72,8 +69,8 @@ class BoundaryPoints:
 
 
 @dataclass(frozen=True)
-class Boundary:
-    """The boundary of the reachable positions; made by `reachable_boundary`.
+class Boundary(ClosedMesh):
+    """The boundary of the reachable positions, a mesh in {B}; made by `reachable_boundary`.
 
     Attributes
     ----------
@@ -83,64 +80,17 @@ class Boundary:
         The leg limits.
     spacing : float
         Of the grid it was made on [m].
-    vertices : ndarray, shape (V, 3)
-        Points of the boundary, in {B} [m].
     leg_lengths : ndarray, shape (V, 6)
-        Lengths that put o there [m].
-    faces : ndarray of int, shape (F, 3)
-        Triangles, counter-clockwise seen from outside.
+        Lengths that put o at the vertices [m].
     """
 
     geometry: Geometry
     limits: LegLimits
     spacing: float
-    vertices: FloatArray
     leg_lengths: FloatArray
-    faces: IntArray
 
     def __repr__(self) -> str:
         return f"<Boundary: {len(self.vertices)} vertices, {len(self.faces)} faces, {self.volume:.4f} m³>"
-
-    @property
-    def volume(self) -> float:
-        """Volume enclosed by the mesh [m³]; its error falls with the square of `spacing`."""
-        a, b, c = np.moveaxis(self.vertices[self.faces] - self.vertices.mean(axis=0), 1, 0)
-        return float((np.cross(a, b) * c).sum() / 6.0)
-
-    @property
-    def face_areas(self) -> FloatArray:
-        """Areas of the faces [m²], shape (F,)."""
-        return np.asarray(np.linalg.norm(self._doubled_normals, axis=-1) / 2.0)
-
-    @property
-    def area(self) -> float:
-        """Area of the mesh [m²]."""
-        return float(self.face_areas.sum())
-
-    @property
-    def euler_characteristic(self) -> int:
-        """V - E + F of the mesh; where the set has thin parts, it depends on the spacing."""
-        return len(self.vertices) - 3 * len(self.faces) // 2 + len(self.faces)
-
-    @property
-    def _doubled_normals(self) -> FloatArray:
-        a, b, c = np.moveaxis(self.vertices[self.faces], 1, 0)
-        return np.cross(b - a, c - a)
-
-    @cached_property
-    def mesh(self) -> Trimesh:
-        """The same as a `trimesh.Trimesh`, in {B} [m].
-
-        Raises
-        ------
-        MissingExtraError
-            If trimesh is not installed.
-        """
-        try:
-            import trimesh
-        except ModuleNotFoundError as missing:
-            raise MissingExtraError("workspace", "trimesh") from missing
-        return trimesh.Trimesh(self.vertices, self.faces, process=False)
 
     def sample(self, count: int, rng: np.random.Generator | int | None = None) -> BoundaryPoints:
         """Draw points of the boundary, about uniformly over its area.
@@ -252,5 +202,5 @@ def reachable_boundary(
         raise ArgumentError("spacing", "a spacing much smaller than the reachable set, in metres", spacing, cause)
     corners, faces, _, _ = measure.marching_cubes(np.where(inside, 1.0, -1.0), 0.0)
     vertices, lengths = crossings(box, origin, spacing, corners.astype(np.float64), inside, states, progress)
-    boundary = Boundary(geometry, box.limits, float(spacing), vertices, lengths, faces.astype(np.intp))
+    boundary = Boundary(vertices, faces.astype(np.intp), geometry, box.limits, float(spacing), lengths)
     return boundary if boundary.volume > 0.0 else replace(boundary, faces=boundary.faces[:, ::-1])

@@ -10,23 +10,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from spm_pin.closed_form.forward_displacement import forward_physical
-from spm_pin.errors import ArgumentError, GeometryError, MissingExtraError, SelectionError
+from spm_pin.errors import ArgumentError, GeometryError, SelectionError
 from spm_pin.mechanism.arguments import FloatArray, first_offender, frozen, real_array, type_and_value, whole_number
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
+from spm_pin.workspace.closed_mesh import ClosedMesh, enclosed_volume
 from spm_pin.workspace.table_6.convergence import Convergence
-from spm_pin.workspace.table_6.mesh_distance import FacesByPlace
 from spm_pin.workspace.table_6.patches import Setting, SubWorkspace, orientations, sub_workspaces
 from spm_pin.workspace.table_6.winding import ClosedSurface
-
-if TYPE_CHECKING:
-    import trimesh
 
 __all__ = ["Patch", "Shell", "workspace_shell"]
 
@@ -78,8 +74,8 @@ class Patch:
 
 
 @dataclass(frozen=True)
-class Shell:
-    """The 24 surfaces of Table 6, joined; made by `workspace_shell`.
+class Shell(ClosedMesh):
+    """The 24 surfaces of Table 6, joined to a mesh in {B}; made by `workspace_shell`. Faces of a patch lie together.
 
     Attributes
     ----------
@@ -93,8 +89,6 @@ class Shell:
         In the order of Table 6.
     configuration : Configuration
         The state at each vertex of the mesh, shape (V,).
-    faces : ndarray of int, shape (F, 3)
-        Triangles, counter-clockwise seen from outside; those of a patch lie together.
     convergence : Convergence
         Of the volume.
     """
@@ -104,7 +98,6 @@ class Shell:
     resolution: int
     patches: tuple[Patch, ...]
     configuration: Configuration
-    faces: Indices
     convergence: Convergence
 
     def __repr__(self) -> str:
@@ -119,11 +112,6 @@ class Shell:
         raise SelectionError("name", expected, type_and_value(name))
 
     @property
-    def vertices(self) -> FloatArray:
-        """Positions of o in {B} [m], shape (V, 3)."""
-        return self.configuration.translation
-
-    @property
     def volume(self) -> float:
         """Volume enclosed by the surfaces [m³], extrapolated from meshes; where they go round twice it counts twice."""
         return self.convergence.limit
@@ -133,39 +121,9 @@ class Shell:
         """Estimate of the error of `volume` [m³]."""
         return self.convergence.error
 
-    @property
-    def area(self) -> float:
-        """Area of the mesh [m²]."""
-        return sum(patch.area for patch in self.patches)
-
-    @property
-    def euler_characteristic(self) -> int:
-        """V - E + F of the mesh; 2 for a sphere."""
-        ends = np.sort(np.stack([self.faces, np.roll(self.faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
-        return len(self.vertices) - len(np.unique(ends, axis=0)) + len(self.faces)
-
-    @cached_property
-    def mesh(self) -> trimesh.Trimesh:
-        """The same as a `trimesh.Trimesh` in {B} [m], watertight, its normals outward.
-
-        Raises
-        ------
-        MissingExtraError
-            If trimesh is not installed.
-        """
-        try:
-            import trimesh
-        except ModuleNotFoundError as missing:
-            raise MissingExtraError("workspace", "trimesh") from missing
-        return trimesh.Trimesh(self.vertices, self.faces, process=False)
-
     @cached_property
     def _surface(self) -> ClosedSurface:
         return ClosedSurface(self.vertices, self.faces)
-
-    @cached_property
-    def _faces_by_place(self) -> FacesByPlace:
-        return FacesByPlace(self.vertices, self.faces)
 
     def winding_number(self, points: npt.ArrayLike) -> npt.NDArray[np.int32]:
         """Return how many times the mesh goes round each of `points` (..., 3) [m], shape (...).
@@ -200,7 +158,7 @@ class Shell:
             If trimesh is not installed.
         """
         array = real_array(points, "points", (3,), "positions in metres")
-        distance = self._faces_by_place.distance(array.reshape(-1, 3)).reshape(array.shape[:-1])
+        distance = self._unsigned_distance(array.reshape(-1, 3)).reshape(array.shape[:-1])
         return np.where(self.contains(array), distance, -distance)
 
 
@@ -255,16 +213,17 @@ def workspace_shell(geometry: Geometry, limits: LegLimits | None = None, *, reso
         lengths, grids = _joined(rows, box, m)
         states = _assembled(geometry, box, lengths)
         faces = np.concatenate([_lofted(grid, sign) for grid, sign in zip(grids, signs, strict=True)])
-        volumes.append(_enclosed(states.translation, faces))
+        volumes.append(enclosed_volume(states.translation, faces))
     outward = 1 if volumes[-1] > 0.0 else -1
     faces = _fixed(faces[:, ::outward])
     return Shell(
+        states.translation,
+        faces,
         geometry,
         box,
         n,
         _patches(rows, box, grids, states.translation, faces),
         states,
-        faces,
         Convergence((*coarser, n), tuple(outward * volume for volume in volumes)),
     )
 
@@ -312,12 +271,6 @@ def _lofted(grid: Indices, sign: int) -> Indices:
     near, far, across, along = grid[:-1, :-1], grid[1:, 1:], grid[1:, :-1], grid[:-1, 1:]
     triangles = np.stack([near, across, far, near, far, along], axis=-1).reshape(-1, 3)
     return triangles[:, ::sign]
-
-
-def _enclosed(vertices: FloatArray, faces: Indices) -> float:
-    """Return the signed volume of a closed mesh [m³]."""
-    a, b, c = np.moveaxis(vertices[faces] - vertices.mean(axis=0), 1, 0)
-    return float((a * np.cross(b, c)).sum()) / 6.0
 
 
 def _patches(

@@ -1,0 +1,122 @@
+"""Closed triangle meshes: volume, area, and distances of points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from spm_pin.errors import MissingExtraError
+from spm_pin.mechanism.arguments import FloatArray
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+__all__ = ["ClosedMesh", "enclosed_volume"]
+
+_FEW = 16
+"""Number of nearest faces examined first."""
+_CHUNK = 1 << 20
+"""Points times faces whose distances are computed together."""
+
+
+@dataclass(frozen=True)
+class ClosedMesh:
+    """A closed, oriented triangle mesh.
+
+    Attributes
+    ----------
+    vertices : ndarray, shape (V, 3)
+        Positions of o in {B} [m].
+    faces : ndarray of int, shape (F, 3)
+        Triangles, counter-clockwise seen from outside.
+    """
+
+    vertices: FloatArray
+    faces: npt.NDArray[np.intp]
+
+    @property
+    def volume(self) -> float:
+        """Volume enclosed by the mesh [m³]; its error falls with the square of the spacing of its vertices."""
+        return enclosed_volume(self.vertices, self.faces)
+
+    @property
+    def face_areas(self) -> FloatArray:
+        """Areas of the faces [m²], shape (F,)."""
+        return np.asarray(np.linalg.norm(self._doubled_normals, axis=-1) / 2.0)
+
+    @property
+    def area(self) -> float:
+        """Area of the mesh [m²]."""
+        return float(self.face_areas.sum())
+
+    @property
+    def euler_characteristic(self) -> int:
+        """V - E + F of the mesh, 2 for a sphere; where a set has thin parts, it depends on the spacing."""
+        return len(self.vertices) - 3 * len(self.faces) // 2 + len(self.faces)
+
+    @property
+    def _doubled_normals(self) -> FloatArray:
+        a, b, c = np.moveaxis(self.vertices[self.faces], 1, 0)
+        return np.cross(b - a, c - a)
+
+    @cached_property
+    def mesh(self) -> Trimesh:
+        """The same as a `trimesh.Trimesh` in {B} [m], watertight, its normals outward.
+
+        Raises
+        ------
+        MissingExtraError
+            If trimesh is not installed.
+        """
+        mesh: Trimesh = _trimesh().Trimesh(self.vertices, self.faces, process=False)
+        return mesh
+
+    @cached_property
+    def _faces_by_place(self) -> tuple[cKDTree, float]:
+        """The faces' centroids in a tree, and how far a face reaches from its centroid at most [m]."""
+        triangles = self.vertices[self.faces]
+        centroids = triangles.mean(axis=1)
+        return cKDTree(centroids), float(np.linalg.norm(triangles - centroids[:, None], axis=-1).max())
+
+    def _unsigned_distance(self, points: FloatArray) -> FloatArray:
+        """Return the distance of each of `points` (N, 3) from the nearest face [m], shape (N,).
+
+        Raises
+        ------
+        MissingExtraError
+            If trimesh is not installed.
+        """
+        closest_point = _trimesh().triangles.closest_point
+        tree, reach = self._faces_by_place
+        shortest, settled = np.full(len(points), np.inf), np.zeros(len(points), dtype=bool)
+        left, few = np.arange(len(points)), _FEW
+        while len(left):
+            few = min(few, len(self.faces))
+            for part in np.array_split(left, -(-len(left) * few // _CHUNK)):
+                apart, near = (np.asarray(found) for found in tree.query(points[part], k=np.arange(1, few + 1)))
+                queries = np.repeat(points[part], few, axis=0)
+                nearest = closest_point(self.vertices[self.faces[near.ravel()]], queries)
+                shortest[part] = np.linalg.norm(nearest - queries, axis=1).reshape(near.shape).min(axis=1)
+                # A face whose centroid is farther than this is itself farther than the nearest one found.
+                settled[part] = (apart[:, -1] - reach >= shortest[part]) | (few == len(self.faces))
+            left, few = left[~settled[left]], 4 * few
+        return shortest
+
+
+def enclosed_volume(vertices: FloatArray, faces: npt.NDArray[np.intp]) -> float:
+    """Return the signed volume of a closed mesh [m³]."""
+    a, b, c = np.moveaxis(vertices[faces] - vertices.mean(axis=0), 1, 0)
+    return float((a * np.cross(b, c)).sum()) / 6.0
+
+
+def _trimesh() -> Any:
+    try:
+        return import_module("trimesh")
+    except ModuleNotFoundError as missing:
+        raise MissingExtraError("workspace", "trimesh") from missing
