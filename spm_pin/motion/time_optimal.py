@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from spm_pin.closed_form.singularity_analysis import determinants
 from spm_pin.errors import ArgumentError, MissingExtraError
 from spm_pin.mechanism.arguments import FloatArray, as_array, instance, real_array, real_number, whole_number
 from spm_pin.mechanism.geometry import LEGS
@@ -128,6 +129,7 @@ def time_optimal(
         raise ArgumentError("leg_forces", expected, "neither", "Without them the motion would start with a jump")
     parameters = np.linspace(0.0, 1.0, parts + 1)
     along = path_dynamics(chain, way, parameters, payload)
+    _refuse_events(chain, along, way, planned=isinstance(path, MotionPlan))
     rows = _rows(chain, along, limits, forces, speeds)
     clock = _fastest(parameters, rows) if jerks is None else _smooth(chain, along, rows, jerks)
     return _trajectory(chain, way, payload, *clock(step))
@@ -143,6 +145,27 @@ def _path(path: Any) -> LegPath | PlatformPath:
     if isinstance(path, PlatformPath) and not np.any(path([path.start, path.start + path.duration]).twist):
         raise ArgumentError("path", "a path that moves at its ends", "a path at rest there", "Made with ease=True?")
     return path
+
+
+def _refuse_events(chain: ClosedChain, along: PathDynamics, path: LegPath | PlatformPath, *, planned: bool) -> None:
+    """Raise `ArgumentError` where a path crosses a singularity or, unless it was planned, a leg limit of the chain.
+
+    A path of leg lengths may cross inverse singularities: the legs lead through.
+    """
+    limits, lengths = chain.geometry.limits, chain.leg_lengths(along.q)
+    if limits is not None and not planned and (limits.margin(lengths) < -1e-9).any():
+        at = int((limits.margin(lengths) < -1e-9).argmax())
+        leg = int(np.maximum(limits.minimum - lengths[at], lengths[at] - np.array(limits.maximum)).argmax())
+        received = f"{LEGS[leg]} of {lengths[at, leg]:.6g} m at parameter {along.parameters[at]:.4g}"
+        raise ArgumentError("path", f"leg lengths within the chain's {limits}", received)
+    values = determinants(chain.configuration(along.q))[:, : 2 if isinstance(path, LegPath) else 3]
+    crossed = (values[1:] * values[:-1] < 0.0).any(axis=-1)
+    if crossed.any():
+        at = int(crossed.argmax())
+        received = f"one between the parameters {along.parameters[at]:.6g} and {along.parameters[at + 1]:.6g}"
+        raise ArgumentError(
+            "path", "a path without singularities", received, "A path of leg lengths may pass level poses"
+        )
 
 
 def _largest(value: npt.ArrayLike | None, argument: str, unit: str) -> FloatArray | None:

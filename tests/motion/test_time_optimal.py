@@ -177,6 +177,11 @@ def test_wrong_limits_are_named(wrong: dict[str, object], text: str) -> None:
 def test_paths_that_cannot_be_gone_along_are_named() -> None:
     with pytest.raises(spm.ArgumentError, match=r"no such state at parameter 0\.\d+"):
         spm.time_optimal(CHAIN, LegPath([START, [0.2, 0.2, 3.0, 1.2, 1.2, 1.2]]), leg_accelerations=1.0)
+    with pytest.raises(spm.ArgumentError, match=r"r_b1 of 1\.50\d* m at parameter 0\.71"):
+        spm.time_optimal(CHAIN, LegPath([START, [1.62, *START[1:]]]), leg_accelerations=1.0)
+    tilts = spm.forward_physical(PAPER, [[1.3, 1.3, 1.4, 1.3, 1.3, 1.4], [1.4, 1.4, 1.3, 1.4, 1.4, 1.3]])
+    with pytest.raises(spm.ArgumentError, match="parameter"):
+        spm.time_optimal(CHAIN, spm.PlatformPath([0.0, 1.0], tilts.pose), leg_accelerations=1.0)
     eased = spm.PlatformPath([0.0, 1.0], spm.forward_physical(PAPER, [START, GOAL]).pose, ease=True)
     with pytest.raises(spm.ArgumentError, match="ease"):
         spm.time_optimal(CHAIN, eased, leg_accelerations=1.0)
