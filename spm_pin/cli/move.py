@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
@@ -16,10 +16,11 @@ from spm_pin.display.figure_files import FORMATS, save_figure
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LEGS, LegLimits
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.motion import Payload, plan, time_optimal
-from spm_pin.multibody.chain import ClosedChain
-from spm_pin.multibody.trajectory import JointTrajectory
 from spm_pin.proofs import certify
+
+if TYPE_CHECKING:
+    from spm_pin.multibody.chain import ClosedChain
+    from spm_pin.multibody.trajectory import JointTrajectory
 
 __all__ = ["move"]
 
@@ -76,6 +77,9 @@ def move(
     --plot "plots" as well.
     """
     require_extra("motion")
+    from spm_pin.motion import Payload, plan, time_optimal
+    from spm_pin.multibody.chain import ClosedChain
+
     check_output(out, "--out", (".csv",))
     check_output(plot, "--plot", FORMATS)
     if plot is not None:
