@@ -179,32 +179,33 @@ def _simulation(section: Section, chain: Any, pace: Pace, progress: Progress, fa
     legs = chain.leg_indices
     rows, fastest = [], np.inf
 
-    def ours(tolerance: float) -> FloatArray:
-        return np.asarray(chain.simulate(q, v, forces, [0.0, 1.0], tolerance=tolerance).leg_lengths[-1])
+    def ours(tolerance: float) -> Callable[[], FloatArray]:
+        return lambda: np.asarray(chain.simulate(q, v, forces, [0.0, 1.0], tolerance=tolerance).leg_lengths[-1])
 
-    def engine(name: str, **settings: str) -> Callable[[float], FloatArray]:
+    def engine(step: float, name: str, **settings: str) -> Callable[[], FloatArray]:
         from multibody import engine_dynamics
 
-        def run(step: float) -> FloatArray:
-            made = getattr(engine_dynamics, name)(chain, step, **settings)
-            return np.asarray(chain.leg_lengths(made.run(q, v, forces, 1.0, legs)))
+        made = getattr(engine_dynamics, name)(chain, step, **settings)
+        return lambda: np.asarray(chain.leg_lengths(made.run(q, v, forces, 1.0, legs)))
 
-        return run
-
-    peers: list[tuple[str, Callable[[], Callable[[float], FloatArray]], list[float]]] = [
-        ("spm_pin, `ClosedChain.simulate`", lambda: ours, [10.0**-k for k in range(3, 9)]),
-        ("MuJoCo, Runge-Kutta", lambda: engine("Mujoco", integrator="mjINT_RK4"), [4e-3 / 2**k for k in range(7)]),
-        ("MuJoCo, Euler", lambda: engine("Mujoco", integrator="mjINT_EULER"), [4e-3 / 2**k for k in range(8)]),
-        ("Drake, SAP", lambda: engine("Drake"), [4e-3 / 2**k for k in range(7)]),
+    peers: list[tuple[str, Callable[[float], Callable[[], FloatArray]], list[float]]] = [
+        ("spm_pin, `ClosedChain.simulate`", ours, [10.0**-k for k in range(3, 9)]),
+        (
+            "MuJoCo, Runge-Kutta",
+            partial(engine, name="Mujoco", integrator="mjINT_RK4"),
+            [4e-3 / 2**k for k in range(7)],
+        ),
+        ("MuJoCo, Euler", partial(engine, name="Mujoco", integrator="mjINT_EULER"), [4e-3 / 2**k for k in range(8)]),
+        ("Drake, SAP", partial(engine, name="Drake"), [4e-3 / 2**k for k in range(7)]),
     ]
     for name, prepare, settings in peers:
         progress(f"one second of simulation: {name}")
         value = error = taken = np.nan
         try:
-            run = prepare()
             for value in settings:
+                run = prepare(value)
                 begin = time.perf_counter()
-                error = float(np.abs(run(value) - truth).max())
+                error = float(np.abs(run() - truth).max())
                 taken = time.perf_counter() - begin
                 # A run that would take minutes at the next step is not made.
                 if error <= ACCURACY or taken > (4.0 if pace.quick else 15.0):
@@ -215,16 +216,15 @@ def _simulation(section: Section, chain: Any, pace: Pace, progress: Progress, fa
             rows.append([name, f"*missing: {failure(reason)}*", "", "", ""])
             continue
         if taken < 3.0:
-            again = partial(run, value)
-            taken = min(taken, *(duration(again) for _ in range(pace.rounds - 1)))
+            taken = min(taken, *(duration(run) for _ in range(pace.rounds - 1)))
         fastest = taken if name.startswith("spm_pin") else fastest
         rows.append(
             [name, three_digits(1e6 * value), three_digits(1e6 * error), seconds(taken), three_digits(taken / fastest)]
         )
     section.add(
         "**One second of simulation**, at the longest step, or largest tolerance, at which the error of the leg "
-        f"lengths is at most {1e6 * ACCURACY:.0f} µm, or the last one tried. Loading the model is within the engines' "
-        "time; all call the same law of forces in Python:"
+        f"lengths is at most {1e6 * ACCURACY:.0f} µm, or the last one tried. Models are loaded beforehand; all call "
+        "the same law of forces in Python:"
     )
     header = ["", "step [µs], or tolerance · 10⁶", "error [µm]", "time", "× spm_pin"]
     section.add(table(header, rows))

@@ -180,6 +180,7 @@ class Drake:
         from pydrake.systems.analysis import Simulator
 
         self.set(q, v)
+        self.context.SetTime(0.0)
         simulator = Simulator(self.plant, self.context)
         port = self.plant.get_applied_generalized_force_input_port()
         pushes = np.zeros(len(q))
