@@ -37,7 +37,7 @@ IntArray = npt.NDArray[np.intp]
 CLEAR = 1e-6
 """How far from forward singularities states are kept: nearer, rounding of the lengths moves o farther than that."""
 _CHUNK = 8192
-_ROUNDS = 30
+_ROUNDS, _ANEW = 30, 10
 _WEIGHTS, _REMOTE = (1.0, 3.0, 10.0), 1000.0
 _STEPS, _PROGRESS = 200, 1e-6
 _SHIFTED = 1e-13
@@ -142,13 +142,14 @@ def settle(search: StateSearch) -> None:
     for count in range(_ROUNDS):
         if not len(active):
             break
-        _weigh(search, active, _WEIGHTS[min(count, len(_WEIGHTS) - 1)])
+        # Members that stall on the way begin anew with limits that give way more.
+        _weigh(search, active, _WEIGHTS[min(count % _ANEW, len(_WEIGHTS) - 1)])
         search.iterate(active, exact=True, flat=_FLAT, progress=_PROGRESS, steps=_STEPS)
         before = search.shifts[active]
         search.shifts[active] = search.residual[active, -8:] / search.weights[active, None]
         search.refresh(active)
         change = np.abs(search.shifts[active] - before).max(axis=-1)
-        active = active[~(change <= _SHIFTED * search.box.size)]
+        active = active[~(search.flat[active] & (change <= _SHIFTED * search.box.size))]
 
 
 def _weigh(search: StateSearch, members: IntArray, weight: float) -> None:
