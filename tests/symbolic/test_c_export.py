@@ -259,7 +259,7 @@ def test_bad_arguments_are_clear_errors_and_nothing_is_written(tmp_path: Path) -
     for arguments, words in (
         (["--out", out, "--prefix", "1st"], "--prefix: expected letters, digits and underscores"),
         (["--out", out, "--prefix", "a-b"], "--prefix: expected letters, digits and underscores"),
-        (["--out", out, "--geometry", as_built], "A machine as built?"),
+        (["--out", out, "--geometry", as_built], "a machine as built"),
         (["--out", out, "--geometry", tmp_path / "none.yaml"], "expected a readable YAML file"),
         (["--out", out / "deep" / "er"], "--out: expected a directory that can be written"),
         (["--out", file], "--out: expected a directory that can be written"),
