@@ -15,7 +15,7 @@ from spm_pin.closed_form.inverse_displacement import (
 from spm_pin.closed_form.jacobians import inverse_jacobian, leg_rates, platform_jacobian
 from spm_pin.closed_form.leg_forces import leg_forces
 from spm_pin.closed_form.path_events import Event, EventKind
-from spm_pin.closed_form.path_following import FollowedPath, follow
+from spm_pin.closed_form.path_following import CertifiedLimits, FollowedPath, follow
 from spm_pin.closed_form.precompile import compile_kernels
 from spm_pin.closed_form.singularity_analysis import (
     Singularities,
@@ -31,6 +31,7 @@ from spm_pin.closed_form.threads import set_threads, threads
 __all__ = [
     "ASSEMBLY_MODES",
     "STAGE_MODES",
+    "CertifiedLimits",
     "Event",
     "EventKind",
     "FollowedPath",
