@@ -110,7 +110,7 @@ def _turned(page: str, origin: Path, origins: dict[str, Path]) -> str:
         parts = path.relative_to(ROOT).with_suffix("").parts
         if path in places:
             shown = places[path]
-        elif parts[0] == "examples":
+        elif parts[0] == "examples" and path.suffix == ".py":
             shown, anchor = "examples.md", f"#{parts[-1]}"
         elif parts[0] == "spm_pin" and parts[-1] != "__init__" and path.suffix == ".py":
             return f"[{text}](#{'.'.join(parts)})"

@@ -39,7 +39,7 @@ def lattice(box: LegBox, spacing: float) -> tuple[FloatArray, tuple[int, int, in
 def classified(
     box: LegBox, origin: FloatArray, shape: tuple[int, int, int], spacing: float, progress: Progress | None
 ) -> tuple[BoolArray, FloatArray]:
-    """Return which nodes are reachable, shape `shape`, and states (*shape, 2, 3) there.
+    """Return which nodes are reachable, shape `shape`, and states there, shape `shape` + (2, 3).
 
     The farther away, the coarser the grid that is searched.
     """
