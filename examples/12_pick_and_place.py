@@ -1,4 +1,4 @@
-"""Pick, go around what is in the way, place: planned, then timed with and without the load.
+"""Pick, pass a state above what is in the way, place: planned, then timed with and without the load.
 
 Needs `pip install ".[motion,plots]"`. Writes its picture into the given folder, or the current one.
 """

@@ -23,7 +23,7 @@ def calibrate(
     measurements: Annotated[
         Path,
         typer.Argument(
-            metavar="CSV", help="Columns x y z [m], qx qy qz qw if orientations were measured, r_b1 to r_c3 [m]."
+            metavar="CSV", help="Columns x y z \\[m], qx qy qz qw if orientations were measured, r_b1 to r_c3 \\[m]."
         ),
     ],
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="YAML file of the machine to write.")] = None,

@@ -10,7 +10,17 @@ import typer
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.cli.console import fixed, note, print_lines, print_table, to_json
-from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, SixLegs, Unit, read_geometry, read_pose, unit_hint
+from spm_pin.cli.options import (
+    DECIMALS,
+    AsJson,
+    GeometryFile,
+    LengthUnit,
+    SixLegs,
+    Unit,
+    read_geometry,
+    read_pose,
+    unit_hint,
+)
 from spm_pin.cli.outputs import check_output, name_options, require_extra, write_text
 from spm_pin.display.figure_files import FORMATS, save_figure
 from spm_pin.errors import ArgumentError
@@ -48,19 +58,20 @@ def move(
         tuple[float, float] | None,
         typer.Option(metavar="MIN MAX", help="Leg lengths allowed, in --unit; the geometry's if not given."),
     ] = None,
-    leg_rate: Annotated[float | None, typer.Option(help="Largest speed of a leg [m/s].")] = None,
-    leg_acceleration: Annotated[float | None, typer.Option(help="Largest acceleration of a leg [m/s²].")] = None,
+    leg_rate: Annotated[float | None, typer.Option(help="Largest speed of a leg \\[m/s].")] = None,
+    leg_acceleration: Annotated[float | None, typer.Option(help="Largest acceleration of a leg \\[m/s²].")] = None,
     leg_force: Annotated[float | None, typer.Option(help="Largest force of a leg, pushing or pulling [N].")] = None,
     leg_jerk: Annotated[
-        float | None, typer.Option(help="Largest jerk of a leg [m/s³]: a smooth motion, slower.")
+        float | None, typer.Option(help="Largest jerk of a leg \\[m/s³]: a smooth motion, slower.")
     ] = None,
     twist: Annotated[
-        tuple[float, float] | None, typer.Option(metavar="V OMEGA", help="Speed limits of o [m/s] and turning [rad/s].")
+        tuple[float, float] | None,
+        typer.Option(metavar="V OMEGA", help="Speed limits of o \\[m/s] and turning \\[rad/s]."),
     ] = None,
-    payload: Annotated[float, typer.Option(help="Mass on the terminal platform, at o [kg].")] = 0.0,
+    payload: Annotated[float, typer.Option(help="Mass on the terminal platform, at o \\[kg].")] = 0.0,
     margin: Annotated[float, typer.Option(help="Least |det J| of a stage over d³ on the way.")] = 0.05,
     straight: Annotated[bool, typer.Option("--straight", help="Move o on a straight line, and nowhere else.")] = False,
-    period: Annotated[float, typer.Option(help="Time between the rows [s].")] = 2e-3,
+    period: Annotated[float, typer.Option(help="Time between the rows \\[s].")] = 2e-3,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="CSV of the legs to write.")] = None,
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Picture (.png, .svg, .pdf) to write.")] = None,
     unit: Unit = LengthUnit.M,
@@ -115,7 +126,7 @@ def move(
         content = {"method": planned.method, "certified": planned.certified, "margin": planned.margin}
         typer.echo(to_json({**content, **table}))
     else:
-        _report(planned.method, planned.certified, motion, chain, lengths)
+        _report(planned.method, planned.certified, motion, chain, lengths, unit)
     if out is not None:
         rows = zip(*(column.tolist() for column in table.values()), strict=True)
         write_text("\n".join([",".join(table), *(",".join(map(repr, row)) for row in rows)]) + "\n", out)
@@ -150,7 +161,9 @@ def _columns(chain: ClosedChain, motion: JointTrajectory, lengths: FloatArray) -
     return columns | {leg + kind: values[:, k] + 0.0 for kind, values in kinds.items() for k, leg in enumerate(LEGS)}
 
 
-def _report(method: str, certified: bool, motion: JointTrajectory, chain: ClosedChain, lengths: FloatArray) -> None:
+def _report(
+    method: str, certified: bool, motion: JointTrajectory, chain: ClosedChain, lengths: FloatArray, unit: LengthUnit
+) -> None:
     proved = ", proved to be free of forward singularities" if certified else ""
     print_lines([f"{motion.times[-1]:.4g} s, {method}{proved}"])
     legs = chain.leg_indices
@@ -160,5 +173,6 @@ def _report(method: str, certified: bool, motion: JointTrajectory, chain: Closed
         peaks = [
             fixed(float(np.abs(values[:, k]).max()), digits) for values, digits in zip(arrays, (3, 2, 1), strict=True)
         ]
-        rows.append([leg, fixed(float(lengths[0, k]), 4), fixed(float(lengths[-1, k]), 4), *peaks])
-    print_table("Legs", ["leg", "from [m]", "to [m]", "rate [m/s]", "acc. [m/s²]", "force [N]"], rows)
+        ends = [fixed(float(length) * unit.per_metre, DECIMALS[unit]) for length in lengths[[0, -1], k]]
+        rows.append([leg, *ends, *peaks])
+    print_table("Legs", ["leg", f"from [{unit}]", f"to [{unit}]", "rate [m/s]", "acc. [m/s²]", "force [N]"], rows)

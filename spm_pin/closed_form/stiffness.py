@@ -145,7 +145,7 @@ def principal_stiffness(compliances: npt.ArrayLike) -> PrincipalStiffness:
     Parameters
     ----------
     compliances : array_like, shape (..., 6, 6)
-        Of `compliance`, or the inverse of `stiffness`; symmetric. NaN gives NaN.
+        Of `compliance`, or the inverse of `stiffness`, not `stiffness` itself; symmetric. NaN gives NaN.
 
     Returns
     -------

@@ -215,7 +215,7 @@ def plan(
     rng : int, Generator or None
         Seed of the search.
     progress : callable, optional
-        Called with the share of the tries done, from 0 to 1, now and then. If it returns False, the search ends.
+        Called with the share of the tries done, from 0 to 1, every 50 steps. If it returns False, the search ends.
 
     Returns
     -------
@@ -241,6 +241,8 @@ def plan(
     choice(line, "line", ("legs", "poses"))
     most = whole_number(tries, "tries", "a number of steps", most=10**7)
     random = generator(rng)
+    if progress is not None and not callable(progress):
+        raise ArgumentError("progress", "a function of the share of the tries done", type_and_value(progress))
     if certificate is not None:
         instance(certificate, Certificate, "certificate")
         if dataclasses.replace(certificate.geometry, limits=None) != dataclasses.replace(geometry, limits=None):
@@ -294,14 +296,18 @@ def _state(geometry: Geometry, place: Place, name: str) -> Configuration:
         lengths = real_array(place, name, (6,), "leg lengths in metres")  # type: ignore[arg-type]
         found = forward_physical(geometry, lengths)
         if not found.exists:
-            raise ArgumentError(name, "leg lengths of the physical mode", "others", "Metres? " + found.absence)
+            raise ArgumentError(name, "leg lengths of the physical mode", f"{lengths.tolist()}", found.absence)
         return found
+    if array is not None and array.ndim < 2 and array.dtype.kind != "O":
+        received = f"shape {array.shape}" if array.dtype.kind in "iuf" else type_and_value(place)
+        cause = "via is a list of states" if name.startswith("via") else ""
+        raise ArgumentError(name, "a Configuration, a pose or six leg lengths", received, cause)
     found = inverse_physical(geometry, as_rigid_transform(place, name))
     if found.shape:
         raise ArgumentError(name, "one state", f"a batch of shape {found.shape}")
     if not found.exists:
         cause = found.absence or "Level poses are singular for the inverse: give leg lengths instead"
-        raise ArgumentError(name, "a pose with a physical branch", "another", cause)
+        raise ArgumentError(name, "a pose with a physical branch", "one without", cause)
     return found
 
 

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from spm_pin.closed_form.singularity_analysis import determinants
 from spm_pin.errors import ArgumentError, MissingExtraError
 from spm_pin.mechanism.arguments import FloatArray, as_array, instance, real_array, real_number, whole_number
-from spm_pin.mechanism.geometry import LEGS
+from spm_pin.mechanism.geometry import LEGS, Geometry
 from spm_pin.motion.leg_path import LegPath
 from spm_pin.motion.path_dynamics import PathDynamics, path_dynamics
 from spm_pin.motion.payload import Payload
@@ -90,7 +90,8 @@ def time_optimal(
         Largest jerk of each leg [m/s³]. The motion is then smooth, and not the fastest one possible: it has one top
         speed along the whole path.
     grid : int
-        Parts of the path in which the limits are looked at.
+        Parts of the path at whose ends the limits are checked; in between, forces exceed theirs by some 1e-3 with
+        2000 parts, less with more.
     period : float
         Time between the rows of the result [s], at most.
 
@@ -102,8 +103,9 @@ def time_optimal(
     Raises
     ------
     ArgumentError
-        If an argument is malformed, no limit bounds the acceleration, the path leaves the physical mode or meets a
-        singularity, with the parameter where, or the forces cannot even hold the machine at rest somewhere.
+        If an argument is malformed, the plan is one of other dimensions, no limit bounds the acceleration, the path
+        leaves the physical mode or meets a singularity, with the parameter where, or the forces cannot even hold the
+        machine at rest somewhere.
     MissingExtraError
         Without the extra "motion".
 
@@ -113,7 +115,7 @@ def time_optimal(
     as implemented by toppra.
     """
     instance(chain, ClosedChain, "chain")
-    way = _path(path)
+    way = _path(path, chain.geometry)
     if payload is not None:
         instance(payload, Payload, "payload")
     parts = whole_number(grid, "grid", "a number of parts from 10 to 100,000", least=10, most=100_000)
@@ -125,7 +127,7 @@ def time_optimal(
     jerks = _largest(leg_jerks, "leg_jerks", "m/s³")
     forces, speeds = _forces(leg_forces), _speeds(twist)
     if forces is None and limits["leg_accelerations"] is None:
-        expected = "limits of forces or of accelerations, leg_forces or leg_accelerations"
+        expected = "limits of the legs' forces or of their accelerations"
         raise ArgumentError("leg_forces", expected, "neither", "Without them the motion would start with a jump")
     parameters = np.linspace(0.0, 1.0, parts + 1)
     along = path_dynamics(chain, way, parameters, payload)
@@ -135,8 +137,11 @@ def time_optimal(
     return _trajectory(chain, way, payload, *clock(step))
 
 
-def _path(path: Any) -> LegPath | PlatformPath:
+def _path(path: Any, geometry: Geometry) -> LegPath | PlatformPath:
     if isinstance(path, MotionPlan):
+        planned, own = ((g.base_radius, g.platform_radius, g.middle_side) for g in (path.geometry, geometry))
+        if not np.allclose(planned, own, rtol=1e-6, atol=0.0):
+            raise ArgumentError("path", f"a plan of the chain's {geometry}", f"one of {path.geometry}")
         if path.path is None:
             raise ArgumentError("path", "a plan with a path", "one without", path.reason)
         return path.path
@@ -184,6 +189,9 @@ def _forces(value: npt.ArrayLike | None) -> tuple[FloatArray, FloatArray] | None
     """Return the least and the largest force of each leg, both (6,)."""
     array = None if value is None else as_array(value)
     if array is None or array.shape != (2, 6):
+        if array is not None and array.ndim and array.shape != (6,):
+            expected = "largest forces in N of shape () or (6,), or the least and the largest of shape (2, 6)"
+            raise ArgumentError("leg_forces", expected, f"shape {array.shape}")
         largest = _largest(value, "leg_forces", "N")
         return None if largest is None else (-largest, largest)
     lower, upper = real_array(array, "leg_forces", (2, 6), "the least and the largest of each leg in N")

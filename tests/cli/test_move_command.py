@@ -25,6 +25,8 @@ def test_the_csv_has_the_motion_and_the_viewer_reads_it(tmp_path: Path) -> None:
     done = run("move", *ENDS, "--leg-force", "1500", "--leg-rate", "0.5", "--out", str(out), "--plot", str(plot))
     assert done.returncode == 0, done.stderr
     assert "proved to be free of forward singularities" in done.stdout
+    assert "from [cm]" in done.stdout
+    assert ["r_b1", "120.000", "140.000"] in [line.split()[:3] for line in done.stdout.splitlines()]
     with out.open() as file:
         rows = list(csv.DictReader(file))
     lengths = np.array([[float(rows[k][f"r_{leg}"]) for leg in ("b1", "b2", "b3", "c1", "c2", "c3")] for k in (0, -1)])

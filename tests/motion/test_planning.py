@@ -150,7 +150,8 @@ def test_a_line_of_poses_does_not_pass_an_inverse_singularity() -> None:
         ([120.0, 120, 140, 125, 120, 150], GOAL, "start", "physical mode"),
         (START, [0.3, 0.3, 3.0, 1.2, 1.2, 1.2], "goal", "physical mode"),
         (START, [1.2, np.nan, 1.2, 1.2, 1.2, 1.2], "goal", "finite"),
-        (START, "there", "goal", "homogeneous transform"),
+        (START, "there", "goal", "six leg lengths"),
+        (START, [1.2] * 7, "goal", "six leg lengths"),
         (START, np.eye(4), "goal", "pose"),
     ],
 )
@@ -169,10 +170,16 @@ def test_a_state_in_another_branch_is_named() -> None:
     assert caught.value.argument == "start"
 
 
+def test_one_state_instead_of_a_list_to_pass_is_named() -> None:
+    with pytest.raises(spm.ArgumentError, match="via is a list of states") as caught:
+        spm.plan(PAPER, START, GOAL, via=[1.3, 1.4, 1.2, 1.3, 1.3, 1.3])
+    assert caught.value.argument == "via[0]"
+
+
 @pytest.mark.parametrize(
     "wrong",
     [{"margin": -1.0}, {"line": "curved"}, {"tries": -1}, {"limits": 1.5}, {"joint_limits": 3}, {"rng": "x"},
-     {"certificate": True}],
+     {"certificate": True}, {"progress": 3}],
 )  # fmt: skip
 def test_wrong_arguments_of_a_plan_are_named(wrong: dict[str, object]) -> None:
     with pytest.raises(spm.ArgumentError) as caught:

@@ -159,6 +159,7 @@ def test_limited_jerk_is_slower_smooth_and_within_the_limits() -> None:
         ({"leg_rates": 1.0}, "neither"),
         ({"leg_forces": -5.0}, "positive"),
         ({"leg_forces": [[100.0] * 6, [-100.0] * 6]}, "least"),
+        ({"leg_forces": [-100.0, 100.0]}, r"shape \(2,\)"),
         ({"leg_accelerations": 1.0, "leg_rates": [1.0] * 5}, "shape"),
         ({"leg_accelerations": 1.0, "twist": (1.0, -1.0)}, "positive"),
         ({"leg_accelerations": 1.0, "payload": 5.0}, "Payload"),
@@ -172,6 +173,13 @@ def test_wrong_limits_are_named(wrong: dict[str, object], text: str) -> None:
     with pytest.raises(spm.ArgumentError, match=text) as caught:
         spm.time_optimal(CHAIN, LINE, **wrong)  # type: ignore[arg-type]
     assert caught.value.argument in wrong or caught.value.argument == "leg_forces"
+
+
+def test_a_plan_of_other_dimensions_is_refused() -> None:
+    other = spm.Geometry(1.05 * PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)
+    with pytest.raises(spm.ArgumentError, match=r"base_radius=0\.727") as caught:
+        spm.time_optimal(CHAIN, spm.plan(other, START, GOAL), leg_forces=1500.0)
+    assert caught.value.argument == "path"
 
 
 def test_paths_that_cannot_be_gone_along_are_named() -> None:
