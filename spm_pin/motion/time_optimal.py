@@ -77,7 +77,8 @@ def time_optimal(
     chain : ClosedChain
         The machine with its masses.
     path : MotionPlan, LegPath or PlatformPath
-        The way; the times of a PlatformPath count as its parameter only.
+        The way; the times of a PlatformPath count as its parameter only. A plan keeps the leg limits it was made with,
+        the others must keep those of `chain.geometry`.
     leg_rates, leg_accelerations : array_like, shape (6,) or (), optional
         Largest speed [m/s] and acceleration [m/s²] of each leg, or of all.
     leg_forces : array_like, shape (6,), () or (2, 6), optional
