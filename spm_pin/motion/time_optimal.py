@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -41,6 +41,11 @@ _TRIES = 60
 """Top speeds V tried for a motion of limited jerk."""
 
 
+_CORRECTIONS = 8
+"""Times that limits are narrowed at most, because they are broken between the parts of the grid."""
+_KEPT = 1e-7
+"""Share of a limit by which it may be exceeded."""
+
 _Clock = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """Times (n,), and s, ṡ and s̈ there."""
 
@@ -55,6 +60,13 @@ class _Rows:
     lower: FloatArray
     upper: FloatArray
     fastest: FloatArray
+
+    def excess(self, speeds: FloatArray, accelerations: FloatArray) -> tuple[FloatArray, float]:
+        """Return by how much ṡ and s̈ (n,) break each row at most (m,), and the share by which x is above `fastest`."""
+        x = speeds**2
+        values = self.a * accelerations[:, None] + self.b * x[:, None] + self.c
+        over = np.maximum(values - self.upper, self.lower - values).max(axis=0)
+        return np.maximum(over, 0.0), max(float((x / self.fastest).max()) - 1.0, 0.0)
 
 
 def time_optimal(
@@ -91,15 +103,15 @@ def time_optimal(
         Largest jerk of each leg [m/s³]. The motion is then smooth, and not the fastest one possible: it has one top
         speed along the whole path.
     grid : int
-        Parts of the path at whose ends the limits are checked; in between, forces exceed theirs by some 1e-3 with
-        2000 parts, less with more.
+        Parts of the path at whose ends the limits hold; where rows in between exceed them, the motion is found again
+        with narrower limits.
     period : float
         Time between the rows of the result [s], at most.
 
     Returns
     -------
     JointTrajectory
-        From time 0; its efforts are the legs' forces with the payload. The limits hold in its rows to 1 %.
+        From time 0; its efforts are the legs' forces with the payload. The limits hold in its rows, to 1e-6.
 
     Raises
     ------
@@ -134,8 +146,18 @@ def time_optimal(
     along = path_dynamics(chain, way, parameters, payload)
     _refuse_events(chain, along, way, planned=isinstance(path, MotionPlan))
     rows = _rows(chain, along, limits, forces, speeds)
-    clock = _fastest(parameters, rows) if jerks is None else _smooth(chain, along, rows, jerks)
-    return _trajectory(chain, way, payload, *clock(step))
+    for _ in range(_CORRECTIONS):
+        clock = _fastest(parameters, rows) if jerks is None else _smooth(chain, along, rows, jerks)
+        times, at, rates, changes = clock(step)
+        found = path_dynamics(chain, way, at, payload)
+        over, faster = _rows(chain, found, limits, forces, speeds).excess(rates, changes)
+        if faster <= _KEPT and (over <= _KEPT * (rows.upper - rows.lower)).all():
+            break
+        # It happens between the ends of two parts. Narrowed by a little more, so that the next motion keeps them.
+        rows = replace(
+            rows, lower=rows.lower + 1.2 * over, upper=rows.upper - 1.2 * over, fastest=rows.fastest / (1.0 + faster)
+        )
+    return _trajectory(chain, found, times, rates, changes)
 
 
 def _path(path: Any, geometry: Geometry) -> LegPath | PlatformPath:
@@ -342,16 +364,9 @@ def _times(duration: float, period: float) -> FloatArray:
 
 
 def _trajectory(
-    chain: ClosedChain,
-    path: LegPath | PlatformPath,
-    payload: Payload | None,
-    times: FloatArray,
-    parameters: FloatArray,
-    speeds: FloatArray,
-    accelerations: FloatArray,
+    chain: ClosedChain, along: PathDynamics, times: FloatArray, speeds: FloatArray, accelerations: FloatArray
 ) -> JointTrajectory:
     """Return all joints and forces of a path gone through on a clock."""
-    along = path_dynamics(chain, path, parameters, payload)
     rate, change = speeds[:, None], accelerations[:, None]
     efforts = np.zeros_like(along.q)
     efforts[:, chain.leg_indices] = along.inertial * change + along.centrifugal * rate**2 + along.static

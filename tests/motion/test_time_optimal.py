@@ -64,7 +64,7 @@ def test_the_rows_keep_the_limits_and_some_limit_is_always_used(name: str) -> No
     path, limits = CASES[name]
     motion = spm.time_optimal(CHAIN, path or poses(), **limits)
     used = shares(motion, limits)
-    assert used.max() < 1.01
+    assert used.max() < 1.0 + 1e-6
     # The rows where the acceleration switches lie between two parts of the grid.
     assert (used.max(axis=-1) >= 0.99).mean() > 0.97
     np.testing.assert_allclose(motion.velocities[[0, -1]], 0.0, atol=1e-6)
@@ -146,7 +146,7 @@ def test_limited_jerk_is_slower_smooth_and_within_the_limits() -> None:
     fast = spm.time_optimal(CHAIN, CURVE, **limits)
     smooth = spm.time_optimal(CHAIN, CURVE, **limits, leg_jerks=40.0, period=1e-3)
     assert smooth.times[-1] > fast.times[-1]
-    assert shares(smooth, limits).max() < 1.01
+    assert shares(smooth, limits).max() < 1.0 + 1e-6
     jerk = np.diff(smooth.accelerations[:, LEGS], axis=0) / np.diff(smooth.times)[:, None]
     assert np.abs(jerk).max() < 1.01 * 40.0
     np.testing.assert_allclose(smooth.accelerations[[0, -1]], 0.0, atol=1e-9)
