@@ -13,17 +13,23 @@ from spm_pin.cli.outputs import check_output, name_options, require_extra
 from spm_pin.display.figure_files import FORMATS, save_figure
 from spm_pin.errors import GeometryError
 from spm_pin.mechanism import LegLimits
-from spm_pin.proofs import Certificate
+from spm_pin.proofs import Certificate, InverseCertificate, certify_inverse
 from spm_pin.proofs import certify as prove
 
 __all__ = ["certify"]
 
 
-@name_options(path="--out", boxes="--boxes")
+@name_options(path="--out", boxes="--boxes", dimension_error="--dimension-error")
 def certify(
     minimum: Annotated[float | None, typer.Option("--min", help="Shortest length of all six legs, in --unit.")] = None,
     maximum: Annotated[float | None, typer.Option("--max", help="Longest length of all six legs, in --unit.")] = None,
     boxes: Annotated[int, typer.Option(min=1, help="Boxes to look at in each stage, at most.")] = 300_000,
+    dimension_error: Annotated[
+        float, typer.Option(help="Prove it for all machines with E, C, d so near to the given ones, in --unit.")
+    ] = 0.0,
+    inverse: Annotated[
+        bool, typer.Option("--inverse", help="Ask for inverse singularities as well: a bound of |det K|, or a state.")
+    ] = False,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Picture (.png, .svg, .pdf) of the boxes to write.")
     ] = None,
@@ -50,18 +56,31 @@ def certify(
     if maximum is not None and (hint := unit_hint("--max", maximum, unit, dimensions)):
         note(hint, "yellow")
     with stderr.status("dividing the states of both stages"):
-        certificate = prove(dimensions, limits, boxes=boxes)
+        certificate = prove(dimensions, limits, boxes=boxes, dimension_error=dimension_error / unit.per_metre)
+        other = certify_inverse(dimensions, limits, boxes=boxes) if inverse else None
     if json:
-        typer.echo(to_json(_content(certificate)))
+        typer.echo(to_json(_content(certificate) | ({} if other is None else {"inverse": _inverse_content(other)})))
     else:
         print_lines(certificate.explain().splitlines())
+        print_lines([] if other is None else ["", *other.explain().splitlines()])
     if out is not None:
         from spm_pin.display.certificate_plots import certificate_figure
 
         save_figure(certificate_figure(certificate), out)
         note(f"wrote {out}")
-    if not certificate.holds:
+    if not (certificate.holds and (other is None or other.holds)):
         raise typer.Exit(1)
+
+
+def _inverse_content(certificate: InverseCertificate) -> dict[str, Any]:
+    witness = certificate.witness
+    return {
+        "holds": certificate.holds,
+        "bound": certificate.bound,
+        "least": certificate.least,
+        "undecided": len(certificate.undecided),
+        "witness": None if witness is None else {"leg_lengths": witness.leg_lengths, "pose": witness.pose.as_matrix()},
+    }
 
 
 def _content(certificate: Certificate) -> dict[str, Any]:
