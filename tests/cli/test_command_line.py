@@ -499,6 +499,7 @@ WORK: dict[str, tuple[str, list[str]]] = {
     "export": ("read_any_geometry", ["--format", "mjcf"]),
     "forward": ("forward_displacement", LEGS),
     "inverse": ("solve_pose", EXAMPLE),
+    "move": ("certify", ["--from", *["1.3"] * 6, "--to", *["1.4"] * 6, "--leg-force", "1500"]),
     "reproduce": ("recompute", []),
     "singularities": ("solve_pose", EXAMPLE),
     "statics": ("solve_pose", [*EXAMPLE, *LOAD]),
