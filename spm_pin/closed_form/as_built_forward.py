@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 
 from spm_pin.closed_form.batches import run_kernel
+from spm_pin.closed_form.leg_length_arguments import read_lengths
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, broadcastable, first_offender, instance, real_array
 from spm_pin.mechanism.as_built import AsBuiltGeometry
@@ -21,13 +24,16 @@ _MIN_BATCH_PER_THREAD = 1 << 11
 
 
 def as_built_forward(
-    geometry: AsBuiltGeometry, leg_lengths: npt.ArrayLike, seed: Configuration | None
+    geometry: AsBuiltGeometry,
+    leg_lengths: npt.ArrayLike,
+    seed: Configuration | None,
+    solve_nominal: Callable[[Geometry, FloatArray], Configuration],
 ) -> Configuration:
     """Find the configuration that a machine as built with these readings is in; see `forward_physical`.
 
     Without a seed, the state of the nominal machine with the same distances from pivots to balls is followed while the
     dimensions change to those of this machine, or, where that gives none, the level state with equal legs is followed
-    to the given legs.
+    to the given legs. `solve_nominal` is `forward_physical` of nominal machines.
     """
     lengths = _read(geometry, leg_lengths)
     if seed is not None:
@@ -41,11 +47,9 @@ def as_built_forward(
             for x, k in ((balls, 2), (seed.leg_lengths - geometry.offsets, 1), (lengths, 1))
         ]
         return _compose(geometry, _follow(geometry, geometry, *flat), shape)
-    from spm_pin.closed_form.forward_displacement import forward_physical
-
     shape, lengths = lengths.shape[:-1], lengths.reshape(-1, 6)
     nominal = AsBuiltGeometry.from_nominal(geometry.nominal)
-    ideal = forward_physical(geometry.nominal, lengths)
+    ideal = solve_nominal(geometry.nominal, lengths)
     if geometry == nominal:
         state = ideal.rotation, ideal.translation, ideal.middle_joints
         return Configuration.from_arrays(geometry, *(x.reshape(*shape, *x.shape[1:]) for x in state))
@@ -83,8 +87,6 @@ def _dimensions(geometry: Geometry | AsBuiltGeometry) -> object:
 
 def _read(geometry: AsBuiltGeometry, leg_lengths: npt.ArrayLike) -> FloatArray:
     """Return the distances (..., 6) from pivots to balls [m] of the readings."""
-    from spm_pin.closed_form.forward_displacement import read_lengths
-
     readings = real_array(leg_lengths, "leg_lengths", (6,), f"readings of {', '.join(LEGS)} in metres")
     lengths = np.asarray(readings - geometry.offsets)
     if (lengths <= 0.0).any():

@@ -5,6 +5,7 @@ Derivation, and what becomes of the ideal machine's branches: `docs/theory/as_bu
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.branches import BRANCHES, tangent_signs
 from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import PoseLike
 from spm_pin.mechanism.solution_status import Status
 from spm_pin.mechanism.solutions import SolutionSet
@@ -36,7 +38,11 @@ _IDEAL = (
 )
 
 
-def as_built_inverse(geometry: AsBuiltGeometry, pose: PoseLike) -> SolutionSet:
+Solver = Callable[[Geometry, PoseLike], SolutionSet]
+"""`inverse_displacement` of nominal machines."""
+
+
+def as_built_inverse(geometry: AsBuiltGeometry, pose: PoseLike, solve_nominal: Solver) -> SolutionSet:
     """Find all configurations of a machine as built that hold the platform in a pose; see `inverse_displacement`.
 
     `.met` is true under a label whose branch of the nominal machine ended on the straight way from the nominal axes,
@@ -46,7 +52,7 @@ def as_built_inverse(geometry: AsBuiltGeometry, pose: PoseLike) -> SolutionSet:
     nominal geometry.
     """
     if geometry == AsBuiltGeometry.from_nominal(geometry.nominal):
-        return _of_nominal(geometry, pose)
+        return _of_nominal(geometry, solve_nominal(geometry.nominal, pose))
     shape, rotation, position = read_pose(pose)
     joints, lengths, carried, status, _ = _solve(geometry, rotation, position, complex_roots=False)
     branches = Configuration.from_arrays(
@@ -59,7 +65,7 @@ def as_built_inverse(geometry: AsBuiltGeometry, pose: PoseLike) -> SolutionSet:
     return SolutionSet(branches, BRANCHES, status.reshape(shape), met=(carried == 0).reshape(*shape, 8))
 
 
-def as_built_physical(geometry: AsBuiltGeometry, pose: PoseLike) -> Configuration:
+def as_built_physical(geometry: AsBuiltGeometry, pose: PoseLike, solve_nominal: Solver) -> Configuration:
     """Find the configuration in which a machine as built holds the platform in a pose; see `inverse_physical`.
 
     Newton's method starts from the branches TT+ and TT- of the nominal machine. All branches are solved for where it
@@ -72,7 +78,7 @@ def as_built_physical(geometry: AsBuiltGeometry, pose: PoseLike) -> Configuratio
     sizes = radii(geometry.nominal)
     machines = [np.stack([g.axes, g.pivots / sizes[0], g.balls / sizes[0]]) for g in (nominal, geometry)]
     if geometry == nominal or np.abs(machines[1] - machines[0]).max() > _LARGE:
-        return as_built_inverse(geometry, pose).physical()
+        return as_built_inverse(geometry, pose, solve_nominal).physical()
     shape, rotation, position = read_pose(pose)
     ideal = run_kernel(all_branches, (rotation, position), sizes, _IDEAL, _MIN_BATCH_PER_THREAD)
     ideal[2][(ideal[6] == Status.DEGENERATE) | (ideal[7] != 0)] = np.nan
@@ -88,7 +94,7 @@ def as_built_physical(geometry: AsBuiltGeometry, pose: PoseLike) -> Configuratio
     if len(rest):
         matrices = np.tile(np.eye(4), (len(rest), 1, 1))
         matrices[:, :3, :3], matrices[:, :3, 3] = rotation[rest], position[rest]
-        others = as_built_inverse(geometry, matrices if shape else matrices[0]).physical()
+        others = as_built_inverse(geometry, matrices if shape else matrices[0], solve_nominal).physical()
         if not shape:
             return others
         turned[rest], moved[rest] = others.rotation, others.translation
@@ -107,10 +113,7 @@ def as_built_complex_joints(geometry: AsBuiltGeometry, pose: PoseLike) -> npt.ND
     return joints.reshape(*shape, 8, 3, 3)
 
 
-def _of_nominal(geometry: AsBuiltGeometry, pose: PoseLike) -> SolutionSet:
-    from spm_pin.closed_form.inverse_displacement import inverse_displacement
-
-    ideal = inverse_displacement(geometry.nominal, pose)
+def _of_nominal(geometry: AsBuiltGeometry, ideal: SolutionSet) -> SolutionSet:
     state = ideal.configurations
     branches = Configuration.from_arrays(
         geometry, state.rotation, state.translation, state.middle_joints, state.leg_lengths

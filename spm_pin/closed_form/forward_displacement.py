@@ -12,24 +12,22 @@ import numpy.typing as npt
 from spm_pin.closed_form.as_built_forward import as_built_forward
 from spm_pin.closed_form.batches import radii, run_kernel
 from spm_pin.closed_form.forward_continuation import follow_seed
-from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, first_offender, instance, real_array
+from spm_pin.closed_form.leg_length_arguments import read_lengths
+from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import LEGS, Geometry
+from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.solution_status import Degeneracy, Status
 from spm_pin.mechanism.solutions import SolutionSet
 from spm_pin.mechanism.units import unit_hint
 
-__all__ = ["ASSEMBLY_MODES", "STAGE_MODES", "forward_displacement", "forward_physical", "read_lengths"]
+__all__ = ["ASSEMBLY_MODES", "STAGE_MODES", "forward_displacement", "forward_physical"]
 
 STAGE_MODES = tuple(f"{mode}{place + 1}{sheet}" for mode in "TF" for place in range(4) for sheet in "+-")
 """Canonical order of the sixteen assembly modes of a stage: T1+, T1-, T2+ … F4-."""
 ASSEMBLY_MODES = tuple(f"{lower}/{upper}" for lower in STAGE_MODES for upper in STAGE_MODES)
 """Canonical order of the 256 assembly modes of the manipulator: the lower stage's, then the upper stage's."""
 
-_LARGEST = 1e5
-"""Lengths, relative to the machine, beyond which eleven of sixteen digits are lost."""
 _NEAR = 1e-5
 """Distance from a family, of squared lengths and relative to their size, within which counts may be wrong."""
 _SHORT = 1e-3
@@ -160,7 +158,7 @@ def forward_physical(
     array([-11.0818,  32.9691, -12.8831])
     """
     if isinstance(geometry, AsBuiltGeometry):
-        return as_built_forward(geometry, leg_lengths, seed)
+        return as_built_forward(geometry, leg_lengths, seed, forward_physical)
     checked = read_lengths(geometry, leg_lengths)
     if seed is not None:
         return follow_seed(geometry, checked, seed)
@@ -237,21 +235,3 @@ def _solve_physical(
         states = np.empty((len(rest), 3, 3)), np.empty((len(rest), 3)), np.empty((len(rest), 3, 3))
         home_modes_of_all(lengths[rest], *sizes, *states)
         rotation[rest], translation[rest], joints[rest] = states
-
-
-def read_lengths(geometry: Geometry, leg_lengths: npt.ArrayLike) -> FloatArray:
-    """Read leg lengths (..., 6) [m] that this machine can be resolved beside."""
-    instance(geometry, Geometry, "geometry")
-    meaning = f"{', '.join(LEGS)} in metres"
-    lengths = real_array(leg_lengths, "leg_lengths", (6,), meaning)
-    if (lengths <= 0.0).any():
-        index = first_offender(lengths <= 0.0)
-        where = f" for {LEGS[index[-1]]}" + (f" at index {index[:-1]}" if index[:-1] else "")
-        cause = "Strokes of the actuators instead of distances between joint centres?"
-        raise ArgumentError("leg_lengths", f"positive lengths {meaning}", f"{lengths[index]:g}{where}", cause)
-    size = geometry.base_radius + geometry.platform_radius + geometry.middle_side
-    if (lengths > _LARGEST * size).any():
-        index = first_offender(lengths > _LARGEST * size)
-        expected = f"lengths in metres up to {_LARGEST:.0e} times the machine's own {size:.3g} m"
-        raise ArgumentError("leg_lengths", expected, f"{lengths[index]:g}", "Lengths in another unit?")
-    return lengths

@@ -123,7 +123,7 @@ def inverse_displacement(
             raise ArgumentError("out", "None for an AsBuiltGeometry", type(out).__name__)
         if certified:
             raise ArgumentError("certify", "False for an AsBuiltGeometry", certify)
-        return as_built_inverse(geometry, pose)
+        return as_built_inverse(geometry, pose, inverse_displacement)
     from spm_pin.closed_form.certified_branches import existence_radii, settle_families
     from spm_pin.closed_form.kernels.branch_kernels import all_branches
     from spm_pin.closed_form.kernels.branch_tiles import VERTICAL
@@ -223,7 +223,7 @@ def inverse_physical(geometry: Geometry | AsBuiltGeometry, pose: PoseLike) -> Co
     from spm_pin.closed_form.kernels.branch_kernels import physical_branches
 
     if isinstance(geometry, AsBuiltGeometry):
-        return as_built_physical(geometry, pose)
+        return as_built_physical(geometry, pose, inverse_displacement)
     sizes, limits = radii(geometry), geometry.limits
     shape, rotation, position = read_pose(pose)
     bounds = np.array([(0.0,) * 6, (np.inf,) * 6] if limits is None else [limits.minimum, limits.maximum])

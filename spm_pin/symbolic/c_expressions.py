@@ -6,14 +6,11 @@ import ast
 import builtins
 import math
 from math import prod
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from spm_pin.symbolic.c_types import Array, Tuple, Type, Value, bare, converted, declaration, joined, literal, structure
-
-if TYPE_CHECKING:
-    from spm_pin.symbolic.c_translation import Program
 
 __all__ = ["ExpressionTranslator"]
 
@@ -44,6 +41,18 @@ def _evaluated(node: ast.expr) -> Any:
     return eval(compile(ast.fix_missing_locations(ast.Expression(node)), "", "eval"))
 
 
+class Declarations(Protocol):
+    """What is declared in a C program, and put there when an expression needs it; see `c_translation.Program`."""
+
+    constants: dict[str, int]
+
+    def add(self, function: Any, arguments: tuple[Type, ...]) -> tuple[str, Type | None]: ...
+
+    def use(self, kind: Type) -> None: ...
+
+    def table(self, name: str, constant: Any) -> Value: ...
+
+
 class ExpressionTranslator:
     """The expressions of one function, and where statements that they need are put.
 
@@ -59,7 +68,7 @@ class ExpressionTranslator:
         Statements so far.
     """
 
-    def __init__(self, program: Program, names: dict[str, Any]) -> None:
+    def __init__(self, program: Declarations, names: dict[str, Any]) -> None:
         self.program = program
         self.globals = names
         self.names: dict[str, str] = {}
