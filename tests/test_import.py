@@ -1,9 +1,12 @@
-"""Import of the package: heavy libraries are imported on first use only."""
+"""Import of the package: heavy libraries on first use only, and no modules that import each other."""
 
 from __future__ import annotations
 
+import ast
+import graphlib
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -23,3 +26,22 @@ def test_every_public_name_is_there_and_documented() -> None:
         member = getattr(spm, name)
         if callable(member):
             assert member.__doc__, name
+
+
+def test_no_modules_import_each_other() -> None:
+    """Imports within functions and for types alone count too."""
+    package = Path(spm.__file__).parent
+    names = {path: ".".join(path.relative_to(package.parent).with_suffix("").parts) for path in package.rglob("*.py")}
+    names = {path: name.removesuffix(".__init__") for path, name in names.items()}
+    graph: dict[str, set[str]] = {}
+    for path, name in names.items():
+        nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        found = {
+            f"{node.module}.{alias.name}" if f"{node.module}.{alias.name}" in names.values() else str(node.module)
+            for node in nodes
+            if isinstance(node, ast.ImportFrom)
+            for alias in node.names
+        }
+        graph[name] = found & set(names.values()) - {name}
+    assert len(graph) > 100
+    graphlib.TopologicalSorter(graph).prepare()

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from spm_pin.description.paths import CLOSURES, description_file
-from spm_pin.description.tree import check_prefix
+from spm_pin.description.xml_nodes import check_prefix
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism import yaml_nodes
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import yaml
 
 from spm_pin.description.paths import ENTRY, MESHES, description_directory, description_file
-from spm_pin.description.tree import check_prefix
+from spm_pin.description.xml_nodes import check_prefix
 from spm_pin.mechanism.geometry import Geometry, geometry_data
 
 __all__ = ["expand"]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from spm_pin.description.tree import JOINTS, PASSIVE, SLIDES, check_prefix, joint_values, touching_links
+from spm_pin.description.tree import JOINTS, PASSIVE, SLIDES, joint_values, touching_links
+from spm_pin.description.xml_nodes import check_prefix
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism.configuration import Configuration
 

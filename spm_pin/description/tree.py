@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import itertools
-import re
 
-from spm_pin.errors import DescriptionError
+from spm_pin.description.as_built_tree import as_built_joint_values
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.joint_angles import joint_angles
 
-__all__ = ["ANGLES", "JOINTS", "PASSIVE", "SLIDES", "check_prefix", "joint_values", "touching_links"]
+__all__ = ["ANGLES", "JOINTS", "PASSIVE", "SLIDES", "joint_values", "touching_links"]
 
 JOINTS = (
     *("leg_b1_hip", "leg_b1_slide", "ball_b1_x", "ball_b1_y", "ball_b1_z"),
@@ -41,8 +40,6 @@ def joint_values(configuration: Configuration) -> dict[str, float]:
     """
     check_configuration(configuration, single=True, existing=True, as_built=True)
     if isinstance(configuration.geometry, AsBuiltGeometry):
-        from spm_pin.description.as_built_tree import as_built_joint_values
-
         values = as_built_joint_values(configuration)
         return {name: values[name] for name in JOINTS}
     found = joint_angles(configuration, corners=(0,)).values
@@ -61,12 +58,3 @@ def touching_links() -> tuple[tuple[str, str], ...]:
         inner = ("ball_b1_x_link", "ball_b1_y_link", "ball_c1_z_link", "ball_c1_y_link") if i == "1" else ()
         groups.append(("middle_platform", f"middle_b{i}", *legs, *inner))
     return tuple(dict.fromkeys(pair for group in groups for pair in itertools.combinations(group, 2)))
-
-
-def check_prefix(prefix: str) -> None:
-    """Raise `DescriptionError` unless `prefix` can begin a name in xacro, URDF, SRDF and YAML."""
-    well_formed = isinstance(prefix, str) and re.fullmatch(r"([A-Za-z_][A-Za-z0-9_./-]*)?", prefix)
-    # xacro turns these words into numbers and truth values, and so into other names.
-    if not well_formed or prefix.lower() in ("inf", "infinity", "nan", "true", "false"):
-        expected = "a name such as left_, of letters, digits and _ . / -, beginning with a letter"
-        raise DescriptionError("prefix", expected, repr(prefix))

@@ -11,7 +11,7 @@ from xml.parsers import expat
 
 from spm_pin.errors import DescriptionError
 
-__all__ = ["Node", "document", "numbers", "parse"]
+__all__ = ["Node", "check_prefix", "document", "numbers", "parse"]
 
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 """As C++ reads it: other readers leave out what only Python takes for a number, a whole inertia for example."""
@@ -137,3 +137,12 @@ def document(root: ElementTree.Element) -> str:
     ElementTree.indent(root)
     body = ElementTree.tostring(root, encoding="unicode")
     return f'<?xml version="1.0"?>\n<!-- Written by spm_pin, which is the place for changes. -->\n{body}\n'
+
+
+def check_prefix(prefix: str) -> None:
+    """Raise `DescriptionError` unless `prefix` can begin a name in xacro, URDF, SRDF and YAML."""
+    well_formed = isinstance(prefix, str) and re.fullmatch(r"([A-Za-z_][A-Za-z0-9_./-]*)?", prefix)
+    # xacro turns these words into numbers and truth values, and so into other names.
+    if not well_formed or prefix.lower() in ("inf", "infinity", "nan", "true", "false"):
+        expected = "a name such as left_, of letters, digits and _ . / -, beginning with a letter"
+        raise DescriptionError("prefix", expected, repr(prefix))

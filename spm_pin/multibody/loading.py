@@ -12,8 +12,9 @@ import pinocchio as pin
 from spm_pin.description.expand import expand
 from spm_pin.description.paths import URDF, description_directory, description_file
 from spm_pin.description.srdf import srdf_text
-from spm_pin.description.tree import JOINTS, SLIDES, check_prefix
+from spm_pin.description.tree import JOINTS, SLIDES
 from spm_pin.description.urdf_elements import check_inertials
+from spm_pin.description.xml_nodes import check_prefix
 from spm_pin.errors import DescriptionError, GeometryError
 from spm_pin.mechanism.arguments import FloatArray, file_path, instance
 from spm_pin.mechanism.geometry import Geometry, LegLimits
