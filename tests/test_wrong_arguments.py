@@ -299,7 +299,15 @@ CASES = [
 
 
 SLOW = (
-    *("Boundary", "Shell", "compare_with_shell", "orientation_workspace", "pose_volume", "reachable_boundary"),
+    *(
+        "Boundary",
+        "Shell",
+        "compare_with_shell",
+        "largest_certified_limits",
+        "orientation_workspace",
+        "pose_volume",
+        "reachable_boundary",
+    ),
     *("reachable_position", "reachable_volume", "sample_reachable", "shell"),
 )
 """Callables of which an accepted call takes long."""

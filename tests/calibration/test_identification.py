@@ -17,7 +17,7 @@ from spm_pin.calibration import MeasurementError, identify
 from spm_pin.mechanism import PARAMETERS
 
 
-@pytest.mark.parametrize("positions_only", [False, True])
+@pytest.mark.parametrize("positions_only", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_the_platform_is_placed_to_micrometres_afterwards(positions_only: bool) -> None:
     before, after = [], []
     for seed in range(5):
@@ -69,6 +69,7 @@ def test_parameters_not_asked_for_keep_their_values() -> None:
     np.testing.assert_allclose(again.geometry.parameters[same], machine.parameters[same], atol=1e-15)
 
 
+@pytest.mark.slow
 def test_weights_are_those_of_the_noise() -> None:
     machine = NOMINAL.perturbed(2)
     poses, readings = measure(machine, 3)
@@ -181,6 +182,7 @@ def test_wrong_options_are_named(options: dict[str, Any], message: str) -> None:
         identify(PAPER, *measure(NOMINAL.perturbed(4), 5), **options)
 
 
+@pytest.mark.slow
 def test_chosen_poses_identify_better_than_random_ones() -> None:
     random = elsewhere()[:40]
     machine = NOMINAL.perturbed(6)

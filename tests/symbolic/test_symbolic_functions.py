@@ -254,6 +254,7 @@ def test_a_hundred_thousand_poses_are_mapped() -> None:
     np.testing.assert_allclose(found[away], lengths[away], rtol=0, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_c_code_of_the_derivatives_compiles_and_computes_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
