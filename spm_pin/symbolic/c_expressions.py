@@ -12,7 +12,7 @@ import numpy as np
 
 from spm_pin.symbolic.c_types import Array, Tuple, Type, Value, bare, converted, declaration, joined, literal, structure
 
-__all__ = ["ExpressionTranslator"]
+__all__ = ["Declarations", "ExpressionTranslator"]
 
 _ARITHMETIC = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.BitAnd: "&", ast.BitOr: "|"}
 _COMPLEX = {
@@ -42,7 +42,7 @@ def _evaluated(node: ast.expr) -> Any:
 
 
 class Declarations(Protocol):
-    """What is declared in a C program, and put there when an expression needs it; see `c_translation.Program`."""
+    """The declarations of a C program, made when an expression needs them; see `c_translation.Program`."""
 
     constants: dict[str, int]
 
