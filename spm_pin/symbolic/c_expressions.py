@@ -46,11 +46,14 @@ class Declarations(Protocol):
 
     constants: dict[str, int]
 
-    def add(self, function: Any, arguments: tuple[Type, ...]) -> tuple[str, Type | None]: ...
+    def add(self, function: Any, arguments: tuple[Type, ...]) -> tuple[str, Type | None]:
+        """Declare a function for arguments of these types; return its name and the type of its result."""
 
-    def use(self, kind: Type) -> None: ...
+    def use(self, kind: Type) -> None:
+        """Declare the structure of a type, if it has one."""
 
-    def table(self, name: str, constant: Any) -> Value: ...
+    def table(self, name: str, constant: Any) -> Value:
+        """Declare a table of constants; return it as a value."""
 
 
 class ExpressionTranslator:
