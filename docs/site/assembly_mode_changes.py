@@ -34,7 +34,7 @@ class NonsingularChange:
 
 
 RANGES = ((0.166, 0.3, (0.1435, 0.3605, 0.7788)), (0.3, 0.5, (0.18, 0.18, 0.45)))
-"""Of E/r in mode T, and the path between states with equal legs: p at these, p and Z/r in the middle of the path."""
+"""Ranges of E/r in mode T, with the path between states of equal legs: p at its ends, p and Z/r in its middle."""
 
 POLYGON = np.array([[0.349559, 0.847166, -1.216897], [0.316326, 0.838279, -1.126552], [-0.957473, 0.138829, -1.185849]])
 """A path (x, y, Z/r) in mode F for E = r/2, its legs not equal; the end is corrected to the lengths of the start."""

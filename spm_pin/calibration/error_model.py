@@ -16,6 +16,7 @@ from collections.abc import Collection
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from spm_pin.closed_form.as_built_jacobians import stage_inverses
 from spm_pin.errors import ArgumentError
@@ -95,8 +96,6 @@ def as_built(geometry: Geometry | AsBuiltGeometry) -> AsBuiltGeometry:
 
 def platform_error(state: Configuration, rotation: FloatArray, position: FloatArray) -> FloatArray:
     """Return by how much states (N,) differ from poses (N, 3, 3), (N, 3): displacement [m], rotation vector [rad]."""
-    from scipy.spatial.transform import Rotation
-
     turn = np.full((len(position), 3), np.nan)
     exists = state.exists
     if exists.any():

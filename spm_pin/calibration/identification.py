@@ -16,9 +16,8 @@ from scipy.optimize import least_squares
 from scipy.special import gammainccinv
 
 from spm_pin.calibration.error_model import as_built, error_jacobian, invisible_errors, parameter_scale, selected
-from spm_pin.calibration.measurements import MeasurementError, Measurements, covariances
+from spm_pin.calibration.measurements import MeasurementError, Measurements, pose_covariances
 from spm_pin.closed_form.forward_displacement import forward_physical
-from spm_pin.closed_form.jacobians import platform_jacobian
 from spm_pin.mechanism.arguments import FloatArray, choice
 from spm_pin.mechanism.as_built import PARAMETERS, AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
@@ -209,11 +208,8 @@ def visible_basis(start: AsBuiltGeometry, wanted: BoolArray, positions_only: boo
 
 def _whitening(start: AsBuiltGeometry, data: Measurements, pose_noise: Any, length_noise: Any) -> FloatArray:
     """Return matrices (N, n, n) that give residuals unit covariance."""
-    count, components = len(data.position), data.components
-    poses = covariances(pose_noise, "pose_noise", components, count)
-    readings = covariances(length_noise, "length_noise", 6, count)
-    slopes = platform_jacobian(forward_physical(start, data.readings))[:, :components]
-    total = poses + slopes @ readings @ np.swapaxes(slopes, -1, -2)
+    states = forward_physical(start, data.readings)
+    total = pose_covariances(states, data.components, pose_noise, length_noise)
     return np.asarray(np.linalg.inv(np.linalg.cholesky(total)))
 
 

@@ -14,14 +14,16 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.calibration.error_model import platform_error
 from spm_pin.closed_form.forward_displacement import forward_physical
+from spm_pin.closed_form.jacobians import platform_jacobian
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, as_array, file_path, first_offender, real_array
 from spm_pin.mechanism.as_built import AsBuiltGeometry
+from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LARGEST, LEGS
 from spm_pin.mechanism.pose import as_rigid_transform
 from spm_pin.mechanism.units import unit_hint
 
-__all__ = ["MeasurementError", "Measurements", "covariances", "read_measurements"]
+__all__ = ["MeasurementError", "Measurements", "pose_covariances", "read_measurements"]
 
 _POSITION, _QUATERNION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
 _UNIT = 1e-3
@@ -154,6 +156,15 @@ def covariances(noise: npt.ArrayLike, argument: str, components: int, count: int
             argument, "positive standard deviations, or symmetric positive definite covariances", "other"
         )
     return array
+
+
+def pose_covariances(
+    states: Configuration, components: int, pose_noise: npt.ArrayLike, length_noise: npt.ArrayLike
+) -> FloatArray:
+    """Return covariances (N, n, n) of measured less predicted poses: errors of readings as the poses they cause."""
+    slopes = platform_jacobian(states)[:, :components]
+    poses = covariances(pose_noise, "pose_noise", components, len(states))
+    return poses + slopes @ covariances(length_noise, "length_noise", 6, len(states)) @ np.swapaxes(slopes, -1, -2)
 
 
 def read_measurements(path: str | Path) -> tuple[Any, FloatArray]:

@@ -9,9 +9,8 @@ import numpy.typing as npt
 
 from spm_pin.calibration.error_model import as_built, error_jacobian, parameter_scale, selected
 from spm_pin.calibration.identification import visible_basis
-from spm_pin.calibration.measurements import covariances
+from spm_pin.calibration.measurements import pose_covariances
 from spm_pin.closed_form.forward_displacement import forward_physical
-from spm_pin.closed_form.jacobians import platform_jacobian
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, choice, flag, generator, whole_number
 from spm_pin.mechanism.as_built import PARAMETERS, AsBuiltGeometry
@@ -82,10 +81,7 @@ def choose_poses(
         states = random_states(machine, whole_number(candidates, "candidates", least=1), rng)
     if len(states.shape) != 1 or len(states) < count:
         raise ArgumentError("candidates", f"at least {count} states along one axis", f"shape {states.shape}")
-    total = covariances(pose_noise, "pose_noise", components, len(states))
-    slopes = platform_jacobian(states)[:, :components]
-    readings = covariances(length_noise, "length_noise", 6, len(states))
-    total = total + slopes @ readings @ np.swapaxes(slopes, -1, -2)
+    total = pose_covariances(states, components, pose_noise, length_noise)
     rows = error_jacobian(states)[:, :components] @ (parameter_scale(machine)[:, None] * basis)
     rows = np.linalg.solve(np.linalg.cholesky(total), rows)
     return states[np.array(_exchanged(rows, count, criterion))]

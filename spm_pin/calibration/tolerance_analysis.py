@@ -13,7 +13,7 @@ from spm_pin.calibration.error_model import as_built, error_jacobian, platform_e
 from spm_pin.calibration.pose_choice import random_states
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, generator, real_array, real_number, whole_number
+from spm_pin.mechanism.arguments import FloatArray, choice, generator, real_array, real_number, whole_number
 from spm_pin.mechanism.as_built import PARAMETERS, AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
@@ -87,8 +87,7 @@ class ToleranceAnalysis:
             "kind": lambda name: name.split(".")[1].split("_")[0],
             "leg": lambda name: name.split(".")[0],
         }
-        if by not in names:
-            raise ArgumentError("by", f"one of {', '.join(names)}", repr(by))
+        choice(by, "by", names)
         totals: dict[str, float] = {}
         for name, share in zip(PARAMETERS, self.shares, strict=True):
             key = names[by](name)

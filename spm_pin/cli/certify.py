@@ -12,7 +12,7 @@ from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Unit, read_geo
 from spm_pin.cli.outputs import check_output, name_options, require_extra
 from spm_pin.display.figure_files import FORMATS, save_figure
 from spm_pin.errors import GeometryError
-from spm_pin.mechanism import LegLimits
+from spm_pin.mechanism import Configuration, LegLimits
 from spm_pin.proofs import Certificate, InverseCertificate, certify_inverse
 from spm_pin.proofs import certify as prove
 
@@ -72,20 +72,22 @@ def certify(
         raise typer.Exit(1)
 
 
+def _state(witness: Configuration | None) -> dict[str, Any] | None:
+    return None if witness is None else {"leg_lengths": witness.leg_lengths, "pose": witness.pose.as_matrix()}
+
+
 def _inverse_content(certificate: InverseCertificate) -> dict[str, Any]:
-    witness = certificate.witness
     return {
         "holds": certificate.holds,
         "bound": certificate.bound,
         "least": certificate.least,
         "undecided": len(certificate.undecided),
-        "witness": None if witness is None else {"leg_lengths": witness.leg_lengths, "pose": witness.pose.as_matrix()},
+        "witness": _state(certificate.witness),
     }
 
 
 def _content(certificate: Certificate) -> dict[str, Any]:
     lower, upper = certificate.bounds
-    witness = certificate.witness
     return {
         "holds": certificate.holds,
         "limits": {"minimum": certificate.limits.minimum, "maximum": certificate.limits.maximum},
@@ -94,5 +96,5 @@ def _content(certificate: Certificate) -> dict[str, Any]:
             name: {"examined": proof.boxes, "proved": len(proof.proved), "undecided": len(proof.undecided)}
             for name, proof in (("lower", certificate.lower), ("upper", certificate.upper))
         },
-        "witness": None if witness is None else {"leg_lengths": witness.leg_lengths, "pose": witness.pose.as_matrix()},
+        "witness": _state(certificate.witness),
     }

@@ -82,7 +82,7 @@ def _dimensions(geometry: Geometry | AsBuiltGeometry) -> object:
     """Return what distinguishes a machine from another, limits aside."""
     if isinstance(geometry, AsBuiltGeometry):
         return tuple(a.tobytes() for a in (geometry.axes, geometry.pivots, geometry.balls, geometry.offsets))
-    return geometry.base_radius, geometry.platform_radius, geometry.middle_side
+    return geometry.dimensions
 
 
 def _read(geometry: AsBuiltGeometry, leg_lengths: npt.ArrayLike) -> FloatArray:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.batches import radii, read_pose, run_kernel
+from spm_pin.closed_form.batches import BRANCH_RESULTS, radii, read_pose, run_kernel
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.branches import BRANCHES, tangent_signs
@@ -26,16 +26,6 @@ __all__ = ["as_built_complex_joints", "as_built_inverse", "as_built_physical"]
 _MIN_BATCH_PER_THREAD = 1 << 9
 _LARGE = 5e-3
 """Errors, of directions and in units of the middle platform's radius, that may make other branches physical."""
-_IDEAL = (
-    ((3, 3), np.float64),
-    ((3,), np.float64),
-    ((8, 3, 3), np.float64),
-    ((8, 6), np.float64),
-    ((4,), np.float64),
-    ((3,), np.uint8),
-    ((), np.int8),
-    ((), np.uint8),
-)
 
 
 Solver = Callable[[Geometry, PoseLike], SolutionSet]
@@ -72,7 +62,6 @@ def as_built_physical(geometry: AsBuiltGeometry, pose: PoseLike, solve_nominal: 
     cannot be followed from there, where neither branch is one that a real machine can be in, and for large errors.
     """
     from spm_pin.closed_form.kernels.as_built_physical_kernel import certain_physical_branches
-    from spm_pin.closed_form.kernels.branch_kernels import all_branches
 
     nominal, limits = AsBuiltGeometry.from_nominal(geometry.nominal), geometry.limits
     sizes = radii(geometry.nominal)
@@ -80,8 +69,7 @@ def as_built_physical(geometry: AsBuiltGeometry, pose: PoseLike, solve_nominal: 
     if geometry == nominal or np.abs(machines[1] - machines[0]).max() > _LARGE:
         return as_built_inverse(geometry, pose, solve_nominal).physical()
     shape, rotation, position = read_pose(pose)
-    ideal = run_kernel(all_branches, (rotation, position), sizes, _IDEAL, _MIN_BATCH_PER_THREAD)
-    ideal[2][(ideal[6] == Status.DEGENERATE) | (ideal[7] != 0)] = np.nan
+    ideal = _nominal_branches(geometry, rotation, position)
     bounds = np.array([(-np.inf,) * 6, (np.inf,) * 6] if limits is None else [limits.minimum, limits.maximum])
     constants = *machines, tangent_signs(geometry.nominal), bounds - geometry.offsets, sizes[0]
     results = ((3, 3), np.float64), ((6,), np.float64), ((), np.bool_)
@@ -128,19 +116,28 @@ def _of_nominal(geometry: AsBuiltGeometry, ideal: SolutionSet) -> SolutionSet:
     )
 
 
+def _nominal_branches(geometry: AsBuiltGeometry, rotation: FloatArray, position: FloatArray) -> tuple[Any, ...]:
+    """Return the `BRANCH_RESULTS` of the nominal machine at N poses, joints that are not to be followed as NaN."""
+    from spm_pin.closed_form.kernels.branch_kernels import all_branches
+
+    poses, sizes = (rotation, position), radii(geometry.nominal)
+    found = run_kernel(all_branches, poses, sizes, BRANCH_RESULTS, _MIN_BATCH_PER_THREAD)
+    # The branches left of a degenerate pose are not followed: what they would meet is a continuous family.
+    found[2][(found[6] == Status.DEGENERATE) | (found[7] != 0)] = np.nan
+    return found
+
+
 def _solve(
     geometry: AsBuiltGeometry, rotation: FloatArray, position: FloatArray, *, complex_roots: bool
 ) -> tuple[Any, ...]:
     """Run the kernels on N poses: joints, lengths without offsets, carried, status, and the complex joints if asked."""
     from spm_pin.closed_form.kernels.as_built_kernels import as_built_branches
-    from spm_pin.closed_form.kernels.branch_kernels import all_branches, complex_branches
+    from spm_pin.closed_form.kernels.branch_kernels import complex_branches
 
     sizes = radii(geometry.nominal)
     unit = sizes[0]
     poses = rotation, position
-    ideal = run_kernel(all_branches, poses, sizes, _IDEAL, _MIN_BATCH_PER_THREAD)
-    # The branches left of a degenerate pose are not followed: what they would meet is a continuous family.
-    ideal[2][(ideal[6] == Status.DEGENERATE) | (ideal[7] != 0)] = np.nan
+    ideal = _nominal_branches(geometry, *poses)
     (everything,) = run_kernel(complex_branches, poses, sizes[:1], [((8, 3, 3), np.complex128)], _MIN_BATCH_PER_THREAD)
     nominal = AsBuiltGeometry.from_nominal(geometry.nominal)
     machines = (np.stack([g.axes, g.pivots / unit, g.balls / unit]) for g in (nominal, geometry))

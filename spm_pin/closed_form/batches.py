@@ -14,10 +14,23 @@ from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import EXACT, PoseLike, checked_pose, unchecked_pose
 
-__all__ = ["Result", "radii", "read_pose", "run_kernel", "run_on_states", "with_two_batch_axes"]
+__all__ = ["BRANCH_RESULTS", "Result", "radii", "read_pose", "run_kernel", "run_on_states", "with_two_batch_axes"]
 
 Result = tuple[tuple[int, ...], npt.DTypeLike]
 """Trailing shape and type of one result of a kernel."""
+
+
+BRANCH_RESULTS: tuple[Result, ...] = (
+    ((3, 3), np.float64),
+    ((3,), np.float64),
+    ((8, 3, 3), np.float64),
+    ((8, 6), np.float64),
+    ((4,), np.float64),
+    ((3,), np.uint8),
+    ((), np.int8),
+    ((), np.uint8),
+)
+"""Results of the kernel `all_branches`: R, o, joints, lengths, discriminants, choice, status and what is flagged."""
 
 
 def run_kernel(

@@ -216,7 +216,7 @@ def _most(x: Any) -> Any:
 def _least(x: Any) -> Any:
     """Return a lower bound of the magnitudes of an interval's numbers, 0 if it contains zero."""
     if isinstance(x, Interval):
-        return np.maximum(np.maximum(x.low, -x.high), 0.0)
+        return x.least()
     return np.nextafter(max(float(x.a), -float(x.b), 0.0), 0.0)
 
 

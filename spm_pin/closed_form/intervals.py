@@ -94,6 +94,10 @@ class Interval:
             low, high = _below(1.0 / self.high), _above(1.0 / self.low)
         return Interval(np.where(contains_zero, np.nan, low), np.where(contains_zero, np.nan, high))
 
+    def least(self) -> FloatArray:
+        """Return the smallest magnitudes of numbers in the intervals; 0 where one contains zero."""
+        return np.maximum(np.maximum(self.low, -self.high), 0.0)
+
     def misses(self, other: Interval) -> npt.NDArray[np.bool_]:
         """Return where the two have no point in common."""
         return np.asarray((self.low > other.high) | (self.high < other.low))

@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.closed_form.as_built_inverse import as_built_complex_joints, as_built_inverse, as_built_physical
-from spm_pin.closed_form.batches import radii, read_pose, run_kernel
+from spm_pin.closed_form.batches import BRANCH_RESULTS, radii, read_pose, run_kernel
 from spm_pin.closed_form.degeneracy import find_degeneracy
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, flag
@@ -45,16 +45,6 @@ ROUNDING_BOUND = 2.0**-39
 """Bound of the rounding error of a discriminant over r², divided by (1 + (|x| + |y|)/r)²: `docs/theory/proofs.md`."""
 
 _MIN_BATCH_PER_THREAD = 1 << 14
-_RESULTS = (
-    ((3, 3), np.float64),
-    ((3,), np.float64),
-    ((8, 3, 3), np.float64),
-    ((8, 6), np.float64),
-    ((4,), np.float64),
-    ((3,), np.uint8),
-    ((), np.int8),
-    ((), np.uint8),
-)
 
 
 def inverse_displacement(
@@ -129,7 +119,7 @@ def inverse_displacement(
     from spm_pin.closed_form.kernels.branch_tiles import VERTICAL
 
     shape, rotation, position = read_pose(pose)
-    results = _RESULTS if out is None else _memory_of(out, shape)
+    results = BRANCH_RESULTS if out is None else _memory_of(out, shape)
     solved = run_kernel(all_branches, (rotation, position), radii(geometry), results, _MIN_BATCH_PER_THREAD)
     rotation, position, joints, lengths, discriminants, choice, status, flagged = solved
     degeneracy = _degeneracy(geometry, shape, rotation, position, flagged, status)

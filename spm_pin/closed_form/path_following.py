@@ -39,7 +39,7 @@ _MOST_EVENTS = 4
 
 
 class CertifiedLimits(Protocol):
-    """What `follow` asks of a `Certificate`."""
+    """The part of a `Certificate` that `follow` uses: floors below cannot import it."""
 
     def covers(self, configuration: Configuration) -> npt.NDArray[np.bool_]:
         """Return which configurations (...) are proved to be the only one of their leg lengths, shape (...)."""

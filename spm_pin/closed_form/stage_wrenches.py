@@ -87,7 +87,7 @@ class StageWrenches:
 
 def singular_sizes(geometry: Geometry) -> tuple[float, float, float, float]:
     """Return E, C, d [m], and `SINGULAR`, as the kernels that look for singular states take them."""
-    return geometry.base_radius, geometry.platform_radius, geometry.middle_side, SINGULAR
+    return *geometry.dimensions, SINGULAR
 
 
 def refuse_singular(configuration: Configuration, suspect: npt.NDArray[np.uint8], kind: str) -> None:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["motion_figure"]
 
 COLOURS = ("#0072b2", "#56b4e9", "#009e73", "#d55e00", "#e69f00", "#cc79a7")
-"""Of r_b1 to r_c3; they differ for most colour-blind readers too."""
+"""Colours of r_b1 to r_c3, distinct with any colour vision."""
 
 
 def motion_figure(

@@ -296,7 +296,7 @@ def _refused(name: str) -> property:
 
 # A function written for the ideal machine ends in an error that says so, never in a wrong answer.
 for _name in (
-    *("base_radius", "platform_radius", "middle_side", "middle_radius"),
+    *("base_radius", "platform_radius", "middle_side", "middle_radius", "dimensions"),
     *("base_joints", "platform_joints", "radial_directions", "revolute_axes"),
 ):
     setattr(AsBuiltGeometry, _name, _refused(_name))

@@ -117,6 +117,11 @@ class LegLimits:
         """Return which sets of lengths (..., 6) [m] respect all limits; NaN does not."""
         return np.asarray(self.margin(leg_lengths) >= 0.0)
 
+    def excess(self, leg_lengths: npt.ArrayLike) -> FloatArray:
+        """Return by how much each leg of (..., 6) [m] is too long, or too short (negative); 0 within its limits."""
+        lengths = real_array(leg_lengths, "leg_lengths", (6,), "leg lengths in metres", allow_nan=True)
+        return np.asarray(np.maximum(lengths - self.maximum, 0.0) + np.minimum(lengths - self.minimum, 0.0))
+
     def margin(self, leg_lengths: npt.ArrayLike) -> FloatArray:
         """Return how far the worst leg of (..., 6) [m] is inside its limits [m]; negative outside, NaN for NaN."""
         lengths = real_array(leg_lengths, "leg_lengths", (6,), "leg lengths in metres", allow_nan=True)
@@ -190,6 +195,11 @@ class Geometry:
         """
         path = file_path(path, error=GeometryError)
         return geometry_of_node(yaml_nodes.compose(path, "a YAML mapping of dimensions", error=GeometryError), path)
+
+    @property
+    def dimensions(self) -> tuple[float, float, float]:
+        """E, C and d [m]: what makes two machines the same, their limits aside."""
+        return self.base_radius, self.platform_radius, self.middle_side
 
     @property
     def middle_radius(self) -> float:

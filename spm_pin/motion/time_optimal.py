@@ -37,6 +37,8 @@ _LONGEST = 10**6
 """Samples that a trajectory may have."""
 _FASTEST = 1e4
 """Largest speed of the parameter [1/s], where no limit is."""
+_LARGEST = 1e12
+"""Largest limit of a leg that is accepted, far from overflow."""
 _TRIES = 60
 """Top speeds V tried for a motion of limited jerk."""
 
@@ -140,8 +142,9 @@ def time_optimal(
     jerks = _largest(leg_jerks, "leg_jerks", "m/s³")
     forces, speeds = _forces(leg_forces), _speeds(twist)
     if forces is None and limits["leg_accelerations"] is None:
-        expected = "limits of the legs' forces or of their accelerations"
-        raise ArgumentError("leg_forces", expected, "neither", "Without them the motion would start with a jump")
+        expected = "limits of the legs' forces, or leg_accelerations"
+        cause = "Without them the motion would start with a jump"
+        raise ArgumentError("leg_forces", expected, "neither", cause)
     parameters = np.linspace(0.0, 1.0, parts + 1)
     along = path_dynamics(chain, way, parameters, payload)
     _refuse_events(chain, along, way, planned=isinstance(path, MotionPlan))
@@ -203,8 +206,10 @@ def _largest(value: npt.ArrayLike | None, argument: str, unit: str) -> FloatArra
     array = as_array(value)
     trailing = (6,) if array is None or array.ndim else ()
     numbers = real_array(value, argument, trailing, f"a limit of each leg or of all in {unit}")
-    if numbers.ndim > 1 or (numbers <= 0.0).any():
-        raise ArgumentError(argument, f"positive limits in {unit}, shape (6,) or ()", f"{numbers.min():g}")
+    if numbers.ndim > 1 or (numbers <= 0.0).any() or (numbers > _LARGEST).any():
+        expected = f"positive limits of at most {_LARGEST:g} {unit}, shape (6,) or ()"
+        worst = numbers.min() if (numbers <= 0.0).any() else numbers.max()
+        raise ArgumentError(argument, expected, f"shape {numbers.shape}, {worst:g}", "No limit? Leave it out")
     return np.broadcast_to(numbers, (6,))
 
 
@@ -218,8 +223,9 @@ def _forces(value: npt.ArrayLike | None) -> tuple[FloatArray, FloatArray] | None
         largest = _largest(value, "leg_forces", "N")
         return None if largest is None else (-largest, largest)
     lower, upper = real_array(array, "leg_forces", (2, 6), "the least and the largest of each leg in N")
-    if (lower >= upper).any():
-        raise ArgumentError("leg_forces", "least forces below the largest", "others", "Rows exchanged?")
+    if (lower >= upper).any() or np.abs(array).max() > _LARGEST:
+        expected = f"least forces below the largest, of at most {_LARGEST:g} N"
+        raise ArgumentError("leg_forces", expected, "others", "Rows exchanged?")
     return lower, upper
 
 

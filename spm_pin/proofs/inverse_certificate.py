@@ -223,7 +223,7 @@ def _divide(stages: list[_StageCells], target: float, most: int) -> tuple[float,
     while True:
         seen += len(pairs)
         value = structure_determinant(_ends(level, pairs[:, 0]), _ends(level, pairs[:, 1]))
-        least = np.maximum(np.maximum(value.low, -value.high), 0.0)
+        least = value.least()
         bound = min(bound, float(least[least > target].min(initial=np.inf)))
         pairs, least = pairs[least <= target], least[least <= target]
         if not len(pairs) or level == DEEPEST or seen + 16 * len(pairs) > most:

@@ -136,7 +136,7 @@ def _divide(
         boxes = boxes[near.low <= furthest**2]
         value, slope, determinant = _form(geometry, quaternion, boxes)
         kept = ~((value.low > 0.0) | (value.high < 0.0) | (slope.low > 0.0 if branch == 0 else slope.high < 0.0))
-        least = np.nan_to_num(np.maximum(np.maximum(determinant.low, -determinant.high), 0.0)[kept])
+        least = np.nan_to_num(determinant.least()[kept])
         boxes, widths = boxes[kept], (boxes[kept, :, 1] - boxes[kept, :, 0]) * weights
         proved = (least > target) | ((least > 0.0) & (widths.max(axis=-1) <= _NARROWEST))
         bound = min(bound, float(least[proved].min(initial=np.inf)))

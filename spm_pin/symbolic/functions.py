@@ -50,7 +50,7 @@ class _Machine:
             self.base, self.platform, self.side = ca.vertsplit(self.inputs[0])
         elif geometry is None or isinstance(geometry, Geometry):
             machine = geometry or Geometry.paper()
-            self.base, self.platform, self.side = machine.base_radius, machine.platform_radius, machine.middle_side
+            self.base, self.platform, self.side = machine.dimensions
             self.limits = machine.limits
         else:
             raise ArgumentError("geometry", 'a Geometry, "symbolic" or None', type_and_value(geometry))

@@ -23,7 +23,7 @@ from spm_pin.symbolic.c_translation import python_function, source_tree
 __all__ = ["FLOOR", "table", "traced"]
 
 FLOOR = 1e-40
-"""What square roots are taken of at least: its root is far below rounding, and its powers in derivatives are finite."""
+"""Least radicand of a square root: its root is far below rounding, and its powers in derivatives are finite."""
 
 
 def table(*shape: int) -> Any:

@@ -57,7 +57,7 @@ class Readings:
         beyond = np.zeros(6)
         limits = state.geometry.limits
         if limits is not None:
-            beyond = np.maximum(lengths - limits.maximum, 0.0) + np.minimum(lengths - limits.minimum, 0.0)
+            beyond = limits.excess(lengths)
             beyond[np.abs(beyond) < _LIMIT_ROUNDING * state.geometry.middle_side] = 0.0
         found = singularities(state)
         try:

@@ -155,8 +155,7 @@ def nearest_reachable_pose(
 def _check_near(geometry: Geometry, near: Configuration, limits: LegLimits) -> None:
     if instance(near, Configuration, "near").shape or not near.exists:
         raise ArgumentError("near", "a single Configuration that exists", repr(near))
-    sizes = [(g.base_radius, g.platform_radius, g.middle_side) for g in (geometry, near.geometry)]
-    if sizes[0] != sizes[1]:
+    if geometry.dimensions != near.geometry.dimensions:
         raise ArgumentError("near", "a configuration of the same geometry", repr(near.geometry))
     if not limits.margin(near.leg_lengths) >= -1e-9 * geometry.middle_side:
         raise ArgumentError("near", "a configuration within the leg limits", repr(near))
