@@ -9,6 +9,7 @@ import numpy as np
 import typer
 
 from spm_pin.calibration import Calibration, identify, read_measurements
+from spm_pin.calibration.error_model import parameter_scale
 from spm_pin.cli.console import note, print_lines, print_table, significant, to_json
 from spm_pin.cli.options import AnyGeometryFile, AsJson, read_any_geometry
 from spm_pin.cli.outputs import check_output, name_options, require_extra
@@ -104,9 +105,9 @@ def _report(found: Calibration) -> None:
     lines.append(f"residuals are {misfit:.2g} times what the noise given explains")
     if misfit > 3.0:
         lines.append("The noise is larger than given, or the machine has errors that are not among the parameters.")
-    scale = np.tile(np.repeat([1.0, 1.0 / found.geometry.nominal.middle_side], [2, 7]), 6)
+    scale = parameter_scale(found.geometry)
     worst = np.argsort(-np.abs(found.identifiable[-1]))[:2]
-    apart = 1e3 * found.deviations[-1] * np.abs(found.identifiable[-1, worst] / scale[worst])
+    apart = 1e3 * found.deviations[-1] * np.abs(found.identifiable[-1, worst] * scale[worst])
     units = ["mrad" if k % 9 < 2 else "mm" for k in worst]
     least = " and ".join(f"{PARAMETERS[k]} by {x:.2g} {u}" for k, x, u in zip(worst, apart, units, strict=True))
     lines.append(f"least known is the combination that moves {least} (standard deviation)")

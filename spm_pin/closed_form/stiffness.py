@@ -20,7 +20,13 @@ import numpy.typing as npt
 from spm_pin.closed_form.jacobians import inverse_jacobian
 from spm_pin.closed_form.stage_wrenches import SINGULAR, StageWrenches
 from spm_pin.errors import ArgumentError, SingularConfigurationError
-from spm_pin.mechanism.arguments import FloatArray, as_array, broadcastable, first_offender, real_array
+from spm_pin.mechanism.arguments import (
+    FloatArray,
+    broadcastable,
+    first_offender,
+    leg_values,
+    symmetric_matrices,
+)
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 
 __all__ = ["PrincipalStiffness", "compliance", "principal_stiffness", "stiffness"]
@@ -139,13 +145,16 @@ def stiffness(configuration: Configuration, legs: npt.ArrayLike, structure: npt.
     return np.asarray(jacobian.swapaxes(-1, -2) @ (along[..., None] * jacobian))
 
 
-def principal_stiffness(compliances: npt.ArrayLike) -> PrincipalStiffness:
+def principal_stiffness(
+    *, compliance: npt.ArrayLike | None = None, stiffness: npt.ArrayLike | None = None
+) -> PrincipalStiffness:
     """Return the stiffness against pure forces at o and against pure moments, in their principal directions.
 
     Parameters
     ----------
-    compliances : array_like, shape (..., 6, 6)
-        Of `compliance`, or the inverse of `stiffness`, not `stiffness` itself; symmetric. NaN gives NaN.
+    compliance, stiffness : array_like, shape (..., 6, 6)
+        One of both, by its name: displacement per wrench, as of the function `compliance`, positive semidefinite; or
+        wrench per displacement, as of `spm_pin.stiffness`, positive definite. NaN gives NaN.
 
     Returns
     -------
@@ -155,12 +164,19 @@ def principal_stiffness(compliances: npt.ArrayLike) -> PrincipalStiffness:
     Raises
     ------
     ArgumentError
-        If a matrix has another shape or is not symmetric.
+        If both or none are given, or a matrix has another shape or is not symmetric or not positive.
     """
-    matrices = real_array(compliances, "compliances", (6, 6), "in m/N, rad/(N m)", allow_nan=True)
-    asymmetry = np.abs(matrices - matrices.swapaxes(-1, -2)).max(axis=(-1, -2), initial=0.0)
-    if (asymmetry > 1e-9 * np.abs(matrices).max(axis=(-1, -2), initial=0.0)).any():
-        raise ArgumentError("compliances", "symmetric matrices", f"asymmetry of {np.nanmax(asymmetry):.1e}")
+    if (compliance is None) == (stiffness is None):
+        received = "neither" if stiffness is None else "both"
+        raise ArgumentError("compliance, stiffness", "one of them, by its name", received)
+    if stiffness is None:
+        assert compliance is not None
+        matrices = symmetric_matrices(compliance, "compliance", 6, "in m/N, rad/(N m)", allow_nan=True)
+        _require_positive(matrices, "compliance", "positive semidefinite matrices", least=-1e-9)
+    else:
+        matrices = symmetric_matrices(stiffness, "stiffness", 6, "in N/m, N m/rad", allow_nan=True)
+        _require_positive(matrices, "stiffness", "positive definite matrices", least=1e-14)
+        matrices = _inverse(matrices)
     absent = np.asarray(np.isnan(matrices).any(axis=(-1, -2)))
     parts: list[FloatArray] = []
     for block in (matrices[..., :3, :3], matrices[..., 3:, 3:]):
@@ -173,21 +189,23 @@ def principal_stiffness(compliances: npt.ArrayLike) -> PrincipalStiffness:
     return PrincipalStiffness(*parts)
 
 
+def _require_positive(matrices: FloatArray, argument: str, expected: str, *, least: float) -> None:
+    """Raise unless no eigenvalue is below `least`, of matrices scaled to a diagonal of ones: free of their units."""
+    diagonal = np.diagonal(matrices, axis1=-2, axis2=-1)
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    values = np.linalg.eigvalsh(np.nan_to_num(matrices * scale[..., None, :] * scale[..., :, None], nan=1.0))
+    wrong = (values[..., 0] < least) & ~np.isnan(diagonal).any(axis=-1)
+    if wrong.any():
+        raise ArgumentError(argument, expected, f"an eigenvalue of {values[..., 0][wrong].flat[0]:.1e} of its diagonal")
+
+
 def _inverses(value: npt.ArrayLike, argument: str, configuration: Configuration) -> FloatArray:
     """Return 1 / stiffness of six forces, shape (..., 6)."""
-    array = as_array(value)
-    single = array is not None and not array.ndim
-    numbers = real_array(
-        value, argument, () if single else (6,), "the stiffness of r_b1 to r_c3 in N/m, or one for all"
-    )
-    outside = (numbers <= 0.0) | (numbers > _STIFFEST)
-    if outside.any():
-        cause = "A rigid leg has a large stiffness, not none" if (numbers == 0.0).any() else ""
-        expected = f"positive stiffnesses in N/m, at most {_STIFFEST:g}"
-        raise ArgumentError(argument, expected, f"{numbers[outside].flat[0]:g}", cause)
-    inverses = 1.0 / (np.full(6, numbers) if single else numbers)
+    meaning = "the stiffness of r_b1 to r_c3 in N/m, or one for all"
+    cause = "A rigid leg has a large stiffness, not none"
+    inverses = 1.0 / leg_values(value, argument, meaning, most=_STIFFEST, cause=cause)
     broadcastable(argument, inverses.shape[:-1], "configuration", configuration.shape)
-    return inverses
+    return np.asarray(inverses)
 
 
 def _inverse(matrices: FloatArray) -> FloatArray:

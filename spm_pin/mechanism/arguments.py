@@ -33,10 +33,12 @@ __all__ = [
     "frozen",
     "generator",
     "instance",
+    "leg_values",
     "number_pair",
     "real_array",
     "real_number",
     "shaped_array",
+    "symmetric_matrices",
     "type_and_value",
     "whole_number",
     "writing",
@@ -233,6 +235,29 @@ def real_array(
     """
     array = shaped_array(value, argument, trailing, meaning, error=error)
     return finite_array(array, argument, trailing, meaning, error=error, allow_nan=allow_nan)
+
+
+def leg_values(value: npt.ArrayLike, argument: str, meaning: str, *, most: float, cause: str = "") -> FloatArray:
+    """Read positive numbers of r_b1 to r_c3, shape (..., 6), or one for all, as shape (6,); none above `most`."""
+    array = as_array(value)
+    single = array is not None and not array.ndim
+    numbers = real_array(value, argument, () if single else (6,), meaning)
+    outside = (numbers <= 0.0) | (numbers > most)
+    if outside.any():
+        expected = f"positive numbers of at most {most:g}, {meaning}"
+        raise ArgumentError(argument, expected, f"{numbers[outside].flat[0]:g}", cause)
+    return np.full(6, numbers) if single else numbers
+
+
+def symmetric_matrices(
+    value: npt.ArrayLike, argument: str, size: int, meaning: str, *, allow_nan: bool = False
+) -> FloatArray:
+    """Read matrices (..., size, size), symmetric to 1e-9 of their largest entry; else as `real_array` does."""
+    matrices = real_array(value, argument, (size, size), meaning, allow_nan=allow_nan)
+    off = np.abs(matrices - matrices.swapaxes(-1, -2)).max(axis=(-1, -2), initial=0.0)
+    if (off > 1e-9 * np.abs(matrices).max(axis=(-1, -2), initial=0.0)).any():
+        raise ArgumentError(argument, "symmetric matrices", f"an asymmetry of {np.nanmax(off):.1e}")
+    return matrices
 
 
 def shaped_array(

@@ -13,17 +13,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spm_pin.errors import ArgumentError, ClosureError, PoseError, SingularConfigurationError, SpmError
+from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.configuration import Configuration
 from spm_pin.motion.leg_path import LegPath
+from spm_pin.motion.path_states import Path, platform_motion, states_along
 from spm_pin.motion.payload import Payload
 from spm_pin.multibody.chain import ClosedChain
 from spm_pin.multibody.constrained_state import ChainState
-from spm_pin.multibody.platform_path import PlatformPath
 
 __all__ = ["PathDynamics", "path_dynamics"]
-
-Path = LegPath | PlatformPath
 
 
 @dataclass(frozen=True)
@@ -34,6 +33,8 @@ class PathDynamics:
     ----------
     parameters : ndarray, shape (n,)
         From 0 to 1.
+    states : Configuration
+        Of shape (n,), in the physical mode.
     q, first, second : ndarray, shape (n, 18)
         Joint values, continuous along the path, and their derivatives by the parameter.
     twist : ndarray, shape (n, 6)
@@ -43,6 +44,7 @@ class PathDynamics:
     """
 
     parameters: FloatArray
+    states: Configuration
     q: FloatArray
     first: FloatArray
     second: FloatArray
@@ -60,17 +62,18 @@ def path_dynamics(chain: ClosedChain, path: Path, parameters: FloatArray, payloa
     ArgumentError
         If the path is out of reach or meets a singularity somewhere, with the parameter.
     """
+    states = states_along(chain.geometry, path, parameters)
+    if not states.exists.all():
+        bad = parameters[int((~states.exists).argmax())]
+        expected = "a path that the machine can go along in its physical mode"
+        raise ArgumentError("path", expected, f"no such state at parameter {bad:.6g}", "Level, or out of reach?")
     if isinstance(path, LegPath):
-        legs = path(parameters)
-        q = _closed(lambda s: chain.forward_kinematics(path(s).lengths), parameters)
-        rates, changes = legs.first, legs.second
+        _, rates, changes = path(parameters)
     else:
-        span = path.duration
-        motion = path(path.start + parameters * span)
-        q = _closed(lambda s: chain.inverse_kinematics(path(path.start + s * span).pose), parameters)
-        rates, changes = span * motion.twist, span**2 * motion.acceleration
+        _, twist, acceleration = platform_motion(path, parameters)
+        rates, changes = path.duration * twist, path.duration**2 * acceleration
     # Slides are not angles, but never jump either.
-    q = np.unwrap(q, axis=0)
+    q = np.unwrap(chain.joint_values(states), axis=0)
     state, rows = chain.state(q[0]), []
     for k, joints in enumerate(q):
         try:
@@ -79,29 +82,7 @@ def path_dynamics(chain: ClosedChain, path: Path, parameters: FloatArray, payloa
             expected = "a path that keeps away from singularities"
             at = f"a {error.kind} singularity at parameter {parameters[k]:.6g}"
             raise ArgumentError("path", expected, at, "plan with a larger margin goes around") from error
-    return PathDynamics(parameters, q, *(np.array(column) for column in zip(*rows, strict=True)))
-
-
-def _closed(solve: object, parameters: FloatArray) -> FloatArray:
-    """Return q (n, 18) of all parameters, or raise with the first one that has none."""
-    assert callable(solve)
-    try:
-        return np.asarray(solve(parameters))
-    except (ArgumentError, PoseError, ClosureError) as error:
-        bad = next((s for s in parameters if _fails(solve, s)), None)
-        if bad is None:
-            raise
-        expected = "a path that the machine can go along in its physical mode"
-        raise ArgumentError("path", expected, f"no such state at parameter {bad:.6g}", error.cause) from error
-
-
-def _fails(solve: object, parameter: float) -> bool:
-    assert callable(solve)
-    try:
-        solve(parameter)
-    except SpmError:
-        return True
-    return False
+    return PathDynamics(parameters, states, q, *(np.array(column) for column in zip(*rows, strict=True)))
 
 
 def _at(

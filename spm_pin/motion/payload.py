@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, frozen, real_array, real_number
+from spm_pin.mechanism.arguments import FloatArray, frozen, real_array, real_number, symmetric_matrices
 
 __all__ = ["Payload"]
 
@@ -39,14 +39,13 @@ class Payload:
     def __post_init__(self) -> None:
         mass = real_number(self.mass, "mass", "a mass in kg, not negative", least=0.0)
         centre = real_array(self.centre, "centre", (3,), "the centre of mass in {m} in metres")
-        inertia = real_array(self.inertia, "inertia", (3, 3), "about the centre of mass in kg m²")
+        inertia = symmetric_matrices(self.inertia, "inertia", 3, "about the centre of mass in kg m²")
         if centre.ndim != 1 or inertia.ndim != 2:
             raise ArgumentError("centre, inertia", "shapes (3,) and (3, 3)", f"{centre.shape} and {inertia.shape}")
         moments = np.linalg.eigvalsh(inertia)
         rounding = 1e-9 * abs(moments).max()
-        symmetric = (np.abs(inertia - inertia.T) <= rounding).all()
-        if not symmetric or moments[0] < -rounding or moments[:2].sum() < moments[2] - rounding:
-            expected = "a symmetric matrix whose principal moments are those of a body: none negative or above the sum"
+        if moments[0] < -rounding or moments[:2].sum() < moments[2] - rounding:
+            expected = "principal moments of a body: none negative or above the sum"
             raise ArgumentError("inertia", expected + " of the other two", f"moments {moments}", "About another point?")
         object.__setattr__(self, "mass", mass)
         object.__setattr__(self, "centre", frozen(centre.copy()))

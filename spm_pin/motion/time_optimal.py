@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,13 +21,17 @@ import numpy.typing as npt
 
 from spm_pin.closed_form.singularity_analysis import determinants
 from spm_pin.errors import ArgumentError, MissingExtraError
-from spm_pin.mechanism.arguments import FloatArray, as_array, instance, real_array, real_number, whole_number
-from spm_pin.mechanism.geometry import LEGS, Geometry
+from spm_pin.mechanism.arguments import FloatArray, instance, real_number, whole_number
+from spm_pin.mechanism.geometry import LEGS
 from spm_pin.motion.leg_path import LegPath
+from spm_pin.motion.motion_limits import LimitRows, MotionLimits
 from spm_pin.motion.path_dynamics import PathDynamics, path_dynamics
+from spm_pin.motion.path_rules import ROUNDING
+from spm_pin.motion.path_states import Path
 from spm_pin.motion.payload import Payload
 from spm_pin.motion.planning import MotionPlan
 from spm_pin.multibody.chain import ClosedChain
+from spm_pin.multibody.joint_layout import require_dimensions
 from spm_pin.multibody.platform_path import PlatformPath
 from spm_pin.multibody.trajectory import JointTrajectory
 
@@ -37,12 +41,8 @@ _LONGEST = 10**6
 """Samples that a trajectory may have."""
 _FASTEST = 1e4
 """Largest speed of the parameter [1/s], where no limit is."""
-_LARGEST = 1e12
-"""Largest limit of a leg that is accepted, far from overflow."""
 _TRIES = 60
 """Top speeds V tried for a motion of limited jerk."""
-
-
 _CORRECTIONS = 8
 """Times that limits are narrowed at most, because they are broken between the parts of the grid."""
 _KEPT = 1e-7
@@ -50,25 +50,6 @@ _KEPT = 1e-7
 
 _Clock = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """Times (n,), and s, ṡ and s̈ there."""
-
-
-@dataclass(frozen=True)
-class _Rows:
-    """Limits on a grid: lower <= a u + b x + c <= upper of (n, m) rows, and x <= fastest (n,)."""
-
-    a: FloatArray
-    b: FloatArray
-    c: FloatArray
-    lower: FloatArray
-    upper: FloatArray
-    fastest: FloatArray
-
-    def excess(self, speeds: FloatArray, accelerations: FloatArray) -> tuple[FloatArray, float]:
-        """Return by how much ṡ and s̈ (n,) break each row at most (m,), and the share by which x is above `fastest`."""
-        x = speeds**2
-        values = self.a * accelerations[:, None] + self.b * x[:, None] + self.c
-        over = np.maximum(values - self.upper, self.lower - values).max(axis=0)
-        return np.maximum(over, 0.0), max(float((x / self.fastest).max()) - 1.0, 0.0)
 
 
 def time_optimal(
@@ -130,30 +111,23 @@ def time_optimal(
     as implemented by toppra.
     """
     instance(chain, ClosedChain, "chain")
-    way = _path(path, chain.geometry)
+    way = _path(path, chain)
     if payload is not None:
         instance(payload, Payload, "payload")
     parts = whole_number(grid, "grid", "a number of parts from 10 to 100,000", least=10, most=100_000)
     step = real_number(period, "period", "a positive time in seconds", above=0.0)
-    limits = {
-        "leg_rates": _largest(leg_rates, "leg_rates", "m/s"),
-        "leg_accelerations": _largest(leg_accelerations, "leg_accelerations", "m/s²"),
-    }
-    jerks = _largest(leg_jerks, "leg_jerks", "m/s³")
-    forces, speeds = _forces(leg_forces), _speeds(twist)
-    if forces is None and limits["leg_accelerations"] is None:
-        expected = "limits of the legs' forces, or leg_accelerations"
-        cause = "Without them the motion would start with a jump"
-        raise ArgumentError("leg_forces", expected, "neither", cause)
+    limits = MotionLimits.read(leg_rates, leg_accelerations, leg_jerks, leg_forces, twist)
     parameters = np.linspace(0.0, 1.0, parts + 1)
     along = path_dynamics(chain, way, parameters, payload)
     _refuse_events(chain, along, way, planned=isinstance(path, MotionPlan))
-    rows = _rows(chain, along, limits, forces, speeds)
+    rows = limits.rows(chain, along)
     for _ in range(_CORRECTIONS):
-        clock = _fastest(parameters, rows) if jerks is None else _smooth(chain, along, rows, jerks)
+        clock = (
+            _fastest(parameters, rows) if limits.leg_jerks is None else _smooth(chain, along, rows, limits.leg_jerks)
+        )
         times, at, rates, changes = clock(step)
         found = path_dynamics(chain, way, at, payload)
-        over, faster = _rows(chain, found, limits, forces, speeds).excess(rates, changes)
+        over, faster = limits.rows(chain, found).excess(rates, changes)
         if faster <= _KEPT and (over <= _KEPT * (rows.upper - rows.lower)).all():
             break
         # It happens between the ends of two parts. Narrowed by a little more, so that the next motion keeps them.
@@ -163,117 +137,42 @@ def time_optimal(
     return _trajectory(chain, found, times, rates, changes)
 
 
-def _path(path: Any, geometry: Geometry) -> LegPath | PlatformPath:
+def _path(path: Any, chain: ClosedChain) -> Path:
     if isinstance(path, MotionPlan):
-        planned, own = ((g.base_radius, g.platform_radius, g.middle_side) for g in (path.geometry, geometry))
-        if not np.allclose(planned, own, rtol=1e-6, atol=0.0):
-            raise ArgumentError("path", f"a plan of the chain's {geometry}", f"one of {path.geometry}")
+        require_dimensions(path.geometry, chain.geometry, "path", "the chain")
         if path.path is None:
             raise ArgumentError("path", "a plan with a path", "one without", path.reason)
         return path.path
     if not isinstance(path, LegPath | PlatformPath):
         raise ArgumentError("path", "a MotionPlan, LegPath or PlatformPath", type(path).__name__)
-    if isinstance(path, PlatformPath) and not np.any(path([path.start, path.start + path.duration]).twist):
+    if isinstance(path, PlatformPath) and not np.any(path([path.start, path.end]).twist):
         raise ArgumentError("path", "a path that moves at its ends", "a path at rest there", "Made with ease=True?")
     return path
 
 
-def _refuse_events(chain: ClosedChain, along: PathDynamics, path: LegPath | PlatformPath, *, planned: bool) -> None:
+def _refuse_events(chain: ClosedChain, along: PathDynamics, path: Path, *, planned: bool) -> None:
     """Raise `ArgumentError` where a path crosses a singularity or, unless it was planned, a leg limit of the chain.
 
     A path of leg lengths may cross inverse singularities: the legs lead through.
     """
-    limits, lengths = chain.geometry.limits, chain.leg_lengths(along.q)
-    if limits is not None and not planned and (limits.margin(lengths) < -1e-9).any():
-        at = int((limits.margin(lengths) < -1e-9).argmax())
-        leg = int(np.maximum(limits.minimum - lengths[at], lengths[at] - np.array(limits.maximum)).argmax())
-        received = f"{LEGS[leg]} of {lengths[at, leg]:.6g} m at parameter {along.parameters[at]:.4g}"
-        raise ArgumentError("path", f"leg lengths within the chain's {limits}", received)
-    values = determinants(chain.configuration(along.q))[:, : 2 if isinstance(path, LegPath) else 3]
+    limits, lengths = chain.geometry.limits, along.states.leg_lengths
+    if limits is not None and not planned:
+        beyond = np.abs(limits.excess(lengths))
+        if (beyond > ROUNDING).any():
+            at = int((beyond > ROUNDING).any(axis=-1).argmax())
+            leg = int(beyond[at].argmax())
+            received = f"{LEGS[leg]} of {lengths[at, leg]:.6g} m at parameter {along.parameters[at]:.4g}"
+            raise ArgumentError("path", f"leg lengths within the chain's {limits}", received)
+    values = determinants(along.states)[:, : 2 if isinstance(path, LegPath) else 3]
     crossed = (values[1:] * values[:-1] < 0.0).any(axis=-1)
     if crossed.any():
         at = int(crossed.argmax())
         received = f"one between the parameters {along.parameters[at]:.6g} and {along.parameters[at + 1]:.6g}"
-        raise ArgumentError(
-            "path", "a path without singularities", received, "A path of leg lengths may pass level poses"
-        )
+        cause = "A path of leg lengths may pass level poses"
+        raise ArgumentError("path", "a path without singularities", received, cause)
 
 
-def _largest(value: npt.ArrayLike | None, argument: str, unit: str) -> FloatArray | None:
-    """Return one positive limit a leg, shape (6,)."""
-    if value is None:
-        return None
-    array = as_array(value)
-    trailing = (6,) if array is None or array.ndim else ()
-    numbers = real_array(value, argument, trailing, f"a limit of each leg or of all in {unit}")
-    if numbers.ndim > 1 or (numbers <= 0.0).any() or (numbers > _LARGEST).any():
-        expected = f"positive limits of at most {_LARGEST:g} {unit}, shape (6,) or ()"
-        worst = numbers.min() if (numbers <= 0.0).any() else numbers.max()
-        raise ArgumentError(argument, expected, f"shape {numbers.shape}, {worst:g}", "No limit? Leave it out")
-    return np.broadcast_to(numbers, (6,))
-
-
-def _forces(value: npt.ArrayLike | None) -> tuple[FloatArray, FloatArray] | None:
-    """Return the least and the largest force of each leg, both (6,)."""
-    array = None if value is None else as_array(value)
-    if array is None or array.shape != (2, 6):
-        if array is not None and array.ndim and array.shape != (6,):
-            expected = "largest forces in N of shape () or (6,), or the least and the largest of shape (2, 6)"
-            raise ArgumentError("leg_forces", expected, f"shape {array.shape}")
-        largest = _largest(value, "leg_forces", "N")
-        return None if largest is None else (-largest, largest)
-    lower, upper = real_array(array, "leg_forces", (2, 6), "the least and the largest of each leg in N")
-    if (lower >= upper).any() or np.abs(array).max() > _LARGEST:
-        expected = f"least forces below the largest, of at most {_LARGEST:g} N"
-        raise ArgumentError("leg_forces", expected, "others", "Rows exchanged?")
-    return lower, upper
-
-
-def _speeds(value: Any) -> tuple[float, float] | None:
-    if value is None:
-        return None
-    numbers = real_array(value, "twist", (2,), "the largest speed of o in m/s and of turning in rad/s")
-    if numbers.ndim != 1 or (numbers <= 0.0).any():
-        raise ArgumentError(
-            "twist", "two positive speeds in m/s and rad/s", f"shape {numbers.shape}, {numbers.min():g}"
-        )
-    return float(numbers[0]), float(numbers[1])
-
-
-def _rows(
-    chain: ClosedChain,
-    along: PathDynamics,
-    limits: dict[str, FloatArray | None],
-    forces: tuple[FloatArray, FloatArray] | None,
-    speeds: tuple[float, float] | None,
-) -> _Rows:
-    """Return all limits on the grid; raises `ArgumentError` where the forces do not hold the machine at rest."""
-    legs = chain.leg_indices
-    first, second = along.first[:, legs], along.second[:, legs]
-    blocks: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]] = []
-    if (acceleration := limits["leg_accelerations"]) is not None:
-        blocks.append((first, second, np.zeros_like(first), -acceleration, acceleration))
-    if forces is not None:
-        short = np.maximum(along.static - forces[1], forces[0] - along.static)
-        if (short > 0.0).any():
-            at, leg = np.unravel_index(int(short.argmax()), short.shape)
-            holds = f"{LEGS[leg]} from {forces[0][leg]:g} to {forces[1][leg]:g} N"
-            received = f"{along.static[at, leg]:.4g} N needed at rest at parameter {along.parameters[at]:.4g}, {holds}"
-            raise ArgumentError("leg_forces", "forces that hold the machine along the path", received, "Too heavy?")
-        blocks.append((along.inertial, along.centrifugal, along.static, *forces))
-    fastest = np.full(len(first), np.inf)
-    with np.errstate(divide="ignore", over="ignore"):
-        if (rates := limits["leg_rates"]) is not None:
-            fastest = np.minimum(fastest, ((rates / np.abs(first)) ** 2).min(axis=-1))
-        for part, speed in enumerate(speeds or ()):
-            turned = np.linalg.norm(along.twist[:, 3 * part : 3 * part + 3], axis=-1)
-            fastest = np.minimum(fastest, (speed / turned) ** 2)
-    a, b, c = (np.concatenate([block[k] for block in blocks], axis=-1) for k in range(3))
-    lower, upper = (np.concatenate([block[k] for block in blocks]) for k in (3, 4))
-    return _Rows(a, b, c, lower, upper, fastest)
-
-
-def _fastest(parameters: FloatArray, rows: _Rows) -> Callable[[float], _Clock]:
+def _fastest(parameters: FloatArray, rows: LimitRows) -> Callable[[float], _Clock]:
     """Return the time-optimal clock, a function of the period."""
     try:
         import toppra
@@ -315,7 +214,7 @@ def _fastest(parameters: FloatArray, rows: _Rows) -> Callable[[float], _Clock]:
     return clock
 
 
-def _smooth(chain: ClosedChain, along: PathDynamics, rows: _Rows, jerks: FloatArray) -> Callable[[float], _Clock]:
+def _smooth(chain: ClosedChain, along: PathDynamics, rows: LimitRows, jerks: FloatArray) -> Callable[[float], _Clock]:
     """Return the clock of limited jerk, as `_fastest`: the quickest of ruckig's profiles that keep all limits."""
     try:
         import ruckig

@@ -71,9 +71,14 @@ class PlatformPath:
         return float(self._times[0])
 
     @property
+    def end(self) -> float:
+        """Last time [s]."""
+        return float(self._times[-1])
+
+    @property
     def duration(self) -> float:
         """From the first to the last time [s]."""
-        return float(self._times[-1] - self._times[0])
+        return self.end - self.start
 
     def __call__(self, times: npt.ArrayLike) -> PlatformMotion:
         """Return the motion at times [s] of shape (...), none outside the path's own.
@@ -84,7 +89,7 @@ class PlatformPath:
             If a time is not finite, or outside.
         """
         moments = real_array(times, "times", (), "in seconds")
-        begin, until = float(self._times[0]), float(self._times[-1])
+        begin, until = self.start, self.end
         outside = (moments < begin) | (moments > until)
         if outside.any():
             raise ArgumentError("times", f"times from {begin:g} to {until:g} s", f"{moments[outside].flat[0]:g}")

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, real_array
+from spm_pin.mechanism.arguments import FloatArray, real_array, symmetric_matrices
 
 __all__ = ["Gains", "WrenchLike", "read_gains", "read_stiffness", "read_vector", "read_vectors", "read_wrenches"]
 
@@ -62,10 +62,7 @@ def read_vector(value: npt.ArrayLike, argument: str, size: int) -> FloatArray:
 
 def read_stiffness(value: npt.ArrayLike) -> FloatArray:
     """Return symmetric matrices (..., 6, 6) of a platform's stiffness, or raise `ArgumentError`."""
-    matrices = real_array(value, "stiffness", (6, 6), "in N/m, N/rad, N and N m/rad, as of spm_pin.stiffness")
-    if (np.abs(matrices - matrices.swapaxes(-1, -2)) > 1e-9 * np.abs(matrices).max(initial=0.0)).any():
-        raise ArgumentError("stiffness", "symmetric matrices", "others")
-    return matrices
+    return symmetric_matrices(value, "stiffness", 6, "in N/m, N/rad, N and N m/rad, as of spm_pin.stiffness")
 
 
 def read_wrenches(wrench: WrenchLike, model: Any, platform: int) -> tuple[FloatArray, list[int]]:

@@ -50,6 +50,25 @@ def test_configurations_poses_and_lengths_are_places() -> None:
         np.testing.assert_allclose(found.configurations(2).leg_lengths, [START, GOAL], atol=1e-9)
 
 
+def test_states_and_certificates_of_the_machine_with_other_limits_are_of_the_same_machine() -> None:
+    limits = spm.LegLimits(1.1, 1.5)
+    bare = spm.Geometry(*PAPER.dimensions)
+    start, goal = (spm.forward_physical(bare, lengths) for lengths in (START, GOAL))
+    assert start.geometry != PAPER
+    certificate = spm.certify(bare, limits)
+    for line in ("legs", "poses"):
+        found = spm.plan(PAPER, start, goal, limits, line=line, certificate=certificate)
+        assert found.geometry == PAPER
+        assert found.certified is found.exists
+    assert spm.plan(PAPER, start, GOAL).exists
+    other = spm.forward_physical(spm.Geometry(0.5, 0.5, 0.6), [0.8] * 6)
+    with pytest.raises(spm.ArgumentError, match="base_radius of `geometry`") as caught:
+        spm.plan(PAPER, other, GOAL)
+    assert caught.value.argument == "start"
+    with pytest.raises(spm.ArgumentError, match="other dimensions"):
+        spm.plan(spm.Geometry(0.5, 0.5, 0.6), [0.8] * 6, [0.7] * 6, certificate=certificate)
+
+
 def test_via_points_are_passed() -> None:
     via = [[1.3, 1.4, 1.2, 1.3, 1.3, 1.3], [1.45, 1.3, 1.25, 1.2, 1.4, 1.3]]
     found = spm.plan(PAPER, START, GOAL, via=via)

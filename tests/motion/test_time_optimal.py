@@ -177,9 +177,24 @@ def test_wrong_limits_are_named(wrong: dict[str, object], text: str) -> None:
 
 def test_a_plan_of_other_dimensions_is_refused() -> None:
     other = spm.Geometry(1.05 * PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)
-    with pytest.raises(spm.ArgumentError, match=r"base_radius=0\.727") as caught:
+    with pytest.raises(spm.ArgumentError, match=r"base_radius of the chain.*0\.727") as caught:
         spm.time_optimal(CHAIN, spm.plan(other, START, GOAL), leg_forces=1500.0)
     assert caught.value.argument == "path"
+
+
+def test_a_path_may_begin_at_any_time() -> None:
+    """Of these times the first plus their difference is above the last, by rounding."""
+    times = [1.6255247663220262, 7.918391417807537]
+    assert times[0] + (times[1] - times[0]) > times[1]
+    limits = {"leg_accelerations": 3.0, "grid": 200, "period": 0.01}
+    shifted = spm.time_optimal(CHAIN, spm.PlatformPath(times, poses()([0.0, 1.0]).pose), **limits)
+    np.testing.assert_allclose(shifted.times[-1], spm.time_optimal(CHAIN, poses(), **limits).times[-1], rtol=1e-9)
+
+
+def test_a_plan_made_with_other_limits_is_of_the_same_machine() -> None:
+    wider = spm.Geometry(*PAPER.dimensions, limits=spm.LegLimits(0.9, 1.8))
+    motion = spm.time_optimal(CHAIN, spm.plan(wider, START, GOAL), leg_accelerations=3.0, grid=200, period=0.01)
+    np.testing.assert_allclose(CHAIN.leg_lengths(motion.positions[-1]), GOAL, atol=1e-9)
 
 
 def test_paths_that_cannot_be_gone_along_are_named() -> None:

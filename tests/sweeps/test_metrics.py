@@ -163,7 +163,7 @@ def test_stiffness_is_that_of_springs_in_the_legs() -> None:
     expected = 1.0 / np.linalg.eigvalsh(compliance)[:, -1]
     np.testing.assert_allclose(METRICS["stiffness"](leg=2e7).evaluate(points), expected, rtol=1e-7)
     matrix = spm.closed_form.compliance(points.machine, 2e7)
-    weakest = spm.closed_form.principal_stiffness(matrix).rotational[:, 0]
+    weakest = spm.closed_form.principal_stiffness(compliance=matrix).rotational[:, 0]
     np.testing.assert_allclose(METRICS["rotational_stiffness"](leg=2e7).evaluate(points), weakest, rtol=1e-7)
 
 

@@ -67,7 +67,7 @@ class Readings:
             travel = np.where(found.rank < 6, 0.0, np.nan)
         try:
             forces = leg_forces(state, wrench)
-            softest = float(principal_stiffness(compliance(state, 1.0)).translational[0])
+            softest = float(principal_stiffness(compliance=compliance(state, 1.0)).translational[0])
         except SingularConfigurationError:
             forces, softest = None, 0.0
         return cls(

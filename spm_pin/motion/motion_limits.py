@@ -1,0 +1,141 @@
+"""Limits of the legs and of the platform along a path, as rows that are linear in s̈ and ṡ²."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import FloatArray, as_array, leg_values, real_array
+from spm_pin.mechanism.geometry import LEGS
+from spm_pin.motion.path_dynamics import PathDynamics
+from spm_pin.multibody.chain import ClosedChain
+
+__all__ = ["LimitRows", "MotionLimits"]
+
+_LARGEST = 1e12
+"""Largest limit of a leg that is accepted, far from overflow."""
+
+
+@dataclass(frozen=True)
+class LimitRows:
+    """Limits on a grid: lower <= a u + b x + c <= upper of (n, m) rows, and x <= fastest (n,)."""
+
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    fastest: FloatArray
+
+    def excess(self, speeds: FloatArray, accelerations: FloatArray) -> tuple[FloatArray, float]:
+        """Return by how much ṡ and s̈ (n,) break each row at most (m,), and the share by which x is above `fastest`."""
+        x = speeds**2
+        values = self.a * accelerations[:, None] + self.b * x[:, None] + self.c
+        over = np.maximum(values - self.upper, self.lower - values).max(axis=0)
+        return np.maximum(over, 0.0), max(float((x / self.fastest).max()) - 1.0, 0.0)
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """Limits of a motion; None where there is none.
+
+    Attributes
+    ----------
+    leg_rates, leg_accelerations, leg_jerks : ndarray, shape (6,), or None
+        Largest ones [m/s, m/s², m/s³].
+    leg_forces : pair of ndarray, shape (6,), or None
+        The least and the largest force of each leg [N].
+    twist : (float, float) or None
+        Largest speed of o [m/s] and of turning [rad/s].
+    """
+
+    leg_rates: FloatArray | None
+    leg_accelerations: FloatArray | None
+    leg_jerks: FloatArray | None
+    leg_forces: tuple[FloatArray, FloatArray] | None
+    twist: tuple[float, float] | None
+
+    @classmethod
+    def read(cls, leg_rates: Any, leg_accelerations: Any, leg_jerks: Any, leg_forces: Any, twist: Any) -> MotionLimits:
+        """Read the limits of `time_optimal`; raises `ArgumentError`."""
+        found = cls(
+            _largest(leg_rates, "leg_rates", "m/s"),
+            _largest(leg_accelerations, "leg_accelerations", "m/s²"),
+            _largest(leg_jerks, "leg_jerks", "m/s³"),
+            _forces(leg_forces),
+            _speeds(twist),
+        )
+        if found.leg_forces is None and found.leg_accelerations is None:
+            expected = "limits of the legs' forces, or leg_accelerations"
+            raise ArgumentError("leg_forces", expected, "neither", "Without them the motion would start with a jump")
+        return found
+
+    def rows(self, chain: ClosedChain, along: PathDynamics) -> LimitRows:
+        """Return all limits on the grid; raises `ArgumentError` where the forces do not hold the machine at rest."""
+        legs = chain.leg_indices
+        first, second = along.first[:, legs], along.second[:, legs]
+        blocks: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]] = []
+        if (acceleration := self.leg_accelerations) is not None:
+            blocks.append((first, second, np.zeros_like(first), -acceleration, acceleration))
+        if (forces := self.leg_forces) is not None:
+            short = np.maximum(along.static - forces[1], forces[0] - along.static)
+            if (short > 0.0).any():
+                at, leg = np.unravel_index(int(short.argmax()), short.shape)
+                holds = f"{LEGS[leg]} from {forces[0][leg]:g} to {forces[1][leg]:g} N"
+                received = (
+                    f"{along.static[at, leg]:.4g} N needed at rest at parameter {along.parameters[at]:.4g}, {holds}"
+                )
+                raise ArgumentError("leg_forces", "forces that hold the machine along the path", received, "Too heavy?")
+            blocks.append((along.inertial, along.centrifugal, along.static, *forces))
+        fastest = np.full(len(first), np.inf)
+        with np.errstate(divide="ignore", over="ignore"):
+            if (rates := self.leg_rates) is not None:
+                fastest = np.minimum(fastest, ((rates / np.abs(first)) ** 2).min(axis=-1))
+            for part, speed in enumerate(self.twist or ()):
+                turned = np.linalg.norm(along.twist[:, 3 * part : 3 * part + 3], axis=-1)
+                fastest = np.minimum(fastest, (speed / turned) ** 2)
+        a, b, c = (np.concatenate([block[k] for block in blocks], axis=-1) for k in range(3))
+        lower, upper = (np.concatenate([block[k] for block in blocks]) for k in (3, 4))
+        return LimitRows(a, b, c, lower, upper, fastest)
+
+
+def _largest(value: npt.ArrayLike | None, argument: str, unit: str) -> FloatArray | None:
+    """Return one positive limit a leg, shape (6,)."""
+    if value is None:
+        return None
+    meaning = f"a limit of each leg or of all in {unit}"
+    numbers = leg_values(value, argument, meaning, most=_LARGEST, cause="No limit? Leave it out")
+    if numbers.ndim > 1:
+        raise ArgumentError(argument, f"shape (6,) or (), {meaning}", f"shape {numbers.shape}")
+    return numbers
+
+
+def _forces(value: npt.ArrayLike | None) -> tuple[FloatArray, FloatArray] | None:
+    """Return the least and the largest force of each leg, both (6,)."""
+    array = None if value is None else as_array(value)
+    if array is None or array.shape != (2, 6):
+        if array is not None and array.ndim and array.shape != (6,):
+            expected = "largest forces in N of shape () or (6,), or the least and the largest of shape (2, 6)"
+            raise ArgumentError("leg_forces", expected, f"shape {array.shape}")
+        largest = _largest(value, "leg_forces", "N")
+        return None if largest is None else (-largest, largest)
+    lower, upper = real_array(array, "leg_forces", (2, 6), "the least and the largest of each leg in N")
+    if (lower >= upper).any() or np.abs(array).max() > _LARGEST:
+        expected = f"least forces below the largest, of at most {_LARGEST:g} N"
+        raise ArgumentError("leg_forces", expected, "others", "Rows exchanged?")
+    return lower, upper
+
+
+def _speeds(value: Any) -> tuple[float, float] | None:
+    if value is None:
+        return None
+    numbers = real_array(value, "twist", (2,), "the largest speed of o in m/s and of turning in rad/s")
+    if numbers.ndim != 1 or (numbers <= 0.0).any():
+        raise ArgumentError(
+            "twist", "two positive speeds in m/s and rad/s", f"shape {numbers.shape}, {numbers.min():g}"
+        )
+    return float(numbers[0]), float(numbers[1])
