@@ -144,7 +144,7 @@ def _solution_set(
     shape: tuple[int, ...],
     solved: tuple[Any, ...],
     degeneracy: Degeneracy,
-    certain: npt.NDArray[np.bool_] | None = None,
+    settled: npt.NDArray[np.bool_] | None = None,
     radius: FloatArray | None = None,
 ) -> SolutionSet:
     rotation, position, joints, lengths, discriminants, choice, status, _ = solved
@@ -164,7 +164,7 @@ def _solution_set(
         choice=choice.reshape(*shape, 3),
         memory=solved,
         rounding=ROUNDING_BOUND,
-        certain=certain,
+        settled=settled,
         radius=radius,
     )
 

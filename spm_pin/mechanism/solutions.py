@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import Any, overload
 
 import numpy as np
@@ -34,6 +35,7 @@ _PARALLEL = 1e-12
 """Sine of the tilt up to which the Z axes of {B} and {m} are taken for parallel in proofs."""
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class SolutionSet:
     """The solutions of one problem, or of a batch of problems, along one axis.
 
@@ -44,23 +46,28 @@ class SolutionSet:
     labels : sequence of n str
         Names of the places along the axis.
     status : array_like of Status, shape (...)
-        Outcome of each problem.
+        Outcome of each problem; `Status` of a single problem, an int8 array of them for a batch.
     discriminants : ndarray, shape (..., 4), optional
-        For inverse displacement, see `inverse_displacement`.
+        For inverse displacement, of the families TT, TF, FT, FF: real iff not negative.
     degeneracy : Degeneracy, optional
-        Details where `status` is `Status.DEGENERATE`.
+        Which families, legs and how many dimensions, where `status` is `Status.DEGENERATE`.
     choice : ndarray of uint8, shape (..., 3), optional
         From the solver, if it computes it: whether a real machine can be in the first, in the second solution, and
         whether the second is tilted less; it can be in none of the others. If left out, this is computed from the
         configurations.
     memory : tuple of ndarray, optional
-        The arrays that a solver may write anew, see `inverse_displacement`.
+        The arrays that a solver may write anew, see `inverse_displacement`; copies and selections do not own it.
     met : ndarray of bool, shape (..., n), optional
-        Of a machine as built, see `met`.
+        Of a machine as built, where a label could not be carried from the nominal machine. True where the branch of
+        this label met another one while the errors grew from zero to those of the machine: it has ended, or what is
+        under its label now is a root left over, whose label is a name only.
     rounding : float, optional
         Bound of the rounding error of a discriminant, divided by (1 + (|x| + |y|)/r)².
-    certain, radius : ndarray, shapes (..., 4) and (..., n), optional
-        See `certain` and `radius`; without the former it is computed from `rounding`.
+    settled : ndarray of bool, shape (..., 4), optional
+        What `certain` is; computed from `rounding` if not given.
+    radius : ndarray, shape (..., n), optional
+        Radius [m] around each middle joint within which the exact one is, NaN where not proved; exactly one solution
+        has all three joints within it. Given if the solver was asked to certify.
 
     Notes
     -----
@@ -70,39 +77,30 @@ class SolutionSet:
     single problem yields the solutions that exist; the problems of a batch are taken by their index.
     """
 
-    def __init__(
-        self,
-        configurations: Configuration,
-        labels: Sequence[str],
-        status: npt.ArrayLike,
-        *,
-        discriminants: FloatArray | None = None,
-        degeneracy: Degeneracy | None = None,
-        choice: npt.NDArray[np.uint8] | None = None,
-        memory: tuple[npt.NDArray[Any], ...] | None = None,
-        met: BoolArray | None = None,
-        rounding: float | None = None,
-        certain: BoolArray | None = None,
-        radius: FloatArray | None = None,
-    ) -> None:
-        shape = instance(configurations, Configuration, "configurations").shape
-        if not shape or shape[-1] != len(labels):
-            raise ArgumentError("configurations", f"a last axis of {len(labels)}, one per label", f"shape {shape}")
-        self._configurations = configurations
-        self._labels = tuple(labels)
-        self._status = np.broadcast_to(np.asarray(status, dtype=np.int8), shape[:-1])
-        self._discriminants = discriminants
-        self._degeneracy = degeneracy
-        self._choice = choice
-        self._memory = memory
-        self._met = met
-        self._rounding = rounding
-        self._certain = certain
-        self._radius = radius
+    configurations: Configuration
+    labels: tuple[str, ...]
+    status: Any
+    discriminants: FloatArray | None = None
+    degeneracy: Degeneracy | None = None
+    choice: npt.NDArray[np.uint8] | None = None
+    memory: tuple[npt.NDArray[Any], ...] | None = None
+    met: BoolArray | None = None
+    rounding: float | None = None
+    settled: BoolArray | None = None
+    radius: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        shape = instance(self.configurations, Configuration, "configurations").shape
+        count = len(self.labels)
+        if not shape or shape[-1] != count:
+            raise ArgumentError("configurations", f"a last axis of {count}, one per label", f"shape {shape}")
+        status = np.broadcast_to(np.asarray(self.status, dtype=np.int8), shape[:-1])
+        object.__setattr__(self, "labels", tuple(self.labels))
+        object.__setattr__(self, "status", status if self.shape else Status(int(status)))
 
     def __getstate__(self) -> dict[str, Any]:
         # A copy does not own the memory.
-        return {**self.__dict__, "_memory": None}
+        return {**self.__dict__, "memory": None}
 
     @classmethod
     def from_unordered(
@@ -140,27 +138,17 @@ class SolutionSet:
     @property
     def shape(self) -> tuple[int, ...]:
         """Batch shape, without the axis of solutions."""
-        return self._configurations.shape[:-1]
+        return self.configurations.shape[:-1]
 
     @property
     def geometry(self) -> Any:
         """The manipulator, a `Geometry` or an `AsBuiltGeometry`."""
-        return self._configurations.geometry
-
-    @property
-    def configurations(self) -> Configuration:
-        """All solutions as one batch of shape (..., n)."""
-        return self._configurations
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Names of the n places along the axis of solutions."""
-        return self._labels
+        return self.configurations.geometry
 
     @property
     def exists(self) -> BoolArray:
         """Which solutions are real, shape (..., n)."""
-        return self._configurations.exists
+        return self.configurations.exists
 
     @property
     def count(self) -> npt.NDArray[np.intp]:
@@ -168,53 +156,29 @@ class SolutionSet:
         return np.asarray(np.count_nonzero(self.exists, axis=-1), dtype=np.intp)
 
     @property
-    def status(self) -> Any:
-        """`Status` of a single problem; an int8 array of them, shape (...), for a batch."""
-        return self._status if self.shape else Status(int(self._status))
-
-    @property
     def rotation(self) -> FloatArray:
         """Rotations from {m} to {B}, shape (..., n, 3, 3)."""
-        return self._configurations.rotation
+        return self.configurations.rotation
 
     @property
     def translation(self) -> FloatArray:
         """Positions of o in {B} [m], shape (..., n, 3)."""
-        return self._configurations.translation
+        return self.configurations.translation
 
     @property
     def middle_joints(self) -> FloatArray:
         """Ball joint centres b_1, b_2, b_3 as rows in {B} [m], shape (..., n, 3, 3); NaN where not real."""
-        return self._configurations.middle_joints
+        return self.configurations.middle_joints
 
     @property
     def leg_lengths(self) -> FloatArray:
         """r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], shape (..., n, 6); NaN where not real."""
-        return self._configurations.leg_lengths
+        return self.configurations.leg_lengths
 
     @property
     def residual(self) -> FloatArray:
         """Closure residual of each solution [m], shape (..., n). See `Configuration.closure_residual`."""
-        return self._configurations.closure_residual
-
-    @property
-    def discriminants(self) -> FloatArray | None:
-        """For inverse displacement, of the families TT, TF, FT, FF, shape (..., 4): real iff not negative."""
-        return self._discriminants
-
-    @property
-    def degeneracy(self) -> Degeneracy | None:
-        """Which families, legs and how many dimensions, where `status` is degenerate."""
-        return self._degeneracy
-
-    @property
-    def met(self) -> BoolArray | None:
-        """Where a label could not be carried from the nominal machine, shape (..., n); None for a `Geometry`.
-
-        True where the branch of this label met another one while the errors grew from zero to those of the machine:
-        it has ended, or what is under its label now is a root left over, whose label is a name only.
-        """
-        return self._met
+        return self.configurations.closure_residual
 
     @property
     def certain(self) -> BoolArray | None:
@@ -224,28 +188,15 @@ class SolutionSet:
         and where the Z axes of {B} and {m} are parallel to 1e-12 rad. None for other problems than the inverse
         displacement of a `Geometry`.
         """
-        if self._certain is not None or self._rounding is None or self._discriminants is None:
-            return self._certain
+        if self.settled is not None or self.rounding is None or self.discriminants is None:
+            return self.settled
         position, rotation = self.translation[..., 0, :], self.rotation[..., 0, :, 2]
         least = np.abs(position[..., 0]) + np.abs(position[..., 1])
-        least = self._rounding * (1.0 + least / self.geometry.middle_radius) ** 2
+        least = self.rounding * (1.0 + least / self.geometry.middle_radius) ** 2
         # Not to be proved where the tilt is rounding.
         parallel = np.abs(rotation[..., 0]) + np.abs(rotation[..., 1]) <= _PARALLEL
-        certain = (np.abs(self._discriminants) > least[..., None]) & ~parallel[..., None]
-        return np.asarray(certain if self._degeneracy is None else certain & ~self._degeneracy.families)
-
-    @property
-    def radius(self) -> FloatArray | None:
-        """Radius [m] around each middle joint within which the exact one is, shape (..., n); NaN where not proved.
-
-        Exactly one solution has all three joints within it. None unless the solver was asked to certify.
-        """
-        return self._radius
-
-    @property
-    def memory(self) -> tuple[npt.NDArray[Any], ...] | None:
-        """The arrays that a solver may write anew, if it handed them over."""
-        return self._memory
+        certain = (np.abs(self.discriminants) > least[..., None]) & ~parallel[..., None]
+        return np.asarray(certain if self.degeneracy is None else certain & ~self.degeneracy.families)
 
     @overload
     def __getitem__(self, index: str) -> Configuration: ...
@@ -253,38 +204,33 @@ class SolutionSet:
     def __getitem__(self, index: Any) -> Any: ...
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, str):
-            if index not in self._labels:
-                labels = ", ".join(self._labels[:8]) + ", …" * (len(self._labels) > 8)
+            if index not in self.labels:
+                labels = ", ".join(self.labels[:8]) + ", …" * (len(self.labels) > 8)
                 raise SelectionError("index", f"a label: {labels}", repr(index))
-            return self._configurations[..., self._labels.index(index)]
+            return self.configurations[..., self.labels.index(index)]
         if not self.shape:
-            return self._configurations[index]
+            return self.configurations[index]
         batch = index if isinstance(index, tuple) else (index,)
         if not any(part is Ellipsis for part in batch):
             batch = (*batch, Ellipsis)
         inner = (*batch, slice(None))
         try:
-            chosen = self._configurations[inner]
+            chosen = self.configurations[inner]
         except SelectionError as error:
             expected = f"a label, or an index of the problems {self.shape}"
             raise SelectionError("index", expected, type_and_value(index), error.cause) from error
-        return SolutionSet(
-            chosen,
-            self._labels,
-            self._status[index],
-            discriminants=None if self._discriminants is None else self._discriminants[inner],
-            degeneracy=None if self._degeneracy is None else self._degeneracy[batch],
-            choice=None if self._choice is None else self._choice[inner],
-            met=None if self._met is None else self._met[inner],
-            rounding=self._rounding,
-            certain=None if self._certain is None else self._certain[inner],
-            radius=None if self._radius is None else self._radius[inner],
-        )
+        values: dict[str, Any] = {"status": np.asarray(self.status)[index], "memory": None}
+        if self.degeneracy is not None:
+            values["degeneracy"] = self.degeneracy[batch]
+        for name in ("discriminants", "choice", "met", "settled", "radius"):
+            array = getattr(self, name)
+            values[name] = None if array is None else array[inner]
+        return replace(self, configurations=chosen, **values)
 
     def __iter__(self) -> Iterator[Configuration]:
         if self.shape:
             raise TypeError("a batch of problems is indexed, not iterated over: solutions[i] is problem i")
-        return (self._configurations[int(i)] for i in np.flatnonzero(self.exists))
+        return (self.configurations[int(i)] for i in np.flatnonzero(self.exists))
 
     def __repr__(self) -> str:
         return short_text(self)
@@ -294,7 +240,7 @@ class SolutionSet:
 
     def _select(self, index: npt.NDArray[np.intp], exists: BoolArray) -> Configuration:
         """Return one solution per problem, NaN throughout, the pose too, where `exists` is False."""
-        state, everywhere = self._configurations, bool(exists.all())
+        state, everywhere = self.configurations, bool(exists.all())
         # For a single problem a slice, so that nothing shares memory with the others.
         at = (*np.indices(index.shape, sparse=True), index) if self.shape else (slice(index, index + 1),)
 
@@ -323,22 +269,12 @@ class SolutionSet:
         ArgumentError
             If `mask` is not boolean or does not broadcast to the shape of `exists`.
         """
-        state, kept = self._configurations, boolean_array(mask, "mask", self.exists.shape)[..., None]
+        state, kept = self.configurations, boolean_array(mask, "mask", self.exists.shape)[..., None]
         joints = np.where(kept[..., None], state.middle_joints, np.nan)
         lengths = None if state.known_lengths is None else np.where(kept, state.known_lengths, np.nan)
         left = Configuration.from_arrays(self.geometry, state.rotation, state.translation, joints, lengths)
-        return SolutionSet(
-            left,
-            self._labels,
-            self._status,
-            discriminants=self._discriminants,
-            degeneracy=self._degeneracy,
-            choice=self._choice,
-            met=self._met,
-            rounding=self._rounding,
-            certain=self._certain,
-            radius=None if self._radius is None else np.where(kept[..., 0], self._radius, np.nan),
-        )
+        radius = None if self.radius is None else np.where(kept[..., 0], self.radius, np.nan)
+        return replace(self, configurations=left, memory=None, radius=radius)
 
     def within(self, limits: LegLimits | None = None) -> SolutionSet:
         """Keep the solutions inside leg limits; `status` stays that of the problem without limits.
@@ -370,7 +306,7 @@ class SolutionSet:
         ArgumentError
             If `seed` is neither, does not exist, or has leading axes that do not fit.
         """
-        state = self._configurations
+        state = self.configurations
         if isinstance(seed, Configuration):
             points = np.concatenate([state.middle_joints, state.platform_joints], axis=-2)
             target = np.concatenate([seed.middle_joints, seed.platform_joints], axis=-2)
@@ -392,11 +328,11 @@ class SolutionSet:
         Those reached from the symmetric home without a forward singularity. If several are, and some respect
         the limits, the others are dropped; chain ``.within().physical()`` to exclude all that do not.
         """
-        if self._choice is None:
-            mode, most = physical(self._configurations), len(self._labels)
+        if self.choice is None:
+            mode, most = physical(self.configurations), len(self.labels)
         else:
-            mode, most = np.zeros(self._configurations.shape, dtype=np.bool_), 2
-            mode[..., :most] = self._choice[..., :most]
+            mode, most = np.zeros(self.configurations.shape, dtype=np.bool_), 2
+            mode[..., :most] = self.choice[..., :most]
             mode &= self.exists
         limits = self.geometry.limits
         if limits is None:
@@ -421,10 +357,10 @@ class SolutionSet:
         if seed is not None:
             return self.where(candidates).nearest(seed)
         score = np.where(candidates, 0.0, -np.inf)
-        if self._choice is not None:
-            score[..., 1] += self._choice[..., 2] - 0.5
+        if self.choice is not None:
+            score[..., 1] += self.choice[..., 2] - 0.5
         elif np.any(np.count_nonzero(candidates, axis=-1) > 1):
-            score[candidates] = straightness(self._configurations[candidates])
+            score[candidates] = straightness(self.configurations[candidates])
         return self._select(score.argmax(axis=-1), np.asarray(candidates.any(axis=-1)))
 
     def one(self) -> Configuration:
@@ -438,6 +374,6 @@ class SolutionSet:
         wrong = self.count != 1
         if wrong.any():
             index = first_offender(wrong)
-            labels = tuple(np.array(self._labels)[self.exists[index]])
+            labels = tuple(np.array(self.labels)[self.exists[index]])
             raise NotOneSolutionError(labels, index, "" if labels else absence_reason(self, index))
         return self._select(self.exists.argmax(axis=-1), np.ones(self.shape, dtype=bool))
