@@ -11,7 +11,7 @@ import numpy as np
 
 from spm_pin.display.figure_files import FORMATS, check_appearance, new_figure, save_figure
 from spm_pin.display.labels import LabelPlacer, label
-from spm_pin.display.rendering import VIEW, Extent, Image, bounds, camera_axes, render
+from spm_pin.display.rendering import VIEW, Rendering, bounds, camera_axes, render
 from spm_pin.display.scene import Scene, scene
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, file_path
@@ -34,13 +34,13 @@ _GALLERY = np.array([2.6, 3.3])  # width and height of one picture, in inches
 
 def draw_solids(
     solids: Scene, camera: FloatArray, margins: tuple[float, float], *, ax: Axes | None, dpi: float, edge: float
-) -> tuple[Axes, float, Image, Extent]:
+) -> tuple[Axes, float, Rendering]:
     """Draw solids into an Axes, a new one without axes lines if not given, with margins and edges [points] around them.
 
     Returns
     -------
-    Axes, float, Image, Extent
-        The axes, metres per inch in them, and the image with its place.
+    Axes, float, Rendering
+        The axes, metres per inch in them, and the image.
 
     Raises
     ------
@@ -58,9 +58,9 @@ def draw_solids(
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     ax.apply_aspect()
     inch = float((high - low)[1]) / ax.get_window_extent().transformed(ax.figure.dpi_scale_trans.inverted()).height
-    image, extent = render(solids, camera, dpi / inch, edge / 72.0 * dpi)
-    ax.imshow(image, extent=extent, interpolation_stage="rgba")
-    return ax, inch, image, extent
+    rendering = render(solids, camera, dpi / inch, edge / 72.0 * dpi)
+    ax.imshow(rendering.image, extent=rendering.extent, interpolation_stage="rgba")
+    return ax, inch, rendering
 
 
 def draw(
@@ -101,7 +101,7 @@ def draw(
     """
     solids, camera = scene(configuration, frames=labels), camera_axes(view)
     margins = _MARGINS if labels else (0.014, 0.01)
-    ax, inch, image, extent = draw_solids(solids, camera, margins, ax=ax, dpi=dpi, edge=_EDGE)
+    ax, inch, (image, extent, _) = draw_solids(solids, camera, margins, ax=ax, dpi=dpi, edge=_EDGE)
     ax.axis("off")
     if labels:
         size = max(float(np.ptp(ax.get_xlim())), float(np.ptp(ax.get_ylim())))

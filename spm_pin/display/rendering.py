@@ -7,6 +7,7 @@ Here a depth buffer decides, finer than the pixels, also where solids pass throu
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +18,7 @@ from spm_pin.display.scene import Colour, Scene
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["VIEW", "Extent", "Image", "bounds", "camera_axes", "render"]
+__all__ = ["VIEW", "Extent", "Image", "Rendering", "bounds", "camera_axes", "render"]
 
 Image = npt.NDArray[np.float32]
 """Pixels (height, width, 4): red, green, blue and opacity, each from 0 to 1."""
@@ -31,6 +32,14 @@ VIEW = (math.radians(15.0), math.radians(25.0))
 
 _SAMPLES = 3  # per pixel and direction
 _CREASE = math.radians(50.0)  # a sharper turn between two faces is an edge
+
+
+class Rendering(NamedTuple):
+    """An image of a scene, transparent around it, its place, and which of the solids each pixel shows, -1 for none."""
+
+    image: Image
+    extent: Extent
+    solid: Indices  # (height, width)
 
 
 def camera_axes(view: tuple[float, float]) -> FloatArray:
@@ -58,8 +67,8 @@ def bounds(
     return low - border, high + border
 
 
-def render(solids: Scene, camera: FloatArray, resolution: float, edge: float) -> tuple[Image, Extent]:
-    """Return an image (height, width, 4), transparent around the scene, and its left, right, bottom and top [m].
+def render(solids: Scene, camera: FloatArray, resolution: float, edge: float) -> Rendering:
+    """Render a scene.
 
     `resolution` is in pixels per metre, the width of the dark edges, `edge`, in pixels.
     """
@@ -84,6 +93,8 @@ def render(solids: Scene, camera: FloatArray, resolution: float, edge: float) ->
     corners[..., 1] = (top - corners[..., 1]) * resolution * _SAMPLES - 0.5
     face, depth = _nearest_faces(corners, (height * _SAMPLES, width * _SAMPLES))
     region = np.append(np.concatenate(regions), -1).astype(np.int32)[face]
+    owner = np.append(np.repeat(np.arange(len(colours)), [len(part) for part in colours]), -1)
+    shown = owner[face[_SAMPLES // 2 :: _SAMPLES, _SAMPLES // 2 :: _SAMPLES]]
     edges = _edges(region, depth, max(1, round(edge * _SAMPLES)))
     del region, depth
     # One gather: the faces' colours, the same as edges, and last, where index -1 finds it, nothing.
@@ -96,7 +107,7 @@ def render(solids: Scene, camera: FloatArray, resolution: float, edge: float) ->
         samples = palette[face[row * _SAMPLES : (row + 1) * _SAMPLES]]
         image[row] = samples.reshape(_SAMPLES, width, _SAMPLES, 4).mean(axis=(0, 2))
     image[..., :3] /= np.maximum(image[..., 3:], 1e-9)
-    return image, (left, left + width / resolution, top - height / resolution, top)
+    return Rendering(image, (left, left + width / resolution, top - height / resolution, top), shown)
 
 
 def _normals_and_regions(vertices: FloatArray, faces: npt.NDArray[np.signedinteger]) -> tuple[FloatArray, Indices]:

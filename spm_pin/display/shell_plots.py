@@ -6,15 +6,14 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy import ndimage
 
 from spm_pin.display.figure_files import new_figure
 from spm_pin.display.plots import draw_solids
-from spm_pin.display.rendering import VIEW, camera_axes
+from spm_pin.display.rendering import VIEW, Rendering, camera_axes
 from spm_pin.display.scene import Colour, Scene, Solid
-from spm_pin.mechanism.arguments import FloatArray, instance
+from spm_pin.mechanism.arguments import instance
 from spm_pin.workspace.table_6.shell import Patch, Shell
-from spm_pin.workspace.table_6.winding import ClosedSurface
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -75,11 +74,11 @@ def draw_shell(
         Solid(patch.name, "robot", FAMILY_COLOURS[patch.family], shell.vertices, shell.faces[patch.faces])
         for patch in shell.patches
     ]
-    ax, inch, _, _ = draw_solids(Scene(tuple(solids), 1.0), camera, (0.03, 0.03), ax=ax, dpi=dpi, edge=_EDGE)
+    ax, _, rendering = draw_solids(Scene(tuple(solids), 1.0), camera, (0.03, 0.03), ax=ax, dpi=dpi, edge=_EDGE)
     if labels:
         from matplotlib.patheffects import withStroke
 
-        for patch, (x, y) in _places(shell, shell.vertices @ camera.T, 0.6 * _FONT / 72.0 * inch):
+        for patch, (x, y) in _places(shell, rendering, 0.6 * _FONT / 72.0 * dpi):
             written = ax.text(x, y, patch_symbol(patch.name), fontsize=_FONT, color=_INK, ha="center", va="center")
             written.set_path_effects([withStroke(linewidth=0.25 * _FONT, foreground="white", alpha=0.7)])
     return ax
@@ -103,23 +102,16 @@ def patch_symbol(name: str) -> str:
     return f"${name[0]}_{{{name[1:]}}}$"
 
 
-def _places(shell: Shell, seen: FloatArray, room: float) -> list[tuple[Patch, tuple[float, float]]]:
-    """Return where to name each patch: amid what is seen of it, if that is farther than `room` [m] from the rest."""
-    raised = seen + np.array([0.0, 0.0, 1e-6 * float(np.ptp(seen))])
-    visible = ~ClosedSurface(seen, shell.faces).covers(raised)
+def _places(shell: Shell, seen: Rendering, room: float) -> list[tuple[Patch, tuple[float, float]]]:
+    """Return where to name each patch: amid what is seen of it, if that is farther than `room` pixels from the rest."""
+    left, _, _, top = seen.extent
+    pixel = (seen.extent[1] - left) / seen.solid.shape[1]
     found = []
-    for patch in shell.patches:
-        inner = patch.grid[1:-1, 1:-1].ravel()
-        inner = inner[visible[inner]]
-        # Where the patch turns away from the viewer, its own vertices mark the end of what is seen.
-        rest = visible.copy()
-        rest[patch.grid] = True
-        rest[inner] = False
-        if len(inner):
-            clearance = np.asarray(cKDTree(seen[rest, :2]).query(seen[inner, :2])[0])
-            if clearance.max() > room:
-                x, y, _ = seen[inner[clearance.argmax()]]
-                found.append((patch, (float(x), float(y))))
+    for k, patch in enumerate(shell.patches):
+        clearance = ndimage.distance_transform_edt(np.pad(seen.solid == k, 1))[1:-1, 1:-1]
+        row, column = np.unravel_index(int(clearance.argmax()), clearance.shape)
+        if clearance[row, column] > room:
+            found.append((patch, (left + (int(column) + 0.5) * pixel, top - (int(row) + 0.5) * pixel)))
     return found
 
 

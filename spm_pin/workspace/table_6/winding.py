@@ -68,17 +68,6 @@ class ClosedSurface:
                 break
         return number.reshape(array.shape[:-1])
 
-    def covers(self, points: npt.ArrayLike) -> BoolArray:
-        """Return which of `points` (..., 3) [m] have a face above them, along the third axis, shape (...).
-
-        Raises
-        ------
-        ArgumentError
-            If `points` are not finite numbers of that shape.
-        """
-        array = real_array(points, "points", (3,), "positions in metres")
-        return self._along(2).covers(array.reshape(-1, 3)).reshape(array.shape[:-1])
-
     def _along(self, axis: int) -> _Rays:
         # Cyclic exchange of the coordinates makes any axis the last and keeps what is left of what.
         if axis not in self._rays:
@@ -121,14 +110,6 @@ class _Rays:
             np.add.at(number, point, np.where(above, turn, 0))
             doubtful[point[doubt]] = True
         return number, doubtful
-
-    def covers(self, points: FloatArray) -> BoolArray:
-        """Return which points (N,) have the face in front of them."""
-        covered = np.zeros(len(points), dtype=bool)
-        for point, face in self._near(points):
-            turn, above, _ = self._crossings(points[point], face)
-            covered[point[above & (turn != 0)]] = True
-        return covered
 
     def _near(self, points: FloatArray) -> Iterator[tuple[Indices, Indices]]:
         """Give each point together with each face of its cell that reaches its height, so many pairs at a time."""
