@@ -92,8 +92,8 @@ def _write(shell: Shell, out: Path, samples: int | None) -> None:
         from spm_pin.workspace.table_6.sampling import reached_positions
 
         with stderr.status("drawing leg lengths"):
-            reached = reached_positions(shell.geometry, shell.limits, count=samples)
-        save_figure(sections_figure(shell, reached=reached.positions, aspect=reached.aspect), out)
+            reached, aspect = reached_positions(shell.geometry, shell.limits, count=samples)
+        save_figure(sections_figure(shell, reached=reached, aspect=aspect), out)
     note(f"wrote {out}")
 
 

@@ -238,8 +238,8 @@ class SolutionSet:
     def _repr_html_(self) -> str:
         return html_table(self)
 
-    def _select(self, index: npt.NDArray[np.intp], exists: BoolArray) -> Configuration:
-        """Return one solution per problem, NaN throughout, the pose too, where `exists` is False."""
+    def pick(self, index: npt.NDArray[np.intp], exists: BoolArray) -> Configuration:
+        """Return the solution of each problem at an `index` (...), NaN throughout, the pose too, where not `exists` (...)."""
         state, everywhere = self.configurations, bool(exists.all())
         # For a single problem a slice, so that nothing shares memory with the others.
         at = (*np.indices(index.shape, sparse=True), index) if self.shape else (slice(index, index + 1),)
@@ -319,7 +319,7 @@ class SolutionSet:
         boolean_array(absent, "seed", self.shape)  # leading axes that broadcast to those of the problems
         distance = np.sqrt(((points - target[..., None, :, :]) ** 2).sum(axis=-1)).max(axis=-1)
         distance = np.where(self.exists, distance, np.inf)
-        return self._select(distance.argmin(axis=-1), np.asarray(self.exists.any(axis=-1)))
+        return self.pick(distance.argmin(axis=-1), np.asarray(self.exists.any(axis=-1)))
 
     @property
     def is_physical(self) -> BoolArray:
@@ -361,7 +361,7 @@ class SolutionSet:
             score[..., 1] += self.choice[..., 2] - 0.5
         elif np.any(np.count_nonzero(candidates, axis=-1) > 1):
             score[candidates] = straightness(self.configurations[candidates])
-        return self._select(score.argmax(axis=-1), np.asarray(candidates.any(axis=-1)))
+        return self.pick(score.argmax(axis=-1), np.asarray(candidates.any(axis=-1)))
 
     def one(self) -> Configuration:
         """Return the only solution of every problem.
@@ -376,4 +376,4 @@ class SolutionSet:
             index = first_offender(wrong)
             labels = tuple(np.array(self.labels)[self.exists[index]])
             raise NotOneSolutionError(labels, index, "" if labels else absence_reason(self, index))
-        return self._select(self.exists.argmax(axis=-1), np.ones(self.shape, dtype=bool))
+        return self.pick(self.exists.argmax(axis=-1), np.ones(self.shape, dtype=bool))

@@ -26,23 +26,9 @@ _EXACT = 1e-7
 
 
 def crossing(box: LegBox, inner: FloatArray, outer: FloatArray, states: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Find where segments from reachable to unreachable points leave the reachable set.
+    """Return where segments leave the reachable set, points (N, 3) [m] to 1e-7 of their length, and leg lengths (N, 6).
 
-    Parameters
-    ----------
-    box : LegBox
-        The leg lengths.
-    inner, outer : ndarray, shape (N, 3)
-        The ends [m].
-    states : ndarray, shape (N, 2, 3)
-        States that put o at `inner`.
-
-    Returns
-    -------
-    points : ndarray, shape (N, 3)
-        On the segments [m], to 1e-7 of their length.
-    lengths : ndarray, shape (N, 6)
-        Lengths that put o there [m].
+    They go from reachable points `inner` to unreachable ones `outer`, (N, 3) [m]; `states` (N, 2, 3) put o at `inner`.
     """
     along = outer - inner
     at, low, within, outermost = _followed(box, inner, along, states)

@@ -36,24 +36,11 @@ _INSIDE = 1e-9
 def nearest_real_pose(
     geometry: Geometry, target: RigidTransform, family: str, near: RigidTransform | None = None
 ) -> RigidTransform:
-    """Find the pose nearest to `target` in which a family of branches is real.
+    """Find the pose nearest to a single pose of {m} in {B} in which one of `FAMILIES` is real, leg limits aside.
 
-    Parameters
-    ----------
-    geometry : Geometry
-        The manipulator. Its leg limits are not applied.
-    target : RigidTransform
-        A single pose of {m} in {B}.
-    family : str
-        One of `FAMILIES`.
-    near : RigidTransform, optional
-        A pose in which the family is real, such as the last one; its orientation is one more start.
-
-    Returns
-    -------
-    RigidTransform
-        The nearest found, `target` itself where the family is real there. A local minimum, and the global one as far
-        as the grid of starts shows.
+    `target` itself where the family is real there, else a local minimum, and the global one as far as the grid of
+    starts shows. The orientation of `near`, a pose in which the family is real, such as the last one, is one more
+    start.
     """
     search = _Search(geometry, target, FAMILIES.index(family))
     starts = _turns()

@@ -41,21 +41,11 @@ _SEED = 20_140_131  # of the samples, fixed so that results repeat
 
 @dataclass(frozen=True, eq=False)
 class LegBox:
-    """The leg lengths that limits allow, and the states and positions that belong to them.
-
-    Attributes
-    ----------
-    geometry : Geometry
-        The manipulator.
-    limits : LegLimits
-        Of its legs.
-    minimum, maximum : ndarray, shape (6,)
-        The same [m].
-    """
+    """The leg lengths that limits allow, and the states and positions that belong to them."""
 
     geometry: Geometry
     limits: LegLimits
-    minimum: FloatArray
+    minimum: FloatArray  # the limits (6,) [m], of which the least are not zero
     maximum: FloatArray
 
     @property
@@ -169,23 +159,11 @@ class LegBox:
         return 2.5 * self.spacing
 
     def nearby(self, points: FloatArray, count: int = 1, *, spread: bool = False) -> tuple[FloatArray, FloatArray]:
-        """Search the samples for states that put o near points.
+        """Return about how far points (N, 3) [m] are from the reachable set, (N,) [m], and states that put o near them.
 
-        Parameters
-        ----------
-        points : ndarray, shape (N, 3)
-            In {B} [m].
-        count : int
-            How many states for each point.
-        spread : bool
-            Not the best ones, but after the best those among the best 512 whose lower stages differ most.
-
-        Returns
-        -------
-        distance : ndarray, shape (N,)
-            About that of the reachable set [m]: negative well inside, and meaningless, but large, far away.
-        coordinates : ndarray, shape (N, count, 2, 3)
-            States within the limits, the best first.
+        The distance is negative well inside, and meaningless, but large, far away. The states (N, count, 2, 3) are of
+        the samples, the best first. With `spread` those after the best are not the next best ones, but those among the
+        best 512 whose lower stages differ most.
         """
         pool = _POOL if spread else count
         table, origin, spacing = self._table

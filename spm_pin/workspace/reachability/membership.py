@@ -85,17 +85,7 @@ class Reachability:
     @property
     def configuration(self) -> Configuration:
         """The state of that branch, shape (...); NaN where there is none."""
-        chosen = self.branch[..., None] == np.arange(len(BRANCHES))
-        state = self.branches.configurations
-
-        def pick(array: FloatArray, inner: int) -> FloatArray:
-            mask = chosen.reshape(*chosen.shape, *(1,) * inner)
-            value = np.where(mask, array, 0.0).sum(axis=-inner - 1)
-            return np.where(chosen.any(axis=-1).reshape(*chosen.shape[:-1], *(1,) * inner), value, np.nan)
-
-        return Configuration.from_arrays(
-            self.branches.geometry, pick(state.rotation, 2), pick(state.translation, 1), pick(state.middle_joints, 2)
-        )
+        return self.branches.pick(np.maximum(self.branch, 0), np.asarray(self.allowed.any(axis=-1)))
 
 
 def reachable(

@@ -19,8 +19,7 @@ coordinates over √3.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -47,62 +46,40 @@ _STARTS, _REMOTE_STARTS = 1, 3
 _STRAYED = 1e-6
 
 
-@dataclass(frozen=True)
-class Nearest:
-    """Points of the reachable set, arrays over N.
+class Nearest(NamedTuple):
+    """Points of the reachable set, arrays over N."""
 
-    Attributes
-    ----------
-    position : ndarray, shape (N, 3)
-        The points, in {B} [m].
-    lengths : ndarray, shape (N, 6)
-        Leg lengths that put o there [m]; a leg at a limit has that limit to the last bit.
-    distance : ndarray, shape (N,)
-        Distance from the given point [m].
-    gradient : ndarray, shape (N, 6)
-        q of Eq. (1), with n towards the given point; zero where that is reachable.
-    optimality : ndarray, shape (N,)
-        By how much n and q miss the conditions of a nearest point; zero where the point is reachable. Infinite where
-        the search has left the mode of a real machine; then the state is the one it began with.
-    coordinates : ndarray, shape (N, 2, 3)
-        The state for `spm_pin.workspace.reachability.position_map`, to begin another search with.
-    """
-
-    position: FloatArray
-    lengths: FloatArray
-    distance: FloatArray
-    gradient: FloatArray
+    position: FloatArray  # the points (N, 3), in {B} [m]
+    lengths: FloatArray  # (N, 6), which put o there [m]; a leg at a limit has that limit to the last bit
+    distance: FloatArray  # (N,), from the given point [m]
+    gradient: FloatArray  # q of Eq. (1), (N, 6), with n towards the given point; zero where that is reachable
     optimality: FloatArray
+    """By how much n and q miss the conditions of a nearest point, (N,); zero where the point is reachable. Infinite
+    where the search has left the mode of a real machine; then the state is the one it began with."""
     coordinates: FloatArray
+    """The states (N, 2, 3) for `spm_pin.workspace.reachability.position_map`, to begin another search with."""
 
     def part(self, index: IntArray) -> Nearest:
         """Return some of the N."""
-        return Nearest(*(getattr(self, name)[index] for name in Nearest.__dataclass_fields__))
+        return Nearest(*(array[index] for array in self))
 
 
 def merged(whole: Nearest, index: IntArray, part: Nearest) -> Nearest:
     """Return `whole` with `part` in the places `index`."""
-    arrays = {name: getattr(whole, name).copy() for name in Nearest.__dataclass_fields__}
-    for name, array in arrays.items():
-        array[index] = getattr(part, name)
-    return Nearest(**arrays)
+    arrays = [array.copy() for array in whole]
+    for array, values in zip(arrays, part, strict=True):
+        array[index] = values
+    return Nearest(*arrays)
 
 
 def nearest_in_box(box: LegBox, points: FloatArray, starts: FloatArray | None = None) -> Nearest:
-    """Return the point of the reachable set nearest to each of `points` (N, 3) [m].
+    """Return the points of the reachable set nearest to `points` (N, 3) [m].
 
-    Parameters
-    ----------
-    box : LegBox
-        The leg lengths.
-    points : ndarray, shape (N, 3)
-        In {B} [m].
-    starts : ndarray, shape (N, 2, 3), optional
-        States within the box to begin with, as in `Nearest.coordinates`. If not given, `search_states` says which
-        points are reachable, and the others begin at the best states of `LegBox.nearby`.
+    The search begins at `starts` (N, 2, 3), as in `Nearest.coordinates`. If not given, `search_states` says which
+    points are reachable, and the others begin at the best states of `LegBox.nearby`.
     """
     parts = [_nearest(box, points, starts, slice(k, k + _CHUNK)) for k in range(0, max(len(points), 1), _CHUNK)]
-    return Nearest(*(np.concatenate([getattr(one, name) for one in parts]) for name in Nearest.__dataclass_fields__))
+    return Nearest(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _nearest(box: LegBox, points: FloatArray, starts: FloatArray | None, part: slice) -> Nearest:

@@ -35,15 +35,7 @@ _HALF_TURN = np.array([-1.0, -1.0, 1.0])
 
 @dataclass(frozen=True)
 class PositionMap:
-    """The states of one family of a manipulator, by the coordinates of its stages.
-
-    Attributes
-    ----------
-    geometry : Geometry
-        The manipulator.
-    family : str
-        One of `spm_pin.mechanism.FAMILIES`.
-    """
+    """The states of one family of a manipulator, by the coordinates of its stages."""
 
     geometry: Geometry
     family: str = "TT"
@@ -134,21 +126,9 @@ class PositionMap:
             return (outer * coordinates[..., 2] > 0.0) & in_home_aspect(points, normals)
 
     def points(self, coordinates: FloatArray, body: FloatArray = _CENTRE) -> tuple[FloatArray, FloatArray]:
-        """Return where points of the platform are, and the derivatives with respect to the coordinates.
+        """Return where points of the platform are in {B}, (N, 3K) [m], and the derivatives (N, 3K, 6).
 
-        Parameters
-        ----------
-        coordinates : ndarray, shape (N, 2, 3)
-            Of the stages.
-        body : ndarray, shape (K, 3)
-            Points in {m} [m].
-
-        Returns
-        -------
-        positions : ndarray, shape (N, 3K)
-            In {B} [m].
-        derivatives : ndarray, shape (N, 3K, 6)
-            [m].
+        With respect to the `coordinates` (N, 2, 3) of the stages; `body` holds the points (K, 3) in {m} [m].
         """
         lower, upper = coordinates[:, None, 0], coordinates[:, None, 1]
         centre, by_lower = stage_centre(lower, self.radii[0])

@@ -27,21 +27,11 @@ _MOST_TRIED = 1_000_000
 
 @dataclass(frozen=True)
 class StageSet:
-    """The states of one stage that a real machine can be in within its leg limits.
+    """The states of one stage that a real machine can be in within its leg limits."""
 
-    Attributes
-    ----------
-    map : PositionMap
-        Of the family TT.
-    stage : int
-        0 for the lower stage, 1 for the upper.
-    minimum, maximum : ndarray, shape (3,)
-        Of its legs [m].
-    """
-
-    map: PositionMap
-    stage: int
-    minimum: FloatArray
+    map: PositionMap  # of the family TT
+    stage: int  # 0 for the lower stage, 1 for the upper
+    minimum: FloatArray  # of its legs (3,) [m]
     maximum: FloatArray
 
     def contains(self, coordinates: FloatArray) -> npt.NDArray[np.bool_]:
@@ -104,21 +94,10 @@ class StageSet:
         return float(len(centres) * (2.0 * half).prod())
 
     def draw(self, count: int, rng: np.random.Generator) -> tuple[FloatArray, float]:
-        """Draw states uniformly.
+        """Draw `count` states uniformly: coordinates (count, 3), and an unbiased estimate of the set's volume.
 
-        Parameters
-        ----------
-        count : int
-            How many.
-        rng : Generator
-            Source of randomness.
-
-        Returns
-        -------
-        coordinates : ndarray, shape (count, 3)
-            Fewer, or none, where the set is empty or too small to be hit.
-        volume : float
-            Of the set, an unbiased estimate with the relative variance of at most 1/count.
+        Fewer, or none, where the set is empty or too small to be hit. The relative variance of the volume is at most
+        1/count.
         """
         centres, half = self._cover
         parts, found, tried = [np.empty((0, 3))], 0, 0

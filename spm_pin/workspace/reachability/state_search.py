@@ -13,7 +13,7 @@ snapped to the limits, is compared with the point.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -55,11 +55,9 @@ class StateSearch:
     box : LegBox
         The leg lengths.
     targets : ndarray, shape (N, 3K)
-        Where the points of `body` should be [m].
+        Where the points of `body` (K, 3), given in {m}, should be [m].
     coordinates : ndarray, shape (N, 2, 3)
-        States to begin with.
-    body : ndarray, shape (K, 3)
-        Points in {m} [m].
+        States to begin with; then those that have been reached. `flat` (N,) says where that is a minimum.
     mapping : PositionMap, optional
         Of the family of the states, if that is not TT.
     sides : ndarray, shape (2,)
@@ -67,16 +65,10 @@ class StateSearch:
     clear : float
         How far from them, as a share of what `PositionMap.determinants` is at home.
 
-    Attributes
-    ----------
-    coordinates : ndarray, shape (N, 2, 3)
-        The states that have been reached.
-    flat : ndarray of bool, shape (N,)
-        Where that is a minimum.
-    weights : ndarray, shape (N,)
-        Of what is outside limits, against the distance from the targets.
-    shifts : ndarray, shape (N, 8)
-        Added to the lengths, and to how far stages are from singularities, before they are held against limits [m].
+    Notes
+    -----
+    `weights` (N,) of what is outside limits, against the distance from the targets, and `shifts` (N, 8), added to the
+    lengths, and to how far stages are from singularities, before they are held against limits [m], may be changed.
     """
 
     def __init__(
@@ -232,30 +224,17 @@ class StateSearch:
             self.damping[active] = np.where(better, np.maximum(0.1 * damping, _LEAST_DAMPING), 10.0 * damping)
 
 
-@dataclass(frozen=True)
-class Membership:
-    """Which of N points are reachable.
+class Membership(NamedTuple):
+    """Which of N points are reachable."""
 
-    Attributes
-    ----------
-    reached : ndarray of bool, shape (N,)
-        Points with a state: proved.
-    undecided : ndarray of bool, shape (N,)
-        Points without one for which a search failed: it ended in another assembly mode, or stalled just short of a
-        state.
-    coordinates : ndarray, shape (N, 2, 3)
-        The states found; where there is none, those found to miss the point and the limits least.
-    lengths : ndarray, shape (N, 6)
-        Their leg lengths [m].
-    distance : ndarray, shape (N,)
-        How far the reachable set is, to about two spacings of the box's table [m]; zero where reached.
-    """
-
-    reached: BoolArray
+    reached: BoolArray  # (N,), points with a state: proved
     undecided: BoolArray
-    coordinates: FloatArray
-    lengths: FloatArray
+    """Points (N,) without one for which a search failed: it ended in another assembly mode, or stalled just short of a
+    state."""
+    coordinates: FloatArray  # the states (N, 2, 3); where there is none, those found to miss point and limits least
+    lengths: FloatArray  # their leg lengths (N, 6) [m]
     distance: FloatArray
+    """How far the reachable set is, to about two spacings of the box's table (N,) [m]; zero where reached."""
 
 
 def search_states(
@@ -266,20 +245,10 @@ def search_states(
     what: str = "",
     progress: Progress | None = None,
 ) -> Membership:
-    """Search for states within the limits that put o at points.
+    """Search for states within the limits that put o at `points` (N, 3), in {B} [m].
 
-    Parameters
-    ----------
-    box : LegBox
-        The leg lengths.
-    points : ndarray, shape (N, 3)
-        In {B} [m].
-    starts : ndarray, shape (N, 2, 3), optional
-        One state to begin with for each point, instead of those of `LegBox.nearby`.
-    what : str
-        What is being done, for `progress`.
-    progress : callable, optional
-        See `Progress`.
+    With `starts` (N, 2, 3) the search begins at one state for each point, instead of those of `LegBox.nearby`. `what`
+    says what is being done, for `progress`.
     """
     parts = []
     for begin in range(0, max(len(points), 1), _PORTION):
@@ -289,8 +258,7 @@ def search_states(
         parts.append(_searched(box, points[part], None if starts is None else starts[part]))
     if progress is not None:
         progress(what, len(points), len(points))
-    names = Membership.__dataclass_fields__
-    return Membership(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    return Membership(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _searched(box: LegBox, points: FloatArray, near: FloatArray | None) -> Membership:

@@ -15,17 +15,10 @@ class Convergence:
     """The volume that meshes of growing resolution enclose, extrapolated.
 
     A mesh's error is a series in even powers of 1/n, so a polynomial in 1/n² through the values leads to its limit.
-
-    Attributes
-    ----------
-    resolutions : tuple of int
-        Growing; the last one is the shell's.
-    volumes : tuple of float
-        What their meshes enclose [m³].
     """
 
-    resolutions: tuple[int, ...]
-    volumes: tuple[float, ...]
+    resolutions: tuple[int, ...]  # growing; the last one is the shell's
+    volumes: tuple[float, ...]  # what their meshes enclose [m³]
 
     @property
     def limit(self) -> float:

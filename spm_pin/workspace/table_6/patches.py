@@ -43,18 +43,10 @@ class Setting(enum.Enum):
 
 @dataclass(frozen=True)
 class SubWorkspace:
-    """A row of Table 6.
+    """A row of Table 6."""
 
-    Attributes
-    ----------
-    name : str
-        The paper's: St1 to St3, Sc1 to Sc9, Sm1 to Sm9, Sl1 to Sl3.
-    settings : tuple of six Setting
-        In the order of `LEGS`; two legs vary.
-    """
-
-    name: str
-    settings: tuple[Setting, ...]
+    name: str  # the paper's: St1 to St3, Sc1 to Sc9, Sm1 to Sm9, Sl1 to Sl3
+    settings: tuple[Setting, ...]  # in the order of `LEGS`; two legs vary
 
     @property
     def family(self) -> str:

@@ -7,7 +7,6 @@ limits, or near them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -18,44 +17,19 @@ from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 
-__all__ = ["ReachedPositions", "reached_positions"]
+__all__ = ["reached_positions"]
 
 _AT_A_LIMIT = 0.35
 """Share of the legs that are drawn at a limit."""
 
 
-@dataclass(frozen=True)
-class ReachedPositions:
-    """Positions of o, and on which side of an inverse singularity each was reached.
-
-    Attributes
-    ----------
-    positions : ndarray, shape (N, 3)
-        In {B} [m].
-    aspect : ndarray of int8, shape (N,)
-        The sign of det K, see `spm_pin.singularities`.
-    """
-
-    positions: FloatArray
-    aspect: npt.NDArray[np.int8]
-
-
 def reached_positions(
     geometry: Geometry, limits: LegLimits, *, count: int = 200_000, seed: int = 0
-) -> ReachedPositions:
-    """Draw leg lengths within limits and return the positions of the platform.
+) -> tuple[FloatArray, npt.NDArray[np.int8]]:
+    """Draw leg lengths within limits; return positions of o (N, 3) [m] and the sign of det K (N,) in each state.
 
-    Parameters
-    ----------
-    geometry : Geometry
-        The manipulator.
-    limits : LegLimits
-        Positive and finite.
-    count : int
-        Sets of leg lengths. If the limits are the same for the legs of a stage, each gives six positions: it stands
-        for its images under the symmetries of the machine as well.
-    seed : int
-        Of the random numbers.
+    Of `count` sets of leg lengths. If the limits are the same for the legs of a stage, each gives six positions: it
+    stands for its images under the symmetries of the machine as well.
 
     Raises
     ------
@@ -75,7 +49,7 @@ def reached_positions(
     positions, aspect = states.translation, np.sign(determinants(states)[:, 2]).astype(np.int8)
     if all(len(set(ends)) == 1 for ends in (low[:3], low[3:], high[:3], high[3:])):
         positions, aspect = _images(positions, aspect)
-    return ReachedPositions(positions, aspect)
+    return positions, aspect
 
 
 def _images(positions: FloatArray, aspect: npt.NDArray[np.int8]) -> tuple[FloatArray, npt.NDArray[np.int8]]:

@@ -30,15 +30,9 @@ _ROUNDING = 32.0 * float(np.finfo(np.float64).eps)
 
 
 class ClosedSurface:
-    """A closed, oriented triangle mesh, and its winding numbers round points.
+    """A mesh of vertices (V, 3) [m] and triangles (F, 3), counter-clockwise seen from outside, and its winding numbers.
 
-    Parameters
-    ----------
-    vertices : ndarray, shape (V, 3)
-        Positions [m].
-    faces : ndarray of int, shape (F, 3)
-        Triangles, counter-clockwise seen from outside. The mesh may pass through itself, but every edge must be run
-        along as often one way as the other; that is not checked.
+    It may pass through itself, but every edge must be run along as often one way as the other; that is not checked.
     """
 
     def __init__(self, vertices: FloatArray, faces: Indices) -> None:
@@ -47,15 +41,7 @@ class ClosedSurface:
         self._rays: dict[int, _Rays] = {}
 
     def winding_number(self, points: npt.ArrayLike) -> Counts:
-        """Return how many times the surface goes round each of `points` (..., 3) [m], shape (...).
-
-        For a point on the surface to within rounding it is the number on one of its sides.
-
-        Raises
-        ------
-        ArgumentError
-            If `points` are not finite numbers of that shape.
-        """
+        """Return how many times the surface goes round each of `points` (..., 3) [m], shape (...); see `Shell`."""
         array = real_array(points, "points", (3,), "positions in metres")
         flat = array.reshape(-1, 3)
         number = np.zeros(len(flat), dtype=np.int32)
