@@ -112,11 +112,6 @@ def test_any_leading_axes(shape: tuple[int, ...]) -> None:
     np.testing.assert_array_equal(number.ravel(), flat)
 
 
-def test_faces_above_a_point() -> None:
-    points = [[0.1, 0.2, 0.0], [0.1, 0.2, -5.0], [0.1, 0.2, 5.0], [2.0, 0.0, 0.0]]
-    assert surface(SPHERE).covers(points).tolist() == [True, True, False, False]
-
-
 def test_large_batches_are_taken_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     points = np.random.default_rng(5).uniform(-1.2, 1.2, (5000, 3))
     whole = surface(SPHERE).winding_number(points)
