@@ -21,14 +21,7 @@ KINDS = {"point": "3d", "weld": "6d"}
 class Closure:
     """Two frames that the mechanism holds together, at which a loop is cut.
 
-    Parameters
-    ----------
-    name : str
-        Name of the closure.
-    kind : str
-        What is held together; "point": the origins of the two frames, as by a ball joint; "weld": the frames.
-    frame_a, frame_b : str
-        Names of the two frames, links of the URDF.
+    `kind` says what is held together: "point", the origins of the two frames, as by a ball joint; "weld", the frames.
 
     Raises
     ------
@@ -38,7 +31,7 @@ class Closure:
 
     name: str
     kind: str
-    frame_a: str
+    frame_a: str  # the two frames, links of the URDF
     frame_b: str
 
     def __post_init__(self) -> None:

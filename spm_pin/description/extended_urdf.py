@@ -23,38 +23,26 @@ JOINT_TYPES = re.compile(r"SPHERICAL|FIXED|UJOINT_[XYZ][XYZ]")
 
 @dataclass(frozen=True)
 class ExtendedUrdf:
-    """The content of an Extended-URDF file.
-
-    Parameters
-    ----------
-    closures : tuple of Closure
-        `closed_loop` and `type`. Their names are those that the format's own loader gives: both frames' with a C
-        between.
-    motors : tuple of str
-        `name_mot`, the actuated joints.
-    joint_types : dict of str to str
-        `joint_name` and `joint_type`: the joints of the URDF that the loader replaces, and by what.
-    """
+    """The content of an Extended-URDF file."""
 
     closures: tuple[Closure, ...]
+    """`closed_loop` and `type`, named as by the format's own loader: both frames with a C between."""
     motors: tuple[str, ...]
+    """`name_mot`, the actuated joints."""
     joint_types: dict[str, str]
+    """`joint_name` and `joint_type`: the joints of the URDF that the loader replaces, and by what."""
 
 
 def read_extended_urdf(path: str | Path) -> ExtendedUrdf:
     """Read an Extended-URDF file.
 
-    Parameters
-    ----------
-    path : str or Path
-        A YAML file with the keys `closed_loop`, `type` and `name_mot`, and perhaps `joint_name` and `joint_type`.
+    The keys are `closed_loop`, `type` and `name_mot`, and perhaps `joint_name` and `joint_type`.
 
     Raises
     ------
     DescriptionError
-        If the file cannot be read or is malformed: lists of different lengths, unknown types, two frames or a
-        motor twice. The error names the line. The format's own loader takes some of these, and drops what is too
-        much.
+        If the file cannot be read or is malformed: lists of different lengths, unknown types, two frames or a motor
+        twice. The error names the line. The format's own loader takes some of these, and drops what is too much.
     """
     path = Path(path)
     root = yaml_nodes.compose(path, "the keys closed_loop, name_mot and type")
@@ -101,8 +89,6 @@ def read_extended_urdf(path: str | Path) -> ExtendedUrdf:
 def extended_urdf_text(robot: RobotDescription) -> str:
     """Return closures and motors of a robot as an Extended-URDF file, to lie beside its URDF.
 
-    Notes
-    -----
     The names of the closures have no place in it. No joint changes its type when loaded: `joint_name` and `joint_type`
     are empty.
     """

@@ -46,12 +46,7 @@ def description_directory() -> Path:
 
 
 def description_file(name: str) -> Path:
-    """Return the path of one description file.
-
-    Parameters
-    ----------
-    name : str
-        Path relative to the description's folder, such as `URDF`.
+    """Return the path of one description file, by its path relative to the description's folder, such as `URDF`.
 
     Raises
     ------

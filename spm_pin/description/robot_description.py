@@ -25,21 +25,6 @@ ASSEMBLED = 1e-9
 class RobotDescription:
     """A spanning tree and what closes and drives it.
 
-    Parameters
-    ----------
-    name : str
-        Name of the robot.
-    links : tuple of Link
-        The bodies.
-    joints : tuple of Joint
-        They make the links a tree with one root, the base.
-    closures : tuple of Closure
-        Between links.
-    transmissions : tuple of Transmission
-        In the order of the actuators.
-    states : mapping of str to mapping of str to float
-        Named values of all moving joints; zero is a state without a name.
-
     Raises
     ------
     DescriptionError
@@ -49,10 +34,11 @@ class RobotDescription:
 
     name: str
     links: tuple[Link, ...]
-    joints: tuple[Joint, ...]
-    closures: tuple[Closure, ...] = ()
-    transmissions: tuple[Transmission, ...] = ()
+    joints: tuple[Joint, ...]  # they make the links a tree with one root, the base
+    closures: tuple[Closure, ...] = ()  # between links
+    transmissions: tuple[Transmission, ...] = ()  # in the order of the actuators
     states: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """Named values of all moving joints; zero is a state without a name."""
 
     def __post_init__(self) -> None:
         for what in ("links", "joints", "closures", "transmissions"):

@@ -79,28 +79,15 @@ class Mesh:
 
 @dataclass(frozen=True)
 class Shape:
-    """A visual or a collision shape.
+    """A visual or a collision shape."""
 
-    Parameters
-    ----------
-    kind : str
-        "box", "cylinder", "sphere" or "mesh".
-    size : tuple of float
-        Of a box its three sides, of a cylinder about z radius and length, of a sphere the radius [m]; the three
-        scales of a mesh.
-    placement : Placement
-        Of its centre, or of the mesh's origin, in the link.
-    material : Material, optional
-        Colour of what is seen.
-    mesh : Mesh, optional
-        For kind "mesh".
-    """
-
-    kind: str
+    kind: str  # "box", "cylinder", "sphere" or "mesh"
     size: tuple[float, ...]
-    placement: Placement = Placement()
-    material: Material | None = None
-    mesh: Mesh | None = None
+    """Of a box its three sides, of a cylinder about z radius and length, of a sphere the radius [m]; of a mesh its three
+    scales."""
+    placement: Placement = Placement()  # of its centre, or of the mesh's origin, in the link
+    material: Material | None = None  # colour of what is seen
+    mesh: Mesh | None = None  # for kind "mesh"
 
 
 @dataclass(frozen=True)

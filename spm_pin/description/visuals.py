@@ -89,19 +89,12 @@ def read_obj(path: Path) -> tuple[FloatArray, npt.NDArray[np.int32]]:
 
 
 def part_placements(configuration: Configuration) -> FloatArray:
-    """Return where a configuration puts the solids of its robot.
+    """Return where configurations (...) put the solids of their robot, (..., n, 4, 4) in the order of `visual_parts`.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        One state or a batch. It may violate the mechanism's closure; what does not exist is NaN.
-
-    Returns
-    -------
-    ndarray, shape (..., n, 4, 4)
-        In the order of `visual_parts`: from the vertices of a part to {B}. Rigid, but for the tubes of barrels and
-        rods, whose third column is longer or shorter than 1: a rod is drawn from inside its barrel to its ball
-        whatever the leg's length, and a barrel is shorter where the leg has no room for it.
+    The matrices go from the vertices of a part to {B}. A state may violate the mechanism's closure; what does not exist
+    is NaN. All are rigid, but for the tubes of barrels and rods, whose third column is longer or shorter than 1: a rod
+    is drawn from inside its barrel to its ball whatever the leg's length, and a barrel is shorter where the leg has no
+    room for it.
     """
     parts = visual_parts(configuration.geometry)
     poses = _body_poses(configuration)

@@ -37,15 +37,7 @@ def draw_solids(
 ) -> tuple[Axes, float, Rendering]:
     """Draw solids into an Axes, a new one without axes lines if not given, with margins and edges [points] around them.
 
-    Returns
-    -------
-    Axes, float, Rendering
-        The axes, metres per inch in them, and the image.
-
-    Raises
-    ------
-    ArgumentError
-        If `ax` is three-dimensional.
+    Returns the axes, metres per inch in them, and the image. A three-dimensional `ax` is an `ArgumentError`.
     """
     low, high = bounds(solids, camera, margins)
     if ax is None:
@@ -128,18 +120,13 @@ def save_picture(
         A single configuration that exists.
     path : str or Path
         File to write, ending in ``.png``, ``.svg`` or ``.pdf``; one that exists is replaced. In the last two the
-        labels are outlines, the solids an image.
+        labels are outlines, the solids an image. It is returned.
     view, labels
         As for `draw`.
     width : int
         Width of the picture in pixels; the height follows from the view.
     background : str
         Any colour of matplotlib, or ``"none"``.
-
-    Returns
-    -------
-    Path
-        `path`.
 
     Raises
     ------
@@ -172,17 +159,12 @@ def save_gallery(
     path, view, labels, background
         As for `save_picture`.
     width : int
-        Width of the whole picture in pixels.
-
-    Returns
-    -------
-    Path
-        `path`.
+        Width of the whole picture in pixels: 100 for each column at least, 260 with labels.
 
     Raises
     ------
     ArgumentError
-        If there is none, `width` is less than 100 for each column, 260 with labels, or `save_picture` would raise it.
+        If there is none, `width` is less, or `save_picture` would raise it.
     """
     path = file_path(path, suffixes=FORMATS)
     if not configurations:

@@ -63,12 +63,7 @@ def plots_extra() -> Iterator[None]:
 def scene(configuration: Configuration, *, frames: bool = True) -> Scene:
     """Return the solids of a configuration, those of the URDF; see `spm_pin.description.visuals`.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        A single configuration, shape (), that exists.
-    frames : bool
-        Add arrows for the axes of {B} and {m}: ``"{B} x"`` and so on.
+    With `frames` also arrows for the axes of {B} and {m}: ``"{B} x"`` and so on.
 
     Raises
     ------

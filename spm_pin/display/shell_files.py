@@ -26,17 +26,10 @@ def save_mesh(shell: Shell, path: str | Path) -> Path:
     STL and OBJ hold one closed mesh, PLY the same with the colours of the families. GLB holds each patch as a mesh of
     its own, named and coloured, and has its y axis upward, as that format requires.
 
-    Parameters
-    ----------
-    shell : Shell
-        What `spm_pin.workspace_shell` returns.
-    path : str or Path
-        File to write, ending in one of `MESH_FORMATS`; one that exists is replaced.
-
     Raises
     ------
     ArgumentError
-        If the name ends otherwise, or the file cannot be written.
+        If the name does not end in one of `MESH_FORMATS`, or the file cannot be written.
     """
     path = file_path(path, suffixes=MESH_FORMATS)
     with plots_extra():

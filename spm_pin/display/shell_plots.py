@@ -49,18 +49,8 @@ def draw_shell(
     Every pixel shows the nearest patch, in the colour of its family, see `FAMILY_COLOURS`. Data coordinates are metres
     to the right of O and above it as the viewer sees it.
 
-    Parameters
-    ----------
-    shell : Shell
-        What `spm_pin.workspace.shell` returns.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure if not given: ``ax.figure``.
-    view : tuple of two floats
-        Azimuth and elevation of the viewer in {B} [rad].
-    labels : bool
-        Name the patches that are seen well enough.
-    dpi : float
-        Pixels per inch of the surfaces, at the present size of `ax`.
+    Parameters are those of `spm_pin.display.plots.draw`, with the shell for the configuration; `labels` names the
+    patches that are seen well enough.
 
     Raises
     ------

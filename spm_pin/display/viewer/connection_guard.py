@@ -36,20 +36,10 @@ Check = Callable[[Any], bool]
 def origin_allowed(origins: Collection[str], hosts: Collection[str], address: str, allowed: Collection[str]) -> bool:
     """Return whether the page that requests a websocket may open it.
 
-    Parameters
-    ----------
-    origins, hosts : collections of str
-        The request's ``Origin`` and ``Host`` headers. A request without an origin comes from no browser's page.
-    address : str
-        Where the server listens.
-    allowed : collection of str
-        Further origins, such as ``https://robots.example``.
-
-    Returns
-    -------
-    bool
-        Whether the origin is the server's own: the same host and port, under a name that no foreign name server can
-        give it (an IP address, ``localhost``, this machine's name, or `address`).
+    `origins` and `hosts` are the request's ``Origin`` and ``Host`` headers; a request without an origin comes from no
+    browser's page. The origin must be the server's own: the same host and port, under a name that no foreign name
+    server can give it (an IP address, ``localhost``, this machine's name, or `address`, where the server listens); or
+    one of the further origins `allowed`, such as ``https://robots.example``.
     """
     if not origins:
         return True

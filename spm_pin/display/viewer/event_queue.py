@@ -18,10 +18,7 @@ class EventQueue:
     under the same key, in its place. `post` and `close` belong to the event loop's thread. There is a task only as
     long as there is something to do.
 
-    Parameters
-    ----------
-    on_error : callable
-        Called with an exception that an action raised.
+    `on_error` is called with an exception that an action raised.
     """
 
     def __init__(self, on_error: Callable[[Exception], None]) -> None:

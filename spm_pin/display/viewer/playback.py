@@ -14,18 +14,9 @@ _INTERVAL = 1.0 / 25.0
 
 
 class Player:
-    """Runs the time of a path from 0 to its duration; all methods belong to the event loop's thread.
+    """Runs the time of a path from 0 to its duration [s]; all methods belong to the event loop's thread.
 
-    Parameters
-    ----------
-    queue : EventQueue
-        Where frames are shown.
-    show : callable
-        Shows the path at a time [s]; runs in the queue's worker.
-    duration : float
-        Of the path [s].
-    repeat : bool
-        Begin again at the end.
+    `show` shows the path at a time [s], in the worker of `queue`; with `repeat` the path begins again at the end.
     """
 
     def __init__(

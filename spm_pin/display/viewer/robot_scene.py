@@ -41,14 +41,7 @@ def _linear(colour: Colour) -> Colour:
 class RobotScene:
     """The nodes of one session in a viser scene, of one client or of a whole server.
 
-    Parameters
-    ----------
-    scene : viser.SceneApi
-        Where to add them.
-    robot : RobotMeshes
-        The meshes to draw.
-    on_click : coroutine function, optional
-        Called with the label of a ghost that is clicked.
+    The coroutine function `on_click` is called with the label of a ghost that is clicked.
     """
 
     def __init__(self, scene: Any, robot: RobotMeshes, on_click: OnClick | None = None) -> None:

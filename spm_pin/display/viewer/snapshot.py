@@ -69,16 +69,11 @@ def save_snapshot(
     configuration : Configuration
         A single configuration that exists.
     path : str or Path
-        File to write, ending in ``.html``; one that exists is replaced.
+        File to write, ending in ``.html``; one that exists is replaced. It is returned.
     dark, ghosts : bool
         A dark page; the other branches as ghosts.
     geometry_file : Path, optional
         Where the geometry came from, for the command line on the page.
-
-    Returns
-    -------
-    Path
-        `path`.
 
     Raises
     ------

@@ -68,13 +68,7 @@ class State:
 
 
 class Model:
-    """A session's state and its changes. Not for several threads at once.
-
-    Parameters
-    ----------
-    start : Configuration
-        A single configuration that exists.
-    """
+    """A session's state and its changes, from a single configuration that exists. Not for several threads at once."""
 
     def __init__(self, start: Configuration) -> None:
         self.geometry = start.geometry
@@ -105,13 +99,7 @@ class Model:
         return self.state
 
     def select(self, label: str) -> State:
-        """Take another branch of the shown pose.
-
-        Raises
-        ------
-        ArgumentError
-            If it has no such branch.
-        """
+        """Take another branch of the shown pose; raises `ArgumentError` if it has no such branch."""
         if label not in self.state.labels:
             raise ArgumentError("label", f"one of {', '.join(self.state.labels) or 'no branches'}", repr(label))
         before = self.state
