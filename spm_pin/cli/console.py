@@ -44,22 +44,8 @@ def print_table(
     """Print a table on stdout whose cells are never cut.
 
     In a pipe a line is as long as it needs to be. On a screen, columns that do not fit follow in further blocks below,
-    each beginning with the first column.
-
-    Parameters
-    ----------
-    title : str
-        Line above the table.
-    headings : sequence of str
-        Headings of the columns.
-    rows : iterable of sequences of str
-        Cells; as many in each row as there are headings.
-    left : collection of str
-        Headings of columns to align to the left, beside the first.
-    rules : collection of int
-        Rows above which an empty line separates groups.
-    styles : mapping of int to str, optional
-        Style of a row, by its number.
+    each beginning with the first column. That column is aligned to the left, and so are those with headings in `left`;
+    an empty line is put above the rows numbered in `rules`; `styles` are those of rows, by their number.
     """
     cells = [[str(cell) for cell in row] for row in rows]
     widths = [max(cell_len(cell) for cell in column) for column in zip(headings, *cells, strict=True)]

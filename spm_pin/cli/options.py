@@ -90,13 +90,7 @@ Branches = Annotated[
 
 
 def read_geometry(path: Path | None) -> Geometry:
-    """Return the geometry of `--geometry`, or the paper's; warnings about the file are notes on stderr.
-
-    Raises
-    ------
-    GeometryError
-        If the file cannot be read, describes no manipulator, or a machine as built.
-    """
+    """Return the geometry of `--geometry`, or the paper's, as `read_any_geometry`; a machine as built is an error."""
     found = read_any_geometry(path)
     if isinstance(found, AsBuiltGeometry):
         cause = "This command is for the machine of the drawing: give the dimensions under the key nominal"
@@ -105,7 +99,10 @@ def read_geometry(path: Path | None) -> Geometry:
 
 
 def read_any_geometry(path: Path | None) -> Geometry | AsBuiltGeometry:
-    """Return the geometry of `--geometry`, of a drawing or of a machine as built, as `read_geometry` does."""
+    """Return the geometry of `--geometry`, of a drawing or of a machine as built; by default the paper's.
+
+    Warnings about the file are notes on stderr; a file that describes no manipulator is a `GeometryError`.
+    """
     if path is None:
         return Geometry.paper()
     try:
@@ -134,16 +131,7 @@ def unit_hint(
 ) -> str:
     """Return a hint at the unit where lengths are out of proportion to the machine, else an empty string.
 
-    Parameters
-    ----------
-    option : str
-        The option with which they were typed.
-    typed : float or tuple of float
-        A length or several, in `unit`; of several the norm counts.
-    unit : LengthUnit
-        The unit they were read in.
-    geometry : Geometry
-        The machine.
+    `typed`, after `option`, is a length or several, of which the norm counts, in the `unit` they were read in.
     """
     length = float(np.linalg.norm(typed))
     better = likely_unit(geometry, length / unit.per_metre, unit)

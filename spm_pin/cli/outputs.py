@@ -13,6 +13,7 @@ import typer
 
 from spm_pin.cli.console import note, to_json
 from spm_pin.errors import ArgumentError, MissingExtraError
+from spm_pin.mechanism.arguments import writing
 
 __all__ = ["check_output", "name_options", "require_extra", "write_json", "write_model", "write_text"]
 
@@ -39,16 +40,8 @@ def require_extra(extra: str) -> None:
 def check_output(path: Path | None, option: str = "--out", endings: Sequence[str] = (), cause: str = "") -> None:
     """Raise `ArgumentError` if a file cannot be written later: its ending, its folder, its permissions.
 
-    Parameters
-    ----------
-    path : Path, optional
-        The file; None where the option was not used; nothing is checked then.
-    option : str
-        Name of the option.
-    endings : sequence of str
-        Endings of the name that are allowed, any if empty.
-    cause : str
-        Added to the message about the ending.
+    None, where the option was not used, is not checked. Without `endings` any is allowed; `cause` is added to the
+    message about them.
     """
     if path is None:
         return
@@ -66,20 +59,12 @@ def check_output(path: Path | None, option: str = "--out", endings: Sequence[str
 
 
 def write_text(text: str, path: Path | None, option: str = "--out") -> None:
-    """Write a text file and say so on stderr; without a path, print the text.
-
-    Raises
-    ------
-    ArgumentError
-        If the file cannot be written.
-    """
+    """Write a text file and say so on stderr; without a path, print the text; raises `ArgumentError` if it cannot."""
     if path is None:
         typer.echo(text, nl=False)
         return
-    try:
+    with writing(path, option):
         path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ArgumentError(option, "a file that can be written", path, str(error.strerror)) from error
     note(f"wrote {path}")
 
 
@@ -102,12 +87,8 @@ def write_json(content: Any, path: Path | None, option: str = "--json") -> None:
 def name_options(**options: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Decorate a command so that its errors name the options typed, not the arguments of the functions it calls.
 
-    Errors in a file, which name the file, get the option before.
-
-    Parameters
-    ----------
-    **options : str
-        The option, such as ``"--out"``, by the argument's name.
+    `options` are the options, such as ``"--out"``, by the argument's name. Errors in a file, which name the file, get
+    the option before.
     """
 
     def decorate(command: Callable[P, R]) -> Callable[P, R]:

@@ -55,14 +55,7 @@ class _States:
 class Comparison:
     """Scores and differences of methods, over all poses added so far.
 
-    Parameters
-    ----------
-    geometry : Geometry
-        The manipulator.
-    methods : sequence of Method
-        The methods to compare.
-    progress : callable
-        Called with a description of each step.
+    `progress` is called with a description of each step. Two methods of the same name are an `ArgumentError`.
 
     Attributes
     ----------
@@ -70,11 +63,6 @@ class Comparison:
         Poses added, those of them with a branch, and configurations at which Jacobians and forces were compared.
     scores : dict of MethodScore
         By name of the method.
-
-    Raises
-    ------
-    ArgumentError
-        If two methods have the same name.
     """
 
     def __init__(self, geometry: Geometry, methods: Sequence[Method], progress: Progress) -> None:
@@ -96,13 +84,7 @@ class Comparison:
         return tuple(sorted(self._differences.values(), key=lambda pair: order.index(pair.quantity)))
 
     def add(self, poses: RigidTransform, selected: Mapping[str, BoolArray], rng: np.random.Generator) -> None:
-        """Compare the methods at poses (n,), each solving those of its mask `selected` (n,).
-
-        Raises
-        ------
-        ArgumentError
-            If no method solves the inverse displacement.
-        """
+        """Compare the methods at poses (n,), each solving those of its mask `selected` (n,); one must solve some."""
         states = self._compare_branches(poses, selected)
         if len(states.place):
             self._compare_rates_and_forces(states, rng)

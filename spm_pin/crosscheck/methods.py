@@ -38,24 +38,12 @@ _REFINE = 30
 
 @dataclass
 class Method:
-    """A method to compare; a subclass overrides what it can answer.
-
-    Attributes
-    ----------
-    geometry : Geometry
-        The manipulator.
-    name : str
-        Name in the report.
-    miss_rate : float
-        Share of poses at which its route may lose branches.
-    share : float
-        Share of the poses it solves, less than one where that takes long.
-    """
+    """A method to compare; a subclass overrides what it can answer."""
 
     geometry: Geometry
-    name: str = ""
-    miss_rate: float = 0.0
-    share: float = 1.0
+    name: str = ""  #: in the report
+    miss_rate: float = 0.0  #: share of poses at which its route may lose branches
+    share: float = 1.0  #: of the poses that it solves, less than one where that takes long
 
     def inverse(self, pose: RigidTransform) -> SolutionSet | None:
         """Return the branches of poses (N,)."""
@@ -257,14 +245,7 @@ METHODS: dict[str, Callable[[Geometry], Method]] = {
 
 
 def make_methods(names: Sequence[Method | str] | None, geometry: Geometry) -> list[Method]:
-    """Return methods by name.
-
-    Parameters
-    ----------
-    names : sequence of str or Method, optional
-        Names in `METHODS`, or methods already made; all of `METHODS` that can be imported if not given.
-    geometry : Geometry
-        The manipulator they are for.
+    """Return methods: by their names in `METHODS`, as they are, or all of `METHODS` that can be imported.
 
     Raises
     ------

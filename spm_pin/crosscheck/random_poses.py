@@ -56,16 +56,9 @@ def _checked(geometry: Geometry, count: int, rng: np.random.Generator | int) -> 
 
 
 def printable(poses: RigidTransform) -> tuple[RigidTransform, FloatArray, FloatArray]:
-    """Return poses (N,) that the command line reproduces to the last bit, and the numbers to type.
+    """Return poses (N,) that the command line reproduces to the last bit, equal to those given up to rounding.
 
-    Returns
-    -------
-    poses : RigidTransform, shape (N,)
-        Made from the numbers that follow; equal to those given up to rounding.
-    translation : ndarray, shape (N, 3)
-        [m].
-    xyx : ndarray, shape (N, 3)
-        X-Y-X Euler angles in degrees.
+    And the numbers to type: translations (N, 3) [m], and X-Y-X Euler angles (N, 3) in degrees.
     """
     translation = np.asarray(poses.translation)
     xyx = np.asarray(poses.rotation.as_euler("XYX", degrees=True))

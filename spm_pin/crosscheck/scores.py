@@ -31,30 +31,17 @@ class Quantity(enum.StrEnum):
 class PairDifference:
     """Difference of two methods in one quantity, over all poses.
 
-    Attributes
-    ----------
-    quantity : Quantity
-        What was compared. Differences of Jacobians are norms with angles times d.
-    first, second : str
-        Names of the methods.
-    compared, disagreements : int
-        States at which both answered, and at which they differ by more than the tolerance.
-    worst, tolerance : float
-        Difference and tolerance where their ratio is largest.
-    pose : int
-        Index, in the report, of the pose at which it is largest.
-    branch : str
-        Its branch.
+    Those of Jacobians are norms with angles times d.
     """
 
     quantity: Quantity
     first: str
-    second: str
-    compared: int
-    disagreements: int
-    worst: float
+    second: str  #: names of the methods
+    compared: int  #: states at which both answered
+    disagreements: int  #: those at which they differ by more than the tolerance
+    worst: float  #: difference and tolerance where their ratio is largest
     tolerance: float
-    pose: int
+    pose: int  #: where that is, counted as in the report
     branch: str
 
     @property
@@ -74,38 +61,18 @@ class PairDifference:
 
 @dataclass(frozen=True)
 class MethodScore:
-    """Counts of one method: branches found, invented and missed, comparisons lost.
-
-    Attributes
-    ----------
-    name : str
-        Name of the method.
-    allowed : float
-        Share of poses at which it may miss a branch, as it states.
-    solved, unsolved : int
-        Poses it was given, and at which it reported that it cannot solve them.
-    branches, invented : int
-        Branches it found, and those of them whose loops do not close.
-    missed : int
-        Poses at which it lacks a branch that another method proved, those left unsolved included.
-    outvoted : int
-        Comparisons at which a majority of the methods contradicts it.
-    residual : float
-        Largest closure residual in units of what it states.
-    invented_at, missed_at : int
-        Pose of the first branch invented, and of the first missed; -1 if there is none.
-    """
+    """Counts of one method: branches found, invented and missed, comparisons lost."""
 
     name: str
-    allowed: float = 0.0
-    solved: int = 0
-    unsolved: int = 0
-    branches: int = 0
-    invented: int = 0
-    missed: int = 0
-    outvoted: int = 0
-    residual: float = 0.0
-    invented_at: int = -1
+    allowed: float = 0.0  #: share of poses at which it may miss a branch, as it states
+    solved: int = 0  #: poses it was given
+    unsolved: int = 0  #: those at which it reported that it cannot solve them
+    branches: int = 0  #: that it found
+    invented: int = 0  #: those of them whose loops do not close
+    missed: int = 0  #: poses at which it lacks a branch that another method proved, those left unsolved included
+    outvoted: int = 0  #: comparisons at which a majority of the methods contradicts it
+    residual: float = 0.0  #: largest closure residual in units of what it states
+    invented_at: int = -1  #: pose of the first branch invented, and of the first missed; -1 if there is none
     missed_at: int = -1
 
     @property

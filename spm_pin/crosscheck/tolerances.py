@@ -32,24 +32,12 @@ _SINGULAR = 16.0 * float(np.finfo(np.float64).eps)
 
 @dataclass(frozen=True)
 class Conditioning:
-    """Condition numbers of states (N,), from which errors follow.
+    """Condition numbers of states (N,), from which errors follow."""
 
-    Attributes
-    ----------
-    sigma : ndarray, shape (N,)
-        Smallest singular value of the loop equations, dimensionless.
-    jacobian : ndarray, shape (N,)
-        Error of J_f, angles times d, per metre of closure residual [1/m].
-    inverse : ndarray, shape (N,)
-        |J_f⁻¹|, angles times d, dimensionless.
-    side : float
-        d [m].
-    """
-
-    sigma: FloatArray
-    jacobian: FloatArray
-    inverse: FloatArray
-    side: float
+    sigma: FloatArray  #: smallest singular value of the loop equations, dimensionless
+    jacobian: FloatArray  #: error of J_f, angles times d, per metre of closure residual [1/m]
+    inverse: FloatArray  #: |J_f⁻¹|, angles times d, dimensionless
+    side: float  #: d [m]
 
     @classmethod
     def of(cls, configuration: Configuration) -> Conditioning:

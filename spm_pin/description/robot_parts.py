@@ -83,8 +83,7 @@ class Shape:
 
     kind: str  # "box", "cylinder", "sphere" or "mesh"
     size: tuple[float, ...]
-    """Of a box its three sides, of a cylinder about z radius and length, of a sphere the radius [m]; of a mesh its three
-    scales."""
+    """Of a box its sides, of a cylinder about z radius and length, of a sphere the radius [m]; of a mesh its scales."""
     placement: Placement = Placement()  # of its centre, or of the mesh's origin, in the link
     material: Material | None = None  # colour of what is seen
     mesh: Mesh | None = None  # for kind "mesh"

@@ -37,26 +37,13 @@ def random_starts(geometry: Geometry, matrix: FloatArray, count: int, rng: np.ra
 
 
 def unseen_probability(branches: int, starts: int) -> float:
-    """Return the probability that a pose has branches that no start has found.
+    """Return the probability that a pose has branches that no start has found, of `starts` made, failed ones included.
 
-    Parameters
-    ----------
-    branches : int
-        Branches found.
-    starts : int
-        Starts made, those that failed included.
-
-    Returns
-    -------
-    float
-        The posterior probability after Boender and Rinnooy Kan, Bayesian stopping rules for multistart global
-        optimization methods, Math. Program. 37 (1987): each number of branches equally likely beforehand, and
-        then every division of the starts among the branches and failures. They allow any number; here it is 0,
-        2, 4, 6 or 8, because the non-real roots of a real polynomial come in pairs.
-
-    Notes
-    -----
-    K branches of which w are found in n starts weigh K!/(K - w)! · K!/(n + K)!; the hits of each do not matter.
+    The posterior probability after Boender and Rinnooy Kan, Bayesian stopping rules for multistart global optimization
+    methods, Math. Program. 37 (1987): each number of branches equally likely beforehand, and then every division of the
+    starts among the branches and failures. They allow any number; here it is 0, 2, 4, 6 or 8, because the non-real
+    roots of a real polynomial come in pairs. K branches of which w are found in n starts weigh
+    K!/(K - w)! · K!/(n + K)!; the hits of each do not matter.
     """
     if branches % 2 or branches > MOST_BRANCHES:
         return 1.0

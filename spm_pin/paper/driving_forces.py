@@ -25,21 +25,10 @@ _OTHER_LOAD = ((-20.0, -30.0, 60.0), (-30.0, -30.0, -100.0))
 def f_r(
     configuration: Configuration, F: npt.ArrayLike, T: npt.ArrayLike, mistakes: Table5Mistakes = CORRECT
 ) -> FloatArray:
-    """Return the active forces f_r = -(J_f⁻¹)ᵀ [F; T] of Eq. (33).
+    """Return the active forces f_r = -(J_f⁻¹)ᵀ [F; T] of Eq. (33), shape (..., 6) [N], positive where a leg pushes.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        States of shape (...).
-    F, T : array_like, shape (..., 3)
-        Force [N] and torque [N m] applied onto m at o, in {B}. Leading axes broadcast.
-    mistakes : Table5Mistakes
-        Those in J_f; the load is what is given.
-
-    Returns
-    -------
-    ndarray, shape (..., 6)
-        f_rb1..f_rb3, f_rc1..f_rc3 [N], positive where the leg pushes. NaN for a member that does not exist.
+    F [N] and T [N m], of shape (..., 3), are applied onto m at o, in {B}; leading axes broadcast with those of the
+    configuration. The `mistakes` are those in J_f. NaN for a member that does not exist.
 
     Raises
     ------
@@ -69,26 +58,10 @@ def load(mistakes: Table5Mistakes = CORRECT) -> tuple[FloatArray, FloatArray]:
 
 
 def table_5(configuration: Configuration, mistakes: Table5Mistakes = CORRECT) -> tuple[FloatArray, FloatArray]:
-    """Return the rows of Table 5, in its units.
+    """Return the rows of Table 5 for the example's twist and load: v_r [cm/s] and f_r [kN], (..., 6) each.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        States of shape (...); the table's is solution 3 of the example.
-    mistakes : Table5Mistakes
-        `PUBLISHED` for the numbers as printed, `CORRECT` for the true ones.
-
-    Returns
-    -------
-    v_r : ndarray, shape (..., 6)
-        Leg rates [cm/s] for the example's v = (1, 2, 3) cm/s and ω = (1, 2, 3) degrees/s.
-    f_r : ndarray, shape (..., 6)
-        Active forces [kN] for the example's load.
-
-    Raises
-    ------
-    SingularConfigurationError
-        As for `f_r`.
+    Of solution 3 of the example with the mistakes `PUBLISHED` they are the numbers as printed, with `CORRECT` the true
+    ones. Raises as `f_r`.
     """
     v, ω = CENTI * np.array(published.VELOCITY[:3]), np.deg2rad(published.VELOCITY[3:])
     v_r = J_f(configuration, mistakes) @ np.concatenate([v, ω])  # Eq. (31)

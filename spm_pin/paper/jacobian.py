@@ -41,20 +41,15 @@ class Table5Mistakes:
     number to its four decimals. The rates need the first two, the lower legs' forces all three, the upper legs'
     forces the first and the third: with the lower legs locked, all ω_rbi are zero whatever their coefficients.
 
-    Attributes
-    ----------
-    printed_lever_arm : bool
-        The first three rows of J_λ have the lever arm e_i - r_bi, as Eq. (30a) prints them.
-    missing_entry : bool
-        Entry (9, 9) of J_α is zero: the coefficient of ω_rb3 in the third dimension constraint, Eq. (29i).
-    other_load : bool
-        The load is F = (-20, -30, +60) kN, T = (-30, -30, -100) kN cm, not the F = (-20, -30, -30),
-        T = (-30, -30, +100) of Section 5. It concerns the forces alone.
     """
 
     printed_lever_arm: bool = False
+    """The first three rows of J_λ have the lever arm e_i - r_bi, as Eq. (30a) prints them."""
     missing_entry: bool = False
+    """Entry (9, 9) of J_α is zero: the coefficient of ω_rb3 in the third dimension constraint, Eq. (29i)."""
     other_load: bool = False
+    """The load is F = (-20, -30, +60) kN, T = (-30, -30, -100) kN cm, not the F = (-20, -30, -30), T = (-30, -30, +100)
+    of Section 5. It concerns the forces alone."""
 
 
 CORRECT = Table5Mistakes()

@@ -37,18 +37,10 @@ Eqs. (13b) and (13c) list b_3y's coefficients first; p_i2 and p_i1 belong to the
 
 @dataclass(frozen=True)
 class Resultant:
-    """Eqs. (6)-(19) of N poses: the lines of the ball joints and the determinant |U|.
+    """Eqs. (6)-(19) of N poses: the lines of the ball joints and the determinant |U|."""
 
-    Attributes
-    ----------
-    s : ndarray, shape (N, 3, 2)
-        s_i1 [m] and s_i2 of Eq. (10); NaN where the line of b_i is vertical.
-    d : float
-        Side of the middle platform [m].
-    """
-
-    s: FloatArray
-    d: float
+    s: FloatArray  # s_i1 [m] and s_i2 of Eq. (10), (N, 3, 2); NaN where the line of b_i is vertical
+    d: float  # side of the middle platform [m]
 
     @classmethod
     def of(cls, geometry: Geometry, pose: PoseLike) -> Resultant:
@@ -201,26 +193,11 @@ def _quadratic(a: FloatArray, b: ComplexArray, c: ComplexArray) -> tuple[Complex
 
 
 def solve(geometry: Geometry, pose: PoseLike, *, refine: int = 0) -> ComplexArray:
-    """Return all eight solutions of the inverse displacement as the paper finds them, real or complex.
+    """Return all eight solutions of poses (...) as the paper finds them, real or complex.
 
-    Parameters
-    ----------
-    geometry : Geometry
-        The manipulator.
-    pose : pose or batch of poses, shape (...)
-        Pose of {m} in {B}, in metres.
-    refine : int
-        Newton steps on Eq. (13) after the paper's own procedure; none by default.
-
-    Returns
-    -------
-    ndarray of complex128, shape (..., 8, 3, 3)
-        Rows b_1, b_2, b_3 in {B} [m], in no particular order; NaN where Eq. (10) divides by zero.
-
-    Raises
-    ------
-    PoseError
-        If `pose` is not a rigid transform of finite numbers.
+    Rows b_i (..., 8, 3, 3) in {B} [m], in no particular order; NaN where Eq. (10) divides by zero. `refine` Newton
+    steps on Eq. (13) follow the paper's own procedure, none by default. `PoseError` is raised if `pose` is no rigid
+    transform of finite numbers.
     """
     transform = as_rigid_transform(pose)
     return Resultant.of(geometry, transform).solutions(refine).reshape(*transform.shape, 8, 3, 3)
