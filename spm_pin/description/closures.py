@@ -9,7 +9,7 @@ from pathlib import Path
 from spm_pin.description.paths import CLOSURES, description_file
 from spm_pin.description.xml_nodes import check_prefix
 from spm_pin.errors import DescriptionError
-from spm_pin.mechanism import yaml_nodes
+from spm_pin.mechanism.yaml_node import YamlNode
 
 __all__ = ["KINDS", "Closure", "closure_at", "read_closures"]
 
@@ -73,16 +73,14 @@ def read_closures(path: str | Path | None = None, *, prefix: str = "") -> tuple[
     """
     check_prefix(prefix)
     path = description_file(CLOSURES) if path is None else Path(path)
-    root = yaml_nodes.compose(path, "the key closures")
-    listed = yaml_nodes.mapping(root, {"closures"}, path)["closures"]
+    listed = YamlNode.read(path, "the key closures").mapping({"closures"})["closures"]
     closures: list[Closure] = []
-    for node in yaml_nodes.items(listed, "closures", path):
-        found = yaml_nodes.mapping(node, {field.name for field in fields(Closure)}, path)
-        values = {key: yaml_nodes.name(value, key, path) for key, value in found.items()}
-        place = yaml_nodes.place(path, node)
+    for node in listed.items("closures"):
+        found = node.mapping({field.name for field in fields(Closure)})
+        values = {key: value.name(key) for key, value in found.items()}
         if any(values["name"] == other.name for other in closures):
-            raise DescriptionError(place, "a name of its own under the key name", repr(values["name"]))
-        closures.append(closure_at(place, closures, **values))
+            raise node.error("a name of its own under the key name", repr(values["name"]))
+        closures.append(closure_at(node.place, closures, **values))
     return tuple(closure.prefixed(prefix) for closure in closures)
 
 

@@ -12,8 +12,7 @@ from pathlib import Path
 
 from spm_pin.description.closures import KINDS, Closure, closure_at
 from spm_pin.description.robot_description import RobotDescription
-from spm_pin.errors import DescriptionError
-from spm_pin.mechanism import yaml_nodes
+from spm_pin.mechanism.yaml_node import YamlNode
 
 __all__ = ["JOINT_TYPES", "ExtendedUrdf", "extended_urdf_text", "read_extended_urdf"]
 
@@ -44,44 +43,38 @@ def read_extended_urdf(path: str | Path) -> ExtendedUrdf:
         If the file cannot be read or is malformed: lists of different lengths, unknown types, two frames or a motor
         twice. The error names the line. The format's own loader takes some of these, and drops what is too much.
     """
-    path = Path(path)
-    root = yaml_nodes.compose(path, "the keys closed_loop, name_mot and type")
-    found = yaml_nodes.mapping(root, {"closed_loop", "type", "name_mot"}, path, optional={"joint_name", "joint_type"})
-    lists = {key: yaml_nodes.items(node, key, path) for key, node in found.items()}
+    root = YamlNode.read(Path(path), "the keys closed_loop, name_mot and type")
+    found = root.mapping({"closed_loop", "type", "name_mot"}, {"joint_name", "joint_type"})
+    lists = {key: node.items(key) for key, node in found.items()}
     for several, each in (("type", "closed_loop"), ("joint_type", "joint_name")):
         lists.setdefault(several, [])
         if len(lists[several]) != len(lists.setdefault(each, [])):
             expected = f"as many members under {several} as under {each}, {len(lists[each])}"
-            place = yaml_nodes.place(path, found.get(several, root))
-            raise DescriptionError(place, expected, len(lists[several]))
+            raise found.get(several, root).error(expected, len(lists[several]))
 
     kinds = {name: kind for kind, name in KINDS.items()}
     closures: list[Closure] = []
     for node, named in zip(lists["closed_loop"], lists["type"], strict=True):
-        place = yaml_nodes.place(path, node)
-        ends = yaml_nodes.items(node, "closed_loop", path)
-        if len(ends) != 2:
-            raise DescriptionError(place, "two frames for each closed loop", len(ends))
-        a, b = (yaml_nodes.name(end, "closed_loop", path) for end in ends)
-        kind = yaml_nodes.name(named, "type", path).lower()
+        ends = node.items("closed_loop", 2, "two frames for each closed loop")
+        a, b = (end.name("closed_loop") for end in ends)
+        kind = named.name("type").lower()
         if kind not in kinds:
-            raise DescriptionError(yaml_nodes.place(path, named), f"a type {' or '.join(kinds)}", repr(kind))
-        closures.append(closure_at(place, closures, name=f"{a}C{b}", kind=kinds[kind], frame_a=a, frame_b=b))
+            raise named.error(f"a type {' or '.join(kinds)}", repr(kind))
+        closures.append(closure_at(node.place, closures, name=f"{a}C{b}", kind=kinds[kind], frame_a=a, frame_b=b))
 
     motors: list[str] = []
     types: dict[str, str] = {}
     for node in lists["name_mot"]:
-        motor = yaml_nodes.name(node, "name_mot", path)
+        motor = node.name("name_mot")
         if motor in motors:
-            raise DescriptionError(yaml_nodes.place(path, node), "each motor once", f"{motor} again")
+            raise node.error("each motor once", f"{motor} again")
         motors.append(motor)
     for node, type_node in zip(lists["joint_name"], lists["joint_type"], strict=True):
-        joint, kind = yaml_nodes.name(node, "joint_name", path), yaml_nodes.name(type_node, "joint_type", path)
+        joint, kind = node.name("joint_name"), type_node.name("joint_type")
         if joint in types:
-            raise DescriptionError(yaml_nodes.place(path, node), "each joint once", f"{joint} again")
+            raise node.error("each joint once", f"{joint} again")
         if not JOINT_TYPES.fullmatch(kind):
-            expected = "SPHERICAL, FIXED or UJOINT_ with two axes"
-            raise DescriptionError(yaml_nodes.place(path, type_node), expected, repr(kind))
+            raise type_node.error("SPHERICAL, FIXED or UJOINT_ with two axes", repr(kind))
         types[joint] = kind
     return ExtendedUrdf(tuple(closures), tuple(motors), types)
 

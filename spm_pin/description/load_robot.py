@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-import yaml
-
 from spm_pin.description.as_built_tree import as_built_robot
 from spm_pin.description.closures import read_closures
 from spm_pin.description.expand import expand
@@ -17,10 +15,10 @@ from spm_pin.description.robot_description import RobotDescription
 from spm_pin.description.robot_parts import Transmission
 from spm_pin.description.tree import joint_values
 from spm_pin.errors import DescriptionError
-from spm_pin.mechanism import yaml_nodes
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.yaml_node import YamlNode
 
 __all__ = ["manipulator", "read_robot"]
 
@@ -88,9 +86,7 @@ def read_robot(
     """
     if closures is None:
         return read_urdf(urdf, packages=packages)
-    root = yaml_nodes.compose(Path(closures), "closures")
-    ours = isinstance(root, yaml.MappingNode) and any(key.value == "closures" for key, _ in root.value)
-    if ours:
+    if "closures" in YamlNode.read(Path(closures), "closures").keys:
         return read_urdf(urdf, read_closures(closures), packages=packages)
     extended = read_extended_urdf(closures)
     return _driven(read_urdf(urdf, extended.closures, packages=packages), extended, str(closures))

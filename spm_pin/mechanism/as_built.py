@@ -15,9 +15,9 @@ import numpy.typing as npt
 import yaml
 
 from spm_pin.errors import GeometryError
-from spm_pin.mechanism import yaml_nodes
 from spm_pin.mechanism.arguments import FloatArray, file_path, generator, instance, real_array, real_number, writing
 from spm_pin.mechanism.geometry import LARGEST, LEGS, SMALLEST, Geometry, LegLimits, geometry_data, geometry_of_node
+from spm_pin.mechanism.yaml_node import YamlNode
 
 __all__ = ["PARAMETERS", "AsBuiltGeometry", "all_balls", "any_geometry_from_yaml"]
 
@@ -227,18 +227,17 @@ class AsBuiltGeometry:
             If the file cannot be read or describes no machine. The error names the line and the key.
         """
         path = file_path(path, error=GeometryError)
-        root = yaml_nodes.compose(path, "a YAML mapping with the keys nominal and legs", error=GeometryError)
-        nodes = yaml_nodes.mapping(root, {"nominal", "legs"}, path, error=GeometryError)
-        nominal = geometry_of_node(nodes["nominal"], path)
-        legs = yaml_nodes.mapping(nodes["legs"], LEGS, path, error=GeometryError)
-        read = [yaml_nodes.mapping(legs[leg], _KEYS, path, error=GeometryError) for leg in LEGS]
-        vectors = ([_vector(leg[key], key, path) for leg in read] for key in _KEYS[:3])
+        root = YamlNode.read(path, "a YAML mapping with the keys nominal and legs", GeometryError)
+        nodes = root.mapping({"nominal", "legs"})
+        nominal, legs = geometry_of_node(nodes["nominal"]), nodes["legs"].mapping(LEGS)
+        read = [legs[leg].mapping(_KEYS) for leg in LEGS]
+        vectors = ([_vector(leg[key], key) for leg in read] for key in _KEYS[:3])
         axes, pivots, balls = (np.array(rows) for rows in vectors)
-        offsets = [_finite(leg["offset"], "a number of metres under the key offset", path) for leg in read]
+        offsets = [_finite(leg["offset"], "a number of metres under the key offset") for leg in read]
         try:
             return cls(nominal, axes, pivots, balls, np.array(offsets))
         except GeometryError as wrong:
-            place = f"{wrong.argument} in {yaml_nodes.place(path, nodes['legs'])}"
+            place = f"{wrong.argument} in {nodes['legs'].place}"
             raise GeometryError(place, wrong.expected, wrong.received, wrong.cause) from None
 
     def to_yaml(self, path: str | Path) -> None:
@@ -269,10 +268,8 @@ class AsBuiltGeometry:
 
 def any_geometry_from_yaml(path: str | Path) -> Geometry | AsBuiltGeometry:
     """Read a YAML file of dimensions, or one that `AsBuiltGeometry.to_yaml` wrote, by its keys."""
-    root = yaml_nodes.compose(file_path(path, error=GeometryError), "a YAML mapping of dimensions", error=GeometryError)
-    entries = root.value if isinstance(root, yaml.MappingNode) else []
-    keys = {key.value for key, _ in entries if isinstance(key, yaml.ScalarNode)}
-    return AsBuiltGeometry.from_yaml(path) if {"nominal", "legs"} & keys else Geometry.from_yaml(path)
+    root = YamlNode.read(file_path(path, error=GeometryError), "a YAML mapping of dimensions", GeometryError)
+    return AsBuiltGeometry.from_yaml(path) if {"nominal", "legs"} & root.keys else Geometry.from_yaml(path)
 
 
 def all_balls(geometry: AsBuiltGeometry, lower: FloatArray) -> FloatArray:
@@ -318,16 +315,13 @@ def _directions(geometry: Geometry) -> tuple[FloatArray, FloatArray, FloatArray]
     return axes, np.cross(up, axes), up
 
 
-def _finite(node: yaml.Node, expected: str, path: Path) -> float:
-    number = yaml_nodes.number(node, expected, path, error=GeometryError)
+def _finite(node: YamlNode, expected: str) -> float:
+    number = node.number(expected)
     if not np.isfinite(number):
-        raise GeometryError(yaml_nodes.place(path, node), expected, f"{number:g}")
+        raise node.error(expected, f"{number:g}")
     return number
 
 
-def _vector(node: yaml.Node, key: str, path: Path) -> list[float]:
-    entries = yaml_nodes.items(node, key, path, error=GeometryError)
+def _vector(node: YamlNode, key: str) -> list[float]:
     expected = f"three numbers under the key {key}"
-    if len(entries) != 3:
-        raise GeometryError(yaml_nodes.place(path, node), expected, f"{len(entries)} of them")
-    return [_finite(entry, expected, path) for entry in entries]
+    return [_finite(entry, expected) for entry in node.items(key, 3, expected)]

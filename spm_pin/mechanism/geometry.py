@@ -17,10 +17,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import yaml
 
 from spm_pin.errors import GeometryError
-from spm_pin.mechanism import yaml_nodes
 from spm_pin.mechanism.arguments import (
     FloatArray,
     as_array,
@@ -30,6 +28,7 @@ from spm_pin.mechanism.arguments import (
     real_number,
     type_and_value,
 )
+from spm_pin.mechanism.yaml_node import YamlNode
 
 __all__ = ["LEGS", "Geometry", "LegLimits", "config_directory", "geometry_data", "geometry_of_node"]
 
@@ -194,7 +193,7 @@ class Geometry:
             describe no manipulator. The error names the line and the key.
         """
         path = file_path(path, error=GeometryError)
-        return geometry_of_node(yaml_nodes.compose(path, "a YAML mapping of dimensions", error=GeometryError), path)
+        return geometry_of_node(YamlNode.read(path, "a YAML mapping of dimensions", GeometryError))
 
     @property
     def dimensions(self) -> tuple[float, float, float]:
@@ -227,26 +226,27 @@ class Geometry:
         return _AXES.copy()
 
 
-def geometry_of_node(root: yaml.Node, path: Path) -> Geometry:
+def geometry_of_node(root: YamlNode) -> Geometry:
     """Read the dimensions under a node of a YAML file; keys and errors as for `Geometry.from_yaml`."""
     sizes = {f"{triangle}_{size}" for triangle in ("base", "platform") for size in ("side", "radius")}
-    optional = sizes | {"leg_limits"}
-    nodes = yaml_nodes.mapping(root, {"middle_side"}, path, optional=optional, error=GeometryError)
+    nodes = root.mapping({"middle_side"}, sizes | {"leg_limits"})
     limits = nodes.pop("leg_limits", None)
-    lengths = {key: _length(node, key, path) for key, node in nodes.items()}
+    lengths = {key: _length(node, key) for key, node in nodes.items()}
 
     def radius(triangle: str) -> float:
         keys = [key for key in (f"{triangle}_side", f"{triangle}_radius") if key in lengths]
         if len(keys) != 1:
             expected = f"exactly one of the keys {triangle}_side and {triangle}_radius"
-            raise GeometryError(str(path), expected, " and ".join(keys) or "neither")
+            raise GeometryError(str(root.path), expected, " and ".join(keys) or "neither")
         return lengths[keys[0]] / (math.sqrt(3.0) if keys[0].endswith("_side") else 1.0)
 
-    read = None if limits is None else _read_limits(limits, path)
+    read = None if limits is None else _read_limits(limits)
     geometry = Geometry(radius("base"), radius("platform"), lengths["middle_side"], read)
     longest = max(lengths, key=lambda key: lengths[key])
     if lengths[longest] > _IMPLAUSIBLE:
-        text = f"{path}: {longest} is {lengths[longest]:g} m. Lengths are read as metres; are these in another unit?"
+        text = (
+            f"{root.path}: {longest} is {lengths[longest]:g} m. Lengths are read as metres; are these in another unit?"
+        )
         warnings.warn(text, stacklevel=3)
     return geometry
 
@@ -272,28 +272,22 @@ def _dimension(value: Any, argument: str) -> float:
     )
 
 
-def _length(node: yaml.Node, key: str, path: Path) -> float:
-    number = yaml_nodes.number(node, f"a number of metres under the key {key}", path, error=GeometryError)
-    return _dimension(number, f"{key} in {yaml_nodes.place(path, node)}")
+def _length(node: YamlNode, key: str) -> float:
+    return _dimension(node.number(f"a number of metres under the key {key}"), f"{key} in {node.place}")
 
 
-def _read_limits(node: yaml.Node, path: Path) -> LegLimits:
-    entries = node.value if isinstance(node, yaml.MappingNode) else []
-    by_leg = any(key.value in LEGS for key, _ in entries if isinstance(key, yaml.ScalarNode))
+def _read_limits(node: YamlNode) -> LegLimits:
+    by_leg = not node.keys.isdisjoint(LEGS)
     wanted = LEGS if by_leg else ("lower", "upper")
-    pairs = yaml_nodes.mapping(node, wanted, path, error=GeometryError)
+    pairs = node.mapping(wanted)
 
     def bounds(leg: str) -> tuple[float, float]:
         expected = f"a pair of lengths in metres under the key {leg}"
-        pair = yaml_nodes.items(pairs[leg], leg, path, error=GeometryError)
-        if len(pair) != 2:
-            raise GeometryError(yaml_nodes.place(path, pairs[leg]), expected, f"{len(pair)} of them")
-        low, high = (yaml_nodes.number(end, expected, path, error=GeometryError) for end in pair)
+        low, high = (end.number(expected) for end in pairs[leg].items(leg, 2, expected))
         try:
             LegLimits(low, high)
         except GeometryError as wrong:
-            where = f"{leg} in {yaml_nodes.place(path, pairs[leg])}"
-            raise GeometryError(where, _ORDERED, f"[{low:g}, {high:g}]", wrong.cause) from None
+            raise GeometryError(f"{leg} in {pairs[leg].place}", _ORDERED, f"[{low:g}, {high:g}]", wrong.cause) from None
         return low, high
 
     ends = {leg: bounds(leg) for leg in wanted}
