@@ -19,7 +19,7 @@ from spm_pin.mechanism import Geometry
 __all__ = ["compare_with_progress", "crosscheck", "print_report", "verdict_line"]
 
 
-@name_options(methods="--method", poses="--poses", path="--figure")
+@name_options(methods="--method", path="--figure")
 def crosscheck(
     poses: Annotated[int, typer.Option(min=1, help="Random poses, four fifths of them in leg space.")] = 200,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the poses and of the wrenches.")] = 0,

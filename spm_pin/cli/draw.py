@@ -25,15 +25,7 @@ from spm_pin.errors import ArgumentError
 __all__ = ["draw"]
 
 
-@name_options(
-    path="--out",
-    width="--width",
-    background="--background",
-    view="--view",
-    translation="--translation",
-    xyx="--xyx",
-    leg_lengths="--legs",
-)
+@name_options(path="--out", leg_lengths="--legs")
 def draw(
     out: Annotated[Path, typer.Option(metavar="FILE", help=f"Picture to write: {', '.join(FORMATS)}.")],
     translation: AnyTranslation = None,

@@ -20,7 +20,7 @@ Anchors = Literal["bodies", "sites"]
 Loops = Literal["joints", "drake"]
 
 
-@name_options(prefix="--prefix", out="--out", directory="--out", geometry="--geometry")
+@name_options(directory="--out")
 def export(
     format_: Annotated[Format | None, typer.Argument(metavar="[FORMAT]", help="What to write.")] = None,
     option: Annotated[Format | None, typer.Option("--format", help="The same, as an option.")] = None,

@@ -16,7 +16,7 @@ from spm_pin.mechanism import LEGS, SolutionSet
 __all__ = ["inverse"]
 
 
-@name_options(translation="--translation", xyx="--xyx")
+@name_options()
 def inverse(
     translation: Translation,
     xyx: Xyx,

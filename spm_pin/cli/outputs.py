@@ -87,8 +87,8 @@ def write_json(content: Any, path: Path | None, option: str = "--json") -> None:
 def name_options(**options: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Decorate a command so that its errors name the options typed, not the arguments of the functions it calls.
 
-    `options` are the options, such as ``"--out"``, by the argument's name. Errors in a file, which name the file, get
-    the option before.
+    An argument with the name of a parameter that was given is that option. `options` are the others, such as
+    ``"--out"``, by the argument's name. Errors in a file, which name the file, get the option before.
     """
 
     def decorate(command: Callable[P, R]) -> Callable[P, R]:
@@ -98,6 +98,8 @@ def name_options(**options: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
                 return command(*args, **kwargs)
             except ArgumentError as error:
                 option = options.get(error.argument)
+                if option is None and kwargs.get(error.argument) is not None:
+                    option = f"--{error.argument.replace('_', '-')}"
                 for name, value in kwargs.items():
                     if isinstance(value, Path) and error.argument.partition(":")[0] == str(value):
                         option = f"--{name}: {error.argument}"

@@ -19,7 +19,7 @@ __all__ = ["singularities"]
 _MATRICES = ("J_b", "J_c", "K")
 
 
-@name_options(translation="--translation", xyx="--xyx")
+@name_options()
 def singularities(
     translation: Translation,
     xyx: Xyx,

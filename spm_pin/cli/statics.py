@@ -31,9 +31,7 @@ __all__ = ["statics"]
 _NONE = (0.0, 0.0, 0.0)
 
 
-@name_options(
-    translation="--translation", xyx="--xyx", wrench="--force, --moment", twist="--velocity, --angular-velocity"
-)
+@name_options(wrench="--force, --moment", twist="--velocity, --angular-velocity")
 def statics(
     translation: Translation,
     xyx: Xyx,

@@ -28,18 +28,7 @@ _DEFAULT = ("reachable", "branches", "conditioning")
 _RANGE = "START:STOP:COUNT"
 
 
-@name_options(
-    **{
-        name: f"--{name}"
-        for name in ("x", "y", "z", "xyx", "method", "seed", "limits", "length", "workers", "scheduler")
-    },
-    store="--out",
-    chunk="--chunk",
-    count="--samples",
-    metrics="--metric",
-    push="--leg-force",
-    leg="--leg-stiffness",
-)
+@name_options(store="--out", count="--samples", metrics="--metric", push="--leg-force", leg="--leg-stiffness")
 def sweep(
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Store of the results, in Zarr v3.")],
     x: Annotated[str | None, typer.Option(metavar=_RANGE, help="X of o in {B}, in --unit, or one number.")] = None,

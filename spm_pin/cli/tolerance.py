@@ -16,7 +16,7 @@ __all__ = ["tolerance"]
 Deviation = Annotated[float, typer.Option(min=0.0, metavar="SIGMA", help="Standard deviation, in metres or radians.")]
 
 
-@name_options(states="--states", samples="--samples", rng="--seed", geometry="--geometry")
+@name_options(rng="--seed")
 def tolerance(
     direction: Deviation = 1e-4,
     pivot: Deviation = 1e-4,

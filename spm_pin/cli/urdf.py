@@ -9,7 +9,7 @@ from spm_pin.mechanism import AsBuiltGeometry
 __all__ = ["urdf"]
 
 
-@name_options(prefix="--prefix", out="--out")
+@name_options()
 def urdf(
     out: TextFile = None,
     prefix: Prefix = "",

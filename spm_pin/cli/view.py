@@ -18,15 +18,7 @@ from spm_pin.cli.requested_states import AnyLegs, AnyTranslation, AnyXyx, reques
 __all__ = ["view"]
 
 
-@name_options(
-    host="--host",
-    port="--port",
-    allowed_origins="--origin",
-    leg_lengths="--legs",
-    translation="--translation",
-    xyx="--xyx",
-    path="--path",
-)
+@name_options(allowed_origins="--origin", leg_lengths="--legs")
 def view(
     translation: AnyTranslation = None,
     xyx: AnyXyx = None,

@@ -22,7 +22,7 @@ from spm_pin.workspace.table_6.shell import Patch, Shell, workspace_shell
 __all__ = ["workspace"]
 
 
-@name_options(path="--out", resolution="--resolution")
+@name_options(path="--out")
 def workspace(
     limits: Limits = None,
     resolution: Annotated[int, typer.Option(help="Increments of a varying leg, at least 2.")] = 40,
