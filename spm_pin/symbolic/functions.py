@@ -1,4 +1,7 @@
-"""The closed forms as CasADi functions, for optimisation and optimal control, with derivatives of any order."""
+"""The closed forms as CasADi functions, for optimisation and optimal control, with derivatives of any order.
+
+The argument `geometry` of all is the machine that is built in, `"symbolic"`, or None, see `inverse_physical`.
+"""
 
 from __future__ import annotations
 
@@ -105,8 +108,6 @@ def inverse_branch(branch: str, geometry: Dimensions = None) -> ca.Function:
     ----------
     branch : str
         One of `spm_pin.mechanism.BRANCHES`.
-    geometry : Geometry, "symbolic" or None
-        As for `inverse_physical`.
 
     Returns
     -------
@@ -129,11 +130,6 @@ def inverse_branch(branch: str, geometry: Dimensions = None) -> ca.Function:
 
 def forward_physical(geometry: Dimensions = None) -> ca.Function:
     """Make the forward displacement in the home's aspect, an implicit function with exact derivatives.
-
-    Parameters
-    ----------
-    geometry : Geometry, "symbolic" or None
-        As for `inverse_physical`.
 
     Returns
     -------
@@ -173,11 +169,6 @@ def forward_physical(geometry: Dimensions = None) -> ca.Function:
 def inverse_jacobian(geometry: Dimensions = None) -> ca.Function:
     """Make J_f, which maps the platform's twist to the leg rates.
 
-    Parameters
-    ----------
-    geometry : Geometry, "symbolic" or None
-        As for `inverse_physical`.
-
     Returns
     -------
     casadi.Function
@@ -194,11 +185,6 @@ def inverse_jacobian(geometry: Dimensions = None) -> ca.Function:
 
 def leg_forces(geometry: Dimensions = None) -> ca.Function:
     """Make the leg forces that hold a wrench on the platform.
-
-    Parameters
-    ----------
-    geometry : Geometry, "symbolic" or None
-        As for `inverse_physical`.
 
     Returns
     -------
@@ -218,11 +204,6 @@ def leg_forces(geometry: Dimensions = None) -> ca.Function:
 
 def closure_residual(geometry: Dimensions = None) -> ca.Function:
     """Make the nine closure equations.
-
-    Parameters
-    ----------
-    geometry : Geometry, "symbolic" or None
-        As for `inverse_physical`.
 
     Returns
     -------

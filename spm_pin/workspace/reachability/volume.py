@@ -33,14 +33,12 @@ def reachable_volume(
     rng: np.random.Generator | int | None = None,
     progress: Progress | None = None,
 ) -> Estimate:
-    """Estimate the volume of the positions that o can reach in the mode of a real machine.
+    """Estimate the volume of the positions that o can reach in the mode of a real machine, in m³.
 
     Parameters
     ----------
-    geometry : Geometry
-        The manipulator.
-    limits : LegLimits, optional
-        Leg limits; the geometry's own if not given.
+    geometry, limits, progress
+        As for `reachable_boundary`.
     method : str
         "sampling": the share of uniform points that are reachable, with Clopper and Pearson's interval, to which
         points are added for which the search failed. "mesh": what
@@ -54,13 +52,6 @@ def reachable_volume(
         Of the interval, for "sampling".
     rng : Generator or int, optional
         Source of randomness, or its seed.
-    progress : callable, optional
-        Called with what is being done, how many points are done, and of how many. What it raises ends the work.
-
-    Returns
-    -------
-    Estimate
-        In m³.
 
     Raises
     ------
@@ -104,27 +95,18 @@ def pose_volume(
     rng: np.random.Generator | int | None = None,
     progress: Progress | None = None,
 ) -> Estimate:
-    """Estimate the volume of the reachable poses, of positions times rotations.
+    """Estimate the volume of the reachable poses, of positions times rotations, in m³ rad³.
+
+    All rotations together measure 8π² rad³.
 
     Parameters
     ----------
-    geometry : Geometry
-        The manipulator.
-    limits : LegLimits, optional
-        Leg limits; the geometry's own if not given.
+    geometry, limits, rng, progress
+        As for `reachable_volume`.
     samples : int
         States.
     confidence : float
         Of the interval, Student's.
-    rng : Generator or int, optional
-        Source of randomness, or its seed.
-    progress : callable, optional
-        Called with what is being done, how many samples are done, and of how many.
-
-    Returns
-    -------
-    Estimate
-        In m³ rad³. All rotations together measure 8π² rad³.
 
     Raises
     ------
