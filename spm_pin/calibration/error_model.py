@@ -20,10 +20,9 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.closed_form.as_built_jacobians import stage_inverses
 from spm_pin.errors import ArgumentError
+from spm_pin.mechanism import LEGS, PARAMETERS, AsBuiltGeometry, Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray, instance
-from spm_pin.mechanism.as_built import PARAMETERS, AsBuiltGeometry
-from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import LEGS, Geometry
+from spm_pin.mechanism.configuration import check_configuration
 
 __all__ = ["as_built", "error_jacobian", "invisible_errors", "parameter_scale", "platform_error", "selected"]
 

@@ -13,10 +13,9 @@ from spm_pin.calibration.error_model import as_built, error_jacobian, platform_e
 from spm_pin.calibration.pose_choice import random_states
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError
+from spm_pin.mechanism import PARAMETERS, AsBuiltGeometry, Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray, choice, generator, real_array, real_number, whole_number
-from spm_pin.mechanism.as_built import PARAMETERS, AsBuiltGeometry
-from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.configuration import check_configuration
 
 __all__ = ["ToleranceAnalysis", "tolerance"]
 

@@ -15,11 +15,8 @@ from spm_pin.crosscheck.methods import Method
 from spm_pin.crosscheck.scores import MethodScore, PairDifference, Quantity
 from spm_pin.crosscheck.tolerances import ROWS, Conditioning
 from spm_pin.errors import ArgumentError
+from spm_pin.mechanism import BRANCHES, Configuration, Geometry, Status
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.branches import BRANCHES
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.solution_status import Status
 
 __all__ = ["Comparison", "Progress"]
 

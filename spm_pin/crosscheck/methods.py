@@ -19,10 +19,8 @@ from spm_pin.closed_form.inverse_displacement import inverse_displacement
 from spm_pin.closed_form.jacobians import inverse_jacobian
 from spm_pin.closed_form.leg_forces import leg_forces
 from spm_pin.errors import ArgumentError, SingularConfigurationError
+from spm_pin.mechanism import Configuration, Geometry, SolutionSet
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.solutions import SolutionSet
 from spm_pin.paper import resultant
 from spm_pin.paper.driving_forces import f_r
 from spm_pin.paper.jacobian import CORRECT, J_f, Table5Mistakes

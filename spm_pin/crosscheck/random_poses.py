@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from spm_pin.mechanism import Geometry, LegLimits, pose
 from spm_pin.mechanism.arguments import FloatArray, generator, instance, whole_number
 from spm_pin.mechanism.configuration import triangle_frames
-from spm_pin.mechanism.geometry import Geometry, LegLimits
-from spm_pin.mechanism.pose import homogeneous, pose
+from spm_pin.mechanism.pose import homogeneous
 
 __all__ = ["command", "in_leg_space", "on_all_rotations", "printable"]
 

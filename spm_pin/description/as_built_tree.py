@@ -15,10 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.description.robot_description import RobotDescription
 from spm_pin.description.robot_parts import Joint, Link, Placement
+from spm_pin.mechanism import LEGS, AsBuiltGeometry, Configuration
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.as_built import AsBuiltGeometry
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import LEGS
 from spm_pin.mechanism.joint_angles import home_leans, home_lengths
 from spm_pin.mechanism.pose import homogeneous
 

@@ -15,9 +15,7 @@ from spm_pin.description.robot_description import RobotDescription
 from spm_pin.description.robot_parts import Transmission
 from spm_pin.description.tree import joint_values
 from spm_pin.errors import DescriptionError
-from spm_pin.mechanism.as_built import AsBuiltGeometry
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism import AsBuiltGeometry, Configuration, Geometry
 from spm_pin.mechanism.yaml_node import YamlNode
 
 __all__ = ["manipulator", "read_robot"]

@@ -5,9 +5,8 @@ from __future__ import annotations
 import itertools
 
 from spm_pin.description.as_built_tree import as_built_joint_values
-from spm_pin.mechanism.as_built import AsBuiltGeometry
-from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.joint_angles import joint_angles
+from spm_pin.mechanism import AsBuiltGeometry, Configuration, joint_angles
+from spm_pin.mechanism.configuration import check_configuration
 
 __all__ = ["ANGLES", "JOINTS", "PASSIVE", "SLIDES", "joint_values", "touching_links"]
 

@@ -14,9 +14,8 @@ import numpy.typing as npt
 
 from spm_pin.description.load_robot import manipulator
 from spm_pin.errors import DescriptionError
+from spm_pin.mechanism import LEGS, Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import LEGS, Geometry
 from spm_pin.mechanism.joint_angles import home_lengths
 from spm_pin.mechanism.pose import homogeneous
 

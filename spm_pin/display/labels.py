@@ -11,9 +11,8 @@ import numpy as np
 from spm_pin.description.visuals import visual_parts
 from spm_pin.display.rendering import Extent, Image
 from spm_pin.display.scene import AXIS_COLOURS, TRIAD, Colour
+from spm_pin.mechanism import LEGS, Configuration
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import LEGS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

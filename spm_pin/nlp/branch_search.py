@@ -18,12 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
+from spm_pin.mechanism import BRANCHES, Geometry, PoseLike, SolutionSet, Status, as_rigid_transform
 from spm_pin.mechanism.arguments import FloatArray, choice, instance, real_number, type_and_value, whole_number
-from spm_pin.mechanism.branches import BRANCHES
-from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
-from spm_pin.mechanism.solution_status import Status
-from spm_pin.mechanism.solutions import SolutionSet
 from spm_pin.nlp.batched_newton import LoopEquations
 from spm_pin.nlp.multistart import Multistart
 from spm_pin.nlp.solvers import Ipopt

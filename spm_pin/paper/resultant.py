@@ -19,10 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from spm_pin.mechanism import Geometry, PoseLike, SolutionSet, as_rigid_transform
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
-from spm_pin.mechanism.solutions import SolutionSet
 
 __all__ = ["Resultant", "inverse_displacement", "solve"]
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from spm_pin.closed_form.jacobians import leg_rates
 from spm_pin.closed_form.leg_forces import leg_forces
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import LEGS
+from spm_pin.mechanism import LEGS, Configuration
 from spm_pin.paper import published
 from spm_pin.paper.driving_forces import load, table_5
 from spm_pin.paper.jacobian import Table5Mistakes

@@ -16,10 +16,7 @@ from scipy.optimize import linear_sum_assignment
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.closed_form.inverse_displacement import complex_middle_joints
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.branches import BRANCHES
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import LEGS, Geometry
-from spm_pin.mechanism.pose import pose
+from spm_pin.mechanism import BRANCHES, LEGS, Configuration, Geometry, pose
 from spm_pin.paper import published, resultant
 from spm_pin.reproduction import table_5
 from spm_pin.reproduction.cells import Cell, Verdict, matches, number

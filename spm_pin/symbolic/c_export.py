@@ -17,9 +17,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from spm_pin.closed_form import forward_physical, inverse_displacement, inverse_jacobian, inverse_physical, leg_forces
 from spm_pin.closed_form.stage_wrenches import SINGULAR
 from spm_pin.errors import ArgumentError
+from spm_pin.mechanism import AsBuiltGeometry, Geometry
 from spm_pin.mechanism.arguments import FloatArray, instance
-from spm_pin.mechanism.as_built import AsBuiltGeometry
-from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import EXACT
 from spm_pin.symbolic.c_translation import Program
 from spm_pin.symbolic.c_types import Array, Type, literal

@@ -14,10 +14,8 @@ from spm_pin.closed_form.kernels import branch_tiles, jacobian_kernels, mode_ker
 from spm_pin.closed_form.kernels.branch_tiles import DISCRIMINANT, LEGS, PHYSICAL, STRAIGHT
 from spm_pin.closed_form.kernels.vectors import dot, minus
 from spm_pin.errors import ArgumentError
+from spm_pin.mechanism import BRANCHES, AsBuiltGeometry, Geometry
 from spm_pin.mechanism.arguments import type_and_value
-from spm_pin.mechanism.as_built import AsBuiltGeometry
-from spm_pin.mechanism.branches import BRANCHES
-from spm_pin.mechanism.geometry import Geometry
 from spm_pin.symbolic.tracing import table, traced
 
 __all__ = [

@@ -10,9 +10,8 @@ from scipy.spatial.transform import RigidTransform
 
 from spm_pin.closed_form.path_following import FollowedPath, follow
 from spm_pin.errors import ArgumentError, SpmError
+from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry
 from spm_pin.proofs import Certificate, certify
 
 __all__ = ["Playback", "Recording"]

@@ -14,9 +14,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.display.viewer.recording import Recording
 from spm_pin.errors import ArgumentError
+from spm_pin.mechanism import LEGS, as_rigid_transform, pose
 from spm_pin.mechanism.arguments import FloatArray, file_path, real_array
-from spm_pin.mechanism.geometry import LEGS
-from spm_pin.mechanism.pose import as_rigid_transform, pose
 
 __all__ = ["read_recording"]
 

@@ -9,9 +9,8 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from spm_pin.description.visuals import VisualPart, part_placements, visual_parts
+from spm_pin.mechanism import LEGS, Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import LEGS, Geometry
 
 __all__ = ["MovingMesh", "Placements", "RobotMeshes"]
 

@@ -12,9 +12,8 @@ from spm_pin.description.visuals import section_size
 from spm_pin.display.viewer.robot_meshes import MovingMesh, Placements, RobotMeshes
 from spm_pin.display.viewer.state import State
 from spm_pin.display.viewer.state_markup import LOAD, PULL, PUSH, WARN
+from spm_pin.mechanism import BRANCHES, LEGS
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.branches import BRANCHES
-from spm_pin.mechanism.geometry import LEGS
 
 __all__ = ["RobotScene"]
 

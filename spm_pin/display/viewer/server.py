@@ -17,8 +17,8 @@ from spm_pin.display.viewer.session import Session, SessionConfig
 from spm_pin.display.viewer.state import Model
 from spm_pin.display.viewer.workspace_layer import WorkspaceLayer
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism import Configuration, Geometry
+from spm_pin.mechanism.configuration import check_configuration
 from spm_pin.multibody.chain import ClosedChain
 
 __all__ = ["Viewer"]

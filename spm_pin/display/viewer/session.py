@@ -26,8 +26,8 @@ from spm_pin.display.viewer.state import Drive, Model, State
 from spm_pin.display.viewer.state_export import json_text
 from spm_pin.display.viewer.workspace_layer import WorkspaceLayer
 from spm_pin.errors import SpmError
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.pose import pose as make_pose
+from spm_pin.mechanism import Configuration
+from spm_pin.mechanism import pose as make_pose
 from spm_pin.multibody.chain import ClosedChain
 
 __all__ = ["Session", "SessionConfig"]

@@ -6,10 +6,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.closed_form.forward_displacement import forward_physical
+from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.branches import physical
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.joint_angles import home_lengths
 
 __all__ = ["leg_ranges", "pose_coordinates", "pose_ranges", "sample_states"]

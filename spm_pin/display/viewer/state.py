@@ -15,13 +15,19 @@ from spm_pin.closed_form.inverse_displacement import inverse_displacement
 from spm_pin.closed_form.path_following import follow
 from spm_pin.display.viewer.readings import SINGULARITIES, Readings
 from spm_pin.errors import ArgumentError
+from spm_pin.mechanism import (
+    FAMILIES,
+    LEGS,
+    Configuration,
+    Geometry,
+    LegLimits,
+    PoseLike,
+    SolutionSet,
+    Status,
+    as_rigid_transform,
+)
 from spm_pin.mechanism.arguments import FloatArray, real_array
-from spm_pin.mechanism.branches import FAMILIES, family, physical
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
-from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
-from spm_pin.mechanism.solution_status import Status
-from spm_pin.mechanism.solutions import SolutionSet
+from spm_pin.mechanism.branches import family, physical
 from spm_pin.workspace.reachability.nearest_pose import nearest_reachable_pose, pose_distance
 
 __all__ = ["Drive", "Model", "Notice", "State"]

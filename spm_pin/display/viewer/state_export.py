@@ -12,8 +12,8 @@ import numpy as np
 
 from spm_pin.display.viewer.slider_ranges import pose_coordinates
 from spm_pin.display.viewer.state import State
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import LEGS, geometry_data
+from spm_pin.mechanism import LEGS, Configuration
+from spm_pin.mechanism.geometry import geometry_data
 from spm_pin.multibody.chain import ClosedChain
 
 __all__ = ["command_line", "content", "json_text"]

@@ -11,8 +11,7 @@ import numpy.typing as npt
 
 from spm_pin.display.viewer.slider_ranges import sample_states
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.workspace.table_6.shell import workspace_shell
 
 __all__ = ["WorkspaceLayer"]

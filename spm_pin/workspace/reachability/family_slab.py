@@ -16,10 +16,9 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.closed_form.family_forms import FamilyForms
+from spm_pin.mechanism import FAMILIES, Geometry
+from spm_pin.mechanism import pose as make_pose
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.branches import FAMILIES
-from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.pose import pose as make_pose
 
 __all__ = ["LEAST_TILT", "nearest_real_pose"]
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from spm_pin.errors import ArgumentError
+from spm_pin.mechanism import Configuration, joint_angles
 from spm_pin.mechanism.arguments import FloatArray, number_pair, real_number
-from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.joint_angles import joint_angles
+from spm_pin.mechanism.configuration import check_configuration
 
 __all__ = ["JointLimits", "leg_clearance"]
 

@@ -11,13 +11,9 @@ import numpy.typing as npt
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.closed_form.inverse_displacement import inverse_displacement
 from spm_pin.errors import ArgumentError
+from spm_pin.mechanism import BRANCHES, Configuration, Geometry, LegLimits, PoseLike, SolutionSet, Status
 from spm_pin.mechanism.arguments import FloatArray, choice, generator, instance, real_array, whole_number
-from spm_pin.mechanism.branches import BRANCHES, physical, straightness
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry, LegLimits
-from spm_pin.mechanism.pose import PoseLike
-from spm_pin.mechanism.solution_status import Status
-from spm_pin.mechanism.solutions import SolutionSet
+from spm_pin.mechanism.branches import physical, straightness
 from spm_pin.workspace.reachability.joint_limits import JointLimits
 from spm_pin.workspace.reachability.leg_box import LegBox, leg_box
 from spm_pin.workspace.reachability.nearest import nearest_in_box

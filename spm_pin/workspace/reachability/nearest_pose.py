@@ -19,12 +19,10 @@ from scipy.spatial import KDTree
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.closed_form.inverse_displacement import inverse_displacement
 from spm_pin.errors import ArgumentError
+from spm_pin.mechanism import BRANCHES, FAMILIES, Configuration, Geometry, LegLimits, PoseLike, as_rigid_transform
+from spm_pin.mechanism import pose as make_pose
 from spm_pin.mechanism.arguments import FloatArray, choice, instance
-from spm_pin.mechanism.branches import BRANCHES, FAMILIES, family, physical
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry, LegLimits
-from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
-from spm_pin.mechanism.pose import pose as make_pose
+from spm_pin.mechanism.branches import family, physical
 from spm_pin.workspace.reachability.family_slab import nearest_real_pose
 from spm_pin.workspace.reachability.leg_box import LegBox, leg_box
 from spm_pin.workspace.reachability.nearest import CLEAR, approach, settle

@@ -15,9 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from spm_pin.mechanism import Configuration, Geometry, LegLimits
 from spm_pin.mechanism.arguments import FloatArray, generator, real_array, whole_number
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.workspace.reachability.estimate import Estimate, check_confidence, from_hits, from_mean
 from spm_pin.workspace.reachability.leg_box import leg_box
 from spm_pin.workspace.reachability.membership import pose_multiplicity

@@ -17,10 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.branches import in_home_aspect
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry
 
 __all__ = ["PositionMap", "inverses", "rotated", "turned"]
 
