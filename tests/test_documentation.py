@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import live_page
 import pytest
 from typer.testing import CliRunner
 
@@ -16,7 +17,7 @@ from spm_pin.cli.application import app
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-LANGUAGES = {"python", "console", "sh", "yaml", "xml", "json", "c", ""}
+LANGUAGES = {"python", "console", "sh", "yaml", "xml", "json", "c", "js", ""}
 """Python and console are run here, sh sets up a machine, the others are contents of files; plain blocks, formulas."""
 
 
@@ -72,6 +73,8 @@ def test_the_site_is_built_without_a_warning_and_names_everything_public(tmp_pat
     command = [sys.executable, ROOT / "docs/site/build.py", tmp_path / "site"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+    front = (tmp_path / "site/index.html").read_text(encoding="utf-8")
+    assert ('id="live"' in front) == (live_page.webassembly() is not None)
     index = (tmp_path / "site/reference/index.html").read_text(encoding="utf-8")
     links = re.findall(r'<a [^>]*href="([^"]*)"[^>]*>(?:<(?:span|code)[^>]*>)*(\w+)<', index)
     homes = {name: target for target, name in links}

@@ -20,6 +20,7 @@ from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 
 from literature import with_tables
+from live_page import with_machine
 from sphinx.cmd.build import build_main
 
 from spm_pin.reproduction import reproduce
@@ -87,7 +88,7 @@ def pages() -> dict[str, str]:
     found = {page: _turned(page, origin, origins) for page, origin in origins.items()}
     found["theory/literature_checks.md"] = with_tables(found["theory/literature_checks.md"])
     found["examples.md"] += _scripts()
-    found["index.md"] += _contents(found)
+    found["index.md"] = with_machine(found["index.md"]) + _contents(found)
     found["paper.md"] = _paper()
     found["reference/index.md"] = _reference()
     described: set[str] = set()

@@ -1,0 +1,149 @@
+"""The machine on the front page, solved in the reader's browser by the exported C, compiled to WebAssembly.
+
+All of it stands in the page itself, so that it works from a disk as well, and nothing is fetched. It draws the solids
+of the description, placed as `spm_pin.description.visuals.part_placements` places them.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import shutil
+import subprocess
+import sys
+import zlib
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+import spm_pin as spm
+from spm_pin.description.visuals import BODIES, read_obj, section_size, visual_parts
+from spm_pin.display.scene import AXIS_COLOURS, TRIAD
+
+SITE = Path(__file__).parent
+GEOMETRY = spm.Geometry.paper()
+FLAGS = "--target=wasm32 -std=c99 -O2 -ffp-contract=off -fno-math-errno -ffreestanding -nostdlib -mbulk-memory"
+LINKED = "--no-entry --allow-undefined --strip-all --initial-memory=131072 --export=__heap_base"
+EXPORTED = ("spm_machine", "spm_inverse", "spm_inverse_physical", "spm_forward_physical")
+VERTEX = np.dtype([("position", "<i2", 3), ("normal", "i1", 3), ("region", "u1")])
+
+
+def with_machine(page: str) -> str:
+    """Return the front page with the machine before its picture, which shows where scripts are off.
+
+    Where no compiler for WebAssembly is installed, the picture alone remains, and a line says so.
+    """
+    if (module := webassembly()) is None:
+        print("The front page shows a picture only: needs clang with the target wasm32, and wasm-ld", file=sys.stderr)
+        return page
+    return page.replace("\n![", f"\n```{{raw}} html\n{fragment(module)}\n```\n\n![", 1)
+
+
+def fragment(module: bytes) -> str:
+    """Return the HTML of the machine, all that it needs within."""
+    meshes, ranges = _meshes()
+    data = {
+        "module": _packed(module),
+        "meshes": _packed(meshes),
+        "parts": _parts(ranges),
+        "bodies": BODIES,
+        "axes": np.vstack([GEOMETRY.revolute_axes, GEOMETRY.revolute_axes]).tolist(),
+        "hips": np.vstack([GEOMETRY.base_joints, GEOMETRY.platform_joints]).tolist(),
+        "size": section_size(GEOMETRY),
+        "triad": TRIAD * section_size(GEOMETRY),
+        "limits": [GEOMETRY.limits.minimum, GEOMETRY.limits.maximum] if GEOMETRY.limits else None,
+    }
+    texts = {path.suffix[1:]: path.read_text(encoding="utf-8") for path in (SITE / "live").iterdir()}
+    parts = {"CSS": texts["css"], "JS": texts["js"], "DATA": json.dumps(data, separators=(",", ":"))}
+    page = texts["html"]
+    for name, text in parts.items():
+        page = page.replace(f"@{name}@", text.strip())
+    return page
+
+
+def webassembly() -> bytes | None:
+    """Return the exported C of the paper's machine as a WebAssembly module, None where it cannot be compiled."""
+    compiler = shutil.which("clang")
+    if compiler is None or shutil.which("wasm-ld") is None:
+        return None
+    targets = subprocess.run([compiler, "--print-targets"], capture_output=True, text=True, check=True).stdout
+    if "wasm32" not in targets:
+        return None
+    with TemporaryDirectory() as folder:
+        spm.symbolic.write_c(GEOMETRY, folder)
+        options = [*LINKED.split(), *(f"--export={name}" for name in EXPORTED)]
+        output = Path(folder) / "spm.wasm"
+        command = [compiler, *FLAGS.split(), f"-I{SITE / 'live'}", *(f"-Wl,{option}" for option in options)]
+        subprocess.run([*command, f"{folder}/spm_kinematics.c", "-o", str(output)], check=True)
+        return output.read_bytes()
+
+
+def _packed(data: bytes) -> str:
+    return base64.b64encode(zlib.compress(data, 9)).decode()
+
+
+def _meshes() -> tuple[bytes, dict[str, tuple[float, int, int]]]:
+    """Return vertices and triangles of all meshes, and of each its scale, first index and number of indices."""
+    vertices: list[bytes] = []
+    faces: list[npt.NDArray[np.uint16]] = []
+    ranges = {}
+    count = first = 0
+    for name in sorted({part.mesh for part in visual_parts(GEOMETRY)}):
+        points, normals, corners = _corners(name)
+        pairs, triangles = np.unique(corners, axis=0, return_inverse=True)
+        triangles = triangles.reshape(-1, 3)
+        # Triangles that share corners and their normals are one smooth region; between regions an edge is drawn.
+        sides = triangles[:, [0, 1, 1, 2]].reshape(-1, 2).T
+        scale = float(np.abs(points).max())
+        packed = np.empty(len(pairs), VERTEX)
+        packed["position"] = np.round(32767.0 / scale * points[pairs[:, 0]])
+        packed["normal"] = np.round(127.0 * normals[pairs[:, 1]])
+        packed["region"] = connected_components(coo_array((np.ones(sides.shape[1]), sides), shape=(len(pairs),) * 2))[1]
+        vertices.append(packed.tobytes())
+        faces.append((triangles + count).astype(np.uint16).ravel())
+        ranges[name] = scale, first, triangles.size
+        count, first = count + len(pairs), first + triangles.size
+    indices = np.concatenate(faces).astype("<u2").tobytes()
+    return np.uint32([count]).astype("<u4").tobytes() + b"".join(vertices) + indices, ranges
+
+
+def _parts(ranges: dict[str, tuple[float, int, int]]) -> list[list[object]]:
+    """Return of each solid its body, mesh, range of indices, colour and 3 x 4 matrix from the mesh to the body."""
+    parts: list[list[object]] = []
+
+    def add(body: str, mesh: str, colour: tuple[float, float, float], matrix: npt.NDArray[np.float64]) -> None:
+        scale, first, count = ranges[mesh]
+        numbers = (matrix * [scale, scale, scale, 1.0]).T.ravel()
+        parts.append([BODIES.index(body), mesh, first, count, *(round(float(x), 5) for x in (*colour, *numbers))])
+
+    for part in visual_parts(GEOMETRY):
+        points, _ = mesh(part.mesh)
+        found = np.linalg.lstsq(np.column_stack([points, np.ones(len(points))]), part.vertices, rcond=None)
+        add(part.body, part.mesh, part.colour, found[0].T)
+    length = TRIAD * section_size(GEOMETRY)
+    for body in ("base", "terminal_platform"):
+        for k, colour in enumerate(AXIS_COLOURS.values()):
+            turned = np.roll(np.eye(3), k + 1, axis=0) * length * np.array([0.04, 0.04, 1.0])
+            add(body, "tube", colour, np.column_stack([turned, np.zeros(3)]))
+    return parts
+
+
+def mesh(name: str) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int32]]:
+    """Return the vertices (n, 3) of a mesh of the description and its triangles (m, 3)."""
+    return read_obj(_file(name))
+
+
+def _corners(name: str) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.int64]]:
+    """Return the vertices and the normals of a mesh, and which of each a corner of a triangle has (3 m, 2)."""
+    lines = [line.split() for line in _file(name).read_text(encoding="utf-8").splitlines()]
+    normals = np.array([line[1:] for line in lines if line[:1] == ["vn"]], float)
+    corners = [word.split("//") for line in lines if line[:1] == ["f"] for word in line[1:]]
+    return mesh(name)[0], normals, np.array(corners, int) - 1
+
+
+def _file(mesh: str) -> Path:
+    return SITE.parents[1] / f"urdf/meshes/{mesh}.obj"

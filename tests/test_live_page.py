@@ -1,0 +1,289 @@
+"""The machine on the front page: the exported C in a browser, what it shows, and what stands there without it."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import live_page
+import numpy as np
+import pytest
+from browser import chromium, until, watched
+from PIL import Image
+from scipy.spatial.transform import Rotation
+from symbolic.c_poses import hard_poses, spread_poses
+
+import spm_pin as spm
+from spm_pin.description.visuals import part_placements, visual_parts
+
+pytestmark = pytest.mark.slow  # a browser without a graphics card
+
+ROOT = Path(__file__).parents[1]
+GEOMETRY = spm.Geometry.paper()
+BRANCHES = ["TT+", "TT-", "TF+", "TF-", "FT+", "FT-", "FF+", "FF-"]
+
+
+@pytest.fixture(scope="module")
+def module() -> bytes:
+    found = live_page.webassembly()
+    if found is None:
+        pytest.skip("needs the system packages clang and lld")
+    return found
+
+
+@pytest.fixture(scope="module")
+def file(module: bytes, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a page in a folder of its own, with the machine and the picture after it as on the front page."""
+    folder = tmp_path_factory.mktemp("page") / "sub folder"
+    folder.mkdir()
+    (folder / "picture.png").write_bytes((ROOT / "docs/images/mechanism.png").read_bytes())
+    body = f'<p>Text.</p>\n{live_page.fragment(module)}\n<p><img src="picture.png" alt=""></p>'
+    (folder / "index.html").write_text(f'<!doctype html><meta charset="utf-8"><body>{body}</body>', encoding="utf-8")
+    return folder / "index.html"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator:
+    with chromium() as found:
+        yield found
+
+
+def opened(browser, file: Path, script: str = "", **options):
+    """Return the page from the disk, and lists of its errors and requests."""
+    page = browser.new_page(**{"reduced_motion": "reduce", **options})
+    requests: list[str] = []
+    page.on("request", lambda request: requests.append(request.url))
+    errors = watched(page)
+    if script:
+        page.add_init_script(script)
+    page.goto(file.as_uri())
+    return page, errors, requests
+
+
+@pytest.fixture(scope="module")
+def page(browser, file: Path) -> Iterator:
+    found, errors, requests = opened(browser, file, viewport={"width": 800, "height": 700})
+    until(lambda: found.locator("#live b.live-time").inner_text() != "a few", "a solution", page=found)
+    yield found
+    assert not errors
+    assert all(url.startswith(file.parent.as_uri()) for url in requests)
+    found.close()
+
+
+def solved_in_python(page) -> spm.SolutionSet:
+    """Return the branches that the Python shown on the page finds."""
+    names: dict[str, spm.SolutionSet] = {}
+    exec(page.locator("#live pre").text_content(), names)
+    return names["branches"]
+
+
+def check_what_is_shown(page) -> spm.SolutionSet:
+    """Compare each branch that can be chosen with Python's, and the words in its place where there is none."""
+    expected = solved_in_python(page)
+    choices = page.locator(".live-branches label")
+    notes = choices.locator("small").all_inner_texts()
+    assert [note in ("real", "physical") for note in notes] == [bool(expected.exists[k]) for k in order(page)]
+    physical = expected.physical()
+    marked = [k for k, note in zip(order(page), notes, strict=True) if note == "physical"]
+    assert len(marked) == int(bool(physical.exists))
+    for k in marked:
+        np.testing.assert_allclose(expected.leg_lengths[k], physical.leg_lengths, rtol=0.0, atol=1e-12)
+    for k in np.flatnonzero(expected.exists):
+        choose(page, BRANCHES[k])
+        shown = page.locator("#live data").evaluate_all("all => all.map((one) => Number(one.value))")
+        np.testing.assert_allclose(shown, expected.leg_lengths[k], rtol=0.0, atol=1e-12)
+        texts = [float(text) for text in page.locator("#live data").all_inner_texts()]
+        np.testing.assert_allclose(texts, expected.leg_lengths[k], rtol=0.0, atol=0.51e-4)
+    assert page.locator("#live table").is_visible() == bool(expected.exists.any())
+    return expected
+
+
+def order(page) -> list[int]:
+    return [BRANCHES.index(x) for x in page.locator(".live-branches input").evaluate_all("a => a.map((x) => x.value)")]
+
+
+def choose(page, value: str) -> None:
+    page.locator(f'#live input[value="{value}"]').evaluate("it => it.click()")
+
+
+def set_sliders(page, values) -> None:
+    for k, value in enumerate(values):
+        slider = page.locator("#live input[type=range]").nth(k)
+        slider.evaluate("(it, x) => { it.value = x; it.dispatchEvent(new Event('input')); }", value)
+
+
+def test_webassembly_returns_the_bits_of_the_kernels(page) -> None:
+    poses = [spread_poses(GEOMETRY, 600, 1), hard_poses(GEOMETRY, 200, 2)]
+    rotation, position = (np.concatenate(part) for part in zip(*poses, strict=True))
+    script = "poses => poses.map((x) => document.getElementById('live').machine.inverse(x.slice(0, 9), x.slice(9)))"
+    found = page.evaluate(script, np.hstack([rotation.reshape(-1, 9), position]).tolist())
+    expected = spm.inverse_displacement(GEOMETRY, spm.pose(position, rotation=rotation))
+    assert [one["status"] for one in found] == expected.status.tolist()
+    np.testing.assert_array_equal([one["real"] for one in found], expected.exists)
+    np.testing.assert_array_equal(np.array([one["lengths"] for one in found], float), expected.leg_lengths)
+    joints = np.array([one["joints"] for one in found], float).reshape(-1, 8, 3, 3)
+    np.testing.assert_array_equal(joints, expected.configurations.middle_joints)
+
+
+@pytest.mark.parametrize("example", ["eight branches", "the paper’s pose", "level", "out of reach"])
+def test_an_example_shows_what_python_finds(page, example: str) -> None:
+    page.get_by_role("button", name=example).click()
+    expected = check_what_is_shown(page)
+    status = page.locator(".live-status").inner_text()
+    if example == "level":
+        assert expected.status == spm.Status.DEGENERATE
+        assert status == "Degenerate"
+        assert "continuous family" in page.locator(".live-reason").inner_text()
+    elif example == "out of reach":
+        assert expected.status == spm.Status.UNREACHABLE
+        assert status == "Out of reach"
+    else:
+        assert status == f"{int(expected.count)} of 8 branches are real"
+
+
+def test_sliders_of_the_pose_show_what_python_finds(page) -> None:
+    choose(page, "pose")
+    pose = [-0.328, 0.097, 2.517, -5.1, -14.3, 2.2]
+    set_sliders(page, pose)
+    expected = check_what_is_shown(page)
+    assert expected.count > 0
+    turned = Rotation.from_euler("xyz", pose[3:], degrees=True)
+    held = expected.configurations[0].pose
+    np.testing.assert_array_equal(held.translation, pose[:3])
+    np.testing.assert_allclose(held.rotation.as_matrix(), turned.as_matrix(), atol=1e-15)
+
+
+def test_sliders_of_the_legs_show_the_pose_they_hold(page) -> None:
+    choose(page, "legs")
+    lengths = [1.25, 1.2, 1.38, 1.25, 1.2, 1.45]
+    set_sliders(page, lengths)
+    expected = check_what_is_shown(page)
+    np.testing.assert_allclose(expected.physical().leg_lengths, lengths, rtol=0.0, atol=1e-12)
+    # The pose that is then shown is the same but for its digits.
+    choose(page, "pose")
+    np.testing.assert_allclose(check_what_is_shown(page).physical().leg_lengths, lengths, rtol=0.0, atol=5e-4)
+
+
+def test_colours_of_a_slider_tell_where_a_real_machine_can_be(page) -> None:
+    page.get_by_role("button", name="eight branches").click()
+    text = page.locator(".live-track i").nth(5).evaluate("it => it.style.backgroundImage")
+    colours = [int(x) for x in re.findall(r"var\(--live-reach-(\d)\)", text)]
+    yaw = -20.0 + 40.0 * (np.arange(len(colours)) + 0.5) / len(colours)
+    turned = Rotation.from_euler(
+        "xyz", np.column_stack([np.full_like(yaw, -20.0), np.full_like(yaw, 5.0), yaw]), degrees=True
+    )
+    held = spm.inverse_physical(GEOMETRY, spm.pose([0.11, 0.45, 2.45], rotation=turned))
+    within = (held.leg_lengths >= 1.1) & (held.leg_lengths <= 1.5)
+    assert colours == (held.exists + (held.exists & within.all(axis=-1)).astype(int)).tolist()
+    assert set(colours) == {0, 1, 2}
+
+
+def test_solids_are_where_the_description_has_them(page) -> None:
+    page.get_by_role("button", name="eight branches").click()
+    expected = solved_in_python(page)
+    for k in np.flatnonzero(expected.exists):
+        choose(page, BRANCHES[k])
+        found = page.evaluate("document.getElementById('live').machine.placements()")
+        placed = part_placements(expected[int(k)])
+        for matrix, part, placement in zip(found, visual_parts(GEOMETRY), placed, strict=False):
+            points = live_page.mesh(part.mesh)[0]
+            rows = np.array(matrix).reshape(4, 4)[:, :3]
+            shown = points / np.abs(points).max() @ rows[:3] + rows[3]
+            np.testing.assert_allclose(shown, part.vertices @ placement[:3, :3].T + placement[:3, 3], atol=1e-4)
+
+
+def test_keys_move_sliders_and_turn_the_view(page, tmp_path: Path) -> None:
+    page.get_by_role("button", name="eight branches").click()
+    page.locator("#live input[type=range]").first.focus()
+    page.keyboard.press("ArrowRight")
+    assert page.locator("#live output").first.inner_text() == "0.111 m"
+    assert check_what_is_shown(page).configurations[0].pose.translation[0] == 0.111
+
+    def picture(name: str) -> np.ndarray:
+        page.locator("#live canvas").screenshot(path=tmp_path / name)
+        return np.asarray(Image.open(tmp_path / name).convert("RGB")).astype(int)
+
+    before = picture("before.png")
+    blue, orange = before[..., 2] - before[..., 0] > 60, before[..., 0] - before[..., 2] > 60
+    assert min(blue.sum(), orange.sum()) > 500  # the barrels of the lower and of the upper legs
+    page.locator("#live canvas").focus()
+    page.keyboard.press("ArrowLeft")
+    until(lambda: (np.abs(picture("after.png") - before) > 60).sum() > 1000, "another picture", page=page)
+
+
+def test_a_drag_turns_the_view(page) -> None:
+    box = page.locator("#live canvas").bounding_box()
+    label = page.locator(".live-labels span").first
+    before = label.get_attribute("style")
+    page.mouse.move(box["x"] + 50, box["y"] + 50)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 150, box["y"] + 80)
+    page.mouse.up()
+    until(lambda: label.get_attribute("style") != before, "a label elsewhere", page=page)
+
+
+def test_a_phone_shows_it_in_one_column(browser, file: Path) -> None:
+    page, errors, _ = opened(browser, file, viewport={"width": 390, "height": 844})
+    until(lambda: page.locator("#live data").count() == 6, "leg lengths", page=page)
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    canvas, panel = (page.locator(name).bounding_box() for name in ("#live canvas", ".live-panel"))
+    assert panel["y"] >= canvas["y"] + canvas["height"]
+    assert not errors
+    page.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "script"),
+    [
+        ({"java_script_enabled": False}, ""),
+        ({}, "delete window.WebAssembly"),
+        ({}, "HTMLCanvasElement.prototype.getContext = () => null"),
+    ],
+    ids=["no scripts", "no WebAssembly", "no WebGL"],
+)
+def test_the_picture_stands_in_its_place(browser, file: Path, options: dict[str, bool], script: str) -> None:
+    page, errors, _ = opened(browser, file, script, **options)
+    until(page.locator("img").is_visible, "the picture", page=page)
+    assert page.locator("#live").is_hidden()
+    assert not errors
+    page.close()
+
+
+def test_the_picture_is_hidden_where_the_machine_is_shown(page) -> None:
+    assert page.locator("#live").is_visible()
+    assert page.locator("img").is_hidden()
+
+
+def test_all_of_it_is_below_200_kilobytes_and_names_no_other_place(file: Path) -> None:
+    text = file.read_text(encoding="utf-8")
+    assert len(text.encode()) < 200_000
+    assert not re.findall(r"https?://|@import|url\(", text)
+
+
+def test_the_lines_of_the_how_to_make_a_module_that_solves(page, module: bytes, tmp_path: Path) -> None:
+    text = (ROOT / "docs/howto/controller.md").read_text(encoding="utf-8")
+    shell, script = (
+        re.search(rf"```{kind}\n(.*?wasm.*?|.*?WebAssembly.*?)```", text, re.DOTALL) for kind in ("sh", "js")
+    )
+    (tmp_path / "docs").symlink_to(ROOT / "docs")
+    spm.symbolic.write_c(GEOMETRY, tmp_path / "spm_c")
+    subprocess.run(["sh", "-ec", shell[1]], cwd=tmp_path, check=True)
+    made = (tmp_path / "spm.wasm").read_bytes()
+    assert len(made) < len(module)
+    held = spm.inverse_physical(GEOMETRY, spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88])))
+    given = [list(made), held.rotation.ravel().tolist(), held.translation.tolist()]
+    prologue = "async ([given, rotation, position]) => { const bytes = new Uint8Array(given);"
+    status, lengths = page.evaluate(f"{prologue} {script[1]} return [status, lengths]; }}", given)
+    assert status == 0
+    assert lengths == held.leg_lengths.tolist()
+
+
+def test_without_a_compiler_the_front_page_keeps_its_picture(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("PATH", "")
+    page = "# Start\n\nText.\n\n![A picture](picture.png)\n"
+    assert live_page.with_machine(page) == page
+    assert "wasm-ld" in capsys.readouterr().err
