@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.closed_form.batches import run_kernel
-from spm_pin.closed_form.kernels.compilation import interpreted, kernel, readonly_array
+from spm_pin.closed_form.kernels.compilation import kernel, readonly_array
 from spm_pin.closed_form.kernels.stage_equations import SAME, equations, placed
 from spm_pin.closed_form.kernels.stage_modes import PLACES, is_continuous, solve_mode, workspace
 from spm_pin.mechanism.arguments import FloatArray
@@ -100,7 +100,7 @@ def placement(quaternion: FloatArray, height: FloatArray) -> tuple[FloatArray, F
         Position of the centre, and of the corners in the vertical planes of the legs, in units of r.
     """
     x1, x2, x3, x0 = np.moveaxis(quaternion, -1, 0)
-    radii, heights = interpreted(placed)(x0, x1, x2, x3, height)
+    radii, heights = placed(x0, x1, x2, x3, height)
     centre = np.stack([-2.0 * x1 * x2, x2 * x2 - x1 * x1, height], axis=-1)
     return centre, np.stack(radii, axis=-1), np.stack(heights, axis=-1)
 

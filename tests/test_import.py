@@ -21,6 +21,22 @@ def test_import_loads_no_heavy_package(module: str) -> None:
     assert done.stdout.strip() == "[]"
 
 
+SOLVE = """
+import sys, numpy as np, spm_pin as spm
+geometry = spm.Geometry.paper()
+pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
+assert spm.inverse_displacement(geometry, pose).exists.sum() == 6
+assert spm.forward_physical(geometry, spm.inverse_physical(geometry, pose).leg_lengths).exists
+print(*(name for name in sys.argv[1:] if name in sys.modules))
+"""
+
+
+def test_a_solve_loads_nothing_that_it_does_not_need() -> None:
+    others = ("pinocchio", "casadi", "matplotlib", "scipy.optimize", "mpmath", "trimesh", "xacro")
+    done = subprocess.run([sys.executable, "-c", SOLVE, *others], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ""
+
+
 def test_every_public_name_is_there_and_documented() -> None:
     for name in spm.__all__:
         member = getattr(spm, name)

@@ -14,7 +14,6 @@ import mpmath
 import numpy as np
 
 from spm_pin.closed_form.kernels import stage_equations
-from spm_pin.closed_form.kernels.compilation import interpreted
 from spm_pin.closed_form.kernels.quartic import quartic_coefficients
 from spm_pin.closed_form.kernels.stage_modes import PLACES
 from spm_pin.mechanism.arguments import FloatArray
@@ -47,7 +46,7 @@ def solve_stage_with_more_digits(lengths: FloatArray, hip_radius: float, side: f
             for place, state in enumerate(_in_order(_solutions(stage), mode == 1)[:PLACES]):
                 x0, x1, x2, zeta = (float(x) for x in state)
                 plain = (0.0, -x2, x1, x0, zeta) if mode else (x0, x1, x2, 0.0, zeta)
-                _, heights = _placed(*plain)
+                _, heights = stage_equations.placed(*plain)
                 flat = max(abs(h) for h in heights) <= _SAME
                 for sheet in range(1 if flat else 2):
                     sign = above if sheet == 0 else -above
@@ -70,7 +69,7 @@ def _solutions(stage: tuple[Any, ...]) -> list[list[Any]]:
     mu, span = nu**3, mpmath.hypot(kappa, size) or mpmath.mpf(1)
     omega, gain = abs(kappa) / span, (-1 if kappa < 0 else 1) / span
     # Turned by an angle that no root shares, so that none is at infinity.
-    coefficients = interpreted(quartic_coefficients)(stage, size, mu.real, mu.imag, omega, gain)
+    coefficients = quartic_coefficients(stage, size, mu.real, mu.imag, omega, gain)
     turn = mpmath.tan(mpmath.mpf("0.777"))
     polynomial = _substituted(coefficients, turn)
     found: list[list[Any]] = []
@@ -126,7 +125,7 @@ def _tilts(stage: tuple[Any, ...], kappa: Any, turn: Any, a: Any) -> list[list[A
 
 def _newton(stage: tuple[Any, ...], start: list[Any]) -> list[Any] | None:
     """Return the solution beside an approximate one, None if that is none."""
-    residual, derivatives = interpreted(stage_equations.residual), interpreted(stage_equations.derivatives)
+    residual, derivatives = stage_equations.residual, stage_equations.derivatives
     x = mpmath.matrix(start)
     for _ in range(60):
         state = tuple(x)
@@ -146,11 +145,6 @@ def _newton(stage: tuple[Any, ...], start: list[Any]) -> list[Any] | None:
         return None
     sign, mirror = (-1 if x[0] < 0 else 1), (-1 if x[3] < 0 else 1)
     return [sign * x[0], sign * mirror * x[1], sign * mirror * x[2], mirror * x[3]]
-
-
-def _placed(x0: float, x1: float, x2: float, x3: float, zeta: float) -> tuple[Any, Any]:
-    found: tuple[Any, Any] = interpreted(stage_equations.placed)(x0, x1, x2, x3, zeta)
-    return found
 
 
 def _in_order(states: list[list[Any]], half_turned: bool) -> list[list[Any]]:

@@ -114,7 +114,6 @@ def inverse_displacement(
         if certified:
             raise ArgumentError("certify", "False for an AsBuiltGeometry", certify)
         return as_built_inverse(geometry, pose, inverse_displacement)
-    from spm_pin.closed_form.certified_branches import existence_radii, settle_families
     from spm_pin.closed_form.kernels.branch_kernels import all_branches
     from spm_pin.closed_form.kernels.branch_tiles import VERTICAL
 
@@ -126,6 +125,8 @@ def inverse_displacement(
     found = _solution_set(geometry, shape, solved, degeneracy)
     if not certified:
         return found
+    from spm_pin.closed_form.certified_branches import existence_radii, settle_families
+
     certain = np.asarray(found.certain).reshape(-1, 4)
     vertical = (flagged & VERTICAL) > 0
     undecided = ~certain & ~degeneracy.families.reshape(-1, 4) & ~vertical[:, None]

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import brentq, minimize_scalar
+import scipy
 from scipy.spatial.transform import RigidTransform, Slerp
 
 from spm_pin.closed_form.forward_displacement import forward_displacement
@@ -234,7 +234,7 @@ def _sign_changes(geometry: Geometry, tracker: Tracker, states: Configuration) -
                 events.append(_event(geometry, which, high if before < 0.0 else low, after - before))
             brackets = [(low, high)] if column[k] * column[k + 1] < 0.0 else _dip(value, parameters, column, k)
             for left, right in brackets:
-                root = float(brentq(value, left, right, xtol=1e-13, rtol=8.9e-16))
+                root = float(scipy.optimize.brentq(value, left, right, xtol=1e-13, rtol=8.9e-16))
                 events.append(_event(geometry, which, root, value(right)))
     return events
 
@@ -252,5 +252,7 @@ def _dip(
     deepest = min(sign * column[k] + slopes[0] * (high - low), sign * column[k + 1] - slopes[2] * (high - low))
     if not (slopes[0] < 0.0 < slopes[2] and deepest < 0.0):
         return []
-    lowest = minimize_scalar(lambda s: sign * value(s), bounds=(low, high), method="bounded", options={"xatol": 1e-12})
+    lowest = scipy.optimize.minimize_scalar(
+        lambda s: sign * value(s), bounds=(low, high), method="bounded", options={"xatol": 1e-12}
+    )
     return [(low, float(lowest.x)), (float(lowest.x), high)] if lowest.fun < 0.0 else []

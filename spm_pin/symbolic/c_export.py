@@ -166,7 +166,7 @@ def _translated() -> tuple[str, dict[str, str]]:
         (singular_values.singular_values, (array(1, 6, 6), array(1, 6))),
     )
     program = Program({"TILE": 1})
-    names = {kernel._function.__name__: program.add(kernel, kinds)[0] for kernel, kinds in entries}
+    names = {kernel.py_func.__name__: program.add(kernel, kinds)[0] for kernel, kinds in entries}
     return program.text, {**names, "VERTICAL": str(branch_tiles.VERTICAL)}
 
 

@@ -27,7 +27,7 @@ _TABLES = {"f": "double", "i": "int", "c": "complex_number"}
 
 def python_function(function: Any) -> Callable[..., Any]:
     """Return the Python function behind a kernel or an inlined formula."""
-    found: Callable[..., Any] = getattr(function, "_function", None) or getattr(function, "py_func", function)
+    found: Callable[..., Any] = getattr(function, "py_func", function)
     return found
 
 

@@ -14,7 +14,7 @@ from typing import Any, Generic, ParamSpec, TypeVar
 import numba
 from numba.core import caching
 
-__all__ = ["TILE", "Kernel", "interpreted", "jit", "jit_inline", "kernel", "readonly_array"]
+__all__ = ["TILE", "Formula", "Kernel", "jit", "jit_inline", "kernel", "readonly_array"]
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -22,35 +22,25 @@ R = TypeVar("R")
 TILE = 16
 """Problems computed side by side: two or more registers' worth on every processor, and small enough for its cache."""
 
-_OPTIONS = {"error_model": "numpy", "nogil": True}
-# Nothing but kernels is called from C. The wrappers for Python stay: without them a call from Python would crash.
-_INNER = {**_OPTIONS, "no_cfunc_wrapper": True}
+_OPTIONS = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
 # Numba's own annotations are partial.
 _njit: Any = numba.njit
 _numba_cache: Any = caching.FunctionCache
 _config: Any = numba.config
+_types: Any = numba.types
 _LOG = logging.getLogger("spm_pin")
 # What one kernel is made of is spread over these files, and Numba's cache looks at the kernel's own alone.
 _SOURCES = hashlib.sha256(b"".join(p.read_bytes() for p in sorted(Path(__file__).parent.glob("*.py")))).hexdigest()
 
 
-def jit_inline(function: Callable[P, R]) -> Callable[P, R]:
+def jit_inline(function: Callable[P, R]) -> Formula[P, R]:
     """Mark a formula that kernels call; it becomes part of their loops."""
-    compiled: Callable[P, R] = _njit(forceinline=True, **_INNER)(function)
-    return compiled
+    return Formula(function, inline=True)
 
 
-def jit(function: Callable[P, R]) -> Callable[P, R]:
+def jit(function: Callable[P, R]) -> Formula[P, R]:
     """Mark a function that kernels call as such, for it is too long to be copied to every place it is called from."""
-    compiled: Callable[P, R] = _njit(**_INNER)(function)
-    return compiled
-
-
-def interpreted(formula: Callable[..., Any]) -> Callable[..., Any]:
-    """Return an inlined formula as Python runs it: on arrays, or on numbers with more digits."""
-    dispatcher: Any = formula
-    python: Callable[..., Any] = dispatcher.py_func
-    return python
+    return Formula(function, inline=False)
 
 
 def kernel(signature: str) -> Callable[[Callable[P, R]], Kernel[P, R]]:
@@ -63,6 +53,29 @@ def readonly_array(axes: int) -> str:
     return f"Array(f8, {axes}, 'A', True)"
 
 
+class Formula(Generic[P, R]):
+    """A function that kernels call: compiled as part of them, interpreted where Python calls it, on any numbers."""
+
+    def __init__(self, function: Callable[P, R], inline: bool) -> None:
+        functools.update_wrapper(self, function)
+        self.py_func = function
+        self._inline = inline
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
+        """Run the function as Python does."""
+        return self.py_func(*args, **kwargs)
+
+    @functools.cached_property
+    def _numba_type_(self) -> Any:
+        """The type of this function in the source of a kernel."""
+        dispatcher = _njit(forceinline=self._inline, no_cpython_wrapper=True, **_OPTIONS)(self.py_func)
+        of_literals = dispatcher.get_call_template
+        # Compiled once for all values of a whole number, not for each that some call contains.
+        dispatcher.get_call_template = lambda args, kws: of_literals(tuple(map(_types.unliteral, args)), kws)
+        self._dispatcher = dispatcher  # its type refers to it weakly
+        return _types.Dispatcher(dispatcher)
+
+
 class Kernel(Generic[P, R]):
     """A function compiled at its first call, or loaded from Numba's cache if it has been compiled before.
 
@@ -71,7 +84,7 @@ class Kernel(Generic[P, R]):
     """
 
     def __init__(self, function: Callable[P, R], signature: str) -> None:
-        self._function = function
+        self.py_func = function
         self._signature = signature
         self._lock = threading.Lock()
         self._compiled: Callable[P, R] | None = None
@@ -84,11 +97,11 @@ class Kernel(Generic[P, R]):
         """Return the compiled function, loaded from the cache if it is there."""
         with self._lock:
             if self._compiled is None and _config.DISABLE_JIT:
-                self._compiled = self._function
+                self._compiled = self.py_func
             elif self._compiled is None:
-                dispatcher = _njit(**_OPTIONS)(self._function)
+                dispatcher = _njit(**_OPTIONS)(self.py_func)
                 try:
-                    dispatcher._cache = _Cache(self._function)
+                    dispatcher._cache = _Cache(self.py_func)
                 except RuntimeError:  # no place for a cache
                     _announce("at every start, for no cache can be written, see NUMBA_CACHE_DIR")
                 dispatcher.compile(self._signature)
@@ -98,7 +111,7 @@ class Kernel(Generic[P, R]):
 
     def assembly(self) -> str:
         """Compile anew, and return the machine code as assembly language."""
-        dispatcher = _njit(**_OPTIONS)(self._function)
+        dispatcher = _njit(**_OPTIONS)(self.py_func)
         dispatcher.compile(self._signature)
         return "".join(dispatcher.inspect_asm().values())
 
