@@ -17,10 +17,10 @@ import numpy.typing as npt
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError, GeometryError, SelectionError
 from spm_pin.mechanism import LEGS, Configuration, Geometry, LegLimits
-from spm_pin.mechanism.arguments import FloatArray, first_offender, frozen, real_array, type_and_value, whole_number
+from spm_pin.mechanism.arguments import FloatArray, first_offender, real_array, type_and_value, whole_number
 from spm_pin.workspace.closed_mesh import ClosedMesh, enclosed_volume
 from spm_pin.workspace.table_6.convergence import Convergence
-from spm_pin.workspace.table_6.patches import Setting, SubWorkspace, orientations, sub_workspaces
+from spm_pin.workspace.table_6.patches import SubWorkspace, orientations, sub_workspaces
 from spm_pin.workspace.table_6.winding import ClosedSurface
 
 __all__ = ["Patch", "Shell", "workspace_shell"]
@@ -34,42 +34,22 @@ FINEST = 2000
 
 
 @dataclass(frozen=True)
-class Patch:
-    """One of the 24 surfaces; arrays are read-only.
+class Patch(SubWorkspace):
+    """One of the 24 surfaces: a row of Table 6, and its part of the shell's mesh; arrays are read-only.
 
     Attributes
     ----------
-    name, family : str
-        As the paper has them: ``"Sm3"`` of ``"Sm"``.
-    settings : tuple of six Setting
-        At which limit each leg is, in the order of `LEGS`; two vary.
-    minimum, maximum : tuple of six floats
-        Between which lengths each leg varies [m]; the same twice where it does not.
     grid : ndarray of int, shape (n + 1, n + 1)
         Vertices of the shell's mesh; the first varying leg grows along the first axis, the second along the other.
-    points : ndarray, shape (n + 1, n + 1, 3)
-        Where they are: o in {B} [m].
     faces : ndarray of int, shape (2n²,)
         Faces of the shell's mesh.
     area : float
         Of those faces [m²].
     """
 
-    name: str
-    family: str
-    settings: tuple[Setting, ...]
-    minimum: tuple[float, ...]
-    maximum: tuple[float, ...]
     grid: Indices
-    points: FloatArray
     faces: Indices
     area: float
-
-    @property
-    def varying(self) -> tuple[str, str]:
-        """Names of the two legs that vary."""
-        first, second = (leg for leg, setting in zip(LEGS, self.settings, strict=True) if setting is Setting.VARIES)
-        return first, second
 
 
 @dataclass(frozen=True)
@@ -221,7 +201,7 @@ def workspace_shell(geometry: Geometry, limits: LegLimits | None = None, *, reso
         geometry,
         box,
         n,
-        _patches(rows, box, grids, states.translation, faces),
+        _patches(rows, grids, states.translation, faces),
         states,
         Convergence((*coarser, n), tuple(outward * volume for volume in volumes)),
     )
@@ -272,26 +252,14 @@ def _lofted(grid: Indices, sign: int) -> Indices:
     return triangles[:, ::sign]
 
 
-def _patches(
-    rows: Sequence[SubWorkspace], limits: LegLimits, grids: Indices, vertices: FloatArray, faces: Indices
-) -> tuple[Patch, ...]:
+def _patches(rows: Sequence[SubWorkspace], grids: Indices, vertices: FloatArray, faces: Indices) -> tuple[Patch, ...]:
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=-1).reshape(len(rows), -1).sum(axis=1) / 2.0
     numbers = np.arange(len(faces)).reshape(len(rows), -1)
-    patches = []
-    for row, grid, area, number in zip(rows, grids, areas, numbers, strict=True):
-        ends = zip(row.settings, limits.minimum, limits.maximum, strict=True)
-        ranges = [_range(setting, low, high) for setting, low, high in ends]
-        low, high = zip(*ranges, strict=True)
-        points = frozen(vertices[grid])
-        patches.append(
-            Patch(row.name, row.family, row.settings, low, high, _fixed(grid), points, _fixed(number), float(area))
-        )
-    return tuple(patches)
-
-
-def _range(setting: Setting, low: float, high: float) -> tuple[float, float]:
-    return {Setting.MINIMUM: (low, low), Setting.MAXIMUM: (high, high), Setting.VARIES: (low, high)}[setting]
+    return tuple(
+        Patch(row.name, row.settings, _fixed(grid), _fixed(number), float(area))
+        for row, grid, area, number in zip(rows, grids, areas, numbers, strict=True)
+    )
 
 
 def _fixed(array: Indices) -> Indices:
