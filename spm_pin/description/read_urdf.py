@@ -9,8 +9,7 @@ from pathlib import Path
 from spm_pin.description.closures import Closure
 from spm_pin.description.robot_description import RobotDescription
 from spm_pin.description.robot_parts import MOVING, Joint, Link, Material, Mesh, Shape, Transmission
-from spm_pin.description.urdf_closures import merged_closures
-from spm_pin.description.urdf_elements import inertial, limit, placement
+from spm_pin.description.urdf_elements import inertial, limit, merged_closures, placement
 from spm_pin.description.xml_nodes import Node, parse
 from spm_pin.errors import DescriptionError
 

@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 import spm_pin as spm
 from spm_pin.closed_form.starting_configuration import starting_configuration
 from spm_pin.display.viewer.camera import FIELD_OF_VIEW, VIEWS, fit_camera, robot_points
-from spm_pin.display.viewer.demo_motion import demo_motion
 from spm_pin.display.viewer.readings import Readings
+from spm_pin.display.viewer.recording import demo_motion
 from spm_pin.display.viewer.robot_meshes import RobotMeshes
 from spm_pin.display.viewer.slider_ranges import leg_ranges, pose_coordinates, pose_ranges, sample_states
 from spm_pin.display.viewer.state import Drive, Model

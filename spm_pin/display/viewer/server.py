@@ -10,8 +10,7 @@ from typing import Any
 
 from spm_pin.closed_form.starting_configuration import starting_configuration
 from spm_pin.display.viewer import viser_server
-from spm_pin.display.viewer.demo_motion import demo_motion
-from spm_pin.display.viewer.recording import Recording
+from spm_pin.display.viewer.recording import Recording, demo_motion
 from spm_pin.display.viewer.robot_meshes import RobotMeshes
 from spm_pin.display.viewer.session import Session, SessionConfig
 from spm_pin.display.viewer.state import Model

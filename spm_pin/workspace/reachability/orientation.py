@@ -6,6 +6,10 @@ stage for which the upper one respects its limits too are the whole set of state
 orientations have the volume
 
     ∫ |det ∂(o, R)/∂(u, v)| / |det ∂o/∂v| du.
+
+Rotations are told by tilt and torsion, R = Rz(φ) Ry(θ) Rz(σ - φ): the platform's normal leans by the tilt θ towards the
+azimuth φ, and the platform is turned by the torsion σ about it. The uniform measure of rotations is sin θ dφ dθ dσ, 8π²
+in all. Bonev, Zlatanov, Gosselin, "Advantages of the modified Euler angles in the design and control of PKMs", 2002.
 """
 
 from __future__ import annotations
@@ -20,11 +24,11 @@ from spm_pin.mechanism.arguments import FloatArray, generator, real_array, whole
 from spm_pin.workspace.reachability.estimate import Estimate, check_confidence, from_hits, from_mean
 from spm_pin.workspace.reachability.leg_box import leg_box
 from spm_pin.workspace.reachability.membership import pose_multiplicity
-from spm_pin.workspace.reachability.tilt_torsion import ROTATIONS, tilt_torsion
 
-__all__ = ["OrientationWorkspace", "orientation_workspace"]
+__all__ = ["ROTATIONS", "OrientationWorkspace", "orientation_workspace", "tilt_torsion"]
 
-_SAME = 1e-9
+ROTATIONS = 8.0 * np.pi**2
+"""Measure of all rotations [rad³]."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +44,7 @@ class OrientationWorkspace:
     weights : ndarray, shape (n,)
         How much of the orientations each state stands for [rad³]; they add up to `volume.value`.
     azimuth, tilt, torsion : ndarray, shape (n,)
-        Where the platform's normal leans, how far, and the turn about it [rad]; see
-        `spm_pin.workspace.reachability.tilt_torsion`.
+        Where the platform's normal leans, how far, and the turn about it [rad].
     volume : Estimate
         Of the orientations, in rad³; all rotations measure 8π².
     """
@@ -138,3 +141,11 @@ def orientation_workspace(
         volume = from_hits(0, count, ROTATIONS, confidence, method, "rad³")
     azimuth, tilt, torsion = tilt_torsion(states.rotation)
     return OrientationWorkspace(point[0], states, values[index] * region / count, azimuth, tilt, torsion, volume)
+
+
+def tilt_torsion(rotation: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return azimuth in [-π, π), tilt in [0, π] and torsion in [-π, π] of matrices (..., 3, 3) [rad]."""
+    azimuth = np.arctan2(rotation[..., 1, 2], rotation[..., 0, 2])
+    tilt = np.arctan2(np.hypot(rotation[..., 0, 2], rotation[..., 1, 2]), rotation[..., 2, 2])
+    torsion = np.arctan2(rotation[..., 1, 0] - rotation[..., 0, 1], rotation[..., 0, 0] + rotation[..., 1, 1])
+    return azimuth, tilt, torsion

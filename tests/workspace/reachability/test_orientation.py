@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 import spm_pin as spm
 from spm_pin.workspace.reachability.estimate import from_hits
 from spm_pin.workspace.reachability.membership import reachable
-from spm_pin.workspace.reachability.orientation import orientation_workspace
-from spm_pin.workspace.reachability.tilt_torsion import ROTATIONS, tilt_torsion
+from spm_pin.workspace.reachability.orientation import ROTATIONS, orientation_workspace, tilt_torsion
 
 PAPER = GEOMETRIES["paper"]
 
