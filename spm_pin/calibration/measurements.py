@@ -40,24 +40,12 @@ class MeasurementError(ArgumentError):
 
 @dataclass(frozen=True)
 class Measurements:
-    """N poses and readings, checked.
+    """N poses and readings, checked."""
 
-    Attributes
-    ----------
-    rotation : ndarray, shape (N, 3, 3)
-        Measured rotations from {m} to {B}; identities if only positions were measured.
-    position : ndarray, shape (N, 3)
-        Measured positions of o in {B} [m].
-    readings : ndarray, shape (N, 6)
-        Readings of the legs [m].
-    components : int
-        6 for poses, 3 for positions alone.
-    """
-
-    rotation: FloatArray
-    position: FloatArray
-    readings: FloatArray
-    components: int
+    rotation: FloatArray  # measured rotations from {m} to {B}, (N, 3, 3); identities if only positions were measured
+    position: FloatArray  # measured positions of o in {B}, (N, 3) [m]
+    readings: FloatArray  # of the legs, (N, 6) [m]
+    components: int  # 6 for poses, 3 for positions alone
 
     @classmethod
     def check(cls, geometry: AsBuiltGeometry, poses: Any, leg_lengths: npt.ArrayLike) -> Measurements:

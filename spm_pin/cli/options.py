@@ -111,10 +111,7 @@ def read_any_geometry(path: Path | None) -> Geometry | AsBuiltGeometry:
             geometry = any_geometry_from_yaml(path)
     except GeometryError as error:
         where = "--geometry" if error.argument == "path" else f"--geometry: {error.argument}"
-        cause = (
-            "A machine as built? The command line takes ideal ones" if "'nominal'" in error.received else error.cause
-        )
-        raise GeometryError(where, error.expected, error.received, cause) from error
+        raise GeometryError(where, error.expected, error.received, error.cause) from error
     for warning in caught:
         note(f"--geometry: {warning.message}", "yellow")
     return geometry

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
@@ -170,19 +170,17 @@ class Comparison:
             resolved = Conditioning.of(proved).resolves(method.rounding(proved))
         invented = found & (share > 1.0)
         missed = (proved.exists & resolved & ~found).reshape(-1, _BRANCHES).any(axis=-1) & answer.selected
-        self.scores[method.name] = self.scores[method.name].combined(
-            MethodScore(
-                method.name,
-                solved=int(answer.selected.sum()),
-                unsolved=int((answer.selected & (answer.status == Status.UNSOLVED)).sum()),
-                branches=int(found.sum()),
-                invented=int(invented.sum()),
-                missed=int(missed.sum()),
-                residual=float(np.nanmax(share, initial=0.0)),
-                invented_at=self._first_pose(invented.reshape(-1, _BRANCHES).any(axis=-1)),
-                missed_at=self._first_pose(missed),
-            )
-        )
+        score = self.scores[method.name]
+        score.solved += int(answer.selected.sum())
+        score.unsolved += int((answer.selected & (answer.status == Status.UNSOLVED)).sum())
+        score.branches += int(found.sum())
+        score.invented += int(invented.sum())
+        score.missed += int(missed.sum())
+        score.residual = max(score.residual, float(np.nanmax(share, initial=0.0)))
+        if score.invented_at < 0:
+            score.invented_at = self._first_pose(invented.reshape(-1, _BRANCHES).any(axis=-1))
+        if score.missed_at < 0:
+            score.missed_at = self._first_pose(missed)
 
     def _first_pose(self, marked: Any) -> int:
         return self.poses + int(marked.argmax()) if marked.any() else -1
@@ -231,8 +229,7 @@ class Comparison:
         for name in self.scores.keys() & values.keys():
             # Where two contradict each other and no third decides, either may be wrong.
             lost = opposed[name] & ((support[name] < strongest) | (strongest == 0))
-            score = self.scores[name]
-            self.scores[name] = replace(score, outvoted=score.outvoted + int(lost.sum()))
+            self.scores[name].outvoted += int(lost.sum())
 
 
 def _points(configuration: Configuration) -> FloatArray:

@@ -9,6 +9,7 @@ conditioning and rounding explain, the outlier is attributed by majority.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -142,7 +143,7 @@ def compare_in_batches(
             xyx[:done],
             comparison.reached,
             comparison.states,
-            tuple(comparison.scores.values()),
+            tuple(map(copy, comparison.scores.values())),
             comparison.differences,
         )
 

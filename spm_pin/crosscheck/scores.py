@@ -59,7 +59,7 @@ class PairDifference:
         )
 
 
-@dataclass(frozen=True)
+@dataclass
 class MethodScore:
     """Counts of one method: branches found, invented and missed, comparisons lost."""
 
@@ -89,13 +89,3 @@ class MethodScore:
     def faults(self) -> int:
         """Number of wrong answers."""
         return self.invented + self.outvoted + (self.missed if self.misses_too_often else 0)
-
-    def combined(self, later: MethodScore) -> MethodScore:
-        """Return the score over these poses and later ones."""
-        counts = ("solved", "unsolved", "branches", "invented", "missed", "outvoted")
-        sums = {name: getattr(self, name) + getattr(later, name) for name in counts}
-        firsts = {
-            name: later_at if (at := getattr(self, name)) < 0 else at
-            for name, later_at in (("invented_at", later.invented_at), ("missed_at", later.missed_at))
-        }
-        return MethodScore(self.name, self.allowed, **sums, residual=max(self.residual, later.residual), **firsts)

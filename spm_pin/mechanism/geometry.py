@@ -231,7 +231,10 @@ def geometry_of_node(root: YamlNode) -> Geometry:
     sizes = {f"{triangle}_{size}" for triangle in ("base", "platform") for size in ("side", "radius")}
     nodes = root.mapping({"middle_side"}, sizes | {"leg_limits"})
     limits = nodes.pop("leg_limits", None)
-    lengths = {key: _length(node, key) for key, node in nodes.items()}
+    lengths = {
+        key: _dimension(node.number(f"a number of metres under the key {key}"), f"{key} in {node.place}")
+        for key, node in nodes.items()
+    }
 
     def radius(triangle: str) -> float:
         keys = [key for key in (f"{triangle}_side", f"{triangle}_radius") if key in lengths]
@@ -270,10 +273,6 @@ def _dimension(value: Any, argument: str) -> float:
         error=GeometryError,
         cause="Given in another unit?" if isinstance(value, float | int) and value > 0 else "",
     )
-
-
-def _length(node: YamlNode, key: str) -> float:
-    return _dimension(node.number(f"a number of metres under the key {key}"), f"{key} in {node.place}")
 
 
 def _read_limits(node: YamlNode) -> LegLimits:

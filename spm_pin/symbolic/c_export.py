@@ -17,7 +17,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from spm_pin.closed_form import forward_physical, inverse_displacement, inverse_jacobian, inverse_physical, leg_forces
 from spm_pin.closed_form.stage_wrenches import SINGULAR
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import AsBuiltGeometry, Geometry
+from spm_pin.mechanism import AsBuiltGeometry, Geometry, LegLimits
 from spm_pin.mechanism.arguments import FloatArray, instance
 from spm_pin.mechanism.pose import EXACT
 from spm_pin.symbolic.c_translation import Program
@@ -60,7 +60,7 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_") -> dict[str, str]:
         raise ArgumentError("prefix", "letters, digits and underscores that can begin a name in C", repr(prefix))
     version = import_module("spm_pin").__version__
     kernels, names = _translated()
-    low, high = (np.zeros(6), np.full(6, np.inf)) if geometry.limits is None else _limits(geometry)
+    limits = geometry.limits or LegLimits(0.0, np.inf)
     values = {
         "PREFIX": prefix,
         "PREFIX_UPPER": prefix.upper(),
@@ -71,8 +71,8 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_") -> dict[str, str]:
         "BASE_RADIUS": literal(geometry.base_radius).code,
         "PLATFORM_RADIUS": literal(geometry.platform_radius).code,
         "MIDDLE_SIDE": literal(geometry.middle_side).code,
-        "MINIMUM": _row(low),
-        "MAXIMUM": _row(high),
+        "MINIMUM": _row(limits.minimum),
+        "MAXIMUM": _row(limits.maximum),
         **names,
         **_known_answers(geometry),
         "KERNELS": kernels,
@@ -125,11 +125,6 @@ def write_c(geometry: Geometry, directory: str | Path, *, prefix: str = "spm_") 
         if not existed and folder.is_dir() and not any(folder.iterdir()):
             folder.rmdir()
     return [folder / name for name in sources]
-
-
-def _limits(geometry: Geometry) -> tuple[FloatArray, FloatArray]:
-    assert geometry.limits is not None
-    return np.array(geometry.limits.minimum), np.array(geometry.limits.maximum)
 
 
 def _translated() -> tuple[str, dict[str, str]]:

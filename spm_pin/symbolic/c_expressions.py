@@ -145,12 +145,8 @@ class ExpressionTranslator:
         if own in self.variables:
             self.read.add(own)
             return Value(self.identifier(node.id), self.variables[own])
-        return self._global(node.id, self._object(node))
-
-    def _global(self, name: str, found: Any) -> Value:
-        if isinstance(found, np.ndarray | tuple):
-            return self.program.table(name, found)
-        return literal(found)
+        found = self._object(node)
+        return self.program.table(node.id, found) if isinstance(found, np.ndarray | tuple) else literal(found)
 
     def _object(self, node: ast.expr) -> Any:
         """Return what a global name, or an attribute of a module, stands for."""

@@ -62,12 +62,10 @@ class LegBox:
     @cached_property
     def stages(self) -> tuple[StageSet, StageSet]:
         """The states of the lower and of the upper stage."""
-        lower, upper = (StageSet(self.map, k, *(x[3 * k : 3 * k + 3] for x in self._ends)) for k in range(2))
+        lower, upper = (
+            StageSet(self.map, k, *(x[3 * k : 3 * k + 3] for x in (self.minimum, self.maximum))) for k in range(2)
+        )
         return lower, upper
-
-    @property
-    def _ends(self) -> tuple[FloatArray, FloatArray]:
-        return self.minimum, self.maximum
 
     def snapped(self, lengths: FloatArray) -> FloatArray:
         """Return `lengths` (N, 6) within the limits, those within rounding of a limit at it."""

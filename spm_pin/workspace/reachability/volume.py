@@ -14,7 +14,7 @@ from spm_pin.workspace.reachability.boundary import Boundary, reachable_boundary
 from spm_pin.workspace.reachability.estimate import Estimate, check_confidence, from_hits, from_mean
 from spm_pin.workspace.reachability.leg_box import LegBox, leg_box
 from spm_pin.workspace.reachability.membership import pose_multiplicity, sample_reachable
-from spm_pin.workspace.reachability.state_search import Membership, Progress, search_states
+from spm_pin.workspace.reachability.state_search import Progress, search_states
 from spm_pin.workspace.table_6.shell import Shell
 
 __all__ = ["ShellComparison", "compare_with_shell", "pose_volume", "reachable_volume"]
@@ -70,13 +70,8 @@ def reachable_volume(
     box, rng = leg_box(geometry, limits), generator(rng)
     points, region = _points_around(box, whole_number(samples, "samples", least=2), rng)
     found = search_states(box, points, what="reachable points", progress=progress)
-    how = "share of uniform points"
-    return _share(found, region, confidence, how, "m³")
-
-
-def _share(found: Membership, region: float, confidence: float, method: str, unit: str) -> Estimate:
     hits, undecided = int(found.reached.sum()), int(found.undecided.sum())
-    return from_hits(hits, len(found.reached), region, confidence, method, unit, undecided)
+    return from_hits(hits, len(points), region, confidence, "share of uniform points", "m³", undecided)
 
 
 def _points_around(box: LegBox, count: int, rng: np.random.Generator) -> tuple[FloatArray, float]:

@@ -183,7 +183,7 @@ def workspace_shell(geometry: Geometry, limits: LegLimits | None = None, *, reso
     if not isinstance(geometry, Geometry):
         raise ArgumentError("geometry", "a Geometry", type(geometry).__name__)
     box = _read_limits(geometry, limits)
-    n = _read_resolution(resolution)
+    n = whole_number(resolution, "resolution", "a whole number of increments, at least 2", least=2, most=FINEST)
     rows = sub_workspaces()
     signs = orientations(rows)
     coarser = sorted({-(-n // 4), -(-n // 2)})
@@ -279,7 +279,3 @@ def _read_limits(geometry: Geometry, limits: LegLimits | None) -> LegLimits:
         if not (low > 0.0 and np.isfinite(high)):
             raise GeometryError("limits", expected, f"[{low:g}, {high:g}] for {leg}")
     return box
-
-
-def _read_resolution(resolution: int) -> int:
-    return whole_number(resolution, "resolution", "a whole number of increments, at least 2", least=2, most=FINEST)
