@@ -13,7 +13,7 @@ from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, broadcastable, first_offender, instance, real_array
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.branches import physical
-from spm_pin.mechanism.configuration import Configuration, triangle_frames
+from spm_pin.mechanism.configuration import Configuration, triangle_frames, triangle_sides
 from spm_pin.mechanism.geometry import LEGS, Geometry
 
 __all__ = ["as_built_forward", "check_seed"]
@@ -73,8 +73,7 @@ def check_seed(geometry: Geometry | AsBuiltGeometry, lengths: FloatArray, seed: 
     if not seed.exists.all():
         raise ArgumentError("seed", "states that exist", f"NaN at index {first_offender(~seed.exists)}")
     torn = float(seed.closure_residual.max(initial=0.0))
-    nominal = geometry.nominal if isinstance(geometry, AsBuiltGeometry) else geometry
-    if torn > _OPEN * nominal.middle_side:
+    if torn > _OPEN * geometry.nominal.middle_side:
         raise ArgumentError("seed", "a configuration that closes", f"a closure residual of {torn:.1e} m")
 
 
@@ -106,7 +105,7 @@ def _follow(
     unit, found = end.nominal.middle_radius, np.empty_like(balls)
     for stage in (slice(3), slice(3, 6)):
         machines = [np.stack([g.axes[stage], g.pivots[stage] / unit]) for g in (start, end)]
-        sides = [_sides(g.balls[stage]) / unit for g in (start, end)]
+        sides = [triangle_sides(g.balls[stage]) / unit for g in (start, end)]
         inputs = balls[:, stage] / unit, start_lengths[:, stage] / unit, end_lengths[:, stage] / unit
         results = ((3, 3), np.float64), ((), np.bool_)
         moved, _ = run_kernel(follow_circles, inputs, (*machines, *sides), results, _MIN_BATCH_PER_THREAD)
@@ -127,10 +126,6 @@ def _follow_from_home(nominal: AsBuiltGeometry, geometry: AsBuiltGeometry, lengt
     balls[..., 2] = np.repeat(height * [1.0, -1.0], 3, axis=-1)
     legs = np.repeat(equal, 3, axis=-1)
     return _follow(geometry, geometry, _follow(nominal, geometry, balls, legs, legs), legs, lengths)
-
-
-def _sides(balls: FloatArray) -> FloatArray:
-    return np.asarray(np.sqrt(((balls - np.roll(balls, -1, axis=0)) ** 2).sum(axis=-1)))
 
 
 def _compose(geometry: AsBuiltGeometry, balls: FloatArray, shape: tuple[int, ...]) -> Configuration:

@@ -13,7 +13,6 @@ import numpy.typing as npt
 
 from spm_pin.errors import SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray, first_offender
-from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 
@@ -69,7 +68,7 @@ class StageWrenches:
         if short.any() and not short_legs:
             raise SingularConfigurationError("forward", 0.0, first_offender(short))
         geometry, centre = configuration.geometry, configuration.middle_joints.mean(axis=-2)
-        side = (geometry.nominal if isinstance(geometry, AsBuiltGeometry) else geometry).middle_side
+        side = geometry.nominal.middle_side
         arms = (configuration.balls - centre[..., None, :]) / side
 
         def rows(forces: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.joint_angles import home_lengths
+from spm_pin.mechanism.leg_frames import home_lengths
 
 __all__ = ["starting_configuration"]
 

@@ -46,8 +46,7 @@ def manipulator(
         If a state is a batch or does not exist.
     """
     geometry = Geometry.paper() if geometry is None else geometry
-    nominal = geometry.nominal if isinstance(geometry, AsBuiltGeometry) else geometry
-    robot = urdf_description(expand(nominal, prefix=prefix), read_closures(prefix=prefix))
+    robot = urdf_description(expand(geometry.nominal, prefix=prefix), read_closures(prefix=prefix))
     if isinstance(geometry, AsBuiltGeometry):
         robot = as_built_robot(robot, geometry, prefix)
     values = {}

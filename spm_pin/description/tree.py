@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import itertools
 
-from spm_pin.description.as_built_tree import as_built_joint_values
-from spm_pin.mechanism import AsBuiltGeometry, Configuration, joint_angles
+from spm_pin.mechanism import Configuration, joint_angles
 from spm_pin.mechanism.configuration import check_configuration
 
 __all__ = ["ANGLES", "JOINTS", "PASSIVE", "SLIDES", "joint_values", "touching_links"]
@@ -38,9 +37,6 @@ def joint_values(configuration: Configuration) -> dict[str, float]:
     Where the configuration violates the mechanism's closure, so does the tree.
     """
     check_configuration(configuration, single=True, existing=True, as_built=True)
-    if isinstance(configuration.geometry, AsBuiltGeometry):
-        values = as_built_joint_values(configuration)
-        return {name: values[name] for name in JOINTS}
     found = joint_angles(configuration, corners=(0,)).values
     values = dict(zip((*ANGLES, *SLIDES), found.tolist(), strict=True))
     return {name: values[name] for name in JOINTS}

@@ -16,7 +16,7 @@ from spm_pin.description.load_robot import manipulator
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism import LEGS, Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.joint_angles import home_lengths
+from spm_pin.mechanism.leg_frames import home_lengths
 from spm_pin.mechanism.pose import homogeneous
 
 __all__ = ["BODIES", "VisualPart", "part_placements", "read_obj", "section_size", "visual_parts"]

@@ -141,11 +141,11 @@ def physical(configuration: Configuration) -> BoolArray:
     directions of the nominal geometry tell the mode and its own axes the aspect.
     """
     geometry = configuration.geometry
-    nominal = geometry.nominal if isinstance(geometry, AsBuiltGeometry) else geometry
     centre = configuration.middle_joints.mean(axis=-2)
     upward = configuration.rotation[..., :, 2]
     heights = centre[..., 2], np.einsum("...i,...i->...", configuration.translation - centre, upward)
-    upright = np.logical_and.reduce([value > 0.0 for value in (*_mean_radii(configuration, nominal), *heights)])
+    radii = _mean_radii(configuration, geometry.nominal)
+    upright = np.logical_and.reduce([value > 0.0 for value in (*radii, *heights)])
     if not configuration.shape:
         return np.asarray(upright & _at_home(configuration))
     # Few are upright, and the rest is the longer part.

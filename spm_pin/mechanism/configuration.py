@@ -24,7 +24,7 @@ from spm_pin.mechanism.as_built import AsBuiltGeometry, all_balls
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, unchecked_transform
 
-__all__ = ["Configuration", "check_configuration", "triangle_frames"]
+__all__ = ["Configuration", "check_configuration", "triangle_frames", "triangle_sides"]
 
 
 class Configuration:
@@ -267,12 +267,12 @@ class Configuration:
         axes, pivots = self._local
         if isinstance(geometry, AsBuiltGeometry):
             lower = ((b - pivots[:3]) * axes[:3]).sum(axis=-1)
-            right = np.sqrt(((geometry.balls[:3] - np.roll(geometry.balls[:3], -1, axis=0)) ** 2).sum(axis=-1))
+            right = triangle_sides(geometry.balls[:3])
         else:
             lower = (b * axes[:3]).sum(axis=-1)
             right = np.broadcast_to(geometry.middle_side, 3)
         upper = ((self.balls[..., 3:, :] - self.platform_joints) * self.platform_axes).sum(axis=-1)
-        sides = np.sqrt(((b - np.roll(b, -1, axis=-2)) ** 2).sum(axis=-1)) - right
+        sides = triangle_sides(b) - right
         return frozen(np.asarray(np.abs(np.concatenate([lower, upper, sides], axis=-1)).max(axis=-1)))
 
 
@@ -285,6 +285,11 @@ def triangle_frames(b: FloatArray) -> FloatArray:
         y = y - (x * y).sum(axis=-1, keepdims=True) * x
         y = y / np.linalg.norm(y, axis=-1, keepdims=True)
     return np.stack([x, y, np.cross(x, y)], axis=-1)
+
+
+def triangle_sides(b: FloatArray) -> FloatArray:
+    """Return the sides b_1 b_2, b_2 b_3 and b_3 b_1 (..., 3) of triangles (..., 3, 3)."""
+    return np.asarray(np.sqrt(((b - np.roll(b, -1, axis=-2)) ** 2).sum(axis=-1)))
 
 
 def check_configuration(

@@ -196,6 +196,11 @@ class Geometry:
         return geometry_of_node(YamlNode.read(path, "a YAML mapping of dimensions", GeometryError))
 
     @property
+    def nominal(self) -> Geometry:
+        """Itself: the machine of the drawing, as `AsBuiltGeometry.nominal`."""
+        return self
+
+    @property
     def dimensions(self) -> tuple[float, float, float]:
         """E, C and d [m]: what makes two machines the same, their limits aside."""
         return self.base_radius, self.platform_radius, self.middle_side

@@ -3,7 +3,9 @@
 A leg's hip turns about its revolute axis, from the leg's direction at the symmetric home; its slide is its length
 less that at home. The ball joint of a lower leg turns the rod into the middle platform about the leg's revolute axis
 (x), the middle axis (y) and the platform's normal (z), in this order. That of an upper leg turns the middle platform
-into the rod, in the order z, y, x.
+into the rod, in the order z, y, x. In a machine as built, the hip turns about the leg's own axis, zero and home are
+those of the nominal machine, and a slide is the distance of ball and pivot less the length at home, without the offset
+of the reading.
 """
 
 from __future__ import annotations
@@ -18,51 +20,15 @@ import numpy as np
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, type_and_value, whole_number
-from spm_pin.mechanism.configuration import Configuration, check_configuration
+from spm_pin.mechanism.as_built import AsBuiltGeometry
+from spm_pin.mechanism.configuration import Configuration, check_configuration, triangle_sides
 from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.leg_frames import LegFrame, leg_frames
 
-__all__ = ["JointAngles", "home_leans", "home_lengths", "joint_angles"]
-
-# The sign that turns a leg outwards about the revolute axis, in the paper's sense of the axes.
-_OUTWARD = (1.0, -1.0, -1.0)
+__all__ = ["JointAngles", "joint_angles"]
 
 # Configurations computed together: intermediate arrays stay in the processor's cache.
 _BLOCK = 2048
-
-
-def home_lengths(geometry: Geometry) -> tuple[float, float]:
-    """Return the leg length at home of the lower and of the upper stage [m].
-
-    It is the middle of the limits that the stage's three legs share, if the stage can stand there: if it is
-    longer than the radial distance from hip to ball. Otherwise, and without limits, it is the shortest length
-    allowed plus that of legs whose stage is as high as the sum of its two radii.
-    """
-    limits = geometry.limits
-    r = geometry.middle_radius
-    lengths = []
-    for stage, radius in enumerate((geometry.base_radius, geometry.platform_radius)):
-        legs = slice(3 * stage, 3 * stage + 3)
-        low = max(limits.minimum[legs]) if limits else 0.0
-        high = min(limits.maximum[legs]) if limits else math.inf
-        middle, reach = 0.5 * (low + high), abs(r - radius)
-        stands = low < high and reach < middle < math.inf
-        lengths.append(middle if stands else low + math.hypot(reach, r + radius))
-    return lengths[0], lengths[1]
-
-
-def home_leans(geometry: Geometry) -> tuple[float, ...]:
-    """Return, for each leg in the order of `LEGS`, its direction at home [rad].
-
-    The angle about the leg's revolute axis from the platform's normal, z of {B} or {m}, to the direction from
-    hip to ball.
-    """
-    leans: list[float] = []
-    radii = (geometry.base_radius, geometry.platform_radius)
-    for radius, length, up in zip(radii, home_lengths(geometry), (1.0, -1.0), strict=True):
-        offset = geometry.middle_radius - radius
-        height = up * math.sqrt((length - offset) * (length + offset))
-        leans.extend(math.atan2(outward * offset, height) for outward in _OUTWARD)
-    return tuple(leans)
 
 
 @dataclass(frozen=True)
@@ -117,7 +83,7 @@ def joint_angles(configuration: Configuration, corners: tuple[int, ...] = (0, 1,
     Parameters
     ----------
     configuration : Configuration
-        One state or a batch; a state need not be closed.
+        One state or a batch, of the ideal machine or of one as built; a state need not be closed.
     corners : tuple of int
         The legs, 0 to 2, whose ball joints are wanted: of each stage these.
 
@@ -131,26 +97,28 @@ def joint_angles(configuration: Configuration, corners: tuple[int, ...] = (0, 1,
     ArgumentError
         If an argument is of another kind.
     """
-    check_configuration(configuration)
+    check_configuration(configuration, as_built=True)
     if not isinstance(corners, tuple | list):
         raise ArgumentError("corners", "a tuple of legs, 0 to 2", type_and_value(corners))
     corners = tuple(whole_number(corner, "corners", "legs, 0 to 2", most=2) for corner in corners)
     shape, count = configuration.shape, 12 + 6 * len(corners)
     constants = _constants(configuration.geometry)
-    state = configuration.rotation, configuration.translation, configuration.middle_joints
+    state = [configuration.rotation, configuration.translation, configuration.middle_joints]
+    if isinstance(configuration.geometry, AsBuiltGeometry):
+        state.append(configuration.balls[..., 3:, :])
     if not shape:
         return _single(state, constants, corners)
-    rotation, translation, middle_joints = (a.reshape(-1, n) for a, n in zip(state, (9, 3, 9), strict=True))
-    size = len(middle_joints)
+    arrays = [a.reshape(-1, n) for a, n in zip(state, (9, 3, 9, 9), strict=False)]
+    size = len(arrays[0])
     found, residual = np.empty((size, count)), np.empty(size)
     rows = np.empty((count, min(size, _BLOCK)))
     with np.errstate(invalid="ignore", divide="ignore"):
         for begin in range(0, size, _BLOCK):
             block = slice(begin, begin + _BLOCK)
             # Components first: each operation runs along the configurations of a block.
-            r, o, b = (np.ascontiguousarray(a[block].T) for a in (rotation, translation, middle_joints))
-            angles, slides, errors = _values(list(r), list(o), list(b), constants, corners, np.sqrt)
-            rows = rows[:, : b.shape[1]]
+            parts = [list(np.ascontiguousarray(a[block].T)) for a in arrays]
+            angles, slides, errors = _values(parts, constants, corners, np.sqrt)
+            rows = rows[:, : len(parts[0][0])]
             for row, (sine, cosine) in zip(rows, angles, strict=False):
                 np.arctan2(sine, cosine, out=row)
             rows[-6:] = slides
@@ -159,42 +127,22 @@ def joint_angles(configuration: Configuration, corners: tuple[int, ...] = (0, 1,
     return JointAngles(found.reshape(*shape, count), residual.reshape(shape))
 
 
-@dataclass(frozen=True)
-class _Leg:
-    """Constants of one leg: its revolute axis (cos, sin, 0), where its hip is, and its direction and length at home."""
-
-    cos: float
-    sin: float
-    hip: float  # along the second axis of its corner, z × x
-    lean_cos: float
-    lean_sin: float
-    length: float
-
-
-Constants = tuple[tuple[_Leg, ...], float]
+Constants = tuple[tuple[LegFrame, ...], tuple[float, ...]]
 Pair = tuple[Any, Any]
 
 
 @functools.lru_cache(maxsize=16)
-def _constants(geometry: Geometry) -> Constants:
-    """Return the constants of the six legs and the side of the middle platform."""
-    hips = np.concatenate([geometry.base_joints, geometry.platform_joints]).tolist()
-    axes = geometry.revolute_axes.tolist() * 2
-    leans, lengths = home_leans(geometry), np.repeat(home_lengths(geometry), 3).tolist()
-    legs = (
-        _Leg(a[0], a[1], h[1] * a[0] - h[0] * a[1], math.cos(lean), math.sin(lean), length)
-        for a, h, lean, length in zip(axes, hips, leans, lengths, strict=True)
-    )
-    return tuple(legs), float(geometry.middle_side)
+def _constants(geometry: Geometry | AsBuiltGeometry) -> Constants:
+    """Return the constants of the six legs, and the sides b_1 b_2, b_2 b_3 and b_3 b_1 of the middle platform."""
+    if isinstance(geometry, AsBuiltGeometry):
+        return leg_frames(geometry), tuple(triangle_sides(geometry.balls[:3]).tolist())
+    return leg_frames(geometry), (float(geometry.middle_side),) * 3
 
 
-def _single(
-    state: tuple[FloatArray, FloatArray, FloatArray], constants: Constants, corners: tuple[int, ...]
-) -> JointAngles:
+def _single(state: list[FloatArray], constants: Constants, corners: tuple[int, ...]) -> JointAngles:
     """Return the values of one state, computed in Python's numbers: NumPy takes longer for arrays of one."""
-    r, o, b = (a.ravel().tolist() for a in state)
     try:
-        angles, slides, errors = _values(r, o, b, constants, corners, math.sqrt)
+        angles, slides, errors = _values([a.ravel().tolist() for a in state], constants, corners, math.sqrt)
     except ZeroDivisionError:  # balls in one place or in a line
         return JointAngles(np.full(12 + 6 * len(corners), np.nan), np.array(np.nan))
     sines, cosines = np.array(angles).T
@@ -202,37 +150,34 @@ def _single(
 
 
 def _values(
-    r: Sequence[Any],
-    o: Sequence[Any],
-    b: Sequence[Any],
-    constants: Constants,
-    corners: tuple[int, ...],
-    sqrt: Callable[[Any], Any],
+    state: Sequence[Sequence[Any]], constants: Constants, corners: tuple[int, ...], sqrt: Callable[[Any], Any]
 ) -> tuple[list[Pair], list[Any], list[Any]]:
     """Return joint angles as multiples of (sine, cosine), slides, and closure errors: of numbers, or of arrays (n,).
 
-    The angles are the six hips', then the balls' x, y and z. `r`, `o` and `b` are the components of R, o and the rows
-    b_i; `sqrt` is the root of their kind.
+    The angles are the six hips', then the balls' x, y and z. `state` has the components of R, o, the rows b_i and,
+    where they differ from these, of the upper legs' balls; `sqrt` is the root of their kind.
     """
-    legs, side = constants
+    legs, lengths_of_sides = constants
+    r, o, b = state[:3]
     rows = [b[0:3], b[3:6], b[6:9]]
-    balls = [*rows, *(_turned_back(r, [p[k] - o[k] for k in range(3)]) for p in rows)]
+    upper = [state[3][k : k + 3] for k in (0, 3, 6)] if len(state) > 3 else rows
+    balls = [*rows, *(_turned_back(r, [p[k] - o[k] for k in range(3)]) for p in upper)]
     hips: list[Pair] = []
     lengths, slides, errors = [], [], []
     for ball, leg in zip(balls, legs, strict=True):
-        across = leg.cos * ball[1] - leg.sin * ball[0] - leg.hip
+        along, across, up = leg.place(ball)
         # Turned back by the lean at home, the direction's angle is the hip's.
-        cosine = leg.lean_cos * ball[2] - leg.lean_sin * across
-        sine = -leg.lean_sin * ball[2] - leg.lean_cos * across
+        cosine = leg.lean_cos * up - leg.lean_sin * across
+        sine = -leg.lean_sin * up - leg.lean_cos * across
         hips.append((sine, cosine))
         lengths.append(sqrt(cosine * cosine + sine * sine))
         slides.append(lengths[-1] - leg.length)
-        errors.append(abs(leg.cos * ball[0] + leg.sin * ball[1]))
+        errors.append(abs(along))
 
-    # The middle platform's axes, as in `Configuration.middle_pose`; then seen from {m}.
+    # The triangle's axes, as in `Configuration.middle_pose`; then seen from {m}.
     edges = [[p[k] - q[k] for k in range(3)] for p, q in zip(rows, [rows[1], rows[2], rows[0]], strict=True)]
     sides = [sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]) for v in edges]
-    errors.extend(abs(length - side) for length in sides)
+    errors.extend(abs(length - side) for length, side in zip(sides, lengths_of_sides, strict=True))
     x = [-component / sides[2] for component in edges[2]]
     y = [edges[1][k] - edges[0][k] for k in range(3)]
     shared = x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
@@ -263,23 +208,21 @@ def _direction(sine: Any, cosine: Any, length: Any) -> Pair:
 
 
 def _ball_angles(
-    rod: Pair, leg: _Leg, axes: Sequence[Sequence[Any]], sign: float, sqrt: Callable[[Any], Any]
+    rod: Pair, leg: LegFrame, axes: Sequence[Sequence[Any]], sign: float, sqrt: Callable[[Any], Any]
 ) -> tuple[Pair, Pair, Pair]:
     """Return the angles of the rotation Rx Ry Rz from the rod to the middle platform, times `sign`.
 
-    `axes` are those of the middle platform, seen from the platform that the leg stands on; `rod` has sine and cosine of
-    the hip. For an upper leg the rotation goes from the platform to the rod: its transpose has the angles negated.
+    `axes` are those of the lower balls' triangle, seen from the platform that the leg stands on; `rod` has sine and
+    cosine of the hip. For an upper leg the rotation goes from the platform to the rod: its transpose has the angles
+    negated.
     """
-    # The middle platform's axes in the corner's frame, then turned back by the hip about x.
-    c, s = leg.cos, leg.sin
-    x, y, z = axes
-    corner = [[c * x[k] + s * y[k] for k in range(3)], [c * y[k] - s * x[k] for k in range(3)], z]
-    across = [c * axis[1] - s * axis[0] for axis in corner]
+    # The axes of the middle platform's corner in the leg's frame, then turned back by the hip about x.
+    along, across, up = leg.corner(*axes)
     sine, cosine = rod
-    second = [cosine * a + sine * axis[2] for a, axis in zip(across, corner, strict=True)]
-    third = [cosine * axis[2] - sine * a for a, axis in zip(across, corner, strict=True)]
+    second = [cosine * a + sine * u for a, u in zip(across, up, strict=True)]
+    third = [cosine * u - sine * a for a, u in zip(across, up, strict=True)]
     level = sqrt(second[2] * second[2] + third[2] * third[2])
     sine, cosine = _direction(-second[2], third[2], level)
     # The last from what the first leaves over, hence exact where the first is not determined.
     left = [cosine * second[k] + sine * third[k] for k in range(2)]
-    return (sign * sine, cosine), (sign * (c * z[0] + s * z[1]), level), (sign * left[0], left[1])
+    return (sign * sine, cosine), (sign * along, level), (sign * left[0], left[1])

@@ -21,7 +21,7 @@ _PROPORTION = 10.0
 
 def machine_size(geometry: Geometry | AsBuiltGeometry) -> float:
     """Return E + C + 2 d [m], about the height of a machine."""
-    nominal = geometry.nominal if isinstance(geometry, AsBuiltGeometry) else geometry
+    nominal = geometry.nominal
     return nominal.base_radius + nominal.platform_radius + 2.0 * nominal.middle_side
 
 

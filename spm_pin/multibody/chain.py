@@ -13,11 +13,12 @@ import pinocchio as pin
 
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.closed_form.inverse_displacement import inverse_physical
-from spm_pin.description.closures import Closure, read_closures
+from spm_pin.description.closures import Closure
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, broadcastable, first_offender, flag, whole_number
+from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.geometry import LEGS, Geometry
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.multibody.batched_methods import ChainMethods
 from spm_pin.multibody.batched_states import BatchedStates
@@ -26,7 +27,7 @@ from spm_pin.multibody.constrained_model import ConstrainedModel
 from spm_pin.multibody.constrained_state import ChainState
 from spm_pin.multibody.dynamics import require_closed
 from spm_pin.multibody.joint_layout import JointLayout
-from spm_pin.multibody.loading import collision_shapes, read_description, visual_shapes
+from spm_pin.multibody.loading import chain_closures, collision_shapes, read_description, visual_shapes
 from spm_pin.multibody.mounting import MountedChain, joined
 from spm_pin.multibody.platform_path import PlatformMotion
 from spm_pin.multibody.simulation import ForceFunction, simulate
@@ -46,6 +47,9 @@ class ClosedChain(ChainMethods):
     state at a time, so that a batch takes as long as its members. `state` computes several quantities of
     one q and v; methods in closed form, which say so, are for millions of states.
 
+    The geometry may be that of a machine as built: leg lengths are then its readings, offsets included, and joint
+    values zero at the home of the nominal machine, where its loops are open by about its errors.
+
     Wrenches are (f, m) [N, N m] onto the terminal platform at o in the axes of {B}, twists (v, ω) [m/s, rad/s] of it;
     legs are in the order r_b1, r_b2, r_b3, r_c1, r_c2, r_c3, and a positive leg force pushes, to extend the leg.
     Methods that use rates or forces raise `ArgumentError` where a ball joint's middle angle is ±90°, and
@@ -55,28 +59,33 @@ class ClosedChain(ChainMethods):
     ----------
     urdf : str
         Text of the description expanded for `geometry` and `prefix`; not checked here.
-    geometry : Geometry
+    geometry : Geometry or AsBuiltGeometry
         Its dimensions, and the limits that set its zero.
     prefix : str
         Before the name of every link and joint.
     """
 
-    def __init__(self, urdf: str, geometry: Geometry, prefix: str = "") -> None:
+    def __init__(self, urdf: str, geometry: Geometry | AsBuiltGeometry, prefix: str = "") -> None:
         self._urdf, self._geometry, self._prefix = urdf, geometry, prefix
         self._model = pin.buildModelFromXML(urdf)
         self._layout = JointLayout(self._model, geometry, prefix)
-        constrained = ConstrainedModel(self._model, self._layout, read_closures(prefix=prefix))
+        constrained = ConstrainedModel(self._model, self._layout, chain_closures(geometry, prefix))
         self._states = BatchedStates(lambda: ChainState(constrained), self._layout.checked)
 
     @classmethod
     def from_urdf(
-        cls, path: str | Path | None = None, geometry: Geometry | None = None, *, prefix: str = ""
+        cls,
+        path: str | Path | None = None,
+        geometry: Geometry | AsBuiltGeometry | None = None,
+        *,
+        prefix: str = "",
     ) -> ClosedChain:
         """Make a chain from the package's description, or from a URDF file expanded from it.
 
         A file at `path` has the description's tree, perhaps with other inertias, shapes and limits; the closures are
-        the description's. `geometry` is by default that of the file, without a file the paper's; `prefix` stands before
-        the name of every link and joint. Raises `DescriptionError` if the file cannot be read or is another tree, its
+        the description's. `geometry` is by default that of the file, without a file the paper's; that of a machine as
+        built, an AsBuiltGeometry, goes with a file that was written for it. `prefix` stands before the name of every
+        link and joint. Raises `DescriptionError` if the file cannot be read or is another tree, its
         inertias are impossible or `prefix` cannot begin a name, and `GeometryError` if the dimensions of the file are
         not those of `geometry`.
         """
@@ -101,8 +110,8 @@ class ClosedChain(ChainMethods):
         return self._states.constrained.closures
 
     @property
-    def geometry(self) -> Geometry:
-        """Dimensions and leg limits."""
+    def geometry(self) -> Any:
+        """Dimensions and leg limits, a `Geometry` or an `AsBuiltGeometry`."""
         return self._geometry
 
     @property
@@ -168,7 +177,7 @@ class ClosedChain(ChainMethods):
 
         Its leg limits play no part. The tree is closed to rounding, or as far as the configuration is. Raises
         `ArgumentError` if a member does not exist or is not closed to 1e-9 of the middle platform's side, and
-        `GeometryError` if the dimensions are not the chain's.
+        `GeometryError` if the dimensions are not the chain's, those of a machine as built with all its errors.
         """
         return self._layout.joint_values(configuration)
 
@@ -235,8 +244,10 @@ class ClosedChain(ChainMethods):
                 forward_physical(self._geometry, leg_lengths), "leg_lengths", expected, "A misread leg?"
             )
         lengths = read_vectors(leg_lengths, "leg_lengths", 6)
-        if (lengths < 0.0).any():
-            raise ArgumentError("leg_lengths", "no negative length", f"{lengths.min():g} m")
+        if (lengths < self._layout.offsets).any():
+            worst = np.unravel_index(int((lengths - self._layout.offsets).argmin()), lengths.shape)
+            expected = "no negative length" if isinstance(self._geometry, Geometry) else "readings above the offsets"
+            raise ArgumentError("leg_lengths", expected, f"{lengths[worst]:g} m in {LEGS[worst[-1]]}")
         return self._follow(ContinuationSolver.to_leg_lengths, near, lengths.shape[:-1], lengths)
 
     def inverse_kinematics(self, pose: PoseLike, near: npt.ArrayLike | None = None) -> FloatArray:

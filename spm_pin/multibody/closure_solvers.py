@@ -68,7 +68,7 @@ def project_to_closure(
         share, size = 1.0, float(np.linalg.norm(gap))
         while True:
             tried = q + share * step
-            if (layout.leg_lengths(tried) >= 0.0).all():
+            if (layout.distances(tried) >= 0.0).all():
                 kinematics.evaluate(tried)
                 if np.linalg.norm(kinematics.gap) <= (1.0 - 0.25 * share) * size:
                     break
@@ -81,9 +81,7 @@ def project_to_closure(
 
 def _rounding(q: FloatArray, layout: JointLayout) -> float:
     """Return what rounding may leave of a closed gap [m]: a few eps times the loop length."""
-    geometry = layout.geometry
-    length = geometry.base_radius + geometry.middle_side + geometry.platform_radius + layout.leg_lengths(q).sum()
-    return 16.0 * float(np.finfo(np.float64).eps) * float(length)
+    return 16.0 * float(np.finfo(np.float64).eps) * float(layout.platforms + layout.distances(q).sum())
 
 
 class ContinuationSolver:
@@ -191,7 +189,7 @@ class ContinuationSolver:
             else:
                 allowed -= size
             q = q + move
-            if allowed < 0.0 or (layout.leg_lengths(q) < 0.0).any():
+            if allowed < 0.0 or (layout.distances(q) < 0.0).any():
                 break
         return None, math.inf, first
 

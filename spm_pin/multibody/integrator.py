@@ -113,7 +113,7 @@ class Integrator:
 
     def beyond(self, time: float, state: FloatArray) -> Ending | None:
         """Return the limit that a state is beyond."""
-        lengths = self._layout.leg_lengths(state[: self._size])
+        lengths = self._layout.distances(state[: self._size])
         if lengths.min() < self._least:
             return Ending(SimulationEnd.COLLAPSE, LEGS[int(lengths.argmin())], time)
         margins = (margin for margin in self._margins(state) if margin.end not in SINGULAR_ENDS)
@@ -215,13 +215,13 @@ class Integrator:
 
     def _collapse(self, solver: Any, before: float) -> tuple[float, Ending | None]:
         """Return where a step ends, and why if before its time: the first leg that has no length left."""
-        lengths = self._layout.leg_lengths(solver.y[: self._size])
+        lengths = self._layout.distances(solver.y[: self._size])
         if lengths.min() >= self._least:
             return float(solver.t), None
         dense = solver.dense_output()
 
         def length(moment: float, k: int) -> float:
-            left = float(self._layout.leg_lengths(np.asarray(dense(moment))[: self._size])[k]) - self._least
+            left = float(self._layout.distances(np.asarray(dense(moment))[: self._size])[k]) - self._least
             # Rounding must not take the length away before the step begins.
             return max(left, np.finfo(np.float64).tiny) if moment <= before else left
 

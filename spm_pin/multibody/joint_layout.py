@@ -10,9 +10,11 @@ import numpy.typing as npt
 from spm_pin.description.tree import ANGLES, JOINTS, SLIDES
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.mechanism.arguments import FloatArray, first_offender, frozen
+from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry
-from spm_pin.mechanism.joint_angles import home_lengths, joint_angles
+from spm_pin.mechanism.joint_angles import joint_angles
+from spm_pin.mechanism.leg_frames import home_lengths
 from spm_pin.multibody.vector_arguments import read_vector, read_vectors
 
 __all__ = ["AGREEMENT", "BALLS", "JointLayout", "require_dimensions"]
@@ -31,7 +33,7 @@ class JointLayout:
     ----------
     model : pinocchio.Model
         A model of the description's tree, or one that holds it.
-    geometry : Geometry
+    geometry : Geometry or AsBuiltGeometry
         Its dimensions, and the limits that set its zero.
     prefix : str
         Before the names of the mechanism in `model`.
@@ -49,9 +51,13 @@ class JointLayout:
     others : ndarray of int, shape (nv - 18,)
         Where all other degrees of freedom are in v.
     home : ndarray, shape (6,)
-        Leg lengths at zero [m].
+        Leg lengths at zero [m]; of a machine as built the readings.
+    offsets : ndarray, shape (6,)
+        What a leg length exceeds the distance of its ball and pivot by [m].
     side : float
-        d, the side of the middle platform [m].
+        d, the side of the middle platform [m], as the nominal machine has it.
+    platforms : float
+        The platforms' part in the length of a loop [m].
     units : ndarray, shape (18,)
         Of a step of order one in each joint: 1 rad, or d.
     platform : int
@@ -60,7 +66,7 @@ class JointLayout:
         The frames b_1, b_2 and b_3 of the middle platform.
     """
 
-    def __init__(self, model: Any, geometry: Geometry, prefix: str) -> None:
+    def __init__(self, model: Any, geometry: Geometry | AsBuiltGeometry, prefix: str) -> None:
         self.geometry = geometry
         joints = {name: model.joints[model.getJointId(prefix + name)] for name in JOINTS}
         self.names = tuple(sorted(JOINTS, key=lambda name: joints[name].idx_q))
@@ -71,8 +77,11 @@ class JointLayout:
         self.legs = self.indices(*SLIDES)
         self.passive = np.setdiff1d(np.arange(len(JOINTS)), self.legs)
         self.balls = tuple(self.indices(*names) for names in BALLS)
-        self.home = frozen(np.repeat(home_lengths(geometry), 3))
-        self.side = float(geometry.middle_side)
+        nominal = geometry.nominal
+        self.offsets = geometry.offsets if isinstance(geometry, AsBuiltGeometry) else frozen(np.zeros(len(LEGS)))
+        self._home_distances = frozen(np.repeat(home_lengths(nominal), 3))
+        self.home = frozen(self._home_distances + self.offsets)
+        self.side, self.platforms = float(nominal.middle_side), float(sum(nominal.dimensions))
         self.platform = int(model.getFrameId(f"{prefix}terminal_platform"))
         self.corners = [int(model.getFrameId(f"{prefix}middle_b{i}")) for i in "123"]
         units = np.ones(len(JOINTS))
@@ -88,13 +97,17 @@ class JointLayout:
         return np.array([self._place[name] for name in names], dtype=np.intp)
 
     def leg_lengths(self, q: FloatArray) -> FloatArray:
-        """Return the six leg lengths (..., 6) [m] in the chain's q (..., 18)."""
+        """Return the six leg lengths (..., 6) [m] in the chain's q (..., 18), offsets included."""
         return np.asarray(self.home + q.take(self.legs, axis=-1))
+
+    def distances(self, q: FloatArray) -> FloatArray:
+        """Return the distances (..., 6) [m] of the balls from the pivots in the chain's q (..., 18)."""
+        return np.asarray(self._home_distances + q.take(self.legs, axis=-1))
 
     def checked(self, q: npt.ArrayLike, argument: str = "q", *, single: bool = False) -> FloatArray:
         """Return the chain's q (..., 18) as an array, or raise `ArgumentError`."""
         array = (read_vector if single else read_vectors)(q, argument, len(JOINTS))
-        lengths = self.leg_lengths(array)
+        lengths = self.distances(array)
         if (min(lengths.tolist()) if lengths.ndim == 1 else lengths.min(initial=0.0)) < 0.0:
             worst = np.unravel_index(int(lengths.argmin()), lengths.shape)
             cause = "The value of a slide is the leg's length minus its length at home"
@@ -104,7 +117,7 @@ class JointLayout:
 
     def joint_values(self, configuration: Configuration) -> FloatArray:
         """Return the chain's q (..., 18) of a configuration; see `ClosedChain.joint_values`."""
-        geometry = check_configuration(configuration, existing=True).geometry
+        geometry = check_configuration(configuration, existing=True, as_built=True).geometry
         if geometry is not self.geometry:
             require_dimensions(geometry, self.geometry, "configuration", "the chain")
             # With the chain's own limits: they set the zero of its slides.
@@ -121,9 +134,30 @@ class JointLayout:
         return angles.values.take(self._order, axis=-1)
 
 
-def require_dimensions(geometry: Geometry, expected: Geometry, argument: str, owner: str) -> None:
+def require_dimensions(
+    geometry: Geometry | AsBuiltGeometry, expected: Geometry | AsBuiltGeometry, argument: str, owner: str
+) -> None:
     """Raise `GeometryError` unless both are the same mechanism; limits only choose the home, the tree's zero."""
+    if isinstance(geometry, AsBuiltGeometry) or isinstance(expected, AsBuiltGeometry):
+        _require_as_built(geometry, expected, argument, owner)
+        return
     for name in ("base_radius", "platform_radius", "middle_side"):
         found, sought = getattr(geometry, name), getattr(expected, name)
         if abs(found - sought) > AGREEMENT * sought:
             raise GeometryError(argument, f"the {name} of {owner}, {sought:.9g} m", f"{found:.9g} m")
+
+
+def _require_as_built(
+    geometry: Geometry | AsBuiltGeometry, expected: Geometry | AsBuiltGeometry, argument: str, owner: str
+) -> None:
+    """Raise `GeometryError` unless both have the same axes, pivots, balls and offsets."""
+    both = geometry, expected
+    other, own = ("an ideal machine" if isinstance(g, Geometry) else "a machine as built" for g in both)
+    found, sought = (AsBuiltGeometry.from_nominal(g) if isinstance(g, Geometry) else g for g in both)
+    for name in ("axes", "pivots", "balls", "offsets"):
+        unit, symbol = (1.0, "rad") if name == "axes" else (sought.nominal.middle_side, "m")
+        apart = np.abs(getattr(found, name) - getattr(sought, name)).reshape(len(LEGS), -1).max(axis=-1)
+        if apart.max() > AGREEMENT * unit:
+            leg = int(apart.argmax())
+            received = f"{other} that differs by {apart[leg]:.1e} {symbol} in {LEGS[leg]}"
+            raise GeometryError(argument, f"the {name} of {owner}, {own}", received)

@@ -9,19 +9,24 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from spm_pin.description.as_built_tree import as_built_closures
+from spm_pin.description.closures import Closure, read_closures
 from spm_pin.description.expand import expand
+from spm_pin.description.load_robot import manipulator
 from spm_pin.description.paths import URDF, description_directory, description_file
 from spm_pin.description.srdf import srdf_text
 from spm_pin.description.tree import JOINTS, SLIDES
 from spm_pin.description.urdf_elements import check_inertials
+from spm_pin.description.write_urdf import urdf_text
 from spm_pin.description.xml_nodes import check_prefix
 from spm_pin.errors import DescriptionError, GeometryError
 from spm_pin.mechanism.arguments import FloatArray, file_path, instance
+from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.geometry import Geometry, LegLimits
-from spm_pin.mechanism.joint_angles import home_lengths
+from spm_pin.mechanism.leg_frames import home_lengths
 from spm_pin.multibody.joint_layout import AGREEMENT, require_dimensions
 
-__all__ = ["collision_shapes", "read_description", "visual_shapes"]
+__all__ = ["chain_closures", "collision_shapes", "read_description", "visual_shapes"]
 
 LINKS = (
     *("base", "middle_platform", "terminal_platform"),
@@ -30,22 +35,33 @@ LINKS = (
 )
 """The platforms, and the links that legs end at."""
 
+UPPER_BALLS = ("middle_b2_upper", "middle_b3_upper")
+"""The links at balls of upper legs that only the tree of a machine as built has."""
 
-def read_description(path: str | Path | None, geometry: Geometry | None, prefix: str) -> tuple[str, Geometry]:
+
+def chain_closures(geometry: Geometry | AsBuiltGeometry, prefix: str) -> tuple[Closure, ...]:
+    """Return the closures of the description's tree for these dimensions."""
+    closures = read_closures(prefix=prefix)
+    return as_built_closures(closures, prefix) if isinstance(geometry, AsBuiltGeometry) else closures
+
+
+def read_description(
+    path: str | Path | None, geometry: Geometry | AsBuiltGeometry | None, prefix: str
+) -> tuple[str, Geometry | AsBuiltGeometry]:
     """Return the text of a URDF and its dimensions, as `ClosedChain.from_urdf` takes them, with its errors.
 
     Without `geometry`, the dimensions of a file are measured in the tree at zero; its limits are those of the slides,
     or none if these do not give the tree's home.
     """
     check_prefix(prefix)
-    if geometry is not None:
+    if geometry is not None and not isinstance(geometry, AsBuiltGeometry):
         instance(geometry, Geometry, "geometry")
     if path is not None:
         return _read_file(file_path(path), geometry, prefix)
     paper = Geometry.paper()
     if (geometry or paper) == paper and prefix == "":
         return description_file(URDF).read_text(encoding="utf-8"), geometry or paper
-    return expand(geometry or paper, prefix=prefix), geometry or paper
+    return _expanded(geometry or paper, prefix), geometry or paper
 
 
 def visual_shapes(model: Any, urdf: str) -> Any:
@@ -62,7 +78,16 @@ def collision_shapes(model: Any, urdf: str, prefix: str) -> Any:
     return shapes
 
 
-def _read_file(path: Path, geometry: Geometry | None, prefix: str) -> tuple[str, Geometry]:
+def _expanded(geometry: Geometry | AsBuiltGeometry, prefix: str) -> str:
+    """Return the URDF of the description's tree for these dimensions."""
+    if isinstance(geometry, AsBuiltGeometry):
+        return urdf_text(manipulator(geometry, prefix=prefix), folder=description_directory())
+    return expand(geometry, prefix=prefix)
+
+
+def _read_file(
+    path: Path, geometry: Geometry | AsBuiltGeometry | None, prefix: str
+) -> tuple[str, Geometry | AsBuiltGeometry]:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -80,16 +105,29 @@ def _read_file(path: Path, geometry: Geometry | None, prefix: str) -> tuple[str,
         received = f"{', '.join(missing) or 'none'} missing, {', '.join(foreign) or 'none'} foreign, nq = {model.nq}"
         what = f"the joints of the description, one degree of freedom each, with the prefix {prefix!r}"
         raise DescriptionError(str(path), what, received)
-    links = [prefix + link for link in LINKS]
+    as_built = isinstance(geometry, AsBuiltGeometry)
+    upper = [prefix + link for link in UPPER_BALLS]
+    links = [prefix + link for link in LINKS] + upper * as_built
     absent = [link for link in links if not model.existFrame(link, pin.FrameType.BODY)]
     if absent:
-        raise DescriptionError(str(path), "the links of the description", f"no {', '.join(absent)}")
-    zero = _placements(model, pin.neutral(model), links)
-    measured = _measured(model, prefix, zero)
-    geometry = geometry or measured
-    require_dimensions(geometry, measured, "geometry", str(path))
-    link, distance = _deviation(model, pin.buildModelFromXML(expand(geometry, prefix=prefix)), links, geometry)
-    if distance > AGREEMENT * geometry.middle_side:
+        cause = "The URDF of an ideal machine? spm-pin urdf --geometry writes that of a machine as built" * as_built
+        raise DescriptionError(str(path), "the links of the description", f"no {', '.join(absent)}", cause)
+    if not as_built and model.existFrame(upper[0], pin.FrameType.BODY):
+        received = f"that of a machine as built, with a link {upper[0]}"
+        cause = "Pass its AsBuiltGeometry as geometry: a URDF does not have the offsets"
+        raise DescriptionError(str(path), "the URDF of an ideal machine", received, cause)
+    if not as_built:
+        measured = _measured(model, prefix, _placements(model, pin.neutral(model), links))
+        geometry = geometry or measured
+        require_dimensions(geometry, measured, "geometry", str(path))
+    assert geometry is not None
+    side = geometry.nominal.middle_side
+    link, distance = _deviation(model, pin.buildModelFromXML(_expanded(geometry, prefix)), links, side)
+    if distance > AGREEMENT * side:
+        if as_built:
+            received = f"others: {link} is {distance:.1e} m off where all joints are turned"
+            cause = "Another machine or calibration, or other nominal leg limits, which set the zero?"
+            raise GeometryError("geometry", f"the dimensions of {path}", received, cause)
         cause = "Another joint axis, order or zero? The zero follows from the leg limits the URDF was made for"
         raise DescriptionError(str(path), "the tree of the description", f"{link} {distance:.1e} m off", cause)
     return text, geometry
@@ -124,7 +162,7 @@ def _measured(model: Any, prefix: str, zero: dict[str, FloatArray]) -> Geometry:
     return Geometry(*dimensions)
 
 
-def _deviation(model: Any, expected: Any, links: list[str], geometry: Geometry) -> tuple[str, float]:
+def _deviation(model: Any, expected: Any, links: list[str], side: float) -> tuple[str, float]:
     """Return the link whose frame in `model` is farthest from that in `expected`, and how far [m].
 
     Of a frame, its origin is compared and the points on its axes in the distance of the middle platform's side; all at
@@ -134,6 +172,6 @@ def _deviation(model: Any, expected: Any, links: list[str], geometry: Geometry) 
     found, sought = (
         _placements(tree, np.array([values[name] for name in tree.names[1:]]), links) for tree in (model, expected)
     )
-    lever = np.array([geometry.middle_side] * 3 + [1.0])
+    lever = np.array([side] * 3 + [1.0])
     off = {link: float(np.abs((found[link] - sought[link]) * lever).max()) for link in links}
     return max(off.items(), key=lambda item: item[1])

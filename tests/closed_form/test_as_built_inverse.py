@@ -255,7 +255,6 @@ STATE = spm.inverse_physical(machine(PAPER, 1e-4, seed=7), EXAMPLE)
     "call",
     [
         spm.closed_form.determinant_gradients,
-        spm.mechanism.joint_angles,
         spm.workspace.leg_clearance,
         lambda state: spm.forward_physical(PAPER, state.leg_lengths, seed=state),
         lambda state: spm.follow(PAPER, np.stack([state.pose.as_matrix()] * 2), start=state),

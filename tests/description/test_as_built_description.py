@@ -111,10 +111,12 @@ def test_leg_rates_are_those_of_pinocchios_constraints(name: str) -> None:
 def test_leg_forces_balance_in_mujoco(name: str) -> None:
     """Slide forces and forces of MuJoCo's constraints together hold the wrench, in all eighteen joints."""
     mujoco = pytest.importorskip("mujoco")
+    pytest.importorskip("pinocchio")
     machine = MACHINES[name]
     model = mujoco.MjModel.from_xml_string(mjcf_text(manipulator(machine), anchors="sites"))
     data = mujoco.MjData(model)
     loads = np.random.default_rng(2).standard_normal((len(LEGS), 6))
+    chain = spm.ClosedChain.from_urdf(geometry=machine)
     for state, load in zip(states(machine), loads, strict=False):
         for joint, value in joint_values(state).items():
             data.qpos[model.joint(joint).qposadr[0]] = value
@@ -130,6 +132,10 @@ def test_leg_forces_balance_in_mujoco(name: str) -> None:
         actuated[[model.joint(slide).dofadr[0] for slide in SLIDES], range(6)] = 1.0
         unknown = np.linalg.solve(np.concatenate([actuated, constraints.T], axis=1), -applied)
         np.testing.assert_allclose(unknown[:6], spm.leg_forces(state, load), rtol=1e-7, atol=1e-7)
+        q = chain.joint_values(state)
+        np.testing.assert_allclose(unknown[:6], chain.leg_forces(q, load), rtol=1e-7, atol=1e-7)
+        # MuJoCo's constraints act onto the first frame of a closure.
+        np.testing.assert_allclose(-unknown[6:].reshape(4, 3), chain.cut_forces(q, load), rtol=1e-7, atol=1e-7)
 
 
 def test_commands_write_the_machine_of_a_file(tmp_path: Path) -> None:

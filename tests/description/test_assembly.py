@@ -15,7 +15,7 @@ from spm_pin.description.expand import expand
 from spm_pin.description.paths import SRDF, URDF, description_file
 from spm_pin.description.tree import JOINTS, SLIDES, joint_values
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.joint_angles import home_lengths
+from spm_pin.mechanism.leg_frames import home_lengths
 
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()

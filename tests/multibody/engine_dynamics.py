@@ -50,11 +50,18 @@ def rk4(rate: Callable[[float, Array], Array], state: Array, until: float, steps
 
 
 class Mujoco:
-    def __init__(self, robot: Any, step: float = 1e-3, integrator: str = "mjINT_EULER", locked: bool = False) -> None:
+    def __init__(
+        self,
+        robot: Any,
+        step: float = 1e-3,
+        integrator: str = "mjINT_EULER",
+        locked: bool = False,
+        urdf: Path | None = None,
+    ) -> None:
         import mujoco
 
         self.mj = mujoco
-        spec = mujoco.MjSpec.from_file(str(description_file(URDF)))
+        spec = mujoco.MjSpec.from_file(str(urdf or description_file(URDF)))
         for closure in robot.closures:
             equality = spec.add_equality()
             equality.type, equality.objtype = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtObj.mjOBJ_BODY
@@ -126,11 +133,11 @@ class Mujoco:
 
 
 class Drake:
-    def __init__(self, robot: Any, step: float = 0.0) -> None:
+    def __init__(self, robot: Any, step: float = 0.0, urdf: Path | None = None) -> None:
         from pydrake.multibody.parsing import Parser
         from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
 
-        text = expand()
+        text = urdf.read_text(encoding="utf-8") if urdf else expand()
         if step == 0.0:  # a continuous plant has no constraints
             start, end = text.index("<drake:ball_constraint>"), text.rindex("</drake:ball_constraint>")
             text = text[:start] + text[end + len("</drake:ball_constraint>") :]

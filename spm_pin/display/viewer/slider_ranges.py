@@ -9,7 +9,7 @@ from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.branches import physical
-from spm_pin.mechanism.joint_angles import home_lengths
+from spm_pin.mechanism.leg_frames import home_lengths
 
 __all__ = ["leg_ranges", "pose_coordinates", "pose_ranges", "sample_states"]
 

@@ -1,0 +1,179 @@
+"""Frames of the six legs and of the balls, in which joint angles are measured, and the home at which these are zero.
+
+A leg's frame stands at its hip, x along the revolute axis, z as near to the normal of {B} or {m} as that allows. The
+frame at a ball of the middle platform is turned in {n} as the ideal machine's leg frames are in {B}: x along the middle
+platform's tangent, z along its normal.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.as_built import AsBuiltGeometry
+from spm_pin.mechanism.configuration import triangle_frames
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.pose import homogeneous
+
+__all__ = ["LegFrame", "ball_placements", "home_leans", "home_lengths", "leg_frames", "leg_placements"]
+
+# The sign that turns a leg outwards about the revolute axis, in the paper's sense of the axes.
+_OUTWARD = (1.0, -1.0, -1.0)
+
+
+def home_lengths(geometry: Geometry) -> tuple[float, float]:
+    """Return the leg length at home of the lower and of the upper stage [m].
+
+    It is the middle of the limits that the stage's three legs share, if the stage can stand there: if it is
+    longer than the radial distance from hip to ball. Otherwise, and without limits, it is the shortest length
+    allowed plus that of legs whose stage is as high as the sum of its two radii.
+    """
+    limits = geometry.limits
+    r = geometry.middle_radius
+    lengths = []
+    for stage, radius in enumerate((geometry.base_radius, geometry.platform_radius)):
+        legs = slice(3 * stage, 3 * stage + 3)
+        low = max(limits.minimum[legs]) if limits else 0.0
+        high = min(limits.maximum[legs]) if limits else math.inf
+        middle, reach = 0.5 * (low + high), abs(r - radius)
+        stands = low < high and reach < middle < math.inf
+        lengths.append(middle if stands else low + math.hypot(reach, r + radius))
+    return lengths[0], lengths[1]
+
+
+def home_leans(geometry: Geometry) -> tuple[float, ...]:
+    """Return, for each leg in the order of `LEGS`, its direction at home [rad].
+
+    The angle about the leg's revolute axis from the platform's normal, z of {B} or {m}, to the direction from
+    hip to ball.
+    """
+    leans: list[float] = []
+    radii = (geometry.base_radius, geometry.platform_radius)
+    for radius, length, up in zip(radii, home_lengths(geometry), (1.0, -1.0), strict=True):
+        offset = geometry.middle_radius - radius
+        height = up * math.sqrt((length - offset) * (length + offset))
+        leans.extend(math.atan2(outward * offset, height) for outward in _OUTWARD)
+    return tuple(leans)
+
+
+def leg_placements(geometry: AsBuiltGeometry) -> FloatArray:
+    """Return the frames (6, 4, 4) of the legs, the lower in {B}, the upper in {m}."""
+    x = geometry.axes
+    z = np.array([0.0, 0.0, 1.0]) - x[:, 2:] * x
+    z = z / np.linalg.norm(z, axis=-1, keepdims=True)
+    return homogeneous(np.stack([x, np.cross(z, x), z], axis=-1), geometry.pivots)
+
+
+def ball_placements(geometry: AsBuiltGeometry) -> FloatArray:
+    """Return the frames (6, 4, 4) at the balls in {n}."""
+    return homogeneous(_corner_turns(geometry), geometry.balls)
+
+
+@dataclass(frozen=True)
+class LegFrame(ABC):
+    """Constants of a leg.
+
+    Attributes
+    ----------
+    lean_cos, lean_sin, length : float
+        Cosine and sine of the leg's direction at home, and its length there [m].
+    """
+
+    lean_cos: float
+    lean_sin: float
+    length: float
+
+    @abstractmethod
+    def place(self, p: Sequence[Any]) -> tuple[Any, Any, Any]:
+        """Return the coordinates of a point of {B} or {m} in the leg's frame."""
+
+    @abstractmethod
+    def corner(self, x: Sequence[Any], y: Sequence[Any], z: Sequence[Any]) -> tuple[Any, list[Any], list[Any]]:
+        """Return the axes of the frame at the leg's ball, seen from the leg's frame.
+
+        Of the last one the component along the revolute axis; the second components and the third ones of all three. x,
+        y and z are the axes of the lower balls' triangle, see `triangle_frames`, in {B} or {m}.
+        """
+
+
+@dataclass(frozen=True)
+class _LevelLegFrame(LegFrame):
+    """A leg of the ideal machine, its revolute axis (cos, sin, 0)."""
+
+    cos: float
+    sin: float
+    hip: float  # where it is along the second axis of its frame
+
+    def place(self, p: Sequence[Any]) -> tuple[Any, Any, Any]:
+        c, s = self.cos, self.sin
+        return c * p[0] + s * p[1], c * p[1] - s * p[0] - self.hip, p[2]
+
+    def corner(self, x: Sequence[Any], y: Sequence[Any], z: Sequence[Any]) -> tuple[Any, list[Any], list[Any]]:
+        c, s = self.cos, self.sin
+        axes = [c * x[k] + s * y[k] for k in range(3)], [c * y[k] - s * x[k] for k in range(3)], z
+        return c * z[0] + s * z[1], [c * axis[1] - s * axis[0] for axis in axes], [axis[2] for axis in axes]
+
+
+@dataclass(frozen=True)
+class _TiltedLegFrame(LegFrame):
+    """A leg as built: `rows` and `shifts` take a point into its frame.
+
+    `columns` are the axes of the frame at the ball in those of the lower balls' triangle.
+    """
+
+    rows: tuple[tuple[float, ...], ...]
+    shifts: tuple[float, ...]
+    columns: tuple[tuple[float, ...], ...]
+
+    def place(self, p: Sequence[Any]) -> tuple[Any, Any, Any]:
+        along, across, up = (_dot(row, p) - shift for row, shift in zip(self.rows, self.shifts, strict=True))
+        return along, across, up
+
+    def corner(self, x: Sequence[Any], y: Sequence[Any], z: Sequence[Any]) -> tuple[Any, list[Any], list[Any]]:
+        axes = [[_dot(column, (x[k], y[k], z[k])) for k in range(3)] for column in self.columns]
+        along, across, up = self.rows
+        return _dot(along, axes[2]), [_dot(across, axis) for axis in axes], [_dot(up, axis) for axis in axes]
+
+
+def leg_frames(geometry: Geometry | AsBuiltGeometry) -> tuple[LegFrame, ...]:
+    """Return the constants of the six legs."""
+    nominal = geometry.nominal
+    homes = [
+        (math.cos(lean), math.sin(lean), float(length))
+        for lean, length in zip(home_leans(nominal), np.repeat(home_lengths(nominal), 3), strict=True)
+    ]
+    axes = nominal.revolute_axes.tolist() * 2
+    if isinstance(geometry, Geometry):
+        hips = np.concatenate([geometry.base_joints, geometry.platform_joints]).tolist()
+        return tuple(
+            _LevelLegFrame(*home, a[0], a[1], h[1] * a[0] - h[0] * a[1])
+            for home, a, h in zip(homes, axes, hips, strict=True)
+        )
+    turns = np.swapaxes(leg_placements(geometry)[:, :3, :3], -1, -2)
+    shifts = (turns @ geometry.pivots[..., None])[..., 0]
+    columns = np.swapaxes(triangle_frames(geometry.balls[:3]).T @ _corner_turns(geometry), -1, -2)
+    return tuple(
+        _TiltedLegFrame(*home, _tuples(rows), tuple(shift), _tuples(corner))
+        for home, rows, shift, corner in zip(homes, turns, shifts.tolist(), columns, strict=True)
+    )
+
+
+def _tuples(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
+    return tuple(map(tuple, matrix.tolist()))
+
+
+def _corner_turns(geometry: AsBuiltGeometry) -> FloatArray:
+    """Return the axes of the frames at the balls in {n} as columns, shape (6, 3, 3)."""
+    axes = np.tile(geometry.nominal.revolute_axes, (2, 1))
+    up = np.broadcast_to([0.0, 0.0, 1.0], axes.shape)
+    return np.stack([axes, np.cross(up, axes), up], axis=-1)
+
+
+def _dot(a: Sequence[float], b: Sequence[Any]) -> Any:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
