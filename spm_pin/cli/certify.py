@@ -8,24 +8,27 @@ from typing import Annotated, Any
 import typer
 
 from spm_pin.cli.console import note, print_lines, stderr, to_json
-from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Unit, read_geometry, unit_hint
+from spm_pin.cli.options import AnyGeometryFile, AsJson, LengthUnit, Unit, read_any_geometry, unit_hint
 from spm_pin.cli.outputs import check_output, name_options, require_extra
 from spm_pin.display.figure_files import FORMATS, save_figure
 from spm_pin.errors import GeometryError
-from spm_pin.mechanism import Configuration, LegLimits
+from spm_pin.mechanism import AsBuiltGeometry, Configuration, LegLimits
 from spm_pin.proofs import Certificate, InverseCertificate, certify_inverse
 from spm_pin.proofs import certify as prove
 
 __all__ = ["certify"]
 
 
-@name_options(path="--out", boxes="--boxes", dimension_error="--dimension-error")
+@name_options(path="--out", boxes="--boxes", length_error="--length-error", angle_error="--angle-error")
 def certify(
     minimum: Annotated[float | None, typer.Option("--min", help="Shortest length of all six legs, in --unit.")] = None,
     maximum: Annotated[float | None, typer.Option("--max", help="Longest length of all six legs, in --unit.")] = None,
     boxes: Annotated[int, typer.Option(min=1, help="Boxes to look at in each stage, at most.")] = 300_000,
-    dimension_error: Annotated[
-        float, typer.Option(help="Prove it for all machines with E, C, d so near to the given ones, in --unit.")
+    length_error: Annotated[
+        float, typer.Option(help="Prove it for all machines with pivots, balls, readings so near to these, in --unit.")
+    ] = 0.0,
+    angle_error: Annotated[
+        float, typer.Option(help="Prove it for all machines with revolute axes so near to these, in radians.")
     ] = 0.0,
     inverse: Annotated[
         bool, typer.Option("--inverse", help="Ask for inverse singularities as well: a bound of |det K|, or a state.")
@@ -34,7 +37,7 @@ def certify(
         Path | None, typer.Option(metavar="FILE", help="Picture (.png, .svg, .pdf) of the boxes to write.")
     ] = None,
     unit: Unit = LengthUnit.M,
-    geometry: GeometryFile = None,
+    geometry: AnyGeometryFile = None,
     json: AsJson = False,
 ) -> None:
     """Prove that leg limits hold no forward singularity, so that six lengths mean one configuration.
@@ -42,11 +45,15 @@ def certify(
     Example: spm-pin certify --min 1.1 --max 1.5
 
     Without --min and --max the limits are the geometry's. The exit code is 0 if the proof succeeds, 1 if a singular
-    configuration was found or boxes were left undecided. --out needs the extra "plots".
+    configuration was found or boxes were left undecided. --out needs the extra "plots". For the file of a machine as
+    built it is proved for all machines that are as near to the nominal one.
     """
-    dimensions = read_geometry(geometry)
+    dimensions = read_any_geometry(geometry)
     if (minimum is None) != (maximum is None):
         raise GeometryError("--min and --max", "both or neither", "one of them")
+    if inverse and (length_error or angle_error or isinstance(dimensions, AsBuiltGeometry)):
+        cause = "A bound of |det K| is proved for one machine of a drawing only"
+        raise GeometryError("--inverse", "no errors of the machine", "errors as well", cause)
     limits = None
     if minimum is not None and maximum is not None:
         limits = LegLimits(minimum / unit.per_metre, maximum / unit.per_metre)
@@ -56,8 +63,11 @@ def certify(
     if maximum is not None and (hint := unit_hint("--max", maximum, unit, dimensions)):
         note(hint, "yellow")
     with stderr.status("dividing the states of both stages"):
-        certificate = prove(dimensions, limits, boxes=boxes, dimension_error=dimension_error / unit.per_metre)
-        other = certify_inverse(dimensions, limits, boxes=boxes) if inverse else None
+        certificate = prove(
+            dimensions, limits, boxes=boxes, length_error=length_error / unit.per_metre, angle_error=angle_error
+        )
+        nominal = certificate.geometry
+        other = certify_inverse(nominal, certificate.limits, boxes=boxes, forward=certificate) if inverse else None
     if json:
         typer.echo(to_json(_content(certificate) | ({} if other is None else {"inverse": _inverse_content(other)})))
     else:
@@ -91,6 +101,7 @@ def _content(certificate: Certificate) -> dict[str, Any]:
     return {
         "holds": certificate.holds,
         "limits": {"minimum": certificate.limits.minimum, "maximum": certificate.limits.maximum},
+        "errors": {"length": certificate.errors[0], "angle": certificate.errors[1]},
         "bounds": {"J_b": lower, "J_c": upper},
         "boxes": {
             name: {"examined": proof.boxes, "proved": len(proof.proved), "undecided": len(proof.undecided)}

@@ -47,6 +47,12 @@ class Interval:
         array = np.asarray(value, dtype=np.float64)
         return cls(array, array)
 
+    @classmethod
+    def within(cls, bound: npt.ArrayLike) -> Interval:
+        """Return the intervals of the numbers that are not larger than a bound, of either sign."""
+        array = np.asarray(bound, dtype=np.float64)
+        return cls(-array, array)
+
     def __add__(self, other: Interval | float) -> Interval:
         other = _interval(other)
         return Interval(_below(self.low + other.low), _above(self.high + other.high))

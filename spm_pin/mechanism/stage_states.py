@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 
@@ -21,11 +22,15 @@ _MIRROR = np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]])
 """Sign of x, y and Z of each stage against those of the frame that it is seen from."""
 
 _TORSION = 1e-9
-"""Part x3 of the quaternion from which on a stage has torsion."""
+"""Part x3 of the quaternion from which on a stage of the ideal machine has torsion."""
 
 
 def stage_states(configuration: Configuration) -> FloatArray:
-    """Return (x, y, Z [m]) of the lower and upper stage, shape (..., 2, 3); NaN where there is none or in mode F."""
+    """Return (x, y, Z [m]) of the lower and upper stage, shape (..., 2, 3); NaN where there is none or in mode F.
+
+    The stages of a machine as built have torsion; they are not in mode F as long as it is less than half a turn.
+    """
+    most = np.inf if isinstance(configuration.geometry, AsBuiltGeometry) else _TORSION
     middle = configuration.middle_pose.as_matrix()
     turned, centre = middle[..., :3, :3], middle[..., :3, 3]
     to_platform = np.swapaxes(configuration.rotation, -1, -2)
@@ -35,7 +40,7 @@ def stage_states(configuration: Configuration) -> FloatArray:
         there = np.asarray(np.isfinite(matrix).all(axis=(-2, -1)))
         quaternion = Rotation.from_matrix(np.where(there[..., None, None], matrix, np.eye(3))).as_quat()
         x, y, x3, x0 = np.moveaxis(np.where(quaternion[..., 3:] < 0.0, -quaternion, quaternion), -1, 0)
-        straight = there & (np.abs(x3) <= _TORSION) & (x0 > _TORSION)
+        straight = there & (np.abs(x3) <= most) & (x0 > np.abs(x3) + _TORSION)
         state = sign * np.stack([x, y, position[..., 2]], axis=-1)
         states.append(np.where(straight[..., None], state, np.nan))
     return np.stack(states, axis=-2)

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.closed_form.forward_displacement import forward_physical
-from spm_pin.closed_form.intervals import Interval
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.mechanism.arguments import FloatArray, instance, real_array, real_number, whole_number
+from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.mechanism.stage_states import configuration_of_stages, stage_states
@@ -20,10 +20,11 @@ from spm_pin.proofs.stage_region import StageRegion
 __all__ = ["Certificate", "certify", "largest_certified_limits", "stage_regions"]
 
 STAGES = ("lower", "upper")
-_DIMENSIONS = ("base_radius", "platform_radius", "middle_side")
-
 LONGEST = 1e3
 """Leg lengths that are worth a proof, at most, in units of the machine's size."""
+
+_ROUNDING = 1e-15
+"""Rounding of a parameter of a machine, in metres per metre of its size, and in radians."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +41,8 @@ class Certificate:
         The subdivision of each stage.
     witness : Configuration or None
         A forward singular configuration within the limits, where one was found; None otherwise.
-    dimension_error : float
-        How far E, C and d may be from those of the geometry [m].
+    errors : tuple of two floats
+        The `length_error` [m] and `angle_error` [rad] of the machines it is proved for, see `certify`.
     """
 
     geometry: Geometry
@@ -49,7 +50,7 @@ class Certificate:
     lower: StageProof
     upper: StageProof
     witness: Configuration | None
-    dimension_error: float = 0.0
+    errors: tuple[float, float] = (0.0, 0.0)
 
     @property
     def holds(self) -> bool:
@@ -79,12 +80,11 @@ class Certificate:
         Raises
         ------
         ArgumentError
-            If they are not states of the certificate's geometry, nor of one within its error.
+            If they are not states of the certificate's geometry, nor of a machine within its errors.
         """
-        check_configuration(configuration)
-        machine = configuration.geometry
-        off = [abs(getattr(machine, name, np.inf) - getattr(self.geometry, name)) for name in _DIMENSIONS]
-        if max(off) > self.dimension_error:
+        check_configuration(configuration, as_built=True)
+        errors, most = _deviation(configuration.geometry, self.geometry), _widened(self.geometry, self.errors)
+        if errors[0] > most[0] or errors[1] > most[1]:
             raise ArgumentError("configuration", "a state of the certificate's geometry", "one of another")
         inside = self.limits.contains(configuration.leg_lengths)
         if not self.holds:
@@ -98,10 +98,9 @@ class Certificate:
         """Return what was proved, or what stands against it, in a few lines."""
         low, high = zip(*zip(self.limits.minimum, self.limits.maximum, strict=True), strict=True)
         lines = [f"Leg lengths from {min(low):g} m to {max(high):g} m, {self.lower.boxes + self.upper.boxes:,} boxes."]
-        if self.dimension_error:
-            lines.append(
-                f"For all machines whose E, C and d are within {1e3 * self.dimension_error:g} mm of the nominal ones."
-            )
+        if any(self.errors):
+            errors = f"{1e3 * self.errors[0]:g} mm and {1e3 * self.errors[1]:g} mrad"
+            lines.append(f"For all machines whose pivots, balls, readings and axes are within {errors} of the nominal.")
         if self.holds:
             lower, upper = self.bounds
             lines += [
@@ -133,7 +132,12 @@ class Certificate:
 
 
 def certify(
-    geometry: Geometry, limits: LegLimits | None = None, *, boxes: int = 300_000, dimension_error: float = 0.0
+    geometry: Geometry | AsBuiltGeometry,
+    limits: LegLimits | None = None,
+    *,
+    boxes: int = 300_000,
+    length_error: float = 0.0,
+    angle_error: float = 0.0,
 ) -> Certificate:
     """Prove that leg limits exclude forward singularities.
 
@@ -144,14 +148,17 @@ def certify(
 
     Parameters
     ----------
-    geometry : Geometry
-        Dimensions.
+    geometry : Geometry or AsBuiltGeometry
+        Dimensions. For a machine as built it is proved for all machines that are as near to the nominal one.
     limits : LegLimits, optional
         Limits of the leg lengths, finite; by default those of the geometry.
     boxes : int
         Boxes to look at in each stage, at most.
-    dimension_error : float
-        Prove it for all machines whose E, C and d are so near to those of `geometry` [m].
+    length_error : float
+        Prove it for every `AsBuiltGeometry` of which no coordinate of a pivot or a ball, and no offset of a reading,
+        differs by more than this from that of `geometry` [m]. E, C and d are among these, with the same error.
+    angle_error : float
+        The same of each axis, of the turn about either direction perpendicular to it [rad].
 
     Returns
     -------
@@ -161,39 +168,52 @@ def certify(
     Raises
     ------
     ArgumentError, GeometryError
-        If there are no limits, or one is infinite.
+        If there are no limits, one is infinite, or the errors exceed a quarter of the smallest dimension or 0.2 rad.
 
     References
     ----------
     .. [1] J.-P. Merlet, "Interval Analysis for Certified Numerical Solution of Problems in Robotics", International
        Journal of Applied Mathematics and Computer Science 19 (2009).
     """
-    instance(geometry, Geometry, "geometry")
-    limits = geometry.limits if limits is None else instance(limits, LegLimits, "limits")
+    nominal = geometry.nominal if isinstance(geometry, AsBuiltGeometry) else instance(geometry, Geometry, "geometry")
+    limits = nominal.limits if limits is None else instance(limits, LegLimits, "limits")
     whole_number(boxes, "boxes", least=1)
-    smallest = min(getattr(geometry, name) for name in _DIMENSIONS)
-    real_number(dimension_error, "dimension_error", "metres from 0, below all dimensions", least=0.0, below=smallest)
+    most = 0.25 * min(nominal.dimensions)
+    expected = f"metres from 0 to {most:g}, a quarter of the smallest dimension"
+    real_number(length_error, "length_error", expected, least=0.0, most=most)
+    real_number(angle_error, "angle_error", "radians from 0 to 0.2", least=0.0, most=0.2, cause="Given in degrees?")
+    length, angle = _deviation(geometry, nominal)
+    errors = length_error + length, angle_error + angle
+    if errors[0] > most or errors[1] > 0.2:
+        received = f"one that differs by {length:g} m and {angle:g} rad, to which the errors are added"
+        raise ArgumentError("geometry", f"a machine within {most:g} m and 0.2 rad of the nominal one", received)
     if limits is None or not np.isfinite(limits.maximum).all():
         received = "none" if limits is None else "a leg without a longest length"
         raise GeometryError("limits", "a finite longest length of every leg", received)
-    middle = forward_physical(geometry, 0.5 * (np.array(limits.minimum) + np.array(limits.maximum)))
+    middle = forward_physical(nominal, 0.5 * (np.array(limits.minimum) + np.array(limits.maximum)))
     if not middle.exists:
         raise GeometryError("limits", "lengths between them that can be assembled", "a middle that cannot be")
     starts = stage_states(middle)
     proofs = []
-    for region, start in zip(stage_regions(geometry, limits, dimension_error), starts, strict=True):
+    for region, start in zip(stage_regions(nominal, limits, errors), starts, strict=True):
         proofs.append(prove_stage(region, start, most=boxes))
     witness = None
     if any(proof.singular is not None for proof in proofs):
         states = [
             start if proof.singular is None else proof.singular for start, proof in zip(starts, proofs, strict=True)
         ]
-        witness = configuration_of_stages(geometry, np.stack(states))
-    return Certificate(geometry, limits, proofs[0], proofs[1], witness, dimension_error)
+        witness = configuration_of_stages(nominal, np.stack(states))
+    return Certificate(nominal, limits, proofs[0], proofs[1], witness, errors)
 
 
 def largest_certified_limits(
-    geometry: Geometry, centre: npt.ArrayLike | None = None, *, tolerance: float = 0.01, boxes: int = 300_000
+    geometry: Geometry,
+    centre: npt.ArrayLike | None = None,
+    *,
+    tolerance: float = 0.01,
+    boxes: int = 300_000,
+    length_error: float = 0.0,
+    angle_error: float = 0.0,
 ) -> Certificate:
     """Find the widest leg limits around given lengths that are proved free of forward singularities.
 
@@ -209,6 +229,8 @@ def largest_certified_limits(
         How far below the widest half-width that certifies the result may stay, relative to it.
     boxes : int
         Boxes to look at in each stage for each limits tried, at most.
+    length_error, angle_error : float
+        Prove it for all machines within these errors [m, rad], see `certify`.
 
     Returns
     -------
@@ -239,7 +261,8 @@ def largest_certified_limits(
     best, narrow, wide = None, 0.0, float(lengths.min())
     while wide - narrow > tolerance * wide:
         half = 0.5 * (narrow + wide)
-        found = certify(geometry, LegLimits(tuple(lengths - half), tuple(lengths + half)), boxes=boxes)
+        limits = LegLimits(tuple(lengths - half), tuple(lengths + half))
+        found = certify(geometry, limits, boxes=boxes, length_error=length_error, angle_error=angle_error)
         if found.holds:
             best, narrow = found, half
         elif found.witness is not None:
@@ -252,13 +275,30 @@ def largest_certified_limits(
     return best
 
 
-def stage_regions(geometry: Geometry, limits: LegLimits, error: float = 0.0) -> list[StageRegion]:
-    """Return what is searched in the lower and in the upper stage, for all dimensions within an error [m]."""
-    around = Interval(np.array(-error), np.array(error))
-    sizes = (getattr(geometry, name) for name in _DIMENSIONS)
-    base, platform, side = (Interval.of(size) + around if error else Interval.of(size) for size in sizes)
-    ends = np.array([limits.minimum, limits.maximum])
-    return [StageRegion(hips, side, *ends[:, 3 * k : 3 * k + 3]) for k, hips in enumerate((base, platform))]
+def stage_regions(geometry: Geometry, limits: LegLimits, errors: tuple[float, float] = (0.0, 0.0)) -> list[StageRegion]:
+    """Return what is searched in the lower and in the upper stage, for all machines within errors [m, rad]."""
+    radii = geometry.base_radius, geometry.platform_radius
+    low, high = np.array(limits.minimum).reshape(2, 3), np.array(limits.maximum).reshape(2, 3)
+    length, angle = _widened(geometry, errors)
+    return [StageRegion(radii[k], geometry.middle_side, low[k], high[k], length, angle) for k in range(2)]
+
+
+def _widened(geometry: Geometry, errors: tuple[float, float]) -> tuple[float, float]:
+    """Return errors that a machine on their edge does not exceed by rounding; 0 for 0."""
+    length, angle = errors
+    return length and length + _ROUNDING * sum(geometry.dimensions), angle and angle + _ROUNDING
+
+
+def _deviation(machine: Geometry | AsBuiltGeometry, nominal: Geometry) -> tuple[float, float]:
+    """Return the largest errors of a machine's lengths [m] and axes [rad] against a nominal geometry."""
+    if isinstance(machine, Geometry):
+        if machine.dimensions == nominal.dimensions:
+            return 0.0, 0.0
+        machine = AsBuiltGeometry.from_nominal(machine)
+    ideal = AsBuiltGeometry.from_nominal(nominal)
+    # Directions of the axes are counted from the nominal ones, which are the same for all dimensions.
+    errors = np.abs(machine.parameters - ideal.parameters).reshape(6, 9)
+    return float(errors[:, 2:].max()), float(errors[:, :2].max())
 
 
 def _contained(states: FloatArray, boxes: FloatArray) -> npt.NDArray[np.bool_]:

@@ -27,10 +27,11 @@ from scipy.optimize import brentq
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.closed_form.intervals import SQRT_3, Interval
 from spm_pin.closed_form.singularity_analysis import determinants
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import FloatArray, instance, whole_number
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry, LegLimits
-from spm_pin.proofs.certificate import certify, stage_regions
+from spm_pin.proofs.certificate import Certificate, certify, stage_regions
 from spm_pin.proofs.stage_proof import StageProof
 from spm_pin.proofs.stage_region import StageRegion
 
@@ -102,13 +103,17 @@ class InverseCertificate:
         return "\n".join(lines)
 
 
-def certify_inverse(geometry: Geometry, limits: LegLimits | None = None, *, boxes: int = 300_000) -> InverseCertificate:
+def certify_inverse(
+    geometry: Geometry, limits: LegLimits | None = None, *, boxes: int = 300_000, forward: Certificate | None = None
+) -> InverseCertificate:
     """Prove that leg limits exclude inverse singularities, of what is joined to the home within them.
 
     Parameters
     ----------
     geometry, limits, boxes
-        As for `spm_pin.certify`; `boxes` for the pairs of stages as well.
+        As for `spm_pin.certify`, without errors; `boxes` for the pairs of stages as well.
+    forward : Certificate, optional
+        What `spm_pin.certify` returned for these; computed if it is not given.
 
     Returns
     -------
@@ -118,9 +123,16 @@ def certify_inverse(geometry: Geometry, limits: LegLimits | None = None, *, boxe
     Raises
     ------
     ArgumentError, GeometryError
-        As for `spm_pin.certify`.
+        As for `spm_pin.certify`, or if `forward` is a certificate of other dimensions or limits, or of errors.
     """
-    forward = certify(geometry, limits, boxes=boxes)
+    instance(geometry, Geometry, "geometry")
+    whole_number(boxes, "boxes", least=1)
+    if forward is None:
+        forward = certify(geometry, limits, boxes=boxes)
+    elif any(instance(forward, Certificate, "forward").errors):
+        raise ArgumentError("forward", "a certificate of one machine, without errors", "one of machines with errors")
+    elif forward.geometry.dimensions != geometry.dimensions or forward.limits != (limits or geometry.limits):
+        raise ArgumentError("forward", "a certificate of `geometry` and `limits`", "one of others")
     limits = forward.limits
     stages = [
         _StageCells(region, proof)

@@ -24,7 +24,7 @@ def singular_state(region: StageRegion, boxes: FloatArray) -> FloatArray | None:
     """
     if not len(boxes):
         return None
-    region = replace(region, hips=Interval.of(_middle(region.hips)), side=Interval.of(_middle(region.side)))
+    region = replace(region, length_error=0.0, angle_error=0.0)
     chosen = boxes[np.linspace(0, len(boxes) - 1, min(len(boxes), STARTS)).astype(np.intp)]
     states = chosen.mean(axis=-1)
     states = states[(states[:, :2] ** 2).sum(axis=1) < 1.0]

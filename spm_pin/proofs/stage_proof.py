@@ -22,6 +22,7 @@ from spm_pin.closed_form.intervals import Interval
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.proofs.singular_states import singular_state
 from spm_pin.proofs.stage_region import StageRegion
+from spm_pin.proofs.unique_state import has_one_state
 
 __all__ = ["StageProof", "prove_stage"]
 
@@ -129,12 +130,14 @@ def prove_stage(region: StageRegion, start: FloatArray, *, most: int = 300_000, 
             break
         halves, smallest = _examine(region, scale, *kept.take(unfinished).children())
         kept, least, seen = kept.take(~unfinished).join(halves), min(least, smallest), seen + 8 * count
-    proved = kept.bound > 0.0
+    positive = kept.bound > 0.0
+    proved = _ends(scale, kept.level[positive], kept.position[positive])
+    complete = len(proved) > 0 and bool(positive.all()) and has_one_state(region, proved)
     return StageProof(
-        bound=float(kept.bound.min()) if len(kept.bound) and proved.all() else 0.0,
+        bound=float(kept.bound.min()) if complete else 0.0,
         least=least,
-        undecided=_ends(scale, kept.level[~proved], kept.position[~proved]),
-        proved=_ends(scale, kept.level[proved], kept.position[proved]),
+        undecided=_ends(scale, kept.level[~positive], kept.position[~positive]),
+        proved=proved,
         singular=singular,
         boxes=seen,
     )
@@ -152,21 +155,23 @@ def _examine(region: StageRegion, scale: FloatArray, level: IntArray, position: 
     x, y, z = (Interval(ends[:, i, 0], ends[:, i, 1]) for i in range(3))
     tilt = x.square() + y.square()
     squares, determinant = region.evaluate(x, y, z)
-    limits = [Interval(low, high).square() for low, high in zip(region.minimum, region.maximum, strict=True)]
+    limits = [length.square() for length in region.lengths]
     outside = tilt.low > 1.0
     for square, limit in zip(squares, limits, strict=True):
         outside |= square.misses(limit)
     # |det J| is |D| over the product of the lengths, and these do not exceed their limits.
-    longest = _product([Interval.of(high) for high in region.maximum]).high
-    bound = np.where(tilt.high < 1.0, np.nextafter(determinant.low / longest, -np.inf), 0.0)
+    longest = _product([Interval.of(length.high) for length in region.lengths]).high
+    # Where x0² + x3² exceeds twice the bound of |x0 x3|, x0² and x3² differ.
+    straight = (1.0 - tilt).low > 2.0 * region.spread.torsion
+    bound = np.where(straight, np.nextafter(determinant.low / longest, -np.inf), 0.0)
     kept = ~outside
     boxes = _Boxes(level[kept], position[kept], np.maximum(bound[kept], 0.0))
 
     centre = [Interval.of(0.5 * ends[kept, i].sum(axis=-1)) for i in range(3)]
     squares, determinant = region.evaluate(*centre)
     within = np.all([~square.misses(limit) for square, limit in zip(squares, limits, strict=True)], axis=0)
-    values = determinant.high / np.sqrt(_product(squares).low)
-    return boxes, float(np.abs(values)[within & (boxes.bound > 0.0)].min(initial=np.inf))
+    values = np.maximum(determinant.low, 0.0) / np.sqrt(_product(squares).high)
+    return boxes, float(values[within & (boxes.bound > 0.0)].min(initial=np.inf))
 
 
 def _product(factors: Sequence[Interval]) -> Interval:

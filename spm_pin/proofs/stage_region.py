@@ -10,12 +10,14 @@ leg k the length √((ρ_k - ρ)² + z_k²), where ρ is the radius of the hips,
 
     D = m12 m23 m31 + m21 m32 m13 = 0,   m_ij = z_i (ρ + ρ_j / 2) + z_j (ρ_i - ρ).
 
-Derivation: `docs/theory/proofs.md`.
+In a machine with errors the quaternion has a small fourth component x3, and each of these numbers differs by what is
+bounded over all machines. Derivation: `docs/theory/proofs.md`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -24,46 +26,118 @@ from spm_pin.mechanism.arguments import FloatArray
 
 __all__ = ["StageRegion"]
 
+_UP = 1.0 + 1e-12
+"""Covers the rounding of a bound of errors, a few operations."""
+
+
+@dataclass(frozen=True)
+class _Spread:
+    """Bounds of what errors of a machine change in one stage, see `docs/theory/proofs.md`."""
+
+    length: Interval
+    """A coordinate of a pivot, or a reading [m]."""
+    pivot: Interval
+    """A pivot in a horizontal direction [m]."""
+    leaning: Interval
+    """A ball's distance from the nominal plane of its leg that goes through its pivot [m]."""
+    sideways: Interval
+    """√3/2 times a ball's distance from the nominal plane of its leg through the centre [m]."""
+    radius: Interval
+    height: Interval
+    """A ball's radius, and its height without torsion [m]."""
+    factor: Interval
+    """m_ij, by the direction of the axis [m²]."""
+    torsion: float
+    """|x0 x3|."""
+
 
 @dataclass(frozen=True)
 class StageRegion:
-    """The states of a stage that are searched.
+    """The states of a stage that are searched, those of one machine or of all within errors.
 
     Parameters
     ----------
-    hips, side : Interval
+    hips, side : float
         Radius of the hips and side of the middle platform's triangle [m].
     minimum, maximum : ndarray, shape (3,)
-        Limits of the leg lengths [m].
+        Limits of the leg lengths as they are read [m].
+    length_error : float
+        Largest error of each coordinate of a pivot and of a ball, and of a reading [m].
+    angle_error : float
+        Largest turn of a revolute axis about either direction perpendicular to it [rad].
     """
 
-    hips: Interval
-    side: Interval
+    hips: float
+    side: float
     minimum: FloatArray
     maximum: FloatArray
+    length_error: float = 0.0
+    angle_error: float = 0.0
+
+    @cached_property
+    def lengths(self) -> list[Interval]:
+        """Distances from pivot to ball of legs whose readings are within the limits [m]."""
+        widened = Interval(self.minimum, self.maximum) + self.spread.length if self.length_error else None
+        low, high = (self.minimum, self.maximum) if widened is None else (widened.low, widened.high)
+        return [Interval(np.array(max(a, 0.0)), np.array(b)) for a, b in zip(low, high, strict=True)]
+
+    @cached_property
+    def longest(self) -> float:
+        """Bound of the distance from pivot to ball [m]."""
+        return float(self.maximum.max() + self.length_error) * _UP
 
     @property
     def height(self) -> float:
-        """Bound of |Z| [m]: the mean of the z_k is Z, and none exceeds its leg."""
-        return float(np.nextafter(self.maximum.max(), np.inf))
+        """Bound of |Z| [m]: the mean of the z_k is Z but for errors of the balls, and none exceeds its leg."""
+        return (self.longest + 3.0 * self.length_error) * _UP
+
+    @cached_property
+    def spread(self) -> _Spread:
+        """What the errors change at most."""
+        pivot, ball = np.sqrt([2.0, 3.0]) * self.length_error * _UP
+        leaning = np.sqrt(2.0) * self.angle_error * self.longest * _UP
+        corner = (leaning + pivot + ball) * _UP
+        return _Spread(
+            length=Interval.within(self.length_error),
+            pivot=Interval.within(pivot),
+            leaning=Interval.within(leaning),
+            sideways=Interval.within(np.sqrt(0.75) * (leaning + pivot) * _UP),
+            radius=Interval.within((np.sqrt(4.0 / 3.0) * corner + ball) * _UP),
+            height=Interval.within(ball),
+            factor=Interval.within(leaning * (self.side + 2.0 * ball) * _UP),
+            torsion=float(np.sqrt(0.75) * corner / self.side * _UP),
+        )
 
     def corners(self, x: Interval, y: Interval, z: Interval) -> tuple[list[Interval], list[Interval]]:
-        """Return radii and heights of the triangle's corners [m]."""
-        r = self.side * SQRT_3.reciprocal()
+        """Return radii and heights of the balls [m] in states with |x3| <= x0."""
+        r = Interval.of(self.side) * SQRT_3.reciprocal()
         x_2, y_2 = x.square(), y.square()
         mixed = 2.0 * SQRT_3 * (x * y)
-        radii = [r * (1.0 - 2.0 * y_2 - mixed), r * (1.0 - 3.0 * x_2 + y_2), r * (1.0 - 2.0 * y_2 + mixed)]
-        lever = r * (1.0 - (x_2 + y_2)).root()
+        rest = 1.0 - (x_2 + y_2)
+        # x0² + x3² is `rest`, of which x3² is at most half, and |x0 x3| is bounded.
+        most = 2.0 * self.spread.torsion**2 * _UP / np.maximum(rest.low, 1e-300)
+        twist = Interval(np.zeros_like(most), np.clip(most, 0.0, np.maximum(0.5 * rest.high, 0.0)))
+        common = 1.0 - 2.0 * twist
+        radii = [common - 2.0 * y_2 - mixed, common - 3.0 * x_2 + y_2, common - 2.0 * y_2 + mixed]
+        lever, turned = r * (rest - twist).root(), r * Interval.within(twist.root().high)
         cross = SQRT_3 * y
-        return radii, [z - lever * (x + cross), z + 2.0 * (lever * x), z - lever * (x - cross)]
+        heights = [
+            z - lever * (x + cross) + turned * (SQRT_3 * x - y),
+            z + 2.0 * (lever * x) + 2.0 * (turned * y),
+            z - lever * (x - cross) - turned * (SQRT_3 * x + y),
+        ]
+        return [r * radius + self.spread.radius for radius in radii], [h + self.spread.height for h in heights]
 
     def evaluate(self, x: Interval, y: Interval, z: Interval) -> tuple[list[Interval], Interval]:
-        """Return the squared leg lengths [m²] and D [m⁶]."""
+        """Return the squares of the distances from pivots to balls [m²] and D [m⁶]."""
+        spread = self.spread
         radii, heights = self.corners(x, y, z)
-        slopes = [radius - self.hips for radius in radii]
-        squares = [s.square() + h.square() for s, h in zip(slopes, heights, strict=True)]
+        hips = Interval.of(self.hips) + spread.pivot
+        slopes, rises = [radius - hips for radius in radii], [height + spread.length for height in heights]
+        squares = [s.square() + h.square() + spread.leaning.square() for s, h in zip(slopes, rises, strict=True)]
 
         def m(i: int, j: int) -> Interval:
-            return heights[i] * (self.hips + 0.5 * radii[j]) + heights[j] * slopes[i]
+            upward = rises[i] * (hips + 0.5 * radii[j] + spread.sideways)
+            return upward + (heights[j] + spread.length) * slopes[i] + spread.factor
 
         return squares, m(0, 1) * m(1, 2) * m(2, 0) + m(1, 0) * m(2, 1) * m(0, 2)

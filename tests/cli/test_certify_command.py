@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 from cli.running import run
+
+import spm_pin as spm
 
 LIMITS = ["--min", "110", "--max", "150", "--unit", "cm"]
 
@@ -16,12 +19,26 @@ def test_limits_that_are_proved_are_exit_code_0() -> None:
     assert "Proved: no configuration joined to the home" in done.stdout
 
 
-def test_the_dimension_error_is_in_the_unit() -> None:
-    done = run("certify", *LIMITS, "--dimension-error", "0.1", "--json")
+def test_errors_of_the_machine_are_in_the_unit_and_in_radians() -> None:
+    errors = "--length-error", "0.01", "--angle-error", "1e-4"
+    done = run("certify", *LIMITS, *errors, "--json")
     assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["holds"] is True
-    done = run("certify", *LIMITS, "--dimension-error", "0.1")
-    assert "within 1 mm of the nominal ones" in done.stdout
+    content = json.loads(done.stdout)
+    assert content["holds"] is True
+    assert content["errors"] == {"length": pytest.approx(1e-4), "angle": 1e-4}
+    assert "within 0.1 mm and 0.1 mrad" in run("certify", *LIMITS, *errors).stdout
+
+
+def test_the_file_of_a_machine_as_built(tmp_path: Path) -> None:
+    file = tmp_path / "machine.yaml"
+    ideal = spm.AsBuiltGeometry.from_nominal(spm.Geometry.paper())
+    ideal.perturbed(0, length=1e-4, angle=1e-4).to_yaml(file)
+    done = run("certify", *LIMITS, "--geometry", str(file))
+    assert done.returncode == 0, done.stderr
+    assert "For all machines" in done.stdout
+    done = run("certify", *LIMITS, "--geometry", str(file), "--inverse")
+    assert done.returncode == 2
+    assert "--inverse" in done.message
 
 
 def test_inverse_singularities_are_shown_where_they_are() -> None:
@@ -41,7 +58,12 @@ def test_limits_with_a_forward_singularity_are_exit_code_1() -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "option"),
-    [(["--min", "1.1"], "--min and --max"), (["--dimension-error", "-1"], "--dimension-error")],
+    [
+        (["--min", "1.1"], "--min and --max"),
+        (["--length-error", "-1"], "--length-error"),
+        (["--angle-error", "1"], "--angle-error"),
+        ([*LIMITS, "--inverse", "--angle-error", "1e-4"], "--inverse"),
+    ],
 )
 def test_wrong_options_are_named(arguments: list[str], option: str) -> None:
     done = run("certify", *arguments)

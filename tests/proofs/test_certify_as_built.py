@@ -1,0 +1,161 @@
+"""Certificates for all machines within errors, against machines drawn from them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import spm_pin as spm
+from spm_pin.closed_form.intervals import Interval
+from spm_pin.mechanism.stage_states import stage_states
+from spm_pin.proofs import certify_inverse
+from spm_pin.proofs.certificate import stage_regions
+
+PAPER = spm.Geometry.paper()
+LIMITS = spm.LegLimits(1.1, 1.5)
+IDEAL = spm.AsBuiltGeometry.from_nominal(PAPER)
+CORNERS = np.array(np.meshgrid(*[[1.1, 1.5]] * 6)).reshape(6, -1).T
+
+
+def machine_within(length: float, angle: float, rng: np.random.Generator) -> spm.AsBuiltGeometry:
+    """Return a random machine; half of them are at corners of the set."""
+    share = rng.uniform(-1.0, 1.0, 54) if rng.uniform() < 0.5 else rng.choice([-1.0, 1.0], 54)
+    return IDEAL.from_parameters(IDEAL.parameters + np.tile(np.repeat([angle, length], [2, 7]), 6) * share)
+
+
+@pytest.fixture(scope="module")
+def certificate() -> spm.Certificate:
+    return spm.certify(PAPER, LIMITS, length_error=1e-4, angle_error=1e-4)
+
+
+def check_machines(certificate: spm.Certificate, machines: int, sets_of_legs: int) -> None:
+    rng = np.random.default_rng(4)
+    signs = np.sign(spm.determinants(spm.forward_physical(PAPER, np.full(6, 1.3)))[:2])
+    for _ in range(machines):
+        machine = machine_within(*certificate.errors, rng)
+        # Within the limits by more than the rounding of a reading.
+        legs = np.clip(np.concatenate([rng.uniform(1.1, 1.5, (sets_of_legs, 6)), CORNERS]), 1.1 + 1e-12, 1.5 - 1e-12)
+        state = spm.forward_physical(machine, legs)
+        assert certificate.covers(state).all()
+        values = signs * spm.determinants(state)[:, :2] / PAPER.middle_side**3
+        assert (values >= certificate.bounds).all()
+
+
+def test_all_machines_within_a_tenth_of_a_millimetre_and_of_a_milliradian(certificate: spm.Certificate) -> None:
+    assert certificate.holds
+    plain = spm.certify(PAPER, LIMITS)
+    assert all(0.95 * one < bound <= one for bound, one in zip(certificate.bounds, plain.bounds, strict=True))
+    assert "within 0.1 mm and 0.1 mrad" in certificate.explain()
+    check_machines(certificate, 20, 50)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("error", [1e-4, 1e-3])
+def test_a_thousand_machines(error: float) -> None:
+    certificate = spm.certify(PAPER, LIMITS, length_error=error, angle_error=error)
+    assert certificate.holds
+    check_machines(certificate, 1_000, 200)
+
+
+def stage_balls(state: spm.Configuration, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return radii and heights (..., 3) of the balls in the nominal planes of the legs of the lower or upper stage."""
+    balls = state.balls[..., 3 * k : 3 * k + 3, :]
+    if k:
+        balls = (balls - state.translation[..., None, :]) @ state.rotation * [1.0, 1.0, -1.0]
+    return (balls * PAPER.radial_directions).sum(axis=-1), balls[..., 2]
+
+
+@pytest.mark.parametrize(("length", "angle"), [(1e-4, 0.0), (0.0, 1e-4), (3e-3, 3e-3), (2e-2, 5e-2)])
+def test_enclosures_contain_what_machines_within_errors_have(length: float, angle: float) -> None:
+    regions, rng = stage_regions(PAPER, LIMITS, (length, angle)), np.random.default_rng(5)
+    used: dict[str, float] = {}
+
+    def contained(name: str, interval: Interval, exact: np.ndarray) -> None:
+        assert (interval.low - 1e-14 <= exact).all()
+        assert (exact <= interval.high + 1e-14).all()
+        middle, half = 0.5 * (interval.high + interval.low), 0.5 * (interval.high - interval.low)
+        used[name] = max(used.get(name, 0.0), float((np.abs(exact - middle) / half).max()))
+
+    for _ in range(100):
+        machine = machine_within(length, angle, rng)
+        state = spm.forward_physical(machine, rng.uniform(1.12, 1.48, (20, 6)))
+        state = state[state.exists]
+        distances, determinants = np.linalg.norm(state.leg_vectors, axis=-1), np.abs(spm.determinants(state))
+        turns = state.middle_pose.rotation, state.pose.rotation.inv() * state.middle_pose.rotation
+        for k, region in enumerate(regions):
+            unknowns = [Interval.of(column) for column in stage_states(state)[:, k].T]
+            squares, determinant = region.evaluate(*unknowns)
+            for i in range(3):
+                contained("square", squares[i], distances[:, 3 * k + i] ** 2)
+                for name, found, exact in zip(
+                    ("radius", "height"), region.corners(*unknowns), stage_balls(state, k), strict=True
+                ):
+                    contained(name, found[i], exact[:, i])
+            contained("determinant", determinant, determinants[:, k] * distances[:, 3 * k : 3 * k + 3].prod(axis=-1))
+            quaternion = turns[k].as_quat()
+            contained("torsion", Interval.within(region.spread.torsion), quaternion[:, 2] * quaternion[:, 3])
+    # The bounds are not far from what some machines have: a forgotten error would exceed them.
+    least = {"square": 0.2, "radius": 0.3, "height": 0.3 if length else 0.0, "torsion": 0.4, "determinant": 0.02}
+    assert all(used[name] > share for name, share in least.items()), used
+
+
+def test_a_machine_as_built_is_proved_with_its_own_errors() -> None:
+    machine = machine_within(2e-4, 3e-4, np.random.default_rng(1))
+    found = spm.certify(machine, LIMITS)
+    assert found.holds
+    assert found.geometry == PAPER
+    assert found.errors[0] <= 2e-4 * (1.0 + 1e-9)
+    assert found.errors[1] <= 3e-4 * (1.0 + 1e-9)
+    assert found.covers(spm.forward_physical(machine, np.full(6, 1.3)))
+    far = IDEAL.from_parameters(IDEAL.parameters + 0.3)
+    with pytest.raises(spm.ArgumentError, match="geometry: expected a machine within"):
+        spm.certify(far, LIMITS)
+
+
+def test_machines_beyond_the_errors_are_refused(certificate: spm.Certificate) -> None:
+    for name in (2, 5, 8):
+        parameters = IDEAL.parameters.copy()
+        parameters[name] += 1.01e-4
+        with pytest.raises(spm.ArgumentError, match="configuration"):
+            certificate.covers(spm.forward_physical(IDEAL.from_parameters(parameters), np.full(6, 1.3)))
+    parameters = IDEAL.parameters.copy()
+    parameters[:2] = 1e-4
+    assert certificate.covers(spm.forward_physical(IDEAL.from_parameters(parameters), np.full(6, 1.3)))
+
+
+def test_other_dimensions_are_errors_of_pivots_and_balls(certificate: spm.Certificate) -> None:
+    sizes = np.array(PAPER.dimensions)
+    for signs in ([1, 1, 1], [-1, 1, -1]):
+        other = spm.Geometry(*(sizes + 0.999e-4 * np.array(signs)))
+        assert certificate.covers(spm.forward_physical(other, np.full(6, 1.4)))
+
+
+def test_the_widest_limits_for_machines_with_errors() -> None:
+    found = spm.largest_certified_limits(PAPER, 1.3, tolerance=0.4, boxes=20_000, length_error=1e-3, angle_error=1e-3)
+    assert found.holds
+    assert found.errors == (1e-3, 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "named"),
+    [
+        ({"length_error": -1e-4}, "length_error"),
+        ({"length_error": 0.2}, "length_error"),
+        ({"length_error": "0.1 mm"}, "length_error"),
+        ({"angle_error": np.nan}, "angle_error"),
+        ({"angle_error": 0.5}, "angle_error"),
+    ],
+)
+def test_invalid_errors_are_refused(keywords: dict[str, object], named: str) -> None:
+    with pytest.raises(spm.ArgumentError) as caught:
+        spm.certify(PAPER, LIMITS, **keywords)  # type: ignore[arg-type]
+    assert caught.value.argument == named
+
+
+def test_the_inverse_certificate_takes_a_certificate_of_the_same_limits(certificate: spm.Certificate) -> None:
+    limits = spm.LegLimits(1.29, 1.3)
+    forward = spm.certify(PAPER, limits)
+    assert certify_inverse(PAPER, limits, forward=forward).bound == certify_inverse(PAPER, limits).bound
+    for wrong in (certificate, spm.certify(PAPER, LIMITS)):
+        with pytest.raises(spm.ArgumentError, match="forward"):
+            certify_inverse(PAPER, limits, forward=wrong)
