@@ -19,7 +19,7 @@ __all__ = ["check_output", "name_options", "require_extra", "write_json", "write
 
 EXTRAS = {
     "cluster": ("zarr", "xarray", "dask", "distributed", "filelock", "google_crc32c"),
-    "motion": ("toppra", "ruckig"),
+    "motion": ("toppra",),
     "plots": ("matplotlib", "trimesh"),
     "viewer": ("viser", "trimesh"),
     "workspace": ("trimesh", "skimage"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -37,6 +37,27 @@ class LimitRows:
         values = self.a * accelerations[:, None] + self.b * x[:, None] + self.c
         over = np.maximum(values - self.upper, self.lower - values).max(axis=0)
         return np.maximum(over, 0.0), max(float((x / self.fastest).max()) - 1.0, 0.0)
+
+    def narrowed(self, over: FloatArray, faster: float) -> LimitRows:
+        """Return limits narrower by a little more than an `excess`, so that the next motion keeps these."""
+        lower, upper, fastest = self.lower + 1.2 * over, self.upper - 1.2 * over, self.fastest / (1.0 + faster)
+        return replace(self, lower=lower, upper=upper, fastest=fastest)
+
+    def kept_shares(self, x: FloatArray, u: FloatArray, tolerance: float = 0.0) -> FloatArray:
+        """Return the largest share of ṡ² and s̈ (n,) with which all limits hold, to a share of them, shape (n,).
+
+        All rows hold at rest, and therefore with every smaller share too.
+        """
+        moved = self.a * u[:, None] + self.b * x[:, None]
+        room = np.where(moved > 0.0, self.upper - self.c, self.c - self.lower) + tolerance * (self.upper - self.lower)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shares = np.where(moved != 0.0, room / np.abs(moved), np.inf).min(axis=-1)
+            return np.asarray(np.minimum(shares, np.where(x > 0.0, self.fastest * (1.0 + tolerance) / x, np.inf)))
+
+    def __getitem__(self, index: npt.NDArray[np.intp]) -> LimitRows:
+        """Return the limits at some points of the grid."""
+        a, b, c = self.a[index], self.b[index], self.c[index]
+        return LimitRows(a, b, c, self.lower, self.upper, self.fastest[index])
 
 
 @dataclass(frozen=True)
@@ -101,6 +122,27 @@ class MotionLimits:
         a, b, c = (np.concatenate([block[k] for block in blocks], axis=-1) for k in range(3))
         lower, upper = (np.concatenate([block[k] for block in blocks]) for k in (3, 4))
         return LimitRows(a, b, c, lower, upper, fastest)
+
+    def kept_share(
+        self,
+        chain: ClosedChain,
+        along: PathDynamics,
+        times: FloatArray,
+        speeds: FloatArray,
+        accelerations: FloatArray,
+        tolerance: float,
+    ) -> float:
+        """Return the largest share of ṡ² and s̈ (n,), met at times (n,), with which all limits hold to a share of them.
+
+        Of a jerk it is the change of a leg's acceleration from one time to the next.
+        """
+        share = float(self.rows(chain, along).kept_shares(speeds**2, accelerations, tolerance).min())
+        if self.leg_jerks is not None:
+            first, second = along.first[:, chain.leg_indices], along.second[:, chain.leg_indices]
+            changes = np.diff(first * accelerations[:, None] + second * speeds[:, None] ** 2, axis=0)
+            used = float(np.abs(changes / (np.diff(times)[:, None] * self.leg_jerks)).max())
+            share = min(share, ((1.0 + tolerance) / max(used, 1e-300)) ** (2.0 / 3.0))
+        return share
 
 
 def _largest(value: npt.ArrayLike | None, argument: str, unit: str) -> FloatArray | None:

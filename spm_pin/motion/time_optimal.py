@@ -4,16 +4,13 @@ With the quantities of `path_dynamics`, every limit is linear in u = s̈ and x =
 
     lower <= a u + b x + c <= upper,    x <= limit,
 
-which toppra solves on a grid of parameters, u constant from each to the next. With limited jerk the parameter itself
-follows ruckig's profile of limited speed V, acceleration A and jerk J, chosen so that every limit holds along the whole
-path: slower, and without steps of the force.
+which toppra solves on a grid of parameters, u constant from each to the next. Forces jump then; with limited jerk they
+do not, see `limited_jerk`.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +21,7 @@ from spm_pin.errors import ArgumentError, MissingExtraError
 from spm_pin.mechanism.arguments import FloatArray, instance, real_number, whole_number
 from spm_pin.mechanism.geometry import LEGS
 from spm_pin.motion.leg_path import LegPath
+from spm_pin.motion.limited_jerk import Clock, EasedGrid, limited_jerk
 from spm_pin.motion.motion_limits import LimitRows, MotionLimits
 from spm_pin.motion.path_dynamics import PathDynamics, path_dynamics
 from spm_pin.motion.path_rules import ROUNDING
@@ -41,15 +39,12 @@ _LONGEST = 10**6
 """Samples that a trajectory may have."""
 _FASTEST = 1e4
 """Largest speed of the parameter [1/s], where no limit is."""
-_TRIES = 60
-"""Top speeds V tried for a motion of limited jerk."""
-_CORRECTIONS = 8
-"""Times that limits are narrowed at most, because they are broken between the parts of the grid."""
+_CORRECTIONS = 12
+"""Motions tried at most, because limits are broken between points of the grid."""
+_NARROWED = 6
+"""The first of them, with narrower limits; the others are slower as a whole."""
 _KEPT = 1e-7
 """Share of a limit by which it may be exceeded."""
-
-_Clock = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-"""Times (n,), and s, ṡ and s̈ there."""
 
 
 def time_optimal(
@@ -83,11 +78,11 @@ def time_optimal(
     payload : Payload, optional
         Carried by the terminal platform.
     leg_jerks : array_like, shape (6,) or (), optional
-        Largest jerk of each leg [m/s³]. The motion is then smooth, and not the fastest one possible: it has one top
-        speed along the whole path.
+        Largest jerk of each leg [m/s³], on the average between two rows too. The motion also begins and ends without
+        acceleration. Its duration approaches that without a limit where the limit is large.
     grid : int
         Parts of the path at whose ends the limits hold; where rows in between exceed them, the motion is found again
-        with narrower limits.
+        with narrower limits, or slowed down. With `leg_jerks` 2000 parts suffice for some 20 points on the way.
     period : float
         Time between the rows of the result [s], at most.
 
@@ -103,12 +98,13 @@ def time_optimal(
         leaves the physical mode or meets a singularity, with the parameter where, or the forces cannot even hold the
         machine at rest somewhere.
     MissingExtraError
-        Without the extra "motion".
+        Without the extra "motion", which `leg_jerks` does not need.
 
     Notes
     -----
     Time-optimal path parametrisation by reachability analysis: Pham and Pham, IEEE Transactions on Robotics 34 (2018),
-    as implemented by toppra.
+    as implemented by toppra. With limited jerk, a nonlinear programme in the square of the speed, as in Verscheure et
+    al., IEEE Transactions on Automatic Control 54 (2009), there without jerk; solved by IPOPT to a local optimum.
     """
     instance(chain, ClosedChain, "chain")
     way = _path(path, chain)
@@ -117,24 +113,32 @@ def time_optimal(
     parts = whole_number(grid, "grid", "a number of parts from 10 to 100,000", least=10, most=100_000)
     step = real_number(period, "period", "a positive time in seconds", above=0.0)
     limits = MotionLimits.read(leg_rates, leg_accelerations, leg_jerks, leg_forces, twist)
-    parameters = np.linspace(0.0, 1.0, parts + 1)
+    jerks, legs = limits.leg_jerks, chain.leg_indices
+    eased = EasedGrid.over(_knots(way), parts)
+    parameters = np.linspace(0.0, 1.0, parts + 1) if jerks is None else eased.parameters
     along = path_dynamics(chain, way, parameters, payload)
     _refuse_events(chain, along, way, planned=isinstance(path, MotionPlan))
     rows = limits.rows(chain, along)
-    for _ in range(_CORRECTIONS):
-        clock = (
-            _fastest(parameters, rows) if limits.leg_jerks is None else _smooth(chain, along, rows, limits.leg_jerks)
-        )
-        times, at, rates, changes = clock(step)
+    if jerks is None:
+        duration, clock = _fastest(parameters, rows)
+    else:
+        duration, clock = limited_jerk(eased, rows, along.first[:, legs], along.second[:, legs], jerks)
+    slower = 1.0
+    for correction in range(_CORRECTIONS):
+        times = _times(slower * duration, step)
+        at, speeds, accelerations = clock(times / slower)
+        speeds, accelerations = speeds / slower, accelerations / slower**2
         found = path_dynamics(chain, way, at, payload)
-        over, faster = limits.rows(chain, found).excess(rates, changes)
-        if faster <= _KEPT and (over <= _KEPT * (rows.upper - rows.lower)).all():
+        share = limits.kept_share(chain, found, times, speeds, accelerations, _KEPT)
+        if share >= 1.0:
             break
-        # It happens between the ends of two parts. Narrowed by a little more, so that the next motion keeps them.
-        rows = replace(
-            rows, lower=rows.lower + 1.2 * over, upper=rows.upper - 1.2 * over, fastest=rows.fastest / (1.0 + faster)
-        )
-    return _trajectory(chain, found, times, rates, changes)
+        # It happens between points of the grid.
+        if jerks is None and correction < _NARROWED:
+            rows = rows.narrowed(*limits.rows(chain, found).excess(speeds, accelerations))
+            duration, clock = _fastest(parameters, rows)
+        else:
+            slower /= np.sqrt(share * (1.0 - _KEPT))
+    return _trajectory(chain, found, times, speeds, accelerations)
 
 
 def _path(path: Any, chain: ClosedChain) -> Path:
@@ -148,6 +152,11 @@ def _path(path: Any, chain: ClosedChain) -> Path:
     if isinstance(path, PlatformPath) and not np.any(path([path.start, path.end]).twist):
         raise ArgumentError("path", "a path that moves at its ends", "a path at rest there", "Made with ease=True?")
     return path
+
+
+def _knots(path: Path) -> FloatArray:
+    """Return the parameters, from 0 to 1, where the third derivative of a path may jump."""
+    return path.knots if isinstance(path, LegPath) else (path.times - path.start) / path.duration
 
 
 def _refuse_events(chain: ClosedChain, along: PathDynamics, path: Path, *, planned: bool) -> None:
@@ -172,8 +181,8 @@ def _refuse_events(chain: ClosedChain, along: PathDynamics, path: Path, *, plann
         raise ArgumentError("path", "a path without singularities", received, cause)
 
 
-def _fastest(parameters: FloatArray, rows: LimitRows) -> Callable[[float], _Clock]:
-    """Return the time-optimal clock, a function of the period."""
+def _fastest(parameters: FloatArray, rows: LimitRows) -> tuple[float, Clock]:
+    """Return the duration of the time-optimal motion, and s, ṡ and s̈ as functions of time."""
     try:
         import toppra
         from toppra.algorithm import TOPPRA
@@ -204,61 +213,13 @@ def _fastest(parameters: FloatArray, rows: LimitRows) -> Callable[[float], _Cloc
         raise ArgumentError("path", "a path that the limits let the machine go along", "no such motion", cause)
     starts = np.concatenate([[0.0], np.cumsum(2.0 * np.diff(parameters) / (speeds[:-1] + speeds[1:]))])
 
-    def clock(period: float) -> _Clock:
-        times = _times(float(starts[-1]), period)
+    def clock(times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         k = np.clip(np.searchsorted(starts, times, side="right") - 1, 0, len(starts) - 2)
         since = times - starts[k]
         s = parameters[k] + since * (speeds[k] + 0.5 * since * accelerations[k])
-        return times, np.clip(s, 0.0, 1.0), np.maximum(speeds[k] + since * accelerations[k], 0.0), accelerations[k]
+        return np.clip(s, 0.0, 1.0), np.maximum(speeds[k] + since * accelerations[k], 0.0), accelerations[k]
 
-    return clock
-
-
-def _smooth(chain: ClosedChain, along: PathDynamics, rows: LimitRows, jerks: FloatArray) -> Callable[[float], _Clock]:
-    """Return the clock of limited jerk, as `_fastest`: the quickest of ruckig's profiles that keep all limits."""
-    try:
-        import ruckig
-    except ImportError as error:
-        raise MissingExtraError("motion", "ruckig") from error
-    legs = chain.leg_indices
-    first, second = np.abs(along.first[:, legs]), np.abs(along.second[:, legs])
-    third = np.abs(np.asarray(np.gradient(along.second[:, legs], along.parameters, axis=0)))
-
-    def bounds(speed: float) -> tuple[float, float]:
-        """Return the largest |s̈| and jerk of s with which all limits hold at every ṡ up to a speed; NaN for none."""
-        above = (rows.upper - rows.c) - np.maximum(rows.b, 0.0) * speed**2
-        below = np.minimum(rows.b, 0.0) * speed**2 + (rows.c - rows.lower)
-        # The jerk of a leg is l' s⃛ + 3 l'' ṡ s̈ + l''' ṡ³; half of the limit is kept for its first term.
-        spare = jerks - third * speed**3
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            acceleration = float(np.nanmin(np.minimum(above, below) / np.abs(rows.a)))
-            acceleration = min(acceleration, float(np.nanmin(spare / (6.0 * second * speed))))
-            jerk = float(np.nanmin((spare - 3.0 * second * speed * acceleration) / first))
-        return acceleration, jerk
-
-    def profile(speed: float) -> Any:
-        acceleration, jerk = bounds(speed)
-        if not (acceleration > 0.0 and jerk > 0.0):
-            return None
-        given, found = ruckig.InputParameter(1), ruckig.Trajectory(1)
-        given.current_position, given.target_position = [0.0], [1.0]
-        given.max_velocity, given.max_acceleration, given.max_jerk = [speed], [acceleration], [jerk]
-        result = ruckig.Ruckig(1).calculate(given, found)
-        return found if result in (ruckig.Result.Working, ruckig.Result.Finished) else None
-
-    with np.errstate(divide="ignore", over="ignore"):
-        top = min(float(np.sqrt(rows.fastest.min())), float(np.cbrt(np.min(jerks / third))), _FASTEST)
-    trials = [found for found in map(profile, np.geomspace(1e-3, 1.0, _TRIES) * top) if found is not None]
-    if not trials:
-        raise ArgumentError("path", "a path that the limits let the machine go along smoothly", "no such motion")
-    best = min(trials, key=lambda found: float(found.duration))
-
-    def clock(period: float) -> _Clock:
-        times = _times(float(best.duration), period)
-        s, speed, acceleration = (np.array(x)[:, 0] for x in zip(*map(best.at_time, times), strict=True))
-        return times, np.clip(s, 0.0, 1.0), speed, acceleration
-
-    return clock
+    return float(starts[-1]), clock
 
 
 def _times(duration: float, period: float) -> FloatArray:

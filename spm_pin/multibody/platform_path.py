@@ -66,6 +66,11 @@ class PlatformPath:
         self._rotation = RotationSpline(moments, transforms.rotation)
 
     @property
+    def times(self) -> FloatArray:
+        """When it passes the poses [s], shape (n,), if not eased; a copy."""
+        return self._times.copy()
+
+    @property
     def start(self) -> float:
         """First time [s]."""
         return float(self._times[0])

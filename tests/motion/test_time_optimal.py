@@ -141,17 +141,6 @@ def test_a_payload_weighs_at_rest_and_pushes_when_it_is_moved() -> None:
     np.testing.assert_allclose(loaded.efforts[:, LEGS], expected, rtol=0, atol=1e-6)
 
 
-def test_limited_jerk_is_slower_smooth_and_within_the_limits() -> None:
-    limits = {"leg_forces": 1500.0, "leg_rates": 0.6}
-    fast = spm.time_optimal(CHAIN, CURVE, **limits)
-    smooth = spm.time_optimal(CHAIN, CURVE, **limits, leg_jerks=40.0, period=1e-3)
-    assert smooth.times[-1] > fast.times[-1]
-    assert shares(smooth, limits).max() < 1.0 + 1e-6
-    jerk = np.diff(smooth.accelerations[:, LEGS], axis=0) / np.diff(smooth.times)[:, None]
-    assert np.abs(jerk).max() < 1.01 * 40.0
-    np.testing.assert_allclose(smooth.accelerations[[0, -1]], 0.0, atol=1e-9)
-
-
 @pytest.mark.parametrize(
     ("wrong", "text"),
     [

@@ -1,0 +1,141 @@
+"""Motions of limited jerk, against a transcription in time and against the motion without this limit."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import spm_pin as spm
+from spm_pin.motion import LegPath, Payload
+from spm_pin.motion.limited_jerk import EasedGrid, limited_jerk
+from spm_pin.motion.motion_limits import LimitRows
+
+PAPER = spm.Geometry.paper()
+CHAIN = spm.ClosedChain.from_urdf()
+LEGS = CHAIN.leg_indices
+START = [1.20, 1.20, 1.40, 1.25, 1.20, 1.50]
+GOAL = [1.40, 1.20, 1.20, 1.20, 1.50, 1.25]
+LINE = LegPath([START, GOAL])
+CURVE = LegPath([START, [1.3, 1.4, 1.2, 1.3, 1.3, 1.3], GOAL])
+WINDING = LegPath(np.random.default_rng(4).uniform(1.1, 1.5, (7, 6)))
+POSES = spm.PlatformPath(
+    [3.0, 5.0], spm.forward_physical(PAPER, [START, [1.22, 1.22, 1.42, 1.3, 1.2, 1.45]]).pose
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("path", "limits", "jerk", "often"),
+    [
+        (LINE, {"leg_forces": 1500.0, "leg_rates": 0.4, "leg_accelerations": 5.0}, 40.0, 0.9),
+        (
+            CURVE,
+            {"leg_forces": 1800.0, "leg_rates": 0.6, "payload": Payload(15.0, (0.02, -0.01, 0.1))},
+            [400.0, 300.0, 200.0, 300.0, 400.0, 500.0],
+            0.9,
+        ),
+        (POSES, {"leg_forces": 1500.0, "leg_rates": 0.15}, 40.0, 0.9),
+        pytest.param(WINDING, {"leg_accelerations": 5.0, "leg_rates": 0.6}, 40.0, 0.75, marks=pytest.mark.slow),
+    ],
+)
+def test_all_limits_hold_and_some_limit_is_used(
+    path: object, limits: dict[str, object], jerk: object, often: float
+) -> None:
+    period = 1e-3
+    motion = spm.time_optimal(CHAIN, path, **limits, leg_jerks=jerk, period=period)  # type: ignore[arg-type]
+    rates, accelerations, forces = (
+        np.abs(values[:, LEGS]) for values in (motion.velocities, motion.accelerations, motion.efforts)
+    )
+    kinds = {"leg_rates": rates, "leg_accelerations": accelerations, "leg_forces": forces}
+    used = [(kinds[name] / limits[name]).max(axis=-1)[1:] for name in kinds if name in limits]
+    jerks = np.diff(motion.accelerations[:, LEGS], axis=0) / np.diff(motion.times)[:, None]
+    used.append(np.abs(jerks / jerk).max(axis=-1))
+    shares = np.max(used, axis=0)
+    assert shares.max() < 1.0 + 1e-6
+    assert (shares > 0.98).mean() > often
+    # The rows are those of one motion, from rest to rest and without acceleration there.
+    np.testing.assert_allclose(motion.accelerations[[0, -1]], 0.0, atol=1e-9)
+    np.testing.assert_allclose(motion.velocities[[0, -1]], 0.0, atol=1e-9)
+    moved = np.diff(motion.positions, axis=0)
+    h, v, a = np.diff(motion.times)[:, None], motion.velocities, motion.accelerations
+    step = 0.5 * h * (v[1:] + v[:-1]) - h**2 / 12.0 * (a[1:] - a[:-1])
+    np.testing.assert_allclose(moved, step, atol=1e-2 * period**3 * np.max(jerk))
+
+
+@pytest.mark.parametrize("path", [LINE, CURVE])
+@pytest.mark.parametrize(("jerk", "steps"), [(40.0, 40), pytest.param(400.0, 120, marks=pytest.mark.slow)])
+def test_a_transcription_in_time_finds_the_same_duration(path: LegPath, jerk: float, steps: int) -> None:
+    motion = spm.time_optimal(CHAIN, path, leg_rates=0.6, leg_accelerations=3.0, leg_jerks=jerk)
+    assert motion.times[-1] == pytest.approx(shooting_duration(path, 0.6, 3.0, jerk, steps), rel=0.005)
+
+
+def shooting_duration(path: LegPath, rate: float, acceleration: float, jerk: float, steps: int) -> float:
+    """Duration by multiple shooting: s⃛ constant in equal steps of time on each polynomial of the path."""
+    problem, total, state = ca.Opti(), 0.0, ca.DM.zeros(3)
+    for low, high in zip(path.knots[:-1], path.knots[1:], strict=True):
+        samples = np.linspace(low, high, 6)
+        s = ca.SX.sym("s")
+        fits = [np.polynomial.Polynomial.fit(samples, lengths, 5).convert() for lengths in path(samples).lengths.T]
+        derivatives = [ca.vertcat(*[sum(c * s**k for k, c in enumerate(fit.coef)) for fit in fits])]
+        for _ in range(3):
+            derivatives.append(ca.jacobian(derivatives[-1], s))
+        legs = ca.Function("legs", [s], derivatives[1:])
+        duration, speed_change, states = problem.variable(), problem.variable(steps), problem.variable(3, steps + 1)
+        problem.subject_to(duration >= 1e-3)
+        problem.subject_to(states[1, :] >= 0.0)
+        problem.subject_to(states[:, 0] == state)
+        for k in range(steps):
+            for share in (0.0, 0.5, 1.0):
+                h, third = share * duration / steps, speed_change[k]
+                second = states[2, k] + h * third
+                first = states[1, k] + h * states[2, k] + h**2 / 2.0 * third
+                at = states[0, k] + h * states[1, k] + h**2 / 2.0 * states[2, k] + h**3 / 6.0 * third
+                l1, l2, l3 = legs(at)
+                problem.subject_to(problem.bounded(-1.0, l1 * first / rate, 1.0))
+                problem.subject_to(problem.bounded(-1.0, (l1 * second + l2 * first**2) / acceleration, 1.0))
+                change = l1 * third + 3.0 * l2 * first * second + l3 * first**3
+                problem.subject_to(problem.bounded(-1.0, change / jerk, 1.0))
+            problem.subject_to(states[:, k + 1] == ca.vertcat(at, first, second))
+        problem.set_initial(duration, 3.0 * (high - low))
+        problem.set_initial(states[0, :], np.linspace(low, high, steps + 1))
+        problem.set_initial(states[1, :], 0.3)
+        total, state = total + duration, states[:, steps]
+        problem.subject_to(state[0] == high)
+    problem.subject_to(state[1:] == 0.0)
+    problem.minimize(total)
+    problem.solver("ipopt", {"print_time": False}, {"print_level": 0, "sb": "yes", "max_iter": 2000})
+    return float(problem.solve().value(total))
+
+
+@pytest.mark.parametrize("path", [LINE, CURVE, POSES, pytest.param(WINDING, marks=pytest.mark.slow)])
+def test_a_large_jerk_takes_no_longer_than_none(path: object) -> None:
+    pytest.importorskip("toppra", reason="toppra has wheels for Linux on x86_64 only")
+    limits = {"leg_forces": 1500.0, "leg_rates": 0.6, "leg_accelerations": 5.0}
+    fast, smooth = (spm.time_optimal(CHAIN, path, **limits, leg_jerks=jerk) for jerk in (None, 1e6))  # type: ignore[arg-type]
+    assert smooth.times[-1] == pytest.approx(fast.times[-1], rel=0.01)
+
+
+def test_a_smaller_jerk_takes_longer_and_the_result_is_the_same_every_time() -> None:
+    limits = {"leg_accelerations": 3.0, "grid": 500}
+    durations = [spm.time_optimal(CHAIN, CURVE, **limits, leg_jerks=jerk).times[-1] for jerk in (20.0, 40.0, 80.0)]
+    assert durations[0] > 1.1 * durations[1] > 1.1 * durations[2]
+    first, again = (spm.time_optimal(CHAIN, CURVE, **limits, leg_jerks=40.0) for _ in range(2))
+    np.testing.assert_array_equal(first.positions, again.positions)
+
+
+def test_a_coarse_grid_and_a_long_period_keep_the_limits() -> None:
+    motion = spm.time_optimal(CHAIN, CURVE, leg_accelerations=3.0, leg_jerks=30.0, grid=10, period=0.02)
+    assert np.abs(motion.accelerations[:, LEGS]).max() < 3.0 * (1.0 + 1e-6)
+    jerks = np.diff(motion.accelerations[:, LEGS], axis=0) / np.diff(motion.times)[:, None]
+    assert np.abs(jerks).max() < 30.0 * (1.0 + 1e-6)
+    # By a few per cent slower than on a fine one.
+    fine = spm.time_optimal(CHAIN, CURVE, leg_accelerations=3.0, leg_jerks=30.0, grid=500)
+    assert fine.times[-1] < motion.times[-1] < 1.5 * fine.times[-1]
+
+
+def test_a_limit_that_only_just_holds_the_machine_is_named() -> None:
+    """No acceleration below zero: it could not stop."""
+    one, none = np.ones((101, 1)), np.zeros((101, 1))
+    rows = LimitRows(one, none, none, np.array([0.0]), np.array([1.0]), np.full(101, np.inf))
+    with pytest.raises(spm.ArgumentError, match="no such motion"):
+        limited_jerk(EasedGrid.over(np.array([0.0, 1.0]), 100), rows, np.ones((101, 6)), np.zeros((101, 6)), np.ones(6))
