@@ -8,7 +8,6 @@ functions that come with Python or from installed packages are included by name.
 from __future__ import annotations
 
 import copyreg
-import enum
 import functools
 import hashlib
 import sys
@@ -16,7 +15,7 @@ import sysconfig
 import types
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from types import BuiltinFunctionType, CodeType, FunctionType, MappingProxyType, MethodType, ModuleType
+from types import BuiltinFunctionType, CodeType, FunctionType, MappingProxyType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -88,8 +87,6 @@ class _Reader:
         """Return the values that a value is made of."""
         if isinstance(value, FunctionType):
             return self._function(value)
-        if isinstance(value, MethodType):
-            return value.__func__, value.__self__
         if isinstance(value, CodeType):
             names = value.co_names, value.co_varnames, value.co_freevars
             return value.co_code, getattr(value, "co_exceptiontable", b""), value.co_consts, *names, value.co_flags
@@ -98,16 +95,12 @@ class _Reader:
             return value.__name__, None if self._is_installed(value.__name__) else members
         if isinstance(value, type):
             return self._class(value)
-        if isinstance(value, enum.Enum):
-            return type(value).__module__, type(value).__qualname__, value.name, value.value
         if type(value) in (tuple, list):
             return tuple(value)
         if type(value) in (dict, MappingProxyType):
             return tuple(value.items())
         if type(value) in (set, frozenset):
             return sorted(map(self.digest, value))
-        if type(value) is np.ndarray and not value.dtype.hasobject:
-            return f"{value.dtype.descr} {value.shape}", value.tobytes()
         if isinstance(value, _CACHED):
             return (value.__wrapped__,)
         if isinstance(value, np.ufunc) and not _has_name(value):

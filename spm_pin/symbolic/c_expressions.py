@@ -289,10 +289,8 @@ class ExpressionTranslator:
             return Value(f"{name}({', '.join(bare(value.code) for value in arguments)})", kind)
         if function in _CASTS:
             return Value(f"({_CASTS[function]})({arguments[0].code})", _CASTS[function])
-        builtin = getattr(self, f"_call_{getattr(function, '__name__', '')}", None)
-        if builtin is not None and getattr(function, "__module__", "") == "builtins":
-            made: Value = builtin(*arguments)
-            return made
+        if getattr(function, "__module__", "") == "builtins":
+            return self._builtin(function.__name__, arguments)
         if not arguments:
             return self.inline(function)
         name, result = self.program.add(function, tuple(value.type for value in arguments))
@@ -311,28 +309,25 @@ class ExpressionTranslator:
             self.fill(made, literal(1.0))
         return made
 
-    def _call_len(self, value: Value) -> Value:
-        assert isinstance(value.type, Array | Tuple)
-        return literal(value.type.shape[0] if isinstance(value.type, Array) else len(value.type.items))
-
-    def _call_abs(self, value: Value) -> Value:
-        if value.type == "complex_number":
-            whole = self.temporary(value)
-            return Value(f"hypot({whole.code}.re, {whole.code}.im)", "double")
-        return Value(f"fabs({value.code})", "double")
-
-    def _call_complex(self, real: Value, imag: Value) -> Value:
-        return Value(f"complex_of({real.code}, {imag.code})", "complex_number")
-
-    def _call_divmod(self, number: Value, by: Value) -> Value:
-        items = (Value(f"({number.code} / {by.code})", "int"), Value(f"({number.code} % {by.code})", "int"))
-        return Value("", Tuple(("int", "int")), items=items)
-
-    def _call_max(self, *values: Value) -> Value:
-        return self._extreme("max", values)
-
-    def _call_min(self, *values: Value) -> Value:
-        return self._extreme("min", values)
+    def _builtin(self, name: str, values: list[Value]) -> Value:
+        first, *others = values
+        match name:
+            case "len":
+                assert isinstance(first.type, Array | Tuple)
+                return literal(first.type.shape[0] if isinstance(first.type, Array) else len(first.type.items))
+            case "abs" if first.type == "complex_number":
+                whole = self.temporary(first)
+                return Value(f"hypot({whole.code}.re, {whole.code}.im)", "double")
+            case "abs":
+                return Value(f"fabs({first.code})", "double")
+            case "complex":
+                return Value(f"complex_of({first.code}, {others[0].code})", "complex_number")
+            case "divmod":
+                items = tuple(Value(f"({first.code} {op} {others[0].code})", "int") for op in "/%")
+                return Value("", Tuple(("int", "int")), items=items)
+            case "max" | "min":
+                return self._extreme(name, tuple(values))
+        raise TypeError(f"the function {name}")
 
     def _extreme(self, name: str, values: tuple[Value, ...]) -> Value:
         if len(values) == 1:

@@ -26,10 +26,7 @@ _CONSOLE = threading.Lock()
 def free_port(host: str, port: int) -> int:
     """Return the first port from `port` on that is free on `host`; 0 stays 0, which lets the system choose.
 
-    Raises
-    ------
-    ArgumentError
-        If the host is no address of this machine, the port no port, or none is free.
+    `ArgumentError` is raised if the host is no address of this machine, the port no port, or none is free.
     """
     if not isinstance(port, int) or isinstance(port, bool) or not 0 <= port <= 65535:
         raise ArgumentError("port", "a port from 0 to 65535", repr(port))
