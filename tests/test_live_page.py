@@ -127,7 +127,7 @@ def test_webassembly_returns_the_bits_of_the_kernels(page) -> None:
     np.testing.assert_array_equal(joints, expected.configurations.middle_joints)
 
 
-@pytest.mark.parametrize("example", ["eight branches", "the paper’s pose", "level", "out of reach"])
+@pytest.mark.parametrize("example", ["eight branches", "paper’s pose", "level", "out of reach"])
 def test_an_example_shows_what_python_finds(page, example: str) -> None:
     page.get_by_role("button", name=example).click()
     expected = check_what_is_shown(page)
@@ -170,7 +170,7 @@ def test_colours_of_a_slider_tell_where_a_real_machine_can_be(page) -> None:
     page.get_by_role("button", name="eight branches").click()
     text = page.locator(".live-track i").nth(5).evaluate("it => it.style.backgroundImage")
     colours = [int(x) for x in re.findall(r"var\(--live-reach-(\d)\)", text)]
-    yaw = -20.0 + 40.0 * (np.arange(len(colours)) + 0.5) / len(colours)
+    yaw = -25.0 + 50.0 * (np.arange(len(colours)) + 0.5) / len(colours)
     turned = Rotation.from_euler(
         "xyz", np.column_stack([np.full_like(yaw, -20.0), np.full_like(yaw, 5.0), yaw]), degrees=True
     )
@@ -222,6 +222,27 @@ def test_a_drag_turns_the_view(page) -> None:
     page.mouse.move(box["x"] + 150, box["y"] + 80)
     page.mouse.up()
     until(lambda: label.get_attribute("style") != before, "a label elsewhere", page=page)
+
+
+@pytest.mark.parametrize("distance", [-60.0, -600.0], ids=["within reach", "far away"])
+def test_the_platform_follows_a_drag_within_the_limits_of_the_legs(page, distance: float) -> None:
+    page.get_by_role("button", name="eight branches").click()
+    before = solved_in_python(page).physical()
+    start = handle(page)
+    page.mouse.move(*start)
+    page.mouse.down()
+    page.mouse.move(start[0] + distance, start[1] + 10.0, steps=10)
+    if distance == -60.0:
+        until(lambda: np.abs(handle(page) - start - [distance, 10.0]).max() < 2.0, "o below the pointer", page=page)
+    page.mouse.up()
+    found = check_what_is_shown(page).physical()
+    assert found.translation[1] < before.translation[1] - 0.1
+    assert (np.abs(found.leg_lengths - 1.3) <= 0.2 + 2e-4).all()  # the pose has four digits
+
+
+def handle(page) -> np.ndarray:
+    box = page.locator(".live-handle").bounding_box()
+    return np.array([box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]])
 
 
 def test_a_phone_shows_it_in_one_column(browser, file: Path) -> None:

@@ -10,15 +10,15 @@ const BRANCHES = ["TT+", "TT-", "TF+", "TF-", "FT+", "FT-", "FF+", "FF-"];
 const [LEAST, MOST] = data.limits;
 // Name, unit, least, most and step of each slider, and the digits shown.
 const POSE = [
-  ["x", "m", -0.9, 0.9, 0.001, 3], ["y", "m", -0.9, 0.9, 0.001, 3], ["z", "m", 1.7, 2.9, 0.001, 3],
-  ["roll", "°", -45, 45, 0.1, 1], ["pitch", "°", -45, 45, 0.1, 1], ["yaw", "°", -20, 20, 0.1, 1],
+  ["x", "m", -1.1, 1.1, 0.001, 3], ["y", "m", -1.1, 1.1, 0.001, 3], ["z", "m", 1.8, 3, 0.001, 3],
+  ["roll", "°", -60, 60, 0.1, 1], ["pitch", "°", -60, 60, 0.1, 1], ["yaw", "°", -25, 25, 0.1, 1],
 ];
 const DRIVES = { pose: POSE, legs: LEGS.map((leg, k) => [leg, "m", LEAST[k], MOST[k], 0.001, 3]) };
 // Of the picture, from its points to what is around them.
 const MARGIN = 0.22;
 const EXAMPLES = {
   "eight branches": [0.11, 0.45, 2.45, -20, 5, 0],
-  "the paper’s pose": [0.6889, 0.4963, 2.253, -26.0188, 32.2799, -7.1058],
+  "paper’s pose": [0.6889, 0.4963, 2.253, -26.0188, 32.2799, -7.1058],
   level: [0, 0, 2.2, 0, 0, 0],
   "out of reach": [0.4, 0.2, 2.3, 10, 15, 12],
 };
@@ -51,12 +51,13 @@ async function loadKinematics() {
   return {
     // 2 where a real machine can be in a pose, 1 where its legs are too short or too long for it, 0 elsewhere.
     reach: (rotation, position) => (physical(rotation, position) ? 1 + within() : 0),
-    // All branches of a pose; `physical` is the one that a real machine is in, -1 if there is none.
-    inverse(rotation, position) {
-      const exists = physical(rotation, position);
+    // All branches of a pose; `physical` is the one that a real machine is in, -1 if there is none. Of two it is the
+    // one of known leg lengths.
+    inverse(rotation, position, known = null) {
+      const exists = physical(rotation, position), lengths = known || Array.from(single.subarray(21));
       const status = inverse();
       const found = { status, real: Array.from(real, Boolean), joints: rows(0, 9), lengths: rows(72, 6), physical: -1 };
-      const gap = (k) => (found.real[k] ? Math.hypot(...found.lengths[k].map((x, i) => x - single[21 + i])) : Infinity);
+      const gap = (k) => (found.real[k] ? Math.hypot(...minus(found.lengths[k], lengths)) : Infinity);
       if (exists) found.physical = BRANCHES.reduce((best, _, k) => (gap(k) < gap(best) ? k : best), 0);
       return found;
     },
@@ -192,8 +193,8 @@ const EDGES = [`#version 300 es
       vec4 mark = texelFetch(marks, at, 0);
       float depth = texelFetch(depths, at, 0).r, light = 1.0;
       for (int k = 0; k < 4 * width; ++k) {
-        int step = (k / 4 + 1) * (k % 2 == 0 ? 1 : -1);
-        ivec2 beside = clamp(at + (k % 4 < 2 ? ivec2(step, 0) : ivec2(0, step)), ivec2(0), last);
+        int away = (k / 4 + 1) * (k % 2 == 0 ? 1 : -1);
+        ivec2 beside = clamp(at + (k % 4 < 2 ? ivec2(away, 0) : ivec2(0, away)), ivec2(0), last);
         if (texelFetch(marks, beside, 0) != mark && depth <= texelFetch(depths, beside, 0).r) light = 0.4;
       }
       sum += mark.a * vec4(light * texelFetch(shades, at, 0).rgb, 1.0);
@@ -231,14 +232,14 @@ function startDrawing(canvas, meshes) {
   gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
   gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, new Uint8Array(meshes, 4 + 10 * count), gl.STATIC_DRAW);
   const target = gl.createFramebuffer(), textures = [0, 1, 2].map(() => gl.createTexture());
-  let samples = 0, size = "";
+  let samples = 0;
 
   function resize() {
     const ratio = window.devicePixelRatio || 1;
-    canvas.width = Math.max(1, Math.round(canvas.clientWidth * ratio));
-    canvas.height = Math.max(1, Math.round(canvas.clientHeight * ratio));
-    samples = canvas.width > 1000 ? 1 : 2;
-    if (size === (size = `${canvas.width} ${canvas.height}`)) return;
+    const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((x) => Math.max(1, Math.round(x * ratio)));
+    if (samples && canvas.width === width && canvas.height === height) return;
+    Object.assign(canvas, { width, height });
+    samples = width > 1000 ? 1 : 2;
     gl.bindFramebuffer(gl.FRAMEBUFFER, target);
     const places = [gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1, gl.DEPTH_ATTACHMENT];
     [gl.RGBA8, gl.RGBA8, gl.DEPTH_COMPONENT24].forEach((kind, k) => {
@@ -320,8 +321,8 @@ function named(leg) {
 function start(kinematics, meshes) {
   const values = { pose: [...Object.values(EXAMPLES)[0]], legs: [] };
   const view = { azimuth: 15, elevation: 25, box: null };
-  const canvas = find("canvas"), still = matchMedia("(prefers-reduced-motion: reduce)");
-  let drive = "pose", wanted = -1, shown = null, waiting = false, draw = startDrawing(canvas, meshes);
+  const canvas = find("canvas"), handle = find(".live-handle"), still = matchMedia("(prefers-reduced-motion: reduce)");
+  let drive = "pose", wanted = -1, shown = null, grabbed = null, waiting = false, draw = startDrawing(canvas, meshes);
 
   // Sliders
 
@@ -331,6 +332,7 @@ function start(kinematics, meshes) {
     input.addEventListener("input", () => {
       values[drive][k] = input.valueAsNumber;
       if (drive === "legs") wanted = -1;
+      grabbed = null;
       update();
     });
     const rail = element("span", { class: "live-track" }, track, input);
@@ -341,6 +343,7 @@ function start(kinematics, meshes) {
   function setDrive(name) {
     drive = name;
     wanted = -1;
+    grabbed = null;
     find(`input[value=${name}]`).checked = true;
     find(".live-sliders").replaceChildren(...sliders[name].map(({ row }) => row));
     update();
@@ -415,7 +418,7 @@ function start(kinematics, meshes) {
     const { pose, legs } = values;
     const posed = () => ({ rotation: rotationOf(pose), position: pose.slice(0, 3) });
     const held = drive === "legs" ? kinematics.forward(legs) : posed();
-    const found = held && kinematics.inverse(held.rotation, held.position);
+    const found = held && kinematics.inverse(held.rotation, held.position, drive === "legs" ? legs : grabbed);
     const isReal = (k) => Boolean(found && found.real[k]);
     const first = !found ? -1 : found.physical >= 0 ? found.physical : found.real.indexOf(true);
     const branch = isReal(wanted) ? wanted : first;
@@ -439,6 +442,7 @@ function start(kinematics, meshes) {
     showSliders();
     showPython();
     shown = bodiesOf(held, branch < 0 ? null : found.joints[branch]);
+    shown.physical = found && found.physical >= 0 ? found.lengths[found.physical] : null;
     redraw();
   }
 
@@ -462,11 +466,13 @@ function start(kinematics, meshes) {
     const right = [-Math.sin(a), Math.cos(a), 0], up = cross(near, right);
     const inView = (point) => [dot(right, point), dot(up, point)];
 
-    // The machine fills the picture. While something is dragged the picture may only widen, afterwards it follows.
+    // The machine fills the picture. While a slider is dragged or the view turned the picture may only widen, while the
+    // platform is dragged it stays.
     const [u, v] = [0, 1].map((k) => shown.points.map((point) => inView(point)[k]));
     const target = [-Math.min(...u), -Math.min(...v), Math.max(...u), Math.max(...v)].map((x) => x + MARGIN);
     const dragged = root.matches(":active"), last = view.box || target;
-    const goal = dragged ? target.map((x, k) => Math.max(x, last[k])) : target;
+    const wider = () => target.map((x, k) => Math.max(x, last[k]));
+    const goal = handle.matches(":active") ? last : dragged ? wider() : target;
     const share = still.matches || dragged ? 1 : 0.2;
     view.box = last.map((x, k) => x + share * (goal[k] - x));
     if (view.box.some((x, k) => Math.abs(x - goal[k]) > 1e-3)) redraw();
@@ -476,6 +482,14 @@ function start(kinematics, meshes) {
     draw(placements(shown), [right, up, near], centre, half);
 
     const scale = (0.5 * canvas.clientHeight) / half;
+    const place = (item, [x, y]) => {
+      const across = 0.5 * canvas.clientWidth + scale * (x - centre[0]);
+      const down = 0.5 * canvas.clientHeight - scale * (y - centre[1]);
+      item.style.transform = `translate(${across}px, ${down}px)`;
+    };
+    view.shown = { right, up, centre, scale };
+    handle.hidden = !shown.physical;
+    if (shown.physical) place(handle, inView([12, 13, 14].map((i) => shown.poses.terminal_platform[i])));
     const middles = shown.legs.map(({ hip, ball }) => inView(hip.map((x, i) => 0.45 * x + 0.55 * ball[i])));
     labels.forEach((label, k) => {
       let [x, y] = [0, 0];
@@ -490,11 +504,50 @@ function start(kinematics, meshes) {
         label.hidden = !pose;
       }
       if (k < 6) label.hidden = !middles.length;
-      const across = 0.5 * canvas.clientWidth + scale * (x - centre[0]);
-      const down = 0.5 * canvas.clientHeight - scale * (y - centre[1]);
-      label.style.transform = `translate(${across}px, ${down}px) translate(-50%, -50%)`;
+      place(label, [x, y]);
     });
   }
+
+  // The platform follows the pointer: the leg lengths change as little as brings o below it, within their limits.
+  function drag(event) {
+    const { right, up, scale, centre } = view.shown, box = canvas.getBoundingClientRect();
+    const goal = [event.clientX - box.left - box.width / 2, box.top + box.height / 2 - event.clientY];
+    const seen = (held) => [dot(right, held.position), dot(up, held.position)];
+    for (let turn = 0; turn < 4; ++turn) {
+      const held = kinematics.forward(grabbed);
+      if (!held) return;
+      const now = seen(held);
+      const gap = now.map((x, i) => goal[i] / scale + centre[i] - x);
+      const rates = grabbed.map((length, k) => {
+        const moved = kinematics.forward(grabbed.map((x, i) => (i === k ? x + 1e-6 : x)));
+        return moved ? minus(seen(moved), now).map((x) => 1e6 * x) : [0, 0];
+      });
+      const free = rates.map(() => 1);
+      let next = grabbed;
+      // Legs that would pass a limit stop there, and the others do what they can.
+      for (let pass = 0; pass < 6; ++pass) {
+        const sum = (i, j) => rates.reduce((total, rate, k) => total + free[k] * rate[i] * rate[j], 0);
+        const [p, q, r] = [sum(0, 0) + 1e-3, sum(0, 1), sum(1, 1) + 1e-3], determinant = p * r - q * q;
+        const pull = [(r * gap[0] - q * gap[1]) / determinant, (p * gap[1] - q * gap[0]) / determinant];
+        next = grabbed.map((x, k) => x + free[k] * dot([...rates[k], 0], [...pull, 0]));
+        const beyond = next.map((x, k) => x < Math.min(LEAST[k], grabbed[k]) || x > Math.max(MOST[k], grabbed[k]));
+        if (!beyond.includes(true)) break;
+        beyond.forEach((passed, k) => passed && (free[k] = 0));
+      }
+      if (!kinematics.forward(next)) break;
+      grabbed = next;
+    }
+    values.legs = grabbed.map(rounded);
+    if (drive === "pose") values.pose = poseOf(kinematics.forward(grabbed));
+    wanted = -1;
+    update();
+  }
+
+  handle.addEventListener("pointerdown", (event) => {
+    handle.setPointerCapture(event.pointerId);
+    grabbed = [...shown.physical];
+  });
+  handle.addEventListener("pointermove", (event) => handle.hasPointerCapture(event.pointerId) && drag(event));
 
   function turn(across, upwards) {
     view.azimuth += across;
