@@ -166,6 +166,18 @@ def test_sliders_of_the_legs_show_the_pose_they_hold(page) -> None:
     np.testing.assert_allclose(check_what_is_shown(page).physical().leg_lengths, lengths, rtol=0.0, atol=5e-4)
 
 
+def test_of_two_physical_branches_the_one_of_the_legs_is_shown(page) -> None:
+    lengths = np.random.default_rng(3).uniform(1.1, 1.5, (3000, 6)).round(3)
+    found = spm.forward_physical(GEOMETRY, lengths)
+    branches = spm.inverse_displacement(GEOMETRY, found[found.exists].pose)
+    lengths, taken = lengths[found.exists], branches.physical().leg_lengths
+    twice = np.flatnonzero((branches.is_physical.sum(axis=-1) == 2) & (np.abs(taken - lengths).max(axis=-1) > 0.1))
+    choose(page, "legs")
+    set_sliders(page, lengths[twice[0]])
+    shown = page.locator("#live data").evaluate_all("all => all.map((one) => Number(one.value))")
+    np.testing.assert_allclose(shown, lengths[twice[0]], rtol=0.0, atol=1e-12)
+
+
 def test_colours_of_a_slider_tell_where_a_real_machine_can_be(page) -> None:
     page.get_by_role("button", name="eight branches").click()
     text = page.locator(".live-track i").nth(5).evaluate("it => it.style.backgroundImage")

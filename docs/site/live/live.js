@@ -322,7 +322,9 @@ function start(kinematics, meshes) {
   const values = { pose: [...Object.values(EXAMPLES)[0]], legs: [] };
   const view = { azimuth: 15, elevation: 25, box: null };
   const canvas = find("canvas"), handle = find(".live-handle"), still = matchMedia("(prefers-reduced-motion: reduce)");
-  let drive = "pose", wanted = -1, shown = null, grabbed = null, waiting = false, draw = startDrawing(canvas, meshes);
+  // `wanted` is the branch chosen, `grabbed` are the leg lengths that a drag of the platform led to.
+  let drive = "pose", wanted = -1, grabbed = null, grip = [0, 0], shown = null, waiting = false;
+  let draw = startDrawing(canvas, meshes);
 
   // Sliders
 
@@ -416,8 +418,8 @@ function start(kinematics, meshes) {
 
   function update() {
     const { pose, legs } = values;
-    const posed = () => ({ rotation: rotationOf(pose), position: pose.slice(0, 3) });
-    const held = drive === "legs" ? kinematics.forward(legs) : posed();
+    const asked = { rotation: rotationOf(pose), position: pose.slice(0, 3) };
+    const held = drive === "legs" ? kinematics.forward(legs) : asked;
     const found = held && kinematics.inverse(held.rotation, held.position, drive === "legs" ? legs : grabbed);
     const isReal = (k) => Boolean(found && found.real[k]);
     const first = !found ? -1 : found.physical >= 0 ? found.physical : found.real.indexOf(true);
@@ -448,8 +450,7 @@ function start(kinematics, meshes) {
 
   // The picture
 
-  const axes = ["X", "Y", "Z", "x", "y", "z"];
-  const labels = [...LEGS, ...axes].map((name, k) => {
+  const labels = [...LEGS, "X", "Y", "Z", "x", "y", "z"].map((name, k) => {
     const kind = k < 3 ? "live-lower" : k < 6 ? "live-upper" : "live-axis";
     return find(".live-labels").appendChild(element("span", { class: kind }, ...named(name)));
   });
@@ -508,17 +509,21 @@ function start(kinematics, meshes) {
     });
   }
 
+  function fromMiddle(event, item) {
+    const { left, top, width, height } = item.getBoundingClientRect();
+    return [event.clientX - left - width / 2, event.clientY - top - height / 2];
+  }
+
   // The platform follows the pointer: the leg lengths change as little as brings o below it, within their limits.
   function drag(event) {
-    const { right, up, scale, centre } = view.shown, box = canvas.getBoundingClientRect();
-    const goal = [event.clientX - box.left - box.width / 2, box.top + box.height / 2 - event.clientY];
+    const { right, up, scale, centre } = view.shown, [x, y] = minus(fromMiddle(event, canvas), grip);
+    const goal = [centre[0] + x / scale, centre[1] - y / scale];
     const seen = (held) => [dot(right, held.position), dot(up, held.position)];
-    for (let turn = 0; turn < 4; ++turn) {
+    for (let round = 0; round < 4; ++round) {
       const held = kinematics.forward(grabbed);
       if (!held) return;
-      const now = seen(held);
-      const gap = now.map((x, i) => goal[i] / scale + centre[i] - x);
-      const rates = grabbed.map((length, k) => {
+      const now = seen(held), gap = minus(goal, now);
+      const rates = grabbed.map((_, k) => {
         const moved = kinematics.forward(grabbed.map((x, i) => (i === k ? x + 1e-6 : x)));
         return moved ? minus(seen(moved), now).map((x) => 1e6 * x) : [0, 0];
       });
@@ -546,6 +551,7 @@ function start(kinematics, meshes) {
   handle.addEventListener("pointerdown", (event) => {
     handle.setPointerCapture(event.pointerId);
     grabbed = [...shown.physical];
+    grip = fromMiddle(event, handle);
   });
   handle.addEventListener("pointermove", (event) => handle.hasPointerCapture(event.pointerId) && drag(event));
 
