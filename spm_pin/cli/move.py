@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -27,6 +28,7 @@ from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LEGS, LegLimits
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.proofs import certify
+from spm_pin.workspace import JointLimits
 
 if TYPE_CHECKING:
     from spm_pin.multibody.chain import ClosedChain
@@ -36,7 +38,11 @@ __all__ = ["move"]
 
 _NAMES = {"start": "--from", "goal": "--to", "leg_rates": "--leg-rate", "leg_accelerations": "--leg-acceleration"}
 _NAMES |= {"leg_forces": "--leg-force", "leg_jerks": "--leg-jerk", "mass": "--payload", "path": "--out"}
-_NAMES |= {"period": "--period", "margin": "--margin", "limits": "--limits", "twist": "--twist"}
+_NAMES |= {"minimum": "--limits", "maximum": "--limits"}
+
+# One number, or six of them separated by commas.
+_EachLeg = str | None
+_Degrees = tuple[float, float] | None
 
 
 @name_options(**_NAMES)
@@ -54,21 +60,45 @@ def move(
     goal_pose: Annotated[
         SixLegs | None, typer.Option("--to-pose", metavar="X Y Z A B L", help="Instead of --to, as --from-pose.")
     ] = None,
-    limits: Annotated[
-        tuple[float, float] | None,
-        typer.Option(metavar="MIN MAX", help="Leg lengths allowed, in --unit; the geometry's if not given."),
+    via: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="B1,B2,B3,C1,C2,C3", help="Leg lengths to pass on the way, in --unit; may be repeated, in order."
+        ),
     ] = None,
-    leg_rate: Annotated[float | None, typer.Option(help="Largest speed of a leg \\[m/s].")] = None,
-    leg_acceleration: Annotated[float | None, typer.Option(help="Largest acceleration of a leg \\[m/s²].")] = None,
-    leg_force: Annotated[float | None, typer.Option(help="Largest force of a leg, pushing or pulling [N].")] = None,
+    limits: Annotated[
+        tuple[str, str] | None,
+        typer.Option(
+            metavar="MIN MAX",
+            help="Leg lengths allowed, each one number or six, in --unit; the geometry's if not given.",
+        ),
+    ] = None,
+    leg_rate: Annotated[_EachLeg, typer.Option(metavar="X", help="Largest speed of a leg \\[m/s].")] = None,
+    leg_acceleration: Annotated[
+        _EachLeg, typer.Option(metavar="X", help="Largest acceleration of a leg \\[m/s²].")
+    ] = None,
+    leg_force: Annotated[
+        _EachLeg, typer.Option(metavar="X", help="Largest force of a leg, pushing or pulling \\[N].")
+    ] = None,
     leg_jerk: Annotated[
-        float | None, typer.Option(help="Largest jerk of a leg \\[m/s³]: a smooth motion, slower.")
+        _EachLeg, typer.Option(metavar="X", help="Largest jerk of a leg \\[m/s³]: forces without jumps, slower.")
     ] = None,
     twist: Annotated[
         tuple[float, float] | None,
         typer.Option(metavar="V OMEGA", help="Speed limits of o \\[m/s] and turning \\[rad/s]."),
     ] = None,
     payload: Annotated[float, typer.Option(help="Mass on the terminal platform, at o \\[kg].")] = 0.0,
+    hip: Annotated[
+        _Degrees, typer.Option(metavar="MIN MAX", help="Angles allowed at the revolute joints, from home, in degrees.")
+    ] = None,
+    ball_x: Annotated[
+        _Degrees, typer.Option(metavar="MIN MAX", help="The same of the ball joints, about the legs' revolute axes.")
+    ] = None,
+    ball_y: Annotated[_Degrees, typer.Option(metavar="MIN MAX", help="About their middle axes.")] = None,
+    ball_z: Annotated[_Degrees, typer.Option(metavar="MIN MAX", help="About the middle platform's normal.")] = None,
+    clearance: Annotated[
+        float | None, typer.Option(help="Least distance of the axes of two legs without a joint in common, in --unit.")
+    ] = None,
     margin: Annotated[float, typer.Option(help="Least |det J| of a stage over d³ on the way.")] = 0.05,
     straight: Annotated[bool, typer.Option("--straight", help="Move o on a straight line, and nowhere else.")] = False,
     period: Annotated[float, typer.Option(help="Time between the rows \\[s].")] = 2e-3,
@@ -83,11 +113,12 @@ def move(
     Example: spm-pin move --from 120 120 140 125 120 150 --to 140 120 120 120 150 125 --unit cm --leg-force 1500
     --leg-rate 0.5 --out motion.csv --plot motion.png
 
-    A limit of force or of acceleration is needed. The CSV has the time, the length, rate, acceleration and force of
-    each leg in SI units; spm-pin view --path plays it. Exit code 3 if there is no path. Needs the extra "motion",
-    --plot "plots" as well.
+    A limit of force or of acceleration is needed; X is one number for all legs, or six separated by commas. The CSV has
+    the time, the length, rate, acceleration and force of each leg in SI units; spm-pin view --path plays it. Exit code
+    3 if there is no path. Needs the extra "motion", unless the jerk is limited; --plot needs "plots".
     """
-    require_extra("motion")
+    if leg_jerk is None:
+        require_extra("motion")
     from spm_pin.motion import Payload, plan, time_optimal
     from spm_pin.multibody.chain import ClosedChain
 
@@ -99,12 +130,31 @@ def move(
     first, last = _place(start, start_pose, "--from", unit), _place(goal, goal_pose, "--to", unit)
     allowed = dimensions.limits
     if limits is not None:
-        if hint := unit_hint("--limits", max(limits), unit, dimensions):
+        shortest, longest = (_each_leg(text, "--limits") for text in limits)
+        if hint := unit_hint("--limits", float(np.max(longest)), unit, dimensions):
             note(hint, "yellow")
-        allowed = LegLimits(limits[0] / unit.per_metre, limits[1] / unit.per_metre)
+        allowed = LegLimits(*((ends / unit.per_metre).tolist() for ends in (shortest, longest)))
+    passed = [np.broadcast_to(_each_leg(text, "--via", least=6), 6) / unit.per_metre for text in via or ()]
+    pairs = {"hip": hip, "ball_x": ball_x, "ball_y": ball_y, "ball_z": ball_z}
+    angles = {name: (math.radians(pair[0]), math.radians(pair[1])) for name, pair in pairs.items() if pair is not None}
+    joints = JointLimits(**angles, clearance=None if clearance is None else clearance / unit.per_metre)
+    typed = {"rate": leg_rate, "acceleration": leg_acceleration, "force": leg_force, "jerk": leg_jerk}
+    largest: dict[str, Any] = {
+        f"leg_{name}s": _each_leg(text, f"--leg-{name}") for name, text in typed.items() if text is not None
+    }
     certificate = certify(dimensions, allowed) if allowed is not None else None
     line = "poses" if straight else "legs"
-    planned = plan(dimensions, first, last, allowed, margin=margin, line=line, certificate=certificate)
+    planned = plan(
+        dimensions,
+        first,
+        last,
+        allowed,
+        via=passed,
+        joint_limits=joints,
+        margin=margin,
+        line=line,
+        certificate=certificate,
+    )
     if planned.path is None:
         note(f"no path: {planned.reason}")
         raise typer.Exit(3)
@@ -112,10 +162,7 @@ def move(
     motion = time_optimal(
         chain,
         planned,
-        leg_rates=leg_rate,
-        leg_accelerations=leg_acceleration,
-        leg_forces=leg_force,
-        leg_jerks=leg_jerk,
+        **largest,
         twist=twist,
         payload=Payload(payload) if payload else None,
         period=period,
@@ -133,9 +180,20 @@ def move(
     if plot is not None:
         from spm_pin.display.motion_plots import motion_figure
 
-        largest = {"leg_rates": leg_rate, "leg_accelerations": leg_acceleration, "leg_forces": leg_force}
         save_figure(motion_figure(motion, lengths, allowed, largest), plot)
         note(f"wrote {plot}")
+
+
+def _each_leg(text: str, option: str, least: int = 1) -> FloatArray:
+    """Return one number, shape (), or six, shape (6,), that are separated by commas; with a least of 6, six."""
+    try:
+        numbers = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        numbers = np.empty(0)
+    if numbers.size not in (least, 6):
+        expected = "six numbers separated by commas" if least == 6 else "a number, or six separated by commas"
+        raise ArgumentError(option, expected, repr(text))
+    return numbers if numbers.size == 6 else numbers[0]
 
 
 def _place(legs: SixLegs | None, at: SixLegs | None, option: str, unit: LengthUnit) -> FloatArray | RigidTransform:

@@ -97,15 +97,16 @@ def name_options(**options: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
             try:
                 return command(*args, **kwargs)
             except ArgumentError as error:
-                option = options.get(error.argument)
-                if option is None and kwargs.get(error.argument) is not None:
-                    option = f"--{error.argument.replace('_', '-')}"
+                argument, bracket, index = error.argument.partition("[")
+                option = options.get(argument)
+                if option is None and kwargs.get(argument) is not None:
+                    option = f"--{argument.replace('_', '-')}"
                 for name, value in kwargs.items():
                     if isinstance(value, Path) and error.argument.partition(":")[0] == str(value):
-                        option = f"--{name}: {error.argument}"
+                        option, bracket, index = f"--{name}: {error.argument}", "", ""
                 if option is None:
                     raise
-                raise type(error)(option, error.expected, error.received, error.cause) from error
+                raise type(error)(option + bracket + index, error.expected, error.received, error.cause) from error
 
         return run
 

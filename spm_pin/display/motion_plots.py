@@ -38,7 +38,8 @@ def motion_figure(
     limits : LegLimits, optional
         Drawn as lines.
     largest : dict, optional
-        Limits of "leg_rates" [m/s], "leg_accelerations" [m/s²] and "leg_forces" [N], the same for both directions.
+        Limits of "leg_rates" [m/s], "leg_accelerations" [m/s²] and "leg_forces" [N], the same for both directions, one
+        for all legs or six.
     """
     instance(motion, JointTrajectory, "motion")
     # The chain may have a prefix.
@@ -57,8 +58,8 @@ def motion_figure(
         if key is None:
             lines = np.unique([limits.minimum, limits.maximum]) if limits is not None else np.empty(0)
         else:
-            bound = np.atleast_1d(np.array((largest or {}).get(key) or [], dtype=float))
-            lines = np.unique(np.concatenate([bound, -bound]))
+            bound = (largest or {}).get(key)
+            lines = np.unique([] if bound is None else np.multiply.outer([-1.0, 1.0], bound))
         for line in lines:
             ax.axhline(line, color="0.55", lw=0.9, ls=":")
         ax.set_ylabel(label)

@@ -56,6 +56,15 @@ def test_json_has_every_column() -> None:
         ([*ENDS[:7], *ENDS[:1], *ENDS[1:7], "--unit", "cm", "--leg-force", "9"], "--to: expected six numbers"),
         ([*ENDS, "--leg-force", "1500", "--out", "motion.txt"], "--out: expected a file name ending in .csv"),
         ([*ENDS, "--leg-force", "1500", "--limits", "110", "140"], "--from: expected a state that keeps the rules"),
+        ([*ENDS, "--leg-force", "1500", "--limits", "110,110", "150"], "--limits: expected a number, or six"),
+        ([*ENDS, "--leg-force", "fast"], "--leg-force: expected a number, or six separated by commas"),
+        ([*ENDS, "--leg-acceleration", "1", "--via", "130"], "--via: expected six numbers separated by commas"),
+        (
+            [*ENDS, "--leg-acceleration", "1", "--via", "130,140,120,130,130,155"],
+            "--via[0]: expected a state that keeps",
+        ),
+        ([*ENDS, "--leg-acceleration", "1", "--hip", "9", "-9"], "--hip: expected a minimum below the maximum"),
+        ([*ENDS, "--leg-acceleration", "1", "--clearance", "-1"], "--clearance: expected a distance"),
         ([*ENDS[:7], "--to", *ENDS[1:7], "--unit", "cm", "--leg-force", "1500"], "a motion of no length"),
     ],
 )
@@ -63,6 +72,42 @@ def test_what_cannot_be_done_is_said_with_the_option(arguments: list[str], text:
     done = run("move", *arguments)
     assert done.returncode == 2
     assert text in " ".join(done.stderr.split())
+
+
+def test_states_are_passed_on_the_way_and_each_leg_has_its_limits() -> None:
+    via = ["130,140,120,130,130,130", "145,130,125,120,140,130"]
+    limits = [
+        "--limits",
+        "110,110,110,110,110,110",
+        "150,150,150,150,150,151",
+        "--clearance",
+        "10",
+        "--hip",
+        "-60",
+        "60",
+    ]
+    forces = "1500,1500,1200,1500,1500,1500"
+    done = run(
+        "move", *ENDS, "--via", via[0], "--via", via[1], *limits, "--leg-force", forces, "--leg-jerk", "90", "--json"
+    )
+    assert done.returncode == 0, done.stderr
+    content = json.loads(done.stdout)
+    lengths = np.array([content[leg] for leg in spm.mechanism.LEGS]).T
+    for text in via:
+        state = np.array([float(part) for part in text.split(",")]) / 100.0
+        # To the length of a step.
+        assert np.abs(lengths - state).max(axis=-1).min() < 5e-3
+    used = np.abs([content[f"{leg}.force"] for leg in spm.mechanism.LEGS]).max(axis=-1)
+    assert (used <= np.array([1500.0, 1500.0, 1200.0, 1500.0, 1500.0, 1500.0]) * (1.0 + 1e-6)).all()
+    assert content["certified"] is True
+
+
+def test_a_limit_of_joints_is_kept_or_named() -> None:
+    done = run("move", *ENDS, "--hip", "-1", "1", "--leg-force", "1500")
+    assert done.returncode == 2
+    assert "--from: expected a state that keeps the rules of the plan, got a passive joint" in " ".join(
+        done.stderr.split()
+    )
 
 
 def test_no_path_is_exit_code_3() -> None:
