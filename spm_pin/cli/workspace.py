@@ -93,7 +93,7 @@ def _write(shell: Shell, out: Path, samples: int | None) -> None:
 
         with stderr.status("drawing leg lengths"):
             reached, aspect = reached_positions(shell.geometry, shell.limits, count=samples)
-        save_figure(sections_figure(shell, reached=reached, aspect=aspect), out)
+        save_figure(sections_figure(shell, reached, aspect), out)
     note(f"wrote {out}")
 
 
