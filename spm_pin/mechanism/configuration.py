@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cached_property
 from typing import Any
 
@@ -111,6 +111,17 @@ class Configuration:
         self._set(geometry, rotation, translation, middle_joints, leg_lengths)
         return self
 
+    def transformed(self, change: Callable[[FloatArray, int], FloatArray]) -> Configuration:
+        """Return the configuration of what `change` makes of each array, given with the number of its inner axes."""
+        lengths = self.known_lengths
+        return Configuration.from_arrays(
+            self._geometry,
+            change(self._rotation, 2),
+            change(self._translation, 1),
+            change(self._middle_joints, 2),
+            None if lengths is None else change(lengths, 1),
+        )
+
     def __reduce__(self) -> tuple[Any, ...]:
         # Copies and unpickled states are read-only too; what is derived is not carried along.
         state = self._geometry, self._rotation, self._translation, self._middle_joints, self.known_lengths
@@ -124,13 +135,7 @@ class Configuration:
         if not any(part is Ellipsis for part in batch):
             batch = (*batch, Ellipsis)
         try:
-            return Configuration.from_arrays(
-                self._geometry,
-                self._rotation[(*batch, slice(None), slice(None))],
-                self._translation[(*batch, slice(None))],
-                self._middle_joints[(*batch, slice(None), slice(None))],
-                None if self.known_lengths is None else self.known_lengths[(*batch, slice(None))],
-            )
+            return self.transformed(lambda array, inner: array[(*batch, *(slice(None),) * inner)])
         except Exception as error:  # whatever NumPy makes of a foreign object
             expected = f"an index of the batch axes {self.shape}"
             raise SelectionError("index", expected, type_and_value(index), str(error)) from error

@@ -240,7 +240,7 @@ class SolutionSet:
 
     def pick(self, index: npt.NDArray[np.intp], exists: BoolArray) -> Configuration:
         """Return the solution of each problem at `index` (...); NaN, the pose too, where `exists` (...) is False."""
-        state, everywhere = self.configurations, bool(exists.all())
+        everywhere = bool(exists.all())
         # For a single problem a slice, so that nothing shares memory with the others.
         at = (*np.indices(index.shape, sparse=True), index) if self.shape else (slice(index, index + 1),)
 
@@ -250,13 +250,7 @@ class SolutionSet:
                 return taken
             return np.where(exists.reshape(*self.shape, *(1,) * inner), taken, np.nan)
 
-        selected = Configuration.from_arrays(
-            self.geometry,
-            take(state.rotation, 2),
-            take(state.translation, 1),
-            take(state.middle_joints, 2),
-            None if state.known_lengths is None else take(state.known_lengths, 1),
-        )
+        selected = self.configurations.transformed(take)
         if not self.shape and not exists:
             selected.absence = absence_reason(self)
         return selected

@@ -98,8 +98,7 @@ class Points:
             return inverse_displacement(self.geometry, self._poses)
         there = self.assembled.exists
         found = inverse_displacement(self.geometry, self._poses).configurations
-        arrays = found.rotation, found.translation, found.middle_joints, found.leg_lengths
-        branches = Configuration.from_arrays(self.geometry, *(_spread(values, there) for values in arrays))
+        branches = found.transformed(lambda values, _: _spread(values, there))
         status = _spread(self._branches[1], there, Status.UNREACHABLE).astype(np.int8)
         return SolutionSet(branches, BRANCHES, status)
 
@@ -116,8 +115,7 @@ class Points:
             found = inverse_physical(self.geometry, poses)
             inside = self.limits.contains(found.leg_lengths)
             there[there], found = inside, found[inside]
-        arrays = found.rotation, found.translation, found.middle_joints
-        return Configuration.from_arrays(self.geometry, *(_spread(values, there) for values in arrays))
+        return found.transformed(lambda values, _: _spread(values, there))
 
     @cached_property
     def reachable(self) -> BoolArray:

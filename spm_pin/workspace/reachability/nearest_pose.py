@@ -140,13 +140,10 @@ def nearest_reachable_pose(
         poses = [nearest_real_pose(geometry, as_rigid_transform(matrix), branch[:2], from_near) for matrix in matrices]
         nearest = np.array([pose.as_matrix() for pose in poses]).reshape(-1, 4, 4)
         states = inverse_displacement(geometry, nearest)[branch]
-    arrays = [
-        getattr(states, name).reshape(*target.shape, *trailing)
-        for name, trailing in (("rotation", (3, 3)), ("translation", (3,)), ("middle_joints", (3, 3)))
-    ]
-    states = Configuration.from_arrays(geometry, *arrays)
-    found = np.where(np.isnan(arrays[0]), np.eye(3), arrays[0]), np.nan_to_num(arrays[1])
-    distance = np.where(states.exists, pose_distance(geometry, make_pose(found[1], rotation=found[0]), target), np.nan)
+    states = states.transformed(lambda array, inner: array.reshape(*target.shape, *array.shape[array.ndim - inner :]))
+    turn = np.where(np.isnan(states.rotation), np.eye(3), states.rotation)
+    place = make_pose(np.nan_to_num(states.translation), rotation=turn)
+    distance = np.where(states.exists, pose_distance(geometry, place, target), np.nan)
     return NearestPose(states, distance if target.shape else float(distance))
 
 
