@@ -32,6 +32,7 @@ class ConstrainedState:
         self.kinematics = TreeKinematics(constrained)
         self._v = np.zeros(constrained.model.nv)
         self._drift: tuple[FloatArray, FloatArray] | None = None
+        self._closed = False
         self._solver: AccelerationSolver | None = None
 
     def __repr__(self) -> str:
@@ -60,6 +61,7 @@ class ConstrainedState:
         self.kinematics.evaluate(q)
         self._v = np.zeros(self.constrained.model.nv) if v is None else v
         self._drift = None
+        self._closed = False
 
     @property
     def solver(self) -> AccelerationSolver:
@@ -86,7 +88,7 @@ class ConstrainedState:
         kinematics, drift_gains = self.kinematics, read_gains(gains)
         kinematics.require_constrained()
         if gains is None:
-            dynamics.require_closed(kinematics, self._v)
+            self._require_closed()
         torques = dynamics.wrench_torques(kinematics, frames, wrenches)
         torques[self.constrained.actuated] += forces
         return self.solver.accelerations(kinematics.q, self._v, torques, drift_gains)
@@ -98,7 +100,7 @@ class ConstrainedState:
     def actuator_forces(self, a: FloatArray, wrenches: FloatArray, frames: list[int]) -> FloatArray:
         """Return `inverse_dynamics` of vectors that have been read: wrenches (6 n,) at n frames."""
         kinematics, layout = self.kinematics, self.constrained.layout
-        dynamics.require_closed(kinematics, self._v)
+        self._require_closed()
         dynamics.require_closed_accelerations(kinematics, self._bias()[0], self._v, a)
         torques = pin.rnea(kinematics.model, kinematics.data, kinematics.q, self._v, a)
         if frames:
@@ -113,6 +115,12 @@ class ConstrainedState:
 
     def _wrenches(self, wrench: WrenchLike) -> tuple[FloatArray, list[int]]:
         return read_wrenches(wrench, self.constrained.model, self.constrained.layout.platform)
+
+    def _require_closed(self) -> None:
+        """Raise unless q is closed and v keeps it so; looked at once for each q and v."""
+        if not self._closed:
+            dynamics.require_closed(self.kinematics, self._v)
+            self._closed = True
 
     def _bias(self) -> tuple[FloatArray, FloatArray]:
         if self._drift is None:
@@ -162,13 +170,13 @@ class ChainState(ConstrainedState):
     def joint_accelerations(self, acceleration: npt.ArrayLike) -> FloatArray:
         """Return the accelerations of all joints (18,) for one of the terminal platform (6,)."""
         wanted = read_vector(acceleration, "acceleration", 6)
-        dynamics.require_closed(self.kinematics, self._v)
+        self._require_closed()
         return dynamics.accelerations_for(self.kinematics, wanted, self._bias())
 
     def joint_accelerations_of_legs(self, leg_accelerations: npt.ArrayLike) -> FloatArray:
         """Return the accelerations of all joints (18,) for those of the legs (6,) [m/s²]."""
         wanted = read_vector(leg_accelerations, "leg_accelerations", 6)
-        dynamics.require_closed(self.kinematics, self._v)
+        self._require_closed()
         return dynamics.accelerations_for_legs(self.kinematics, wanted, self._bias())
 
     def platform_acceleration(self, a: npt.ArrayLike) -> FloatArray:
@@ -182,7 +190,7 @@ class ChainState(ConstrainedState):
 
     def platform_dynamics(self) -> PlatformDynamics:
         """Return the equations of motion at the terminal platform."""
-        dynamics.require_closed(self.kinematics, self._v)
+        self._require_closed()
         return dynamics.platform_dynamics(self.kinematics, self._v)
 
     def _holding_forces(self, wrench: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:

@@ -13,6 +13,7 @@ from typing import Any, Generic, ParamSpec, TypeVar
 
 import numba
 from numba.core import caching
+from numba.core.runtime import rtsys
 
 __all__ = ["TILE", "Formula", "Kernel", "jit", "jit_inline", "kernel", "readonly_array"]
 
@@ -128,8 +129,12 @@ class _Cache:
         return getattr(self._inner, name)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
+        found = None
         try:
-            found = self._inner.load_overload(sig, target_context)
+            # Not Numba's own `load_overload`: that imports, for a third of a first call, all that compiling needs.
+            rtsys.initialize(target_context)
+            with self._inner._guard_against_spurious_io_errors():
+                found = self._inner._load_overload(sig, target_context)
         except Exception as error:  # a damaged file may raise anything
             _LOG.info("spm_pin: the cache of compiled kernels cannot be read, and is emptied: %r", error)
             found = None
