@@ -23,7 +23,7 @@ from spm_pin.mechanism.arguments import FloatArray, type_and_value, whole_number
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration, check_configuration, triangle_sides
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.leg_frames import LegFrame, leg_frames
+from spm_pin.mechanism.leg_frames import LegFrame, Vector, dot, leg_frames
 
 __all__ = ["JointAngles", "joint_angles"]
 
@@ -145,8 +145,7 @@ def _single(state: list[FloatArray], constants: Constants, corners: tuple[int, .
         angles, slides, errors = _values([a.ravel().tolist() for a in state], constants, corners, math.sqrt)
     except ZeroDivisionError:  # balls in one place or in a line
         return JointAngles(np.full(12 + 6 * len(corners), np.nan), np.array(np.nan))
-    sines, cosines = np.array(angles).T
-    return JointAngles(np.concatenate([np.arctan2(sines, cosines), slides]), np.array(max(errors)))
+    return JointAngles(np.concatenate([np.arctan2(*zip(*angles, strict=True)), slides]), np.array(max(errors)))
 
 
 def _values(
@@ -161,7 +160,7 @@ def _values(
     r, o, b = state[:3]
     rows = [b[0:3], b[3:6], b[6:9]]
     upper = [state[3][k : k + 3] for k in (0, 3, 6)] if len(state) > 3 else rows
-    balls = [*rows, *(_turned_back(r, [p[k] - o[k] for k in range(3)]) for p in upper)]
+    balls = [*rows, *[_turned_back(r, _minus(p, o)) for p in upper]]
     hips: list[Pair] = []
     lengths, slides, errors = [], [], []
     for ball, leg in zip(balls, legs, strict=True):
@@ -175,17 +174,16 @@ def _values(
         errors.append(abs(along))
 
     # The triangle's axes, as in `Configuration.middle_pose`; then seen from {m}.
-    edges = [[p[k] - q[k] for k in range(3)] for p, q in zip(rows, [rows[1], rows[2], rows[0]], strict=True)]
-    sides = [sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]) for v in edges]
-    errors.extend(abs(length - side) for length, side in zip(sides, lengths_of_sides, strict=True))
-    x = [-component / sides[2] for component in edges[2]]
-    y = [edges[1][k] - edges[0][k] for k in range(3)]
-    shared = x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
-    y = [y[k] - shared * x[k] for k in range(3)]
-    length = sqrt(y[0] * y[0] + y[1] * y[1] + y[2] * y[2])
-    y = [component / length for component in y]
-    z = [x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]]
-    from_base, from_top = (x, y, z), tuple(_turned_back(r, axis) for axis in (x, y, z))
+    edges = _minus(rows[0], rows[1]), _minus(rows[1], rows[2]), _minus(rows[2], rows[0])
+    sides = [sqrt(dot(edge, edge)) for edge in edges]
+    errors.extend([abs(length - side) for length, side in zip(sides, lengths_of_sides, strict=True)])
+    x = _scaled(edges[2], -sides[2])
+    y = _minus(edges[1], edges[0])
+    shared = dot(x, y)
+    y = y[0] - shared * x[0], y[1] - shared * x[1], y[2] - shared * x[2]
+    y = _scaled(y, sqrt(dot(y, y)))
+    z = x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]
+    from_base, from_top = (x, y, z), (_turned_back(r, x), _turned_back(r, y), _turned_back(r, z))
 
     turns = []
     for stage, (axes, sign) in enumerate(((from_base, 1.0), (from_top, -1.0))):
@@ -196,9 +194,19 @@ def _values(
     return [*hips, *(turn[k] for k in range(3) for turn in turns)], slides, errors
 
 
-def _turned_back(r: Sequence[Any], v: Sequence[Any]) -> list[Any]:
+# Written out: a loop over three numbers takes longer than the numbers.
+def _minus(a: Sequence[Any], b: Sequence[Any]) -> Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def _scaled(v: Sequence[Any], divisor: Any) -> Vector:
+    return v[0] / divisor, v[1] / divisor, v[2] / divisor
+
+
+def _turned_back(r: Sequence[Any], v: Sequence[Any]) -> Vector:
     """Return Rᵀ v."""
-    return [r[k] * v[0] + r[3 + k] * v[1] + r[6 + k] * v[2] for k in range(3)]
+    a, b, c = v
+    return r[0] * a + r[3] * b + r[6] * c, r[1] * a + r[4] * b + r[7] * c, r[2] * a + r[5] * b + r[8] * c
 
 
 def _direction(sine: Any, cosine: Any, length: Any) -> Pair:
@@ -218,11 +226,10 @@ def _ball_angles(
     """
     # The axes of the middle platform's corner in the leg's frame, then turned back by the hip about x.
     along, across, up = leg.corner(*axes)
-    sine, cosine = rod
-    second = [cosine * a + sine * u for a, u in zip(across, up, strict=True)]
-    third = [cosine * u - sine * a for a, u in zip(across, up, strict=True)]
-    level = sqrt(second[2] * second[2] + third[2] * third[2])
-    sine, cosine = _direction(-second[2], third[2], level)
+    s, c = rod
+    (y_x, z_x), (y_y, z_y), (y_z, z_z) = [(c * a + s * u, c * u - s * a) for a, u in zip(across, up, strict=True)]
+    level = sqrt(y_z * y_z + z_z * z_z)
+    sine, cosine = _direction(-y_z, z_z, level)
     # The last from what the first leaves over, hence exact where the first is not determined.
-    left = [cosine * second[k] + sine * third[k] for k in range(2)]
-    return (sign * sine, cosine), (sign * along, level), (sign * left[0], left[1])
+    last = sign * (cosine * y_x + sine * z_x), cosine * y_y + sine * z_y
+    return (sign * sine, cosine), (sign * along, level), last

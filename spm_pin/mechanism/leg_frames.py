@@ -21,7 +21,19 @@ from spm_pin.mechanism.configuration import triangle_frames
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import homogeneous
 
-__all__ = ["LegFrame", "ball_placements", "home_leans", "home_lengths", "leg_frames", "leg_placements"]
+__all__ = [
+    "LegFrame",
+    "Vector",
+    "ball_placements",
+    "dot",
+    "home_leans",
+    "home_lengths",
+    "leg_frames",
+    "leg_placements",
+]
+
+Vector = tuple[Any, Any, Any]
+"""Three numbers, or arrays of equal shape."""
 
 # The sign that turns a leg outwards about the revolute axis, in the paper's sense of the axes.
 _OUTWARD = (1.0, -1.0, -1.0)
@@ -90,11 +102,11 @@ class LegFrame(ABC):
     length: float
 
     @abstractmethod
-    def place(self, p: Sequence[Any]) -> tuple[Any, Any, Any]:
+    def place(self, p: Sequence[Any]) -> Vector:
         """Return the coordinates of a point of {B} or {m} in the leg's frame."""
 
     @abstractmethod
-    def corner(self, x: Sequence[Any], y: Sequence[Any], z: Sequence[Any]) -> tuple[Any, list[Any], list[Any]]:
+    def corner(self, x: Sequence[Any], y: Sequence[Any], z: Sequence[Any]) -> tuple[Any, Vector, Vector]:
         """Return the axes of the frame at the leg's ball, seen from the leg's frame.
 
         Of the last one the component along the revolute axis; the second components and the third ones of all three. x,
@@ -110,14 +122,16 @@ class _LevelLegFrame(LegFrame):
     sin: float
     hip: float  # where it is along the second axis of its frame
 
-    def place(self, p: Sequence[Any]) -> tuple[Any, Any, Any]:
+    def place(self, p: Sequence[Any]) -> Vector:
         c, s = self.cos, self.sin
         return c * p[0] + s * p[1], c * p[1] - s * p[0] - self.hip, p[2]
 
-    def corner(self, x: Sequence[Any], y: Sequence[Any], z: Sequence[Any]) -> tuple[Any, list[Any], list[Any]]:
+    def corner(self, x: Sequence[Any], y: Sequence[Any], z: Sequence[Any]) -> tuple[Any, Vector, Vector]:
         c, s = self.cos, self.sin
-        axes = [c * x[k] + s * y[k] for k in range(3)], [c * y[k] - s * x[k] for k in range(3)], z
-        return c * z[0] + s * z[1], [c * axis[1] - s * axis[0] for axis in axes], [axis[2] for axis in axes]
+        first = c * x[0] + s * y[0], c * x[1] + s * y[1], c * x[2] + s * y[2]
+        second = c * y[0] - s * x[0], c * y[1] - s * x[1], c * y[2] - s * x[2]
+        across = c * first[1] - s * first[0], c * second[1] - s * second[0], c * z[1] - s * z[0]
+        return c * z[0] + s * z[1], across, (first[2], second[2], z[2])
 
 
 @dataclass(frozen=True)
@@ -131,14 +145,18 @@ class _TiltedLegFrame(LegFrame):
     shifts: tuple[float, ...]
     columns: tuple[tuple[float, ...], ...]
 
-    def place(self, p: Sequence[Any]) -> tuple[Any, Any, Any]:
-        along, across, up = (_dot(row, p) - shift for row, shift in zip(self.rows, self.shifts, strict=True))
+    def place(self, p: Sequence[Any]) -> Vector:
+        along, across, up = (dot(row, p) - shift for row, shift in zip(self.rows, self.shifts, strict=True))
         return along, across, up
 
-    def corner(self, x: Sequence[Any], y: Sequence[Any], z: Sequence[Any]) -> tuple[Any, list[Any], list[Any]]:
-        axes = [[_dot(column, (x[k], y[k], z[k])) for k in range(3)] for column in self.columns]
+    def corner(self, x: Sequence[Any], y: Sequence[Any], z: Sequence[Any]) -> tuple[Any, Vector, Vector]:
+        first, second, third = [[dot(column, v) for v in zip(x, y, z, strict=True)] for column in self.columns]
         along, across, up = self.rows
-        return _dot(along, axes[2]), [_dot(across, axis) for axis in axes], [_dot(up, axis) for axis in axes]
+        return (
+            dot(along, third),
+            (dot(across, first), dot(across, second), dot(across, third)),
+            (dot(up, first), dot(up, second), dot(up, third)),
+        )
 
 
 def leg_frames(geometry: Geometry | AsBuiltGeometry) -> tuple[LegFrame, ...]:
@@ -175,5 +193,6 @@ def _corner_turns(geometry: AsBuiltGeometry) -> FloatArray:
     return np.stack([axes, np.cross(up, axes), up], axis=-1)
 
 
-def _dot(a: Sequence[float], b: Sequence[Any]) -> Any:
+def dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
+    """Return the inner product of two vectors of numbers, or of arrays."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -343,12 +343,13 @@ class ClosedChain(ChainMethods):
 
     def _physical(self, found: Configuration, argument: str, expected: str, cause: str) -> FloatArray:
         """Return q of configurations, or raise `ArgumentError` if one does not exist."""
-        if not found.exists.all():
-            index = first_offender(~found.exists)
+        exists = found.exists
+        if not exists.all():
+            index = first_offender(~exists)
             where = f" at batch index {index}" if index else ""
             cause = f"{found.absence or cause} With near=, the solution on a path from there is found"
             raise ArgumentError(argument, expected, f"others{where}", cause)
-        return self._layout.joint_values(found)
+        return self._layout.values_of(found)
 
     def _follow(
         self, solve: Callable[..., FloatArray], near: npt.ArrayLike, shape: tuple[int, ...], *targets: FloatArray

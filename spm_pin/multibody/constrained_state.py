@@ -52,7 +52,7 @@ class ConstrainedState:
         """Move to other joint values (nq,) and velocities (nv,), zero by default; return this state."""
         model, layout = self.constrained.model, self.constrained.layout
         joints = read_vector(q, "q", model.nq)
-        layout.checked(joints[layout.q])
+        layout.require_distances(joints[layout.q])
         self.set(joints.copy(), None if v is None else read_vector(v, "v", model.nv).copy())
         return self
 

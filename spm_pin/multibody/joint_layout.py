@@ -107,13 +107,17 @@ class JointLayout:
     def checked(self, q: npt.ArrayLike, argument: str = "q", *, single: bool = False) -> FloatArray:
         """Return the chain's q (..., 18) as an array, or raise `ArgumentError`."""
         array = (read_vector if single else read_vectors)(q, argument, len(JOINTS))
-        lengths = self.distances(array)
+        self.require_distances(array, argument)
+        return array
+
+    def require_distances(self, q: FloatArray, argument: str = "q") -> None:
+        """Raise `ArgumentError` where a leg in the chain's q (..., 18) has a negative length."""
+        lengths = self.distances(q)
         if (min(lengths.tolist()) if lengths.ndim == 1 else lengths.min(initial=0.0)) < 0.0:
             worst = np.unravel_index(int(lengths.argmin()), lengths.shape)
             cause = "The value of a slide is the leg's length minus its length at home"
             received = f"{lengths[worst]:g} m in {LEGS[worst[-1]]}"
             raise ArgumentError(argument, "legs of no negative length", received, cause)
-        return array
 
     def joint_values(self, configuration: Configuration) -> FloatArray:
         """Return the chain's q (..., 18) of a configuration; see `ClosedChain.joint_values`."""
@@ -123,6 +127,10 @@ class JointLayout:
             # With the chain's own limits: they set the zero of its slides.
             arrays = configuration.rotation, configuration.translation, configuration.middle_joints
             configuration = Configuration.from_arrays(self.geometry, *arrays)
+        return self.values_of(configuration)
+
+    def values_of(self, configuration: Configuration) -> FloatArray:
+        """Return `joint_values` of a configuration that exists, of the chain's own geometry."""
         angles = joint_angles(configuration, corners=(0,))
         open_ = angles.closure_residual > AGREEMENT * self.side
         if open_.any():

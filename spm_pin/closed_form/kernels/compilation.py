@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any, Generic, ParamSpec, TypeVar
 
 import numba
-from numba.core import caching
-from numba.core.runtime import rtsys
+from numba.core import caching, runtime
 
 __all__ = ["TILE", "Formula", "Kernel", "jit", "jit_inline", "kernel", "readonly_array"]
 
@@ -28,6 +27,7 @@ _OPTIONS = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
 _njit: Any = numba.njit
 _numba_cache: Any = caching.FunctionCache
 _config: Any = numba.config
+_runtime: Any = runtime
 _types: Any = numba.types
 _LOG = logging.getLogger("spm_pin")
 # What one kernel is made of is spread over these files, and Numba's cache looks at the kernel's own alone.
@@ -132,7 +132,7 @@ class _Cache:
         found = None
         try:
             # Not Numba's own `load_overload`: that imports, for a third of a first call, all that compiling needs.
-            rtsys.initialize(target_context)
+            _runtime.rtsys.initialize(target_context)
             with self._inner._guard_against_spurious_io_errors():
                 found = self._inner._load_overload(sig, target_context)
         except Exception as error:  # a damaged file may raise anything
