@@ -242,7 +242,10 @@ def _along_poses(rules: PathRules, states: list[Configuration], certificate: Cer
     path = PlatformPath(np.linspace(0.0, 1.0, len(poses)), poses)
     rough = states_along(geometry, path, np.linspace(0.0, 1.0, 100 * len(poses)))
     if not rough.exists.all():
-        return _no_plan(geometry, rules.explain_line(rough) + ", or the line meets an inverse singularity")
+        first = int(rules.broken(rough).argmax())
+        share = 100.0 * first / (len(rough) - 1)
+        missing = f"the line of poses meets an inverse singularity, or what is out of reach, at {share:.0f} %"
+        return _no_plan(geometry, rules.explain_line(rough) if rough.exists[first] else missing)
     along = states_along(geometry, path, spaced_parameters(geometry, rough.leg_lengths))
     reason = rules.explain_line(along)
     signs = np.sign(determinants(along)[..., 2])

@@ -123,6 +123,17 @@ def test_a_smaller_jerk_takes_longer_and_the_result_is_the_same_every_time() -> 
     np.testing.assert_array_equal(first.positions, again.positions)
 
 
+def test_a_machine_as_built_is_timed_as_well() -> None:
+    machine = spm.AsBuiltGeometry.from_nominal(PAPER).perturbed(0, length=1e-3, angle=1e-3)
+    chain = spm.ClosedChain.from_urdf(geometry=machine)
+    motion = spm.time_optimal(chain, LINE, leg_forces=1500.0, leg_jerks=400.0, grid=500)
+    assert chain.closure_gap(motion.positions).max() < 1e-9
+    np.testing.assert_allclose(chain.leg_lengths(motion.positions)[[0, -1]], [START, GOAL], atol=1e-9)
+    forces = chain.inverse_dynamics(motion.positions, motion.velocities, motion.accelerations)
+    np.testing.assert_allclose(motion.efforts[:, LEGS], forces, rtol=0, atol=1e-6)
+    assert 0.97 < np.abs(forces).max() / 1500.0 < 1.0 + 1e-6
+
+
 def test_a_coarse_grid_and_a_long_period_keep_the_limits() -> None:
     motion = spm.time_optimal(CHAIN, CURVE, leg_accelerations=3.0, leg_jerks=30.0, grid=10, period=0.02)
     assert np.abs(motion.accelerations[:, LEGS]).max() < 3.0 * (1.0 + 1e-6)

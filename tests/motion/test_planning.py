@@ -160,6 +160,18 @@ def test_a_line_of_poses_does_not_pass_an_inverse_singularity() -> None:
     assert spm.plan(PAPER, ends[0], ends[1]).exists
 
 
+def test_the_reason_against_a_line_of_poses_is_what_it_meets_first() -> None:
+    rest = spm.forward_physical(PAPER, [1.3] * 6)
+    pick = spm.forward_physical(PAPER, [1.46, 1.16, 1.27, 1.32, 1.14, 1.47])
+    place = spm.forward_physical(PAPER, [1.23, 1.20, 1.15, 1.26, 1.21, 1.34])
+    level = spm.plan(PAPER, rest, pick, line="poses").reason
+    assert level == "the line of poses meets an inverse singularity, or what is out of reach, at 0 %"
+    for start, goal in ((pick, place), (place, rest)):
+        reason = spm.plan(PAPER, start, goal, line="poses").reason
+        assert "r_c2 of 1.099 m is outside its limits" in reason
+        assert "singularity" not in reason
+
+
 @pytest.mark.parametrize(
     ("start", "goal", "name", "text"),
     [
