@@ -48,6 +48,11 @@ class Inertial:
     placement: Placement = Placement()
 
     @property
+    def named_moments(self) -> dict[str, float]:
+        """The moments by the names that URDF and SDFormat give them."""
+        return dict(zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), self.moments, strict=True))
+
+    @property
     def matrix(self) -> FloatArray:
         """The moments as a matrix, shape (3, 3), in the inertial frame."""
         xx, xy, xz, yy, yz, zz = self.moments

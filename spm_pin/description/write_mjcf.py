@@ -7,16 +7,17 @@ import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from xml.etree.ElementTree import Element, SubElement
+from typing import Any
+from xml.etree.ElementTree import Element
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from spm_pin.description.closures import Closure
 from spm_pin.description.robot_description import ASSEMBLED, RobotDescription
-from spm_pin.description.robot_parts import Inertial, Joint, Material, Shape
+from spm_pin.description.robot_parts import Inertial, Joint, Material, Placement, Shape, Transmission
 from spm_pin.description.srdf import HOME
-from spm_pin.description.xml_nodes import document, numbers
+from spm_pin.description.xml_nodes import document, element
 from spm_pin.errors import ArgumentError, DescriptionError
 from spm_pin.mechanism.arguments import FloatArray
 
@@ -86,115 +87,85 @@ class _Writer:
 
     def root(self) -> Element:
         robot = self.robot
-        root = Element("mujoco", model=robot.name)
-        SubElement(root, "compiler", angle="radian", autolimits="true")
-        # Rigid closures: steps that resolve the constraints' time constant, and no softening under load.
-        SubElement(root, "option", timestep="0.001", integrator="implicitfast")
-        equality = SubElement(SubElement(root, "default"), "equality")
-        equality.attrib.update(solref="0.002 1", solimp="0.9999 0.9999 0.001 0.5 2")
-        visual = SubElement(root, "visual")
-        SubElement(visual, "headlight", ambient="0.4 0.4 0.4", diffuse="0.6 0.6 0.6")
-        SubElement(visual, "global", offwidth="1280", offheight="960")
-        self._assets(root)
-        self._body(SubElement(root, "worldbody"), robot.base, None)
-        if robot.closures:
-            equalities = SubElement(root, "equality")
-            for closure in robot.closures:
-                equalities.append(self._closure(closure))
-        if robot.transmissions:
-            actuators = SubElement(root, "actuator")
-            joints = {joint.name: joint for joint in robot.joints}
-            for transmission in robot.transmissions:
-                motor = SubElement(actuators, "motor", name=transmission.actuator, joint=transmission.joint)
-                effort = joints[transmission.joint].limit.effort
-                if math.isfinite(effort):
-                    motor.attrib.update(ctrllimited="true", ctrlrange=numbers((-effort, effort)))
+        assets = self._assets()
         velocities = [joint.limit.velocity for joint in robot.moving]
+        custom = None
         if any(map(math.isfinite, velocities)):
-            data = numbers(value if math.isfinite(value) else 0.0 for value in velocities)
-            SubElement(SubElement(root, "custom"), "numeric", name="velocity_limit", data=data)
-        keyframe = SubElement(root, "keyframe")
+            data = [value if math.isfinite(value) else 0.0 for value in velocities]
+            custom = element("custom", element("numeric", name="velocity_limit", data=data))
         states: Mapping[str, Mapping[str, float]] = {HOME: {}, **robot.states}
-        for name, values in states.items():
-            SubElement(keyframe, "key", name=name, qpos=numbers(values.get(j.name, 0.0) for j in robot.moving))
-        return root
+        keys = (
+            element("key", name=name, qpos=[values.get(joint.name, 0.0) for joint in robot.moving])
+            for name, values in states.items()
+        )
+        return element(
+            "mujoco",
+            element("compiler", angle="radian", autolimits="true"),
+            # Rigid closures: steps that resolve the constraints' time constant, and no softening under load.
+            element("option", timestep="0.001", integrator="implicitfast"),
+            element("default", element("equality", solref="0.002 1", solimp="0.9999 0.9999 0.001 0.5 2")),
+            element(
+                "visual",
+                element("headlight", ambient="0.4 0.4 0.4", diffuse="0.6 0.6 0.6"),
+                element("global", offwidth="1280", offheight="960"),
+            ),
+            element("asset", *assets) if assets else None,
+            element("worldbody", self._body(robot.base, None)),
+            element("equality", *map(self._closure, robot.closures)) if robot.closures else None,
+            element("actuator", *map(self._motor, robot.transmissions)) if robot.transmissions else None,
+            custom,
+            element("keyframe", *keys),
+            model=robot.name,
+        )
 
-    def _assets(self, root: Element) -> None:
+    def _motor(self, transmission: Transmission) -> Element:
+        effort = next(joint.limit.effort for joint in self.robot.joints if joint.name == transmission.joint)
+        limits: dict[str, Any] = {"ctrllimited": "true", "ctrlrange": (-effort, effort)} if effort < math.inf else {}
+        return element("motor", name=transmission.actuator, joint=transmission.joint, **limits)
+
+    def _assets(self) -> list[Element]:
         self.materials: dict[Material, str] = {}
         self.meshes: dict[tuple[str, tuple[float, ...]], str] = {}
-        assets = Element("asset")
+        assets: list[Element] = []
         taken: set[str] = set()
         for shape in (s for link in self.robot.links for s in (*link.visuals, *link.collisions)):
             if shape.material is not None and shape.material not in self.materials:
-                name = _free(shape.material.name or "material", taken)
-                self.materials[shape.material] = name
-                SubElement(assets, "material", name=name, rgba=numbers(shape.material.rgba))
+                name = self.materials[shape.material] = _free(shape.material.name or "material", taken)
+                assets.append(element("material", name=name, rgba=shape.material.rgba))
             if shape.mesh is not None and (str(shape.mesh.path), shape.size) not in self.meshes:
                 if shape.mesh.path.suffix.lower() not in MESHES:
                     raise DescriptionError("robot", f"meshes in {', '.join(MESHES)}", shape.mesh.uri)
-                name = _free(shape.mesh.path.stem, taken)
-                self.meshes[str(shape.mesh.path), shape.size] = name
+                name = self.meshes[str(shape.mesh.path), shape.size] = _free(shape.mesh.path.stem, taken)
                 file = shape.mesh.reference(self.folder, uri=False)
-                SubElement(assets, "mesh", name=name, file=file, scale=numbers(shape.size))
-        if len(assets):
-            root.append(assets)
+                assets.append(element("mesh", name=name, file=file, scale=shape.size))
+        return assets
 
-    def _body(self, parent: Element, name: str, joint: Joint | None) -> None:
+    def _body(self, name: str, joint: Joint | None) -> Element:
         link = self.robot.link[name]
-        body = SubElement(parent, "body", name=name)
-        if joint is not None:
-            body.attrib.update(pos=numbers(joint.placement.xyz), quat=numbers(joint.placement.quaternion))
-            if joint.moves:
-                body.append(self._joint(joint))
+        parts = [] if joint is None or not joint.moves else [_joint(joint)]
         if link.inertial is not None and link.inertial.mass > 0.0:
-            body.append(_inertial(link.inertial))
-        elif joint is not None and joint.moves:
+            parts.append(_inertial(link.inertial))
+        elif parts:
             raise DescriptionError("robot", "mass in every link that a joint moves", f"none in {name}")
-        for shape, seen in [(s, True) for s in link.visuals] + [(s, False) for s in link.collisions]:
-            body.append(self._geom(shape, seen))
+        parts += [self._geom(shape, {"contype": "0", "conaffinity": "0", "group": "2"}) for shape in link.visuals]
+        parts += [self._geom(shape, {"group": "3"}) for shape in link.collisions]
         for frame, at in self.sites.get(name, {}).items():
             turn = Rotation.from_matrix(at[:3, :3]).as_quat(scalar_first=True)
-            site = SubElement(body, "site", name=f"{frame}_site", size="0.005")
-            site.attrib.update(pos=numbers(at[:3, 3]), quat=numbers(turn))
-        for leaving in self.robot.order:
-            if leaving.parent == name:
-                self._body(body, leaving.child, leaving)
+            parts.append(element("site", name=f"{frame}_site", size="0.005", pos=at[:3, 3], quat=turn))
+        parts += [self._body(leaving.child, leaving) for leaving in self.robot.order if leaving.parent == name]
+        return element("body", *parts, name=name, **({} if joint is None else _place(joint.placement)))
 
-    def _joint(self, joint: Joint) -> Element:
-        kind = "slide" if joint.kind == "prismatic" else "hinge"
-        element = Element("joint", name=joint.name, type=kind, axis=numbers(joint.axis))
-        limit = joint.limit
-        if limit.lower == limit.upper:
-            expected = "joints with room to move: MJCF has no empty ranges"
-            raise DescriptionError("robot", expected, f"[{limit.lower:g}, {limit.upper:g}] of {joint.name}")
-        if math.isfinite(limit.lower) and math.isfinite(limit.upper):
-            element.attrib.update(limited="true", range=numbers((limit.lower, limit.upper)))
-        elif math.isfinite(limit.lower) or math.isfinite(limit.upper):
-            raise DescriptionError("robot", "two limits of a joint, or none", f"one of {joint.name}")
-        if 0.0 < limit.effort < math.inf:
-            element.attrib.update(actuatorfrclimited="true", actuatorfrcrange=numbers((-limit.effort, limit.effort)))
-        if joint.damping:
-            element.set("damping", numbers([joint.damping]))
-        if joint.friction:
-            element.set("frictionloss", numbers([joint.friction]))
-        return element
-
-    def _geom(self, shape: Shape, seen: bool) -> Element:
-        geom = Element("geom", type=shape.kind)
+    def _geom(self, shape: Shape, seen: dict[str, Any]) -> Element:
         if shape.mesh is not None:
-            geom.set("mesh", self.meshes[str(shape.mesh.path), shape.size])
+            solid: dict[str, Any] = {"mesh": self.meshes[str(shape.mesh.path), shape.size]}
         elif shape.kind == "box":
-            geom.set("size", numbers(0.5 * side for side in shape.size))
+            solid = {"size": [0.5 * side for side in shape.size]}
         else:  # of a cylinder, MuJoCo takes half the length
-            geom.set("size", numbers(np.array(shape.size) * (1.0, 0.5)[: len(shape.size)]))
-        geom.attrib.update(pos=numbers(shape.placement.xyz), quat=numbers(shape.placement.quaternion))
+            solid = {"size": np.array(shape.size) * (1.0, 0.5)[: len(shape.size)]}
+        solid |= _place(shape.placement)
         if shape.material is not None:
-            geom.set("material", self.materials[shape.material])
-        if seen:
-            geom.attrib.update(contype="0", conaffinity="0", group="2")
-        else:
-            geom.set("group", "3")
-        return geom
+            solid["material"] = self.materials[shape.material]
+        return element("geom", **{"type": shape.kind, **solid, **seen})
 
     def _closure(self, closure: Closure) -> Element:
         (body_a, at_a), (body_b, at_b) = (self.robot.carrier(end) for end in (closure.frame_a, closure.frame_b))
@@ -202,29 +173,50 @@ class _Writer:
             body_a, at_a, body_b, at_b = body_b, at_b, body_a, at_a
         if body_a == body_b:
             raise DescriptionError("robot", "closures between links that move apart", closure.name)
-        element = Element("connect" if closure.kind == "point" else "weld", name=closure.name)
         if closure.kind == "weld":
             relative = at_a @ np.linalg.inv(at_b)  # without an anchor: MuJoCo takes another relpose beside one
             quaternion = Rotation.from_matrix(relative[:3, :3]).as_quat(scalar_first=True)
-            pose = numbers((*relative[:3, 3], *quaternion))
-            element.attrib.update(body1=body_a, body2=body_b, relpose=pose)
-        elif self.by_sites:
-            element.attrib.update(site1=f"{closure.frame_a}_site", site2=f"{closure.frame_b}_site")
-        else:
-            element.attrib.update(body1=body_a, body2=body_b, anchor=numbers(at_a[:3, 3]))
-        return element
+            pose = (*relative[:3, 3], *quaternion)
+            return element("weld", name=closure.name, body1=body_a, body2=body_b, relpose=pose)
+        if self.by_sites:
+            ends = f"{closure.frame_a}_site", f"{closure.frame_b}_site"
+            return element("connect", name=closure.name, site1=ends[0], site2=ends[1])
+        return element("connect", name=closure.name, body1=body_a, body2=body_b, anchor=at_a[:3, 3])
+
+
+def _place(placement: Placement) -> dict[str, Any]:
+    return {"pos": placement.xyz, "quat": placement.quaternion}
+
+
+def _joint(joint: Joint) -> Element:
+    limit = joint.limit
+    values: dict[str, Any] = {"type": "slide" if joint.kind == "prismatic" else "hinge", "axis": joint.axis}
+    if limit.lower == limit.upper:
+        expected = "joints with room to move: MJCF has no empty ranges"
+        raise DescriptionError("robot", expected, f"[{limit.lower:g}, {limit.upper:g}] of {joint.name}")
+    if math.isfinite(limit.lower) and math.isfinite(limit.upper):
+        values |= {"limited": "true", "range": (limit.lower, limit.upper)}
+    elif math.isfinite(limit.lower) or math.isfinite(limit.upper):
+        raise DescriptionError("robot", "two limits of a joint, or none", f"one of {joint.name}")
+    if 0.0 < limit.effort < math.inf:
+        values |= {"actuatorfrclimited": "true", "actuatorfrcrange": (-limit.effort, limit.effort)}
+    if joint.damping:
+        values["damping"] = joint.damping
+    if joint.friction:
+        values["frictionloss"] = joint.friction
+    return element("joint", name=joint.name, **values)
 
 
 def _inertial(inertial: Inertial) -> Element:
-    element = Element("inertial", pos=numbers(inertial.placement.xyz), mass=numbers([inertial.mass]))
     xx, xy, xz, yy, yz, zz = inertial.moments
     if xy == xz == yz == 0.0:
-        element.attrib.update(quat=numbers(inertial.placement.quaternion), diaginertia=numbers((xx, yy, zz)))
-    else:  # in the link's axes: MJCF takes either an orientation or all six
-        turn: FloatArray = inertial.placement.matrix[:3, :3]
-        full = turn @ inertial.matrix @ turn.T
-        element.set("fullinertia", numbers([*np.diag(full), full[0, 1], full[0, 2], full[1, 2]]))
-    return element
+        place = _place(inertial.placement)
+        return element("inertial", pos=place["pos"], mass=inertial.mass, quat=place["quat"], diaginertia=(xx, yy, zz))
+    # In the link's axes: MJCF takes either an orientation or all six.
+    turn: FloatArray = inertial.placement.matrix[:3, :3]
+    full = turn @ inertial.matrix @ turn.T
+    moments = [*np.diag(full), full[0, 1], full[0, 2], full[1, 2]]
+    return element("inertial", pos=inertial.placement.xyz, mass=inertial.mass, fullinertia=moments)
 
 
 def _free(name: str, taken: set[str]) -> str:

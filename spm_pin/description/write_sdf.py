@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element
 
 from spm_pin.description.closures import Closure
 from spm_pin.description.robot_description import ASSEMBLED, RobotDescription
 from spm_pin.description.robot_parts import Joint, Link, Placement, Shape
-from spm_pin.description.xml_nodes import document, numbers
+from spm_pin.description.xml_nodes import document, element, texts
 from spm_pin.errors import ArgumentError, DescriptionError
 
 __all__ = ["sdf_text"]
@@ -52,107 +52,82 @@ def sdf_text(robot: RobotDescription, *, loops: str = "joints", folder: Path | N
     if shared:
         expected = "names of their own for links, joints and closures, none of them world"
         raise DescriptionError("robot", expected, ", ".join(sorted(shared)))
-    root = Element("sdf", {"version": VERSION, "xmlns:drake": "http://drake.mit.edu"})
-    model = SubElement(root, "model", name=robot.name)
-    fixed = SubElement(model, "joint", name=mount, type="fixed")
-    _ends(fixed, "world", robot.base)
-    for link in robot.links:
-        model.append(_link(link, robot.joint_to.get(link.name), folder))
+    links = [_link(link, robot.joint_to.get(link.name), folder) for link in robot.links]
     driven = {transmission.joint for transmission in robot.transmissions}
     for joint in robot.joints:
         if joint.moves and (joint.name in driven) == (joint.limit.effort == 0.0):
             expected = "effort in the joints with a transmission, and none in the others"
             raise DescriptionError("robot", expected, f"{joint.limit.effort:g} in {joint.name}")
-        model.append(_joint(joint))
     gaps = robot.open_closures()
-    for closure in robot.closures:
-        if loops == "drake":
-            model.append(_ball(closure))
-        elif closure.name in gaps:
-            expected = f"closures that are closed to {ASSEMBLED:g} m at zero"
-            raise DescriptionError("robot", expected, f"{closure.name}, open by {gaps[closure.name]:.2g} m")
-        else:
-            kind = {"point": "ball", "weld": "fixed"}[closure.kind]
-            _ends(SubElement(model, "joint", name=closure.name, type=kind), closure.frame_a, closure.frame_b)
-    return document(root)
+    for name in gaps if loops == "joints" else ():
+        expected = f"closures that are closed to {ASSEMBLED:g} m at zero"
+        raise DescriptionError("robot", expected, f"{name}, open by {gaps[name]:.2g} m")
+    model = element(
+        "model",
+        element("joint", *texts(parent="world", child=robot.base), name=mount, type="fixed"),
+        *links,
+        *map(_joint, robot.joints),
+        *map(_drake_ball if loops == "drake" else _closing_joint, robot.closures),
+        name=robot.name,
+    )
+    return document(element("sdf", model, **{"version": VERSION, "xmlns:drake": "http://drake.mit.edu"}))
 
 
-def _text(parent: Element, tag: str, text: str) -> None:
-    SubElement(parent, tag).text = text
-
-
-def _ends(joint: Element, parent: str, child: str) -> None:
-    _text(joint, "parent", parent)
-    _text(joint, "child", child)
-
-
-def _pose(parent: Element, placement: Placement, relative_to: str = "") -> None:
-    pose = SubElement(parent, "pose", {"relative_to": relative_to} if relative_to else {})
-    pose.text = numbers((*placement.xyz, *placement.rpy))
+def _pose(placement: Placement, **relative: str) -> Element:
+    return element("pose", text=(*placement.xyz, *placement.rpy), **relative)
 
 
 def _link(link: Link, carrier: Joint | None, folder: Path | None) -> Element:
-    element = Element("link", name=link.name)
-    if carrier is not None:
-        _pose(element, Placement(), carrier.name)
     if link.inertial is None or link.inertial.mass <= 0.0:
         raise DescriptionError("robot", "mass in every link", f"none in {link.name}", "SDFormat would take 1 kg")
-    inertial = SubElement(element, "inertial")
-    _pose(inertial, link.inertial.placement)
-    _text(inertial, "mass", numbers([link.inertial.mass]))
-    inertia = SubElement(inertial, "inertia")
-    for key, value in zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), link.inertial.moments, strict=True):
-        _text(inertia, key, numbers([value]))
-    for tag, shapes in (("visual", link.visuals), ("collision", link.collisions)):
-        for i, shape in enumerate(shapes, start=1):
-            element.append(_shape(tag, f"{link.name}_{tag}_{i}", shape, folder))
-    return element
+    inertia = element("inertia", *texts(**link.inertial.named_moments))
+    shapes = [("visual", i, shape) for i, shape in enumerate(link.visuals, start=1)]
+    shapes += [("collision", i, shape) for i, shape in enumerate(link.collisions, start=1)]
+    return element(
+        "link",
+        None if carrier is None else _pose(Placement(), relative_to=carrier.name),
+        element("inertial", _pose(link.inertial.placement), *texts(mass=link.inertial.mass), inertia),
+        *(_shape(tag, f"{link.name}_{tag}_{i}", shape, folder) for tag, i, shape in shapes),
+        name=link.name,
+    )
 
 
 def _shape(tag: str, name: str, shape: Shape, folder: Path | None) -> Element:
-    element = Element(tag, name=name)
-    _pose(element, shape.placement)
-    solid = SubElement(SubElement(element, "geometry"), shape.kind)
     if shape.mesh is not None:
-        _text(solid, "uri", shape.mesh.reference(folder))
-        _text(solid, "scale", numbers(shape.size))
+        solid = texts(uri=shape.mesh.reference(folder), scale=shape.size)
     elif shape.kind == "box":
-        _text(solid, "size", numbers(shape.size))
+        solid = texts(size=shape.size)
     else:
-        for key, value in zip(("radius", "length"), shape.size, strict=False):
-            _text(solid, key, numbers([value]))
-    if shape.material is not None:
-        material = SubElement(element, "material")
-        for light in ("ambient", "diffuse"):
-            _text(material, light, numbers(shape.material.rgba))
-    return element
+        solid = texts(**dict(zip(("radius", "length"), shape.size, strict=False)))
+    colour = None if shape.material is None else shape.material.rgba
+    material = None if colour is None else element("material", *texts(ambient=colour, diffuse=colour))
+    return element(tag, _pose(shape.placement), element("geometry", element(shape.kind, *solid)), material, name=name)
 
 
 def _joint(joint: Joint) -> Element:
-    element = Element("joint", name=joint.name, type="fixed" if not joint.moves else joint.kind)
-    _pose(element, joint.placement, joint.parent)
-    _ends(element, joint.parent, joint.child)
+    axis = None
     if joint.moves:
-        axis = SubElement(element, "axis")
-        _text(axis, "xyz", numbers(joint.axis))
-        limit = SubElement(axis, "limit")
-        for key in ("lower", "upper", "effort", "velocity"):
-            value = getattr(joint.limit, key)
-            if math.isfinite(value):
-                _text(limit, key, numbers([value]))
-        if joint.damping or joint.friction:
-            dynamics = SubElement(axis, "dynamics")
-            _text(dynamics, "damping", numbers([joint.damping]))
-            _text(dynamics, "friction", numbers([joint.friction]))
-    return element
+        limits = vars(joint.limit).items()
+        finite = element("limit", *texts(**{key: value for key, value in limits if math.isfinite(value)}))
+        resists = bool(joint.damping or joint.friction)
+        dynamics = element("dynamics", *texts(damping=joint.damping, friction=joint.friction)) if resists else None
+        axis = element("axis", *texts(xyz=joint.axis), finite, dynamics)
+    ends = texts(parent=joint.parent, child=joint.child)
+    kind = joint.kind if joint.moves else "fixed"
+    pose = _pose(joint.placement, relative_to=joint.parent)
+    return element("joint", pose, *ends, axis, name=joint.name, type=kind)
 
 
-def _ball(closure: Closure) -> Element:
+def _closing_joint(closure: Closure) -> Element:
+    kind = {"point": "ball", "weld": "fixed"}[closure.kind]
+    return element("joint", *texts(parent=closure.frame_a, child=closure.frame_b), name=closure.name, type=kind)
+
+
+def _drake_ball(closure: Closure) -> Element:
     if closure.kind != "point":
         expected = "closures of kind point, the only one that Drake reads"
         raise DescriptionError("robot", expected, f"the {closure.kind} {closure.name}")
-    element = Element("drake:ball_constraint")
-    for body, point, frame in (("body_A", "p_AP", closure.frame_a), ("body_B", "p_BQ", closure.frame_b)):
-        _text(element, f"drake:ball_constraint_{body}", frame)
-        _text(element, f"drake:ball_constraint_{point}", "0 0 0")
-    return element
+    ends = {"body_A": closure.frame_a, "p_AP": "0 0 0", "body_B": closure.frame_b, "p_BQ": "0 0 0"}
+    return element(
+        "drake:ball_constraint", *texts(**{f"drake:ball_constraint_{key}": end for key, end in ends.items()})
+    )

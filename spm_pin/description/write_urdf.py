@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element
 
 from spm_pin.description.closures import Closure
 from spm_pin.description.read_urdf import TRANSMISSION
 from spm_pin.description.robot_description import RobotDescription
-from spm_pin.description.robot_parts import Joint, Link, Material, Placement, Shape
-from spm_pin.description.xml_nodes import document, numbers
+from spm_pin.description.robot_parts import Joint, Link, Material, Placement, Shape, Transmission
+from spm_pin.description.xml_nodes import document, element
 from spm_pin.errors import DescriptionError
 
 __all__ = ["urdf_text"]
@@ -43,32 +44,18 @@ def urdf_text(robot: RobotDescription, *, ros_constraints: bool = False, folder:
     https://drake.mit.edu/doxygen_cxx/group__multibody__parsing.html. MuJoCo's element keeps it from merging fixed
     links and from dropping what is only seen.
     """
-    root = Element("robot", {"name": robot.name, "xmlns:drake": DRAKE})
-    compiler = SubElement(SubElement(root, "mujoco"), "compiler")
-    compiler.attrib.update(fusestatic="false", discardvisual="false")
-    for material in _materials(robot):
-        colour = SubElement(SubElement(root, "material", name=material.name), "color")
-        colour.set("rgba", numbers(material.rgba))
-    for link in robot.links:
-        root.append(_link(link, folder))
-    for joint in robot.joints:
-        root.append(_joint(joint))
-    for transmission in robot.transmissions:
-        element = SubElement(root, "transmission", name=transmission.name)
-        SubElement(element, "type").text = TRANSMISSION
-        driven = SubElement(element, "joint", name=transmission.joint)
-        SubElement(driven, "hardwareInterface").text = "hardware_interface/EffortJointInterface"
-        actuator = SubElement(element, "actuator", name=transmission.actuator)
-        SubElement(actuator, "mechanicalReduction").text = "1"
-    for closure in robot.closures:
-        if closure.kind == "point":
-            root.append(_ball(closure))
-        elif not ros_constraints:
-            expected = "closures of kind point, the only one that a URDF's reader takes today"
-            raise DescriptionError("robot", expected, f"the {closure.kind} {closure.name}")
-        if ros_constraints:
-            root.append(_constraint(closure))
-    return document(root)
+    return document(
+        element(
+            "robot",
+            element("mujoco", element("compiler", fusestatic="false", discardvisual="false")),
+            *(element("material", element("color", rgba=each.rgba), name=each.name) for each in _materials(robot)),
+            *(_link(link, folder) for link in robot.links),
+            *map(_joint, robot.joints),
+            *map(_transmission, robot.transmissions),
+            *(part for closure in robot.closures for part in _closure(closure, ros_constraints)),
+            **{"name": robot.name, "xmlns:drake": DRAKE},
+        )
+    )
 
 
 def _materials(robot: RobotDescription) -> list[Material]:
@@ -80,78 +67,85 @@ def _materials(robot: RobotDescription) -> list[Material]:
     return list(found.values())
 
 
-def _origin(parent: Element, placement: Placement) -> None:
-    SubElement(parent, "origin", xyz=numbers(placement.xyz), rpy=numbers(placement.rpy))
+def _origin(placement: Placement) -> Element:
+    return element("origin", xyz=placement.xyz, rpy=placement.rpy)
 
 
 def _link(link: Link, folder: Path | None) -> Element:
-    element = Element("link", name=link.name)
+    inertial = None
     if link.inertial is not None:
-        inertial = SubElement(element, "inertial")
-        _origin(inertial, link.inertial.placement)
-        SubElement(inertial, "mass", value=numbers([link.inertial.mass]))
-        keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-        moments = {key: numbers([value]) for key, value in zip(keys, link.inertial.moments, strict=True)}
-        SubElement(inertial, "inertia", moments)
-    for tag, shapes in (("visual", link.visuals), ("collision", link.collisions)):
-        for shape in shapes:
-            element.append(_shape(tag, shape, folder))
-    return element
+        parts = element("mass", value=link.inertial.mass), element("inertia", **link.inertial.named_moments)
+        inertial = element("inertial", _origin(link.inertial.placement), *parts)
+    visuals = (_shape("visual", shape, folder) for shape in link.visuals)
+    return element(
+        "link", inertial, *visuals, *(_shape("collision", s, folder) for s in link.collisions), name=link.name
+    )
 
 
 def _shape(tag: str, shape: Shape, folder: Path | None) -> Element:
-    element = Element(tag)
-    _origin(element, shape.placement)
-    solid = SubElement(SubElement(element, "geometry"), shape.kind)
     if shape.mesh is not None:
-        uri = shape.mesh.reference(folder)
-        solid.attrib.update(filename=uri, scale=numbers(shape.size))
+        solid = element(shape.kind, filename=shape.mesh.reference(folder), scale=shape.size)
     elif shape.kind == "box":
-        solid.set("size", numbers(shape.size))
+        solid = element(shape.kind, size=shape.size)
     else:
-        for key, value in zip(("radius", "length"), shape.size, strict=False):
-            solid.set(key, numbers([value]))
-    if shape.material is not None:
-        material = SubElement(element, "material", name=shape.material.name)
-        if not shape.material.name:
-            SubElement(material, "color", rgba=numbers(shape.material.rgba))
-    return element
+        solid = element(shape.kind, **dict(zip(("radius", "length"), shape.size, strict=False)))
+    colour = shape.material
+    material = None
+    if colour is not None:
+        material = element("material", None if colour.name else element("color", rgba=colour.rgba), name=colour.name)
+    return element(tag, _origin(shape.placement), element("geometry", solid), material)
 
 
 def _joint(joint: Joint) -> Element:
-    element = Element("joint", name=joint.name, type=joint.kind)
-    _origin(element, joint.placement)
-    SubElement(element, "parent", link=joint.parent)
-    SubElement(element, "child", link=joint.child)
-    if not joint.moves:
-        return element
-    SubElement(element, "axis", xyz=numbers(joint.axis))
-    limit = joint.limit
-    values = {"effort": limit.effort, "velocity": limit.velocity}
-    if joint.kind != "continuous":
-        values = {"lower": limit.lower, "upper": limit.upper} | values
-    finite = [math.isfinite(value) for value in values.values()]
-    if all(finite):
-        SubElement(element, "limit", {key: numbers([value]) for key, value in values.items()})
-    elif any(finite) or joint.kind != "continuous":
-        raise DescriptionError("robot", "finite limits, which a URDF cannot do without", f"{limit} of {joint.name}")
-    if joint.damping or joint.friction:
-        SubElement(element, "dynamics", damping=numbers([joint.damping]), friction=numbers([joint.friction]))
-    return element
+    parts = [element("parent", link=joint.parent), element("child", link=joint.child)]
+    if joint.moves:
+        parts.append(element("axis", xyz=joint.axis))
+        limit = joint.limit
+        values = {"effort": limit.effort, "velocity": limit.velocity}
+        if joint.kind != "continuous":
+            values = {"lower": limit.lower, "upper": limit.upper} | values
+        finite = [math.isfinite(value) for value in values.values()]
+        if all(finite):
+            parts.append(element("limit", **values))
+        elif any(finite) or joint.kind != "continuous":
+            expected = "finite limits, which a URDF cannot do without"
+            raise DescriptionError("robot", expected, f"{limit} of {joint.name}")
+        if joint.damping or joint.friction:
+            parts.append(element("dynamics", damping=joint.damping, friction=joint.friction))
+    return element("joint", _origin(joint.placement), *parts, name=joint.name, type=joint.kind)
 
 
-def _ball(closure: Closure) -> Element:
-    element = Element("drake:ball_constraint")
-    for body, point, frame in (("body_A", "p_AP", closure.frame_a), ("body_B", "p_BQ", closure.frame_b)):
-        SubElement(element, f"drake:ball_constraint_{body}", name=frame)
-        SubElement(element, f"drake:ball_constraint_{point}", value="0 0 0")
-    return element
+def _transmission(transmission: Transmission) -> Element:
+    interface = element("hardwareInterface", text="hardware_interface/EffortJointInterface")
+    return element(
+        "transmission",
+        element("type", text=TRANSMISSION),
+        element("joint", interface, name=transmission.joint),
+        element("actuator", element("mechanicalReduction", text="1"), name=transmission.actuator),
+        name=transmission.name,
+    )
 
 
-def _constraint(closure: Closure) -> Element:
-    kind = {"point": "spherical_joint", "weld": "link"}[closure.kind]
-    element = Element("constraint", name=closure.name, type=kind)
-    for end, frame in (("parent", closure.frame_a), ("child", closure.frame_b)):
-        SubElement(element, end, link=frame)
-        SubElement(element, f"{end}_origin", xyz="0 0 0", rpy="0 0 0")
-    return element
+def _closure(closure: Closure, ros_constraints: bool) -> Iterator[Element]:
+    """Return Drake's element for a closure, and the one of the ROS proposal."""
+    if closure.kind == "point":
+        yield element(
+            "drake:ball_constraint",
+            element("drake:ball_constraint_body_A", name=closure.frame_a),
+            element("drake:ball_constraint_p_AP", value="0 0 0"),
+            element("drake:ball_constraint_body_B", name=closure.frame_b),
+            element("drake:ball_constraint_p_BQ", value="0 0 0"),
+        )
+    elif not ros_constraints:
+        expected = "closures of kind point, the only one that a URDF's reader takes today"
+        raise DescriptionError("robot", expected, f"the {closure.kind} {closure.name}")
+    if ros_constraints:
+        yield element(
+            "constraint",
+            element("parent", link=closure.frame_a),
+            element("parent_origin", xyz="0 0 0", rpy="0 0 0"),
+            element("child", link=closure.frame_b),
+            element("child_origin", xyz="0 0 0", rpy="0 0 0"),
+            name=closure.name,
+            type={"point": "spherical_joint", "weld": "link"}[closure.kind],
+        )

@@ -6,12 +6,15 @@ import math
 import re
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
+from typing import Any
 from xml.etree import ElementTree
 from xml.parsers import expat
 
+import numpy as np
+
 from spm_pin.errors import DescriptionError
 
-__all__ = ["Node", "check_prefix", "document", "numbers", "parse"]
+__all__ = ["Node", "check_prefix", "document", "element", "parse", "texts"]
 
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 """As C++ reads it: other readers leave out what only Python takes for a number, a whole inertia for example."""
@@ -127,9 +130,23 @@ def parse(text: str, source: str) -> Node:
     return root[0]
 
 
-def numbers(values: Iterable[float]) -> str:
-    """Return numbers with the digits that float64 needs."""
-    return " ".join(repr(float(value) + 0.0) for value in values)
+def element(
+    tag: str, *children: ElementTree.Element | None, text: Any = None, **attributes: str | float | Iterable[float]
+) -> ElementTree.Element:
+    """Return an element with its text and attributes, numbers with all their digits; children may be None."""
+
+    def written(value: Any) -> str:
+        return value if isinstance(value, str) else " ".join(repr(float(x) + 0.0) for x in np.atleast_1d(value))
+
+    made = ElementTree.Element(tag, {name: written(value) for name, value in attributes.items()})
+    made.text = None if text is None else written(text)
+    made.extend(child for child in children if child is not None)
+    return made
+
+
+def texts(**values: str | float | Iterable[float]) -> list[ElementTree.Element]:
+    """Return an element for each value, which is its text."""
+    return [element(tag, text=value) for tag, value in values.items()]
 
 
 def document(root: ElementTree.Element) -> str:
