@@ -35,12 +35,16 @@ def certificate_figure(certificate: Certificate) -> Figure:
             radius = np.sin(np.radians(tilt) / 2.0)
             if radius < reach * 1.3:
                 ax.plot(radius * np.cos(angle), radius * np.sin(angle), color="0.6", lw=0.6)
-                ax.annotate(f"{tilt}°", (0.0, radius), color="0.4", fontsize=8, ha="center", va="bottom")
+                around = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5}
+                ax.annotate(f"{tilt}°", (0.0, radius), color="0.2", fontsize=8, ha="center", va="center", bbox=around)
         bound = certificate.bounds[k]
         ax.set_title(f"{name}: |det J_{'bc'[k]}| ≥ {bound:.3f} d³" if bound else f"{name}: undecided", fontsize=10)
         ax.set(aspect="equal", xlabel="x", ylabel="y" if k == 0 else "")
         ax.legend(fontsize=8, frameon=False, loc="upper right")
-    figure.suptitle("Tilt of the middle platform, vector part (x, y) of its quaternion", fontsize=10)
+    title = "Tilt of the middle platform, vector part (x, y) of its quaternion"
+    if any(certificate.errors):
+        title += "; all machines within {:g} mm and {:g} mrad".format(*(1e3 * error for error in certificate.errors))
+    figure.suptitle(title, fontsize=10)
     return figure
 
 
