@@ -13,6 +13,7 @@ import operator
 from collections.abc import Callable
 from functools import reduce
 from itertools import pairwise, product
+from math import comb
 
 import numpy as np
 import pytest
@@ -128,41 +129,46 @@ def below_the_hips(least: float, most: float) -> int:
     return undecided(without_rule, ends, 100_000)
 
 
-Series = tuple[Interval, Interval, Interval]
-"""A function of ψ and its first two derivatives."""
+Series = tuple[Interval, ...]
+"""A function of ψ and its derivatives."""
 PRODUCTS = ((0, 1), (1, 2), (2, 0)), ((1, 0), (2, 1), (0, 2))
 
 
 def total(*terms: Series) -> Series:
-    a, b, c = (reduce(operator.add, parts) for parts in zip(*terms, strict=True))
-    return a, b, c
+    return tuple(reduce(operator.add, parts) for parts in zip(*terms, strict=True))
 
 
 def times(f: Series, g: Series) -> Series:
-    return f[0] * g[0], f[1] * g[0] + f[0] * g[1], f[2] * g[0] + 2.0 * (f[1] * g[1]) + f[0] * g[2]
+    orders = range(len(f))
+    return tuple(reduce(operator.add, (comb(n, k) * (f[k] * g[n - k]) for k in range(n + 1))) for n in orders)
 
 
-def determinant_and_slope(cells: np.ndarray, low: np.ndarray, high: np.ndarray):  # type: ignore[no-untyped-def]
-    """Return the factors, D and its derivative with respect to p as functions of ψ, over azimuths [low, high]."""
+def determinant_and_slope(cells: np.ndarray, low: np.ndarray, high: np.ndarray, order: int):  # type: ignore[no-untyped-def]
+    """Return the factors, D and its derivative with respect to p, over azimuths [low, high].
+
+    Each comes with its first derivatives with respect to ψ, up to the order of 0 to 2.
+    """
     p, ratio = (Interval(cells[:, k, 0], cells[:, k, 1]) for k in (0, 3))
     azimuth, rise = middle_and_half(low, high), middle_and_half(*cells[:, 2].T)
     sine, cosine = sine_and_cosine(*rise)
-    falls, heights = [], []
+    constant = (ratio, Interval.of(0.0), Interval.of(0.0))[: order + 1]
+    falls, radii, heights = [], [], []
     for phi in AZIMUTHS:
         s2, c2 = sine_and_cosine(2.0 * azimuth[0] + phi, 2.0 * azimuth[1])
         s1, c1 = sine_and_cosine(phi - azimuth[0], azimuth[1])
-        falls.append((-1.0 * (1.0 + 2.0 * s2), -4.0 * c2, 8.0 * s2))
-        heights.append((cosine + sine * s1, -(sine * c1), -(sine * s1)))
-    radii = [(1.0 + p * f, p * f1, p * f2) for f, f1, f2 in falls]
+        fall = (-1.0 * (1.0 + 2.0 * s2), -4.0 * c2, 8.0 * s2)[: order + 1]
+        falls.append(fall)
+        radii.append((1.0 + p * fall[0], *(p * part for part in fall[1:])))
+        heights.append((cosine + sine * s1, -(sine * c1), -(sine * s1))[: order + 1])
     m, slopes = {}, {}
     for i, j in PAIRS:
-        (a, a1, a2), (b, b1, b2) = radii[i], radii[j]
-        low_end, out = (ratio + 0.5 * b, 0.5 * b1, 0.5 * b2), (a - ratio, a1, a2)
-        m[i, j] = total(times(heights[i], low_end), times(heights[j], out))
-        half = 0.5 * falls[j][0], 0.5 * falls[j][1], 0.5 * falls[j][2]
+        half = tuple(0.5 * part for part in falls[j])
+        inward = total(constant, tuple(0.5 * part for part in radii[j]))
+        outward = total(radii[i], tuple(-part for part in constant))
+        m[i, j] = total(times(heights[i], inward), times(heights[j], outward))
         slopes[i, j] = total(times(heights[i], half), times(heights[j], falls[i]))
     determinant = total(*(times(times(m[a], m[b]), m[c]) for a, b, c in PRODUCTS))
-    turns = [(a, b, c) for triple in PRODUCTS for a, b, c in (triple, triple[1:] + triple[:1], triple[2:] + triple[:2])]
+    turns = [(a, b, c) for x, y, z in PRODUCTS for a, b, c in ((x, y, z), (y, z, x), (z, x, y))]
     return m, determinant, total(*(times(slopes[a], times(m[b], m[c])) for a, b, c in turns))
 
 
@@ -174,7 +180,7 @@ def without_ascent(cells: np.ndarray) -> np.ndarray:
     corners that the reflection exchanges, u = z (ε + 1/2 - 3/2 p) + z' (1 - ε), v = z' (ε + 1/2) + z (1 - 3p - ε),
     where z' is the height of the third. Two arguments are used, see `docs/theory/forward_displacement.md`.
     """
-    m, determinant, slope = determinant_and_slope(cells, *cells[:, 1].T)
+    m, determinant, slope = determinant_and_slope(cells, *cells[:, 1].T, 0)
     negative = np.sum([value[0].high < 0.0 for value in m.values()], axis=0)
     gone = (determinant[0].low > 0.0) | (determinant[0].high < 0.0) | (negative >= 2) | (slope[0].high < 0.0)
     rest = np.flatnonzero(~gone)
@@ -182,7 +188,7 @@ def without_ascent(cells: np.ndarray) -> np.ndarray:
     number = np.round(cells[:, 1].mean(axis=-1) / (np.pi / 3.0)).astype(int)
     plane = number * np.pi / 3.0
     h = np.abs(cells[:, 1] - plane[:, None]).max(axis=-1) + 1e-15
-    m, determinant, slope = determinant_and_slope(cells, plane - h, plane + h)
+    m, determinant, slope = determinant_and_slope(cells, plane - h, plane + h, 2)
     g, g_slope = 0.5 * determinant[2], 0.5 * slope[2]
     p, ratio = (Interval(cells[:, k, 0], cells[:, k, 1]) for k in (0, 3))
     sine, cosine = sine_and_cosine(*middle_and_half(*cells[:, 2].T))
@@ -249,13 +255,13 @@ def test_series_of_the_determinant_in_the_azimuth() -> None:
 
     def values(p: float, psi: float, theta: float, ratio: float) -> tuple[float, float]:
         cell = np.array([[[p, p], [psi, psi], [theta, theta], [ratio, ratio]]])
-        return tuple(float(x[0].low[0] + x[0].high[0]) / 2.0 for x in determinant_and_slope(cell, *cell[:, 1].T)[1:])
+        return tuple(float(x[0].low[0] + x[0].high[0]) / 2.0 for x in determinant_and_slope(cell, *cell[:, 1].T, 2)[1:])
 
     for number in (0, 1) * 10:
         plane = number * np.pi / 3.0
         p, theta, ratio = rng.uniform([0.0, 0.0, 0.1], [1.0, 1.5, 2.0])
         cell = np.array([[[p, p], [plane, plane], [theta, theta], [ratio, ratio]]])
-        for k, found in enumerate(determinant_and_slope(cell, *cell[:, 1].T)[1:]):
+        for k, found in enumerate(determinant_and_slope(cell, *cell[:, 1].T, 2)[1:]):
             below, here, above = (values(p, plane + h, theta, ratio)[k] for h in (-1e-4, 0.0, 1e-4))
             assert below == pytest.approx(above, abs=1e-12), "even about the plane"
             assert found[2].low[0] == pytest.approx((below - 2.0 * here + above) / 1e-8, abs=1e-5)
