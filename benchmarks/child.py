@@ -12,10 +12,11 @@ import time
 from pathlib import Path
 from typing import Any
 
-__all__ = ["FIRST", "HEAVY", "measure"]
+__all__ = ["FIRST", "HEAVY", "WITH_IMPORTS", "measure"]
 
 ROOT = Path(__file__).resolve().parents[1]
 HEAVY = ("numba", "casadi", "pinocchio", "dask", "trimesh", "viser", "matplotlib", "xacro")
+WITH_IMPORTS = "import spm_pin; inverse_displacement"
 FIRST = ("inverse_displacement", "inverse_jacobian", "leg_forces", "forward_physical", "forward_displacement")
 
 
@@ -38,7 +39,8 @@ def _import() -> dict[str, Any]:
 
 
 def _first() -> dict[str, Any]:
-    """Time the first call of each function."""
+    """Time the first call of each function, and the first with all that comes before it: imports, geometry, pose."""
+    start = time.perf_counter()
     import numpy as np
 
     import spm_pin as spm
@@ -55,12 +57,22 @@ def _first() -> dict[str, Any]:
         return answer
 
     solutions = timed("inverse_displacement", geometry, pose)
+    seconds[WITH_IMPORTS] = time.perf_counter() - start
     state = solutions.configurations[solutions.exists][0]
     timed("inverse_jacobian", state)
     timed("leg_forces", state, np.ones(6))
     timed("forward_physical", geometry, state.leg_lengths)
     timed("forward_displacement", geometry, state.leg_lengths)
     return seconds
+
+
+def _libraries() -> dict[str, Any]:
+    """Time the imports alone of what a first solve cannot do without."""
+    start = time.perf_counter()
+    import numba  # noqa: F401
+    import scipy.spatial.transform  # noqa: F401
+
+    return {"seconds": time.perf_counter() - start}
 
 
 def _peak() -> float:
@@ -111,6 +123,7 @@ def main() -> None:
     measured = {
         "import": _import,
         "first": _first,
+        "libraries": _libraries,
         "memory": lambda: _memory(int(arguments[0])),
         "batch": lambda: _batch(arguments[0], int(arguments[1])),
     }

@@ -16,6 +16,7 @@ import spm_pin as spm
 @pytest.mark.parametrize("module", ["spm_pin", "spm_pin.cli.application"])
 def test_import_loads_no_heavy_package(module: str) -> None:
     heavy = ("pinocchio", "casadi", "numba", "llvmlite", "matplotlib", "trimesh", "yourdfpy", "mujoco", "xacro")
+    heavy += ("mpmath", "scipy.optimize", "scipy.stats")
     program = f"import sys, {module}; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import least_squares
+import scipy
 from scipy.special import gammainccinv
 
 from spm_pin.calibration.error_model import as_built, error_jacobian, invisible_errors, parameter_scale, selected
@@ -213,7 +213,9 @@ def _whitening(start: AsBuiltGeometry, data: Measurements, pose_noise: Any, leng
 
 def _solved(residuals: Any, jacobian: Any, first: FloatArray, loss: Any) -> FloatArray:
     tolerances: Any = dict.fromkeys(("xtol", "ftol", "gtol"), _CONVERGED)
-    result = least_squares(residuals, first, jac=jacobian, loss=loss, max_nfev=_EVALUATIONS, **tolerances)
+    result = scipy.optimize.least_squares(
+        residuals, first, jac=jacobian, loss=loss, max_nfev=_EVALUATIONS, **tolerances
+    )
     return np.asarray(result.x)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 from dataclasses import dataclass, replace
 
-from scipy.stats import binom
+import scipy
 
 __all__ = ["MethodScore", "PairDifference", "Quantity"]
 
@@ -83,7 +83,7 @@ class MethodScore:
     @property
     def misses_too_often(self) -> bool:
         """True if the misses are more than the stated rate makes likely."""
-        return self.missed > 0 and float(binom.sf(self.missed - 1, self.solved, self.allowed)) < UNLIKELY
+        return self.missed > 0 and float(scipy.stats.binom.sf(self.missed - 1, self.solved, self.allowed)) < UNLIKELY
 
     @property
     def faults(self) -> int:

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import brentq
+import scipy
 
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.closed_form.intervals import SQRT_3, Interval
@@ -149,7 +149,7 @@ def certify_inverse(
     values, witness = value(legs), None
     if values.min() <= 0.0 <= values.max():
         start, end = legs[values.argmin()], legs[values.argmax()]
-        share = brentq(lambda s: float(value(start + s * (end - start))), 0.0, 1.0, xtol=1e-15)
+        share = scipy.optimize.brentq(lambda s: float(value(start + s * (end - start))), 0.0, 1.0, xtol=1e-15)
         witness = forward_physical(geometry, start + share * (end - start))
     name = f"Leg lengths from {low.min():g} m to {high.max():g} m"
     least = float(np.abs(values).min())

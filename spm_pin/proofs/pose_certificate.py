@@ -15,7 +15,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 from scipy.spatial.transform import Rotation
 
 from spm_pin.closed_form.intervals import SQRT_3, Interval
@@ -109,7 +109,7 @@ def _search(
     def at(share: float) -> Any:
         return solve(turns[i] + share * (turns[j] - turns[i]), places[i] + share * (places[j] - places[i]))
 
-    fold = brentq(lambda share: float(at(share).discriminants[0]), 0.0, 1.0, xtol=1e-15)
+    fold = scipy.optimize.brentq(lambda share: float(at(share).discriminants[0]), 0.0, 1.0, xtol=1e-15)
     steps = (0.0, *10.0 ** np.arange(-16.0, -6.0))
     meeting = next(solutions for solutions in (at(fold + step) for step in steps) if solutions.exists[0])
     # Halfway between the two branches det K is zero.

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import linear_sum_assignment
+import scipy
 
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.closed_form.inverse_displacement import complex_middle_joints
@@ -143,7 +143,7 @@ def _count_real(roots: npt.NDArray[np.complex128]) -> int:
 def _order(first: npt.NDArray[np.complex128], second: npt.NDArray[np.complex128]) -> npt.NDArray[np.intp]:
     """Return for each solution of `first` (8, 3, 3) its place in `second`, one to one, nearest overall."""
     cost = np.abs(first[:, None] - second[None]).max(axis=(-1, -2))
-    return np.asarray(linear_sum_assignment(cost)[1])
+    return np.asarray(scipy.optimize.linear_sum_assignment(cost)[1])
 
 
 def _coordinates(

@@ -12,7 +12,7 @@ there is no such formula: a grid of turns, then BFGS from the best of them.
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import minimize
+import scipy
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.closed_form.family_forms import FamilyForms
@@ -49,11 +49,11 @@ def nearest_real_pose(
     squares = search.squares(starts)
     best: FloatArray = np.array(starts[int(squares.argmin())])
     if squares.min() > 0.0:
-        found = minimize(search.square, best, method="BFGS")
+        found = scipy.optimize.minimize(search.square, best, method="BFGS")
         best = found.x if found.fun <= squares.min() else best
         if search.tilt(best) < 3.0 * LEAST_TILT:
             # Where it ends at the least tilt there is a step, on which BFGS stops early.
-            best = minimize(search.square, best, method="Nelder-Mead", options={"maxfev": 400}).x
+            best = scipy.optimize.minimize(search.square, best, method="Nelder-Mead", options={"maxfev": 400}).x
     return search.pose(best)
 
 
