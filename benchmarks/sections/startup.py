@@ -61,7 +61,7 @@ def _first(section: Section, repeats: int, progress: Progress, facts: Facts) -> 
             facts["startup/all fresh"], facts["startup/all warm"] = both
     section.add(
         "First calls of a process, one after the other, with an empty and with a warm cache of compiled kernels. The "
-        "first row is the time from before `import spm_pin` to the first result; the others leave out what a pose imports. "
+        "first row is from before `import spm_pin` to the first result; the others leave out what a pose imports. "
         f"NumPy, SciPy's transforms and Numba alone take {spread_of_seconds(Spread.of(libraries))[0]} to import."
     )
     section.add(table(["first call of", "empty cache", "quartiles", "warm cache", "quartiles"], rows))
