@@ -13,19 +13,19 @@ from scipy.spatial.transform import RigidTransform
 from spm_pin.cli.console import fixed, note, print_lines, print_table, to_json
 from spm_pin.cli.options import (
     DECIMALS,
+    AnyGeometryFile,
     AsJson,
-    GeometryFile,
     LengthUnit,
     SixLegs,
     Unit,
-    read_geometry,
+    read_any_geometry,
     read_pose,
     unit_hint,
 )
 from spm_pin.cli.outputs import check_output, name_options, require_extra, write_text
 from spm_pin.display.figure_files import FORMATS, save_figure
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import LEGS, LegLimits
+from spm_pin.mechanism import LEGS, Geometry, LegLimits
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.proofs import certify
 from spm_pin.workspace import JointLimits
@@ -105,7 +105,7 @@ def move(
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="CSV of the legs to write.")] = None,
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Picture (.png, .svg, .pdf) to write.")] = None,
     unit: Unit = LengthUnit.M,
-    geometry: GeometryFile = None,
+    geometry: AnyGeometryFile = None,
     json: AsJson = False,
 ) -> None:
     """Plan the fastest motion from one state to another, at rest at both ends.
@@ -126,7 +126,7 @@ def move(
     check_output(plot, "--plot", FORMATS)
     if plot is not None:
         require_extra("plots")
-    dimensions = read_geometry(geometry)
+    dimensions = read_any_geometry(geometry)
     first, last = _place(start, start_pose, "--from", unit), _place(goal, goal_pose, "--to", unit)
     allowed = dimensions.limits
     if limits is not None:
@@ -142,7 +142,9 @@ def move(
     largest: dict[str, Any] = {
         f"leg_{name}s": _each_leg(text, f"--leg-{name}") for name, text in typed.items() if text is not None
     }
-    certificate = certify(dimensions, allowed) if allowed is not None else None
+    certificate = None
+    if allowed is not None and isinstance(dimensions, Geometry):
+        certificate = certify(dimensions, allowed)
     line = "poses" if straight else "legs"
     planned = plan(
         dimensions,

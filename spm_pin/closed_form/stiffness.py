@@ -83,7 +83,7 @@ def compliance(configuration: Configuration, legs: npt.ArrayLike, structure: npt
     SingularConfigurationError
         At a forward or a constraint singularity, where the legs do not hold the platform.
     """
-    check_configuration(configuration)
+    check_configuration(configuration, as_built=True)
     along = _inverses(legs, "legs", configuration)
     across = np.zeros(6) if structure is None else _inverses(structure, "structure", configuration)
     wrenches = StageWrenches.of(configuration)
@@ -140,7 +140,7 @@ def stiffness(configuration: Configuration, legs: npt.ArrayLike, structure: npt.
     """
     if structure is not None:
         return _inverse(compliance(configuration, legs, structure))
-    along = 1.0 / _inverses(legs, "legs", check_configuration(configuration))
+    along = 1.0 / _inverses(legs, "legs", check_configuration(configuration, as_built=True))
     jacobian = inverse_jacobian(configuration)
     return np.asarray(jacobian.swapaxes(-1, -2) @ (along[..., None] * jacobian))
 

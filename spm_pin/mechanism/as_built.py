@@ -6,6 +6,7 @@ Frames as in `geometry`: lower axes and pivots in {B}, upper ones in {m}, ball c
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from spm_pin.mechanism.arguments import FloatArray, file_path, generator, instan
 from spm_pin.mechanism.geometry import LARGEST, LEGS, SMALLEST, Geometry, LegLimits, geometry_data, geometry_of_node
 from spm_pin.mechanism.yaml_node import YamlNode
 
-__all__ = ["PARAMETERS", "AsBuiltGeometry", "all_balls", "any_geometry_from_yaml"]
+__all__ = ["PARAMETERS", "AsBuiltGeometry", "all_balls", "any_geometry_from_yaml", "check_geometry"]
 
 _KEYS = ("axis", "pivot", "ball", "offset")
 _COMPONENTS = ("direction_1", "direction_2", *(f"{p}_{x}" for p in ("pivot", "ball") for x in "xyz"), "offset")
@@ -131,10 +132,7 @@ class AsBuiltGeometry:
     @classmethod
     def from_nominal(cls, geometry: Geometry) -> AsBuiltGeometry:
         """Return the machine without errors."""
-        instance(geometry, Geometry, "geometry")
-        axes, corners = geometry.revolute_axes, geometry.middle_radius * geometry.radial_directions
-        pivots = np.concatenate([geometry.base_joints, geometry.platform_joints])
-        return cls(geometry, np.concatenate([axes, axes]), pivots, np.concatenate([corners, corners]), np.zeros(6))
+        return _without_errors(instance(geometry, Geometry, "geometry"))
 
     def perturbed(self, rng: Any = None, *, length: float = 1e-4, angle: float = 1e-4) -> AsBuiltGeometry:
         """Return a machine with independent normal errors added to all parameters.
@@ -270,6 +268,19 @@ def any_geometry_from_yaml(path: str | Path) -> Geometry | AsBuiltGeometry:
     """Read a YAML file of dimensions, or one that `AsBuiltGeometry.to_yaml` wrote, by its keys."""
     root = YamlNode.read(file_path(path, error=GeometryError), "a YAML mapping of dimensions", GeometryError)
     return AsBuiltGeometry.from_yaml(path) if {"nominal", "legs"} & root.keys else Geometry.from_yaml(path)
+
+
+@functools.lru_cache(maxsize=16)
+def _without_errors(geometry: Geometry) -> AsBuiltGeometry:
+    axes, corners = geometry.revolute_axes, geometry.middle_radius * geometry.radial_directions
+    pivots = np.concatenate([geometry.base_joints, geometry.platform_joints])
+    balls = np.concatenate([corners, corners])
+    return AsBuiltGeometry(geometry, np.concatenate([axes, axes]), pivots, balls, np.zeros(6))
+
+
+def check_geometry(value: Any, argument: str = "geometry") -> Geometry | AsBuiltGeometry:
+    """Return `value` if it is a `Geometry` or an `AsBuiltGeometry`, or raise `ArgumentError`."""
+    return value if isinstance(value, AsBuiltGeometry) else instance(value, Geometry, argument)
 
 
 def all_balls(geometry: AsBuiltGeometry, lower: FloatArray) -> FloatArray:

@@ -20,7 +20,7 @@ from spm_pin.mechanism.arguments import (
     real_array,
     type_and_value,
 )
-from spm_pin.mechanism.as_built import AsBuiltGeometry, all_balls
+from spm_pin.mechanism.as_built import AsBuiltGeometry, all_balls, check_geometry
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, unchecked_transform
 
@@ -59,8 +59,7 @@ class Configuration:
     absence = ""
 
     def __init__(self, geometry: Geometry, pose: PoseLike, middle_joints: npt.ArrayLike) -> None:
-        if not isinstance(geometry, AsBuiltGeometry):
-            instance(geometry, Geometry, "geometry")
+        check_geometry(geometry)
         transform = as_rigid_transform(pose)
         joints = real_array(
             middle_joints, "middle_joints", (3, 3), "rows b_1, b_2, b_3 in {B} in metres", allow_nan=True

@@ -80,7 +80,7 @@ def find_corners(
 
 def _grow(rules: PathRules, tree: _Tree, target: FloatArray) -> int | None:
     """Add a step towards `target` to a tree; return the new node, None if the step breaks a rule."""
-    reach = _REACH * rules.geometry.middle_side
+    reach = _REACH * rules.geometry.nominal.middle_side
     parent = tree.nearest(target)
     origin = tree.points[parent]
     distance = float(np.linalg.norm(target - origin))

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from spm_pin.closed_form.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
 from spm_pin.workspace.reachability.joint_limits import JointLimits
@@ -25,7 +26,7 @@ class PathRules:
 
     Parameters
     ----------
-    geometry : Geometry
+    geometry : Geometry or AsBuiltGeometry
         The machine; its own leg limits play no part.
     limits : LegLimits or None
         Of the leg lengths.
@@ -35,7 +36,7 @@ class PathRules:
         Least |det J_b| and |det J_c| over d³.
     """
 
-    geometry: Geometry
+    geometry: Geometry | AsBuiltGeometry
     limits: LegLimits | None
     joints: JointLimits
     margin: float
@@ -86,4 +87,4 @@ class PathRules:
 
 def least_determinant(states: Configuration) -> FloatArray:
     """Return the smaller of |det J_b| and |det J_c| over d³, shape (...)."""
-    return np.asarray(np.abs(determinants(states)[..., :2]).min(axis=-1) / states.geometry.middle_side**3)
+    return np.asarray(np.abs(determinants(states)[..., :2]).min(axis=-1) / states.geometry.nominal.middle_side**3)

@@ -29,6 +29,7 @@ from spm_pin.mechanism.arguments import (
     type_and_value,
     whole_number,
 )
+from spm_pin.mechanism.as_built import AsBuiltGeometry, check_geometry
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
@@ -52,7 +53,7 @@ class MotionPlan:
 
     Attributes
     ----------
-    geometry : Geometry
+    geometry : Geometry or AsBuiltGeometry
         The machine.
     path : LegPath, PlatformPath or None
         The path, over a parameter from 0 to 1 (a PlatformPath: in "seconds").
@@ -66,7 +67,7 @@ class MotionPlan:
         Least |det J_b| and |det J_c| over d³ along it; NaN without a path.
     """
 
-    geometry: Geometry
+    geometry: Geometry | AsBuiltGeometry
     path: Path | None
     method: str
     certified: bool
@@ -99,7 +100,7 @@ class MotionPlan:
 
 
 def plan(
-    geometry: Geometry,
+    geometry: Geometry | AsBuiltGeometry,
     start: Place,
     goal: Place,
     limits: LegLimits | None = None,
@@ -117,7 +118,7 @@ def plan(
 
     Parameters
     ----------
-    geometry : Geometry
+    geometry : Geometry or AsBuiltGeometry
         The manipulator.
     start, goal : Configuration, pose, or array_like of shape (6,)
         The states: a configuration in the physical mode, a pose of {m} in {B}, or leg lengths [m].
@@ -134,7 +135,7 @@ def plan(
         and no other, o on a line and the platform turning about one axis (with `via`, cubic splines through the poses).
         A line of poses does not pass inverse singularities, level poses for example; one of legs may.
     certificate : Certificate, optional
-        Of `spm_pin.certify`: a plan within it is marked as certified.
+        Of `spm_pin.certify`, for an ideal machine: a plan within it is marked as certified.
     tries : int
         Steps of the search for a way around, between any two states.
     rng : int, Generator or None
@@ -159,7 +160,7 @@ def plan(
     >>> spm.plan(spm.Geometry.paper(), [1.2, 1.2, 1.4, 1.25, 1.2, 1.5], [1.4, 1.2, 1.2, 1.2, 1.5, 1.25])
     <MotionPlan: straight in leg lengths, least determinant 1.15 d³>
     """
-    instance(geometry, Geometry, "geometry")
+    check_geometry(geometry)
     allowed = geometry.limits if limits is None else instance(limits, LegLimits, "limits")
     joints = JointLimits() if joint_limits is None else instance(joint_limits, JointLimits, "joint_limits")
     least = real_number(margin, "margin", "a number, not negative", least=0.0)
@@ -171,6 +172,9 @@ def plan(
         raise ArgumentError("progress", "a function of the share of the tries done", type_and_value(progress))
     if certificate is not None:
         instance(certificate, Certificate, "certificate")
+        if isinstance(geometry, AsBuiltGeometry):
+            expected = "none for a machine as built: it is a proof about the ideal machine"
+            raise ArgumentError("certificate", expected, "one")
         if certificate.geometry.dimensions != geometry.dimensions:
             raise ArgumentError("certificate", "a certificate of `geometry`", "one of other dimensions")
     if not isinstance(via, Sequence | np.ndarray) or isinstance(via, str | bytes):
@@ -181,7 +185,7 @@ def plan(
         if broken := rules.explain(state):
             raise ArgumentError(name, "a state that keeps the rules of the plan", broken)
     for k in range(len(states) - 1):
-        if np.linalg.norm(states[k + 1].leg_lengths - states[k].leg_lengths) <= 1e-12 * geometry.middle_side:
+        if np.linalg.norm(states[k + 1].leg_lengths - states[k].leg_lengths) <= 1e-12 * geometry.nominal.middle_side:
             raise ArgumentError(names[k + 1], f"another state than {names[k]}", "the same: a motion of no length")
     if line == "poses":
         return _along_poses(rules, states, certificate)
@@ -204,14 +208,14 @@ def plan(
     return _finished(*smooth, method, reason, certificate)
 
 
-def _state(geometry: Geometry, place: Place, name: str) -> Configuration:
+def _state(geometry: Geometry | AsBuiltGeometry, place: Place, name: str) -> Configuration:
     """Return the physical state of a configuration, a pose or leg lengths."""
     if isinstance(place, Configuration):
-        check_configuration(place, name, single=True, existing=True)
+        check_configuration(place, name, single=True, existing=True, as_built=True)
         require_dimensions(place.geometry, geometry, name, "`geometry`")
         physical = forward_physical(geometry, place.leg_lengths)
         apart = np.abs(physical.middle_joints - place.middle_joints).max() if physical.exists else np.inf
-        if not apart <= 1e-6 * geometry.middle_side:
+        if not apart <= 1e-6 * geometry.nominal.middle_side:
             cause = "Another branch or assembly mode: .physical() chooses the one a machine is in"
             raise ArgumentError(name, "a configuration in the physical mode", "one in another mode", cause)
         return physical
@@ -255,7 +259,7 @@ def _along_poses(rules: PathRules, states: list[Configuration], certificate: Cer
     return _no_plan(geometry, reason) if reason else _finished(path, along, "straight in poses", "", certificate)
 
 
-def _no_plan(geometry: Geometry, reason: str) -> MotionPlan:
+def _no_plan(geometry: Geometry | AsBuiltGeometry, reason: str) -> MotionPlan:
     return MotionPlan(geometry, None, "none", False, reason, float("nan"))
 
 

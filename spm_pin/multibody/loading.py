@@ -20,8 +20,8 @@ from spm_pin.description.urdf_elements import check_inertials
 from spm_pin.description.write_urdf import urdf_text
 from spm_pin.description.xml_nodes import check_prefix
 from spm_pin.errors import DescriptionError, GeometryError
-from spm_pin.mechanism.arguments import FloatArray, file_path, instance
-from spm_pin.mechanism.as_built import AsBuiltGeometry
+from spm_pin.mechanism.arguments import FloatArray, file_path
+from spm_pin.mechanism.as_built import AsBuiltGeometry, check_geometry
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.mechanism.leg_frames import home_lengths
 from spm_pin.multibody.joint_layout import AGREEMENT, require_dimensions
@@ -54,8 +54,8 @@ def read_description(
     or none if these do not give the tree's home.
     """
     check_prefix(prefix)
-    if geometry is not None and not isinstance(geometry, AsBuiltGeometry):
-        instance(geometry, Geometry, "geometry")
+    if geometry is not None:
+        check_geometry(geometry)
     if path is not None:
         return _read_file(file_path(path), geometry, prefix)
     paper = Geometry.paper()

@@ -14,6 +14,8 @@ PAPER = spm.Geometry.paper()
 LENGTHS = np.array([1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
 LEGS = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]) * 1e7
 STATE = spm.forward_physical(PAPER, LENGTHS)
+MACHINE = spm.AsBuiltGeometry.from_nominal(PAPER).perturbed(2, length=0.01, angle=0.02)
+STATES = {"ideal": STATE, "as built": spm.forward_physical(MACHINE, LENGTHS)}
 
 
 def displacement(before: spm.Configuration, after: spm.Configuration) -> np.ndarray:
@@ -22,17 +24,31 @@ def displacement(before: spm.Configuration, after: spm.Configuration) -> np.ndar
 
 
 @pytest.mark.parametrize("column", range(6))
-def test_compliance_is_the_displacement_under_load(column: int) -> None:
+@pytest.mark.parametrize("name", STATES)
+def test_compliance_is_the_displacement_under_load(name: str, column: int) -> None:
     """Legs are shortened by their force over their stiffness; the pose follows from the new lengths."""
-    wrench = np.eye(6)[column]
+    wrench, state = np.eye(6)[column], STATES[name]
 
     def moved(load: np.ndarray) -> np.ndarray:
-        shortened = LENGTHS - spm.leg_forces(STATE, load) / LEGS
-        return displacement(STATE, spm.forward_physical(PAPER, shortened, seed=STATE))
+        shortened = LENGTHS - spm.leg_forces(state, load) / LEGS
+        return displacement(state, spm.forward_physical(state.geometry, shortened, seed=state))
 
     found = (moved(20.0 * wrench) - moved(-20.0 * wrench)) / 40.0
-    expected = compliance(STATE, LEGS)[:, column]
+    expected = compliance(state, LEGS)[:, column]
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("name", STATES)
+def test_compliance_is_the_error_of_changed_lengths_and_of_pivots_moved_along_their_axes(name: str) -> None:
+    state, structure = STATES[name], LEGS[::-1] / 3.0
+    geometry = state.geometry if name == "as built" else spm.AsBuiltGeometry.from_nominal(PAPER)
+    errors = spm.calibration.error_jacobian(state).reshape(6, 6, 9)
+    along = errors[..., 8]
+    across = (errors[..., 2:5] * geometry.axes).sum(axis=-1)
+    expected = (along / LEGS) @ along.T + (across / structure) @ across.T
+    found = compliance(state, LEGS, structure)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+    np.testing.assert_allclose(spm.stiffness(state, LEGS, structure) @ found, np.eye(6), atol=1e-9)
 
 
 def test_a_soft_structure_lets_the_balls_leave_the_planes_of_their_legs() -> None:

@@ -48,6 +48,40 @@ def test_the_turns_of_a_leg_s_joints_lead_from_its_platform_to_the_middle_one(na
         assert frame @ turns.as_matrix() @ frame.T == pytest.approx(platforms[:, stage], abs=1e-13)
 
 
+@pytest.mark.parametrize("size", [0.0, 1e-3, 5e-2])
+def test_the_turns_of_a_machine_as_built_are_about_its_own_axes(size: float) -> None:
+    exact = spm.AsBuiltGeometry.from_nominal(PAPER)
+    built = exact.perturbed(1, length=size * PAPER.middle_side, angle=size) if size else exact
+    states = spm.forward_physical(built, np.random.default_rng(2).uniform(1.2, 1.4, (12, 6)))
+    states = states[states.exists]
+    angles = joint_angles(states)
+    leans, homes = np.array(home_leans(PAPER)), np.repeat(home_lengths(PAPER), 3)
+    middle, terminal = states.middle_pose, states.rotation
+    for leg in range(6):
+        corner = corner_frames()[leg % 3]
+        x = built.axes[leg]
+        y = np.cross([0.0, 0.0, 1.0], x) / np.linalg.norm(np.cross([0.0, 0.0, 1.0], x))
+        frame = np.stack([x, y, np.cross(x, y)], axis=-1)
+        ball = states.balls[:, leg]
+        turned = middle.rotation.as_matrix()
+        if leg >= 3:
+            ball = ((ball - states.translation)[:, None] @ terminal)[:, 0]
+            turned = np.swapaxes(terminal, -1, -2) @ turned
+        hip = Rotation.from_euler("x", angles.hip[:, leg, None])
+        length = angles.slide[:, leg] + homes[leg]
+        direction = hip.apply([0.0, -np.sin(leans[leg]), np.cos(leans[leg])])
+        assert (ball - built.pivots[leg]) @ frame == pytest.approx(length[:, None] * direction, abs=1e-13)
+        x, y, z = (getattr(angles, f"ball_{axis}")[:, leg] for axis in "xyz")
+        turns = hip * Rotation.from_euler("XYZ", np.stack([x, y, z], axis=-1))
+        if leg >= 3:
+            turns = hip * Rotation.from_euler("ZYX", np.stack([z, y, x], axis=-1)).inv()
+        assert frame @ turns.as_matrix() @ corner.T == pytest.approx(turned, abs=1e-13)
+    torn = spm.Configuration(built, states.pose, states.middle_joints + 1e-3 * np.sin(np.arange(9.0)).reshape(3, 3))
+    assert joint_angles(torn).closure_residual == pytest.approx(torn.closure_residual, rel=1e-12)
+    for k in range(3):
+        np.testing.assert_array_equal(joint_angles(states[k]).values, angles.values[k])
+
+
 @pytest.mark.parametrize("shape", [(), (1,), (3, 1, 2), (0,)], ids=str)
 def test_a_member_has_the_same_bits_in_any_batch(shape: tuple[int, ...]) -> None:
     states = random_branches(PAPER, "TF", 5000, 2).configuration

@@ -23,7 +23,7 @@ def check(found: MotionPlan, limits: spm.LegLimits, start: object, goal: object,
     signs = np.sign(spm.determinants(states)[:, :2])
     assert (signs == signs[0]).all()
     moves = np.abs(np.diff(states.middle_joints, axis=0)).max()
-    assert moves < 0.1 * found.geometry.middle_side
+    assert moves < 0.1 * found.geometry.nominal.middle_side
 
 
 def test_a_straight_line_is_taken_where_it_is_safe() -> None:
@@ -34,6 +34,30 @@ def test_a_straight_line_is_taken_where_it_is_safe() -> None:
     assert found.reason == ""
     assert not found.certified
     check(found, spm.LegLimits(1.1, 1.5), START, GOAL)
+
+
+def test_a_machine_as_built_is_planned_for_by_its_readings() -> None:
+    exact = spm.AsBuiltGeometry.from_nominal(PAPER)
+    machine = exact.perturbed(1, length=5e-3, angle=5e-3)
+    limits = JointLimits(hip=(-1.2, 1.2), clearance=0.05)
+    for line, goal in (("legs", GOAL), ("poses", [1.22, 1.22, 1.42, 1.3, 1.2, 1.45])):
+        found = spm.plan(machine, START, goal, joint_limits=limits, line=line)
+        check(found, spm.LegLimits(1.1, 1.5), START, goal)
+        states = found.configurations(50)
+        assert states.geometry == machine
+        assert (limits.angle_margin(states) > 0.0).all()
+        assert (leg_clearance(states) > 0.05).all()
+    wide, apart = spm.LegLimits(0.7, 1.9), JointLimits(clearance=0.415)
+    around = spm.plan(exact.perturbed(1, length=1e-4, angle=1e-4), *NARROW, wide, joint_limits=apart, margin=0.0)
+    assert around.method == "around"
+    check(around, wide, *NARROW)
+    assert (apart.clearance_margin(around.configurations(1000)) > -1e-4).all()
+    certificate = spm.certify(PAPER, spm.LegLimits(1.1, 1.5))
+    with pytest.raises(spm.ArgumentError, match="certificate: expected none for a machine as built"):
+        spm.plan(machine, START, GOAL, certificate=certificate)
+    state = spm.forward_physical(PAPER, START)
+    with pytest.raises(spm.GeometryError, match="start: expected the axes of `geometry`, a machine as built"):
+        spm.plan(machine, state, GOAL)
 
 
 def test_a_plan_within_a_certificate_is_certified() -> None:

@@ -113,6 +113,9 @@ def test_without_errors_the_numbers_are_those_of_the_ideal_chain() -> None:
     again = robot.inverse_dynamics(q, v, a, wrench)
     np.testing.assert_allclose(again, np.broadcast_to(f, again.shape), atol=1e-9 * scale)
     np.testing.assert_allclose(robot.energy(q, v).total, ideal.energy(q, v).total, rtol=1e-12)
+    stiffness = spm.stiffness(state, 1e7)
+    frequencies = [each.natural_frequencies(q, stiffness).frequencies for each in (robot, ideal)]
+    np.testing.assert_allclose(frequencies[0], frequencies[1], rtol=1e-9)
     values, expected = robot.singular_values(q), ideal.singular_values(q)
     np.testing.assert_allclose(np.array(values), np.array(expected), rtol=1e-9, atol=1e-13)
 
@@ -241,6 +244,21 @@ def test_dynamics_there_and_back(name: str) -> None:
         rest = robot.inverse_jacobian(q).T @ f + wrench - dynamics.coriolis @ twist - dynamics.gravity
         scale = np.abs(dynamics.mass @ wanted).max() + np.abs(dynamics.gravity).max() + np.abs(dynamics.bias).max()
         assert np.abs(dynamics.mass @ wanted - rest).max() <= 1e-10 * scale / (values.inverse * values.forward)
+
+
+def test_all_joints_of_a_platform_path() -> None:
+    robot = built("paper", 1e-2)
+    ends = spm.forward_physical(robot.geometry, [[1.2, 1.2, 1.4, 1.25, 1.2, 1.45], [1.22, 1.22, 1.42, 1.3, 1.2, 1.4]])
+    path, times = spm.PlatformPath([0.0, 1.0], ends.pose), np.linspace(0.0, 1.0, 6)
+    start = robot.joint_values(ends[0])
+    motion, wanted = robot.joint_trajectory(path, times, start), path(times)
+    found = robot.configuration(motion.positions)
+    np.testing.assert_allclose(found.pose.as_matrix(), wanted.pose.as_matrix(), atol=1e-13)
+    np.testing.assert_allclose(robot.leg_lengths(motion.positions[[0, -1]]), ends.leg_lengths, atol=1e-11)
+    rates = (robot.inverse_jacobian(motion.positions) @ wanted.twist[..., None])[..., 0]
+    np.testing.assert_allclose(motion.velocities[:, robot.leg_indices], rates, rtol=1e-9, atol=1e-12)
+    forces = robot.inverse_dynamics(motion.positions, motion.velocities, motion.accelerations)
+    np.testing.assert_allclose(motion.efforts[:, robot.leg_indices], forces, rtol=1e-9)
 
 
 @pytest.mark.parametrize("size", [1e-3, 5e-2])

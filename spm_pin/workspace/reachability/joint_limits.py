@@ -69,7 +69,7 @@ class JointLimits:
 
         Negative outside, infinite without limits, NaN where a state does not exist.
         """
-        margin = np.full(check_configuration(configuration).shape, np.inf)
+        margin = np.full(check_configuration(configuration, as_built=True).shape, np.inf)
         if any(getattr(self, name) is not None for name in _ANGLES):
             angles = joint_angles(configuration)
             for name in _ANGLES:
@@ -81,7 +81,7 @@ class JointLimits:
     def clearance_margin(self, configuration: Configuration) -> FloatArray:
         """Return by how much the nearest legs are farther apart than they must, shape (...) [m]; as `angle_margin`."""
         if self.clearance is None:
-            return np.where(check_configuration(configuration).exists, np.inf, np.nan)
+            return np.where(check_configuration(configuration, as_built=True).exists, np.inf, np.nan)
         return leg_clearance(configuration) - self.clearance
 
 
@@ -89,11 +89,10 @@ def leg_clearance(configuration: Configuration) -> FloatArray:
     """Return the least distance of the axes of two legs that have no joint in common, shape (...) [m].
 
     An axis is the segment from the revolute joint to the ball joint's centre. Of the fifteen pairs of legs, the three
-    that meet in a ball joint are left out. NaN where a state does not exist.
+    that meet at a corner of the middle platform are left out. NaN where a state does not exist.
     """
-    b = check_configuration(configuration).middle_joints
-    feet = np.broadcast_to(configuration.geometry.base_joints, b.shape)
-    starts = np.concatenate([feet, b], axis=-2)
+    check_configuration(configuration, as_built=True)
+    starts = np.concatenate([configuration.hips[..., :3, :], configuration.balls[..., 3:, :]], axis=-2)
     along = configuration.leg_vectors
     i, j = _PAIRS.T
     squares = _segment_distance2(starts[..., i, :], along[..., i, :], starts[..., j, :], along[..., j, :])
