@@ -159,6 +159,7 @@ def test_nominal_dimensions_are_not_read_from_an_imperfect_machine() -> None:
     [
         lambda built: spm.forward_displacement(built, np.full(6, 1.3)),
         spm.largest_certified_limits,
+        lambda built: spm.workspace.sample_reachable(built, 10),
     ],
 )
 def test_functions_for_the_ideal_machine_refuse_an_imperfect_one(call: Callable[[object], object]) -> None:
