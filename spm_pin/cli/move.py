@@ -25,7 +25,7 @@ from spm_pin.cli.options import (
 from spm_pin.cli.outputs import check_output, name_options, require_extra, write_text
 from spm_pin.display.figure_files import FORMATS, save_figure
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import LEGS, Geometry, LegLimits
+from spm_pin.mechanism import LEGS, LegLimits
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.proofs import certify
 from spm_pin.workspace import JointLimits
@@ -142,9 +142,7 @@ def move(
     largest: dict[str, Any] = {
         f"leg_{name}s": _each_leg(text, f"--leg-{name}") for name, text in typed.items() if text is not None
     }
-    certificate = None
-    if allowed is not None and isinstance(dimensions, Geometry):
-        certificate = certify(dimensions, allowed)
+    certificate = certify(dimensions, allowed) if allowed is not None else None
     line = "poses" if straight else "legs"
     planned = plan(
         dimensions,

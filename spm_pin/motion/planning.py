@@ -135,7 +135,7 @@ def plan(
         and no other, o on a line and the platform turning about one axis (with `via`, cubic splines through the poses).
         A line of poses does not pass inverse singularities, level poses for example; one of legs may.
     certificate : Certificate, optional
-        Of `spm_pin.certify`, for an ideal machine: a plan within it is marked as certified.
+        Of `spm_pin.certify`: a plan within it is marked as certified.
     tries : int
         Steps of the search for a way around, between any two states.
     rng : int, Generator or None
@@ -172,11 +172,9 @@ def plan(
         raise ArgumentError("progress", "a function of the share of the tries done", type_and_value(progress))
     if certificate is not None:
         instance(certificate, Certificate, "certificate")
-        if isinstance(geometry, AsBuiltGeometry):
-            expected = "none for a machine as built: it is a proof about the ideal machine"
-            raise ArgumentError("certificate", expected, "one")
-        if certificate.geometry.dimensions != geometry.dimensions:
-            raise ArgumentError("certificate", "a certificate of `geometry`", "one of other dimensions")
+        if not certificate.concerns(geometry):
+            cause = "certify takes the machine as built itself" if isinstance(geometry, AsBuiltGeometry) else ""
+            raise ArgumentError("certificate", "a certificate of `geometry`", "one of other dimensions", cause)
     if not isinstance(via, Sequence | np.ndarray) or isinstance(via, str | bytes):
         raise ArgumentError("via", "a sequence of states to pass", type_and_value(via))
     names = ["start", *(f"via[{k}]" for k in range(len(via))), "goal"]

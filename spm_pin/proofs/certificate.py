@@ -10,7 +10,7 @@ import numpy.typing as npt
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.mechanism.arguments import FloatArray, instance, real_array, real_number, whole_number
-from spm_pin.mechanism.as_built import AsBuiltGeometry
+from spm_pin.mechanism.as_built import AsBuiltGeometry, check_geometry
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.mechanism.stage_states import configuration_of_stages, stage_states
@@ -72,6 +72,11 @@ class Certificate:
         """
         return self.lower.undecided, self.upper.undecided
 
+    def concerns(self, geometry: Geometry | AsBuiltGeometry) -> bool:
+        """Return whether a machine, its limits aside, is one of those it was proved for, or looked for."""
+        errors, most = _deviation(check_geometry(geometry), self.geometry), _widened(self.geometry, self.errors)
+        return errors[0] <= most[0] and errors[1] <= most[1]
+
     def covers(self, configuration: Configuration) -> npt.NDArray[np.bool_]:
         """Return which configurations (...) are proved to be the only one of their leg lengths, shape (...).
 
@@ -83,8 +88,7 @@ class Certificate:
             If they are not states of the certificate's geometry, nor of a machine within its errors.
         """
         check_configuration(configuration, as_built=True)
-        errors, most = _deviation(configuration.geometry, self.geometry), _widened(self.geometry, self.errors)
-        if errors[0] > most[0] or errors[1] > most[1]:
+        if not self.concerns(configuration.geometry):
             raise ArgumentError("configuration", "a state of the certificate's geometry", "one of another")
         inside = self.limits.contains(configuration.leg_lengths)
         if not self.holds:
@@ -175,7 +179,7 @@ def certify(
     .. [1] J.-P. Merlet, "Interval Analysis for Certified Numerical Solution of Problems in Robotics", International
        Journal of Applied Mathematics and Computer Science 19 (2009).
     """
-    nominal = geometry.nominal if isinstance(geometry, AsBuiltGeometry) else instance(geometry, Geometry, "geometry")
+    nominal = check_geometry(geometry).nominal
     limits = nominal.limits if limits is None else instance(limits, LegLimits, "limits")
     whole_number(boxes, "boxes", least=1)
     most = 0.25 * min(nominal.dimensions)

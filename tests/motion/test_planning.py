@@ -48,12 +48,15 @@ def test_a_machine_as_built_is_planned_for_by_its_readings() -> None:
         assert (limits.angle_margin(states) > 0.0).all()
         assert (leg_clearance(states) > 0.05).all()
     wide, apart = spm.LegLimits(0.7, 1.9), JointLimits(clearance=0.415)
-    around = spm.plan(exact.perturbed(1, length=1e-4, angle=1e-4), *NARROW, wide, joint_limits=apart, margin=0.0)
+    near = exact.perturbed(1, length=1e-4, angle=1e-4)
+    around = spm.plan(near, *NARROW, wide, joint_limits=apart, margin=0.0)
     assert around.method == "around"
     check(around, wide, *NARROW)
     assert (apart.clearance_margin(around.configurations(1000)) > -1e-4).all()
-    certificate = spm.certify(PAPER, spm.LegLimits(1.1, 1.5))
-    with pytest.raises(spm.ArgumentError, match="certificate: expected none for a machine as built"):
+    certificate = spm.certify(PAPER, spm.LegLimits(1.1, 1.5), length_error=3e-4, angle_error=3e-4)
+    assert spm.plan(near, START, GOAL, certificate=certificate).certified
+    assert spm.plan(near, START, GOAL, certificate=spm.certify(near)).certified
+    with pytest.raises(spm.ArgumentError, match="certificate: expected a certificate of `geometry`, got one of other"):
         spm.plan(machine, START, GOAL, certificate=certificate)
     state = spm.forward_physical(PAPER, START)
     with pytest.raises(spm.GeometryError, match="start: expected the axes of `geometry`, a machine as built"):
