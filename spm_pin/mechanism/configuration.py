@@ -111,7 +111,10 @@ class Configuration:
         return self
 
     def transformed(self, change: Callable[[FloatArray, int], FloatArray]) -> Configuration:
-        """Return the configuration of what `change` makes of each array, given with the number of its inner axes."""
+        """Return the configuration of what `change` makes of each array, given with the number of its inner axes.
+
+        For solvers, without checks.
+        """
         lengths = self.known_lengths
         return Configuration.from_arrays(
             self._geometry,

@@ -239,7 +239,10 @@ class SolutionSet:
         return html_table(self)
 
     def pick(self, index: npt.NDArray[np.intp], exists: BoolArray) -> Configuration:
-        """Return the solution of each problem at `index` (...); NaN, the pose too, where `exists` (...) is False."""
+        """Return the solution of each problem at `index` (...); NaN, the pose too, where `exists` (...) is False.
+
+        For solvers, without checks.
+        """
         everywhere = bool(exists.all())
         # For a single problem a slice, so that nothing shares memory with the others.
         at = (*np.indices(index.shape, sparse=True), index) if self.shape else (slice(index, index + 1),)
