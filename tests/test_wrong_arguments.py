@@ -189,6 +189,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "Geometry.middle_side": lambda: 0.8,
     "Geometry.from_yaml.path": lambda: Path(__file__).parents[1] / "urdf" / "config" / "geometry.yaml",
     "PlatformPath.poses": lambda: PATH,
+    "principal_stiffness.compliance": lambda: np.eye(6),
     "SolutionSet.nearest.seed": lambda: STATE,
     "SolutionSet.physical.seed": lambda: STATE,
     "SolutionSet.from_unordered.middle_joints": lambda: STATE.middle_joints[None],
