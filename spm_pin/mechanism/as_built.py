@@ -20,7 +20,14 @@ from spm_pin.mechanism.arguments import FloatArray, file_path, generator, instan
 from spm_pin.mechanism.geometry import LARGEST, LEGS, SMALLEST, Geometry, LegLimits, geometry_data, geometry_of_node
 from spm_pin.mechanism.yaml_node import YamlNode
 
-__all__ = ["PARAMETERS", "AsBuiltGeometry", "all_balls", "any_geometry_from_yaml", "check_geometry"]
+__all__ = [
+    "PARAMETERS",
+    "AsBuiltGeometry",
+    "all_balls",
+    "any_geometry_from_yaml",
+    "check_geometry",
+    "upper_ball_weights",
+]
 
 _KEYS = ("axis", "pivot", "ball", "offset")
 _COMPONENTS = ("direction_1", "direction_2", *(f"{p}_{x}" for p in ("pivot", "ball") for x in "xyz"), "offset")
@@ -283,12 +290,17 @@ def check_geometry(value: Any, argument: str = "geometry") -> Geometry | AsBuilt
     return value if isinstance(value, AsBuiltGeometry) else instance(value, Geometry, argument)
 
 
-def all_balls(geometry: AsBuiltGeometry, lower: FloatArray) -> FloatArray:
-    """Return the centres of all six balls (..., 6, 3) in {B} [m], from those of the lower legs (..., 3, 3)."""
+def upper_ball_weights(geometry: AsBuiltGeometry) -> FloatArray:
+    """Return how far the upper balls are from b_1, in b_2 - b_1, b_3 - b_1 and their cross product, as rows (3, 3)."""
     balls = geometry.balls
     corner, first, second = balls[0], balls[1] - balls[0], balls[2] - balls[0]
     basis = np.stack([first, second, np.cross(first, second)], axis=-1)
-    weights = np.linalg.solve(basis, (balls[3:] - corner).T).T
+    return np.asarray(np.linalg.solve(basis, (balls[3:] - corner).T).T)
+
+
+def all_balls(geometry: AsBuiltGeometry, lower: FloatArray) -> FloatArray:
+    """Return the centres of all six balls (..., 6, 3) in {B} [m], from those of the lower legs (..., 3, 3)."""
+    weights = upper_ball_weights(geometry)
     sides = lower[..., 1, :] - lower[..., 0, :], lower[..., 2, :] - lower[..., 0, :]
     moved = np.stack([*sides, np.cross(*sides)], axis=-2)
     return np.concatenate([lower, lower[..., :1, :] + weights @ moved], axis=-2)

@@ -20,7 +20,7 @@ import numpy as np
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, type_and_value, whole_number
-from spm_pin.mechanism.as_built import AsBuiltGeometry
+from spm_pin.mechanism.as_built import AsBuiltGeometry, upper_ball_weights
 from spm_pin.mechanism.configuration import Configuration, check_configuration, triangle_sides
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_frames import LegFrame, Vector, dot, leg_frames
@@ -104,11 +104,9 @@ def joint_angles(configuration: Configuration, corners: tuple[int, ...] = (0, 1,
     shape, count = configuration.shape, 12 + 6 * len(corners)
     constants = _constants(configuration.geometry)
     state = [configuration.rotation, configuration.translation, configuration.middle_joints]
-    if isinstance(configuration.geometry, AsBuiltGeometry):
-        state.append(configuration.balls[..., 3:, :])
     if not shape:
         return _single(state, constants, corners)
-    arrays = [a.reshape(-1, n) for a, n in zip(state, (9, 3, 9, 9), strict=False)]
+    arrays = [a.reshape(-1, n) for a, n in zip(state, (9, 3, 9), strict=True)]
     size = len(arrays[0])
     found, residual = np.empty((size, count)), np.empty(size)
     rows = np.empty((count, min(size, _BLOCK)))
@@ -127,16 +125,20 @@ def joint_angles(configuration: Configuration, corners: tuple[int, ...] = (0, 1,
     return JointAngles(found.reshape(*shape, count), residual.reshape(shape))
 
 
-Constants = tuple[tuple[LegFrame, ...], tuple[float, ...]]
+Constants = tuple[tuple[LegFrame, ...], tuple[float, ...], list[list[float]]]
 Pair = tuple[Any, Any]
 
 
 @functools.lru_cache(maxsize=16)
 def _constants(geometry: Geometry | AsBuiltGeometry) -> Constants:
-    """Return the constants of the six legs, and the sides b_1 b_2, b_2 b_3 and b_3 b_1 of the middle platform."""
+    """Return the constants of the six legs, and of the middle platform.
+
+    These are its sides b_1 b_2, b_2 b_3 and b_3 b_1 and, where the upper legs' balls differ, `upper_ball_weights`.
+    """
     if isinstance(geometry, AsBuiltGeometry):
-        return leg_frames(geometry), tuple(triangle_sides(geometry.balls[:3]).tolist())
-    return leg_frames(geometry), (float(geometry.middle_side),) * 3
+        sides = triangle_sides(geometry.balls[:3])
+        return leg_frames(geometry), tuple(sides.tolist()), upper_ball_weights(geometry).tolist()
+    return leg_frames(geometry), (float(geometry.middle_side),) * 3, []
 
 
 def _single(state: list[FloatArray], constants: Constants, corners: tuple[int, ...]) -> JointAngles:
@@ -153,13 +155,14 @@ def _values(
 ) -> tuple[list[Pair], list[Any], list[Any]]:
     """Return joint angles as multiples of (sine, cosine), slides, and closure errors: of numbers, or of arrays (n,).
 
-    The angles are the six hips', then the balls' x, y and z. `state` has the components of R, o, the rows b_i and,
-    where they differ from these, of the upper legs' balls; `sqrt` is the root of their kind.
+    The angles are the six hips', then the balls' x, y and z. `state` has the components of R, o and the rows b_i;
+    `sqrt` is the root of their kind.
     """
-    legs, lengths_of_sides = constants
-    r, o, b = state[:3]
+    legs, lengths_of_sides, weights = constants
+    r, o, b = state
     rows = [b[0:3], b[3:6], b[6:9]]
-    upper = [state[3][k : k + 3] for k in (0, 3, 6)] if len(state) > 3 else rows
+    edges = _minus(rows[0], rows[1]), _minus(rows[1], rows[2]), _minus(rows[2], rows[0])
+    upper = _upper_balls(rows[0], edges, weights) if weights else rows
     balls = [*rows, *[_turned_back(r, _minus(p, o)) for p in upper]]
     hips: list[Pair] = []
     lengths, slides, errors = [], [], []
@@ -174,7 +177,6 @@ def _values(
         errors.append(abs(along))
 
     # The triangle's axes, as in `Configuration.middle_pose`; then seen from {m}.
-    edges = _minus(rows[0], rows[1]), _minus(rows[1], rows[2]), _minus(rows[2], rows[0])
     sides = [sqrt(dot(edge, edge)) for edge in edges]
     errors.extend([abs(length - side) for length, side in zip(sides, lengths_of_sides, strict=True)])
     x = _scaled(edges[2], -sides[2])
@@ -201,6 +203,14 @@ def _minus(a: Sequence[Any], b: Sequence[Any]) -> Vector:
 
 def _scaled(v: Sequence[Any], divisor: Any) -> Vector:
     return v[0] / divisor, v[1] / divisor, v[2] / divisor
+
+
+def _upper_balls(corner: Sequence[Any], edges: Sequence[Sequence[Any]], weights: list[list[float]]) -> list[list[Any]]:
+    """Return the upper legs' balls, from b_1 and the edges b_2 b_1, b_3 b_2, b_1 b_3."""
+    # b_2 - b_1 negated, and b_3 - b_1.
+    p, q = edges[0], edges[2]
+    across = p[2] * q[1] - p[1] * q[2], p[0] * q[2] - p[2] * q[0], p[1] * q[0] - p[0] * q[1]
+    return [[corner[k] - u * p[k] + v * q[k] + w * across[k] for k in range(3)] for u, v, w in weights]
 
 
 def _turned_back(r: Sequence[Any], v: Sequence[Any]) -> Vector:
