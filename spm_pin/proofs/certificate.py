@@ -288,9 +288,9 @@ def stage_regions(geometry: Geometry, limits: LegLimits, errors: tuple[float, fl
 
 
 def _widened(geometry: Geometry, errors: tuple[float, float]) -> tuple[float, float]:
-    """Return errors that a machine on their edge does not exceed by rounding; 0 for 0."""
+    """Return errors that a machine on their edge does not exceed by rounding; none for none."""
     length, angle = errors
-    return length and length + _ROUNDING * sum(geometry.dimensions), angle and angle + _ROUNDING
+    return (length + _ROUNDING * sum(geometry.dimensions), angle + _ROUNDING) if any(errors) else errors
 
 
 def _deviation(machine: Geometry | AsBuiltGeometry, nominal: Geometry) -> tuple[float, float]:

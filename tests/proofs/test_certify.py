@@ -18,6 +18,7 @@ from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.stage_states import configuration_of_stages, stage_states
 from spm_pin.proofs.stage_proof import StageProof
 from spm_pin.proofs.stage_region import StageRegion
+from spm_pin.proofs.unique_state import has_one_state
 
 PAPER = spm.Geometry.paper()
 LIMITS = spm.LegLimits(1.1, 1.5)
@@ -305,3 +306,18 @@ def test_states_of_another_machine_are_refused(certificate: spm.Certificate) -> 
     other = spm.forward_physical(spm.Geometry(0.6, 0.4, 0.8), np.full(6, 1.3))
     with pytest.raises(spm.ArgumentError, match="configuration"):
         certificate.covers(other)
+
+
+def test_a_second_state_with_the_same_lengths_is_found_among_the_boxes() -> None:
+    lengths = np.array([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
+    modes = spm.forward_displacement(PAPER, lengths)
+    states = stage_states(modes.configurations[modes.exists])[:, 0]
+    states = states[np.isfinite(states).all(axis=-1)]
+    states = states[states[:, 2] > 0.0]
+    region = StageRegion(PAPER.base_radius, PAPER.middle_side, lengths[:3], lengths[:3])
+    distinct = np.unique(states.round(9), axis=0)
+    assert len(distinct) >= 2
+    boxes = np.stack([distinct - 0.01, distinct + 0.01], axis=-1)
+    assert all(has_one_state(region, box[None]) for box in boxes)
+    assert not has_one_state(region, boxes)
+    assert not has_one_state(region, boxes[:1] + 0.05)

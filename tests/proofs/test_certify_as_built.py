@@ -124,6 +124,15 @@ def test_machines_beyond_the_errors_are_refused(certificate: spm.Certificate) ->
     assert certificate.covers(spm.forward_physical(IDEAL.from_parameters(parameters), np.full(6, 1.3)))
 
 
+@pytest.mark.parametrize("errors", [(1e-4, 0.0), (0.0, 1e-4)])
+def test_errors_of_one_kind_cover_machines_with_errors_of_this_kind(errors: tuple[float, float]) -> None:
+    limits, length, angle = spm.LegLimits(1.25, 1.35), *errors
+    found = spm.certify(PAPER, limits, length_error=length, angle_error=angle)
+    rng = np.random.default_rng(6)
+    for _ in range(5):
+        assert found.covers(spm.forward_physical(machine_within(length, angle, rng), np.full(6, 1.3)))
+
+
 def test_other_dimensions_are_errors_of_pivots_and_balls(certificate: spm.Certificate) -> None:
     sizes = np.array(PAPER.dimensions)
     for signs in ([1, 1, 1], [-1, 1, -1]):
