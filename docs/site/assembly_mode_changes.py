@@ -6,6 +6,7 @@ quaternion and its height in units of r. Mode F is mode T with -E for E.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -14,7 +15,7 @@ import numpy.typing as npt
 
 import spm_pin as spm
 from spm_pin.closed_form.intervals import Interval
-from spm_pin.proofs.stage_region import SQRT_3, StageRegion
+from spm_pin.proofs.stage_region import StageRegion
 
 Array = npt.NDArray[np.float64]
 Shape = tuple[float, float, float]
@@ -178,8 +179,8 @@ def _level(epsilon: Interval, p: Interval) -> Interval:
 
 
 def stage_region(epsilon: float) -> StageRegion:
-    """Return the functions of a stage in units of r; those of mode F have ε = -E/r."""
-    return StageRegion(Interval.of(epsilon), SQRT_3, np.zeros(3), np.full(3, np.inf))
+    """Return the functions of a stage in units of r; those of mode F have ε = -E/r. Leg limits play no part."""
+    return StageRegion(epsilon, math.sqrt(3.0), np.zeros(3), np.ones(3))
 
 
 def squared_lengths(epsilon: float, states: Array) -> Array:
