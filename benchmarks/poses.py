@@ -8,12 +8,19 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
 
-__all__ = ["GEOMETRY", "KINDS", "leg_space", "mixture", "tiled"]
+__all__ = ["GEOMETRY", "KINDS", "as_built", "leg_space", "mixture", "tiled"]
 
 GEOMETRY = spm.Geometry.paper()
 
 KINDS = ("leg lengths", "all rotations", "nearly level", "near a fold")
 """Kinds of poses that `mixture` makes."""
+
+
+def as_built(size: float) -> spm.AsBuiltGeometry:
+    """Return a machine with random errors [m and rad] whose two balls at a corner coincide."""
+    machine = spm.AsBuiltGeometry.from_nominal(GEOMETRY).perturbed(0, length=size, angle=size)
+    balls = np.tile(machine.balls[:3], (2, 1))
+    return spm.AsBuiltGeometry(GEOMETRY, machine.axes, machine.pivots, balls, machine.offsets)
 
 
 def leg_space(count: int, seed: int = 0) -> RigidTransform:

@@ -13,6 +13,7 @@ __all__ = [
     "Facts",
     "Section",
     "count",
+    "microseconds",
     "seconds",
     "size",
     "spread_of_seconds",
@@ -54,6 +55,11 @@ def three_digits(value: float) -> str:
 def _spaced(value: float) -> str:
     """Return a whole number, from ten thousand on in groups of three."""
     return f"{value:,.0f}".replace(",", " ") if abs(value) >= 10_000 else f"{value:.0f}"
+
+
+def microseconds(spread: Spread) -> Spread:
+    """Return a time in seconds in microseconds."""
+    return Spread(*(1e6 * x for x in (spread.median, spread.low, spread.high)))
 
 
 def seconds(value: float) -> str:

@@ -46,6 +46,8 @@ TARGETS = (
     Target("the same, its coefficients given", "inverse/numpy.roots bare", 500.0),
     Target("inverse displacement: spm_pin / C loop", "inverse/C loop", 2.5, at_least=False),
     Target("the same, aimed at", "inverse/C loop", 1.0, at_least=False),
+    Target("machine as built, all branches, per pose", "inverse/as built", 10.0, "µs", at_least=False),
+    Target("the same, the physical branch", "inverse/as built, physical", 3.0, "µs", at_least=False),
     Target("J_f: NumPy 9 × 9 / spm_pin", "velocity/J_f", 30.0),
     Target("the same, its matrices given", "velocity/J_f bare", 30.0),
     Target("leg forces: NumPy 9 × 9 / spm_pin", "velocity/forces", 30.0),

@@ -21,7 +21,7 @@ from benchmarks.peers.lines import coordinates
 from benchmarks.peers.operations import count_operations
 from benchmarks.peers.package import kernel, lengths_only
 from benchmarks.peers.peer import Peer, Prepared, Unavailable, required
-from benchmarks.poses import GEOMETRY, KINDS, leg_space, mixture, tiled
+from benchmarks.poses import GEOMETRY, KINDS, as_built, leg_space, mixture, tiled
 from benchmarks.report import Facts, count, seconds, size, table, three_digits, write
 from benchmarks.sections.completeness import tally
 from benchmarks.sections.preparation import prepare_peers
@@ -70,6 +70,19 @@ def test_branches_of_peers_satisfy_the_loop_equations(peer: Peer) -> None:
     whole = found[~np.isnan(found).any(axis=(-1, -2))]
     assert len(whole) or "roots" in peer.name or peer.name in ("companion matrices", "python-flint")
     assert (spm.Configuration(GEOMETRY, POSES[0], whole).closure_residual < 1e-7 * SIDE).all()
+
+
+@pytest.mark.parametrize("size", [1e-4, 1e-3])
+def test_peers_find_the_branches_of_a_machine_as_built(size: float) -> None:
+    machine = as_built(size)
+    ours = spm.inverse_displacement(machine, POSES)
+    branches, physical, peer = (answer(one.prepare((machine, POSES))) for one in peers_by_task.AS_BUILT)
+    # Our own search for all roots, of six separate planes, and the peer's, of three lines.
+    for mine, theirs in zip(coordinates(machine, POSES, branches), coordinates(machine, POSES, peer), strict=True):
+        np.testing.assert_allclose(mine, theirs, atol=1e-8 * SIDE, rtol=0.0)
+    assert [len(found) for found in branches] == ours.count.tolist()
+    for found, state in zip(physical, ours.physical(), strict=True):
+        np.testing.assert_allclose(found[0], state.middle_joints, atol=1e-12)
 
 
 @needs_compiler

@@ -13,12 +13,12 @@ from scipy.spatial.transform import RigidTransform
 
 from benchmarks.peers.lines import lines
 from benchmarks.peers.peer import FloatArray, Prepared, required
-from spm_pin import Geometry
+from spm_pin import AsBuiltGeometry, Geometry
 
 __all__ = ["bare", "complete"]
 
 
-def bare(problem: tuple[Geometry, RigidTransform]) -> Prepared:
+def bare(problem: tuple[Geometry | AsBuiltGeometry, RigidTransform]) -> Prepared:
     """Make the call alone: lines made beforehand, and the poses of the triangle as they come."""
     geometry, poses = problem
     gp3p = required("poselib", "poselib").gp3p
@@ -48,7 +48,9 @@ def complete(problem: tuple[Geometry, RigidTransform]) -> Prepared:
     return Prepared(lambda: [one(matrix) for matrix in matrices], lambda found: [joints for joints, _ in found])
 
 
-def _triangle(geometry: Geometry) -> FloatArray:
+def _triangle(geometry: Geometry | AsBuiltGeometry) -> FloatArray:
+    if isinstance(geometry, AsBuiltGeometry):
+        return geometry.balls[:3]
     return geometry.middle_radius * geometry.radial_directions
 
 

@@ -16,6 +16,7 @@ from spm_pin.paper import resultant
 __all__ = [
     "forces",
     "inverse",
+    "inverse_physical",
     "jacobian",
     "kernel",
     "lengths_only",
@@ -26,7 +27,7 @@ __all__ = [
 ]
 
 
-def inverse(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
+def inverse(problem: tuple[spm.Geometry | spm.AsBuiltGeometry, RigidTransform]) -> Prepared:
     """Ball joints, leg lengths and status of all branches: everything the C loop writes."""
     geometry, poses = problem
 
@@ -36,6 +37,14 @@ def inverse(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
         return solutions
 
     return Prepared(call, lambda solutions: real_branches(solutions.middle_joints))
+
+
+def inverse_physical(problem: tuple[spm.Geometry | spm.AsBuiltGeometry, RigidTransform]) -> Prepared:
+    """Find the branch that a real machine is in."""
+    geometry, poses = problem
+    return Prepared(
+        lambda: spm.inverse_physical(geometry, poses), lambda found: real_branches(found.middle_joints[:, None])
+    )
 
 
 def lengths_only(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:

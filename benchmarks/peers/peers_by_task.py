@@ -18,7 +18,7 @@ from benchmarks.peers import (
 from benchmarks.peers.multistart import STARTS
 from benchmarks.peers.peer import Peer
 
-__all__ = ["FORCES", "INVERSE", "JACOBIAN", "MODES", "OURS", "PACKAGES", "PHYSICAL"]
+__all__ = ["AS_BUILT", "FORCES", "INVERSE", "JACOBIAN", "MODES", "OURS", "PACKAGES", "PHYSICAL"]
 
 OURS = "spm_pin"
 """Name of this package's public function in every task."""
@@ -46,6 +46,13 @@ INVERSE = (
     Peer("SciPy fsolve", f"{STARTS} starts", scipy_search.by_fsolve, 1),
     Peer("SciPy least_squares", f"{STARTS} starts, Levenberg–Marquardt", scipy_search.by_least_squares, 1),
     Peer("Pinocchio Newton", f"{STARTS} starts, closed chain, 18 joints", pinocchio_search.newton, 1),
+)
+
+# Problem: (machine as built, its two balls at a corner coincident, poses (n,)). Read as for `INVERSE`.
+AS_BUILT = (
+    Peer(OURS, "`inverse_displacement`: all branches under their labels, six lengths, status", package.inverse, 10_000),
+    Peer("spm_pin, physical branch", "`inverse_physical`", package.inverse_physical, 10_000),
+    Peer("poselib.gp3p, bare", "the call alone, lines made beforehand: platform poses", gp3p.bare, 1_000),
 )
 
 # Problem: Configuration (n,). Read as J_f (n, 6, 6).

@@ -6,9 +6,9 @@ import numpy as np
 
 from benchmarks.peers import arms, package
 from benchmarks.peers.peer import Peer
-from benchmarks.peers.peers_by_task import INVERSE, OURS
-from benchmarks.poses import GEOMETRY, leg_space
-from benchmarks.report import Facts, Section
+from benchmarks.peers.peers_by_task import AS_BUILT, INVERSE, OURS
+from benchmarks.poses import GEOMETRY, as_built, leg_space
+from benchmarks.report import Facts, Section, microseconds
 from benchmarks.sections.preparation import Progress, compare, prepare_peers
 from benchmarks.timing import Pace
 
@@ -43,4 +43,15 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
             facts[key] = timings[name].over(timings[OURS])
     if "C loop" in timings:
         facts["inverse/C loop"] = timings[OURS].over(timings["C loop"])
+    for size in (1e-4, 1e-3):
+        section.add(
+            f"A machine as built, with errors of {1e3 * size:g} mm and {1e3 * size:g} mrad. Its two balls at a corner "
+            "coincide, for the peer's sake:"
+        )
+        machine = as_built(size)
+        peers = prepare_peers(AS_BUILT, lambda n, machine=machine: (machine, poses[:n]), pace, progress)
+        timings = compare(section, peers, pace, progress)
+        if size == 1e-4:
+            facts["inverse/as built"] = microseconds(timings[OURS].spread)
+            facts["inverse/as built, physical"] = microseconds(timings[AS_BUILT[1].name].spread)
     return section

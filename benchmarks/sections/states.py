@@ -9,10 +9,10 @@ from benchmarks import child
 from benchmarks.peers.one_state import PlainPinocchio
 from benchmarks.peers.package import renewed
 from benchmarks.poses import GEOMETRY, leg_space, tiled
-from benchmarks.report import Facts, Section, count, spread_of_seconds, table, times
+from benchmarks.report import Facts, Section, count, microseconds, spread_of_seconds, table, times
 from benchmarks.sections.preparation import Progress
 from benchmarks.sections.velocity import states
-from benchmarks.timing import Pace, Spread, TimedCall, Timing, time_in_turns
+from benchmarks.timing import Pace, Spread, TimedCall, time_in_turns
 from spm_pin.closed_form.stage_wrenches import StageWrenches
 
 __all__ = ["by_numpy", "measure"]
@@ -37,11 +37,6 @@ def by_numpy(configuration: spm.Configuration) -> list[np.ndarray]:
     return [np.linalg.svd(matrices)[1] for matrices in both]
 
 
-def _microseconds(timing: Timing) -> Spread:
-    spread = timing.spread
-    return Spread(*(1e6 * x for x in (spread.median, spread.low, spread.high)))
-
-
 def _batches(section: Section, pace: Pace, progress: Progress, facts: Facts) -> None:
     poses, few = leg_space(_MANY), 1000
     every = states(_MANY)
@@ -63,8 +58,8 @@ def _batches(section: Section, pace: Pace, progress: Progress, facts: Facts) -> 
     section.add("Per item of a batch:")
     section.add(table(["", "items a call", "per item", "quartiles"], rows))
     facts["states/physical"] = timings["`inverse_physical`"].over(timings["`inverse_displacement`"])
-    facts["states/singularities"] = _microseconds(timings["`singularities`"])
-    facts["states/joint values"] = _microseconds(timings["`ClosedChain.joint_values`"])
+    facts["states/singularities"] = microseconds(timings["`singularities`"].spread)
+    facts["states/joint values"] = microseconds(timings["`ClosedChain.joint_values`"].spread)
 
 
 def _singles(section: Section, pace: Pace, progress: Progress, facts: Facts) -> None:
@@ -109,8 +104,8 @@ def _singles(section: Section, pace: Pace, progress: Progress, facts: Facts) -> 
         "factorisation, without checks of arguments, closure or singularity:"
     )
     section.add(table(["one call of", "time", "quartiles", "× Pinocchio's calls", "quartiles"], rows))
-    facts["states/one pose"] = _microseconds(timings["`inverse_physical`"])
-    facts["states/one joint values"] = _microseconds(timings["`ClosedChain.joint_values`"])
+    facts["states/one pose"] = microseconds(timings["`inverse_physical`"].spread)
+    facts["states/one joint values"] = microseconds(timings["`ClosedChain.joint_values`"].spread)
     for kind in ("forward", "inverse"):
         ratio = timings[f"`state.{kind}_dynamics`"].over(timings[f"{kind} dynamics, Pinocchio's calls alone"])
         facts[f"states/{kind} dynamics"] = ratio

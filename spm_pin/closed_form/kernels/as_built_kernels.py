@@ -1,6 +1,6 @@
 """Inverse displacement of an imperfect machine for a batch of poses: all branches, under the ideal machine's labels.
 
-All eight roots are solved for, see `quadric_elimination`. Each real branch of the ideal machine is then followed while
+All eight roots are solved for, see `quadric_roots`. Each real branch of the ideal machine is then followed while
 the errors grow from zero to those of the machine, and gives its label to the root where it ends. Where it meets another
 branch it ends on the way; the roots left over take the labels left over, marked as not carried.
 """
@@ -12,34 +12,43 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.kernels.compilation import jit, kernel, readonly_array
-from spm_pin.closed_form.kernels.quadric_elimination import eight_roots
-from spm_pin.closed_form.kernels.three_quadrics import (
-    image,
-    newton_step,
-    polished,
-    projective_distance,
-    put_quadrics,
-    put_quaternion,
+from spm_pin.closed_form.kernels.compilation import jit, jit_inline, kernel, readonly_array
+from spm_pin.closed_form.kernels.quadric_elimination import allocate_elimination
+from spm_pin.closed_form.kernels.quadric_newton import (
+    CONVERGED,
+    FAILED,
+    PENDING,
+    POINTS,
+    ROWS,
+    STATE,
+    part,
+    point,
+    polish,
+    put_part,
 )
+from spm_pin.closed_form.kernels.quadric_roots import eight_roots, is_real, is_same_point
+from spm_pin.closed_form.kernels.three_quadrics import Planes, allocate_planes, image, put_quadrics, put_quaternion
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["SHORTEST_AT_FIRST", "as_built_branches", "followed", "put_planes"]
+__all__ = ["PART", "SHORTEST_AT_FIRST", "Path", "allocate_path", "as_built_branches", "begin", "follow", "put_planes"]
 
 ComplexArray = npt.NDArray[np.complex128]
+Path = tuple[FloatArray, FloatArray, FloatArray, FloatArray, Planes]
+"""Roots that are followed side by side, flat as in `polish`, and how they are moved on trial; targets, as parts of the
+errors, and the quadrics there, `forms`, the first of the machine as built; planes on the way."""
 
 OK, UNREACHABLE, DEGENERATE, UNSOLVED = 0, 1, 2, 3
 _SHORTEST = 1e-7
 """A step of the errors shorter than this part of them stands before two branches that meet."""
 SHORTEST_AT_FIRST = 0.02
 """The same while it is not known yet whether any real root will be left for such a branch."""
-_FIRST_STEP = 0.1
-_CONTRACTION = 0.1
-"""Newton's method has to begin with a step of at most the one, and its second be at most this part of the first.
-
-It then converges to the root next to it, and no other is near.
-"""
+_LEVELS = 25
+"""Halvings of the way, no fewer than lead to the shortest step."""
 _SAME = 1e-6
+_DISPUTED = -2
+"""Label of a root at which two branches seem to have arrived."""
+PART = 8 * POINTS
+"""Where the row begins of the parts of the errors at which roots are."""
 
 
 @jit
@@ -49,14 +58,13 @@ def put_planes(
     nominal: FloatArray,
     built: FloatArray,
     part: float,
-    normals: FloatArray,
-    heights: FloatArray,
-    balls: FloatArray,
+    planes: Planes,
 ) -> None:
     """Write the planes in {B} and the balls in {n} of a machine that has this part of the errors.
 
     `nominal` and `built` (3, 6, 3) are axes, pivots and balls.
     """
+    normals, heights, balls, _ = planes
     for i in range(6):
         for j in range(3):
             balls[i, j] = nominal[2, i, j] + part * (built[2, i, j] - nominal[2, i, j])
@@ -76,51 +84,68 @@ def put_planes(
         heights[i] = height
 
 
-@jit
-def _is_real(x: ComplexArray) -> bool:
-    """Return whether a root that `eight_roots` found is real."""
-    return bool(x[0].imag == 0.0 and x[1].imag == 0.0 and x[2].imag == 0.0 and x[3].imag == 0.0)
+@jit_inline
+def allocate_path() -> Path:
+    """Allocate the arrays that `follow` computes in, without a root to be followed."""
+    roots = np.zeros((PART // POINTS + 1) * POINTS)
+    roots[PART:] = 1.0
+    return roots, np.empty(ROWS * POINTS), np.empty(_LEVELS), np.empty((_LEVELS, 3, 4, 4)), allocate_planes()
 
 
 @jit
-def followed(
-    rotation: FloatArray,
-    position: FloatArray,
-    nominal: FloatArray,
-    built: FloatArray,
-    last: FloatArray,
-    x: FloatArray,
-    trial: FloatArray,
-    forms: FloatArray,
-    normals: FloatArray,
-    heights: FloatArray,
-    balls: FloatArray,
-    own: FloatArray,
-    work: FloatArray,
-    shortest: float,
-) -> bool:
-    """Follow the root x of the ideal machine to the machine as built, with the quadrics `last`; False where it ends."""
-    done, step = 0.0, 1.0
-    while done < 1.0:
-        target = min(done + step, 1.0)
-        if target < 1.0:
-            put_planes(rotation, position, nominal, built, target, normals, heights, balls)
-            put_quadrics(normals, heights, balls, own, forms)
-        there = last if target == 1.0 else forms
-        for i in range(4):
-            trial[i] = x[i]
-        first = newton_step(there, trial, work)
-        second = newton_step(there, trial, work)
-        if first <= _FIRST_STEP and second <= max(_CONTRACTION * first, 1e-13) and polished(there, trial, work, 8):
-            for i in range(4):
-                x[i] = trial[i]
-            done = target
-            step *= 2.0
+def begin(path: Path, k: int, x: FloatArray) -> None:
+    """Let root k be followed from the unit vector x (4,)."""
+    roots = path[0]
+    put_part(roots, 0, k, (x[0], x[1], x[2], x[3]))
+    roots[PART + k] = 0.0
+
+
+@jit
+def follow(
+    rotation: FloatArray, place: FloatArray, nominal: FloatArray, built: FloatArray, path: Path, shortest: float
+) -> None:
+    """Follow real roots while the errors grow from zero to those of the machine.
+
+    Parameters
+    ----------
+    rotation, place : ndarray, shapes (3, 3) and (3,)
+        The pose, its position in units of the middle platform's radius.
+    nominal, built : ndarray, shape (3, 6, 3)
+        Axes, pivots and balls of the ideal machine and of the one as built.
+    path : Path, changed
+        The first of `forms` are the quadrics of the machine as built. Roots that `begin` put into `roots` are followed;
+        those that arrived have parts of 1 in the end.
+    shortest : float
+        Shortest step, as a part of the errors.
+    """
+    roots, trial, targets, forms, planes = path
+    level, done = 0, 0.0
+    targets[0] = 1.0
+    # Upon a target that some root cannot be led to in one step the half of the way there is put.
+    while level >= 0:
+        waiting = False
+        for k in range(POINTS):
+            tried = roots[PART + k] == done
+            waiting |= tried
+            trial[STATE + k] = PENDING if tried else FAILED
+            put_part(trial, 0, k, part(roots, 0, k))
+        if waiting:
+            polish(forms[level], trial, False, True, 10)
+            waiting = False
+            for k in range(POINTS):
+                if trial[STATE + k] == CONVERGED:
+                    roots[PART + k] = targets[level]
+                    put_part(roots, 0, k, part(trial, 0, k))
+                elif roots[PART + k] == done:
+                    waiting = True
+        if waiting and 0.5 * (targets[level] - done) >= shortest:
+            level += 1
+            targets[level] = 0.5 * (done + targets[level - 1])
+            put_planes(rotation, place, nominal, built, targets[level], planes)
+            put_quadrics(planes, forms[level])
         else:
-            step *= 0.5
-            if step < shortest:
-                return False
-    return True
+            done = targets[level]
+            level -= 1
 
 
 @kernel(
@@ -163,75 +188,44 @@ def as_built_branches(
     complex_joints : ndarray, shape (N, 8, 3, 3), written; or of no length
         Centres of the lower legs' balls of all roots.
     """
-    forms, last, own = np.empty((3, 4, 4)), np.empty((3, 4, 4)), np.empty((6, 9))
-    # Those of the machine as built, and those on the way.
-    normals, heights, balls, own_way = np.empty((6, 3)), np.empty(6), np.empty((6, 3)), np.empty((6, 9))
-    last_normals, last_heights, last_balls = np.empty((6, 3)), np.empty(6), np.empty((6, 3))
-    place, x, trial, work = np.empty(3), np.empty(4), np.empty(4), np.empty((4, 5))
-    roots, found = np.empty((8, 4), np.complex128), np.empty((8, 6, 3), np.complex128)
-    label_of, root_of, complex_x = np.empty(8, np.int64), np.empty(8, np.int64), np.empty(4, np.complex128)
+    path, planes, elimination = allocate_path(), allocate_planes(), allocate_elimination()
+    reached, forms = path[0], path[3]
+    roots, found, own = np.empty(8 * POINTS), np.empty((8, 6, 3), np.complex128), np.empty((6, 3))
+    label_of, root_of = np.empty(8, np.int64), np.empty(8, np.int64)
+    place, start = np.empty(3), np.empty((8, 4))
     for n in range(len(position)):
         for i in range(3):
             place[i] = position[n, i] / unit
         joints[n], lengths[n], carried[n] = np.nan, np.nan, 2
         if len(complex_joints):
             complex_joints[n] = np.nan
-        put_planes(rotation[n], place, nominal, built, 1.0, last_normals, last_heights, last_balls)
-        spans = put_quadrics(last_normals, last_heights, last_balls, own, last)
-        count = eight_roots(last, roots) if spans else 0
+        put_planes(rotation[n], place, nominal, built, 1.0, planes)
+        spans = put_quadrics(planes, forms[0])
+        count = eight_roots(forms[0], elimination, roots) if spans else 0
         if count < 8:
             status[n] = UNSOLVED if spans else DEGENERATE
             continue
+        left = 0
         for k in range(8):
-            image(roots[k], last_heights, last_normals, last_balls, own, found[k])
             label_of[k], root_of[k] = -1, -1
-        real_roots, claimed = 0, 0
-        for k in range(8):
-            real_roots += 1 if _is_real(roots[k]) else 0
-        for attempt in range(2):
+            left += 1 if is_real(roots, k) else 0
+            if not np.isnan(ideal[n, k, 0, 0]):
+                carried[n, k] = 0
+                put_quaternion(ideal[n, k], start[k])
+        for shortest in (1.0, SHORTEST_AT_FIRST, _SHORTEST):
             # A branch that has not arrived can only arrive at a root that is real and no other's.
-            if attempt == 1 and claimed >= real_roots:
+            if left == 0 and shortest < 1.0:
                 break
-            for label in range(8):
-                if np.isnan(ideal[n, label, 0, 0]) or carried[n, label] == 1:
-                    continue
-                carried[n, label] = 0
-                put_quaternion(ideal[n, label], x)
-                shortest = SHORTEST_AT_FIRST if attempt == 0 else _SHORTEST
-                if followed(
-                    rotation[n],
-                    place,
-                    nominal,
-                    built,
-                    last,
-                    x,
-                    trial,
-                    forms,
-                    normals,
-                    heights,
-                    balls,
-                    own_way,
-                    work,
-                    shortest,
-                ):
-                    for i in range(4):
-                        complex_x[i] = complex(x[i], 0.0)
-                    for k in range(8):
-                        if projective_distance(complex_x, roots[k]) < _SAME and label_of[k] != -2:
-                            # Two that arrive at one root: neither label is certain.
-                            if label_of[k] >= 0:
-                                carried[n, label_of[k]] = 0
-                                root_of[label_of[k]] = -1
-                                label_of[k] = -2
-                                claimed -= 1
-                            else:
-                                label_of[k], root_of[label] = label, k
-                                carried[n, label] = 1
-                                claimed += 1
-                            break
-        for k in range(8):
-            label_of[k] = max(label_of[k], -1)
-        _assign_rest(ideal_complex[n], found, unit, label_of, root_of)
+            for k in range(8):
+                if carried[n, k] == 0:
+                    begin(path, k, start[k])
+            follow(rotation[n], place, nominal, built, path, shortest)
+            left -= _claim(roots, reached, carried[n], label_of, root_of)
+        if left > 0 or len(complex_joints):
+            for k in range(8):
+                label_of[k] = max(label_of[k], -1)
+                image(point(roots, k), planes, found[k])
+            _assign_rest(ideal_complex[n], found, unit, label_of, root_of)
         status[n] = UNREACHABLE
         for label in range(8):
             k = root_of[label]
@@ -239,12 +233,10 @@ def as_built_branches(
                 for i in range(3):
                     for j in range(3):
                         complex_joints[n, label, i, j] = found[k, i, j] * unit
-            if _is_real(roots[k]):
+            if k >= 0 and is_real(roots, k):
                 status[n] = OK
                 carried[n, label] = carried[n, label] % 2
-                for i in range(3):
-                    for j in range(3):
-                        joints[n, label, i, j] = found[k, i, j].real * unit
+                image(part(roots, 0, k), planes, own)
                 for i in range(6):
                     square = 0.0
                     for j in range(3):
@@ -253,8 +245,37 @@ def as_built_branches(
                             pivot = place[j]
                             for m in range(3):
                                 pivot += rotation[n, j, m] * built[1, i, m]
-                        square += (found[k, i, j].real - pivot) ** 2
+                        else:
+                            joints[n, label, i, j] = own[i, j] * unit
+                        square += (own[i, j] - pivot) ** 2
                     lengths[n, label, i] = math.sqrt(square) * unit
+
+
+@jit
+def _claim(
+    roots: FloatArray,
+    reached: FloatArray,
+    carried: npt.NDArray[np.uint8],
+    label_of: npt.NDArray[np.int64],
+    root_of: npt.NDArray[np.int64],
+) -> int:
+    """Give labels to the real roots at which branches arrived; return how many more roots have one."""
+    claimed = 0
+    for label in range(8):
+        if carried[label] != 0 or reached[PART + label] != 1.0:
+            continue
+        x = point(reached, label)
+        for k in range(8):
+            if is_real(roots, k) and is_same_point(x, point(roots, k), _SAME):
+                # Two that arrive at one root: neither label is certain.
+                if label_of[k] >= 0:
+                    carried[label_of[k]], root_of[label_of[k]], label_of[k] = 0, -1, _DISPUTED
+                    claimed -= 1
+                elif label_of[k] != _DISPUTED:
+                    carried[label], root_of[label], label_of[k] = 1, k, label
+                    claimed += 1
+                break
+    return claimed
 
 
 @jit
@@ -275,7 +296,8 @@ def _assign_rest(
                         distance = 0.0
                         for i in range(3):
                             for j in range(3):
-                                distance = max(distance, abs(found[k, i, j] - ideal[label, i, j] / unit))
+                                gap = found[k, i, j] - ideal[label, i, j] / unit
+                                distance = max(distance, gap.real * gap.real + gap.imag * gap.imag)
                         if best_label < 0 or distance < nearest:
                             nearest, best_label, best_root = distance, label, k
         if best_label < 0:

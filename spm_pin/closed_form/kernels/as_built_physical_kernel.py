@@ -11,9 +11,17 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.kernels.as_built_kernels import SHORTEST_AT_FIRST, followed, put_planes
+from spm_pin.closed_form.kernels.as_built_kernels import (
+    PART,
+    SHORTEST_AT_FIRST,
+    allocate_path,
+    begin,
+    follow,
+    put_planes,
+)
 from spm_pin.closed_form.kernels.compilation import jit, kernel, readonly_array
-from spm_pin.closed_form.kernels.three_quadrics import image, put_quadrics, put_quaternion
+from spm_pin.closed_form.kernels.quadric_newton import part
+from spm_pin.closed_form.kernels.three_quadrics import allocate_planes, image, put_quadrics, put_quaternion
 from spm_pin.mechanism.arguments import FloatArray
 
 __all__ = ["certain_physical_branches"]
@@ -151,52 +159,40 @@ def certain_physical_branches(
     certain : ndarray of bool, shape (N,), written
         Whether there is such a branch and no doubt which it is; the results are NaN elsewhere.
     """
-    forms, own, work, trial = np.empty((3, 4, 4)), np.empty((6, 9)), np.empty((4, 5)), np.empty(4)
-    # The same at parts of the errors.
-    way, own_way = np.empty((3, 4, 4)), np.empty((6, 9))
-    normals_way, heights_way, balls_way = np.empty((6, 3)), np.empty(6), np.empty((6, 3))
-    normals, heights, balls = np.empty((6, 3)), np.empty(6), np.empty((6, 3))
+    path, planes = allocate_path(), allocate_planes()
+    roots, forms = path[0], path[3]
     axes, pivots, legs = np.empty((6, 3)), np.empty((6, 3)), np.empty((6, 3))
     place, x, found, reach = np.empty(3), np.empty(4), np.empty((2, 6, 3)), np.empty((2, 6))
+    possible = np.empty(2, np.bool_)
     for n in range(len(position)):
         joints[n], lengths[n], certain[n] = np.nan, np.nan, False
         if np.isnan(ideal[n, 0, 0, 0]) or np.isnan(ideal[n, 1, 0, 0]):
             continue
         for j in range(3):
             place[j] = position[n, j] / unit
-        put_planes(rotation[n], place, nominal, built, 1.0, normals, heights, balls)
-        if not put_quadrics(normals, heights, balls, own, forms):
+        put_planes(rotation[n], place, nominal, built, 1.0, planes)
+        if not put_quadrics(planes, forms[0]):
             continue
-        best, best_score, best_straight, sure = -1, 0, 0.0, True
+        _put_frame(nominal, signs, rotation[n], place, axes, pivots)
         for side in range(2):
             for i in range(3):
                 for j in range(3):
                     found[side, i, j] = found[side, 3 + i, j] = ideal[n, side, i, j] / unit
-            _put_frame(nominal, signs, rotation[n], place, axes, pivots)
-            margin, straight = _margin(found[side], rotation[n], place, axes, pivots, reach[side], legs)
-            if margin < -_DOUBT:
+            margin, _ = _margin(found[side], rotation[n], place, axes, pivots, reach[side], legs)
+            possible[side] = margin >= -_DOUBT
+            if possible[side]:
+                put_quaternion(ideal[n, side], x)
+                begin(path, side, x)
+        follow(rotation[n], place, nominal, built, path, SHORTEST_AT_FIRST)
+        best, best_score, best_straight, sure = -1, 0, 0.0, True
+        _put_frame(built, signs, rotation[n], place, axes, pivots)
+        for side in range(2):
+            if not possible[side]:
                 continue
-            put_quaternion(ideal[n, side], x)
-            if not followed(
-                rotation[n],
-                place,
-                nominal,
-                built,
-                forms,
-                x,
-                trial,
-                way,
-                normals_way,
-                heights_way,
-                balls_way,
-                own_way,
-                work,
-                SHORTEST_AT_FIRST,
-            ):
+            if roots[PART + side] != 1.0:
                 sure = False
                 break
-            image(x, heights, normals, balls, own, found[side])
-            _put_frame(built, signs, rotation[n], place, axes, pivots)
+            image(part(roots, 0, side), planes, found[side])
             margin, straight = _margin(found[side], rotation[n], place, axes, pivots, reach[side], legs)
             if margin <= 0.0:
                 continue

@@ -15,7 +15,7 @@ from spm_pin.closed_form.kernels.compilation import jit, jit_inline, kernel, rea
 from spm_pin.closed_form.kernels.quadratics import COS_30
 from spm_pin.closed_form.kernels.stage_equations import Equations, State, derivatives, equations, polished, residual
 from spm_pin.closed_form.kernels.three_quadrics import put_quaternion
-from spm_pin.closed_form.kernels.vectors import Vector
+from spm_pin.closed_form.kernels.vectors import Vector, reduce_rows
 from spm_pin.mechanism.arguments import FloatArray
 
 __all__ = ["follow_stages", "stage_states"]
@@ -46,21 +46,7 @@ def _invert(stage: Equations, state: State, work: FloatArray, inverse: FloatArra
         work[3, j] = 2.0 * state[j] if j < 3 else 0.0
         for i in range(4):
             work[i, 4 + j] = 1.0 if i == j else 0.0
-    for j in range(4):
-        pivot = j
-        for i in range(j + 1, 4):
-            if abs(work[i, j]) > abs(work[pivot, j]):
-                pivot = i
-        for k in range(8):
-            work[j, k], work[pivot, k] = work[pivot, k], work[j, k]
-        scale = 1.0 / work[j, j]
-        for k in range(8):
-            work[j, k] *= scale
-        for i in range(4):
-            factor = work[i, j]
-            if i != j:
-                for k in range(8):
-                    work[i, k] -= factor * work[j, k]
+    reduce_rows(work)
     for i in range(4):
         for j in range(4):
             inverse[i, j] = work[i, 4 + j]
