@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from spm_pin.closed_form.kernels import branch_tiles, jacobian_kernels, mode_kernels, stage_equations, wrench_vectors
-from spm_pin.closed_form.kernels.branch_tiles import DISCRIMINANT, LEGS, PHYSICAL, STRAIGHT
+from spm_pin.closed_form.kernels.branch_tiles import DISCRIMINANT, PHYSICAL, STRAIGHT
 from spm_pin.closed_form.kernels.vectors import dot, minus
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import BRANCHES, AsBuiltGeometry, Geometry
@@ -89,13 +89,12 @@ def inverse_physical(geometry: Dimensions = None) -> ca.Function:
     continuous family, they are finite and mean nothing; `exists` is 0. Nothing is ever NaN.
     """
     machine, rotation, position = _Machine(geometry), *_pose()
-    tiles, outs = _branches(machine, rotation, position, ("TT+", "TT-"))
-    plus, minus_ = (_preference(machine, tiles, out) for out in outs)
-    straighter = outs[1][STRAIGHT, 0] > outs[0][STRAIGHT, 0]
-    other = ca.logic_or(minus_ > plus, ca.logic_and(minus_ == plus, straighter))
-    chosen = [ca.if_else(other, outs[1][k, 0], outs[0][k, 0]) for k in range(15)]
+    tiles, branches = _branches(machine, rotation, position, ("TT+", "TT-"))
+    (plus, plus_sum), (minus_, minus_sum) = (_preference(machine, tiles, *branch) for branch in enumerate(branches))
+    other = ca.logic_or(minus_ > plus, ca.logic_and(minus_ == plus, minus_sum > plus_sum))
+    chosen = [ca.if_else(other, minus_number, plus_number) for plus_number, minus_number in zip(*branches, strict=True)]
     exists = ca.logic_and(plus + minus_ > 0.0, _is_real(machine, tiles, "TT+"))
-    outputs = _outputs(machine, tiles, "TT+", chosen) | {"exists": exists}
+    outputs = _outputs(tiles, "TT+", chosen) | {"exists": exists}
     return machine.function("inverse_physical", [rotation, position], outputs)
 
 
@@ -120,9 +119,8 @@ def inverse_branch(branch: str, geometry: Dimensions = None) -> ca.Function:
     if branch not in BRANCHES:
         raise ArgumentError("branch", f"one of {', '.join(BRANCHES)}", repr(branch))
     machine, rotation, position = _Machine(geometry), *_pose()
-    tiles, (out,) = _branches(machine, rotation, position, (branch,))
-    numbers = [out[k, 0] for k in range(15)]
-    outputs = _outputs(machine, tiles, branch, numbers) | {"exists": _is_real(machine, tiles, branch)}
+    tiles, (numbers,) = _branches(machine, rotation, position, (branch,))
+    outputs = _outputs(tiles, branch, numbers) | {"exists": _is_real(machine, tiles, branch)}
     return machine.function("inverse_branch", [rotation, position], outputs)
 
 
@@ -238,43 +236,47 @@ def _state(joints: ca.SX, rotation: ca.SX, position: ca.SX) -> tuple[Any, Any, A
     return arrays
 
 
-def _branches(machine: _Machine, rotation: ca.SX, position: ca.SX, labels: tuple[str, ...]) -> tuple[Any, list[Any]]:
-    """Return the tiles of a pose, and of each branch its numbers (17, 1), see `branch_tiles`."""
-    tiles = traced(branch_tiles.allocate)()
+def _branches(
+    machine: _Machine, rotation: ca.SX, position: ca.SX, labels: tuple[str, ...]
+) -> tuple[Any, list[list[Any]]]:
+    """Return the tiles of a pose, and of each branch the nine numbers of its b_i and its six leg lengths."""
+    tiles, roots = traced(branch_tiles.allocate)(), traced(branch_tiles.allocate_roots)()
+    joints, lengths = traced(branch_tiles.allocate_joints)(), traced(branch_tiles.allocate_lengths)()
     _, matrix, place = _state(rotation, rotation, position)
     traced(branch_tiles.load_poses)(matrix[0], place[0], 0, 1, tiles[0])
-    traced(branch_tiles.set_up_families)(tiles, machine.r, False)
-    outs = []
-    for label in labels:
-        out = table(17, 1)
-        traced(branch_tiles.put_branch)(BRANCHES.index(label), tiles, *machine.sizes, out)
-        outs.append(out)
-    return tiles, outs
+    traced(branch_tiles.set_up_families)(tiles, machine.r, machine.platform, False)
+    found = []
+    for branch in map(BRANCHES.index, labels):
+        traced(branch_tiles.put_roots)(branch // 2, tiles, machine.r, roots)
+        traced(branch_tiles.put_branch)(branch, tiles, roots, machine.base, joints, lengths)
+        found.append([*joints[9 * branch : 9 * branch + 9, 0], *lengths[6 * branch : 6 * branch + 6, 0]])
+    return tiles, found
 
 
-def _preference(machine: _Machine, tiles: Any, out: Any) -> Any:
-    """Return 0 where a branch TT is not physical, 1 where it is, and 2 where it is within leg limits, too."""
-    traced(branch_tiles.put_aspect)(tiles[0], machine.base, machine.platform, out)
+def _preference(machine: _Machine, tiles: Any, branch: int, numbers: list[Any]) -> tuple[Any, Any]:
+    """Return 0 where a branch TT is not physical, 1 where it is, 2 where within leg limits too; and its radii' sum."""
+    aspects, joints = traced(branch_tiles.allocate_aspects)(), traced(branch_tiles.allocate_joints)()
+    joints[9 * branch : 9 * branch + 9, 0] = numbers[:9]
+    traced(branch_tiles.put_aspect)(branch, tiles[0], machine.base, machine.platform, joints, aspects)
     inside, limits = ca.SX(1), machine.limits
     pairs = () if limits is None else zip(limits.minimum, limits.maximum, strict=True)
-    for i, (low, high) in enumerate(pairs):
-        length = out[LEGS + i, 0]
+    for length, (low, high) in zip(numbers[9:], pairs, strict=False):
         inside = ca.logic_and(inside, ca.logic_and(length >= low, length <= high))
-    return out[PHYSICAL, 0] * (1.0 + inside)
+    return aspects[branch, PHYSICAL, 0] * (1.0 + inside), aspects[branch, STRAIGHT, 0]
 
 
 def _is_real(machine: _Machine, tiles: Any, label: str) -> Any:
     """Return where a branch is real, and its family not continuous."""
-    family, flags = BRANCHES.index(label) // 2, tiles[4][0]
+    family, flags = BRANCHES.index(label) // 2, tiles[3][0]
     continuous = ca.floor(flags / 2**family) - 2.0 * ca.floor(flags / 2 ** (family + 1))
     regular = ca.logic_and(continuous == 0.0, flags < branch_tiles.VERTICAL)
-    return ca.logic_and(tiles[3][family, DISCRIMINANT, 0] >= 0.0, regular)
+    return ca.logic_and(tiles[0][DISCRIMINANT + family, 0] >= 0.0, regular)
 
 
-def _outputs(machine: _Machine, tiles: Any, label: str, numbers: list[Any]) -> dict[str, ca.SX]:
+def _outputs(tiles: Any, label: str, numbers: list[Any]) -> dict[str, ca.SX]:
     joints = ca.vertcat(*(ca.horzcat(*numbers[3 * i : 3 * i + 3]) for i in range(3)))
-    discriminant = tiles[3][BRANCHES.index(label) // 2, DISCRIMINANT, 0] / (machine.r * machine.r)
-    return {"lengths": ca.vertcat(*numbers[LEGS : LEGS + 6]), "joints": joints, "discriminant": discriminant}
+    discriminant = tiles[0][DISCRIMINANT + BRANCHES.index(label) // 2, 0]
+    return {"lengths": ca.vertcat(*numbers[9:]), "joints": joints, "discriminant": discriminant}
 
 
 def _stage_residual(stage: Any, state: Any) -> Any:

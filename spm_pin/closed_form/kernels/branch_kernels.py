@@ -1,6 +1,7 @@
 """Inverse displacement of a batch of poses: all branches with their leg lengths, one branch, or the complex roots.
 
-A tile of poses goes through two loops: the quadratics of its families, then, per branch, its root and its joints.
+A tile of poses goes through loops without branches: its axes, the quadratics of its families, their roots, then branch
+by branch the joints and leg lengths, which are moved to the results while the next branch is computed.
 """
 
 from __future__ import annotations
@@ -10,8 +11,6 @@ import numpy.typing as npt
 
 from spm_pin.closed_form.kernels.branch_tiles import (
     COSINE,
-    DISCRIMINANT,
-    LEGS,
     NI,
     PHYSICAL,
     REAL,
@@ -23,16 +22,22 @@ from spm_pin.closed_form.kernels.branch_tiles import (
     ByteArray,
     N,
     allocate,
+    allocate_aspects,
+    allocate_joints,
+    allocate_lengths,
+    allocate_records,
+    allocate_roots,
     joints_of_root,
     load_poses,
     put_aspect,
     put_branch,
-    put_lengths,
+    put_roots,
     put_status,
-    real_joints,
     set_up_families,
-    store_branch,
+    store_joints,
+    store_lengths,
     store_pose,
+    store_poses,
 )
 from spm_pin.closed_form.kernels.compilation import TILE, kernel, readonly_array
 from spm_pin.closed_form.kernels.quadratics import COS_30, ROOT_SIGN, root_of, where
@@ -96,30 +101,26 @@ def all_branches(
         0 or 1, the first two of `Status`, continuous families not counted; and bit k for a continuous family k,
         `VERTICAL`.
     """
-    tiles, out = allocate(), np.empty((2, 17, TILE))
-    poses, forms = tiles[0], tiles[3]
+    tiles, roots, joint_tile, length_tile = allocate(), allocate_roots(), allocate_joints(), allocate_lengths()
+    aspects, records, poses = allocate_aspects(), allocate_records(), tiles[0]
     for start in range(0, len(position), TILE):
         width = min(TILE, len(position) - start)
         load_poses(rotation, position, start, width, poses)
-        set_up_families(tiles, r, False)
+        set_up_families(tiles, r, platform_radius, False)
+        for family in range(4):
+            put_roots(family, tiles, r, roots)
+        for branch in range(8):
+            put_branch(branch, tiles, roots, base_radius, joint_tile, length_tile)
+            store_joints(width, start, branch, joint_tile, joints)
+            store_lengths(width, start, branch, length_tile, lengths)
+        for branch in range(2):
+            put_aspect(branch, poses, base_radius, platform_radius, joint_tile, aspects)
+        store_poses(width, start, poses, records, rotation_copy, position_copy, discriminants)
         put_status(tiles, start, width, status, flagged)
         for k in range(width):
-            store_pose(poses, k, 1.0, rotation_copy[start + k], position_copy[start + k])
-            for family in range(4):
-                discriminants[start + k, family] = forms[family, DISCRIMINANT, k] / (r * r)
-        # TT- and TT+ come last, so that `out` then holds both.
-        for number in range(8):
-            branch = 7 - number
-            side = branch % 2
-            put_branch(branch, tiles, r, base_radius, platform_radius, out[side])
-            for k in range(width):
-                store_branch(out[side], k, joints[start + k, branch], lengths[start + k, branch])
-        put_aspect(poses, base_radius, platform_radius, out[0])
-        put_aspect(poses, base_radius, platform_radius, out[1])
-        for k in range(width):
-            choice[start + k, 0] = np.uint8(out[0, PHYSICAL, k])
-            choice[start + k, 1] = np.uint8(out[1, PHYSICAL, k])
-            choice[start + k, 2] = 1 if out[1, STRAIGHT, k] > out[0, STRAIGHT, k] else 0
+            choice[start + k, 0] = np.uint8(aspects[0, PHYSICAL, k])
+            choice[start + k, 1] = np.uint8(aspects[1, PHYSICAL, k])
+            choice[start + k, 2] = 1 if aspects[1, STRAIGHT, k] > aspects[0, STRAIGHT, k] else 0
 
 
 @kernel(f"void({_POSES}, f8, f8, f8, {readonly_array(2)}, f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1])")
@@ -140,33 +141,34 @@ def physical_branches(
     Arguments as for `all_branches`, and the least and largest leg lengths (2, 6) [m], which decide between two; then
     the smaller tilt does. Poses, joints (N, 3, 3) and lengths (N, 6) are NaN where there is no such branch.
     """
-    tiles, out = allocate(), np.empty((2, 17, TILE))
-    poses = tiles[0]
+    tiles, roots, joint_tile, length_tile = allocate(), allocate_roots(), allocate_joints(), allocate_lengths()
+    aspects, poses = allocate_aspects(), tiles[0]
     for start in range(0, len(position), TILE):
         width = min(TILE, len(position) - start)
         load_poses(rotation, position, start, width, poses)
-        set_up_families(tiles, r, True)
+        set_up_families(tiles, r, platform_radius, True)
+        put_roots(0, tiles, r, roots)
+        put_branch(0, tiles, roots, base_radius, joint_tile, length_tile)
+        put_branch(1, tiles, roots, base_radius, joint_tile, length_tile)
         for branch in range(2):
-            put_branch(branch, tiles, r, base_radius, platform_radius, out[branch])
-            put_aspect(poses, base_radius, platform_radius, out[branch])
+            put_aspect(branch, poses, base_radius, platform_radius, joint_tile, aspects)
             for k in range(TILE):
                 inside = True
                 for i in range(6):
-                    length = out[branch, LEGS + i, k]
+                    length = length_tile[6 * branch + i, k]
                     inside = inside & (length >= limits[0, i]) & (length <= limits[1, i])
-                out[branch, PHYSICAL, k] *= where(inside, 2.0, 1.0)
+                aspects[branch, PHYSICAL, k] *= where(inside, 2.0, 1.0)
         for k in range(width):
-            plus, minus = out[0, PHYSICAL, k], out[1, PHYSICAL, k]
-            straighter = out[1, STRAIGHT, k] > out[0, STRAIGHT, k]
+            plus, minus = aspects[0, PHYSICAL, k], aspects[1, PHYSICAL, k]
+            straighter = aspects[1, STRAIGHT, k] > aspects[0, STRAIGHT, k]
             side = 1 if (minus > plus) | ((minus == plus) & straighter) else 0
-            exists = plus + minus > 0.0
-            store_pose(poses, k, 1.0 if exists else np.nan, rotation_copy[start + k], position_copy[start + k])
-            store_branch(out[side], k, joints[start + k], lengths[start + k])
-            if not exists:
-                for i in range(3):
-                    joints[start + k, i, 0], joints[start + k, i, 1], joints[start + k, i, 2] = np.nan, np.nan, np.nan
-                for i in range(6):
-                    lengths[start + k, i] = np.nan
+            factor = 1.0 if plus + minus > 0.0 else np.nan
+            store_pose(poses, k, factor, rotation_copy[start + k], position_copy[start + k])
+            for i in range(3):
+                for j in range(3):
+                    joints[start + k, i, j] = factor * joint_tile[9 * side + 3 * i + j, k]
+            for i in range(6):
+                lengths[start + k, i] = factor * length_tile[6 * side + i, k]
 
 
 @kernel(f"void({_POSES}, f8, f8, f8, f8[:,:,::1], i1[::1], u1[::1])")
@@ -181,39 +183,37 @@ def branch_lengths(
     flagged: ByteArray,
 ) -> None:
     """Solve N poses for the leg lengths alone; arguments as for `all_branches`."""
-    tiles, out = allocate(), np.empty((6, TILE))
+    tiles, roots, joint_tile, length_tile = allocate(), allocate_roots(), allocate_joints(), allocate_lengths()
     for start in range(0, len(position), TILE):
         width = min(TILE, len(position) - start)
         load_poses(rotation, position, start, width, tiles[0])
-        set_up_families(tiles, r, False)
-        put_status(tiles, start, width, status, flagged)
+        set_up_families(tiles, r, platform_radius, False)
+        for family in range(4):
+            put_roots(family, tiles, r, roots)
         for branch in range(8):
-            for k in range(TILE):
-                radii, heights = real_joints(branch, k, tiles, r)
-                put_lengths(radii, heights, tiles[0], k, base_radius, platform_radius, out, 0)
-            for k in range(width):
-                for i in range(6):
-                    lengths[start + k, branch, i] = out[i, k]
+            put_branch(branch, tiles, roots, base_radius, joint_tile, length_tile)
+            store_lengths(width, start, branch, length_tile, lengths)
+        put_status(tiles, start, width, status, flagged)
 
 
 @kernel(f"void({_POSES}, f8, c16[:,:,:,::1])")
 def complex_branches(rotation: FloatArray, position: FloatArray, r: float, joints: npt.NDArray[np.complex128]) -> None:
     """Solve N poses for all roots (N, 8, 3, 3), real or complex; arguments as for `all_branches`."""
     tiles = allocate()
-    forms = tiles[3]
+    forms = tiles[2]
     for start in range(0, len(position), TILE):
         width = min(TILE, len(position) - start)
         load_poses(rotation, position, start, width, tiles[0])
-        set_up_families(tiles, r, False)
+        set_up_families(tiles, r, 0.0, False)
         for k in range(width):
             for branch in range(8):
                 uu, uv, vv = forms[branch // 2, UU, k], forms[branch // 2, UV, k], forms[branch // 2, VV, k]
                 root = ROOT_SIGN[branch] * np.sqrt(complex(forms[branch // 2, REAL, k], 0.0))
-                u, v = root_of(uu, uv, vv, root)
+                u, v, _ = root_of(uu, uv, vv, root)
                 size = np.sqrt(u * u + v * v)
                 # Not a division, which raises an error where the root is at infinity.
                 scale = size.conjugate() * (1.0 / (size.real * size.real + size.imag * size.imag))
-                (p1, p2, p3), (z1, z2, z3) = joints_of_root(branch, k, u * scale, v * scale, tiles, r)
+                (p1, p2, p3), (z1, z2, z3) = joints_of_root(branch, k, u * scale, v * scale, r, tiles)
                 b = joints[start + k, branch]
                 b[0, 0], b[0, 1], b[0, 2] = COS_30 * p1, -0.5 * p1, z1
                 b[1, 0], b[1, 1], b[1, 2] = 0.0 * p2, p2, z2
@@ -226,14 +226,14 @@ def family_forms(
 ) -> None:
     """Write c, s and the common normal (N, 4), and the families' forms uu, uv, vv less h (N, 4, 3)."""
     tiles = allocate()
-    common, forms = tiles[1], tiles[3]
+    shared_tile, forms = tiles[1], tiles[2]
     for start in range(0, len(position), TILE):
         width = min(TILE, len(position) - start)
         load_poses(rotation, position, start, width, tiles[0])
-        set_up_families(tiles, r, False)
+        set_up_families(tiles, r, 0.0, False)
         for k in range(width):
-            shared[start + k, 0], shared[start + k, 1] = common[COSINE, k], common[SINE, k]
-            shared[start + k, 2], shared[start + k, 3] = common[N, k], common[NI, k]
+            shared[start + k, 0], shared[start + k, 1] = shared_tile[COSINE, k], shared_tile[SINE, k]
+            shared[start + k, 2], shared[start + k, 3] = shared_tile[N, k], shared_tile[NI, k]
             for family in range(4):
                 for i in range(3):
                     quadratics[start + k, family, i] = forms[family, i, k]

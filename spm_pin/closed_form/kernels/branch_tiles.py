@@ -13,9 +13,7 @@ import numpy.typing as npt
 from spm_pin.closed_form.kernels.compilation import TILE, jit_inline
 from spm_pin.closed_form.kernels.quadratics import (
     COS_30,
-    FAMILY_GROUP,
     FAMILY_LOWER,
-    FAMILY_TURNS,
     ROOT_SIGN,
     ROUNDING,
     axes,
@@ -24,17 +22,18 @@ from spm_pin.closed_form.kernels.quadratics import (
     quadratic_form,
     quaternion,
     root_of,
+    root_weights,
     times,
     where,
 )
 from spm_pin.closed_form.kernels.stage_equations import in_home_aspect
-from spm_pin.closed_form.kernels.vectors import Vector, dot
+from spm_pin.closed_form.kernels.tile_memory import LANES, in_blocks, in_caller, move_block, move_numbers, on_stack
+from spm_pin.closed_form.kernels.vectors import Vector, dot, minus
 from spm_pin.mechanism.arguments import FloatArray
 
 __all__ = [
     "COSINE",
     "DISCRIMINANT",
-    "LEGS",
     "NI",
     "PHYSICAL",
     "REAL",
@@ -48,38 +47,96 @@ __all__ = [
     "N",
     "Tiles",
     "allocate",
+    "allocate_aspects",
+    "allocate_joints",
+    "allocate_lengths",
+    "allocate_records",
+    "allocate_roots",
     "joints_of_root",
     "load_poses",
     "put_aspect",
     "put_branch",
-    "put_lengths",
+    "put_roots",
     "put_status",
-    "real_joints",
     "set_up_families",
-    "store_branch",
+    "store_joints",
+    "store_lengths",
     "store_pose",
+    "store_poses",
 ]
 
 VERTICAL = 16
 """Flag of a pose, besides bit k for a continuous family k: the two Z axes are parallel, without a common normal."""
 
-# Rows of a tile: common to all families; of a group of families, after its branch weights; of a family; of a branch.
-SINE, COSINE, N, NI, _M, _MI, _HALF_COSECANT = range(7)
-_AXIS, _AXIS_I = 6, 7
-UU, UV, VV, REAL, DISCRIMINANT = range(5)
-LEGS, PHYSICAL, STRAIGHT = 9, 15, 16
+# Rows of tiles: of a pose, after R and o, the first discriminant; common to all families; of a family; of a branch TT.
+DISCRIMINANT = 12
+SINE, COSINE, N, NI, _M, _MI, _COS_TILT, _HALF_COSECANT = range(8)
+_X0, _X3, _S, _SI, _W, _WI, _H, _NOISE, _PLATFORM = range(8, 17)
+UU, UV, VV, REAL, _WEIGHTS = range(5)
+PHYSICAL, STRAIGHT = range(2)
 
 ByteArray = npt.NDArray[np.uint8]
 """An array of bytes: flags that compiled loops write."""
-Tiles = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
-"""Poses (12, TILE), what all families share (7, TILE), groups (2, 8, TILE), families (4, 5, TILE), flags (TILE,)."""
+Tiles = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+"""Poses and discriminants over r² (16, TILE), what families share (25, TILE), families (4, 14, TILE), flags (TILE,)."""
 
 
-@jit_inline
+@on_stack
+def _poses() -> FloatArray:
+    return np.empty((16, TILE))
+
+
+@on_stack
+def _shared() -> FloatArray:
+    return np.empty((25, TILE))
+
+
+@on_stack
+def _families() -> FloatArray:
+    return np.empty((4, 14, TILE))
+
+
+@on_stack
+def _flags() -> FloatArray:
+    return np.empty(TILE)
+
+
+@in_caller
 def allocate() -> Tiles:
     """Allocate the tiles that a kernel works in."""
-    poses, common, groups = np.ones((12, TILE)), np.empty((7, TILE)), np.empty((2, 8, TILE))
-    return poses, common, groups, np.empty((4, 5, TILE)), np.empty(TILE)
+    poses, shared, families, flags = _poses(), _shared(), _families(), _flags()
+    poses[:] = 1.0
+    return poses, shared, families, flags
+
+
+@on_stack
+def allocate_roots() -> FloatArray:
+    """Allocate u, v and r / (u² + v²) of all branches (8, 3, TILE)."""
+    return np.empty((8, 3, TILE))
+
+
+@on_stack
+def allocate_joints() -> FloatArray:
+    """Allocate the b_i of all branches (72, TILE)."""
+    return np.empty((72, TILE))
+
+
+@on_stack
+def allocate_records() -> FloatArray:
+    """Allocate a tile of poses and discriminants, pose by pose (TILE, 16)."""
+    return np.empty((TILE, 16))
+
+
+@on_stack
+def allocate_lengths() -> FloatArray:
+    """Allocate the leg lengths of all branches (48, TILE)."""
+    return np.empty((48, TILE))
+
+
+@on_stack
+def allocate_aspects() -> FloatArray:
+    """Allocate what tells the physical branch from the other TT (2, 2, TILE)."""
+    return np.empty((2, 2, TILE))
 
 
 @jit_inline
@@ -107,92 +164,143 @@ def _vanishes(uu: float, uv: float, vv: float, noise: float) -> bool:
 
 
 @jit_inline
-def set_up_families(tiles: Tiles, r: float, only_tt: bool) -> None:
+def set_up_families(tiles: Tiles, r: float, c: float, only_tt: bool) -> None:
     """Compute the quadratics of a tile of poses, of all families or of TT alone."""
-    poses, common, groups, forms, flags = tiles
+    _put_axes(tiles, r, c)
+    # Per family the sign of the quaternion is the one with κ >= 0: κ does not change sign on any path along which the
+    # family stays real, so labels do not either.
+    _, shared, families, _ = tiles
+    unit = 1.0 / (r * r)
+    for k in range(TILE):
+        x0, x3, sine = shared[_X0, k], shared[_X3, k], shared[SINE, k]
+        sum_, sum_i, difference, difference_i = _brackets(shared, k, r)
+        lift, h, noise = where(x0 < 0.0, -1.0, 1.0), shared[_H, k], shared[_NOISE, k]
+        a, ai = lift * shared[_W, k], lift * shared[_WI, k]
+        weights = branch_weights(abs(x0), lift * x3, sine)
+        uu, uv, vv = quadratic_form(
+            sum_, sum_i, difference, difference_i, weights[0], weights[1], weights[2], weights[3]
+        )
+        _put_family(tiles, 0, k, uu - h, uv, vv - h, noise, unit)
+        _put_weights(families, 0, k, weights, (a, ai), (a, -ai), sine)
+        if not only_tt:
+            _put_family(tiles, 3, k, -uu - h, -uv, -vv - h, noise, unit)
+            _put_weights(families, 3, k, weights, (ai, -a), (ai, a), sine)
+    if only_tt:
+        return
+    for k in range(TILE):
+        x0, x3, sine = shared[_X0, k], shared[_X3, k], shared[SINE, k]
+        sum_, sum_i, difference, difference_i = _brackets(shared, k, r)
+        lift, h, noise = where(x3 < 0.0, -1.0, 1.0), shared[_H, k], shared[_NOISE, k]
+        a, ai = lift * shared[_W, k], lift * shared[_WI, k]
+        weights = branch_weights(abs(x3), -lift * x0, sine)
+        uu, uv, vv = quadratic_form(
+            difference, difference_i, sum_, sum_i, weights[0], weights[1], weights[2], weights[3]
+        )
+        _put_family(tiles, 1, k, uu - h, uv, vv - h, noise, unit)
+        _put_weights(families, 1, k, weights, (-ai, a), (-a, ai), sine)
+        _put_family(tiles, 2, k, -uu - h, -uv, -vv - h, noise, unit)
+        _put_weights(families, 2, k, weights, (a, ai), (ai, a), sine)
+
+
+@jit_inline
+def _put_axes(tiles: Tiles, r: float, c: float) -> None:
+    """Write the quaternion, both stages' tilt axes and their common normal, and flag poses that have none."""
+    poses, shared, _, flags = tiles
+    cx, cy = COS_30 * c, -0.5 * c
     for k in range(TILE):
         r00, r01, r02, r10, r11, r12 = poses[0, k], poses[1, k], poses[2, k], poses[3, k], poses[4, k], poses[5, k]
         r20, r21, r22, x, y = poses[6, k], poses[7, k], poses[8, k], poses[9, k], poses[10, k]
         x0, x1, x2, x3 = quaternion(r00, r01, r02, r10, r11, r12, r20, r21, r22)
-        cosine, sine, s, si, w, wi, n, ni, m, mi = axes(x0, x1, x2, x3)
-        half_cosecant = 0.5 / (cosine * sine)
-        common[SINE, k], common[COSINE, k], common[_HALF_COSECANT, k] = sine, cosine, half_cosecant
-        common[N, k], common[NI, k], common[_M, k], common[_MI, k] = n, ni, m, mi
-        h = n * x + ni * y
-        ww, wwi = times(w, wi, w, wi)
-        cubed, cubed_i = times(ww, wwi, w, wi)
-        # The brackets i s r [W³ ± conj(W)³] of families whose e are equal; in mixed ones they change places.
-        sum_, sum_i = -2.0 * r * cubed * si, 2.0 * r * cubed * s
-        difference, difference_i = 2.0 * r * cubed_i * s, 2.0 * r * cubed_i * si
+        cosine, sine, s, si, w, wi, n, ni, m, mi, cosecant = axes(x0, x1, x2, x3)
+        half_cosecant = 0.5 * cosecant
+        shared[_X0, k], shared[_X3, k], shared[SINE, k], shared[COSINE, k] = x0, x3, sine, cosine
+        shared[_S, k], shared[_SI, k], shared[_W, k], shared[_WI, k] = s, si, w, wi
+        shared[_COS_TILT, k], shared[_HALF_COSECANT, k] = cosine * cosine - sine * sine, half_cosecant
+        shared[N, k], shared[NI, k], shared[_M, k], shared[_MI, k] = n, ni, m, mi
+        shared[_H, k] = n * x + ni * y
         vertical = cosine * sine <= ROUNDING
         # No larger power of the position, which may be any number.
-        noise = where(vertical, -1.0, ROUNDING * (r + (abs(x) + abs(y)) * (2.0 * half_cosecant)))
+        shared[_NOISE, k] = where(vertical, -1.0, ROUNDING * (r + (abs(x) + abs(y)) * (2.0 * half_cosecant)))
         flags[k] = where(vertical, VERTICAL, 0.0)
-
-        # Per family the sign of the quaternion is the one with κ >= 0: κ does not change sign on any path along which
-        # the family stays real, so labels do not either.
-        lift = where(x0 < 0.0, -1.0, 1.0)
-        weights = branch_weights(abs(x0), lift * x3, sine)
-        for i in range(6):
-            groups[0, i, k] = weights[i]
-        groups[0, _AXIS, k], groups[0, _AXIS_I, k] = lift * w, lift * wi
-        uu, uv, vv = quadratic_form(
-            sum_, sum_i, difference, difference_i, weights[0], weights[1], weights[2], weights[3]
-        )
-        _put_family(forms, flags, 0, k, uu - h, uv, vv - h, noise)
-        if only_tt:
-            continue
-        _put_family(forms, flags, 3, k, -uu - h, -uv, -vv - h, noise)
-
-        lift = where(x3 < 0.0, -1.0, 1.0)
-        weights = branch_weights(abs(x3), -lift * x0, sine)
-        for i in range(6):
-            groups[1, i, k] = weights[i]
-        groups[1, _AXIS, k], groups[1, _AXIS_I, k] = lift * w, lift * wi
-        uu, uv, vv = quadratic_form(
-            difference, difference_i, sum_, sum_i, weights[0], weights[1], weights[2], weights[3]
-        )
-        _put_family(forms, flags, 1, k, uu - h, uv, vv - h, noise)
-        _put_family(forms, flags, 2, k, -uu - h, -uv, -vv - h, noise)
+        for i in range(3):
+            o, first, second = poses[9 + i, k], poses[3 * i, k], poses[3 * i + 1, k]
+            back, side = o + cy * second, cx * first
+            shared[_PLATFORM + i, k], shared[_PLATFORM + 6 + i, k] = back + side, back - side
+            shared[_PLATFORM + 3 + i, k] = o + c * second
 
 
 @jit_inline
-def _put_family(
-    forms: FloatArray, flags: FloatArray, family: int, k: int, uu: float, uv: float, vv: float, noise: float
-) -> None:
+def _brackets(shared: FloatArray, k: int, r: float) -> tuple[float, float, float, float]:
+    """Return i s r [W³ ± conj(W)³], the brackets of families whose e are equal; in mixed ones they change places."""
+    s, si, w, wi = shared[_S, k], shared[_SI, k], shared[_W, k], shared[_WI, k]
+    ww, wwi = times(w, wi, w, wi)
+    cubed, cubed_i = times(ww, wwi, w, wi)
+    return -2.0 * r * cubed * si, 2.0 * r * cubed * s, 2.0 * r * cubed_i * s, 2.0 * r * cubed_i * si
+
+
+@jit_inline
+def _put_family(tiles: Tiles, family: int, k: int, uu: float, uv: float, vv: float, noise: float, unit: float) -> None:
+    poses, _, families, flags = tiles
     continuous = _vanishes(uu, uv, vv, noise)
     discriminant = uv * uv - uu * vv
-    forms[family, UU, k], forms[family, UV, k], forms[family, VV, k] = uu, uv, vv
-    forms[family, DISCRIMINANT, k] = discriminant
-    forms[family, REAL, k] = where(continuous | (noise < 0.0), np.nan, discriminant)
+    families[family, UU, k], families[family, UV, k], families[family, VV, k] = uu, uv, vv
+    poses[DISCRIMINANT + family, k] = discriminant * unit
+    families[family, REAL, k] = where(continuous | (noise < 0.0), np.nan, discriminant)
     flags[k] += where(continuous, 1.0 * 2**family, 0.0)
 
 
 @jit_inline
-def joints_of_root(branch: int, k: int, u: Any, v: Any, tiles: Tiles, r: float) -> tuple[Vector, Vector]:
-    """Return ρ_1, ρ_2, ρ_3 and z_1, z_2, z_3 of one branch of the pose in place k of a tile, given its root."""
-    poses, common, groups, _, _ = tiles
-    family = branch // 2
-    group, turns = FAMILY_GROUP[family], FAMILY_TURNS[family]
-    f, fi, g, gi = groups[group, 0, k], groups[group, 1, k], groups[group, 2, k], groups[group, 3, k]
-    weights = f, fi, g, gi, groups[group, 4, k], groups[group, 5, k]
-    axis, axis_i = groups[group, _AXIS, k], groups[group, _AXIS_I, k]
-    lower_axis = times(axis, axis_i, turns[0], turns[1])
-    upper_axis = times(axis, -axis_i, turns[2], turns[3])
-    position = poses[9, k], poses[10, k], poses[11, k]
-    normals = common[N, k], common[NI, k], common[_M, k], common[_MI, k]
-    half_angle = common[COSINE, k], common[SINE, k], common[_HALF_COSECANT, k]
-    return middle_joints(u, v, weights, lower_axis, upper_axis, position, normals, half_angle, FAMILY_LOWER[family], r)
+def _put_weights(
+    families: FloatArray,
+    family: int,
+    k: int,
+    weights: tuple[float, float, float, float, float, float],
+    lower_axis: tuple[float, float],
+    upper_axis: tuple[float, float],
+    sine: float,
+) -> None:
+    found = root_weights(weights, lower_axis, upper_axis, sine)
+    for i in range(10):
+        families[family, _WEIGHTS + i, k] = found[i]
 
 
 @jit_inline
-def real_joints(branch: int, k: int, tiles: Tiles, r: float) -> tuple[Vector, Vector]:
-    """Return ρ_1, ρ_2, ρ_3 and z_1, z_2, z_3 of one branch of the pose in place k of a tile, NaN if it is complex."""
-    forms, family = tiles[3], branch // 2
-    root = ROOT_SIGN[branch] * np.sqrt(forms[family, REAL, k])
-    u, v = root_of(forms[family, UU, k], forms[family, UV, k], forms[family, VV, k], root)
-    scale = 1.0 / np.sqrt(u * u + v * v)
-    return joints_of_root(branch, k, u * scale, v * scale, tiles, r)
+def put_roots(family: int, tiles: Tiles, r: float, roots: FloatArray) -> None:
+    """Write u, v and r / (u² + v²) of both branches of a family of a tile of poses, NaN where they are complex."""
+    families = tiles[2]
+    for k in range(TILE):
+        uu, uv, vv = families[family, UU, k], families[family, UV, k], families[family, VV, k]
+        root = ROOT_SIGN[2 * family] * np.sqrt(families[family, REAL, k])
+        u, v, square = root_of(uu, uv, vv, root)
+        roots[2 * family, 0, k], roots[2 * family, 1, k], roots[2 * family, 2, k] = u, v, r / square
+        u, v, square = root_of(uu, uv, vv, -root)
+        roots[2 * family + 1, 0, k], roots[2 * family + 1, 1, k], roots[2 * family + 1, 2, k] = u, v, r / square
+
+
+@jit_inline
+def joints_of_root(branch: int, k: int, u: Any, v: Any, size: Any, tiles: Tiles) -> tuple[Vector, Vector]:
+    """Return ρ_1, ρ_2, ρ_3 and z_1, z_2, z_3 of one branch of the pose in place k of a tile.
+
+    u, v is a root of its form, of any length, and `size` r / (u² + v²).
+    """
+    poses, shared, families, _ = tiles
+    family = branch // 2
+    weights = (
+        families[family, _WEIGHTS, k],
+        families[family, _WEIGHTS + 1, k],
+        families[family, _WEIGHTS + 2, k],
+        families[family, _WEIGHTS + 3, k],
+        families[family, _WEIGHTS + 4, k],
+        families[family, _WEIGHTS + 5, k],
+        families[family, _WEIGHTS + 6, k],
+        families[family, _WEIGHTS + 7, k],
+        families[family, _WEIGHTS + 8, k],
+        families[family, _WEIGHTS + 9, k],
+    )
+    position = poses[9, k], poses[10, k], poses[11, k]
+    normals = shared[N, k], shared[NI, k], shared[_M, k], shared[_MI, k]
+    tilt = shared[_COS_TILT, k], shared[_HALF_COSECANT, k]
+    return middle_joints(u, v, size, weights, position, normals, tilt, FAMILY_LOWER[family])
 
 
 @jit_inline
@@ -201,57 +309,54 @@ def _length(x: float, y: float, z: float) -> float:
 
 
 @jit_inline
-def put_lengths(
-    radii: Vector, heights: Vector, poses: FloatArray, k: int, e: float, c: float, out: FloatArray, first: int
+def _put_lengths(
+    radii: Vector, heights: Vector, shared: FloatArray, k: int, e: float, lengths: FloatArray, first: int
 ) -> None:
-    """Write the six leg lengths into rows of a tile; e and c are the radii of base and platform."""
-    x, y, z = poses[9, k], poses[10, k], poses[11, k]
-    cx, cy = COS_30 * c, -0.5 * c
-    r00, r01, r10, r11, r20, r21 = poses[0, k], poses[1, k], poses[3, k], poses[4, k], poses[6, k], poses[7, k]
-    side_x, side_y, side_z = cx * r00, cx * r10, cx * r20
-    back_x, back_y, back_z = x + cy * r01, y + cy * r11, z + cy * r21
-    p1, p2, p3 = radii
-    z1, z2, z3 = heights
-    out[first, k], out[first + 1, k], out[first + 2, k] = (
-        _length(p1 - e, 0.0, z1),
-        _length(p2 - e, 0.0, z2),
-        _length(p3 - e, 0.0, z3),
-    )
-    out[first + 3, k], out[first + 4, k], out[first + 5, k] = (
-        _length(back_x + side_x - COS_30 * p1, back_y + side_y + 0.5 * p1, back_z + side_z - z1),
-        _length(x + c * r01, y + c * r11 - p2, z + c * r21 - z2),
-        _length(back_x - side_x + COS_30 * p3, back_y - side_y + 0.5 * p3, back_z - side_z - z3),
-    )
+    """Write the six leg lengths into rows of a tile; e is the radius of the base."""
+    (p1, p2, p3), (z1, z2, z3) = radii, heights
+    lengths[first, k] = _length(p1 - e, 0.0, z1)
+    lengths[first + 1, k] = _length(p2 - e, 0.0, z2)
+    lengths[first + 2, k] = _length(p3 - e, 0.0, z3)
+    c = shared[_PLATFORM, k], shared[_PLATFORM + 1, k], shared[_PLATFORM + 2, k]
+    lengths[first + 3, k] = _length(c[0] - COS_30 * p1, c[1] + 0.5 * p1, c[2] - z1)
+    c = shared[_PLATFORM + 3, k], shared[_PLATFORM + 4, k], shared[_PLATFORM + 5, k]
+    lengths[first + 4, k] = _length(c[0], c[1] - p2, c[2] - z2)
+    c = shared[_PLATFORM + 6, k], shared[_PLATFORM + 7, k], shared[_PLATFORM + 8, k]
+    lengths[first + 5, k] = _length(c[0] + COS_30 * p3, c[1] + 0.5 * p3, c[2] - z3)
 
 
 @jit_inline
-def put_branch(branch: int, tiles: Tiles, r: float, e: float, c: float, out: FloatArray) -> None:
-    """Write the b_i and leg lengths of one branch of a tile of poses into the first 15 rows of `out` (17, TILE)."""
+def put_branch(branch: int, tiles: Tiles, roots: FloatArray, e: float, joints: FloatArray, lengths: FloatArray) -> None:
+    """Write the b_i and leg lengths of one branch of a tile of poses into rows of `joints` and `lengths`."""
+    first = 9 * branch
     for k in range(TILE):
-        radii, heights = real_joints(branch, k, tiles, r)
+        radii, heights = joints_of_root(branch, k, roots[branch, 0, k], roots[branch, 1, k], roots[branch, 2, k], tiles)
         p1, p2, p3 = radii
-        out[0, k], out[1, k], out[2, k] = COS_30 * p1, -0.5 * p1, heights[0]
-        out[3, k], out[4, k], out[5, k] = 0.0 * p2, p2, heights[1]
-        out[6, k], out[7, k], out[8, k] = -COS_30 * p3, -0.5 * p3, heights[2]
-        put_lengths(radii, heights, tiles[0], k, e, c, out, LEGS)
+        joints[first, k], joints[first + 1, k], joints[first + 2, k] = COS_30 * p1, -0.5 * p1, heights[0]
+        joints[first + 3, k], joints[first + 4, k], joints[first + 5, k] = 0.0 * p2, p2, heights[1]
+        joints[first + 6, k], joints[first + 7, k], joints[first + 8, k] = -COS_30 * p3, -0.5 * p3, heights[2]
+        _put_lengths(radii, heights, tiles[1], k, e, lengths, 6 * branch)
 
 
 @jit_inline
-def put_aspect(poses: FloatArray, e: float, c: float, out: FloatArray) -> None:
+def put_aspect(branch: int, poses: FloatArray, e: float, c: float, joints: FloatArray, aspects: FloatArray) -> None:
     """Write whether a real machine can be in a branch TT, leg limits aside, and the sum of its radii in both stages.
 
     Both stages stand upright and are in their home's aspect. The sum is larger where their tilts are smaller.
     """
+    at = 9 * branch
     for k in range(TILE):
-        radii, heights = (-2.0 * out[1, k], out[4, k], -2.0 * out[7, k]), (out[2, k], out[5, k], out[8, k])
-        x, y, z = poses[9, k], poses[10, k], poses[11, k]
+        first = joints[at, k], joints[at + 1, k], joints[at + 2, k]
+        second = joints[at + 3, k], joints[at + 4, k], joints[at + 5, k]
+        third = joints[at + 6, k], joints[at + 7, k], joints[at + 8, k]
+        radii, heights = (-2.0 * first[1], second[1], -2.0 * third[1]), (first[2], second[2], third[2])
+        o = poses[9, k], poses[10, k], poses[11, k]
         columns = (
             (poses[0, k], poses[3, k], poses[6, k]),
             (poses[1, k], poses[4, k], poses[7, k]),
             (poses[2, k], poses[5, k], poses[8, k]),
         )
-        first, second = (out[0, k] - x, out[1, k] - y, out[2, k] - z), (out[3, k] - x, out[4, k] - y, out[5, k] - z)
-        third = out[6, k] - x, out[7, k] - y, out[8, k] - z
+        first, second, third = minus(first, o), minus(second, o), minus(third, o)
         upper = (
             COS_30 * dot(first, columns[0]) - 0.5 * dot(first, columns[1]),
             dot(second, columns[1]),
@@ -262,24 +367,89 @@ def put_aspect(poses: FloatArray, e: float, c: float, out: FloatArray) -> None:
         upright = (lower_sum > 0.0) & (upper_sum > 0.0)
         upright = upright & (heights[0] + heights[1] + heights[2] > 0.0) & (below[0] + below[1] + below[2] > 0.0)
         home = upright & in_home_aspect(radii, heights, e) & in_home_aspect(upper, below, c)
-        out[PHYSICAL, k], out[STRAIGHT, k] = where(home, 1.0, 0.0), lower_sum + upper_sum
+        aspects[branch, PHYSICAL, k], aspects[branch, STRAIGHT, k] = where(home, 1.0, 0.0), lower_sum + upper_sum
 
 
 @jit_inline
 def put_status(tiles: Tiles, start: int, width: int, status: npt.NDArray[np.int8], flagged: ByteArray) -> None:
     """Write whether each pose of a tile has a real branch, and its flags."""
-    forms, flags = tiles[3], tiles[4]
+    families, flags = tiles[2], tiles[3]
     for k in range(width):
-        real = (forms[0, REAL, k] >= 0.0) | (forms[1, REAL, k] >= 0.0)
-        real = real | (forms[2, REAL, k] >= 0.0) | (forms[3, REAL, k] >= 0.0)
+        real = (families[0, REAL, k] >= 0.0) | (families[1, REAL, k] >= 0.0)
+        real = real | (families[2, REAL, k] >= 0.0) | (families[3, REAL, k] >= 0.0)
         status[start + k] = 0 if real else 1
         flagged[start + k] = np.uint8(flags[k])
 
 
 @jit_inline
-def store_branch(out: FloatArray, k: int, joints: FloatArray, lengths: FloatArray) -> None:
-    """Copy the b_i and leg lengths in place k of a tile to a branch's (3, 3) and (6,)."""
-    for i in range(3):
-        joints[i, 0], joints[i, 1], joints[i, 2] = out[3 * i, k], out[3 * i + 1, k], out[3 * i + 2, k]
-    for i in range(6):
-        lengths[i] = out[LEGS + i, k]
+def _move_joints(start: int, branch: int, tile: FloatArray, joints: FloatArray) -> None:
+    # Nine rows a branch: this block of eight is now complete.
+    for lane in range(0, TILE, LANES):
+        move_block(tile, 8 * branch, lane, joints, start + lane)
+        if branch == 7:
+            move_block(tile, 64, lane, joints, start + lane)
+
+
+@in_blocks(_move_joints)
+def store_joints(width: int, start: int, branch: int, tile: FloatArray, joints: FloatArray) -> None:
+    """Copy the b_i of a branch to results (N, 8, 3, 3); the branches have to be stored one after the other."""
+    for k in range(width):
+        for i in range(3):
+            for j in range(3):
+                joints[start + k, branch, i, j] = tile[9 * branch + 3 * i + j, k]
+
+
+@jit_inline
+def _move_lengths(start: int, branch: int, tile: FloatArray, lengths: FloatArray) -> None:
+    # Six rows a branch: three branches of four complete a block.
+    if branch % 4 != 0:
+        for lane in range(0, TILE, LANES):
+            move_block(tile, 8 * (branch - 1 - branch // 4), lane, lengths, start + lane)
+
+
+@in_blocks(_move_lengths)
+def store_lengths(width: int, start: int, branch: int, tile: FloatArray, lengths: FloatArray) -> None:
+    """Copy the leg lengths of a branch to results (N, 8, 6); the branches have to be stored one after the other."""
+    for k in range(width):
+        for i in range(6):
+            lengths[start + k, branch, i] = tile[6 * branch + i, k]
+
+
+@jit_inline
+def _move_poses(
+    start: int,
+    poses: FloatArray,
+    records: FloatArray,
+    rotation: FloatArray,
+    position: FloatArray,
+    discriminants: FloatArray,
+) -> None:
+    for lane in range(0, TILE, LANES):
+        move_block(poses, 0, lane, records, lane)
+        move_block(poses, 8, lane, records, lane)
+    for k in range(TILE):
+        move_numbers(records, k, 0, 9, rotation, start + k)
+        move_numbers(records, k, 9, 3, position, start + k)
+        move_numbers(records, k, 12, 4, discriminants, start + k)
+
+
+@in_blocks(_move_poses)
+def store_poses(
+    width: int,
+    start: int,
+    poses: FloatArray,
+    records: FloatArray,
+    rotation: FloatArray,
+    position: FloatArray,
+    discriminants: FloatArray,
+) -> None:
+    """Copy R, o and the discriminants to results (N, 3, 3), (N, 3) and (N, 4), by way of `records` (TILE, 16)."""
+    for k in range(width):
+        for i in range(16):
+            records[k, i] = poses[i, k]
+        for i in range(3):
+            for j in range(3):
+                rotation[start + k, i, j] = records[k, 3 * i + j]
+            position[start + k, i] = records[k, 9 + i]
+        for i in range(4):
+            discriminants[start + k, i] = records[k, DISCRIMINANT + i]

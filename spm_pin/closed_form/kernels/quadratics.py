@@ -18,15 +18,16 @@ __all__ = [
     "COS_30",
     "FAMILY_GROUP",
     "FAMILY_LOWER",
-    "FAMILY_TURNS",
     "ROOT_SIGN",
     "ROUNDING",
+    "RootWeights",
     "axes",
     "branch_weights",
     "middle_joints",
     "quadratic_form",
     "quaternion",
     "root_of",
+    "root_weights",
     "times",
     "where",
 ]
@@ -38,10 +39,11 @@ FAMILY_GROUP = np.array([0, 1, 1, 0])
 """The group of each of the families TT, TF, FT, FF."""
 FAMILY_LOWER = np.array([1.0, 1.0, -1.0, -1.0])
 """The mode of the lower stage in each family: +1 for T, -1 for F."""
-FAMILY_TURNS = np.array([[1.0, 0.0, 1.0, 0.0], [0.0, 1.0, -1.0, 0.0], [1.0, 0.0, 0.0, 1.0], [0.0, -1.0, 0.0, 1.0]])
-"""Factors on w_a and on conj(w_b) by which each family turns the tilt axis, with the sign of its quaternion."""
 ROOT_SIGN = np.array([1.0, -1.0, -1.0, 1.0, -1.0, 1.0, 1.0, -1.0])
 """The root, in this order, of the branches + and - of each family (by the sign of det K)."""
+
+RootWeights = tuple[float, float, float, float, float, float, float, float, float, float]
+"""Weights of u, then v, in the parts of w_a and of conj(w_b), and in P, which is real."""
 
 COS_30 = float(np.sqrt(0.75))
 """The cosine of 30°."""
@@ -82,21 +84,23 @@ def quaternion(
 @jit_inline
 def axes(
     x0: float, x1: float, x2: float, x3: float
-) -> tuple[float, float, float, float, float, float, float, float, float, float]:
-    """Return c, s, S/|S|, W/|W|, the common normal n seen from {B}, and seen from {m}."""
+) -> tuple[float, float, float, float, float, float, float, float, float, float, float]:
+    """Return c, s, S/|S|, W/|W|, the common normal n seen from {B}, and seen from {m}, and 1 / cs."""
     cosine, sine = np.sqrt(x0 * x0 + x3 * x3), np.sqrt(x1 * x1 + x2 * x2)
-    s, si, w, wi = x0 / cosine, x3 / cosine, x1 / sine, x2 / sine
+    over_cosine, over_sine = 1.0 / cosine, 1.0 / sine
+    s, si, w, wi = x0 * over_cosine, x3 * over_cosine, x1 * over_sine, x2 * over_sine
     n, ni = times(s, si, w, wi)
     m, mi = times(s, -si, w, wi)
-    return cosine, sine, s, si, w, wi, n, ni, m, mi
+    return cosine, sine, s, si, w, wi, n, ni, m, mi, over_cosine * over_sine
 
 
 @jit_inline
 def branch_weights(kappa: float, mu: float, sine: float) -> tuple[float, float, float, float, float, float]:
     """Return the weights F, G of u and v in the quaternions of a and b, and (P - Q)/2su, (P + Q)/2sv; for κ >= 0."""
     # 1 - κ without cancellation, from |S'|² + |W|² = 1.
-    one_minus = (sine * sine + mu * mu) / (1.0 + kappa)
-    scale_u, scale_v = np.sqrt(0.5 / (1.0 + kappa)), np.sqrt(0.5 / one_minus)
+    over_plus = 1.0 / (1.0 + kappa)
+    one_minus = (sine * sine + mu * mu) * over_plus
+    scale_u, scale_v = np.sqrt(0.5 * over_plus), np.sqrt(0.5 / one_minus)
     return (1.0 + kappa) * scale_u, mu * scale_u, one_minus * scale_v, -mu * scale_v, scale_u, scale_v
 
 
@@ -112,50 +116,67 @@ def quadratic_form(
 
 
 @jit_inline
-def root_of(uu: float, uv: float, vv: float, root: float) -> tuple[float, float]:
-    """Return u, v of any length on the form, given the root, with its sign, of the discriminant."""
-    u1, v1, u2, v2 = root - uv, uu, vv, -uv - root
+def root_of(uu: float, uv: float, vv: float, root: float) -> tuple[float, float, float]:
+    """Return u, v of any length on the form, and |u|² + |v|², given the root, with its sign, of the discriminant."""
+    u1, v1, u2, v2 = root - uv, uu, vv, -root - uv
     # Both pairs solve the form; the longer one is free of cancellation.
     first = u1.real * u1.real + u1.imag * u1.imag + v1.real * v1.real + v1.imag * v1.imag
     second = u2.real * u2.real + u2.imag * u2.imag + v2.real * v2.real + v2.imag * v2.imag
     longer = first >= second
-    return where(longer, u1, u2), where(longer, v1, v2)
+    return where(longer, u1, u2), where(longer, v1, v2), where(longer, first, second)
+
+
+@jit_inline
+def root_weights(
+    weights: tuple[float, float, float, float, float, float],
+    lower_axis: tuple[float, float],
+    upper_axis: tuple[float, float],
+    sine: float,
+) -> RootWeights:
+    """Return the weights of u and v, complex ones as two, in w_a, conj(w_b) and P of a family.
+
+    `weights` is what `branch_weights` returned; the axes are those of w_a and conj(w_b) in this family.
+    """
+    f, fi, g, gi, scale_u, scale_v = weights
+    a_u, a_ui = times(lower_axis[0], lower_axis[1], -f, -fi)
+    a_v, a_vi = times(lower_axis[0], lower_axis[1], g, gi)
+    b_u, b_ui = times(upper_axis[0], upper_axis[1], f, fi)
+    b_v, b_vi = times(upper_axis[0], upper_axis[1], g, gi)
+    return a_u, a_ui, a_v, a_vi, b_u, b_ui, b_v, b_vi, sine * scale_u, sine * scale_v
 
 
 @jit_inline
 def middle_joints(
     u: Any,
     v: Any,
-    weights: tuple[float, float, float, float, float, float],
-    lower_axis: tuple[float, float],
-    upper_axis: tuple[float, float],
+    size: Any,
+    weights: RootWeights,
     position: tuple[float, float, float],
     normals: tuple[float, float, float, float],
-    half_angle: tuple[float, float, float],
+    tilt: tuple[float, float],
     lower: float,
-    r: float,
 ) -> tuple[Vector, Vector]:
-    """Return the middle joints' radii ρ_i in the planes of their lower legs, and heights z_i, of a root u² + v² = 1.
+    """Return the middle joints' radii ρ_i in the planes of their lower legs, and heights z_i, of a root u, v.
 
-    `weights` is what `branch_weights` returned, `normals` n and n seen from {m}, `half_angle` c, s and 1 / 2cs, `lower`
-    e of the lower stage.
+    `size` is r / (u² + v²), `weights` what `root_weights` returned, `normals` n and n seen from {m}, `tilt` c² - s² and
+    1 / 2cs, `lower` e of the lower stage.
     """
-    f, fi, g, gi, scale_u, scale_v = weights
-    cosine, sine, half_cosecant = half_angle
-    p = sine * (v * scale_v + u * scale_u)
+    a_u, a_ui, a_v, a_vi, b_u, b_ui, b_v, b_vi, p_u, p_v = weights
+    p = p_u * u + p_v * v
     # w_a and conj(w_b).
-    a1, a2 = times(lower_axis[0], lower_axis[1], g * v - f * u, gi * v - fi * u)
-    b1, b2 = times(upper_axis[0], upper_axis[1], g * v + f * u, gi * v + fi * u)
+    a1, a2 = a_v * v + a_u * u, a_vi * v + a_ui * u
+    b1, b2 = b_v * v + b_u * u, b_vi * v + b_ui * u
     # The centre's horizontal position in {B} and in {m}; only its part along the tilt is needed: with the common
     # normal n, that direction is -i n.
-    x, y = -2.0 * r * a1 * a2, r * (a2 * a2 - a1 * a1)
-    x_m, y_m = 2.0 * r * b1 * b2, r * (b2 * b2 - b1 * b1)
+    twice = 2.0 * size
+    x, y = -twice * (a1 * a2), size * (a2 * a2 - a1 * a1)
+    x_m, y_m = twice * (b1 * b2), size * (b2 * b2 - b1 * b1)
     along = normals[1] * (x - position[0]) - normals[0] * (y - position[1])
     along_m = normals[3] * x_m - normals[2] * y_m
-    z = position[2] + ((cosine * cosine - sine * sine) * along - along_m) * half_cosecant
-    square = lower * r * p * p
+    z = position[2] + (tilt[0] * along - along_m) * tilt[1]
+    square = lower * size * (p * p)
     across = 2.0 * COS_30 * x
     # Mode F is turned half round its normal.
     c, s = where(lower < 0.0, a1, -a2), where(lower < 0.0, a2, a1)
-    c, s = 2.0 * r * p * COS_30 * c, r * p * s
+    c, s = COS_30 * twice * (p * c), size * (p * s)
     return (square + across - y, square + 2.0 * y, square - across - y), (z + c - s, z + 2.0 * s, z - c - s)
