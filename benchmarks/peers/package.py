@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 import spm_pin as spm
 from benchmarks.peers.c_loop import real_branches
 from benchmarks.peers.peer import FloatArray, Prepared
+from spm_pin.closed_form.batches import BRANCH_RESULTS, new_result
 from spm_pin.closed_form.inverse_displacement import branch_lengths
 from spm_pin.paper import resultant
 
@@ -61,15 +62,12 @@ def kernel(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
     matrices = poses.as_matrix()
     rotation, position = np.ascontiguousarray(matrices[:, :3, :3]), np.ascontiguousarray(matrices[:, :3, 3])
     n = len(position)
-    copies = np.empty_like(rotation), np.empty_like(position)
-    joints, lengths, discriminants = np.empty((n, 8, 3, 3)), np.empty((n, 8, 6)), np.empty((n, 4))
-    choice = np.empty((n, 3), dtype=np.uint8)
-    status, flagged = np.empty(n, dtype=np.int8), np.empty(n, dtype=np.uint8)
+    results = [new_result(n, result) for result in BRANCH_RESULTS]
     sizes = geometry.middle_radius, geometry.base_radius, geometry.platform_radius
 
     def call() -> FloatArray:
-        all_branches(rotation, position, *sizes, *copies, joints, lengths, discriminants, choice, status, flagged)
-        return joints
+        all_branches(rotation, position, *sizes, *results)
+        return results[2]
 
     return Prepared(call, real_branches)
 

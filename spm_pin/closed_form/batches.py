@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -14,8 +15,24 @@ from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import EXACT, PoseLike, checked_pose, unchecked_pose
 
-__all__ = ["BRANCH_RESULTS", "Result", "radii", "read_pose", "run_kernel", "run_on_states", "with_two_batch_axes"]
+__all__ = [
+    "BRANCH_RESULTS",
+    "Result",
+    "new_result",
+    "radii",
+    "read_pose",
+    "run_kernel",
+    "run_on_states",
+    "with_two_batch_axes",
+]
 
+_MIN_CHECKED = 1 << 17
+"""Poses whose check is worth a thread."""
+
+_LINE = 64
+"""Bytes of a cache line; a store across two of them takes twice as long."""
+_LONG = 1 << 14
+"""Bytes of a result of which whole cache lines are written."""
 Result = tuple[tuple[int, ...], npt.DTypeLike]
 """Trailing shape and type of one result of a kernel."""
 
@@ -31,6 +48,17 @@ BRANCH_RESULTS: tuple[Result, ...] = (
     ((), np.uint8),
 )
 """Results of the kernel `all_branches`: R, o, joints, lengths, discriminants, choice, status and what is flagged."""
+
+
+def new_result(count: int, result: Result) -> npt.NDArray[Any]:
+    """Return memory for one result of `count` members, which begins at a cache line where it is long."""
+    shape, dtype = (count, *result[0]), np.dtype(result[1])
+    size = math.prod(shape) * dtype.itemsize
+    if size < _LONG:
+        return np.empty(shape, dtype)
+    memory = np.empty(size + _LINE, np.uint8)
+    first = -memory.__array_interface__["data"][0] % _LINE
+    return memory[first : first + size].view(dtype).reshape(shape)
 
 
 def run_kernel(
@@ -65,7 +93,7 @@ def run_kernel(
         The results.
     """
     count = len(inputs[0])
-    arrays = [r if isinstance(r, np.ndarray) else np.empty((count * packed, *r[0]), dtype=r[1]) for r in results]
+    arrays = [r if isinstance(r, np.ndarray) else new_result(count * packed, r) for r in results]
 
     def work(part: slice) -> None:
         target = slice(part.start * packed, part.stop * packed)
@@ -137,8 +165,10 @@ def read_pose(pose: PoseLike) -> tuple[tuple[int, ...], FloatArray, FloatArray]:
     from spm_pin.closed_form.kernels.branch_kernels import are_rigid
 
     rotation, position = unchecked_pose(pose)
-    shape, flat = position.shape[:-1], rotation.reshape(-1, 3, 3)
-    if not are_rigid(flat, position.reshape(-1, 3), EXACT):
+    shape, flat, places = position.shape[:-1], rotation.reshape(-1, 3, 3), position.reshape(-1, 3)
+    rigid: list[bool] = []
+    parallel_for(lambda part: rigid.append(are_rigid(flat[part], places[part], EXACT)), len(flat), _MIN_CHECKED)
+    if not all(rigid):
         rotation, position = checked_pose(rotation, position, "pose")
         flat = rotation.reshape(-1, 3, 3)
     return shape, flat, position.reshape(-1, 3)

@@ -3,7 +3,8 @@
 A formula is a small function of plain numbers marked `jit_inline`. A kernel is a loop over a batch that calls them, and
 the only thing that is compiled on its own. Where the formula is straight-line arithmetic the loop goes over tiles of
 `TILE` problems: their numbers are put into rows of a small array, so that the compiler takes several problems into
-one vector register, and a single problem is computed exactly like a million.
+one vector register, and a single problem is computed exactly like a million. Tiles on the stack (`tile_memory`) save
+the second version of every loop that the compiler makes for arrays that may overlap.
 
 Nothing here checks an argument; the public functions do. Importing this package imports Numba, so they do it when
 called.

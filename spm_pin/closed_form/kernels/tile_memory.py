@@ -7,8 +7,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numba
-from llvmlite import ir
-from numba.core import types
+from numba.core import cgutils, types
 from numba.extending import intrinsic, overload
 from numba.np import arrayobj
 
@@ -22,9 +21,13 @@ _LINE = 64
 """Bytes of a cache line, and of the widest registers."""
 LANES = 8
 """Places of a tile that are moved at a time, and numbers of a result: the doubles of a cache line."""
+# Numba's own annotations are partial.
 _numba: Any = numba
 _array_module: Any = arrayobj
-_ir: Any = ir
+_cgutils: Any = cgutils
+_ir: Any = _cgutils.ir
+_make_intrinsic: Any = intrinsic
+_intrinsic: Callable[..., Callable[[Callable[..., Any]], Callable[..., Any]]] = _make_intrinsic
 _types: Any = types
 
 
@@ -61,7 +64,7 @@ def on_stack(make: F) -> F:
         )
         return found._getvalue()
 
-    @intrinsic
+    @_intrinsic(prefer_literal=False)
     def reserve(typing: Any) -> Any:
         del typing
         return array(), lower
@@ -73,7 +76,7 @@ def on_stack(make: F) -> F:
     return make
 
 
-@intrinsic
+@_intrinsic(prefer_literal=False)
 def move_block(typing: Any, tile: Any, row: Any, lane: Any, out: Any, start: Any) -> Any:
     """Move 8 rows of 8 places of a tile, transposed, to 8 numbers of each of 8 results from `start`.
 
@@ -111,7 +114,7 @@ def move_block(typing: Any, tile: Any, row: Any, lane: Any, out: Any, start: Any
     return _types.void(tile, row, lane, out, start), lower
 
 
-@intrinsic(prefer_literal=True)
+@_intrinsic(prefer_literal=True)
 def move_numbers(typing: Any, records: Any, k: Any, first: Any, count: Any, out: Any, n: Any) -> Any:
     """Copy `count` numbers of record k, from `first`, to result n, which has as many; for compiled code only."""
     del typing
