@@ -9,7 +9,6 @@ from typing import Any, TypeVar
 import numba
 from numba.core import cgutils, types
 from numba.extending import intrinsic, overload
-from numba.np import arrayobj
 
 from spm_pin.closed_form.kernels.compilation import TILE, jit_inline
 
@@ -23,7 +22,6 @@ LANES = 8
 """Places of a tile that are moved at a time, and numbers of a result: the doubles of a cache line."""
 # Numba's own annotations are partial.
 _numba: Any = numba
-_array_module: Any = arrayobj
 _cgutils: Any = cgutils
 _ir: Any = _cgutils.ir
 _make_intrinsic: Any = intrinsic
@@ -49,12 +47,15 @@ def on_stack(make: F) -> F:
 
     def lower(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         del signature, arguments
+        from numba.np import arrayobj  # only compiling needs it
+
+        module: Any = arrayobj
         with builder.goto_entry_block():
             memory = builder.alloca(_ir.ArrayType(_ir.DoubleType(), math.prod(shape)), name=make.__name__)
         memory.align = _LINE
         size = context.get_value_type(_types.intp)
         found = context.make_array(array)(context, builder)
-        _array_module.populate_array(
+        module.populate_array(
             found,
             data=builder.bitcast(memory, _ir.DoubleType().as_pointer()),
             shape=[size(length) for length in shape],
