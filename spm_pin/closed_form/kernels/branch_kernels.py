@@ -34,13 +34,10 @@ from spm_pin.closed_form.kernels.branch_tiles import (
     put_roots,
     put_status,
     set_up_families,
-    store_joints,
-    store_lengths,
-    store_pose,
-    store_poses,
 )
 from spm_pin.closed_form.kernels.compilation import TILE, kernel, readonly_array
 from spm_pin.closed_form.kernels.quadratics import COS_30, ROOT_SIGN, root_of, where
+from spm_pin.closed_form.kernels.tile_results import store_joints, store_lengths, store_pose, store_poses
 from spm_pin.closed_form.kernels.vectors import cross, dot
 from spm_pin.mechanism.arguments import FloatArray
 
