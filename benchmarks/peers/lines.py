@@ -24,7 +24,7 @@ def lines(geometry: Geometry | AsBuiltGeometry, matrix: FloatArray) -> tuple[Flo
     squared = (along * along).sum(axis=-1, keepdims=True)
     # Heights of the planes above O; of the line, the point nearest to O.
     height = heights[3:] + upper @ position[..., None]
-    point = (height * np.cross(along, lower) + heights[:3] * np.cross(upper, along)) / squared
+    point = height / squared * np.cross(along, lower) + heights[:3] / squared * np.cross(upper, along)
     return point, along / np.sqrt(squared)
 
 

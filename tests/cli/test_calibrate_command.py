@@ -61,10 +61,7 @@ def test_a_machine_is_identified_and_written(measured: Path, tmp_path: Path) -> 
     ("command", "message"),
     [
         (["forward", "--all", *LEGS], "--geometry: expected dimensions of a drawing for --all"),
-        (
-            ["certify", "--min", "1.1", "--max", "1.5"],
-            "a machine as built. This command is for the machine of",
-        ),
+        (["workspace"], "a machine as built. This command is for the machine of"),
     ],
 )
 def test_commands_for_the_drawing_refuse_a_machine_as_built(command: list[str], message: str, tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.closed_form import complex_middle_joints
+from spm_pin.proofs import certify_inverse
 
 PAPER = spm.Geometry.paper()
 IDEAL = spm.AsBuiltGeometry.from_nominal(PAPER)
@@ -258,7 +259,7 @@ STATE = spm.inverse_physical(machine(PAPER, 1e-4, seed=7), EXAMPLE)
         lambda state: spm.forward_physical(PAPER, state.leg_lengths, seed=state),
         lambda state: spm.follow(PAPER, np.stack([state.pose.as_matrix()] * 2), start=state),
         lambda state: spm.workspace.nearest_reachable_pose(PAPER, state.pose, near=state),
-        lambda state: spm.certify(state.geometry, PAPER.limits),
+        lambda state: certify_inverse(state.geometry, PAPER.limits),
         lambda state: spm.workspace.reachable(state.geometry, state.pose),
         lambda state: spm.SolutionSet.from_unordered(state.geometry, state.pose, state.middle_joints[None]),
         lambda state: spm.follow(state.geometry, np.stack([state.pose.as_matrix()] * 2)),
