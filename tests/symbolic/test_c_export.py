@@ -294,6 +294,16 @@ def test_the_call_in_the_how_to_compiles(tmp_path: Path) -> None:
     compile_c(compilers()[0], *STRICT, "-fsyntax-only", tmp_path / "call.c")
 
 
+def test_the_test_program_prints_what_the_how_to_shows(tmp_path: Path) -> None:
+    if shutil.which("cc") is None:
+        pytest.skip("no cc")
+    spm.symbolic.write_c(GEOMETRIES["paper"], tmp_path / "spm_c")
+    page = (Path(__file__).parents[2] / "docs/howto/controller.md").read_text(encoding="utf-8")
+    command, shown = re.search(r"^\$ (cc .*\n)(.*compared.*\n)", page, flags=re.MULTILINE).groups()
+    done = subprocess.run(["sh", "-ec", command], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout == shown
+
+
 def test_it_builds_with_cmake(tmp_path: Path) -> None:
     tool = shutil.which("cmake")
     if tool is None:

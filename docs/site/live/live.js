@@ -61,11 +61,12 @@ async function loadKinematics() {
       if (exists) found.physical = BRANCHES.reduce((best, _, k) => (gap(k) < gap(best) ? k : best), 0);
       return found;
     },
-    // The pose that six leg lengths hold, null where they hold none.
-    forward(lengths) {
-      argument.set(lengths);
+    // The state that six leg lengths hold, null where they hold none.
+    forward(legs) {
+      argument.set(legs);
       if (c.spm_forward_physical(machine, given, 0, state) !== 0) return null;
-      return { rotation: Array.from(single.subarray(0, 9)), position: Array.from(single.subarray(9, 12)) };
+      const part = (...ends) => Array.from(single.subarray(...ends));
+      return { rotation: part(0, 9), position: part(9, 12), joints: part(12, 21), lengths: part(21) };
     },
     // Microseconds that all branches of a pose take.
     time(rotation, position) {
@@ -300,14 +301,14 @@ function element(name, attributes = {}, ...children) {
 
 const fixed = (x, digits) => x.toFixed(digits).replace("-", "−").replace(/^−([0.]*)$/, "$1");
 
-// The status in short, and what stands in place of the leg lengths where there are none.
-function words(found) {
+// The status in short, and why there is no branch to choose. `state` is the one of known leg lengths.
+function words(found, state) {
   if (!found) return ["Out of reach", "The machine cannot be assembled with these leg lengths."];
   const count = found.real.filter(Boolean).length;
   if (found.status === 2) {
     const beside = count ? `, with ${count} isolated ${count > 1 ? "branches" : "branch"} beside it` : "";
-    const reason = "A continuous family of states holds this pose: it leaves the legs undetermined.";
-    return [`Degenerate${beside}`, `${reason} Tilt the platform, or set leg lengths.`];
+    const more = state ? "Drawn is the one of these leg lengths." : "Change the tilt, or set leg lengths.";
+    return [`Degenerate${beside}`, `A continuous family of states holds this pose: branches are not isolated. ${more}`];
   }
   if (found.status !== 0) return ["Out of reach", "None of the eight branches of this pose is real."];
   return [`${count} of 8 branches are real${found.physical < 0 ? ", none of them physical" : ""}`, ""];
@@ -322,8 +323,9 @@ function start(kinematics, meshes) {
   const values = { pose: [...Object.values(EXAMPLES)[0]], legs: [] };
   const view = { azimuth: 15, elevation: 25, box: null };
   const canvas = find("canvas"), handle = find(".live-handle"), still = matchMedia("(prefers-reduced-motion: reduce)");
-  // `wanted` is the branch chosen, `grabbed` are the leg lengths that a drag of the platform led to.
-  let drive = "pose", wanted = -1, grabbed = null, grip = [0, 0], shown = null, waiting = false;
+  // `wanted` is the branch chosen, `grabbed` are the leg lengths that a drag of the platform led to, `grip` is where it
+  // began: the pointer's place and the leg lengths.
+  let drive = "pose", wanted = -1, grabbed = null, grip = null, shown = null, waiting = false;
   let draw = startDrawing(canvas, meshes);
 
   // Sliders
@@ -418,33 +420,35 @@ function start(kinematics, meshes) {
 
   function update() {
     const { pose, legs } = values;
-    const asked = { rotation: rotationOf(pose), position: pose.slice(0, 3) };
-    const held = drive === "legs" ? kinematics.forward(legs) : asked;
-    const found = held && kinematics.inverse(held.rotation, held.position, drive === "legs" ? legs : grabbed);
+    const known = drive === "legs" ? legs : grabbed, forward = known && kinematics.forward(known);
+    const held = drive === "legs" ? forward : { rotation: rotationOf(pose), position: pose.slice(0, 3) };
+    const found = held && kinematics.inverse(held.rotation, held.position, known);
+    // Leg lengths have a state at a level pose as well, where no branch is isolated.
+    const state = drive === "legs" || found.status === 2 ? forward : null;
     const isReal = (k) => Boolean(found && found.real[k]);
-    const first = !found ? -1 : found.physical >= 0 ? found.physical : found.real.indexOf(true);
+    const first = !found ? -1 : state || found.physical >= 0 ? found.physical : found.real.indexOf(true);
     const branch = isReal(wanted) ? wanted : first;
+    const chosen = branch < 0 ? null : { joints: found.joints[branch], lengths: found.lengths[branch] };
+    const drawn = state && branch === found.physical ? state : chosen;
+    const physical = state ? state.lengths : found && found.physical >= 0 ? found.lengths[found.physical] : null;
     // What the other sliders start from.
-    if (held && drive === "legs") values.pose = poseOf(held);
-    if (found && drive === "pose" && found.physical >= 0) {
-      values.legs = found.lengths[found.physical].map((x, k) => Math.min(Math.max(rounded(x), LEAST[k]), MOST[k]));
-    }
+    if (state) values.pose = poseOf(state);
+    else if (physical) values.legs = physical.map((x, k) => Math.min(Math.max(rounded(x), LEAST[k]), MOST[k]));
     const absent = found && found.status === 2 ? "not isolated" : "not real";
     chips.forEach(({ input, note }, k) => {
       input.disabled = !isReal(k);
       input.checked = k === branch;
       note.textContent = isReal(k) ? (k === found.physical ? "physical" : "real") : absent;
     });
-    const [status, reason] = words(found);
+    const [status, reason] = words(found, state);
     find(".live-status").textContent = status;
     find(".live-reason").textContent = branch < 0 ? reason : "";
-    find("table").hidden = branch < 0;
-    find("caption b").textContent = branch < 0 ? "" : BRANCHES[branch].replace("-", "−");
-    if (branch >= 0) showLegs(found.lengths[branch]);
+    find("table").hidden = !drawn;
+    find("caption b").textContent = branch < 0 ? "this state" : BRANCHES[branch].replace("-", "−");
+    if (drawn) showLegs(drawn.lengths);
     showSliders();
     showPython();
-    shown = bodiesOf(held, branch < 0 ? null : found.joints[branch]);
-    shown.physical = found && found.physical >= 0 ? found.lengths[found.physical] : null;
+    shown = { ...bodiesOf(held, drawn && drawn.joints), physical };
     redraw();
   }
 
@@ -489,7 +493,7 @@ function start(kinematics, meshes) {
       item.style.transform = `translate(${across}px, ${down}px)`;
     };
     view.shown = { right, up, centre, scale };
-    handle.hidden = !shown.physical;
+    handle.hidden = !shown.physical && !handle.matches(":active");
     if (shown.physical) place(handle, inView([12, 13, 14].map((i) => shown.poses.terminal_platform[i])));
     const middles = shown.legs.map(({ hip, ball }) => inView(hip.map((x, i) => 0.45 * x + 0.55 * ball[i])));
     labels.forEach((label, k) => {
@@ -509,49 +513,56 @@ function start(kinematics, meshes) {
     });
   }
 
-  function fromMiddle(event, item) {
-    const { left, top, width, height } = item.getBoundingClientRect();
-    return [event.clientX - left - width / 2, event.clientY - top - height / 2];
-  }
-
-  // The platform follows the pointer: the leg lengths change as little as brings o below it, within their limits.
+  // The platform follows the pointer: of all leg lengths within the limits that bring o below it those nearest to where
+  // the drag began, found from there, so that the way back ends there.
   function drag(event) {
-    const { right, up, scale, centre } = view.shown, [x, y] = minus(fromMiddle(event, canvas), grip);
-    const goal = [centre[0] + x / scale, centre[1] - y / scale];
-    const seen = (held) => [dot(right, held.position), dot(up, held.position)];
-    for (let round = 0; round < 4; ++round) {
-      const held = kinematics.forward(grabbed);
-      if (!held) return;
-      const now = seen(held), gap = minus(goal, now);
-      const rates = grabbed.map((_, k) => {
-        const moved = kinematics.forward(grabbed.map((x, i) => (i === k ? x + 1e-6 : x)));
-        return moved ? minus(seen(moved), now).map((x) => 1e6 * x) : [0, 0];
+    const { right, up, scale } = view.shown, { x, y, from } = grip, slack = 1e-3;
+    const seen = ({ position }) => [dot(right, position), dot(up, position)];
+    const goal = minus(seen(kinematics.forward(from)), [(x - event.clientX) / scale, (event.clientY - y) / scale]);
+    const bounded = (length, k) => Math.min(Math.max(length, Math.min(LEAST[k], from[k])), Math.max(MOST[k], from[k]));
+    const tried = (legs) => {
+      const held = kinematics.forward(legs);
+      if (!held) return { cost: Infinity };
+      const now = seen(held), gap = minus(goal, now), away = minus(legs, from);
+      return { legs, held, now, gap, away, cost: Math.hypot(...gap) ** 2 + slack * Math.hypot(...away) ** 2 };
+    };
+    let best = tried(from), last = Infinity;
+    // Steps of Gauss and Newton, short ones where o is far from the pointer.
+    for (let round = 0; round < 60 && best.cost < last - 1e-12; ++round) {
+      const { legs, now, gap, away } = best, share = Math.min(1, 0.15 / Math.hypot(...gap));
+      const rates = legs.map((_, k) => {
+        const moved = kinematics.forward(legs.map((length, i) => (i === k ? length + 1e-6 : length)));
+        return moved ? minus(seen(moved), now).map((rate) => 1e6 * rate) : [0, 0];
       });
-      const free = rates.map(() => 1);
-      let next = grabbed;
-      // Legs that would pass a limit stop there, and the others do what they can.
-      for (let pass = 0; pass < 6; ++pass) {
-        const sum = (i, j) => rates.reduce((total, rate, k) => total + free[k] * rate[i] * rate[j], 0);
-        const [p, q, r] = [sum(0, 0) + 1e-3, sum(0, 1), sum(1, 1) + 1e-3], determinant = p * r - q * q;
-        const pull = [(r * gap[0] - q * gap[1]) / determinant, (p * gap[1] - q * gap[0]) / determinant];
-        next = grabbed.map((x, k) => x + free[k] * dot([...rates[k], 0], [...pull, 0]));
-        const beyond = next.map((x, k) => x < Math.min(LEAST[k], grabbed[k]) || x > Math.max(MOST[k], grabbed[k]));
-        if (!beyond.includes(true)) break;
-        beyond.forEach((passed, k) => passed && (free[k] = 0));
+      const sum = (term) => rates.reduce((total, rate, k) => total + term(rate, k), 0);
+      let next = legs, pull = [0, 0], rest = gap;
+      // Legs that would pass a limit end there, and the others do what they can. Those at a limit count a little in the
+      // step of `pull`, without which it would jump to and fro.
+      for (let pass = 0; pass < 60 && Math.hypot(...rest) > 1e-10; ++pass) {
+        const asked = from.map((length, k) => length + rates[k][0] * pull[0] + rates[k][1] * pull[1]);
+        next = asked.map(bounded);
+        rest = [0, 1].map((i) =>
+          share * gap[i] - slack * pull[i] + sum((rate, k) => rate[i] * (away[k] + from[k] - next[k])));
+        const of = (i, j) => sum((rate, k) => (next[k] === asked[k] ? 1 : 0.03) * rate[i] * rate[j]);
+        const p = of(0, 0) + slack, q = of(0, 1), r = of(1, 1) + slack;
+        pull = [r * rest[0] - q * rest[1], p * rest[1] - q * rest[0]].map((x, i) => pull[i] + x / (p * r - q * q));
       }
-      if (!kinematics.forward(next)) break;
-      grabbed = next;
+      last = best.cost;
+      for (let step = 1; step > 0.01 && best.cost >= last; step /= 2) {
+        const found = tried(legs.map((length, k) => length + step * (next[k] - length)));
+        if (found.cost < last) best = found;
+      }
     }
+    grabbed = best.legs;
     values.legs = grabbed.map(rounded);
-    if (drive === "pose") values.pose = poseOf(kinematics.forward(grabbed));
+    if (drive === "pose") values.pose = poseOf(best.held);
     wanted = -1;
     update();
   }
 
   handle.addEventListener("pointerdown", (event) => {
     handle.setPointerCapture(event.pointerId);
-    grabbed = [...shown.physical];
-    grip = fromMiddle(event, handle);
+    grip = { x: event.clientX, y: event.clientY, from: [...shown.physical] };
   });
   handle.addEventListener("pointermove", (event) => handle.hasPointerCapture(event.pointerId) && drag(event));
 
