@@ -77,14 +77,21 @@ class CLibrary:
 
     library: ctypes.CDLL
     geometry: spm.Geometry
+    machine: np.ndarray | None = None
+    """The numbers of an `spm_geometry`, where they are not those of `geometry`."""
 
     @classmethod
     def build(cls, geometry: spm.Geometry, folder: Path, *flags: str) -> CLibrary:
         """Export, compile and load; `flags` such as ``-ffp-contract=off``."""
-        sources = spm.symbolic.write_c(geometry, folder)
+        spm.symbolic.write_c(geometry, folder)
+        return cls.load(geometry, folder, *flags)
+
+    @classmethod
+    def load(cls, geometry: spm.Geometry, folder: Path, *flags: str) -> CLibrary:
+        """Compile and load what was exported into a folder."""
         (folder / "batches.c").write_text(_BATCHES, encoding="utf-8")
         library = folder / "library.so"
-        inputs = [folder / "batches.c", *(path for path in sources if path.name == "spm_kinematics.c")]
+        inputs = folder / "batches.c", folder / "spm_kinematics.c"
         compile_c(compilers()[0], *STRICT, *flags, "-fPIC", "-shared", *inputs, "-lm", "-o", library)
         return cls(ctypes.CDLL(str(library)), geometry)
 
@@ -93,7 +100,7 @@ class CLibrary:
         limits = self.geometry.limits
         low, high = (np.zeros(6), np.full(6, np.inf)) if limits is None else (limits.minimum, limits.maximum)
         sizes = self.geometry.base_radius, self.geometry.platform_radius, self.geometry.middle_side
-        machine = np.array([*sizes, *low, *high])
+        machine = np.array([*sizes, *low, *high]) if self.machine is None else self.machine
         pointers = [None if x is None else x.ctypes.data_as(ctypes.c_void_p) for x in (*arrays, status)]
         getattr(self.library, name)(machine.ctypes.data_as(ctypes.c_void_p), ctypes.c_long(count), *pointers)
         return status

@@ -152,6 +152,12 @@ static int is_dimension(double length)
 
 static int check_geometry(const @PREFIX@geometry *geometry)
 {
+    int i;
+    for (i = 0; i < 6; ++i) {
+        if (!(geometry->minimum[i] >= 0.0 && geometry->minimum[i] < geometry->maximum[i])) {
+            return @PREFIX_UPPER@BAD_GEOMETRY;
+        }
+    }
     return is_dimension(geometry->base_radius) && is_dimension(geometry->platform_radius)
             && is_dimension(geometry->middle_side) ? @PREFIX_UPPER@OK : @PREFIX_UPPER@BAD_GEOMETRY;
 }
