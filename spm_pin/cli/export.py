@@ -8,7 +8,7 @@ from typing import Annotated, Literal, get_args
 import typer
 
 from spm_pin.cli.console import note
-from spm_pin.cli.options import AnyGeometryFile, Prefix, TextFile, read_any_geometry, read_geometry
+from spm_pin.cli.options import PREFIX, AnyGeometryFile, TextFile, read_any_geometry, read_geometry
 from spm_pin.cli.outputs import check_output, name_options, write_model, write_text
 from spm_pin.errors import ArgumentError
 
@@ -25,7 +25,7 @@ def export(
     format_: Annotated[Format | None, typer.Argument(metavar="[FORMAT]", help="What to write.")] = None,
     option: Annotated[Format | None, typer.Option("--format", help="The same, as an option.")] = None,
     out: TextFile = None,
-    prefix: Prefix = "",
+    prefix: Annotated[str | None, PREFIX] = None,
     geometry: AnyGeometryFile = None,
     urdf: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Another robot instead of this manipulator.")
@@ -76,10 +76,11 @@ def export(
     if format_ == "c":
         if out is None:
             raise ArgumentError("--out", "the directory to write into", "none")
-        for path in write_c(read_geometry(geometry), out, prefix=prefix or "spm_"):
+        for path in write_c(read_geometry(geometry), out, prefix="spm_" if prefix is None else prefix):
             note(f"wrote {path}")
         return
     check_output(out)
+    prefix = prefix or ""
     if format_ == "srdf":
         write_text(srdf_text({}, prefix=prefix), out)
         return

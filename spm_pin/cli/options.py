@@ -19,6 +19,7 @@ from spm_pin.mechanism.units import PER_METRE, likely_unit, machine_size
 
 __all__ = [
     "DECIMALS",
+    "PREFIX",
     "AnyGeometryFile",
     "AsJson",
     "Branches",
@@ -80,10 +81,20 @@ Limits = Annotated[
     tuple[float, float] | None,
     typer.Option("--limits", metavar="MIN MAX", help="Limits of all six legs, in --unit; the geometry's if not given."),
 ]
+
+
+def _path(text: str) -> Path:
+    if not text:
+        raise typer.BadParameter("expected a file or a directory, got an empty name")
+    return Path(text)
+
+
 TextFile = Annotated[
-    Path | None, typer.Option("--out", metavar="FILE", help="Where to write; standard output if not given.")
+    Path | None,
+    typer.Option("--out", metavar="FILE", parser=_path, help="Where to write; standard output if not given."),
 ]
-Prefix = Annotated[str, typer.Option("--prefix", help="Put before every name, such as left_.")]
+PREFIX = typer.Option("--prefix", help="Put before every name, such as left_.")
+Prefix = Annotated[str, PREFIX]
 Branches = Annotated[
     list[str] | None, typer.Option("--branch", metavar="LABEL", help="Branch, such as TT+; may be repeated.")
 ]

@@ -105,6 +105,8 @@ def write_c(geometry: Geometry, directory: str | Path, *, prefix: str = "spm_") 
     ArgumentError
         As by `c_sources`, and if the directory cannot be written.
     """
+    if not str(directory):
+        raise ArgumentError("directory", "a directory that can be written", "an empty name", "The current one is '.'")
     sources, folder = c_sources(geometry, prefix=prefix), Path(directory)
     existed, beside = folder.is_dir(), None
     try:

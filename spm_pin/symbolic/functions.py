@@ -10,12 +10,21 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
-from spm_pin.closed_form.kernels import branch_tiles, jacobian_kernels, mode_kernels, stage_equations, wrench_vectors
+from spm_pin.closed_form.kernels import (
+    branch_kernels,
+    branch_tiles,
+    jacobian_kernels,
+    mode_kernels,
+    stage_equations,
+    wrench_vectors,
+)
 from spm_pin.closed_form.kernels.branch_tiles import DISCRIMINANT, PHYSICAL, STRAIGHT
 from spm_pin.closed_form.kernels.vectors import dot, minus
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import BRANCHES, AsBuiltGeometry, Geometry
 from spm_pin.mechanism.arguments import type_and_value
+from spm_pin.mechanism.geometry import LARGEST, SMALLEST
+from spm_pin.mechanism.pose import ORTHONORMALITY_TOLERANCE
 from spm_pin.symbolic.tracing import table, traced
 
 __all__ = [
@@ -57,6 +66,15 @@ class _Machine:
             raise ArgumentError("geometry", 'a Geometry, "symbolic" or None', type_and_value(geometry))
         self.r = self.side / np.sqrt(3.0)
         self.sizes = self.r, self.base, self.platform
+        self.valid: Any = ca.SX(1)
+        for size in () if not self.inputs else (self.base, self.platform, self.side):
+            self.valid = ca.logic_and(self.valid, ca.logic_and(size >= SMALLEST, size <= LARGEST))
+
+    def takes(self, rotation: ca.SX, position: ca.SX) -> Any:
+        """Return where a pose and the dimensions are what the package accepts."""
+        _, matrix, place = _state(rotation, rotation, position)
+        rigid = traced(branch_kernels.are_rigid)(matrix[0], place[0], ORTHONORMALITY_TOLERANCE)
+        return ca.logic_and(self.valid, rigid)
 
     def function(self, name: str, inputs: list[ca.SX], outputs: dict[str, ca.SX]) -> ca.Function:
         """Make a function; inputs are named as their symbols are."""
@@ -86,7 +104,11 @@ def inverse_physical(geometry: Dimensions = None) -> ca.Function:
     Where a real machine is in no branch the other outputs go on smoothly: they are those of the branch whose stages are
     tilted less. Where `discriminant` is negative it is taken for zero, so lengths are those of a machine that does not
     close, and their derivatives finite: constrain `discriminant` to be positive. At a level platform, where there is a
-    continuous family, they are finite and mean nothing; `exists` is 0. Nothing is ever NaN.
+    continuous family, they are finite and mean nothing; `exists` is 0. Nothing is NaN for finite arguments.
+
+    `exists` is 0 as well where an argument is NaN or infinite, where an entry of RᵀR - I is above 1e-6 or R is a
+    reflection, and where a dimension is not within 1e-9 to 1e9 m. A rotation is not repaired: up to there its error is
+    one of the other outputs too.
     """
     machine, rotation, position = _Machine(geometry), *_pose()
     tiles, branches = _branches(machine, rotation, position, ("TT+", "TT-"))
@@ -94,7 +116,7 @@ def inverse_physical(geometry: Dimensions = None) -> ca.Function:
     other = ca.logic_or(minus_ > plus, ca.logic_and(minus_ == plus, minus_sum > plus_sum))
     chosen = [ca.if_else(other, minus_number, plus_number) for plus_number, minus_number in zip(*branches, strict=True)]
     exists = ca.logic_and(plus + minus_ > 0.0, _is_real(machine, tiles, "TT+"))
-    outputs = _outputs(tiles, "TT+", chosen) | {"exists": exists}
+    outputs = _outputs(tiles, "TT+", chosen) | {"exists": ca.logic_and(exists, machine.takes(rotation, position))}
     return machine.function("inverse_physical", [rotation, position], outputs)
 
 
@@ -120,7 +142,8 @@ def inverse_branch(branch: str, geometry: Dimensions = None) -> ca.Function:
         raise ArgumentError("branch", f"one of {', '.join(BRANCHES)}", repr(branch))
     machine, rotation, position = _Machine(geometry), *_pose()
     tiles, (numbers,) = _branches(machine, rotation, position, (branch,))
-    outputs = _outputs(tiles, branch, numbers) | {"exists": _is_real(machine, tiles, branch)}
+    exists = ca.logic_and(_is_real(machine, tiles, branch), machine.takes(rotation, position))
+    outputs = _outputs(tiles, branch, numbers) | {"exists": exists}
     return machine.function("inverse_branch", [rotation, position], outputs)
 
 
@@ -138,7 +161,7 @@ def forward_physical(geometry: Dimensions = None) -> ca.Function:
     -----
     Each stage is solved by 14 steps of Newton's method from the level position, then by `casadi.rootfinder`, through
     which CasADi differentiates implicitly. Where legs cannot be joined the outputs are where that ended, and `exists`
-    is 0.
+    is 0, as for lengths and dimensions that are NaN, infinite or not positive.
     """
     machine = _Machine(geometry)
     lengths, state = ca.SX.sym("lengths", 6), ca.SX.sym("state", 8)
@@ -152,7 +175,10 @@ def forward_physical(geometry: Dimensions = None) -> ca.Function:
     start = ca.Function("start", inputs, [ca.vertcat(*map(_newton, stages))])
     outputs = _composed(machine, [ca.vertsplit(state[:4]), ca.vertsplit(state[4:])])
     outputs["residual"] = ca.mmax(ca.fabs(ca.vertcat(*errors)))
-    outputs["exists"] = ca.logic_and(outputs.pop("home"), outputs["residual"] < 1e-12)
+    exists = ca.logic_and(machine.valid, ca.logic_and(outputs.pop("home"), outputs["residual"] < 1e-12))
+    for length in ca.vertsplit(lengths):
+        exists = ca.logic_and(exists, ca.logic_and(length > 0.0, length < np.inf))
+    outputs["exists"] = exists
     compose = ca.Function("compose", [state, *inputs], list(outputs.values()))
     options = {"error_on_fail": False, "abstol": 1e-15, "max_iter": 4}
     root = ca.rootfinder("root", "fast_newton", equations, options)

@@ -67,6 +67,10 @@ class _Branchless(ast.NodeTransformer):
         name = {ast.BitAnd: "both", ast.BitOr: "either"}.get(type(node.op))
         return node if name is None else self._call(name, node.left, node.right)
 
+    def visit_AugAssign(self, node: ast.AugAssign) -> ast.AST:
+        load = ast.parse(ast.unparse(node.target), mode="eval").body
+        return ast.Assign([node.target], self.visit(ast.BinOp(load, node.op, node.value)))
+
     def visit_Attribute(self, node: ast.Attribute) -> ast.AST:
         self.generic_visit(node)
         return self._call(node.attr, node.value) if node.attr in ("real", "imag") else node

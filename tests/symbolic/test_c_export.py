@@ -15,6 +15,7 @@ from symbolic.c_library import STRICT, CLibrary, as_states, compile_c, compilers
 from symbolic.c_poses import hard_poses, held_states, possible_lengths, spread_poses
 
 import spm_pin as spm
+from spm_pin.closed_form.kernels import continuation_kernel
 from spm_pin.errors import ArgumentError
 
 EXACT = "-ffp-contract=off"
@@ -119,6 +120,32 @@ def test_forward_displacement_from_a_seed_follows_the_path_of_the_package(librar
     np.testing.assert_allclose(states[found, :21], as_states(expected)[found, :21], rtol=0, atol=1e-12)
 
 
+def test_too_many_steps_from_a_seed_are_taken_for_a_singularity(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The bound, far above what any path was found to take, is lowered in both languages."""
+    geometry = GEOMETRIES["paper"]
+    _, source, *_ = spm.symbolic.write_c(geometry, tmp_path)
+    text = source.read_text(encoding="utf-8")
+    assert text.count("steps > 250000") == 1
+    source.write_text(text.replace("steps > 250000", "steps > 3"), encoding="utf-8")
+    own = CLibrary.load(geometry, tmp_path, EXACT)
+    seeds = held_states(geometry, 200, 6)
+    near, far = seeds.leg_lengths + 1e-4, seeds.leg_lengths + 0.1
+    assert (own.forward(near, as_states(seeds))[1] == 0).all()
+    states, status = own.forward(far, as_states(seeds))
+    assert (status == SINGULAR).all()
+    assert np.isnan(states).all()
+    monkeypatch.setattr(continuation_kernel, "_MOST_STEPS", 3)
+    followed, r = continuation_kernel._followed.py_func, geometry.middle_radius
+    seed, half_turned = np.empty((1, 4)), np.empty(1, dtype=bool)
+    continuation_kernel.stage_states(seeds.middle_joints[:1], r, seed, half_turned)
+    start, work, inverse = tuple(seeds.leg_lengths[0, :3] / r), np.empty((4, 8)), np.empty((4, 4))
+    for change, arrives in ((1e-4, True), (0.1, False)):
+        found = followed(start, (change / r,) * 3, geometry.base_radius / r, tuple(seed[0]), work, inverse)
+        assert found[1] == arrives
+
+
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_jacobians_and_forces_are_those_of_the_kernels_to_the_bit(library: CLibrary, name: str) -> None:
     own = of_geometry(library, name)
@@ -173,6 +200,28 @@ def test_errors_are_statuses_and_results_are_nan(library: CLibrary) -> None:
     assert library.forward(lengths[:1] * 0 + 1.3, torn)[1].tolist() == [BAD_SEED]
     assert library.forward(lengths[:1] * 0 + 1.3, state * np.nan)[1].tolist() == [NOT_FINITE]
     assert library.leg_forces(state, np.full((1, 6), np.inf))[1].tolist() == [NOT_FINITE]
+
+
+@pytest.mark.parametrize(
+    ("low", "high"), [(np.nan, 2.0), (0.5, np.nan), (2.0, 1.0), (1.0, 1.0), (-0.1, 1.0), (np.inf, np.inf)]
+)
+def test_dimensions_whose_leg_limits_are_no_interval_are_refused(library: CLibrary, low: float, high: float) -> None:
+    pose = spread_poses(library.geometry, 10, 1)
+    state = as_states(held_states(library.geometry, 10, 1))
+    minimum, maximum = np.zeros(6), np.full(6, np.inf)
+    minimum[4], maximum[4] = low, high
+    machine = np.array([*library.geometry.dimensions, *minimum, *maximum])
+    own = CLibrary(library.library, library.geometry, machine)
+    for call in (
+        lambda: own.inverse(*pose),
+        lambda: own.inverse_physical(*pose),
+        lambda: own.forward(state[:, 21:]),
+        lambda: own.inverse_jacobian(state),
+        lambda: own.leg_forces(state, np.ones((len(state), 6))),
+    ):
+        *results, status = call()
+        assert (status == BAD_GEOMETRY).all()
+        assert all(np.isnan(x).all() for x in results)
 
 
 def test_a_rotation_with_rounding_of_single_precision_is_repaired_as_by_the_package(library: CLibrary) -> None:
@@ -258,6 +307,8 @@ def test_bad_arguments_are_clear_errors_and_nothing_is_written(tmp_path: Path) -
     file.write_text("mine", encoding="utf-8")
     for arguments, words in (
         (["--out", out, "--prefix", "1st"], "--prefix: expected letters, digits and underscores"),
+        (["--out", out, "--prefix", ""], "--prefix: expected letters, digits and underscores"),
+        (["--out", ""], "got an empty name"),
         (["--out", out, "--prefix", "a-b"], "--prefix: expected letters, digits and underscores"),
         (["--out", out, "--geometry", as_built], "a machine as built"),
         (["--out", out, "--geometry", tmp_path / "none.yaml"], "expected a readable YAML file"),
@@ -271,6 +322,8 @@ def test_bad_arguments_are_clear_errors_and_nothing_is_written(tmp_path: Path) -
         assert words in done.message
         assert not out.exists()
     assert file.read_text(encoding="utf-8") == "mine"
+    with pytest.raises(ArgumentError, match=r"directory: .*got an empty name"):
+        spm.symbolic.write_c(GEOMETRIES["paper"], "")
     with pytest.raises(ArgumentError, match="geometry: expected a Geometry, got AsBuiltGeometry"):
         spm.symbolic.c_sources(spm.AsBuiltGeometry.from_nominal(GEOMETRIES["paper"]))  # type: ignore[arg-type]
 

@@ -281,6 +281,39 @@ def test_c_code_of_the_derivatives_compiles_and_computes_the_same(
             np.testing.assert_allclose(b, a, rtol=1e-9, atol=1e-11)
 
 
+def with_nan(numbers: np.ndarray, index: int) -> np.ndarray:
+    """The numbers, one of them NaN."""
+    found = np.array(numbers, dtype=float)
+    found.flat[index] = np.nan
+    return found
+
+
+def test_nothing_exists_for_what_is_no_pose_and_no_machine() -> None:
+    state = spm.forward_physical(PAPER, [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
+    rotation, position, sizes = state.rotation, state.translation, np.array(PAPER.dimensions)
+    wrong = [
+        *((scale * rotation, position) for scale in (2.0, 1.01, 1.0 + 1e-6, 0.0, -1.0)),
+        (rotation * [1, 1, -1], position),
+        *((with_nan(rotation, k), position) for k in range(9)),
+        *((rotation, with_nan(position, k)) for k in range(3)),
+        (rotation, np.inf * position),
+    ]
+    bad_sizes = [np.array([-1.0, 0.3, 0.8]), 0.0 * sizes, np.inf * sizes, *(with_nan(sizes, k) for k in range(3))]
+    for function in (spm.symbolic.inverse_physical("symbolic"), spm.symbolic.inverse_branch("TT+", "symbolic")):
+        assert numbers(function, rotation, position, sizes)[3] == 1.0
+        assert numbers(function, rotation * (1.0 + 1e-8), position, sizes)[3] == 1.0
+        for pose in wrong:
+            assert numbers(function, *pose, sizes)[3] == 0.0
+        for bad in bad_sizes:
+            assert numbers(function, rotation, position, bad)[3] == 0.0
+    forward, lengths = spm.symbolic.forward_physical("symbolic"), state.leg_lengths
+    assert numbers(forward, lengths, sizes)[4] == 1.0
+    for q in (-lengths, lengths * [1, 1, -1, 1, 1, 1], np.inf * lengths, *(with_nan(lengths, k) for k in range(6))):
+        assert numbers(forward, q, sizes)[4] == 0.0
+    for bad in (*bad_sizes, sizes * [1, 1, -1]):
+        assert numbers(forward, lengths, bad)[4] == 0.0
+
+
 def test_bad_arguments_are_clear_errors() -> None:
     with pytest.raises(ArgumentError, match=r"branch: expected one of TT\+, .*, got 'TX'"):
         spm.symbolic.inverse_branch("TX")
