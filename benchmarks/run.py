@@ -22,7 +22,18 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.machine import describe
 from benchmarks.peers.peers_by_task import PACKAGES
 from benchmarks.report import Facts, Section, write
-from benchmarks.sections import completeness, forward, inverse, jobs, roofline, scaling, startup, states, velocity
+from benchmarks.sections import (
+    completeness,
+    controller,
+    forward,
+    inverse,
+    jobs,
+    roofline,
+    scaling,
+    startup,
+    states,
+    velocity,
+)
 from benchmarks.targets import check
 from benchmarks.timing import Pace
 
@@ -32,6 +43,7 @@ SECTIONS = {
     "forward": forward.measure,
     "states": states.measure,
     "jobs": jobs.measure,
+    "controller": controller.measure,
     "completeness": completeness.measure,
     "scaling": scaling.measure,
     "roofline": roofline.measure,

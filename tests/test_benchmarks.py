@@ -14,7 +14,7 @@ import spm_pin as spm
 
 sys.path.append(str(Path(__file__).parents[1]))
 
-from benchmarks.peers import arms, peers_by_task
+from benchmarks.peers import arms, exported, peers_by_task
 from benchmarks.peers.certified import real_coordinates
 from benchmarks.peers.compiled import compiler_version
 from benchmarks.peers.lines import coordinates
@@ -50,6 +50,15 @@ def certified() -> list[npt.NDArray[np.float64]]:
     asked = zip(POSES.rotation.as_quat(), POSES.translation, strict=True)
     found = [real_coordinates(quaternion, position, SIDE) for quaternion, position in asked]
     return [own for own in found if own is not None]
+
+
+@needs_compiler
+def test_every_call_of_the_exported_functions_is_timed_and_finds_an_answer() -> None:
+    seconds, failed = exported.call_times(spm.inverse_physical(GEOMETRY, POSES), 1e-4, 100)
+    assert failed == [0] * len(exported.CALLS)
+    assert seconds.shape == (len(exported.CALLS), 100)
+    assert (seconds >= 0.0).all()
+    assert (seconds[1:].sum(axis=-1) > 0.0).all()
 
 
 @pytest.mark.parametrize("peer", [needs(peer) for peer in peers_by_task.INVERSE])

@@ -1,21 +1,35 @@
-"""The exported C of `spm_pin.symbolic`, called pose by pose from a loop in C."""
+"""The exported C of `spm_pin.symbolic`, called pose by pose from a loop in C, and each call by the clock."""
 
 from __future__ import annotations
 
 import ctypes
 import functools
 
+import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from benchmarks.peers.c_loop import Arrays, real_branches
 from benchmarks.peers.compiled import address, folder, shared_object
-from benchmarks.peers.peer import Prepared
-from spm_pin import Geometry
+from benchmarks.peers.peer import FloatArray, Prepared
+from spm_pin import Configuration, Geometry
 from spm_pin.symbolic import write_c
 
-__all__ = ["answered"]
+__all__ = ["CALLS", "answered", "call_times"]
+
+CALLS = (
+    "the clock alone",
+    "`spm_inverse`",
+    "`spm_inverse_physical`",
+    "`spm_forward_physical`",
+    "`spm_forward_physical`, seed",
+    "`spm_inverse_jacobian`",
+    "`spm_leg_forces`",
+)
+"""What `call_times` times, in its order."""
 
 _LOOP = """
+#define _POSIX_C_SOURCE 199309L
+#include <time.h>
 #include "spm_kinematics.c"
 void inverse_of_all(long count, const double *poses, double *joints, double *lengths, signed char *status)
 {
@@ -32,6 +46,35 @@ void inverse_of_all(long count, const double *poses, double *joints, double *len
             for (j = 0; j < 6; ++j) lengths[48 * n + 6 * i + j] = found.lengths[i][j];
         }
     }
+}
+static int called(int which, const spm_state *at, const double *moved, double *out)
+{
+    static spm_branches branches;
+    static spm_state state;
+    const double wrench[6] = {0.0, 0.0, -500.0, 5.0, 5.0, 5.0};
+    switch (which) {
+    case 1: return spm_inverse(&spm_machine, at->rotation, at->position, &branches);
+    case 2: return spm_inverse_physical(&spm_machine, at->rotation, at->position, &state);
+    case 3: return spm_forward_physical(&spm_machine, at->lengths, 0, &state);
+    case 4: return spm_forward_physical(&spm_machine, moved, at, &state);
+    case 5: return spm_inverse_jacobian(&spm_machine, at, out);
+    case 6: return spm_leg_forces(&spm_machine, at, wrench, out);
+    default: return 0;
+    }
+}
+long time_calls(int which, long calls, long count, const spm_state *states, const double *moved, double *seconds)
+{
+    long n, failed = 0;
+    double out[36];
+    struct timespec begin, end;
+    for (n = 0; n < calls; ++n) {
+        long k = n % count;
+        clock_gettime(CLOCK_MONOTONIC, &begin);
+        failed += called(which, states + k, moved + 6 * k, out) != SPM_OK;
+        clock_gettime(CLOCK_MONOTONIC, &end);
+        seconds[n] = (double)(end.tv_sec - begin.tv_sec) + 1e-9 * (double)(end.tv_nsec - begin.tv_nsec);
+    }
+    return failed;
 }
 """
 
@@ -55,3 +98,19 @@ def answered(problem: tuple[Geometry, RigidTransform]) -> Prepared:
         return arrays
 
     return Prepared(call, lambda found: real_branches(found.joints))
+
+
+def call_times(states: Configuration, change: float, calls: int) -> tuple[FloatArray, list[int]]:
+    """Return the time of every call [s], (`CALLS`, calls), on the states in turns, and how many calls found nothing.
+
+    A seed's leg lengths are changed by up to `change` [m].
+    """
+    loaded = _library(states.geometry)
+    parts = states.rotation, states.translation, states.middle_joints, states.leg_lengths
+    rows = np.concatenate([part.reshape(len(part), -1) for part in parts], axis=-1)
+    moved = states.leg_lengths + np.random.default_rng(0).uniform(-change, change, states.leg_lengths.shape)
+    seconds, failed = np.empty((len(CALLS), calls)), []
+    for which, own in enumerate(seconds):
+        count = ctypes.c_long(calls), ctypes.c_long(len(rows))
+        failed.append(loaded.time_calls(which, *count, address(rows), address(moved), address(own)))
+    return seconds, failed
