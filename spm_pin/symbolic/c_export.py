@@ -27,6 +27,7 @@ __all__ = ["c_sources", "write_c"]
 
 _NAMES = "kinematics.h", "kinematics.c", "kinematics_test.c"
 _CASES = 12
+_SPREAD = 1e3
 _WRENCH = np.array([30.0, -20.0, -500.0, 4.0, -6.0, 8.0])
 
 
@@ -50,12 +51,17 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_") -> dict[str, str]:
     Raises
     ------
     ArgumentError
-        If `geometry` is no `Geometry`, which one as built is not, or `prefix` cannot begin a name in C.
+        If `geometry` is no `Geometry`, which one as built is not, if one of its dimensions is more than 1000 times
+        another, or `prefix` cannot begin a name in C.
     """
     if isinstance(geometry, AsBuiltGeometry):
         cause = "The eight roots of a machine as built take an iteration; export its .nominal"
         raise ArgumentError("geometry", "a Geometry", "AsBuiltGeometry", cause)
     instance(geometry, Geometry, "geometry")
+    smallest, largest = min(geometry.dimensions), max(geometry.dimensions)
+    if largest > _SPREAD * smallest:
+        expected = f"dimensions within a factor of {_SPREAD:g}, for the answers of the test program to keep ten digits"
+        raise ArgumentError("geometry", expected, f"{smallest:g} to {largest:g} m", "Another unit in one of them?")
     if not isinstance(prefix, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", prefix, re.ASCII):
         raise ArgumentError("prefix", "letters, digits and underscores that can begin a name in C", repr(prefix))
     version = import_module("spm_pin").__version__

@@ -57,6 +57,34 @@ void forces_all(const spm_geometry *g, long n, const spm_state *states, const do
 }
 """
 
+DRIVER = """
+#include "spm_kinematics.h"
+#include <stdio.h>
+/* Call all functions for poses and leg lengths, 18 numbers each, of a file; write six statuses each. */
+int main(int count, char **names)
+{
+    FILE *in = fopen(names[1], "rb"), *out = fopen(names[count - 1], "wb");
+    double row[18], matrix[36], forces[6], q[6];
+    const double wrench[6] = {3.0, -2.0, -50.0, 4.0, -6.0, 8.0};
+    spm_branches branches;
+    spm_state state;
+    int i, status[6];
+    if (!in || !out) return 1;
+    while (fread(row, sizeof row, 1, in) == 1) {
+        status[0] = spm_inverse(&spm_machine, row, row + 9, &branches);
+        status[1] = spm_inverse_physical(&spm_machine, row, row + 9, &state);
+        status[2] = spm_forward_physical(&spm_machine, row + 12, 0, &state);
+        status[4] = spm_inverse_jacobian(&spm_machine, &state, matrix);
+        status[5] = spm_leg_forces(&spm_machine, &state, wrench, forces);
+        for (i = 0; i < 6; ++i) q[i] = state.lengths[i] * (i % 2 ? 1.02 : 0.98);
+        status[3] = spm_forward_physical(&spm_machine, q, &state, &state);
+        fwrite(status, sizeof status, 1, out);
+    }
+    fclose(in);
+    return fclose(out);
+}
+"""
+
 
 def compilers() -> list[str]:
     """Return gcc and clang, those that there are; the test skips where there is none."""

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import numpy as np
 import pytest
 from cli.running import run
 from problems import GEOMETRIES, conditioning
-from symbolic.c_library import STRICT, CLibrary, as_states, compile_c, compilers
+from symbolic.c_library import DRIVER, STRICT, CLibrary, as_states, compile_c, compilers
 from symbolic.c_poses import hard_poses, held_states, possible_lengths, spread_poses
 
 import spm_pin as spm
@@ -19,7 +21,9 @@ from spm_pin.closed_form.kernels import continuation_kernel
 from spm_pin.errors import ArgumentError
 
 EXACT = "-ffp-contract=off"
+SANITIZED = ("-O1", "-fsanitize=undefined,address", "-fno-sanitize-recover=all")
 CONTRACTED = ("-O3", "-march=native", "-ffp-contract=fast")
+FLAGS = {"default": ("-O2",), "exact": ("-O0", EXACT), "contracted": CONTRACTED, "sanitized": SANITIZED}
 NOT_PHYSICAL, SINGULAR, NOT_FINITE, NOT_A_ROTATION, BAD_LENGTH, BAD_GEOMETRY, BAD_SEED = 4, 5, -1, -2, -3, -4, -5
 
 
@@ -67,7 +71,8 @@ def test_hard_poses_have_every_status(library: CLibrary) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_half_a_million_poses_are_solved_as_by_the_kernels(library: CLibrary, name: str) -> None:
-    for seed in range(2):
+    """Of each geometry; with SPM_PIN_ROUNDS=10 ten million of all."""
+    for seed in range(int(os.environ.get("SPM_PIN_ROUNDS", "2"))):
         compare_inverse(of_geometry(library, name), *spread_poses(GEOMETRIES[name], 200000, 100 + 10 * seed))
         compare_inverse(of_geometry(library, name), *hard_poses(GEOMETRIES[name], 50000, 200 + 10 * seed))
 
@@ -237,19 +242,11 @@ def test_a_rotation_with_rounding_of_single_precision_is_repaired_as_by_the_pack
 
 @pytest.mark.parametrize(
     ("name", "flags"),
-    list(
-        zip(
-            GEOMETRIES,
-            [
-                ("-O2",),
-                ("-O0", EXACT),
-                CONTRACTED,
-                ("-O1", "-fsanitize=undefined,address", "-fno-sanitize-recover=all"),
-            ],
-            strict=True,
-        )
-    ),
-    ids=["default", "exact", "contracted", "sanitized"],
+    [
+        pytest.param(name, flags, id=f"{label}, {name}", marks=pytest.mark.slow if shift else ())
+        for shift in range(2)
+        for (label, flags), name in zip(FLAGS.items(), np.roll(list(GEOMETRIES), shift).tolist(), strict=True)
+    ],
 )
 def test_the_test_program_builds_without_a_warning_and_finds_all_right(
     name: str, flags: tuple[str, ...], tmp_path: Path
@@ -260,6 +257,80 @@ def test_the_test_program_builds_without_a_warning_and_finds_all_right(
         done = subprocess.run([tmp_path / "program"], capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stdout
         assert "12 poses compared, 0 wrong" in done.stdout
+
+
+@pytest.mark.parametrize("name", ["paper", pytest.param("wide base", marks=pytest.mark.slow)])
+def test_sanitizers_find_nothing_in_ten_thousand_poses(name: str, tmp_path: Path) -> None:
+    """All functions, for hard poses, poses anywhere, lengths anywhere and arguments that are none."""
+    geometry = GEOMETRIES[name]
+    parts = [hard_poses(geometry, 6000, 3), spread_poses(geometry, 6000, 4)]
+    rotation, position = (np.concatenate(own) for own in zip(*parts, strict=True))
+    branches = spm.inverse_displacement(geometry, spm.pose(position, rotation=rotation))
+    size, rng = geometry.base_radius + geometry.platform_radius + geometry.middle_side, np.random.default_rng(5)
+    lengths = size * rng.uniform(0.02, 2.0, (len(position), 6))
+    lengths[::2] = possible_lengths(geometry, len(lengths[::2]), 6, 1.0)
+    rotation[-3:], position[-5:-3], lengths[-2:] = [[[np.nan]], [[1e200]], [[2.0]]], np.inf, [[np.nan], [-1.0]]
+    numbers = np.concatenate([rotation.reshape(-1, 9), position, lengths], axis=-1)
+    numbers.tofile(tmp_path / "numbers")
+    spm.symbolic.write_c(geometry, tmp_path)
+    (tmp_path / "driver.c").write_text(DRIVER, encoding="utf-8")
+    sources = tmp_path / "driver.c", tmp_path / "spm_kinematics.c"
+    for compiler in compilers():
+        compile_c(compiler, *STRICT, *SANITIZED, *sources, "-lm", "-o", tmp_path / "program")
+        command = [tmp_path / "program", tmp_path / "numbers", tmp_path / "status"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        status = np.fromfile(tmp_path / "status", np.int32).reshape(-1, 6)
+        assert len(status) > 10_000
+        np.testing.assert_array_equal(status[:-5, 0], branches.status[:-5])
+        assert set(status[-5:, 0]) == {NOT_FINITE, NOT_A_ROTATION}
+        assert set(status[-2:, 2]) == {NOT_FINITE, BAD_LENGTH}
+        # Forward, from a seed, J_f and forces: found and not.
+        assert all((status[:, k] == 0).sum() > 100 and (status[:, k] != 0).sum() > 100 for k in range(2, 6))
+
+
+def test_no_function_needs_more_than_eight_kilobytes_of_stack(tmp_path: Path) -> None:
+    """Along every chain of calls, as gcc lists them; the mathematics library is not in the list."""
+    compiler = shutil.which("gcc")
+    if compiler is None:
+        pytest.skip("no gcc, which lists the stack of functions")
+    _, source, *_ = spm.symbolic.write_c(GEOMETRIES["paper"], tmp_path)
+    compile_c(compiler, "-std=c99", "-O2", "-fcallgraph-info=su", "-c", source, "-o", tmp_path / "object.o")
+    graph = (tmp_path / "object.ci").read_text(encoding="utf-8")
+    nodes = re.findall(
+        r'^node: \{ title: "([^"]+)" label: "[^"]*\\n(\d+) bytes \(([a-z,]+)\)', graph, flags=re.MULTILINE
+    )
+    assert {kind for *_, kind in nodes} <= {"static", "dynamic,bounded"}
+    own = {name: int(size) for name, size, _ in nodes}
+    calls: dict[str, set[str]] = {name: set() for name in own}
+    for caller, callee in re.findall(
+        r'^edge: \{ sourcename: "([^"]+)" targetname: "([^"]+)"', graph, flags=re.MULTILINE
+    ):
+        calls[caller] |= {callee} & own.keys()
+    # A recursion would be a cycle.
+    total: dict[str, int] = {}
+    for name in TopologicalSorter(calls).static_order():
+        total[name] = own[name] + max((total[callee] for callee in calls[name]), default=0)
+    functions = {name: total[name] for name in total if name.startswith("spm_")}
+    assert len(functions) == 6
+    assert 2000 < max(functions.values()) <= 8192, functions
+
+
+@pytest.mark.parametrize("sizes", [(1e-9, 1e9, 1.0), (1.0, 1.001e3, 1.0), (1.0, 1.0, 0.999e-3)])
+def test_dimensions_too_far_apart_are_refused(sizes: tuple[float, float, float], tmp_path: Path) -> None:
+    with pytest.raises(ArgumentError, match="geometry: expected dimensions within a factor of 1000"):
+        spm.symbolic.write_c(spm.Geometry(*sizes), tmp_path / "c")
+    assert not (tmp_path / "c").exists()
+
+
+@pytest.mark.parametrize("sizes", [(1e3, 1.0, 1.0), (1.0, 1e3, 1.0), (1.0, 1.0, 1e3), (1.0, 1e-3, 1e-3)])
+def test_the_test_program_finds_all_right_with_dimensions_a_thousandfold_apart(
+    sizes: tuple[float, float, float], tmp_path: Path
+) -> None:
+    spm.symbolic.write_c(spm.Geometry(*sizes), tmp_path)
+    compile_c(compilers()[0], "-O0", *tmp_path.glob("*.c"), "-lm", "-o", tmp_path / "program")
+    done = subprocess.run([tmp_path / "program"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
 
 
 def test_the_test_program_finds_a_wrong_answer(tmp_path: Path) -> None:
