@@ -133,7 +133,7 @@ def forward_physical(
         torsion, on the sheet +, and reached from equal legs without a forward singularity. With a seed the end of the
         path on which its leg lengths change to the given ones in a straight line, whatever its mode. `.exists` is
         False, and everything NaN, where there is no such configuration, or where that path meets a forward
-        singularity.
+        singularity or takes more than 250,000 steps of a stage.
 
     Raises
     ------
