@@ -25,21 +25,22 @@ POSES = spm.PlatformPath(
 
 
 @pytest.mark.parametrize(
-    ("path", "limits", "jerk", "often"),
+    ("path", "limits", "jerk", "share"),
     [
-        (LINE, {"leg_forces": 1500.0, "leg_rates": 0.4, "leg_accelerations": 5.0}, 40.0, 0.9),
+        (LINE, {"leg_forces": 1500.0, "leg_rates": 0.4, "leg_accelerations": 5.0}, 40.0, 0.98),
         (
             CURVE,
             {"leg_forces": 1800.0, "leg_rates": 0.6, "payload": Payload(15.0, (0.02, -0.01, 0.1))},
             [400.0, 300.0, 200.0, 300.0, 400.0, 500.0],
-            0.9,
+            0.98,
         ),
-        (POSES, {"leg_forces": 1500.0, "leg_rates": 0.15}, 40.0, 0.9),
-        pytest.param(WINDING, {"leg_accelerations": 5.0, "leg_rates": 0.6}, 40.0, 0.75, marks=pytest.mark.slow),
+        (POSES, {"leg_forces": 1500.0, "leg_rates": 0.15}, 40.0, 0.98),
+        # Some thirty polynomials for each stretch between two points: the limits are followed less closely, see below.
+        pytest.param(WINDING, {"leg_accelerations": 5.0, "leg_rates": 0.6}, 40.0, 0.8, marks=pytest.mark.slow),
     ],
 )
 def test_all_limits_hold_and_some_limit_is_used(
-    path: object, limits: dict[str, object], jerk: object, often: float
+    path: object, limits: dict[str, object], jerk: object, share: float
 ) -> None:
     period = 1e-3
     motion = spm.time_optimal(CHAIN, path, **limits, leg_jerks=jerk, period=period)  # type: ignore[arg-type]
@@ -52,7 +53,7 @@ def test_all_limits_hold_and_some_limit_is_used(
     used.append(np.abs(jerks / jerk).max(axis=-1))
     shares = np.max(used, axis=0)
     assert shares.max() < 1.0 + 1e-6
-    assert (shares > 0.98).mean() > often
+    assert (shares > share).mean() > 0.9
     # The rows are those of one motion, from rest to rest and without acceleration there.
     np.testing.assert_allclose(motion.accelerations[[0, -1]], 0.0, atol=1e-9)
     np.testing.assert_allclose(motion.velocities[[0, -1]], 0.0, atol=1e-9)
@@ -60,6 +61,13 @@ def test_all_limits_hold_and_some_limit_is_used(
     h, v, a = np.diff(motion.times)[:, None], motion.velocities, motion.accelerations
     step = 0.5 * h * (v[1:] + v[:-1]) - h**2 / 12.0 * (a[1:] - a[:-1])
     np.testing.assert_allclose(moved, step, atol=1e-2 * period**3 * np.max(jerk))
+
+
+@pytest.mark.slow
+def test_twice_as_fine_a_grid_shortens_a_winding_motion_by_less_than_a_hundredth() -> None:
+    limits = {"leg_accelerations": 5.0, "leg_rates": 0.6, "leg_jerks": 40.0}
+    usual, fine = (spm.time_optimal(CHAIN, WINDING, **limits, grid=grid).times[-1] for grid in (2000, 4000))
+    assert 0.99 * usual < fine < usual
 
 
 @pytest.mark.parametrize("path", [LINE, CURVE])
