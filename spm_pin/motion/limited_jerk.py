@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import Polynomial
-from scipy.interpolate import BSpline, CubicHermiteSpline
+from scipy.interpolate import BPoly, BSpline
 from scipy.special import betaincinv
 
 from spm_pin.errors import ArgumentError
@@ -145,7 +145,7 @@ def limited_jerk(
     half = 0.5 * np.diff(grid.tau)[:, None]
     steps = (half * weights / np.sqrt(y(grid.tau[:-1, None] + half * (1.0 + nodes)))).sum(axis=-1)
     times = np.concatenate([[0.0], np.cumsum(steps)])
-    reached = CubicHermiteSpline(times, grid.tau, np.sqrt(y(grid.tau)))
+    reached = BPoly.from_derivatives(times, np.stack([grid.tau, np.sqrt(y(grid.tau)), 0.5 * y(grid.tau, 1)], axis=-1))
 
     def clock(moments: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         tau = np.clip(reached(moments), 0.0, 1.0)

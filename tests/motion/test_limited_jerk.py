@@ -60,7 +60,9 @@ def test_all_limits_hold_and_some_limit_is_used(
     moved = np.diff(motion.positions, axis=0)
     h, v, a = np.diff(motion.times)[:, None], motion.velocities, motion.accelerations
     step = 0.5 * h * (v[1:] + v[:-1]) - h**2 / 12.0 * (a[1:] - a[:-1])
-    np.testing.assert_allclose(moved, step, atol=1e-2 * period**3 * np.max(jerk))
+    # Exact where the jerk is linear in time; a jump of it by J is worth at most J h³ max(x³/6 - x²/4 + x/12), x <= 1.
+    jumps = 2.0 * np.abs(np.diff(a, axis=0) / h).max(axis=0)
+    assert (np.abs(moved - step) <= 0.00802 * jumps * period**3 + 1e-14).all()
 
 
 @pytest.mark.slow
