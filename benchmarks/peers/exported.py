@@ -25,7 +25,7 @@ CALLS = (
     "`spm_inverse_jacobian`",
     "`spm_leg_forces`",
 )
-"""What `call_times` times, in its order."""
+"""Names of the calls that `call_times` times, in its order."""
 
 _LOOP = """
 #define _POSIX_C_SOURCE 199309L

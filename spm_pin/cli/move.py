@@ -134,7 +134,7 @@ def move(
         if hint := unit_hint("--limits", float(np.max(longest)), unit, dimensions):
             note(hint, "yellow")
         allowed = LegLimits(*((ends / unit.per_metre).tolist() for ends in (shortest, longest)))
-    passed = [np.broadcast_to(_each_leg(text, "--via", least=6), 6) / unit.per_metre for text in via or ()]
+    passed = [_each_leg(text, "--via", least=6) / unit.per_metre for text in via or ()]
     pairs = {"hip": hip, "ball_x": ball_x, "ball_y": ball_y, "ball_z": ball_z}
     angles = {name: (math.radians(pair[0]), math.radians(pair[1])) for name, pair in pairs.items() if pair is not None}
     joints = JointLimits(**angles, clearance=None if clearance is None else clearance / unit.per_metre)

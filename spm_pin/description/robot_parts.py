@@ -88,7 +88,7 @@ class Shape:
 
     kind: str  # "box", "cylinder", "sphere" or "mesh"
     size: tuple[float, ...]
-    """Of a box its sides, of a cylinder about z radius and length, of a sphere the radius [m]; of a mesh its scales."""
+    """Sides of a box, radius and length of a cylinder about z, radius of a sphere [m]; scales of a mesh."""
     placement: Placement = Placement()  # of its centre, or of the mesh's origin, in the link
     material: Material | None = None  # colour of what is seen
     mesh: Mesh | None = None  # for kind "mesh"

@@ -164,7 +164,7 @@ class _Programme:
     first: FloatArray
     second: FloatArray
     third: FloatArray
-    """Of s, s, and of the second one by τ."""
+    """First and second derivatives by s, and the derivative of the second one by τ."""
     jerks: FloatArray
 
     @classmethod

@@ -1,4 +1,4 @@
-"""What every state of a planned path keeps: leg limits, joint limits, distance to singularities."""
+"""Rules that every state of a planned path keeps: leg limits, joint limits, distance to singularities."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from spm_pin.workspace.reachability.joint_limits import JointLimits
 __all__ = ["ROUNDING", "PathRules", "least_determinant"]
 
 ROUNDING = 1e-9
-"""By which a rule may be broken, in its unit: a state at its limit keeps it."""
+"""Amount by which a rule may be broken, in its unit: a state at its limit keeps it."""
 
 
 @dataclass(frozen=True)

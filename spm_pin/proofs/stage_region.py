@@ -32,7 +32,7 @@ _UP = 1.0 + 1e-12
 
 @dataclass(frozen=True)
 class _Spread:
-    """Bounds of what errors of a machine change in one stage, see `docs/theory/proofs.md`."""
+    """Bounds of the changes that errors of a machine make in one stage, see `docs/theory/proofs.md`."""
 
     length: Interval
     """A coordinate of a pivot, or a reading [m]."""
@@ -77,9 +77,10 @@ class StageRegion:
     @cached_property
     def lengths(self) -> list[Interval]:
         """Distances from pivot to ball of legs whose readings are within the limits [m]."""
-        widened = Interval(self.minimum, self.maximum) + self.spread.length if self.length_error else None
-        low, high = (self.minimum, self.maximum) if widened is None else (widened.low, widened.high)
-        return [Interval(np.array(max(a, 0.0)), np.array(b)) for a, b in zip(low, high, strict=True)]
+        all_legs = Interval(self.minimum, self.maximum)
+        if self.length_error:
+            all_legs = all_legs + self.spread.length
+        return [Interval(np.array(max(a, 0.0)), np.array(b)) for a, b in zip(all_legs.low, all_legs.high, strict=True)]
 
     @cached_property
     def longest(self) -> float:
@@ -93,7 +94,7 @@ class StageRegion:
 
     @cached_property
     def spread(self) -> _Spread:
-        """What the errors change at most."""
+        """Bounds of all that the errors change."""
         pivot, ball = np.sqrt([2.0, 3.0]) * self.length_error * _UP
         leaning = np.sqrt(2.0) * self.angle_error * self.longest * _UP
         corner = (leaning + pivot + ball) * _UP

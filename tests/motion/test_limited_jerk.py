@@ -5,23 +5,15 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from motion.example_paths import CHAIN, CURVE, GOAL, LEGS, LINE, PAPER, START, pose_line
 
 import spm_pin as spm
 from spm_pin.motion import LegPath, Payload
 from spm_pin.motion.limited_jerk import EasedGrid, limited_jerk
 from spm_pin.motion.motion_limits import LimitRows
 
-PAPER = spm.Geometry.paper()
-CHAIN = spm.ClosedChain.from_urdf()
-LEGS = CHAIN.leg_indices
-START = [1.20, 1.20, 1.40, 1.25, 1.20, 1.50]
-GOAL = [1.40, 1.20, 1.20, 1.20, 1.50, 1.25]
-LINE = LegPath([START, GOAL])
-CURVE = LegPath([START, [1.3, 1.4, 1.2, 1.3, 1.3, 1.3], GOAL])
 WINDING = LegPath(np.random.default_rng(4).uniform(1.1, 1.5, (7, 6)))
-POSES = spm.PlatformPath(
-    [3.0, 5.0], spm.forward_physical(PAPER, [START, [1.22, 1.22, 1.42, 1.3, 1.2, 1.45]]).pose
-)  # fmt: skip
+POSES = pose_line([3.0, 5.0])
 
 
 @pytest.mark.parametrize(

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from motion.example_paths import GOAL, PAPER, START
 
 import spm_pin as spm
 from spm_pin.motion import LegPath, MotionPlan
 from spm_pin.workspace import JointLimits, leg_clearance
-
-PAPER = spm.Geometry.paper()
-START = [1.20, 1.20, 1.40, 1.25, 1.20, 1.50]
-GOAL = [1.40, 1.20, 1.20, 1.20, 1.50, 1.25]
 
 
 def check(found: MotionPlan, limits: spm.LegLimits, start: object, goal: object, samples: int = 400) -> None:

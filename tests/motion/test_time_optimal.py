@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from motion.example_paths import CHAIN, CURVE, GOAL, LEGS, LINE, PAPER, START, pose_line
 from multibody.engine_dynamics import Mujoco
 
 import spm_pin as spm
@@ -13,19 +14,7 @@ from spm_pin.motion.path_dynamics import path_dynamics
 
 pytest.importorskip("toppra", reason="toppra has wheels for Linux on x86_64 only")
 
-PAPER = spm.Geometry.paper()
-CHAIN = spm.ClosedChain.from_urdf()
-LEGS = CHAIN.leg_indices
-START = [1.20, 1.20, 1.40, 1.25, 1.20, 1.50]
-GOAL = [1.40, 1.20, 1.20, 1.20, 1.50, 1.25]
-LINE = LegPath([START, GOAL])
-CURVE = LegPath([START, [1.3, 1.4, 1.2, 1.3, 1.3, 1.3], GOAL])
 LOAD = Payload(15.0, (0.02, -0.01, 0.1), np.diag([0.3, 0.2, 0.25]))
-
-
-def poses() -> spm.PlatformPath:
-    ends = spm.forward_physical(PAPER, [START, [1.22, 1.22, 1.42, 1.3, 1.2, 1.45]])
-    return spm.PlatformPath([0.0, 1.0], ends.pose)
 
 
 CASES = {
@@ -62,7 +51,7 @@ def twists(motion: object) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("name", CASES)
 def test_the_rows_keep_the_limits_and_some_limit_is_always_used(name: str) -> None:
     path, limits = CASES[name]
-    motion = spm.time_optimal(CHAIN, path or poses(), **limits)
+    motion = spm.time_optimal(CHAIN, path or pose_line(), **limits)
     used = shares(motion, limits)
     assert used.max() < 1.0 + 1e-6
     # The rows where the acceleration switches lie between two parts of the grid.
@@ -96,7 +85,7 @@ def test_a_machine_as_built_moves_within_its_limits() -> None:
 def test_a_convex_programme_finds_the_same_duration(name: str) -> None:
     """Direct transcription with u and x = ṡ² on a finer grid, solved by IPOPT."""
     path, limits = CASES[name]
-    way = path or poses()
+    way = path or pose_line()
     n = 800
     grid = np.linspace(0.0, 1.0, n + 1)
     along = path_dynamics(CHAIN, way, grid, limits.get("payload"))
@@ -193,12 +182,12 @@ def test_a_plan_of_other_dimensions_is_refused() -> None:
 
 
 def test_a_path_may_begin_at_any_time() -> None:
-    """Of these times the first plus their difference is above the last, by rounding."""
+    """The first of these times plus their difference is above the last, by rounding."""
     times = [1.6255247663220262, 7.918391417807537]
     assert times[0] + (times[1] - times[0]) > times[1]
     limits = {"leg_accelerations": 3.0, "grid": 200, "period": 0.01}
-    shifted = spm.time_optimal(CHAIN, spm.PlatformPath(times, poses()([0.0, 1.0]).pose), **limits)
-    np.testing.assert_allclose(shifted.times[-1], spm.time_optimal(CHAIN, poses(), **limits).times[-1], rtol=1e-9)
+    shifted = spm.time_optimal(CHAIN, pose_line(times), **limits)
+    np.testing.assert_allclose(shifted.times[-1], spm.time_optimal(CHAIN, pose_line(), **limits).times[-1], rtol=1e-9)
 
 
 def test_a_plan_made_with_other_limits_is_of_the_same_machine() -> None:

@@ -57,7 +57,7 @@ def states(robot: Any, count: int, seed: int) -> spm.Configuration:
 
 
 def rounding(robot: Any, q: Array) -> float:
-    """What rounding leaves of a loop: some eps times its length."""
+    """Closure gap that rounding explains: some eps times the length of a loop."""
     lengths = np.abs(robot.leg_lengths(q)).sum(axis=-1).max()
     return float(64.0 * EPS * (sum(robot.geometry.nominal.dimensions) + lengths))
 

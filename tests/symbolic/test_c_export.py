@@ -71,7 +71,7 @@ def test_hard_poses_have_every_status(library: CLibrary) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_half_a_million_poses_are_solved_as_by_the_kernels(library: CLibrary, name: str) -> None:
-    """Of each geometry; with SPM_PIN_ROUNDS=10 ten million of all."""
+    """Half a million poses of each geometry by default; SPM_PIN_ROUNDS=10 makes it ten million in all."""
     for seed in range(int(os.environ.get("SPM_PIN_ROUNDS", "2"))):
         compare_inverse(of_geometry(library, name), *spread_poses(GEOMETRIES[name], 200000, 100 + 10 * seed))
         compare_inverse(of_geometry(library, name), *hard_poses(GEOMETRIES[name], 50000, 200 + 10 * seed))
