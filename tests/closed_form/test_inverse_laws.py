@@ -45,6 +45,17 @@ def test_a_batch_is_its_singles(shape: tuple[int, ...], family: str, seed: int) 
         np.testing.assert_array_equal(spm.closed_form.complex_middle_joints(PAPER, single), roots[index])
 
 
+@pytest.mark.parametrize("length", [4000, 4001, 4567])
+def test_a_large_batch_is_its_parts(length: int) -> None:
+    """Kernels fetch the memory of large batches ahead of writing it, beyond the end as well."""
+    pose = random_branches(PAPER, "TT", length, seed=8).pose
+    whole, lengths = spm.inverse_displacement(PAPER, pose), spm.closed_form.branch_lengths(PAPER, pose)[0]
+    np.testing.assert_array_equal(lengths, whole.leg_lengths)
+    for first in range(0, length, 500):
+        part = slice(first, min(first + 500, length))
+        assert_same_bits(spm.inverse_displacement(PAPER, pose[part]), whole[part])
+
+
 @given(family=families, seed=seeds)
 def test_results_do_not_depend_on_neighbours_in_the_batch(family: str, seed: int) -> None:
     """A degenerate, an unreachable and a regular pose side by side are what each is alone."""

@@ -12,7 +12,7 @@ from numba.extending import intrinsic, overload
 
 from spm_pin.closed_form.kernels.compilation import TILE, jit_inline
 
-__all__ = ["LANES", "in_blocks", "in_caller", "move_block", "move_numbers", "on_stack"]
+__all__ = ["LANES", "fetch_line", "in_blocks", "in_caller", "move_block", "move_numbers", "on_stack"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -134,6 +134,28 @@ def move_numbers(typing: Any, records: Any, k: Any, first: Any, count: Any, out:
         return context.get_dummy_value()
 
     return _types.void(records, k, first, count, out, n), lower
+
+
+@_intrinsic(prefer_literal=False)
+def fetch_line(typing: Any, out: Any, line: Any) -> Any:
+    """Have the processor fetch the line-th eight numbers of a result to its cache, to be written; compiled code only.
+
+    A hint: it changes no number, and places beyond the result do no harm.
+    """
+    del typing
+
+    def lower(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        out, line = arguments
+        target = context.make_array(signature.args[0])(context, builder, out)
+        size, byte, kind = context.get_value_type(_types.intp), _ir.IntType(8).as_pointer(), _ir.IntType(32)
+        hint = _ir.FunctionType(_ir.VoidType(), [byte, kind, kind, kind])
+        place = builder.bitcast(builder.gep(target.data, [builder.mul(line, size(LANES))]), byte)
+        # To be written, to the second cache, data.
+        arguments = [place, kind(1), kind(2), kind(1)]
+        builder.call(_cgutils.get_or_insert_function(builder.module, hint, "llvm.prefetch.p0i8"), arguments)
+        return context.get_dummy_value()
+
+    return _types.void(out, line), lower
 
 
 def in_blocks(move: Callable[..., None]) -> Callable[[F], F]:

@@ -4,10 +4,25 @@ from __future__ import annotations
 
 from spm_pin.closed_form.kernels.branch_tiles import DISCRIMINANT
 from spm_pin.closed_form.kernels.compilation import TILE, jit_inline
-from spm_pin.closed_form.kernels.tile_memory import LANES, in_blocks, move_block, move_numbers
+from spm_pin.closed_form.kernels.tile_memory import LANES, fetch_line, in_blocks, move_block, move_numbers
 from spm_pin.mechanism.arguments import FloatArray
 
 __all__ = ["store_joints", "store_lengths", "store_pose", "store_poses"]
+
+_LARGE = 4000
+"""Poses whose results, some megabytes, exceed the second cache; what is written is fetched before."""
+_AHEAD = 64
+"""Poses between those that are fetched and those that are written: longer than the memory takes to answer."""
+
+
+@jit_inline
+def _fetch_ahead(start: int, branch: int, lines: int, out: FloatArray) -> None:
+    # An eighth of a later tile, whose results take so many lines each.
+    if len(out) >= _LARGE:
+        share = lines * TILE // 8
+        first = lines * (start + _AHEAD) + share * branch
+        for line in range(first, first + share):
+            fetch_line(out, line)
 
 
 @jit_inline
@@ -26,6 +41,7 @@ def _move_joints(start: int, branch: int, tile: FloatArray, joints: FloatArray) 
         move_block(tile, 8 * branch, lane, joints, start + lane)
         if branch == 7:
             move_block(tile, 64, lane, joints, start + lane)
+    _fetch_ahead(start, branch, 9, joints)
 
 
 @in_blocks(_move_joints)
@@ -43,6 +59,7 @@ def _move_lengths(start: int, branch: int, tile: FloatArray, lengths: FloatArray
     if branch % 4 != 0:
         for lane in range(0, TILE, LANES):
             move_block(tile, 8 * (branch - 1 - branch // 4), lane, lengths, start + lane)
+    _fetch_ahead(start, branch, 6, lengths)
 
 
 @in_blocks(_move_lengths)
