@@ -96,7 +96,7 @@ def time_optimal(
     ArgumentError
         If an argument is malformed, the plan is one of other dimensions, no limit bounds the acceleration, the path
         leaves the physical mode or meets a singularity, with the parameter where, or the forces cannot even hold the
-        machine at rest somewhere.
+        machine at rest somewhere; if the rows of every motion that is tried exceed a limit between points of `grid`.
     MissingExtraError
         Without the extra "motion", which `leg_jerks` does not need.
 
@@ -131,14 +131,17 @@ def time_optimal(
         found = path_dynamics(chain, way, at, payload)
         share = limits.kept_share(chain, found, times, speeds, accelerations, _KEPT)
         if share >= 1.0:
-            break
+            return _trajectory(chain, found, times, speeds, accelerations)
         # It happens between points of the grid.
         if jerks is None and correction < _NARROWED:
             rows = rows.narrowed(*limits.rows(chain, found).excess(speeds, accelerations))
             duration, clock = _fastest(parameters, rows)
         else:
             slower /= np.sqrt(share * (1.0 - _KEPT))
-    return _trajectory(chain, found, times, speeds, accelerations)
+    expected = f"a grid on which a motion that keeps every limit is found in {_CORRECTIONS} tries"
+    received = f"{parts} parts; the last motion exceeds a limit by {1.0 / share - 1.0:.1e} of what it leaves for moving"
+    cause = "A turn of the path that is sharp between two points of the grid? A finer grid, or a path with wider turns"
+    raise ArgumentError("grid", expected, received, cause)
 
 
 def _path(path: Any, chain: ClosedChain) -> Path:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -194,6 +196,17 @@ def test_a_plan_made_with_other_limits_is_of_the_same_machine() -> None:
     wider = spm.Geometry(*PAPER.dimensions, limits=spm.LegLimits(0.9, 1.8))
     motion = spm.time_optimal(CHAIN, spm.plan(wider, START, GOAL), leg_accelerations=3.0, grid=200, period=0.01)
     np.testing.assert_allclose(CHAIN.leg_lengths(motion.positions[-1]), GOAL, atol=1e-9)
+
+
+def test_a_motion_that_still_exceeds_a_limit_is_not_returned(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first motion on a coarse grid exceeds limits between its points: with no second one, that is an error."""
+    limits = {"leg_accelerations": 3.0, "leg_rates": 0.4}
+    assert shares(spm.time_optimal(CHAIN, CURVE, grid=60, **limits), limits).max() < 1.0 + 1e-6
+    monkeypatch.setattr(sys.modules["spm_pin.motion.time_optimal"], "_CORRECTIONS", 1)
+    message = r"found in 1 tries.*60 parts.*exceeds a limit by \d.*e-\d\d.*finer grid"
+    with pytest.raises(spm.ArgumentError, match=message) as caught:
+        spm.time_optimal(CHAIN, CURVE, grid=60, **limits)
+    assert caught.value.argument == "grid"
 
 
 def test_paths_that_cannot_be_gone_along_are_named() -> None:
