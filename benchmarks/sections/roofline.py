@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+import spm_pin as spm
 from benchmarks.peers import c_loop, package
 from benchmarks.peers.compiled import address, library
 from benchmarks.peers.operations import Operations, count_operations
@@ -26,6 +27,9 @@ _TURNS = 100_000
 _KERNEL = f"{OURS}, kernel alone"
 _FEW = 1000
 """Poses whose results, a megabyte, stay in a cache."""
+_CACHE, _AGAIN, _NEW = "a cache", "memory written before", "new memory"
+_PLACES = (_CACHE, _AGAIN, _NEW)
+"""Where results go."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,7 @@ class Limits:
     square_roots: float
     triad: float
     fill_cached: float
+    fill_again: float
     fill_new: float
 
     def compute(self, operations: Operations) -> tuple[float, float]:
@@ -46,9 +51,11 @@ class Limits:
             operations.divisions / self.divisions + operations.square_roots / self.square_roots,
         )
 
-    def memory(self, read: float, written: float, *, new: bool) -> float:
-        """Return the least time per pose [s] to read and write so many bytes: in a cache, or into new memory."""
-        return read / self.triad + written / self.fill_new if new else (read + written) / self.fill_cached
+    def memory(self, read: float, written: float, place: str) -> float:
+        """Return the least time per pose [s] to read and write so many bytes, the results in one of `_PLACES`."""
+        if place == _CACHE:
+            return (read + written) / self.fill_cached
+        return read / self.triad + written / (self.fill_new if place == _NEW else self.fill_again)
 
 
 def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
@@ -62,25 +69,30 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
         return section
     small, large = _FEW, 100_000 if pace.quick else 1_000_000
     few, many = leg_space(_FEW), tiled(large)
+    found = spm.inverse_displacement(GEOMETRY, many)
     timed_calls = [
-        TimedCall(f"{OURS} {small}", package.inverse((GEOMETRY, few)).call, small),
-        TimedCall(f"{_KERNEL} {small}", package.kernel((GEOMETRY, few)).call, small),
-        TimedCall(f"C loop {small}", c_loop.answered((GEOMETRY, few)).call, small),
-        TimedCall(f"{OURS} {large}", package.inverse((GEOMETRY, many)).call, large),
-        TimedCall(f"C loop {large}", c_loop.fresh((GEOMETRY, many)).call, large),
+        TimedCall(f"{OURS} {_CACHE}", package.inverse((GEOMETRY, few)).call, small),
+        TimedCall(f"{_KERNEL} {_CACHE}", package.kernel((GEOMETRY, few)).call, small),
+        TimedCall(f"C loop {_CACHE}", c_loop.answered((GEOMETRY, few)).call, small),
+        TimedCall(f"{OURS} {_AGAIN}", lambda: spm.inverse_displacement(GEOMETRY, many, out=found), large),
+        TimedCall(f"{_KERNEL} {_AGAIN}", package.kernel((GEOMETRY, many)).call, large),
+        TimedCall(f"{OURS} {_NEW}", package.inverse((GEOMETRY, many)).call, large),
+        TimedCall(f"C loop {_NEW}", c_loop.fresh((GEOMETRY, many)).call, large),
     ]
     timings = time_in_turns([*limits_of, *timed_calls], Pace(max(5, pace.rounds // 2), pace.turn / 2.0), progress)
     limits = Limits(*(1.0 / timings[one.name].spread.median for one in limits_of))
     arrays = c_loop.Arrays.of(few)
     read = arrays.poses.nbytes / small
     written = (arrays.joints.nbytes + arrays.lengths.nbytes + arrays.status.nbytes) / small
-    least = max(_bounds(limits, operations, read, written, new=False).values())
-    kernel = timings[f"{_KERNEL} {small}"].spread
+    bounds = {place: _bounds(limits, operations, read, written, place) for place in _PLACES}
+    least = max(bounds[_CACHE].values())
+    kernel = timings[f"{_KERNEL} {_CACHE}"].spread
     facts["roofline/inverse"] = Spread(kernel.median / least, kernel.low / least, kernel.high / least)
     section.add(_account(operations, read, written))
     section.add(_limits_table(limits, timings))
-    section.add(_table(limits, operations, read, written, timings, small, large))
-    section.add(_reading(limits, operations, read, written, timings, small, large))
+    sizes = {_CACHE: small, _AGAIN: large, _NEW: large}
+    section.add(_table(bounds, timings, sizes))
+    section.add(_reading(bounds, timings, sizes))
     return section
 
 
@@ -95,7 +107,7 @@ def _limits(pace: Pace) -> list[TimedCall]:
     def triad() -> None:
         loaded.triad(n, *map(address, far), real(3.0))
 
-    cached = np.ones(120 * _FEW)
+    cached, again = np.ones(120 * _FEW), np.ones(far[0].size)
 
     def fill_cached() -> None:
         loaded.fill(whole(cached.size), address(cached), real(1.0))
@@ -113,6 +125,7 @@ def _limits(pace: Pace) -> list[TimedCall]:
         TimedCall("square roots", lambda: loaded.square_root(*inner), _TURNS // 100 * _CACHED),
         TimedCall("triad", triad, 3 * size),
         TimedCall("fill, cached", fill_cached, cached.nbytes),
+        TimedCall("fill, again", lambda: loaded.fill(n, address(again), real(1.0)), size),
         TimedCall("fill, new memory", fill_new, size),
     ]
 
@@ -140,9 +153,10 @@ def _limits_table(limits: Limits, timings: dict[str, Timing]) -> str:
         ("square roots", limits.square_roots, "G/s"),
         ("triad, read and written", limits.triad, "GB/s"),
         ("fill, memory that stays in a cache", limits.fill_cached, "GB/s"),
+        ("fill, memory written before, in no cache", limits.fill_again, "GB/s"),
         ("fill, memory new from the system", limits.fill_new, "GB/s"),
     ]
-    names = ("multiply-adds", "divisions", "square roots", "triad", "fill, cached", "fill, new memory")
+    names = "multiply-adds", "divisions", "square roots", "triad", "fill, cached", "fill, again", "fill, new memory"
     rows = []
     for (text, rate, unit), name in zip(rates, names, strict=True):
         spread = timings[name].spread
@@ -151,59 +165,37 @@ def _limits_table(limits: Limits, timings: dict[str, Timing]) -> str:
     return table(["one thread", "measured", "quartiles"], rows)
 
 
-def _bounds(limits: Limits, operations: Operations, read: float, written: float, *, new: bool) -> dict[str, float]:
+def _bounds(limits: Limits, operations: Operations, read: float, written: float, place: str) -> dict[str, float]:
     arithmetic, roots = limits.compute(operations)
     return {
         "additions and multiplications": arithmetic,
         "divisions and square roots": roots,
-        "memory": limits.memory(read, written, new=new),
+        "memory": limits.memory(read, written, place),
     }
 
 
-def _table(
-    limits: Limits,
-    operations: Operations,
-    read: float,
-    written: float,
-    timings: dict[str, Timing],
-    small: int,
-    large: int,
-) -> str:
+def _table(bounds: dict[str, dict[str, float]], timings: dict[str, Timing], sizes: dict[str, int]) -> str:
     rows = []
-    for n, new in ((small, False), (large, True)):
-        bounds = _bounds(limits, operations, read, written, new=new)
-        least = max(bounds.values())
-        rows.append([count(n), "at best", seconds(least), "", "1"])
+    for place, n in sizes.items():
+        least = max(bounds[place].values())
+        rows.append([count(n), place, "at best", seconds(least), "", "1"])
         for who in (OURS, _KERNEL, "C loop"):
-            if f"{who} {n}" not in timings:
-                continue
-            spread = timings[f"{who} {n}"].spread
-            rows.append([count(n), who, *spread_of_seconds(spread), three_digits(spread.median / least)])
-    return table(["poses a call", "", "per pose", "quartiles", "× at best"], rows, left=2)
+            if f"{who} {place}" in timings:
+                spread = timings[f"{who} {place}"].spread
+                rows.append([count(n), place, who, *spread_of_seconds(spread), three_digits(spread.median / least)])
+    return table(["poses a call", "results in", "", "per pose", "quartiles", "× at best"], rows, left=3)
 
 
-def _reading(
-    limits: Limits,
-    operations: Operations,
-    read: float,
-    written: float,
-    timings: dict[str, Timing],
-    small: int,
-    large: int,
-) -> str:
+def _reading(bounds: dict[str, dict[str, float]], timings: dict[str, Timing], sizes: dict[str, int]) -> str:
     sentences = []
-    for n, new, where in (
-        (small, False, "whose answers fit a cache"),
-        (large, True, "whose answers go to new memory"),
-    ):
-        bounds = _bounds(limits, operations, read, written, new=new)
-        tightest = max(bounds, key=lambda name: bounds[name])
-        listed = ", ".join(f"{name} {seconds(value)}" for name, value in bounds.items())
-        who = _KERNEL if f"{_KERNEL} {n}" in timings else OURS
-        ratio = timings[f"{who} {n}"].spread.median / bounds[tightest]
+    for place, n in sizes.items():
+        tightest = max(bounds[place], key=lambda name: bounds[place][name])
+        listed = ", ".join(f"{name} {seconds(value)}" for name, value in bounds[place].items())
+        who = _KERNEL if f"{_KERNEL} {place}" in timings else OURS
+        ratio = timings[f"{who} {place}"].spread.median / bounds[place][tightest]
         sentences.append(
-            f"Of {count(n)} poses, {where}, the least times are {listed}. The bound is {tightest}, and {who} takes "
-            f"{three_digits(ratio)} times that."
+            f"Of {count(n)} poses whose results go to {place}, the least times are {listed}. The bound is {tightest}, "
+            f"and {who} takes {three_digits(ratio)} times that."
         )
     sentences.append(
         "The units work side by side, so the largest of the three is the bound. It is that of the C loop's formulas: "

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 
+import numpy as np
+
 from benchmarks import child
 from benchmarks.machine import available_memory, cores
 from benchmarks.peers import c_loop, package
@@ -13,7 +15,7 @@ from benchmarks.poses import GEOMETRY, tiled
 from benchmarks.report import Facts, Section, count, seconds, size, spread_of_seconds, table, times
 from benchmarks.sections.preparation import Progress
 from benchmarks.timing import Pace, TimedCall, time_in_turns
-from spm_pin.closed_form.threads import threads
+from spm_pin.closed_form.threads import parallel_for, threads
 
 __all__ = ["measure"]
 
@@ -76,21 +78,37 @@ def _threads(section: Section, pace: Pace, progress: Progress, facts: Facts, per
     if n * per_pose > _SHARE * available_memory():
         section.add(f"**Threads.** Left out: {count(n)} poses need {size(n * per_pose)}.")
         return
-    call = package.inverse((GEOMETRY, tiled(n))).call
+    poses = tiled(n)
+    memory = np.ones((n, 120))
 
-    def shared(number: int) -> TimedCall:
+    def fill() -> None:
+        parallel_for(lambda part: memory[part].fill(1.0), n, 1)
+
+    jobs = {
+        "`inverse_displacement`": package.inverse((GEOMETRY, poses)).call,
+        "`inverse_physical`, a fifth of the memory": package.inverse_physical((GEOMETRY, poses)).call,
+        "memory written before filled, a kilobyte each": lambda: parallel_for(
+            lambda part: memory[part].fill(1.0), n, 1
+        ),
+    }
+
+    def shared(job: str, number: int) -> TimedCall:
         def on_threads() -> None:
             with threads(number):
-                call()
+                jobs[job]()
 
-        return TimedCall(str(number), on_threads, n)
+        return TimedCall(f"{job} {number}", on_threads, n)
 
     numbers = sorted({1, *(2**k for k in range(1, 8) if 2**k <= cores()), cores()})
     rounds = Pace(max(7, pace.rounds // 2), pace.turn, pace.quick)
-    timings = time_in_turns([shared(number) for number in numbers], rounds, progress)
-    single = timings["1"]
-    rows = [[name, *spread_of_seconds(timing.spread), *times(single.over(timing))] for name, timing in timings.items()]
-    if "2" in timings:
-        facts["scaling/two threads"] = single.over(timings["2"])
+    timings = time_in_turns([shared(job, number) for job in jobs for number in numbers], rounds, progress)
+    rows = []
+    for job in jobs:
+        for number in numbers:
+            timing = timings[f"{job} {number}"]
+            ratio = timings[f"{job} 1"].over(timing)
+            rows.append([job, str(number), *spread_of_seconds(timing.spread), *times(ratio)])
+            if number == 2 and job == "`inverse_displacement`":
+                facts["scaling/two threads"] = ratio
     section.add(f"**Threads**, {count(n)} poses, on {cores()} cores:")
-    section.add(table(["threads", "per pose", "quartiles", "faster than one", "quartiles"], rows, left=0))
+    section.add(table(["", "threads", "per pose", "quartiles", "faster than one", "quartiles"], rows))
