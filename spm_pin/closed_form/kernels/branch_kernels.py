@@ -34,6 +34,7 @@ from spm_pin.closed_form.kernels.branch_tiles import (
     put_roots,
     put_status,
     set_up_families,
+    solve_families,
 )
 from spm_pin.closed_form.kernels.compilation import TILE, kernel, readonly_array
 from spm_pin.closed_form.kernels.quadratics import COS_30, ROOT_SIGN, root_of, where
@@ -102,10 +103,7 @@ def all_branches(
     aspects, records, poses = allocate_aspects(), allocate_records(), tiles[0]
     for start in range(0, len(position), TILE):
         width = min(TILE, len(position) - start)
-        load_poses(rotation, position, start, width, poses)
-        set_up_families(tiles, r, platform_radius, False)
-        for family in range(4):
-            put_roots(family, tiles, r, roots)
+        solve_families(rotation, position, start, width, r, platform_radius, tiles, roots)
         for branch in range(8):
             put_branch(branch, tiles, roots, base_radius, joint_tile, length_tile)
             store_joints(width, start, branch, joint_tile, joints)
@@ -183,10 +181,7 @@ def branch_lengths(
     tiles, roots, joint_tile, length_tile = allocate(), allocate_roots(), allocate_joints(), allocate_lengths()
     for start in range(0, len(position), TILE):
         width = min(TILE, len(position) - start)
-        load_poses(rotation, position, start, width, tiles[0])
-        set_up_families(tiles, r, platform_radius, False)
-        for family in range(4):
-            put_roots(family, tiles, r, roots)
+        solve_families(rotation, position, start, width, r, platform_radius, tiles, roots)
         for branch in range(8):
             put_branch(branch, tiles, roots, base_radius, joint_tile, length_tile)
             store_lengths(width, start, branch, length_tile, lengths)

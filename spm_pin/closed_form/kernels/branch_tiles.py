@@ -18,12 +18,12 @@ from spm_pin.closed_form.kernels.quadratics import (
     ROUNDING,
     axes,
     branch_weights,
+    complex_product,
     middle_joints,
     quadratic_form,
     quaternion,
     root_of,
     root_weights,
-    times,
     where,
 )
 from spm_pin.closed_form.kernels.stage_equations import in_home_aspect
@@ -59,6 +59,7 @@ __all__ = [
     "put_roots",
     "put_status",
     "set_up_families",
+    "solve_families",
 ]
 
 VERTICAL = 16
@@ -220,8 +221,8 @@ def _put_axes(tiles: Tiles, r: float, c: float) -> None:
 def _brackets(shared: FloatArray, k: int, r: float) -> tuple[float, float, float, float]:
     """Return i s r [W³ ± conj(W)³], the brackets of families whose e are equal; in mixed ones they change places."""
     s, si, w, wi = shared[_S, k], shared[_SI, k], shared[_W, k], shared[_WI, k]
-    ww, wwi = times(w, wi, w, wi)
-    cubed, cubed_i = times(ww, wwi, w, wi)
+    ww, wwi = complex_product(w, wi, w, wi)
+    cubed, cubed_i = complex_product(ww, wwi, w, wi)
     return -2.0 * r * cubed * si, 2.0 * r * cubed * s, 2.0 * r * cubed_i * s, 2.0 * r * cubed_i * si
 
 
@@ -262,6 +263,24 @@ def put_roots(family: int, tiles: Tiles, r: float, roots: FloatArray) -> None:
         roots[2 * family, 0, k], roots[2 * family, 1, k], roots[2 * family, 2, k] = u, v, r / square
         u, v, square = root_of(uu, uv, vv, -root)
         roots[2 * family + 1, 0, k], roots[2 * family + 1, 1, k], roots[2 * family + 1, 2, k] = u, v, r / square
+
+
+@jit_inline
+def solve_families(
+    rotation: FloatArray,
+    position: FloatArray,
+    start: int,
+    width: int,
+    r: float,
+    c: float,
+    tiles: Tiles,
+    roots: FloatArray,
+) -> None:
+    """Load a tile of poses, and write the quadratics of all families and their roots."""
+    load_poses(rotation, position, start, width, tiles[0])
+    set_up_families(tiles, r, c, False)
+    for family in range(4):
+        put_roots(family, tiles, r, roots)
 
 
 @jit_inline

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.closed_form.kernels.compilation import jit_inline, kernel, readonly_array
-from spm_pin.closed_form.kernels.quadratics import FAMILY_GROUP, FAMILY_LOWER, ROUNDING, times
+from spm_pin.closed_form.kernels.quadratics import FAMILY_GROUP, FAMILY_LOWER, ROUNDING, complex_product
 from spm_pin.mechanism.arguments import FloatArray
 
 __all__ = ["continuous_families"]
@@ -43,9 +43,9 @@ def _is_continuous_upside_down(
     R maps 1 to W², of this cosine and sine; W is defined up to a sign that does not matter. x + iy is o / r.
     """
     axis, axis_i = _half_angle(cosine, sine)
-    square, square_i = times(axis, axis_i, axis, axis_i)
-    cubed, cubed_i = times(square, square_i, axis, axis_i)
-    turned, turned_i = times(-y, x, axis, -axis_i)
+    square, square_i = complex_product(axis, axis_i, axis, axis_i)
+    cubed, cubed_i = complex_product(square, square_i, axis, axis_i)
+    turned, turned_i = complex_product(-y, x, axis, -axis_i)
     mixed = FAMILY_GROUP[family] == 1
     fixed = FAMILY_LOWER[family] * (cubed_i if mixed else cubed)
     extent = abs(cubed if mixed else cubed_i)

@@ -23,12 +23,12 @@ __all__ = [
     "RootWeights",
     "axes",
     "branch_weights",
+    "complex_product",
     "middle_joints",
     "quadratic_form",
     "quaternion",
     "root_of",
     "root_weights",
-    "times",
     "where",
 ]
 
@@ -56,7 +56,7 @@ def where(condition: bool, yes: float, no: float) -> float:
 
 
 @jit_inline
-def times(a: float, ai: float, b: float, bi: float) -> tuple[float, float]:
+def complex_product(a: float, ai: float, b: float, bi: float) -> tuple[float, float]:
     """Multiply two pairs as complex numbers."""
     return a * b - ai * bi, a * bi + ai * b
 
@@ -89,8 +89,8 @@ def axes(
     cosine, sine = np.sqrt(x0 * x0 + x3 * x3), np.sqrt(x1 * x1 + x2 * x2)
     over_cosine, over_sine = 1.0 / cosine, 1.0 / sine
     s, si, w, wi = x0 * over_cosine, x3 * over_cosine, x1 * over_sine, x2 * over_sine
-    n, ni = times(s, si, w, wi)
-    m, mi = times(s, -si, w, wi)
+    n, ni = complex_product(s, si, w, wi)
+    m, mi = complex_product(s, -si, w, wi)
     return cosine, sine, s, si, w, wi, n, ni, m, mi, over_cosine * over_sine
 
 
@@ -109,9 +109,9 @@ def quadratic_form(
     even: float, even_i: float, odd: float, odd_i: float, f: float, fi: float, g: float, gi: float
 ) -> tuple[float, float, float]:
     """Return Re(even F²), Re(odd F G), Re(even G²)."""
-    ff, ff_i = times(f, fi, f, fi)
-    fg, fg_i = times(f, fi, g, gi)
-    gg, gg_i = times(g, gi, g, gi)
+    ff, ff_i = complex_product(f, fi, f, fi)
+    fg, fg_i = complex_product(f, fi, g, gi)
+    gg, gg_i = complex_product(g, gi, g, gi)
     return even * ff - even_i * ff_i, odd * fg - odd_i * fg_i, even * gg - even_i * gg_i
 
 
@@ -138,10 +138,10 @@ def root_weights(
     `weights` is what `branch_weights` returned; the axes are those of w_a and conj(w_b) in this family.
     """
     f, fi, g, gi, scale_u, scale_v = weights
-    a_u, a_ui = times(lower_axis[0], lower_axis[1], -f, -fi)
-    a_v, a_vi = times(lower_axis[0], lower_axis[1], g, gi)
-    b_u, b_ui = times(upper_axis[0], upper_axis[1], f, fi)
-    b_v, b_vi = times(upper_axis[0], upper_axis[1], g, gi)
+    a_u, a_ui = complex_product(lower_axis[0], lower_axis[1], -f, -fi)
+    a_v, a_vi = complex_product(lower_axis[0], lower_axis[1], g, gi)
+    b_u, b_ui = complex_product(upper_axis[0], upper_axis[1], f, fi)
+    b_v, b_vi = complex_product(upper_axis[0], upper_axis[1], g, gi)
     return a_u, a_ui, a_v, a_vi, b_u, b_ui, b_v, b_vi, sine * scale_u, sine * scale_v
 
 

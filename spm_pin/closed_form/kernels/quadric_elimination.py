@@ -22,7 +22,7 @@ from spm_pin.closed_form.kernels.quadric_newton import (
     product,
     put_part,
     symmetric,
-    times,
+    symmetric_product,
 )
 from spm_pin.closed_form.kernels.vectors import cross, reduce_rows
 from spm_pin.mechanism.arguments import FloatArray
@@ -124,7 +124,7 @@ def _eliminate(forms: FloatArray, turn: FloatArray, turned: FloatArray, block: F
     for k in range(3):
         form = symmetric(forms, k)
         for j in range(4):
-            column = times(form, (turn[j, 0], turn[j, 1], turn[j, 2], turn[j, 3]))
+            column = symmetric_product(form, (turn[j, 0], turn[j, 1], turn[j, 2], turn[j, 3]))
             for i in range(j + 1):
                 turned[i, j] = product((turn[i, 0], turn[i, 1], turn[i, 2], turn[i, 3]), column)
         block[k, 0], block[k, 1], block[k, 2] = turned[0, 0], turned[1, 1], 2.0 * turned[0, 1]

@@ -28,7 +28,7 @@ __all__ = [
     "solve_bordered",
     "squared",
     "symmetric",
-    "times",
+    "symmetric_product",
 ]
 
 POINTS = 8
@@ -100,7 +100,7 @@ def _real_step(forms: FloatArray, points: FloatArray) -> None:
     p, q, r = symmetric(forms, 0), symmetric(forms, 1), symmetric(forms, 2)
     for k in range(POINTS):
         x = part(points, 0, k)
-        y, size = _improved(times(p, x), times(q, x), times(r, x), x)
+        y, size = _improved(symmetric_product(p, x), symmetric_product(q, x), symmetric_product(r, x), x)
         points[_SIZE + k] = size
         put_part(points, 0, k, _chosen(points[STATE + k] == PENDING, y, x))
 
@@ -112,9 +112,9 @@ def _complex_step(forms: FloatArray, points: FloatArray) -> None:
     for k in range(POINTS):
         x, y = part(points, 0, k), part(points, 4, k)
         a, b, c = (
-            _joined(times(p, x), times(p, y)),
-            _joined(times(q, x), times(q, y)),
-            _joined(times(r, x), times(r, y)),
+            _joined(symmetric_product(p, x), symmetric_product(p, y)),
+            _joined(symmetric_product(q, x), symmetric_product(q, y)),
+            _joined(symmetric_product(r, x), symmetric_product(r, y)),
         )
         z, size = _improved(a, b, c, _joined(x, y))
         moves = points[STATE + k] == PENDING
@@ -194,7 +194,7 @@ def symmetric(forms, k):  # type: ignore[no-untyped-def]
 
 
 @jit_inline
-def times(q, x):  # type: ignore[no-untyped-def]
+def symmetric_product(q, x):  # type: ignore[no-untyped-def]
     """Return the product of a symmetric matrix, as its ten entries, and a vector."""
     y0, y1 = product((q[0], q[1], q[2], q[3]), x), product((q[1], q[4], q[5], q[6]), x)
     return y0, y1, product((q[2], q[5], q[7], q[8]), x), product((q[3], q[6], q[8], q[9]), x)

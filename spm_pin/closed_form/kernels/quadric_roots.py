@@ -26,7 +26,7 @@ from spm_pin.closed_form.kernels.quadric_newton import (
     solve_bordered,
     squared,
     symmetric,
-    times,
+    symmetric_product,
 )
 from spm_pin.mechanism.arguments import FloatArray
 
@@ -59,14 +59,14 @@ def _put_partner(forms: FloatArray, found: FloatArray, points: FloatArray, k: in
     """Write the start for a root close to root k: along the direction in which the quadrics hardly change."""
     x = point(found, k)
     p, q, r = symmetric(forms, 0), symmetric(forms, 1), symmetric(forms, 2)
-    a, b, c = times(p, x), times(q, x), times(r, x)
+    a, b, c = symmetric_product(p, x), symmetric_product(q, x), symmetric_product(r, x)
     half = complex(0.5, 0.0)
     y = half, half, half, half
     for _ in range(2):
         y = _unit(solve_bordered(a, b, c, x, y[0], y[1], y[2]))
     above, below = 0.0 * half, 0.0
     for halved, form in ((a, p), (b, q), (c, r)):
-        linear, square = 2.0 * product(halved, y), product(times(form, y), y)
+        linear, square = 2.0 * product(halved, y), product(symmetric_product(form, y), y)
         above += np.conj(square) * linear
         below += abs(square) ** 2
     step = -above * (1.0 / below) if below > 0.0 else 0.0 * half
