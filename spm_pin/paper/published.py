@@ -9,8 +9,6 @@ Bo Hu, Yi Lu, Jing Jing Yu, Shan Zhuang: Analyses of Inverse Kinematics, Statics
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 __all__ = [
     "FORCE",
     "POSE_AS_PRINTED",
@@ -24,7 +22,6 @@ __all__ = [
     "TORQUE",
     "VELOCITY",
     "XYX_DEGREES",
-    "Range",
 ]
 
 Row = tuple[str | None, ...]
@@ -78,48 +75,31 @@ TABLE_5: tuple[Row, Row] = (
 )
 """Leg rates [cm/s] and driving forces [kN] at the third solution."""
 
-
-class Range(NamedTuple):
-    """A cell of Table 6: one limit of a leg, or two between which it varies."""
-
-    first: str
-    last: str | None = None
-
-    @classmethod
-    def parse(cls, cell: str) -> Range:
-        """Read a printed cell; a space stands where the "~" between two limits is missing."""
-        return cls(*cell.replace("~", " ").split())
-
-
-def _surface(name: str, *cells: str) -> tuple[str, tuple[Range, ...]]:
-    return name, tuple(Range.parse(cell) for cell in cells)
-
-
 _B, _C = "bmin~bmax", "cmin~cmax"
-TABLE_6: tuple[tuple[str, tuple[Range, ...]], ...] = (
-    _surface("St1", "bmin bmax", "bmin bmax", "bmax", "cmax", "cmax", "cmax"),
-    _surface("St2", "bmin bmax", "bmax", _B, "cmax", "cmax", "cmax"),
-    _surface("St3", "mmax", _B, _B, "cmax", "cmax", "cmax"),
-    _surface("Sc1", "bmin", _B, "bmax", _C, "cmax", "cmax"),
-    _surface("Sc2", "bmin", "bmin", "bmax", _C, _C, "cmax"),
-    _surface("Sc3", _B, "bmin", "bmax", "cmax", _C, "cmax"),
-    _surface("Sc4", "bmax", "bmin", _B, "cmax", _C, "cmax"),
-    _surface("Sc5", "bmax", "bmin", "bmin", "cmax", _C, _C),
-    _surface("Sc6", "bmax", _B, "bmin", "cmax", "cmax", _C),
-    _surface("Sc7", "bmin bmax", "bmax", "bmin", "cmax", "cmax", _C),
-    _surface("Sc8", "bmin", "bmax", "bmin", _C, "cmax", _C),
-    _surface("Sc9", "bmin", "bmax", _B, _C, "cmax", "cmax"),
-    _surface("Sm1", "bmin", _B, "bmin", _C, "cmax", "cmin"),
-    _surface("Sm2", _B, _B, "bmin", "cmax", "cmax", "cmin"),
-    _surface("Sm3", _B, "bmin", "min", "cmax", _C, "cmin"),
-    _surface("Sm4", _B, "bmin", "bmin", "cmax", "cmin", _C),
-    _surface("Sm5", "bmin bmax", "bmin", "bmin~mmax", "cmax", "cmin", "cmax"),
-    _surface("Sm6", "bmin", "bmin", _B, _C, "cmin", "cmax"),
-    _surface("Sm7", "bmin", "bmin", _B, "cmin", _C, "cmax"),
-    _surface("Sm8", "bmin", "bmin bmax", _B, "cmin", "cmax", "cmax"),
-    _surface("Sm9", "bmin", _B, "bmin", "cmin", "cmax", _C),
-    _surface("Sl1", "bmin", "bmin", "bmin", _C, "cmin", _C),
-    _surface("Sl2", "bmin", "bmin", "bmin", _C, _C, "cmin"),
-    _surface("Sl3", "bmin", "bmin", "bmin", "cmin", _C, _C),
+TABLE_6: tuple[tuple[str, ...], ...] = (
+    ("St1", "bmin bmax", "bmin bmax", "bmax", "cmax", "cmax", "cmax"),
+    ("St2", "bmin bmax", "bmax", _B, "cmax", "cmax", "cmax"),
+    ("St3", "mmax", _B, _B, "cmax", "cmax", "cmax"),
+    ("Sc1", "bmin", _B, "bmax", _C, "cmax", "cmax"),
+    ("Sc2", "bmin", "bmin", "bmax", _C, _C, "cmax"),
+    ("Sc3", _B, "bmin", "bmax", "cmax", _C, "cmax"),
+    ("Sc4", "bmax", "bmin", _B, "cmax", _C, "cmax"),
+    ("Sc5", "bmax", "bmin", "bmin", "cmax", _C, _C),
+    ("Sc6", "bmax", _B, "bmin", "cmax", "cmax", _C),
+    ("Sc7", "bmin bmax", "bmax", "bmin", "cmax", "cmax", _C),
+    ("Sc8", "bmin", "bmax", "bmin", _C, "cmax", _C),
+    ("Sc9", "bmin", "bmax", _B, _C, "cmax", "cmax"),
+    ("Sm1", "bmin", _B, "bmin", _C, "cmax", "cmin"),
+    ("Sm2", _B, _B, "bmin", "cmax", "cmax", "cmin"),
+    ("Sm3", _B, "bmin", "min", "cmax", _C, "cmin"),
+    ("Sm4", _B, "bmin", "bmin", "cmax", "cmin", _C),
+    ("Sm5", "bmin bmax", "bmin", "bmin~mmax", "cmax", "cmin", "cmax"),
+    ("Sm6", "bmin", "bmin", _B, _C, "cmin", "cmax"),
+    ("Sm7", "bmin", "bmin", _B, "cmin", _C, "cmax"),
+    ("Sm8", "bmin", "bmin bmax", _B, "cmin", "cmax", "cmax"),
+    ("Sm9", "bmin", _B, "bmin", "cmin", "cmax", _C),
+    ("Sl1", "bmin", "bmin", "bmin", _C, "cmin", _C),
+    ("Sl2", "bmin", "bmin", "bmin", _C, _C, "cmin"),
+    ("Sl3", "bmin", "bmin", "bmin", "cmin", _C, _C),
 )
-"""The 24 surfaces of the workspace: each leg at a limit, at one of two limits, or between its limits."""
+"""The 24 surfaces of the workspace: name, and each leg at a limit or between two; a space where "~" is missing."""

@@ -1,4 +1,4 @@
-"""Closed triangle meshes: volume, area, and distances of points."""
+"""Closed triangle meshes: volume, area, distances of points, and volumes of ever finer meshes extrapolated."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from spm_pin.mechanism.arguments import FloatArray
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
-__all__ = ["ClosedMesh", "enclosed_volume"]
+__all__ = ["ClosedMesh", "Convergence", "enclosed_volume"]
 
 _FEW = 16
 """Number of nearest faces examined first."""
@@ -107,6 +107,40 @@ class ClosedMesh:
                 settled[part] = (apart[:, -1] - reach >= shortest[part]) | (few == len(self.faces))
             left, few = left[~settled[left]], 4 * few
         return shortest
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """The volume that meshes of growing resolution enclose, extrapolated.
+
+    A mesh's error is a series in even powers of 1/n, so a polynomial in 1/n² through the values leads to its limit.
+    """
+
+    resolutions: tuple[int, ...]  # growing; the last one is the shell's
+    volumes: tuple[float, ...]  # what their meshes enclose [m³]
+
+    @property
+    def limit(self) -> float:
+        """The polynomial at 1/n = 0 [m³]."""
+        return self._extrapolated(slice(None))
+
+    @property
+    def error(self) -> float:
+        """Change of the limit without the coarsest or the finest mesh [m³], a bound on the limit's error."""
+        parts = (slice(1, None), slice(None, -1))
+        return max(abs(self.limit - self._extrapolated(part)) for part in parts)
+
+    @property
+    def order(self) -> float:
+        """Power of 1/n with which the error falls from the last mesh but one to the last; 2 in theory."""
+        coarse, fine = (abs(volume - self.limit) for volume in self.volumes[-2:])
+        if fine == 0.0:
+            return float("inf")
+        return float(np.log(coarse / fine) / np.log(self.resolutions[-1] / self.resolutions[-2]))
+
+    def _extrapolated(self, part: slice) -> float:
+        squares = 1.0 / np.array(self.resolutions[part], dtype=np.float64) ** 2
+        return float(np.polyfit(squares, self.volumes[part], len(squares) - 1)[-1])
 
 
 def enclosed_volume(vertices: FloatArray, faces: npt.NDArray[np.intp]) -> float:

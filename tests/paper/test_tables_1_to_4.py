@@ -90,8 +90,7 @@ def test_only_tables_that_can_be_reproduced() -> None:
 
 
 def test_table_6_has_two_varying_legs_in_every_row() -> None:
-    names = [name for name, _ in published.TABLE_6]
-    assert len(set(names)) == 24
-    for _, cells in published.TABLE_6:
+    assert len({name for name, *_ in published.TABLE_6}) == 24
+    for _, *cells in published.TABLE_6:
         assert len(cells) == 6
-        assert sum(cell.last is not None for cell in cells) == 2
+        assert sum(" " in cell or "~" in cell for cell in cells) == 2

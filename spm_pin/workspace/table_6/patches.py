@@ -14,21 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.geometry import LEGS
 from spm_pin.paper import published
-from spm_pin.paper.published import Range
 
 __all__ = ["ERRATA", "Setting", "SubWorkspace", "orientations", "sub_workspaces"]
 
 Lattice = npt.NDArray[np.intp]
 Corner = tuple[int, ...]
 
-ERRATA: dict[tuple[str, str], Range] = {
-    ("St3", "r_b1"): Range("mmax"),
-    ("Sm3", "r_b3"): Range("min"),
-    ("Sm5", "r_b3"): Range("bmin", "mmax"),
-}
+ERRATA = {("St3", "r_b1"): "mmax", ("Sm3", "r_b3"): "min", ("Sm5", "r_b3"): "bmin~mmax"}
 """Misprinted cells of Table 6, by surface and leg, as printed. The stage's letter is missing or another; the column
 has it. A missing "~" needs no mention: two limits in one cell can mean nothing else."""
 
@@ -86,73 +79,31 @@ class SubWorkspace:
 
 
 def sub_workspaces() -> tuple[SubWorkspace, ...]:
-    """Read Table 6.
-
-    Raises
-    ------
-    ArgumentError
-        If a cell is neither legible nor a misprint named in `ERRATA`, or two legs do not vary.
-    """
-    rows = []
-    for name, cells in published.TABLE_6:
-        settings = tuple(_read(name, leg, cell) for leg, cell in zip(LEGS, cells, strict=True))
-        if settings.count(Setting.VARIES) != 2:
-            raise ArgumentError(
-                "TABLE_6", "two varying legs in every row", f"{settings.count(Setting.VARIES)} in {name}"
-            )
-        rows.append(SubWorkspace(name, settings))
-    return tuple(rows)
+    """Return the rows of Table 6."""
+    return tuple(SubWorkspace(name, tuple(map(_setting, cells))) for name, *cells in published.TABLE_6)
 
 
-def _read(name: str, leg: str, cell: Range) -> Setting:
-    stage = leg[2]
-    low, high = f"{stage}min", f"{stage}max"
-    legible = {Range(low): Setting.MINIMUM, Range(high): Setting.MAXIMUM, Range(low, high): Setting.VARIES}
-    if ERRATA.get((name, leg)) == cell:
-        # Whatever stands before it, the limit itself is legible.
-        first, last = (limit and stage + limit[-3:] for limit in cell)
-        cell = Range(first or "", last)
-    if cell not in legible:
-        printed = "~".join(limit for limit in cell if limit is not None)
-        expected = f"{low}, {high} or {low}~{high} for {leg} of {name}"
-        raise ArgumentError("TABLE_6", expected, printed, "A misprint that ERRATA does not name?")
-    return legible[cell]
+def _setting(cell: str) -> Setting:
+    """Return what a cell says; whatever letter stands before it, the limit itself is legible."""
+    first, *last = cell.replace("~", " ").split()
+    return Setting.VARIES if last else Setting(first[-3:])
 
 
 def orientations(rows: Sequence[SubWorkspace]) -> tuple[int, ...]:
     """Return for each row 1 or -1, such that neighbours run along their common edge in opposite senses.
 
-    The first row has 1. All of them times -1 is the other possibility; which one points outwards is for the positions
-    to say.
-
-    Raises
-    ------
-    ArgumentError
-        If the rows do not join to a single closed and orientable surface, every edge being shared by exactly two.
+    The rows join to a closed surface: every edge is shared by exactly two. The first row has 1. All of them times -1 is
+    the other possibility; which one points outwards is for the positions to say.
     """
     shared: dict[frozenset[Corner], list[tuple[int, int]]] = {}
     for k, row in enumerate(rows):
         for start, end in row.sides:
             shared.setdefault(frozenset((start, end)), []).append((k, 1 if start < end else -1))
-    expected = "rows that join to one closed surface, two at every edge"
-    if any(len(sides) != 2 for sides in shared.values()):
-        lonely = sorted({rows[k].name for sides in shared.values() if len(sides) != 2 for k, _ in sides})
-        raise ArgumentError("TABLE_6", expected, f"an edge shared by one or by several of {', '.join(lonely)}")
     sense = {0: 1}
-    waiting = [0]
-    while waiting:
-        k = waiting.pop()
+    for _ in rows:
         for (i, along), (j, across) in shared.values():
-            if k in (i, j):
-                other, turn = (j if k == i else i), -along * across
-                if other not in sense:
-                    sense[other] = turn * sense[k]
-                    waiting.append(other)
-                elif sense[other] != turn * sense[k]:
-                    raise ArgumentError(
-                        "TABLE_6", expected, f"{rows[k].name} and {rows[other].name} on a one-sided one"
-                    )
-    if len(sense) != len(rows):
-        apart = ", ".join(row.name for k, row in enumerate(rows) if k not in sense)
-        raise ArgumentError("TABLE_6", expected, f"a separate piece with {apart}")
+            if i in sense:
+                sense.setdefault(j, -along * across * sense[i])
+            elif j in sense:
+                sense[i] = -along * across * sense[j]
     return tuple(sense[k] for k in range(len(rows)))

@@ -80,7 +80,7 @@ def test_every_border_of_a_patch_is_shared_with_exactly_one_other() -> None:
 
 
 def test_patches_are_forward_displacement_of_their_legs() -> None:
-    assert [patch.name for patch in SHELL.patches] == [name for name, _ in published.TABLE_6]
+    assert [patch.name for patch in SHELL.patches] == [name for name, *_ in published.TABLE_6]
     assert SHELL.configuration.closure_residual.max() < 1e-14
     for patch in SHELL.patches:
         first, second = patch.varying
