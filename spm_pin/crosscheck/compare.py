@@ -50,16 +50,9 @@ class _States:
 
 
 class Comparison:
-    """Scores and differences of methods, over all poses added so far.
+    """Scores and differences of methods, over all poses added so far; the counts are those of `Report`.
 
     `progress` is called with a description of each step. Two methods of the same name are an `ArgumentError`.
-
-    Attributes
-    ----------
-    poses, reached, states : int
-        Poses added, those of them with a branch, and configurations at which Jacobians and forces were compared.
-    scores : dict of MethodScore
-        By name of the method.
     """
 
     def __init__(self, geometry: Geometry, methods: Sequence[Method], progress: Progress) -> None:

@@ -148,19 +148,17 @@ class Nlp(Method):
 
     def inverse_jacobian(self, configuration: Configuration) -> FloatArray | None:
         """Return J_f (N, 6, 6)."""
-        return self._rates(configuration)
+
+        def single(state: Configuration) -> Any:
+            arguments = state.middle_joints.ravel(), state.rotation, state.translation
+            return self._nlp.inverse_jacobian(self._derivatives(*arguments))
+
+        return np.stack([single(state) for state in configuration])
 
     def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray | None:
         """Return forces (N, 6) [N]."""
-        transposed = np.swapaxes(self._rates(configuration), -1, -2)
+        transposed = np.swapaxes(np.asarray(self.inverse_jacobian(configuration)), -1, -2)
         return np.asarray(-np.linalg.solve(transposed, wrench[..., None])[..., 0])
-
-    def _rates(self, configuration: Configuration) -> FloatArray:
-        def single(state: Configuration) -> FloatArray:
-            arguments = state.middle_joints.ravel(), state.rotation, state.translation
-            return np.asarray(self._nlp.inverse_jacobian(self._derivatives(*arguments)))
-
-        return np.stack([single(state) for state in configuration])
 
 
 @dataclass
@@ -194,7 +192,7 @@ class Pinocchio(Method):
         def single(state: Configuration) -> Any:
             return self.chain.inverse_jacobian(self.chain.joint_values(state))
 
-        return np.stack([_or_nan(single, (6, 6), state) for state in configuration])
+        return _one_by_one(single, (6, 6), configuration)
 
     def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray:
         """Return forces (N, 6) [N]."""
@@ -202,17 +200,14 @@ class Pinocchio(Method):
         def single(state: Configuration, load: FloatArray) -> Any:
             return self.chain.leg_forces(self.chain.joint_values(state), load)
 
-        return np.stack([_or_nan(single, (6,), state, load) for state, load in zip(configuration, wrench, strict=True)])
+        return _one_by_one(single, (6,), configuration, wrench)
 
     def assembled(self, configuration: Configuration) -> Configuration:
         """Return the configurations that the tree's frames give at the joint values of states (N,)."""
         states = [self.chain.configuration(self.chain.joint_values(state)) for state in configuration]
-        return Configuration.from_arrays(
-            configuration.geometry,
-            np.stack([state.rotation for state in states]),
-            np.stack([state.translation for state in states]),
-            np.stack([state.middle_joints for state in states]),
-        )
+        parts = ("rotation", "translation", "middle_joints")
+        arrays = (np.stack([getattr(state, part) for state in states]) for part in parts)
+        return Configuration.from_arrays(configuration.geometry, *arrays)
 
 
 def _each(function: Callable[..., FloatArray], configuration: Configuration, *arguments: FloatArray) -> FloatArray:
@@ -221,15 +216,18 @@ def _each(function: Callable[..., FloatArray], configuration: Configuration, *ar
         return function(configuration, *arguments)
     except SingularConfigurationError:
         shape = function(configuration[:0], *(argument[:0] for argument in arguments)).shape[1:]
-        members = zip(configuration, *arguments, strict=True)
-        return np.stack([_or_nan(function, shape, *member) for member in members])
+        return _one_by_one(function, shape, configuration, *arguments)
 
 
-def _or_nan(function: Callable[..., Any], shape: tuple[int, ...], *arguments: Any) -> FloatArray:
-    try:
-        return np.asarray(function(*arguments))
-    except SingularConfigurationError:
-        return np.full(shape, np.nan)
+def _one_by_one(function: Callable[..., Any], shape: tuple[int, ...], *arguments: Any) -> FloatArray:
+    """Call for each member of the batch; NaN of the shape where one is singular."""
+    found = []
+    for member in zip(*arguments, strict=True):
+        try:
+            found.append(np.asarray(function(*member)))
+        except SingularConfigurationError:
+            found.append(np.full(shape, np.nan))
+    return np.stack(found)
 
 
 METHODS: dict[str, Callable[[Geometry], Method]] = {

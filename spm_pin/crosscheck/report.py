@@ -20,8 +20,7 @@ from spm_pin.crosscheck.compare import Comparison
 from spm_pin.crosscheck.methods import Method, make_methods
 from spm_pin.crosscheck.random_poses import command, in_leg_space, on_all_rotations, printable
 from spm_pin.crosscheck.scores import MethodScore, PairDifference
-from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import FloatArray, whole_number
 from spm_pin.mechanism.geometry import Geometry
 
 __all__ = ["Report", "compare_in_batches", "compare_methods"]
@@ -35,37 +34,17 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Report:
-    """The outcome of a comparison.
+    """The outcome of a comparison."""
 
-    Attributes
-    ----------
-    geometry : Geometry
-        The manipulator.
-    seed : int
-        Seed of the poses and wrenches.
-    requested : int
-        Number of poses requested; fewer are in the report of a run that was interrupted.
-    translation, xyx : ndarray, shape (N, 3)
-        The poses compared: [m], and X-Y-X angles in degrees.
-    reached : int
-        Poses with a branch.
-    states : int
-        Configurations at which Jacobians and forces were compared.
-    scores : tuple of MethodScore
-        One per method.
-    differences : tuple of PairDifference
-        One per pair and quantity.
-    """
-
-    geometry: Geometry
-    seed: int
-    requested: int
-    translation: FloatArray
-    xyx: FloatArray
-    reached: int
-    states: int
-    scores: tuple[MethodScore, ...]
-    differences: tuple[PairDifference, ...]
+    geometry: Geometry  #: the manipulator
+    seed: int  #: of the poses and wrenches
+    requested: int  #: number of poses; fewer are in the report of a run that was interrupted
+    translation: FloatArray  #: (N, 3) of the poses compared [m]
+    xyx: FloatArray  #: their X-Y-X angles (N, 3) in degrees
+    reached: int  #: poses with a branch
+    states: int  #: configurations at which Jacobians and forces were compared
+    scores: tuple[MethodScore, ...]  #: one per method
+    differences: tuple[PairDifference, ...]  #: one per pair and quantity
 
     @property
     def agrees(self) -> bool:
@@ -113,9 +92,8 @@ def compare_in_batches(
 
     Parameters and errors are those of `compare_methods`.
     """
-    for argument, number, least in (("poses", poses, 1), ("seed", seed, 0)):
-        if isinstance(number, bool) or not isinstance(number, int) or number < least:
-            raise ArgumentError(argument, f"a whole number, at least {least}", number)
+    poses = whole_number(poses, "poses", "a whole number, at least 1", least=1)
+    seed = whole_number(seed, "seed", "a whole number, at least 0", most=1 << 128)
     rng = np.random.default_rng(seed)
     inner = max(1, round(LEG_SPACE * poses))
     drawn = [in_leg_space(geometry, inner, rng), on_all_rotations(geometry, poses - inner, rng)]
