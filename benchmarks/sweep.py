@@ -32,7 +32,7 @@ MIB = 2**20
 
 
 class Memory:
-    """The largest resident sizes of this process and of those it starts, sampled while it is peers."""
+    """The largest resident sizes of this process and of those it starts, sampled while the context is open."""
 
     def __init__(self) -> None:
         self.driver = 0

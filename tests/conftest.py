@@ -7,8 +7,8 @@ import pytest
 from hypothesis import settings
 
 # Examples vary in cost with what else the machine does; a deadline would measure that.
-settings.register_profile("house", deadline=None)
-settings.load_profile("house")
+settings.register_profile("no deadline", deadline=None)
+settings.load_profile("no deadline")
 
 # Under nohup and in background jobs of a shell, Ctrl-C arrives ignored, and children of tests would inherit that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -16,7 +16,13 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--no-skips", action="store_true", help="a test that skips itself fails: nothing may be missing")
+    parser.addoption("--no-skips", action="store_true", help="what skips itself fails: nothing may be missing")
+
+
+def refuse_skip(report: pytest.TestReport | pytest.CollectReport, config: pytest.Config, reason: object) -> None:
+    if report.skipped and config.getoption("--no-skips"):
+        report.outcome = "failed"
+        report.longrepr = f"skipped, with --no-skips: {reason or report.longrepr}"
 
 
 @pytest.hookimpl(wrapper=True)
@@ -24,7 +30,15 @@ def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     report = yield
-    if report.skipped and item.config.getoption("--no-skips"):
-        report.outcome = "failed"
-        report.longrepr = f"skipped, with --no-skips: {call.excinfo.value if call.excinfo else report.longrepr}"
+    refuse_skip(report, item.config, call.excinfo.value if call.excinfo else None)
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(
+    collector: pytest.Collector,
+) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """Report a whole file that skips itself where a package is missing."""
+    report = yield
+    refuse_skip(report, collector.config, None)
     return report

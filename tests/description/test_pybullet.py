@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pybullet
 import pytest
 from description.kinematic_tree import Array, KinematicTree, inertia, named_states
 
 from spm_pin.description import CLOSURES_PATH, SRDF_PATH, URDF_PATH
 from spm_pin.description.extended_urdf import read_extended_urdf
+
+pybullet = pytest.importorskip("pybullet")
 
 TREE = KinematicTree(Path(URDF_PATH).read_text(encoding="utf-8"))
 STATES = named_states(Path(SRDF_PATH).read_text(encoding="utf-8"))
