@@ -21,7 +21,7 @@ from pathlib import Path
 import psutil
 
 import spm_pin as spm
-from spm_pin.sweeps.domain import Domain
+from spm_pin.sweeps.domains import Domain
 from spm_pin.sweeps.metrics import resolve_metrics
 from spm_pin.sweeps.plan import Plan
 from spm_pin.sweeps.runner import CHUNK

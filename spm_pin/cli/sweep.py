@@ -19,7 +19,7 @@ from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Limits, Unit, 
 from spm_pin.cli.outputs import name_options, require_extra
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LegLimits
-from spm_pin.sweeps.domain import Domain
+from spm_pin.sweeps.domains import Domain
 from spm_pin.sweeps.runner import CHUNK
 
 __all__ = ["sweep"]
@@ -98,7 +98,8 @@ def sweep(
                 sweeps.resume(out, **others)
         else:
             machine = read_geometry(geometry)
-            typed = {"--legs" if legs else "--x, --y, --z": _longest(domain) * unit.per_metre}
+            longest = max(abs(end) for axis in domain.axes if axis.unit == "m" for end in (axis.start, axis.stop))
+            typed = {"--legs" if legs else "--x, --y, --z": longest * unit.per_metre}
             if limits is not None:
                 typed["--limits"] = limits[1]
                 machine = dataclasses.replace(machine, limits=LegLimits(*(end / unit.per_metre for end in limits)))
@@ -130,7 +131,7 @@ def _domain(poses: dict[str, Any], legs: list[str] | None, drawn: dict[str, Any]
         if len(legs) not in (1, 2, 6):
             raise ArgumentError("--legs", "one range, two, or six", f"{len(legs)}")
         ranges = [_range("--legs", text, scale) for text in legs]
-        six = ranges if len(ranges) == 6 else [interval for interval in ranges for _ in range(6 // len(ranges))]
+        six = [interval for interval in ranges for _ in range(6 // len(ranges))]
         return sweeps.leg_sample(lower=six[:3], upper=six[3:], **drawn) if drawn else sweeps.leg_grid(six[:3], six[3:])
     if len(missing) == len(poses):
         return None
@@ -140,10 +141,6 @@ def _domain(poses: dict[str, Any], legs: list[str] | None, drawn: dict[str, Any]
     angles = [_range("--xyx", text, np.pi / 180.0) for text in poses["--xyx"]]
     pose: dict[str, Any] = {"x": position[0], "y": position[1], "z": position[2], "xyx": angles}
     return sweeps.pose_sample(**drawn, **pose) if drawn else sweeps.pose_grid(**pose)
-
-
-def _longest(domain: Domain) -> float:
-    return max(abs(end) for axis in domain.axes if axis.unit == "m" for end in (axis.start, axis.stop))
 
 
 def _range(option: str, text: str, scale: float) -> float | tuple[float, ...]:

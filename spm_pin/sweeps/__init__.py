@@ -6,7 +6,7 @@ from spm_pin.sweeps.metrics import METRICS
 from spm_pin.sweeps.points import Points
 from spm_pin.sweeps.runner import SweepError, SweepStatus, resume, run, status
 from spm_pin.sweeps.runner import open_store as open  # noqa: A004
-from spm_pin.sweeps.store_files import StoreError, StoreLockedError
+from spm_pin.sweeps.store import StoreError, StoreLockedError
 
 __all__ = [
     "METRICS",

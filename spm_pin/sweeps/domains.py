@@ -1,19 +1,186 @@
-"""Lattices and random samples of poses, or of leg lengths."""
+"""Domains of a sweep, lattices and random samples of poses or of leg lengths: a box, and how points are drawn from it.
+
+A domain does not hold its points. Those of a chunk are computed from the chunk's index when they are needed, so a
+billion points need no more memory than ten.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import pose
-from spm_pin.sweeps.domain import AXES, Domain, Method, Range, Sample
+from spm_pin.mechanism import LEGS, pose
+from spm_pin.mechanism.arguments import FloatArray, choice, real_array, whole_number
 
-__all__ = ["leg_grid", "leg_sample", "pose_grid", "pose_sample"]
+__all__ = ["AXES", "Axis", "Domain", "Sample", "Space", "leg_grid", "leg_sample", "pose_grid", "pose_sample"]
+
+Range = float | Sequence[float]
+"""One value, (start, stop, count) of a grid, or (start, stop) of a sample [m or rad]."""
+Space = Literal["pose", "legs"]
+"""The coordinates of a domain: poses of the platform, or six leg lengths."""
+Method = Literal["sobol", "uniform"]
+"""The distribution of sampled points: a scrambled Sobol sequence, or independent uniform ones."""
+
+_ANGLES = {"alpha": "α", "beta": "β", "lambda_": "λ"}
+AXES: Mapping[str, tuple[str, ...]] = {"pose": ("x", "y", "z", *_ANGLES), "legs": LEGS}
+"""Names of the six coordinates of each space."""
+_MOST_VALUES = 10**8
+"""Values along one axis; they are held in memory."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One coordinate, x, y, z, alpha, beta, lambda_, or a leg, and its first and last value [m or rad]."""
+
+    name: str
+    start: float
+    stop: float
+    count: int
+    """Number of equally spaced values, both ends included; 1 where the coordinate is fixed, 0 where it is sampled."""
+
+    @property
+    def fixed(self) -> bool:
+        """True if the coordinate has one value only."""
+        return self.count == 1
+
+    @property
+    def values(self) -> FloatArray:
+        """All values, shape (count,)."""
+        return np.linspace(self.start, self.stop, self.count)
+
+    @property
+    def unit(self) -> str:
+        """Unit, "rad" or "m"."""
+        return "rad" if self.name in _ANGLES else "m"
+
+    @property
+    def description(self) -> str:
+        """One line that says what the coordinate is."""
+        if self.name in LEGS:
+            return f"length of leg {self.name}"
+        sign = _ANGLES.get(self.name)
+        return f"X-Y-X Euler angle {sign}" if sign else f"{self.name.upper()} of o in {{B}}"
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Method and parameters by which the points of a sample are drawn.
+
+    Each chunk is drawn on its own, from the seed and its index: with "uniform" independently, with "sobol" as a Sobol
+    sequence with its own random scrambling. The means over chunks of equal length are then independent and unbiased,
+    and their scatter estimates the error of their mean [1]_. A chunk of a power of two is balanced best.
+
+    .. [1] A. B. Owen, "Randomly permuted (t, m, s)-nets and (t, s)-sequences", Monte Carlo and Quasi-Monte Carlo
+       Methods in Scientific Computing, Springer, 1995.
+    """
+
+    count: int
+    method: Method
+    seed: int
+
+    def __post_init__(self) -> None:
+        for argument, least, most in (("count", 1, 2**53), ("seed", 0, 2**128)):
+            value = whole_number(getattr(self, argument), argument, least=least, most=most)
+            object.__setattr__(self, argument, value)
+        choice(self.method, "method", ("sobol", "uniform"))
+
+    def draw(self, dimensions: int, index: tuple[int, ...], count: int) -> FloatArray:
+        """Return the `count` points of the chunk at `index` in the unit cube, shape (count, dimensions)."""
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=index))
+        if self.method == "uniform":
+            return rng.random((count, dimensions))
+        # Imported here: it takes a fifth of a second, and most sweeps do not need it.
+        from scipy.stats import qmc
+
+        return np.asarray(qmc.Sobol(dimensions, rng=rng).random_base2((count - 1).bit_length())[:count])
+
+
+@dataclass(frozen=True)
+class Domain:
+    """The points of a sweep. Made by `pose_grid`, `leg_grid`, `pose_sample` and `leg_sample`."""
+
+    space: Space
+    axes: tuple[Axis, ...]
+    """The six coordinates, in the order of `AXES`."""
+    sample: Sample | None = None
+    """How points are drawn from the box of the axes; a lattice, all combinations of their values, if not given."""
+
+    @staticmethod
+    def of_ranges(space: Space, ranges: Sequence[Range], sample: Sample | None = None) -> Domain:
+        """Make a domain of the ranges of the six coordinates."""
+        named = zip(AXES[space], ranges, strict=True)
+        axes = tuple(_axis(name, values, sample is not None) for name, values in named)
+        if all(axis.fixed for axis in axes):
+            raise ArgumentError("ranges", "at least one coordinate that varies", "six fixed ones")
+        return Domain(space, axes, sample)
+
+    @property
+    def dims(self) -> tuple[str, ...]:
+        """Names of the dimensions of the results: those of the axes that are not fixed, or "sample"."""
+        return ("sample",) if self.sample else tuple(axis.name for axis in self.axes if not axis.fixed)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Lengths of those dimensions."""
+        return (self.sample.count,) if self.sample else tuple(axis.count for axis in self.axes if not axis.fixed)
+
+    @property
+    def size(self) -> int:
+        """Number of points."""
+        return math.prod(self.shape)
+
+    def chunk_shape(self, limit: int) -> tuple[int, ...]:
+        """Return the shape of chunks of at most `limit` points: the last dimensions whole, as far as they fit."""
+        room = whole_number(limit, "chunk", "a positive number of points", least=1)
+        if self.sample:
+            return (min(room, self.sample.count),)
+        chunk: list[int] = []
+        for length in reversed(self.shape):
+            # Parts of nearly equal length: a short last chunk would be stored at the size of a whole one.
+            parts = -(-length // max(1, min(length, room)))
+            chunk.insert(0, -(-length // parts))
+            room //= chunk[0]
+        return tuple(chunk)
+
+    def region(self, index: tuple[int, ...], chunk: tuple[int, ...]) -> tuple[slice, ...]:
+        """Return the slices of the chunk at `index` in the results; the last ones may be shorter than `chunk`."""
+        lengths = zip(index, chunk, self.shape, strict=True)
+        return tuple(slice(i * n, min((i + 1) * n, total)) for i, n, total in lengths)
+
+    def points(self, index: tuple[int, ...], chunk: tuple[int, ...]) -> FloatArray:
+        """Return the coordinates of the chunk at `index` [m, rad], shape (N, 6), the last dimension fastest."""
+        region = self.region(index, chunk)
+        if self.sample:
+            count = region[0].stop - region[0].start
+            free = [k for k, axis in enumerate(self.axes) if not axis.fixed]
+            start, stop = np.array([(axis.start, axis.stop) for axis in self.axes]).T
+            points = np.tile(start, (count, 1))
+            points[:, free] += self.sample.draw(len(free), index, count) * (stop - start)[free]
+            return points
+        parts = iter(region)
+        values = [axis.values if axis.fixed else axis.values[next(parts)] for axis in self.axes]
+        return np.stack(np.meshgrid(*values, indexing="ij", copy=False), axis=-1).reshape(-1, 6)
+
+    def definition(self) -> dict[str, Any]:
+        """Return the numbers that describe the domain, as JSON."""
+        axes = {axis.name: [axis.start, axis.stop, axis.count] for axis in self.axes}
+        return {"space": self.space, "axes": axes, "sample": self.sample and asdict(self.sample)}
+
+    @staticmethod
+    def from_definition(content: Mapping[str, Any]) -> Domain:
+        """Make a domain from its `definition`, checked as by the functions that make domains."""
+        ranges = [
+            start if count == 1 else (start, stop, count) if count else (start, stop)
+            for start, stop, count in content["axes"].values()
+        ]
+        return Domain.of_ranges(content["space"], ranges, content["sample"] and Sample(**content["sample"]))
 
 
 def pose_grid(
@@ -129,7 +296,7 @@ def leg_sample(
 
 def _pose_ranges(
     x: Range, y: Range, z: Range, xyx: Sequence[Range] | None, rotation: Rotation | npt.ArrayLike | None
-) -> dict[str, Range]:
+) -> list[Range]:
     if (xyx is None) == (rotation is None):
         raise ArgumentError("rotation", "either xyx=... or rotation=...", "neither" if xyx is None else "both")
     if rotation is not None:
@@ -140,13 +307,37 @@ def _pose_ranges(
         xyx = [float(angle) for angle in orientation.as_euler("XYX", suppress_warnings=True)]
     if not isinstance(xyx, Sequence | np.ndarray) or isinstance(xyx, str) or len(xyx) != 3:
         raise ArgumentError("xyx", "three angles or ranges [rad]", repr(xyx))
-    return dict(zip(AXES["pose"], (x, y, z, *xyx), strict=True))
+    return [x, y, z, *xyx]
 
 
-def _leg_ranges(lower: Range | Sequence[Range], upper: Range | Sequence[Range]) -> dict[str, Range]:
+def _leg_ranges(lower: Range | Sequence[Range], upper: Range | Sequence[Range]) -> list[Range]:
     ranges: list[Any] = []
     for argument, lengths in (("lower", lower), ("upper", upper)):
         if isinstance(lengths, list) and len(lengths) != 3:
             raise ArgumentError(argument, "one length or range, or a list of three", f"a list of {len(lengths)}")
         ranges += lengths if isinstance(lengths, list) else [lengths] * 3
-    return dict(zip(AXES["legs"], ranges, strict=True))
+    return ranges
+
+
+def _axis(name: str, value: Range, sampled: bool) -> Axis:
+    """Read one value, (start, stop, count), or (start, stop) where the coordinate is sampled."""
+    unit = "radians" if name in _ANGLES else "metres"
+    expected = f"one value or {'(start, stop)' if sampled else '(start, stop, count)'}, in {unit}"
+    numbers = real_array(value, name, (), expected)
+    if numbers.shape not in ((), (2 if sampled else 3,)):
+        raise ArgumentError(name, expected, f"shape {numbers.shape}")
+    start, stop = map(float, numbers[:2] if numbers.ndim else (numbers, numbers))
+    if name in _ANGLES and max(abs(start), abs(stop)) > 2.0 * math.pi:
+        raise ArgumentError(name, "angles within ±2π radians", value, "Degrees instead of radians?")
+    if name in LEGS and start <= 0.0:
+        raise ArgumentError(name, "positive lengths in metres", value)
+    if numbers.ndim == 0:
+        return Axis(name, start, stop, 1)
+    if not start < stop:
+        cause = "The ends exchanged?" if start > stop else "Give a fixed coordinate as one number."
+        raise ArgumentError(name, "start < stop", f"{start:g} and {stop:g}", cause)
+    count = 0.0 if sampled else float(numbers[2])
+    if not sampled and (not 2 <= count <= _MOST_VALUES or count != int(count)):
+        cause = "Give a fixed coordinate as one number." if count == 1 else ""
+        raise ArgumentError(name, f"an integer count of at least 2, at most {_MOST_VALUES}", f"{count:g}", cause)
+    return Axis(name, start, stop, int(count))

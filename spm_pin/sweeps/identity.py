@@ -39,10 +39,6 @@ _CAUSE = (
 )
 
 
-class _UnreadableError(Exception):
-    """A value whose content cannot be read."""
-
-
 def function_identity(function: Callable[..., Any]) -> str:
     """Return the name of a function of this package, or a digest of what another function does."""
     module, name = str(getattr(function, "__module__", "")), getattr(function, "__qualname__", "")
@@ -50,9 +46,12 @@ def function_identity(function: Callable[..., Any]) -> str:
         return f"{module}.{name}"
     try:
         return f"code {_Reader(function).digest(function).hex()[:32]}"
-    except (_UnreadableError, RecursionError) as error:
-        reason = str(error) if isinstance(error, _UnreadableError) else "one with values nested too deeply"
-        raise ArgumentError("metric", "a function that can be identified", reason, _CAUSE) from error
+    except RecursionError as error:
+        raise _unreadable("with values nested too deeply") from error
+
+
+def _unreadable(reason: str) -> ArgumentError:
+    return ArgumentError("metric", "a function that can be identified", f"one {reason}", _CAUSE)
 
 
 class _Reader:
@@ -104,7 +103,7 @@ class _Reader:
         if isinstance(value, _CACHED):
             return (value.__wrapped__,)
         if isinstance(value, np.ufunc) and not _has_name(value):
-            raise _UnreadableError(f"one that uses {value.__name__}, a ufunc whose function cannot be read")
+            raise _unreadable(f"that uses {value.__name__}, a ufunc whose function cannot be read")
         if isinstance(value, BuiltinFunctionType | np.ufunc):
             owner = getattr(value, "__self__", None)
             return getattr(value, "__module__", ""), value.__name__, None if isinstance(owner, ModuleType) else owner
@@ -150,10 +149,10 @@ class _Reader:
             reduce = copyreg.dispatch_table.get(kind)
             reduced = value.__reduce_ex__(4) if reduce is None else reduce(value)
         except Exception as error:
-            raise _UnreadableError(f"one that uses a {kind.__qualname__}, which cannot be read: {error}") from error
+            raise _unreadable(f"that uses a {kind.__qualname__}, which cannot be read: {error}") from error
         if isinstance(reduced, str):
             if not self._is_installed(getattr(value, "__module__", None) or kind.__module__):
-                raise _UnreadableError(f"one that uses {reduced}, a {kind.__qualname__} that is known by name alone")
+                raise _unreadable(f"that uses {reduced}, a {kind.__qualname__} that is known by name alone")
             return kind, reduced
         make, arguments, state, items, pairs = (*reduced, None, None, None)[:5]
         return kind, make, arguments, state, list(items or ()), dict(pairs or ())

@@ -203,19 +203,14 @@ def metric(
     def decorate(function: Callable[..., npt.ArrayLike]) -> Metric:
         if not callable(function):
             raise ArgumentError("function", "a function of Points", type(function).__name__)
-        keywords = [
-            parameter
-            for parameter in inspect.signature(function).parameters.values()
-            if parameter.kind is parameter.KEYWORD_ONLY
-        ]
-        without = [parameter.name for parameter in keywords if parameter.default is parameter.empty]
-        if without:
-            raise ArgumentError(without[0], "a default for every parameter of a metric", "none")
-        name = getattr(function, "__name__", "")
+        signature = inspect.signature(function).parameters.values()
+        parameters = {keyword.name: keyword.default for keyword in signature if keyword.kind is keyword.KEYWORD_ONLY}
+        for name, default in parameters.items():
+            if default is inspect.Parameter.empty:
+                raise ArgumentError(name, "a default for every parameter of a metric", "none")
         # So that pickle finds the function below the name that the metric takes.
         function.__qualname__ = f"{function.__qualname__}.function"
-        parameters = {parameter.name: parameter.default for parameter in keywords}
-        return Metric(name, unit, description, function, dtype, flags or {}, parameters, version)
+        return Metric(function.__name__, unit, description, function, dtype, flags or {}, parameters, version)
 
     return decorate
 

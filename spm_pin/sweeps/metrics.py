@@ -75,9 +75,9 @@ def branch(points: Points) -> Values:
 def assembly_modes(points: Points) -> Values:
     """Return how many poses the leg lengths of `Points.machine` allow."""
     lengths = points.reached.leg_lengths
-    parts = range(0, len(lengths), _MODES_AT_A_TIME)
+    parts = range(0, max(1, len(lengths)), _MODES_AT_A_TIME)
     counts = [forward_displacement(points.geometry, lengths[k : k + _MODES_AT_A_TIME]).count for k in parts]
-    return points.spread(np.concatenate([*counts, np.zeros(0)]), absent=0.0).astype(np.int16)
+    return points.spread(np.concatenate(counts), absent=0.0).astype(np.int16)
 
 
 @metric("m", f"X of o in the base frame; {_ABSENT}")
@@ -123,7 +123,7 @@ def conditioning(points: Points, *, length: float | None = None) -> Values:
     The local conditioning index of C. Gosselin, J. Angeles, "A global performance index for the kinematic optimization
     of robotic manipulators", Journal of Mechanical Design 113 (1991), of the homogeneous Jacobian.
     """
-    values = points.singular_values(_characteristic(points, length))
+    values = points.singular_values(length)
     return points.spread(_zero_if_singular(values[:, -1] / values[:, 0]))
 
 
@@ -138,7 +138,7 @@ def isotropy(points: Points, *, length: float | None = None) -> Values:
     The measure of J.-O. Kim, P. K. Khosla, "Dexterity measures for design and control of manipulators", IROS 1991, of
     G, which maps leg rates to the twist (v, Lω).
     """
-    values = points.singular_values(_characteristic(points, length))
+    values = points.singular_values(length)
     squares = (values / values[:, :1]) ** 2
     return points.spread(_zero_if_singular(squares.prod(axis=-1) ** (1.0 / 6.0) / squares.mean(axis=-1)))
 
@@ -217,10 +217,6 @@ def _least_stiffness(points: Points, rows: FloatArray, leg: float) -> Values:
     """Return leg over the largest eigenvalue of rows · rowsᵀ, NaN where a state does not exist."""
     compliance = np.linalg.eigvalsh(np.nan_to_num(rows @ rows.swapaxes(-1, -2)))[:, -1]
     return points.spread(_zero_if_singular(leg / np.where(np.isnan(rows[:, 0, 0]), np.nan, compliance)))
-
-
-def _characteristic(points: Points, length: float | None) -> float:
-    return points.geometry.platform_radius if length is None else length
 
 
 def _zero_if_singular(values: FloatArray) -> FloatArray:

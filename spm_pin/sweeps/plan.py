@@ -16,7 +16,7 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import Geometry, LegLimits
 from spm_pin.mechanism.arguments import instance
-from spm_pin.sweeps.domain import AXES, Domain
+from spm_pin.sweeps.domains import AXES, Domain
 from spm_pin.sweeps.metric import Metric
 from spm_pin.sweeps.metrics import metric_from_definition, status
 from spm_pin.sweeps.points import Points

@@ -22,7 +22,7 @@ from spm_pin.closed_form import (
 from spm_pin.errors import SingularConfigurationError
 from spm_pin.mechanism import BRANCHES, Configuration, Geometry, LegLimits, SolutionSet, Status
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.sweeps.domain import Space
+from spm_pin.sweeps.domains import Space
 
 __all__ = ["Points"]
 
@@ -150,8 +150,12 @@ class Points:
             regular = (singularities(self.reached).kind & SingularityKind.FORWARD) == 0
             return _locked(_spread(platform_jacobian(self.reached[regular]), regular))
 
-    def singular_values(self, length: float) -> FloatArray:
-        """Return those of G for the twist (v, Lω), L = `length` [m], shape (M, 6), falling; NaN as G is."""
+    def singular_values(self, length: float | None = None) -> FloatArray:
+        """Return those of G for the twist (v, Lω), shape (M, 6), falling; NaN as G is.
+
+        L is `length` [m], the platform's radius if not given.
+        """
+        length = self.geometry.platform_radius if length is None else length
         if length not in self._singular_values:
             scaled = self.platform_jacobians * np.repeat([1.0, length], 3)[:, None]
             self._singular_values[length] = _locked(singular_values(scaled))

@@ -17,12 +17,11 @@ from typing import TYPE_CHECKING
 
 from spm_pin.errors import ArgumentError, MissingExtraError, SpmError
 from spm_pin.mechanism import Geometry
-from spm_pin.sweeps.domain import Domain
+from spm_pin.sweeps.domains import Domain
 from spm_pin.sweeps.metric import Metric
 from spm_pin.sweeps.metrics import METRICS, resolve_metrics, unavailable
 from spm_pin.sweeps.plan import Plan, package_version
-from spm_pin.sweeps.store import Store, completed_count, read_plan, store_path
-from spm_pin.sweeps.store_files import StoreError, as_store_error, locked
+from spm_pin.sweeps.store import Store, StoreError, as_store_error, completed_count, locked, read_plan, store_path
 from spm_pin.sweeps.workers import WorkersLostError, check_workers, complete_chunks
 
 if TYPE_CHECKING:
@@ -64,28 +63,20 @@ class SweepError(SpmError):
 
 @dataclass(frozen=True)
 class SweepStatus:
-    """Progress of a sweep.
-
-    Attributes
-    ----------
-    done, total : int
-        Chunks that have been completed, and all chunks.
-    points : int
-        Number of points of the whole sweep.
-    metrics : tuple of str
-        What is computed.
-    shape : dict of str to int
-        Dimensions of the results.
-    version : str
-        Version of the package that computes it.
-    """
+    """Progress of a sweep."""
 
     done: int
+    """Chunks that have been completed."""
     total: int
+    """All chunks."""
     points: int
+    """Number of points of the whole sweep."""
     metrics: tuple[str, ...]
+    """Names of what is computed."""
     shape: dict[str, int]
+    """Dimensions of the results."""
     version: str
+    """Version of the package that computes it."""
 
     @property
     def complete(self) -> bool:

@@ -9,11 +9,15 @@ their names, that Zarr writes before it renames them.
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import json
 import os
 import re
+import socket
 import tempfile
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,23 +28,45 @@ from spm_pin.errors import ArgumentError, SpmError
 from spm_pin.mechanism.arguments import file_path
 from spm_pin.sweeps.metric import DTYPES
 from spm_pin.sweeps.plan import FORMAT, Plan, definition_differences
-from spm_pin.sweeps.store_files import (
-    LOCK,
-    StoreError,
-    as_store_error,
-    read_file,
-    require_file,
-    require_files,
-    synchronise,
-)
 
-__all__ = ["Store", "completed_count", "read_plan", "store_path"]
+__all__ = [
+    "Store",
+    "StoreError",
+    "StoreLockedError",
+    "as_store_error",
+    "completed_count",
+    "locked",
+    "read_plan",
+    "store_path",
+]
 
+_LOCK = "sweep/lock"
 _RECORDS = "sweep/crc32c"
 _CODECS = {"bytes", "zstd", "crc32c"}
 _CHUNK = r"c(\.\d+)*"
 _DRAFT = rf"({_CHUNK}|zarr)\.[0-9a-f]{{32}}\.partial"
 _UNREADABLE = (SpmError, LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError)
+
+
+class StoreError(SpmError):
+    """A store that cannot be read or written.
+
+    Attributes
+    ----------
+    path : str
+        The store.
+    reason : str
+        What failed, and on which host.
+    """
+
+    def __init__(self, path: str, reason: str) -> None:
+        self.path = path
+        self.reason = reason
+        super().__init__(f"{path}: {reason}")
+
+
+class StoreLockedError(StoreError):
+    """Another process is at work on a store."""
 
 
 class Store:
@@ -77,22 +103,21 @@ class Store:
                     draft = Path(folder, "store")
                     _create(draft, plan)
                     for place, _, files in os.walk(draft):
-                        synchronise(*(Path(place, name) for name in (*files, ".")))
+                        _synchronise(*(Path(place, name) for name in (*files, ".")))
                     try:
                         draft.rename(path)
                     except OSError:
                         if not (path / "zarr.json").exists():
                             raise
                         # Another process has made a store in the meantime; whether it is of this sweep is seen below.
-                synchronise(path.parent)
+                _synchronise(path.parent)
         return cls(path, plan)
 
     def is_complete(self, index: tuple[int, ...]) -> bool:
         """Return whether the chunk at `index` has been written, and is still as it was."""
         with as_store_error(self.path):
             try:
-                require_file(self._file(_RECORDS, index))
-                return bool(self._arrays[_RECORDS][index] == self._checksum(index))
+                return bool(self._checksum(index) == self._arrays[_RECORDS][index])
             except (FileNotFoundError, ValueError, RuntimeError):
                 return False
 
@@ -103,9 +128,9 @@ class Store:
             for name in self._names:
                 self._arrays[name][region] = values[name]
             for name in self._names:
-                synchronise(self._file(name, index), self.path / name)
+                _synchronise(self._file(name, index), self.path / name)
             self._arrays[_RECORDS][index] = self._checksum(index)
-            synchronise(self._file(_RECORDS, index), self.path / _RECORDS)
+            _synchronise(self._file(_RECORDS, index), self.path / _RECORDS)
 
     def remove_drafts(self) -> None:
         """Remove the files that processes which were killed had not yet renamed."""
@@ -123,7 +148,7 @@ class Store:
 
         checksum = google_crc32c.value(f"{self.plan.text} {index}".encode())
         for name in self._names:
-            content = read_file(self._file(name, index))
+            content = self._file(name, index).read_bytes()
             checksum = google_crc32c.extend(checksum, f"{name} {len(content)} ".encode())
             checksum = google_crc32c.extend(checksum, content)
         return int(checksum)
@@ -148,7 +173,8 @@ def read_plan(path: Path) -> Plan:
     """
     with as_store_error(path):
         try:
-            text = read_file(path / "zarr.json")
+            _require_file(path / "zarr.json")
+            text = (path / "zarr.json").read_bytes()
         except (FileNotFoundError, NotADirectoryError):
             received = "which holds none" if path.exists() else "which does not exist"
             raise ArgumentError("store", "the folder of a sweep", f"{path}, {received}") from None
@@ -156,7 +182,7 @@ def read_plan(path: Path) -> Plan:
             metadata = json.loads(text)
             stored = metadata["attributes"].get("spm_pin_sweep")
             if stored is not None:
-                require_files(path)
+                _require_files(path)
                 _check_metadata(path, metadata)
                 definition = json.loads(stored)
                 if definition["format"] != FORMAT:
@@ -175,11 +201,85 @@ def completed_count(path: Path) -> int:
         return sum(re.fullmatch(_CHUNK, entry.name) is not None for entry in os.scandir(path / _RECORDS))
 
 
+@contextlib.contextmanager
+def as_store_error(path: Path) -> Iterator[None]:
+    """Turn an `OSError` into a `StoreError` that says where it happened."""
+    try:
+        yield
+    except OSError as error:
+        where = f" at {error.filename}" if error.filename and str(error.filename) != str(path) else ""
+        reason = f"{(error.strerror or str(error)).lower()}{where}, on host {socket.gethostname()}"
+        raise StoreError(str(path), reason) from error
+
+
+@contextlib.contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Hold the lock of a store, a file in it, which the system releases however its holder ends."""
+    from filelock import FileLock, Timeout
+
+    file = path / _LOCK
+    lock = FileLock(file, fallback_to_soft=False)
+    with as_store_error(path):
+        try:
+            lock.acquire(blocking=False)
+        except Timeout:
+            reason = f"{_holder(file)} is at work on this store. Wait for it, or end it; what it did is kept"
+            raise StoreLockedError(str(path), reason) from None
+        except OSError as error:
+            # A file system without locks; two processes would write the same bytes, each file as a whole.
+            if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
+                raise
+        file.write_text(json.dumps({"host": socket.gethostname(), "pid": os.getpid()}), encoding="utf-8")
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            file.write_text("", encoding="utf-8")
+        lock.release()
+
+
+def _holder(file: Path) -> str:
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        return f"process {content['pid']} on {content['host']}"
+    except (OSError, ValueError, KeyError, TypeError):
+        return "another process"
+
+
+def _require_file(path: Path) -> None:
+    """Raise `OSError` if there is something at a path that is no regular file: to open a pipe may take for ever."""
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
+
+
+def _require_files(path: Path) -> None:
+    """Raise `OSError` if there is anything but folders and regular files in a store; readers open what they find."""
+    folders = [str(path)]
+    while folders:
+        with os.scandir(folders.pop()) as scan:
+            entries = list(scan)
+        for entry in entries:
+            if entry.is_dir(follow_symlinks=False):
+                folders.append(entry.path)
+            elif not entry.is_file():
+                _require_file(Path(entry.path))
+
+
+def _synchronise(*paths: Path) -> None:
+    """Wait until files, or the names in folders, are on the disk."""
+    for path in paths:
+        descriptor = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
 def _check_metadata(path: Path, metadata: dict[str, Any]) -> None:
     """Refuse what Zarr would decode by anything but the codecs of a sweep, as by pickle."""
     members = dict((metadata.get("consolidated_metadata") or {}).get("metadata", {}))
     for place in (*path.glob("*/zarr.json"), *path.glob("sweep/*/zarr.json")):
-        members[str(place.parent)] = json.loads(read_file(place))
+        members[str(place.parent)] = json.loads(place.read_bytes())
     for name, member in members.items():
         if member["node_type"] == "group":
             continue
@@ -245,7 +345,7 @@ def _create(path: Path, plan: Plan) -> None:
         attributes={"long_name": "CRC32C of the definition and of the chunk's bytes in all variables; -1: incomplete"},
         **layout,
     )
-    (path / LOCK).touch()
+    (path / _LOCK).touch()
     with warnings.catch_warnings():
         # Zarr 3 warns that other readers may ignore it, which is what they should do; xarray warns where it is missing.
         warnings.simplefilter("ignore", category=UserWarning)

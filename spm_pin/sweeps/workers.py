@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import concurrent.futures
 import contextlib
-import dataclasses
 import itertools
 import logging
 import signal
@@ -16,14 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spm_pin.closed_form import forward_physical
 from spm_pin.errors import ArgumentError, SpmError
 from spm_pin.mechanism.arguments import instance, whole_number
 from spm_pin.sweeps.metrics import METRICS
 from spm_pin.sweeps.plan import Plan, package_version
 from spm_pin.sweeps.points import Points
-from spm_pin.sweeps.store import Store
-from spm_pin.sweeps.store_files import StoreError
+from spm_pin.sweeps.store import Store, StoreError
 
 if TYPE_CHECKING:
     from distributed import Client, Future, Worker
@@ -114,13 +111,8 @@ def complete_chunks(plan: Plan, path: Path, scheduler: str | Client | None, work
 
 def _compile_kernels(plan: Plan) -> None:
     """Compile the kernels of the package's metrics in this process, for workers to find them in the cache on disk."""
-    geometry = dataclasses.replace(plan.geometry, limits=None)
-    legs = np.full((1, 6), geometry.base_radius + geometry.platform_radius + geometry.middle_side)
-    legs[:, 0] *= 1.05  # a tilt, for the level home is singular
-    state = forward_physical(geometry, legs)
-    angles = state.pose.rotation.as_euler("XYX", suppress_warnings=True)
-    point = legs if plan.domain.space == "legs" else np.concatenate([state.translation, angles], axis=-1)
-    points = Points(geometry, plan.domain.space, point)
+    # Whether the point is reached does not matter: kernels are called, and so compiled, without any items too.
+    points = Points(plan.geometry, plan.domain.space, np.array([[axis.start for axis in plan.domain.axes]]))
     for metric in plan.variables:
         if metric.name == "status" or metric.name in METRICS:
             with contextlib.suppress(SpmError):

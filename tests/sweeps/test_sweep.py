@@ -42,7 +42,7 @@ from spm_pin.sweeps import (
 )
 from spm_pin.sweeps.plan import Plan
 from spm_pin.sweeps.runner import open_store
-from spm_pin.sweeps.store_files import locked
+from spm_pin.sweeps.store import locked
 
 payload = spm.sweeps.METRICS["payload"]
 
@@ -500,7 +500,7 @@ def test_two_processes_on_one_store_are_refused(store: Path) -> None:
 def test_the_lock_of_a_process_that_was_killed_is_free(store: Path, undisturbed: Path) -> None:
     code = (
         "import pathlib, signal, sys\n"
-        "from spm_pin.sweeps.store_files import locked\n"
+        "from spm_pin.sweeps.store import locked\n"
         "with locked(pathlib.Path(sys.argv[1])):\n"
         "    print('held', flush=True)\n"
         "    signal.pause()\n"

@@ -17,7 +17,7 @@ from scipy.stats import kstest, qmc
 
 import spm_pin as spm
 from spm_pin.sweeps import leg_grid, leg_sample, pose_grid, pose_sample
-from spm_pin.sweeps.domain import Domain
+from spm_pin.sweeps.domains import Domain
 
 lengths = st.lists(st.integers(2, 5), min_size=1, max_size=6)
 
