@@ -24,8 +24,8 @@ from spm_pin.errors import ArgumentError
 
 __all__ = ["function_identity"]
 
-_CACHED = type(functools.cache(len))
 _PLAIN = (type(None), bool, int, float, complex, str, bytes, type(Ellipsis))
+_WRAPPERS = (staticmethod, classmethod, type(functools.cache(len)))
 _DESCRIPTORS = (types.MemberDescriptorType, types.GetSetDescriptorType, types.WrapperDescriptorType)
 _LEFT_OUT = {
     *("__dict__", "__weakref__", "__doc__", "__module__", "__annotations__", "__annotate_func__"),
@@ -100,8 +100,14 @@ class _Reader:
             return tuple(value.items())
         if type(value) in (set, frozenset):
             return sorted(map(self.digest, value))
-        if isinstance(value, _CACHED):
+        if isinstance(value, _WRAPPERS):
             return (value.__wrapped__,)
+        if isinstance(value, property):
+            return value.fget, value.fset, value.fdel
+        if isinstance(value, functools.cached_property):
+            return (value.func,)
+        if isinstance(value, _DESCRIPTORS):  # of slots and the like: a name without content
+            return value.__objclass__.__module__, value.__qualname__
         if isinstance(value, np.ufunc) and not _has_name(value):
             raise _unreadable(f"that uses {value.__name__}, a ufunc whose function cannot be read")
         if isinstance(value, BuiltinFunctionType | np.ufunc):
@@ -140,7 +146,7 @@ class _Reader:
         yield from (kind.__module__, kind.__qualname__)
         if not self._by_name(kind):
             yield kind.__bases__
-            yield {name: _plain_member(value) for name, value in vars(kind).items() if name not in _LEFT_OUT}
+            yield {name: value for name, value in vars(kind).items() if name not in _LEFT_OUT}
 
     def _object(self, value: Any) -> tuple[Any, ...]:
         """Return what an object would be pickled as: its class, the arguments that make it, and its state."""
@@ -162,18 +168,6 @@ class _Reader:
 
     def _is_installed(self, module: str | None) -> bool:
         return bool(module) and _root(module) != self._own and _is_installed(_root(module))
-
-
-def _plain_member(value: Any) -> Any:
-    """Return the functions of a descriptor that a class holds."""
-    if isinstance(value, property):
-        return value.fget, value.fset, value.fdel
-    if isinstance(value, staticmethod | classmethod):
-        return type(value).__name__, value.__func__
-    if isinstance(value, functools.cached_property):
-        return value.func
-    # Descriptors of slots and the like have a name and no content.
-    return value.__name__ if isinstance(value, _DESCRIPTORS) else value
 
 
 def _has_name(function: np.ufunc) -> bool:

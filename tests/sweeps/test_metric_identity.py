@@ -53,6 +53,10 @@ class Kind(enum.Enum):
     UPPER = 2
 
 
+class Slots:
+    __slots__ = ("a", "b")
+
+
 def closing_over(value: Any) -> Callable[[Points], Any]:
     return lambda points: points.coordinates[:, 0] * value
 
@@ -143,6 +147,8 @@ VALUES: dict[str, tuple[Any, Any]] = {
     "partial functions": (partial(pow, 2), partial(pow, 3)),
     "functions": (np.sin, np.cos),
     "builtins": (math.sin, math.cos),
+    "methods of builtins": (int.__add__, float.__add__),
+    "slots": (Slots.a, Slots.b),
     "cached functions": (functools.cache(lambda: 1), functools.cache(lambda: 2)),
 }
 WAYS: dict[str, Callable[[Any], Any]] = {
@@ -174,6 +180,19 @@ def test_functions_that_call_other_code_differ(make: Callable[[str], Any]) -> No
     first, second = ("lambda x: x + 1", "lambda x: x + 2") if make is with_helper else ("points + 1", "points + 2")
     assert function_identity(make(first)) == function_identity(make(first))
     assert function_identity(make(first)) != function_identity(make(second))
+
+
+def test_functions_that_call_other_decorated_methods_differ() -> None:
+    def identity(decorator: str, value: int) -> str:
+        names: dict[str, Any] = {"__name__": "own", "functools": functools}
+        methods = [decorator, f"def part(self=0): return {value}", "def __call__(self, points): return self.part"]
+        exec("\n    ".join(["class Own:", *methods]), names)
+        return function_identity(names["Own"]())
+
+    decorators = ("", "@property", "@staticmethod", "@classmethod", "@functools.cached_property", "@functools.cache")
+    identities = [identity(decorator, value) for decorator in decorators for value in (1, 2)]
+    assert len(set(identities)) == len(identities)
+    assert identities == [identity(decorator, value) for decorator in decorators for value in (1, 2)]
 
 
 def test_functions_differ_by_their_code() -> None:
