@@ -97,9 +97,9 @@ class Points:
         if self.space == "pose":
             return inverse_displacement(self.geometry, self._poses)
         there = self.assembled.exists
-        found = inverse_displacement(self.geometry, self._poses).configurations
-        branches = found.transformed(lambda values, _: _spread(values, there))
-        status = _spread(self._branches[1], there, Status.UNREACHABLE).astype(np.int8)
+        found = inverse_displacement(self.geometry, self._poses)
+        branches = found.configurations.transformed(lambda values, _: _spread(values, there))
+        status = _spread(found.status, there, Status.UNREACHABLE).astype(np.int8)
         return SolutionSet(branches, BRANCHES, status)
 
     @cached_property
