@@ -21,9 +21,8 @@ from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import BRANCHES, Geometry, PoseLike, SolutionSet, Status, as_rigid_transform
 from spm_pin.mechanism.arguments import FloatArray, choice, instance, real_number, type_and_value, whole_number
 from spm_pin.nlp.batched_newton import LoopEquations
-from spm_pin.nlp.multistart import Multistart
+from spm_pin.nlp.multistart import MOST_BRANCHES, Multistart
 from spm_pin.nlp.solvers import Ipopt
-from spm_pin.nlp.starts import MOST_BRANCHES
 
 __all__ = ["SOLVERS", "Interrupted", "Search", "inverse_displacement", "search"]
 
@@ -56,7 +55,7 @@ class Search:
     unseen_share : ndarray, shape (...)
         Good and Turing's estimate of the share of converging starts that lead to branches not found.
     unseen_probability : ndarray, shape (...)
-        Posterior probability that a branch was not found, see `spm_pin.nlp.starts.unseen_probability`.
+        Posterior probability that a branch was not found, see `spm_pin.nlp.multistart.unseen_probability`.
     settled : ndarray of bool, shape (...)
         Whether the stopping rule was met.
     sigma : ndarray, shape (..., 8)

@@ -49,7 +49,13 @@ class Ipopt:
         ends = np.empty_like(starts)
         outcomes: Counter[str] = Counter()
         for k, start in enumerate(starts):
-            ends[k] = np.asarray(self._solver(x0=start, p=pose, lbg=0.0, ubg=0.0)["x"]).ravel()
+            try:
+                ends[k] = np.asarray(self._solver(x0=start, p=pose, lbg=0.0, ubg=0.0)["x"]).ravel()
+            except SystemError as error:
+                # At times CasADi leaves the interrupt pending, and Python blames the next call for it.
+                if isinstance(error.__cause__, KeyboardInterrupt):
+                    raise error.__cause__ from None
+                raise
             status = str(self._solver.stats()["return_status"])
             if status in _INTERRUPTED:
                 raise KeyboardInterrupt

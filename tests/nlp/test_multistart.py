@@ -13,7 +13,7 @@ from spm_pin import nlp
 from spm_pin.crosscheck import Conditioning
 from spm_pin.mechanism.solution_status import Status
 from spm_pin.nlp import multistart
-from spm_pin.nlp.starts import random_starts, unseen_probability
+from spm_pin.nlp.multistart import random_starts, unseen_probability
 
 GEOMETRY = spm.Geometry.paper()
 EXAMPLE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))

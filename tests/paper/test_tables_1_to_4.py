@@ -87,10 +87,3 @@ def test_digits_are_compared_as_printed(text: str, value: complex, agrees: bool)
 def test_only_tables_that_can_be_reproduced() -> None:
     with pytest.raises(spm.ArgumentError, match=r"tables: expected .* got \[6\]"):
         reproduce([6])
-
-
-def test_table_6_has_two_varying_legs_in_every_row() -> None:
-    assert len({name for name, *_ in published.TABLE_6}) == 24
-    for _, *cells in published.TABLE_6:
-        assert len(cells) == 6
-        assert sum(" " in cell or "~" in cell for cell in cells) == 2

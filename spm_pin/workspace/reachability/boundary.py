@@ -1,7 +1,7 @@
 """The boundary of the reachable positions, as a closed mesh whose vertices lie on it.
 
 Marching cubes need only the reachability of the nodes of a grid: it determines which edges the boundary crosses,
-and `spm_pin.workspace.reachability.edge_intersection` says where. What bounds the set is derived in
+and `spm_pin.workspace.reachability.lattice` says where. What bounds the set is derived in
 `docs/theory/reachable_set.md`.
 """
 

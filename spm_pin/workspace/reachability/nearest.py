@@ -19,6 +19,7 @@ coordinates over √3.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +28,7 @@ import numpy.typing as npt
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.workspace.reachability.leg_box import LegBox
-from spm_pin.workspace.reachability.state_search import RESOLUTION, StateSearch, search_states
+from spm_pin.workspace.reachability.state_search import RESOLUTION, StateSearch, in_portions, search_states
 
 __all__ = ["CLEAR", "Nearest", "approach", "merged", "nearest_in_box", "settle"]
 
@@ -35,7 +36,6 @@ IntArray = npt.NDArray[np.intp]
 
 CLEAR = 1e-6
 """How far from forward singularities states are kept: nearer, rounding of the lengths moves o farther than that."""
-_CHUNK = 8192
 _ROUNDS, _ANEW = 30, 10
 _WEIGHTS, _REMOTE = (1.0, 3.0, 10.0), 1000.0
 _STEPS, _PROGRESS = 200, 1e-6
@@ -78,14 +78,13 @@ def nearest_in_box(box: LegBox, points: FloatArray, starts: FloatArray | None = 
     The search begins at `starts` (N, 2, 3), as in `Nearest.coordinates`. If not given, `search_states` says which
     points are reachable, and the others begin at the best states of `LegBox.nearby`.
     """
-    parts = [_nearest(box, points, starts, slice(k, k + _CHUNK)) for k in range(0, max(len(points), 1), _CHUNK)]
-    return Nearest(*map(np.concatenate, zip(*parts, strict=True)))
+    given = [points] if starts is None else [points, starts]
+    return Nearest(*in_portions(partial(_nearest, box), "nearest points", None, *given))
 
 
-def _nearest(box: LegBox, points: FloatArray, starts: FloatArray | None, part: slice) -> Nearest:
-    points = points[part]
+def _nearest(box: LegBox, points: FloatArray, starts: FloatArray | None = None) -> Nearest:
     if starts is not None:
-        first, choice = starts[part], starts[part][:, None]
+        first, choice = starts, starts[:, None]
     else:
         found = search_states(box, points)
         first = found.coordinates

@@ -87,12 +87,6 @@ class StageSet:
         outside = np.maximum(self.minimum - lengths, lengths - self.maximum).max(axis=-1)
         return np.asarray(centres[outside <= bound + 1e-12])
 
-    @property
-    def cover_volume(self) -> float:
-        """Volume of the boxes that cover the set."""
-        centres, half = self._cover
-        return float(len(centres) * (2.0 * half).prod())
-
     def draw(self, count: int, rng: np.random.Generator) -> tuple[FloatArray, float]:
         """Draw `count` states uniformly: coordinates (count, 3), and an unbiased estimate of the set's volume.
 
@@ -110,4 +104,4 @@ class StageSet:
             # Counted up to the last that is needed: that makes the estimate of the share unbiased.
             tried += int(place[-1]) + 1 if found == count else portion
         share = (found - 1) / (tried - 1) if found == count > 1 else found / max(tried, 1)
-        return np.concatenate(parts), share * self.cover_volume
+        return np.concatenate(parts), share * float(len(centres) * (2.0 * half).prod())

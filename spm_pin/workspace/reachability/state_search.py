@@ -12,8 +12,9 @@ snapped to the limits, is compared with the point.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +24,7 @@ from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.workspace.reachability.leg_box import LegBox
 from spm_pin.workspace.reachability.position_map import PositionMap
 
-__all__ = ["RESOLUTION", "Membership", "Progress", "StateSearch", "search_states"]
+__all__ = ["RESOLUTION", "Membership", "Progress", "StateSearch", "in_portions", "search_states"]
 
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.intp]
@@ -232,7 +233,6 @@ class Membership(NamedTuple):
     """Points (N,) without one for which a search failed: it ended in another assembly mode, or stalled just short of a
     state."""
     coordinates: FloatArray  # the states (N, 2, 3); where there is none, those found to miss point and limits least
-    lengths: FloatArray  # their leg lengths (N, 6) [m]
     distance: FloatArray
     """How far the reachable set is, to about two spacings of the box's table (N,) [m]; zero where reached."""
 
@@ -250,18 +250,25 @@ def search_states(
     With `starts` (N, 2, 3) the search begins at one state for each point, instead of those of `LegBox.nearby`. `what`
     says what is being done, for `progress`.
     """
-    parts = []
-    for begin in range(0, max(len(points), 1), _PORTION):
+    given = [points] if starts is None else [points, starts]
+    return Membership(*in_portions(partial(_searched, box), what, progress, *given))
+
+
+def in_portions(
+    function: Callable[..., tuple[Any, ...]], what: str, progress: Progress | None, *arrays: FloatArray
+) -> Iterator[Any]:
+    """Call with so many rows of the arrays at a time; return each of the results, joined."""
+    count, parts = len(arrays[0]), []
+    for begin in range(0, max(count, 1), _PORTION):
         if progress is not None:
-            progress(what, begin, len(points))
-        part = slice(begin, begin + _PORTION)
-        parts.append(_searched(box, points[part], None if starts is None else starts[part]))
+            progress(what, begin, count)
+        parts.append(function(*(array[begin : begin + _PORTION] for array in arrays)))
     if progress is not None:
-        progress(what, len(points), len(points))
-    return Membership(*map(np.concatenate, zip(*parts, strict=True)))
+        progress(what, count, count)
+    return map(np.concatenate, zip(*parts, strict=True))
 
 
-def _searched(box: LegBox, points: FloatArray, near: FloatArray | None) -> Membership:
+def _searched(box: LegBox, points: FloatArray, near: FloatArray | None = None) -> Membership:
     if near is None:
         distance, starts = box.nearby(points)
     else:
@@ -286,9 +293,7 @@ def _searched(box: LegBox, points: FloatArray, near: FloatArray | None) -> Membe
         undecided[left] |= doubtful.any(axis=1)
         left = left[~good.any(axis=1)]
     reached = least == 0.0
-    lengths = box.snapped(box.map.lengths(coordinates))
-    distance = np.where(reached, 0.0, np.maximum(distance, 0.0))
-    return Membership(reached, undecided & ~reached, coordinates, lengths, distance)
+    return Membership(reached, undecided & ~reached, coordinates, np.where(reached, 0.0, np.maximum(distance, 0.0)))
 
 
 def damped_solution(matrix: FloatArray, right: FloatArray, damping: FloatArray) -> FloatArray:

@@ -10,10 +10,10 @@ import math
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.closed_form.singularity_analysis import determinants
-from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 
@@ -28,19 +28,10 @@ def reached_positions(
 ) -> tuple[FloatArray, npt.NDArray[np.int8]]:
     """Draw leg lengths within limits; return positions of o (N, 3) [m] and the sign of det K (N,) in each state.
 
-    Of `count` sets of leg lengths. If the limits are the same for the legs of a stage, each gives six positions: it
-    stands for its images under the symmetries of the machine as well.
-
-    Raises
-    ------
-    ArgumentError
-        If `count` is less than 1, or a limit is zero or infinite.
+    Of `count` sets of leg lengths within positive and finite limits. If the limits are the same for the legs of a
+    stage, each gives six positions: it stands for its images under the symmetries of the machine as well.
     """
-    if count < 1:
-        raise ArgumentError("count", "at least one set of leg lengths", count)
     low, high = np.array(limits.minimum), np.array(limits.maximum)
-    if not (low > 0.0).all() or not np.isfinite(high).all():
-        raise ArgumentError("limits", "positive and finite limits in metres", f"{low.min():g} to {high.max():g}")
     rng = np.random.default_rng(seed)
     share = np.sin(0.5 * math.pi * rng.random((count, 6))) ** 2
     share = np.where(rng.random(share.shape) < _AT_A_LIMIT, share.round(), share)
@@ -56,8 +47,5 @@ def _images(positions: FloatArray, aspect: npt.NDArray[np.int8]) -> tuple[FloatA
     """Return all positions turned by 0, 120 and 240 degrees, and mirrored; a mirror changes the sign of det K."""
     mirrored = positions * [-1.0, 1.0, 1.0]
     both, signs = np.concatenate([positions, mirrored]), np.concatenate([aspect, -aspect])
-    turns = []
-    for angle in np.deg2rad([0.0, 120.0, 240.0]):
-        cos, sin = math.cos(angle), math.sin(angle)
-        turns.append(both @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]]))
-    return np.concatenate(turns), np.tile(signs, 3)
+    turns = Rotation.from_euler("z", [[0.0], [120.0], [240.0]], degrees=True)
+    return np.concatenate([turn.apply(both) for turn in turns]), np.tile(signs, 3)

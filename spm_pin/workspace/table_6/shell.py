@@ -193,17 +193,15 @@ def workspace_shell(geometry: Geometry, limits: LegLimits | None = None, *, reso
         faces = np.concatenate([_lofted(grid, sign) for grid, sign in zip(grids, signs, strict=True)])
         volumes.append(enclosed_volume(states.translation, faces))
     outward = 1 if volumes[-1] > 0.0 else -1
-    faces = _fixed(faces[:, ::outward])
-    return Shell(
-        states.translation,
-        faces,
-        geometry,
-        box,
-        n,
-        _patches(rows, grids, states.translation, faces),
-        states,
-        Convergence((*coarser, n), tuple(outward * volume for volume in volumes)),
+    vertices, faces = states.translation, _fixed(faces[:, ::outward])
+    areas = ClosedMesh(vertices, faces).face_areas.reshape(len(rows), -1).sum(axis=1)
+    numbers = np.arange(len(faces)).reshape(len(rows), -1)
+    patches = tuple(
+        Patch(row.name, row.settings, _fixed(grid), _fixed(number), float(area))
+        for row, grid, area, number in zip(rows, grids, areas, numbers, strict=True)
     )
+    convergence = Convergence((*coarser, n), tuple(outward * volume for volume in volumes))
+    return Shell(vertices, faces, geometry, box, n, patches, states, convergence)
 
 
 def _joined(rows: Sequence[SubWorkspace], limits: LegLimits, n: int) -> tuple[FloatArray, Indices]:
@@ -249,16 +247,6 @@ def _lofted(grid: Indices, sign: int) -> Indices:
     near, far, across, along = grid[:-1, :-1], grid[1:, 1:], grid[1:, :-1], grid[:-1, 1:]
     triangles = np.stack([near, across, far, near, far, along], axis=-1).reshape(-1, 3)
     return triangles[:, ::sign]
-
-
-def _patches(rows: Sequence[SubWorkspace], grids: Indices, vertices: FloatArray, faces: Indices) -> tuple[Patch, ...]:
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    areas = np.linalg.norm(np.cross(b - a, c - a), axis=-1).reshape(len(rows), -1).sum(axis=1) / 2.0
-    numbers = np.arange(len(faces)).reshape(len(rows), -1)
-    return tuple(
-        Patch(row.name, row.settings, _fixed(grid), _fixed(number), float(area))
-        for row, grid, area, number in zip(rows, grids, areas, numbers, strict=True)
-    )
 
 
 def _fixed(array: Indices) -> Indices:

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
@@ -52,16 +51,3 @@ def test_lengths_that_close_nothing_are_left_out() -> None:
     positions, _ = reached_positions(PAPER, spm.LegLimits(0.3, 4.0), count=400)
     assert 0 < len(positions) < 6 * 400
     assert np.isfinite(positions).all()
-
-
-@pytest.mark.parametrize(
-    ("limits", "count", "says"),
-    [
-        (LIMITS, 0, "count: expected at least one"),
-        (spm.LegLimits(0.0, 1.0), 5, "positive and finite"),
-        (spm.LegLimits(1.0, np.inf), 5, "positive and finite"),
-    ],
-)
-def test_bad_arguments(limits: spm.LegLimits, count: int, says: str) -> None:
-    with pytest.raises(spm.ArgumentError, match=says):
-        reached_positions(PAPER, limits, count=count)
