@@ -29,28 +29,20 @@ _ROUNDING = 1e-15
 
 @dataclass(frozen=True)
 class Certificate:
-    """Result of a proof about the configurations that are joined to the home within leg limits.
-
-    Attributes
-    ----------
-    geometry : Geometry
-        Dimensions of the manipulator.
-    limits : LegLimits
-        Limits of the leg lengths.
-    lower, upper : StageProof
-        The subdivision of each stage.
-    witness : Configuration or None
-        A forward singular configuration within the limits, where one was found; None otherwise.
-    errors : tuple of two floats
-        The `length_error` [m] and `angle_error` [rad] of the machines it is proved for, see `certify`.
-    """
+    """Result of a proof about the configurations that are joined to the home within leg limits."""
 
     geometry: Geometry
+    """Dimensions of the manipulator."""
     limits: LegLimits
+    """Limits of the leg lengths."""
     lower: StageProof
+    """The subdivision of the lower stage."""
     upper: StageProof
+    """The subdivision of the upper stage."""
     witness: Configuration | None
+    """A forward singular configuration within the limits, where one was found; None otherwise."""
     errors: tuple[float, float] = (0.0, 0.0)
+    """The `length_error` [m] and `angle_error` [rad] of the machines it is proved for, see `certify`."""
 
     @property
     def holds(self) -> bool:
@@ -198,9 +190,8 @@ def certify(
     if not middle.exists:
         raise GeometryError("limits", "lengths between them that can be assembled", "a middle that cannot be")
     starts = stage_states(middle)
-    proofs = []
-    for region, start in zip(stage_regions(nominal, limits, errors), starts, strict=True):
-        proofs.append(prove_stage(region, start, most=boxes))
+    regions = stage_regions(nominal, limits, errors)
+    proofs = [prove_stage(region, start, most=boxes) for region, start in zip(regions, starts, strict=True)]
     witness = None
     if any(proof.singular is not None for proof in proofs):
         states = [

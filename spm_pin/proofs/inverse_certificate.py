@@ -52,34 +52,26 @@ _CORNERS = np.array(list(product((0, 1), repeat=4))).reshape(16, 2, 2)
 
 @dataclass(frozen=True)
 class InverseCertificate:
-    """Result of a proof about det K, which vanishes at inverse singularities.
-
-    Attributes
-    ----------
-    geometry : Geometry
-        Dimensions of the manipulator.
-    region : str
-        Which limits or poses were searched, in words.
-    bound : float
-        Proved lower bound of |det K| / d³; 0 where something is undecided, infinity if the region holds no state.
-    least : float
-        Smallest |det K| / d³ of states sampled in the region: the minimum lies between `bound` and this.
-    undecided : ndarray, shape (N, 4, 2) or (N, 6, 2)
-        Boxes in which det K may be zero, low and high ends: of x and y of the lower and the upper stage; or of the
-        vector part of the platform's turn against the given pose, seen from {B}, of x and y of o [m], and of φ.
-    witness : Configuration or None
-        A configuration of the region with det K = 0 to rounding, where one was found.
-    boxes : int
-        Boxes looked at.
-    """
+    """Result of a proof about det K, which vanishes at inverse singularities."""
 
     geometry: Geometry
+    """Dimensions of the manipulator."""
     region: str
+    """Which limits or poses were searched, in words."""
     bound: float
+    """Proved lower bound of |det K| / d³; 0 where something is undecided, infinity if the region holds no state."""
     least: float
+    """Smallest |det K| / d³ of states sampled in the region: the minimum lies between `bound` and this."""
     undecided: FloatArray
+    """Boxes in which det K may be zero, low and high ends, shape (N, 4, 2) or (N, 6, 2).
+
+    Of x and y of the lower and the upper stage; or of the vector part of the platform's turn against the given pose,
+    seen from {B}, of x and y of o [m], and of φ.
+    """
     witness: Configuration | None
+    """A configuration of the region with det K = 0 to rounding, where one was found."""
     boxes: int
+    """Boxes looked at."""
 
     @property
     def holds(self) -> bool:

@@ -38,30 +38,21 @@ def singular_state(region: StageRegion, boxes: FloatArray) -> FloatArray | None:
         states[:, :2] /= np.maximum(1.0, tilt / 0.999)
     value, gradient = _determinant(region, states)
     arrived = np.abs(value) <= 1e-12 * np.linalg.norm(gradient, axis=1)
-    lengths = np.sqrt(np.stack([_middle(square) for square in _squares(region, states)], axis=1))
+    lengths = np.sqrt(_evaluate(region, states)[0])
     inside = np.minimum(lengths - region.minimum, region.maximum - lengths).min(axis=1)
     inside[~arrived] = -np.inf
     best = int(np.argmax(inside)) if len(inside) else 0
     return states[best] if len(inside) and inside[best] >= 0.0 else None
 
 
-def _middle(interval: Interval) -> FloatArray:
-    return np.asarray(0.5 * (interval.low + interval.high))
-
-
-def _squares(region: StageRegion, states: FloatArray) -> list[Interval]:
-    return region.evaluate(*(Interval.of(column) for column in states.T))[0]
+def _evaluate(region: StageRegion, states: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the squared leg lengths (N, 3) and D (N,)."""
+    squares, determinant = region.evaluate(*map(Interval.of, states.T))
+    *lengths, value = (0.5 * (x.low + x.high) for x in (*squares, determinant))
+    return np.stack(lengths, axis=1), value
 
 
 def _determinant(region: StageRegion, states: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return D (N,) and its gradient (N, 3) by central differences."""
-    value = _middle(region.evaluate(*(Interval.of(column) for column in states.T))[1])
-    gradient = np.empty_like(states)
-    for i in range(3):
-        ends = []
-        for h in (1e-6, -1e-6):
-            moved = states.copy()
-            moved[:, i] += h
-            ends.append(_middle(region.evaluate(*(Interval.of(column) for column in moved.T))[1]))
-        gradient[:, i] = (ends[0] - ends[1]) / 2e-6
-    return value, gradient
+    ends = ((_evaluate(region, states + h)[1], _evaluate(region, states - h)[1]) for h in 1e-6 * np.eye(3))
+    return _evaluate(region, states)[1], np.stack([(after - before) / 2e-6 for after, before in ends], axis=1)

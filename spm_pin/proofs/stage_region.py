@@ -53,26 +53,19 @@ class _Spread:
 
 @dataclass(frozen=True)
 class StageRegion:
-    """The states of a stage that are searched, those of one machine or of all within errors.
-
-    Parameters
-    ----------
-    hips, side : float
-        Radius of the hips and side of the middle platform's triangle [m].
-    minimum, maximum : ndarray, shape (3,)
-        Limits of the leg lengths as they are read [m].
-    length_error : float
-        Largest error of each coordinate of a pivot and of a ball, and of a reading [m].
-    angle_error : float
-        Largest turn of a revolute axis about either direction perpendicular to it [rad].
-    """
+    """The states of a stage that are searched, those of one machine or of all within errors."""
 
     hips: float
+    """Radius of the hips [m]."""
     side: float
+    """Side of the middle platform's triangle [m]."""
     minimum: FloatArray
     maximum: FloatArray
+    """Limits of the leg lengths as they are read [m], shape (3,)."""
     length_error: float = 0.0
+    """Largest error of each coordinate of a pivot and of a ball, and of a reading [m]."""
     angle_error: float = 0.0
+    """Largest turn of a revolute axis about either direction perpendicular to it [rad]."""
 
     @cached_property
     def lengths(self) -> list[Interval]:

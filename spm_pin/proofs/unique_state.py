@@ -21,17 +21,8 @@ _HALVES = np.array(list(product((0, 1), repeat=3)))
 def has_one_state(region: StageRegion, boxes: FloatArray) -> bool:
     """Return whether it is proved that exactly one state has the lengths in the middle of the limits.
 
-    Parameters
-    ----------
-    region : StageRegion
-        Dimensions and limits; errors are left aside.
-    boxes : ndarray, shape (N, 3, 2)
-        Boxes of (x, y, Z) among whose states it is the only one, at less than half a turn.
-
-    Returns
-    -------
-    bool
-        False if it has none or several, or if the subdivision ends before.
+    It is the only one among the states in boxes (N, 3, 2) of (x, y, Z), at less than half a turn. False if there is
+    none or several, or if the subdivision ends before; errors of the machine are left aside.
     """
     lengths = 0.5 * (region.minimum + region.maximum)
     region = replace(region, minimum=lengths, maximum=lengths, length_error=0.0, angle_error=0.0)
