@@ -129,6 +129,21 @@ def at_discriminant(pose: RigidTransform, family: int, h_beyond: float, geometry
     return spm.pose(pose.translation + (fold - h_beyond) * normal, rotation=pose.rotation)
 
 
+def members(
+    pool: spm.Configuration, shape: tuple[int, ...], rng: np.random.Generator, absent: float = 0.0
+) -> spm.Configuration:
+    """States drawn from a pool, a share of them absent."""
+    index = rng.integers(len(pool), size=shape)
+    joints = np.where(rng.uniform(size=(*shape, 1, 1)) < absent, np.nan, pool.middle_joints[index])
+    return spm.Configuration(pool.geometry, pool.pose.as_matrix()[index], joints)
+
+
+def distance(state: spm.Configuration, other: spm.Configuration) -> Array:
+    """Largest displacement [m] of a joint of the middle or of the terminal platform."""
+    pairs = (state.middle_joints, other.middle_joints), (state.platform_joints, other.platform_joints)
+    return np.maximum(*(np.linalg.norm(a - b, axis=-1).max(axis=-1) for a, b in pairs))
+
+
 def conditioning(configuration: spm.Configuration) -> Array:
     """Displacement of b [m] per rounding of the pose: of the lines the joints are on, and of the triangle on them.
 

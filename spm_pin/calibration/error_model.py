@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from spm_pin.closed_form.as_built_jacobians import stage_inverses
+from spm_pin.closed_form.stage_wrenches import stage_inverses
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LEGS, PARAMETERS, AsBuiltGeometry, Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray, instance

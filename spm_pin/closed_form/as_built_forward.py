@@ -8,18 +8,15 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.closed_form.batches import run_kernel
-from spm_pin.closed_form.leg_length_arguments import read_lengths
-from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, broadcastable, first_offender, instance, real_array
+from spm_pin.closed_form.forward_arguments import check_seed, read_lengths
+from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.branches import physical
 from spm_pin.mechanism.configuration import Configuration, triangle_frames, triangle_sides
-from spm_pin.mechanism.geometry import LEGS, Geometry
+from spm_pin.mechanism.geometry import Geometry
 
-__all__ = ["as_built_forward", "check_seed"]
+__all__ = ["as_built_forward"]
 
-_OPEN = 1e-6
-"""Closure residual of a seed, relative to d, from which on it is no configuration."""
 _MIN_BATCH_PER_THREAD = 1 << 11
 
 
@@ -35,7 +32,7 @@ def as_built_forward(
     dimensions change to those of this machine, or, where that gives none, the level state with equal legs is followed
     to the given legs. `solve_nominal` is `forward_physical` of nominal machines.
     """
-    lengths = _read(geometry, leg_lengths)
+    lengths = read_lengths(geometry, leg_lengths)
     if seed is not None:
         check_seed(geometry, lengths, seed)
         shape = np.broadcast_shapes(lengths.shape[:-1], seed.shape)
@@ -62,38 +59,6 @@ def as_built_forward(
         found[rest] = physical(_compose(geometry, balls[rest], (len(rest),)))
         balls[~found] = np.nan
     return _compose(geometry, balls, shape)
-
-
-def check_seed(geometry: Geometry | AsBuiltGeometry, lengths: FloatArray, seed: Configuration) -> None:
-    """Raise an ArgumentError if `seed` is no closed state of this geometry that goes with lengths (..., 6)."""
-    instance(seed, Configuration, "seed")
-    if _dimensions(geometry) != _dimensions(seed.geometry):
-        raise ArgumentError("seed", f"a configuration of this geometry, {geometry!r}", repr(seed.geometry))
-    broadcastable("seed", seed.shape, "leg_lengths", lengths.shape[:-1])
-    if not seed.exists.all():
-        raise ArgumentError("seed", "states that exist", f"NaN at index {first_offender(~seed.exists)}")
-    torn = float(seed.closure_residual.max(initial=0.0))
-    if torn > _OPEN * geometry.nominal.middle_side:
-        raise ArgumentError("seed", "a configuration that closes", f"a closure residual of {torn:.1e} m")
-
-
-def _dimensions(geometry: Geometry | AsBuiltGeometry) -> object:
-    """Return what distinguishes a machine from another, limits aside."""
-    if isinstance(geometry, AsBuiltGeometry):
-        return tuple(a.tobytes() for a in (geometry.axes, geometry.pivots, geometry.balls, geometry.offsets))
-    return geometry.dimensions
-
-
-def _read(geometry: AsBuiltGeometry, leg_lengths: npt.ArrayLike) -> FloatArray:
-    """Return the distances (..., 6) from pivots to balls [m] of the readings."""
-    readings = real_array(leg_lengths, "leg_lengths", (6,), f"readings of {', '.join(LEGS)} in metres")
-    lengths = np.asarray(readings - geometry.offsets)
-    if (lengths <= 0.0).any():
-        index = first_offender(lengths <= 0.0)
-        where = f" for {LEGS[index[-1]]}" + (f" at index {index[:-1]}" if index[:-1] else "")
-        expected = f"readings that exceed their offset, {geometry.offsets[index[-1]]:g} m{where}"
-        raise ArgumentError("leg_lengths", expected, f"{readings[index]:g}")
-    return read_lengths(geometry.nominal, lengths)
 
 
 def _follow(

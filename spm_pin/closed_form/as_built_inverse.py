@@ -41,7 +41,7 @@ def as_built_inverse(geometry: AsBuiltGeometry, pose: PoseLike, solve_nominal: S
     position, and `UNSOLVED` where not all eight roots could be isolated. Without errors the result is that of the
     nominal geometry.
     """
-    if geometry == AsBuiltGeometry.from_nominal(geometry.nominal):
+    if _is_nominal(geometry):
         return _of_nominal(geometry, solve_nominal(geometry.nominal, pose))
     shape, rotation, position = read_pose(pose)
     joints, lengths, carried, status, _ = _solve(geometry, rotation, position, complex_roots=False)
@@ -63,15 +63,13 @@ def as_built_physical(geometry: AsBuiltGeometry, pose: PoseLike, solve_nominal: 
     """
     from spm_pin.closed_form.kernels.as_built_physical_kernel import certain_physical_branches
 
-    nominal, limits = AsBuiltGeometry.from_nominal(geometry.nominal), geometry.limits
-    sizes = radii(geometry.nominal)
-    machines = [np.stack([g.axes, g.pivots / sizes[0], g.balls / sizes[0]]) for g in (nominal, geometry)]
-    if geometry == nominal or np.abs(machines[1] - machines[0]).max() > _LARGE:
+    limits, machines = geometry.limits, _machines(geometry)
+    if _is_nominal(geometry) or np.abs(machines[1] - machines[0]).max() > _LARGE:
         return as_built_inverse(geometry, pose, solve_nominal).physical()
     shape, rotation, position = read_pose(pose)
     ideal = _nominal_branches(geometry, rotation, position)
     bounds = np.array([(-np.inf,) * 6, (np.inf,) * 6] if limits is None else [limits.minimum, limits.maximum])
-    constants = *machines, tangent_signs(geometry.nominal), bounds - geometry.offsets, sizes[0]
+    constants = *machines, tangent_signs(geometry.nominal), bounds - geometry.offsets, geometry.nominal.middle_radius
     results = ((3, 3), np.float64), ((6,), np.float64), ((), np.bool_)
     joints, lengths, certain = run_kernel(
         certain_physical_branches, (rotation, position, ideal[2]), constants, results, _MIN_BATCH_PER_THREAD
@@ -99,6 +97,17 @@ def as_built_complex_joints(geometry: AsBuiltGeometry, pose: PoseLike) -> npt.ND
     shape, rotation, position = read_pose(pose)
     joints: npt.NDArray[np.complex128] = _solve(geometry, rotation, position, complex_roots=True)[4]
     return joints.reshape(*shape, 8, 3, 3)
+
+
+def _is_nominal(geometry: AsBuiltGeometry) -> bool:
+    return geometry == AsBuiltGeometry.from_nominal(geometry.nominal)
+
+
+def _machines(geometry: AsBuiltGeometry) -> list[FloatArray]:
+    """Return axes, and pivots and balls in units of the middle radius, of the nominal machine and of this one."""
+    unit = geometry.nominal.middle_radius
+    both = AsBuiltGeometry.from_nominal(geometry.nominal), geometry
+    return [np.stack([g.axes, g.pivots / unit, g.balls / unit]) for g in both]
 
 
 def _of_nominal(geometry: AsBuiltGeometry, ideal: SolutionSet) -> SolutionSet:
@@ -134,13 +143,9 @@ def _solve(
     from spm_pin.closed_form.kernels.as_built_kernels import as_built_branches
     from spm_pin.closed_form.kernels.branch_kernels import complex_branches
 
-    sizes = radii(geometry.nominal)
-    unit = sizes[0]
-    poses = rotation, position
+    sizes, poses = radii(geometry.nominal), (rotation, position)
     ideal = _nominal_branches(geometry, *poses)
     (everything,) = run_kernel(complex_branches, poses, sizes[:1], [((8, 3, 3), np.complex128)], _MIN_BATCH_PER_THREAD)
-    nominal = AsBuiltGeometry.from_nominal(geometry.nominal)
-    machines = (np.stack([g.axes, g.pivots / unit, g.balls / unit]) for g in (nominal, geometry))
     count = len(position)
     results = (
         ((8, 3, 3), np.float64),
@@ -150,4 +155,4 @@ def _solve(
         np.empty((count if complex_roots else 0, 8, 3, 3), np.complex128),
     )
     inputs = rotation, position, ideal[2], everything
-    return run_kernel(as_built_branches, inputs, (*machines, unit), results, _MIN_BATCH_PER_THREAD)
+    return run_kernel(as_built_branches, inputs, (*_machines(geometry), sizes[0]), results, _MIN_BATCH_PER_THREAD)

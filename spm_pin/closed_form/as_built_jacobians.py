@@ -10,19 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from spm_pin.closed_form.stage_wrenches import SINGULAR, StageWrenches, refuse_singular
+from spm_pin.closed_form.stage_wrenches import SINGULAR, StageWrenches, regular_wrenches, stage_inverses
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
 
 __all__ = [
     "as_built_determinants",
-    "as_built_forces",
     "as_built_inverse_jacobian",
     "as_built_platform_jacobian",
     "as_built_singularities",
-    "stage_inverses",
 ]
-
 
 # States that do not exist are NaN throughout.
 _ABSENT = np.errstate(invalid="ignore")
@@ -31,7 +28,7 @@ _ABSENT = np.errstate(invalid="ignore")
 @_ABSENT
 def as_built_inverse_jacobian(configuration: Configuration) -> FloatArray:
     """Return J_f (..., 6, 6); see `inverse_jacobian`."""
-    wrenches = _regular(configuration, "inverse")
+    wrenches = regular_wrenches(configuration, "inverse")
     lower, upper = wrenches.constraints[..., 0, :, :], wrenches.constraints[..., 1, :, :]
     structure = np.concatenate([lower, upper], axis=-2)
     # X = K⁻¹ [0; K_c], the twist of the middle platform for that of the terminal one.
@@ -39,19 +36,17 @@ def as_built_inverse_jacobian(configuration: Configuration) -> FloatArray:
     found = np.concatenate(
         [wrenches.legs[..., 0, :, :] @ middle, wrenches.legs[..., 1, :, :] @ (np.eye(6) - middle)], axis=-2
     )
-    return _twists_at_platform(found, wrenches)
+    # Rows that take (v, dω) at the middle platform's centre p, as rows that take (v, ω) at o:
+    # f · (ω x (p - o)) = ω · ((p - o) x f)
+    linear = found[..., :3]
+    moments = wrenches.side * found[..., 3:] + np.cross(-wrenches.lever[..., None, :], linear)
+    return np.concatenate([linear, moments], axis=-1)
 
 
 def as_built_platform_jacobian(configuration: Configuration) -> FloatArray:
     """Return G (..., 6, 6); see `platform_jacobian`."""
     inverses = stage_inverses(configuration)
     return np.concatenate([inverses[..., 0, :, :3], inverses[..., 1, :, :3]], axis=-1)
-
-
-def as_built_forces(configuration: Configuration, wrench: FloatArray) -> FloatArray:
-    """Return the leg forces (..., 6) [N]; see `leg_forces`."""
-    jacobian = as_built_platform_jacobian(configuration)
-    return np.asarray(-(np.swapaxes(jacobian, -1, -2) @ wrench[..., None])[..., 0])
 
 
 @_ABSENT
@@ -88,43 +83,6 @@ def as_built_singularities(configuration: Configuration, tolerance: float) -> tu
     return volumes, values[..., 0] + absent, values[..., 5] + absent, rank, flags, twists, wrench + absent
 
 
-@_ABSENT
-def stage_inverses(configuration: Configuration) -> FloatArray:
-    """Return J_b⁻¹ and J_c⁻¹ (..., 2, 6, 6), with twists (v, ω) at o in {B} [m/s, rad/s] for rows.
-
-    Raises
-    ------
-    SingularConfigurationError
-        At a forward or a constraint singularity.
-    """
-    wrenches = _regular(configuration, "forward")
-    inverses = np.linalg.inv(_matrices(wrenches)[..., :2, :, :])
-    angular = inverses[..., 3:, :] / wrenches.side
-    lever = wrenches.lever[..., None, None, :]
-    moved = np.swapaxes(np.cross(np.swapaxes(angular, -1, -2), lever), -1, -2)
-    return np.concatenate([inverses[..., :3, :] + moved, angular], axis=-2)
-
-
 def _matrices(wrenches: StageWrenches) -> FloatArray:
     """Return J_b, J_c and K (..., 3, 6, 6)."""
     return np.concatenate([wrenches.matrices("forward"), wrenches.matrices("inverse")], axis=-3)
-
-
-@_ABSENT
-def _regular(configuration: Configuration, kind: str) -> StageWrenches:
-    """Return the wrenches of states that are not singular in this way; raise if one is."""
-    wrenches = StageWrenches.of(configuration)
-    matrices = wrenches.matrices(kind)
-    # No singular value is less than the determinant over the fifth power of the largest.
-    bound = SINGULAR * (matrices**2).sum(axis=(-1, -2)) ** 3
-    suspect = (np.abs(np.linalg.det(matrices)) <= bound).any(axis=-1)
-    refuse_singular(configuration, suspect.reshape(-1).astype(np.uint8), kind)
-    return wrenches
-
-
-def _twists_at_platform(rows: FloatArray, wrenches: StageWrenches) -> FloatArray:
-    """Return rows (..., n, 6) that take (v, dω) at the middle platform's centre as rows that take (v, ω) at o."""
-    linear = rows[..., :3]
-    # f · (ω x (p - o)) = ω · ((p - o) x f)
-    moments = wrenches.side * rows[..., 3:] + np.cross(-wrenches.lever[..., None, :], linear)
-    return np.concatenate([linear, moments], axis=-1)

@@ -47,23 +47,9 @@ def settle_families(
 ) -> tuple[BoolArray, FloatArray]:
     """Decide the families of N poses whose discriminants may have the wrong sign, and compute their branches anew.
 
-    Parameters
-    ----------
-    geometry : Geometry
-        The manipulator.
-    rotation, position : ndarray, shapes (N, 3, 3) and (N, 3)
-        R and o [m].
-    joints, lengths, discriminants, choice, status : ndarray
-        Results of `kernels.branch_kernels.all_branches`; corrected where `undecided`.
-    undecided : ndarray of bool, shape (N, 4)
-        The families.
-
-    Returns
-    -------
-    settled : ndarray of bool, shape (N, 4)
-        Whether it is proved that the family is real, or not, as its joints now say; False where it is continuous.
-    radii : ndarray, shape (N, 8)
-        Radii of existence, as of `existence_radii`, of the branches that were computed anew, NaN of others.
+    What `kernels.branch_kernels.all_branches` wrote, from `joints` to `status`, is corrected for the families
+    `undecided` (N, 4). Returned is for which families (N, 4) it is proved that they are real, or not, as their joints
+    now say: not for continuous ones; and the `existence_radii` (N, 8) of the branches computed anew, NaN of others.
     """
     settled, radii = np.zeros_like(undecided), np.full((len(position), 8), np.nan)
     for n in np.flatnonzero(undecided.any(axis=-1)):
@@ -92,21 +78,9 @@ def settle_families(
 
 
 def existence_radii(rotation: FloatArray, position: FloatArray, joints: FloatArray, side: float) -> FloatArray:
-    """Return radii [m] around computed joints within which exact joints exist, and are the only ones.
+    """Return radii (N, 8) [m] around computed joints within which exact joints exist, and are the only ones.
 
-    Parameters
-    ----------
-    rotation, position : ndarray, shapes (N, 3, 3) and (N, 3)
-        R and o [m].
-    joints : ndarray, shape (N, 8, 3, 3)
-        b_1, b_2, b_3 of the branches [m], as the kernels compute them; NaN where one is not real.
-    side : float
-        d [m].
-
-    Returns
-    -------
-    ndarray, shape (N, 8)
-        NaN where nothing is proved.
+    NaN where nothing is proved. The joints (N, 8, 3, 3) [m] are those of the kernels, NaN where a branch is not real.
     """
     found = np.full(joints.shape[:2], np.nan)
     poses, branches = np.nonzero(~np.isnan(joints[..., 0, 0]))

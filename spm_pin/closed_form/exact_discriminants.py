@@ -65,21 +65,8 @@ class ExactPose:
     """The four quadratics of one pose, in whole numbers.
 
     The pose is that of the quaternion which the doubles of the rotation matrix define, without rounding, by the formula
-    of its largest component; the matrix is orthogonal to rounding only.
-
-    Parameters
-    ----------
-    rotation, position : ndarray, shapes (3, 3) and (3,)
-        R and o [m].
-    side : float
-        d [m].
-
-    Attributes
-    ----------
-    matrix, norm, position, side, one : int
-        σR, σ, and o and d in units of 1 / `one` metre.
-    vertical : bool
-        True if the Z axes are parallel.
+    of its largest component; the matrix is orthogonal to rounding only. `matrix` and `norm` are σR and σ, `position`
+    and `side` o and d in units of 1 / `one` metre; `vertical` is True if the Z axes are parallel.
     """
 
     def __init__(self, rotation: FloatArray, position: FloatArray, side: float) -> None:

@@ -6,13 +6,15 @@ The upper stage seen from {m} is a 3RPS stage like the lower one, so the two are
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
 from spm_pin.closed_form.as_built_forward import as_built_forward
 from spm_pin.closed_form.batches import radii, run_kernel
+from spm_pin.closed_form.forward_arguments import read_lengths
 from spm_pin.closed_form.forward_continuation import follow_seed
-from spm_pin.closed_form.leg_length_arguments import read_lengths
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
@@ -90,10 +92,9 @@ def forward_displacement(geometry: Geometry, leg_lengths: npt.ArrayLike) -> Solu
         ((4,), np.int8),
         ((), np.int8),
     )
-    rotation, translation, joints, dimension, status = run_kernel(
-        all_modes, (lengths,), radii(geometry), results, _MIN_BATCH_PER_THREAD
-    )
-    _solve_ill_conditioned(geometry, lengths, rotation, translation, joints, dimension, status)
+    solved = run_kernel(all_modes, (lengths,), radii(geometry), results, _MIN_BATCH_PER_THREAD)
+    _solve_ill_conditioned(geometry, lengths, solved)
+    rotation, translation, joints, dimension, status = solved
     families = dimension.reshape(*shape, 4)
     largest = np.asarray(families.max(axis=-1))
     modes = Configuration.from_arrays(
@@ -172,16 +173,9 @@ def forward_physical(
     return found
 
 
-def _solve_ill_conditioned(
-    geometry: Geometry,
-    lengths: FloatArray,
-    rotation: FloatArray,
-    translation: FloatArray,
-    joints: FloatArray,
-    dimension: npt.NDArray[np.int8],
-    status: npt.NDArray[np.int8],
-) -> None:
+def _solve_ill_conditioned(geometry: Geometry, lengths: FloatArray, solved: tuple[Any, ...]) -> None:
     """Solve problems again, with more digits, of which a stage is near a continuous family or has a very short leg."""
+    rotation, translation, joints, dimension, status = solved
     r, *hips = radii(geometry)
     halves = lengths[:, :3], lengths[:, 3:]
     doubtful = np.zeros(len(lengths), dtype=np.bool_)

@@ -8,10 +8,13 @@ The same equations are solved here as in `spm_pin.closed_form.kernels`, one stag
 from __future__ import annotations
 
 import math
+import operator
+from functools import reduce
 from typing import Any
 
 import mpmath
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from spm_pin.closed_form.kernels import stage_equations
 from spm_pin.closed_form.kernels.quartic import quartic_coefficients
@@ -27,14 +30,7 @@ _REAL, _SOLVED, _SAME = 1e-20, 1e-40, 1e-14
 def solve_stage_with_more_digits(lengths: FloatArray, hip_radius: float, side: float, above: float) -> FloatArray:
     """Return the sixteen assembly modes of a stage (16, 5), as `kernels.mode_kernels` orders them, NaN where none is.
 
-    Parameters
-    ----------
-    lengths : ndarray, shape (3,)
-        Leg lengths [m].
-    hip_radius, side : float
-        E, or C, and d [m].
-    above : float
-        1 where the sheet + is above the hips, -1 where it is below.
+    `hip_radius` is E or C [m], and `above` 1 where the sheet + is above the hips, -1 where it is below.
     """
     modes = np.full((4 * PLACES, 5), np.nan)
     with mpmath.workdps(_DIGITS):
@@ -90,16 +86,9 @@ def _solutions(stage: tuple[Any, ...]) -> list[list[Any]]:
 
 def _substituted(coefficients: tuple[Any, ...], turn: Any) -> list[Any]:
     """Return a quartic of tan γ as one of t, tan γ = (t + turn) / (1 - t turn), from its constant up."""
-    total = [mpmath.mpf(0)] * 5
-    for power, coefficient in enumerate(coefficients):
-        product = [coefficient]
-        for factor in [(turn, 1)] * power + [(1, -turn)] * (4 - power):
-            product = [
-                (product[k] * factor[0] if k < len(product) else 0) + (product[k - 1] * factor[1] if k else 0)
-                for k in range(len(product) + 1)
-            ]
-        total = [x + y for x, y in zip(total, product, strict=True)]
-    return total
+    above, below = (Polynomial(np.array(ends)) for ends in ([turn, mpmath.mpf(1)], [mpmath.mpf(1), -turn]))
+    terms = (above**power * below ** (4 - power) * c for power, c in enumerate(coefficients))
+    return list(reduce(operator.add, terms).coef)
 
 
 def _tilts(stage: tuple[Any, ...], kappa: Any, turn: Any, a: Any) -> list[list[Any]]:

@@ -30,8 +30,7 @@ import numpy.typing as npt
 from spm_pin.closed_form.as_built_jacobians import as_built_inverse_jacobian, as_built_platform_jacobian
 from spm_pin.closed_form.batches import run_on_states
 from spm_pin.closed_form.stage_wrenches import refuse_singular, singular_sizes
-from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, real_array
+from spm_pin.mechanism.arguments import FloatArray, broadcastable, real_array
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 
@@ -145,9 +144,5 @@ def broadcast_argument(value: npt.ArrayLike, argument: str, meaning: str, config
     """Read a twist or a wrench (..., 6) whose leading axes broadcast with those of `configuration`."""
     check_configuration(configuration, as_built=True)
     array = real_array(value, argument, (6,), meaning)
-    try:
-        np.broadcast_shapes(array.shape[:-1], configuration.shape)
-    except ValueError:
-        expected = f"leading axes that broadcast with those of the configuration, {configuration.shape}"
-        raise ArgumentError(argument, expected, array.shape[:-1]) from None
+    broadcastable(argument, array.shape[:-1], "the configuration", configuration.shape)
     return array

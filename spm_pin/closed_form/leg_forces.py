@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.as_built_jacobians import as_built_forces
+from spm_pin.closed_form.as_built_jacobians import as_built_platform_jacobian
 from spm_pin.closed_form.batches import run_on_states
 from spm_pin.closed_form.jacobians import broadcast_argument
 from spm_pin.closed_form.stage_wrenches import refuse_singular, singular_sizes
@@ -58,7 +58,8 @@ def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArra
 
     load = broadcast_argument(wrench, "wrench", "(f, m) at o in {B} in N and N m", configuration)
     if isinstance(configuration.geometry, AsBuiltGeometry):
-        return as_built_forces(configuration, load)
+        jacobian = as_built_platform_jacobian(configuration)
+        return np.asarray(-(np.swapaxes(jacobian, -1, -2) @ load[..., None])[..., 0])
     results = ((6,), np.float64), ((), np.uint8)
     sizes = singular_sizes(configuration.geometry)
     forces, doubtful = run_on_states(stage_forces, configuration, sizes, results, load=load)

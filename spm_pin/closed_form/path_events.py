@@ -38,21 +38,14 @@ class EventKind(enum.StrEnum):
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happens at one parameter.
-
-    Attributes
-    ----------
-    kind : EventKind
-        What happens.
-    parameter : float
-        Where, from 0 to 1.
-    detail : str
-        The stage, the leg and which limit, or the labels before and after.
-    """
+    """Something that happens at one parameter."""
 
     kind: EventKind
+    """What happens."""
     parameter: float
+    """Where, from 0 to 1."""
     detail: str
+    """The stage, the leg and which limit, or the labels before and after."""
 
 
 def joints_of(configuration: Configuration) -> FloatArray:

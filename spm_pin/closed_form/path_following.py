@@ -47,28 +47,22 @@ class CertifiedLimits(Protocol):
 
 @dataclass(frozen=True, repr=False)
 class FollowedPath:
-    """A solution along a path.
-
-    Attributes
-    ----------
-    parameters : ndarray, shape (n,)
-        Where the path was solved, from 0 to 1, or to where the solution ends.
-    configurations : Configuration
-        The solution there, batch of shape (n,).
-    labels : tuple of n str
-        Its labels.
-    events : tuple of Event
-        In the order of their parameters.
-    certified : ndarray of bool, shape (n,), or None
-        Which configurations a certificate covers, if one was given. A path on straight lines between leg lengths is in
-        the certified limits as a whole if it is so at both ends of each line.
-    """
+    """A solution along a path."""
 
     parameters: FloatArray
+    """Where the path was solved, from 0 to 1, or to where the solution ends, shape (n,)."""
     configurations: Configuration
+    """The solution there, batch of shape (n,)."""
     labels: tuple[str, ...]
+    """Its n labels."""
     events: tuple[Event, ...]
+    """In the order of their parameters."""
     certified: npt.NDArray[np.bool_] | None = None
+    """Which configurations a certificate covers, if one was given, shape (n,).
+
+    A path on straight lines between leg lengths is in the certified limits as a whole if it is so at both ends of each
+    line.
+    """
 
     def __repr__(self) -> str:
         labels = ", ".join(dict.fromkeys(self.labels))

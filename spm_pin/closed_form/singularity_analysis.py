@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +28,7 @@ from spm_pin.closed_form.stage_wrenches import SINGULAR
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray, first_offender, real_number, shaped_array
 from spm_pin.mechanism.as_built import AsBuiltGeometry
+from spm_pin.mechanism.branches import leg_plane_determinant
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 
 __all__ = [
@@ -40,6 +42,8 @@ __all__ = [
 
 
 _MIN_BATCH_PER_THREAD = 1 << 11
+_STEP = 1e-100
+"""Imaginary step of derivatives, in metres of leg length: its square is nothing beside one."""
 
 
 class SingularityKind(enum.IntFlag):
@@ -59,48 +63,47 @@ class Singularities:
     """Singularities of states of shape (...), and distances to them; NaN and rank 0 where a state does not exist.
 
     The axis of length three counts the matrices J_b, J_c, K.
-
-    Attributes
-    ----------
-    determinants : ndarray, shape (..., 3)
-        det J_b, det J_c, det K [m³], with forces of length one and moments about any point: signed and smooth.
-    index : ndarray, shape (..., 3)
-        The determinants over d³: dimensionless, signed, smooth, zero just where singular; for a cost.
-    sigma : ndarray, shape (..., 3)
-        Smallest singular values, dimensionless: how far, in the Frobenius norm, the forces' directions and arms
-        over d would have to change to make the matrix singular.
-    condition : ndarray, shape (..., 3)
-        Largest singular value over the smallest; infinite where that is zero.
-    rank : ndarray of int, shape (..., 3)
-        Singular values above `tolerance` times the largest.
-    kind : ndarray of int8, shape (...)
-        A combination of `SingularityKind`, at the same tolerance.
-    mobility : ndarray of int, shape (...)
-        Dimension of the twists that the six legs can give the platform: rank of J_f⁻¹; 6 where regular. Not
-        defined at a forward singularity, -1 there.
-    gained_twist : ndarray, shape (..., 2, 6)
-        The twist (v, ω) at o in {B} that the lower, or the upper, stage resists least when its legs are locked:
-        the right singular vector of J_b, or J_c. At a forward singularity the platform moves so. Its size is such
-        that (v, dω) at the middle platform's centre has length 1 m/s.
-    inner_twist : ndarray, shape (..., 6)
-        The twist (v, ω) at o in {B} of the middle platform that the structure resists least while both ends
-        stand still: the right singular vector of K. At an inverse singularity it is free, given the legs.
-    lost_wrench : ndarray, shape (..., 6)
-        The wrench (f, m) at o in {B} on the terminal platform that the structure of both stages carries with
-        hardly any leg force. At an inverse singularity with none at all, and no motion can do work on it: that
-        is the lost freedom. |f| = 1, or |m| = 1 for a couple.
     """
 
     determinants: FloatArray
+    """det J_b, det J_c, det K [m³], for forces of length one and moments about any point: signed, smooth; (..., 3)."""
     index: FloatArray
+    """The determinants over d³, shape (..., 3): dimensionless, signed, smooth, zero just where singular; for a cost."""
     sigma: FloatArray
+    """Smallest singular values, dimensionless, shape (..., 3).
+
+    How far, in the Frobenius norm, the forces' directions and arms over d would have to change to make the matrix
+    singular.
+    """
     condition: FloatArray
+    """Largest singular value over the smallest, shape (..., 3); infinite where that is zero."""
     rank: npt.NDArray[np.intp]
+    """Singular values above `tolerance` times the largest, shape (..., 3)."""
     kind: npt.NDArray[np.int8]
+    """A combination of `SingularityKind`, at the same tolerance, shape (...)."""
     mobility: npt.NDArray[np.intp]
+    """Dimension of the twists that the six legs can give the platform, shape (...).
+
+    The rank of J_f⁻¹; 6 where regular. Not defined at a forward singularity, -1 there.
+    """
     gained_twist: FloatArray
+    """The twist (v, ω) at o in {B} that each stage resists least when its legs are locked, shape (..., 2, 6).
+
+    Of the lower stage, then the upper: the right singular vector of J_b, or J_c. At a forward singularity the platform
+    moves so. Its size is such that (v, dω) at the middle platform's centre has length 1 m/s.
+    """
     inner_twist: FloatArray
+    """The twist (v, ω) at o in {B} of the middle platform with both ends standing still, shape (..., 6).
+
+    The one that the structure resists least: the right singular vector of K. At an inverse singularity it is free,
+    given the legs.
+    """
     lost_wrench: FloatArray
+    """The wrench (f, m) at o in {B} on the terminal platform that takes hardly any leg force, shape (..., 6).
+
+    The structure of both stages carries it. At an inverse singularity with none at all, and no motion can do work on
+    it: that is the lost freedom. |f| = 1, or |m| = 1 for a couple.
+    """
 
     def __repr__(self) -> str:
         if not self.kind.shape:
@@ -272,57 +275,28 @@ def determinant_gradients(configuration: Configuration) -> FloatArray:
     SingularConfigurationError
         At a forward or a constraint singularity, where the leg lengths do not determine the motion.
     """
-    check_configuration(configuration)
-    # Twists (v, ω) at the middle platform's centre per unit leg rate: of the middle platform, and of m against it.
-    jacobian = platform_jacobian(configuration)
-    lever = configuration.translation - configuration.middle_joints.mean(axis=-2)
-    linear, angular = np.swapaxes(jacobian[..., :3, :], -1, -2), np.swapaxes(jacobian[..., 3:, :], -1, -2)
-    twists = np.concatenate([linear - np.cross(angular, lever[..., None, :]), angular], axis=-1)
-    lower, relative = twists[..., :3, :], twists[..., 3:, :]
-    middle = np.concatenate([lower, np.zeros_like(relative)], axis=-2)
-    platform = np.concatenate([lower, relative], axis=-2)
-    b, c = configuration.middle_joints, configuration.platform_joints
+    geometry = check_configuration(configuration).geometry
+    # Twists (v, ω) of m per unit leg rate, at the middle platform's centre.
+    jacobian = np.swapaxes(platform_jacobian(configuration), -1, -2)
+    b, c, axes = configuration.middle_joints, configuration.platform_joints, configuration.platform_axes
     centre = b.mean(axis=-2)
+    angular = jacobian[..., 3:]
+    linear = jacobian[..., :3] - np.cross(angular, (configuration.translation - centre)[..., None, :])
 
-    def velocity(twist: FloatArray, points: FloatArray) -> FloatArray:
-        """Return velocities (..., 6, 3, 3) of three points for six twists."""
+    def moved(points: FloatArray, legs: FloatArray) -> Any:
+        """Return three points after an imaginary step of each of the six `legs` that move them, (..., 6, 3, 3)."""
         arms = (points - centre[..., None, :])[..., None, :, :]
-        return twist[..., :, None, :3] + np.cross(twist[..., :, None, 3:], arms)
+        rates = linear[..., None, :] + np.cross(angular[..., None, :], arms)
+        return points[..., None, :, :] + 1j * _STEP * legs[:, None, None] * rates
 
-    b_dot, c_dot = velocity(middle, b), velocity(platform, c)
-    base_axes = np.broadcast_to(configuration.geometry.revolute_axes, b.shape)[..., None, :, :]
-    axes = configuration.platform_axes[..., None, :, :]
-    axes_dot = np.cross(platform[..., :, None, 3:], axes)
+    def unit(vectors: Any) -> Any:
+        return vectors / np.sqrt((vectors**2).sum(axis=-1, keepdims=True))
 
-    def direction(vectors: FloatArray, rates: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return unit vectors along the legs and their derivatives."""
-        length = np.linalg.norm(vectors, axis=-1, keepdims=True)[..., None, :, :]
-        unit = vectors[..., None, :, :] / length
-        return unit, (rates - unit * (unit * rates).sum(axis=-1, keepdims=True)) / length
-
-    delta_b, delta_b_dot = direction(configuration.leg_vectors[..., :3, :], b_dot)
-    delta_c, delta_c_dot = direction(configuration.leg_vectors[..., 3:, :], c_dot - b_dot)
-    points = b[..., None, :, :]
-    rows = [
-        _plane_derivative(points, b_dot, np.cross(delta_b, base_axes), np.cross(delta_b_dot, base_axes)),
-        _plane_derivative(
-            points, b_dot, np.cross(delta_c, axes), np.cross(delta_c_dot, axes) + np.cross(delta_c, axes_dot)
-        ),
-        _plane_derivative(points, b_dot, np.cross(base_axes, axes), np.cross(base_axes, axes_dot)),
-    ]
-    return -np.stack(rows, axis=-2)
-
-
-def _plane_derivative(b: FloatArray, b_dot: FloatArray, w: FloatArray, w_dot: FloatArray) -> FloatArray:
-    """Return the derivative of D(b; w) = c12 c23 c31 + c21 c32 c13, c_ij = (b_i - b_j)·w_i."""
-
-    def c(i: int, j: int) -> tuple[FloatArray, FloatArray]:
-        gap, gap_dot = b[..., i, :] - b[..., j, :], b_dot[..., i, :] - b_dot[..., j, :]
-        value = (gap * w[..., i, :]).sum(axis=-1)
-        return value, (gap_dot * w[..., i, :] + gap * w_dot[..., i, :]).sum(axis=-1)
-
-    total = np.zeros(b_dot.shape[:-2])
-    for cycle in (((0, 1), (1, 2), (2, 0)), ((1, 0), (2, 1), (0, 2))):
-        (x, dx), (y, dy), (z, dz) = (c(i, j) for i, j in cycle)
-        total = total + dx * y * z + x * dy * z + x * y * dz
-    return total
+    # The middle platform moves with the lower legs only. Without subtraction, a complex step loses no digits.
+    with np.errstate(invalid="ignore"):
+        b, c = moved(b, np.repeat([1.0, 0.0], 3)), moved(c, np.ones(6))
+        turned = axes[..., None, :, :] + 1j * _STEP * np.cross(angular[..., None, :], axes[..., None, :, :])
+        lower, upper, fixed = unit(b - geometry.base_joints), unit(c - b), geometry.revolute_axes
+        pairs = (lower, fixed), (upper, turned), (fixed, turned)
+        rows = [-leg_plane_determinant(b, np.cross(*pair)).imag / _STEP for pair in pairs]
+    return np.stack(rows, axis=-2)

@@ -16,7 +16,14 @@ from spm_pin.mechanism.arguments import FloatArray, first_offender
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 
-__all__ = ["SINGULAR", "StageWrenches", "refuse_singular", "singular_sizes"]
+__all__ = [
+    "SINGULAR",
+    "StageWrenches",
+    "refuse_singular",
+    "regular_wrenches",
+    "singular_sizes",
+    "stage_inverses",
+]
 
 _EPS = float(np.finfo(np.float64).eps)
 SINGULAR = 64.0 * _EPS
@@ -33,24 +40,17 @@ class StageWrenches:
     """The forces of the legs as rows (f, (b_i - p) x f / d) at the middle platform's centre p, in {B}.
 
     Of a machine as built the b_i of a lower leg and of an upper leg are those of its own ball, p is the centre of the
-    lower balls, and d the nominal side.
-
-    Attributes
-    ----------
-    legs, constraints : ndarray, shape (..., 2, 3, 6)
-        [A_b, A_c] and [K_b, K_c]: the lower stage first.
-    lever : ndarray, shape (..., 3)
-        o - p [m].
-    side : float
-        d [m].
-    exists : ndarray of bool, shape (...)
-        False for a member that does not exist; its rows are NaN.
+    lower balls, and d the nominal side. The rows of a state that does not exist are NaN.
     """
 
     legs: FloatArray
+    """[A_b, A_c], shape (..., 2, 3, 6): the lower stage first."""
     constraints: FloatArray
+    """[K_b, K_c], shape (..., 2, 3, 6)."""
     lever: FloatArray
+    """o - p [m], shape (..., 3)."""
     side: float
+    """d [m]."""
     exists: npt.NDArray[np.bool_]
 
     @classmethod
@@ -118,6 +118,35 @@ def refuse_singular(configuration: Configuration, suspect: npt.NDArray[np.uint8]
     if dependent.any():
         raise SingularConfigurationError("constraint", float(structure[:, -1].min()), _index(places, first))
     raise SingularConfigurationError(kind, float(smallest[first]), _index(places, first))
+
+
+@np.errstate(invalid="ignore")  # states that do not exist are NaN throughout
+def regular_wrenches(configuration: Configuration, kind: str) -> StageWrenches:
+    """Return the wrenches of states that are not singular in this way, "forward" or "inverse"; raise if one is."""
+    wrenches = StageWrenches.of(configuration)
+    matrices = wrenches.matrices(kind)
+    # No singular value is less than the determinant over the fifth power of the largest.
+    bound = SINGULAR * (matrices**2).sum(axis=(-1, -2)) ** 3
+    suspect = (np.abs(np.linalg.det(matrices)) <= bound).any(axis=-1)
+    refuse_singular(configuration, suspect.reshape(-1).astype(np.uint8), kind)
+    return wrenches
+
+
+@np.errstate(invalid="ignore")
+def stage_inverses(configuration: Configuration) -> FloatArray:
+    """Return J_b⁻¹ and J_c⁻¹ (..., 2, 6, 6), with twists (v, ω) at o in {B} [m/s, rad/s] for rows.
+
+    Raises
+    ------
+    SingularConfigurationError
+        At a forward or a constraint singularity.
+    """
+    wrenches = regular_wrenches(configuration, "forward")
+    inverses = np.linalg.inv(wrenches.matrices("forward"))
+    angular = inverses[..., 3:, :] / wrenches.side
+    lever = wrenches.lever[..., None, None, :]
+    moved = np.swapaxes(np.cross(np.swapaxes(angular, -1, -2), lever), -1, -2)
+    return np.concatenate([inverses[..., :3, :] + moved, angular], axis=-2)
 
 
 def _index(places: tuple[npt.NDArray[np.intp], ...], which: int) -> tuple[int, ...]:

@@ -18,15 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.closed_form.jacobians import inverse_jacobian
-from spm_pin.closed_form.stage_wrenches import SINGULAR, StageWrenches
-from spm_pin.errors import ArgumentError, SingularConfigurationError
-from spm_pin.mechanism.arguments import (
-    FloatArray,
-    broadcastable,
-    first_offender,
-    leg_values,
-    symmetric_matrices,
-)
+from spm_pin.closed_form.stage_wrenches import stage_inverses
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import FloatArray, broadcastable, leg_values, symmetric_matrices
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 
 __all__ = ["PrincipalStiffness", "compliance", "principal_stiffness", "stiffness"]
@@ -37,24 +31,16 @@ _STIFFEST = 1e100
 
 
 class PrincipalStiffness(NamedTuple):
-    """Stiffness in its principal directions, weakest first.
-
-    Attributes
-    ----------
-    translational : ndarray, shape (..., 3)
-        Force per displacement of o while the platform turns as it likes [N/m].
-    translational_directions : ndarray, shape (..., 3, 3)
-        Their unit vectors in {B}, as rows.
-    rotational : ndarray, shape (..., 3)
-        Moment per rotation while o moves as it likes [N m/rad].
-    rotational_directions : ndarray, shape (..., 3, 3)
-        Their unit vectors in {B}, as rows.
-    """
+    """Stiffness in its principal directions, weakest first."""
 
     translational: FloatArray
+    """Force per displacement of o while the platform turns as it likes [N/m], shape (..., 3)."""
     translational_directions: FloatArray
+    """Their unit vectors in {B}, as rows, shape (..., 3, 3)."""
     rotational: FloatArray
+    """Moment per rotation while o moves as it likes [N m/rad], shape (..., 3)."""
     rotational_directions: FloatArray
+    """Their unit vectors in {B}, as rows, shape (..., 3, 3)."""
 
 
 def compliance(configuration: Configuration, legs: npt.ArrayLike, structure: npt.ArrayLike | None = None) -> FloatArray:
@@ -86,27 +72,11 @@ def compliance(configuration: Configuration, legs: npt.ArrayLike, structure: npt
     check_configuration(configuration, as_built=True)
     along = _inverses(legs, "legs", configuration)
     across = np.zeros(6) if structure is None else _inverses(structure, "structure", configuration)
-    wrenches = StageWrenches.of(configuration)
-    matrices = np.nan_to_num(wrenches.matrices("forward"))
-    exists = wrenches.exists[..., None]
-    matrices[~wrenches.exists] = np.eye(6)
-    values = np.linalg.svd(matrices, compute_uv=False)
-    singular = ((values[..., -1] <= SINGULAR * values[..., 0]) & exists).any(axis=-1)
-    if singular.any():
-        index = first_offender(singular)
-        raise SingularConfigurationError("forward", float(values[index][..., -1].min()), index)
-    total = np.zeros((*np.broadcast_shapes(wrenches.exists.shape, along.shape[:-1], across.shape[:-1]), 6, 6))
-    for stage, part in enumerate((slice(0, 3), slice(3, 6))):
-        motions = np.linalg.inv(matrices[..., stage, :, :])
-        shares = np.concatenate(np.broadcast_arrays(along[..., part], across[..., part]), axis=-1)
-        total = total + (motions * shares[..., None, :]) @ motions.swapaxes(-1, -2)
-    # From the middle platform's centre p and rotations times d, to o and rotations.
-    to_o = np.zeros((*wrenches.exists.shape, 6, 6))
-    to_o[..., :3, :3] = np.eye(3)
-    to_o[..., :3, 3:] = np.cross(np.eye(3), wrenches.lever[..., None, :]).swapaxes(-1, -2) / wrenches.side
-    to_o[..., 3:, 3:] = np.eye(3) / wrenches.side
-    found = to_o @ total @ to_o.swapaxes(-1, -2)
-    return np.where(exists[..., None], 0.5 * (found + found.swapaxes(-1, -2)), np.nan)
+    inverses = stage_inverses(configuration)
+    halves = (x.reshape(*x.shape[:-1], 2, 3) for x in (along, across))
+    shares = np.concatenate(np.broadcast_arrays(*halves), axis=-1)
+    found = ((inverses * shares[..., None, :]) @ inverses.swapaxes(-1, -2)).sum(axis=-3)
+    return np.asarray(0.5 * (found + found.swapaxes(-1, -2)))
 
 
 def stiffness(configuration: Configuration, legs: npt.ArrayLike, structure: npt.ArrayLike | None = None) -> FloatArray:

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import ContextVar
 
-from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import whole_number
 
 __all__ = ["parallel_for", "set_threads", "threads"]
 
@@ -63,9 +63,7 @@ def threads(count: int | None) -> Iterator[None]:
 
 
 def _checked(count: int | None) -> int | None:
-    if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
-        raise ArgumentError("count", "a positive number of threads, or None", repr(count))
-    return count
+    return None if count is None else whole_number(count, "count", "a positive number of threads, or None", least=1)
 
 
 def _allowed() -> int:
@@ -90,16 +88,9 @@ def _processors() -> int:
 
 
 def parallel_for(work: Callable[[slice], None], size: int, min_batch: int) -> None:
-    """Call `work` on slices that cover a batch, on several threads if it is large.
+    """Call `work` on slices that cover a batch of this size, on several threads at once if it is large.
 
-    Parameters
-    ----------
-    work : callable
-        Takes a slice of the batch; called from several threads at once.
-    size : int
-        Members of the batch.
-    min_batch : int
-        Members that are worth a thread.
+    `min_batch` is how many members are worth a thread.
     """
     count = min(_allowed(), size // min_batch) if size >= 2 * min_batch else 1
     if count == 1:

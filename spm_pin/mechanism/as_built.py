@@ -112,10 +112,7 @@ class AsBuiltGeometry:
 
     def _deviation(self) -> str:
         ideal = AsBuiltGeometry.from_nominal(self.nominal)
-        length = max(
-            float(np.abs(a - b).max())
-            for a, b in ((self.pivots, ideal.pivots), (self.balls, ideal.balls), (self.offsets, ideal.offsets))
-        )
+        length = max(float(np.abs(a - b).max()) for a, b in zip(self.arrays[1:], ideal.arrays[1:], strict=True))
         sine = np.sqrt((np.cross(self.axes, ideal.axes) ** 2).sum(axis=-1))
         angle = float(np.arctan2(sine, (self.axes * ideal.axes).sum(axis=-1)).max())
         return f"errors to {length:.3g} m, {angle:.3g} rad"
@@ -123,18 +120,19 @@ class AsBuiltGeometry:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, AsBuiltGeometry):
             return NotImplemented
-        arrays = ("axes", "pivots", "balls", "offsets")
-        return self.nominal == other.nominal and all(
-            np.array_equal(getattr(self, name), getattr(other, name)) for name in arrays
-        )
+        return self.nominal == other.nominal and all(map(np.array_equal, self.arrays, other.arrays))
 
     def __hash__(self) -> int:
-        arrays = self.axes, self.pivots, self.balls, self.offsets
         # -0.0 and 0.0 are equal and must have one hash.
-        return hash((self.nominal, *((array + 0.0).tobytes() for array in arrays)))
+        return hash((self.nominal, *((array + 0.0).tobytes() for array in self.arrays)))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return AsBuiltGeometry, (self.nominal, self.axes, self.pivots, self.balls, self.offsets)
+        return AsBuiltGeometry, (self.nominal, *self.arrays)
+
+    @property
+    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Axes, pivots, balls and offsets."""
+        return self.axes, self.pivots, self.balls, self.offsets
 
     @classmethod
     def from_nominal(cls, geometry: Geometry) -> AsBuiltGeometry:

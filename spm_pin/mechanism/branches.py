@@ -1,4 +1,4 @@
-"""The branch of a configuration: its family, its sign, and whether a real machine can be in it.
+"""The branch of a configuration: its family, its sign and place, and whether a real machine can be in it.
 
 Each stage's middle platform has either no torsion (mode T) or is turned half round (mode F) against the other
 end of that stage; a family names the lower stage's mode, then the upper's. A family holds at most two branches
@@ -7,21 +7,24 @@ of one pose, distinguished by a sign. Derivation: `docs/theory/inverse_displacem
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.solution_status import Status
 
 __all__ = [
     "BRANCHES",
     "FAMILIES",
     "branch_sign",
-    "determinants",
     "family",
+    "in_canonical_order",
     "in_home_aspect",
     "leg_plane_determinant",
     "physical",
@@ -35,9 +38,10 @@ BRANCHES = ("TT+", "TT-", "TF+", "TF-", "FT+", "FT-", "FF+", "FF-")
 """Canonical order of the eight branches of an inverse displacement."""
 
 BoolArray = npt.NDArray[np.bool_]
+NumberArray = npt.NDArray[Any]
 
 
-def leg_plane_determinant(points: FloatArray, directions: FloatArray) -> FloatArray:
+def leg_plane_determinant(points: NumberArray, directions: NumberArray) -> NumberArray:
     """Return D(b; w) = c12 c23 c31 + c21 c32 c13 with c_ij = (b_i - b_j)·w_i, shape (...).
 
     Minus the determinant of the 6 x 6 matrix of forces through the points b_i along two directions each
@@ -46,28 +50,15 @@ def leg_plane_determinant(points: FloatArray, directions: FloatArray) -> FloatAr
     return np.asarray(_cycles(points, directions).prod(axis=-1).sum(axis=-1))
 
 
-def _cycles(points: FloatArray, directions: FloatArray) -> FloatArray:
+def _cycles(points: NumberArray, directions: NumberArray) -> NumberArray:
     """Return the c_ij of `leg_plane_determinant`, shape (..., 2, 3): each row is one of its products."""
 
-    def c(i: int, j: int) -> FloatArray:
+    def c(i: int, j: int) -> NumberArray:
         difference = points[..., i, :] - points[..., j, :]
         return np.asarray((difference * directions[..., i, :]).sum(axis=-1))
 
     pairs = (((0, 1), (1, 2), (2, 0)), ((1, 0), (2, 1), (0, 2)))
     return np.stack([np.stack([c(i, j) for i, j in cycle], axis=-1) for cycle in pairs], axis=-2)
-
-
-def determinants(configuration: Configuration) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return det J_b, det J_c and det K [m³], each of shape (...).
-
-    J_b holds the forces of the lower legs and of their revolute constraints, J_c those of the upper stage, K
-    the revolute constraints of both. det J_b and det J_c vanish at forward singularities, det K at inverse.
-    """
-    b = configuration.middle_joints
-    legs = configuration.leg_vectors / configuration.leg_lengths[..., None]
-    lower = leg_plane_determinant(b, np.cross(legs[..., :3, :], configuration.geometry.revolute_axes))
-    upper = leg_plane_determinant(b, np.cross(legs[..., 3:, :], configuration.platform_axes))
-    return -lower, -upper, _structure_determinant(configuration)
 
 
 def _structure_determinant(configuration: Configuration) -> FloatArray:
@@ -182,3 +173,29 @@ def in_home_aspect(points: FloatArray, directions: FloatArray) -> BoolArray:
     """
     cycles = _cycles(points, directions)
     return np.asarray((cycles.prod(axis=-1).sum(axis=-1) > 0.0) & ((cycles < 0.0).sum(axis=(-1, -2)) <= 1))
+
+
+def in_canonical_order(
+    geometry: Geometry, pose: RigidTransform, joints: FloatArray, solved: BoolArray
+) -> tuple[Configuration, npt.NDArray[np.int8]]:
+    """Return branches (..., 8) in the order of `BRANCHES` and the status (...), see `SolutionSet.from_unordered`."""
+    matrix = pose.as_matrix()[..., None, :, :]
+    found = Configuration(geometry, matrix, joints)
+    families, signs = family(found), branch_sign(found)
+    ordered = np.full((*found.shape[:-1], len(BRANCHES), 3, 3), np.nan)
+    counts = np.stack([(families == index).sum(axis=-1) for index in range(len(FAMILIES))], axis=-1)
+    good = solved & (counts <= 2).all(axis=-1)
+    for index in range(len(FAMILIES)):
+        member = families == index
+        count = np.where(good, counts[..., index], 0)
+        top = np.where(member, signs, -np.inf).argmax(axis=-1)[..., None]
+        bottom = np.where(member, signs, np.inf).argmin(axis=-1)[..., None]
+        # Two members are distinguished by their order, which is right also where rounding hides a sign.
+        plus = (count == 2) | ((count == 1) & (np.take_along_axis(signs, top, -1)[..., 0] >= 0.0))
+        minus = (count == 2) | ((count == 1) & ~plus)
+        for place, chosen, present in ((2 * index, top, plus), (2 * index + 1, bottom, minus)):
+            joint = np.take_along_axis(found.middle_joints, chosen[..., None, None], -3)[..., 0, :, :]
+            ordered[..., place, :, :] = np.where(present[..., None, None], joint, np.nan)
+    branches = Configuration(geometry, matrix, ordered)
+    reached = np.where(branches.exists.any(axis=-1), Status.OK, Status.UNREACHABLE)
+    return branches, np.where(good, reached, Status.UNSOLVED)

@@ -45,11 +45,6 @@ class Configuration:
     PoseError, ArgumentError
         If an argument has the wrong shape or kind, or is not finite.
 
-    Attributes
-    ----------
-    absence : str
-        Why a single state does not exist, where that is known; empty otherwise.
-
     Notes
     -----
     The arrays are copied. Nothing is solved here: the state may violate the loop equations, and `closure_residual`
@@ -57,6 +52,7 @@ class Configuration:
     """
 
     absence = ""
+    """Why a single state does not exist, where that is known; empty otherwise."""
 
     def __init__(self, geometry: Geometry, pose: PoseLike, middle_joints: npt.ArrayLike) -> None:
         check_geometry(geometry)

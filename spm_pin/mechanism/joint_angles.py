@@ -33,19 +33,12 @@ _BLOCK = 2048
 
 @dataclass(frozen=True)
 class JointAngles:
-    """Joint values of configurations; NaN where one does not exist.
-
-    Attributes
-    ----------
-    values : ndarray, shape (..., 12 + 6 n)
-        The six hips, the balls' angles about x, y and z of the n lower and then of the n upper legs of `corners`, and
-        the six slides.
-    closure_residual : ndarray, shape (...)
-        `Configuration.closure_residual` [m].
-    """
+    """Joint values of configurations; NaN where one does not exist."""
 
     values: FloatArray
+    """Six hips; the balls' angles about x, y and z, of n lower and then n upper legs; six slides; (..., 12 + 6 n)."""
     closure_residual: FloatArray
+    """`Configuration.closure_residual` [m], shape (...)."""
 
     @property
     def hip(self) -> FloatArray:

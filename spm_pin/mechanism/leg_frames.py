@@ -8,7 +8,6 @@ platform's tangent, z along its normal.
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -88,34 +87,16 @@ def ball_placements(geometry: AsBuiltGeometry) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class LegFrame(ABC):
-    """Constants of a leg.
-
-    Attributes
-    ----------
-    lean_cos, lean_sin, length : float
-        Cosine and sine of the leg's direction at home, and its length there [m].
-    """
+class _Home:
+    """Cosine and sine of a leg's direction at home, and its length there [m]."""
 
     lean_cos: float
     lean_sin: float
     length: float
 
-    @abstractmethod
-    def place(self, p: Sequence[Any]) -> Vector:
-        """Return the coordinates of a point of {B} or {m} in the leg's frame."""
-
-    @abstractmethod
-    def corner(self, x: Sequence[Any], y: Sequence[Any], z: Sequence[Any]) -> tuple[Any, Vector, Vector]:
-        """Return the axes of the frame at the leg's ball, seen from the leg's frame.
-
-        Of the last one the component along the revolute axis; the second components and the third ones of all three. x,
-        y and z are the axes of the lower balls' triangle, see `triangle_frames`, in {B} or {m}.
-        """
-
 
 @dataclass(frozen=True)
-class _LevelLegFrame(LegFrame):
+class _LevelLegFrame(_Home):
     """A leg of the ideal machine, its revolute axis (cos, sin, 0)."""
 
     cos: float
@@ -123,10 +104,16 @@ class _LevelLegFrame(LegFrame):
     hip: float  # where it is along the second axis of its frame
 
     def place(self, p: Sequence[Any]) -> Vector:
+        """Return the coordinates of a point of {B} or {m} in the leg's frame."""
         c, s = self.cos, self.sin
         return c * p[0] + s * p[1], c * p[1] - s * p[0] - self.hip, p[2]
 
     def corner(self, x: Sequence[Any], y: Sequence[Any], z: Sequence[Any]) -> tuple[Any, Vector, Vector]:
+        """Return the axes of the frame at the leg's ball, seen from the leg's frame.
+
+        Of the last one the component along the revolute axis; the second components and the third ones of all three. x,
+        y and z are the axes of the lower balls' triangle, see `triangle_frames`, in {B} or {m}.
+        """
         c, s = self.cos, self.sin
         first = c * x[0] + s * y[0], c * x[1] + s * y[1], c * x[2] + s * y[2]
         second = c * y[0] - s * x[0], c * y[1] - s * x[1], c * y[2] - s * x[2]
@@ -135,7 +122,7 @@ class _LevelLegFrame(LegFrame):
 
 
 @dataclass(frozen=True)
-class _TiltedLegFrame(LegFrame):
+class _TiltedLegFrame(_Home):
     """A leg as built: `rows` and `shifts` take a point into its frame.
 
     `columns` are the axes of the frame at the ball in those of the lower balls' triangle.
@@ -157,6 +144,10 @@ class _TiltedLegFrame(LegFrame):
             (dot(across, first), dot(across, second), dot(across, third)),
             (dot(up, first), dot(up, second), dot(up, third)),
         )
+
+
+LegFrame = _LevelLegFrame | _TiltedLegFrame
+"""Constants of a leg."""
 
 
 def leg_frames(geometry: Geometry | AsBuiltGeometry) -> tuple[LegFrame, ...]:

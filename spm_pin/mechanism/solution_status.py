@@ -30,21 +30,14 @@ class Status(enum.IntEnum):
 
 @dataclass(frozen=True)
 class Degeneracy:
-    """Description of the continuous families of solutions, where there are any.
-
-    Attributes
-    ----------
-    dimension : ndarray of int8, shape (...)
-        Dimension of the family; 0 where all solutions are isolated.
-    families : ndarray of bool, shape (..., 4)
-        Which of TT, TF, FT, FF are continuous.
-    legs : ndarray of bool, shape (..., 3)
-        Legs whose lower and upper plane coincide, so that b_i is bound to no line.
-    """
+    """Description of the continuous families of solutions, where there are any."""
 
     dimension: npt.NDArray[np.int8]
+    """Dimension of the family, shape (...); 0 where all solutions are isolated."""
     families: npt.NDArray[np.bool_]
+    """Which of TT, TF, FT, FF are continuous, shape (..., 4)."""
     legs: npt.NDArray[np.bool_]
+    """Legs whose lower and upper plane coincide, so that b_i is bound to no line, shape (..., 3)."""
 
     def __getitem__(self, batch: tuple[Any, ...]) -> Degeneracy:
         inner = (*batch, slice(None))

@@ -19,8 +19,7 @@ from spm_pin.mechanism.arguments import (
     real_array,
     type_and_value,
 )
-from spm_pin.mechanism.branches import BRANCHES, physical, straightness
-from spm_pin.mechanism.canonical_order import in_canonical_order
+from spm_pin.mechanism.branches import BRANCHES, in_canonical_order, physical, straightness
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform

@@ -57,24 +57,16 @@ class Declarations(Protocol):
 
 
 class ExpressionTranslator:
-    """The expressions of one function, and where statements that they need are put.
+    """The expressions of one function, and the statements so far, to which those that they need are added.
 
-    Attributes
-    ----------
-    variables : dict
-        Types of variables by their names.
-    fixed : dict
-        Values of integers that are assigned once, and known beforehand, such as lengths of arrays.
-    read : set of str
-        Variables that are used.
-    lines : list of str
-        Statements so far.
+    `fixed` has the values of integers that are assigned once, and known beforehand, such as lengths of arrays, `read`
+    the variables that are used. Variables of a function translated in place begin with `prefix`.
     """
 
     def __init__(self, program: Declarations, names: dict[str, Any]) -> None:
         self.program = program
         self.globals = names
-        self.names: dict[str, str] = {}
+        self.prefix = ""
         self.variables: dict[str, Type] = {}
         self.fixed: dict[str, int] = {}
         self.read: set[str] = set()
@@ -91,12 +83,12 @@ class ExpressionTranslator:
 
     def identifier(self, name: str) -> str:
         """Return the name of a variable in C."""
-        own = self.names.get("", "") + name
+        own = self.prefix + name
         return f"{own}_" if own in _KEYWORDS else own
 
     def assign_type(self, name: str, kind: Type) -> None:
         """Note that a variable holds values of a type."""
-        own = self.names.get("", "") + name
+        own = self.prefix + name
         self.variables[own] = joined(self.variables[own], kind) if own in self.variables else kind
 
     def temporary(self, value: Value) -> Value:
@@ -139,7 +131,7 @@ class ExpressionTranslator:
         return literal(node.value)
 
     def _name(self, node: ast.Name) -> Value:
-        own = self.names.get("", "") + node.id
+        own = self.prefix + node.id
         if own in self.fixed:
             return literal(self.fixed[own])
         if own in self.variables:

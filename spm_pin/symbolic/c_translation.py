@@ -42,13 +42,7 @@ def source_tree(function: Callable[..., Any]) -> ast.FunctionDef:
 
 
 class Program:
-    """Functions in C, each after those that it calls.
-
-    Parameters
-    ----------
-    constants : dict
-        Numbers that replace global names of the kernels, such as `TILE`.
-    """
+    """Functions in C, each after those that it calls; `constants` replace global names of the kernels, such as TILE."""
 
     def __init__(self, constants: dict[str, int]) -> None:
         self.constants = constants
@@ -169,16 +163,16 @@ class FunctionTranslator(ExpressionTranslator):
 
     def inline(self, function: Any) -> Value:
         """Translate a function without arguments in place: what makes arrays has to live in its caller."""
-        outer_globals, outer_names = self.globals, self.names
+        outer = self.globals, self.prefix
         python = python_function(function)
         self.count += 1
-        self.globals, self.names = python.__globals__, {**outer_names, "": f"own{self.count}_"}
+        self.globals, self.prefix = python.__globals__, f"own{self.count}_"
         *body, last = source_tree(python).body
         self._block(body)
         assert isinstance(last, ast.Return)
         assert last.value is not None
         found = self.value(last.value)
-        self.globals, self.names = outer_globals, outer_names
+        self.globals, self.prefix = outer
         return found
 
     def _block(self, body: list[ast.stmt]) -> None:
@@ -252,7 +246,7 @@ class FunctionTranslator(ExpressionTranslator):
             self.count += 1
             name = f"turn{self.count}"
         self.assign_type(name, "int")
-        self.read.add(self.names.get("", "") + name)
+        self.read.add(self.prefix + name)
         i, compare = self.identifier(name), "<" if step > 0 else ">"
         self.emit(f"for ({i} = {start.code}; {i} {compare} {end.code}; {i} += {step}) {{")
         self._inner(statement.body)
@@ -286,9 +280,9 @@ class FunctionTranslator(ExpressionTranslator):
         elif isinstance(target, ast.Name):
             if target.id != "_":
                 self.assign_type(target.id, value.type)
-                if isinstance(value.known, int) and self._stores[target.id] == 1 and not self.names:
+                if isinstance(value.known, int) and self._stores[target.id] == 1 and not self.prefix:
                     self.fixed[target.id] = value.known
-                own = self.variables[self.names.get("", "") + target.id]
+                own = self.variables[self.prefix + target.id]
                 self.emit(f"{self.identifier(target.id)} = {bare(self.text(value, own))};")
         else:
             assert isinstance(target, ast.Subscript)

@@ -5,6 +5,7 @@ The argument `geometry` of all is the machine that is built in, `"symbolic"`, or
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, Literal
 
 import casadi as ca
@@ -201,8 +202,8 @@ def inverse_jacobian(geometry: Dimensions = None) -> ca.Function:
     matrices, suspect = table(1, 6, 6), table(1)
     sizes = machine.base, machine.platform, machine.side, 0.0
     traced(jacobian_kernels.inverse_jacobians)(*_state(joints, rotation, position), *sizes, matrices, suspect)
-    jacobian = ca.vertcat(*(ca.horzcat(*row) for row in matrices[0]))
-    return machine.function("inverse_jacobian", [joints, rotation, position], {"jacobian": jacobian})
+    outputs = {"jacobian": _matrix(matrices[0])}
+    return machine.function("inverse_jacobian", [joints, rotation, position], outputs)
 
 
 def leg_forces(geometry: Dimensions = None) -> ca.Function:
@@ -300,7 +301,7 @@ def _is_real(machine: _Machine, tiles: Any, label: str) -> Any:
 
 
 def _outputs(tiles: Any, label: str, numbers: list[Any]) -> dict[str, ca.SX]:
-    joints = ca.vertcat(*(ca.horzcat(*numbers[3 * i : 3 * i + 3]) for i in range(3)))
+    joints = _matrix(numbers[3 * i : 3 * i + 3] for i in range(3))
     discriminant = tiles[0][DISCRIMINANT + BRANCHES.index(label) // 2, 0]
     return {"lengths": ca.vertcat(*numbers[9:]), "joints": joints, "discriminant": discriminant}
 
@@ -337,5 +338,8 @@ def _composed(machine: _Machine, states: list[Any]) -> dict[str, ca.SX]:
         radii, heights = traced(stage_equations.placed)(a, b, c, 0.0, height)
         home = ca.logic_and(home, traced(stage_equations.in_home_aspect)(radii, heights, hip / machine.r))
         home = ca.logic_and(home, ca.logic_and(height > 0.0, a > 0.0))
-    matrices = [ca.vertcat(*(ca.horzcat(*row) for row in m)) for m in (rotation, joints)]
-    return {"rotation": matrices[0], "position": ca.vertcat(*position), "joints": matrices[1], "home": home}
+    return {"rotation": _matrix(rotation), "position": ca.vertcat(*position), "joints": _matrix(joints), "home": home}
+
+
+def _matrix(rows: Iterable[Iterable[Any]]) -> Any:
+    return ca.vertcat(*(ca.horzcat(*row) for row in rows))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import GEOMETRIES, Problem, in_leg_space, random_branches
+from problems import GEOMETRIES, Problem, distance, in_leg_space, random_branches
 from stage_oracle import certified_modes
 
 import spm_pin as spm
@@ -13,13 +13,6 @@ from spm_pin.closed_form.forward_displacement import ASSEMBLY_MODES, STAGE_MODES
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()
 LEGS = np.array([1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
-
-
-def distance(state: spm.Configuration, other: spm.Configuration) -> np.ndarray:
-    """Largest displacement [m] of a joint of the middle or of the terminal platform."""
-    middle = np.linalg.norm(state.middle_joints - other.middle_joints, axis=-1).max(axis=-1)
-    terminal = np.linalg.norm(state.platform_joints - other.platform_joints, axis=-1).max(axis=-1)
-    return np.maximum(middle, terminal)
 
 
 def sensitivity(state: spm.Configuration) -> np.ndarray:

@@ -14,7 +14,6 @@ from spm_pin.closed_form.inverse_displacement import branch_lengths
 from spm_pin.closed_form.singularity_analysis import determinants
 from spm_pin.closed_form.stage_wrenches import StageWrenches
 from spm_pin.closed_form.threads import threads
-from spm_pin.mechanism import branches
 
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()
@@ -59,7 +58,6 @@ def test_determinants_are_those_of_the_matrices(name: str) -> None:
     found = determinants(state)
     d = state.geometry.middle_side
     np.testing.assert_allclose(found, np.linalg.det(matrices) * d**3, rtol=0, atol=64 * EPS * d**3)
-    np.testing.assert_allclose(found, np.stack(branches.determinants(state), axis=-1), rtol=0, atol=64 * EPS * d**3)
     assert determinants(state[0]).shape == (3,)
     absent = spm.inverse_displacement(PAPER, in_leg_space(PAPER, 50, seed=4).pose).configurations
     np.testing.assert_array_equal(np.isnan(determinants(absent)).all(axis=-1), ~absent.exists)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import mpmath
@@ -26,11 +27,7 @@ batches = st.sampled_from([(), (1,), (3, 1, 2), (0,)])
 seeds = st.integers(0, 2**32 - 1)
 
 
-def members(shape: tuple[int, ...], rng: np.random.Generator, absent: float = 0.0) -> spm.Configuration:
-    """States drawn from the pool, a share of them absent."""
-    index = rng.integers(len(POOL), size=shape)
-    missing = rng.uniform(size=(*shape, 1, 1)) < absent
-    return spm.Configuration(PAPER, POOL.pose.as_matrix()[index], np.where(missing, np.nan, POOL.middle_joints[index]))
+members = functools.partial(problems.members, POOL)
 
 
 def six_branches() -> spm.Configuration:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import pickle
 from collections.abc import Callable
@@ -16,7 +17,6 @@ from scipy.spatial.transform import Rotation
 import spm_pin as spm
 from spm_pin.closed_form.jacobians import inverse_jacobian, leg_rates, platform_jacobian
 from spm_pin.errors import ArgumentError, SingularConfigurationError, SpmError
-from spm_pin.mechanism.branches import determinants
 
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()
@@ -28,11 +28,7 @@ batches = st.sampled_from([(), (1,), (3, 1, 2), (0,)])
 seeds = st.integers(0, 2**32 - 1)
 
 
-def members(shape: tuple[int, ...], rng: np.random.Generator, absent: float = 0.0) -> spm.Configuration:
-    """States drawn from the pool, a share of them absent."""
-    index = rng.integers(len(POOL), size=shape)
-    missing = rng.uniform(size=(*shape, 1, 1)) < absent
-    return spm.Configuration(PAPER, POOL.pose.as_matrix()[index], np.where(missing, np.nan, POOL.middle_joints[index]))
+members = functools.partial(problems.members, POOL)
 
 
 def wrench_matrices(state: spm.Configuration) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -115,7 +111,7 @@ def test_symmetries_in_every_family(name, family):
 
 
 def check_determinant(state: spm.Configuration) -> None:
-    lower, upper, both = determinants(state)
+    lower, upper, both = spm.determinants(state).T
     matrix = inverse_jacobian(state)
     expected = lower * upper / both
     error = np.abs(np.linalg.det(matrix) / expected - 1)
@@ -221,11 +217,11 @@ REGULAR = (0.3, 0.2, 1.5), (2.0, 0.15, -1.4)
 
 def crossing(make: Callable[[float], spm.Configuration], which: int, values: np.ndarray) -> float:
     """Follow a path of states to where det J_b, det J_c or det K (0, 1, 2) changes sign, to the last bit."""
-    signs = np.sign([determinants(make(value))[which] for value in values])
+    signs = np.sign([spm.determinants(make(value))[which] for value in values])
     first = int(np.flatnonzero(signs[1:] != signs[:-1])[0])
     low, high = values[first], values[first + 1]
     while low < (middle := (low + high) / 2) < high:
-        same = np.sign(determinants(make(middle))[which]) == signs[first]
+        same = np.sign(spm.determinants(make(middle))[which]) == signs[first]
         low, high = (middle, high) if same else (low, middle)
     return float(low)
 
