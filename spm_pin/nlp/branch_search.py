@@ -35,55 +35,38 @@ BoolArray = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Search:
-    """Branches found by a multi-start, with statistics of the search; arrays over the batch of poses (...).
-
-    Attributes
-    ----------
-    solutions : SolutionSet
-        The branches, under the canonical labels. `Status.UNREACHABLE` where none was found and `infeasibility` is
-        not rounding; `Status.UNSOLVED` where the search failed, or was interrupted before.
-    starts : ndarray of int, shape (...)
-        Starts made.
-    hits : ndarray of int, shape (..., 8)
-        Starts that ended at each branch.
-    continuous : ndarray of int, shape (...)
-        Starts that ended on a continuous family of solutions.
-    failed : ndarray of int, shape (...)
-        Starts that ended at no solution.
-    failed_residual : ndarray, shape (...)
-        Smallest norm of the loop equations where a failed start ended [m]; NaN where none failed.
-    unseen_share : ndarray, shape (...)
-        Good and Turing's estimate of the share of converging starts that lead to branches not found.
-    unseen_probability : ndarray, shape (...)
-        Posterior probability that a branch was not found, see `spm_pin.nlp.multistart.unseen_probability`.
-    settled : ndarray of bool, shape (...)
-        Whether the stopping rule was met.
-    sigma : ndarray, shape (..., 8)
-        Smallest singular value of the loop equations at each branch, dimensionless; zero where two branches meet.
-    error_bound : ndarray, shape (..., 8)
-        A true branch is proved to be this near [m], in the norm of all nine coordinates.
-    isolated : ndarray of bool, shape (..., 8)
-        Whether it is proved to be the only one there.
-    infeasibility : ndarray, shape (...)
-        Where no branch was found: the smallest norm of the loop equations that least squares reach [m].
-    outcomes : Mapping of str to int
-        How often the solver ended how, over all poses.
-    """
+    """Branches found by a multi-start, with statistics of the search; arrays over the batch of poses (...)."""
 
     solutions: SolutionSet
+    """The branches, under the canonical labels. `Status.UNREACHABLE` where none was found and `infeasibility` is not
+    rounding; `Status.UNSOLVED` where the search failed, or was interrupted before."""
     starts: IntArray
+    """Starts made."""
     hits: IntArray
+    """Starts that ended at each branch, shape (..., 8)."""
     continuous: IntArray
+    """Starts that ended on a continuous family of solutions."""
     failed: IntArray
+    """Starts that ended at no solution."""
     failed_residual: FloatArray
+    """Smallest norm of the loop equations where a failed start ended [m]; NaN where none failed."""
     unseen_share: FloatArray
+    """Good and Turing's estimate of the share of converging starts that lead to branches not found."""
     unseen_probability: FloatArray
+    """Posterior probability that a branch was not found, see `spm_pin.nlp.multistart.unseen_probability`."""
     settled: BoolArray
+    """Whether the stopping rule was met."""
     sigma: FloatArray
+    """Smallest singular value of the loop equations at each branch, shape (..., 8), dimensionless; zero where two
+    branches meet."""
     error_bound: FloatArray
+    """A true branch is proved to be this near [m], in the norm of all nine coordinates, shape (..., 8)."""
     isolated: BoolArray
+    """Whether it is proved to be the only one there, shape (..., 8)."""
     infeasibility: FloatArray
+    """Where no branch was found: the smallest norm of the loop equations that least squares reach [m]."""
     outcomes: Mapping[str, int]
+    """How often the solver ended how, over all poses."""
 
 
 class Interrupted(KeyboardInterrupt):

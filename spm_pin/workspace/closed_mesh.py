@@ -27,18 +27,12 @@ _CHUNK = 1 << 20
 
 @dataclass(frozen=True)
 class ClosedMesh:
-    """A closed, oriented triangle mesh.
-
-    Attributes
-    ----------
-    vertices : ndarray, shape (V, 3)
-        Positions of o in {B} [m].
-    faces : ndarray of int, shape (F, 3)
-        Triangles, counter-clockwise seen from outside.
-    """
+    """A closed, oriented triangle mesh."""
 
     vertices: FloatArray
+    """Positions of o in {B} [m], shape (V, 3)."""
     faces: npt.NDArray[np.intp]
+    """Triangles, counter-clockwise seen from outside, shape (F, 3)."""
 
     @property
     def volume(self) -> float:

@@ -34,31 +34,21 @@ BoolArray = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class BoundaryPoints:
-    """Points of the boundary, each nearest to a point just outside; arrays over n.
-
-    Attributes
-    ----------
-    position : ndarray, shape (n, 3)
-        In {B} [m].
-    normal : ndarray, shape (n, 3)
-        Outward unit normals; at an edge, one of those between its two sides.
-    leg_lengths : ndarray, shape (n, 6)
-        r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m]; a leg at a limit has it to the last bit.
-    at_limit : ndarray of int8, shape (n, 6)
-        -1 for a leg at its minimum, 1 at its maximum, 0 for one that is free.
-    gradient : ndarray, shape (n, 6)
-        How fast o moves along the normal with each leg: zero for those free, else of the sign of `at_limit`, or zero.
-        At a forward singularity, where that is infinite, the multipliers of the limits.
-    violation : ndarray, shape (n,)
-        By how much normal and `gradient` miss the conditions of a nearest point; rounding.
-    """
+    """Points of the boundary, each nearest to a point just outside; arrays over n."""
 
     position: FloatArray
+    """In {B} [m], shape (n, 3)."""
     normal: FloatArray
+    """Outward unit normals, shape (n, 3); at an edge, one of those between its two sides."""
     leg_lengths: FloatArray
+    """r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], shape (n, 6); a leg at a limit has it to the last bit."""
     at_limit: npt.NDArray[np.int8]
+    """-1 for a leg at its minimum, 1 at its maximum, 0 for one that is free, shape (n, 6)."""
     gradient: FloatArray
+    """How fast o moves along the normal with each leg, shape (n, 6): zero for those free, else of the sign of
+    `at_limit`, or zero. At a forward singularity, where that is infinite, the multipliers of the limits."""
     violation: FloatArray
+    """By how much normal and `gradient` miss the conditions of a nearest point, shape (n,); rounding."""
 
     @classmethod
     def of(cls, box: LegBox, points: FloatArray, found: Nearest) -> BoundaryPoints:
@@ -70,24 +60,16 @@ class BoundaryPoints:
 
 @dataclass(frozen=True)
 class Boundary(ClosedMesh):
-    """The boundary of the reachable positions, a mesh in {B}; made by `reachable_boundary`.
-
-    Attributes
-    ----------
-    geometry : Geometry
-        The manipulator.
-    limits : LegLimits
-        The leg limits.
-    spacing : float
-        Of the grid it was made on [m].
-    leg_lengths : ndarray, shape (V, 6)
-        Lengths that put o at the vertices [m].
-    """
+    """The boundary of the reachable positions, a mesh in {B}; made by `reachable_boundary`."""
 
     geometry: Geometry
+    """The manipulator."""
     limits: LegLimits
+    """The leg limits."""
     spacing: float
+    """Of the grid it was made on [m]."""
     leg_lengths: FloatArray
+    """Lengths that put o at the vertices [m], shape (V, 6)."""
 
     def __repr__(self) -> str:
         return f"<Boundary: {len(self.vertices)} vertices, {len(self.faces)} faces, {self.volume:.4f} m³>"

@@ -13,31 +13,22 @@ __all__ = ["Estimate", "check_confidence", "from_hits", "from_mean"]
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number and an interval for it.
-
-    Attributes
-    ----------
-    value : float
-        The best estimate, in `unit`.
-    low, high : float
-        The interval.
-    confidence : float
-        How probable it is that such an interval holds the truth; NaN where the interval is an extrapolation's error.
-    samples : int
-        How many points the estimate is made from.
-    method : str
-        Where it comes from.
-    unit : str
-        Of the three numbers; empty for a share.
-    """
+    """A number and an interval for it."""
 
     value: float
+    """The best estimate, in `unit`."""
     low: float
+    """Lower end of the interval."""
     high: float
+    """Its upper end."""
     confidence: float
+    """How probable it is that such an interval holds the truth; NaN where the interval is an extrapolation's error."""
     samples: int
+    """How many points the estimate is made from."""
     method: str
+    """Where it comes from."""
     unit: str
+    """Of the first three numbers; empty for a share."""
 
     def __str__(self) -> str:
         return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}] {self.unit}".rstrip()

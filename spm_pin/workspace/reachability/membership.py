@@ -37,28 +37,19 @@ _MOST_ROUNDS = 1000
 
 @dataclass(frozen=True)
 class Reachability:
-    """Which poses of shape (...) can be reached, and by how much.
-
-    Attributes
-    ----------
-    branches : SolutionSet, shape (...)
-        All eight branches of each pose, limits not applied.
-    allowed : ndarray of bool, shape (..., 8)
-        Which of them count and respect all limits.
-    leg_margin : ndarray, shape (..., 8)
-        How far the worst leg of a branch is inside its limits [m]; negative outside, infinite without limits, NaN where
-        the branch is not real.
-    angle_margin : ndarray, shape (..., 8)
-        The same of the passive joints' angles [rad].
-    clearance_margin : ndarray, shape (..., 8)
-        By how much the nearest legs of a branch are farther apart than they must [m]; as the others.
-    """
+    """Which poses of shape (...) can be reached, and by how much."""
 
     branches: SolutionSet
+    """All eight branches of each pose, limits not applied, shape (...)."""
     allowed: BoolArray
+    """Which of them count and respect all limits, shape (..., 8)."""
     leg_margin: FloatArray
+    """How far the worst leg of a branch is inside its limits [m], shape (..., 8); negative outside, infinite without
+    limits, NaN where the branch is not real."""
     angle_margin: FloatArray
+    """The same of the passive joints' angles [rad], shape (..., 8)."""
     clearance_margin: FloatArray
+    """By how much the nearest legs of a branch are farther apart than they must [m], shape (..., 8)."""
 
     @property
     def reachable(self) -> Any:
@@ -147,32 +138,22 @@ def reachable(
 
 @dataclass(frozen=True)
 class PositionReach:
-    """Which positions of shape (...) can be reached in some orientation.
-
-    Attributes
-    ----------
-    reachable : ndarray of bool, shape (...)
-        Whether o can be there, to within `tolerance`.
-    distance : ndarray, shape (...)
-        From the nearest reachable position that was found [m]; zero where reachable.
-    nearest : ndarray, shape (..., 3)
-        That position, in {B} [m].
-    leg_lengths : ndarray, shape (..., 6)
-        Leg lengths that put o there [m]; there may be others.
-    optimality : ndarray, shape (...)
-        How far `nearest` is from obeying the conditions of a nearest point, see
-        `spm_pin.workspace.reachability.nearest`; rounding, unless the search has not arrived and `distance` is only an
-        upper bound.
-    tolerance : float
-        [m].
-    """
+    """Which positions of shape (...) can be reached in some orientation."""
 
     reachable: BoolArray
+    """Whether o can be there, to within `tolerance`, shape (...)."""
     distance: FloatArray
+    """From the nearest reachable position that was found [m], shape (...); zero where reachable."""
     nearest: FloatArray
+    """That position, in {B} [m], shape (..., 3)."""
     leg_lengths: FloatArray
+    """Leg lengths that put o there [m], shape (..., 6); there may be others."""
     optimality: FloatArray
+    """How far `nearest` is from obeying the conditions of a nearest point, shape (...), see
+    `spm_pin.workspace.reachability.nearest`; rounding, unless the search has not arrived and `distance` is only an
+    upper bound."""
     tolerance: float
+    """Of the positions [m]."""
 
     @property
     def undecided(self) -> BoolArray:

@@ -36,18 +36,12 @@ _SAME = 1e-7
 
 @dataclass(frozen=True)
 class NearestPose:
-    """A reachable state near an unreachable pose; arrays over the given poses, of shape (...).
-
-    Attributes
-    ----------
-    configuration : Configuration, shape (...)
-        The nearest state found; NaN where none was found.
-    distance : ndarray, shape (...)
-        Distance from the given pose, see `pose_distance` [m]; a float for one pose.
-    """
+    """A reachable state near an unreachable pose; arrays over the given poses, of shape (...)."""
 
     configuration: Configuration
+    """The nearest state found; NaN where none was found."""
     distance: Any
+    """Distance from the given pose, see `pose_distance` [m]; a float for one pose."""
 
 
 def pose_distance(geometry: Geometry, first: PoseLike, second: PoseLike) -> Any:

@@ -33,29 +33,22 @@ ROTATIONS = 8.0 * np.pi**2
 
 @dataclass(frozen=True)
 class OrientationWorkspace:
-    """Orientations that can be reached at one position; arrays over the n states found.
-
-    Attributes
-    ----------
-    position : ndarray, shape (3,)
-        Of o in {B} [m].
-    states : Configuration, shape (n,)
-        States with o there, uniform in the coordinates of the lower stage.
-    weights : ndarray, shape (n,)
-        How much of the orientations each state stands for [rad³]; they add up to `volume.value`.
-    azimuth, tilt, torsion : ndarray, shape (n,)
-        Where the platform's normal leans, how far, and the turn about it [rad].
-    volume : Estimate
-        Of the orientations, in rad³; all rotations measure 8π².
-    """
+    """Orientations that can be reached at one position; arrays over the n states found."""
 
     position: FloatArray
+    """Of o in {B} [m], shape (3,)."""
     states: Configuration
+    """States with o there, uniform in the coordinates of the lower stage, shape (n,)."""
     weights: FloatArray
+    """How much of the orientations each state stands for [rad³], shape (n,); they add up to `volume.value`."""
     azimuth: FloatArray
+    """Where the platform's normal leans [rad], shape (n,)."""
     tilt: FloatArray
+    """How far it leans [rad], shape (n,)."""
     torsion: FloatArray
+    """The turn about it [rad], shape (n,)."""
     volume: Estimate
+    """Of the orientations, in rad³; all rotations measure 8π²."""
 
     def __repr__(self) -> str:
         return f"<OrientationWorkspace: {len(self.weights)} states, {self.volume}>"

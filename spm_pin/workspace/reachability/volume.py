@@ -135,24 +135,16 @@ def pose_volume(
 
 @dataclass(frozen=True)
 class ShellComparison:
-    """Parts of the reachable set that the paper's 24 surfaces leave out.
-
-    Attributes
-    ----------
-    legs : Estimate
-        Share of leg lengths, drawn uniformly within the limits, that put o outside the shell.
-    volume : Estimate
-        Share of the reachable volume that is outside the shell.
-    area : Estimate
-        Share of the area of the reachable set's boundary that is on none of the 24 surfaces.
-    farthest : float
-        The farthest that o was found outside [m], of the sets of lengths drawn.
-    """
+    """Parts of the reachable set that the paper's 24 surfaces leave out."""
 
     legs: Estimate
+    """Share of leg lengths, drawn uniformly within the limits, that put o outside the shell."""
     volume: Estimate
+    """Share of the reachable volume that is outside the shell."""
     area: Estimate
+    """Share of the area of the reachable set's boundary that is on none of the 24 surfaces."""
     farthest: float
+    """The farthest that o was found outside [m], of the sets of lengths drawn."""
 
 
 def compare_with_shell(

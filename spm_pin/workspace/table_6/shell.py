@@ -34,49 +34,33 @@ FINEST = 2000
 
 @dataclass(frozen=True)
 class Patch(SubWorkspace):
-    """One of the 24 surfaces: a row of Table 6, and its part of the shell's mesh; arrays are read-only.
-
-    Attributes
-    ----------
-    grid : ndarray of int, shape (n + 1, n + 1)
-        Vertices of the shell's mesh; the first varying leg grows along the first axis, the second along the other.
-    faces : ndarray of int, shape (2n²,)
-        Faces of the shell's mesh.
-    area : float
-        Of those faces [m²].
-    """
+    """One of the 24 surfaces: a row of Table 6, and its part of the shell's mesh; arrays are read-only."""
 
     grid: Indices
+    """Vertices of the shell's mesh, shape (n + 1, n + 1); the first varying leg grows along the first axis, the second
+    along the other."""
     faces: Indices
+    """Faces of the shell's mesh, shape (2n²,)."""
     area: float
+    """Of those faces [m²]."""
 
 
 @dataclass(frozen=True)
 class Shell(ClosedMesh):
-    """The 24 surfaces of Table 6, joined to a mesh in {B}; made by `workspace_shell`. Faces of a patch lie together.
-
-    Attributes
-    ----------
-    geometry : Geometry
-        The manipulator.
-    limits : LegLimits
-        The leg limits.
-    resolution : int
-        Increments δr of a varying leg from its minimum to its maximum.
-    patches : tuple of Patch
-        In the order of Table 6.
-    configuration : Configuration
-        The state at each vertex of the mesh, shape (V,).
-    convergence : Convergence
-        Of the volume.
-    """
+    """The 24 surfaces of Table 6, joined to a mesh in {B}; made by `workspace_shell`. Faces of a patch lie together."""
 
     geometry: Geometry
+    """The manipulator."""
     limits: LegLimits
+    """The leg limits."""
     resolution: int
+    """Increments δr of a varying leg from its minimum to its maximum."""
     patches: tuple[Patch, ...]
+    """In the order of Table 6."""
     configuration: Configuration
+    """The state at each vertex of the mesh, shape (V,)."""
     convergence: Convergence
+    """Of the volume."""
 
     def __repr__(self) -> str:
         size = f"{len(self.vertices)} vertices, {len(self.faces)} faces"
