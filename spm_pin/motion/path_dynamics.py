@@ -103,8 +103,8 @@ def _at(
 def _forces(state: ChainState, a: FloatArray, twist: FloatArray, payload: Payload | None) -> FloatArray:
     """Return the leg forces (6,) of joint accelerations a at the velocity of the state."""
     if payload is None:
-        return state.actuator_forces(a, np.empty(0), [])
+        return state.inverse_dynamics(a)
     rotation, _ = state.kinematics.terminal_pose()
     gravity = state.constrained.model.gravity.linear
     load = payload.wrench(rotation, twist, state.platform_acceleration(a), gravity)
-    return state.actuator_forces(a, load, [state.constrained.layout.platform])
+    return state.inverse_dynamics(a, load)

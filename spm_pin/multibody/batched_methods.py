@@ -11,7 +11,7 @@ from spm_pin.multibody.batched_states import BatchedStates
 from spm_pin.multibody.constrained_model import SingularValues
 from spm_pin.multibody.constrained_state import ChainState, ConstrainedState
 from spm_pin.multibody.dynamics import Energy, NaturalFrequencies, PlatformDynamics
-from spm_pin.multibody.vector_arguments import Gains, WrenchLike, read_gains, read_stiffness, read_wrenches
+from spm_pin.multibody.vector_arguments import Gains, Wrenches, WrenchLike, read_gains, read_stiffness, read_wrenches
 
 __all__ = ["ChainMethods", "ConstrainedMethods"]
 
@@ -74,7 +74,7 @@ class ConstrainedMethods:
         read_gains(gains)
 
         def member(state: ConstrainedState, force: FloatArray, loads: FloatArray) -> FloatArray:
-            return state.accelerations(force, loads, frames, gains)
+            return state.forward_dynamics(force, Wrenches(loads, frames), gains=gains)
 
         shape = (self._states.constrained.model.nv,)
         return self._states.array(member, shape, q, v=v, forces=forces, wrenches=wrenches)
@@ -99,7 +99,7 @@ class ConstrainedMethods:
         wrenches, frames = self._wrenches(wrench)
 
         def member(state: ConstrainedState, a: FloatArray, loads: FloatArray) -> FloatArray:
-            return state.actuator_forces(a, loads, frames)
+            return state.inverse_dynamics(a, Wrenches(loads, frames))
 
         return self._states.array(member, (self._states.constrained.actuated.size,), q, v=v, a=a, wrenches=wrenches)
 
@@ -107,7 +107,7 @@ class ConstrainedMethods:
         """Return the kinetic and the potential energy (...) [J] of all bodies at q and v, closed or not."""
         return Energy(*self._states.over(ConstrainedState.energy, ((), ()), q, v=v))
 
-    def _wrenches(self, wrench: WrenchLike) -> tuple[FloatArray, list[int]]:
+    def _wrenches(self, wrench: WrenchLike) -> Wrenches:
         constrained = self._states.constrained
         return read_wrenches(wrench, constrained.model, constrained.layout.platform)
 

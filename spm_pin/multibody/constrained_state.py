@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
+import math
 from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
+from scipy.linalg import LinAlgError, eigh
 
+from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
-from spm_pin.multibody import dynamics
 from spm_pin.multibody.constrained_model import ConstrainedModel, SingularValues, TreeKinematics
-from spm_pin.multibody.dynamics import AccelerationSolver, Energy, NaturalFrequencies, PlatformDynamics
+from spm_pin.multibody.dynamics import (
+    AccelerationSolver,
+    Energy,
+    NaturalFrequencies,
+    PlatformDynamics,
+    energy_of,
+    largest,
+    mass_matrix,
+    require_closed,
+    wrench_torques,
+)
+from spm_pin.multibody.joint_layout import AGREEMENT
 from spm_pin.multibody.vector_arguments import Gains, WrenchLike, read_gains, read_stiffness, read_vector, read_wrenches
 
 __all__ = ["ChainState", "ConstrainedState"]
@@ -80,52 +93,72 @@ class ConstrainedState:
 
     def forward_dynamics(self, forces: npt.ArrayLike, wrench: WrenchLike = None, *, gains: Gains = None) -> FloatArray:
         """Return the accelerations of all joints (nv,) under the forces of all actuators, gravity and wrenches."""
-        force = read_vector(forces, "forces", self.constrained.actuated.size)
-        return self.accelerations(force, *self._wrenches(wrench), gains)
-
-    def accelerations(self, forces: FloatArray, wrenches: FloatArray, frames: list[int], gains: Gains) -> FloatArray:
-        """Return `forward_dynamics` of vectors that have been read: wrenches (6 n,) at n frames."""
         kinematics, drift_gains = self.kinematics, read_gains(gains)
+        force, torques = read_vector(forces, "forces", self.constrained.actuated.size), self._wrench_torques(wrench)
         kinematics.require_constrained()
         if gains is None:
             self._require_closed()
-        torques = dynamics.wrench_torques(kinematics, frames, wrenches)
-        torques[self.constrained.actuated] += forces
+        torques[self.constrained.actuated] += force
         return self.solver.accelerations(kinematics.q, self._v, torques, drift_gains)
 
     def inverse_dynamics(self, a: npt.ArrayLike, wrench: WrenchLike = None) -> FloatArray:
         """Return the forces of all actuators for joint accelerations (nv,), under gravity and wrenches."""
-        return self.actuator_forces(read_vector(a, "a", self.constrained.model.nv), *self._wrenches(wrench))
-
-    def actuator_forces(self, a: FloatArray, wrenches: FloatArray, frames: list[int]) -> FloatArray:
-        """Return `inverse_dynamics` of vectors that have been read: wrenches (6 n,) at n frames."""
         kinematics, layout = self.kinematics, self.constrained.layout
+        wanted, load = read_vector(a, "a", self.constrained.model.nv), self._wrench_torques(wrench)
         self._require_closed()
-        dynamics.require_closed_accelerations(kinematics, self._bias()[0], self._v, a)
-        torques = pin.rnea(kinematics.model, kinematics.data, kinematics.q, self._v, a)
-        if frames:
-            torques = torques - dynamics.wrench_torques(kinematics, frames, wrenches)
+        self._require_closed_accelerations(wanted)
+        torques = pin.rnea(kinematics.model, kinematics.data, kinematics.q, self._v, wanted) - load
         # Forces in the balls do no work on another robot: its actuators carry the tree's torques.
-        legs = dynamics.balance(kinematics, torques[layout.v])[0]
-        return np.concatenate([torques[layout.others], legs])
+        return np.concatenate([torques[layout.others], self._balance(torques[layout.v])[0]])
 
     def energy(self) -> Energy:
         """Return the kinetic and the potential energy [J] of all bodies, closed or not."""
-        return dynamics.energy_of(self.kinematics, self._v)
+        return energy_of(self.kinematics, self._v)
 
-    def _wrenches(self, wrench: WrenchLike) -> tuple[FloatArray, list[int]]:
-        return read_wrenches(wrench, self.constrained.model, self.constrained.layout.platform)
+    def _wrench_torques(self, wrench: WrenchLike) -> FloatArray:
+        """Return the generalized forces (nv,) of wrenches."""
+        platform = self.constrained.layout.platform
+        wrenches, frames = read_wrenches(wrench, self.constrained.model, platform, single=True)
+        return wrench_torques(self.kinematics, frames, wrenches)
+
+    def _balance(self, torques: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return leg forces (6,) and forces in the cut balls (3 n,) that give the tree's generalized forces (18,)."""
+        layout = self.constrained.layout
+        # The actuators do not act on the passive joints: these give λ, and the legs what is left.
+        cuts = self.kinematics.forward_factors.solve_transposed(torques.take(layout.passive))
+        return torques.take(layout.legs) - cuts.dot(self.kinematics.chain_closures).take(layout.legs), cuts
+
+    def _bias(self) -> tuple[FloatArray, FloatArray]:
+        """Return the accelerations where no joint accelerates: of the gaps, J̇c v (3 n,), and of m (6,)."""
+        if self._drift is None:
+            kinematics, constrained = self.kinematics, self.constrained
+            model, data = kinematics.model, kinematics.data
+            pin.forwardKinematics(model, data, kinematics.q, self._v, kinematics.still)
+            *points, platform = (
+                pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED).vector
+                for frame in (*constrained.frames, constrained.layout.platform)
+            )
+            gaps = constrained.differences(np.concatenate(points).reshape(-1, 6))[:, :3].ravel()
+            self._drift = gaps, platform
+        return self._drift
 
     def _require_closed(self) -> None:
         """Raise unless q is closed and v keeps it so; looked at once for each q and v."""
         if not self._closed:
-            dynamics.require_closed(self.kinematics, self._v)
+            require_closed(self.kinematics, self._v)
             self._closed = True
 
-    def _bias(self) -> tuple[FloatArray, FloatArray]:
-        if self._drift is None:
-            self._drift = dynamics.drift(self.kinematics, self._v)
-        return self._drift
+    def _require_closed_accelerations(self, a: FloatArray) -> None:
+        """Raise unless the closures allow the accelerations a, to `AGREEMENT`."""
+        kinematics, drift = self.kinematics, self._bias()[0]
+        opening, size = largest(kinematics.closures.dot(a) + drift), largest(drift)
+        # The rest of the size takes longer and is rarely needed.
+        if opening > AGREEMENT * size and opening > AGREEMENT * (
+            size + kinematics.speed(a) + kinematics.speed(self._v) ** 2 / self.constrained.layout.side
+        ):
+            expected = "joint accelerations that keep the loops closed"
+            cause = "joint_accelerations makes them from the platform's, at the velocities v"
+            raise ArgumentError("a", expected, f"gaps that open at {opening:.1e} m/s²", cause)
 
 
 class ChainState(ConstrainedState):
@@ -169,30 +202,58 @@ class ChainState(ConstrainedState):
 
     def joint_accelerations(self, acceleration: npt.ArrayLike) -> FloatArray:
         """Return the accelerations of all joints (18,) for one of the terminal platform (6,)."""
-        wanted = read_vector(acceleration, "acceleration", 6)
+        kinematics, wanted = self.kinematics, read_vector(acceleration, "acceleration", 6)
         self._require_closed()
-        return dynamics.accelerations_for(self.kinematics, wanted, self._bias())
+        gaps, platform = self._bias()
+        rows = [kinematics.twist_scale * (wanted - platform), -gaps / self.constrained.layout.side]
+        return kinematics.inverse_factors.solve(np.concatenate(rows))
 
     def joint_accelerations_of_legs(self, leg_accelerations: npt.ArrayLike) -> FloatArray:
         """Return the accelerations of all joints (18,) for those of the legs (6,) [m/s²]."""
         wanted = read_vector(leg_accelerations, "leg_accelerations", 6)
         self._require_closed()
-        return dynamics.accelerations_for_legs(self.kinematics, wanted, self._bias())
+        a = self.kinematics.velocities_of_legs(wanted)
+        a[self.constrained.layout.passive] -= self.kinematics.forward_factors.solve(self._bias()[0])
+        return a
 
     def platform_acceleration(self, a: npt.ArrayLike) -> FloatArray:
         """Return the time derivative of the twist of m (6,) [m/s², rad/s²] for joint accelerations (nv,)."""
         return np.asarray(self.kinematics.platform @ read_vector(a, "a", self.constrained.model.nv) + self._bias()[1])
 
     def natural_frequencies(self, stiffness: npt.ArrayLike) -> NaturalFrequencies:
-        """Return the vibrations of the platform on elastic legs, of a stiffness (6, 6) as of `spm_pin.stiffness`."""
-        dynamics.require_closed(self.kinematics)
-        return dynamics.natural_frequencies(self.kinematics, read_stiffness(stiffness))
+        """Return the vibrations Λ ẍ + K x = 0 on elastic legs, of a stiffness K (6, 6) as of `spm_pin.stiffness`."""
+        require_closed(self.kinematics)
+        matrix, x = read_stiffness(stiffness), self.kinematics.velocities_of_twists()
+        expected = "a symmetric matrix, positive definite"
+        try:
+            squares, modes = eigh(matrix, x.T @ mass_matrix(self.kinematics) @ x)
+        except LinAlgError as error:
+            raise ArgumentError("stiffness", expected, str(error)) from error
+        if squares[0] <= 0.0:
+            raise ArgumentError("stiffness", expected, f"a least ω² of {squares[0]:g} 1/s²")
+        return NaturalFrequencies(np.sqrt(squares) / (2.0 * math.pi), modes.T)
 
     def platform_dynamics(self) -> PlatformDynamics:
         """Return the equations of motion at the terminal platform."""
         self._require_closed()
-        return dynamics.platform_dynamics(self.kinematics, self._v)
+        kinematics, layout, v = self.kinematics, self.constrained.layout, self._v
+        model, data, q, scale = kinematics.model, kinematics.data, kinematics.q, kinematics.twist_scale
+        x = kinematics.velocities_of_twists()
+        twist = kinematics.platform @ v
+        pin.computeJointJacobiansTimeVariation(model, data, q, v)
+        *points, platform = (
+            pin.getFrameJacobianTimeVariation(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+            for frame in (*self.constrained.frames, layout.platform)
+        )
+        closures = self.constrained.differences(np.array(points)[:, :3]).reshape(-1, model.nv)
+        # K Ẋ = -K̇ X.
+        rows = np.concatenate([scale[:, None] * platform, closures / layout.side])
+        x_rate = -kinematics.inverse_factors.solve(rows @ x)
+        mass = mass_matrix(kinematics)
+        coriolis = x.T @ (mass @ x_rate + pin.computeCoriolisMatrix(model, data, q, v) @ x)
+        reflected = x.T @ mass @ x
+        gravity = x.T @ pin.computeGeneralizedGravity(model, data, q)
+        return PlatformDynamics(0.5 * (reflected + reflected.T), coriolis, coriolis @ twist, gravity)
 
     def _holding_forces(self, wrench: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-        load = read_vector(wrench, "wrench", 6)
-        return dynamics.balance(self.kinematics, -(self.kinematics.platform.T @ load))
+        return self._balance(-(self.kinematics.platform.T @ read_vector(wrench, "wrench", 6)))

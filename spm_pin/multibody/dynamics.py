@@ -17,12 +17,10 @@ module `constrained_model`, leg forces f, wrenches w_k at frames with Jacobians 
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from scipy.linalg import LinAlgError, eigh
 
 from spm_pin.errors import ArgumentError, ClosureError
 from spm_pin.mechanism.arguments import FloatArray
@@ -34,16 +32,10 @@ __all__ = [
     "Energy",
     "NaturalFrequencies",
     "PlatformDynamics",
-    "accelerations_for",
-    "accelerations_for_legs",
-    "balance",
-    "drift",
     "energy_of",
+    "largest",
     "mass_matrix",
-    "natural_frequencies",
-    "platform_dynamics",
     "require_closed",
-    "require_closed_accelerations",
     "wrench_torques",
 ]
 
@@ -147,74 +139,6 @@ def wrench_torques(kinematics: TreeKinematics, frames: list[int], wrenches: Floa
     return total
 
 
-def balance(kinematics: TreeKinematics, torques: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return leg forces (6,) and forces in the cut balls (3 n,) that give the generalized forces (18,) of the tree."""
-    layout = kinematics.layout
-    # The actuators do not act on the passive joints: these give λ, and the legs what is left.
-    cuts = kinematics.forward_factors.solve_transposed(torques.take(layout.passive))
-    return torques.take(layout.legs) - cuts.dot(kinematics.chain_closures).take(layout.legs), cuts
-
-
-def drift(kinematics: TreeKinematics, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the accelerations where no joint accelerates: of the gaps, J̇c v (3 n,), and of m (6,) [m/s², rad/s²]."""
-    model, data, constrained = kinematics.model, kinematics.data, kinematics.constrained
-    pin.forwardKinematics(model, data, kinematics.q, v, kinematics.still)
-    frames = *constrained.frames, kinematics.layout.platform
-    found = [pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED).vector for frame in frames]
-    return constrained.differences(np.concatenate(found[:-1]).reshape(-1, 6))[:, :3].ravel(), found[-1]
-
-
-def accelerations_for(
-    kinematics: TreeKinematics, acceleration: FloatArray, bias: tuple[FloatArray, FloatArray]
-) -> FloatArray:
-    """Return joint accelerations (18,) for one of m (6,) that keep the loops closed; `bias` is the `drift`."""
-    gaps, platform = bias
-    wanted = [kinematics.twist_scale * (acceleration - platform), -gaps / kinematics.layout.side]
-    return kinematics.inverse_factors.solve(np.concatenate(wanted))
-
-
-def accelerations_for_legs(
-    kinematics: TreeKinematics, acceleration: FloatArray, bias: tuple[FloatArray, FloatArray]
-) -> FloatArray:
-    """Return joint accelerations (18,) for those of the legs (6,) that keep the loops closed; `bias` is the `drift`."""
-    a = kinematics.velocities_of_legs(acceleration)
-    a[kinematics.layout.passive] -= kinematics.forward_factors.solve(bias[0])
-    return a
-
-
-def platform_dynamics(kinematics: TreeKinematics, v: FloatArray) -> PlatformDynamics:
-    """Return the equations of motion at the platform, of a closed q and v; see `ClosedChain.platform_dynamics`."""
-    model, data, q, layout = kinematics.model, kinematics.data, kinematics.q, kinematics.layout
-    factors, scale = kinematics.inverse_factors, kinematics.twist_scale
-    x = kinematics.velocities_of_twists()
-    twist = kinematics.platform @ v
-    pin.computeJointJacobiansTimeVariation(model, data, q, v)
-    platform, *points = (
-        pin.getFrameJacobianTimeVariation(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-        for frame in (layout.platform, *kinematics.constrained.frames)
-    )
-    closures = kinematics.constrained.differences(np.array(points)[:, :3]).reshape(-1, model.nv)
-    # K Ẋ = -K̇ X.
-    x_rate = -factors.solve(np.concatenate([scale[:, None] * platform, closures / layout.side]) @ x)
-    mass = mass_matrix(kinematics)
-    coriolis = x.T @ (mass @ x_rate + pin.computeCoriolisMatrix(model, data, q, v) @ x)
-    reflected = x.T @ mass @ x
-    gravity = x.T @ pin.computeGeneralizedGravity(model, data, q)
-    return PlatformDynamics(0.5 * (reflected + reflected.T), coriolis, coriolis @ twist, gravity)
-
-
-def natural_frequencies(kinematics: TreeKinematics, stiffness: FloatArray) -> NaturalFrequencies:
-    """Return the vibrations of Λ ẍ + K x = 0 with the stiffness K (6, 6); see `ClosedChain.natural_frequencies`."""
-    x = kinematics.velocities_of_twists()
-    try:
-        squares, modes = eigh(stiffness, x.T @ mass_matrix(kinematics) @ x)
-    except LinAlgError as error:
-        raise ArgumentError("stiffness", "a symmetric matrix, positive definite", str(error)) from error
-    if squares[0] <= 0.0:
-        raise ArgumentError("stiffness", "a symmetric matrix, positive definite", f"a least ω² of {squares[0]:g} 1/s²")
-    return NaturalFrequencies(np.sqrt(squares) / (2.0 * math.pi), modes.T)
-
-
 def mass_matrix(kinematics: TreeKinematics) -> FloatArray:
     """Return M (nv, nv); Pinocchio fills one triangle."""
     half = np.triu(pin.crba(kinematics.model, kinematics.data, kinematics.q))
@@ -235,27 +159,15 @@ def require_closed(kinematics: TreeKinematics, v: FloatArray | None = None, argu
         raise ClosureError(residual, 0, "Rounded or guessed joint values? The method project closes the loops")
     if v is None:
         return
-    opening = _largest(kinematics.closures.dot(v))
+    opening = largest(kinematics.closures.dot(v))
     # A leg's own rate is part of the speed, along one axis or more: quicker, and mostly enough.
-    rate = _largest(v.take(kinematics.constrained.actuated[-6:]))
+    rate = largest(v.take(kinematics.constrained.actuated[-6:]))
     if opening > 0.5 * AGREEMENT * rate and opening > AGREEMENT * kinematics.speed(v):
         expected = "joint velocities that keep the loops closed"
         cause = "joint_velocities makes them from a twist, joint_rates from leg rates"
         raise ArgumentError(argument, expected, f"gaps that open at {opening:.1e} m/s", cause)
 
 
-def require_closed_accelerations(kinematics: TreeKinematics, drift: FloatArray, v: FloatArray, a: FloatArray) -> None:
-    """Raise unless the closures allow the accelerations a at v, to `AGREEMENT`."""
-    opening, size = _largest(kinematics.closures.dot(a) + drift), _largest(drift)
-    # The rest of the size takes longer and is rarely needed.
-    if opening > AGREEMENT * size and opening > AGREEMENT * (
-        size + kinematics.speed(a) + kinematics.speed(v) ** 2 / kinematics.layout.side
-    ):
-        expected = "joint accelerations that keep the loops closed"
-        cause = "joint_accelerations makes them from the platform's, at the velocities v"
-        raise ArgumentError("a", expected, f"gaps that open at {opening:.1e} m/s²", cause)
-
-
-def _largest(vector: FloatArray) -> float:
+def largest(vector: FloatArray) -> float:
     """Return the largest absolute value of a short vector: quicker than NumPy."""
     return float(max(map(abs, vector.tolist())))

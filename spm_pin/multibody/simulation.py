@@ -92,10 +92,7 @@ def _wrenches(constrained: ConstrainedModel, wrench: WrenchLike | ForceFunction)
     """Return the wrenches side by side as a function, and the frames that they act onto."""
     if callable(wrench):
         return _callback(wrench, "wrench"), [constrained.layout.platform]
-    together, frames = read_wrenches(wrench, constrained.model, constrained.layout.platform)
-    if together.ndim != 1:
-        cause = "One motion a call"
-        raise ArgumentError("wrench", "shape (6,), (f, m) in N and N m", f"shape {together.shape}", cause)
+    together, frames = read_wrenches(wrench, constrained.model, constrained.layout.platform, single=True)
     return _constant(together), frames
 
 

@@ -132,7 +132,7 @@ def _moving(state: ChainState, q: FloatArray, motion: PlatformMotion) -> tuple[F
     state.set(q, v)
     a = state.joint_accelerations(acceleration)
     efforts = np.zeros(q.size)
-    efforts[state.constrained.layout.legs] = state.actuator_forces(a, np.empty(0), [])
+    efforts[state.constrained.layout.legs] = state.inverse_dynamics(a)
     return q, v, a, efforts
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,9 +12,26 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, real_array, symmetric_matrices
 
-__all__ = ["Gains", "WrenchLike", "read_gains", "read_stiffness", "read_vector", "read_vectors", "read_wrenches"]
+__all__ = [
+    "Gains",
+    "WrenchLike",
+    "Wrenches",
+    "read_gains",
+    "read_stiffness",
+    "read_vector",
+    "read_vectors",
+    "read_wrenches",
+]
 
-WrenchLike = npt.ArrayLike | Mapping[str, npt.ArrayLike] | None
+
+class Wrenches(NamedTuple):
+    """Wrenches side by side (..., 6 n), and the n frames of the model that they act onto."""
+
+    vectors: FloatArray
+    frames: list[int]
+
+
+WrenchLike = npt.ArrayLike | Mapping[str, npt.ArrayLike] | Wrenches | None
 """A wrench (6,) on the platform, wrenches by the name of their frame, or none."""
 Gains = tuple[float, float] | None
 """Gains of the constraint stabilisation on gap [1/s²] and gap rate [1/s], or none."""
@@ -65,27 +82,27 @@ def read_stiffness(value: npt.ArrayLike) -> FloatArray:
     return symmetric_matrices(value, "stiffness", 6, "in N/m, N/rad, N and N m/rad, as of spm_pin.stiffness")
 
 
-def read_wrenches(wrench: WrenchLike, model: Any, platform: int) -> tuple[FloatArray, list[int]]:
-    """Return wrenches side by side, shape (..., 6 n), and the n frames of the model that they act onto.
-
-    One without a name acts onto the frame `platform`.
-    """
+def read_wrenches(wrench: WrenchLike, model: Any, platform: int, *, single: bool = False) -> Wrenches:
+    """Return wrenches that act onto frames of the model, one without a name onto the frame `platform`."""
+    read = read_vector if single else read_vectors
     if wrench is None:
-        return np.empty((0,)), []
+        return Wrenches(np.empty((0,)), [])
+    if isinstance(wrench, Wrenches):
+        return wrench
     if not isinstance(wrench, Mapping):
-        return read_vectors(wrench, "wrench", 6), [platform]
+        return Wrenches(read(wrench, "wrench", 6), [platform])
     unknown = [name for name in wrench if not (isinstance(name, str) and model.existFrame(name))]
     if unknown:
         cause = "The names of links, with the prefix"
         raise ArgumentError("wrench", "frames of the model", ", ".join(map(repr, unknown)), cause)
-    arrays = [read_vectors(value, "wrench", 6) for value in wrench.values()]
+    arrays = [read(value, "wrench", 6) for value in wrench.values()]
     try:
         spread = np.broadcast_arrays(*arrays)
     except ValueError:
         shapes = ", ".join(str(array.shape) for array in arrays)
         raise ArgumentError("wrench", "leading axes that broadcast", f"shapes {shapes}") from None
     together = np.concatenate(spread, axis=-1) if spread else np.empty((0,))
-    return together, [int(model.getFrameId(name)) for name in wrench]
+    return Wrenches(together, [int(model.getFrameId(name)) for name in wrench])
 
 
 def read_gains(gains: Gains) -> tuple[float, float]:
