@@ -36,38 +36,28 @@ _CHANCE = 1e-6
 
 @dataclass(frozen=True, repr=False)
 class Calibration:
-    """A machine identified from N measurements, and how well it is known.
-
-    Attributes
-    ----------
-    geometry : AsBuiltGeometry
-        The machine.
-    covariance : ndarray, shape (54, 54)
-        Of the parameters [m, rad], zero along what is not identifiable.
-    identifiable : ndarray, shape (n, 54)
-        Combinations of parameters that the measurements determine, the best first: rows of length one, for parameters
-        in radians and in sides of the middle platform.
-    deviations : ndarray, shape (n,)
-        Their standard deviations.
-    unidentifiable : ndarray, shape (k, 54)
-        Combinations that change no measurement of this kind, such as a shift of {n}; kept at their initial values.
-    before, residuals : ndarray, shape (N, 6) or (N, 3)
-        Predicted less measured poses before and after: displacement [m], rotation vector [rad], in {B}.
-    misfit : ndarray, shape (N,)
-        Residuals in units of their expected errors, root mean square of a measurement; 1 is as expected.
-    outliers : ndarray of bool, shape (N,)
-        Measurements that do not belong to the others.
-    """
+    """A machine identified from N measurements, and how well it is known."""
 
     geometry: AsBuiltGeometry
+    """The machine."""
     covariance: FloatArray
+    """Of the parameters [m, rad], shape (54, 54), zero along what is not identifiable."""
     identifiable: FloatArray
+    """Combinations of parameters that the measurements determine, shape (n, 54), the best first: rows of length one,
+    for parameters in radians and in sides of the middle platform."""
     deviations: FloatArray
+    """Their standard deviations, shape (n,)."""
     unidentifiable: FloatArray
+    """Combinations that change no measurement of this kind, such as a shift of {n}, shape (k, 54); kept at their
+    initial values."""
     before: FloatArray
+    """Predicted less measured poses before: displacement [m], rotation vector [rad], in {B}, shape (N, 6) or (N, 3)."""
     residuals: FloatArray
+    """The same after."""
     misfit: FloatArray
+    """Residuals in units of their expected errors, root mean square of a measurement, shape (N,); 1 is as expected."""
     outliers: BoolArray
+    """Measurements that do not belong to the others, shape (N,)."""
 
     def __repr__(self) -> str:
         first, last = (1e3 * np.sqrt((e[:, :3] ** 2).sum(axis=-1).mean()) for e in (self.before, self.residuals))
@@ -79,10 +69,7 @@ class Calibration:
     def accuracy(self, configuration: Configuration) -> FloatArray:
         """Return the covariance (..., 6, 6) of the platform's predicted pose (displacement, rotation) [m, rad], in {B}.
 
-        Parameters
-        ----------
-        configuration : Configuration
-            States of shape (...), anywhere in the workspace; of this machine or of the nominal one.
+        The states (...) are anywhere in the workspace, of this machine or of the nominal one.
         """
         jacobian = error_jacobian(configuration)
         return np.asarray(jacobian @ self.covariance @ np.swapaxes(jacobian, -1, -2))
@@ -130,15 +117,17 @@ def identify(
     PoseError, ArgumentError
         If an argument has the wrong kind or shape, or is not finite.
     MeasurementError
-        If readings are in another unit, columns exchanged, a row is an outlier, or the measurements are too few or too
-        much alike to determine the parameters.
+        If readings are in another unit or such that the machine has no state, columns are exchanged, a row is an
+        outlier, or the measurements are too few or too much alike to determine the parameters.
     """
     start = as_built(geometry)
     wanted = selected(PARAMETERS if parameters is None else parameters, "parameters")
     choice(loss, "loss", _LOSSES)
     data = Measurements.check(start, poses, leg_lengths)
     count, components = len(data.position), data.components
-    whitening = _whitening(start, data, pose_noise, length_noise)
+    total = pose_covariances(forward_physical(start, data.readings), components, pose_noise, length_noise)
+    # Matrices (N, n, n) that give residuals unit covariance.
+    whitening = np.linalg.inv(np.linalg.cholesky(total))
     basis, invisible = visible_basis(start, wanted, components == 3)
     if count * components < basis.shape[1]:
         few = -(-basis.shape[1] // components)
@@ -202,13 +191,6 @@ def visible_basis(start: AsBuiltGeometry, wanted: BoolArray, positions_only: boo
     chosen = chosen - hidden @ (hidden.T @ chosen)
     left, values, _ = np.linalg.svd(chosen, full_matrices=False)
     return left[:, values > 1e-9], hidden.T
-
-
-def _whitening(start: AsBuiltGeometry, data: Measurements, pose_noise: Any, length_noise: Any) -> FloatArray:
-    """Return matrices (N, n, n) that give residuals unit covariance."""
-    states = forward_physical(start, data.readings)
-    total = pose_covariances(states, data.components, pose_noise, length_noise)
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(total)))
 
 
 def _solved(residuals: Any, jacobian: Any, first: FloatArray, loss: Any) -> FloatArray:

@@ -49,15 +49,7 @@ class Measurements:
 
     @classmethod
     def check(cls, geometry: AsBuiltGeometry, poses: Any, leg_lengths: npt.ArrayLike) -> Measurements:
-        """Read the arguments of `identify`.
-
-        Raises
-        ------
-        PoseError, ArgumentError
-            If they are no poses or positions and no readings, in equal numbers.
-        MeasurementError
-            If lengths are in another unit, columns of legs exchanged, or readings such that the machine has no state.
-        """
+        """Read the arguments of `identify`, with its errors."""
         array = as_array(poses) if not isinstance(poses, RigidTransform) else None
         if array is not None and array.shape[-1:] == (3,):
             position = real_array(poses, "poses", (3,), "positions of o in {B} in metres")

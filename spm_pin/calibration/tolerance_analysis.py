@@ -22,27 +22,18 @@ __all__ = ["ToleranceAnalysis", "tolerance"]
 
 @dataclass(frozen=True, repr=False)
 class ToleranceAnalysis:
-    """Errors of the platform of machines whose dimensions are normally distributed, at N states.
-
-    Attributes
-    ----------
-    states : Configuration, shape (N,)
-        The states of the machine without errors.
-    deviations : ndarray, shape (54,)
-        Standard deviations of the parameters [m, rad].
-    covariance : ndarray, shape (N, 6, 6)
-        Of the platform's error (displacement, rotation vector) [m, rad] in {B}, to first order.
-    shares : ndarray, shape (54,)
-        Part of the mean variance of the position that each parameter causes; they add up to 1.
-    samples : ndarray, shape (S, N, 6)
-        Errors of S random machines, not linearised; NaN where a machine cannot have the readings.
-    """
+    """Errors of the platform of machines whose dimensions are normally distributed, at N states."""
 
     states: Configuration
+    """The states of the machine without errors, shape (N,)."""
     deviations: FloatArray
+    """Standard deviations of the parameters [m, rad], shape (54,)."""
     covariance: FloatArray
+    """Of the platform's error (displacement, rotation vector) [m, rad] in {B}, to first order, shape (N, 6, 6)."""
     shares: FloatArray
+    """Part of the mean variance of the position that each parameter causes, shape (54,); they add up to 1."""
     samples: FloatArray
+    """Errors of S random machines, not linearised, shape (S, N, 6); NaN where a machine cannot have the readings."""
 
     def __repr__(self) -> str:
         position, angle = self.rms

@@ -22,18 +22,13 @@ __all__ = [
     "description_file",
 ]
 
+# Of files that `spm_pin.description` names, that says what they are.
 ENTRY = "spm.urdf.xacro"
-"""The source that everything expands from."""
 URDF = "spm.urdf"
-"""The spanning tree, expanded for the paper's geometry."""
 SRDF = "spm.srdf"
-"""Named states, groups, passive joints and the links that touch by design."""
 MJCF = "spm.xml"
-"""The closed robot for MuJoCo, and for Drake and Pinocchio."""
 SDF = "spm.sdf"
-"""The closed robot in SDFormat."""
 EXTENDED_URDF = "spm_closures.yaml"
-"""The closures in the layout of Extended-URDF."""
 MESHES = "meshes"
 """The folder of the solids that are drawn, OBJ files without unit: the URDF scales them."""
 CLOSURES = "config/closures.yaml"

@@ -15,13 +15,7 @@ __all__ = ["LegMotion", "LegPath"]
 
 
 class LegMotion(NamedTuple):
-    """Leg lengths along a path, and their derivatives by its parameter.
-
-    Attributes
-    ----------
-    lengths, first, second : ndarray, shape (..., 6)
-        Of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], the derivatives per unit of the parameter.
-    """
+    """Leg lengths r_b1 to r_c3 along a path, (..., 6) [m], and their derivatives per unit of its parameter."""
 
     lengths: FloatArray
     first: FloatArray

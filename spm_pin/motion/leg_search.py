@@ -13,8 +13,7 @@ import numpy as np
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.motion.leg_path import LegPath
-from spm_pin.motion.path_rules import PathRules
-from spm_pin.motion.path_states import line_states, spaced_parameters, states_along
+from spm_pin.motion.path_states import PathRules, line_states, spaced_parameters, states_along
 
 __all__ = ["find_corners", "smooth_path"]
 

@@ -65,18 +65,10 @@ def _nearest(knots: FloatArray, parts: int) -> npt.NDArray[np.intp]:
 
 @dataclass(frozen=True)
 class EasedGrid:
-    """Even steps of τ from 0 to 1, moved to the path's knots where these are near.
+    """Even steps of τ from 0 to 1, moved to the path's knots where these are near."""
 
-    Attributes
-    ----------
-    tau : ndarray, shape (n,)
-        The grid.
-    corners : ndarray of int, shape (k,)
-        Which of it are inner knots of the path.
-    """
-
-    tau: FloatArray
-    corners: npt.NDArray[np.intp]
+    tau: FloatArray  # the grid, (n,)
+    corners: npt.NDArray[np.intp]  # which of it are inner knots of the path, (k,)
 
     @classmethod
     def over(cls, knots: FloatArray, parts: int) -> EasedGrid:
@@ -93,30 +85,10 @@ class EasedGrid:
 def limited_jerk(
     grid: EasedGrid, rows: LimitRows, first: FloatArray, second: FloatArray, jerks: FloatArray
 ) -> tuple[float, Clock]:
-    """Return the quickest motion that keeps all limits on a grid.
+    """Return the duration [s] and the clock of the quickest motion that keeps all limits on a grid of n points.
 
-    Parameters
-    ----------
-    grid : EasedGrid
-        With n points.
-    rows : LimitRows
-        At its parameters.
-    first, second : ndarray, shape (n, 6)
-        Derivatives of the leg lengths by s there.
-    jerks : ndarray, shape (6,)
-        Largest jerk of each leg [m/s³].
-
-    Returns
-    -------
-    float
-        Its duration [s].
-    Clock
-        Where it is when.
-
-    Raises
-    ------
-    ArgumentError
-        If there is no such motion.
+    `rows` are the limits at its parameters, `first` and `second` (n, 6) the derivatives of the leg lengths by s there,
+    `jerks` (6,) the largest jerk of each leg [m/s³]. Raises `ArgumentError` if there is no such motion.
     """
     programme = _Programme.of(grid, rows, first, second, jerks)
     count = len(programme.tau)

@@ -62,23 +62,13 @@ class LimitRows:
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Limits of a motion; None where there is none.
+    """Limits of a motion; None where there is none."""
 
-    Attributes
-    ----------
-    leg_rates, leg_accelerations, leg_jerks : ndarray, shape (6,), or None
-        Largest ones [m/s, m/s², m/s³].
-    leg_forces : pair of ndarray, shape (6,), or None
-        The least and the largest force of each leg [N].
-    twist : (float, float) or None
-        Largest speed of o [m/s] and of turning [rad/s].
-    """
-
-    leg_rates: FloatArray | None
-    leg_accelerations: FloatArray | None
-    leg_jerks: FloatArray | None
-    leg_forces: tuple[FloatArray, FloatArray] | None
-    twist: tuple[float, float] | None
+    leg_rates: FloatArray | None  # largest, (6,) [m/s]
+    leg_accelerations: FloatArray | None  # largest, (6,) [m/s²]
+    leg_jerks: FloatArray | None  # largest, (6,) [m/s³]
+    leg_forces: tuple[FloatArray, FloatArray] | None  # the least and the largest, (6,) [N]
+    twist: tuple[float, float] | None  # largest speed of o [m/s] and of turning [rad/s]
 
     @classmethod
     def read(cls, leg_rates: Any, leg_accelerations: Any, leg_jerks: Any, leg_forces: Any, twist: Any) -> MotionLimits:

@@ -27,41 +27,21 @@ __all__ = ["PathDynamics", "path_dynamics"]
 
 @dataclass(frozen=True)
 class PathDynamics:
-    """The mechanism at parameters (n,) of a path; see the module.
+    """The mechanism at n parameters of a path; see the module."""
 
-    Attributes
-    ----------
-    parameters : ndarray, shape (n,)
-        From 0 to 1.
-    states : Configuration
-        Of shape (n,), in the physical mode.
-    q, first, second : ndarray, shape (n, 18)
-        Joint values, continuous along the path, and their derivatives by the parameter.
-    twist : ndarray, shape (n, 6)
-        Of the terminal platform, (v, ω) at o in {B} per unit of ṡ.
-    inertial, centrifugal, static : ndarray, shape (n, 6)
-        f_a, f_b and f_c [N].
-    """
-
-    parameters: FloatArray
-    states: Configuration
-    q: FloatArray
-    first: FloatArray
-    second: FloatArray
-    twist: FloatArray
-    inertial: FloatArray
-    centrifugal: FloatArray
-    static: FloatArray
+    parameters: FloatArray  # from 0 to 1
+    states: Configuration  # in the physical mode
+    q: FloatArray  # joint values (n, 18), continuous along the path
+    first: FloatArray  # q' (n, 18)
+    second: FloatArray  # q'' (n, 18)
+    twist: FloatArray  # of the terminal platform (n, 6), (v, ω) at o in {B} per unit of ṡ
+    inertial: FloatArray  # f_a (n, 6) [N]
+    centrifugal: FloatArray  # f_b (n, 6) [N]
+    static: FloatArray  # f_c (n, 6) [N]
 
 
 def path_dynamics(chain: ClosedChain, path: Path, parameters: FloatArray, payload: Payload | None) -> PathDynamics:
-    """Return the mechanism along a path, in the physical mode.
-
-    Raises
-    ------
-    ArgumentError
-        If the path is out of reach or meets a singularity somewhere, with the parameter.
-    """
+    """Return the mechanism along a path; `ArgumentError` where it is out of reach or meets a singularity."""
     states = states_along(chain.geometry, path, parameters)
     if not states.exists.all():
         bad = parameters[int((~states.exists).argmax())]

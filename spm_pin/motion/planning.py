@@ -35,8 +35,7 @@ from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.motion.leg_path import LegPath
 from spm_pin.motion.leg_search import find_corners, smooth_path
-from spm_pin.motion.path_rules import PathRules, least_determinant
-from spm_pin.motion.path_states import Path, spaced_parameters, states_along
+from spm_pin.motion.path_states import Path, PathRules, least_determinant, spaced_parameters, states_along
 from spm_pin.multibody.joint_layout import require_dimensions
 from spm_pin.multibody.platform_path import PlatformPath
 from spm_pin.proofs import Certificate
@@ -49,30 +48,20 @@ Place = Configuration | PoseLike | npt.ArrayLike
 
 @dataclass(frozen=True)
 class MotionPlan:
-    """A path between two states, or the reason why there is none; made by `plan`.
-
-    Attributes
-    ----------
-    geometry : Geometry or AsBuiltGeometry
-        The machine.
-    path : LegPath, PlatformPath or None
-        The path, over a parameter from 0 to 1 (a PlatformPath: in "seconds").
-    method : str
-        "straight in leg lengths", "straight in poses", "around", or "none".
-    certified : bool
-        True if a certificate covers every sample: no state of it is forward singular, between samples neither.
-    reason : str
-        Why there is no path, or what is wrong with the straight one.
-    margin : float
-        Least |det J_b| and |det J_c| over d³ along it; NaN without a path.
-    """
+    """A path between two states, or the reason why there is none; made by `plan`."""
 
     geometry: Geometry | AsBuiltGeometry
+    """The machine."""
     path: Path | None
+    """The path, over a parameter from 0 to 1 (a PlatformPath: in "seconds")."""
     method: str
+    """"straight in leg lengths", "straight in poses", "around", or "none"."""
     certified: bool
+    """True if a certificate covers every sample: no state of it is forward singular, between samples neither."""
     reason: str
+    """Why there is no path, or what is wrong with the straight one."""
     margin: float
+    """Least |det J_b| and |det J_c| over d³ along it; NaN without a path."""
 
     def __repr__(self) -> str:
         if self.path is None:

@@ -24,8 +24,7 @@ from spm_pin.motion.leg_path import LegPath
 from spm_pin.motion.limited_jerk import Clock, EasedGrid, limited_jerk
 from spm_pin.motion.motion_limits import LimitRows, MotionLimits
 from spm_pin.motion.path_dynamics import PathDynamics, path_dynamics
-from spm_pin.motion.path_rules import ROUNDING
-from spm_pin.motion.path_states import Path
+from spm_pin.motion.path_states import ROUNDING, Path
 from spm_pin.motion.payload import Payload
 from spm_pin.motion.planning import MotionPlan
 from spm_pin.multibody.chain import ClosedChain

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError, SpmError
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import FloatArray, broadcastable
 from spm_pin.multibody.constrained_state import ConstrainedState
 from spm_pin.multibody.vector_arguments import read_vectors
 
@@ -22,12 +21,8 @@ _State = TypeVar("_State", bound=ConstrainedState)
 class BatchedStates(Generic[_State]):
     """States of one constrained model for calls about batches; free ones are kept with their memory.
 
-    Parameters
-    ----------
-    make : callable
-        Returns a new state, where several threads call at the same time, or one call inside another.
-    checked : callable
-        Reads joint values (..., nq).
+    `make` returns a new state, where several threads call at the same time, or one call inside another; `checked` reads
+    joint values (..., nq).
     """
 
     def __init__(self, make: Callable[[], _State], checked: Callable[[npt.ArrayLike], FloatArray]) -> None:
@@ -35,21 +30,6 @@ class BatchedStates(Generic[_State]):
         self.constrained = self._free[0].constrained
         nv = self.constrained.model.nv
         self._sizes = {"v": nv, "a": nv, "forces": self.constrained.actuated.size, "stiffness": 36}
-
-    def _take(self) -> _State:
-        try:
-            return self._free.pop()
-        except IndexError:
-            return self._make()
-
-    @contextmanager
-    def borrowed(self) -> Iterator[_State]:
-        """Yield a state for the caller alone."""
-        state = self._take()
-        try:
-            yield state
-        finally:
-            self._free.append(state)
 
     def over(
         self,
@@ -60,25 +40,11 @@ class BatchedStates(Generic[_State]):
         wrenches: FloatArray | None = None,
         **vectors: npt.ArrayLike,
     ) -> tuple[Any, ...]:
-        """Call a function of a state and of vectors for each member of a batch.
+        """Call a function of a state and of vectors for each member of a batch; return arrays of what it returns.
 
-        Parameters
-        ----------
-        function : callable
-            Takes a state at q, and at v where `vectors` has it, and one member of each other vector; returns a tuple.
-        trailing : tuple of tuple of int
-            The shapes in that tuple.
-        q : array_like, shape (..., nq)
-            Joint values.
-        wrenches : ndarray, shape (..., 6 n), optional
-            As of `read_wrenches`; the last vector.
-        **vectors : array_like, shapes (..., n)
-            Leading axes broadcast. Their names are those of the errors and choose n, six by default.
-
-        Returns
-        -------
-        tuple of ndarray
-            The leading axes and those of `trailing`; a float for a single number.
+        The state is at q (..., nq), and at v where `vectors` has it; the function takes one member of each other vector
+        (..., n), last `wrenches` as of `read_wrenches`, and returns a tuple of arrays whose shapes are `trailing`. The
+        names of vectors are those of the errors and choose n, six by default. A result of one number is a float.
 
         Raises
         ------
@@ -93,7 +59,10 @@ class BatchedStates(Generic[_State]):
         if wrenches is not None:
             arguments["wrench"] = wrenches
         moving = 2 if "v" in vectors else 1
-        state = self._take()
+        try:
+            state = self._free.pop()
+        except IndexError:
+            state = self._make()
 
         def member(*values: FloatArray) -> tuple[Any, ...]:
             state.set(*values[:moving])
@@ -120,11 +89,7 @@ def _over_batch(
         return tuple(np.array(value) if last else value for value, last in zip(values, trailing, strict=True))
     shape: tuple[int, ...] = ()
     for name, array in arguments.items():
-        try:
-            shape = np.broadcast_shapes(shape, array.shape[:-1])
-        except ValueError:
-            expected = f"leading axes that broadcast with {shape}"
-            raise ArgumentError(name, expected, f"shape {array.shape}") from None
+        shape = broadcastable(name, array.shape[:-1], "the other arguments", shape)
     spread = [np.broadcast_to(array, (*shape, array.shape[-1])) for array in arguments.values()]
     results = tuple(np.empty((*shape, *last)) for last in trailing)
     for index in np.ndindex(shape):

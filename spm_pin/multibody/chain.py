@@ -30,8 +30,7 @@ from spm_pin.multibody.joint_layout import JointLayout
 from spm_pin.multibody.loading import chain_closures, collision_shapes, read_description, visual_shapes
 from spm_pin.multibody.mounting import MountedChain, joined
 from spm_pin.multibody.platform_path import PlatformMotion
-from spm_pin.multibody.simulation import ForceFunction, simulate
-from spm_pin.multibody.simulation_result import Simulation
+from spm_pin.multibody.simulation import ForceFunction, Simulation, simulate
 from spm_pin.multibody.trajectory import JointTrajectory, joint_trajectory
 from spm_pin.multibody.vector_arguments import WrenchLike, read_vectors
 
@@ -356,7 +355,9 @@ class ClosedChain(ChainMethods):
     ) -> FloatArray:
         """Return q of each target by a method of `ContinuationSolver`, from that of the one before."""
         q = self._layout.checked(near, "near", single=True)
-        with self._states.borrowed() as state:
-            state.set(q)
+
+        def found(state: ChainState) -> FloatArray:
             require_closed(state.kinematics)
             return ContinuationSolver(state.kinematics).to_each(solve, q, shape, *targets)
+
+        return self._states.array(found, (*shape, q.size), q)

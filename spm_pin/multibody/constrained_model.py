@@ -49,35 +49,22 @@ class SingularValues(NamedTuple):
 
     Lengths are in units of the middle platform's side, the rates of a ball joint are its angular velocity. Arrays (...)
     for a batch.
-
-    Attributes
-    ----------
-    inverse : float or ndarray
-        Of K, the twist of m and the closures' rates: zero where the platform's twist does not determine the rates
-        of the legs.
-    forward : float or ndarray
-        Of [S; Jc], the rates of the legs and of the closures: zero where the legs do not hold the platform.
-    constraint : float or ndarray
-        Of Jc, the rates of the closures: zero where the revolute joints of a stage do not constrain its platform.
-        Then the other two are zero as well.
     """
 
     inverse: Any
+    """Of K, the twist of m and the closures' rates: zero where the platform's twist does not determine the rates of the
+    legs."""
     forward: Any
+    """Of [S; Jc], the rates of the legs and of the closures: zero where the legs do not hold the platform."""
     constraint: Any
+    """Of Jc, the rates of the closures: zero where the revolute joints of a stage do not constrain its platform. Then
+    the other two are zero as well."""
 
 
 class ConstrainedModel:
-    """A Pinocchio model that holds the mechanism's tree, and the closures of the tree; immutable.
+    """A Pinocchio model that holds the mechanism's tree, perhaps with another robot, and its closures; immutable.
 
-    Parameters
-    ----------
-    model : pinocchio.Model
-        The tree, perhaps with another robot.
-    layout : JointLayout
-        Where the mechanism's joints are in it.
-    closures : iterable of Closure
-        Of kind "point"; their frames are in the model.
+    The closures are of kind "point", their frames in the model.
     """
 
     def __init__(self, model: Any, layout: JointLayout, closures: Iterable[Closure]) -> None:
@@ -135,17 +122,8 @@ class Factors(NamedTuple):
 class TreeKinematics:
     """Gaps, Jacobians and their factorisations of a `ConstrainedModel` at one q, each computed on first use.
 
-    Parameters
-    ----------
-    constrained : ConstrainedModel
-        The model.
-
-    Attributes
-    ----------
-    data : pinocchio.Data
-        Joint placements, Jacobians and frames of q; other algorithms may work in it at the same q.
-    q : ndarray, shape (nq,)
-        Joint values of the model, of the last `evaluate`.
+    `q` (nq,) are the joint values of the last `evaluate`, `data`, a pinocchio.Data, has the joint placements, Jacobians
+    and frames there; other algorithms may work in it at the same q.
     """
 
     def __init__(self, constrained: ConstrainedModel) -> None:
@@ -240,7 +218,7 @@ class TreeKinematics:
     def singular_values(self) -> SingularValues:
         """Return the smallest singular values of K̂, N̂ and Jc C / d."""
         self.require_ball_angles()
-        matrices = (self.inverse_matrix(), self.forward_matrix(), self.scaled_closures())
+        matrices = self.inverse_matrix(), self.forward_matrix(), self.scaled_closures()
         return SingularValues(*(float(np.linalg.svd(m, compute_uv=False)[-1]) for m in matrices))
 
     @cached_property

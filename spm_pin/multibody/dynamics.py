@@ -41,16 +41,11 @@ __all__ = [
 
 
 class Energy(NamedTuple):
-    """Energy of all moving bodies [J].
-
-    Attributes
-    ----------
-    kinetic, potential : float or ndarray, shape (...)
-        The potential of gravity is zero at the height of the universe's origin.
-    """
+    """Energy of all moving bodies [J], floats or arrays (...)."""
 
     kinetic: Any
     potential: Any
+    """Of gravity, zero at the height of the universe's origin."""
 
     @property
     def total(self) -> Any:
@@ -63,38 +58,26 @@ class PlatformDynamics(NamedTuple):
 
     t = (v, ω) is the twist of m at o, ṫ its time derivative: the acceleration of the point o and the angular
     acceleration; f are the leg forces, w is the wrench applied onto m, all in {B}. The masses of all bodies are in it.
-
-    Attributes
-    ----------
-    mass : ndarray, shape (..., 6, 6)
-        Λ, reflected at o; symmetric and positive definite.
-    coriolis : ndarray, shape (..., 6, 6)
-        C, of the factorization for which Λ̇ - 2 C is skew.
-    bias : ndarray, shape (..., 6)
-        C t [N, N m].
-    gravity : ndarray, shape (..., 6)
-        G: minus the wrench that the weights of all bodies exert at o.
     """
 
     mass: FloatArray
+    """Λ, reflected at o, shape (..., 6, 6); symmetric and positive definite."""
     coriolis: FloatArray
+    """C, shape (..., 6, 6), of the factorization for which Λ̇ - 2 C is skew."""
     bias: FloatArray
+    """C t [N, N m], shape (..., 6)."""
     gravity: FloatArray
+    """G, shape (..., 6): minus the wrench that the weights of all bodies exert at o."""
 
 
 class NaturalFrequencies(NamedTuple):
-    """Vibrations of the platform on elastic legs, slowest first.
-
-    Attributes
-    ----------
-    frequencies : ndarray, shape (..., 6)
-        [Hz].
-    modes : ndarray, shape (..., 6, 6)
-        As rows, the small displacements (of o [m], rotation [rad]) in {B} of the same order; Mᵀ Λ M = 1 of the columns.
-    """
+    """Vibrations of the platform on elastic legs, slowest first."""
 
     frequencies: FloatArray
+    """[Hz], shape (..., 6)."""
     modes: FloatArray
+    """Small displacements (of o [m], rotation [rad]) in {B} as rows, shape (..., 6, 6), in the order of the
+    frequencies; Mᵀ Λ M = 1 of the columns."""
 
 
 class AccelerationSolver:

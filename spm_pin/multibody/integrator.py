@@ -12,7 +12,7 @@ the state, so that energy less work is constant in every run, driven or not.
 
 from __future__ import annotations
 
-import dataclasses
+import enum
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -26,9 +26,8 @@ from spm_pin.mechanism.geometry import LEGS, LegLimits
 from spm_pin.multibody.closure_solvers import project_to_closure
 from spm_pin.multibody.constrained_state import ChainState
 from spm_pin.multibody.dynamics import energy_of, mass_matrix, wrench_torques
-from spm_pin.multibody.simulation_result import Simulation, SimulationEnd
 
-__all__ = ["Ending", "ForceCallback", "Integrator"]
+__all__ = ["Ending", "ForceCallback", "Integrator", "SimulationEnd"]
 
 ForceCallback = Callable[[float, FloatArray, FloatArray], FloatArray]
 """Forces at (t, q, v)."""
@@ -43,6 +42,21 @@ LARGEST_RATE = 1e100
 """Velocity, acceleration or power at which a run ends: SciPy's step control loops for ever on infinite ones."""
 
 NOT_FINITE = "forces or accelerations beyond all measure"
+
+
+class SimulationEnd(enum.StrEnum):
+    """Why a simulation ended."""
+
+    COMPLETE = "complete"
+    LIMIT = "leg limit"
+    INVERSE_SINGULARITY = "inverse singularity"
+    FORWARD_SINGULARITY = "forward singularity"
+    CONSTRAINT_SINGULARITY = "constraint singularity"
+    COLLAPSE = "leg of no length"
+    STOPPED = "stopped"
+    STALLED = "stalled"
+    """Too fast for any step, as where forces are discontinuous or have no bound."""
+
 
 SINGULAR_ENDS = (SimulationEnd.INVERSE_SINGULARITY, SimulationEnd.FORWARD_SINGULARITY)
 
@@ -76,18 +90,7 @@ class Margin(NamedTuple):
 class Integrator:
     """One simulation as it goes; a state vector is q, v and the work done, shape (37,).
 
-    Parameters
-    ----------
-    state : ChainState
-        Of the chain; it is moved.
-    frames : list of int
-        Where wrenches act.
-    wrenches : callable
-        These side by side (6 n,) at (t, q, v).
-    limits : LegLimits, optional
-        To stop at.
-    singular : frozenset of SimulationEnd
-        Singularities to stop at.
+    `state` is moved; `wrenches` (6 n,) side by side act onto `frames`; `limits` and `singular` are what to stop at.
     """
 
     def __init__(
@@ -104,8 +107,8 @@ class Integrator:
         self._limits, self._singular = limits, singular
         self._size = len(self._layout.v)
         self._least = SHORTEST_LEG * self._layout.side
-        self._rows: list[tuple[Any, ...]] = []
-        self._steps = self._evaluations = 0
+        self.rows: list[tuple[Any, ...]] = []  # what is recorded: the first fields of `Simulation`
+        self.steps = self.evaluations = 0
 
     def start(self, q: FloatArray, v: FloatArray) -> FloatArray:
         """Return the state that begins at q and v."""
@@ -125,21 +128,14 @@ class Integrator:
 
     def record(self, time: float, state: FloatArray, forces: ForceCallback) -> None:
         """Keep the motion at one time, unless the last one kept is of that time."""
-        if self._rows and self._rows[-1][0] == time:
+        if self.rows and self.rows[-1][0] == time:
             return
         q, v = self.parts(state)
         a, force, _ = self._motion(time, q, v, forces)
         self._kinematics.evaluate(q)
         energy = energy_of(self._kinematics, v)
         gap = self._kinematics.widest_gap()
-        self._rows.append((time, q, v, a, self._layout.leg_lengths(q), force, *energy, float(state[-1]), gap))
-
-    def result(self, ending: Ending | None) -> Simulation:
-        """Return what was kept."""
-        end, detail = (SimulationEnd.COMPLETE, "") if ending is None else ending[:2]
-        names = (field.name for field in dataclasses.fields(Simulation))
-        columns: dict[str, Any] = dict(zip(names, map(np.array, zip(*self._rows, strict=True)), strict=False))
-        return Simulation(**columns, end=end, detail=detail, steps=self._steps, evaluations=self._evaluations)
+        self.rows.append((time, q, v, a, self._layout.leg_lengths(q), force, *energy, float(state[-1]), gap))
 
     def advance(
         self,
@@ -154,7 +150,7 @@ class Integrator:
         """Integrate over a span of time, recording at `times` within; return the state there, or where it ended."""
 
         def rate(time: float, state: FloatArray) -> FloatArray:
-            self._evaluations += 1
+            self.evaluations += 1
             q, v = self.parts(state)
             a, _, power = self._motion(time, q, v, forces)
             rates = np.concatenate([v, a, [power]])
@@ -175,7 +171,7 @@ class Integrator:
                     return state, Ending(SimulationEnd.STALLED, "no step is short enough", before)
             except _InfiniteRateError:
                 return state, Ending(SimulationEnd.STALLED, NOT_FINITE, before)
-            self._steps += 1
+            self.steps += 1
             time, collapse = self._collapse(solver, before)
             try:
                 closed = self._closed(solver.y if collapse is None else np.asarray(solver.dense_output()(time)))
@@ -234,15 +230,14 @@ class Integrator:
         self, passed: list[int], margins: list[Margin], at: Callable[[float], FloatArray], before: float, time: float
     ) -> Ending | None:
         """Return the first margin passed in a step."""
+
+        def value(moment: float, k: int) -> float:
+            return self._margins(at(moment))[k].value
+
         found = []
         for k in passed:
-
-            def value(moment: float, k: int = k) -> float:
-                return self._margins(at(moment))[k].value
-
-            moment = before
-            if margins[k].value != 0.0:
-                moment = float(brentq(value, before, time, xtol=1e-15, rtol=1e-14))
+            begins = margins[k].value == 0.0
+            moment = before if begins else float(brentq(value, before, time, (k,), xtol=1e-15, rtol=1e-14))
             found.append(Ending(margins[k].end, margins[k].detail, moment))
         return min(found, key=lambda ending: ending.time, default=None)
 

@@ -29,64 +29,34 @@ BALLS = (("ball_b1_x", "ball_b1_y", "ball_b1_z"), ("ball_c1_z", "ball_c1_y", "ba
 class JointLayout:
     """The eighteen joints of the mechanism in a model that has them, perhaps among others; immutable.
 
-    Parameters
-    ----------
-    model : pinocchio.Model
-        A model of the description's tree, or one that holds it.
-    geometry : Geometry or AsBuiltGeometry
-        Its dimensions, and the limits that set its zero.
-    prefix : str
-        Before the names of the mechanism in `model`.
-
-    Attributes
-    ----------
-    names : tuple of str
-        The joints without prefix in Pinocchio's order, the order of all that follows.
-    q, v : ndarray of int, shape (18,)
-        Where they are in the q and the v of the model.
-    legs, passive : ndarray of int, shapes (6,), (12,)
-        The slides in the order of `LEGS`, and the other joints, among the eighteen.
-    balls : tuple of ndarray of int, shape (3,)
-        The joints of each ball, among the eighteen.
-    others : ndarray of int, shape (nv - 18,)
-        Where all other degrees of freedom are in v.
-    home : ndarray, shape (6,)
-        Leg lengths at zero [m]; of a machine as built the readings.
-    offsets : ndarray, shape (6,)
-        What a leg length exceeds the distance of its ball and pivot by [m].
-    side : float
-        d, the side of the middle platform [m], as the nominal machine has it.
-    platforms : float
-        The platforms' part in the length of a loop [m].
-    units : ndarray, shape (18,)
-        Of a step of order one in each joint: 1 rad, or d.
-    platform : int
-        The frame of the terminal platform.
-    corners : list of int
-        The frames b_1, b_2 and b_3 of the middle platform.
+    `geometry` are its dimensions, and the limits that set its zero; `prefix` stands before its names in `model`.
     """
 
     def __init__(self, model: Any, geometry: Geometry | AsBuiltGeometry, prefix: str) -> None:
         self.geometry = geometry
         joints = {name: model.joints[model.getJointId(prefix + name)] for name in JOINTS}
+        # Without prefix in Pinocchio's order, the order of all that follows.
         self.names = tuple(sorted(JOINTS, key=lambda name: joints[name].idx_q))
         self._place = {name: k for k, name in enumerate(self.names)}
+        # Where they are in the q and the v of the model, and where all other degrees of freedom are in v.
         self.q = np.array([joints[name].idx_q for name in self.names], dtype=np.intp)
         self.v = np.array([joints[name].idx_v for name in self.names], dtype=np.intp)
         self.others = np.setdiff1d(np.arange(model.nv), self.v)
+        # Among the eighteen: the slides in the order of `LEGS`, the other joints, and those of each ball.
         self.legs = self.indices(*SLIDES)
         self.passive = np.setdiff1d(np.arange(len(JOINTS)), self.legs)
         self.balls = tuple(self.indices(*names) for names in BALLS)
         nominal = geometry.nominal
+        # What leg lengths exceed the distances of ball and pivot by, and leg lengths (readings as built) at zero [m].
         self.offsets = geometry.offsets if isinstance(geometry, AsBuiltGeometry) else frozen(np.zeros(len(LEGS)))
         self._home_distances = frozen(np.repeat(home_lengths(nominal), 3))
         self.home = frozen(self._home_distances + self.offsets)
+        # d, and the platforms' part in the length of a loop [m].
         self.side, self.platforms = float(nominal.middle_side), float(sum(nominal.dimensions))
         self.platform = int(model.getFrameId(f"{prefix}terminal_platform"))
         self.corners = [int(model.getFrameId(f"{prefix}middle_b{i}")) for i in "123"]
-        units = np.ones(len(JOINTS))
-        units[self.legs] = self.side
-        self.units = frozen(units)
+        # Of a step of order one in each joint: 1 rad, or d.
+        self.units = frozen(np.where(np.isin(np.arange(len(JOINTS)), self.legs), self.side, 1.0))
         self._order = np.argsort(self.indices(*ANGLES, *SLIDES))
 
     def indices(self, *names: str) -> npt.NDArray[np.intp]:

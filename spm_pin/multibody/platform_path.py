@@ -17,21 +17,14 @@ __all__ = ["PlatformMotion", "PlatformPath", "increasing_times"]
 
 
 class PlatformMotion(NamedTuple):
-    """Motion of the terminal platform at one time or several.
-
-    Attributes
-    ----------
-    pose : RigidTransform
-        Of {m} in {B}, shape (...).
-    twist : ndarray, shape (..., 6)
-        (v, ω): velocity of o [m/s], angular velocity [rad/s], in {B}.
-    acceleration : ndarray, shape (..., 6)
-        Time derivative of the twist [m/s², rad/s²].
-    """
+    """Motion of the terminal platform at one time or several."""
 
     pose: RigidTransform
+    """Of {m} in {B}, shape (...)."""
     twist: FloatArray
+    """(v, ω): velocity of o [m/s], angular velocity [rad/s], in {B}, shape (..., 6)."""
     acceleration: FloatArray
+    """Time derivative of the twist [m/s², rad/s²], shape (..., 6)."""
 
 
 class PlatformPath:

@@ -1,10 +1,11 @@
-"""Motion of a chain in time: what acts on it, when it is recorded, and what ends it."""
+"""Motion of a chain in time: what acts on it, when it is recorded, what ends it, and the result."""
 
 from __future__ import annotations
 
 import itertools
 import math
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -15,12 +16,11 @@ from spm_pin.mechanism.arguments import FloatArray, real_number
 from spm_pin.multibody.constrained_model import ConstrainedModel
 from spm_pin.multibody.constrained_state import ChainState
 from spm_pin.multibody.dynamics import require_closed
-from spm_pin.multibody.integrator import Ending, ForceCallback, Integrator
+from spm_pin.multibody.integrator import Ending, ForceCallback, Integrator, SimulationEnd
 from spm_pin.multibody.platform_path import increasing_times
-from spm_pin.multibody.simulation_result import Simulation, SimulationEnd
 from spm_pin.multibody.vector_arguments import WrenchLike, read_vector, read_wrenches
 
-__all__ = ["ForceFunction", "simulate"]
+__all__ = ["ForceFunction", "Simulation", "simulate"]
 
 ForceFunction = Callable[[float, FloatArray, FloatArray], npt.ArrayLike]
 """A function of the time, q (18,) and v (18,): leg forces (6,), or a wrench (6,)."""
@@ -33,6 +33,59 @@ STOPS = {
 
 SHORTEST_INTERVAL = 1e-7
 """Shortest period and longest step that are accepted, as a share of the run: more steps would not end."""
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A motion of a `ClosedChain` in time, at n times."""
+
+    times: FloatArray
+    """The requested times [s], shape (n,), as far as the motion went; the last is that of an event that ended it."""
+    q: FloatArray
+    """Joint values, shape (n, 18)."""
+    v: FloatArray
+    """Joint velocities, shape (n, 18)."""
+    a: FloatArray
+    """Joint accelerations, shape (n, 18)."""
+    leg_lengths: FloatArray
+    """[m], shape (n, 6)."""
+    leg_forces: FloatArray
+    """What the actuators gave [N], shape (n, 6); positive pushes."""
+    kinetic: FloatArray
+    """Kinetic energy of all bodies [J], shape (n,)."""
+    potential: FloatArray
+    """Potential energy of all bodies [J], shape (n,)."""
+    work: FloatArray
+    """Of the leg forces and the wrenches since the start [J], shape (n,)."""
+    closure_gap: FloatArray
+    """The widest of the four gaps [m], shape (n,)."""
+    end: SimulationEnd
+    """Why it ended there."""
+    detail: str
+    """Which leg and which limit; empty if there is nothing to say."""
+    steps: int
+    """Steps of the integrator."""
+    evaluations: int
+    """Evaluations of the forward dynamics."""
+
+    def __repr__(self) -> str:
+        last = f"t = {self.times[-1]:g} s" if self.times.size else "no time"
+        return f"<Simulation: {self.times.size} times to {last}, {self.end}>"
+
+    @property
+    def complete(self) -> bool:
+        """True if the simulation reached the last of the requested times."""
+        return self.end is SimulationEnd.COMPLETE
+
+    @property
+    def energy(self) -> FloatArray:
+        """Kinetic and potential energy [J], shape (n,)."""
+        return np.asarray(self.kinetic + self.potential)
+
+    @property
+    def energy_error(self) -> FloatArray:
+        """Energy gained since the start less the work done [J], shape (n,): zero but for errors of the method."""
+        return np.asarray(self.energy - self.energy[0] - self.work)
 
 
 def simulate(
@@ -85,7 +138,10 @@ def simulate(
         now, ending = integrator.advance(now, (start, end), inside, applied, tolerance, max_step, proceed)
         if ending is not None:
             integrator.record(ending.time, now, applied)
-    return integrator.result(ending)
+    why, detail = (SimulationEnd.COMPLETE, "") if ending is None else ending[:2]
+    names = (field.name for field in fields(Simulation))
+    columns: dict[str, Any] = dict(zip(names, map(np.array, zip(*integrator.rows, strict=True)), strict=False))
+    return Simulation(**columns, end=why, detail=detail, steps=integrator.steps, evaluations=integrator.evaluations)
 
 
 def _wrenches(constrained: ConstrainedModel, wrench: WrenchLike | ForceFunction) -> tuple[ForceCallback, list[int]]:

@@ -25,27 +25,21 @@ __all__ = ["JointTrajectory", "joint_trajectory"]
 
 @dataclass(frozen=True)
 class JointTrajectory:
-    """All joints of a chain at given times; made by `ClosedChain.joint_trajectory`.
-
-    Attributes
-    ----------
-    joint_names : tuple of str
-        As in the URDF, in the order of the columns.
-    times : ndarray, shape (n,)
-        [s].
-    positions, velocities, accelerations : ndarray, shape (n, 18)
-        [rad, m], [rad/s, m/s], [rad/s², m/s²]; a slide is its leg's length less that at home. Angles are continuous
-        in time, and not reduced to one turn.
-    efforts : ndarray, shape (n, 18)
-        Of the actuators under gravity [N]; zero in passive joints.
-    """
+    """All joints of a chain at given times; made by `ClosedChain.joint_trajectory`."""
 
     joint_names: tuple[str, ...]
+    """As in the URDF, in the order of the columns."""
     times: FloatArray
+    """[s], shape (n,)."""
     positions: FloatArray
+    """[rad, m], shape (n, 18); a slide is its leg's length less that at home. Angles are continuous in time, and not
+    reduced to one turn."""
     velocities: FloatArray
+    """[rad/s, m/s], shape (n, 18)."""
     accelerations: FloatArray
+    """[rad/s², m/s²], shape (n, 18)."""
     efforts: FloatArray
+    """Of the actuators under gravity [N], shape (n, 18); zero in passive joints."""
 
     def __repr__(self) -> str:
         return f"<JointTrajectory: {len(self.joint_names)} joints at {self.times.size} times>"
@@ -72,8 +66,7 @@ class JointTrajectory:
 
     def to_json(self, path: str | Path | None = None) -> str:
         """Return `to_dict` as JSON, and write it to a file if `path` is given."""
-        text = json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
-        return _write(text, path)
+        return _write(json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n", path)
 
     def to_csv(self, path: str | Path | None = None) -> str:
         """Return a table, and write it to a file if `path` is given.

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, real_array, symmetric_matrices
+from spm_pin.mechanism.arguments import FloatArray, broadcastable, real_array, symmetric_matrices
 
 __all__ = [
     "Gains",
@@ -96,12 +96,10 @@ def read_wrenches(wrench: WrenchLike, model: Any, platform: int, *, single: bool
         cause = "The names of links, with the prefix"
         raise ArgumentError("wrench", "frames of the model", ", ".join(map(repr, unknown)), cause)
     arrays = [read(value, "wrench", 6) for value in wrench.values()]
-    try:
-        spread = np.broadcast_arrays(*arrays)
-    except ValueError:
-        shapes = ", ".join(str(array.shape) for array in arrays)
-        raise ArgumentError("wrench", "leading axes that broadcast", f"shapes {shapes}") from None
-    together = np.concatenate(spread, axis=-1) if spread else np.empty((0,))
+    shape: tuple[int, ...] = ()
+    for array in arrays:
+        shape = broadcastable("wrench", array.shape[:-1], "the other wrenches", shape)
+    together = np.concatenate([np.empty((*shape, 0)), *(np.broadcast_to(a, (*shape, 6)) for a in arrays)], axis=-1)
     return Wrenches(together, [int(model.getFrameId(name)) for name in wrench])
 
 

@@ -14,8 +14,7 @@ from multibody.engine_dynamics import Drake, Mujoco, accelerations, rk4
 
 import spm_pin as spm
 from spm_pin.errors import ArgumentError, ClosureError
-from spm_pin.multibody.integrator import LEAST_CONSTRAINED
-from spm_pin.multibody.simulation_result import SimulationEnd
+from spm_pin.multibody.integrator import LEAST_CONSTRAINED, SimulationEnd
 
 pytest.importorskip("pinocchio")
 
