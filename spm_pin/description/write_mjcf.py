@@ -18,8 +18,8 @@ from spm_pin.description.robot_description import ASSEMBLED, RobotDescription
 from spm_pin.description.robot_parts import Inertial, Joint, Material, Placement, Shape, Transmission
 from spm_pin.description.srdf import HOME
 from spm_pin.description.xml_nodes import document, element
-from spm_pin.errors import ArgumentError, DescriptionError
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.errors import DescriptionError
+from spm_pin.mechanism.arguments import FloatArray, choice
 
 __all__ = ["mjcf_text"]
 
@@ -57,9 +57,7 @@ def mjcf_text(robot: RobotDescription, *, anchors: str = "bodies", folder: Path 
     the base: Pinocchio misplaces them in others. Every transmission is a motor of force or torque. Velocity limits,
     for which MJCF has no place, are the numeric `velocity_limit`, in the order of the joints, 0 for none.
     """
-    if anchors not in ("bodies", "sites"):
-        raise ArgumentError("anchors", "bodies or sites", repr(anchors))
-    return document(_Writer(robot, anchors, folder).root())
+    return document(_Writer(robot, choice(anchors, "anchors", ("bodies", "sites")), folder).root())
 
 
 class _Writer:

@@ -10,7 +10,8 @@ from spm_pin.description.closures import Closure
 from spm_pin.description.robot_description import ASSEMBLED, RobotDescription
 from spm_pin.description.robot_parts import Joint, Link, Placement, Shape
 from spm_pin.description.xml_nodes import document, element, texts
-from spm_pin.errors import ArgumentError, DescriptionError
+from spm_pin.errors import DescriptionError
+from spm_pin.mechanism.arguments import choice
 
 __all__ = ["sdf_text"]
 
@@ -42,8 +43,7 @@ def sdf_text(robot: RobotDescription, *, loops: str = "joints", folder: Path | N
     http://sdformat.org/spec, version 1.9. Every joint is placed in its parent link and every link in its joint. A joint
     is driven if its limit of effort is not zero: passive joints must say zero.
     """
-    if loops not in ("joints", "drake"):
-        raise ArgumentError("loops", "joints or drake", repr(loops))
+    choice(loops, "loops", ("joints", "drake"))
     names = [*robot.link, *(joint.name for joint in robot.joints)]
     if loops == "joints":
         names += [closure.name for closure in robot.closures]

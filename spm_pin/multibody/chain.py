@@ -14,6 +14,8 @@ import pinocchio as pin
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.closed_form.inverse_displacement import inverse_physical
 from spm_pin.description.closures import Closure
+from spm_pin.description.paths import description_directory
+from spm_pin.description.srdf import srdf_text
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, broadcastable, first_offender, flag, whole_number
 from spm_pin.mechanism.as_built import AsBuiltGeometry
@@ -27,7 +29,7 @@ from spm_pin.multibody.constrained_model import ConstrainedModel
 from spm_pin.multibody.constrained_state import ChainState
 from spm_pin.multibody.dynamics import require_closed
 from spm_pin.multibody.joint_layout import JointLayout
-from spm_pin.multibody.loading import chain_closures, collision_shapes, read_description, visual_shapes
+from spm_pin.multibody.loading import chain_closures, read_description
 from spm_pin.multibody.mounting import MountedChain, joined
 from spm_pin.multibody.platform_path import PlatformMotion
 from spm_pin.multibody.simulation import ForceFunction, Simulation, simulate
@@ -135,12 +137,16 @@ class ClosedChain(ChainMethods):
     @cached_property
     def visual_model(self) -> Any:
         """The visual shapes, a `pinocchio.GeometryModel`."""
-        return visual_shapes(self._model, self._urdf)
+        folder = str(description_directory())
+        return pin.buildGeomFromUrdfString(self._model, self._urdf, pin.GeometryType.VISUAL, package_dirs=folder)
 
     @cached_property
     def collision_model(self) -> Any:
         """The collision shapes, a `pinocchio.GeometryModel`; the pairs leave out what touches by design."""
-        return collision_shapes(self._model, self._urdf, self._prefix)
+        shapes = pin.buildGeomFromUrdfString(self._model, self._urdf, pin.GeometryType.COLLISION)
+        shapes.addAllCollisionPairs()
+        pin.removeCollisionPairsFromXML(self._model, shapes, srdf_text({}, prefix=self._prefix))
+        return shapes
 
     def robot_wrapper(self) -> Any:
         """Return a new `pinocchio.RobotWrapper` of the tree; it has no closures."""

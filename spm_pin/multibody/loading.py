@@ -1,4 +1,4 @@
-"""Reading a URDF for a `ClosedChain`: its dimensions, whether it is the description's tree at all, and its shapes."""
+"""Reading a URDF for a `ClosedChain`: its dimensions, and whether it is the description's tree at all."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from spm_pin.description.closures import Closure, read_closures
 from spm_pin.description.expand import expand
 from spm_pin.description.load_robot import manipulator
 from spm_pin.description.paths import URDF, description_directory, description_file
-from spm_pin.description.srdf import srdf_text
 from spm_pin.description.tree import JOINTS, SLIDES
 from spm_pin.description.urdf_elements import check_inertials
 from spm_pin.description.write_urdf import urdf_text
@@ -26,7 +25,7 @@ from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.mechanism.leg_frames import home_lengths
 from spm_pin.multibody.joint_layout import AGREEMENT, require_dimensions
 
-__all__ = ["chain_closures", "collision_shapes", "read_description", "visual_shapes"]
+__all__ = ["chain_closures", "read_description"]
 
 LINKS = (
     *("base", "middle_platform", "terminal_platform"),
@@ -62,20 +61,6 @@ def read_description(
     if (geometry or paper) == paper and prefix == "":
         return description_file(URDF).read_text(encoding="utf-8"), geometry or paper
     return _expanded(geometry or paper, prefix), geometry or paper
-
-
-def visual_shapes(model: Any, urdf: str) -> Any:
-    """Return the visual shapes of a URDF, a `pinocchio.GeometryModel`."""
-    folder = str(description_directory())
-    return pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.VISUAL, package_dirs=folder)
-
-
-def collision_shapes(model: Any, urdf: str, prefix: str) -> Any:
-    """Return the collision shapes of a URDF, with the pairs that do not touch by design."""
-    shapes = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.COLLISION)
-    shapes.addAllCollisionPairs()
-    pin.removeCollisionPairsFromXML(model, shapes, srdf_text({}, prefix=prefix))
-    return shapes
 
 
 def _expanded(geometry: Geometry | AsBuiltGeometry, prefix: str) -> str:
