@@ -73,20 +73,6 @@ class Ending(NamedTuple):
     time: float
 
 
-class Margin(NamedTuple):
-    """A number that is positive inside a limit, or changes its sign at a singularity."""
-
-    end: SimulationEnd
-    detail: str
-    value: float
-
-    def passed(self, following: float) -> bool:
-        """Return whether the event occurs between this value and the next one."""
-        if self.end in SINGULAR_ENDS:
-            return self.value * following < 0.0 or (following == 0.0 and self.value != 0.0)
-        return following < 0.0
-
-
 class Integrator:
     """One simulation as it goes; a state vector is q, v and the work done, shape (37,).
 
@@ -104,7 +90,11 @@ class Integrator:
         self._kinematics, self._solver = state.kinematics, state.solver
         self._layout = state.constrained.layout
         self._frames, self._wrenches = frames, wrenches
-        self._limits, self._singular = limits, singular
+        self._limits, self._singular = limits, [end for end in SINGULAR_ENDS if end in singular]
+        sides = () if limits is None else ("minimum", "maximum")
+        # What ends the run, each with its margin.
+        self._events = [(SimulationEnd.LIMIT, f"{leg}, {side}") for side in sides for leg in LEGS]
+        self._events += [(end, "") for end in (SimulationEnd.CONSTRAINT_SINGULARITY, *self._singular)]
         self._size = len(self._layout.v)
         self._least = SHORTEST_LEG * self._layout.side
         self.rows: list[tuple[Any, ...]] = []  # what is recorded: the first fields of `Simulation`
@@ -119,8 +109,9 @@ class Integrator:
         lengths = self._layout.distances(state[: self._size])
         if lengths.min() < self._least:
             return Ending(SimulationEnd.COLLAPSE, LEGS[int(lengths.argmin())], time)
-        margins = (margin for margin in self._margins(state) if margin.end not in SINGULAR_ENDS)
-        return next((Ending(m.end, m.detail, time) for m in margins if m.value < 0.0), None)
+        margins = zip(self._events, self._margins(state), strict=True)
+        ends = (Ending(*event, time) for event, margin in margins if event[0] not in SINGULAR_ENDS and margin < 0.0)
+        return next(ends, None)
 
     def parts(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return q and v of a state."""
@@ -178,7 +169,7 @@ class Integrator:
             except (ClosureError, np.linalg.LinAlgError):
                 return state, Ending(SimulationEnd.STALLED, "the loops do not close any more", before)
             following = self._margins(closed)
-            passed = [k for k, margin in enumerate(margins) if margin.passed(following[k].value)]
+            passed = [k for k, pair in enumerate(zip(margins, following, strict=True)) if self._passed(k, *pair)]
             inside = waiting < times.size and times[waiting] < time
             # Of the step as it was, before its end is moved onto the closures.
             dense = solver.dense_output() if inside or passed else None
@@ -227,38 +218,36 @@ class Integrator:
         return moments[first], Ending(SimulationEnd.COLLAPSE, LEGS[first], moments[first])
 
     def _first(
-        self, passed: list[int], margins: list[Margin], at: Callable[[float], FloatArray], before: float, time: float
+        self, passed: list[int], margins: list[float], at: Callable[[float], FloatArray], before: float, time: float
     ) -> Ending | None:
-        """Return the first margin passed in a step."""
+        """Return the first event passed in a step."""
 
-        def value(moment: float, k: int) -> float:
-            return self._margins(at(moment))[k].value
+        def margin(moment: float, k: int) -> float:
+            return self._margins(at(moment))[k]
 
         found = []
         for k in passed:
-            begins = margins[k].value == 0.0
-            moment = before if begins else float(brentq(value, before, time, (k,), xtol=1e-15, rtol=1e-14))
-            found.append(Ending(margins[k].end, margins[k].detail, moment))
+            moment = before if margins[k] == 0.0 else float(brentq(margin, before, time, (k,), xtol=1e-15, rtol=1e-14))
+            found.append(Ending(*self._events[k], moment))
         return min(found, key=lambda ending: ending.time, default=None)
 
-    def _margins(self, state: FloatArray) -> list[Margin]:
-        q = state[: self._size]
-        lengths = self._layout.leg_lengths(q)
-        margins: list[Margin] = []
+    def _passed(self, k: int, margin: float, following: float) -> bool:
+        """Return whether an event occurs between one margin and the next."""
+        if self._events[k][0] in SINGULAR_ENDS:
+            return margin * following < 0.0 or (following == 0.0 and margin != 0.0)
+        return following < 0.0
+
+    def _margins(self, state: FloatArray) -> list[float]:
+        """Return what is positive inside a limit, or changes its sign at a singularity, for each event."""
+        q, kinematics, margins = state[: self._size], self._kinematics, []
         if self._limits is not None:
-            for sign, bound, name in ((1.0, self._limits.minimum, "minimum"), (-1.0, self._limits.maximum, "maximum")):
-                spare = sign * (lengths - np.asarray(bound))
-                margins += [Margin(SimulationEnd.LIMIT, f"{LEGS[k]}, {name}", float(spare[k])) for k in range(6)]
-        kinematics = self._kinematics
+            lengths = self._layout.leg_lengths(q)
+            margins = [*(lengths - self._limits.minimum).tolist(), *(self._limits.maximum - lengths).tolist()]
         kinematics.evaluate(q)
         kinematics.require_ball_angles()
-        smallest = float(np.linalg.svd(kinematics.scaled_closures(), compute_uv=False)[-1])
-        margins.append(Margin(SimulationEnd.CONSTRAINT_SINGULARITY, "", smallest - LEAST_CONSTRAINED))
+        margins.append(float(np.linalg.svd(kinematics.scaled_closures(), compute_uv=False)[-1]) - LEAST_CONSTRAINED)
         matrices = dict(zip(SINGULAR_ENDS, (kinematics.inverse_matrix, kinematics.forward_matrix), strict=True))
-        margins += [
-            Margin(end, "", float(np.linalg.det(matrices[end]()))) for end in SINGULAR_ENDS if end in self._singular
-        ]
-        return margins
+        return margins + [float(np.linalg.det(matrices[end]())) for end in self._singular]
 
     def _motion(
         self, time: float, q: FloatArray, v: FloatArray, forces: ForceCallback
