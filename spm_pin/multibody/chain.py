@@ -22,8 +22,7 @@ from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
-from spm_pin.multibody.batched_methods import ChainMethods
-from spm_pin.multibody.batched_states import BatchedStates
+from spm_pin.multibody.batched_methods import BatchedStates, ChainMethods
 from spm_pin.multibody.closure_solvers import ContinuationSolver, project_to_closure
 from spm_pin.multibody.constrained_model import ConstrainedModel
 from spm_pin.multibody.constrained_state import ChainState

@@ -17,7 +17,7 @@ import pinocchio as pin
 
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.multibody.batched_states import located
+from spm_pin.multibody.batched_methods import located
 from spm_pin.multibody.constrained_model import TreeKinematics
 from spm_pin.multibody.joint_layout import JointLayout
 

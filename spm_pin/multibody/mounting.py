@@ -10,8 +10,7 @@ import pinocchio as pin
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, broadcastable
-from spm_pin.multibody.batched_methods import ConstrainedMethods
-from spm_pin.multibody.batched_states import BatchedStates
+from spm_pin.multibody.batched_methods import BatchedStates, ConstrainedMethods
 from spm_pin.multibody.constrained_model import ConstrainedModel
 from spm_pin.multibody.constrained_state import ConstrainedState
 from spm_pin.multibody.joint_layout import JointLayout

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray, real_array
 from spm_pin.mechanism.pose import as_rigid_transform
-from spm_pin.multibody.batched_states import located
+from spm_pin.multibody.batched_methods import located
 from spm_pin.multibody.closure_solvers import ContinuationSolver
 from spm_pin.multibody.constrained_state import ChainState
 from spm_pin.multibody.dynamics import require_closed
