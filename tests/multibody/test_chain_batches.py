@@ -104,6 +104,14 @@ def test_axes_broadcast() -> None:
         robot.leg_forces(q, wrenches[:, 0])
 
 
+@pytest.mark.parametrize("wrench", [np.ones((2, 6)), {"terminal_platform": np.ones((2, 6))}])
+def test_a_state_takes_one_wrench(wrench: Any) -> None:
+    state = chain().state(placed("paper", 1, seed=304)[0][1])
+    for method in (state.forward_dynamics, state.inverse_dynamics):
+        with pytest.raises(ArgumentError, match=r"^wrench: expected shape \(6,\)"):
+            method(np.zeros(6 if method == state.forward_dynamics else 18), wrench)
+
+
 def test_errors_name_the_member() -> None:
     robot = chain()
     q, rest = placed("paper", 1, seed=304)[0][1], np.zeros(18)
