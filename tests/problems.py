@@ -25,6 +25,12 @@ GEOMETRIES = {
 }
 
 
+def machine(geometry: spm.Geometry, size: float, seed: int = 3) -> spm.AsBuiltGeometry:
+    """Make a machine with errors of this size, relative to d and in radians."""
+    built = spm.AsBuiltGeometry.from_nominal(geometry)
+    return built.perturbed(seed, length=size * geometry.middle_side, angle=size)
+
+
 @dataclass(frozen=True)
 class Problem:
     """N poses, one branch of each, and the family it belongs to."""

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from as_built_oracle import certified_real_branches
-from problems import GEOMETRIES, in_leg_space, random_branches
+from problems import GEOMETRIES, in_leg_space, machine, random_branches
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
@@ -19,11 +19,6 @@ IDEAL = spm.AsBuiltGeometry.from_nominal(PAPER)
 EXAMPLE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 DIRECTION = np.random.default_rng(1).standard_normal(54)
 SIZES = (1e-9, 1e-5, 1e-3, 1e-2, 5e-2)
-
-
-def machine(geometry: spm.Geometry, size: float, seed: int) -> spm.AsBuiltGeometry:
-    built = spm.AsBuiltGeometry.from_nominal(geometry)
-    return built.perturbed(seed, length=size * geometry.middle_side, angle=size)
 
 
 def along(size: float) -> spm.AsBuiltGeometry:

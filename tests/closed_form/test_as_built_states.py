@@ -6,18 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from problems import GEOMETRIES, in_leg_space, random_branches
+from problems import GEOMETRIES, in_leg_space, machine, random_branches
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 
 PAPER = spm.Geometry.paper()
 SIZES = (1e-6, 1e-4, 1e-3, 1e-2)
-
-
-def machine(geometry: spm.Geometry, size: float, seed: int = 3) -> spm.AsBuiltGeometry:
-    built = spm.AsBuiltGeometry.from_nominal(geometry)
-    return built.perturbed(seed, length=size * geometry.middle_side, angle=size)
 
 
 def states(size: float = 1e-3, count: int = 60, seed: int = 1) -> spm.Configuration:

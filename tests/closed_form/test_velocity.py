@@ -260,6 +260,7 @@ def test_singular_states(name):
         (forward, platform_jacobian, "forward"),
         (constraint, inverse_jacobian, "constraint"),
         (constraint, platform_jacobian, "constraint"),
+        (constraint, functools.partial(spm.closed_form.compliance, legs=1e7), "constraint"),
     ]
     for state, function, kind in expected:
         with pytest.raises(SingularConfigurationError, match=f"^{kind} singularity: ") as caught:
