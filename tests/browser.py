@@ -1,7 +1,8 @@
-"""Headless Chromium, and the positions of a viewer's objects in its picture."""
+"""Headless Chromium, the end of a viewer's events, and the positions of a viewer's objects in its picture."""
 
 from __future__ import annotations
 
+import asyncio
 import shutil
 import time
 from collections.abc import Callable, Iterator
@@ -55,6 +56,12 @@ def until(holds: Callable[[], object], what: str, seconds: float = 40.0, page=No
             page.wait_for_timeout(50)
         else:
             time.sleep(0.05)
+
+
+async def drained(queue) -> None:
+    """Wait until nothing is left to do in an event queue of the viewer."""
+    while queue._task is not None:
+        await asyncio.shield(queue._task)
 
 
 def pixel(camera, point) -> tuple[float, float]:

@@ -4,30 +4,14 @@ from __future__ import annotations
 
 import os
 import sys
+from importlib import import_module
 from typing import Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
 from spm_pin import __version__
-from spm_pin.cli.calibrate import calibrate
-from spm_pin.cli.certify import certify
-from spm_pin.cli.console import note
-from spm_pin.cli.crosscheck import crosscheck
-from spm_pin.cli.demo import demo
-from spm_pin.cli.draw import draw
-from spm_pin.cli.export import export
-from spm_pin.cli.forward import forward
-from spm_pin.cli.inverse import inverse
-from spm_pin.cli.move import move
-from spm_pin.cli.reproduce import reproduce
-from spm_pin.cli.singularities import singularities
-from spm_pin.cli.statics import statics
-from spm_pin.cli.sweep import sweep
-from spm_pin.cli.tolerance import tolerance
-from spm_pin.cli.urdf import urdf
-from spm_pin.cli.view import view
-from spm_pin.cli.workspace import workspace
+from spm_pin.cli import outputs
 from spm_pin.errors import SpmError
 
 __all__ = ["app", "run"]
@@ -76,27 +60,28 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 _COMMANDS = (
-    demo,
-    inverse,
-    forward,
-    reproduce,
-    crosscheck,
-    singularities,
-    certify,
-    calibrate,
-    tolerance,
-    move,
-    statics,
-    urdf,
-    draw,
-    view,
-    export,
-    workspace,
-    sweep,
+    "demo",
+    "inverse",
+    "forward",
+    "reproduce",
+    "crosscheck",
+    "singularities",
+    "certify",
+    "calibrate",
+    "tolerance",
+    "move",
+    "statics",
+    "urdf",
+    "draw",
+    "view",
+    "export",
+    "workspace",
+    "sweep",
 )
+"""The names of the commands, their files and their functions, in the order of the help."""
 
-for _command in _COMMANDS:
-    app.command(cls=_Command)(_command)
+for _name in _COMMANDS:
+    app.command(cls=_Command)(getattr(import_module(f"spm_pin.cli.{_name}"), _name))
 
 
 def _show_version(requested: bool) -> None:
@@ -117,11 +102,11 @@ def run() -> None:
     try:
         app()
     except SpmError as error:
-        note(f"error: {error}", "bold red")
+        outputs.note(f"error: {error}", "bold red")
         sys.exit(2)
     except Exception as error:
         if os.environ.get("SPM_PIN_TRACEBACK"):
             raise
-        note(f"error: {type(error).__name__}: {error}", "bold red")
-        note("This is a defect of spm-pin. With SPM_PIN_TRACEBACK=1 in the environment it shows where.")
+        outputs.note(f"error: {type(error).__name__}: {error}", "bold red")
+        outputs.note("This is a defect of spm-pin. With SPM_PIN_TRACEBACK=1 in the environment it shows where.")
         sys.exit(70)

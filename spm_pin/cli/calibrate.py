@@ -10,16 +10,14 @@ import typer
 
 from spm_pin.calibration import Calibration, identify, read_measurements
 from spm_pin.calibration.error_model import parameter_scale
-from spm_pin.cli.console import note, print_lines, print_table, significant, to_json
-from spm_pin.cli.options import AnyGeometryFile, AsJson, read_any_geometry
-from spm_pin.cli.outputs import check_output, name_options, require_extra
-from spm_pin.display.figure_files import FORMATS, save_figure
+from spm_pin.cli import options, outputs
+from spm_pin.display.result_plots import calibration_figure
 from spm_pin.mechanism import LEGS, PARAMETERS, AsBuiltGeometry
 
 __all__ = ["calibrate"]
 
 
-@name_options(loss="--loss", parameters="--identify", pose_noise="--pose-noise", length_noise="--length-noise")
+@outputs.name_options(loss="--loss", parameters="--identify", pose_noise="--pose-noise", length_noise="--length-noise")
 def calibrate(
     measurements: Annotated[
         Path,
@@ -27,10 +25,8 @@ def calibrate(
             metavar="CSV", help="Columns x y z \\[m], qx qy qz qw if orientations were measured, r_b1 to r_c3 \\[m]."
         ),
     ],
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="YAML file of the machine to write.")] = None,
-    figure: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Picture (.png, .svg, .pdf) of the errors to write.")
-    ] = None,
+    out: Annotated[Path | None, outputs.file_option("YAML file of the machine to write.", (".yaml", ".yml"))] = None,
+    figure: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the errors to write.")] = None,
     identified: Annotated[
         list[str] | None,
         typer.Option(
@@ -45,8 +41,8 @@ def calibrate(
     loss: Annotated[
         str, typer.Option(help="linear refuses outliers; soft_l1, huber, cauchy give them less weight.")
     ] = "linear",
-    geometry: AnyGeometryFile = None,
-    json: AsJson = False,
+    geometry: options.AnyGeometryFile = None,
+    json: options.AsJson = False,
 ) -> None:
     """Identify the machine as built from measured poses and leg readings.
 
@@ -55,11 +51,7 @@ def calibrate(
     Lengths are in metres, angles in radians. The quaternion is the rotation from {m} to {B}, scalar last. The file
     written can be given as --geometry to other commands. --figure needs the extra "plots".
     """
-    check_output(out, "--out", (".yaml", ".yml"))
-    if figure is not None:
-        check_output(figure, "--figure", FORMATS)
-        require_extra("plots")
-    dimensions = read_any_geometry(geometry)
+    dimensions = options.read_any_geometry(geometry)
     poses, readings = read_measurements(measurements)
     found = identify(
         dimensions,
@@ -71,17 +63,13 @@ def calibrate(
         loss=loss,
     )
     if json:
-        typer.echo(to_json(_content(found)))
+        typer.echo(outputs.to_json(_content(found)))
     else:
         _report(found)
     if out is not None:
         found.geometry.to_yaml(out)
-        note(f"wrote {out}")
-    if figure is not None:
-        from spm_pin.display.calibration_plots import calibration_figure
-
-        save_figure(calibration_figure(found), figure)
-        note(f"wrote {figure}")
+        outputs.note(f"wrote {out}")
+    outputs.write_figure(figure, calibration_figure, found)
 
 
 def _sizes(found: Calibration) -> list[tuple[str, str, float, float]]:
@@ -115,12 +103,12 @@ def _report(found: Calibration) -> None:
         lines.append(
             f"outliers in the rows {', '.join(map(str, np.flatnonzero(found.outliers)))} after the heading, from 0"
         )
-    print_lines(lines)
+    outputs.print_lines(lines)
     nominal = AsBuiltGeometry.from_nominal(found.geometry.nominal)
     changes = (found.geometry.parameters - nominal.parameters).reshape(6, 9)
     names = [name.split(".")[1] for name in PARAMETERS[:9]]
-    table = [[leg, *(significant(1e3 * x, 3) for x in row)] for leg, row in zip(LEGS, changes, strict=True)]
-    print_table("Differences from the nominal machine [mm, mrad]", ["leg", *names], table)
+    table = [[leg, *(outputs.significant(1e3 * x, 3) for x in row)] for leg, row in zip(LEGS, changes, strict=True)]
+    outputs.print_table("Differences from the nominal machine [mm, mrad]", ["leg", *names], table)
 
 
 def _content(found: Calibration) -> dict[str, Any]:

@@ -7,10 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from spm_pin.cli.console import note, print_lines, stderr, to_json
-from spm_pin.cli.options import AnyGeometryFile, AsJson, LengthUnit, Unit, read_any_geometry, unit_hint
-from spm_pin.cli.outputs import check_output, name_options, require_extra
-from spm_pin.display.figure_files import FORMATS, save_figure
+from spm_pin.cli import options, outputs
+from spm_pin.cli.options import LengthUnit
+from spm_pin.display.result_plots import certificate_figure
 from spm_pin.errors import GeometryError
 from spm_pin.mechanism import AsBuiltGeometry, Configuration, LegLimits
 from spm_pin.proofs import Certificate, InverseCertificate, certify_inverse
@@ -19,7 +18,7 @@ from spm_pin.proofs import certify as prove
 __all__ = ["certify"]
 
 
-@name_options(path="--out", boxes="--boxes", length_error="--length-error", angle_error="--angle-error")
+@outputs.name_options(path="--out", boxes="--boxes", length_error="--length-error", angle_error="--angle-error")
 def certify(
     minimum: Annotated[float | None, typer.Option("--min", help="Shortest length of all six legs, in --unit.")] = None,
     maximum: Annotated[float | None, typer.Option("--max", help="Longest length of all six legs, in --unit.")] = None,
@@ -33,12 +32,10 @@ def certify(
     inverse: Annotated[
         bool, typer.Option("--inverse", help="Ask for inverse singularities as well: a bound of |det K|, or a state.")
     ] = False,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Picture (.png, .svg, .pdf) of the boxes to write.")
-    ] = None,
-    unit: Unit = LengthUnit.M,
-    geometry: AnyGeometryFile = None,
-    json: AsJson = False,
+    out: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the boxes to write.")] = None,
+    unit: options.Unit = LengthUnit.M,
+    geometry: options.AnyGeometryFile = None,
+    json: options.AsJson = False,
 ) -> None:
     """Prove that leg limits hold no forward singularity, so that six lengths mean one configuration.
 
@@ -48,7 +45,7 @@ def certify(
     configuration was found or boxes were left undecided. --out needs the extra "plots". For the file of a machine as
     built it is proved for all machines that are as near to the nominal one.
     """
-    dimensions = read_any_geometry(geometry)
+    dimensions = options.read_any_geometry(geometry)
     if (minimum is None) != (maximum is None):
         raise GeometryError("--min and --max", "both or neither", "one of them")
     if inverse and (length_error or angle_error or isinstance(dimensions, AsBuiltGeometry)):
@@ -57,27 +54,22 @@ def certify(
     limits = None
     if minimum is not None and maximum is not None:
         limits = LegLimits(minimum / unit.per_metre, maximum / unit.per_metre)
-    if out is not None:
-        check_output(out, "--out", FORMATS)
-        require_extra("plots")
-    if maximum is not None and (hint := unit_hint("--max", maximum, unit, dimensions)):
-        note(hint, "yellow")
-    with stderr.status("dividing the states of both stages"):
+    if maximum is not None and (hint := options.unit_hint("--max", maximum, unit, dimensions)):
+        outputs.note(hint, "yellow")
+    with outputs.stderr.status("dividing the states of both stages"):
         certificate = prove(
             dimensions, limits, boxes=boxes, length_error=length_error / unit.per_metre, angle_error=angle_error
         )
         nominal = certificate.geometry
         other = certify_inverse(nominal, certificate.limits, boxes=boxes, forward=certificate) if inverse else None
     if json:
-        typer.echo(to_json(_content(certificate) | ({} if other is None else {"inverse": _inverse_content(other)})))
+        typer.echo(
+            outputs.to_json(_content(certificate) | ({} if other is None else {"inverse": _inverse_content(other)}))
+        )
     else:
-        print_lines(certificate.explain().splitlines())
-        print_lines([] if other is None else ["", *other.explain().splitlines()])
-    if out is not None:
-        from spm_pin.display.certificate_plots import certificate_figure
-
-        save_figure(certificate_figure(certificate), out)
-        note(f"wrote {out}")
+        outputs.print_lines(certificate.explain().splitlines())
+        outputs.print_lines([] if other is None else ["", *other.explain().splitlines()])
+    outputs.write_figure(out, certificate_figure, certificate)
     if not (certificate.holds and (other is None or other.holds)):
         raise typer.Exit(1)
 

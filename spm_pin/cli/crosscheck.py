@@ -9,17 +9,15 @@ from typing import Annotated, Any
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from spm_pin.cli.console import note, print_lines, print_table, stderr, stdout
-from spm_pin.cli.options import GeometryFile, read_geometry
-from spm_pin.cli.outputs import check_output, name_options, require_extra, write_json
+from spm_pin.cli import options, outputs
 from spm_pin.crosscheck import METHODS, PairDifference, Report, compare_in_batches
-from spm_pin.display.figure_files import FORMATS
+from spm_pin.display.result_plots import agreement_figure
 from spm_pin.mechanism import Geometry
 
 __all__ = ["compare_with_progress", "crosscheck", "print_report", "verdict_line"]
 
 
-@name_options(methods="--method", path="--figure")
+@outputs.name_options(methods="--method", path="--figure")
 def crosscheck(
     poses: Annotated[int, typer.Option(min=1, help="Random poses, four fifths of them in leg space.")] = 200,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the poses and of the wrenches.")] = 0,
@@ -27,9 +25,9 @@ def crosscheck(
         list[str] | None, typer.Option(metavar="NAME", help=f"{', '.join(METHODS)}; may be repeated. All if not given.")
     ] = None,
     pairs: Annotated[bool, typer.Option("--pairs", help="Show every pair of methods, not only the worst.")] = False,
-    geometry: GeometryFile = None,
-    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write everything as JSON.")] = None,
-    figure: Annotated[Path | None, typer.Option(metavar="FILE", help="Also draw the differences of all pairs.")] = None,
+    geometry: options.GeometryFile = None,
+    json: Annotated[Path | None, outputs.file_option("Also write everything as JSON.")] = None,
+    figure: Annotated[Path | None, outputs.picture_option("Also draw the differences of all pairs.")] = None,
 ) -> None:
     """Solve random poses by independent methods and compare their answers.
 
@@ -37,25 +35,16 @@ def crosscheck(
     Exits with 1 if the methods disagree, and says which is wrong. Interrupted, it reports the poses done so far.
     --figure needs the extra "plots".
     """
-    check_output(json, "--json")
-    check_output(figure, "--figure", FORMATS)
-    if figure is not None:
-        require_extra("plots")
-    report = compare_with_progress(read_geometry(geometry), poses, seed, method)
-    print_lines([verdict_line(report)], "bold green" if report.agrees else "bold red")
-    stdout.print()
+    report = compare_with_progress(options.read_geometry(geometry), poses, seed, method)
+    outputs.print_lines([verdict_line(report)], "bold green" if report.agrees else "bold red")
+    outputs.stdout.print()
     file = None if geometry is None else str(geometry)
     print_report(report, pairs=pairs)
     for line in _remarks(report, method is None, file):
-        stdout.print(line, soft_wrap=True)
+        outputs.stdout.print(line, soft_wrap=True)
     if json is not None:
-        write_json(_content(report, file), json)
-    if figure is not None:
-        from spm_pin.display.agreement_plot import agreement_figure
-        from spm_pin.display.figure_files import save_figure
-
-        save_figure(agreement_figure(report), figure)
-        note(f"wrote {figure}")
+        outputs.write_json(_content(report, file), json)
+    outputs.write_figure(figure, agreement_figure, report)
     if len(report.xyx) < poses:
         raise typer.Exit(130)
     if not report.agrees:
@@ -73,7 +62,7 @@ def compare_with_progress(geometry: Geometry, poses: int, seed: int, methods: li
     names = None if methods is None else list(dict.fromkeys(methods))
     columns = TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
     report = None
-    with Progress(*columns, console=stderr, transient=True) as bar:
+    with Progress(*columns, console=outputs.stderr, transient=True) as bar:
         task = bar.add_task("", total=poses)
 
         def progress(step: str, done: int, total: int) -> None:
@@ -111,7 +100,7 @@ def print_report(report: Report, *, pairs: bool = False) -> None:
         if score.invented or score.misses_too_often:
             styles[k] = "red"
     headings = ["method", "poses solved", "branches", "false", "poses with one lost", "known rate"]
-    print_table("Inverse displacement by each method", headings, rows, styles=styles)
+    outputs.print_table("Inverse displacement by each method", headings, rows, styles=styles)
     shown: list[PairDifference] = []
     rules = []
     for _, group in groupby(report.differences, key=lambda pair: pair.quantity):
@@ -133,7 +122,7 @@ def print_report(report: Report, *, pairs: bool = False) -> None:
     which = "Differences of all pairs" if pairs else "Largest difference in each quantity"
     title = f"{which}, and its share of the tolerance"
     headings = ["quantity", "methods", "states", "differ", "largest", "share"]
-    print_table(title, headings, rows, left=["methods"], rules=rules[1:] if pairs else (), styles=styles)
+    outputs.print_table(title, headings, rows, left=["methods"], rules=rules[1:] if pairs else (), styles=styles)
 
 
 def _remarks(report: Report, all_methods: bool, file: str | None) -> list[str]:

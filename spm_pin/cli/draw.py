@@ -8,33 +8,25 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from spm_pin.cli.console import note
-from spm_pin.cli.options import Branches, GeometryFile, LengthUnit, Unit, read_geometry, selected_labels
-from spm_pin.cli.outputs import check_output, name_options, require_extra
-from spm_pin.cli.requested_states import (
-    AnyLegs,
-    AnyTranslation,
-    AnyXyx,
-    requested_solutions,
-    select_branch,
-    titled_branches,
-)
+from spm_pin.cli import options, outputs
+from spm_pin.cli.options import LengthUnit
 from spm_pin.display.figure_files import FORMATS
+from spm_pin.display.plots import NARROWEST, save_gallery, save_picture
 from spm_pin.errors import ArgumentError
 
 __all__ = ["draw"]
 
 
-@name_options(path="--out", leg_lengths="--legs")
+@outputs.name_options(path="--out", leg_lengths="--legs")
 def draw(
-    out: Annotated[Path, typer.Option(metavar="FILE", help=f"Picture to write: {', '.join(FORMATS)}.")],
-    translation: AnyTranslation = None,
-    xyx: AnyXyx = None,
-    legs: AnyLegs = None,
-    branch: Branches = None,
+    out: Annotated[Path, outputs.picture_option(f"Picture to write: {', '.join(FORMATS)}.")],
+    translation: options.AnyTranslation = None,
+    xyx: options.AnyXyx = None,
+    legs: options.AnyLegs = None,
+    branch: options.Branches = None,
     every: Annotated[bool, typer.Option("--all", help="All real branches, side by side.")] = False,
-    unit: Unit = LengthUnit.M,
-    geometry: GeometryFile = None,
+    unit: options.Unit = LengthUnit.M,
+    geometry: options.GeometryFile = None,
     view: Annotated[
         tuple[float, float], typer.Option(metavar="AZIMUTH ELEVATION", help="Where to look from, in degrees.")
     ] = (15.0, 25.0),
@@ -51,22 +43,18 @@ def draw(
 
     Needs the extra "plots".
     """
-    require_extra("plots")
-    check_output(out, "--out", FORMATS)
-    from spm_pin.display.plots import NARROWEST, save_gallery, save_picture
-
     if every and branch is not None:
         raise ArgumentError("--all", "all branches or some", "both --all and --branch")
-    solutions, default = requested_solutions(read_geometry(geometry), translation, xyx, legs, unit)
+    solutions, default = options.requested_solutions(options.read_geometry(geometry), translation, xyx, legs, unit)
     azimuth, elevation = np.deg2rad(view)
     direction = float(azimuth), float(elevation)
-    labels = selected_labels(solutions, branch) if every or branch is not None else []
+    labels = options.selected_labels(solutions, branch) if every or branch is not None else []
     if len(labels) > 1:
-        states = titled_branches(solutions, labels)
+        states = options.titled_branches(solutions, labels)
         save_gallery(states, out, view=direction, labels=bool(names), width=width or 1600, background=background)
     else:
-        state = select_branch(solutions, default, labels[0] if labels else None)
+        state = solutions[labels[0]] if labels else default
         width = width or 1000
         names = width >= NARROWEST[True] if names is None else names
         save_picture(state, out, view=direction, labels=names, width=width, background=background)
-    note(f"wrote {out}")
+    outputs.note(f"wrote {out}")

@@ -7,9 +7,7 @@ from typing import Annotated, Literal, get_args
 
 import typer
 
-from spm_pin.cli.console import note
-from spm_pin.cli.options import PREFIX, AnyGeometryFile, TextFile, read_any_geometry, read_geometry
-from spm_pin.cli.outputs import check_output, name_options, write_model, write_text
+from spm_pin.cli import options, outputs
 from spm_pin.errors import ArgumentError
 
 __all__ = ["export"]
@@ -20,13 +18,16 @@ Anchors = Literal["bodies", "sites"]
 Loops = Literal["joints", "drake"]
 
 
-@name_options(directory="--out")
+@outputs.name_options(directory="--out")
 def export(
     format_: Annotated[Format | None, typer.Argument(metavar="[FORMAT]", help="What to write.")] = None,
     option: Annotated[Format | None, typer.Option("--format", help="The same, as an option.")] = None,
-    out: TextFile = None,
-    prefix: Annotated[str | None, PREFIX] = None,
-    geometry: AnyGeometryFile = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", parser=outputs.file_name, help="Where to write; standard output if not given."),
+    ] = None,
+    prefix: Annotated[str | None, options.PREFIX] = None,
+    geometry: options.AnyGeometryFile = None,
     urdf: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Another robot instead of this manipulator.")
     ] = None,
@@ -76,15 +77,18 @@ def export(
     if format_ == "c":
         if out is None:
             raise ArgumentError("--out", "the directory to write into", "none")
-        for path in write_c(read_geometry(geometry), out, prefix="spm_" if prefix is None else prefix):
-            note(f"wrote {path}")
+        for path in write_c(options.read_geometry(geometry), out, prefix="spm_" if prefix is None else prefix):
+            outputs.note(f"wrote {path}")
         return
-    check_output(out)
+    if out is not None:
+        outputs.check_output(out)
     prefix = prefix or ""
     if format_ == "srdf":
-        write_text(srdf_text({}, prefix=prefix), out)
+        outputs.write_text(srdf_text({}, prefix=prefix), out)
         return
-    robot = manipulator(read_any_geometry(geometry), prefix=prefix) if urdf is None else read_robot(urdf, closures)
+    robot = (
+        manipulator(options.read_any_geometry(geometry), prefix=prefix) if urdf is None else read_robot(urdf, closures)
+    )
     # Beside a file of this manipulator go its meshes; a text on standard output, or of another robot, has whole paths.
     beside = out is not None and urdf is None and format_ != "extended-urdf"
     folder = description_directory() if beside else None
@@ -99,4 +103,4 @@ def export(
             text = sdf_text(robot, loops=loops or ("drake" if apart else "joints"), folder=folder)
         case _:
             text = extended_urdf_text(robot)
-    (write_model if beside else write_text)(text, out)
+    (outputs.write_model if beside else outputs.write_text)(text, out)

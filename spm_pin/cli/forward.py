@@ -7,20 +7,8 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from spm_pin.cli.console import fixed, print_lines, print_table, to_json
-from spm_pin.cli.options import (
-    DECIMALS,
-    AnyGeometryFile,
-    AsJson,
-    LengthUnit,
-    SixLegs,
-    Unit,
-    exit_code,
-    pose_remarks,
-    read_any_geometry,
-    unit_hint,
-)
-from spm_pin.cli.outputs import name_options
+from spm_pin.cli import options, outputs
+from spm_pin.cli.options import LengthUnit, SixLegs, leg_option
 from spm_pin.closed_form.forward_displacement import forward_displacement, forward_physical
 from spm_pin.errors import GeometryError
 from spm_pin.mechanism import AsBuiltGeometry, Configuration, SolutionSet, Status
@@ -28,25 +16,22 @@ from spm_pin.mechanism import AsBuiltGeometry, Configuration, SolutionSet, Statu
 __all__ = ["forward"]
 
 
-@name_options(leg_lengths="--legs")
+@outputs.name_options(leg_lengths="--legs")
 def forward(
-    legs: Annotated[
-        SixLegs,
-        typer.Option(metavar="B1 B2 B3 C1 C2 C3", help="Leg lengths r_b1 to r_b3 and r_c1 to r_c3, in --unit."),
-    ],
+    legs: Annotated[SixLegs, leg_option("--legs", "Leg lengths r_b1 to r_b3 and r_c1 to r_c3, in --unit.")],
     every: Annotated[
         bool, typer.Option("--all", help="Show every assembly mode, not only the one a real machine is in.")
     ] = False,
-    unit: Unit = LengthUnit.M,
-    geometry: AnyGeometryFile = None,
-    json: AsJson = False,
+    unit: options.Unit = LengthUnit.M,
+    geometry: options.AnyGeometryFile = None,
+    json: options.AsJson = False,
 ) -> None:
     """Find the pose of the platform from the leg lengths.
 
     Example, the paper's: spm-pin forward --legs 120 120 140 125 120 150 --unit cm
     """
     lengths = np.array(legs) / unit.per_metre
-    dimensions = read_any_geometry(geometry)
+    dimensions = options.read_any_geometry(geometry)
     physical = forward_physical(dimensions, lengths)
     if isinstance(dimensions, AsBuiltGeometry):
         if every:
@@ -58,12 +43,12 @@ def forward(
         modes = forward_displacement(dimensions, lengths)
     shown = _states(modes, physical, every)
     if json:
-        typer.echo(to_json(_content(modes, shown, unit)))
+        typer.echo(outputs.to_json(_content(modes, shown, unit)))
     else:
         if shown:
             _print_states(shown, unit, "Assembly modes" if every else "The physical configuration")
-        print_lines(_remarks(modes, physical, unit_hint("--legs", max(legs), unit, dimensions)))
-    raise typer.Exit(exit_code(modes))
+        outputs.print_lines(_remarks(modes, physical, options.unit_hint("--legs", max(legs), unit, dimensions)))
+    raise typer.Exit(options.exit_code(modes))
 
 
 def _alone(physical: Configuration) -> SolutionSet:
@@ -90,11 +75,11 @@ def _print_states(states: list[tuple[str, Configuration, bool]], unit: LengthUni
     for label, state, physical in states:
         # One digit more where there is room for it in 80 columns.
         finer = int(len(states) == 1)
-        position = [fixed(x * unit.per_metre, DECIMALS[unit] + finer) for x in state.translation]
-        angles = [fixed(angle, 3 + finer) for angle in _angles(state)]
+        position = [unit.text(x, finer) for x in state.translation]
+        angles = [outputs.fixed(angle, 3 + finer) for angle in _angles(state)]
         rows.append([label, *position, *angles, "physical" if physical else ""])
     headings = ["mode", "X", "Y", "Z", "alpha", "beta", "lambda", ""]
-    print_table(f"{title}: o in {unit}, X-Y-X in degrees", headings, rows, left=[""])
+    outputs.print_table(f"{title}: o in {unit}, X-Y-X in degrees", headings, rows, left=[""])
 
 
 def _remarks(modes: SolutionSet, physical: Configuration, hint: str) -> list[str]:
@@ -104,7 +89,7 @@ def _remarks(modes: SolutionSet, physical: Configuration, hint: str) -> list[str
     if modes.count:
         remarks[0] += f", closure residual up to {np.nanmax(modes.residual):.0e} m"
     if modes.status is Status.DEGENERATE:
-        remarks += ["With these legs locked the platform can still move.", *pose_remarks(modes)]
+        remarks += ["With these legs locked the platform can still move.", *options.pose_remarks(modes)]
     if modes.status is Status.UNREACHABLE:
         remarks.append(hint or "A stage cannot be closed with these leg lengths.")
     elif not physical.exists:

@@ -7,35 +7,33 @@ from typing import Any
 import numpy as np
 import typer
 
-from spm_pin.cli.console import fixed, print_lines, print_table, to_json
-from spm_pin.cli.options import DECIMALS, AnyGeometryFile, AsJson, LengthUnit, Translation, Unit, Xyx, exit_code
-from spm_pin.cli.outputs import name_options
-from spm_pin.cli.requested_states import solve_pose
+from spm_pin.cli import options, outputs
+from spm_pin.cli.options import LengthUnit
 from spm_pin.mechanism import LEGS, SolutionSet
 
 __all__ = ["inverse"]
 
 
-@name_options()
+@outputs.name_options()
 def inverse(
-    translation: Translation,
-    xyx: Xyx,
-    unit: Unit = LengthUnit.M,
-    geometry: AnyGeometryFile = None,
-    json: AsJson = False,
+    translation: options.Translation,
+    xyx: options.Xyx,
+    unit: options.Unit = LengthUnit.M,
+    geometry: options.AnyGeometryFile = None,
+    json: options.AsJson = False,
 ) -> None:
     """Find every configuration that holds the platform in a pose.
 
     Example, the paper's: spm-pin inverse --translation 68.89 49.63 225.3 --xyx -11.08 32.97 -12.88 --unit cm
     """
-    solutions, remarks = solve_pose(geometry, translation, xyx, unit)
+    solutions, remarks = options.solve_pose(geometry, translation, xyx, unit)
     if json:
-        typer.echo(to_json(_content(solutions, unit)))
+        typer.echo(outputs.to_json(_content(solutions, unit)))
     else:
         if solutions.count:
             _print_branches(solutions, unit)
-        print_lines(_remarks(solutions, remarks))
-    raise typer.Exit(exit_code(solutions))
+        outputs.print_lines(_remarks(solutions, remarks))
+    raise typer.Exit(options.exit_code(solutions))
 
 
 def _print_branches(solutions: SolutionSet, unit: LengthUnit) -> None:
@@ -44,14 +42,11 @@ def _print_branches(solutions: SolutionSet, unit: LengthUnit) -> None:
     for k in np.flatnonzero(solutions.exists):
         lengths = solutions.leg_lengths[k]
         beyond = np.zeros(6, bool) if limits is None else (lengths < limits.minimum) | (lengths > limits.maximum)
-        texts = [
-            fixed(x * unit.per_metre, DECIMALS[unit]) + ("*" if far else " ")
-            for x, far in zip(lengths, beyond, strict=True)
-        ]
+        texts = [unit.text(x) + ("*" if far else " ") for x, far in zip(lengths, beyond, strict=True)]
         rows.append([solutions.labels[k], *texts, "physical" if solutions.is_physical[k] else ""])
     # The space stands for the mark of a leg beyond its limits.
     headings = ["branch", *(f"{leg} " for leg in LEGS), ""]
-    print_table(f"Real branches: leg lengths in {unit}", headings, rows, left=[""])
+    outputs.print_table(f"Real branches: leg lengths in {unit}", headings, rows, left=[""])
 
 
 def _remarks(solutions: SolutionSet, on_the_pose: list[str]) -> list[str]:

@@ -10,20 +10,9 @@ import numpy as np
 import typer
 from scipy.spatial.transform import RigidTransform
 
-from spm_pin.cli.console import fixed, note, print_lines, print_table, to_json
-from spm_pin.cli.options import (
-    DECIMALS,
-    AnyGeometryFile,
-    AsJson,
-    LengthUnit,
-    SixLegs,
-    Unit,
-    read_any_geometry,
-    read_pose,
-    unit_hint,
-)
-from spm_pin.cli.outputs import check_output, name_options, require_extra, write_text
-from spm_pin.display.figure_files import FORMATS, save_figure
+from spm_pin.cli import options, outputs
+from spm_pin.cli.options import LengthUnit, SixLegs, leg_option
+from spm_pin.display.result_plots import motion_figure
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LEGS, LegLimits
 from spm_pin.mechanism.arguments import FloatArray
@@ -31,6 +20,7 @@ from spm_pin.proofs import certify
 from spm_pin.workspace import JointLimits
 
 if TYPE_CHECKING:
+    from spm_pin.motion import MotionPlan
     from spm_pin.multibody.chain import ClosedChain
     from spm_pin.multibody.trajectory import JointTrajectory
 
@@ -45,20 +35,17 @@ _EachLeg = str | None
 _Degrees = tuple[float, float] | None
 
 
-@name_options(**_NAMES)
+@outputs.name_options(**_NAMES)
 def move(
-    start: Annotated[
-        SixLegs | None, typer.Option("--from", metavar="B1 B2 B3 C1 C2 C3", help="Leg lengths at the start, in --unit.")
-    ] = None,
-    goal: Annotated[
-        SixLegs | None, typer.Option("--to", metavar="B1 B2 B3 C1 C2 C3", help="Leg lengths at the end, in --unit.")
-    ] = None,
+    start: Annotated[SixLegs | None, leg_option("--from", "Leg lengths at the start, in --unit.")] = None,
+    goal: Annotated[SixLegs | None, leg_option("--to", "Leg lengths at the end, in --unit.")] = None,
     start_pose: Annotated[
         SixLegs | None,
         typer.Option("--from-pose", metavar="X Y Z A B L", help="Instead: o in --unit, X-Y-X angles in degrees."),
     ] = None,
     goal_pose: Annotated[
-        SixLegs | None, typer.Option("--to-pose", metavar="X Y Z A B L", help="Instead of --to, as --from-pose.")
+        SixLegs | None,
+        typer.Option("--to-pose", metavar="X Y Z A B L", help="Instead of --to, as --from-pose."),
     ] = None,
     via: Annotated[
         list[str] | None,
@@ -102,11 +89,11 @@ def move(
     margin: Annotated[float, typer.Option(help="Least |det J| of a stage over d³ on the way.")] = 0.05,
     straight: Annotated[bool, typer.Option("--straight", help="Move o on a straight line, and nowhere else.")] = False,
     period: Annotated[float, typer.Option(help="Time between the rows \\[s].")] = 2e-3,
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="CSV of the legs to write.")] = None,
-    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Picture (.png, .svg, .pdf) to write.")] = None,
-    unit: Unit = LengthUnit.M,
-    geometry: AnyGeometryFile = None,
-    json: AsJson = False,
+    out: Annotated[Path | None, outputs.file_option("CSV of the legs to write.", (".csv",))] = None,
+    plot: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) to write.")] = None,
+    unit: options.Unit = LengthUnit.M,
+    geometry: options.AnyGeometryFile = None,
+    json: options.AsJson = False,
 ) -> None:
     """Plan the fastest motion from one state to another, at rest at both ends.
 
@@ -118,21 +105,17 @@ def move(
     3 if there is no path. Needs the extra "motion", unless the jerk is limited; --plot needs "plots".
     """
     if leg_jerk is None:
-        require_extra("motion")
+        outputs.require_extra("motion")
     from spm_pin.motion import Payload, plan, time_optimal
     from spm_pin.multibody.chain import ClosedChain
 
-    check_output(out, "--out", (".csv",))
-    check_output(plot, "--plot", FORMATS)
-    if plot is not None:
-        require_extra("plots")
-    dimensions = read_any_geometry(geometry)
+    dimensions = options.read_any_geometry(geometry)
     first, last = _place(start, start_pose, "--from", unit), _place(goal, goal_pose, "--to", unit)
     allowed = dimensions.limits
     if limits is not None:
         shortest, longest = (_each_leg(text, "--limits") for text in limits)
-        if hint := unit_hint("--limits", float(np.max(longest)), unit, dimensions):
-            note(hint, "yellow")
+        if hint := options.unit_hint("--limits", float(np.max(longest)), unit, dimensions):
+            outputs.note(hint, "yellow")
         allowed = LegLimits(*((ends / unit.per_metre).tolist() for ends in (shortest, longest)))
     passed = [_each_leg(text, "--via", least=6) / unit.per_metre for text in via or ()]
     pairs = {"hip": hip, "ball_x": ball_x, "ball_y": ball_y, "ball_z": ball_z}
@@ -142,8 +125,6 @@ def move(
     largest: dict[str, Any] = {
         f"leg_{name}s": _each_leg(text, f"--leg-{name}") for name, text in typed.items() if text is not None
     }
-    certificate = certify(dimensions, allowed) if allowed is not None else None
-    line = "poses" if straight else "legs"
     planned = plan(
         dimensions,
         first,
@@ -152,11 +133,11 @@ def move(
         via=passed,
         joint_limits=joints,
         margin=margin,
-        line=line,
-        certificate=certificate,
+        line="poses" if straight else "legs",
+        certificate=certify(dimensions, allowed) if allowed is not None else None,
     )
     if planned.path is None:
-        note(f"no path: {planned.reason}")
+        outputs.note(f"no path: {planned.reason}")
         raise typer.Exit(3)
     chain = ClosedChain.from_urdf(geometry=dimensions)
     motion = time_optimal(
@@ -171,17 +152,13 @@ def move(
     table = _columns(chain, motion, lengths)
     if json:
         content = {"method": planned.method, "certified": planned.certified, "margin": planned.margin}
-        typer.echo(to_json({**content, **table}))
+        typer.echo(outputs.to_json({**content, **table}))
     else:
-        _report(planned.method, planned.certified, motion, chain, lengths, unit)
+        _report(planned, table, unit)
     if out is not None:
         rows = zip(*(column.tolist() for column in table.values()), strict=True)
-        write_text("\n".join([",".join(table), *(",".join(map(repr, row)) for row in rows)]) + "\n", out)
-    if plot is not None:
-        from spm_pin.display.motion_plots import motion_figure
-
-        save_figure(motion_figure(motion, lengths, allowed, largest), plot)
-        note(f"wrote {plot}")
+        outputs.write_text("\n".join([",".join(table), *(",".join(map(repr, row)) for row in rows)]) + "\n", out)
+    outputs.write_figure(plot, motion_figure, motion, lengths, allowed, largest)
 
 
 def _each_leg(text: str, option: str, least: int = 1) -> FloatArray:
@@ -203,7 +180,7 @@ def _place(legs: SixLegs | None, at: SixLegs | None, option: str, unit: LengthUn
     if at is None or legs is not None:
         received = "neither" if at is None else "both"
         raise ArgumentError(option, f"six numbers, with either {option} or {option}-pose", received)
-    return read_pose(at[:3], at[3:], unit)
+    return options.read_pose(at[:3], at[3:], unit)
 
 
 def _columns(chain: ClosedChain, motion: JointTrajectory, lengths: FloatArray) -> dict[str, FloatArray]:
@@ -219,18 +196,18 @@ def _columns(chain: ClosedChain, motion: JointTrajectory, lengths: FloatArray) -
     return columns | {leg + kind: values[:, k] + 0.0 for kind, values in kinds.items() for k, leg in enumerate(LEGS)}
 
 
-def _report(
-    method: str, certified: bool, motion: JointTrajectory, chain: ClosedChain, lengths: FloatArray, unit: LengthUnit
-) -> None:
-    proved = ", proved to be free of forward singularities" if certified else ""
-    print_lines([f"{motion.times[-1]:.4g} s, {method}{proved}"])
-    legs = chain.leg_indices
-    arrays = motion.velocities[:, legs], motion.accelerations[:, legs], motion.efforts[:, legs]
-    rows = []
-    for k, leg in enumerate(LEGS):
-        peaks = [
-            fixed(float(np.abs(values[:, k]).max()), digits) for values, digits in zip(arrays, (3, 2, 1), strict=True)
+def _report(planned: MotionPlan, table: dict[str, FloatArray], unit: LengthUnit) -> None:
+    proved = ", proved to be free of forward singularities" if planned.certified else ""
+    outputs.print_lines([f"{table['t'][-1]:.4g} s, {planned.method}{proved}"])
+    digits = {"rate": 3, "acceleration": 2, "force": 1}
+    rows = [
+        [
+            leg,
+            *(unit.text(length) for length in table[leg][[0, -1]]),
+            *(outputs.fixed(np.abs(table[f"{leg}.{kind}"]).max(), count) for kind, count in digits.items()),
         ]
-        ends = [fixed(float(length) * unit.per_metre, DECIMALS[unit]) for length in lengths[[0, -1], k]]
-        rows.append([leg, *ends, *peaks])
-    print_table("Legs", ["leg", f"from [{unit}]", f"to [{unit}]", "rate [m/s]", "acc. [m/s²]", "force [N]"], rows)
+        for leg in LEGS
+    ]
+    outputs.print_table(
+        "Legs", ["leg", f"from [{unit}]", f"to [{unit}]", "rate [m/s]", "acc. [m/s²]", "force [N]"], rows
+    )

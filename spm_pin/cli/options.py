@@ -1,44 +1,53 @@
-"""Options that several subcommands take, and their values in SI."""
+"""Options that several subcommands take, and what they request: geometries, poses, states, branches, in SI."""
 
 from __future__ import annotations
 
 import enum
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, NoReturn
 
 import numpy as np
 import typer
 from scipy.spatial.transform import RigidTransform
 
-from spm_pin.cli.console import note
+from spm_pin.cli.outputs import fixed, note
+from spm_pin.closed_form.forward_displacement import forward_physical
+from spm_pin.closed_form.inverse_displacement import inverse_displacement
+from spm_pin.closed_form.starting_configuration import starting_configuration
 from spm_pin.errors import ArgumentError, GeometryError
-from spm_pin.mechanism import FAMILIES, AsBuiltGeometry, Geometry, SolutionSet, Status, pose
+from spm_pin.mechanism import FAMILIES, AsBuiltGeometry, Configuration, Geometry, SolutionSet, Status, pose
 from spm_pin.mechanism.as_built import any_geometry_from_yaml
 from spm_pin.mechanism.units import PER_METRE, likely_unit, machine_size
 
 __all__ = [
-    "DECIMALS",
     "PREFIX",
     "AnyGeometryFile",
+    "AnyLegs",
+    "AnyTranslation",
+    "AnyXyx",
     "AsJson",
     "Branches",
     "GeometryFile",
     "LengthUnit",
     "Limits",
-    "Prefix",
     "SixLegs",
-    "TextFile",
     "Translation",
     "Triple",
     "Unit",
     "Xyx",
+    "end_command",
     "exit_code",
+    "leg_option",
     "pose_remarks",
     "read_any_geometry",
     "read_geometry",
     "read_pose",
+    "requested_solutions",
     "selected_labels",
+    "solve_pose",
+    "titled_branches",
     "unit_hint",
 ]
 
@@ -55,16 +64,27 @@ class LengthUnit(enum.StrEnum):
         """Number of units in a metre."""
         return PER_METRE[self.value]
 
+    def text(self, metres: float, more: int = 0) -> str:
+        """Return a length for a table, to hundredths of a millimetre, or with more decimals."""
+        return fixed(metres * self.per_metre, {"m": 5, "cm": 3, "mm": 2}[self.value] + more)
 
-DECIMALS = {LengthUnit.M: 5, LengthUnit.CM: 3, LengthUnit.MM: 2}
-"""Decimals of a length in tables."""
 
 Triple = tuple[float, float, float]
 SixLegs = tuple[float, float, float, float, float, float]
 TRANSLATION = typer.Option("--translation", metavar="X Y Z", help="Position of o in {B}, in --unit.")
 XYX = typer.Option("--xyx", metavar="ALPHA BETA LAMBDA", help="The paper's X-Y-X Euler angles in degrees.")
+
+
+def leg_option(name: str, help_text: str) -> Any:
+    """Return an option of six leg lengths."""
+    return typer.Option(name, metavar="B1 B2 B3 C1 C2 C3", help=help_text)
+
+
 Translation = Annotated[Triple, TRANSLATION]
+AnyTranslation = Annotated[Triple | None, TRANSLATION]
 Xyx = Annotated[Triple, XYX]
+AnyXyx = Annotated[Triple | None, XYX]
+AnyLegs = Annotated[SixLegs | None, leg_option("--legs", "Leg lengths in --unit, instead of a pose.")]
 Unit = Annotated[LengthUnit, typer.Option(help="Unit of lengths, in and out.")]
 GeometryFile = Annotated[
     Path | None,
@@ -83,18 +103,7 @@ Limits = Annotated[
 ]
 
 
-def _path(text: str) -> Path:
-    if not text:
-        raise typer.BadParameter("expected a file or a directory, got an empty name")
-    return Path(text)
-
-
-TextFile = Annotated[
-    Path | None,
-    typer.Option("--out", metavar="FILE", parser=_path, help="Where to write; standard output if not given."),
-]
 PREFIX = typer.Option("--prefix", help="Put before every name, such as left_.")
-Prefix = Annotated[str, PREFIX]
 Branches = Annotated[
     list[str] | None, typer.Option("--branch", metavar="LABEL", help="Branch, such as TT+; may be repeated.")
 ]
@@ -189,3 +198,66 @@ def selected_labels(solutions: SolutionSet, labels: list[str] | None) -> list[st
 def exit_code(solutions: SolutionSet) -> int:
     """Return the exit code of a command that solved a displacement: 0, 3 if unreachable, 4 if degenerate."""
     return {Status.OK: 0, Status.UNREACHABLE: 3, Status.DEGENERATE: 4}.get(solutions.status, 1)
+
+
+def requested_solutions(
+    geometry: Geometry, translation: Triple | None, xyx: Triple | None, legs: SixLegs | None, unit: LengthUnit
+) -> tuple[SolutionSet, Configuration]:
+    """Return the branches of the requested pose, and the one to take if none is named.
+
+    That is the physical one, or else the first; with `legs` the one they determine; with no option at all, a regular
+    configuration near the home.
+
+    Raises
+    ------
+    ArgumentError
+        If only half a pose is given, or a pose and legs; or nothing real is found.
+    """
+    if (translation is None) != (xyx is None):
+        missing = "--translation" if translation is None else "--xyx"
+        raise ArgumentError(missing, "a pose, of --translation and --xyx together", "only one of them")
+    if legs is not None and translation is not None:
+        raise ArgumentError("--legs", "leg lengths or a pose", "both")
+    if translation is not None and xyx is not None:
+        solutions = inverse_displacement(geometry, read_pose(translation, xyx, unit))
+        if not solutions.count:
+            cause = unit_hint("--translation", translation, unit, geometry) or " ".join(pose_remarks(solutions))
+            raise ArgumentError("--translation", "a pose with a real branch", f"status {solutions.status}", cause)
+        physical = solutions.physical()
+        return solutions, physical if physical.exists else solutions[int(solutions.exists.argmax())]
+    if legs is None:
+        state = starting_configuration(geometry)
+    else:
+        state = forward_physical(geometry, np.array(legs) / unit.per_metre)
+        if not state.exists:
+            cause = unit_hint("--legs", legs, unit, geometry)
+            raise ArgumentError("--legs", "lengths with which the machine can be assembled", "none such", cause)
+    return inverse_displacement(geometry, state.pose), state
+
+
+def titled_branches(solutions: SolutionSet, labels: Sequence[str]) -> dict[str, Configuration]:
+    """Return branches of a pose under the titles of their pictures."""
+    physical = solutions.is_physical
+    places = [solutions.labels.index(label) for label in labels]
+    return {solutions.labels[k] + ", physical" * bool(physical[k]): solutions[k] for k in places}
+
+
+def solve_pose(
+    geometry: Path | None, translation: Triple, xyx: Triple, unit: LengthUnit
+) -> tuple[SolutionSet, list[str]]:
+    """Return the branches of `--translation` and `--xyx`, and remarks on a pose that has none or too many."""
+    dimensions = read_any_geometry(geometry)
+    solutions = inverse_displacement(dimensions, read_pose(translation, xyx, unit))
+    hint = unit_hint("--translation", translation, unit, dimensions)
+    remarks = [hint] if hint else pose_remarks(solutions)
+    if solutions.status is Status.UNREACHABLE and not remarks:
+        remarks.append("No configuration holds this pose, whatever the leg lengths.")
+    return solutions, remarks
+
+
+def end_command(solutions: SolutionSet, remarks: list[str]) -> NoReturn:
+    """End a command with the exit code of its pose; where no branch is real, with the remarks on stderr."""
+    if not solutions.count:
+        for remark in (f"status: {solutions.status}, no real branch", *remarks):
+            note(remark)
+    raise typer.Exit(exit_code(solutions))

@@ -1,21 +1,54 @@
-"""Files that subcommands write, and the extras they need: checked before the work, written after it."""
+"""Output of the subcommands: text and tables on the console, and files, checked with their extras before the work."""
 
 from __future__ import annotations
 
 import functools
+import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import typer
+from rich.cells import cell_len
+from rich.console import Console
 
-from spm_pin.cli.console import note, to_json
+from spm_pin.display.figure_files import FORMATS, save_figure
+from spm_pin.display.json_text import to_json
 from spm_pin.errors import ArgumentError, MissingExtraError
 from spm_pin.mechanism.arguments import writing
 
-__all__ = ["check_output", "name_options", "require_extra", "write_json", "write_model", "write_text"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "check_output",
+    "file_name",
+    "file_option",
+    "fixed",
+    "name_options",
+    "note",
+    "picture_option",
+    "print_lines",
+    "print_table",
+    "require_extra",
+    "significant",
+    "stderr",
+    "stdout",
+    "to_json",
+    "write_figure",
+    "write_json",
+    "write_model",
+    "write_text",
+]
+
+# Without markup: file names and messages may contain brackets, which Rich would take for styles.
+stdout = Console(markup=False, highlight=False)
+stderr = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
+
+_ROUNDING = 1e-12
+"""A number smaller than this share of its scale is printed as zero."""
 
 EXTRAS = {
     "cluster": ("zarr", "xarray", "dask", "distributed", "filelock", "google_crc32c"),
@@ -30,6 +63,71 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
+def print_lines(lines: Iterable[str], style: str | None = None) -> None:
+    """Print sentences on stdout, wrapped between words on a screen and not at all in a pipe."""
+    for line in lines:
+        stdout.print(line, style=style, soft_wrap=not stdout.is_terminal)
+
+
+def note(text: str, style: str | None = None) -> None:
+    """Print a line on stderr, beside the results."""
+    stderr.print(text, style=style)
+
+
+def print_table(
+    title: str,
+    headings: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    *,
+    left: Collection[str] = (),
+    rules: Collection[int] = (),
+    styles: Mapping[int, str] | None = None,
+) -> None:
+    """Print a table on stdout whose cells are never cut.
+
+    In a pipe a line is as long as it needs to be. On a screen, columns that do not fit follow in further blocks below,
+    each beginning with the first column. That column is aligned to the left, and so are those with headings in `left`;
+    an empty line is put above the rows numbered in `rules`; `styles` are those of rows, by their number.
+    """
+    cells = [[str(cell) for cell in row] for row in rows]
+    widths = [max(cell_len(cell) for cell in column) for column in zip(headings, *cells, strict=True)]
+    screen = stdout.width if stdout.is_terminal else math.inf
+    blocks = [[0]]
+    for k in range(1, len(headings)):
+        if len(blocks[-1]) > 1 and sum(widths[c] + 2 for c in (*blocks[-1], k)) > screen:
+            blocks.append([0])
+        blocks[-1].append(k)
+
+    def line(row: Sequence[str], block: list[int], style: str | None = None) -> None:
+        padded = []
+        for k in block:
+            space = " " * (widths[k] - cell_len(row[k]))
+            padded.append(row[k] + space if k == 0 or headings[k] in left else space + row[k])
+        stdout.print(" " + "  ".join(padded).rstrip(), style=style, soft_wrap=True)
+
+    stdout.print(title, style="bold", soft_wrap=True)
+    for block in blocks:
+        stdout.print()
+        line(headings, block, "bold")
+        stdout.print(" " + "─" * (sum(widths[k] + 2 for k in block) - 2), soft_wrap=True)
+        for number, row in enumerate(cells):
+            if number in rules:
+                stdout.print()
+            line(row, block, (styles or {}).get(number))
+    stdout.print()
+
+
+def fixed(value: float, digits: int) -> str:
+    """Format with a number of decimals; a number that rounds to zero has no sign."""
+    text = f"{value:.{digits}f}"
+    return text.removeprefix("-") if float(text) == 0.0 else text
+
+
+def significant(value: float, scale: float = 0.0, digits: int = 5) -> str:
+    """Format with a number of significant digits; what is rounding beside `scale` is 0."""
+    return "0" if abs(value) <= _ROUNDING * scale else f"{value:.{digits}g}"
+
+
 def require_extra(extra: str) -> None:
     """Raise `MissingExtraError` if a package of an extra is not installed; nothing is imported."""
     for package in EXTRAS[extra]:
@@ -37,14 +135,36 @@ def require_extra(extra: str) -> None:
             raise MissingExtraError(extra, package)
 
 
-def check_output(path: Path | None, option: str = "--out", endings: Sequence[str] = (), cause: str = "") -> None:
+def file_name(text: str) -> Path:
+    """Read the value of an option that names a file or a directory."""
+    if not text:
+        raise typer.BadParameter("expected a file or a directory, got an empty name")
+    return Path(text)
+
+
+def file_option(help_text: str, endings: Sequence[str] = (), extra: str = "") -> Any:
+    """Return an option of a file to write, checked before the work by `check_output`, and the extra that it needs."""
+
+    def check(parameter: typer.CallbackParam, path: Path | None) -> Path | None:
+        if path is not None:
+            check_output(path, parameter.opts[0], endings)
+            if extra:
+                require_extra(extra)
+        return path
+
+    return typer.Option(metavar="FILE", help=help_text, parser=file_name, callback=check)
+
+
+def picture_option(help_text: str) -> Any:
+    """Return an option of a picture to write, as `file_option`."""
+    return file_option(help_text, FORMATS, "plots")
+
+
+def check_output(path: Path, option: str = "--out", endings: Sequence[str] = (), cause: str = "") -> None:
     """Raise `ArgumentError` if a file cannot be written later: its ending, its folder, its permissions.
 
-    None, where the option was not used, is not checked. Without `endings` any is allowed; `cause` is added to the
-    message about them.
+    Without `endings` any is allowed; `cause` is added to the message about them.
     """
-    if path is None:
-        return
     if endings and path.suffix.lower() not in endings:
         raise ArgumentError(option, f"a file name ending in {', '.join(endings)}", path.name, cause)
     reason = ""
@@ -79,9 +199,16 @@ def write_model(text: str, path: Path | None) -> None:
         note(f'in Pinocchio: pinocchio.buildModelsFromUrdf("{path}", package_dirs="{path.parent}"), for the meshes')
 
 
-def write_json(content: Any, path: Path | None, option: str = "--json") -> None:
-    """Write a JSON file; without a path, print the JSON."""
-    write_text(to_json(content) + "\n", path, option)
+def write_json(content: Any, path: Path) -> None:
+    """Write a file of `--json`, as `write_text`."""
+    write_text(to_json(content) + "\n", path, "--json")
+
+
+def write_figure(path: Path | None, draw: Callable[P, Figure], *args: P.args, **kwargs: P.kwargs) -> None:
+    """Draw a figure and write it; without a path, do nothing."""
+    if path is not None:
+        save_figure(draw(*args, **kwargs), path)
+        note(f"wrote {path}")
 
 
 def name_options(**options: str) -> Callable[[Callable[P, R]], Callable[P, R]]:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from spm_pin.cli.console import fixed, note, print_lines, print_table, stdout
-from spm_pin.cli.outputs import check_output, name_options, write_json
-from spm_pin.reproduction import POSE, TABLES, Cell, Reproduction, Verdict
+from spm_pin.cli import outputs
+from spm_pin.reproduction import POSE, TABLES, Reproduction, Verdict
 from spm_pin.reproduction import reproduce as recompute
 
 __all__ = ["print_summary", "reproduce", "summary_line"]
@@ -28,34 +28,34 @@ _MISTAKES = {
     "missing_entry": "entry (9, 9) of J_α left zero",
     "other_load": "the load F = (-20, -30, 60) kN, T = (-30, -30, -100) kN cm, not the one printed",
 }
+_TABLE = attrgetter("table")
 _STYLES = {Verdict.MISPRINT: "yellow", Verdict.NOT_PRINTED: "yellow", Verdict.UNEXPLAINED: "red"}
 
 
-@name_options(tables="--table")
+@outputs.name_options(tables="--table")
 def reproduce(
     table: Annotated[
         list[int] | None,
         typer.Option(metavar="NUMBER", help="Show every cell of a table, 1 to 5; may be repeated. All if not given."),
     ] = None,
     cells: Annotated[bool, typer.Option("--cells", help="Show every cell of all tables.")] = False,
-    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write everything as JSON.")] = None,
+    json: Annotated[Path | None, outputs.file_option("Also write everything as JSON.")] = None,
 ) -> None:
     """Recompute the paper's tables and compare every printed digit.
 
     Exits with 1 if a printed number differs and nothing in the numbers explains why.
     """
-    check_output(json, "--json")
     found = recompute(TABLES if table is None else table)
-    print_lines([summary_line(found)], "bold red" if found.unexplained else "bold green")
-    stdout.print()
+    outputs.print_lines([summary_line(found)], "bold red" if found.unexplained else "bold green")
+    outputs.stdout.print()
     print_summary(found)
     if cells or table is not None:
         _print_cells(found)
-    print_lines(f"• {line}" for line in _findings(found))
+    outputs.print_lines(f"• {line}" for line in _findings(found))
     if json is not None:
-        write_json(_content(found), json)
+        outputs.write_json(_content(found), json)
     if found.unexplained:
-        note(f"{len(found.unexplained)} printed values differ without an explanation", "bold red")
+        outputs.note(f"{len(found.unexplained)} printed values differ without an explanation", "bold red")
         raise typer.Exit(1)
 
 
@@ -73,20 +73,16 @@ def summary_line(found: Reproduction) -> str:
     return f"{line}, {'not all' if found.unexplained else 'all'} others are explained: {', '.join(others)}."
 
 
-def _table(cell: Cell) -> int:
-    return cell.table
-
-
 def print_summary(found: Reproduction) -> None:
     """Print how many cells of each table agree."""
     rows, styles = [], {}
-    for k, (number, group) in enumerate(groupby(sorted(found.cells, key=_table), key=_table)):
+    for k, (number, group) in enumerate(groupby(sorted(found.cells, key=_TABLE), key=_TABLE)):
         verdicts = [cell.verdict for cell in group]
         counts = [sum(verdict is each for verdict in verdicts) for each in Verdict]
         rows.append([_TITLES[number].partition(" (")[0], str(len(verdicts)), *map(str, counts)])
         if Verdict.UNEXPLAINED in verdicts:
             styles[k] = "red"
-    print_table("The paper's numbers, recomputed", ["", "cells", *Verdict], rows, styles=styles)
+    outputs.print_table("The paper's numbers, recomputed", ["", "cells", *Verdict], rows, styles=styles)
 
 
 def _number(value: complex, like: str | None = None) -> str:
@@ -94,12 +90,12 @@ def _number(value: complex, like: str | None = None) -> str:
     text = like or "0.0000"
     digits = len(text.removesuffix("i").rpartition(".")[2]) if "." in text else 0
     digits = min(digits + 1, 5)
-    real = fixed(value.real, digits)
+    real = outputs.fixed(value.real, digits)
     return real if abs(value.imag) < 1e-9 else f"{real}{value.imag:+.{digits}f}i"
 
 
 def _print_cells(found: Reproduction) -> None:
-    for number, group in groupby(found.cells, key=_table):
+    for number, group in groupby(found.cells, key=_TABLE):
         cells = list(group)
         rows = [
             [
@@ -115,7 +111,7 @@ def _print_cells(found: Reproduction) -> None:
         styles = {k: _STYLES[cell.verdict] for k, cell in enumerate(cells) if cell.verdict in _STYLES}
         rules = [k for k in range(1, len(cells)) if number and number < 5 and cells[k].row != cells[k - 1].row]
         headings = ["", "solution", "published", "recomputed", "difference", "verdict"]
-        print_table(_TITLES[number], headings, rows, left=["verdict"], rules=rules, styles=styles)
+        outputs.print_table(_TITLES[number], headings, rows, left=["verdict"], rules=rules, styles=styles)
     if any(cell.table < 5 for cell in found.cells):
         rows = [
             [
@@ -129,18 +125,23 @@ def _print_cells(found: Reproduction) -> None:
         ]
         headings = ["solution", "branch", "paper: |U| = 0", "four quadratics", "difference"]
         title = "The same solutions by two methods: b_2Y (cm), and the largest difference"
-        print_table(title, headings, rows, left=["branch"])
+        outputs.print_table(title, headings, rows, left=["branch"])
     if found.true_values:
         rows = []
         for each in found.true_values:
             values = (each.paper, each.closed_form, each.pinocchio)
-            rows.append([each.name, *(fixed(x, 6) for x in values), f"{max(values) - min(values):.0e}"])
+            rows.append([each.name, *(outputs.fixed(x, 6) for x in values), f"{max(values) - min(values):.0e}"])
         headings = ["", "paper: 9 × 9", "wrench form", "Pinocchio", "difference"]
-        print_table("The true numbers of Table 5 by three methods", headings, rows)
+        outputs.print_table("The true numbers of Table 5 by three methods", headings, rows)
 
 
 def _findings(found: Reproduction) -> list[str]:
-    lines = [_finding(cell) for cell in found.cells if cell.note]
+    lines = [
+        f"Table {cell.table}, {cell.row}, solution {cell.column}: printed {cell.published or 'nothing'}, "
+        f"true {_number(cell.recomputed, cell.published)}; {cell.note}."
+        for cell in found.cells
+        if cell.note
+    ]
     for diagnosis in found.diagnoses:
         what = {"v": "rates", "f": "forces"}[diagnosis.row]
         causes = "; ".join(_MISTAKES[name] for name in diagnosis.names)
@@ -155,12 +156,6 @@ def _findings(found: Reproduction) -> list[str]:
             f"of Eq. (16) moved across correctly it has {equation.mended}, and the example has {equation.true}."
         )
     return lines
-
-
-def _finding(cell: Cell) -> str:
-    printed = "nothing" if cell.published is None else cell.published
-    true = _number(cell.recomputed, cell.published)
-    return f"Table {cell.table}, {cell.row}, solution {cell.column}: printed {printed}, true {true}; {cell.note}."
 
 
 def _content(found: Reproduction) -> dict[str, Any]:

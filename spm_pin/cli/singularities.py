@@ -6,10 +6,8 @@ from typing import Any
 
 import typer
 
-from spm_pin.cli.console import print_table, significant, to_json
-from spm_pin.cli.options import AnyGeometryFile, AsJson, Branches, LengthUnit, Translation, Unit, Xyx, selected_labels
-from spm_pin.cli.outputs import name_options
-from spm_pin.cli.requested_states import end_command, solve_pose
+from spm_pin.cli import options, outputs
+from spm_pin.cli.options import LengthUnit
 from spm_pin.closed_form.singularity_analysis import SingularityKind
 from spm_pin.closed_form.singularity_analysis import singularities as analyse
 from spm_pin.mechanism import Configuration
@@ -19,27 +17,27 @@ __all__ = ["singularities"]
 _MATRICES = ("J_b", "J_c", "K")
 
 
-@name_options()
+@outputs.name_options()
 def singularities(
-    translation: Translation,
-    xyx: Xyx,
-    branch: Branches = None,
-    unit: Unit = LengthUnit.M,
-    geometry: AnyGeometryFile = None,
-    json: AsJson = False,
+    translation: options.Translation,
+    xyx: options.Xyx,
+    branch: options.Branches = None,
+    unit: options.Unit = LengthUnit.M,
+    geometry: options.AnyGeometryFile = None,
+    json: options.AsJson = False,
 ) -> None:
     """Compute how near each branch of a pose is to a singularity.
 
     The index is the determinant over d³, the distance the smallest singular value; both are dimensionless and zero at a
     singularity: forward for J_b and J_c, the lower and the upper stage, inverse for K.
     """
-    solutions, remarks = solve_pose(geometry, translation, xyx, unit)
-    found = {label: _quantities(solutions[label]) for label in selected_labels(solutions, branch)}
+    solutions, remarks = options.solve_pose(geometry, translation, xyx, unit)
+    found = {label: _quantities(solutions[label]) for label in options.selected_labels(solutions, branch)}
     if json:
-        typer.echo(to_json({"status": str(solutions.status), "branches": found}))
+        typer.echo(outputs.to_json({"status": str(solutions.status), "branches": found}))
     elif found:
         _print_quantities(found)
-    end_command(solutions, remarks)
+    options.end_command(solutions, remarks)
 
 
 def _quantities(state: Configuration) -> dict[str, Any]:
@@ -59,7 +57,7 @@ def _print_quantities(found: dict[str, dict[str, Any]]) -> None:
     rows = []
     for label, quantities in found.items():
         numbers = [quantities[name][matrix] for name in ("index", "distance") for matrix in _MATRICES]
-        rows.append([label, *(significant(x, 1.0, 4) for x in numbers), quantities["kind"]])
+        rows.append([label, *(outputs.significant(x, 1.0, 4) for x in numbers), quantities["kind"]])
     headings = ["branch", *(f"{name} {matrix}" for name in ("det", "σ") for matrix in _MATRICES), "kind"]
     title = "Determinant over d³ and smallest singular value: J_b, J_c (forward), K (inverse)"
-    print_table(title, headings, rows, left=["kind"])
+    outputs.print_table(title, headings, rows, left=["kind"])

@@ -7,20 +7,8 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from spm_pin.cli.console import print_table, significant, to_json
-from spm_pin.cli.options import (
-    AnyGeometryFile,
-    AsJson,
-    Branches,
-    LengthUnit,
-    Translation,
-    Triple,
-    Unit,
-    Xyx,
-    selected_labels,
-)
-from spm_pin.cli.outputs import name_options
-from spm_pin.cli.requested_states import end_command, solve_pose
+from spm_pin.cli import options, outputs
+from spm_pin.cli.options import LengthUnit, Triple
 from spm_pin.closed_form.jacobians import leg_rates
 from spm_pin.closed_form.leg_forces import leg_forces
 from spm_pin.errors import ArgumentError, SingularConfigurationError
@@ -31,22 +19,22 @@ __all__ = ["statics"]
 _NONE = (0.0, 0.0, 0.0)
 
 
-@name_options(wrench="--force, --moment", twist="--velocity, --angular-velocity")
+def _vector(help_text: str) -> Any:
+    return typer.Option(metavar="X Y Z", help=help_text)
+
+
+@outputs.name_options(wrench="--force, --moment", twist="--velocity, --angular-velocity")
 def statics(
-    translation: Translation,
-    xyx: Xyx,
-    force: Annotated[Triple, typer.Option(metavar="X Y Z", help="Force onto m at o, in {B}, in newtons.")] = _NONE,
-    moment: Annotated[Triple, typer.Option(metavar="X Y Z", help="Moment onto m, in {B}, in newton metres.")] = _NONE,
-    velocity: Annotated[
-        Triple, typer.Option(metavar="X Y Z", help="Velocity of o in {B}, in --unit per second.")
-    ] = _NONE,
-    angular_velocity: Annotated[
-        Triple, typer.Option(metavar="X Y Z", help="Angular velocity of m in {B}, in degrees per second.")
-    ] = _NONE,
-    branch: Branches = None,
-    unit: Unit = LengthUnit.M,
-    geometry: AnyGeometryFile = None,
-    json: AsJson = False,
+    translation: options.Translation,
+    xyx: options.Xyx,
+    force: Annotated[Triple, _vector("Force onto m at o, in {B}, in newtons.")] = _NONE,
+    moment: Annotated[Triple, _vector("Moment onto m, in {B}, in newton metres.")] = _NONE,
+    velocity: Annotated[Triple, _vector("Velocity of o in {B}, in --unit per second.")] = _NONE,
+    angular_velocity: Annotated[Triple, _vector("Angular velocity of m in {B}, in degrees per second.")] = _NONE,
+    branch: options.Branches = None,
+    unit: options.Unit = LengthUnit.M,
+    geometry: options.AnyGeometryFile = None,
+    json: options.AsJson = False,
 ) -> None:
     """Find the leg forces that hold a wrench on the platform, and the leg rates of its twist.
 
@@ -56,17 +44,17 @@ def statics(
     twist = np.concatenate([np.array(velocity) / unit.per_metre, np.deg2rad(angular_velocity)])
     if not (json or wrench.any() or twist.any()):
         raise ArgumentError("--force", "a wrench or a twist that is not zero", "neither", "Nothing to hold or move")
-    solutions, remarks = solve_pose(geometry, translation, xyx, unit)
-    labels = selected_labels(solutions, branch)
+    solutions, remarks = options.solve_pose(geometry, translation, xyx, unit)
+    labels = options.selected_labels(solutions, branch)
     found = {label: _quantities(solutions[label], wrench, twist, unit) for label in labels}
     if json:
-        typer.echo(to_json({"unit": unit, "status": str(solutions.status), "branches": found}))
+        typer.echo(outputs.to_json({"unit": unit, "status": str(solutions.status), "branches": found}))
     elif found:
         if wrench.any():
             _print_quantities("Leg forces in N: positive extends the leg", found, "forces")
         if twist.any():
             _print_quantities(f"Leg rates in {unit}/s", found, "rates")
-    end_command(solutions, remarks)
+    options.end_command(solutions, remarks)
 
 
 def _quantities(state: Configuration, wrench: np.ndarray, twist: np.ndarray, unit: LengthUnit) -> dict[str, Any]:
@@ -90,5 +78,5 @@ def _print_quantities(title: str, found: dict[str, dict[str, Any]], what: str) -
             rows.append([f"{label}: {quantities['singular'][0]} singularity", *[""] * len(LEGS)])
         else:
             scale = float(np.abs(values).max())
-            rows.append([label, *(significant(value, scale) for value in values)])
-    print_table(title, ["branch", *LEGS], rows)
+            rows.append([label, *(outputs.significant(value, scale) for value in values)])
+    outputs.print_table(title, ["branch", *LEGS], rows)

@@ -14,9 +14,8 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskProgres
 from rich.text import Text
 
 from spm_pin import sweeps
-from spm_pin.cli.console import note, print_lines, stderr, to_json
 from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Limits, Unit, read_geometry, unit_hint
-from spm_pin.cli.outputs import name_options, require_extra
+from spm_pin.cli.outputs import name_options, note, print_lines, require_extra, stderr, to_json
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LegLimits
 from spm_pin.sweeps.domains import Domain

@@ -7,16 +7,14 @@ from typing import Annotated
 import typer
 
 from spm_pin.calibration import tolerance as analyse
-from spm_pin.cli.console import print_lines, print_table, to_json
-from spm_pin.cli.options import AnyGeometryFile, AsJson, read_any_geometry
-from spm_pin.cli.outputs import name_options
+from spm_pin.cli import options, outputs
 
 __all__ = ["tolerance"]
 
 Deviation = Annotated[float, typer.Option(min=0.0, metavar="SIGMA", help="Standard deviation, in metres or radians.")]
 
 
-@name_options(rng="--seed")
+@outputs.name_options(rng="--seed")
 def tolerance(
     direction: Deviation = 1e-4,
     pivot: Deviation = 1e-4,
@@ -26,27 +24,31 @@ def tolerance(
     states: Annotated[int, typer.Option(min=1, help="States to draw within the leg limits.")] = 60,
     samples: Annotated[int, typer.Option(min=0, help="Random machines; 0 for first order alone.")] = 200,
     seed: Annotated[int, typer.Option(min=0, help="Seed of states and machines.")] = 0,
-    geometry: AnyGeometryFile = None,
-    json: AsJson = False,
+    geometry: options.AnyGeometryFile = None,
+    json: options.AsJson = False,
 ) -> None:
     """Predict how far the platform is off if its dimensions are, and which tolerance pays.
 
     Example: spm-pin tolerance --direction 1e-4 --pivot 5e-5 --ball 5e-5 --offset 1e-5
     """
     table = {"direction": direction, "pivot": pivot, "ball": ball, "offset": offset}
-    found = analyse(read_any_geometry(geometry), table, states, samples=samples, rng=seed)
+    found = analyse(options.read_any_geometry(geometry), table, states, samples=samples, rng=seed)
     ranking = found.ranking(by)
     if json:
         linear, sampled = (dict(zip(("position", "angle"), x, strict=True)) for x in (found.rms, found.sampled_rms))
-        typer.echo(to_json({"tolerances": table, "rms": linear, "sampled_rms": sampled, "shares": dict(ranking)}))
+        typer.echo(
+            outputs.to_json({"tolerances": table, "rms": linear, "sampled_rms": sampled, "shares": dict(ranking)})
+        )
         return
     lines = [f"RMS error of the platform at {states} states, to first order: {_text(found.rms)}"]
     if samples:
         lines.append(
             f"of {samples} random machines: {_text(found.sampled_rms)}; 95 % within {_text(found.percentile())}"
         )
-    print_lines(lines)
-    print_table("Shares of the variance of the position", [by, "share"], [[n, f"{s:.1%}"] for n, s in ranking[:20]])
+    outputs.print_lines(lines)
+    outputs.print_table(
+        "Shares of the variance of the position", [by, "share"], [[n, f"{s:.1%}"] for n, s in ranking[:20]]
+    )
 
 
 def _text(sizes: tuple[float, float]) -> str:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from spm_pin.cli.options import AnyGeometryFile, Prefix, TextFile, read_any_geometry
-from spm_pin.cli.outputs import check_output, name_options, write_model
+from pathlib import Path
+from typing import Annotated
+
+from spm_pin.cli import options, outputs
 from spm_pin.mechanism import AsBuiltGeometry
 
 __all__ = ["urdf"]
 
 
-@name_options()
+@outputs.name_options()
 def urdf(
-    out: TextFile = None,
-    prefix: Prefix = "",
-    geometry: AnyGeometryFile = None,
+    out: Annotated[Path | None, outputs.file_option("Where to write; standard output if not given.")] = None,
+    prefix: Annotated[str, options.PREFIX] = "",
+    geometry: options.AnyGeometryFile = None,
 ) -> None:
     """Write the URDF: an open tree of eighteen joints, assembled at zero, its four loops closed by Drake's tags.
 
@@ -26,10 +28,9 @@ def urdf(
     from spm_pin.description.paths import MESHES, description_directory
     from spm_pin.description.write_urdf import urdf_text
 
-    check_output(out)
-    dimensions = read_any_geometry(geometry)
+    dimensions = options.read_any_geometry(geometry)
     if isinstance(dimensions, AsBuiltGeometry):
         folder = description_directory() if out else None
-        write_model(urdf_text(manipulator(dimensions, prefix=prefix), folder=folder), out)
+        outputs.write_model(urdf_text(manipulator(dimensions, prefix=prefix), folder=folder), out)
     else:
-        write_model(expand(dimensions, prefix=prefix, meshes=MESHES if out else None), out)
+        outputs.write_model(expand(dimensions, prefix=prefix, meshes=MESHES if out else None), out)

@@ -10,22 +10,20 @@ from typing import Annotated
 
 import typer
 
-from spm_pin.cli.console import stderr
-from spm_pin.cli.options import GeometryFile, LengthUnit, Unit, read_geometry
-from spm_pin.cli.outputs import check_output, name_options, require_extra
-from spm_pin.cli.requested_states import AnyLegs, AnyTranslation, AnyXyx, requested_solutions, select_branch
+from spm_pin.cli import options, outputs
+from spm_pin.cli.options import LengthUnit
 
 __all__ = ["view"]
 
 
-@name_options(allowed_origins="--origin", leg_lengths="--legs")
+@outputs.name_options(allowed_origins="--origin", leg_lengths="--legs")
 def view(
-    translation: AnyTranslation = None,
-    xyx: AnyXyx = None,
-    legs: AnyLegs = None,
+    translation: options.AnyTranslation = None,
+    xyx: options.AnyXyx = None,
+    legs: options.AnyLegs = None,
     branch: Annotated[str | None, typer.Option(metavar="LABEL", help="Branch to begin with, such as TT+.")] = None,
-    unit: Unit = LengthUnit.M,
-    geometry: GeometryFile = None,
+    unit: options.Unit = LengthUnit.M,
+    geometry: options.GeometryFile = None,
     path: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A recorded path to play: CSV, JSON or NPZ.")
     ] = None,
@@ -43,23 +41,23 @@ def view(
     dark: Annotated[bool, typer.Option("--dark", help="Begin with a dark page.")] = False,
     browser: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")] = True,
     snapshot: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a page that needs no server, and end.")
+        Path | None, outputs.file_option("Write a page that needs no server, and end.", (".html",))
     ] = None,
 ) -> None:
     """Drag the platform and watch all branches, in a browser. Ends with Ctrl-C.
 
     Needs the extra "viewer".
     """
-    require_extra("viewer")
-    check_output(snapshot, "--snapshot", (".html",))
-    dimensions = read_geometry(geometry)
-    solutions, default = requested_solutions(dimensions, translation, xyx, legs, unit)
-    start = select_branch(solutions, default, branch)
+    outputs.require_extra("viewer")
+    dimensions = options.read_geometry(geometry)
+    solutions, start = options.requested_solutions(dimensions, translation, xyx, legs, unit)
+    if branch is not None and (labels := options.selected_labels(solutions, [branch])):
+        start = solutions[labels[0]]
     if snapshot is not None:
         from spm_pin.display.viewer import save_snapshot
 
         save_snapshot(start, snapshot, dark=dark, geometry_file=geometry)
-        stderr.print(f"wrote {snapshot}")
+        outputs.note(f"wrote {snapshot}")
         return
     from spm_pin.display.viewer import Viewer
     from spm_pin.display.viewer.recording_files import read_recording
@@ -78,8 +76,8 @@ def view(
         allowed_origins=origin or (),
     ) as viewer:
         if port not in (0, viewer.port):
-            stderr.print(f"port {port} is taken, this is on {viewer.port}", highlight=False)
-        stderr.print(f"viewer at {viewer.url}, Ctrl-C ends it", highlight=False)
+            outputs.note(f"port {port} is taken, this is on {viewer.port}")
+        outputs.note(f"viewer at {viewer.url}, Ctrl-C ends it")
         if browser and _has_screen():
             webbrowser.open(viewer.url)
         viewer.wait()
@@ -87,6 +85,4 @@ def view(
 
 def _has_screen() -> bool:
     """Return whether a browser has somewhere to appear; without one, text browsers would take the terminal."""
-    if sys.platform == "darwin":
-        return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    return sys.platform == "darwin" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -8,12 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from spm_pin.cli.console import note, print_lines, print_table, significant, stderr, to_json
-from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Limits, Unit, read_geometry, unit_hint
-from spm_pin.cli.outputs import check_output, name_options, require_extra
+from spm_pin.cli import options, outputs
+from spm_pin.cli.options import LengthUnit
 from spm_pin.display.figure_files import FORMATS, save_figure
-from spm_pin.display.shell_files import MESH_FORMATS, save_mesh
-from spm_pin.display.shell_plots import shell_figure
+from spm_pin.display.shell_plots import MESH_FORMATS, save_mesh, shell_figure
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LEGS, LegLimits
 from spm_pin.workspace.table_6.patches import ERRATA
@@ -22,9 +20,9 @@ from spm_pin.workspace.table_6.shell import Patch, Shell, workspace_shell
 __all__ = ["workspace"]
 
 
-@name_options(path="--out")
+@outputs.name_options(path="--out")
 def workspace(
-    limits: Limits = None,
+    limits: options.Limits = None,
     resolution: Annotated[int, typer.Option(help="Increments of a varying leg, at least 2.")] = 40,
     out: Annotated[
         Path | None,
@@ -38,9 +36,9 @@ def workspace(
     samples: Annotated[
         int, typer.Option(min=1, help="Sets of leg lengths drawn at random to see what is reached, for --sections.")
     ] = 200_000,
-    unit: Unit = LengthUnit.M,
-    geometry: GeometryFile = None,
-    json: AsJson = False,
+    unit: options.Unit = LengthUnit.M,
+    geometry: options.GeometryFile = None,
+    json: options.AsJson = False,
 ) -> None:
     """Construct the workspace of the paper: the 24 surfaces of Table 6, joined to a closed shell.
 
@@ -50,21 +48,21 @@ def workspace(
     "plots".
     """
     _check_output(out, sections)
-    dimensions = read_geometry(geometry)
+    dimensions = options.read_geometry(geometry)
     box = None if limits is None else LegLimits(*(length / unit.per_metre for length in limits))
     try:
         shell = workspace_shell(dimensions, box, resolution=resolution)
     except ArgumentError as error:
-        hint = "" if limits is None else unit_hint("--limits", limits[1], unit, dimensions)
+        hint = "" if limits is None else options.unit_hint("--limits", limits[1], unit, dimensions)
         if not hint:
             raise
         raise ArgumentError("--limits", error.expected, error.received, hint) from error
     if json:
-        typer.echo(to_json(_content(shell, unit)))
+        typer.echo(outputs.to_json(_content(shell, unit)))
     else:
         _print_patches(shell.patches, unit)
         _print_convergence(shell, unit)
-        print_lines(_remarks(shell, unit))
+        outputs.print_lines(_remarks(shell, unit))
     if out is not None:
         _write(shell, out, samples if sections else None)
 
@@ -77,8 +75,8 @@ def _check_output(out: Path | None, sections: bool) -> None:
         return
     endings = FORMATS if sections else (*FORMATS, *MESH_FORMATS)
     cause = "Maps over many poses are for spm-pin sweep" if out.suffix == ".zarr" else ""
-    check_output(out, "--out", endings, cause)
-    require_extra("plots")
+    outputs.check_output(out, "--out", endings, cause)
+    outputs.require_extra("plots")
 
 
 def _write(shell: Shell, out: Path, samples: int | None) -> None:
@@ -91,32 +89,36 @@ def _write(shell: Shell, out: Path, samples: int | None) -> None:
         from spm_pin.display.section_plots import sections_figure
         from spm_pin.workspace.table_6.sampling import reached_positions
 
-        with stderr.status("drawing leg lengths"):
+        with outputs.stderr.status("drawing leg lengths"):
             reached, aspect = reached_positions(shell.geometry, shell.limits, count=samples)
         save_figure(sections_figure(shell, reached, aspect), out)
-    note(f"wrote {out}")
+    outputs.note(f"wrote {out}")
 
 
 def _print_patches(patches: tuple[Patch, ...], unit: LengthUnit) -> None:
     scale = unit.per_metre**2
     rows = [
-        [patch.name, *(setting.value for setting in patch.settings), significant(patch.area * scale)]
+        [patch.name, *(setting.value for setting in patch.settings), outputs.significant(patch.area * scale)]
         for patch in patches
     ]
     rules = [k for k in range(1, len(patches)) if patches[k].family != patches[k - 1].family]
     title = f"The surfaces: leg settings, area in {unit}²"
-    print_table(title, ["patch", *LEGS, "area"], rows, left=LEGS, rules=rules)
+    outputs.print_table(title, ["patch", *LEGS, "area"], rows, left=LEGS, rules=rules)
 
 
 def _print_convergence(shell: Shell, unit: LengthUnit) -> None:
     scale = unit.per_metre**3
     convergence = shell.convergence
     rows = [
-        [str(n), significant(volume * scale, digits=8), significant((convergence.limit - volume) * scale, digits=2)]
+        [
+            str(n),
+            outputs.significant(volume * scale, digits=8),
+            outputs.significant((convergence.limit - volume) * scale, digits=2),
+        ]
         for n, volume in zip(convergence.resolutions, convergence.volumes, strict=True)
     ]
     title = f"The volume as the mesh gets finer, in {unit}³"
-    print_table(title, ["increments", "volume", "short of the limit by"], rows)
+    outputs.print_table(title, ["increments", "volume", "short of the limit by"], rows)
 
 
 def _remarks(shell: Shell, unit: LengthUnit) -> list[str]:

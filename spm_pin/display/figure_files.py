@@ -50,8 +50,7 @@ def save_figure(figure: Figure, path: str | Path, *, dpi: float = 150.0, backgro
         If the name ends otherwise, or the file cannot be written.
     """
     path = file_path(path, suffixes=FORMATS)
-    with plots_extra():
-        from matplotlib import rc_context
+    from matplotlib import rc_context
 
     # Without the date, and with names that do not change from run to run.
     metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix.lower())

@@ -11,9 +11,9 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from spm_pin.display.figure_files import new_figure
-from spm_pin.display.shell_plots import FAMILY_COLOURS, check_shell, patch_symbol, style_axes
+from spm_pin.display.shell_plots import FAMILY_COLOURS, patch_symbol, style_axes
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import FloatArray, instance
 from spm_pin.workspace.table_6.shell import Shell
 
 if TYPE_CHECKING:
@@ -123,7 +123,7 @@ def sections_figure(shell: Shell, reached: FloatArray, aspect: npt.NDArray[np.in
 
     `reached` and `aspect` are those of `draw_section`.
     """
-    check_shell(shell)
+    instance(shell, Shell, "shell", "Make one with workspace.shell(geometry)")
     bottom, top = float(shell.vertices[:, 2].min()), float(shell.vertices[:, 2].max())
     heights = [float(f"{bottom + share * (top - bottom):.2g}") for share in (0.21, 0.36, 0.65)]
     planes = [*map(Plane.level, heights), Plane.upright(0.0), Plane.upright(0.5 * math.pi)]

@@ -1,9 +1,10 @@
-"""The paper's Fig. 2: the shell of the workspace from four sides, its 24 patches coloured and named."""
+"""The shell of the workspace: the paper's Fig. 2, from four sides with its 24 patches named, and mesh files."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from scipy import ndimage
@@ -11,15 +12,24 @@ from scipy import ndimage
 from spm_pin.display.figure_files import new_figure
 from spm_pin.display.plots import draw_solids
 from spm_pin.display.rendering import VIEW, Rendering, camera_axes
-from spm_pin.display.scene import Colour, Scene, Solid
-from spm_pin.mechanism.arguments import instance
+from spm_pin.display.scene import Colour, Scene, Solid, plots_extra
+from spm_pin.mechanism.arguments import file_path, instance, writing
 from spm_pin.workspace.table_6.shell import Patch, Shell
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["FAMILY_COLOURS", "VIEWS", "check_shell", "draw_shell", "patch_symbol", "shell_figure", "style_axes"]
+__all__ = [
+    "FAMILY_COLOURS",
+    "MESH_FORMATS",
+    "VIEWS",
+    "draw_shell",
+    "patch_symbol",
+    "save_mesh",
+    "shell_figure",
+    "style_axes",
+]
 
 # Okabe and Ito's, light ones for surfaces, https://jfly.uni-koeln.de/color/.
 FAMILY_COLOURS: dict[str, Colour] = {
@@ -36,9 +46,12 @@ VIEWS: dict[str, tuple[float, float]] = {
     "bottom": (-0.5 * math.pi, -0.5 * math.pi),
 }
 """Azimuth and elevation [rad] of the panels of `shell_figure`."""
+MESH_FORMATS = (".stl", ".ply", ".obj", ".glb")
+"""File types that shells are written in."""
 _EDGE = 0.6  # width of edges in points
 _FONT = 9.0
 _INK = (0.13, 0.15, 0.18)
+_Y_UP = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
 def draw_shell(
@@ -57,7 +70,7 @@ def draw_shell(
     ArgumentError
         If `shell` is no Shell, `ax` is three-dimensional, or `view` is not two angles.
     """
-    check_shell(shell)
+    instance(shell, Shell, "shell", "Make one with workspace.shell(geometry)")
     camera = camera_axes(view)
     solids = [
         # The renderer shows what faces the viewer, and that is all one sees of a closed shell.
@@ -72,11 +85,6 @@ def draw_shell(
             written = ax.text(x, y, patch_symbol(patch.name), fontsize=_FONT, color=_INK, ha="center", va="center")
             written.set_path_effects([withStroke(linewidth=0.25 * _FONT, foreground="white", alpha=0.7)])
     return ax
-
-
-def check_shell(value: Shell) -> None:
-    """Raise `ArgumentError` unless `value` is a `Shell`."""
-    instance(value, Shell, "shell", "Make one with workspace.shell(geometry)")
 
 
 def style_axes(ax: Axes, labels: tuple[str, str]) -> None:
@@ -131,3 +139,52 @@ def shell_figure(shell: Shell, *, labels: bool = True, dpi: float = 200.0) -> Fi
         swatches.append(Swatch(facecolor=colour, edgecolor=_INK, label=ends))
     figure.legend(handles=swatches, loc="outside lower center", ncols=4, frameon=False, fontsize=9.0)
     return figure
+
+
+def save_mesh(shell: Shell, path: str | Path) -> Path:
+    """Write a shell's mesh, lengths in metres.
+
+    STL and OBJ hold one closed mesh, PLY the same with the colours of the families. GLB holds each patch as a mesh of
+    its own, named and coloured, and has its y axis upward, as that format requires.
+
+    Raises
+    ------
+    ArgumentError
+        If the name does not end in one of `MESH_FORMATS`, or the file cannot be written.
+    """
+    path = file_path(path, suffixes=MESH_FORMATS)
+    with plots_extra():
+        content = _patchwork(shell) if path.suffix.lower() == ".glb" else _whole(shell, path.suffix.lower()[1:])
+    with writing(path):
+        path.write_bytes(content)
+    return path
+
+
+def _rgba(patch: Patch) -> list[int]:
+    return [*(round(255 * channel) for channel in FAMILY_COLOURS[patch.family]), 255]
+
+
+def _whole(shell: Shell, kind: str) -> bytes:
+    import trimesh
+
+    colours = [np.tile(_rgba(patch), (len(patch.faces), 1)) for patch in shell.patches]
+    mesh = trimesh.Trimesh(
+        shell.vertices, shell.faces, face_colors=np.concatenate(colours) if kind == "ply" else None, process=False
+    )
+    content = mesh.export(file_type=kind)
+    return content.encode() if isinstance(content, str) else cast("bytes", content)
+
+
+def _patchwork(shell: Shell) -> bytes:
+    import trimesh
+
+    scene = trimesh.Scene()
+    for patch in shell.patches:
+        material = trimesh.visual.material.PBRMaterial(
+            name=patch.family, baseColorFactor=_rgba(patch), metallicFactor=0.0, roughnessFactor=0.8
+        )
+        mesh = trimesh.Trimesh(shell.vertices, shell.faces[patch.faces], process=False)
+        mesh.remove_unreferenced_vertices()
+        mesh.visual = trimesh.visual.TextureVisuals(material=material)
+        scene.add_geometry(mesh, node_name=patch.name, geom_name=patch.name, transform=_Y_UP)
+    return cast("bytes", scene.export(file_type="glb"))

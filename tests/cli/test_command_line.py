@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from typer.main import get_command
 
 import spm_pin as spm
-from spm_pin.cli import console, outputs
+from spm_pin.cli import outputs
 from spm_pin.cli.application import EXIT_CODES, app
 from spm_pin.crosscheck import METHODS, ClosedForm
 from spm_pin.errors import MissingExtraError
@@ -25,7 +25,7 @@ EXAMPLE = ["--translation", "68.89", "49.63", "225.3", "--xyx", "-11.08", "32.97
 LOAD = ["--force", "0", "0", "-500", "--velocity", "1", "0", "0"]
 LEGS = ["--legs", "120", "120", "140", "125", "120", "150"]
 COMMANDS = [command.callback.__name__ for command in app.registered_commands if command.callback]
-SOURCES = sorted(Path(console.__file__).parent.glob("*.py"))
+SOURCES = sorted(Path(outputs.__file__).parent.glob("*.py"))
 
 
 @pytest.fixture
@@ -33,8 +33,8 @@ def screen(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
     """Return a function that makes stdout a terminal of a width."""
 
     def terminal(width: int) -> None:
-        monkeypatch.setattr(console.stdout, "_force_terminal", True)
-        monkeypatch.setattr(console.stdout, "_width", width)
+        monkeypatch.setattr(outputs.stdout, "_force_terminal", True)
+        monkeypatch.setattr(outputs.stdout, "_width", width)
 
     return terminal
 
@@ -59,9 +59,9 @@ def test_the_advice_on_a_missing_extra_is_printed_in_full(extra: str, monkeypatc
 
 def test_brackets_in_any_text_are_printed_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
     text = "[viewer] [/] [bold red]x[/bold red] [link=a]b"
-    console.print_lines([text])
-    console.print_table(text, ["a", text], [[text, text]])
-    console.note(text)
+    outputs.print_lines([text])
+    outputs.print_table(text, ["a", text], [[text, text]])
+    outputs.note(text)
     printed = capsys.readouterr()
     assert printed.out.count(text) == 5
     assert text in printed.err
@@ -82,7 +82,7 @@ def test_no_subcommand_makes_a_console_or_markup_of_its_own() -> None:
     for path in SOURCES:
         text = path.read_text(encoding="utf-8")
         for word in ("rich.markup", "from_markup", "markup=True", "[bold", "[red]", "Console("):
-            assert word not in text or (word == "Console(" and path.name == "console.py"), (path.name, word)
+            assert word not in text or (word == "Console(" and path.name == "outputs.py"), (path.name, word)
         # Columns of progress bars read their text as markup by default.
         assert text.count("TextColumn(") == text.count('description}", markup=False)'), path.name
 
@@ -274,11 +274,11 @@ def test_a_pipe_has_no_width(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("value", [0.0, -0.0, -1.1e-15, 4e-14])
 def test_zeros_are_printed_as_zero(value: float) -> None:
-    assert console.fixed(value, 3) == "0.000"
-    assert console.significant(value, scale=1.0) == "0"
-    assert "-" not in console.to_json([value if value == 0.0 else -0.0, np.array(-0.0)])
-    assert console.fixed(-0.0006, 3) == "-0.001"
-    assert console.significant(-4.4527e-9, scale=1.0) == "-4.4527e-09"
+    assert outputs.fixed(value, 3) == "0.000"
+    assert outputs.significant(value, scale=1.0) == "0"
+    assert "-" not in outputs.to_json([value if value == 0.0 else -0.0, np.array(-0.0)])
+    assert outputs.fixed(-0.0006, 3) == "-0.001"
+    assert outputs.significant(-4.4527e-9, scale=1.0) == "-4.4527e-09"
 
 
 def test_zeros_of_commands_are_zeros() -> None:
@@ -308,7 +308,7 @@ def test_small_determinants_are_printed_with_significant_digits() -> None:
 
 
 def test_json_has_null_for_what_is_not_finite() -> None:
-    assert json.loads(console.to_json({"a": [np.nan, np.inf, np.array([1, np.nan])]})) == {"a": [None, None, [1, None]]}
+    assert json.loads(outputs.to_json({"a": [np.nan, np.inf, np.array([1, np.nan])]})) == {"a": [None, None, [1, None]]}
 
 
 # Outputs and extras, before the work
@@ -394,7 +394,7 @@ def test_a_defect_ends_without_a_traceback_unless_it_is_asked_for(monkeypatch: p
     def broken(*_: object) -> None:
         raise ZeroDivisionError("[a] detail")
 
-    monkeypatch.setattr("spm_pin.cli.requested_states.inverse_displacement", broken)
+    monkeypatch.setattr("spm_pin.cli.options.inverse_displacement", broken)
     done = run("inverse", *EXAMPLE)
     assert done.returncode == 70
     assert "error: ZeroDivisionError: [a] detail" in done.message
@@ -495,18 +495,18 @@ WORK: dict[str, tuple[str, list[str]]] = {
     "certify": ("prove", []),
     "crosscheck": ("compare_in_batches", []),
     "demo": ("reproduce", []),
-    "draw": ("requested_solutions", ["--out", "x.png"]),
-    "export": ("read_any_geometry", ["--format", "mjcf"]),
+    "draw": ("options.requested_solutions", ["--out", "x.png"]),
+    "export": ("options.read_any_geometry", ["--format", "mjcf"]),
     "forward": ("forward_displacement", LEGS),
-    "inverse": ("solve_pose", EXAMPLE),
+    "inverse": ("options.solve_pose", EXAMPLE),
     "move": ("certify", ["--from", *["1.3"] * 6, "--to", *["1.4"] * 6, "--leg-force", "1500"]),
     "reproduce": ("recompute", []),
-    "singularities": ("solve_pose", EXAMPLE),
-    "statics": ("solve_pose", [*EXAMPLE, *LOAD]),
+    "singularities": ("options.solve_pose", EXAMPLE),
+    "statics": ("options.solve_pose", [*EXAMPLE, *LOAD]),
     "sweep": ("sweeps.run", ["--legs", "1.2:1.3:2", "--out", "map"]),
     "tolerance": ("analyse", []),
-    "urdf": ("read_any_geometry", []),
-    "view": ("requested_solutions", ["--no-open"]),
+    "urdf": ("options.read_any_geometry", []),
+    "view": ("options.requested_solutions", ["--no-open"]),
     "workspace": ("workspace_shell", []),
 }
 """For each command the function that takes long, by its name in the command's module, and arguments."""

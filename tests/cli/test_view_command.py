@@ -6,35 +6,20 @@ import socket
 import subprocess
 import sys
 import urllib.request
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import drained
+from cli.running import run
 from PIL import Image
 
 import spm_pin as spm
-from spm_pin.cli import main
 from spm_pin.display.plots import save_gallery
 from spm_pin.display.viewer.event_queue import EventQueue
 from spm_pin.display.viewer.viser_server import free_port
 
-Run = Callable[..., subprocess.CompletedProcess[str]]
 COMMAND = [sys.executable, "-c", "from spm_pin.cli import main; main()"]
-
-
-@pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
-    """Return a function that runs the command here, since a process for each takes seconds."""
-
-    def command(*arguments: str) -> subprocess.CompletedProcess[str]:
-        monkeypatch.setattr(sys, "argv", ["spm-pin", *arguments])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        out, err = capsys.readouterr()
-        return subprocess.CompletedProcess(arguments, int(ended.value.code or 0), out, err)
-
-    return command
 
 
 def started(*arguments: str) -> tuple[subprocess.Popen[str], str, list[str]]:
@@ -86,14 +71,14 @@ def test_a_taken_port_is_named_and_another_used_until_ctrl_c() -> None:
         (["--snapshot", "/nowhere/page.html"], "a file that can be written"),
     ],
 )
-def test_view_refuses(run: Run, arguments: list[str], words: str) -> None:
+def test_view_refuses(arguments: list[str], words: str) -> None:
     done = run("view", "--no-open", *arguments)
     assert done.returncode == 2
-    assert words in " ".join(done.stderr.split())
+    assert words in done.message
     assert "Traceback" not in done.stderr
 
 
-def test_a_snapshot_is_one_file(run: Run, tmp_path: Path) -> None:
+def test_a_snapshot_is_one_file(tmp_path: Path) -> None:
     path = tmp_path / "page.html"
     done = run("view", "--snapshot", str(path), "--branch", "FF+", "--dark")
     assert done.returncode == 0, done.stderr
@@ -104,7 +89,7 @@ def test_a_snapshot_is_one_file(run: Run, tmp_path: Path) -> None:
     assert path.stat().st_size < 2_000_000
 
 
-def test_draw_one_branch_or_all(run: Run, tmp_path: Path) -> None:
+def test_draw_one_branch_or_all(tmp_path: Path) -> None:
     one, every, some = tmp_path / "one.png", tmp_path / "all.png", tmp_path / "some.svg"
     assert run("draw", "--out", str(one), "--width", "120").returncode == 0  # too small for names
     assert run("draw", "--out", str(one), "--width", "200").returncode == 0
@@ -143,13 +128,11 @@ def test_draw_one_branch_or_all(run: Run, tmp_path: Path) -> None:
         (["--out", "x.png", "--view", "900", "0"], "azimuth and elevation"),
     ],
 )
-def test_draw_refuses(
-    run: Run, tmp_path: Path, arguments: list[str], words: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_draw_refuses(tmp_path: Path, arguments: list[str], words: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     done = run("draw", *arguments)
     assert done.returncode == 2
-    assert words in " ".join(done.stderr.split())
+    assert words in done.message
     assert not list(tmp_path.iterdir())
 
 
@@ -184,7 +167,7 @@ def test_event_queue_replaces_pending_events_of_a_kind_and_stops_when_closed() -
         queue.post("select", lambda: done.append("select"))
         queue.post("fault", lambda: 1 / 0)
         gate.set()
-        await queue.drained()
+        await drained(queue)
         assert done == ["drag 4", "select"]
         assert isinstance(errors[0], ZeroDivisionError)
         gate.clear()
@@ -193,7 +176,7 @@ def test_event_queue_replaces_pending_events_of_a_kind_and_stops_when_closed() -
         queue.post("late", lambda: done.append("late"))
         queue.close()
         gate.set()
-        await queue.drained()
+        await drained(queue)
         queue.post("later", lambda: done.append("later"))
         assert len(asyncio.all_tasks()) == 1
 

@@ -13,8 +13,7 @@ from PIL import Image
 import spm_pin as spm
 from spm_pin.display.figure_files import save_figure
 from spm_pin.display.rendering import camera_axes
-from spm_pin.display.shell_files import MESH_FORMATS, save_mesh
-from spm_pin.display.shell_plots import FAMILY_COLOURS, VIEWS, draw_shell, shell_figure
+from spm_pin.display.shell_plots import FAMILY_COLOURS, MESH_FORMATS, VIEWS, draw_shell, save_mesh, shell_figure
 from spm_pin.errors import ArgumentError, MissingExtraError
 from spm_pin.workspace.table_6.shell import workspace_shell
 

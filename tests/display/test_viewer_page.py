@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import chromium, pixel, until, watched
+from browser import chromium, drained, pixel, until, watched
 from PIL import Image
 
 import spm_pin as spm
@@ -79,7 +79,7 @@ def send(session, name, value=None):
 
     async def done():
         await session.report(name, value)
-        await session.queue.drained()
+        await drained(session.queue)
 
     asyncio.run_coroutine_threadsafe(done(), session._loop).result(timeout=60.0)
 
@@ -132,6 +132,31 @@ def test_the_page_shows_the_robot_and_its_instruments(client):
     assert (seen < [camera.image_width, camera.image_height]).all()
     assert np.ptp(seen[:, 1]) > 0.65 * camera.image_height
     assert not any(handle.visible for handle in session.scene._ghosts)
+    assert not errors
+
+
+def test_the_robot_fills_a_window_of_another_size_until_the_user_moves_the_camera(browser, viewer):
+    page, session, errors = opened(browser, viewer)
+
+    def fits():
+        camera = session.client.camera
+        seen = np.array([pixel(camera, point) for point in robot_points(session.state.shown, 0.0)])
+        size = np.array([camera.image_width, camera.image_height])
+        shares = np.ptp(seen, axis=0) / size
+        return camera.image_width < 500 and (seen > 0.0).all() and (seen < size).all() and shares.max() > 0.65
+
+    page.set_viewport_size({"width": 800, "height": 640})
+    until(fits, "the robot in a narrower picture", page=page)
+    settled(page, session)
+    page.mouse.move(200, 300)
+    page.mouse.wheel(0, 600)
+    settled(page, session)
+    position = np.array(session.client.camera.position)
+    page.set_viewport_size(SIZE)
+    until(lambda: session.client.camera.image_width > 500, "a wider picture", page=page)
+    settled(page, session)
+    np.testing.assert_allclose(session.client.camera.position, position, atol=1e-6)
+    page.close()
     assert not errors
 
 
@@ -220,7 +245,7 @@ def test_a_drag_out_of_reach_warns_and_shows_the_nearest(client):
     page.wait_for_timeout(300)
     assert "out of reach" in page.inner_text('[data-spm="warning"] >> nth=0')
     assert session.model.within_limits(session.state.shown)
-    assert all(handle.visible for handle in session.scene._wanted)
+    assert session.scene._wanted.visible
     picture(page, "viewer_out_of_reach.png")
     # The way back stands right below the warning.
     back = page.get_by_role("button", name="Back to the reachable pose")
@@ -228,7 +253,7 @@ def test_a_drag_out_of_reach_warns_and_shows_the_nearest(client):
     back.click()
     until(lambda: session.state.distance == 0.0, "the target where the platform is", page=page)
     until(lambda: not back.is_visible(), "no way back where none is needed", page=page)
-    assert not any(handle.visible for handle in session.scene._wanted)
+    assert not session.scene._wanted.visible
     assert not errors
 
 

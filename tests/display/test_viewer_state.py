@@ -6,7 +6,6 @@ import json
 import shlex
 import subprocess
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -17,14 +16,16 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.closed_form.starting_configuration import starting_configuration
+from spm_pin.display.json_text import to_json
 from spm_pin.display.viewer.camera import FIELD_OF_VIEW, VIEWS, fit_camera, robot_points
 from spm_pin.display.viewer.readings import Readings
 from spm_pin.display.viewer.recording import demo_motion
 from spm_pin.display.viewer.robot_meshes import RobotMeshes
-from spm_pin.display.viewer.slider_ranges import leg_ranges, pose_coordinates, pose_ranges, sample_states
+from spm_pin.display.viewer.slider_ranges import leg_ranges, pose_coordinates, pose_ranges
 from spm_pin.display.viewer.state import Drive, Model
-from spm_pin.display.viewer.state_export import command_line, json_text
+from spm_pin.display.viewer.state_export import command_line, content
 from spm_pin.display.viewer.state_markup import forces_table, instruments, number, status
+from spm_pin.display.viewer.workspace_layer import WorkspaceLayer
 
 PAPER = spm.Geometry.paper()
 FREE = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)
@@ -52,7 +53,7 @@ def test_viewer_starts_with_the_paper_s_solution_3():
 def test_every_machine_has_a_start(name):
     state = starting_configuration(problems.GEOMETRIES[name])
     assert state.exists
-    assert Readings.of(state, np.zeros(6)).physical
+    assert Readings(state, np.zeros(6)).physical
 
 
 def test_a_dragged_platform_is_followed_on_its_branch():
@@ -147,11 +148,11 @@ def test_equal_legs_have_no_isolated_branch_and_are_left_again():
 def test_a_crossing_is_named():
     model = Model(START)
     before = model.state.label
-    signs = {np.sign(model.state.readings.index[2])}
+    signs = {np.sign(model.state.readings.singularities.index[2])}
     messages = ""
     for k in range(1, 30):
         state = model.set_legs(START.leg_lengths + 0.01 * k * np.array([0, 0, -1, 0, 0, -1]))
-        signs.add(np.sign(state.readings.index[2]))
+        signs.add(np.sign(state.readings.singularities.index[2]))
         messages += texts(state)
         if len(signs) > 1:
             break
@@ -164,7 +165,7 @@ def test_readings_are_those_of_the_library():
     readings = Model(START).load(wrench).readings
     np.testing.assert_array_equal(readings.forces, spm.leg_forces(START, wrench))
     found = spm.singularities(START)
-    np.testing.assert_array_equal(readings.sigma, found.sigma)
+    np.testing.assert_array_equal(readings.singularities.sigma, found.sigma)
     # The travel predicts where a determinant vanishes: go there along its gradient.
     gradient = spm.closed_form.determinant_gradients(START)[2]
     way = -gradient / np.linalg.norm(gradient) * np.sign(found.determinants[2])
@@ -214,14 +215,14 @@ def test_a_leg_is_one_leg_whatever_its_length():
 def test_numbers_have_no_negative_zero_and_long_lengths_a_unit_that_fits():
     assert [number(x, 1) for x in (-0.04, -0.0, 0.04, -0.06)] == ["0.0", "0.0", "0.0", "-0.1"]
     assert "-0.0" not in forces_table(Model(START).load([0.0, 0.0, -1e-9, 0.0, 0.0, 0.0]))
-    state = Model(START).state
-    far = replace(state, readings=replace(state.readings, travel=np.array([56.999, 0.02, np.nan])))
+    far = Model(START).state
+    far.readings.travel = np.array([56.999, 0.02, np.nan])
     assert "57.0 m<" in instruments(far)
     assert "56999" not in instruments(far)
 
 
 def test_slider_ranges_span_reachable_poses_around_the_state():
-    states = sample_states(PAPER)
+    states = WorkspaceLayer(PAPER).states
     assert (PAPER.limits.margin(states.leg_lengths) >= -1e-12).all()
     now = pose_coordinates(START.pose)
     ranges = pose_ranges(states, START.pose)
@@ -282,17 +283,17 @@ def test_the_exported_command_finds_the_state_again():
 def test_the_exported_json_holds_the_state():
     chain = spm.ClosedChain.from_urdf()
     state = Model(START).load([0.0, 0.0, -500.0, 0.0, 0.0, 0.0])
-    content = json.loads(json_text(state, chain))
-    pose = np.array(content["pose"])
+    found = json.loads(to_json(content(state, chain)))
+    pose = np.array(found["pose"])
     np.testing.assert_array_equal(pose, START.pose.as_matrix())
     np.testing.assert_allclose(
-        spm.pose(content["translation"], xyx=content["xyx"]).as_matrix(), START.pose.as_matrix(), atol=1e-14
+        spm.pose(found["translation"], xyx=found["xyx"]).as_matrix(), START.pose.as_matrix(), atol=1e-14
     )
-    q = np.array([content["q"][name] for name in spm.ClosedChain.from_urdf().joint_names])
+    q = np.array([found["q"][name] for name in spm.ClosedChain.from_urdf().joint_names])
     assert np.abs(spm.ClosedChain.from_urdf().closure_gap(q)).max() < 1e-12
-    assert content["branch"] == "TT+"
-    assert content["leg_forces"]["r_b1"] == pytest.approx(spm.leg_forces(START, [0, 0, -500, 0, 0, 0])[0])
-    json_text(Model(START).set_legs([1.3] * 6), chain)  # singular, yet JSON
+    assert found["branch"] == "TT+"
+    assert found["leg_forces"]["r_b1"] == pytest.approx(spm.leg_forces(START, [0, 0, -500, 0, 0, 0])[0])
+    json.loads(to_json(content(Model(START).set_legs([1.3] * 6), chain)))  # singular, yet JSON
 
 
 def test_markup_of_a_state_is_escaped():

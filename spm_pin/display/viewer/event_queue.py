@@ -40,11 +40,6 @@ class EventQueue:
         self.closed = True
         self._waiting.clear()
 
-    async def drained(self) -> None:
-        """Wait until nothing is left to do."""
-        while self._task is not None:
-            await asyncio.shield(self._task)
-
     async def _work(self) -> None:
         try:
             while self._waiting:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from spm_pin.display.viewer.camera import VIEWS
+from spm_pin.display.viewer.robot_scene import assign
 from spm_pin.display.viewer.slider_ranges import pose_coordinates
 from spm_pin.display.viewer.state import Drive, State
 from spm_pin.display.viewer.state_export import command_line
@@ -173,14 +174,14 @@ class Panel:
         self.status.content = status(state)
         self.instruments.content = instruments(state)
         self.forces.content = forces_table(state)
-        _assign(self.back, "visible", state.distance > 0.0 and state.drive is Drive.POSE)
+        assign(self.back, "visible", state.distance > 0.0 and state.drive is Drive.POSE)
         labels = state.labels or (_NONE,)
         if tuple(self.branch.options) != labels:
             self.branch.options = labels
-        _assign(self.branch, "value", state.label or labels[0])
+        assign(self.branch, "value", state.label or labels[0])
         # At X-Y-X angles that are not unique, those of the state that is shown.
         pose = pose_coordinates(state.target if state.distance > 0.0 else state.shown.pose)
-        kinds = (("coordinate", self.pose_sliders, pose), ("leg", self.leg_sliders, state.readings.leg_lengths))
+        kinds = (("coordinate", self.pose_sliders, pose), ("leg", self.leg_sliders, state.shown.leg_lengths))
         for (kind, sliders, values), ends in zip(kinds, ranges, strict=True):
             for k, (slider, value, (low, high)) in enumerate(zip(sliders, values, ends, strict=True)):
                 if (kind, k) != moved:
@@ -209,12 +210,6 @@ def _set_slider(slider: Any, value: float, low: float, high: float) -> None:
     """Set a slider's value and ends, rounded to its step; the ends outwards."""
     step = float(slider.step)
     digits = 3 if step < 0.01 else 1
-    _assign(slider, "min", round(np.floor(low / step + 1e-6) * step, digits) + 0.0)
-    _assign(slider, "max", round(max(np.ceil(high / step - 1e-6) * step, low + step), digits) + 0.0)
-    _assign(slider, "value", round(value, digits) + 0.0)
-
-
-def _assign(widget: Any, name: str, value: Any) -> None:
-    """Set a widget's property, with a message only where that changes something."""
-    if getattr(widget, name) != value:
-        setattr(widget, name, value)
+    assign(slider, "min", round(np.floor(low / step + 1e-6) * step, digits) + 0.0)
+    assign(slider, "max", round(max(np.ceil(high / step - 1e-6) * step, low + step), digits) + 0.0)
+    assign(slider, "value", round(value, digits) + 0.0)

@@ -1,7 +1,10 @@
-"""Recorded paths, followed on a branch, played back by time; and the motion that a page begins with."""
+"""Recorded paths, followed on a branch and played back by a clock; and the motion that a page begins with."""
 
 from __future__ import annotations
 
+import asyncio
+import time as clock
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -9,15 +12,17 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.closed_form.path_following import FollowedPath, follow
-from spm_pin.errors import ArgumentError, SpmError
+from spm_pin.display.viewer.event_queue import EventQueue
+from spm_pin.errors import SpmError
 from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.proofs import Certificate, certify
 
-__all__ = ["Playback", "Recording", "demo_motion"]
+__all__ = ["Playback", "Player", "Recording", "demo_motion"]
 
 _SECONDS = 10.0
 _POINTS = 81
+_INTERVAL = 1.0 / 25.0  # between two moments of a path that is played [s]
 # Directions of the six legs' motion, found by a search for large motions of the paper's machine: the legs go along the
 # first and back, and swing along the second meanwhile.
 _ALONG = np.array([0.52, 0.05, 0.25, 0.75, -0.11, -0.30])
@@ -35,13 +40,6 @@ class Recording:
     def follow(self, geometry: Geometry, start: Configuration | str | None = None) -> Playback:
         """Follow a solution along the path, by default the physical one; see `spm_pin.follow`."""
         return Playback(follow(geometry, self.points, start, certificate=_certificate(geometry)), self.times)
-
-    def follow_from(self, geometry: Geometry, start: Configuration | str | None) -> Playback:
-        """Follow from `start` where the path begins there, else the physical solution."""
-        try:
-            return self.follow(geometry, start)
-        except ArgumentError:
-            return self.follow(geometry)
 
 
 @lru_cache
@@ -67,17 +65,13 @@ class Playback:
         """Until the end of the recorded path [s], whether or not the solution lasts so long."""
         return float(self.times[-1])
 
-    def parameter(self, time: float) -> float:
-        """Return the path's parameter, 0 to 1, at a time [s]."""
-        return float(np.interp(time, self.times, np.linspace(0.0, 1.0, len(self.times))))
-
-    def time(self, parameter: float) -> float:
-        """Return when the path is at a parameter [s]."""
-        return float(np.interp(parameter, np.linspace(0.0, 1.0, len(self.times)), self.times))
+    def time(self, parameter: float | FloatArray) -> FloatArray:
+        """Return when the path is at parameters (...) from 0 to 1 [s]."""
+        return np.asarray(np.interp(parameter, np.linspace(0.0, 1.0, len(self.times)), self.times))
 
     def at(self, time: float) -> tuple[Configuration, str]:
         """Return the solved configuration nearest to a time [s], its last where the solution ended, and its label."""
-        index = int(np.abs(self.path.parameters - self.parameter(time)).argmin())
+        index = int(np.abs(self.time(self.path.parameters) - time).argmin())
         return self.path.configurations[index], self.path.labels[index]
 
     def report(self, now: float, most: int = 12) -> list[str]:
@@ -85,7 +79,7 @@ class Playback:
         events = self.path.events
         lines = [f"{len(self.path.parameters)} configurations of {self.path.labels[0]}"]
         if not self.path.complete:
-            last = self.time(float(self.path.parameters[-1]))
+            last = self.time(self.path.parameters[-1])
             lines.append(f"⚠ The solution ends at {last:.2f} s; the last is shown from there on.")
         if self.path.certified is not None:
             inside = int(self.path.certified.sum())
@@ -97,6 +91,57 @@ class Playback:
         if len(events) > most:
             lines.append(f"… and {len(events) - most} more events")
         return lines
+
+
+class Player:
+    """Runs the time of a path from 0 to its duration [s]; all methods belong to the event loop's thread.
+
+    `show` shows the path at a time [s], in the worker of `queue`; with `repeat` the path begins again at the end.
+    """
+
+    def __init__(
+        self, queue: EventQueue, show: Callable[[float], None], duration: float, *, repeat: bool = False
+    ) -> None:
+        self._queue = queue
+        self._show = show
+        self.duration = duration
+        self.repeat = repeat
+        self.time = 0.0
+        self._task: asyncio.Task[None] | None = None
+
+    @property
+    def playing(self) -> bool:
+        """True while the path is played."""
+        return self._task is not None
+
+    def stop(self) -> None:
+        """Stop where it is."""
+        if self._task is not None:
+            self._task.cancel()
+            self._task = None
+
+    def play(self) -> None:
+        """Run on from where it is, or from the beginning where it has ended."""
+        if self._task is None and not self._queue.closed:
+            self._task = asyncio.get_running_loop().create_task(self._run())
+
+    def toggle(self) -> None:
+        """Play or stop."""
+        if self.playing:
+            self.stop()
+        else:
+            self.play()
+
+    async def _run(self) -> None:
+        start = clock.perf_counter() - (self.time if self.time < self.duration else 0.0)
+        while True:
+            elapsed = clock.perf_counter() - start
+            self.time = elapsed % self.duration if self.repeat else min(elapsed, self.duration)
+            self._queue.post("frame", lambda time=self.time: self._show(time))  # type: ignore[misc]
+            if elapsed >= self.duration and not self.repeat:
+                break
+            await asyncio.sleep(_INTERVAL)
+        self._task = None
 
 
 def demo_motion(start: Configuration) -> Playback | None:

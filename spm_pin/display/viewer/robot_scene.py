@@ -6,16 +6,15 @@ from collections.abc import Callable, Coroutine, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from spm_pin.description.visuals import section_size
-from spm_pin.display.viewer.robot_meshes import MovingMesh, Placements, RobotMeshes
+from spm_pin.display.viewer.robot_meshes import MovingMesh, RobotMeshes
 from spm_pin.display.viewer.state import State
 from spm_pin.display.viewer.state_markup import LOAD, PULL, PUSH, WARN
 from spm_pin.mechanism import BRANCHES, LEGS
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["RobotScene"]
+__all__ = ["RobotScene", "assign"]
 
 OnClick = Callable[[str], Coroutine[Any, Any, None]]
 Colour = tuple[int, int, int]
@@ -63,7 +62,7 @@ class RobotScene:
             shadow_opacity=0.18,
             position=(0.0, 0.0, -0.3 * self.size),
         )
-        self._robot = [self._mesh(f"/robot/{mesh.name}", mesh, mesh.colour, None) for mesh in robot.meshes]
+        self._robot = [self._mesh(f"/robot/{mesh.name}", mesh, mesh.colour) for mesh in robot.meshes]
         # Base and terminal platform are where the robot's are; of the legs their tubes are enough.
         meshes = robot.meshes
         self._in_ghosts = [
@@ -71,9 +70,11 @@ class RobotScene:
         ]
         self._ghosts = [self._ghost(meshes[k], on_click) for k in self._in_ghosts]
         self._colours = [mesh.colour for mesh in meshes]
-        self._terminal = [k for k, mesh in enumerate(meshes) if mesh.name.startswith("terminal")]
-        terminal = [meshes[k] for k in self._terminal]
-        self._wanted = [self._mesh(f"/wanted/{mesh.name}", mesh, _rgb(WARN), 0.45) for mesh in terminal]
+        # The terminal platform where it should be.
+        self._wanted = scene.add_frame("/wanted", show_axes=False, visible=False)
+        for mesh in meshes:
+            if mesh.name.startswith("terminal"):
+                self._mesh(f"/wanted/{mesh.name}", mesh, _rgb(WARN), opacity=0.45)
         self._gap = self._lines("/wanted_gap", _rgb(WARN))
         self._trail = self._lines("/trail", _TRAIL)
         self._trail_points: list[FloatArray] = []
@@ -82,18 +83,9 @@ class RobotScene:
         thicknesses = {"force": (LOAD, 0.05), "moment": (LOAD, 0.03), "push": (PUSH, 0.05), "pull": (PULL, 0.05)}
         self._arrows = {name: self._arrow(name, _rgb(code), share) for name, (code, share) in thicknesses.items()}
 
-    def _mesh(self, name: str, mesh: MovingMesh, colour: Colour, opacity: float | None) -> Any:
-        return self.scene.add_mesh_simple(
-            name,
-            mesh.vertices,
-            mesh.faces,
-            color=colour,
-            opacity=opacity,
-            side="double",
-            visible=opacity is None,
-            cast_shadow=False,
-            receive_shadow=False,
-        )
+    def _mesh(self, name: str, mesh: MovingMesh, colour: Colour, **options: Any) -> Any:
+        options |= {"side": "double", "cast_shadow": False, "receive_shadow": False}
+        return self.scene.add_mesh_simple(name, mesh.vertices, mesh.faces, color=colour, **options)
 
     def _ghost(self, mesh: MovingMesh, on_click: OnClick | None) -> Any:
         """Return the node of one mesh of all ghosts, an instance for each branch."""
@@ -153,7 +145,7 @@ class RobotScene:
                 handle.color = self._colours[k] = colour
         self._show_ghosts(state)
         self._show_names(state)
-        self._show_wanted(state, placements)
+        self._show_wanted(state)
         self._show_load(state)
         self._show_trail(state.shown.translation)
 
@@ -170,7 +162,7 @@ class RobotScene:
                 places[others], turns[others] = placements.positions[:, k], placements.quaternions[:, k]
                 handle.batched_positions, handle.batched_wxyzs, handle.batched_scales = places, turns, scales
         for handle in self._ghosts:
-            _set_visible(handle, shown)
+            assign(handle, "visible", shown)
         taken: list[FloatArray] = []
         for label, other in zip(BRANCHES, others, strict=True):
             handle = self._branches[label]
@@ -179,7 +171,7 @@ class RobotScene:
                 place = _free_place(state.solutions[label].middle_joints, taken)
                 taken.append(place)
                 handle.position, handle.text = place, f"{label} ◀" if label == state.label else label
-            _set_visible(handle, named)
+            assign(handle, "visible", named)
 
     def _show_names(self, state: State) -> None:
         """Name each leg beside its middle, away from the axis of its stage."""
@@ -191,21 +183,16 @@ class RobotScene:
         for k, handle in enumerate(self._names):
             if self.layers["names"]:
                 handle.position = middles[k] + 0.42 * self.size * outward[k]
-            _set_visible(handle, self.layers["names"])
+            assign(handle, "visible", self.layers["names"])
 
-    def _show_wanted(self, state: State, placements: Placements) -> None:
+    def _show_wanted(self, state: State) -> None:
         apart = state.distance > 0.0
-        # The terminal platform's meshes, moved from where it is to where it should be.
-        move = state.target * state.shown.pose.inv()
-        for handle, k in zip(self._wanted, self._terminal, strict=True):
-            if apart:
-                handle.position = move.apply(placements.positions[k])
-                turn = move.rotation * Rotation.from_quat(placements.quaternions[k], scalar_first=True)
-                handle.wxyz = turn.as_quat(scalar_first=True)
-            _set_visible(handle, apart)
         if apart:
+            self._wanted.position = state.target.translation
+            self._wanted.wxyz = state.target.rotation.as_quat(scalar_first=True)
             self._gap.points = np.stack([state.shown.translation, state.target.translation])[None].astype(np.float32)
-        _set_visible(self._gap, apart)
+        assign(self._wanted, "visible", apart)
+        assign(self._gap, "visible", apart)
 
     def _show_load(self, state: State) -> None:
         o, wrench = state.shown.translation, state.wrench
@@ -231,7 +218,7 @@ class RobotScene:
         handle = self._arrows[name]
         if len(arrows):
             handle.points = np.array(arrows, dtype=np.float32)
-        _set_visible(handle, len(arrows) > 0)
+        assign(handle, "visible", len(arrows) > 0)
 
     def _show_trail(self, o: FloatArray) -> None:
         points = self._trail_points
@@ -242,7 +229,7 @@ class RobotScene:
             del points[:-_TRAIL_POINTS]
             if len(points) > 1 and self.layers["trail"]:
                 self._trail.points = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
-        _set_visible(self._trail, self.layers["trail"] and len(points) > 1)
+        assign(self._trail, "visible", self.layers["trail"] and len(points) > 1)
 
     def clear_trail(self) -> None:
         """Begin the trail of o anew."""
@@ -255,10 +242,10 @@ class RobotScene:
             self.scene.add_line_segments("/path", pieces, colors=_PATH, thickness=0.03 * self.size)
 
 
-def _set_visible(handle: Any, visible: bool) -> None:
-    """Show or hide a node, with a message only where that changes something."""
-    if handle.visible != visible:
-        handle.visible = visible
+def assign(handle: Any, name: str, value: Any) -> None:
+    """Set a property of a node or a widget, with a message only where that changes something."""
+    if getattr(handle, name) != value:
+        setattr(handle, name, value)
 
 
 def _free_place(joints: FloatArray, taken: list[FloatArray]) -> FloatArray:

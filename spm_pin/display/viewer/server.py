@@ -71,9 +71,14 @@ class Viewer:
         demo: bool | None = None,
         allowed_origins: Collection[str] = (),
     ) -> None:
-        configuration = _configuration(start)
+        if start is None or isinstance(start, Geometry):
+            configuration = starting_configuration(start or Geometry.paper())
+        else:
+            configuration = check_configuration(start, "start", single=True, existing=True)
         free = viser_server.free_port(host, port)
-        origins = _origins(allowed_origins)
+        if isinstance(allowed_origins, str) or not all(isinstance(origin, str) for origin in allowed_origins):
+            raise ArgumentError("allowed_origins", "origins such as ['https://robots.example']", repr(allowed_origins))
+        origins = tuple(origin.rstrip("/").lower() for origin in allowed_origins)
         geometry = configuration.geometry
         chain = ClosedChain.from_urdf(geometry=geometry)
         chain.joint_values(configuration)  # raises where its loops do not close
@@ -150,15 +155,3 @@ class Viewer:
 
     def __exit__(self, *_: object) -> None:
         self.stop()
-
-
-def _origins(allowed: Collection[str]) -> tuple[str, ...]:
-    if isinstance(allowed, str) or not all(isinstance(origin, str) for origin in allowed):
-        raise ArgumentError("allowed_origins", "origins such as ['https://robots.example']", repr(allowed))
-    return tuple(origin.rstrip("/").lower() for origin in allowed)
-
-
-def _configuration(start: Configuration | Geometry | None) -> Configuration:
-    if start is None or isinstance(start, Geometry):
-        return starting_configuration(start or Geometry.paper())
-    return check_configuration(start, "start", single=True, existing=True)

@@ -13,19 +13,19 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from spm_pin.display.json_text import to_json
 from spm_pin.display.viewer.camera import FIELD_OF_VIEW, VIEWS, fit_camera, robot_points
 from spm_pin.display.viewer.event_queue import EventQueue
-from spm_pin.display.viewer.page_style import PANEL_WIDTH, PHONE_ASPECT, PHONE_PANEL
 from spm_pin.display.viewer.panel import Panel
-from spm_pin.display.viewer.playback import Player
-from spm_pin.display.viewer.recording import Playback, Recording
+from spm_pin.display.viewer.recording import Playback, Player, Recording
 from spm_pin.display.viewer.robot_meshes import RobotMeshes
 from spm_pin.display.viewer.robot_scene import RobotScene
 from spm_pin.display.viewer.slider_ranges import leg_ranges, pose_coordinates, pose_ranges
 from spm_pin.display.viewer.state import Drive, Model, State
-from spm_pin.display.viewer.state_export import json_text
+from spm_pin.display.viewer.state_export import content, snapshot_html
+from spm_pin.display.viewer.viser_server import PHONE_ASPECT, PHONE_PANEL
 from spm_pin.display.viewer.workspace_layer import WorkspaceLayer
-from spm_pin.errors import SpmError
+from spm_pin.errors import ArgumentError, SpmError
 from spm_pin.mechanism import Configuration
 from spm_pin.mechanism import pose as make_pose
 from spm_pin.multibody.chain import ClosedChain
@@ -68,10 +68,9 @@ class Session:
         self.model = Model(config.start)
         self.queue = EventQueue(self._failed)
         self._coordinates = pose_coordinates(config.start.pose)
-        self._legs = self.state.readings.leg_lengths.copy()
+        self._legs = np.array(self.state.shown.leg_lengths)
         self._narrow = client.camera.image_width < PHONE_ASPECT * client.camera.image_height
-        recording, demo = config.recording, config.demo
-        duration = None if recording is None else float(recording.times[-1])
+        demo, duration = config.demo, None if config.recording is None else float(config.recording.times[-1])
         self.scene = RobotScene(client.scene, config.robot, partial(self.report, "branch"))
         self.panel = Panel(
             client.gui,
@@ -90,8 +89,8 @@ class Session:
         )
         self.gizmo.on_update(self._gizmo_moved)
         self.show()
-        # The panel is not placed yet.
-        self.look("Home", 0.0 if self._narrow else PANEL_WIDTH)
+        self.look("Home")
+        client.camera.on_update(self._camera_moved)
 
     @property
     def state(self) -> State:
@@ -105,17 +104,24 @@ class Session:
         elif self.demo is not None:
             self.demo.play()
 
-    def look(self, view: str, panel: float = 0.0) -> None:
-        """Place the camera so that the robot fills the picture, less a panel on its right [pixels]; see `VIEWS`."""
+    def look(self, view: str) -> None:
+        """Place the camera so that the robot fills the picture; see `VIEWS`."""
         camera = self.client.camera
-        aspect = max(camera.image_width - panel, 1.0) / camera.image_height
+        size = camera.image_width, camera.image_height
         points = robot_points(self.state.shown, 0.3 * self.scene.size)
-        position, look_at = fit_camera(points, VIEWS[view], aspect, PHONE_PANEL if self._narrow else 0.0)
+        position, look_at = fit_camera(points, VIEWS[view], size[0] / size[1], PHONE_PANEL if self._narrow else 0.0)
+        self._fitted = view, size, position
         with self.client.atomic():
             camera.fov = FIELD_OF_VIEW
             camera.up_direction = (0.0, 0.0, 1.0)
             camera.position = position
             camera.look_at = look_at
+
+    async def _camera_moved(self, camera: Any) -> None:
+        """Fit the robot into a picture that has another size now, unless the user has moved the camera since."""
+        view, size, position = self._fitted
+        if size != (camera.image_width, camera.image_height) and np.allclose(camera.position, position, atol=1e-4):
+            self.queue.post("view", partial(self.look, view))
 
     async def report(self, name: str, value: Any) -> None:
         """Take an event of the page; on the event loop."""
@@ -160,7 +166,7 @@ class Session:
         if moved[0] != "coordinate":
             self._coordinates = pose_coordinates(state.target)
         if moved[0] != "leg":
-            self._legs = state.readings.leg_lengths.copy()
+            self._legs = np.array(state.shown.leg_lengths)
 
     # One method per event, named after it; they run in the session's worker.
 
@@ -218,16 +224,13 @@ class Session:
 
     def _on_layer(self, value: tuple[str, bool]) -> None:
         name, shown = value
-        match name:
-            case "gizmo":
-                self.gizmo.visible = shown
-            case "shell":
-                self.config.workspace.show_shell(self.client.scene, shown)
-            case "points":
-                self.config.workspace.show_points(self.client.scene, shown)
-            case _:
-                self.scene.layers[name] = shown
-                self.scene.show(self.state)
+        if name == "gizmo":
+            self.gizmo.visible = shown
+        elif name in ("shell", "points"):
+            self.config.workspace.show(self.client.scene, name, shown)
+        else:
+            self.scene.layers[name] = shown
+            self.scene.show(self.state)
 
     def _on_dark(self, dark: bool) -> None:
         self.panel.theme(dark)
@@ -256,7 +259,10 @@ class Session:
         # A path of leg lengths begins in an assembly mode, which has other names; the nearest is meant.
         start = self.state.shown if isinstance(recording.points, np.ndarray) else (self.state.label or None)
         try:
-            self.playback = recording.follow_from(self.model.geometry, start)
+            try:
+                self.playback = recording.follow(self.model.geometry, start)
+            except ArgumentError:
+                self.playback = recording.follow(self.model.geometry)
         except SpmError as error:
             panel.show_path(f"⚠ {error}")
             raise
@@ -295,12 +301,10 @@ class Session:
         self.client.send_file_download("spm_pin.png", file.getvalue(), save_immediately=True)
 
     def _on_json(self, _: None) -> None:
-        text = json_text(self.state, self.config.chain, self.config.geometry_file)
-        self.client.send_file_download("spm_pin_state.json", text.encode(), save_immediately=True)
+        text = to_json(content(self.state, self.config.chain, self.config.geometry_file))
+        self.client.send_file_download("spm_pin_state.json", f"{text}\n".encode(), save_immediately=True)
 
     def _on_snapshot(self, _: None) -> None:
-        from spm_pin.display.viewer.snapshot import snapshot_html
-
         ghosts = self.scene.layers["ghosts"]
         page = snapshot_html(self.state, self.config.robot, geometry_file=self.config.geometry_file, ghosts=ghosts)
         self.client.send_file_download("spm_pin.html", page.encode(), save_immediately=True)

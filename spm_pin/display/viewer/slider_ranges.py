@@ -6,14 +6,12 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.closed_form.forward_displacement import forward_physical
-from spm_pin.mechanism import Configuration, Geometry
+from spm_pin.mechanism import Configuration
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.branches import physical
-from spm_pin.mechanism.leg_frames import home_lengths
 
-__all__ = ["leg_ranges", "pose_coordinates", "pose_ranges", "sample_states"]
+__all__ = ["leg_ranges", "pose_coordinates", "pose_ranges"]
 
-_SAMPLES = 4000
 _NEIGHBOURS = 400
 """Sampled states, those nearest to the one shown, whose coordinates a slider spans."""
 _STEPS = 48
@@ -23,20 +21,6 @@ def pose_coordinates(pose: RigidTransform) -> FloatArray:
     """Return x, y, z [m] and the X-Y-X angles [degrees] of poses (..., 6)."""
     angles = pose.rotation.as_euler("XYX", degrees=True, suppress_warnings=True)
     return np.concatenate([pose.translation, angles], axis=-1) + 0.0
-
-
-def sample_states(geometry: Geometry) -> Configuration:
-    """Return states (n,) of a real machine for leg lengths spread evenly over their limits, the same at every call.
-
-    Without limits the lengths are those at home, a third more or less.
-    """
-    home = np.repeat(home_lengths(geometry), 3)
-    low, high = home / 1.33, home * 1.33
-    if geometry.limits is not None:
-        low, high = np.maximum(geometry.limits.minimum, 0.3 * home), np.minimum(geometry.limits.maximum, 3.0 * home)
-    lengths = np.random.default_rng(0).uniform(low, np.maximum(low, high), (_SAMPLES, 6))
-    states = forward_physical(geometry, lengths)
-    return states[states.exists]
 
 
 def pose_ranges(states: Configuration, target: RigidTransform) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -19,7 +20,6 @@ from spm_pin.mechanism import (
     FAMILIES,
     LEGS,
     Configuration,
-    Geometry,
     LegLimits,
     PoseLike,
     SolutionSet,
@@ -76,18 +76,18 @@ class State:
 class Model:
     """A session's state and its changes, from a single configuration that exists. Not for several threads at once."""
 
+    state: State
+
     def __init__(self, start: Configuration) -> None:
         self.geometry = start.geometry
         self.hold_limits = True
         """True if a machine that is within its leg limits stays there."""
-        self.state = self._state(Drive.POSE, start.pose, start, np.zeros(6), ())
+        self._become(Drive.POSE, start.pose, start)
 
     def drag(self, pose: PoseLike) -> State:
         """Move to a pose on the branch, or to the nearest reachable one."""
         target = as_rigid_transform(pose)
-        found, remarks = self._nearest(target)
-        self.state = self._state(Drive.POSE, target, found, self.state.wrench, tuple(remarks))
-        return self.state
+        return self._become(Drive.POSE, target, *self._nearest(target))
 
     def set_legs(self, leg_lengths: npt.ArrayLike) -> State:
         """Move to leg lengths (6,) [m] in the assembly mode, as far as it lasts."""
@@ -95,14 +95,13 @@ class Model:
         here = self.state.shown
         # In the home mode no path needs to be followed.
         found = forward_physical(self.geometry, lengths, seed=None if physical(here) else here)
-        remarks: tuple[Notice, ...] = ()
+        remarks = []
         if not found.exists:
             found, share = self._last_on_the_way(here, lengths)
             if share < 1.0:
                 text = "These leg lengths are not reached: a forward singularity is in the way."
-                remarks = (Notice("warning", f"{text} Shown: the last on the way, at {100 * share:.0f} %."),)
-        self.state = self._state(Drive.LEGS, found.pose, found, self.state.wrench, remarks)
-        return self.state
+                remarks = [Notice("warning", f"{text} Shown: the last on the way, at {100 * share:.0f} %.")]
+        return self._become(Drive.LEGS, found.pose, found, remarks)
 
     def select(self, label: str) -> State:
         """Take another branch of the shown pose; raises `ArgumentError` if it has no such branch."""
@@ -110,19 +109,18 @@ class Model:
             raise ArgumentError("label", f"one of {', '.join(self.state.labels) or 'no branches'}", repr(label))
         before = self.state
         chosen = before.solutions[label]
-        self.state = self._state(before.drive, chosen.pose, chosen, before.wrench, (), jump=True)
-        return self.state if before.drive is Drive.LEGS else self.drag(before.target)
+        state = self._become(before.drive, chosen.pose, chosen, jump=True)
+        return state if before.drive is Drive.LEGS else self.drag(before.target)
 
     def load(self, wrench: npt.ArrayLike) -> State:
         """Put a wrench (f, m) on the platform at o in {B} [N, N m]."""
         load = real_array(wrench, "wrench", (6,), "(f, m) at o in {B} in N and N m")
-        self.state = replace(self.state, wrench=load, readings=Readings.of(self.state.shown, load))
+        self.state = replace(self.state, wrench=load, readings=Readings(self.state.shown, load))
         return self.state
 
     def place(self, configuration: Configuration) -> State:
         """Show a configuration, as it is."""
-        self.state = self._state(Drive.POSE, configuration.pose, configuration, self.state.wrench, (), jump=True)
-        return self.state
+        return self._become(Drive.POSE, configuration.pose, configuration, jump=True)
 
     def within_limits(self, configuration: Configuration) -> bool:
         """Return whether a configuration respects its leg limits, up to rounding."""
@@ -173,27 +171,28 @@ class Model:
             high = float(shares[min(count, _PARTS - 1)])
         return found, low
 
-    def _state(
+    def _become(
         self,
         drive: Drive,
         target: RigidTransform,
         shown: Configuration,
-        wrench: FloatArray,
-        remarks: tuple[Notice, ...],
+        remarks: Sequence[Notice] = (),
         *,
         jump: bool = False,
     ) -> State:
         solutions = inverse_displacement(self.geometry, shown.pose)
         before: State | None = getattr(self, "state", None)
         label = _label(solutions, shown, before.label if before is not None else "")
-        readings = Readings.of(shown, wrench)
+        wrench = before.wrench if before is not None else np.zeros(6)
+        readings = Readings(shown, wrench)
         distance = pose_distance(self.geometry, shown.pose, target)
         distance = 0.0 if distance <= _REACHED * self.geometry.middle_side else distance
         notices = list(remarks)
         if before is not None and not jump:
             notices += _crossings(before, readings, label)
-        notices += _warnings(readings, label, self.geometry)
-        return State(drive, target, shown, label, solutions, distance, readings, wrench, tuple(notices))
+        notices += _warnings(readings, label)
+        self.state = State(drive, target, shown, label, solutions, distance, readings, wrench, tuple(notices))
+        return self.state
 
 
 def _label(solutions: SolutionSet, shown: Configuration, last: str) -> str:
@@ -209,18 +208,15 @@ def _label(solutions: SolutionSet, shown: Configuration, last: str) -> str:
 
 
 def _crossings(before: State, after: Readings, label: str) -> list[Notice]:
-    crossed = np.sign(before.readings.index) * np.sign(after.index) < 0.0
-    notices = []
-    for hit, name in zip(crossed, SINGULARITIES, strict=True):
-        if hit:
-            renamed = f": {before.label} became {label}" if before.label and label and label != before.label else ""
-            notices.append(Notice("warning", f"A singularity was crossed ({name}){renamed}."))
-    return notices
+    crossed = np.sign(before.readings.singularities.index) * np.sign(after.singularities.index) < 0.0
+    renamed = f": {before.label} became {label}" if before.label and label and label != before.label else ""
+    names = [name for hit, name in zip(crossed, SINGULARITIES, strict=True) if hit]
+    return [Notice("warning", f"A singularity was crossed ({name}){renamed}.") for name in names]
 
 
-def _warnings(readings: Readings, label: str, geometry: Geometry) -> list[Notice]:
+def _warnings(readings: Readings, label: str) -> list[Notice]:
     notices = []
-    for near, name, travel in zip(readings.near(geometry.middle_side), SINGULARITIES, readings.travel, strict=True):
+    for near, name, travel in zip(readings.near, SINGULARITIES, readings.travel, strict=True):
         if near:
             how = f"{1e3 * travel:.1f} mm of leg travel away" if np.isfinite(travel) else "at hand"
             notices.append(Notice("warning", f"Singularity ahead ({name}): about {how}."))

@@ -92,15 +92,15 @@ def _bar(share: float, colour: str, ticks: tuple[float, ...] = (), side: str = "
 
 
 def _legs(state: State) -> str:
-    readings, limits = state.readings, state.shown.geometry.limits
+    readings, lengths, limits = state.readings, state.shown.leg_lengths, state.shown.geometry.limits
     cells = []
     for k, leg in enumerate(LEGS):
-        length, beyond = float(readings.leg_lengths[k]), float(readings.beyond[k])
+        length, beyond = float(lengths[k]), float(readings.beyond[k])
         # The track is the range allowed with a tenth on either side, so that a leg beyond it is seen to be.
         low, high = (limits.minimum[k], limits.maximum[k]) if limits is not None else (0.0, np.inf)
         ticks = tuple(at for at, limit in ((0.1, low), (0.9, high)) if 0.0 < limit < np.inf)
         if not np.isfinite(high):
-            high = low + 1.25 * float(readings.leg_lengths.max())
+            high = low + 1.25 * float(lengths.max())
         share = float(np.clip(0.1 + 0.8 * (length - low) / max(high - low, 1e-12), 0.0, 1.0))
         colour = WARN if beyond else (PUSH if k < 3 else _UPPER)
         mark = f"⚠ {_signed_length(beyond)}" if beyond else ""
@@ -113,17 +113,17 @@ def _legs(state: State) -> str:
 
 def _singularities(state: State) -> str:
     readings, side = state.readings, state.shown.geometry.middle_side
-    near = readings.near(side)
+    near, found = readings.near, readings.singularities
     cells = [_cell(text, f"opacity:0.7;{_RIGHT}") for text in ("", "", "away", "σ", "cond")]
     for k, name in enumerate(("forward, lower", "forward, upper", "inverse")):
-        travel, condition = float(readings.travel[k]), float(readings.condition[k])
+        travel, condition = float(readings.travel[k]), float(found.condition[k])
         finite = np.isfinite(travel)
         share = min(travel / (10.0 * NEAR * side), 1.0) if finite else 0.0
         cells += [
             _cell(f"{'⚠ ' if near[k] else ''}{name}"),
             _bar(max(share, 0.02), WARN if near[k] else _CALM),
             _cell(_length(travel) if finite else "–", _RIGHT),
-            _cell(number(readings.sigma[k], 3), _RIGHT),
+            _cell(number(found.sigma[k], 3), _RIGHT),
             _cell(f"{condition:.3g}" if np.isfinite(condition) and condition < 1e5 else "&gt;10⁵", _RIGHT),
         ]
     columns = "max-content minmax(2em,1fr) max-content max-content max-content"

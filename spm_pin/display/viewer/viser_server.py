@@ -4,19 +4,37 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import gzip
+import os
 import socket
 import threading
 from collections.abc import Collection, Iterator
+from functools import lru_cache
 from typing import Any
 
 import rich
 
 from spm_pin.display.viewer.connection_guard import LARGEST_MESSAGE, limited_receiver, origin_allowed
-from spm_pin.display.viewer.page_style import branded
 from spm_pin.errors import ArgumentError, MissingExtraError
 
-__all__ = ["free_port", "quiet_server", "start", "stop"]
+__all__ = ["PHONE_ASPECT", "PHONE_PANEL", "branded_html", "free_port", "start", "stop"]
 
+TITLE = "spm_pin"
+"""The title of the page."""
+
+PHONE_ASPECT = 0.9
+"""A picture narrower than this share of its height is a phone's."""
+PHONE_PANEL = 0.46
+"""The share of a phone's page that the panel covers at its lower edge."""
+
+_STYLE = f"""
+@media (max-width: 36em) {{
+  div[style*="position: fixed"][style*="width: 20em"] {{
+    left: 0; width: 100% !important; max-height: {100 * PHONE_PANEL:.0f}% !important;
+    border-radius: 0.8em 0.8em 0 0 !important }}
+  div[style*="position: fixed"][style*="width: 20em"] div[style*="width: 20em"] {{ width: 100% !important }}
+}}
+"""
 _TRIES = 100
 _STARTING = 60.0  # seconds
 _NOT_HERE = (errno.EADDRNOTAVAIL, errno.EACCES)
@@ -34,25 +52,20 @@ def free_port(host: str, port: int) -> int:
     if not isinstance(host, str) or not host:
         raise ArgumentError("host", f"{expected}, such as '127.0.0.1'", repr(host))
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except (OSError, ValueError) as error:
         raise ArgumentError("host", expected, repr(host), str(getattr(error, "strerror", error))) from error
-    last: OSError | None = None
+    cause = ""
     for candidate in range(port, min(port + _TRIES, 65536)):
-        with socket.socket(family, kind, protocol) as probe:
+        try:
             # As the server itself does it: a port whose last connection is winding down is free.
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind((address[0], candidate, *address[2:]))
-                # Bound but not listened to, two sockets of this kind may share a port.
-                probe.listen(1)
-            except OSError as error:
-                last = error
-                if error.errno in _NOT_HERE:
-                    raise ArgumentError("host", expected, repr(host), str(error.strerror)) from None
-                continue
+            socket.create_server((address[0], candidate, *address[2:]), family=family).close()
+        except OSError as error:
+            cause = os.strerror(error.errno or 0)
+            if error.errno in _NOT_HERE:
+                raise ArgumentError("host", expected, repr(host), cause) from None
+        else:
             return candidate
-    cause = str(last.strerror) if last is not None else ""
     raise ArgumentError("port", f"a free port among the {_TRIES} from it on", port, cause)
 
 
@@ -81,7 +94,7 @@ def start(host: str, port: int, allowed_origins: Collection[str] = ()) -> Any:
         def respond(connection: Any, request: Any) -> Any:
             headers = request.headers
             if "Upgrade" not in headers:
-                return branded(process_request(connection, request))
+                return _branded(process_request(connection, request))
             if origin_allowed(headers.get_all("Origin"), headers.get_all("Host"), host, allowed_origins):
                 return process_request(connection, request)
             return connection.respond(403, "This origin may not connect.\n")
@@ -119,16 +132,6 @@ def stop(server: Any) -> None:
 
 
 @contextlib.contextmanager
-def quiet_server(host: str, port: int) -> Iterator[Any]:
-    """Run a server while the block is executed."""
-    server = start(host, port)
-    try:
-        yield server
-    finally:
-        stop(server)
-
-
-@contextlib.contextmanager
 def _silence() -> Iterator[None]:
     # viser announces itself, and its end, through rich's global console, whatever its `verbose` says.
     console = rich.get_console()
@@ -138,3 +141,25 @@ def _silence() -> Iterator[None]:
             yield
         finally:
             console.quiet = before
+
+
+def branded_html(page: str) -> str:
+    """Return viser's page with the title and the style of this project."""
+    head = f"<title>{TITLE}</title><style>{_STYLE}</style>"
+    return page.replace("<title>Viser</title>", "", 1).replace("</head>", f"{head}</head>", 1)
+
+
+@lru_cache(maxsize=4)
+def _branded_body(body: bytes, encoding: str) -> bytes:
+    text = gzip.decompress(body) if encoding == "gzip" else body
+    changed = branded_html(text.decode()).encode()
+    return gzip.compress(changed) if encoding == "gzip" else changed
+
+
+def _branded(response: Any) -> Any:
+    """Return an HTTP response, its title and style replaced where it is a page."""
+    if response is not None and response.headers.get("Content-Type", "").startswith("text/html"):
+        response.body = _branded_body(bytes(response.body), response.headers.get("Content-Encoding", ""))
+        del response.headers["Content-Length"]
+        response.headers["Content-Length"] = str(len(response.body))
+    return response

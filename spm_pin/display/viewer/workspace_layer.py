@@ -9,13 +9,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.display.viewer.slider_ranges import sample_states
+from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import Configuration, Geometry
+from spm_pin.mechanism.leg_frames import home_lengths
 from spm_pin.workspace.table_6.shell import workspace_shell
 
 __all__ = ["WorkspaceLayer"]
 
+_SAMPLES = 4000
 _RESOLUTION = 14
 _COLOUR = (86, 180, 233)
 
@@ -29,8 +31,17 @@ class WorkspaceLayer:
 
     @cached_property
     def states(self) -> Configuration:
-        """States (n,) that are reached; see `sample_states`."""
-        return sample_states(self.geometry)
+        """States (n,) of a real machine for leg lengths spread evenly over their limits, always the same.
+
+        Without limits the lengths are those at home, a third more or less.
+        """
+        home, limits = np.repeat(home_lengths(self.geometry), 3), self.geometry.limits
+        low, high = home / 1.33, home * 1.33
+        if limits is not None:
+            low, high = np.maximum(limits.minimum, 0.3 * home), np.minimum(limits.maximum, 3.0 * home)
+        lengths = np.random.default_rng(0).uniform(low, np.maximum(low, high), (_SAMPLES, 6))
+        states = forward_physical(self.geometry, lengths)
+        return states[states.exists]
 
     @cached_property
     def shell(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint32]]:
@@ -41,19 +52,15 @@ class WorkspaceLayer:
         shell = workspace_shell(self.geometry, resolution=_RESOLUTION)
         return np.asarray(shell.vertices, np.float32), np.asarray(shell.faces, np.uint32)
 
-    def show_points(self, scene: Any, shown: bool) -> None:
-        """Add the positions of o of the states to a viser scene, or remove them."""
+    def show(self, scene: Any, layer: str, shown: bool) -> None:
+        """Add the positions of o of the states, "points", or the "shell" to a viser scene, or remove them."""
+        name = f"/{layer}"
         if not shown:
-            scene.remove_by_name("/points")
-            return
-        points = np.asarray(self.states.translation, np.float32)
-        scene.add_point_cloud("/points", points, colors=_COLOUR, point_size=0.008, point_shape="circle")
-
-    def show_shell(self, scene: Any, shown: bool) -> None:
-        """Add the shell to a viser scene, or remove it."""
-        if not shown:
-            scene.remove_by_name("/shell")
-            return
-        with self._lock:
-            vertices, faces = self.shell
-        scene.add_mesh_simple("/shell", vertices, faces, color=_COLOUR, opacity=0.25, side="double", cast_shadow=False)
+            scene.remove_by_name(name)
+        elif layer == "points":
+            points = np.asarray(self.states.translation, np.float32)
+            scene.add_point_cloud(name, points, colors=_COLOUR, point_size=0.008, point_shape="circle")
+        else:
+            with self._lock:
+                vertices, faces = self.shell
+            scene.add_mesh_simple(name, vertices, faces, color=_COLOUR, opacity=0.25, side="double", cast_shadow=False)

@@ -7,7 +7,7 @@ import pytest
 
 import spm_pin as spm
 from spm_pin.crosscheck import Paper, compare_methods
-from spm_pin.display.agreement_plot import agreement_figure
+from spm_pin.display.result_plots import agreement_figure
 from spm_pin.errors import MissingExtraError
 from spm_pin.paper.jacobian import Table5Mistakes
 
