@@ -1,6 +1,6 @@
-"""Inverse displacement of an imperfect machine for a batch of poses: all branches, under the ideal machine's labels.
+"""Inverse displacement of an imperfect machine for a batch of poses: all branches, under the nominal machine's labels.
 
-All eight roots are solved for, see `quadric_roots`. Each real branch of the ideal machine is then followed while
+All eight roots are solved for, see `quadric_roots`. Each real branch of the nominal machine is then followed while
 the errors grow from zero to those of the machine, and gives its label to the root where it ends. Where it meets another
 branch it ends on the way; the roots left over take the labels left over, marked as not carried.
 """
@@ -30,10 +30,19 @@ from spm_pin.closed_form.kernels.quadric_roots import eight_roots, is_real, is_s
 from spm_pin.closed_form.kernels.three_quadrics import Planes, allocate_planes, image, put_quadrics, put_quaternion
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["PART", "SHORTEST_AT_FIRST", "Path", "allocate_path", "as_built_branches", "begin", "follow", "put_planes"]
+__all__ = [
+    "PART",
+    "SHORTEST_AT_FIRST",
+    "RootPath",
+    "allocate_path",
+    "as_built_branches",
+    "begin",
+    "follow",
+    "put_planes",
+]
 
 ComplexArray = npt.NDArray[np.complex128]
-Path = tuple[FloatArray, FloatArray, FloatArray, FloatArray, Planes]
+RootPath = tuple[FloatArray, FloatArray, FloatArray, FloatArray, Planes]
 """Roots that are followed side by side, flat as in `polish`, and how they are moved on trial; targets, as parts of the
 errors, and the quadrics there, `forms`, the first of the machine as built; planes on the way."""
 
@@ -48,7 +57,7 @@ _SAME = 1e-6
 _DISPUTED = -2
 """Label of a root at which two branches seem to have arrived."""
 PART = 8 * POINTS
-"""Where the row begins of the parts of the errors at which roots are."""
+"""Where the row of the shares of the errors begins at which the roots are."""
 
 
 @jit
@@ -60,7 +69,7 @@ def put_planes(
     part: float,
     planes: Planes,
 ) -> None:
-    """Write the planes in {B} and the balls in {n} of a machine that has this part of the errors.
+    """Write the planes in {B} and the balls in {n} of a machine with a share of the errors.
 
     `nominal` and `built` (3, 6, 3) are axes, pivots and balls.
     """
@@ -85,16 +94,16 @@ def put_planes(
 
 
 @jit_inline
-def allocate_path() -> Path:
-    """Allocate the arrays that `follow` computes in, without a root to be followed."""
+def allocate_path() -> RootPath:
+    """Allocate the arrays that `follow` works in, with no root in them."""
     roots = np.zeros((PART // POINTS + 1) * POINTS)
     roots[PART:] = 1.0
     return roots, np.empty(ROWS * POINTS), np.empty(_LEVELS), np.empty((_LEVELS, 3, 4, 4)), allocate_planes()
 
 
 @jit
-def begin(path: Path, k: int, x: FloatArray) -> None:
-    """Let root k be followed from the unit vector x (4,)."""
+def begin(path: RootPath, k: int, x: FloatArray) -> None:
+    """Set the unit vector x (4,) as the start from which root k is followed."""
     roots = path[0]
     put_part(roots, 0, k, (x[0], x[1], x[2], x[3]))
     roots[PART + k] = 0.0
@@ -102,7 +111,7 @@ def begin(path: Path, k: int, x: FloatArray) -> None:
 
 @jit
 def follow(
-    rotation: FloatArray, place: FloatArray, nominal: FloatArray, built: FloatArray, path: Path, shortest: float
+    rotation: FloatArray, place: FloatArray, nominal: FloatArray, built: FloatArray, path: RootPath, shortest: float
 ) -> None:
     """Follow real roots while the errors grow from zero to those of the machine.
 
@@ -111,8 +120,8 @@ def follow(
     rotation, place : ndarray, shapes (3, 3) and (3,)
         The pose, its position in units of the middle platform's radius.
     nominal, built : ndarray, shape (3, 6, 3)
-        Axes, pivots and balls of the ideal machine and of the one as built.
-    path : Path, changed
+        Axes, pivots and balls of the nominal machine and of the one as built.
+    path : RootPath, changed
         The first of `forms` are the quadrics of the machine as built. Roots that `begin` put into `roots` are followed;
         those that arrived have parts of 1 in the end.
     shortest : float
@@ -155,8 +164,8 @@ def follow(
 def as_built_branches(
     rotation: FloatArray,
     position: FloatArray,
-    ideal: FloatArray,
-    ideal_complex: ComplexArray,
+    nominal_joints: FloatArray,
+    nominal_complex_joints: ComplexArray,
     nominal: FloatArray,
     built: FloatArray,
     unit: float,
@@ -172,17 +181,17 @@ def as_built_branches(
     ----------
     rotation, position : ndarray, shapes (N, 3, 3) and (N, 3)
         R and o [m].
-    ideal, ideal_complex : ndarray, shape (N, 8, 3, 3)
-        b_i of the ideal machine [m]: of its real branches, NaN where one is not, and of all.
+    nominal_joints, nominal_complex_joints : ndarray, shape (N, 8, 3, 3)
+        b_i of the nominal machine [m]: of its real branches, NaN where one is not, and of all.
     nominal, built : ndarray, shape (3, 6, 3)
-        Axes, pivots and balls of the ideal machine and of the one as built, in units of `unit`.
+        Axes, pivots and balls of the nominal machine and of the one as built, in units of `unit`.
     unit : float
         The middle platform's radius [m].
     joints, lengths : ndarray, shapes (N, 8, 3, 3) and (N, 8, 6), written
         Centres of the lower legs' balls and lengths of the legs without offsets [m], NaN where a branch is not real.
     carried : ndarray, shape (N, 8), written
-        1 where the branch of the ideal machine was followed to the root under its label, 0 where it ended on the way or
-        where a real root has a label left over; 2 where neither the ideal machine nor this one has the branch.
+        1 where the branch of the nominal machine was followed to the root under its label, 0 where it ended on the way
+        or where a real root has a label left over; 2 where neither the nominal machine nor this one has the branch.
     status : ndarray, shape (N,), written
         `Status` of each pose.
     complex_joints : ndarray, shape (N, 8, 3, 3), written; or of no length
@@ -209,9 +218,9 @@ def as_built_branches(
         for k in range(8):
             label_of[k], root_of[k] = -1, -1
             left += 1 if is_real(roots, k) else 0
-            if not np.isnan(ideal[n, k, 0, 0]):
+            if not np.isnan(nominal_joints[n, k, 0, 0]):
                 carried[n, k] = 0
-                put_quaternion(ideal[n, k], start[k])
+                put_quaternion(nominal_joints[n, k], start[k])
         for shortest in (1.0, SHORTEST_AT_FIRST, _SHORTEST):
             # A branch that has not arrived can only arrive at a root that is real and no other's.
             if left == 0 and shortest < 1.0:
@@ -225,7 +234,7 @@ def as_built_branches(
             for k in range(8):
                 label_of[k] = max(label_of[k], -1)
                 image(point(roots, k), planes, found[k])
-            _assign_rest(ideal_complex[n], found, unit, label_of, root_of)
+            _assign_rest(nominal_complex_joints[n], found, unit, label_of, root_of)
         status[n] = UNREACHABLE
         for label in range(8):
             k = root_of[label]
@@ -280,7 +289,7 @@ def _claim(
 
 @jit
 def _assign_rest(
-    ideal: ComplexArray,
+    nominal_joints: ComplexArray,
     found: ComplexArray,
     unit: float,
     label_of: npt.NDArray[np.int64],
@@ -296,7 +305,7 @@ def _assign_rest(
                         distance = 0.0
                         for i in range(3):
                             for j in range(3):
-                                gap = found[k, i, j] - ideal[label, i, j] / unit
+                                gap = found[k, i, j] - nominal_joints[label, i, j] / unit
                                 distance = max(distance, gap.real * gap.real + gap.imag * gap.imag)
                         if best_label < 0 or distance < nearest:
                             nearest, best_label, best_root = distance, label, k

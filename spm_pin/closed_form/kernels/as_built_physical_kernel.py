@@ -1,4 +1,4 @@
-"""The physical branch of an imperfect machine: Newton's method from that of the ideal machine, on three quadrics.
+"""The physical branch of an imperfect machine: Newton's method from that of the nominal machine, on three quadrics.
 
 For errors well below `_DOUBT`. A pose at which a branch in question cannot be followed is left to the complete
 solution.
@@ -28,7 +28,7 @@ __all__ = ["certain_physical_branches"]
 
 _COS_30 = math.sqrt(0.75)
 _DOUBT = 0.05
-"""A branch of the ideal machine whose margin is below the negative of this is not physical in this machine either."""
+"""A branch of the nominal machine whose margin is below the negative of this is not physical in this machine either."""
 
 
 @jit
@@ -128,7 +128,7 @@ def _put_frame(
 def certain_physical_branches(
     rotation: FloatArray,
     position: FloatArray,
-    ideal: FloatArray,
+    nominal_joints: FloatArray,
     nominal: FloatArray,
     built: FloatArray,
     signs: FloatArray,
@@ -144,10 +144,10 @@ def certain_physical_branches(
     ----------
     rotation, position : ndarray, shapes (N, 3, 3) and (N, 3)
         R and o [m].
-    ideal : ndarray, shape (N, 8, 3, 3)
-        b_i of the ideal machine's branches [m], NaN where one is not real.
+    nominal_joints : ndarray, shape (N, 8, 3, 3)
+        b_i of the nominal machine's branches [m], NaN where one is not real.
     nominal, built : ndarray, shape (3, 6, 3)
-        Axes, pivots and balls of the ideal machine and of the one as built, in units of `unit`.
+        Axes, pivots and balls of the nominal machine and of the one as built, in units of `unit`.
     signs : ndarray, shape (6,)
         Signs that make the axes tangents of their platforms.
     limits : ndarray, shape (2, 6)
@@ -166,7 +166,7 @@ def certain_physical_branches(
     possible = np.empty(2, np.bool_)
     for n in range(len(position)):
         joints[n], lengths[n], certain[n] = np.nan, np.nan, False
-        if np.isnan(ideal[n, 0, 0, 0]) or np.isnan(ideal[n, 1, 0, 0]):
+        if np.isnan(nominal_joints[n, 0, 0, 0]) or np.isnan(nominal_joints[n, 1, 0, 0]):
             continue
         for j in range(3):
             place[j] = position[n, j] / unit
@@ -177,11 +177,11 @@ def certain_physical_branches(
         for side in range(2):
             for i in range(3):
                 for j in range(3):
-                    found[side, i, j] = found[side, 3 + i, j] = ideal[n, side, i, j] / unit
+                    found[side, i, j] = found[side, 3 + i, j] = nominal_joints[n, side, i, j] / unit
             margin, _ = _margin(found[side], rotation[n], place, axes, pivots, reach[side], legs)
             possible[side] = margin >= -_DOUBT
             if possible[side]:
-                put_quaternion(ideal[n, side], x)
+                put_quaternion(nominal_joints[n, side], x)
                 begin(path, side, x)
         follow(rotation[n], place, nominal, built, path, SHORTEST_AT_FIRST)
         best, best_score, best_straight, sure = -1, 0, 0.0, True

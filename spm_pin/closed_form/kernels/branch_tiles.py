@@ -132,7 +132,7 @@ def allocate_lengths() -> FloatArray:
 
 @on_stack
 def allocate_aspects() -> FloatArray:
-    """Allocate what tells the physical branch from the other TT (2, 2, TILE)."""
+    """Allocate, for TT+ and TT-, whether it is physical and how straight it stands (2, 2, TILE)."""
     return np.empty((2, 2, TILE))
 
 

@@ -46,7 +46,7 @@ _BLUR, _RANK, _AZIMUTH = 11, 12, 13
 
 @jit_inline
 def workspace() -> Workspace:
-    """Make what a thread needs to solve one stage after another."""
+    """Allocate the arrays that stages are solved in, one after another."""
     return np.empty(4, np.complex128), np.empty((8, 4)), np.empty((16, 5)), np.empty((16, 14))
 
 

@@ -138,9 +138,9 @@ def move_numbers(typing: Any, records: Any, k: Any, first: Any, count: Any, out:
 
 @_intrinsic(prefer_literal=False)
 def fetch_line(typing: Any, out: Any, line: Any) -> Any:
-    """Have the processor fetch the line-th eight numbers of a result to its cache, to be written; compiled code only.
+    """Prefetch a cache line of a result, eight numbers, that will be written soon; for compiled code only.
 
-    A hint: it changes no number, and places beyond the result do no harm.
+    A hint to the processor: it changes no number, and places beyond the result do no harm.
     """
     del typing
 

@@ -10,14 +10,14 @@ from spm_pin.mechanism.arguments import FloatArray
 __all__ = ["store_joints", "store_lengths", "store_pose", "store_poses"]
 
 _LARGE = 4000
-"""Poses whose results, some megabytes, exceed the second cache; what is written is fetched before."""
+"""Poses whose results, some megabytes, exceed the second-level cache: their lines are prefetched."""
 _AHEAD = 64
-"""Poses between those that are fetched and those that are written: longer than the memory takes to answer."""
+"""Poses between those whose lines are prefetched and those that are written: more than memory takes to answer."""
 
 
 @jit_inline
 def _fetch_ahead(start: int, branch: int, lines: int, out: FloatArray) -> None:
-    # An eighth of a later tile, whose results take so many lines each.
+    # An eighth of the lines of a later tile; a pose has `lines` of them.
     if len(out) >= _LARGE:
         share = lines * TILE // 8
         first = lines * (start + _AHEAD) + share * branch

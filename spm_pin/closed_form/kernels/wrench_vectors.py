@@ -67,14 +67,14 @@ def load(
 
 @jit_inline
 def joints_of(tile: FloatArray, k: int) -> Three:
-    """Return b_1, b_2, b_3."""
+    """Return the ball joints b_1, b_2, b_3 of the state in place k of a tile."""
     b1, b2 = (tile[0, k], tile[1, k], tile[2, k]), (tile[3, k], tile[4, k], tile[5, k])
     return b1, b2, (tile[6, k], tile[7, k], tile[8, k])
 
 
 @jit_inline
 def position_of(tile: FloatArray, k: int) -> Vector:
-    """Return o."""
+    """Return the origin o of the terminal platform of the state in place k of a tile."""
     return tile[18, k], tile[19, k], tile[20, k]
 
 
@@ -121,13 +121,13 @@ def mean(b: Three) -> Vector:
 
 @jit_inline
 def normals(f: Three, a: Three) -> Three:
-    """Return the w_i."""
+    """Return w_i = f_i x a_i, along which neither force of leg i does work."""
     return cross(f[0], a[0]), cross(f[1], a[1]), cross(f[2], a[2])
 
 
 @jit_inline
 def unit_rates(a: Three, w: Three) -> Three:
-    """Return the n_i."""
+    """Return n_i, the velocity of b_i with a unit rate along the force f_i, none along a_i and none along w_i."""
     first = scaled(1.0 / dot(w[0], w[0]), cross(a[0], w[0]))
     second = scaled(1.0 / dot(w[1], w[1]), cross(a[1], w[1]))
     return first, second, scaled(1.0 / dot(w[2], w[2]), cross(a[2], w[2]))
@@ -135,21 +135,21 @@ def unit_rates(a: Three, w: Three) -> Three:
 
 @jit_inline
 def _cycles(b: Three, w: Three) -> tuple[float, float, float, float, float, float]:
-    """Return c12, c23, c31, c21, c32, c13."""
+    """Return the products (b_i - b_j)·w_i in the order 12, 23, 31, 21, 32, 13."""
     e12, e23, e31 = minus(b[0], b[1]), minus(b[1], b[2]), minus(b[2], b[0])
     return dot(e12, w[0]), dot(e23, w[1]), dot(e31, w[2]), -dot(e12, w[1]), -dot(e23, w[2]), -dot(e31, w[0])
 
 
 @jit_inline
 def plane_determinant(b: Three, w: Three) -> float:
-    """Return D."""
+    """Return D = c12 c23 c31 + c21 c32 c13, minus the determinant of the six forces of a stage."""
     c12, c23, c31, c21, c32, c13 = _cycles(b, w)
     return c12 * c23 * c31 + c21 * c32 * c13
 
 
 @jit_inline
 def slides(b: Three, w: Three, n: Three) -> Three:
-    """Return λ_1, λ_2, λ_3, each for the three unit rates q."""
+    """Return the rates λ_1, λ_2, λ_3 along w_i that keep the platform rigid, each for the three unit rates q."""
     c12, c23, c31, c21, c32, c13 = _cycles(b, w)
     d12, d23, d31, d21, d32, d13 = _cycles(b, n)
     s = -1.0 / (c12 * c23 * c31 + c21 * c32 * c13)
