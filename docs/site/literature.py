@@ -131,7 +131,7 @@ def passages() -> list[Passage]:
         values = singular_values(_lower_structure(state))
         mean_radius = (state.middle_joints * GEOMETRY.radial_directions).sum(axis=-1).mean()
         mode = "T or F" if abs(mean_radius) < 1e-12 else "T" if mean_radius > 0.0 else "F"
-        determinant = float(spm.singularities(state).index[0])
+        determinant = float(spm.singularities(state).scaled_determinants[0])
         rank = int((values > 1e-12).sum())
         found.append(Passage(name, mode, float(state.closure_residual), rank, determinant))
     return found

@@ -28,7 +28,7 @@ def singularities(
 ) -> None:
     """Compute how near each branch of a pose is to a singularity.
 
-    The index is the determinant over d³, the distance the smallest singular value; both are dimensionless and zero at a
+    Determinants are divided by d³, the distance is the smallest singular value; both are dimensionless and zero at a
     singularity: forward for J_b and J_c, the lower and the upper stage, inverse for K.
     """
     solutions, remarks = options.solve_pose(geometry, translation, xyx, unit)
@@ -44,7 +44,7 @@ def _quantities(state: Configuration) -> dict[str, Any]:
     analysis = analyse(state)
     return {
         "kind": str(SingularityKind(int(analysis.kind))),
-        "index": dict(zip(_MATRICES, analysis.index.tolist(), strict=True)),
+        "scaled_determinants": dict(zip(_MATRICES, analysis.scaled_determinants.tolist(), strict=True)),
         "distance": dict(zip(_MATRICES, analysis.sigma.tolist(), strict=True)),
         "condition": dict(zip(_MATRICES, analysis.condition.tolist(), strict=True)),
         "mobility": analysis.mobility,
@@ -56,7 +56,7 @@ def _quantities(state: Configuration) -> dict[str, Any]:
 def _print_quantities(found: dict[str, dict[str, Any]]) -> None:
     rows = []
     for label, quantities in found.items():
-        numbers = [quantities[name][matrix] for name in ("index", "distance") for matrix in _MATRICES]
+        numbers = [quantities[name][matrix] for name in ("scaled_determinants", "distance") for matrix in _MATRICES]
         rows.append([label, *(outputs.significant(x, 1.0, 4) for x in numbers), quantities["kind"]])
     headings = ["branch", *(f"{name} {matrix}" for name in ("det", "σ") for matrix in _MATRICES), "kind"]
     title = "Determinant over d³ and smallest singular value: J_b, J_c (forward), K (inverse)"

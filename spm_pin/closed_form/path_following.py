@@ -189,11 +189,11 @@ def _start(solutions: SolutionSet, start: Configuration | str | None) -> int:
 
 def _monitored(geometry: Geometry, states: Configuration) -> FloatArray:
     """Return the functions whose zeros are events, shape (..., 3) or with limits (..., 15)."""
-    index = determinants(states) / geometry.middle_side**3
+    scaled = determinants(states) / geometry.middle_side**3
     if geometry.limits is None:
-        return index
+        return scaled
     lengths = states.leg_lengths
-    return np.concatenate([index, lengths - geometry.limits.minimum, geometry.limits.maximum - lengths], axis=-1)
+    return np.concatenate([scaled, lengths - geometry.limits.minimum, geometry.limits.maximum - lengths], axis=-1)
 
 
 def _event(geometry: Geometry, which: int, parameter: float, after: float) -> Event:

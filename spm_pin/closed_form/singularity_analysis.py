@@ -67,7 +67,7 @@ class Singularities:
 
     determinants: FloatArray
     """det J_b, det J_c, det K [m³], for forces of length one and moments about any point: signed, smooth; (..., 3)."""
-    index: FloatArray
+    scaled_determinants: FloatArray
     """The determinants over d³, shape (..., 3): dimensionless, signed, smooth, zero just where singular; for a cost."""
     sigma: FloatArray
     """Smallest singular values, dimensionless, shape (..., 3).
@@ -118,13 +118,6 @@ class Singularities:
         sigmas = ", ".join(f"{value:.2e}" for value in smallest)
         shown = f"{self.kind.shape} states, {np.count_nonzero(exists)} exist, {counts or 'all regular'}"
         return f"<Singularities: {shown}; smallest singular values of J_b, J_c, K: {sigmas}>"
-
-    @property
-    def inverse_jacobian_determinant(self) -> FloatArray:
-        """The determinant of J_f, det J_b det J_c / det K, shape (...) [m³]; infinite at an inverse singularity."""
-        lower, upper, structure = np.moveaxis(self.determinants, -1, 0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(lower * upper / structure)
 
 
 def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) -> Singularities:
@@ -188,7 +181,7 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
         condition = largest / smallest
     return Singularities(
         determinants=dets,
-        index=dets / side**3,
+        scaled_determinants=dets / side**3,
         sigma=smallest,
         condition=condition,
         rank=rank,

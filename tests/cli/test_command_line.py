@@ -302,7 +302,9 @@ def test_small_determinants_are_printed_with_significant_digits() -> None:
     done = run("singularities", *pose, "--branch", "TT-")
     row = next(line for line in done.stdout.splitlines() if "TT-" in line).split()
     expected = spm.singularities(state)
-    np.testing.assert_allclose([float(x) for x in row[1:7]], [*expected.index, *expected.sigma], rtol=6e-4)
+    np.testing.assert_allclose(
+        [float(x) for x in row[1:7]], [*expected.scaled_determinants, *expected.sigma], rtol=6e-4
+    )
     assert 1e-6 < abs(float(row[3])) < 1e-5
     assert row[7] == "regular"
 

@@ -58,9 +58,10 @@ def test_sign_changes_are_those_of_a_dense_sample(seed: int) -> None:
     label = found.labels[0]
     end = found.parameters[-1]
     dense = np.linspace(0.0, end, 100_001)[1:-1]
-    index = spm.singularities(spm.inverse_displacement(FREE, pose_between(first, last, dense))[label]).index
+    branch = spm.inverse_displacement(FREE, pose_between(first, last, dense))[label]
+    scaled = spm.singularities(branch).scaled_determinants
     kinds = [EventKind.FORWARD_SINGULARITY, EventKind.INVERSE_SINGULARITY]
-    for kind, columns in zip(kinds, (index[:, :2], index[:, 2:]), strict=True):
+    for kind, columns in zip(kinds, (scaled[:, :2], scaled[:, 2:]), strict=True):
         crossings = np.concatenate([dense[np.flatnonzero(np.diff(np.sign(column)))] for column in columns.T])
         # Towards an end the legs may grow without bound, and a determinant be nothing but rounding.
         before = [s for s in of_kind(found, kind) if s < 0.99 * end]
@@ -168,8 +169,8 @@ def test_along_leg_lengths_the_machine_stays_in_its_mode() -> None:
         np.testing.assert_allclose(found.configurations[-1].middle_joints, physical.middle_joints, atol=1e-11)
         # det K is not what holds the machine together: it may change sign on the way.
         dense = np.array([np.interp(np.linspace(0, 1, 4001), [0, 0.5, 1], column) for column in legs.T]).T
-        index = spm.singularities(spm.forward_physical(PAPER, dense)).index[:, 2]
-        crossings = np.linspace(0, 1, 4001)[np.flatnonzero(np.diff(np.sign(index)))]
+        structure = spm.singularities(spm.forward_physical(PAPER, dense)).scaled_determinants[:, 2]
+        crossings = np.linspace(0, 1, 4001)[np.flatnonzero(np.diff(np.sign(structure)))]
         np.testing.assert_allclose(of_kind(found, EventKind.INVERSE_SINGULARITY), crossings, atol=5e-4)
 
 

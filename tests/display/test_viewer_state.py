@@ -148,11 +148,11 @@ def test_equal_legs_have_no_isolated_branch_and_are_left_again():
 def test_a_crossing_is_named():
     model = Model(START)
     before = model.state.label
-    signs = {np.sign(model.state.readings.singularities.index[2])}
+    signs = {np.sign(model.state.readings.singularities.scaled_determinants[2])}
     messages = ""
     for k in range(1, 30):
         state = model.set_legs(START.leg_lengths + 0.01 * k * np.array([0, 0, -1, 0, 0, -1]))
-        signs.add(np.sign(state.readings.singularities.index[2]))
+        signs.add(np.sign(state.readings.singularities.scaled_determinants[2]))
         messages += texts(state)
         if len(signs) > 1:
             break

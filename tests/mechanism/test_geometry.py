@@ -111,7 +111,7 @@ def test_results_scale_with_the_machine(scale: float) -> None:
         modes = spm.forward_displacement(geometry, state.leg_lengths)
         forces = spm.leg_forces(state, load * [1, 1, 1, length, length, length])
         near = spm.singularities(state)
-        return [branches.leg_lengths / length, modes.translation / length, forces, near.sigma, near.index]
+        return [branches.leg_lengths / length, modes.translation / length, forces, near.sigma, near.scaled_determinants]
 
     for found, expected in zip(results(scaled, scale), results(unit, 1.0), strict=True):
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)

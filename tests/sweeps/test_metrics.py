@@ -186,7 +186,9 @@ def test_the_margin_is_signed() -> None:
 def test_distances_and_determinants_are_those_of_singularities(points: Points) -> None:
     known = spm.singularities(points.machine)
     expected = {"forward_distance": known.sigma[:, :2].min(axis=-1), "inverse_distance": known.sigma[:, 2]}
-    expected |= {f"det_{name}": known.index[:, k] for k, name in enumerate(("lower", "upper", "structure"))}
+    expected |= {
+        f"det_{name}": known.scaled_determinants[:, k] for k, name in enumerate(("lower", "upper", "structure"))
+    }
     for name, values in expected.items():
         np.testing.assert_allclose(METRICS[name].evaluate(points), values, rtol=1e-12, err_msg=name)
 

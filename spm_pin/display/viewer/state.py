@@ -208,7 +208,10 @@ def _label(solutions: SolutionSet, shown: Configuration, last: str) -> str:
 
 
 def _crossings(before: State, after: Readings, label: str) -> list[Notice]:
-    crossed = np.sign(before.readings.singularities.index) * np.sign(after.singularities.index) < 0.0
+    crossed = (
+        np.sign(before.readings.singularities.scaled_determinants) * np.sign(after.singularities.scaled_determinants)
+        < 0.0
+    )
     renamed = f": {before.label} became {label}" if before.label and label and label != before.label else ""
     names = [name for hit, name in zip(crossed, SINGULARITIES, strict=True) if hit]
     return [Notice("warning", f"A singularity was crossed ({name}){renamed}.") for name in names]

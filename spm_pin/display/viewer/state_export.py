@@ -47,7 +47,12 @@ def content(state: State, chain: ClosedChain, geometry_file: Path | None = None)
     """Return the state as data for `spm_pin.display.json_text.to_json`, in metres, radians and newtons."""
     shown, readings = state.shown, state.readings
     found = readings.singularities
-    measures = {"sigma": found.sigma, "condition": found.condition, "index": found.index, "leg_travel": readings.travel}
+    measures = {
+        "sigma": found.sigma,
+        "condition": found.condition,
+        "scaled_determinants": found.scaled_determinants,
+        "leg_travel": readings.travel,
+    }
     return {
         "geometry": {"leg_limits": None, **geometry_data(shown.geometry)},
         "branch": state.label or None,
