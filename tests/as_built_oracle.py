@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from flint import acb, acb_mat, arb, arb_mat, ctx
+from oracle import cross
 
 import spm_pin as spm
 
@@ -75,15 +76,11 @@ def _weights(geometry: spm.AsBuiltGeometry) -> Matrix:
     """Return the upper balls in the basis of two sides of the lower triangle and their cross product, (3, 3)."""
     balls = [[arb(float(c)) for c in ball] for ball in geometry.balls]
     e = [[a - b for a, b in zip(balls[k], balls[0], strict=True)] for k in (1, 2)]
-    basis = [*e, _cross(e[0], e[1])]
+    basis = [*e, cross(e[0], e[1])]
     matrix = arb_mat(3, 3, [basis[j][i] for i in range(3) for j in range(3)])
     right = arb_mat(3, 3, [balls[3 + j][i] - balls[0][i] for i in range(3) for j in range(3)])
     solved = matrix.solve(right)
     return [[solved[i, j] for i in range(3)] for j in range(3)]
-
-
-def _cross(a: list[Any], b: list[Any]) -> list[Any]:
-    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 
 def _equations(x: list[Any], planes: list[Any], weights: Matrix, sides: list[Any]) -> tuple[list[Any], Matrix]:
@@ -97,16 +94,16 @@ def _equations(x: list[Any], planes: list[Any], weights: Matrix, sides: list[Any
         rows.append([normal[c] if k == i else zero for k in range(3) for c in range(3)])
     first = [b[1][c] - b[0][c] for c in range(3)]
     second = [b[2][c] - b[0][c] for c in range(3)]
-    across = _cross(first, second)
+    across = cross(first, second)
     for i in range(3):
         normal, height = planes[3 + i]
         u, v, w = weights[i]
         ball = [b[0][c] + u * first[c] + v * second[c] + w * across[c] for c in range(3)]
         values.append(sum((normal[c] * ball[c] for c in range(3)), zero) - height)
         # n · (δ1 x e2 + e1 x δ2) = δ1 · (e2 x n) + δ2 · (n x e1)
-        one = [u * normal[c] + w * y for c, y in enumerate(_cross(second, normal))]
-        two = [v * normal[c] + w * y for c, y in enumerate(_cross(normal, first))]
-        rows.append([*[normal[c] - one[c] - two[c] for c in range(3)], *one, *two])
+        by_first = [u * normal[c] + w * y for c, y in enumerate(cross(second, normal))]
+        by_second = [v * normal[c] + w * y for c, y in enumerate(cross(normal, first))]
+        rows.append([*[normal[c] - by_first[c] - by_second[c] for c in range(3)], *by_first, *by_second])
     for i in range(3):
         j = (i + 1) % 3
         gap = [b[i][c] - b[j][c] for c in range(3)]

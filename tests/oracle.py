@@ -20,37 +20,45 @@ Vector = list[Any]
 def certified_count(
     quaternion: npt.NDArray[np.float64], position: npt.NDArray[np.float64], d: float, *, nudge: str = "0"
 ) -> int | None:
-    """Count the real branches of one pose, its floats taken as exact; None where no precision separates the roots.
+    """Count the real branches of one pose, or return None; see `certified_roots`."""
+    roots = certified_roots(quaternion, position, d, nudge=nudge)
+    return None if roots is None else len(roots)
+
+
+def certified_roots(
+    quaternion: npt.NDArray[np.float64], position: npt.NDArray[np.float64], d: float, *, nudge: str = "0"
+) -> list[arb] | None:
+    """Return the real l_2 of one pose, its floats taken as exact; None where no precision separates the roots.
 
     The quaternion (4,), scalar last, need not have unit length: its rotation is made exactly. `nudge` is added to
     its z and w parts, to move roots away from infinity by less than any float could.
     """
     for precision in (128, 256, 512, 1024, 2048):
         ctx.prec = precision
-        count = _count(octic(quaternion, position, d, nudge))
-        if count is not None:
-            return count
+        roots = _real_roots(octic(quaternion, position, d, nudge))
+        if roots is not None:
+            return roots
     return None
 
 
-def _count(polynomial: arb_poly) -> int | None:
+def _real_roots(polynomial: arb_poly) -> list[arb] | None:
     leading = polynomial[8]
     if leading.contains(0):
         return None
+    mean = -polynomial[7] / (8 * leading)
     try:
         # Moved to the roots' mean, where the iteration converges; as narrow as the working precision allows, for
         # a pair just off the axis must not touch it.
-        centred = polynomial(arb_poly([-polynomial[7] / (8 * leading), 1]))
-        roots = acb_poly(centred).roots(tol=arb(2) ** (-ctx.prec // 2), maxprec=64 * ctx.prec)
+        roots = acb_poly(polynomial(arb_poly([mean, 1]))).roots(tol=arb(2) ** (-ctx.prec // 2), maxprec=64 * ctx.prec)
     except ValueError:
         return None
-    real = 0
+    real = []
     for k, root in enumerate(roots):
         if root.imag.contains(0):
             # Isolated, and the mirror image of no other root: equal to its own conjugate.
             if any(root.conjugate().overlaps(other) for j, other in enumerate(roots) if j != k):
                 return None
-            real += 1
+            real.append(root.real + mean)
     return real
 
 
@@ -66,10 +74,10 @@ def octic(
     points, directions = [], []
     for lower in axes:
         upper = [_dot(row, lower) for row in rotation]
-        along = _cross(lower, upper)
+        along = cross(lower, upper)
         squared = _dot(along, along)
         # The point on both planes nearest to O; the upper plane passes through o.
-        points.append([_dot(upper, o) * c / squared for c in _cross(along, lower)])
+        points.append([_dot(upper, o) * c / squared for c in cross(along, lower)])
         directions.append([c / squared.sqrt() for c in along])
     e1, e2, e3 = directions
     side = arb(float(d)) ** 2
@@ -162,7 +170,7 @@ def _dot(a: Vector, b: Vector) -> Any:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _cross(a: Vector, b: Vector) -> Vector:
+def cross(a: Vector, b: Vector) -> Vector:
     return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 

@@ -6,6 +6,7 @@ package takes part in making a problem.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,12 +26,6 @@ GEOMETRIES = {
 }
 
 
-def machine(geometry: spm.Geometry, size: float, seed: int = 3) -> spm.AsBuiltGeometry:
-    """Make a machine with errors of this size, relative to d and in radians."""
-    built = spm.AsBuiltGeometry.from_nominal(geometry)
-    return built.perturbed(seed, length=size * geometry.middle_side, angle=size)
-
-
 @dataclass(frozen=True)
 class Problem:
     """N poses, one branch of each, and the family it belongs to."""
@@ -44,16 +39,41 @@ class Problem:
         return spm.Configuration(self.geometry, self.pose, self.middle_joints)
 
 
-def stage(mode: str, tilt_axis: Array, half_sine: Array, height: Array, r: float) -> tuple[Array, Array]:
-    """Place a middle platform in one stage: quaternion (N, 4), scalar last, and centre (N, 3).
+def as_built(geometry: spm.Geometry, size: float, seed: int = 3) -> spm.AsBuiltGeometry:
+    """Return a machine with random errors: angles of `size` [rad], lengths of `size` times d."""
+    return spm.AsBuiltGeometry.from_nominal(geometry).perturbed(seed, length=size * geometry.middle_side, angle=size)
+
+
+def stage_quaternion(mode: str, tilt_axis: npt.ArrayLike, half_sine: npt.ArrayLike) -> Array:
+    """Return the quaternion (..., 4) of a middle platform in one stage, scalar last.
 
     `tilt_axis` is the azimuth of w = x1 + i x2, `half_sine` its modulus.
     """
+    tilt_axis, half_sine = np.broadcast_arrays(tilt_axis, half_sine)
     x1, x2 = half_sine * np.cos(tilt_axis), half_sine * np.sin(tilt_axis)
     rest = np.sqrt(1.0 - half_sine**2)
     zero = np.zeros_like(rest)
-    quaternion = np.stack([x1, x2, *((zero, rest) if mode == "T" else (rest, zero))], axis=-1)
-    return quaternion, np.stack([-2 * r * x1 * x2, r * (x2**2 - x1**2), height], axis=-1)
+    return np.stack([x1, x2, *((zero, rest) if mode == "T" else (rest, zero))], axis=-1)
+
+
+def stage_at(quaternion: Array, height: npt.ArrayLike, r: float) -> tuple[Array, Array]:
+    """Place a middle platform in one stage: its quaternion (..., 4) and its centre (..., 3)."""
+    x1, x2 = quaternion[..., 0], quaternion[..., 1]
+    centre = [-2 * r * x1 * x2, r * (x2**2 - x1**2), np.broadcast_to(height, x1.shape)]
+    return quaternion, np.stack(centre, axis=-1)
+
+
+def stage(
+    mode: str, tilt_axis: npt.ArrayLike, half_sine: npt.ArrayLike, height: npt.ArrayLike, r: float
+) -> tuple[Array, Array]:
+    """Place a middle platform in one stage by its tilt, see `stage_quaternion`, and its height."""
+    return stage_at(stage_quaternion(mode, tilt_axis, half_sine), height, r)
+
+
+def corners(geometry: spm.Geometry, placed: tuple[Array, Array]) -> Array:
+    """Return the ball joints (..., 3, 3) of a middle platform in one stage."""
+    rotation, local = Rotation.from_quat(placed[0]), geometry.middle_radius * geometry.radial_directions
+    return np.stack([rotation.apply(point) + placed[1] for point in local], axis=-2)
 
 
 def compose(geometry: spm.Geometry, lower: tuple[Array, Array], upper: tuple[Array, Array]) -> Problem:
@@ -61,9 +81,15 @@ def compose(geometry: spm.Geometry, lower: tuple[Array, Array], upper: tuple[Arr
     middle, seen_from_m = Rotation.from_quat(lower[0]), Rotation.from_quat(upper[0])
     rotation = middle * seen_from_m.inv()
     translation = lower[1] - rotation.apply(upper[1])
-    local = geometry.middle_radius * geometry.radial_directions
-    joints = np.stack([middle.apply(point) + lower[1] for point in local], axis=-2)
-    return Problem(geometry, spm.pose(translation, rotation=rotation), joints)
+    return Problem(geometry, spm.pose(translation, rotation=rotation), corners(geometry, lower))
+
+
+def without_torsion(
+    geometry: spm.Geometry, lower: Sequence[npt.ArrayLike], upper: Sequence[npt.ArrayLike], family: str = "TT"
+) -> spm.Configuration:
+    """Return the states of two stages, each given by its tilt axis, the sine of half its tilt, and its height [m]."""
+    stages = (stage(mode, *tilt, geometry.middle_radius) for mode, tilt in zip(family, (lower, upper), strict=True))
+    return compose(geometry, *stages).configuration
 
 
 def random_branches(geometry: spm.Geometry, family: str, count: int, seed: int) -> Problem:
@@ -190,8 +216,7 @@ def singular_state(
     geometry = spm.Geometry.paper()
 
     def at(value: float) -> spm.Configuration:
-        parameters = [[value if x is None else x for x in pair] for pair in (azimuths, half_sines, heights)]
-        stages = [stage("T", *(np.array([p[k]]) for p in parameters), geometry.middle_radius) for k in range(2)]
-        return compose(geometry, stages[0], stages[1]).configuration[0]
+        parameters = ([value if x is None else x for x in pair] for pair in (azimuths, half_sines, heights))
+        return without_torsion(geometry, *zip(*parameters, strict=True))
 
     return at(float(brentq(lambda x: spm.determinants(at(x))[which], low, high, xtol=1e-15, rtol=1e-15)))

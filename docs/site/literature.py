@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 from assembly_mode_changes import Array, NonsingularChange, ProvedRange, nonsingular_changes, proved_ranges
-from rank_strata import AXIS, HALF, Stratum, matrix_rank, strata
-from stage_placement import GEOMETRY, SAMPLES, compose, place, quaternion
+from rank_strata import AXIS, Stratum, matrix_rank, strata
+from stage_placement import GEOMETRY, SAMPLES, problems
 
 import spm_pin as spm
 from spm_pin.closed_form.singularity_analysis import singular_values
@@ -53,22 +53,15 @@ def tetrahedron_determinants(configuration: spm.Configuration) -> tuple[Array, A
 
 def tetrahedron() -> list[Tetrahedron]:
     """Return the ratio of the tetrahedron's determinant and det K, in units of 2 / (√3 d²), for each family."""
-    rng = np.random.default_rng(0)
     unit = 2.0 / (np.sqrt(3.0) * GEOMETRY.middle_side**2)
     found = []
     for family in FAMILIES:
-        planes, structure = tetrahedron_determinants(random_states(family, rng))
+        planes, structure = tetrahedron_determinants(
+            problems.random_branches(GEOMETRY, family, SAMPLES, seed=0).configuration
+        )
         ratios = planes / (unit * structure)
         found.append(Tetrahedron(family, len(ratios), float(np.median(ratios)), float(np.ptp(ratios))))
     return found
-
-
-def random_states(family: str, rng: np.random.Generator) -> spm.Configuration:
-    """Return configurations (SAMPLES,) of a family, all tilts and heights of both signs."""
-    azimuths = rng.uniform(-np.pi, np.pi, (SAMPLES, 2))
-    half_tilts = np.arcsin(np.sqrt(rng.uniform(0.0, 1.0, (SAMPLES, 2))))
-    turned = np.stack([quaternion(mode, azimuths[:, k], half_tilts[:, k]) for k, mode in enumerate(family)], axis=1)
-    return compose(turned, rng.uniform(-2.0, 2.0, (SAMPLES, 2)))
 
 
 # Degrees of freedom
@@ -89,10 +82,10 @@ def freedoms() -> list[Freedoms]:
     """Return the mobility from the rank of the closures in Pinocchio, and the rank of the platform's Jacobian."""
     chain = spm.ClosedChain.from_urdf()
     home = spm.forward_physical(GEOMETRY, [1.3] * 6)
-    mirrored = quaternion("T", [AXIS, AXIS], [0.2, -0.1])
+    mirrored = problems.without_torsion(GEOMETRY, (AXIS, np.sin(0.2), 1.1), (AXIS, -np.sin(0.1), -1.2))
     states = {
         "solution 3 of the paper": spm.forward_physical(GEOMETRY, [1.20, 1.20, 1.40, 1.25, 1.20, 1.50]),
-        "both stages tilted about the revolute axis of leg 1": compose(mirrored, np.array([1.1, -1.2])),
+        "both stages tilted about the revolute axis of leg 1": mirrored,
         "the symmetric home": home,
     }
     found = []
@@ -119,15 +112,15 @@ class Passage:
 
 def passages() -> list[Passage]:
     """Return states along a motion of the lower stage through a half turn: x0 falls to zero, then x3 rises."""
-    azimuth, upper = 0.7, quaternion("T", 1.9, 0.2)
+    azimuth, upper = 0.7, (1.9, np.sin(0.2), -1.2)
     states = {
-        "x0 = 0.2": quaternion("T", azimuth, np.arccos(0.2)),
-        "x0 = x3 = 0": quaternion("T", azimuth, HALF),
-        "x3 = 0.2": quaternion("F", azimuth, np.arccos(0.2)),
+        "x0 = 0.2": ("TT", np.sqrt(1.0 - 0.2**2)),
+        "x0 = x3 = 0": ("TT", 1.0),
+        "x3 = 0.2": ("FT", np.sqrt(1.0 - 0.2**2)),
     }
     found = []
-    for name, lower in states.items():
-        state = compose(np.stack([lower, upper]), np.array([1.1, -1.2]))
+    for name, (family, half_sine) in states.items():
+        state = problems.without_torsion(GEOMETRY, (azimuth, half_sine, 1.1), upper, family)
         values = singular_values(_lower_structure(state))
         mean_radius = (state.middle_joints * GEOMETRY.radial_directions).sum(axis=-1).mean()
         mode = "T or F" if abs(mean_radius) < 1e-12 else "T" if mean_radius > 0.0 else "F"
@@ -155,7 +148,7 @@ def self_motion(steps: int = 200) -> tuple[Array, Array]:
     for mode, sign in (("T", 1.0), ("F", -1.0)):
         p = np.minimum((1.0 + sign * 2.0 * e) / (1.0 + sign * 2.0 * np.cos(2.0 * psi)), 1.0)
         # Leg 2 is the odd one: the axis of its revolute joint has the azimuth 180°.
-        joints = place(quaternion(mode, np.pi + psi, np.arcsin(np.sqrt(p))), np.zeros(steps))[0] / r
+        joints = problems.corners(GEOMETRY, problems.stage(mode, np.pi + psi, np.sqrt(p), 0.0, r)) / r
         joints = joints - e * GEOMETRY.radial_directions
         joints[..., 2] -= joints[:, 1:2, 2]  # leg 2 lies flat across the base
         lengths.append(np.linalg.norm(joints, axis=-1))

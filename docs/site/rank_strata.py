@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from assembly_mode_changes import Array, differences
-from stage_placement import GEOMETRY, SAMPLES, compose, quaternion
+from stage_placement import GEOMETRY, SAMPLES, compose, problems
 
 import spm_pin as spm
 
@@ -59,7 +59,8 @@ def strata() -> list[Stratum]:
 def _stratum(name: str, angles: Callable[..., Angles], rng: np.random.Generator) -> Stratum:
     def states(drawn: Array) -> tuple[Array, Array]:
         p, q, a, b = np.transpose([np.broadcast_to(angles(*row), 4) for row in drawn[:, :4]])
-        return np.stack([quaternion("T", p, a), quaternion("T", q, b)], axis=1), drawn[:, 4:]
+        stages = (problems.stage_quaternion("T", azimuth, np.sin(half)) for azimuth, half in ((p, a), (q, b)))
+        return np.stack(list(stages), axis=1), drawn[:, 4:]
 
     drawn = rng.uniform([-np.pi, -np.pi, 0.2, 0.2, 0.5, -2.0], [np.pi, np.pi, 1.3, 1.3, 2.0, -0.5], (SAMPLES, 6))
     turned, heights = states(drawn)

@@ -20,6 +20,11 @@ class Done:
     stderr: str
 
     @property
+    def output(self) -> str:
+        """Return what is on stdout, then what is on stderr."""
+        return self.stdout + self.stderr
+
+    @property
     def message(self) -> str:
         """Return what is on stderr in one line, without the frames that typer draws."""
         return " ".join(self.stderr.replace("│", " ").split())

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from as_built_oracle import certified_real_branches
-from problems import GEOMETRIES, in_leg_space, machine, random_branches
+from problems import GEOMETRIES, as_built, in_leg_space, random_branches
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
@@ -28,7 +28,7 @@ def along(size: float) -> spm.AsBuiltGeometry:
 def check_counts(name: str, size: float, machines: int, poses: int) -> None:
     geometry, families = GEOMETRIES[name], spm.mechanism.FAMILIES
     for seed in range(machines):
-        built = machine(geometry, size, seed)
+        built = as_built(geometry, size, seed)
         pose = random_branches(geometry, families[seed % 4], poses, seed=1000 + seed).pose
         solutions, joints = spm.inverse_displacement(built, pose), complex_middle_joints(built, pose)
         assert not (solutions.status == spm.Status.UNSOLVED).any()
@@ -85,7 +85,7 @@ def test_vanishing_errors_lead_to_the_ideal_branches_under_their_labels(name: st
     assert clear.sum() > 150
     errors = []
     for size in (1e-11, 1e-9):
-        built = spm.inverse_displacement(machine(geometry, size, seed=9), pose)
+        built = spm.inverse_displacement(as_built(geometry, size, seed=9), pose)
         np.testing.assert_array_equal(built.exists[clear], ideal.exists[clear])
         assert built.met is not None
         assert not built.met[clear].any()
@@ -97,7 +97,7 @@ def test_vanishing_errors_lead_to_the_ideal_branches_under_their_labels(name: st
 
 
 def test_readings_are_distances_from_pivots_to_balls_and_offsets() -> None:
-    built = machine(PAPER, 5e-3, seed=3)
+    built = as_built(PAPER, 5e-3, seed=3)
     pose = in_leg_space(PAPER, 40, seed=3).pose
     solutions = spm.inverse_displacement(built, pose)
     states = solutions.configurations[solutions.exists]
@@ -169,7 +169,7 @@ def test_two_branches_of_the_papers_example_end_where_they_meet() -> None:
 
 @pytest.mark.parametrize("shape", [(), (1,), (0,), (3, 1, 2)])
 def test_a_batch_is_solved_like_its_members(shape: tuple[int, ...]) -> None:
-    built = machine(PAPER, 1e-3, seed=4)
+    built = as_built(PAPER, 1e-3, seed=4)
     poses = random_branches(PAPER, "TT", int(np.prod(shape)), seed=6).pose.as_matrix().reshape(*shape, 4, 4)
     solutions = spm.inverse_displacement(built, poses)
     roots = complex_middle_joints(built, poses)
@@ -187,7 +187,7 @@ def test_a_batch_is_solved_like_its_members(shape: tuple[int, ...]) -> None:
 
 
 def test_threads_do_not_change_a_bit() -> None:
-    built = machine(PAPER, 1e-3, seed=4)
+    built = as_built(PAPER, 1e-3, seed=4)
     pose = in_leg_space(PAPER, 1500, seed=7).pose
     try:
         spm.set_threads(1)
@@ -202,7 +202,7 @@ def test_threads_do_not_change_a_bit() -> None:
 def test_the_physical_branch_of_a_small_error_is_near_that_of_the_drawing() -> None:
     pose = in_leg_space(PAPER, 300, seed=8).pose
     ideal = spm.inverse_physical(PAPER, pose)
-    built = spm.inverse_physical(machine(PAPER, 1e-6, seed=5), pose)
+    built = spm.inverse_physical(as_built(PAPER, 1e-6, seed=5), pose)
     assert built.exists.mean() > 0.97
     moved = np.abs(built.leg_lengths - ideal.leg_lengths).max(axis=-1)
     assert np.nanmedian(moved) < 1e-4
@@ -212,7 +212,7 @@ def test_the_physical_branch_of_a_small_error_is_near_that_of_the_drawing() -> N
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_the_physical_branch_alone_is_that_of_all_branches(name: str, size: float) -> None:
     geometry = GEOMETRIES[name]
-    built = machine(geometry, size, seed=3)
+    built = as_built(geometry, size, seed=3)
     sets = [random_branches(geometry, "TT", 1500, seed=2)]
     if geometry.limits is not None:
         sets.append(in_leg_space(geometry, 700, seed=1))
@@ -230,7 +230,7 @@ def test_the_physical_branch_alone_is_that_of_all_branches(name: str, size: floa
 
 
 def test_outcomes_that_are_no_branches_are_statuses() -> None:
-    built = machine(PAPER, 1e-3, seed=6)
+    built = as_built(PAPER, 1e-3, seed=6)
     far = spm.inverse_displacement(built, spm.pose([50.0, 0.0, 2.0], rotation=Rotation.from_rotvec([0.1, 0.2, 0.0])))
     assert far.status is spm.Status.UNREACHABLE
     # Offsets leave the planes as they are drawn: level ones, that say nothing of the height.
@@ -244,7 +244,7 @@ def test_outcomes_that_are_no_branches_are_statuses() -> None:
     np.testing.assert_allclose(tilted.leg_lengths, ideal.leg_lengths + 1e-3, atol=1e-9)
 
 
-STATE = spm.inverse_physical(machine(PAPER, 1e-4, seed=7), EXAMPLE)
+STATE = spm.inverse_physical(as_built(PAPER, 1e-4, seed=7), EXAMPLE)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from problems import GEOMETRIES, in_leg_space, machine, random_branches
+from problems import GEOMETRIES, as_built, in_leg_space, random_branches
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
@@ -17,7 +17,7 @@ SIZES = (1e-6, 1e-4, 1e-3, 1e-2)
 
 def states(size: float = 1e-3, count: int = 60, seed: int = 1) -> spm.Configuration:
     """Physical states of an imperfect machine within the leg limits, away from inverse singularities."""
-    found = spm.inverse_physical(machine(PAPER, size), in_leg_space(PAPER, count, seed=seed).pose)
+    found = spm.inverse_physical(as_built(PAPER, size), in_leg_space(PAPER, count, seed=seed).pose)
     found = found[found.exists]
     return found[np.abs(spm.singularities(found).sigma[:, 2]) > 5e-3]
 
@@ -26,7 +26,7 @@ def states(size: float = 1e-3, count: int = 60, seed: int = 1) -> spm.Configurat
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_forward_finds_the_states_whose_readings_they_are(name: str, size: float) -> None:
     geometry = GEOMETRIES[name]
-    built = machine(geometry, size)
+    built = as_built(geometry, size)
     problem = random_branches(geometry, "TT", 2000, seed=2)
     if geometry.limits is not None:
         problem = in_leg_space(geometry, 300, seed=2)
@@ -75,7 +75,7 @@ def test_without_errors_the_answers_are_those_of_the_ideal_machine(name: str) ->
 
 
 def test_a_seed_is_followed_from_its_readings_to_others() -> None:
-    built = machine(PAPER, 1e-3)
+    built = as_built(PAPER, 1e-3)
     state = states(count=40)
     found = spm.forward_physical(built, state.leg_lengths[1:], seed=state[:-1])
     assert found.exists.mean() > 0.95
@@ -93,7 +93,7 @@ def test_a_seed_is_followed_from_its_readings_to_others() -> None:
 
 
 def test_offsets_are_taken_off_the_readings() -> None:
-    built = machine(PAPER, 1e-4)
+    built = as_built(PAPER, 1e-4)
     shifted = spm.AsBuiltGeometry(PAPER, built.axes, built.pivots, built.balls, built.offsets + 0.25)
     legs = np.full(6, 1.3)
     np.testing.assert_allclose(
@@ -105,7 +105,7 @@ def test_offsets_are_taken_off_the_readings() -> None:
 
 @pytest.mark.parametrize("shape", [(), (1,), (0,), (3, 1, 2)])
 def test_a_batch_is_solved_like_its_members(shape: tuple[int, ...]) -> None:
-    built = machine(PAPER, 1e-3)
+    built = as_built(PAPER, 1e-3)
     legs = np.random.default_rng(1).uniform(1.15, 1.45, (*shape, 6))
     found = spm.forward_physical(built, legs)
     assert found.shape == shape
@@ -209,7 +209,7 @@ def test_singular_states_are_refused_as_those_of_the_ideal_machine() -> None:
 
 
 def test_states_that_do_not_exist_give_nan() -> None:
-    built = machine(PAPER, 1e-3)
+    built = as_built(PAPER, 1e-3)
     found = spm.forward_physical(built, [[1.3] * 6, [1.3, 1.3, 9.0, 1.3, 1.3, 1.3]])
     assert found.exists.tolist() == [True, False]
     assert np.isnan(spm.determinants(found)[1]).all()
@@ -232,7 +232,7 @@ def test_states_that_do_not_exist_give_nan() -> None:
         (lambda built, state: spm.forward_physical(PAPER, np.full(6, 1.3), seed=state), "seed.*of this geometry"),
         (lambda built, state: spm.forward_physical(built, np.full(6, 1.3), seed=built), "seed.*Configuration"),
         (
-            lambda built, state: spm.forward_physical(machine(PAPER, 2e-3), np.full(6, 1.3), seed=state),
+            lambda built, state: spm.forward_physical(as_built(PAPER, 2e-3), np.full(6, 1.3), seed=state),
             "seed.*of this geometry",
         ),
         (
@@ -247,7 +247,7 @@ def test_states_that_do_not_exist_give_nan() -> None:
     ],
 )
 def test_bad_arguments_are_named(call: Callable[[object, object], object], message: str) -> None:
-    built = machine(PAPER, 1e-3)
+    built = as_built(PAPER, 1e-3)
     state = spm.forward_physical(built, np.full(6, 1.3))
     with pytest.raises(spm.ArgumentError, match=message):
         call(built, state)

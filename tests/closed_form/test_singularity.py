@@ -10,12 +10,10 @@ from hypothesis import strategies as st
 from problems import (
     GEOMETRIES,
     PAPER_TILTS,
-    Problem,
-    compose,
     in_leg_space,
     random_branches,
     singular_state,
-    stage,
+    without_torsion,
 )
 from scipy.spatial.transform import Rotation
 
@@ -30,15 +28,6 @@ from spm_pin.closed_form.singularity_analysis import (
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()
 LOWER, UPPER, STRUCTURE = range(3)
-
-
-def placed(tilts: tuple[float, float], half_sines: tuple[float, float], heights: tuple[float, float]) -> Problem:
-    """Both stages without torsion, at given azimuths of the tilt axis, half sines of the tilt, and heights."""
-    stages = [
-        stage("T", *(np.array([value]) for value in parameters), PAPER.middle_radius)
-        for parameters in zip(tilts, half_sines, heights, strict=True)
-    ]
-    return compose(PAPER, stages[0], stages[1])
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +63,7 @@ def test_a_mirror_symmetric_pose_loses_one_freedom(leg: int) -> None:
     """Both stages tilted about the revolute axis of one leg."""
     axis = PAPER.revolute_axes[leg]
     azimuth = np.arctan2(axis[1], axis[0])
-    state = placed((azimuth, azimuth), (0.2, -0.1), (1.1, -1.2)).configuration[0]
+    state = without_torsion(PAPER, (azimuth, 0.2, 1.1), (azimuth, -0.1, -1.2))
     found = singularities(state)
     np.testing.assert_array_equal(found.rank, [6, 6, 5])
     assert found.mobility == 5
@@ -82,7 +71,7 @@ def test_a_mirror_symmetric_pose_loses_one_freedom(leg: int) -> None:
 
 
 def test_a_stage_tilted_by_half_a_turn_is_a_constraint_singularity() -> None:
-    state = placed((0.4, 1.0), (1.0, 0.2), (0.8, -1.1)).configuration[0]
+    state = without_torsion(PAPER, (0.4, 1.0, 0.8), (1.0, 0.2, -1.1))
     found = singularities(state)
     kind = SingularityKind(int(found.kind))
     assert kind == SingularityKind.CONSTRAINT | SingularityKind.FORWARD | SingularityKind.INVERSE

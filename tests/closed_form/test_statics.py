@@ -62,8 +62,8 @@ def test_a_batch_is_its_members(shape, seed):
     assert forces.shape == (*shape, 6)
     assert np.array_equal(np.isfinite(forces), np.broadcast_to(state.exists[..., None], forces.shape))
     for index in np.ndindex(shape):
-        one = state[index] if shape else state
-        assert np.array_equal(forces[index], leg_forces(one, wrench[index]), equal_nan=True)
+        member = state[index] if shape else state
+        assert np.array_equal(forces[index], leg_forces(member, wrench[index]), equal_nan=True)
 
 
 @settings(max_examples=60)
@@ -300,12 +300,7 @@ def test_forces_halfway_between_two_branches():
 
 def test_forces_on_a_level_platform():
     """Level and on the axis, K has rank three; J_f does not exist, the forces do."""
-    r = PAPER.middle_radius
-    level = problems.compose(
-        PAPER,
-        problems.stage("T", np.zeros(1), np.zeros(1), np.array([1.3]), r),
-        problems.stage("T", np.zeros(1), np.zeros(1), np.array([-1.2]), r),
-    ).configuration[0]
+    level = problems.without_torsion(PAPER, (0.0, 0.0, 1.3), (0.0, 0.0, -1.2))
     with pytest.raises(SingularConfigurationError, match=r"^inverse singularity: "):
         inverse_jacobian(level)
     for wrench in WRENCHES:
@@ -319,11 +314,7 @@ def test_forces_on_a_level_platform():
 
 
 def test_singular_stages_are_refused():
-    flat = problems.compose(
-        PAPER,
-        problems.stage("T", np.zeros(1), np.zeros(1), np.zeros(1), PAPER.middle_radius),
-        problems.stage("T", np.ones(1), np.full(1, 0.2), -np.ones(1), PAPER.middle_radius),
-    ).configuration
+    flat = problems.without_torsion(PAPER, (np.zeros(1), 0.0, 0.0), (np.ones(1), 0.2, -1.0))
     for wrench in (np.zeros(6), np.ones((3, 1, 6))):
         with pytest.raises(SingularConfigurationError, match=r"^forward singularity at batch index \(0,\)"):
             leg_forces(flat, wrench)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 import numpy as np
 import problems
 import pytest
+from finite_differences import extrapolated
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -80,8 +81,8 @@ def test_a_batch_is_its_members(shape, seed):
     state, twist = members(shape, rng, absent=0.2), rng.normal(size=(*shape, 6))
     everything = inverse_jacobian(state), platform_jacobian(state), leg_rates(state, twist)
     for index in np.ndindex(shape):
-        one = state[index] if shape else state
-        alone = inverse_jacobian(one), platform_jacobian(one), leg_rates(one, twist[index])
+        member = state[index] if shape else state
+        alone = inverse_jacobian(member), platform_jacobian(member), leg_rates(member, twist[index])
         for batch, single in zip(everything, alone, strict=True):
             assert np.array_equal(batch[index], single, equal_nan=True)
 
@@ -131,7 +132,7 @@ def test_determinant_in_leg_space():
 def finite_differences(state: spm.Configuration, labels: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """J_f from the displacement alone, and the error to expect; `size` is about the norm of J_f, for the steps.
 
-    Two extrapolations of central differences leave O(h⁶). Two branches meet at a fold as square roots do, so its
+    Two branches meet at a fold as square roots do, so its
     distance goes with 1/|J|², and the steps as well.
     """
     d = state.geometry.middle_side
@@ -146,13 +147,8 @@ def finite_differences(state: spm.Configuration, labels: np.ndarray, size: np.nd
         difference = lengths[:, :6] - lengths[:, 6:]
         return np.swapaxes(difference / (2 * h[:, None, None] * unit[:6].sum(axis=-1)[:, None]), -1, -2)
 
-    def richardson(h: np.ndarray) -> np.ndarray:
-        d1, d2, d3 = (central(h / 2**k) for k in range(3))
-        first, second = (4 * d2 - d1) / 3, (4 * d3 - d2) / 3
-        return (16 * second - first) / 15
-
     h = 0.03 * d / size**2
-    coarse, fine = richardson(2 * h), richardson(h)
+    coarse, fine = extrapolated(central, 2 * h), extrapolated(central, h)
     # The pose's coordinates are rounded, and J_f magnifies that, over the smallest step.
     reach = np.linalg.norm(state.translation, axis=-1) + d
     rounding = 4 * EPS * reach * size / (h / 4)
@@ -204,12 +200,8 @@ def test_leading_axes_broadcast():
 
 def in_stages(geometry: spm.Geometry, lower: tuple[float, ...], upper: tuple[float, ...]) -> spm.Configuration:
     """One state, each stage from its tilt axis, sine of half the tilt, and height in units of d."""
-    r, d = geometry.middle_radius, geometry.middle_side
-    placed = [
-        problems.stage("T", *(np.array([value]) for value in (axis, half_sine, height * d)), r)
-        for axis, half_sine, height in (lower, upper)
-    ]
-    return problems.compose(geometry, *placed).configuration[0]
+    tilts = ((axis, half_sine, height * geometry.middle_side) for axis, half_sine, height in (lower, upper))
+    return problems.without_torsion(geometry, *tilts)
 
 
 REGULAR = (0.3, 0.2, 1.5), (2.0, 0.15, -1.4)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import GEOMETRIES, random_branches
+from problems import GEOMETRIES, as_built, random_branches
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
@@ -50,8 +50,7 @@ def test_the_turns_of_a_leg_s_joints_lead_from_its_platform_to_the_middle_one(na
 
 @pytest.mark.parametrize("size", [0.0, 1e-3, 5e-2])
 def test_the_turns_of_a_machine_as_built_are_about_its_own_axes(size: float) -> None:
-    exact = spm.AsBuiltGeometry.from_nominal(PAPER)
-    built = exact.perturbed(1, length=size * PAPER.middle_side, angle=size) if size else exact
+    built = as_built(PAPER, size, seed=1)
     states = spm.forward_physical(built, np.random.default_rng(2).uniform(1.2, 1.4, (12, 6)))
     states = states[states.exists]
     angles = joint_angles(states)

@@ -28,15 +28,9 @@ SIZES = (1e-6, 1e-3, 5e-2)
 EXACT = spm.AsBuiltGeometry.from_nominal(PAPER)
 
 
-def machine(name: str, size: float, seed: int = 3) -> spm.AsBuiltGeometry:
-    geometry = problems.GEOMETRIES[name]
-    built = spm.AsBuiltGeometry.from_nominal(geometry)
-    return built.perturbed(seed, length=size * geometry.middle_side, angle=size)
-
-
 @cache
 def built(name: str = "paper", size: float = 1e-2) -> Any:
-    return ClosedChain.from_urdf(geometry=machine(name, size))
+    return ClosedChain.from_urdf(geometry=problems.as_built(problems.GEOMETRIES[name], size))
 
 
 def states(robot: Any, count: int, seed: int) -> spm.Configuration:
@@ -301,7 +295,7 @@ def test_offsets_change_readings_and_nothing_else() -> None:
 
 @pytest.mark.parametrize("prefix", ["", "left_"])
 def test_a_file_of_the_machine_gives_the_same_chain(prefix: str, tmp_path: Path) -> None:
-    geometry = machine("wide base", 1e-2)
+    geometry = problems.as_built(problems.GEOMETRIES["wide base"], 1e-2)
     path = tmp_path / "machine.urdf"
     path.write_text(urdf_text(manipulator(geometry, prefix=prefix)), encoding="utf-8")
     own = ClosedChain.from_urdf(geometry=geometry, prefix=prefix)
@@ -316,7 +310,7 @@ def test_a_file_of_the_machine_gives_the_same_chain(prefix: str, tmp_path: Path)
 
 
 def test_files_and_geometries_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
-    geometry = machine("paper", 1e-3)
+    geometry = problems.as_built(PAPER, 1e-3)
     ideal, measured = tmp_path / "ideal.urdf", tmp_path / "measured.urdf"
     ideal.write_text(expand(PAPER), encoding="utf-8")
     measured.write_text(urdf_text(manipulator(geometry)), encoding="utf-8")
@@ -326,7 +320,7 @@ def test_files_and_geometries_that_do_not_belong_together_are_refused(tmp_path: 
         ClosedChain.from_urdf(measured, PAPER)
     with pytest.raises(DescriptionError, match=r"no middle_b2_upper, middle_b3_upper.*spm-pin urdf --geometry"):
         ClosedChain.from_urdf(ideal, geometry)
-    for other in (machine("paper", 1e-3, seed=4), EXACT, geometry.from_parameters(geometry.parameters + 1e-8)):
+    for other in (problems.as_built(PAPER, 1e-3, seed=4), EXACT, geometry.from_parameters(geometry.parameters + 1e-8)):
         with pytest.raises(
             GeometryError, match=r"^geometry: expected the dimensions of .*measured\.urdf, got others: "
         ):
@@ -347,7 +341,7 @@ def test_states_of_other_machines_are_refused() -> None:
         robot.joint_values(ideal)
     with pytest.raises(GeometryError, match="the axes of the chain, an ideal machine, got a machine as built"):
         chain().joint_values(state)
-    other = machine("paper", 1e-3)
+    other = problems.as_built(PAPER, 1e-3)
     moved = spm.AsBuiltGeometry(
         PAPER, other.axes, other.pivots, other.balls, other.offsets + 2e-6 * (np.arange(6) == 4)
     )
@@ -365,7 +359,7 @@ def test_states_of_other_machines_are_refused() -> None:
 
 def test_on_an_arm_the_loops_stay_closed() -> None:
     robots = pytest.importorskip("example_robot_data")
-    own = ClosedChain.from_urdf(geometry=machine("paper", 1e-2), prefix="spm_")
+    own = ClosedChain.from_urdf(geometry=problems.as_built(PAPER, 1e-2), prefix="spm_")
     arm = robots.load("ur5")
     q, arm_q = own.joint_values(states(own, 1, seed=19)[0]), np.linspace(-1.0, 1.0, arm.model.nq)
     for both in (own.mounted_on(arm, "tool0"), own.carrying(arm)):

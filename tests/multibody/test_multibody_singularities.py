@@ -26,16 +26,6 @@ pinocchio = pytest.importorskip("pinocchio")
 from spm_pin.multibody.constrained_model import SINGULAR  # noqa: E402
 
 HOME = np.zeros(18)
-ONE = np.ones(1)
-
-
-def staged(lower: tuple[str, float, float, float], upper: tuple[str, float, float, float]) -> spm.Configuration:
-    """Two stages given by mode, azimuth of the tilt, sine of half the tilt, and height [m]."""
-    stages = [
-        problems.stage(mode, azimuth * ONE, half_sine * ONE, height * ONE, PAPER.middle_radius)
-        for mode, azimuth, half_sine, height in (lower, upper)
-    ]
-    return problems.compose(PAPER, *stages).configuration[0]
 
 
 def test_at_home_three_motions_leave_the_platform_still() -> None:
@@ -94,7 +84,7 @@ def test_between_two_branches_that_meet() -> None:
 @pytest.mark.parametrize("mode", ["T", "F"])
 def test_forward_singularities(mode: str) -> None:
     """A level lower stage of no height: its three legs and their axes lie in the plane, and lift nothing."""
-    state = staged((mode, 0.0, 0.0, 0.0), ("T", 0.4, 0.3, -1.1))
+    state = problems.without_torsion(PAPER, (0.0, 0.0, 0.0), (0.4, 0.3, -1.1), f"{mode}T")
     robot = chain()
     q = robot.joint_values(state)
     for call in (robot.leg_forces, robot.cut_forces):
@@ -110,9 +100,9 @@ def test_forward_singularities(mode: str) -> None:
 @pytest.mark.parametrize("which", ["lower", "upper"])
 def test_constraint_singularities(which: str) -> None:
     """A stage tilted half round: its three revolute axes and the middle platform's plane fall together."""
-    regular, turned = ("T", 0.4, 0.3), ("T", 1.1, 1.0)
+    regular, turned = (0.4, 0.3), (1.1, 1.0)
     lower, upper = (turned, regular) if which == "lower" else (regular, turned)
-    state = staged((*lower, 1.2), (*upper, -1.1))
+    state = problems.without_torsion(PAPER, (*lower, 1.2), (*upper, -1.1))
     robot = chain()
     q = robot.joint_values(state)
     for call in (robot.inverse_jacobian, lambda q: robot.leg_forces(q, np.ones(6))):
@@ -167,7 +157,7 @@ def test_singular_values_do_not_depend_on_the_ball_angles() -> None:
     # Tilted by 2 asin(half sine) about the level normal of leg 1's axis: that is the middle angle of its ball.
     across = np.deg2rad(60.0 + 90.0)
     tilts = np.deg2rad([45.0, 60.0, 75.0, 85.0, 89.0, 89.9, 89.99])
-    steep = [staged(("T", across, np.sin(tilt / 2), 1.2), ("T", 0.5, 0.2, -1.3)) for tilt in tilts]
+    steep = [problems.without_torsion(PAPER, (across, np.sin(tilt / 2), 1.2), (0.5, 0.2, -1.3)) for tilt in tilts]
     for state, tilt in zip(steep, tilts, strict=True):
         (angle,) = robot.joint_values(state)[robot.joint_indices("ball_b1_y")]
         assert abs(angle) == pytest.approx(tilt)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import problems
 import pytest
+from finite_differences import extrapolated
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
@@ -103,15 +104,10 @@ def test_all_nine_rows_are_derivatives(label):
     def central(h: float) -> np.ndarray:
         return ((nine(h * np.eye(6)) - nine(-h * np.eye(6))) / (2 * h)).T
 
-    def richardson(h: float) -> np.ndarray:
-        d1, d2, d3 = (central(h / 2**k) for k in range(3))
-        first, second = (4 * d2 - d1) / 3, (4 * d3 - d2) / 3
-        return (16 * second - first) / 15
-
     # Two branches meet at a fold as square roots do, so its distance goes with 1/|J|²: stay well inside.
     size = np.linalg.norm(exact)
     h = 0.03 / size**2
-    coarse, fine = richardson(2 * h), richardson(h)
+    coarse, fine = extrapolated(central, 2 * h), extrapolated(central, h)
     # Truncation is O(h⁶), so `fine` is off by about a 64th of its change; rounding of an inverse displacement is
     # that of the pose, whose coordinates go up to 3, times the Jacobian, over the smallest step.
     tolerance = np.abs(fine - coarse) + 4 * EPS * 3.0 * size / (h / 4)
@@ -160,11 +156,7 @@ def test_a_batch_is_its_members(six):
 
 
 def test_singular_states_are_refused(six):
-    level = problems.compose(
-        PAPER,
-        problems.stage("T", np.zeros(1), np.zeros(1), np.ones(1), PAPER.middle_radius),
-        problems.stage("T", np.zeros(1), np.zeros(1), -np.ones(1), PAPER.middle_radius),
-    ).configuration
+    level = problems.without_torsion(PAPER, (np.zeros(1), 0.0, 1.0), (np.zeros(1), 0.0, -1.0))
     joints = np.concatenate([six.middle_joints, level.middle_joints])
     rotation = np.concatenate([six.rotation, level.rotation])
     mixed = spm.Configuration(
