@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import pickle
 from pathlib import Path
 
 import pytest
+from text_files import assert_refused, written
 
 from spm_pin.description.closures import Closure, read_closures
-from spm_pin.errors import DescriptionError, SpmError
+from spm_pin.errors import DescriptionError
 
 GOOD = """# a comment
 closures:
@@ -18,12 +18,6 @@ closures:
     frame_a: up
     frame_b: down
 """
-
-
-def written(tmp_path: Path, text: str) -> Path:
-    path = tmp_path / "closures.yaml"
-    path.write_text(text, encoding="utf-8")
-    return path
 
 
 def test_the_four_balls() -> None:
@@ -36,7 +30,7 @@ def test_the_four_balls() -> None:
 
 
 def test_reading_another_file(tmp_path: Path) -> None:
-    path = written(tmp_path, GOOD)
+    path = written(tmp_path / "closures.yaml", GOOD)
     one, two = read_closures(str(path), prefix="p_")
     assert one == Closure("p_one", "point", "p_left", "p_right")
     assert two == Closure("p_two", "point", "p_up", "p_down")
@@ -65,14 +59,7 @@ def test_reading_another_file(tmp_path: Path) -> None:
     ],
 )
 def test_malformed_files(tmp_path: Path, text: str, line: int | None, said: str) -> None:
-    path = written(tmp_path, text)
-    with pytest.raises(DescriptionError) as caught:
-        read_closures(path)
-    message = str(caught.value)
-    assert said in message
-    assert message.startswith(f"{path}:{line}: " if line else f"{path}: ")
-    assert isinstance(caught.value, SpmError)
-    assert str(pickle.loads(pickle.dumps(caught.value))) == message
+    assert_refused(read_closures, written(tmp_path / "closures.yaml", text), line, said)
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:

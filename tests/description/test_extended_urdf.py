@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from description.kinematic_tree import named_states
+from text_files import assert_refused, written
 
 from spm_pin.description import CLOSURES_PATH, SRDF_PATH, URDF_PATH
 from spm_pin.description.closures import KINDS, Closure, read_closures
@@ -31,14 +31,8 @@ joint_type:
 """
 
 
-def written(tmp_path: Path, text: str) -> Path:
-    path = tmp_path / "robot.yaml"
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
 def test_every_key(tmp_path: Path) -> None:
-    extended = read_extended_urdf(written(tmp_path, LEG))
+    extended = read_extended_urdf(written(tmp_path / "robot.yaml", LEG))
     assert extended.closures == (
         Closure("knee_aCknee_b", "weld", "knee_a", "knee_b"),
         Closure("ankle_aCankle_b", "point", "ankle_a", "ankle_b"),
@@ -48,14 +42,14 @@ def test_every_key(tmp_path: Path) -> None:
 
 
 def test_keys_that_may_be_absent(tmp_path: Path) -> None:
-    extended = read_extended_urdf(written(tmp_path, "closed_loop: []\ntype: []\nname_mot: []\n"))
+    extended = read_extended_urdf(written(tmp_path / "robot.yaml", "closed_loop: []\ntype: []\nname_mot: []\n"))
     assert (extended.closures, extended.motors, extended.joint_types) == ((), (), {})
 
 
 @pytest.mark.parametrize("prefix", ["", "left_", "robot/"])
 def test_round_trip(prefix: str, tmp_path: Path) -> None:
     robot = manipulator(prefix=prefix)
-    extended = read_extended_urdf(written(tmp_path, extended_urdf_text(robot)))
+    extended = read_extended_urdf(written(tmp_path / "robot.yaml", extended_urdf_text(robot)))
     ends = [(closure.kind, closure.frame_a, closure.frame_b) for closure in read_closures(prefix=prefix)]
     assert [(closure.kind, closure.frame_a, closure.frame_b) for closure in extended.closures] == ends
     assert extended.motors == tuple(prefix + name for name in SLIDES)
@@ -130,12 +124,7 @@ def test_the_public_loader_gets_a_closed_robot() -> None:
     ],
 )
 def test_malformed(tmp_path: Path, text: str, line: int | None, said: str) -> None:
-    path = written(tmp_path, text)
-    with pytest.raises(DescriptionError) as caught:
-        read_extended_urdf(path)
-    assert said in str(caught.value)
-    assert str(caught.value).startswith(f"{path}:{line}: " if line else f"{path}: ")
-    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
+    assert_refused(read_extended_urdf, written(tmp_path / "robot.yaml", text), line, said)
 
 
 def test_missing_file(tmp_path: Path) -> None:
@@ -158,7 +147,7 @@ def test_an_extended_urdf_that_is_not_this_robot_s(old: str, new: str, said: str
     text = Path(CLOSURES_PATH).read_text(encoding="utf-8")
     assert old in text
     with pytest.raises(DescriptionError) as caught:
-        read_robot(URDF_PATH, written(tmp_path, text.replace(old, new)))
+        read_robot(URDF_PATH, written(tmp_path / "robot.yaml", text.replace(old, new)))
     assert said in str(caught.value)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from description.engine_loaders import Drake, Mujoco, Pinocchio
+from text_files import written
 
 from spm_pin.description.closures import Closure
 from spm_pin.description.extended_urdf import extended_urdf_text
@@ -85,12 +86,6 @@ def closed(kind: str, angle: float) -> dict[str, float]:
     return values | ({"wrist": angle} if kind == "weld" else {})
 
 
-def written(tmp_path: Path, text: str, name: str) -> Path:
-    path = tmp_path / name
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
 @pytest.mark.parametrize("kind", CLOSURE)
 def test_frames_and_closures_in_memory(kind: str) -> None:
     own = robot(kind)
@@ -112,7 +107,7 @@ def test_frames_and_closures_in_memory(kind: str) -> None:
     ],
 )
 def test_mjcf(engine: type[Mujoco] | type[Pinocchio], kind: str, anchors: str, tmp_path: Path) -> None:
-    there = engine(written(tmp_path, mjcf_text(robot(kind), anchors=anchors), "own.xml"))
+    there = engine(written(tmp_path / "own.xml", mjcf_text(robot(kind), anchors=anchors)))
     assert there.joints == [joint.name for joint in robot(kind).moving]
     for angle in (0.0, 0.7, -1.1):
         assert np.abs(there.gaps(closed(kind, angle))).max() < 1e-12
@@ -123,8 +118,8 @@ def test_mjcf(engine: type[Mujoco] | type[Pinocchio], kind: str, anchors: str, t
 def test_full_inertias_are_exported(kind: str, tmp_path: Path) -> None:
     own = robot(kind)
     values = closed(kind, 0.3) | {"crank": -0.4}
-    urdf = Pinocchio(written(tmp_path, parallelogram(kind), "own.urdf"), ())
-    mjcf = written(tmp_path, mjcf_text(own), "own.xml")
+    urdf = Pinocchio(written(tmp_path / "own.urdf", parallelogram(kind)), ())
+    mjcf = written(tmp_path / "own.xml", mjcf_text(own))
     for there in (Mujoco(mjcf), Pinocchio(mjcf)):
         np.testing.assert_allclose(there.mass_matrix(values), urdf.mass_matrix(values), rtol=1e-12)
 
@@ -133,7 +128,7 @@ def test_full_inertias_are_exported(kind: str, tmp_path: Path) -> None:
 def test_drake(kind: str, tmp_path: Path) -> None:
     own, values = robot(kind), closed(kind, 0.7)
     for text, name in ((urdf_text(own), "own.urdf"), (mjcf_text(own), "own.xml")):
-        there = Drake(written(tmp_path, text, name))
+        there = Drake(written(tmp_path / name, text))
         assert np.abs(there.gaps(values)).max() < 1e-12
         assert np.abs(there.gaps(values | {"rocker": 0.5})).max() > 0.05
 
@@ -146,7 +141,7 @@ def test_a_robot_that_is_open_at_zero(tmp_path: Path) -> None:
         with pytest.raises(DescriptionError, match=r"closed to 1e-09 m at zero, got loop, open by 0\."):
             writer(own)
     for engine in (Mujoco, Pinocchio):
-        there = engine(written(tmp_path, mjcf_text(own, anchors="sites"), "own.xml"))
+        there = engine(written(tmp_path / "own.xml", mjcf_text(own, anchors="sites")))
         assert np.abs(there.gaps({"crank": 0.5, "coupler": -0.7, "rocker": 0.7})).max() < 1e-12
         assert np.abs(there.gaps({})).max() > 0.1
 
@@ -193,7 +188,7 @@ def test_massless_links() -> None:
 def test_written_urdf_reads_back(tmp_path: Path) -> None:
     for kind, own in ((kind, robot(kind)) for kind in CLOSURE):
         text = urdf_text(own, ros_constraints=True)
-        path = written(tmp_path, text, f"{kind}.urdf")
+        path = written(tmp_path / f"{kind}.urdf", text)
         assert read_urdf(path) == own
         assert read_urdf(path, own.closures) == own
     dynamics = '<dynamics damping="2" friction="3"/>'
@@ -201,7 +196,7 @@ def test_written_urdf_reads_back(tmp_path: Path) -> None:
     own = urdf_description(dynamics, [CLOSURE["point"]])
     assert urdf_description(dynamics.replace("<dynamics", "<joint_properties"), own.closures) == own
     assert urdf_description(urdf_text(own, ros_constraints=True)) == own
-    there = Mujoco(written(tmp_path, mjcf_text(own), "own.xml"))
+    there = Mujoco(written(tmp_path / "own.xml", mjcf_text(own)))
     assert there.model.joint("crank").damping[0] == 2.0
     assert there.model.joint("crank").frictionloss[0] == 3.0
     assert there.model.joint("coupler").limited[0] == 0
@@ -209,16 +204,16 @@ def test_written_urdf_reads_back(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", CLOSURE)
 def test_urdf_and_extended_urdf_make_the_robot(kind: str, tmp_path: Path) -> None:
-    urdf = written(tmp_path, parallelogram(kind).replace(TRANSMISSION, ""), "robot.urdf")
-    extended = written(tmp_path, extended_urdf_text(robot(kind)), "robot.yaml")
+    urdf = written(tmp_path / "robot.urdf", parallelogram(kind).replace(TRANSMISSION, ""))
+    extended = written(tmp_path / "robot.yaml", extended_urdf_text(robot(kind)))
     own = read_robot(urdf, extended)
     assert [(c.kind, c.frame_a, c.frame_b) for c in own.closures] == [
         (c.kind, c.frame_a, c.frame_b) for c in robot(kind).closures
     ]
     assert [transmission.joint for transmission in own.transmissions] == ["crank"]
-    both = written(tmp_path, parallelogram(kind), "both.urdf")
+    both = written(tmp_path / "both.urdf", parallelogram(kind))
     assert read_robot(both, extended).transmissions == robot(kind).transmissions
     assert read_robot(both).closures == ()
     c = CLOSURE[kind]
     ours = f"closures:\n- {{name: {c.name}, kind: {c.kind}, frame_a: {c.frame_a}, frame_b: {c.frame_b}}}\n"
-    assert read_robot(both, written(tmp_path, ours, "closures.yaml")) == robot(kind)
+    assert read_robot(both, written(tmp_path / "closures.yaml", ours)) == robot(kind)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import codecs
-import pickle
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from description.kinematic_tree import KinematicTree, inertia
+from text_files import assert_refused, written
 
 import spm_pin as spm
 from spm_pin.description import CLOSURES_PATH, URDF_PATH
@@ -24,7 +24,7 @@ from spm_pin.description.urdf_elements import check_inertials
 from spm_pin.description.write_mjcf import mjcf_text
 from spm_pin.description.write_sdf import sdf_text
 from spm_pin.description.write_urdf import urdf_text
-from spm_pin.errors import DescriptionError, SpmError
+from spm_pin.errors import DescriptionError
 
 GOOD = """<?xml version="1.0"?>
 <robot name="two">
@@ -61,12 +61,6 @@ BALL = (
 )
 
 
-def written(tmp_path: Path, text: str) -> Path:
-    path = tmp_path / "robot.urdf"
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
 def test_description_of_the_package_is_read() -> None:
     tree, robot = KinematicTree(Path(URDF_PATH).read_text(encoding="utf-8")), read_urdf(URDF_PATH)
     assert robot.base == tree.base
@@ -87,7 +81,7 @@ def test_description_of_the_package_is_read() -> None:
 
 
 def test_smallest_grid(tmp_path: Path) -> None:
-    robot = read_urdf(written(tmp_path, GOOD))
+    robot = read_urdf(written(tmp_path / "robot.urdf", GOOD))
     assert (robot.name, robot.base, [joint.name for joint in robot.moving]) == ("two", "a", ["j"])
     assert robot.transmissions == (Transmission("t", "j", "m"),)
     (shape,) = robot.link["a"].visuals
@@ -155,14 +149,7 @@ def test_elements_that_cannot_be_represented_are_refused(
     old: str, new: str, line: int, said: str, tmp_path: Path
 ) -> None:
     assert old in GOOD
-    path = written(tmp_path, GOOD.replace(old, new, 1))
-    with pytest.raises(DescriptionError) as caught:
-        read_urdf(path)
-    message = str(caught.value)
-    assert said in message
-    assert message.startswith(f"{path}:{line}: ")
-    assert isinstance(caught.value, SpmError)
-    assert str(pickle.loads(pickle.dumps(caught.value))) == message
+    assert_refused(read_urdf, written(tmp_path / "robot.urdf", GOOD.replace(old, new, 1)), line, said)
 
 
 @pytest.mark.parametrize(
@@ -186,7 +173,7 @@ def test_elements_that_cannot_be_represented_are_refused(
 def test_files_that_describe_no_robot_are_refused(old: str, new: str, said: str, tmp_path: Path) -> None:
     assert old in GOOD
     with pytest.raises(DescriptionError) as caught:
-        read_urdf(written(tmp_path, GOOD.replace(old, new, 1)))
+        read_urdf(written(tmp_path / "robot.urdf", GOOD.replace(old, new, 1)))
     assert said in str(caught.value)
 
 
@@ -284,7 +271,7 @@ def mesh_robot(tmp_path: Path) -> tuple[Path, Path]:
     mesh.write_bytes(trimesh.creation.icosphere().export(file_type="stl"))
     text = GOOD.replace('<box size="1 2 3"/>', '<mesh filename="package://my_robot/meshes/part.stl" scale="2 2 2"/>')
     (package / "urdf").mkdir()
-    return written(package / "urdf", text), mesh
+    return written(package / "urdf" / "robot.urdf", text), mesh
 
 
 def test_meshes_are_found_and_kept(mesh_robot: tuple[Path, Path], tmp_path: Path) -> None:
@@ -300,13 +287,13 @@ def test_meshes_are_found_and_kept(mesh_robot: tuple[Path, Path], tmp_path: Path
     np.testing.assert_allclose(extent, 4.0, rtol=0.05)
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
-    moved = written(elsewhere, path.read_text(encoding="utf-8"))
+    moved = written(elsewhere / "robot.urdf", path.read_text(encoding="utf-8"))
     with pytest.raises(DescriptionError, match="Say with packages where my_robot is"):
         read_urdf(moved)
     assert read_urdf(moved, packages={"my_robot": tmp_path / "my_robot"}) == read_urdf(
         moved, packages={"my_robot": str(tmp_path / "my_robot")}
     )
-    beside = written(mesh.parent, path.read_text(encoding="utf-8").replace("my_robot/meshes", ""))
+    beside = written(mesh.parent / "robot.urdf", path.read_text(encoding="utf-8").replace("my_robot/meshes", ""))
     (shape,) = read_urdf(beside).link["a"].visuals
     assert shape.mesh is not None
     assert shape.mesh.path == mesh.resolve()
@@ -344,8 +331,8 @@ def test_names_with_special_characters(tmp_path: Path) -> None:
 
 def test_reading_time_is_linear_in_the_number_of_lines(tmp_path: Path) -> None:
     """Quadratic, it took most of a minute."""
-    path = written(tmp_path, GOOD.replace("</robot>", "\n" * 2_000_000 + "</robot>"))
-    assert read_urdf(path) == read_urdf(written(tmp_path, GOOD))
+    path = written(tmp_path / "robot.urdf", GOOD.replace("</robot>", "\n" * 2_000_000 + "</robot>"))
+    assert read_urdf(path) == read_urdf(written(tmp_path / "robot.urdf", GOOD))
 
 
 @pytest.mark.parametrize(

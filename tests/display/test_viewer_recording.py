@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from text_files import written
 
 import spm_pin as spm
 from spm_pin.display.viewer.recording import Recording
@@ -23,25 +24,19 @@ def csv(names, table):
     return "\n".join([", ".join(names), *(", ".join(map(repr, map(float, row))) for row in table)])
 
 
-def written(tmp_path, name, text):
-    path = tmp_path / name
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
 def files(tmp_path):
     times = np.array([2.0, 3.0, 5.0])
     position, quaternion = STATES.translation, STATES.pose.rotation.as_quat()
     legs = csv([*spm.mechanism.LEGS, "t"], np.column_stack([LEGS, times]))
     angles = csv(["x", "y", "z", "alpha_deg", "beta_deg", "lambda_deg", "t"], np.column_stack([position, XYX, times]))
     turns = csv(["t", "x", "y", "z", "qx", "qy", "qz", "qw"], np.column_stack([times, position, quaternion]))
-    yield written(tmp_path, "legs.csv", "# a comment\n" + legs)
-    yield written(tmp_path, "angles.csv", angles)
-    yield written(tmp_path, "turns.csv", turns)
+    yield written(tmp_path / "legs.csv", "# a comment\n" + legs)
+    yield written(tmp_path / "angles.csv", angles)
+    yield written(tmp_path / "turns.csv", turns)
     matrices = STATES.pose.as_matrix()
-    yield written(tmp_path, "poses.json", json.dumps({"poses": matrices.tolist(), "time": times.tolist()}))
+    yield written(tmp_path / "poses.json", json.dumps({"poses": matrices.tolist(), "time": times.tolist()}))
     content = {"translation": position.tolist(), "xyx_deg": XYX.tolist(), "time": times.tolist()}
-    yield written(tmp_path, "angles.json", json.dumps(content))
+    yield written(tmp_path / "angles.json", json.dumps(content))
     np.savez(tmp_path / "legs.npz", leg_lengths=LEGS, time=times)
     yield tmp_path / "legs.npz"
 
@@ -61,7 +56,7 @@ def test_every_format_gives_the_same_states(tmp_path):
 
 
 def test_without_times_a_path_takes_ten_seconds_and_time_runs_along_it(tmp_path):
-    path = written(tmp_path, "legs.csv", csv(spm.mechanism.LEGS, LEGS))
+    path = written(tmp_path / "legs.csv", csv(spm.mechanism.LEGS, LEGS))
     playback = read_recording(path).follow(PAPER)
     assert playback.duration == 10.0
     assert playback.time(0.25) == pytest.approx(2.5)
@@ -102,7 +97,7 @@ def test_the_branch_is_followed_from_the_one_named():
 )
 def test_files_that_are_no_paths(tmp_path, name, text, says):
     with pytest.raises(spm.ArgumentError, match=says):
-        read_recording(written(tmp_path, name, text))
+        read_recording(written(tmp_path / name, text))
 
 
 def test_a_file_that_is_not_there(tmp_path):
