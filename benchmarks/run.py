@@ -109,7 +109,7 @@ def main() -> int:
     load.append(os.getloadavg()[0])
     kind = "A quick run, with few rounds: for a look, not to be quoted." if options.quick else ""
     head = [INTRODUCTION, kind, interrupted, f"Measured on {time.strftime('%Y-%m-%d')}.", describe(PACKAGES, load)]
-    text = "\n\n".join([*filter(None, head), check(facts).markdown, *(one.markdown for one in done)]) + "\n"
+    text = "\n\n".join([*filter(None, head), check(facts).markdown, *(section.markdown for section in done)]) + "\n"
     print(text)
     if out is not None:
         write(out, text)

@@ -52,16 +52,16 @@ class Memory:
     def _watch(self) -> None:
         here = psutil.Process()
         while not self._stop.wait(0.05):
-            own = here.memory_info().rss
+            driver = here.memory_info().rss
             others = []
             for child in here.children(recursive=True):
                 try:
                     others.append(child.memory_info().rss)
                 except psutil.NoSuchProcess:
                     continue
-            self.driver = max(self.driver, own)
+            self.driver = max(self.driver, driver)
             self.worker = max([self.worker, *others])
-            self.together = max(self.together, own + sum(others))
+            self.together = max(self.together, driver + sum(others))
 
 
 def lattice(points: int) -> Domain:
@@ -112,14 +112,14 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2, help="processes (2)")
     parser.add_argument("--folder", type=Path, help="where to put the stores for the while; a temporary one")
     parser.add_argument("--write", type=Path, help="also write the table to this file")
-    asked = parser.parse_args()
+    options = parser.parse_args()
     versions = ", ".join(f"{name} {version(name)}" for name in ("dask", "numpy", "xarray", "zarr"))
     load = psutil.getloadavg()[0]
     lines = [
         "# A sweep of poses",
         "",
         f"By `python benchmarks/sweep.py`: {', '.join(METRICS)};",
-        f"{asked.workers} worker processes on {psutil.cpu_count()} processors, load {load:.1f} beforehand.",
+        f"{options.workers} worker processes on {psutil.cpu_count()} processors, load {load:.1f} beforehand.",
         "Memory is the largest resident size, in MiB, of the process that drives, of a worker, and of all",
         "together; pages that processes share are counted in each.",
         f"Python {platform.python_version()}, {versions}.",
@@ -128,24 +128,24 @@ def main() -> None:
         "|---|---|---|---|---|---|---|---|---|",
     ]
     print("\n".join(lines), flush=True)
-    with tempfile.TemporaryDirectory(dir=asked.folder) as folder:
+    with tempfile.TemporaryDirectory(dir=options.folder) as folder:
         # Kernels are compiled once per machine, which is not what is measured.
         spm.sweeps.run(GEOMETRY, lattice(2000), METRICS, Path(folder, "first"), workers=1)
-        poses, legs = per_core(asked.points // 10)
+        poses, legs = per_core(options.points // 10)
         rows = (
-            ("fewer points", asked.points // 10, CHUNK, "tenth"),
-            ("all", asked.points, CHUNK, "all"),
-            ("all, in larger chunks", asked.points, 4 * CHUNK, "large"),
-            ("all again: verified", asked.points, CHUNK, "all"),
+            ("fewer points", options.points // 10, CHUNK, "tenth"),
+            ("all", options.points, CHUNK, "all"),
+            ("all, in larger chunks", options.points, 4 * CHUNK, "large"),
+            ("all again: verified", options.points, CHUNK, "all"),
         )
         for name, points, chunk, store in rows:
-            lines.append(run(name, points, asked.workers, chunk, Path(folder, store)))
+            lines.append(run(name, points, options.workers, chunk, Path(folder, store)))
             print(lines[-1], flush=True)
     rates = f"One core evaluates {poses:.0f} poses, or {legs:.0f} sets of leg lengths, per second of processor time."
     lines += ["", rates]
     print(f"\n{rates}")
-    if asked.write is not None:
-        asked.write.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    if options.write is not None:
+        options.write.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

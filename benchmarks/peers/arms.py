@@ -43,12 +43,11 @@ def poses_of(arm: str, joints: FloatArray) -> FloatArray:
 
 
 def solve(problem: tuple[str, FloatArray]) -> Prepared:
-    """All branches of poses (n, 4, 4), one call for all on one thread; read as joint angles (k, 6) per pose."""
+    """Prepare all branches of poses (n, 4, 4), one call for all on one thread; read as joint angles (k, 6) per pose."""
     arm, matrices = problem
-    made = robot(arm)
-    asked = list(matrices)
+    made, batch = robot(arm), list(matrices)
 
     def read(found: list[Any]) -> list[FloatArray]:
-        return [np.array(one.Q)[~np.asarray(one.is_LS, dtype=bool)].reshape(-1, 6) for one in found]
+        return [np.array(branch.Q)[~np.asarray(branch.is_LS, dtype=bool)].reshape(-1, 6) for branch in found]
 
-    return Prepared(lambda: made.IK_batched(asked, 1), read)
+    return Prepared(lambda: made.IK_batched(batch, 1), read)

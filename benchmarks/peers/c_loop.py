@@ -28,7 +28,7 @@ class Arrays:
 
     @classmethod
     def of(cls, poses: RigidTransform) -> Arrays:
-        """Make room for the answers."""
+        """Allocate the results of poses."""
         matrices = np.ascontiguousarray(poses.as_matrix())
         n = len(matrices)
         return cls(matrices, np.empty((n, 8, 3, 3)), np.empty((n, 8, 6)), np.empty(n, dtype=np.int8))
@@ -51,14 +51,14 @@ def real_branches(joints: FloatArray) -> list[FloatArray]:
 
 
 def answered(problem: tuple[Geometry, RigidTransform]) -> Prepared:
-    """Into arrays that are there and were written before."""
+    """Prepare the C loop, which writes into the same arrays at every call."""
     geometry, poses = problem
     loaded, arrays = library("inverse.c"), Arrays.of(poses)
     return Prepared(lambda: run(loaded, geometry, arrays), _read)
 
 
 def fresh(problem: tuple[Geometry, RigidTransform]) -> Prepared:
-    """Into new arrays at each call, as a function that returns its answer."""
+    """Prepare the C loop with newly allocated arrays at every call."""
     geometry, poses = problem
     loaded = library("inverse.c")
     return Prepared(lambda: run(loaded, geometry, Arrays.of(poses)), _read)

@@ -17,13 +17,13 @@ from spm_pin import Geometry
 __all__ = ["compiled_newton", "ipopt", "mapped_newton"]
 
 STEPS = 25
-"""Newton steps from each start of the compiled version, without a test of convergence."""
+"""Newton steps from each start in the compiled version, which has no test of convergence."""
 ITERATIONS = 60
-"""At most so many steps of the mapped one, which stops where the loops are closed."""
+"""Most Newton steps in the mapped version, which stops where the loops are closed."""
 
 
 def ipopt(problem: tuple[Geometry, RigidTransform]) -> Prepared:
-    """IPOPT on the feasibility problem, start by start."""
+    """Prepare IPOPT on the feasibility problem, start by start."""
     required("casadi", "casadi")
     from spm_pin.nlp.solvers import Ipopt
 
@@ -41,7 +41,7 @@ def mapped_newton(problem: tuple[Geometry, RigidTransform]) -> Prepared:
 
 
 def compiled_newton(problem: tuple[Geometry, RigidTransform]) -> Prepared:
-    """Newton on the three sides along the lines of the ball joints, generated as C with all its steps, mapped."""
+    """Prepare Newton on the three sides along the ball joints' lines, generated as C with all its steps, mapped."""
     geometry, _ = problem
     function = _compiled(geometry)
 

@@ -1,4 +1,4 @@
-"""The exported C of `spm_pin.symbolic`, called pose by pose from a loop in C, and each call by the clock."""
+"""The exported C of `spm_pin.symbolic`, called pose by pose from a loop in C, and the time of each call."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _library(geometry: Geometry) -> ctypes.CDLL:
 
 
 def answered(problem: tuple[Geometry, RigidTransform]) -> Prepared:
-    """Into arrays that are there, with all checks of a controller."""
+    """Prepare the exported C with all its checks, writing into the same arrays at every call."""
     geometry, poses = problem
     loaded, arrays = _library(geometry), Arrays.of(poses)
     results = [address(x) for x in (arrays.poses, arrays.joints, arrays.lengths, arrays.status)]
@@ -110,7 +110,7 @@ def call_times(states: Configuration, change: float, calls: int) -> tuple[FloatA
     rows = np.concatenate([part.reshape(len(part), -1) for part in parts], axis=-1)
     moved = states.leg_lengths + np.random.default_rng(0).uniform(-change, change, states.leg_lengths.shape)
     seconds, failed = np.empty((len(CALLS), calls)), []
-    for which, own in enumerate(seconds):
+    for which, times in enumerate(seconds):
         count = ctypes.c_long(calls), ctypes.c_long(len(rows))
-        failed.append(loaded.time_calls(which, *count, address(rows), address(moved), address(own)))
+        failed.append(loaded.time_calls(which, *count, address(rows), address(moved), address(times)))
     return seconds, failed

@@ -1,7 +1,7 @@
 """PoseLib's generalised three-point problem: a triangle with its corners on three lines.
 
 The middle platform is the triangle, the lines are those of `lines.py`: the same algebra, for all real solutions.
-Poses are asked one by one, as its binding has it.
+It is called pose by pose, as its binding takes no batches.
 """
 
 from __future__ import annotations
@@ -19,33 +19,33 @@ __all__ = ["bare", "complete"]
 
 
 def bare(problem: tuple[Geometry | AsBuiltGeometry, RigidTransform]) -> Prepared:
-    """Make the call alone: lines made beforehand, and the poses of the triangle as they come."""
+    """Prepare the call alone: lines computed beforehand, results left as poses of the triangle."""
     geometry, poses = problem
     gp3p = required("poselib", "poselib").gp3p
     triangle = _triangle(geometry)
     points, directions = lines(geometry, poses.as_matrix())
-    asked = list(zip(points, directions, strict=True))
+    lines_of_poses = list(zip(points, directions, strict=True))
 
     def read(found: list[Any]) -> list[FloatArray]:
         return [_joints(solutions, triangle) for solutions in found]
 
-    return Prepared(lambda: [gp3p(point, direction, triangle) for point, direction in asked], read)
+    return Prepared(lambda: [gp3p(point, direction, triangle) for point, direction in lines_of_poses], read)
 
 
 def complete(problem: tuple[Geometry, RigidTransform]) -> Prepared:
-    """Go from poses to ball joints and leg lengths, one pose after the other in Python."""
+    """Prepare the way from poses to ball joints and leg lengths, pose by pose in Python."""
     geometry, poses = problem
     gp3p = required("poselib", "poselib").gp3p
     triangle, matrices = _triangle(geometry), poses.as_matrix()
 
-    def one(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def solve(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
         point, direction = lines(geometry, matrix)
         joints = _joints(gp3p(point, direction, triangle), triangle)
         platform = geometry.platform_joints @ matrix[:3, :3].T + matrix[:3, 3]
         legs = np.concatenate([joints - geometry.base_joints, platform - joints], axis=-2)
         return joints, np.sqrt((legs * legs).sum(axis=-1))
 
-    return Prepared(lambda: [one(matrix) for matrix in matrices], lambda found: [joints for joints, _ in found])
+    return Prepared(lambda: [solve(matrix) for matrix in matrices], lambda found: [joints for joints, _ in found])
 
 
 def _triangle(geometry: Geometry | AsBuiltGeometry) -> FloatArray:
@@ -55,4 +55,4 @@ def _triangle(geometry: Geometry | AsBuiltGeometry) -> FloatArray:
 
 
 def _joints(solutions: list[Any], triangle: FloatArray) -> FloatArray:
-    return np.array([triangle @ one.R.T + one.t for one in solutions]).reshape(-1, 3, 3)
+    return np.array([triangle @ pose.R.T + pose.t for pose in solutions]).reshape(-1, 3, 3)

@@ -18,7 +18,7 @@ REAL = 1e-6
 
 
 def numpy_roots(problem: tuple[Geometry, RigidTransform]) -> Prepared:
-    """Call `numpy.roots`, polynomial by polynomial."""
+    """Prepare `numpy.roots`, polynomial by polynomial, the coefficients computed beforehand."""
     geometry, poses = problem
     polynomials, reach, lines = _polynomials(geometry, poses)
 
@@ -29,19 +29,19 @@ def numpy_roots(problem: tuple[Geometry, RigidTransform]) -> Prepared:
 
 
 def numpy_roots_complete(problem: tuple[Geometry, RigidTransform]) -> Prepared:
-    """Make the coefficients of each polynomial as well, pose by pose."""
+    """Prepare the coefficients and `numpy.roots`, pose by pose."""
     geometry, poses = problem
-    asked = [poses[k] for k in range(len(poses))]
+    singles = [poses[k] for k in range(len(poses))]
     _, reach, lines = _polynomials(geometry, poses)
 
     def read(roots: list[FloatArray]) -> list[FloatArray]:
         return _second_joints(np.array(roots), reach, lines)
 
-    return Prepared(lambda: [np.roots(_polynomials(geometry, one)[0][0]) for one in asked], read)
+    return Prepared(lambda: [np.roots(_polynomials(geometry, pose)[0][0]) for pose in singles], read)
 
 
 def companions(problem: tuple[Geometry, RigidTransform]) -> Prepared:
-    """Take the eigenvalues of all companion matrices in one call."""
+    """Prepare the eigenvalues of all companion matrices, one call for all."""
     geometry, poses = problem
     polynomials, reach, lines = _polynomials(geometry, poses)
 
@@ -62,15 +62,15 @@ def _polynomials(geometry: Geometry, poses: RigidTransform) -> tuple[FloatArray,
     nodes = np.cos((np.arange(DEGREE + 1) + 0.5) * np.pi / (DEGREE + 1))
     values = resultant.determinant(reach * nodes)
     series = np.linalg.solve(chebyshev.chebvander(nodes, DEGREE), values.T).T
-    highest_first = np.array([chebyshev.cheb2poly(one)[::-1] for one in series])
+    highest_first = np.array([chebyshev.cheb2poly(row)[::-1] for row in series])
     return highest_first / np.abs(highest_first).max(axis=-1, keepdims=True), reach, resultant.s[:, 1]
 
 
 def _second_joints(roots: FloatArray, reach: float, lines: FloatArray) -> list[FloatArray]:
     """Complete real roots to b_2, Eq. (11), and leave b_1 and b_3, which they are not enough for."""
     found = []
-    for own, (s_21, s_22) in zip(roots, lines, strict=True):
-        y = reach * own[np.abs(own.imag) <= REAL].real
+    for values, (s_21, s_22) in zip(roots, lines, strict=True):
+        y = reach * values[np.abs(values.imag) <= REAL].real
         joints = np.full((len(y), 3, 3), np.nan)
         joints[:, 1] = np.stack([0.0 * y, y, s_21 + s_22 * y], axis=-1)
         found.append(joints)

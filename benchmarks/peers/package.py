@@ -29,7 +29,7 @@ __all__ = [
 
 
 def inverse(problem: tuple[spm.Geometry | spm.AsBuiltGeometry, RigidTransform]) -> Prepared:
-    """Ball joints, leg lengths and status of all branches: everything the C loop writes."""
+    """Prepare `inverse_displacement`: ball joints, leg lengths and status of all branches, as the C loop writes."""
     geometry, poses = problem
 
     def call() -> spm.SolutionSet:
@@ -41,7 +41,7 @@ def inverse(problem: tuple[spm.Geometry | spm.AsBuiltGeometry, RigidTransform]) 
 
 
 def inverse_physical(problem: tuple[spm.Geometry | spm.AsBuiltGeometry, RigidTransform]) -> Prepared:
-    """Find the branch that a real machine is in."""
+    """Prepare `inverse_physical`: the branch that a real machine is in."""
     geometry, poses = problem
     return Prepared(
         lambda: spm.inverse_physical(geometry, poses), lambda found: real_branches(found.middle_joints[:, None])
@@ -49,13 +49,13 @@ def inverse_physical(problem: tuple[spm.Geometry | spm.AsBuiltGeometry, RigidTra
 
 
 def lengths_only(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
-    """Leg lengths and status of all branches, no ball joints; read as the lengths (n, 8, 6)."""
+    """Prepare `branch_lengths`: lengths and status of all branches; read as the lengths (n, 8, 6)."""
     geometry, poses = problem
     return Prepared(lambda: branch_lengths(geometry, poses), lambda found: found[0])
 
 
 def kernel(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
-    """Run the compiled loop alone, into arrays that are there, as the C loop does."""
+    """Prepare the compiled loop alone, which writes into the same arrays at every call, as the C loop does."""
     from spm_pin.closed_form.kernels.branch_kernels import all_branches
 
     geometry, poses = problem
@@ -73,7 +73,7 @@ def kernel(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
 
 
 def paper_inverse(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
-    """Eqs. (5)-(20) with Newton steps on Eq. (13)."""
+    """Prepare the paper's Eqs. (5)-(20) with Newton steps on Eq. (13)."""
     geometry, poses = problem
     return Prepared(
         lambda: resultant.inverse_displacement(geometry, poses),
@@ -88,18 +88,18 @@ def renewed(configuration: spm.Configuration) -> spm.Configuration:
 
 
 def jacobian(configuration: spm.Configuration) -> Prepared:
-    """J_f of states (n,)."""
+    """Prepare J_f of states (n,)."""
     return Prepared(lambda: spm.inverse_jacobian(renewed(configuration)), np.asarray)
 
 
 def forces(problem: tuple[spm.Configuration, FloatArray]) -> Prepared:
-    """Leg forces of states (n,) under wrenches (n, 6)."""
+    """Prepare the leg forces of states (n,) under wrenches (n, 6)."""
     configuration, wrenches = problem
     return Prepared(lambda: spm.leg_forces(renewed(configuration), wrenches), np.asarray)
 
 
 def physical(problem: tuple[spm.Geometry, FloatArray]) -> Prepared:
-    """Find the assembly mode a machine is in, of leg lengths (n, 6)."""
+    """Prepare `forward_physical` of leg lengths (n, 6)."""
     geometry, lengths = problem
 
     def read(configuration: Any) -> FloatArray:
@@ -109,6 +109,6 @@ def physical(problem: tuple[spm.Geometry, FloatArray]) -> Prepared:
 
 
 def modes(problem: tuple[spm.Geometry, FloatArray]) -> Prepared:
-    """All assembly modes of leg lengths (n, 6); read as their numbers (n,)."""
+    """Prepare all assembly modes of leg lengths (n, 6); read as their numbers (n,)."""
     geometry, lengths = problem
     return Prepared(lambda: spm.forward_displacement(geometry, lengths), lambda found: np.asarray(found.count))

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from benchmarks.peers import (
+    assembly_modes,
     c_loop,
     casadi_search,
     certified,
     exported,
-    forward,
     gp3p,
+    jacobians,
     octic,
     package,
     pinocchio_search,
     scipy_search,
-    velocity,
 )
 from benchmarks.peers.multistart import STARTS
 from benchmarks.peers.peer import Peer
@@ -29,8 +29,8 @@ PACKAGES = ("numpy", "scipy", "numba", "poselib", "casadi", "pin", "python-flint
 # Problem: (geometry, poses (n,)). Read as the branches of each pose, (k, 3, 3) [m], NaN where only b_2 is known.
 INVERSE = (
     Peer(OURS, "`inverse_displacement`: all branches, b_1 to b_3, six lengths, status", package.inverse, 10_000),
-    Peer("spm_pin, kernel alone", "the same, compiled loop, into arrays that are there", package.kernel, 10_000),
-    Peer("C loop", "the same, four quadratics in plain C, into arrays that are there", c_loop.answered, 10_000),
+    Peer("spm_pin, kernel alone", "the same, compiled loop, into the same arrays each time", package.kernel, 10_000),
+    Peer("C loop", "the same, four quadratics in plain C, into the same arrays each time", c_loop.answered, 10_000),
     Peer("C loop, new arrays", "the same, into newly allocated arrays", c_loop.fresh, 10_000),
     Peer("C loop, exported", "`spm-pin export c`, pose by pose, -O2, with its checks", exported.answered, 10_000),
     Peer("poselib.gp3p, bare", "the call alone, lines made beforehand: platform poses", gp3p.bare, 1_000),
@@ -58,36 +58,39 @@ AS_BUILT = (
 # Problem: Configuration (n,). Read as J_f (n, 6, 6).
 JACOBIAN = (
     Peer(OURS, "`inverse_jacobian`", package.jacobian, 10_000),
-    Peer("NumPy 9 × 9, bare", "stacked solve of Eq. (30b), matrices made beforehand", velocity.nine_by_nine, 2_000),
-    Peer("NumPy 9 × 9", "matrices from the states, and the solve", velocity.nine_by_nine_complete, 2_000),
-    Peer("Pinocchio", "constraint Jacobians, state by state", velocity.pinocchio, 100),
+    Peer("NumPy 9 × 9, bare", "stacked solve of Eq. (30b), matrices made beforehand", jacobians.nine_by_nine, 2_000),
+    Peer("NumPy 9 × 9", "matrices from the states, and the solve", jacobians.nine_by_nine_complete, 2_000),
+    Peer("Pinocchio", "constraint Jacobians, state by state", jacobians.pinocchio, 100),
 )
 
 # Problem: (Configuration (n,), wrenches (n, 6)). Read as leg forces (n, 6) [N].
 FORCES = (
     Peer(OURS, "`leg_forces`", package.forces, 10_000),
     Peer(
-        "NumPy 9 × 9, bare", "stacked 9 × 9 and 6 × 6, matrices made beforehand", velocity.forces_by_nine_by_nine, 2_000
+        "NumPy 9 × 9, bare",
+        "stacked 9 × 9 and 6 × 6, matrices made beforehand",
+        jacobians.forces_by_nine_by_nine,
+        2_000,
     ),
-    Peer("NumPy 9 × 9", "matrices from the states, both solves", velocity.forces_by_nine_by_nine_complete, 2_000),
-    Peer("Pinocchio", "constraint Jacobians, state by state", velocity.forces_by_pinocchio, 100),
+    Peer("NumPy 9 × 9", "matrices from the states, both solves", jacobians.forces_by_nine_by_nine_complete, 2_000),
+    Peer("Pinocchio", "constraint Jacobians, state by state", jacobians.forces_by_pinocchio, 100),
 )
 
 # Problem: (geometry, leg lengths (n, 6)). Read as b_1 to b_3, (n, 3, 3) [m], NaN where none was found.
 PHYSICAL = (
     Peer(OURS, "`forward_physical`", package.physical, 10_000),
-    Peer("SciPy fsolve", "once per stage, from level platforms", forward.newton_from_equal_legs, 50),
-    Peer("Pinocchio", "`ClosedChain.project` from the home, legs held", forward.pinocchio, 50),
+    Peer("SciPy fsolve", "once per stage, from level platforms", assembly_modes.newton_from_equal_legs, 50),
+    Peer("Pinocchio", "`ClosedChain.project` from the home, legs held", assembly_modes.pinocchio, 50),
 )
 
 # Problem: (geometry, leg lengths (n, 6)). Read as the number of real assembly modes (n,).
 MODES = (
     Peer(OURS, "`forward_displacement`: all modes, poses and joints", package.modes, 500),
-    Peer("python-flint", "degree 16 per stage, roots isolated: the number, certified", forward.certified, 4),
+    Peer("python-flint", "degree 16 per stage, roots isolated: the number, certified", assembly_modes.certified, 4),
     Peer(
         "SciPy multi-start",
         "fsolve until as many starts again find nothing new",
-        forward.multistart,
+        assembly_modes.multistart,
         2,
     ),
 )

@@ -23,7 +23,7 @@ CLOSED = 1e-13
 
 
 def newton(problem: tuple[Geometry, RigidTransform]) -> Prepared:
-    """From random joint values, pose by pose."""
+    """Prepare Newton from random joint values, pose by pose."""
     pin: Any = required("pinocchio", "pin")
     from spm_pin.multibody.chain import ClosedChain
 
@@ -49,7 +49,7 @@ def newton(problem: tuple[Geometry, RigidTransform]) -> Prepared:
             rows.append(next(both) - next(both))
         return np.concatenate(parts), np.concatenate(rows)
 
-    def one(matrix: FloatArray, starts: FloatArray) -> FloatArray:
+    def solve(matrix: FloatArray, starts: FloatArray) -> FloatArray:
         wanted = pin.SE3(matrix)
         found = np.full((len(starts), 9), np.nan)
         for k, start in enumerate(starts):
@@ -72,6 +72,6 @@ def newton(problem: tuple[Geometry, RigidTransform]) -> Prepared:
     matrices = poses.as_matrix()
 
     def read(answers: list[FloatArray]) -> list[FloatArray]:
-        return [branches(geometry, matrix, own) for matrix, own in zip(matrices, answers, strict=True)]
+        return [branches(geometry, matrix, found) for matrix, found in zip(matrices, answers, strict=True)]
 
-    return Prepared(lambda: [one(matrix, own) for matrix, own in zip(matrices, starts, strict=True)], read)
+    return Prepared(lambda: [solve(matrix, guesses) for matrix, guesses in zip(matrices, starts, strict=True)], read)

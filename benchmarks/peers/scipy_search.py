@@ -46,29 +46,32 @@ class LoopEquations:
 
 
 def by_fsolve(problem: tuple[Geometry, RigidTransform]) -> Prepared:
-    """MINPACK's hybrid method."""
+    """Prepare MINPACK's hybrid method."""
     geometry, _ = problem
 
     def solve(starts: FloatArray, matrix: FloatArray) -> FloatArray:
-        own = LoopEquations(geometry, matrix)
+        equations = LoopEquations(geometry, matrix)
         # With full_output it says nothing where it fails; what has not converged is sorted out by the residual.
         return np.array(
-            [fsolve(own.value, start, fprime=own.slope, xtol=1e-14, full_output=True)[0] for start in starts]
+            [
+                fsolve(equations.value, start, fprime=equations.slope, xtol=1e-14, full_output=True)[0]
+                for start in starts
+            ]
         )
 
     return search(problem, solve)
 
 
 def by_least_squares(problem: tuple[Geometry, RigidTransform]) -> Prepared:
-    """MINPACK's Levenberg-Marquardt method."""
+    """Prepare MINPACK's Levenberg-Marquardt method."""
     geometry, _ = problem
 
     def solve(starts: FloatArray, matrix: FloatArray) -> FloatArray:
-        own = LoopEquations(geometry, matrix)
+        equations = LoopEquations(geometry, matrix)
         tolerances = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
         return np.array(
             [
-                least_squares(own.value, start, lambda b: own.slope(b).copy(), method="lm", **tolerances).x
+                least_squares(equations.value, start, lambda b: equations.slope(b).copy(), method="lm", **tolerances).x
                 for start in starts
             ]
         )

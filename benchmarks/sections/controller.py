@@ -1,4 +1,4 @@
-"""The exported C, every call by the clock: what counts on a controller is the slowest."""
+"""Times of every single call of the exported C: a controller must wait for the slowest."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
         "state is the one whose calls have the largest median."
     )
     rows = []
-    for name, own, none in zip(CALLS, times, failed, strict=True):
-        slowest = np.median(own.reshape(-1, _STATES), axis=0).max()
-        numbers = *np.quantile(own, [0.5, 0.999, 1.0]), slowest
+    for name, seconds_of_calls, none in zip(CALLS, times, failed, strict=True):
+        slowest = np.median(seconds_of_calls.reshape(-1, _STATES), axis=0).max()
+        numbers = *np.quantile(seconds_of_calls, [0.5, 0.999, 1.0]), slowest
         rows.append([name, *(seconds(float(x)) for x in numbers), count(none)])
     section.add(table(["", "median", "99.9 %", "worst", "slowest state", "not found"], rows))
     return section

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.peers import c_loop
-from benchmarks.peers.forward import certified, multistart
+from benchmarks.peers.assembly_modes import certified, multistart
 from benchmarks.peers.package import modes
 from benchmarks.peers.peer import Peer, Unavailable
 from benchmarks.peers.peers_by_task import MODES, OURS, PHYSICAL
@@ -20,7 +20,7 @@ _UNIT = "C loop, inverse"
 
 
 def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
-    """Time both, and count what a multi-start finds."""
+    """Time the physical mode, then all modes, and count the modes that a multi-start finds."""
     section = Section("Forward displacement")
     section.add(
         "Leg lengths drawn uniformly from the limits. The physical mode first; one inverse solve of the C loop is in "
@@ -48,7 +48,7 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
 
 
 def _found(lengths: np.ndarray, progress: Progress) -> str:
-    """Return a table of the modes found, of those certified."""
+    """Return a table: of the certified assembly modes, the share that a multi-start finds."""
     progress("counting assembly modes")
     problem = GEOMETRY, lengths
     ours = modes(problem)

@@ -1,4 +1,4 @@
-"""Whole jobs as users have them, each beside what they would otherwise take."""
+"""Whole jobs from input to answer, each beside the tool that a user would otherwise take."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from spm_pin.sweeps.runner import CHUNK
 __all__ = ["ACCURACY", "box", "measure", "metrics_by_numpy", "of_simulation", "tick", "walk"]
 
 ACCURACY = 1e-4
-"""Error of the leg lengths after a second of simulation that is allowed to all [m]."""
+"""Largest error of the leg lengths after a second, for every simulator [m]."""
 METRICS = ("reachable", "branches", "conditioning", "payload")
 _LENGTHS = np.array([1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
 _STIFFNESS, _DAMPING = 2e4, 500.0
@@ -243,7 +243,7 @@ def tick(chain: Any) -> Callable[[FloatArray, FloatArray], FloatArray]:
 
 
 def _control(section: Section, chain: Any, n: int, progress: Progress, facts: Facts) -> None:
-    """Time each tick by itself."""
+    """Time every control step on its own."""
     progress(f"{n} control ticks")
     lengths = walk(n + 1)
     rates = np.diff(lengths, axis=0) / 1e-3

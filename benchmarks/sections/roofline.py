@@ -22,14 +22,14 @@ __all__ = ["measure"]
 
 _FLAGS = ("-O3", "-march=native", "-fno-math-errno")
 _CACHED = 2048
-"""Doubles that stay in the first cache."""
+"""Number of doubles that fit into the first-level cache."""
 _TURNS = 100_000
 _KERNEL = f"{OURS}, kernel alone"
 _FEW = 1000
-"""Poses whose results, a megabyte, stay in a cache."""
+"""Number of poses whose results, a megabyte, fit into a cache."""
 _CACHE, _AGAIN, _NEW = "a cache", "memory written before", "new memory"
 _PLACES = (_CACHE, _AGAIN, _NEW)
-"""Where results go."""
+"""Memory that the results are written to."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Limits:
 
 
 def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
-    """Measure the limits and the solvers in the same rounds, side by side."""
+    """Measure the limits of the machine and the solvers in the same rounds."""
     section = Section("Roofline")
     try:
         limits_of = _limits(pace)
@@ -80,7 +80,7 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
         TimedCall(f"C loop {_NEW}", c_loop.fresh((GEOMETRY, many)).call, large),
     ]
     timings = time_in_turns([*limits_of, *timed_calls], Pace(max(5, pace.rounds // 2), pace.turn / 2.0), progress)
-    limits = Limits(*(1.0 / timings[one.name].spread.median for one in limits_of))
+    limits = Limits(*(1.0 / timings[call.name].spread.median for call in limits_of))
     arrays = c_loop.Arrays.of(few)
     read = arrays.poses.nbytes / small
     written = (arrays.joints.nbytes + arrays.lengths.nbytes + arrays.status.nbytes) / small

@@ -1,4 +1,4 @@
-"""Steps between poses, states and joints: per item of a batch, and of one."""
+"""Conversions between poses, states and joint values: times per item of a batch, and of a single item."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MANY = 10_000
 
 
 def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
-    """Time each step beside the call or the library that it stands on."""
+    """Time each conversion beside the call or the library that it uses."""
     section = Section("States and joints")
     with spm.threads(1):
         _batches(section, pace, progress, facts)
@@ -54,7 +54,7 @@ def _batches(section: Section, pace: Pace, progress: Progress, facts: Facts) -> 
         TimedCall("`ClosedChain.joint_values`", lambda: chain.joint_values(renewed(physical)), _MANY),
     ]
     timings = time_in_turns(calls, pace, progress)
-    rows = [[one.name, count(one.items), *spread_of_seconds(timings[one.name].spread)] for one in calls]
+    rows = [[call.name, count(call.items), *spread_of_seconds(timings[call.name].spread)] for call in calls]
     section.add("Per item of a batch:")
     section.add(table(["", "items a call", "per item", "quartiles"], rows))
     facts["states/physical"] = timings["`inverse_physical`"].over(timings["`inverse_displacement`"])
@@ -63,7 +63,7 @@ def _batches(section: Section, pace: Pace, progress: Progress, facts: Facts) -> 
 
 
 def _singles(section: Section, pace: Pace, progress: Progress, facts: Facts) -> None:
-    """Time single calls, and the dynamics beside the Pinocchio calls and matrices that are within them."""
+    """Time single calls, and the dynamics beside the Pinocchio calls and matrices that they contain."""
     chain = spm.ClosedChain.from_urdf()
     plain = PlainPinocchio(chain)
     pose = leg_space(1)[0]

@@ -1,4 +1,4 @@
-"""J_f and leg forces, per branch."""
+"""J_f and leg forces of real branches: the package and its peers."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def states(count: int, seed: int = 0) -> spm.Configuration:
 
 
 def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
-    """Time J_f, then the forces."""
+    """Time J_f of the same states by all peers, then the leg forces."""
     section = Section("J_f and leg forces")
     section.add("Per real branch of the same poses; nothing derived from a state is kept between calls.")
     every = states(max(peer.items for peer in JACOBIAN))

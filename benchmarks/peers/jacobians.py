@@ -22,25 +22,25 @@ __all__ = [
 
 
 def nine_by_nine(configuration: spm.Configuration) -> Prepared:
-    """Do the solve of Eq. (30b) alone, J_α and J_λ made beforehand, all states stacked."""
+    """Prepare the solve of Eq. (30b) alone: J_α and J_λ computed beforehand, all states stacked."""
     left, right = _matrices(configuration)
     return Prepared(lambda: _solved(left, right), np.asarray)
 
 
 def nine_by_nine_complete(configuration: spm.Configuration) -> Prepared:
-    """J_α and J_λ from the states, and the solve."""
+    """Prepare J_α and J_λ from the states, and the solve."""
     return Prepared(lambda: _solved(*_matrices(renewed(configuration))), np.asarray)
 
 
 def forces_by_nine_by_nine(problem: tuple[spm.Configuration, FloatArray]) -> Prepared:
-    """Eq. (33), f = -J_f⁻ᵀ w: the stacked 9 x 9 solve, J_α and J_λ made beforehand, and a 6 x 6 one."""
+    """Prepare Eq. (33), f = -J_f⁻ᵀ w: a stacked 9 x 9 and a 6 x 6 solve, J_α and J_λ computed beforehand."""
     configuration, wrenches = problem
     left, right = _matrices(configuration)
     return Prepared(lambda: _balanced(_solved(left, right), wrenches), np.asarray)
 
 
 def forces_by_nine_by_nine_complete(problem: tuple[spm.Configuration, FloatArray]) -> Prepared:
-    """J_α and J_λ from the states, and both solves."""
+    """Prepare J_α and J_λ from the states, and both solves."""
     configuration, wrenches = problem
     return Prepared(lambda: _balanced(_solved(*_matrices(renewed(configuration))), wrenches), np.asarray)
 
@@ -59,17 +59,16 @@ def _balanced(jacobian: FloatArray, wrenches: FloatArray) -> FloatArray:
 
 
 def pinocchio(configuration: spm.Configuration) -> Prepared:
-    """From the Jacobians of Pinocchio's constraints, state by state, joints placed beforehand."""
+    """Prepare J_f from Pinocchio's constraint Jacobians, state by state, joint values computed beforehand."""
     chain, joints = _placed(configuration)
     return Prepared(lambda: [chain.inverse_jacobian(q) for q in joints], np.array)
 
 
 def forces_by_pinocchio(problem: tuple[spm.Configuration, FloatArray]) -> Prepared:
-    """From the Jacobians of Pinocchio's constraints, state by state, joints placed beforehand."""
+    """Prepare the forces from Pinocchio's constraint Jacobians, state by state, joint values computed beforehand."""
     configuration, wrenches = problem
     chain, joints = _placed(configuration)
-    asked = list(zip(joints, wrenches, strict=True))
-    return Prepared(lambda: [chain.leg_forces(q, w) for q, w in asked], np.array)
+    return Prepared(lambda: [chain.leg_forces(q, w) for q, w in zip(joints, wrenches, strict=True)], np.array)
 
 
 def _placed(configuration: spm.Configuration) -> tuple[Any, list[FloatArray]]:

@@ -1,4 +1,4 @@
-"""Forward displacement: batches, symmetries of the mechanism, units."""
+"""Symmetries of the forward displacement, over batches and units."""
 
 from __future__ import annotations
 

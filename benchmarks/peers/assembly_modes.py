@@ -24,7 +24,7 @@ class Found:
 
     @property
     def modes(self) -> int:
-        """Every solution of one stage goes with every solution of the other."""
+        """Number of assembly modes: every solution of one stage goes with every solution of the other."""
         return self.stages[0] * self.stages[1]
 
 
@@ -48,7 +48,7 @@ def slopes(theta: FloatArray, lengths: FloatArray, hip: float, side: float) -> F
 
 
 def multistart(problem: tuple[Geometry, FloatArray]) -> Prepared:
-    """SciPy's fsolve from random angles, until no start of as many as found the last solution brings a new one."""
+    """Prepare fsolve from random angles, until no start of as many as found the last solution brings a new one."""
     geometry, problems = problem
 
     def stage(lengths: FloatArray, hip: float, rng: np.random.Generator) -> tuple[int, int]:
@@ -65,37 +65,37 @@ def multistart(problem: tuple[Geometry, FloatArray]) -> Prepared:
                 last = tried
         return len(found), tried
 
-    def one(lengths: FloatArray) -> Found:
+    def solve(lengths: FloatArray) -> Found:
         rng = np.random.default_rng(0)
         lower = stage(lengths[:3], geometry.base_radius, rng)
         upper = stage(lengths[3:], geometry.platform_radius, rng)
         return Found((lower[0], upper[0]), lower[1] + upper[1])
 
     return Prepared(
-        lambda: [one(lengths) for lengths in problems], lambda found: np.array([each.modes for each in found])
+        lambda: [solve(lengths) for lengths in problems], lambda found: np.array([each.modes for each in found])
     )
 
 
 def certified(problem: tuple[Geometry, FloatArray]) -> Prepared:
-    """Elimination to degree 16 and isolation of the roots by python-flint: how many modes there are, proved."""
+    """Prepare the number of modes, proved: elimination to degree 16, roots isolated by python-flint."""
     geometry, problems = problem
     required("flint", "python-flint")
     from stage_oracle import certified_modes
 
-    def one(lengths: FloatArray) -> int:
+    def solve(lengths: FloatArray) -> int:
         lower = certified_modes(lengths[:3], geometry.base_radius, geometry.middle_side)
         upper = certified_modes(lengths[3:], geometry.platform_radius, geometry.middle_side)
         return -1 if lower is None or upper is None else lower * upper
 
-    return Prepared(lambda: [one(lengths) for lengths in problems], np.array)
+    return Prepared(lambda: [solve(lengths) for lengths in problems], np.array)
 
 
 def newton_from_equal_legs(problem: tuple[Geometry, FloatArray]) -> Prepared:
-    """SciPy's fsolve once per stage, from level platforms; read as ball joints (n, 3, 3), NaN where it failed."""
+    """Prepare fsolve once per stage, from level platforms; read as ball joints (n, 3, 3), NaN where it failed."""
     geometry, problems = problem
     hips = (geometry.base_radius, geometry.platform_radius)
 
-    def one(lengths: FloatArray) -> tuple[FloatArray, bool]:
+    def solve(lengths: FloatArray) -> tuple[FloatArray, bool]:
         angles, good = [], True
         for part, hip in zip((lengths[:3], lengths[3:]), hips, strict=True):
             theta, fine = _fsolve(np.arccos((geometry.middle_radius - hip) / part), part, hip, geometry.middle_side)
@@ -112,11 +112,11 @@ def newton_from_equal_legs(problem: tuple[Geometry, FloatArray]) -> Prepared:
                 joints[k, :, 2] = lengths[:3] * np.sin(angles[0])
         return joints
 
-    return Prepared(lambda: [one(lengths) for lengths in problems], read)
+    return Prepared(lambda: [solve(lengths) for lengths in problems], read)
 
 
 def pinocchio(problem: tuple[Geometry, FloatArray]) -> Prepared:
-    """Newton on Pinocchio's closures from the home, the legs held: `ClosedChain.project`."""
+    """Prepare `ClosedChain.project`: Newton on Pinocchio's closures from the home, the legs held."""
     required("pinocchio", "pin")
     from spm_pin.multibody.chain import ClosedChain
 
@@ -124,13 +124,13 @@ def pinocchio(problem: tuple[Geometry, FloatArray]) -> Prepared:
     chain = ClosedChain.from_urdf(geometry=geometry)
     home = np.zeros(chain.model.nq)
 
-    def one(lengths: FloatArray) -> FloatArray:
+    def solve(lengths: FloatArray) -> FloatArray:
         return chain.project(chain.with_leg_lengths(home, lengths), hold_legs=True)
 
     def read(found: list[FloatArray]) -> FloatArray:
         return np.array([chain.configuration(q).middle_joints for q in found])
 
-    return Prepared(lambda: [one(lengths) for lengths in problems], read)
+    return Prepared(lambda: [solve(lengths) for lengths in problems], read)
 
 
 def _fsolve(start: FloatArray, lengths: FloatArray, hip: float, side: float) -> tuple[FloatArray, bool]:
