@@ -25,6 +25,7 @@ EXAMPLE = ["--translation", "68.89", "49.63", "225.3", "--xyx", "-11.08", "32.97
 LOAD = ["--force", "0", "0", "-500", "--velocity", "1", "0", "0"]
 LEGS = ["--legs", "120", "120", "140", "125", "120", "150"]
 COMMANDS = [command.callback.__name__ for command in app.registered_commands if command.callback]
+ROOT = Path(__file__).parents[2]
 SOURCES = sorted(Path(outputs.__file__).parent.glob("*.py"))
 
 
@@ -96,6 +97,13 @@ def test_every_help_text_is_shown_without_leftover_escapes(command: str) -> None
     assert "<bool>" not in done.stdout
 
 
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_a_row_in_the_readme(command: str) -> None:
+    row = f"\n| `spm-pin {command}` | "
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert row in readme, f"in README.md, add to the table:{row}what it does |"
+
+
 def test_special_characters_survive_a_round_trip(tmp_path: Path) -> None:
     for value in ("[viewer]", "[/]", "[bold]"):
         done = run("inverse", *EXAMPLE, "--geometry", tmp_path / f"{value}.yaml")
@@ -138,7 +146,7 @@ def test_special_characters_survive_a_round_trip(tmp_path: Path) -> None:
     ],
 )
 def test_messages_name_the_option_typed(arguments: list[str], words: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(Path(__file__).parents[2])
+    monkeypatch.chdir(ROOT)
     done = run(*arguments)
     assert done.returncode == 2
     assert words in done.message
@@ -473,7 +481,7 @@ def test_all_exit_codes_are_documented() -> None:
     assert {int(code) for code in re.findall(r"(?<!\d)(\d+) (?!more)", EXIT_CODES)} == codes
     shown = " ".join(run("--help").stdout.replace("│", " ").split())
     assert " ".join(EXIT_CODES.split()) in shown
-    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
     assert {int(code) for code in re.findall(r"^\| (\d+) \|", readme, flags=re.MULTILINE)} == codes
 
 
@@ -520,6 +528,7 @@ def test_ctrl_c_ends_every_command_with_130(command: str, monkeypatch: pytest.Mo
         raise KeyboardInterrupt
 
     monkeypatch.chdir(tmp_path)
+    assert command in WORK, f"add '{command}' to WORK above: the name of its slow function, arguments that reach it"
     work, arguments = WORK[command]
     monkeypatch.setattr(f"spm_pin.cli.{command}.{work}", interrupted)
     done = run(command, *arguments)
@@ -556,7 +565,7 @@ def test_the_demo_begins_with_the_verdict_and_ends_with_what_to_try(
     assert lines[0].startswith("The paper:   105 of the 120 cells of Tables 1 to 5 agree")
     start = next(k for k, line in enumerate(lines) if line.startswith("The methods:"))
     assert start <= 3
-    assert "All 5 methods agree." in " ".join(" ".join(lines[start : start + 4]).split())
+    assert f"All {len(METHODS)} methods agree." in " ".join(" ".join(lines[start : start + 4]).split())
     assert "111" not in out
     assert "missed" not in out
     assert f"{target}" in "".join(lines)

@@ -8,6 +8,7 @@ from crosscheck.broken_methods import Forgetful, Inaccurate, flipped_sign
 
 import spm_pin as spm
 from spm_pin.crosscheck import (
+    METHODS,
     ClosedForm,
     Method,
     Nlp,
@@ -31,17 +32,17 @@ def report() -> Report:
 def test_all_methods_agree(report: Report) -> None:
     assert report.agrees
     assert report.outliers == ()
-    assert report.verdict == "All 5 methods agree."
+    assert report.verdict == f"All {len(METHODS)} methods agree."
     assert 15 < report.reached <= 20
     assert report.states > 80
-    assert all(one.disagreements == 0 and one.ratio < 1.0 for one in report.differences)
+    assert all(pair.disagreements == 0 and pair.ratio < 1.0 for pair in report.differences)
 
 
 def test_every_pair_that_can_be_compared_is(report: Report) -> None:
     pairs: dict[Quantity, set[frozenset[str]]] = {quantity: set() for quantity in Quantity}
-    for one in report.differences:
-        pairs[one.quantity].add(frozenset({one.first, one.second}))
-        assert one.compared > 0
+    for pair in report.differences:
+        pairs[pair.quantity].add(frozenset({pair.first, pair.second}))
+        assert pair.compared > 0
     assert len(pairs[Quantity.POSITIONS]) == 6
     assert len(pairs[Quantity.JACOBIAN]) == len(pairs[Quantity.FORCES]) == 6
     assert pairs[Quantity.ASSEMBLY] == {frozenset({"given state", "pinocchio"})}
@@ -73,10 +74,10 @@ def test_a_flipped_sign_in_one_loop_equation_is_found() -> None:
     assert not found.agrees
     assert found.outliers == ("nlp",)
     assert found.verdict == "nlp is wrong: the others agree."
-    (score,) = (one for one in found.scores if one.name == "nlp")
+    (score,) = (score for score in found.scores if score.name == "nlp")
     assert score.invented > 0
     assert score.misses_too_often
-    assert not any(one.invented or one.misses_too_often for one in found.scores if one.name != "nlp")
+    assert not any(score.invented or score.misses_too_often for score in found.scores if score.name != "nlp")
     # And with the sign mended nothing is left of it.
     assert compare_methods(GEOMETRY, poses=4, methods=["closed-form", "nlp"]).agrees
 
@@ -93,7 +94,7 @@ def test_the_printed_lever_arm_is_found() -> None:
 def test_lost_branches_are_found() -> None:
     found = compare_methods(GEOMETRY, poses=12, methods=["closed-form", "paper", Forgetful(GEOMETRY)])
     assert found.outliers == ("forgetful",)
-    (score,) = (one for one in found.scores if one.name == "forgetful")
+    (score,) = (score for score in found.scores if score.name == "forgetful")
     assert score.missed >= 3
     assert score.invented == 0
     lost = spm.inverse_displacement(
@@ -106,7 +107,7 @@ def test_misses_within_the_stated_rate_are_no_fault() -> None:
     careful = Forgetful(GEOMETRY, name="modest", miss_rate=0.4)
     found = compare_methods(GEOMETRY, poses=12, methods=["closed-form", careful])
     assert found.agrees
-    (score,) = (one for one in found.scores if one.name == "modest")
+    (score,) = (score for score in found.scores if score.name == "modest")
     assert score.missed >= 3
 
 
