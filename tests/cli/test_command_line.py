@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from cli.running import run
 from scipy.spatial.transform import RigidTransform, Rotation
+from typer import rich_utils
 from typer.main import get_command
 
 import spm_pin as spm
@@ -71,7 +72,7 @@ def test_brackets_in_any_text_are_printed_as_they_are(capsys: pytest.CaptureFixt
 @pytest.mark.parametrize("name", COMMANDS)
 def test_the_help_prints_the_units_in_brackets(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rich takes [m/s] for a style; it prints what a backslash precedes."""
-    monkeypatch.setenv("TERMINAL_WIDTH", "600")
+    monkeypatch.setattr(rich_utils, "MAX_WIDTH", 600)
     printed = " ".join(plain(run(name, "--help").stdout).split())
     command = get_command(app).commands[name]  # type: ignore[attr-defined]
     texts = [command.help, *(getattr(parameter, "help", None) for parameter in command.params)]
