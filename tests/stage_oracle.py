@@ -108,8 +108,8 @@ def _coefficients(polynomial: fmpz_mpoly, variable: int) -> list[Any]:
 
 def _discriminant(side: fmpz_mpoly) -> fmpz_mpoly:
     """Return the discriminant in t_2 of side 12, a polynomial in t_1."""
-    zero, one, minus = (side.subs({"t2": value}) for value in (0, 1, -1))
-    linear, square = one - minus, one + minus - 2 * zero  # twice those of the quadratic
+    zero, plus, minus = (side.subs({"t2": value}) for value in (0, 1, -1))
+    linear, square = plus - minus, plus + minus - 2 * zero  # twice those of the quadratic
     return linear**2 - 8 * square * zero
 
 

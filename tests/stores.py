@@ -16,8 +16,8 @@ CHUNK = 100
 
 def small(path: Path, **changes: Any) -> Any:
     """Run the small sweep, in this process by default."""
-    asked = {"geometry": GEOMETRY, "domain": GRID, "metrics": METRICS, "chunk": CHUNK, "workers": 1} | changes
-    return spm.sweeps.run(store=path, **asked)
+    arguments = {"geometry": GEOMETRY, "domain": GRID, "metrics": METRICS, "chunk": CHUNK, "workers": 1} | changes
+    return spm.sweeps.run(store=path, **arguments)
 
 
 def contents(path: Path) -> dict[str, bytes]:

@@ -47,9 +47,9 @@ def answer(prepared: Prepared) -> npt.NDArray[np.float64] | list[npt.NDArray[np.
 
 
 def certified() -> list[npt.NDArray[np.float64]]:
-    asked = zip(POSES.rotation.as_quat(), POSES.translation, strict=True)
-    found = [real_coordinates(quaternion, position, SIDE) for quaternion, position in asked]
-    return [own for own in found if own is not None]
+    poses = zip(POSES.rotation.as_quat(), POSES.translation, strict=True)
+    found = [real_coordinates(quaternion, position, SIDE) for quaternion, position in poses]
+    return [roots for roots in found if roots is not None]
 
 
 @needs_compiler
@@ -85,7 +85,7 @@ def test_branches_of_peers_satisfy_the_loop_equations(peer: Peer) -> None:
 def test_peers_find_the_branches_of_a_machine_as_built(size: float) -> None:
     machine = as_built(size)
     ours = spm.inverse_displacement(machine, POSES)
-    branches, physical, peer = (answer(one.prepare((machine, POSES))) for one in peers_by_task.AS_BUILT)
+    branches, physical, peer = (answer(package.prepare((machine, POSES))) for package in peers_by_task.AS_BUILT)
     # Our own search for all roots, of six separate planes, and the peer's, of three lines.
     for mine, theirs in zip(coordinates(machine, POSES, branches), coordinates(machine, POSES, peer), strict=True):
         np.testing.assert_allclose(mine, theirs, atol=1e-8 * SIDE, rtol=0.0)
@@ -218,26 +218,26 @@ def test_the_number_of_assembly_modes(peer: Peer) -> None:
 
     lengths = LENGTHS[: 1 if peer.items < 10 else 3]
     truth = [
-        (certified_modes(one[:3], GEOMETRY.base_radius, SIDE) or 0)
-        * (certified_modes(one[3:], GEOMETRY.platform_radius, SIDE) or 0)
-        for one in lengths
+        (certified_modes(legs[:3], GEOMETRY.base_radius, SIDE) or 0)
+        * (certified_modes(legs[3:], GEOMETRY.platform_radius, SIDE) or 0)
+        for legs in lengths
     ]
     found = answer(peer.prepare((GEOMETRY, lengths)))
     if peer.name == "SciPy multi-start":  # it may miss some, and never finds more
-        assert all(0 < own <= most for own, most in zip(found, truth, strict=True))
+        assert all(0 < number <= most for number, most in zip(found, truth, strict=True))
     else:
         np.testing.assert_array_equal(found, truth)
 
 
 @pytest.mark.skipif(compiler_version("c++") == "none", reason="no C++ compiler")
 def test_operations_are_counted() -> None:
-    one, same = (count_operations(GEOMETRY, POSES[k : k + 1]) for k in (0, 0))
-    assert one == same
+    counted, same = (count_operations(GEOMETRY, POSES[k : k + 1]) for k in (0, 0))
+    assert counted == same
     # A branch takes seven, for six lengths and a norm; a family and a pose a few more.
     branches = int(spm.inverse_displacement(GEOMETRY, POSES[0]).count)
-    assert 7 * branches < one.square_roots < 12 * branches + 20
-    assert 0 < one.divisions < one.square_roots
-    assert one.additions < one.multiplications < 200 * branches
+    assert 7 * branches < counted.square_roots < 12 * branches + 20
+    assert 0 < counted.divisions < counted.square_roots
+    assert counted.additions < counted.multiplications < 200 * branches
 
 
 def test_a_missing_peer_is_listed_with_its_reason() -> None:

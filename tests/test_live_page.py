@@ -121,10 +121,10 @@ def test_webassembly_returns_the_bits_of_the_kernels(page) -> None:
     script = "poses => poses.map((x) => document.getElementById('live').machine.inverse(x.slice(0, 9), x.slice(9)))"
     found = page.evaluate(script, np.hstack([rotation.reshape(-1, 9), position]).tolist())
     expected = spm.inverse_displacement(GEOMETRY, spm.pose(position, rotation=rotation))
-    assert [one["status"] for one in found] == expected.status.tolist()
-    np.testing.assert_array_equal([one["real"] for one in found], expected.exists)
-    np.testing.assert_array_equal(np.array([one["lengths"] for one in found], float), expected.leg_lengths)
-    joints = np.array([one["joints"] for one in found], float).reshape(-1, 8, 3, 3)
+    assert [answer["status"] for answer in found] == expected.status.tolist()
+    np.testing.assert_array_equal([answer["real"] for answer in found], expected.exists)
+    np.testing.assert_array_equal(np.array([answer["lengths"] for answer in found], float), expected.leg_lengths)
+    joints = np.array([answer["joints"] for answer in found], float).reshape(-1, 8, 3, 3)
     np.testing.assert_array_equal(joints, expected.configurations.middle_joints)
 
 
@@ -371,9 +371,9 @@ def test_the_lines_of_the_how_to_make_a_module_that_solves(page, module: bytes, 
     made = (tmp_path / "spm.wasm").read_bytes()
     assert len(made) < len(module)
     held = spm.inverse_physical(GEOMETRY, spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88])))
-    given = [list(made), held.rotation.ravel().tolist(), held.translation.tolist()]
+    arguments = [list(made), held.rotation.ravel().tolist(), held.translation.tolist()]
     prologue = "async ([given, rotation, position]) => { const bytes = new Uint8Array(given);"
-    status, lengths = page.evaluate(f"{prologue} {script[1]} return [status, lengths]; }}", given)
+    status, lengths = page.evaluate(f"{prologue} {script[1]} return [status, lengths]; }}", arguments)
     assert status == 0
     assert lengths == held.leg_lengths.tolist()
 

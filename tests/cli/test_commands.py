@@ -74,9 +74,9 @@ def test_inverse_in_every_unit_and_as_json() -> None:
         assert [branch["label"] for branch in content["branches"]] == ["TT+", "TT-", "TF+", "TF-", "FF+", "FF-"]
         lengths[unit] = np.array([branch["leg_lengths"] for branch in content["branches"]]) / factor
     pose = spm.pose(np.array(published.POSITION) / 100, xyx=np.deg2rad(published.XYX_DEGREES))
-    own = spm.inverse_displacement(spm.Geometry.paper(), pose)
+    expected = spm.inverse_displacement(spm.Geometry.paper(), pose)
     for found in lengths.values():
-        np.testing.assert_allclose(found, 100 * own.leg_lengths[own.exists], rtol=1e-12)
+        np.testing.assert_allclose(found, 100 * expected.leg_lengths[expected.exists], rtol=1e-12)
 
 
 def test_inverse_says_which_branch_is_physical_and_which_leg_is_too_long() -> None:
@@ -102,8 +102,8 @@ def test_another_geometry_from_yaml(tmp_path: Path) -> None:
     done = run("inverse", *EXAMPLE, "--geometry", str(path), "--json")
     content = json.loads(done.stdout)
     pose = spm.pose(np.array(published.POSITION) / 100, xyx=np.deg2rad(published.XYX_DEGREES))
-    own = spm.inverse_displacement(spm.Geometry(0.7, 0.35, 0.8), pose)
-    np.testing.assert_allclose(content["branches"][0]["leg_lengths"], 100 * own.leg_lengths[0], rtol=1e-12)
+    expected = spm.inverse_displacement(spm.Geometry(0.7, 0.35, 0.8), pose)
+    np.testing.assert_allclose(content["branches"][0]["leg_lengths"], 100 * expected.leg_lengths[0], rtol=1e-12)
 
 
 def test_version_and_help() -> None:
@@ -160,11 +160,11 @@ def test_statics_refuses(arguments: list[str], words: str) -> None:
 def test_singularities_of_each_branch() -> None:
     content = json.loads(run("singularities", *EXAMPLE, "--json").stdout)
     assert list(content["branches"]) == ["TT+", "TT-", "TF+", "TF-", "FF+", "FF-"]
-    assert {one["kind"] for one in content["branches"].values()} == {"regular"}
+    assert {branch["kind"] for branch in content["branches"].values()} == {"regular"}
     pose = spm.pose(np.array(published.POSITION) / 100, xyx=np.deg2rad(published.XYX_DEGREES))
-    own = spm.singularities(spm.inverse_displacement(spm.Geometry.paper(), pose)["TT-"])
+    expected = spm.singularities(spm.inverse_displacement(spm.Geometry.paper(), pose)["TT-"])
     np.testing.assert_allclose(
-        list(content["branches"]["TT-"]["scaled_determinants"].values()), own.scaled_determinants, rtol=1e-12
+        list(content["branches"]["TT-"]["scaled_determinants"].values()), expected.scaled_determinants, rtol=1e-12
     )
     table = run("singularities", *EXAMPLE, "--branch", "TT+").stdout
     assert "TT-" not in table

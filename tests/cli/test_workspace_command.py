@@ -40,13 +40,13 @@ def test_workspace_prints_the_patches_the_volume_and_its_convergence() -> None:
 def test_json_in_every_unit(unit: str, factor: float) -> None:
     limits = [f"{1.1 * factor:g}", f"{1.4 * factor:g}"]
     content = json.loads(run(*FEW, "--limits", *limits, "--unit", unit, "--json").stdout)
-    own = workspace_shell(spm.Geometry.paper(), spm.LegLimits(1.1, 1.4), resolution=6)
+    shell = workspace_shell(spm.Geometry.paper(), spm.LegLimits(1.1, 1.4), resolution=6)
     assert content["unit"] == unit
     assert content["euler_characteristic"] == 2
     np.testing.assert_allclose(content["limits"]["maximum"], 1.4 * factor)
-    assert content["volume"] == pytest.approx(own.volume * factor**3, rel=1e-9)
-    assert content["area"] == pytest.approx(own.area * factor**2, rel=1e-9)
-    assert [one["resolution"] for one in content["convergence"]] == [2, 3, 6]
+    assert content["volume"] == pytest.approx(shell.volume * factor**3, rel=1e-9)
+    assert content["area"] == pytest.approx(shell.area * factor**2, rel=1e-9)
+    assert [step["resolution"] for step in content["convergence"]] == [2, 3, 6]
     assert content["patches"][1]["settings"]["r_b3"] == "min~max"
 
 

@@ -191,12 +191,12 @@ def test_threads_do_not_change_a_bit() -> None:
     pose = in_leg_space(PAPER, 1500, seed=7).pose
     try:
         spm.set_threads(1)
-        one = spm.inverse_displacement(built, pose)
+        first = spm.inverse_displacement(built, pose)
         spm.set_threads(2)
-        two = spm.inverse_displacement(built, pose)
+        second = spm.inverse_displacement(built, pose)
     finally:
         spm.set_threads(None)
-    np.testing.assert_array_equal(one.middle_joints, two.middle_joints)
+    np.testing.assert_array_equal(first.middle_joints, second.middle_joints)
 
 
 def test_the_physical_branch_of_a_small_error_is_near_that_of_the_drawing() -> None:

@@ -68,10 +68,10 @@ def test_without_errors_the_answers_are_those_of_the_ideal_machine(name: str) ->
         np.testing.assert_array_equal(getattr(second, name), getattr(first, name))
     clear = (first.sigma > 1e-2).all(axis=-1)
     for name in ("gained_twist", "inner_twist", "lost_wrench"):
-        one, two = (getattr(s, name)[clear].reshape(clear.sum(), -1, 6) for s in (first, second))
-        sign = np.sign((one * two).sum(axis=-1, keepdims=True))
-        scale = np.abs(one).max(axis=-1, keepdims=True)
-        assert np.median(np.abs(sign * two - one) / scale) < 1e-12
+        expected_screw, found_screw = (getattr(s, name)[clear].reshape(clear.sum(), -1, 6) for s in (first, second))
+        sign = np.sign((expected_screw * found_screw).sum(axis=-1, keepdims=True))
+        scale = np.abs(expected_screw).max(axis=-1, keepdims=True)
+        assert np.median(np.abs(sign * found_screw - expected_screw) / scale) < 1e-12
 
 
 def test_a_seed_is_followed_from_its_readings_to_others() -> None:

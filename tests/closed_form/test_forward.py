@@ -61,9 +61,9 @@ def test_the_papers_example() -> None:
     assert sorted({name[:2] for name in lower}) == ["F1", "F2", "T1", "T2", "T3", "T4"]
     assert sorted({name[:2] for name in upper}) == ["F1", "F2", "F3", "F4", "T1", "T2"]
     state = forward_physical(PAPER, LEGS)
-    for own in (state, solutions["T1+/T1+"], solutions.physical()):
-        np.testing.assert_allclose(own.translation, [0.688872, 0.496307, 2.253025], atol=6e-7)
-        angles = own.pose.rotation.as_euler("XYX", degrees=True)
+    for found in (state, solutions["T1+/T1+"], solutions.physical()):
+        np.testing.assert_allclose(found.translation, [0.688872, 0.496307, 2.253025], atol=6e-7)
+        angles = found.pose.rotation.as_euler("XYX", degrees=True)
         np.testing.assert_allclose(angles, [-11.0818, 32.9691, -12.8831], atol=6e-5)
     # The pose the paper prints, to its digits.
     np.testing.assert_allclose(100 * state.translation, [68.89, 49.63, 225.3], atol=0.05)

@@ -76,15 +76,15 @@ def side_errors(legs: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.nda
     rho_j, z_j, cos_j, sin_j, legs_j = (np.roll(x, -1, axis=-1) for x in (rho, z, cos, sin, legs))
     by_rho, by_rho_j, by_z = 2 * rho + rho_j, 2 * rho_j + rho, 2 * (z - z_j)
     gap = rho**2 + rho_j**2 + rho * rho_j + (z - z_j) ** 2 - PAPER.middle_side**2
-    own = legs * (by_z * cos - by_rho * sin)
-    other = -legs_j * (by_z * cos_j + by_rho_j * sin_j)
+    by_own = legs * (by_z * cos - by_rho * sin)
+    by_next = -legs_j * (by_z * cos_j + by_rho_j * sin_j)
     by_legs = np.stack([by_rho * cos + by_z * sin, by_rho_j * cos_j - by_z * sin_j], axis=-1)
-    return gap, own, other, by_legs
+    return gap, by_own, by_next, by_legs
 
 
-def cyclic_solution(own: np.ndarray, other: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Solve own_i x_i + other_i x_(i+1) = right_i by Cramer's rule; the solution (..., 3) and the determinant."""
-    (a1, a2, a3), (c1, c2, c3), (g1, g2, g3) = (np.moveaxis(x, -1, 0) for x in (own, other, right))
+def cyclic_solution(by_own: np.ndarray, by_next: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Solve by_own_i x_i + by_next_i x_(i+1) = right_i by Cramer's rule; the solution (..., 3) and the determinant."""
+    (a1, a2, a3), (c1, c2, c3), (g1, g2, g3) = (np.moveaxis(x, -1, 0) for x in (by_own, by_next, right))
     determinant = a1 * a2 * a3 + c1 * c2 * c3
     with np.errstate(divide="ignore", invalid="ignore"):
         first = (g1 * a2 * a3 - c1 * (g2 * a3 - c2 * g3)) / determinant
@@ -104,8 +104,8 @@ def follow_finely(seeds: spm.Configuration, ends: np.ndarray, steps: int) -> tup
     for t in np.linspace(0.0, 1.0, steps + 1):
         legs = start + t * (end - start)
         for _ in range(3):
-            gap, own, other, _ = side_errors(legs, theta)
-            step, determinant = cyclic_solution(own, other, -gap)
+            gap, by_own, by_next, _ = side_errors(legs, theta)
+            step, determinant = cyclic_solution(by_own, by_next, -gap)
             theta = theta + step
         sign = np.sign(determinant) if sign is None else sign
         regular &= ((np.sign(determinant) == sign) & (np.abs(gap).max(axis=-1) < 1e-9)).all(axis=-1)
@@ -119,9 +119,9 @@ def follow_adaptively(seed: spm.Configuration, end: np.ndarray) -> tuple[np.ndar
     rates = end.reshape(2, 3) - start
 
     def slopes(t: float, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        _, own, other, by_legs = side_errors(start + t * rates, theta.reshape(2, 3))
+        _, by_own, by_next, by_legs = side_errors(start + t * rates, theta.reshape(2, 3))
         change = by_legs[..., 0] * rates + by_legs[..., 1] * np.roll(rates, -1, axis=-1)
-        return cyclic_solution(own, other, -change)
+        return cyclic_solution(by_own, by_next, -change)
 
     angles = leg_angles(stage_joints(seed))
     path = solve_ivp(

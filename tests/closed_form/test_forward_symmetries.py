@@ -38,11 +38,11 @@ def test_a_batch_is_its_members(shape: tuple[int, ...]) -> None:
     assert solutions.middle_joints.shape == (*shape, 256, 3, 3)
     assert np.shape(solutions.status) == shape
     for index in np.ndindex(shape):
-        one = forward_displacement(PAPER, lengths[index])
-        np.testing.assert_array_equal(one.middle_joints, solutions.middle_joints[index])
-        np.testing.assert_array_equal(one.rotation, solutions.rotation[index])
-        np.testing.assert_array_equal(one.translation, solutions.translation[index])
-        assert int(one.status) == int(np.asarray(solutions.status)[index])
+        member = forward_displacement(PAPER, lengths[index])
+        np.testing.assert_array_equal(member.middle_joints, solutions.middle_joints[index])
+        np.testing.assert_array_equal(member.rotation, solutions.rotation[index])
+        np.testing.assert_array_equal(member.translation, solutions.translation[index])
+        assert int(member.status) == int(np.asarray(solutions.status)[index])
         alone = forward_physical(PAPER, lengths[index])
         np.testing.assert_array_equal(alone.middle_joints, physical.middle_joints[index])
         np.testing.assert_array_equal(alone.translation, physical.translation[index])
@@ -144,8 +144,8 @@ def well_separated(solutions: spm.SolutionSet) -> bool:
     hanging = (b - solutions.translation[:, None]) @ solutions.rotation
     upper = (hanging * radial).sum(axis=(-1, -2))
     for radii in (lower.reshape(16, 16).T, upper.reshape(16, 16)):
-        one = radii[np.argmax(~np.isnan(radii).all(axis=-1))][::2]
-        one = np.sort(one[~np.isnan(one)])
-        if np.any(np.diff(one) < 1e-5):
+        values = radii[np.argmax(~np.isnan(radii).all(axis=-1))][::2]
+        values = np.sort(values[~np.isnan(values)])
+        if np.any(np.diff(values) < 1e-5):
             return False
     return True

@@ -170,10 +170,10 @@ def test_a_pose_object_of_another_library_is_read_without_importing_it() -> None
         translation = np.array([0.6889, 0.4963, 2.253])
 
     geometry = spm.Geometry.paper()
-    own = spm.inverse_displacement(geometry, spm.pose(Se3.translation, rotation=Se3.rotation))
-    for other in (Se3(), own.configurations[0].pose.as_matrix(), own.configurations[0].pose):
-        np.testing.assert_array_equal(spm.inverse_displacement(geometry, other).middle_joints, own.middle_joints)
-    assert isinstance(own.configurations[0].pose, RigidTransform)
+    expected = spm.inverse_displacement(geometry, spm.pose(Se3.translation, rotation=Se3.rotation))
+    for other in (Se3(), expected.configurations[0].pose.as_matrix(), expected.configurations[0].pose):
+        np.testing.assert_array_equal(spm.inverse_displacement(geometry, other).middle_joints, expected.middle_joints)
+    assert isinstance(expected.configurations[0].pose, RigidTransform)
 
 
 @pytest.mark.parametrize("shape", [(), (1,), (3, 1, 2), (0,), (500,)])

@@ -23,9 +23,9 @@ def poses(family: str, shape: tuple[int, ...], seed: int, geometry: spm.Geometry
     return RigidTransform.from_matrix(matrix.reshape(*shape, 4, 4))
 
 
-def assert_same_bits(one: spm.SolutionSet, other: spm.SolutionSet) -> None:
+def assert_same_bits(found: spm.SolutionSet, expected: spm.SolutionSet) -> None:
     for name in ("middle_joints", "leg_lengths", "discriminants", "exists", "status", "residual"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -68,10 +68,10 @@ def test_results_do_not_depend_on_neighbours_in_the_batch(family: str, seed: int
         assert_same_bits(spm.inverse_displacement(PAPER, pose), batch[k])
 
 
-def assert_same_branches(one: np.ndarray, other: np.ndarray, size: float) -> None:
-    np.testing.assert_array_equal(np.isnan(one), np.isnan(other))
+def assert_same_branches(found: np.ndarray, expected: np.ndarray, size: float) -> None:
+    np.testing.assert_array_equal(np.isnan(found), np.isnan(expected))
     # Both sides round, and the pose was rounded once more in between: compare away from singularities.
-    np.testing.assert_allclose(one, other, rtol=0, atol=1e-9 * size)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * size)
 
 
 def regular(solutions: spm.SolutionSet) -> np.ndarray:

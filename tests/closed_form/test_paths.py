@@ -191,16 +191,16 @@ def test_leg_lengths_that_can_no_longer_close_end_the_path() -> None:
 def test_two_solutions_that_coincide_are_not_followed_forever() -> None:
     state = in_leg_space(PAPER, 1, seed=0).configuration[0]
     twice = spm.Configuration(FREE, np.stack([state.pose.as_matrix()] * 2), np.stack([state.middle_joints] * 2))
-    asked = []
+    parameters = []
 
     def solve(s: float) -> spm.SolutionSet:
-        asked.append(s)
+        parameters.append(s)
         return spm.SolutionSet(twice, ("one", "other"), spm.Status.OK)
 
     tracker = Tracker(solve, 0, 0.1, legs=False)
     assert not tracker.advance(1.0)
     assert "coincides with another" in tracker.events[-1].detail
-    assert len(asked) < 1_000
+    assert len(parameters) < 1_000
 
 
 def test_a_callable_and_its_samples_are_the_same_path() -> None:
@@ -209,8 +209,8 @@ def test_a_callable_and_its_samples_are_the_same_path() -> None:
     sampled = follow(PAPER, problem.pose, problem.configuration[0], samples=20)
     called = follow(PAPER, lambda s: pose_between(first, last, s), problem.configuration[0], samples=20)
     assert [event.kind for event in sampled.events] == [event.kind for event in called.events]
-    for one, other in zip(sampled.events, called.events, strict=True):
-        assert one.parameter == pytest.approx(other.parameter, abs=RESOLUTION)
+    for found, expected in zip(sampled.events, called.events, strict=True):
+        assert found.parameter == pytest.approx(expected.parameter, abs=RESOLUTION)
 
 
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))

@@ -237,9 +237,9 @@ def test_a_batch_is_its_singles(shape: tuple[int, ...], seed: int) -> None:
     assert gradient.shape == (*shape, 3, 6)
     for index in np.ndindex(shape):
         single = spm.Configuration(PAPER, pose[index], joints[index])
-        one = singularities(single)
+        alone = singularities(single)
         for name in ("determinants", "sigma", "rank", "kind", "mobility"):
-            np.testing.assert_allclose(getattr(one, name), getattr(found, name)[index], rtol=4 * EPS)
+            np.testing.assert_allclose(getattr(alone, name), getattr(found, name)[index], rtol=4 * EPS)
         np.testing.assert_allclose(determinant_gradients(single), gradient[index], rtol=1e-12, atol=1e-15)
 
 

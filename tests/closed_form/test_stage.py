@@ -106,8 +106,8 @@ def test_every_solution_has_the_lengths_and_the_order_of_its_name(name: str) -> 
     lengths = length_samples("alike", hips, d, 3_000, seed=2)
     modes = solved(lengths, hips, d)
     r = d / np.sqrt(3.0)
-    own = r * np.hypot(modes.radii - hips / r, modes.heights)
-    assert np.nanmax(np.abs(own - lengths[:, None, None])) < 64 * EPS * lengths.max()
+    reached = r * np.hypot(modes.radii - hips / r, modes.heights)
+    assert np.nanmax(np.abs(reached - lengths[:, None, None])) < 64 * EPS * lengths.max()
     sides = (modes.radii - np.roll(modes.radii, 1, axis=-1) * -0.5) ** 2
     sides += 0.75 * np.roll(modes.radii, 1, axis=-1) ** 2 + (modes.heights - np.roll(modes.heights, 1, axis=-1)) ** 2
     assert np.nanmax(np.abs(np.sqrt(sides) - np.sqrt(3.0))) < 32 * EPS

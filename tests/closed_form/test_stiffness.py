@@ -150,8 +150,8 @@ def test_wrong_stiffnesses_are_named(legs: object, structure: object, argument: 
 def test_principal_stiffness_takes_either_matrix_by_its_name() -> None:
     from_compliance = principal_stiffness(compliance=compliance(STATE, LEGS, 1e8))
     from_stiffness = principal_stiffness(stiffness=spm.stiffness(STATE, LEGS, 1e8))
-    for one, other in zip(from_compliance[::2], from_stiffness[::2], strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-9)
+    for found, expected in zip(from_compliance[::2], from_stiffness[::2], strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-9)
     # In other units of length the numbers of a matrix differ in size, and it is as good.
     units = np.diag([1e-9] * 3 + [1.0] * 3)
     scaled = principal_stiffness(stiffness=units @ spm.stiffness(STATE, LEGS, 1e8) @ units)

@@ -116,8 +116,8 @@ def test_the_answer_does_not_depend_on_the_number_of_threads() -> None:
             found += [lengths, status, spm.inverse_jacobian(states), spm.closed_form.platform_jacobian(states), forces]
             answers.append([*found, determinants(states), forward.middle_joints, modes.translation, roots])
     for other in answers[1:]:
-        for one, another in zip(answers[0], other, strict=True):
-            np.testing.assert_array_equal(one, another)
+        for expected, answer in zip(answers[0], other, strict=True):
+            np.testing.assert_array_equal(expected, answer)
     np.testing.assert_array_equal(answers[0][1], answers[0][4])
 
 

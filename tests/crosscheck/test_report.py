@@ -86,9 +86,9 @@ def test_the_printed_lever_arm_is_found() -> None:
     wrong = Paper(GEOMETRY, mistakes=Table5Mistakes(printed_lever_arm=True))
     found = compare_methods(GEOMETRY, poses=10, methods=["closed-form", "pinocchio", "nlp", wrong])
     assert found.outliers == ("paper",)
-    for one in found.differences:
-        wrong_pair = "paper" in (one.first, one.second) and one.quantity in (Quantity.JACOBIAN, Quantity.FORCES)
-        assert (one.disagreements > 0) == wrong_pair, one
+    for pair in found.differences:
+        wrong_pair = "paper" in (pair.first, pair.second) and pair.quantity in (Quantity.JACOBIAN, Quantity.FORCES)
+        assert (pair.disagreements > 0) == wrong_pair, pair
 
 
 def test_lost_branches_are_found() -> None:

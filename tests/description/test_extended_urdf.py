@@ -57,9 +57,9 @@ def test_round_trip(prefix: str, tmp_path: Path) -> None:
 
 
 def test_the_shipped_pair_is_the_manipulator() -> None:
-    robot, own = read_robot(URDF_PATH, CLOSURES_PATH), manipulator()
-    assert (robot.links, robot.joints, robot.transmissions) == (own.links, own.joints, own.transmissions)
-    assert read_robot(URDF_PATH).closures != own.closures  # Drake's element has no names
+    robot, shipped = read_robot(URDF_PATH, CLOSURES_PATH), manipulator()
+    assert (robot.links, robot.joints, robot.transmissions) == (shipped.links, shipped.joints, shipped.transmissions)
+    assert read_robot(URDF_PATH).closures != shipped.closures  # Drake's element has no names
     assert read_robot(URDF_PATH).closures[0].name == "middle_b2_leg_b2_tip"
 
 

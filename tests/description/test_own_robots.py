@@ -88,12 +88,12 @@ def closed(kind: str, angle: float) -> dict[str, float]:
 
 @pytest.mark.parametrize("kind", CLOSURE)
 def test_frames_and_closures_in_memory(kind: str) -> None:
-    own = robot(kind)
-    assert own.base == "base"
-    assert own.open_closures() == {}
-    assert own.open_closures(closed(kind, 0.7)) == {}
-    assert own.open_closures(closed(kind, 0.7) | {"crank": 0.8}).keys() == {"loop"}
-    elbow = own.frames(closed(kind, 0.7))["coupler_link"]
+    description = robot(kind)
+    assert description.base == "base"
+    assert description.open_closures() == {}
+    assert description.open_closures(closed(kind, 0.7)) == {}
+    assert description.open_closures(closed(kind, 0.7) | {"crank": 0.8}).keys() == {"loop"}
+    elbow = description.frames(closed(kind, 0.7))["coupler_link"]
     np.testing.assert_allclose(elbow[:3, 3], [-math.sin(0.7), 0.0, math.cos(0.7)], atol=1e-15)
     np.testing.assert_allclose(elbow[:3, :3], np.eye(3), atol=1e-15)
 
@@ -116,18 +116,18 @@ def test_mjcf(engine: type[Mujoco] | type[Pinocchio], kind: str, anchors: str, t
 
 @pytest.mark.parametrize("kind", CLOSURE)
 def test_full_inertias_are_exported(kind: str, tmp_path: Path) -> None:
-    own = robot(kind)
+    description = robot(kind)
     values = closed(kind, 0.3) | {"crank": -0.4}
     urdf = Pinocchio(written(tmp_path / "own.urdf", parallelogram(kind)), ())
-    mjcf = written(tmp_path / "own.xml", mjcf_text(own))
+    mjcf = written(tmp_path / "own.xml", mjcf_text(description))
     for there in (Mujoco(mjcf), Pinocchio(mjcf)):
         np.testing.assert_allclose(there.mass_matrix(values), urdf.mass_matrix(values), rtol=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["point", "ground"])
 def test_drake(kind: str, tmp_path: Path) -> None:
-    own, values = robot(kind), closed(kind, 0.7)
-    for text, name in ((urdf_text(own), "own.urdf"), (mjcf_text(own), "own.xml")):
+    description, values = robot(kind), closed(kind, 0.7)
+    for text, name in ((urdf_text(description), "own.urdf"), (mjcf_text(description), "own.xml")):
         there = Drake(written(tmp_path / name, text))
         assert np.abs(there.gaps(values)).max() < 1e-12
         assert np.abs(there.gaps(values | {"rocker": 0.5})).max() > 0.05
@@ -136,12 +136,12 @@ def test_drake(kind: str, tmp_path: Path) -> None:
 def test_a_robot_that_is_open_at_zero(tmp_path: Path) -> None:
     passive = parallelogram("point", zero=0.2).replace('effort="7"', 'effort="0"').replace(TRANSMISSION, "")
     passive = passive.replace('type="continuous">', 'type="continuous"><limit effort="0" velocity="3"/>')
-    own = urdf_description(passive, [CLOSURE["point"]])
+    description = urdf_description(passive, [CLOSURE["point"]])
     for writer in (mjcf_text, sdf_text):
         with pytest.raises(DescriptionError, match=r"closed to 1e-09 m at zero, got loop, open by 0\."):
-            writer(own)
+            writer(description)
     for engine in (Mujoco, Pinocchio):
-        there = engine(written(tmp_path / "own.xml", mjcf_text(own, anchors="sites")))
+        there = engine(written(tmp_path / "own.xml", mjcf_text(description, anchors="sites")))
         assert np.abs(there.gaps({"crank": 0.5, "coupler": -0.7, "rocker": 0.7})).max() < 1e-12
         assert np.abs(there.gaps({})).max() > 0.1
 
@@ -176,9 +176,9 @@ def test_sdf_of_welds() -> None:
 
 def test_massless_links() -> None:
     text = parallelogram("point").replace(link("crank_link"), '<link name="crank_link"/>')
-    own = urdf_description(text, [CLOSURE["point"]])
+    description = urdf_description(text, [CLOSURE["point"]])
     with pytest.raises(DescriptionError, match="mass in every link that a joint moves, got none in crank_link"):
-        mjcf_text(own)
+        mjcf_text(description)
     with pytest.raises(DescriptionError, match="none in crank_link"):
         sdf_text(urdf_description(text.replace('effort="7"', 'effort="0"').replace(TRANSMISSION, "")))
     bare = parallelogram("point").replace(link("head"), '<link name="head"/>')
@@ -186,17 +186,17 @@ def test_massless_links() -> None:
 
 
 def test_written_urdf_reads_back(tmp_path: Path) -> None:
-    for kind, own in ((kind, robot(kind)) for kind in CLOSURE):
-        text = urdf_text(own, ros_constraints=True)
+    for kind, description in ((kind, robot(kind)) for kind in CLOSURE):
+        text = urdf_text(description, ros_constraints=True)
         path = written(tmp_path / f"{kind}.urdf", text)
-        assert read_urdf(path) == own
-        assert read_urdf(path, own.closures) == own
+        assert read_urdf(path) == description
+        assert read_urdf(path, description.closures) == description
     dynamics = '<dynamics damping="2" friction="3"/>'
     dynamics = parallelogram("point").replace('type="revolute">', f'type="revolute">{dynamics}')
-    own = urdf_description(dynamics, [CLOSURE["point"]])
-    assert urdf_description(dynamics.replace("<dynamics", "<joint_properties"), own.closures) == own
-    assert urdf_description(urdf_text(own, ros_constraints=True)) == own
-    there = Mujoco(written(tmp_path / "own.xml", mjcf_text(own)))
+    description = urdf_description(dynamics, [CLOSURE["point"]])
+    assert urdf_description(dynamics.replace("<dynamics", "<joint_properties"), description.closures) == description
+    assert urdf_description(urdf_text(description, ros_constraints=True)) == description
+    there = Mujoco(written(tmp_path / "own.xml", mjcf_text(description)))
     assert there.model.joint("crank").damping[0] == 2.0
     assert there.model.joint("crank").frictionloss[0] == 3.0
     assert there.model.joint("coupler").limited[0] == 0
@@ -206,11 +206,11 @@ def test_written_urdf_reads_back(tmp_path: Path) -> None:
 def test_urdf_and_extended_urdf_make_the_robot(kind: str, tmp_path: Path) -> None:
     urdf = written(tmp_path / "robot.urdf", parallelogram(kind).replace(TRANSMISSION, ""))
     extended = written(tmp_path / "robot.yaml", extended_urdf_text(robot(kind)))
-    own = read_robot(urdf, extended)
-    assert [(c.kind, c.frame_a, c.frame_b) for c in own.closures] == [
+    description = read_robot(urdf, extended)
+    assert [(c.kind, c.frame_a, c.frame_b) for c in description.closures] == [
         (c.kind, c.frame_a, c.frame_b) for c in robot(kind).closures
     ]
-    assert [transmission.joint for transmission in own.transmissions] == ["crank"]
+    assert [transmission.joint for transmission in description.transmissions] == ["crank"]
     both = written(tmp_path / "both.urdf", parallelogram(kind))
     assert read_robot(both, extended).transmissions == robot(kind).transmissions
     assert read_robot(both).closures == ()

@@ -74,8 +74,8 @@ def test_everything_is_installed() -> None:
     assert len(installed) == 2
     listed = set(" ".join(installed).split())
     # The marker of the package and its own files are installed by ament.
-    own = {"CMakeLists.txt", "package.xml", "resource", "__pycache__"}
-    assert listed == {path.name for path in PACKAGE.iterdir()} - own
+    of_ament = {"CMakeLists.txt", "package.xml", "resource", "__pycache__"}
+    assert listed == {path.name for path in PACKAGE.iterdir()} - of_ament
 
 
 def test_the_wheel_holds_it_once_where_ament_looks_below_the_package() -> None:

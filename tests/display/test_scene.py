@@ -152,8 +152,8 @@ def test_sizes_scale_with_the_machine():
     pose = spm.pose(STATE.translation * factor, rotation=STATE.rotation)
     little = scene(spm.Configuration(small, pose, STATE.middle_joints * factor))
     big = scene(spm.Configuration(large, POSE, STATE.middle_joints))
-    for one, other in zip(little.solids, big.solids, strict=True):
-        np.testing.assert_allclose(one.vertices, other.vertices * factor, atol=1e-12)
+    for solid, larger in zip(little.solids, big.solids, strict=True):
+        np.testing.assert_allclose(solid.vertices, larger.vertices * factor, atol=1e-12)
 
 
 @pytest.mark.parametrize(

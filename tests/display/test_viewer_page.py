@@ -45,7 +45,7 @@ def opened(browser, viewer, **options):
     page.goto(viewer.url)
     page.wait_for_selector('[data-spm="branch"]', state="attached", timeout=60_000)
     until(lambda: len(viewer.sessions) > len(before), "a session of its own", page=page)
-    (session,) = [one for one in viewer.sessions if id(one) not in before]
+    (session,) = [candidate for candidate in viewer.sessions if id(candidate) not in before]
     settled(page, session)
     until(lambda: session.player.time == 1.0 and not session.player.playing, "the end of its path", page=page)
     until(lambda: abs(session.state.shown.leg_lengths[1] - 1.25) < 1e-9, "its last point", page=page)

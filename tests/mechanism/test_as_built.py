@@ -77,9 +77,9 @@ def test_geometry_is_frozen_and_compared_by_value() -> None:
             twin.balls[0, 0] = 1.0
     with pytest.raises(AttributeError):
         built.axes = built.axes  # type: ignore[misc]
-    given = np.array(built.pivots)
-    taken = spm.AsBuiltGeometry(PAPER, built.axes, given, built.balls, built.offsets)
-    given[0, 0] = 99.0
+    pivots = np.array(built.pivots)
+    taken = spm.AsBuiltGeometry(PAPER, built.axes, pivots, built.balls, built.offsets)
+    pivots[0, 0] = 99.0
     assert taken == built
     assert built != PAPER
     assert "errors to 0.00" in repr(built)

@@ -145,11 +145,11 @@ def test_a_middle_angle_of_ninety_degrees_leaves_the_rotation_right(batch: bool)
 def test_a_machine_turned_by_a_third_has_the_angles_of_its_legs_in_turn() -> None:
     """The frames of legs 2 and 3 are those of leg 1, turned, and half round about z: hip, x and y change their sign."""
     legs = np.random.default_rng(2).uniform(1.1, 1.5, (20, 2, 3))
-    one = joint_angles(spm.forward_physical(PAPER, legs.reshape(20, 6)))
+    flat = joint_angles(spm.forward_physical(PAPER, legs.reshape(20, 6)))
     other = joint_angles(spm.forward_physical(PAPER, np.roll(legs, 1, axis=-1).reshape(20, 6)))
     sign = np.array([1.0, -1.0, -1.0])
     for name, flips in (("hip", True), ("ball_x", True), ("ball_y", True), ("ball_z", False)):
-        values = getattr(one, name).reshape(20, 2, 3) * (sign if flips else 1.0)
+        values = getattr(flat, name).reshape(20, 2, 3) * (sign if flips else 1.0)
         turned = getattr(other, name).reshape(20, 2, 3) * (sign if flips else 1.0)
         assert turned == pytest.approx(np.roll(values, 1, axis=-1), abs=1e-12)
 

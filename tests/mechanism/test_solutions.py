@@ -48,11 +48,11 @@ def test_a_single_problem_is_indexed_by_its_solutions(branches: spm.SolutionSet)
 
 def test_a_batch_is_indexed_by_its_problems(batch: spm.SolutionSet) -> None:
     assert batch.shape == (500,)
-    one = batch[7]
-    assert isinstance(one, spm.SolutionSet)
-    assert one.shape == ()
-    np.testing.assert_array_equal(one.leg_lengths, batch.leg_lengths[7])
-    np.testing.assert_array_equal(one.discriminants, np.asarray(batch.discriminants)[7])
+    member = batch[7]
+    assert isinstance(member, spm.SolutionSet)
+    assert member.shape == ()
+    np.testing.assert_array_equal(member.leg_lengths, batch.leg_lengths[7])
+    np.testing.assert_array_equal(member.discriminants, np.asarray(batch.discriminants)[7])
     some = batch[10:20]
     assert some.shape == (10,)
     np.testing.assert_array_equal(some["TT-"].leg_lengths, batch.leg_lengths[10:20, 1])

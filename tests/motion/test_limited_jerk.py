@@ -148,7 +148,7 @@ def test_a_coarse_grid_and_a_long_period_keep_the_limits() -> None:
 
 def test_a_limit_that_only_just_holds_the_machine_is_named() -> None:
     """No acceleration below zero: it could not stop."""
-    one, none = np.ones((101, 1)), np.zeros((101, 1))
-    rows = LimitRows(one, none, none, np.array([0.0]), np.array([1.0]), np.full(101, np.inf))
+    factor, absent = np.ones((101, 1)), np.zeros((101, 1))
+    rows = LimitRows(factor, absent, absent, np.array([0.0]), np.array([1.0]), np.full(101, np.inf))
     with pytest.raises(spm.ArgumentError, match="no such motion"):
         limited_jerk(EasedGrid.over(np.array([0.0, 1.0]), 100), rows, np.ones((101, 6)), np.zeros((101, 6)), np.ones(6))

@@ -174,9 +174,9 @@ class Drake:
         bias = plant.CalcBiasTerm(context) - plant.CalcGravityGeneralizedForces(context)
         rows, drift = [], []
         for pair in self.pairs:
-            given = [(context, JacobianWrtVariable.kV, frame, np.zeros(3), world, world) for frame in pair]
-            jacobians = [plant.CalcJacobianTranslationalVelocity(*arguments) for arguments in given]
-            accelerations = [plant.CalcBiasTranslationalAcceleration(*arguments).ravel() for arguments in given]
+            calls = [(context, JacobianWrtVariable.kV, frame, np.zeros(3), world, world) for frame in pair]
+            jacobians = [plant.CalcJacobianTranslationalVelocity(*arguments) for arguments in calls]
+            accelerations = [plant.CalcBiasTranslationalAcceleration(*arguments).ravel() for arguments in calls]
             rows.append(jacobians[1] - jacobians[0])
             drift.append(accelerations[1] - accelerations[0])
         k = self.order

@@ -298,15 +298,15 @@ def test_a_file_of_the_machine_gives_the_same_chain(prefix: str, tmp_path: Path)
     geometry = problems.as_built(problems.GEOMETRIES["wide base"], 1e-2)
     path = tmp_path / "machine.urdf"
     path.write_text(urdf_text(manipulator(geometry, prefix=prefix)), encoding="utf-8")
-    own = ClosedChain.from_urdf(geometry=geometry, prefix=prefix)
+    expected = ClosedChain.from_urdf(geometry=geometry, prefix=prefix)
     robot = ClosedChain.from_urdf(path, geometry, prefix=prefix)
-    state = states(own, 4, seed=17)
-    q = own.joint_values(state)
+    state = states(expected, 4, seed=17)
+    q = expected.joint_values(state)
     np.testing.assert_array_equal(robot.joint_values(state), q)
-    for other in (robot, pickle.loads(pickle.dumps(own))):
+    for other in (robot, pickle.loads(pickle.dumps(expected))):
         assert other.geometry == geometry
-        np.testing.assert_array_equal(other.closure_gap(q), own.closure_gap(q))
-        np.testing.assert_array_equal(other.inverse_jacobian(q), own.inverse_jacobian(q))
+        np.testing.assert_array_equal(other.closure_gap(q), expected.closure_gap(q))
+        np.testing.assert_array_equal(other.inverse_jacobian(q), expected.inverse_jacobian(q))
 
 
 def test_files_and_geometries_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
@@ -359,13 +359,13 @@ def test_states_of_other_machines_are_refused() -> None:
 
 def test_on_an_arm_the_loops_stay_closed() -> None:
     robots = pytest.importorskip("example_robot_data")
-    own = ClosedChain.from_urdf(geometry=problems.as_built(PAPER, 1e-2), prefix="spm_")
+    machine = ClosedChain.from_urdf(geometry=problems.as_built(PAPER, 1e-2), prefix="spm_")
     arm = robots.load("ur5")
-    q, arm_q = own.joint_values(states(own, 1, seed=19)[0]), np.linspace(-1.0, 1.0, arm.model.nq)
-    for both in (own.mounted_on(arm, "tool0"), own.carrying(arm)):
+    q, arm_q = machine.joint_values(states(machine, 1, seed=19)[0]), np.linspace(-1.0, 1.0, arm.model.nq)
+    for both in (machine.mounted_on(arm, "tool0"), machine.carrying(arm)):
         joined = both.join(arm_q, q)
         assert np.abs(both.closure_gap(joined)).max() <= 1e-14
-        rest, rates = np.zeros(arm.model.nv), own.joint_rates(q, np.full(6, 0.1))
+        rest, rates = np.zeros(arm.model.nv), machine.joint_rates(q, np.full(6, 0.1))
         v = both.join_velocities(rest, rates)
         forces = np.linspace(-10.0, 10.0, both.actuated_indices.size)
         a = both.forward_dynamics(joined, v, forces)

@@ -44,9 +44,9 @@ def state(both: Any, name: str, seed: int) -> tuple[Array, Array]:
     rng, model = np.random.default_rng(seed), arm(name).model
     pinocchio.seed(seed)
     q = pinocchio.randomConfiguration(model, -np.ones(model.nq), np.ones(model.nq))
-    own = small().forward_kinematics(small().leg_lengths(np.zeros(18)) * rng.uniform(0.95, 1.05, 6))
-    rates = small().joint_rates(own, 0.01 * rng.normal(size=6))
-    return both.join(q, own), both.join_velocities(0.3 * rng.normal(size=model.nv), rates)
+    machine_q = small().forward_kinematics(small().leg_lengths(np.zeros(18)) * rng.uniform(0.95, 1.05, 6))
+    rates = small().joint_rates(machine_q, 0.01 * rng.normal(size=6))
+    return both.join(q, machine_q), both.join_velocities(0.3 * rng.normal(size=model.nv), rates)
 
 
 CASES = [("ur5", "carried"), ("ur5", "carries"), ("kinova", "carried"), ("panda", "carried")]
@@ -65,8 +65,8 @@ def test_closed_wherever_the_arm_is(name: str, way: str) -> None:
         a, b = (data.oMf[both.model.getFrameId(frame)].translation for frame in (closure.frame_a, closure.frame_b))
         assert np.linalg.norm(a - b) <= 1e-14
     # Each robot is as it is by itself.
-    other, own = both.split(q)
-    alone = small().configuration(own)
+    other, machine_q = both.split(q)
+    alone = small().configuration(machine_q)
     base, platform = (data.oMf[both.model.getFrameId(f"spm_{link}")] for link in ("base", "terminal_platform"))
     assert np.allclose(base.actInv(platform).translation, alone.translation, atol=1e-14)
     tool = arm(name).model.nframes - 1

@@ -61,11 +61,11 @@ def test_results_depend_on_pose_and_seed_not_on_the_batch() -> None:
     whole = nlp.search(GEOMETRY, grid, seed=3)
     assert whole.solutions.shape == whole.starts.shape == (2, 2)
     assert whole.hits.shape == whole.sigma.shape == (2, 2, 8)
-    one = nlp.search(GEOMETRY, grid[1, 0], seed=3)
-    np.testing.assert_array_equal(one.hits, whole.hits[1, 0])
-    np.testing.assert_array_equal(one.solutions.middle_joints, whole.solutions.middle_joints[1, 0])
+    alone = nlp.search(GEOMETRY, grid[1, 0], seed=3)
+    np.testing.assert_array_equal(alone.hits, whole.hits[1, 0])
+    np.testing.assert_array_equal(alone.solutions.middle_joints, whole.solutions.middle_joints[1, 0])
     other = nlp.search(GEOMETRY, grid[1, 0], seed=4)
-    assert (other.hits != one.hits).any()
+    assert (other.hits != alone.hits).any()
     assert nlp.search(GEOMETRY, RigidTransform.from_matrix(np.empty((0, 4, 4)))).solutions.shape == (0,)
 
 

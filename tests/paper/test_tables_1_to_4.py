@@ -41,9 +41,9 @@ def test_table_4_lost_one_number_and_shifted_another(found: Reproduction) -> Non
 
 
 def test_resultant_and_closed_form_find_the_same_eight_solutions(found: Reproduction) -> None:
-    assert sorted(one.label for one in found.solutions) == sorted(spm.mechanism.BRANCHES)
+    assert sorted(solution.label for solution in found.solutions) == sorted(spm.mechanism.BRANCHES)
     # cm; the octic of the paper's route costs it about five digits.
-    assert max(one.difference for one in found.solutions) < 1e-9
+    assert max(solution.difference for solution in found.solutions) < 1e-9
     assert found.solutions[2].label == "TT+"
 
 

@@ -45,7 +45,7 @@ def check_machines(certificate: spm.Certificate, machines: int, sets_of_legs: in
 def test_all_machines_within_a_tenth_of_a_millimetre_and_of_a_milliradian(certificate: spm.Certificate) -> None:
     assert certificate.holds
     plain = spm.certify(PAPER, LIMITS)
-    assert all(0.95 * one < bound <= one for bound, one in zip(certificate.bounds, plain.bounds, strict=True))
+    assert all(0.95 * most < bound <= most for bound, most in zip(certificate.bounds, plain.bounds, strict=True))
     assert "within 0.1 mm and 0.1 mrad" in certificate.explain()
     check_machines(certificate, 20, 50)
 

@@ -75,25 +75,25 @@ def with_global(value: Any) -> Callable[[Points], Any]:
 
 
 def with_module(value: Any) -> Callable[[Points], Any]:
-    own = types.ModuleType("own_numbers")
-    vars(own)["factor"] = value
-    function = eval("lambda points: points.coordinates[:, 0] * own.factor", {"own": own})
+    module = types.ModuleType("own_numbers")
+    vars(module)["factor"] = value
+    function = eval("lambda points: points.coordinates[:, 0] * own.factor", {"own": module})
     assert callable(function)
     return function
 
 
 def with_submodule(value: Any) -> Callable[[Points], Any]:
-    own, inner = types.ModuleType("own_package"), types.ModuleType("own_package.numbers")
-    vars(own)["numbers"], vars(inner)["factor"] = inner, value
-    function = eval("lambda points: points.coordinates[:, 0] * own.numbers.factor", {"own": own})
+    module, inner = types.ModuleType("own_package"), types.ModuleType("own_package.numbers")
+    vars(module)["numbers"], vars(inner)["factor"] = inner, value
+    function = eval("lambda points: points.coordinates[:, 0] * own.numbers.factor", {"own": module})
     assert callable(function)
     return function
 
 
 def closing_over_module(value: Any) -> Callable[[Points], Any]:
-    own = types.ModuleType("own_numbers")
-    vars(own)["factor"] = value
-    return closing_over(own)
+    module = types.ModuleType("own_numbers")
+    vars(module)["factor"] = value
+    return closing_over(module)
 
 
 def with_attribute(value: Any) -> Callable[[Points], Any]:

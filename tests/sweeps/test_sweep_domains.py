@@ -38,7 +38,7 @@ def test_chunks_make_up_the_lattice(counts: list[int], limit: int) -> None:
     six = [*ranges, *(0.5 for _ in range(6 - len(ranges)))]
     grid = leg_grid(six[:3], six[3:])
     assert grid.shape == tuple(counts)
-    values = [np.linspace(*one) if isinstance(one, tuple) else np.array([one]) for one in six]
+    values = [np.linspace(*leg) if isinstance(leg, tuple) else np.array([leg]) for leg in six]
     expected = np.stack(np.meshgrid(*values, indexing="ij"), axis=-1).reshape(*counts, 6)
     np.testing.assert_array_equal(all_points(grid, limit), expected)
 
@@ -100,7 +100,7 @@ def test_a_sample_fills_its_box_evenly(method: str) -> None:
 def test_sobol_chunks_are_more_even_than_independent_points_and_differ_from_one_another() -> None:
     sobol, uniform = (leg_sample(2048, (1, 2), (1, 2), method=method) for method in ("sobol", "uniform"))
     chunks = [sobol.points((k,), (1024,)) - 1.0 for k in range(2)]
-    assert max(qmc.discrepancy(one) for one in chunks) < 0.3 * qmc.discrepancy(uniform.points((0,), (1024,)) - 1.0)
+    assert max(qmc.discrepancy(chunk) for chunk in chunks) < 0.3 * qmc.discrepancy(uniform.points((0,), (1024,)) - 1.0)
     assert not np.isin(chunks[0], chunks[1]).any()
 
 
@@ -152,7 +152,7 @@ CALLS: dict[str, tuple[Callable[..., object], dict[str, Any]]] = {
 }
 
 
-@pytest.mark.parametrize(("name", "argument"), [(name, one) for name, (_, given) in CALLS.items() for one in given])
+@pytest.mark.parametrize(("name", "argument"), [(name, key) for name, call in CALLS.items() for key in call[1]])
 def test_odd_arguments_end_in_an_error_that_names_them(name: str, argument: str) -> None:
     function, arguments = CALLS[name]
     function(**arguments)

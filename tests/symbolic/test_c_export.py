@@ -90,12 +90,12 @@ def test_contraction_changes_lengths_by_no_more_than_rounding_of_the_pose(tmp_pa
 
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_forward_displacement_is_that_of_the_kernels(library: CLibrary, name: str) -> None:
-    own, geometry = of_geometry(library, name), GEOMETRIES[name]
+    functions, geometry = of_geometry(library, name), GEOMETRIES[name]
     size = geometry.base_radius + geometry.platform_radius + geometry.middle_side
     anywhere = size * np.random.default_rng(3).uniform(0.02, 2.0, (3000, 6))
     lengths = np.concatenate([possible_lengths(geometry, 3000, 3, 1.0), anywhere])
     lengths[:50] = lengths[:50, :1]
-    states, status = own.forward(lengths)
+    states, status = functions.forward(lengths)
     expected = spm.forward_physical(geometry, lengths)
     np.testing.assert_array_equal(status, np.where(expected.exists, 0, 1))
     assert 500 < np.count_nonzero(status == 0) < len(lengths)
@@ -153,13 +153,13 @@ def test_too_many_steps_from_a_seed_are_taken_for_a_singularity(
 
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_jacobians_and_forces_are_those_of_the_kernels_to_the_bit(library: CLibrary, name: str) -> None:
-    own = of_geometry(library, name)
-    state = held_states(own.geometry, 2000, 8)
-    matrices, status = own.inverse_jacobian(as_states(state))
+    functions = of_geometry(library, name)
+    state = held_states(functions.geometry, 2000, 8)
+    matrices, status = functions.inverse_jacobian(as_states(state))
     assert (status == 0).all()
     np.testing.assert_array_equal(matrices, spm.inverse_jacobian(state))
     wrench = np.random.default_rng(9).normal(size=(len(state.exists), 6))
-    forces, status = own.leg_forces(as_states(state), wrench)
+    forces, status = functions.leg_forces(as_states(state), wrench)
     assert (status == 0).all()
     np.testing.assert_array_equal(forces, spm.leg_forces(state, wrench))
 
@@ -264,7 +264,7 @@ def test_sanitizers_find_nothing_in_ten_thousand_poses(name: str, tmp_path: Path
     """All functions, for hard poses, poses anywhere, lengths anywhere and arguments that are none."""
     geometry = GEOMETRIES[name]
     parts = [hard_poses(geometry, 6000, 3), spread_poses(geometry, 6000, 4)]
-    rotation, position = (np.concatenate(own) for own in zip(*parts, strict=True))
+    rotation, position = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     branches = spm.inverse_displacement(geometry, spm.pose(position, rotation=rotation))
     size, rng = geometry.base_radius + geometry.platform_radius + geometry.middle_side, np.random.default_rng(5)
     lengths = size * rng.uniform(0.02, 2.0, (len(position), 6))
@@ -411,9 +411,9 @@ def test_the_call_in_the_how_to_compiles(tmp_path: Path) -> None:
     page = (Path(__file__).parents[2] / "docs/howto/controller.md").read_text(encoding="utf-8")
     (block,) = re.findall(r"^```c\n(.*?)^```", page, flags=re.MULTILINE | re.DOTALL)
     include, body = block.split("\n", 1)
-    given = "static void stop(const char *why) { (void)why; }\nstatic void command(const double *q) { (void)q; }\n"
+    stubs = "static void stop(const char *why) { (void)why; }\nstatic void command(const double *q) { (void)q; }\n"
     head = "void call(const double *rotation, const double *position);\nvoid call(const double *rotation, "
-    text = f"{include}\n{given}{head}const double *position)\n{{{body}}}\n"
+    text = f"{include}\n{stubs}{head}const double *position)\n{{{body}}}\n"
     (tmp_path / "call.c").write_text(text, encoding="utf-8")
     compile_c(compilers()[0], *STRICT, "-fsyntax-only", tmp_path / "call.c")
 

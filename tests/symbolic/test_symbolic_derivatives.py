@@ -57,11 +57,11 @@ def velocities(geometry: spm.Geometry, state: State) -> tuple[np.ndarray, np.nda
         rows[:, 6 + i, 3 * j : 3 * j + 3] = b[:, j] - b[:, i]
     joints = np.linalg.solve(rows, right)
     unit = legs / np.sqrt(inner(legs, legs))[..., None]
-    own = joints.reshape(n, 3, 3, 6)
-    lower = np.einsum("nij,nijk->nik", unit[:, :3], own)
+    by_twist = joints.reshape(n, 3, 3, 6)
+    lower = np.einsum("nij,nijk->nik", unit[:, :3], by_twist)
     arms = legs[:, 3:] + b - o[:, None]
     ends = np.concatenate([unit[:, 3:], np.cross(arms, unit[:, 3:])], axis=-1)
-    return joints, np.concatenate([lower, ends - np.einsum("nij,nijk->nik", unit[:, 3:], own)], axis=1)
+    return joints, np.concatenate([lower, ends - np.einsum("nij,nijk->nik", unit[:, 3:], by_twist)], axis=1)
 
 
 def held_forces(geometry: spm.Geometry, state: State, wrench: np.ndarray) -> np.ndarray:
@@ -156,8 +156,8 @@ def test_derivatives_of_the_forward_displacement_are_velocities_of_the_closed_ch
     # Beside a fold fourteen steps may be too few.
     there = called(spm.symbolic.forward_physical(geometry), lengths)[4][:, 0] == 1.0
     assert there.sum() >= 0.995 * COUNT
-    for own, expected in zip(found[:3], (rates[1], rates[2], rates[0]), strict=True):
-        agree(own[there], expected[there])
+    for value, expected in zip(found[:3], (rates[1], rates[2], rates[0]), strict=True):
+        agree(value[there], expected[there])
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -221,12 +221,12 @@ def worst_derivatives(count: int) -> tuple[float, float]:
         h = mpmath.mpf(10) ** -20
         for state, condition in zip(states, conditioning(states), strict=True):
             along = rng.normal(size=6)
-            one, two = (x[:, 0] for x in numbers(derivatives, state.rotation, state.translation, along))
+            rate, curvature = (x[:, 0] for x in numbers(derivatives, state.rotation, state.translation, along))
             behind, here, ahead = (exact_lengths(state, along, k * h) for k in (-1, 0, 1))
             slope = np.array([float((a - b) / (2 * h)) for a, b in zip(ahead, behind, strict=True)])
             bend = np.array([float((a - 2 * m + b) / h**2) for a, m, b in zip(ahead, here, behind, strict=True)])
-            worst[0] = max(worst[0], np.abs(one - slope).max() / (np.abs(slope).max() * condition))
-            worst[1] = max(worst[1], np.abs(two - bend).max() / (np.abs(bend).max() * condition))
+            worst[0] = max(worst[0], np.abs(rate - slope).max() / (np.abs(slope).max() * condition))
+            worst[1] = max(worst[1], np.abs(curvature - bend).max() / (np.abs(bend).max() * condition))
     return worst[0], worst[1]
 
 

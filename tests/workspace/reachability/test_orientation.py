@@ -19,8 +19,8 @@ def test_tilt_and_torsion_are_those_of_the_rotation() -> None:
     tilt = np.arccos(rng.uniform(-0.999, 0.999, 200))
     angles = np.stack([azimuth, tilt, torsion - azimuth], axis=-1)
     found = tilt_torsion(Rotation.from_euler("ZYZ", angles).as_matrix())
-    for one, other in zip(found, (azimuth, tilt, torsion), strict=True):
-        np.testing.assert_allclose(np.exp(1j * one), np.exp(1j * other), atol=1e-9)
+    for angle, expected in zip(found, (azimuth, tilt, torsion), strict=True):
+        np.testing.assert_allclose(np.exp(1j * angle), np.exp(1j * expected), atol=1e-9)
     # Upright there is no azimuth, but a torsion.
     _, level, turned = tilt_torsion(Rotation.from_euler("z", 0.3).as_matrix())
     assert level == 0.0

@@ -49,9 +49,9 @@ def test_any_branch_reaches_more_than_the_physical_one() -> None:
     # Legs long enough for branches with a torsion of half a turn.
     wide = spm.LegLimits(0.3, 2.5)
     problem = random_branches(PAPER, "FT", 300, 3)
-    one, every = (reachable(PAPER, problem.pose, wide, branch=which) for which in ("physical", "any"))
-    assert (every.allowed >= one.allowed).all()
-    assert every.reachable.sum() > one.reachable.sum() + 30
+    physical, every = (reachable(PAPER, problem.pose, wide, branch=which) for which in ("physical", "any"))
+    assert (every.allowed >= physical.allowed).all()
+    assert every.reachable.sum() > physical.reachable.sum() + 30
     named = [reachable(PAPER, problem.pose, wide, branch=label).allowed for label in spm.mechanism.BRANCHES]
     np.testing.assert_array_equal(np.any(named, axis=0), every.allowed)
     for place, allowed in enumerate(named):

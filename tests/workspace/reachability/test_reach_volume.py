@@ -39,9 +39,9 @@ def test_two_methods_agree_on_the_volume() -> None:
 
 def test_a_volume_scales_with_the_cube_of_the_machine() -> None:
     small = spm.Geometry(0.1 * PAPER.base_radius, 0.1 * PAPER.platform_radius, 0.1 * PAPER.middle_side)
-    one = reachable_volume(PAPER, NARROW, samples=400, rng=2)
+    metres = reachable_volume(PAPER, NARROW, samples=400, rng=2)
     tenth = reachable_volume(small, spm.LegLimits(0.12, 0.14), samples=400, rng=2)
-    assert tenth.value == pytest.approx(1e-3 * one.value, rel=0.02)
+    assert tenth.value == pytest.approx(1e-3 * metres.value, rel=0.02)
 
 
 def test_the_volume_of_poses_is_that_of_uniform_poses_in_a_part_of_them() -> None:
@@ -87,17 +87,17 @@ def test_intervals_cover_the_truth_at_the_stated_rate() -> None:
     hits = rng.binomial(400, truth, 500)
     shares = [from_hits(int(k), 400, 1.0, 0.9, "", "") for k in hits]
     # Clopper and Pearson's are never too short.
-    assert np.mean([one.low <= truth <= one.high for one in shares]) >= 0.87
+    assert np.mean([estimate.low <= truth <= estimate.high for estimate in shares]) >= 0.87
     means = [from_mean(rng.exponential(2.0, 400), 3.0, 0.9, "", "") for _ in range(500)]
-    assert 0.85 < np.mean([one.low <= 6.0 <= one.high for one in means]) < 0.95
+    assert 0.85 < np.mean([estimate.low <= 6.0 <= estimate.high for estimate in means]) < 0.95
 
 
 def test_text_of_an_estimate() -> None:
-    one = Estimate(1.859, 1.853, 1.865, 0.95, 10, "mesh", "m³")
-    assert str(one) == "1.859 [1.853, 1.865] m³"
-    assert str(one.times(100.0, "")) == "185.9 [185.3, 186.5]"
-    assert one.times(-1.0, "m³").low == -1.865
-    assert not one.agrees_with(one.times(2.0, "m³"))
+    estimate = Estimate(1.859, 1.853, 1.865, 0.95, 10, "mesh", "m³")
+    assert str(estimate) == "1.859 [1.853, 1.865] m³"
+    assert str(estimate.times(100.0, "")) == "185.9 [185.3, 186.5]"
+    assert estimate.times(-1.0, "m³").low == -1.865
+    assert not estimate.agrees_with(estimate.times(2.0, "m³"))
 
 
 def test_volume_outside_the_shell(boundary: Boundary) -> None:

@@ -57,9 +57,9 @@ def random_states(geometry: spm.Geometry, limits: spm.LegLimits, count: int, see
         if known is None:
             known = legs[np.flatnonzero(spm.forward_physical(geometry, legs).exists)[0]]
         for k in range(2):
-            asked = np.tile(known, (len(legs), 1))
-            asked[:, 3 * k : 3 * k + 3] = legs[:, 3 * k : 3 * k + 3]
-            good = spm.forward_physical(geometry, asked).exists
+            mixed = np.tile(known, (len(legs), 1))
+            mixed[:, 3 * k : 3 * k + 3] = legs[:, 3 * k : 3 * k + 3]
+            good = spm.forward_physical(geometry, mixed).exists
             halves[k] = np.concatenate([halves[k], legs[good, 3 * k : 3 * k + 3]])
     return spm.forward_physical(geometry, np.concatenate([half[:count] for half in halves], axis=-1))
 

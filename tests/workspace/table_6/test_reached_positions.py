@@ -43,7 +43,7 @@ def test_a_mirror_changes_the_sign_of_det_K() -> None:
         spm.forward_physical(PAPER, legs[:, order]) for order in ([0, 1, 2, 3, 4, 5], [2, 1, 0, 5, 4, 3])
     )
     np.testing.assert_allclose(mirrored.translation, state.translation * [-1.0, 1.0, 1.0], atol=1e-12)
-    here, there = (spm.singularities(one).determinants[:, 2] for one in (state, mirrored))
+    here, there = (spm.singularities(configuration).determinants[:, 2] for configuration in (state, mirrored))
     np.testing.assert_allclose(there, -here, atol=1e-12)
 
 
