@@ -1,7 +1,7 @@
 """Workspace of the terminal platform: the paper's 24 surfaces as one shell, and the reachable set itself."""
 
 from spm_pin.workspace.reachability.boundary import Boundary, BoundaryPoints, reachable_boundary
-from spm_pin.workspace.reachability.estimate import Estimate
+from spm_pin.workspace.reachability.confidence_intervals import Estimate
 from spm_pin.workspace.reachability.joint_limits import JointLimits, leg_clearance
 from spm_pin.workspace.reachability.membership import (
     PositionReach,

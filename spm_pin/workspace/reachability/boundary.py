@@ -19,8 +19,8 @@ from spm_pin.mechanism.arguments import FloatArray, generator, whole_number
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.workspace.closed_mesh import ClosedMesh
 from spm_pin.workspace.reachability.lattice import classified, crossings, lattice
-from spm_pin.workspace.reachability.leg_box import LegBox, leg_box
-from spm_pin.workspace.reachability.nearest import Nearest, merged, nearest_in_box
+from spm_pin.workspace.reachability.leg_length_box import LegLengthBox, leg_length_box
+from spm_pin.workspace.reachability.nearest_points import Nearest, merged, nearest_in_box
 from spm_pin.workspace.reachability.state_search import RESOLUTION, Progress
 
 __all__ = ["Boundary", "BoundaryPoints", "reachable_boundary"]
@@ -51,7 +51,7 @@ class BoundaryPoints:
     """By how much normal and `gradient` miss the conditions of a nearest point, shape (n,); rounding."""
 
     @classmethod
-    def of(cls, box: LegBox, points: FloatArray, found: Nearest) -> BoundaryPoints:
+    def of(cls, box: LegLengthBox, points: FloatArray, found: Nearest) -> BoundaryPoints:
         """Describe what was found nearest to points outside the reachable set."""
         normal = (points - found.position) / np.maximum(found.distance, np.finfo(float).tiny)[:, None]
         at_limit = (found.lengths >= box.maximum).astype(np.int8) - (found.lengths <= box.minimum).astype(np.int8)
@@ -96,7 +96,7 @@ class Boundary(ClosedMesh):
         weights = np.stack([share[:, 0], share[:, 1] - share[:, 0], 1.0 - share[:, 1]], axis=-1)
         on_mesh = (self.vertices[self.faces[face]] * weights[..., None]).sum(axis=1)
         outwards = doubled[face] / double_area[face, None]
-        box = leg_box(self.geometry, self.limits)
+        box = leg_length_box(self.geometry, self.limits)
         points = np.empty((count, 3))
         left, lift = np.arange(count), 0.1 * self.spacing
         points[:] = on_mesh + lift * outwards
@@ -108,7 +108,7 @@ class Boundary(ClosedMesh):
         return BoundaryPoints.of(box, points, found)
 
 
-def _globally_nearest(box: LegBox, points: FloatArray) -> Nearest:
+def _globally_nearest(box: LegLengthBox, points: FloatArray) -> Nearest:
     """Return the reachable point nearest to each of `points` (N, 3) outside, searched again from just beside it."""
     found = nearest_in_box(box, points)
     left = np.flatnonzero(found.distance > RESOLUTION * box.size)
@@ -175,7 +175,7 @@ def reachable_boundary(
         measure: Any = import_module("skimage.measure")
     except ModuleNotFoundError as missing:
         raise MissingExtraError("workspace", "scikit-image") from missing
-    box = leg_box(geometry, limits)
+    box = leg_length_box(geometry, limits)
     origin, shape = lattice(box, spacing)
     inside, states = classified(box, origin, shape, spacing, progress)
     if not inside.any():

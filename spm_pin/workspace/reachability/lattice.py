@@ -11,8 +11,8 @@ from scipy.spatial import KDTree
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, real_number
-from spm_pin.workspace.reachability.leg_box import LegBox
-from spm_pin.workspace.reachability.nearest import CLEAR
+from spm_pin.workspace.reachability.leg_length_box import LegLengthBox
+from spm_pin.workspace.reachability.nearest_points import CLEAR
 from spm_pin.workspace.reachability.state_search import Progress, StateSearch, in_portions, search_states
 
 __all__ = ["classified", "crossings", "lattice"]
@@ -30,7 +30,7 @@ _BEYOND = 1e-4
 _EXACT = 1e-7
 
 
-def lattice(box: LegBox, spacing: float) -> tuple[FloatArray, tuple[int, int, int]]:
+def lattice(box: LegLengthBox, spacing: float) -> tuple[FloatArray, tuple[int, int, int]]:
     """Return the first node [m] and how many there are along each axis, wide enough to begin and to end outside."""
     spacing = real_number(spacing, "spacing", "a positive length in metres", above=0.0)
     low, high = box.extent
@@ -45,7 +45,7 @@ def lattice(box: LegBox, spacing: float) -> tuple[FloatArray, tuple[int, int, in
 
 
 def classified(
-    box: LegBox, origin: FloatArray, shape: tuple[int, int, int], spacing: float, progress: Progress | None
+    box: LegLengthBox, origin: FloatArray, shape: tuple[int, int, int], spacing: float, progress: Progress | None
 ) -> tuple[BoolArray, FloatArray]:
     """Return which nodes are reachable, shape `shape`, and states there, shape `shape` + (2, 3).
 
@@ -87,7 +87,7 @@ def classified(
 
 
 def crossings(
-    box: LegBox,
+    box: LegLengthBox,
     origin: FloatArray,
     spacing: float,
     corners: FloatArray,
@@ -118,7 +118,9 @@ def crossings(
     return vertices, lengths
 
 
-def _crossing(box: LegBox, inner: FloatArray, outer: FloatArray, states: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _crossing(
+    box: LegLengthBox, inner: FloatArray, outer: FloatArray, states: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return where segments leave the reachable set, points (N, 3) [m] to 1e-7 of their length, and leg lengths (N, 6).
 
     They go from reachable points `inner` to unreachable ones `outer`, (N, 3) [m]; `states` (N, 2, 3) put o at `inner`.
@@ -153,7 +155,7 @@ def _crossing(box: LegBox, inner: FloatArray, outer: FloatArray, states: FloatAr
 
 
 def _followed(
-    box: LegBox, inner: FloatArray, along: FloatArray, states: FloatArray
+    box: LegLengthBox, inner: FloatArray, along: FloatArray, states: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return at which share of `along` (N, 3) the set is left, and where o was found within it before, (N,) each.
 

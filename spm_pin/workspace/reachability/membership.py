@@ -15,8 +15,8 @@ from spm_pin.mechanism import BRANCHES, Configuration, Geometry, LegLimits, Pose
 from spm_pin.mechanism.arguments import FloatArray, choice, generator, instance, real_array, whole_number
 from spm_pin.mechanism.branches import physical, straightness
 from spm_pin.workspace.reachability.joint_limits import JointLimits
-from spm_pin.workspace.reachability.leg_box import LegBox, leg_box
-from spm_pin.workspace.reachability.nearest import nearest_in_box
+from spm_pin.workspace.reachability.leg_length_box import LegLengthBox, leg_length_box
+from spm_pin.workspace.reachability.nearest_points import nearest_in_box
 from spm_pin.workspace.reachability.state_search import RESOLUTION, Progress
 
 __all__ = [
@@ -150,8 +150,8 @@ class PositionReach:
     """Leg lengths that put o there [m], shape (..., 6); there may be others."""
     optimality: FloatArray
     """How far `nearest` is from obeying the conditions of a nearest point, shape (...), see
-    `spm_pin.workspace.reachability.nearest`; rounding, unless the search has not arrived and `distance` is only an
-    upper bound."""
+    `spm_pin.workspace.reachability.nearest_points`; rounding, unless the search has not converged and `distance` is
+    only an upper bound."""
     tolerance: float
     """Of the positions [m]."""
 
@@ -186,7 +186,7 @@ def reachable_position(geometry: Geometry, points: npt.ArrayLike, limits: LegLim
     `undecided` says so.
     """
     array = real_array(points, "points", (3,), "positions in metres")
-    box = leg_box(geometry, limits)
+    box = leg_length_box(geometry, limits)
     found = nearest_in_box(box, array.reshape(-1, 3))
     tolerance = RESOLUTION * box.size
     shape = array.shape[:-1]
@@ -247,7 +247,7 @@ def sample_reachable(
     """
     count = whole_number(count, "count")
     choice(space, "space", ("legs", "poses"))
-    box, rng = leg_box(geometry, limits), generator(rng)
+    box, rng = leg_length_box(geometry, limits), generator(rng)
     parts, largest, kept = [np.empty((0, 2, 3))], 0.0, 0
     for _ in range(_MOST_ROUNDS):
         if progress is not None:
@@ -270,7 +270,7 @@ def sample_reachable(
     return box.map.states(np.concatenate(parts)[:count])
 
 
-def _uniform_in_legs(box: LegBox, count: int, rng: np.random.Generator) -> FloatArray:
+def _uniform_in_legs(box: LegLengthBox, count: int, rng: np.random.Generator) -> FloatArray:
     """Draw `count` sets of leg lengths uniformly; return the coordinates of the states among them, (n, 2, 3).
 
     The legs of one stage say nothing about the other stage's: each stage is drawn by itself.

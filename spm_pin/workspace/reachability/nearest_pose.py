@@ -2,10 +2,10 @@
 
 Distance is measured where the platform is held: the root of the mean squared displacement of c_1, c_2, c_3.
 
-Within leg limits this is the least-squares problem of `spm_pin.workspace.reachability.nearest`, in the assembly mode of
-the start. Derivatives with respect to the legs are finite at inverse singularities, which legs can pass though a
-platform cannot: the branch may then end as another one. Without leg limits see
-`spm_pin.workspace.reachability.family_slab`.
+Within leg limits this is the least-squares problem of `spm_pin.workspace.reachability.nearest_points`, in the assembly
+mode of the start. Derivatives with respect to the legs are finite at inverse singularities, which legs can pass though
+a platform cannot: the branch may then end as another one. Without leg limits see
+`spm_pin.workspace.reachability.nearest_real_pose`.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from spm_pin.mechanism import BRANCHES, FAMILIES, Configuration, Geometry, LegLi
 from spm_pin.mechanism import pose as make_pose
 from spm_pin.mechanism.arguments import FloatArray, choice, instance
 from spm_pin.mechanism.branches import family, physical
-from spm_pin.workspace.reachability.family_slab import nearest_real_pose
-from spm_pin.workspace.reachability.leg_box import LegBox, leg_box
-from spm_pin.workspace.reachability.nearest import CLEAR, approach, settle
+from spm_pin.workspace.reachability.leg_length_box import LegLengthBox, leg_length_box
+from spm_pin.workspace.reachability.nearest_points import CLEAR, approach, settle
+from spm_pin.workspace.reachability.nearest_real_pose import nearest_real_pose
 from spm_pin.workspace.reachability.position_map import PositionMap
 
 __all__ = ["NearestPose", "nearest_reachable_pose", "pose_distance"]
@@ -157,11 +157,11 @@ def _within_limits(
     joints = geometry.platform_joints
     targets = (matrices[:, None, :3, 3] + joints @ np.swapaxes(matrices[:, :3, :3], -1, -2)).reshape(-1, 9)
     if near is None:
-        box = leg_box(geometry, limits)
+        box = leg_length_box(geometry, limits)
         mapping, tree = box.map, KDTree(box.map.points(box.sample, joints)[0])
         starts = box.sample[tree.query(targets, _STARTS)[1]]
     else:
-        box = LegBox(geometry, limits, np.array(limits.minimum), np.array(limits.maximum))
+        box = LegLengthBox(geometry, limits, np.array(limits.minimum), np.array(limits.maximum))
         mapping = PositionMap(geometry, FAMILIES[int(family(near))])
         single = Configuration(near.geometry, near.pose.as_matrix()[None], near.middle_joints[None])
         starts = np.broadcast_to(mapping.coordinates(single), (len(targets), 1, 2, 3))

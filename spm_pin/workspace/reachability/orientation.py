@@ -21,8 +21,8 @@ import numpy.typing as npt
 
 from spm_pin.mechanism import Configuration, Geometry, LegLimits
 from spm_pin.mechanism.arguments import FloatArray, generator, real_array, whole_number
-from spm_pin.workspace.reachability.estimate import Estimate, check_confidence, from_hits, from_mean
-from spm_pin.workspace.reachability.leg_box import leg_box
+from spm_pin.workspace.reachability.confidence_intervals import Estimate, check_confidence, from_hits, from_mean
+from spm_pin.workspace.reachability.leg_length_box import leg_length_box
 from spm_pin.workspace.reachability.membership import pose_multiplicity
 
 __all__ = ["ROTATIONS", "OrientationWorkspace", "orientation_workspace", "tilt_torsion"]
@@ -118,7 +118,7 @@ def orientation_workspace(
     if len(point) != 1:
         real_array(position, "position", (3, 0), "one position in metres")
     count, confidence = whole_number(samples, "samples", least=2), check_confidence(confidence)
-    box, rng = leg_box(geometry, limits), generator(rng)
+    box, rng = leg_length_box(geometry, limits), generator(rng)
     lower, region = box.stages[0].draw(count, rng)
     upper = box.map.upper_for(lower, point)
     index = np.flatnonzero(box.stages[1].contains(upper))

@@ -5,9 +5,9 @@ outside its limits, and how far each stage is beyond a forward singularity: smoo
 derivatives that the position has as a function of the lengths. All searches here are damped least squares of that kind,
 for many members at once.
 
-A point is reachable if all of it can vanish. The search begins at states that `LegBox.nearby` finds by going through
-all of the set, and a state found counts only if it is one of a real machine: the position that its lengths give,
-snapped to the limits, is compared with the point.
+A point is reachable if all of it can vanish. The search begins at states that `LegLengthBox.nearby` finds by going
+through all of the set, and a state found counts only if it is one of a real machine: the position that its lengths
+give, snapped to the limits, is compared with the point.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.workspace.reachability.leg_box import LegBox
+from spm_pin.workspace.reachability.leg_length_box import LegLengthBox
 from spm_pin.workspace.reachability.position_map import PositionMap
 
 __all__ = ["RESOLUTION", "Membership", "Progress", "StateSearch", "in_portions", "search_states"]
@@ -53,7 +53,7 @@ class StateSearch:
 
     Parameters
     ----------
-    box : LegBox
+    box : LegLengthBox
         The leg lengths.
     targets : ndarray, shape (N, 3K)
         Where the points of `body` (K, 3), given in {m}, should be [m].
@@ -74,7 +74,7 @@ class StateSearch:
 
     def __init__(
         self,
-        box: LegBox,
+        box: LegLengthBox,
         targets: FloatArray,
         coordinates: FloatArray,
         body: FloatArray = _CENTRE,
@@ -238,7 +238,7 @@ class Membership(NamedTuple):
 
 
 def search_states(
-    box: LegBox,
+    box: LegLengthBox,
     points: FloatArray,
     starts: FloatArray | None = None,
     *,
@@ -247,8 +247,8 @@ def search_states(
 ) -> Membership:
     """Search for states within the limits that put o at `points` (N, 3), in {B} [m].
 
-    With `starts` (N, 2, 3) the search begins at one state for each point, instead of those of `LegBox.nearby`. `what`
-    says what is being done, for `progress`.
+    With `starts` (N, 2, 3) the search begins at one state for each point, instead of those of `LegLengthBox.nearby`.
+    `what` says what is being done, for `progress`.
     """
     given = [points] if starts is None else [points, starts]
     return Membership(*in_portions(partial(_searched, box), what, progress, *given))
@@ -268,7 +268,7 @@ def in_portions(
     return map(np.concatenate, zip(*parts, strict=True))
 
 
-def _searched(box: LegBox, points: FloatArray, near: FloatArray | None = None) -> Membership:
+def _searched(box: LegLengthBox, points: FloatArray, near: FloatArray | None = None) -> Membership:
     if near is None:
         distance, starts = box.nearby(points)
     else:

@@ -11,8 +11,8 @@ from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, choice, generator, instance, whole_number
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.workspace.reachability.boundary import Boundary, reachable_boundary
-from spm_pin.workspace.reachability.estimate import Estimate, check_confidence, from_hits, from_mean
-from spm_pin.workspace.reachability.leg_box import LegBox, leg_box
+from spm_pin.workspace.reachability.confidence_intervals import Estimate, check_confidence, from_hits, from_mean
+from spm_pin.workspace.reachability.leg_length_box import LegLengthBox, leg_length_box
 from spm_pin.workspace.reachability.membership import pose_multiplicity, sample_reachable
 from spm_pin.workspace.reachability.state_search import Progress, search_states
 from spm_pin.workspace.table_6.shell import Shell
@@ -67,14 +67,14 @@ def reachable_volume(
         value, error = fine.volume + added, abs(added)
         how = f"meshes of spacing {spacing:g} and {0.5 * spacing:g} m, extrapolated"
         return Estimate(value, value - error, value + error, float("nan"), len(fine.vertices), how, "m³")
-    box, rng = leg_box(geometry, limits), generator(rng)
+    box, rng = leg_length_box(geometry, limits), generator(rng)
     points, region = _points_around(box, whole_number(samples, "samples", least=2), rng)
     found = search_states(box, points, what="reachable points", progress=progress)
     hits, undecided = int(found.reached.sum()), int(found.undecided.sum())
     return from_hits(hits, len(points), region, confidence, "share of uniform points", "m³", undecided)
 
 
-def _points_around(box: LegBox, count: int, rng: np.random.Generator) -> tuple[FloatArray, float]:
+def _points_around(box: LegLengthBox, count: int, rng: np.random.Generator) -> tuple[FloatArray, float]:
     """Draw points (count, 3) [m] uniformly from a region that holds the reachable set; and its volume [m³]."""
     corners, size = box.cells
     points = corners[rng.integers(len(corners), size=count)] + size * rng.uniform(size=(count, 3))
@@ -116,7 +116,7 @@ def pose_volume(
     """
     confidence = check_confidence(confidence)
     count = whole_number(samples, "samples", least=2)
-    box, rng = leg_box(geometry, limits), generator(rng)
+    box, rng = leg_length_box(geometry, limits), generator(rng)
     parts, volumes = [np.empty(0)], []
     for begin in range(0, count, _PORTION):
         if progress is not None:
@@ -176,7 +176,7 @@ def compare_with_shell(
     check_confidence(confidence)
     count, rng = whole_number(samples, "samples", least=20), generator(rng)
     geometry, limits = instance(shell, Shell, "shell").geometry, shell.limits
-    box = leg_box(geometry, limits)
+    box = leg_length_box(geometry, limits)
     if boundary is None:
         boundary = reachable_boundary(geometry, limits, progress=progress)
     instance(boundary, Boundary, "boundary")

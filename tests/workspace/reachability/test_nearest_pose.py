@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.workspace import nearest_reachable_pose, pose_distance
-from spm_pin.workspace.reachability.family_slab import LEAST_TILT
+from spm_pin.workspace.reachability.nearest_real_pose import LEAST_TILT
 
 PAPER = spm.Geometry.paper()
 FREE = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)

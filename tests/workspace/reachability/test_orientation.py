@@ -6,7 +6,7 @@ from problems import GEOMETRIES
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.workspace.reachability.estimate import from_hits
+from spm_pin.workspace.reachability.confidence_intervals import from_hits
 from spm_pin.workspace.reachability.membership import reachable
 from spm_pin.workspace.reachability.orientation import ROTATIONS, orientation_workspace, tilt_torsion
 

@@ -8,9 +8,9 @@ from problems import GEOMETRIES
 from scipy.optimize import least_squares
 
 import spm_pin as spm
-from spm_pin.workspace.reachability.leg_box import leg_box
+from spm_pin.workspace.reachability.leg_length_box import leg_length_box
 from spm_pin.workspace.reachability.membership import reachable_position
-from spm_pin.workspace.reachability.nearest import nearest_in_box
+from spm_pin.workspace.reachability.nearest_points import nearest_in_box
 from spm_pin.workspace.reachability.position_map import PositionMap
 
 PAPER = GEOMETRIES["paper"]
@@ -73,7 +73,7 @@ def test_far_points_are_not_reachable_and_have_a_distance() -> None:
 
 def test_distances_are_those_a_bounded_least_squares_solver_finds() -> None:
     rng = np.random.default_rng(4)
-    box = leg_box(PAPER)
+    box = leg_length_box(PAPER)
     points = rng.uniform(box.extent[0] - 0.1, box.extent[1] + 0.1, (6, 3))
     answer = reachable_position(PAPER, points)
     for k, point in enumerate(points):
@@ -93,7 +93,7 @@ def test_distances_are_those_a_bounded_least_squares_solver_finds() -> None:
 def test_no_set_of_lower_legs_reaches_a_point_said_to_be_out_of_reach() -> None:
     """On a grid of 16³ lower stages, each with the upper legs that then put o there."""
     rng = np.random.default_rng(5)
-    box = leg_box(PAPER)
+    box = leg_length_box(PAPER)
     points = rng.uniform(*box.extent, (20, 3))
     answer = reachable_position(PAPER, points)
     assert 3 <= answer.reachable.sum() <= 17
@@ -131,7 +131,7 @@ def test_where_the_machine_cannot_be_assembled_everywhere_in_the_limits_the_rest
 
 
 def test_states_with_the_optimality_conditions_are_nearest_among_many() -> None:
-    box = leg_box(PAPER)
+    box = leg_length_box(PAPER)
     rng = np.random.default_rng(7)
     points = rng.uniform(box.extent[0] - 0.2, box.extent[1] + 0.2, (200, 3))
     found = nearest_in_box(box, points)

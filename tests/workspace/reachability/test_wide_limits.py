@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.mechanism.branches import physical
-from spm_pin.workspace.reachability.leg_box import leg_box
+from spm_pin.workspace.reachability.leg_length_box import leg_length_box
 from spm_pin.workspace.reachability.membership import reachable_position
 from spm_pin.workspace.reachability.position_map import PositionMap
 from spm_pin.workspace.reachability.state_search import damped_solution, search_states
@@ -175,7 +175,7 @@ def test_a_singular_member_does_not_stop_the_others() -> None:
 @pytest.mark.parametrize("limits", [(0.8, 1.8), (0.6, 2.0), (0.2, 3.0)])
 def test_poses_of_leg_lengths_within_limits_are_reachable(limits: tuple[float, float]) -> None:
     states = random_states(PAPER, spm.LegLimits(*limits), 500, 1)
-    found = search_states(leg_box(PAPER, spm.LegLimits(*limits)), states.translation)
+    found = search_states(leg_length_box(PAPER, spm.LegLimits(*limits)), states.translation)
     # At a limit, or at a singularity, a search may fail; it may not be silent about it.
     assert (found.reached | found.undecided).all()
     assert found.reached.mean() > 0.99
@@ -202,7 +202,7 @@ def test_no_state_is_found_by_random_starts_where_none_was() -> None:
     from scipy.optimize import least_squares
 
     limits = spm.LegLimits(0.6, 2.0)
-    box, rng = leg_box(PAPER, limits), np.random.default_rng(2)
+    box, rng = leg_length_box(PAPER, limits), np.random.default_rng(2)
     points = rng.uniform(*box.extent, (150, 3))
     found = search_states(box, points)
     near = np.flatnonzero(~found.reached & ~found.undecided & (found.distance < 0.3))[:8]
@@ -244,7 +244,7 @@ def test_the_interval_covers_in_93_of_100_repetitions(limits: tuple[float, float
 @pytest.mark.parametrize(("limits", "side"), [((0.8, 1.8), 9), ((0.6, 2.0), 12)])
 def test_points_with_an_orientation_within_the_limits_are_reachable(limits: tuple[float, float], side: int) -> None:
     volume, points, reachable = volume_by_orientations(limits, side, 1)
-    found = search_states(leg_box(PAPER, spm.LegLimits(*limits)), points)
+    found = search_states(leg_length_box(PAPER, spm.LegLimits(*limits)), points)
     assert not (reachable & ~found.reached & ~found.undecided).any()
     assert volume == pytest.approx(VOLUMES[limits], rel=0.06)
 

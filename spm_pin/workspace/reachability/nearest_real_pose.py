@@ -27,7 +27,7 @@ LEAST_TILT = np.deg2rad(0.1)
 and the manipulator is degenerate or out of reach."""
 
 _EXCLUDED = 1e6
-
+"""Squared displacement, over C², given to turns whose tilt is too small: larger than any other."""
 _INSIDE = 1e-9
 """Distance of results from the edge of the slab, over d: at the edge, rounding decides whether the branch is real."""
 
@@ -104,7 +104,7 @@ class _Search:
         return np.where(excluded, _EXCLUDED, square / self.geometry.platform_radius**2)
 
     def square(self, turn: FloatArray) -> float:
-        """Return one of them."""
+        """Return the squared displacement of one turn (3,), over C²."""
         return float(self.squares(turn[None])[0])
 
     def tilt(self, turn: FloatArray) -> float:

@@ -1,4 +1,4 @@
-"""The leg lengths that limits allow, and how far a point is from the reachable set, searched exhaustively but coarsely.
+"""The box of leg lengths within limits: samples of its states, and coarse distances of points from the reachable set.
 
 The two stages are independent, so the reachable positions are what the lower stage makes of one fixed set: with L the
 states of the lower stage and S where o is seen from the middle platform in all states of the upper one,
@@ -25,28 +25,37 @@ from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
 from spm_pin.workspace.reachability.position_map import PositionMap, rotated, stage_centre
 from spm_pin.workspace.reachability.stage_set import StageSet
 
-__all__ = ["LegBox", "leg_box"]
+__all__ = ["LegLengthBox", "leg_length_box"]
 
 _EPS = float(np.finfo(np.float64).eps)
 _LOWER, _UPPER = 2048, 200_000
 """States of the lower stage that are gone through, and of the upper stage that the table is made of."""
 _SAMPLE = 20_000
+"""Number of states in `LegLengthBox.sample`."""
 _VOXELS = 64
+"""Cells of the distance table along the longest side of S and its margin."""
 _MARGIN = 0.15
 """Margin of the table around S, relative to its size."""
 _CELLS = 20
-_PORTION, _POOL = 64, 512
-_SEED = 20_140_131  # of the samples, fixed so that results repeat
+"""Cells along each axis of the grid that covers the reachable positions."""
+_PORTION = 64
+"""Points whose distances are looked up together, for each of them all states of the lower stage."""
+_POOL = 512
+"""Best states of a point, among which `nearby` chooses different ones."""
+_SEED = 20_140_131
+"""Seed of the samples, fixed so that results repeat."""
 
 
 @dataclass(frozen=True, eq=False)
-class LegBox:
+class LegLengthBox:
     """The leg lengths that limits allow, and the states and positions that belong to them."""
 
     geometry: Geometry
     limits: LegLimits
-    minimum: FloatArray  # the limits (6,) [m], of which the least are not zero
+    minimum: FloatArray
+    """Least leg lengths (6,) [m], none of them zero."""
     maximum: FloatArray
+    """Largest leg lengths (6,) [m]."""
 
     @property
     def size(self) -> float:
@@ -201,8 +210,8 @@ def _far_apart(points: FloatArray, count: int) -> npt.NDArray[np.intp]:
     return chosen
 
 
-def leg_box(geometry: Geometry, limits: LegLimits | None = None) -> LegBox:
-    """Return the leg lengths within `limits`, or within those of `geometry`.
+def leg_length_box(geometry: Geometry, limits: LegLimits | None = None) -> LegLengthBox:
+    """Return the box of leg lengths within `limits`, or within those of `geometry`.
 
     Raises
     ------
@@ -223,10 +232,10 @@ def leg_box(geometry: Geometry, limits: LegLimits | None = None) -> LegBox:
 
 
 @lru_cache(maxsize=8)
-def _checked(geometry: Geometry, limits: LegLimits) -> LegBox:
+def _checked(geometry: Geometry, limits: LegLimits) -> LegLengthBox:
     # A leg of no length has no direction.
     maximum = np.array(limits.maximum)
-    box = LegBox(geometry, limits, np.maximum(limits.minimum, 1e-6 * maximum), maximum)
+    box = LegLengthBox(geometry, limits, np.maximum(limits.minimum, 1e-6 * maximum), maximum)
     if not all(len(stage.draw(1, np.random.default_rng(_SEED))[0]) for stage in box.stages):
         received = f"limits from {min(limits.minimum):g} to {max(limits.maximum):g} m, which reach no pose"
         cause = "Too short to join the platforms, too different from each other, or in another unit?"

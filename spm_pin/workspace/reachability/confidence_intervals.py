@@ -1,4 +1,4 @@
-"""Numbers known from samples, each with an interval."""
+"""Estimates from samples, each with its confidence interval."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ import numpy.typing as npt
 
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.workspace.reachability.leg_box import LegBox
+from spm_pin.workspace.reachability.leg_length_box import LegLengthBox
 from spm_pin.workspace.reachability.state_search import RESOLUTION, StateSearch, in_portions, search_states
 
 __all__ = ["CLEAR", "Nearest", "approach", "merged", "nearest_in_box", "settle"]
@@ -72,17 +72,17 @@ def merged(whole: Nearest, index: IntArray, part: Nearest) -> Nearest:
     return Nearest(*arrays)
 
 
-def nearest_in_box(box: LegBox, points: FloatArray, starts: FloatArray | None = None) -> Nearest:
+def nearest_in_box(box: LegLengthBox, points: FloatArray, starts: FloatArray | None = None) -> Nearest:
     """Return the points of the reachable set nearest to `points` (N, 3) [m].
 
     The search begins at `starts` (N, 2, 3), as in `Nearest.coordinates`. If not given, `search_states` says which
-    points are reachable, and the others begin at the best states of `LegBox.nearby`.
+    points are reachable, and the others begin at the best states of `LegLengthBox.nearby`.
     """
     given = [points] if starts is None else [points, starts]
     return Nearest(*in_portions(partial(_nearest, box), "nearest points", None, *given))
 
 
-def _nearest(box: LegBox, points: FloatArray, starts: FloatArray | None = None) -> Nearest:
+def _nearest(box: LegLengthBox, points: FloatArray, starts: FloatArray | None = None) -> Nearest:
     if starts is not None:
         first, choice = starts, starts[:, None]
     else:
@@ -98,7 +98,7 @@ def _nearest(box: LegBox, points: FloatArray, starts: FloatArray | None = None) 
     return _result(box, points, first, search)
 
 
-def approach(box: LegBox, targets: FloatArray, starts: FloatArray, **options: Any) -> StateSearch:
+def approach(box: LegLengthBox, targets: FloatArray, starts: FloatArray, **options: Any) -> StateSearch:
     """Go from all `starts` (N, M, 2, 3) by Gauss-Newton, with limits that give way, and return a search at the best.
 
     `options` are those of `StateSearch`.
@@ -136,7 +136,7 @@ def _weigh(search: StateSearch, members: IntArray, weight: float) -> None:
     search.refresh(members)
 
 
-def _result(box: LegBox, points: FloatArray, first: FloatArray, search: StateSearch) -> Nearest:
+def _result(box: LegLengthBox, points: FloatArray, first: FloatArray, search: StateSearch) -> Nearest:
     """Return what was found by a search for o, each state checked against the mode of a real machine.
 
     One that has left it is replaced by the state that it began with.
