@@ -20,7 +20,7 @@ from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.workspace.closed_mesh import ClosedMesh
 from spm_pin.workspace.reachability.lattice import classified, crossings, lattice
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox, leg_length_box
-from spm_pin.workspace.reachability.nearest_points import Nearest, merged, nearest_in_box
+from spm_pin.workspace.reachability.nearest_points import NearestPoints, merged, nearest_in_box
 from spm_pin.workspace.reachability.state_search import RESOLUTION, Progress
 
 __all__ = ["Boundary", "BoundaryPoints", "reachable_boundary"]
@@ -51,7 +51,7 @@ class BoundaryPoints:
     """By how much normal and `gradient` miss the conditions of a nearest point, shape (n,); rounding."""
 
     @classmethod
-    def of(cls, box: LegLengthBox, points: FloatArray, found: Nearest) -> BoundaryPoints:
+    def of(cls, box: LegLengthBox, points: FloatArray, found: NearestPoints) -> BoundaryPoints:
         """Describe what was found nearest to points outside the reachable set."""
         normal = (points - found.position) / np.maximum(found.distance, np.finfo(float).tiny)[:, None]
         at_limit = (found.lengths >= box.maximum).astype(np.int8) - (found.lengths <= box.minimum).astype(np.int8)
@@ -108,7 +108,7 @@ class Boundary(ClosedMesh):
         return BoundaryPoints.of(box, points, found)
 
 
-def _globally_nearest(box: LegLengthBox, points: FloatArray) -> Nearest:
+def _globally_nearest(box: LegLengthBox, points: FloatArray) -> NearestPoints:
     """Return the reachable point nearest to each of `points` (N, 3) outside, searched again from just beside it."""
     found = nearest_in_box(box, points)
     left = np.flatnonzero(found.distance > RESOLUTION * box.size)

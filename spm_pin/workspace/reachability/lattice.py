@@ -12,7 +12,7 @@ from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, real_number
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox
-from spm_pin.workspace.reachability.nearest_points import CLEAR
+from spm_pin.workspace.reachability.nearest_points import SINGULARITY_MARGIN
 from spm_pin.workspace.reachability.state_search import Progress, StateSearch, in_portions, search_states
 
 __all__ = ["classified", "crossings", "lattice"]
@@ -21,13 +21,21 @@ IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]
 
 _STRIDES = (8, 4, 2, 1)
+"""Spacings of the grids searched one after the other, in units of the final spacing."""
 _MOST_NODES = 5_000_000
+"""Nodes of the grid at most."""
 _STEPS = 40
-_SHARP = 1e-7
+"""Steps of Newton's method along an edge at most."""
+_CROSSING_TOLERANCE = 1e-7
+"""Tolerance of the place where an edge leaves the set, as a share of the edge."""
 _HALVINGS = 24
-_SHY = 0.02
-_BEYOND = 1e-4
-_EXACT = 1e-7
+"""Halvings of the interval where Newton's method has failed."""
+_UNDERSHOOT = 0.02
+"""Share of each Newton step that is left out, so that the iteration stays outside the set."""
+_CHECK_DISTANCE = 1e-4
+"""Distance beyond the place found, as a share of the edge, at which nothing must be reachable."""
+_POSITION_TOLERANCE = 1e-7
+"""Distance of a vertex from the position of o at its leg lengths, over the machine's size, that is accepted."""
 
 
 def lattice(box: LegLengthBox, spacing: float) -> tuple[FloatArray, tuple[int, int, int]]:
@@ -121,23 +129,24 @@ def crossings(
 def _crossing(
     box: LegLengthBox, inner: FloatArray, outer: FloatArray, states: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return where segments leave the reachable set, points (N, 3) [m] to 1e-7 of their length, and leg lengths (N, 6).
+    """Return the points (N, 3) [m] at which segments leave the reachable set, and leg lengths (N, 6) [m] there.
 
     They go from reachable points `inner` to unreachable ones `outer`, (N, 3) [m]; `states` (N, 2, 3) put o at `inner`.
 
-    Outside the reachable set the gap that a search for a state leaves falls towards the boundary, as fast as the error
-    of o along the segment says. So from the outer end the segment is followed inwards by Newton's method. Where that
-    has overlooked reachable points farther out, or no lengths put o where it ends, the interval is halved instead.
+    Outside the reachable set the residual norm of a search for a state falls towards the boundary, and the error of o
+    along the segment is its derivative. So from the outer end the segment is followed inwards by Newton's method, to
+    1e-7 of its length. Where that has overlooked reachable points farther out, or no lengths put o where it ends, the
+    interval is halved instead.
     """
     along = outer - inner
-    at, low, within, outermost = _followed(box, inner, along, states)
-    # Of the outermost state, legs are beyond limits by what is left of the gap.
+    at, low, within, outermost = _follow_inwards(box, inner, along, states)
+    # In the outermost state, legs are beyond limits by what is left of the residual.
     lengths = np.clip(box.map.lengths(outermost), box.minimum, box.maximum)
     there = forward_physical(box.geometry, lengths).translation
     with np.errstate(invalid="ignore"):
-        proved = np.abs(there - inner - at[:, None] * along).max(axis=-1, initial=0.0) <= _EXACT * box.size
+        proved = np.abs(there - inner - at[:, None] * along).max(axis=-1, initial=0.0) <= _POSITION_TOLERANCE * box.size
     # Following one state inwards, another may be overlooked: just outside nothing must be reachable.
-    high = np.minimum(at + _BEYOND, 1.0)
+    high = np.minimum(at + _CHECK_DISTANCE, 1.0)
     beyond = search_states(box, inner + high[:, None] * along)
     farther = beyond.reached & (high < 1.0)
     low, within = np.where(farther, high, low), np.where(farther[:, None, None], beyond.coordinates, within)
@@ -154,12 +163,12 @@ def _crossing(
     return inner + at[:, None] * along, lengths
 
 
-def _followed(
+def _follow_inwards(
     box: LegLengthBox, inner: FloatArray, along: FloatArray, states: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return at which share of `along` (N, 3) the set is left, and where o was found within it before, (N,) each.
+    """Return the shares of `along` (N, 3) at which segments leave the set, and the largest found within it, (N,) each.
 
-    And the states (N, 2, 3) within, and nearest to the end.
+    And the states (N, 2, 3) at the latter, and those at which the last searches ended.
     """
     low, high, at = np.zeros(len(along)), np.ones(len(along)), np.ones(len(along))
     within, outermost = states.copy(), states.copy()
@@ -168,7 +177,9 @@ def _followed(
         if not len(going):
             break
         here = at[going]
-        search = StateSearch(box, inner[going] + here[:, None] * along[going], outermost[going], clear=CLEAR)
+        search = StateSearch(
+            box, inner[going] + here[:, None] * along[going], outermost[going], singularity_margin=SINGULARITY_MARGIN
+        )
         search.iterate(np.arange(len(going)))
         reached, _ = search.proved()
         within[going[reached]] = search.coordinates[reached]
@@ -177,10 +188,10 @@ def _followed(
         high[going] = np.where(reached, high[going], here)
         towards = -(search.error * along[going]).sum(axis=-1)
         with np.errstate(divide="ignore", invalid="ignore"):
-            plane = here - np.where(towards > 0.0, search.gap**2 / towards, 2.0)
+            plane = here - np.where(towards > 0.0, search.residual_norm**2 / towards, 2.0)
         ahead = ~reached & (plane > low[going])
-        done = (ahead & (here - plane <= _SHARP)) | (high[going] - low[going] <= _SHARP)
-        # Not quite as far, to arrive from outside: there the next plane is.
-        at[going] = np.where(ahead, plane + _SHY * (here - plane), 0.5 * (low[going] + high[going]))
+        done = (ahead & (here - plane <= _CROSSING_TOLERANCE)) | (high[going] - low[going] <= _CROSSING_TOLERANCE)
+        # A slightly shorter step ends outside the set, where the next tangent plane is.
+        at[going] = np.where(ahead, plane + _UNDERSHOOT * (here - plane), 0.5 * (low[going] + high[going]))
         going = going[~done]
     return at, low, within, outermost

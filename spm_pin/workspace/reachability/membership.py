@@ -30,9 +30,12 @@ __all__ = [
 
 BoolArray = npt.NDArray[np.bool_]
 
-_ARRIVED = 1e-6
+_OPTIMALITY_TOLERANCE = 1e-6
+"""Violation of the conditions of a nearest point, dimensionless, above which the search has not converged."""
 _PORTION = 20_000
-_MOST_ROUNDS = 1000
+"""States drawn together, at most."""
+_MOST_PORTIONS = 1000
+"""Portions that are drawn at most."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +161,7 @@ class PositionReach:
     @property
     def undecided(self) -> BoolArray:
         """Points where no state was found, and no nearest one either, shape (...)."""
-        return np.asarray(~self.reachable & (self.optimality > _ARRIVED))
+        return np.asarray(~self.reachable & (self.optimality > _OPTIMALITY_TOLERANCE))
 
 
 def reachable_position(geometry: Geometry, points: npt.ArrayLike, limits: LegLimits | None = None) -> PositionReach:
@@ -249,7 +252,7 @@ def sample_reachable(
     choice(space, "space", ("legs", "poses"))
     box, rng = leg_length_box(geometry, limits), generator(rng)
     parts, largest, kept = [np.empty((0, 2, 3))], 0.0, 0
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(_MOST_PORTIONS):
         if progress is not None:
             progress("reachable states", min(kept, count), count)
         if kept >= count:

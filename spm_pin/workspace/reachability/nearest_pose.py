@@ -24,14 +24,21 @@ from spm_pin.mechanism import pose as make_pose
 from spm_pin.mechanism.arguments import FloatArray, choice, instance
 from spm_pin.mechanism.branches import family, physical
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox, leg_length_box
-from spm_pin.workspace.reachability.nearest_points import CLEAR, approach, settle
+from spm_pin.workspace.reachability.nearest_points import (
+    SINGULARITY_MARGIN,
+    augmented_lagrangian,
+    gauss_newton_from_starts,
+)
 from spm_pin.workspace.reachability.nearest_real_pose import nearest_real_pose
 from spm_pin.workspace.reachability.position_map import PositionMap
 
 __all__ = ["NearestPose", "nearest_reachable_pose", "pose_distance"]
 
 _STARTS = 8
-_SAME = 1e-7
+"""Starts of the search: the states of a sample whose platform joints are nearest to the target's."""
+_MODE_TOLERANCE = 1e-7
+"""Distance of the middle joints found from those of the lengths in the start's mode, over d, above which the search has
+left that mode."""
 
 
 @dataclass(frozen=True)
@@ -166,15 +173,20 @@ def _within_limits(
         single = Configuration(near.geometry, near.pose.as_matrix()[None], near.middle_joints[None])
         starts = np.broadcast_to(mapping.coordinates(single), (len(targets), 1, 2, 3))
     sides = np.ones(2) if near is None else np.sign(mapping.determinants(mapping.legs(starts[0])[1]))[0]
-    search = approach(box, targets, starts, body=joints, mapping=mapping, sides=sides, clear=CLEAR)
-    settle(search)
+    search = gauss_newton_from_starts(
+        box, targets, starts, body=joints, mapping=mapping, sides=sides, singularity_margin=SINGULARITY_MARGIN
+    )
+    augmented_lagrangian(search)
     # Newton's method takes long steps: the assembly mode is checked.
     home = near is None or bool(physical(near))
     lengths = np.clip(mapping.lengths(search.coordinates), limits.minimum, limits.maximum)
     proved = forward_physical(geometry, lengths, seed=None if home else near)
     found, begun = mapping.states(search.coordinates), mapping.states(starts[:, 0])
     with np.errstate(invalid="ignore"):
-        kept = np.abs(proved.middle_joints - found.middle_joints).max(axis=(-1, -2)) <= _SAME * geometry.middle_side
+        kept = (
+            np.abs(proved.middle_joints - found.middle_joints).max(axis=(-1, -2))
+            <= _MODE_TOLERANCE * geometry.middle_side
+        )
     return Configuration.from_arrays(
         geometry,
         *(

@@ -26,10 +26,15 @@ __all__ = ["PositionMap", "inverses", "rotated", "turned"]
 BoolArray = npt.NDArray[np.bool_]
 
 _STEPS = 24
+"""Steps of Newton's method in `PositionMap.upper_for`."""
 _BOTH = slice(None)
+"""Index of both stages."""
 _CENTRE = np.zeros((1, 3))
+"""The platform's centre o in {m}."""
 _OPPOSITE = np.array([-1.0, -1.0, 1.0])
+"""Factors of the coordinates (x1, x2, Z/r) for the inverse rotation."""
 _HALF_TURN = np.array([-1.0, -1.0, 1.0])
+"""Diagonal of the half turn about Z."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +75,7 @@ class PositionMap:
         return np.hypot(*self.in_leg_planes(coordinates)).reshape(-1, 6)
 
     def in_leg_planes(self, coordinates: FloatArray, stages: slice = _BOTH) -> tuple[FloatArray, FloatArray]:
-        """Return where the ball joints are in their legs' planes: outward from the hips, and up, (N, 2, 3) each [m].
+        """Return the ball joints' coordinates in their legs' planes: outward from the hips, and up, (N, 2, 3) each [m].
 
         `coordinates` has the shape (N, 2, 3), or (N, 1, 3) for one of the stages.
         """
@@ -125,7 +130,7 @@ class PositionMap:
             return (outer * coordinates[..., 2] > 0.0) & in_home_aspect(points, normals)
 
     def points(self, coordinates: FloatArray, body: FloatArray = _CENTRE) -> tuple[FloatArray, FloatArray]:
-        """Return where points of the platform are in {B}, (N, 3K) [m], and the derivatives (N, 3K, 6).
+        """Return the positions of points of the platform in {B}, (N, 3K) [m], and the derivatives (N, 3K, 6).
 
         With respect to the `coordinates` (N, 2, 3) of the stages; `body` holds the points (K, 3) in {m} [m].
         """

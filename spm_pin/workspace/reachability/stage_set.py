@@ -20,9 +20,13 @@ from spm_pin.workspace.reachability.position_map import PositionMap
 __all__ = ["StageSet"]
 
 _BOXES = 20_000
+"""Boxes of the cover with which its refinement ends."""
 _HALVINGS = 12
+"""Refinements of the cover at most, each of which halves the boxes' sides."""
 _PORTION = 50_000
+"""States drawn together, at most."""
 _MOST_TRIED = 1_000_000
+"""States drawn at least, before a set is taken for one that is too small to be hit."""
 
 
 @dataclass(frozen=True)

@@ -37,15 +37,28 @@ _EPS = float(np.finfo(np.float64).eps)
 _OTHERS, _SPREAD = 7, 24
 """Starts after the best one: the next best, and different ones, as near the rim all good states may be elsewhere."""
 _STEPS = 40
-_STALLED, _PROGRESS = 8, 1e-3
-_SHORTEST = 1e3  # damping with which no step is worth another
+"""Steps of a search at most."""
+_STALL_STEPS = 8
+"""Steps after which the residual norm is compared with what it was before them."""
+_LEAST_DECREASE = 1e-3
+"""Relative decrease of the residual norm in that many steps, below which a search ends."""
 _DOUBT = 1e-4
-"""A search that stalls with a gap below this share of the machine's size is not taken for an answer."""
-_FLAT = 1e-6
-_DAMPING, _LEAST_DAMPING = 1e-3, 1e-13
+"""Residual norm, over the machine's size, up to which a search that ends away from a minimum leaves its point
+undecided."""
+_GRADIENT_TOLERANCE = 1e-6
+"""Gradient of half the squared residual norm, over that norm, at which a state is stationary, dimensionless."""
+_DAMPING = 1e-3
+"""Damping of the first step, relative to the matrix."""
+_LEAST_DAMPING, _LARGEST_DAMPING = 1e-13, 1e3
+"""Least damping, and the one at which a search ends: its steps are too short to gain anything."""
 _PORTION = 4096
-_DIFFERENCE, _SECOND_DIFFERENCE = 1e-7, 1e-4
+"""Rows of a batch worked on together."""
+_DIFFERENCE = 1e-7
+"""Step in the coordinates of the stages for derivatives of the determinants."""
+_SECOND_DIFFERENCE = 1e-4
+"""Step in them for derivatives of the Jacobian."""
 _CENTRE = np.zeros((1, 3))
+"""The platform's centre o in {m}."""
 
 
 class StateSearch:
@@ -58,18 +71,19 @@ class StateSearch:
     targets : ndarray, shape (N, 3K)
         Where the points of `body` (K, 3), given in {m}, should be [m].
     coordinates : ndarray, shape (N, 2, 3)
-        States to begin with; then those that have been reached. `flat` (N,) says where that is a minimum.
+        States to begin with; then those that have been reached. `stationary` (N,) says where the gradient vanishes.
     mapping : PositionMap, optional
         Of the family of the states, if that is not TT.
     sides : ndarray, shape (2,)
         On which side of its forward singularities each stage has to be: 1 for the side of the home.
-    clear : float
-        How far from them, as a share of what `PositionMap.determinants` is at home.
+    singularity_margin : float
+        Least determinant of a stage, as a share of what `PositionMap.determinants` is at home.
 
     Notes
     -----
-    `weights` (N,) of what is outside limits, against the distance from the targets, and `shifts` (N, 8), added to the
-    lengths, and to how far stages are from singularities, before they are held against limits [m], may be changed.
+    The limits, of six lengths and of the two stages' determinants times the machine's size, are penalised: `weights`
+    (N,) are the penalty weights, dimensionless, and `shifts` (N, 8) [m] the multipliers over the squared weights, which
+    are added to these values before they are compared with their limits. Both may be changed; then call `refresh`.
     """
 
     def __init__(
@@ -80,30 +94,30 @@ class StateSearch:
         body: FloatArray = _CENTRE,
         mapping: PositionMap | None = None,
         sides: FloatArray | float = 1.0,
-        clear: float = 0.0,
+        singularity_margin: float = 0.0,
     ) -> None:
         self.box, self.body, self.map = box, body, mapping or box.map
         self.scale = 1.0 / np.sqrt(len(body))
         self.targets, self.coordinates = self.scale * targets, coordinates.copy()
         self._unit = box.size * np.broadcast_to(sides, 2)
-        self._low = np.concatenate([box.minimum, np.full(2, clear * box.size)])
+        self._low = np.concatenate([box.minimum, np.full(2, singularity_margin * box.size)])
         self._high = np.concatenate([box.maximum, np.full(2, np.inf)])
         count = len(targets)
         self.weights, self.shifts = np.ones(count), np.zeros((count, 8))
-        self.flat = np.zeros(count, dtype=bool)
+        self.stationary = np.zeros(count, dtype=bool)
         self.refresh(np.arange(count))
 
     def refresh(self, index: IntArray) -> None:
-        """Evaluate members anew, as after a change of weights or shifts."""
-        residual, jacobian = self._gaps(index, self.coordinates[index])
+        """Evaluate members again, after a change of weights or shifts."""
+        residual, jacobian = self._residuals(index, self.coordinates[index])
         if len(index) == len(self.coordinates):
             self.residual, self.jacobian = residual, jacobian
         else:
             self.residual[index], self.jacobian[index] = residual, jacobian
 
     @property
-    def gap(self) -> FloatArray:
-        """How much is left at the states [m], the root of the sum of squares that is minimised, shape (N,)."""
+    def residual_norm(self) -> FloatArray:
+        """Norm of the residual at the states [m], whose square is minimised, shape (N,)."""
         return np.asarray(np.sqrt((self.residual**2).sum(axis=-1)))
 
     @property
@@ -126,21 +140,21 @@ class StateSearch:
 
         In doubt are those in another assembly mode, and those that stalled just short of a state.
         """
-        solved = self.gap <= RESOLUTION * self.box.size
+        solved = self.residual_norm <= RESOLUTION * self.box.size
         lengths = self.box.snapped(self.map.lengths(self.coordinates[solved]))
         with np.errstate(invalid="ignore"):
             missed = np.abs(forward_physical(self.box.geometry, lengths).translation - self.targets[solved])
             good = solved.copy()
             good[solved] = missed.max(axis=-1, initial=0.0) <= RESOLUTION * self.box.size
-        return good, ~good & (solved | (~self.flat & (self.gap <= _DOUBT * self.box.size)))
+        return good, ~good & (solved | (~self.stationary & (self.residual_norm <= _DOUBT * self.box.size)))
 
-    def _gaps(
+    def _residuals(
         self, index: IntArray, coordinates: FloatArray, active: BoolArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return what has to vanish, (n, 3K + 8) [m], and its derivatives with respect to the coordinates.
+        """Return the residuals (n, 3K + 8) [m] and their Jacobians (n, 3K + 8, 6) with respect to the coordinates.
 
-        By how much points miss targets, by how much lengths miss their limits, and how far each stage is beyond a
-        forward singularity. Of the last eight, the derivatives of those that are `active`: not within limits.
+        The errors of the points, the violations of six lengths' limits, and how far each stage is beyond a forward
+        singularity. Of the last eight, the derivatives of those that are `active`: not within limits.
         """
         position, derivatives = self.map.points(coordinates, self.body)
         lengths, slopes = self.map.legs(coordinates)
@@ -170,7 +184,7 @@ class StateSearch:
         steps = _SECOND_DIFFERENCE * np.concatenate([np.eye(6), -np.eye(6)]).reshape(12, 2, 3)
         residual = self.residual[index]
         there = (self.coordinates[index, None] + steps).reshape(-1, 2, 3)
-        _, jacobian = self._gaps(np.repeat(index, 12), there, np.repeat(residual[:, -8:] != 0.0, 12, axis=0))
+        _, jacobian = self._residuals(np.repeat(index, 12), there, np.repeat(residual[:, -8:] != 0.0, 12, axis=0))
         slopes = np.einsum("nkij,ni->nkj", jacobian.reshape(len(index), 12, -1, 6), residual)
         matrix = (slopes[:, :6] - slopes[:, 6:]) / (2.0 * _SECOND_DIFFERENCE)
         matrix = 0.5 * (matrix + np.swapaxes(matrix, -1, -2))
@@ -180,42 +194,43 @@ class StateSearch:
         self,
         active: IntArray,
         *,
-        exact: bool = False,
-        flat: float = _FLAT,
-        progress: float = _PROGRESS,
+        newton: bool = False,
+        tolerance: float = _GRADIENT_TOLERANCE,
+        least_decrease: float = _LEAST_DECREASE,
         steps: int = _STEPS,
     ) -> None:
-        """Go on with the members `active` by the method of Gauss and Newton, or if `exact` by Newton's.
+        """Iterate the members `active` by the Gauss-Newton method, or if `newton` by Newton's method, damped.
 
-        Until the slope is `flat` times the gap, the gap vanishes, or steps gain little.
+        At most `steps` times, until the gradient is at most `tolerance` times the residual norm, that norm vanishes, or
+        it decreases by less than the share `least_decrease` in eight steps.
         """
         self.damping = np.full(len(self.coordinates), _DAMPING)
-        before = self.gap
+        before = self.residual_norm
         for count in range(1, steps + 1):
-            residual, jacobian, gap = self.residual[active], self.jacobian[active], self.gap[active]
-            slope = np.einsum("nij,ni->nj", jacobian, residual)
-            steep = np.abs(slope).max(axis=-1, initial=0.0)
-            self.flat[active] = steep <= flat * gap
-            going = ~self.flat[active] & (gap > 1e-3 * RESOLUTION * self.box.size)
-            going &= self.damping[active] < _SHORTEST
-            if count % _STALLED == 0:
+            residual, jacobian, norm = self.residual[active], self.jacobian[active], self.residual_norm[active]
+            gradient = np.einsum("nij,ni->nj", jacobian, residual)
+            largest = np.abs(gradient).max(axis=-1, initial=0.0)
+            self.stationary[active] = largest <= tolerance * norm
+            going = ~self.stationary[active] & (norm > 1e-3 * RESOLUTION * self.box.size)
+            going &= self.damping[active] < _LARGEST_DAMPING
+            if count % _STALL_STEPS == 0:
                 # Newton's method near a solution is faster than that.
-                going &= gap <= (1.0 - progress) * before[active]
-                before[active] = gap
+                going &= norm <= (1.0 - least_decrease) * before[active]
+                before[active] = norm
             active = active[going]
-            jacobian, slope, steep, gap = (array[going] for array in (jacobian, slope, steep, gap))
+            jacobian, gradient, largest, norm = (array[going] for array in (jacobian, gradient, largest, norm))
             if not len(active):
                 break
             matrix = np.swapaxes(jacobian, -1, -2) @ jacobian
-            if exact:
-                step = newton_step(matrix + self._curvature(active), slope, self.damping[active])
+            if newton:
+                step = newton_step(matrix + self._curvature(active), gradient, self.damping[active])
             else:
-                step = damped_solution(matrix, slope, self.damping[active])
+                step = damped_solution(matrix, gradient, self.damping[active])
             trial = self.coordinates[active] - step.reshape(-1, 2, 3)
-            errors, derivatives = self._gaps(active, trial)
-            # False for NaN, beyond the unit circle. At the end, what a step gains is less than the gap's rounding.
-            change = np.sqrt((errors**2).sum(axis=-1)) - gap
-            flatter = np.abs(np.einsum("nij,ni->nj", derivatives, errors)).max(axis=-1, initial=0.0) < steep
+            errors, derivatives = self._residuals(active, trial)
+            # False for NaN, beyond the unit circle. At the end, what a step gains is less than the norm's rounding.
+            change = np.sqrt((errors**2).sum(axis=-1)) - norm
+            flatter = np.abs(np.einsum("nij,ni->nj", derivatives, errors)).max(axis=-1, initial=0.0) < largest
             rounding = 4.0 * _EPS * self.box.size
             better = (change < -rounding) | ((change < rounding) & flatter)
             chosen = active[better]
@@ -228,11 +243,13 @@ class StateSearch:
 class Membership(NamedTuple):
     """Which of N points are reachable."""
 
-    reached: BoolArray  # (N,), points with a state: proved
+    reached: BoolArray
+    """Points with a state, which proves it, (N,)."""
     undecided: BoolArray
     """Points (N,) without one for which a search failed: it ended in another assembly mode, or stalled just short of a
     state."""
-    coordinates: FloatArray  # the states (N, 2, 3); where there is none, those found to miss point and limits least
+    coordinates: FloatArray
+    """The states (N, 2, 3); where there is none, those found with the smallest residual norm."""
     distance: FloatArray
     """How far the reachable set is, to about two spacings of the box's table (N,) [m]; zero where reached."""
 
@@ -257,7 +274,7 @@ def search_states(
 def in_portions(
     function: Callable[..., tuple[Any, ...]], what: str, progress: Progress | None, *arrays: FloatArray
 ) -> Iterator[Any]:
-    """Call with so many rows of the arrays at a time; return each of the results, joined."""
+    """Call `function` with 4096 rows of the arrays at a time; return each of its results, concatenated."""
     count, parts = len(arrays[0]), []
     for begin in range(0, max(count, 1), _PORTION):
         if progress is not None:
@@ -285,11 +302,11 @@ def _searched(box: LegLengthBox, points: FloatArray, near: FloatArray | None = N
         search = StateSearch(box, np.repeat(points[left], count, axis=0), chosen.reshape(-1, 2, 3))
         search.iterate(np.arange(len(search.targets)))
         good, doubtful = (mask.reshape(-1, count) for mask in search.proved())
-        gap = np.where(good, 0.0, search.gap.reshape(-1, count) + tolerance)
-        best = np.arange(len(left)), gap.argmin(axis=1)
-        better = gap[best] < least[left]
+        norm = np.where(good, 0.0, search.residual_norm.reshape(-1, count) + tolerance)
+        best = np.arange(len(left)), norm.argmin(axis=1)
+        better = norm[best] < least[left]
         coordinates[left[better]] = search.coordinates.reshape(-1, count, 2, 3)[best][better]
-        least[left[better]] = gap[best][better]
+        least[left[better]] = norm[best][better]
         undecided[left] |= doubtful.any(axis=1)
         left = left[~good.any(axis=1)]
     reached = least == 0.0

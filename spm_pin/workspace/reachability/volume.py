@@ -20,6 +20,7 @@ from spm_pin.workspace.table_6.shell import Shell
 __all__ = ["ShellComparison", "compare_with_shell", "pose_volume", "reachable_volume"]
 
 _PORTION = 10_000
+"""States evaluated together."""
 
 
 def reachable_volume(
