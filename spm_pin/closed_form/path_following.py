@@ -16,18 +16,19 @@ import numpy.typing as npt
 import scipy
 from scipy.spatial.transform import RigidTransform, Slerp
 
-from spm_pin.closed_form.forward_displacement import forward_displacement
+from spm_pin.closed_form.forward_displacement import forward_displacement, forward_physical
 from spm_pin.closed_form.inverse_displacement import inverse_displacement
 from spm_pin.closed_form.path_events import Event, EventKind, Solver, Tracker, joints_of
 from spm_pin.closed_form.singularity_analysis import determinants
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, as_array, instance, real_array, type_and_value, whole_number
+from spm_pin.mechanism.branches import physical
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry
 from spm_pin.mechanism.pose import as_rigid_transform
 from spm_pin.mechanism.solutions import SolutionSet
 
-__all__ = ["CertifiedLimits", "FollowedPath", "follow"]
+__all__ = ["CertifiedLimits", "FollowedPath", "follow", "home_mode_share", "last_on_line"]
 
 LONGEST_MOVE = 0.1
 """A joint moves at most this share of d in a step, so that no turn is missed."""
@@ -132,6 +133,37 @@ def follow(
     covered = None if certificate is None else certificate.covers(found)
     ordered = tuple(sorted(events, key=lambda e: e.parameter))
     return FollowedPath(np.array(tracker.parameters), found, tuple(tracker.labels), ordered, covered)
+
+
+def home_mode_share(
+    geometry: Geometry, start: FloatArray, ends: FloatArray, *, parts: int = 16, rounds: int = 3
+) -> FloatArray:
+    """Return how far the mode of a real machine lasts on straight lines of leg lengths, as shares of them, shape (n,).
+
+    From lengths (6,), at which it exists, to each of `ends` (n, 6) [m]. A line is solved at the ends of `parts` parts,
+    and each further of `rounds` divides the first part at whose end the mode is gone: a shorter gap may be missed.
+    """
+    low, high = np.zeros(len(ends)), np.ones(len(ends))
+    for _ in range(rounds):
+        shares = np.linspace(low, high, parts + 1)[1:]
+        exists = np.asarray(forward_physical(geometry, start + shares[..., None] * (ends - start)).exists)
+        count = np.where(exists.all(axis=0), parts, exists.argmin(axis=0))
+        found = np.concatenate([low[None], shares])
+        low, high = (np.take_along_axis(found, at[None], axis=0)[0] for at in (count, np.minimum(count + 1, parts)))
+    return low
+
+
+def last_on_line(start: Configuration, leg_lengths: FloatArray) -> tuple[Configuration, float]:
+    """Return the last configuration found on the straight line to leg lengths (6,), and its share of the line.
+
+    The mode is that of `start`; the share is 1 if it lasts to the end.
+    """
+    geometry, lengths = start.geometry, start.leg_lengths
+    if not physical(start):
+        path = follow(geometry, np.stack([lengths, leg_lengths]), start, samples=4)
+        return path.configurations[-1], float(path.parameters[-1])
+    share = float(home_mode_share(geometry, lengths, leg_lengths[None])[0])
+    return forward_physical(geometry, lengths + share * (leg_lengths - lengths)) if share else start, share
 
 
 def _solver(geometry: Geometry, path: Any) -> tuple[Solver, FloatArray, bool]:

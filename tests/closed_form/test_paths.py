@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
 import spm_pin as spm
 from spm_pin.closed_form.path_events import EventKind, Tracker
-from spm_pin.closed_form.path_following import FollowedPath, follow
+from spm_pin.closed_form.path_following import FollowedPath, follow, home_mode_share, last_on_line
 
 PAPER = spm.Geometry.paper()
 FREE = replace(PAPER, limits=None)
@@ -238,3 +238,30 @@ def test_invalid_paths_are_refused(path: object, start: str | None, words: str) 
 def test_samples_must_be_positive() -> None:
     with pytest.raises(spm.ArgumentError, match="samples"):
         follow(PAPER, stacked(POSE, POSE), samples=0)
+
+
+def test_the_share_of_a_line_in_the_home_mode_is_that_of_the_followed_path() -> None:
+    start = spm.inverse_displacement(FREE, in_leg_space(PAPER, 1, seed=3).pose[0]).physical()
+    ends = np.random.default_rng(5).uniform(0.2, 3.0, (8, 6))
+    ends[0] = 1.05 * start.leg_lengths
+    shares = home_mode_share(FREE, start.leg_lengths, ends)
+    for end, share in zip(ends, shares, strict=True):
+        path = follow(FREE, np.stack([start.leg_lengths, end]), start, samples=20)
+        singular = [*of_kind(path, EventKind.FORWARD_SINGULARITY), path.parameters[-1]]
+        assert share <= singular[0] < share + 1.0 / 16**3 + 1e-6 or share == singular[0] == 1.0
+        last, found = last_on_line(start, end)
+        assert found == share
+        np.testing.assert_allclose(last.leg_lengths, start.leg_lengths + share * (end - start.leg_lengths), atol=1e-9)
+    assert [share == 1.0 for share in shares] == [True] + 7 * [False]
+    np.testing.assert_allclose(home_mode_share(FREE, start.leg_lengths, ends, parts=64, rounds=2), shares, atol=4e-4)
+
+
+def test_another_mode_is_followed_along_a_line_to_its_end() -> None:
+    solutions = spm.inverse_displacement(
+        FREE, spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
+    )
+    start = solutions["FF+"]
+    last, share = last_on_line(start, np.array([0.2, 3.0, 0.2, 1.3, 1.3, 1.31]))
+    assert 0.0 < share < 1.0
+    line = np.array([0.2, 3.0, 0.2, 1.3, 1.3, 1.31]) - start.leg_lengths
+    np.testing.assert_allclose(last.leg_lengths, start.leg_lengths + share * line, atol=1e-9)

@@ -85,8 +85,8 @@ def send(session, name, value=None):
 
 
 def reset(page, session):
-    session.model.hold_limits = True
-    session.model.load(np.zeros(6))
+    session.state_machine.hold_limits = True
+    session.state_machine.load(np.zeros(6))
     send(session, "reset")
     page.wait_for_timeout(300)
 
@@ -244,7 +244,7 @@ def test_a_drag_out_of_reach_warns_and_shows_the_nearest(client):
     page.wait_for_selector('[data-spm="warning"]')
     page.wait_for_timeout(300)
     assert "out of reach" in page.inner_text('[data-spm="warning"] >> nth=0')
-    assert session.model.within_limits(session.state.shown)
+    assert session.state_machine.within_limits(session.state.shown)
     assert session.scene._wanted.visible
     picture(page, "viewer_out_of_reach.png")
     # The way back stands right below the warning.

@@ -62,7 +62,7 @@ class Playback:
 
     @property
     def duration(self) -> float:
-        """Until the end of the recorded path [s], whether or not the solution lasts so long."""
+        """Time of the last recorded point [s], whether or not the solution lasts so long."""
         return float(self.times[-1])
 
     def time(self, parameter: float | FloatArray) -> FloatArray:

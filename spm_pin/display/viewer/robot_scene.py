@@ -134,7 +134,7 @@ class RobotScene:
         )
 
     def show(self, state: State) -> None:
-        """Bring everything up to date."""
+        """Show a state: the robot, its other branches, names, the platform asked for, the load and the trail."""
         placements = self.robot.placements(state.shown)
         for k, (handle, mesh) in enumerate(zip(self._robot, self.robot.meshes, strict=True)):
             handle.position, handle.wxyz = placements.positions[k], placements.quaternions[k]

@@ -13,7 +13,7 @@ from spm_pin.display.viewer import viser_server
 from spm_pin.display.viewer.recording import Recording, demo_motion
 from spm_pin.display.viewer.robot_meshes import RobotMeshes
 from spm_pin.display.viewer.session import Session, SessionConfig
-from spm_pin.display.viewer.state import Model
+from spm_pin.display.viewer.state import StateMachine
 from spm_pin.display.viewer.workspace_layer import WorkspaceLayer
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import Configuration, Geometry
@@ -83,7 +83,7 @@ class Viewer:
         chain = ClosedChain.from_urdf(geometry=geometry)
         chain.joint_values(configuration)  # raises where its loops do not close
         # Kernels are compiled when first called: now, so that no client waits for it.
-        Model(configuration).set_legs(configuration.leg_lengths)
+        StateMachine(configuration).set_legs(configuration.leg_lengths)
         if demo is None:
             demo = not isinstance(start, Configuration) and recording is None
         self._config = SessionConfig(

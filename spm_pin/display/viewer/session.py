@@ -21,7 +21,7 @@ from spm_pin.display.viewer.recording import Playback, Player, Recording
 from spm_pin.display.viewer.robot_meshes import RobotMeshes
 from spm_pin.display.viewer.robot_scene import RobotScene
 from spm_pin.display.viewer.slider_ranges import leg_ranges, pose_coordinates, pose_ranges
-from spm_pin.display.viewer.state import Drive, Model, State
+from spm_pin.display.viewer.state import Drive, State, StateMachine
 from spm_pin.display.viewer.state_export import content, snapshot_html
 from spm_pin.display.viewer.viser_server import PHONE_ASPECT, PHONE_PANEL
 from spm_pin.display.viewer.workspace_layer import WorkspaceLayer
@@ -65,7 +65,7 @@ class Session:
         self.client = client
         self.config = config
         self._loop = loop
-        self.model = Model(config.start)
+        self.state_machine = StateMachine(config.start)
         self.queue = EventQueue(self._failed)
         self._coordinates = pose_coordinates(config.start.pose)
         self._legs = np.array(self.state.shown.leg_lengths)
@@ -74,7 +74,7 @@ class Session:
         self.scene = RobotScene(client.scene, config.robot, partial(self.report, "branch"))
         self.panel = Panel(
             client.gui,
-            self.model.geometry,
+            self.state_machine.geometry,
             self.report,
             dark=config.dark,
             duration=duration,
@@ -95,7 +95,7 @@ class Session:
     @property
     def state(self) -> State:
         """The state that is shown."""
-        return self.model.state
+        return self.state_machine.state
 
     def begin(self) -> None:
         """Play the recorded path from its start, or else the demo motion; on the event loop."""
@@ -173,22 +173,22 @@ class Session:
     def _on_gizmo(self, _: None) -> None:
         farthest = _FARTHEST * (self.scene.size + float(self.config.start.translation[2]))
         position = np.clip(self.gizmo.position, -farthest, farthest)
-        self.model.drag(make_pose(position, rotation=Rotation.from_quat(self.gizmo.wxyz, scalar_first=True)))
+        self.state_machine.drag(make_pose(position, rotation=Rotation.from_quat(self.gizmo.wxyz, scalar_first=True)))
         self.show(("gizmo", 0))
 
     def _on_coordinate(self, value: tuple[int, float]) -> None:
         self._coordinates[value[0]] = value[1]
-        self.model.drag(make_pose(self._coordinates[:3], xyx=np.deg2rad(self._coordinates[3:])))
+        self.state_machine.drag(make_pose(self._coordinates[:3], xyx=np.deg2rad(self._coordinates[3:])))
         self.show(("coordinate", value[0]))
 
     def _on_leg(self, value: tuple[int, float]) -> None:
         self._legs[value[0]] = value[1]
-        self.model.set_legs(self._legs)
+        self.state_machine.set_legs(self._legs)
         self.show(("leg", value[0]))
 
     def _on_branch(self, label: str) -> None:
         if label in self.state.labels and label != self.state.label:
-            self.model.select(label)
+            self.state_machine.select(label)
             self.scene.clear_trail()
             self.show()
 
@@ -196,21 +196,21 @@ class Session:
         self.panel.show_drive(drive)
         self.gizmo.visible = drive is Drive.POSE
         if drive is Drive.LEGS:
-            self.model.set_legs(self.state.shown.leg_lengths)
+            self.state_machine.set_legs(self.state.shown.leg_lengths)
         self.show()
 
     def _on_hold(self, hold: bool) -> None:
-        self.model.hold_limits = hold
+        self.state_machine.hold_limits = hold
         if self.state.drive is Drive.POSE:
-            self.model.drag(self.state.target)
+            self.state_machine.drag(self.state.target)
         self.show()
 
     def _on_back(self, _: None) -> None:
-        self.model.place(self.state.shown)
+        self.state_machine.place(self.state.shown)
         self.show()
 
     def _on_reset(self, _: None) -> None:
-        self.model.place(self.config.start)
+        self.state_machine.place(self.config.start)
         self.scene.clear_trail()
         self.show()
 
@@ -219,7 +219,7 @@ class Session:
             self.look(view)
 
     def _on_load(self, _: Any) -> None:
-        self.model.load(self.panel.wrench)
+        self.state_machine.load(self.panel.wrench)
         self.show()
 
     def _on_layer(self, value: tuple[str, bool]) -> None:
@@ -260,9 +260,9 @@ class Session:
         start = self.state.shown if isinstance(recording.points, np.ndarray) else (self.state.label or None)
         try:
             try:
-                self.playback = recording.follow(self.model.geometry, start)
+                self.playback = recording.follow(self.state_machine.geometry, start)
             except ArgumentError:
-                self.playback = recording.follow(self.model.geometry)
+                self.playback = recording.follow(self.state_machine.geometry)
         except SpmError as error:
             panel.show_path(f"⚠ {error}")
             raise
@@ -273,7 +273,7 @@ class Session:
         if self.playback is None:
             return
         configuration, _ = self.playback.at(time)
-        self.model.place(configuration)
+        self.state_machine.place(configuration)
         self.show()
         if not moved:
             self.panel.time.value = time
@@ -282,7 +282,7 @@ class Session:
     def _show_demo(self, time: float) -> None:
         assert self.config.demo is not None
         if self.demo is not None and self.demo.playing:
-            self.model.place(self.config.demo.at(time)[0])
+            self.state_machine.place(self.config.demo.at(time)[0])
             self.show()
 
     def _on_png(self, _: None) -> None:

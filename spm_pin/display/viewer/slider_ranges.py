@@ -1,11 +1,11 @@
-"""From where to where the sliders go: the coordinates of reachable states around the one that is shown."""
+"""Ranges of the sliders: coordinates and leg lengths of reachable states around the one that is shown."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from spm_pin.closed_form.forward_displacement import forward_physical
+from spm_pin.closed_form.path_following import home_mode_share
 from spm_pin.mechanism import Configuration
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.branches import physical
@@ -24,7 +24,7 @@ def pose_coordinates(pose: RigidTransform) -> FloatArray:
 
 
 def pose_ranges(states: Configuration, target: RigidTransform) -> FloatArray:
-    """Return from where to where the coordinates of the states (n,) go that are nearest to a pose (6, 2).
+    """Return the least and the largest coordinates of those states of (n,) that are nearest to a pose, (6, 2).
 
     x, y, z [m] and the X-Y-X angles [degrees], those around the pose's own.
     """
@@ -39,7 +39,7 @@ def pose_ranges(states: Configuration, target: RigidTransform) -> FloatArray:
 
 
 def leg_ranges(configuration: Configuration) -> FloatArray:
-    """Return from where to where each leg goes (6, 2) [m]: its limits, or as far as its assembly mode lasts."""
+    """Return the least and the largest length of each leg (6, 2) [m]: its limits, or as far as the mode lasts."""
     geometry, now = configuration.geometry, np.array(configuration.leg_lengths)
     longest = 3.0 * (geometry.base_radius + geometry.platform_radius + geometry.middle_side)
     low, high = np.full(6, 0.05 * geometry.middle_side), np.full(6, longest)
@@ -49,9 +49,6 @@ def leg_ranges(configuration: Configuration) -> FloatArray:
     low, high = np.minimum(low, now), np.maximum(high, now)
     if physical(configuration) and (limits is None or not np.isfinite(limits.maximum).all()):
         for ends in (low, high):
-            shares = np.linspace(0.0, 1.0, _STEPS + 1)[1:, None]
-            lengths = now + shares[..., None] * np.diag(ends - now)
-            exists = np.asarray(forward_physical(geometry, lengths).exists)
-            count = np.where(exists.all(axis=0), _STEPS, exists.argmin(axis=0))
-            ends[:] = now + count / _STEPS * (ends - now)
+            shares = home_mode_share(geometry, now, now + np.diag(ends - now), parts=_STEPS, rounds=1)
+            ends[:] = now + shares * (ends - now)
     return np.stack([low, high], axis=-1)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.closed_form.inverse_displacement import inverse_displacement
-from spm_pin.closed_form.path_following import follow
+from spm_pin.closed_form.path_following import last_on_line
 from spm_pin.display.viewer.readings import SINGULARITIES, Readings
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import (
@@ -30,12 +30,11 @@ from spm_pin.mechanism.arguments import FloatArray, real_array
 from spm_pin.mechanism.branches import family, physical
 from spm_pin.workspace.reachability.nearest_pose import nearest_reachable_pose, pose_distance
 
-__all__ = ["Drive", "Model", "Notice", "State"]
+__all__ = ["Drive", "Notice", "State", "StateMachine"]
 
 _UNLIMITED = LegLimits(0.0, np.inf)
 _REACHED = 1e-6  # of d
 _SAME = 1e-4  # of d: closer joints are one solution
-_PARTS = 16  # into which a way that cannot be gone to its end is divided
 
 
 class Drive(enum.StrEnum):
@@ -55,7 +54,7 @@ class Notice:
 
 @dataclass(frozen=True)
 class State:
-    """One moment of a session."""
+    """What a session shows: the configuration and what was asked for, its branches, readings, load and notices."""
 
     drive: Drive  # the quantity moved last
     target: RigidTransform  # the requested pose; that of `shown` where legs were moved
@@ -73,8 +72,8 @@ class State:
         return tuple(str(label) for label in np.array(self.solutions.labels)[self.solutions.exists])
 
 
-class Model:
-    """A session's state and its changes, from a single configuration that exists. Not for several threads at once."""
+class StateMachine:
+    """A session's state and its transitions, from a configuration that exists. Not for several threads at once."""
 
     state: State
 
@@ -82,12 +81,29 @@ class Model:
         self.geometry = start.geometry
         self.hold_limits = True
         """True if a machine that is within its leg limits stays there."""
-        self._become(Drive.POSE, start.pose, start)
+        self._show(Drive.POSE, start.pose, start)
 
     def drag(self, pose: PoseLike) -> State:
         """Move to a pose on the branch, or to the nearest reachable one."""
         target = as_rigid_transform(pose)
-        return self._become(Drive.POSE, target, *self._nearest(target))
+        here, label = self.state.shown, self.state.label
+        label = label or FAMILIES[max(int(family(here)), 0)] + "+"
+        solutions = inverse_displacement(self.geometry, target)
+        wanted = solutions[label]
+        held = self.hold_limits and self.geometry.limits is not None and self.within_limits(here)
+        if wanted.exists and (not held or self.within_limits(wanted)):
+            return self._show(Drive.POSE, target, wanted, solutions)
+        if held:
+            nearest = nearest_reachable_pose(self.geometry, target, near=here)
+        else:
+            nearest = nearest_reachable_pose(self.geometry, target, _UNLIMITED, branch=label, near=here)
+        found, distance = nearest.configuration, nearest.distance
+        if not found.exists:  # at the edge rounding may decide; what is shown is reachable in any case
+            found, distance = here, pose_distance(self.geometry, here.pose, target)
+        if distance <= _REACHED * self.geometry.middle_side:
+            return self._show(Drive.POSE, target, found)
+        notice = _out_of_reach(solutions, label, distance)
+        return self._show(Drive.POSE, target, found, distance=distance, remarks=[notice])
 
     def set_legs(self, leg_lengths: npt.ArrayLike) -> State:
         """Move to leg lengths (6,) [m] in the assembly mode, as far as it lasts."""
@@ -97,11 +113,11 @@ class Model:
         found = forward_physical(self.geometry, lengths, seed=None if physical(here) else here)
         remarks = []
         if not found.exists:
-            found, share = self._last_on_the_way(here, lengths)
+            found, share = last_on_line(here, lengths)
             if share < 1.0:
                 text = "These leg lengths are not reached: a forward singularity is in the way."
                 remarks = [Notice("warning", f"{text} Shown: the last on the way, at {100 * share:.0f} %.")]
-        return self._become(Drive.LEGS, found.pose, found, remarks)
+        return self._show(Drive.LEGS, found.pose, found, remarks=remarks)
 
     def select(self, label: str) -> State:
         """Take another branch of the shown pose; raises `ArgumentError` if it has no such branch."""
@@ -109,7 +125,7 @@ class Model:
             raise ArgumentError("label", f"one of {', '.join(self.state.labels) or 'no branches'}", repr(label))
         before = self.state
         chosen = before.solutions[label]
-        state = self._become(before.drive, chosen.pose, chosen, jump=True)
+        state = self._show(before.drive, chosen.pose, chosen, before.solutions, jump=True)
         return state if before.drive is Drive.LEGS else self.drag(before.target)
 
     def load(self, wrench: npt.ArrayLike) -> State:
@@ -120,79 +136,51 @@ class Model:
 
     def place(self, configuration: Configuration) -> State:
         """Show a configuration, as it is."""
-        return self._become(Drive.POSE, configuration.pose, configuration, jump=True)
+        return self._show(Drive.POSE, configuration.pose, configuration, jump=True)
 
     def within_limits(self, configuration: Configuration) -> bool:
         """Return whether a configuration respects its leg limits, up to rounding."""
         limits = self.geometry.limits
         return limits is None or bool(limits.margin(configuration.leg_lengths) >= -1e-9 * self.geometry.middle_side)
 
-    def _nearest(self, target: RigidTransform) -> tuple[Configuration, list[Notice]]:
-        """Return the configuration for a pose, and notices about it."""
-        here, label = self.state.shown, self.state.label
-        label = label or FAMILIES[max(int(family(here)), 0)] + "+"
-        solutions = inverse_displacement(self.geometry, target)
-        wanted = solutions[label]
-        held = self.hold_limits and self.geometry.limits is not None and self.within_limits(here)
-        if wanted.exists and (not held or self.within_limits(wanted)):
-            return wanted, []
-        others = [str(name) for name in np.array(solutions.labels)[solutions.exists] if name != label]
-        why = "beyond the leg limits" if wanted.exists else f"{label} does not reach it"
-        if solutions.status is Status.DEGENERATE and not wanted.exists:
-            why = "its branches form a continuous family, of which none is picked"
-        if held:
-            nearest = nearest_reachable_pose(self.geometry, target, near=here)
-        else:
-            nearest = nearest_reachable_pose(self.geometry, target, _UNLIMITED, branch=label, near=here)
-        # At the edge rounding may decide; what is shown is reachable in any case.
-        found = nearest.configuration if nearest.configuration.exists else here
-        distance = pose_distance(self.geometry, found.pose, target)
-        if distance <= _REACHED * self.geometry.middle_side:
-            return found, []
-        away = f"{1e3 * distance:.1f} mm" if distance > 1e-4 else "less than 0.1 mm"
-        text = f"Pose out of reach: {why}. Shown: the nearest reachable one found, {away} away."
-        if not wanted.exists and others:
-            text += f" Other branches there: {', '.join(others)}."
-        return found, [Notice("warning", text)]
-
-    def _last_on_the_way(self, start: Configuration, lengths: FloatArray) -> tuple[Configuration, float]:
-        """Return the last configuration found on the straight way to leg lengths, and its share of the way."""
-        if not physical(start):
-            way = follow(self.geometry, np.stack([start.leg_lengths, lengths]), start, samples=4)
-            return way.configurations[-1], float(way.parameters[-1])
-        low, high, found = 0.0, 1.0, start
-        for _ in range(3):
-            shares = np.linspace(low, high, _PARTS + 1)[1:]
-            between = start.leg_lengths + shares[:, None] * (lengths - start.leg_lengths)
-            states = forward_physical(self.geometry, between)
-            count = int(states.exists.argmin()) if not states.exists.all() else _PARTS
-            if count:
-                found, low = states[count - 1], float(shares[count - 1])
-            high = float(shares[min(count, _PARTS - 1)])
-        return found, low
-
-    def _become(
+    def _show(
         self,
         drive: Drive,
         target: RigidTransform,
         shown: Configuration,
-        remarks: Sequence[Notice] = (),
+        solutions: SolutionSet | None = None,
         *,
+        distance: float = 0.0,
+        remarks: Sequence[Notice] = (),
         jump: bool = False,
     ) -> State:
-        solutions = inverse_displacement(self.geometry, shown.pose)
+        """Replace the state; `solutions` are those of the pose of `shown`, solved here if not given."""
+        if solutions is None:
+            solutions = inverse_displacement(self.geometry, shown.pose)
         before: State | None = getattr(self, "state", None)
         label = _label(solutions, shown, before.label if before is not None else "")
         wrench = before.wrench if before is not None else np.zeros(6)
         readings = Readings(shown, wrench)
-        distance = pose_distance(self.geometry, shown.pose, target)
-        distance = 0.0 if distance <= _REACHED * self.geometry.middle_side else distance
         notices = list(remarks)
         if before is not None and not jump:
             notices += _crossings(before, readings, label)
         notices += _warnings(readings, label)
         self.state = State(drive, target, shown, label, solutions, distance, readings, wrench, tuple(notices))
         return self.state
+
+
+def _out_of_reach(solutions: SolutionSet, label: str, distance: float) -> Notice:
+    """Return why a pose with these solutions is not reached on a branch, and how far away the state shown is [m]."""
+    others = [str(name) for name in np.array(solutions.labels)[solutions.exists] if name != label]
+    real = bool(solutions[label].exists)
+    why = "beyond the leg limits" if real else f"{label} does not reach it"
+    if solutions.status is Status.DEGENERATE and not real:
+        why = "its branches form a continuous family, of which none is picked"
+    away = f"{1e3 * distance:.1f} mm" if distance > 1e-4 else "less than 0.1 mm"
+    text = f"Pose out of reach: {why}. Shown: the nearest reachable one found, {away} away."
+    if others and not real:
+        text += f" Other branches there: {', '.join(others)}."
+    return Notice("warning", text)
 
 
 def _label(solutions: SolutionSet, shown: Configuration, last: str) -> str:

@@ -14,7 +14,7 @@ from spm_pin.display.viewer.camera import FIELD_OF_VIEW, VIEWS, fit_camera, robo
 from spm_pin.display.viewer.robot_meshes import RobotMeshes
 from spm_pin.display.viewer.robot_scene import RobotScene
 from spm_pin.display.viewer.slider_ranges import pose_coordinates
-from spm_pin.display.viewer.state import Model, State
+from spm_pin.display.viewer.state import State, StateMachine
 from spm_pin.display.viewer.state_markup import forces_table, instruments, status
 from spm_pin.display.viewer.viser_server import branded_html, start, stop
 from spm_pin.mechanism import LEGS, Configuration
@@ -129,7 +129,7 @@ def save_snapshot(
         If the suffix is another, or the file cannot be written.
     """
     path = file_path(path, suffixes=(".html", ".htm"))
-    state, robot = Model(configuration).state, RobotMeshes(configuration.geometry)
+    state, robot = StateMachine(configuration).state, RobotMeshes(configuration.geometry)
     page = snapshot_html(state, robot, dark=dark, ghosts=ghosts, geometry_file=geometry_file)
     with writing(path):
         path.write_text(page, encoding="utf-8")
