@@ -23,7 +23,7 @@ for label in real:
     print(label, np.round(branch.leg_lengths, 4), "m, gap", f"{branch.closure_residual:.0e} m")
 
 machine = branches.physical()
-print("A real machine:", machine)
+print("The physical branch:", machine)
 print("500 N down on the platform:", np.round(spm.leg_forces(machine, [0, 0, -500, 0, 0, 0]), 1), "N in the legs")
 
 figure, ax = plt.subplots(figsize=(6, 3.2), layout="constrained")

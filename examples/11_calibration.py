@@ -35,10 +35,10 @@ found = spm.calibration.identify(geometry, poses, readings)
 print(found)
 found.geometry.to_yaml(folder / "machine.yaml")
 
-# Elsewhere in the workspace: the platform of the drawing and of the machine identified, against the true one.
+# Elsewhere in the workspace: the platform of the nominal machine and of the one identified, against the true one.
 legs = random.uniform(geometry.limits.minimum, geometry.limits.maximum, (200, 6))
 true = spm.forward_physical(machine, legs).translation
-models = {"drawing": spm.AsBuiltGeometry.from_nominal(geometry), "identified": found.geometry}
+models = {"nominal": spm.AsBuiltGeometry.from_nominal(geometry), "identified": found.geometry}
 errors = {
     name: 1e6 * np.linalg.norm(spm.forward_physical(model, legs).translation - true, axis=-1)
     for name, model in models.items()
@@ -50,7 +50,7 @@ for name, size in errors.items():
 
 figure, (hist, cloud) = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
 bins = np.geomspace(1.0, 3000.0, 40)
-for name, colour in (("drawing", "#d55e00"), ("identified", "#0072b2")):
+for name, colour in (("nominal", "#d55e00"), ("identified", "#0072b2")):
     hist.hist(errors[name], bins, color=colour, alpha=0.85, label=f"model: {name}")
 hist.set(xscale="log", xlabel="position error [µm]", ylabel="poses")
 hist.legend(frameon=False)

@@ -41,7 +41,7 @@ def inverse(problem: tuple[spm.Geometry | spm.AsBuiltGeometry, RigidTransform]) 
 
 
 def inverse_physical(problem: tuple[spm.Geometry | spm.AsBuiltGeometry, RigidTransform]) -> Prepared:
-    """Prepare `inverse_physical`: the branch that a real machine is in."""
+    """Prepare `inverse_physical`: the physical branch."""
     geometry, poses = problem
     return Prepared(
         lambda: spm.inverse_physical(geometry, poses), lambda found: real_branches(found.middle_joints[:, None])

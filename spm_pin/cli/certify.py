@@ -49,7 +49,7 @@ def certify(
     if (minimum is None) != (maximum is None):
         raise GeometryError("--min and --max", "both or neither", "one of them")
     if inverse and (length_error or angle_error or isinstance(dimensions, AsBuiltGeometry)):
-        cause = "A bound of |det K| is proved for one machine of a drawing only"
+        cause = "A bound of |det K| is proved for one nominal machine only"
         raise GeometryError("--inverse", "no errors of the machine", "errors as well", cause)
     limits = None
     if minimum is not None and maximum is not None:

@@ -19,9 +19,7 @@ __all__ = ["forward"]
 @outputs.name_options(leg_lengths="--legs")
 def forward(
     legs: Annotated[SixLegs, leg_option("--legs", "Leg lengths r_b1 to r_b3 and r_c1 to r_c3, in --unit.")],
-    every: Annotated[
-        bool, typer.Option("--all", help="Show every assembly mode, not only the one a real machine is in.")
-    ] = False,
+    every: Annotated[bool, typer.Option("--all", help="Show every assembly mode, not only the physical one.")] = False,
     unit: options.Unit = LengthUnit.M,
     geometry: options.AnyGeometryFile = None,
     json: options.AsJson = False,
@@ -35,9 +33,7 @@ def forward(
     physical = forward_physical(dimensions, lengths)
     if isinstance(dimensions, AsBuiltGeometry):
         if every:
-            raise GeometryError(
-                "--geometry", "dimensions of a drawing for --all", "a machine as built", "Leave out --all"
-            )
+            raise GeometryError("--geometry", "nominal dimensions for --all", "a machine as built", "Leave out --all")
         modes = _alone(physical)
     else:
         modes = forward_displacement(dimensions, lengths)

@@ -113,13 +113,13 @@ def read_geometry(path: Path | None) -> Geometry:
     """Return the geometry of `--geometry`, or the paper's, as `read_any_geometry`; a machine as built is an error."""
     found = read_any_geometry(path)
     if isinstance(found, AsBuiltGeometry):
-        cause = "This command is for the machine of the drawing: give the dimensions under the key nominal"
-        raise GeometryError("--geometry", "dimensions of a drawing", f"{path}, a machine as built", cause)
+        cause = "This command is for the nominal machine: give the dimensions under the key nominal"
+        raise GeometryError("--geometry", "nominal dimensions", f"{path}, a machine as built", cause)
     return found
 
 
 def read_any_geometry(path: Path | None) -> Geometry | AsBuiltGeometry:
-    """Return the geometry of `--geometry`, of a drawing or of a machine as built; by default the paper's.
+    """Return the geometry of `--geometry`, of a nominal machine or of one as built; by default the paper's.
 
     Warnings about the file are notes on stderr; a file that describes no manipulator is a `GeometryError`.
     """

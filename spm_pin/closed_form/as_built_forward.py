@@ -46,12 +46,12 @@ def as_built_forward(
         return _compose(geometry, _follow(geometry, geometry, *flat), shape)
     shape, lengths = lengths.shape[:-1], lengths.reshape(-1, 6)
     nominal = AsBuiltGeometry.from_nominal(geometry.nominal)
-    ideal = solve_nominal(geometry.nominal, lengths)
+    start = solve_nominal(geometry.nominal, lengths)
     if geometry == nominal:
-        state = ideal.rotation, ideal.translation, ideal.middle_joints
+        state = start.rotation, start.translation, start.middle_joints
         return Configuration.from_arrays(geometry, *(x.reshape(*shape, *x.shape[1:]) for x in state))
-    upper = (ideal.middle_joints - ideal.translation[:, None]) @ ideal.rotation
-    balls = _follow(nominal, geometry, np.concatenate([ideal.middle_joints, upper], axis=1), lengths, lengths)
+    upper = (start.middle_joints - start.translation[:, None]) @ start.rotation
+    balls = _follow(nominal, geometry, np.concatenate([start.middle_joints, upper], axis=1), lengths, lengths)
     found = physical(_compose(geometry, balls, (len(lengths),)))
     rest = np.flatnonzero(~found)
     if len(rest):
@@ -81,12 +81,12 @@ def _follow(
 
 def _follow_from_home(nominal: AsBuiltGeometry, geometry: AsBuiltGeometry, lengths: FloatArray) -> FloatArray:
     """Follow the level state with equal legs to legs (N, 6); return its balls as `_follow` does."""
-    ideal = geometry.nominal
-    hips = np.array([ideal.base_radius, ideal.platform_radius]) - ideal.middle_radius
+    dimensions = geometry.nominal
+    hips = np.array([dimensions.base_radius, dimensions.platform_radius]) - dimensions.middle_radius
     # Legs at least so long that the level stage is well away from flat.
     equal = np.maximum(lengths.reshape(-1, 2, 3).mean(axis=-1), np.hypot(1.0, 0.5) * np.abs(hips))
     height = np.sqrt(np.maximum(equal**2 - hips**2, 0.0))
-    level = ideal.middle_radius * ideal.radial_directions
+    level = dimensions.middle_radius * dimensions.radial_directions
     balls = np.concatenate([np.broadcast_to(level, (len(lengths), 3, 3))] * 2, axis=1)
     balls[..., 2] = np.repeat(height * [1.0, -1.0], 3, axis=-1)
     legs = np.repeat(equal, 3, axis=-1)

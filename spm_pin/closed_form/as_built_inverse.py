@@ -1,6 +1,6 @@
 """Inverse displacement of a machine as built: three quadrics, all eight roots, the labels of the nominal machine.
 
-Derivation, and what becomes of the ideal machine's branches: `docs/theory/as_built.md`.
+Derivation, and what becomes of the nominal machine's branches: `docs/theory/as_built.md`.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def as_built_physical(geometry: AsBuiltGeometry, pose: PoseLike, solve_nominal: 
     """Find the configuration in which a machine as built holds the platform in a pose; see `inverse_physical`.
 
     Newton's method starts from the branches TT+ and TT- of the nominal machine. All branches are solved for where it
-    cannot be followed from there, where neither branch is one that a real machine can be in, and for large errors.
+    cannot be followed from there, where neither branch is physical, and for large errors.
     """
     from spm_pin.closed_form.kernels.as_built_physical_kernel import certain_physical_branches
 
@@ -67,15 +67,15 @@ def as_built_physical(geometry: AsBuiltGeometry, pose: PoseLike, solve_nominal: 
     if _is_nominal(geometry) or np.abs(machines[1] - machines[0]).max() > _LARGE:
         return as_built_inverse(geometry, pose, solve_nominal).physical()
     shape, rotation, position = read_pose(pose)
-    ideal = _nominal_branches(geometry, rotation, position)
+    nominal = _nominal_branches(geometry, rotation, position)
     bounds = np.array([(-np.inf,) * 6, (np.inf,) * 6] if limits is None else [limits.minimum, limits.maximum])
     constants = *machines, tangent_signs(geometry.nominal), bounds - geometry.offsets, geometry.nominal.middle_radius
     results = ((3, 3), np.float64), ((6,), np.float64), ((), np.bool_)
     joints, lengths, certain = run_kernel(
-        certain_physical_branches, (rotation, position, ideal[2]), constants, results, _MIN_BATCH_PER_THREAD
+        certain_physical_branches, (rotation, position, nominal[2]), constants, results, _MIN_BATCH_PER_THREAD
     )
     lengths += geometry.offsets
-    turned, moved = ideal[0], ideal[1]
+    turned, moved = nominal[0], nominal[1]
     rest = np.flatnonzero(~certain)
     if len(rest):
         matrices = np.tile(np.eye(4), (len(rest), 1, 1))
@@ -110,17 +110,17 @@ def _machines(geometry: AsBuiltGeometry) -> list[FloatArray]:
     return [np.stack([g.axes, g.pivots / unit, g.balls / unit]) for g in both]
 
 
-def _of_nominal(geometry: AsBuiltGeometry, ideal: SolutionSet) -> SolutionSet:
-    state = ideal.configurations
+def _of_nominal(geometry: AsBuiltGeometry, nominal: SolutionSet) -> SolutionSet:
+    state = nominal.configurations
     branches = Configuration.from_arrays(
         geometry, state.rotation, state.translation, state.middle_joints, state.leg_lengths
     )
     return SolutionSet(
         branches,
         BRANCHES,
-        ideal.status,
-        discriminants=ideal.discriminants,
-        degeneracy=ideal.degeneracy,
+        nominal.status,
+        discriminants=nominal.discriminants,
+        degeneracy=nominal.degeneracy,
         met=np.zeros(branches.shape, dtype=np.bool_),
     )
 
@@ -144,7 +144,7 @@ def _solve(
     from spm_pin.closed_form.kernels.branch_kernels import complex_branches
 
     sizes, poses = radii(geometry.nominal), (rotation, position)
-    ideal = _nominal_branches(geometry, *poses)
+    nominal = _nominal_branches(geometry, *poses)
     (everything,) = run_kernel(complex_branches, poses, sizes[:1], [((8, 3, 3), np.complex128)], _MIN_BATCH_PER_THREAD)
     count = len(position)
     results = (
@@ -154,5 +154,5 @@ def _solve(
         ((), np.int8),
         np.empty((count if complex_roots else 0, 8, 3, 3), np.complex128),
     )
-    inputs = rotation, position, ideal[2], everything
+    inputs = rotation, position, nominal[2], everything
     return run_kernel(as_built_branches, inputs, (*_machines(geometry), sizes[0]), results, _MIN_BATCH_PER_THREAD)

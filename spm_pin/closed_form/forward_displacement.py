@@ -1,4 +1,4 @@
-"""Forward displacement: every assembly mode of six leg lengths, and the one a real machine is in.
+"""Forward displacement: every assembly mode of six leg lengths, and the physical one.
 
 The upper stage seen from {m} is a 3RPS stage like the lower one, so the two are solved independently, see
 `spm_pin.closed_form.kernels.stage_equations`, and every solution of one goes with every solution of the other.
@@ -116,7 +116,7 @@ def forward_displacement(geometry: Geometry, leg_lengths: npt.ArrayLike) -> Solu
 def forward_physical(
     geometry: Geometry | AsBuiltGeometry, leg_lengths: npt.ArrayLike, seed: Configuration | None = None
 ) -> Configuration:
-    """Find the configuration that a real machine with these leg lengths is in.
+    """Find the physical configuration with these leg lengths: the one that the machine is in.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def forward_physical(
     in there; if not, all solutions of mode T are found and looked at. It is T1+/T1+ unless E or C is less than
     a twentieth of d. With a seed each step is so short that Newton's method provably stays on the path, see
     `spm_pin.closed_form.forward_continuation`; so the seed may be far. A machine as built is followed from the one of
-    the drawing, or from the seed, in steps at whose start the theorem of Newton and Kantorovich holds; see
+    the nominal machine, or from the seed, in steps at whose start the theorem of Newton and Kantorovich holds; see
     `docs/theory/as_built.md`.
 
     Examples

@@ -180,7 +180,7 @@ def _memory_of(out: SolutionSet, shape: tuple[int, ...]) -> tuple[npt.NDArray[np
 
 
 def inverse_physical(geometry: Geometry | AsBuiltGeometry, pose: PoseLike) -> Configuration:
-    """Find the configuration in which a real machine holds the platform in a pose.
+    """Find the physical configuration for a pose: the one in which the machine holds the platform there.
 
     Parameters
     ----------

@@ -52,7 +52,7 @@ class AsBuiltGeometry:
     Parameters
     ----------
     nominal : Geometry
-        The machine of the drawing: branches are named after its branches, and its leg limits hold for the readings.
+        The nominal machine: branches are named after its branches, and its leg limits hold for the readings.
     axes : array_like, shape (6, 3)
         Unit vectors along the revolute axes of `LEGS`, of the lower legs in {B}, of the upper legs in {m}.
     pivots : array_like, shape (6, 3)
@@ -111,10 +111,10 @@ class AsBuiltGeometry:
         return f"AsBuiltGeometry({self.nominal!r}, {self._deviation()})"
 
     def _deviation(self) -> str:
-        ideal = AsBuiltGeometry.from_nominal(self.nominal)
-        length = max(float(np.abs(a - b).max()) for a, b in zip(self.arrays[1:], ideal.arrays[1:], strict=True))
-        sine = np.sqrt((np.cross(self.axes, ideal.axes) ** 2).sum(axis=-1))
-        angle = float(np.arctan2(sine, (self.axes * ideal.axes).sum(axis=-1)).max())
+        nominal = AsBuiltGeometry.from_nominal(self.nominal)
+        length = max(float(np.abs(a - b).max()) for a, b in zip(self.arrays[1:], nominal.arrays[1:], strict=True))
+        sine = np.sqrt((np.cross(self.axes, nominal.axes) ** 2).sum(axis=-1))
+        angle = float(np.arctan2(sine, (self.axes * nominal.axes).sum(axis=-1)).max())
         return f"errors to {length:.3g} m, {angle:.3g} rad"
 
     def __eq__(self, other: object) -> bool:
@@ -306,13 +306,13 @@ def all_balls(geometry: AsBuiltGeometry, lower: FloatArray) -> FloatArray:
 
 def _refused(name: str) -> property:
     def refuse(self: AsBuiltGeometry) -> None:
-        expected = "a Geometry: this function is for the machine of the drawing alone"
+        expected = "a Geometry: this function is for the nominal machine alone"
         raise GeometryError("geometry", expected, f"an AsBuiltGeometry, which has no {name}", "Pass its .nominal?")
 
     return property(refuse)
 
 
-# A function written for the ideal machine ends in an error that says so, never in a wrong answer.
+# A function written for the nominal machine ends in an error that says so, never in a wrong answer.
 for _name in (
     *("base_radius", "platform_radius", "middle_side", "middle_radius", "dimensions"),
     *("base_joints", "platform_joints", "radial_directions", "revolute_axes"),

@@ -1,4 +1,4 @@
-"""The branch of a configuration: its family, its sign and place, and whether a real machine can be in it.
+"""The branch of a configuration: its family, its sign and place, and whether it is physical.
 
 Each stage's middle platform has either no torsion (mode T) or is turned half round (mode F) against the other
 end of that stage; a family names the lower stage's mode, then the upper's. A family holds at most two branches
@@ -123,7 +123,7 @@ def straightness(configuration: Configuration) -> FloatArray:
 
 
 def physical(configuration: Configuration) -> BoolArray:
-    """Return which states a real machine can be in, leg limits aside, shape (...).
+    """Return which states are physical, leg limits aside, shape (...).
 
     Those reached from the symmetric home without a forward singularity: no torsion in either stage, each
     stage on the outer side of its platform, and both in the home's aspect. The signs of det J_b and det J_c do not

@@ -197,7 +197,7 @@ class Configuration:
 
     @cached_property
     def balls(self) -> FloatArray:
-        """Centres of the six legs' balls as rows in {B} [m], (..., 6, 3); twice b_1, b_2, b_3 in the ideal machine."""
+        """Centres of the legs' balls as rows in {B} [m], (..., 6, 3); b_1, b_2, b_3 twice in the nominal machine."""
         b, geometry = self._middle_joints, self._geometry
         if isinstance(geometry, AsBuiltGeometry):
             return frozen(all_balls(geometry, b))
@@ -312,7 +312,7 @@ def check_configuration(
     cause = "Choose one of its solutions: .physical(), .nearest(seed), or a label such as ['TT+']" if several else ""
     configuration = instance(value, Configuration, argument, cause)
     if not as_built and isinstance(configuration.geometry, AsBuiltGeometry):
-        expected = "a configuration of a Geometry: this function is for the machine of the drawing alone"
+        expected = "a configuration of a Geometry: this function is for the nominal machine alone"
         raise ArgumentError(argument, expected, "one of an AsBuiltGeometry")
     if single and configuration.shape:
         cause = f"Choose one by its index: {argument}[0]"

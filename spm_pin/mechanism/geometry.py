@@ -197,7 +197,7 @@ class Geometry:
 
     @property
     def nominal(self) -> Geometry:
-        """Itself: the machine of the drawing, as `AsBuiltGeometry.nominal`."""
+        """The geometry itself; of an `AsBuiltGeometry`, `.nominal` is the one that it deviates from."""
         return self
 
     @property

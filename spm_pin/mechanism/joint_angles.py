@@ -76,7 +76,7 @@ def joint_angles(configuration: Configuration, corners: tuple[int, ...] = (0, 1,
     Parameters
     ----------
     configuration : Configuration
-        One state or a batch, of the ideal machine or of one as built; a state need not be closed.
+        One state or a batch, of the nominal machine or of one as built; a state need not be closed.
     corners : tuple of int
         The legs, 0 to 2, whose ball joints are wanted: of each stage these.
 

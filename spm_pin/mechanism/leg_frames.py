@@ -1,8 +1,8 @@
 """Frames of the six legs and of the balls, in which joint angles are measured, and the home at which these are zero.
 
 A leg's frame stands at its hip, x along the revolute axis, z as near to the normal of {B} or {m} as that allows. The
-frame at a ball of the middle platform is turned in {n} as the ideal machine's leg frames are in {B}: x along the middle
-platform's tangent, z along its normal.
+frame at a ball of the middle platform is turned in {n} as the nominal machine's leg frames are in {B}: x along the
+middle platform's tangent, z along its normal.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class _Home:
 
 @dataclass(frozen=True)
 class _LevelLegFrame(_Home):
-    """A leg of the ideal machine, its revolute axis (cos, sin, 0)."""
+    """A leg of the nominal machine, its revolute axis (cos, sin, 0)."""
 
     cos: float
     sin: float

@@ -51,8 +51,8 @@ class SolutionSet:
     degeneracy : Degeneracy, optional
         Which families, legs and how many dimensions, where `status` is `Status.DEGENERATE`.
     choice : ndarray of uint8, shape (..., 3), optional
-        From the solver, if it computes it: whether a real machine can be in the first, in the second solution, and
-        whether the second is tilted less; it can be in none of the others. If left out, this is computed from the
+        From the solver, if it computes it: whether the first, the second solution is physical, and
+        whether the second is tilted less; none of the others is physical. If left out, this is computed from the
         configurations.
     memory : tuple of ndarray, optional
         The arrays that a solver may write anew, see `inverse_displacement`; copies and selections do not own it.
@@ -319,7 +319,7 @@ class SolutionSet:
 
     @property
     def is_physical(self) -> BoolArray:
-        """Which solutions a real machine can be in, shape (..., n); the geometry's limits narrow a choice only.
+        """Which solutions are physical, shape (..., n); the geometry's limits narrow a choice only.
 
         Those reached from the symmetric home without a forward singularity. If several are, and some respect
         the limits, the others are dropped; chain ``.within().physical()`` to exclude all that do not.
@@ -344,7 +344,7 @@ class SolutionSet:
         return several if self.shape else bool(several)
 
     def physical(self, seed: Configuration | npt.ArrayLike | None = None) -> Configuration:
-        """Return the solution that a real machine is in; NaN where there is none.
+        """Return the physical solution; NaN where there is none.
 
         Of those in `is_physical`, the nearest to `seed` if there is one. Without a seed two may be left, on
         either side of an inverse singularity: the one whose stages are tilted least, and `ambiguous` is true.

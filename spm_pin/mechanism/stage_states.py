@@ -22,7 +22,7 @@ _MIRROR = np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]])
 """Sign of x, y and Z of each stage against those of the frame that it is seen from."""
 
 _TORSION = 1e-9
-"""Part x3 of the quaternion from which on a stage of the ideal machine has torsion."""
+"""Part x3 of the quaternion from which on a stage of the nominal machine has torsion."""
 
 
 def stage_states(configuration: Configuration) -> FloatArray:

@@ -130,12 +130,14 @@ def _require_as_built(
 ) -> None:
     """Raise `GeometryError` unless both have the same axes, pivots, balls and offsets."""
     both = geometry, expected
-    other, own = ("an ideal machine" if isinstance(g, Geometry) else "a machine as built" for g in both)
+    received_kind, expected_kind = (
+        "a nominal machine" if isinstance(g, Geometry) else "a machine as built" for g in both
+    )
     found, sought = (AsBuiltGeometry.from_nominal(g) if isinstance(g, Geometry) else g for g in both)
     for name in ("axes", "pivots", "balls", "offsets"):
         unit, symbol = (1.0, "rad") if name == "axes" else (sought.nominal.middle_side, "m")
         apart = np.abs(getattr(found, name) - getattr(sought, name)).reshape(len(LEGS), -1).max(axis=-1)
         if apart.max() > AGREEMENT * unit:
             leg = int(apart.argmax())
-            received = f"{other} that differs by {apart[leg]:.1e} {symbol} in {LEGS[leg]}"
-            raise GeometryError(argument, f"the {name} of {owner}, {own}", received)
+            received = f"{received_kind} that differs by {apart[leg]:.1e} {symbol} in {LEGS[leg]}"
+            raise GeometryError(argument, f"the {name} of {owner}, {expected_kind}", received)

@@ -95,12 +95,12 @@ def _read_file(
     links = [prefix + link for link in LINKS] + upper * as_built
     absent = [link for link in links if not model.existFrame(link, pin.FrameType.BODY)]
     if absent:
-        cause = "The URDF of an ideal machine? spm-pin urdf --geometry writes that of a machine as built" * as_built
+        cause = "The URDF of a nominal machine? spm-pin urdf --geometry writes that of a machine as built" * as_built
         raise DescriptionError(str(path), "the links of the description", f"no {', '.join(absent)}", cause)
     if not as_built and model.existFrame(upper[0], pin.FrameType.BODY):
         received = f"that of a machine as built, with a link {upper[0]}"
         cause = "Pass its AsBuiltGeometry as geometry: a URDF does not have the offsets"
-        raise DescriptionError(str(path), "the URDF of an ideal machine", received, cause)
+        raise DescriptionError(str(path), "the URDF of a nominal machine", received, cause)
     if not as_built:
         measured = _measured(model, prefix, _placements(model, pin.neutral(model), links))
         geometry = geometry or measured

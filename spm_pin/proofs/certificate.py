@@ -290,9 +290,9 @@ def _deviation(machine: Geometry | AsBuiltGeometry, nominal: Geometry) -> tuple[
         if machine.dimensions == nominal.dimensions:
             return 0.0, 0.0
         machine = AsBuiltGeometry.from_nominal(machine)
-    ideal = AsBuiltGeometry.from_nominal(nominal)
+    nominal_parameters = AsBuiltGeometry.from_nominal(nominal).parameters
     # Directions of the axes are counted from the nominal ones, which are the same for all dimensions.
-    errors = np.abs(machine.parameters - ideal.parameters).reshape(6, 9)
+    errors = np.abs(machine.parameters - nominal_parameters).reshape(6, 9)
     return float(errors[:, 2:].max()), float(errors[:, :2].max())
 
 

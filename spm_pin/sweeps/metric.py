@@ -195,7 +195,7 @@ def metric(
     >>> import spm_pin as spm
     >>> @spm.sweeps.metric("m", "length of the longest leg beyond a length; NaN where not reachable")
     ... def excess(points, *, length=1.4):
-    ...     return points.machine.leg_lengths.max(axis=-1) - length
+    ...     return points.physical.leg_lengths.max(axis=-1) - length
     >>> excess(length=1.3).parameters
     mappingproxy({'length': 1.3})
     """

@@ -1,9 +1,9 @@
 """The metrics of this package: one decorated function each, which `METRICS` collects by name.
 
-Metrics of the machine's state describe the configuration that a real machine is in within its leg limits, and are NaN
-where there is none. Those of the Jacobian make it homogeneous: with a characteristic length L the twist is (v, Lω), so
-that singular values compare speeds with speeds. By default L is the platform's radius C: then Lω is the speed that a
-rotation about o gives to the joints c_i. Parameters are positive numbers.
+Metrics of a state describe the physical configuration within the leg limits, and are NaN where there is none. Those of
+the Jacobian make it homogeneous: with a characteristic length L the twist is (v, Lω), so that singular values compare
+speeds with speeds. By default L is the platform's radius C: then Lω is the speed that a rotation about o gives to the
+joints c_i. Parameters are positive numbers.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ def status(points: Points) -> Values:
     return points.status
 
 
-@metric("1", "whether a real machine can be here within its leg limits", dtype="int8", flags={"no": 0, "yes": 1})
+@metric("1", "whether there is a physical configuration within the leg limits", dtype="int8", flags={"no": 0, "yes": 1})
 def reachable(points: Points) -> Values:
-    """Return 1 where a real machine can be, else 0."""
+    """Return 1 where there is a physical configuration within the leg limits, else 0."""
     return points.reachable
 
 
@@ -59,21 +59,21 @@ def branches_within(points: Points) -> Values:
 
 @metric(
     "1",
-    "branch that a real machine is in within its leg limits",
+    "physical branch within the leg limits",
     dtype="int8",
     flags={"none": -1} | {label: k for k, label in enumerate(BRANCHES)},
 )
 def branch(points: Points) -> Values:
-    """Return the branch of `Points.machine`, -1 where there is none."""
-    # Where the machine was found from leg lengths it is one of the branches up to rounding.
-    gaps = np.abs(points.solutions.middle_joints - points.machine.middle_joints[:, None]).max(axis=(-1, -2))
+    """Return the branch of `Points.physical`, -1 where there is none."""
+    # Where the state was found from leg lengths it is one of the branches up to rounding.
+    gaps = np.abs(points.solutions.middle_joints - points.physical.middle_joints[:, None]).max(axis=(-1, -2))
     gaps = np.where(np.isnan(gaps), np.inf, gaps)
     return np.where(np.isfinite(gaps.min(axis=-1)), gaps.argmin(axis=-1), -1)
 
 
 @metric("1", "number of assembly modes that the machine's leg lengths allow; 0 where not reachable", dtype="int16")
 def assembly_modes(points: Points) -> Values:
-    """Return how many poses the leg lengths of `Points.machine` allow."""
+    """Return how many poses the leg lengths of `Points.physical` allow."""
     lengths = points.reached.leg_lengths
     parts = range(0, max(1, len(lengths)), _MODES_AT_A_TIME)
     counts = [forward_displacement(points.geometry, lengths[k : k + _MODES_AT_A_TIME]).count for k in parts]
@@ -83,19 +83,19 @@ def assembly_modes(points: Points) -> Values:
 @metric("m", f"X of o in the base frame; {_ABSENT}")
 def o_x(points: Points) -> Values:
     """Return the first coordinate of o."""
-    return points.machine.translation[:, 0]
+    return points.physical.translation[:, 0]
 
 
 @metric("m", f"Y of o in the base frame; {_ABSENT}")
 def o_y(points: Points) -> Values:
     """Return the second coordinate of o."""
-    return points.machine.translation[:, 1]
+    return points.physical.translation[:, 1]
 
 
 @metric("m", f"Z of o in the base frame; {_ABSENT}")
 def o_z(points: Points) -> Values:
     """Return the third coordinate of o."""
-    return points.machine.translation[:, 2]
+    return points.physical.translation[:, 2]
 
 
 @metric("m", "how far the worst leg is inside its limits, negative outside; NaN where no machine can be at all")

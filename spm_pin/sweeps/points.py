@@ -103,8 +103,8 @@ class Points:
         return SolutionSet(branches, BRANCHES, status)
 
     @cached_property
-    def machine(self) -> Configuration:
-        """The configuration that a real machine is in, shape (N,); NaN where it has none within its leg limits."""
+    def physical(self) -> Configuration:
+        """The physical configuration, shape (N,); NaN where there is none within the leg limits."""
         if self.space == "legs":
             there = self.limits.contains(self.coordinates) & self.assembled.exists
             found = self.assembled[there]
@@ -119,13 +119,13 @@ class Points:
 
     @cached_property
     def reachable(self) -> BoolArray:
-        """True if `machine` exists, shape (N,)."""
-        return _locked(self.machine.exists)
+        """True if `physical` exists, shape (N,)."""
+        return _locked(self.physical.exists)
 
     @cached_property
     def reached(self) -> Configuration:
-        """The M members of `machine` that exist."""
-        return self.machine[self.reachable]
+        """The M members of `physical` that exist."""
+        return self.physical[self.reachable]
 
     def spread(self, values: npt.ArrayLike, absent: float = np.nan) -> FloatArray:
         """Return values of the M `reached` points as an array of shape (N,), `absent` elsewhere."""

@@ -85,7 +85,7 @@ class _Machine:
 
 
 def inverse_physical(geometry: Dimensions = None) -> ca.Function:
-    """Make the inverse displacement in the branch that a real machine is in.
+    """Make the inverse displacement in the physical branch.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def inverse_physical(geometry: Dimensions = None) -> ca.Function:
 
     Notes
     -----
-    Where a real machine is in no branch the other outputs go on smoothly: they are those of the branch whose stages are
+    Where no branch is physical the other outputs go on smoothly: they are those of the branch whose stages are
     tilted less. Where `discriminant` is negative it is taken for zero, so lengths are those of a machine that does not
     close, and their derivatives finite: constrain `discriminant` to be positive. At a level platform, where there is a
     continuous family, they are finite and mean nothing; `exists` is 0. Nothing is NaN for finite arguments.

@@ -40,7 +40,7 @@ def test_it_is_the_derivative_of_the_pose_at_constant_readings(name: str, size: 
         np.testing.assert_allclose(moved, expected, atol=2e-7 * max(np.abs(expected).max(), 1.0))
 
 
-def test_the_ideal_machine_is_one_without_errors() -> None:
+def test_the_nominal_machine_is_one_without_errors() -> None:
     legs = np.random.default_rng(1).uniform(1.15, 1.45, (2, 3, 6))
     state = spm.forward_physical(PAPER, legs)
     expected = error_jacobian(spm.Configuration(NOMINAL, state.pose, state.middle_joints))

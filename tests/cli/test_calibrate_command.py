@@ -60,11 +60,13 @@ def test_a_machine_is_identified_and_written(measured: Path, tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("command", "message"),
     [
-        (["forward", "--all", *LEGS], "--geometry: expected dimensions of a drawing for --all"),
+        (["forward", "--all", *LEGS], "--geometry: expected nominal dimensions for --all"),
         (["workspace"], "a machine as built. This command is for the machine of"),
     ],
 )
-def test_commands_for_the_drawing_refuse_a_machine_as_built(command: list[str], message: str, tmp_path: Path) -> None:
+def test_commands_for_the_nominal_machine_refuse_a_machine_as_built(
+    command: list[str], message: str, tmp_path: Path
+) -> None:
     file = tmp_path / "machine.yaml"
     MACHINE.to_yaml(file)
     done = run(*command, "--geometry", str(file))

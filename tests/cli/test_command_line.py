@@ -571,7 +571,7 @@ def test_the_demo_begins_with_the_verdict_and_ends_with_what_to_try(
     assert "missed" not in out
     assert f"{target}" in "".join(lines)
     assert target.read_bytes().startswith(b"\x89PNG")
-    # The picture says which branch a real machine is in.
+    # The picture says which branch is physical.
     drawn = tmp_path / "drawn.png"
     assert run("draw", *EXAMPLE, "--unit", "cm", "--all", "--out", drawn).returncode == 0
     assert target.read_bytes() == drawn.read_bytes()

@@ -56,7 +56,7 @@ def test_all_eight_roots_of_many_machines_are_certified(name: str, size: float) 
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
-def test_without_errors_the_answers_are_those_of_the_ideal_machine(name: str) -> None:
+def test_without_errors_the_answers_are_those_of_the_nominal_machine(name: str) -> None:
     geometry = GEOMETRIES[name]
     problem = random_branches(geometry, "TF", 50, seed=7)
     level = spm.pose([0.0, 0.0, geometry.middle_side], rotation=np.eye(3))
@@ -199,7 +199,7 @@ def test_threads_do_not_change_a_bit() -> None:
     np.testing.assert_array_equal(first.middle_joints, second.middle_joints)
 
 
-def test_the_physical_branch_of_a_small_error_is_near_that_of_the_drawing() -> None:
+def test_the_physical_branch_of_a_small_error_is_near_the_nominal_one() -> None:
     pose = in_leg_space(PAPER, 300, seed=8).pose
     ideal = spm.inverse_physical(PAPER, pose)
     built = spm.inverse_physical(as_built(PAPER, 1e-6, seed=5), pose)

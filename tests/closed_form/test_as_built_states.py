@@ -45,7 +45,7 @@ def test_forward_finds_the_states_whose_readings_they_are(name: str, size: float
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
-def test_without_errors_the_answers_are_those_of_the_ideal_machine(name: str) -> None:
+def test_without_errors_the_answers_are_those_of_the_nominal_machine(name: str) -> None:
     geometry = GEOMETRIES[name]
     built = spm.AsBuiltGeometry.from_nominal(geometry)
     ideal = random_branches(geometry, "TT", 300, seed=5).configuration
@@ -192,7 +192,7 @@ def test_a_pair_of_branches_meets_at_an_inverse_singularity() -> None:
     assert abs(cosine) == pytest.approx(1.0, abs=1e-4)
 
 
-def test_singular_states_are_refused_as_those_of_the_ideal_machine() -> None:
+def test_singular_states_are_refused_as_those_of_the_nominal_machine() -> None:
     home = spm.forward_physical(PAPER, np.full(6, 1.3))
     ideal = spm.AsBuiltGeometry.from_nominal(PAPER)
     state = spm.Configuration(ideal, home.pose, home.middle_joints)

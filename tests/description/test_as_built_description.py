@@ -48,7 +48,7 @@ def test_loops_close_to_rounding_at_the_joint_values_of_a_state(name: str, prefi
             assert values[prefix + slide] == pytest.approx(reading - offset - 1.3, abs=1e-14)
 
 
-def test_without_errors_joint_values_are_those_of_the_ideal_machine() -> None:
+def test_without_errors_joint_values_are_those_of_the_nominal_machine() -> None:
     ideal = spm.forward_physical(PAPER, LEGS[0])
     same = spm.Configuration(NOMINAL, ideal.pose, ideal.middle_joints)
     expected, found = joint_values(ideal), joint_values(same)

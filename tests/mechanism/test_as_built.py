@@ -162,6 +162,6 @@ def test_nominal_dimensions_are_not_read_from_an_imperfect_machine() -> None:
         lambda built: spm.workspace.sample_reachable(built, 10),
     ],
 )
-def test_functions_for_the_ideal_machine_refuse_an_imperfect_one(call: Callable[[object], object]) -> None:
+def test_functions_for_the_nominal_machine_refuse_an_imperfect_one(call: Callable[[object], object]) -> None:
     with pytest.raises(spm.ArgumentError, match="geometry: expected a Geometry"):
         call(machine())

@@ -1,4 +1,4 @@
-"""The chain of a machine as built: loops, kinematics, rates, statics and dynamics, by the contract of the ideal one."""
+"""The chain of a machine as built: loops, kinematics, rates, statics, dynamics, by the contract of the nominal one."""
 
 from __future__ import annotations
 
@@ -336,10 +336,10 @@ def test_states_of_other_machines_are_refused() -> None:
     state = states(robot, 2, seed=18)
     ideal = chain().configuration(chain().joint_values(states(chain(), 1, seed=18)))
     with pytest.raises(
-        GeometryError, match="the axes of the chain, a machine as built, got an ideal machine that differs"
+        GeometryError, match="the axes of the chain, a machine as built, got a nominal machine that differs"
     ):
         robot.joint_values(ideal)
-    with pytest.raises(GeometryError, match="the axes of the chain, an ideal machine, got a machine as built"):
+    with pytest.raises(GeometryError, match="the axes of the chain, a nominal machine, got a machine as built"):
         chain().joint_values(state)
     other = problems.as_built(PAPER, 1e-3)
     moved = spm.AsBuiltGeometry(

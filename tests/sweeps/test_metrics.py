@@ -59,7 +59,7 @@ def test_counts_are_those_of_direct_calls() -> None:
     np.testing.assert_array_equal(METRICS["branches_within"].evaluate(points), direct.within().count)
     machine = direct.within().physical()
     np.testing.assert_array_equal(METRICS["reachable"].evaluate(points), machine.exists)
-    np.testing.assert_allclose(points.machine.middle_joints, machine.middle_joints, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(points.physical.middle_joints, machine.middle_joints, rtol=1e-12, atol=1e-12)
     for axis, values in zip("xyz", machine.translation.T, strict=True):
         np.testing.assert_array_equal(METRICS[f"o_{axis}"].evaluate(points), values)
 
@@ -71,7 +71,7 @@ def test_the_branch_is_the_machines(points: Points) -> None:
     np.testing.assert_array_equal(numbers == flags["none"], ~points.reachable)
     there = np.flatnonzero(points.reachable)
     np.testing.assert_allclose(
-        points.solutions.leg_lengths[there, numbers[there]], points.machine.leg_lengths[there], atol=1e-9
+        points.solutions.leg_lengths[there, numbers[there]], points.physical.leg_lengths[there], atol=1e-9
     )
 
 
@@ -104,7 +104,7 @@ def homogeneous(states: spm.Configuration, length: float) -> np.ndarray:
 @pytest.mark.parametrize("length", [None, 0.8])
 def test_conditioning_and_isotropy_are_those_of_the_inverse_jacobian(length: float | None) -> None:
     points = Points(GEOMETRY, "legs", legs(50))
-    matrices = homogeneous(points.machine, GEOMETRY.platform_radius if length is None else length)
+    matrices = homogeneous(points.physical, GEOMETRY.platform_radius if length is None else length)
     np.testing.assert_allclose(
         METRICS["conditioning"](length=length).evaluate(points), 1.0 / np.linalg.cond(matrices), rtol=1e-8
     )
@@ -117,7 +117,7 @@ def test_conditioning_is_that_of_pinocchio() -> None:
     chain = spm.ClosedChain.from_urdf()
     points = Points(GEOMETRY, "legs", legs(5))
     for k, value in enumerate(METRICS["conditioning"](length=0.5).evaluate(points)):
-        matrix = chain.inverse_jacobian(chain.joint_values(points.machine[k])) / np.repeat([1.0, 0.5], 3)
+        matrix = chain.inverse_jacobian(chain.joint_values(points.physical[k])) / np.repeat([1.0, 0.5], 3)
         assert 1.0 / np.linalg.cond(matrix) == pytest.approx(value, rel=1e-7)
 
 
@@ -138,7 +138,7 @@ def test_payload_is_the_most_that_leg_forces_allow_in_any_direction() -> None:
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     wrenches = np.concatenate([directions, np.zeros_like(directions)], axis=-1)
     for k in range(len(points)):
-        forces = spm.leg_forces(points.machine[k], wrenches)
+        forces = spm.leg_forces(points.physical[k], wrenches)
         held = 1.0 / np.maximum(forces / 900.0, -forces / 400.0).max(axis=-1)
         assert value[k] <= held.min() * (1 + 1e-9)
         assert value[k] == pytest.approx(held.min(), rel=5e-3)
@@ -149,7 +149,7 @@ def test_payload_downwards_solves_a_linear_programme() -> None:
     value = METRICS["payload_down"](push=900.0, pull=400.0).evaluate(points)
     for k in range(len(points)):
         # Largest f with -400 <= f a <= 900 for the leg forces a under one newton along -Z.
-        unit = spm.leg_forces(points.machine[k], [0, 0, -1, 0, 0, 0])
+        unit = spm.leg_forces(points.physical[k], [0, 0, -1, 0, 0, 0])
         bounds = np.concatenate([np.full(6, 900.0), np.full(6, 400.0)])
         found = linprog([-1.0], A_ub=np.concatenate([unit, -unit])[:, None], b_ub=bounds, bounds=(0, None))
         assert value[k] == pytest.approx(found.x[0], rel=1e-9)
@@ -158,11 +158,11 @@ def test_payload_downwards_solves_a_linear_programme() -> None:
 
 def test_stiffness_is_that_of_springs_in_the_legs() -> None:
     points = Points(GEOMETRY, "legs", legs(8))
-    jacobians = spm.inverse_jacobian(points.machine)
+    jacobians = spm.inverse_jacobian(points.physical)
     compliance = np.linalg.inv(2e7 * jacobians.swapaxes(-1, -2) @ jacobians)[:, :3, :3]
     expected = 1.0 / np.linalg.eigvalsh(compliance)[:, -1]
     np.testing.assert_allclose(METRICS["stiffness"](leg=2e7).evaluate(points), expected, rtol=1e-7)
-    matrix = spm.closed_form.compliance(points.machine, 2e7)
+    matrix = spm.closed_form.compliance(points.physical, 2e7)
     weakest = spm.closed_form.principal_stiffness(compliance=matrix).rotational[:, 0]
     np.testing.assert_allclose(METRICS["rotational_stiffness"](leg=2e7).evaluate(points), weakest, rtol=1e-7)
 
@@ -173,7 +173,7 @@ def test_the_margin_is_signed() -> None:
     np.testing.assert_array_equal(margin >= 0, points.reachable)
     assert (margin < 0).any()
     inside = points.reachable & ~points.solutions.within().ambiguous
-    expected = GEOMETRY.limits.margin(points.machine.leg_lengths)  # type: ignore[union-attr]
+    expected = GEOMETRY.limits.margin(points.physical.leg_lengths)  # type: ignore[union-attr]
     np.testing.assert_array_equal(margin[inside], expected[inside])
     free = dataclasses.replace(GEOMETRY, limits=None)
     with pytest.raises(spm.ArgumentError, match="leg limits") as error:
@@ -184,7 +184,7 @@ def test_the_margin_is_signed() -> None:
 
 
 def test_distances_and_determinants_are_those_of_singularities(points: Points) -> None:
-    known = spm.singularities(points.machine)
+    known = spm.singularities(points.physical)
     expected = {"forward_distance": known.sigma[:, :2].min(axis=-1), "inverse_distance": known.sigma[:, 2]}
     expected |= {
         f"det_{name}": known.scaled_determinants[:, k] for k, name in enumerate(("lower", "upper", "structure"))
@@ -234,7 +234,7 @@ def test_the_page_names_every_metric() -> None:
 
 
 def r_b1(points: Points) -> np.ndarray:
-    return points.machine.leg_lengths[:, 0]
+    return points.physical.leg_lengths[:, 0]
 
 
 def test_a_metric_made_by_hand() -> None:
@@ -326,7 +326,7 @@ def test_metrics_cannot_modify_shared_points(name: str, space: Space) -> None:
     points = Points(GEOMETRY, space, mixed_poses(20) if space == "pose" else legs(20))
     with pytest.raises(ValueError, match="read-only"):
         getattr(points, name)[...] = 0
-    for array in (points.singular_values(0.3), points.machine.translation, points.solutions.leg_lengths):
+    for array in (points.singular_values(0.3), points.physical.translation, points.solutions.leg_lengths):
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0
 
@@ -335,7 +335,7 @@ def test_rotations_are_those_of_poses() -> None:
     poses = mixed_poses(300)
     points = Points(GEOMETRY, "pose", poses)
     expected = spm.pose(poses[:, :3], xyx=poses[:, 3:]).rotation.as_matrix()
-    np.testing.assert_allclose(points.machine.rotation[points.reachable], expected[points.reachable], atol=1e-15)
+    np.testing.assert_allclose(points.physical.rotation[points.reachable], expected[points.reachable], atol=1e-15)
     np.testing.assert_allclose(points.solutions.rotation[:, 0], expected, atol=1e-15)
 
 

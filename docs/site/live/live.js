@@ -49,9 +49,9 @@ async function loadKinematics() {
   const inverse = () => c.spm_inverse(machine, given, given + 72, branches);
   const within = () => single.subarray(21).every((length, k) => length >= LEAST[k] && length <= MOST[k]);
   return {
-    // 2 where a real machine can be in a pose, 1 where its legs are too short or too long for it, 0 elsewhere.
+    // 2 where a pose has a physical branch, 1 where its legs are too short or too long for it, 0 elsewhere.
     reach: (rotation, position) => (physical(rotation, position) ? 1 + within() : 0),
-    // All branches of a pose; `physical` is the one that a real machine is in, -1 if there is none. Of two it is the
+    // All branches of a pose; `physical` is the physical one, -1 if there is none. Of two it is the
     // one of known leg lengths.
     inverse(rotation, position, known = null) {
       const exists = physical(rotation, position), lengths = known || Array.from(single.subarray(21));
@@ -365,7 +365,7 @@ function start(kinematics, meshes) {
       input.value = values[drive][k];
       input.setAttribute("aria-valuetext", text);
       output.textContent = text;
-      // What a real machine reaches, all other sliders being where they are.
+      // What the physical mode reaches, all other sliders being where they are.
       const row = [...values[drive]], count = 160, stops = [];
       for (let n = 0; n < count; ++n) {
         row[k] = least + ((n + 0.5) / count) * (most - least);

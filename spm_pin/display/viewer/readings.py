@@ -37,7 +37,7 @@ class Readings:
         self._wrench = wrench
         self.singularities = singularities(state)
         self.physical = bool(physical(state))
-        """Whether a real machine can be in it: reached from the symmetric home without a forward singularity."""
+        """Whether the state is physical: reached from the symmetric home without a forward singularity."""
 
     @cached_property
     def beyond(self) -> FloatArray:

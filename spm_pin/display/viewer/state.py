@@ -219,5 +219,7 @@ def _warnings(readings: Readings, label: str) -> list[Notice]:
     if not label:
         notices.append(Notice("info", "The branches of this pose form a continuous family; none is picked."))
     if not readings.physical:
-        notices.append(Notice("info", "A real machine does not get here without a forward singularity."))
+        notices.append(
+            Notice("info", "Not physical: the machine cannot get here from its home without a forward singularity.")
+        )
     return notices

@@ -31,7 +31,7 @@ class WorkspaceLayer:
 
     @cached_property
     def states(self) -> Configuration:
-        """States (n,) of a real machine for leg lengths spread evenly over their limits, always the same.
+        """Physical states (n,) for leg lengths spread evenly over their limits, always the same.
 
         Without limits the lengths are those at home, a third more or less.
         """

@@ -133,7 +133,7 @@ def reachable_boundary(
     spacing: float = 0.1,
     progress: Progress | None = None,
 ) -> Boundary:
-    """Find the boundary of the positions that o can reach in the mode of a real machine.
+    """Find the boundary of the positions that o can reach in the physical mode.
 
     Parameters
     ----------

@@ -65,7 +65,7 @@ class LegLengthBox:
 
     @cached_property
     def map(self) -> PositionMap:
-        """The states of a real machine by the coordinates of their stages."""
+        """The physical states by the coordinates of their stages."""
         return PositionMap(self.geometry)
 
     @cached_property

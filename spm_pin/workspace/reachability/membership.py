@@ -99,7 +99,7 @@ def reachable(
     joints : JointLimits, optional
         Limits of the passive joints' angles, and of the distance between legs.
     branch : str
-        Which branches count: "physical", those a real machine can be in; "any"; or one of `BRANCHES`.
+        Which branches count: "physical", those in the physical mode; "any"; or one of `BRANCHES`.
 
     Returns
     -------
@@ -165,7 +165,7 @@ class PositionReach:
 
 
 def reachable_position(geometry: Geometry, points: npt.ArrayLike, limits: LegLimits | None = None) -> PositionReach:
-    """Find which positions o can reach in some orientation, in the mode of a real machine, and the nearest it can.
+    """Find which positions o can reach in some orientation, in the physical mode, and the nearest it can.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def sample_reachable(
     rng: np.random.Generator | int | None = None,
     progress: Progress | None = None,
 ) -> Configuration:
-    """Draw states that a real machine can be in.
+    """Draw physical states.
 
     Parameters
     ----------
@@ -291,7 +291,7 @@ def _uniform_in_legs(box: LegLengthBox, count: int, rng: np.random.Generator) ->
 
 
 def pose_multiplicity(states: Configuration, limits: LegLimits) -> npt.NDArray[np.intp]:
-    """Return how many states of a real machine within `limits` have the pose of each of `states` (N,), (N,)."""
+    """Return how many physical states within `limits` have the pose of each of `states` (N,), (N,)."""
     branches = inverse_displacement(states.geometry, states.pose).configurations
     # A state at a limit may miss it by rounding: it counts itself at least.
     same = (physical(branches) & limits.contains(branches.leg_lengths)).sum(axis=-1)

@@ -1,7 +1,7 @@
 """The states nearest to given points or poses: least squares within leg limits by an augmented Lagrangian.
 
 In one assembly mode the six lengths l determine where points of the platform are. For the platform's centre o alone, in
-the mode of a real machine, the reachable positions are the image W of the box of the limits under that map p(l). The
+the physical mode, the reachable positions are the image W of the box of the limits under that map p(l). The
 point of W nearest to y minimises |p(l) - y|² over the box. Where that is zero y is reachable; elsewhere
 n = (y - p)/|y - p| is an outward normal of W, and with the gradient q_i = n·∂p/∂l_i
 
@@ -66,7 +66,7 @@ _STARTS = 1
 _REMOTE_STARTS = 3
 """Starts at the states of the box's sample whose positions are nearest to the point."""
 _MODE_TOLERANCE = 1e-6
-"""Distance, over the machine's size, of the position found from that of the lengths in the mode of a real machine,
+"""Distance, over the machine's size, of the position found from that of the lengths in the physical mode,
 above which the search has left that mode."""
 
 
@@ -83,7 +83,7 @@ class NearestPoints(NamedTuple):
     """q of Eq. (1), (N, 6), with n towards the given point; zero where that is reachable."""
     optimality: FloatArray
     """By how much n and q miss the conditions of a nearest point, (N,); zero where the point is reachable. Infinite
-    where the search has left the mode of a real machine; then the state is the one it began with."""
+    where the search has left the physical mode; then the state is the one it began with."""
     coordinates: FloatArray
     """The states (N, 2, 3) for `spm_pin.workspace.reachability.position_map`, to begin another search with."""
 
@@ -165,7 +165,7 @@ def _set_penalty(search: StateSearch, members: IntArray, weight: float) -> None:
 
 
 def _result(box: LegLengthBox, points: FloatArray, first: FloatArray, search: StateSearch) -> NearestPoints:
-    """Return the points at which a search for o ended, each state checked against the mode of a real machine.
+    """Return the points at which a search for o ended, each state checked against the physical mode.
 
     A state that has left that mode is replaced by the one of `first` (N, 2, 3).
     """

@@ -98,7 +98,7 @@ def nearest_reachable_pose(
         Within leg limits it must not be given: legs carry a configuration from one branch to another.
     near : Configuration, optional
         A single state to begin with, such as the last one. Within leg limits its assembly mode is kept; without `near`
-        it is the mode of a real machine, and the search begins at the nearest of a sample of states.
+        it is the physical mode, and the search begins at the nearest of a sample of states.
 
     Returns
     -------

@@ -80,7 +80,7 @@ def orientation_workspace(
     confidence: float = 0.95,
     rng: np.random.Generator | int | None = None,
 ) -> OrientationWorkspace:
-    """Find the orientations that the platform of a real machine can have at a position.
+    """Find the orientations that the platform can have at a position in the physical mode.
 
     Parameters
     ----------

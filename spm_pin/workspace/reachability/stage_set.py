@@ -31,7 +31,7 @@ _MOST_TRIED = 1_000_000
 
 @dataclass(frozen=True)
 class StageSet:
-    """The states of one stage that a real machine can be in within its leg limits."""
+    """The physical states of one stage within its leg limits."""
 
     map: PositionMap  # of the family TT
     stage: int  # 0 for the lower stage, 1 for the upper

@@ -6,8 +6,8 @@ derivatives that the position has as a function of the lengths. All searches her
 for many members at once.
 
 A point is reachable if all of it can vanish. The search begins at states that `LegLengthBox.nearby` finds by going
-through all of the set, and a state found counts only if it is one of a real machine: the position that its lengths
-give, snapped to the limits, is compared with the point.
+through all of the set, and a state found counts only if it is physical: the position that its lengths give, snapped to
+the limits, is compared with the point.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ class StateSearch:
         return np.asarray(np.sqrt((self.error**2).sum(axis=-1)))
 
     def proved(self) -> tuple[BoolArray, BoolArray]:
-        """Return which members have a state of a real machine with o at the target, and which are in doubt, (N,) each.
+        """Return which members have a physical state with o at the target, and which are in doubt, (N,) each.
 
         In doubt are those in another assembly mode, and those that stalled just short of a state.
         """

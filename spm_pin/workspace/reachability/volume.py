@@ -34,7 +34,7 @@ def reachable_volume(
     rng: np.random.Generator | int | None = None,
     progress: Progress | None = None,
 ) -> Estimate:
-    """Estimate the volume of the positions that o can reach in the mode of a real machine, in m³.
+    """Estimate the volume of the positions that o can reach in the physical mode, in m³.
 
     Parameters
     ----------

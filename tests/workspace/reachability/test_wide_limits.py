@@ -45,7 +45,7 @@ VOLUMES = {(1.1, 1.5): 1.859, (0.8, 1.8): 26.49, (0.6, 2.0): 43.07}
 
 
 def random_states(geometry: spm.Geometry, limits: spm.LegLimits, count: int, seed: int) -> spm.Configuration:
-    """States of a real machine, from leg lengths drawn for each stage by itself, a part of them at limits."""
+    """Physical states, from leg lengths drawn for each stage by itself, a part of them at limits."""
     rng = np.random.default_rng(seed)
     low, high = np.array(limits.minimum), np.array(limits.maximum)
     known = None
