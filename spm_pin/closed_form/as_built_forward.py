@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.closed_form.batches import run_kernel
-from spm_pin.closed_form.forward_arguments import check_seed, read_lengths
+from spm_pin.closed_form.forward_displacement_arguments import check_seed, read_leg_lengths
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.branches import physical
@@ -32,7 +32,7 @@ def as_built_forward(
     dimensions change to those of this machine, or, where that gives none, the level state with equal legs is followed
     to the given legs. `solve_nominal` is `forward_physical` of nominal machines.
     """
-    lengths = read_lengths(geometry, leg_lengths)
+    lengths = read_leg_lengths(geometry, leg_lengths)
     if seed is not None:
         check_seed(geometry, lengths, seed)
         shape = np.broadcast_shapes(lengths.shape[:-1], seed.shape)

@@ -28,11 +28,11 @@ _LARGE = 5e-3
 """Errors, of directions and in units of the middle platform's radius, that may make other branches physical."""
 
 
-Solver = Callable[[Geometry, PoseLike], SolutionSet]
+NominalSolver = Callable[[Geometry, PoseLike], SolutionSet]
 """`inverse_displacement` of nominal machines."""
 
 
-def as_built_inverse(geometry: AsBuiltGeometry, pose: PoseLike, solve_nominal: Solver) -> SolutionSet:
+def as_built_inverse(geometry: AsBuiltGeometry, pose: PoseLike, solve_nominal: NominalSolver) -> SolutionSet:
     """Find all configurations of a machine as built that hold the platform in a pose; see `inverse_displacement`.
 
     `.met` is true under a label whose branch of the nominal machine ended on the straight way from the nominal axes,
@@ -55,7 +55,7 @@ def as_built_inverse(geometry: AsBuiltGeometry, pose: PoseLike, solve_nominal: S
     return SolutionSet(branches, BRANCHES, status.reshape(shape), met=(carried == 0).reshape(*shape, 8))
 
 
-def as_built_physical(geometry: AsBuiltGeometry, pose: PoseLike, solve_nominal: Solver) -> Configuration:
+def as_built_physical(geometry: AsBuiltGeometry, pose: PoseLike, solve_nominal: NominalSolver) -> Configuration:
     """Find the configuration in which a machine as built holds the platform in a pose; see `inverse_physical`.
 
     Newton's method starts from the branches TT+ and TT- of the nominal machine. All branches are solved for where it

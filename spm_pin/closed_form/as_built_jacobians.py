@@ -57,7 +57,7 @@ def as_built_determinants(configuration: Configuration) -> FloatArray:
 
 
 def as_built_singularities(configuration: Configuration, tolerance: float) -> tuple[Any, ...]:
-    """Return what the kernel `describe_singularities` writes, with the leading axes of the states."""
+    """Return the results of the kernel `describe_singularities`, with the leading axes of the states."""
     wrenches = StageWrenches.of(configuration)
     exists, side, lever = wrenches.exists, wrenches.side, wrenches.lever
     # LAPACK does not take NaN.

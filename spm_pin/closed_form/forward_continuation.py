@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from spm_pin.closed_form.batches import run_kernel
-from spm_pin.closed_form.forward_arguments import check_seed
+from spm_pin.closed_form.forward_displacement_arguments import check_seed
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry

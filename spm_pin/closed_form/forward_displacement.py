@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from spm_pin.closed_form.as_built_forward import as_built_forward
 from spm_pin.closed_form.batches import radii, run_kernel
-from spm_pin.closed_form.forward_arguments import read_lengths
 from spm_pin.closed_form.forward_continuation import follow_seed
+from spm_pin.closed_form.forward_displacement_arguments import read_leg_lengths
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
@@ -83,7 +83,7 @@ def forward_displacement(geometry: Geometry, leg_lengths: npt.ArrayLike) -> Solu
     """
     from spm_pin.closed_form.kernels.mode_kernels import all_modes
 
-    checked = read_lengths(geometry, leg_lengths)
+    checked = read_leg_lengths(geometry, leg_lengths)
     shape, lengths, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
     results = (
         ((n, 3, 3), np.float64),
@@ -160,7 +160,7 @@ def forward_physical(
     """
     if isinstance(geometry, AsBuiltGeometry):
         return as_built_forward(geometry, leg_lengths, seed, forward_physical)
-    checked = read_lengths(geometry, leg_lengths)
+    checked = read_leg_lengths(geometry, leg_lengths)
     if seed is not None:
         return follow_seed(geometry, checked, seed)
     shape, lengths = checked.shape[:-1], checked.reshape(-1, 6)

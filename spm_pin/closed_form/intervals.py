@@ -105,7 +105,7 @@ class Interval:
         return np.maximum(np.maximum(self.low, -self.high), 0.0)
 
     def misses(self, other: Interval) -> npt.NDArray[np.bool_]:
-        """Return where the two have no point in common."""
+        """Return True for the intervals that have no point in common."""
         return np.asarray((self.low > other.high) | (self.high < other.low))
 
 

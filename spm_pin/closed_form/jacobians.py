@@ -107,7 +107,7 @@ def _is_as_built(configuration: Configuration) -> bool:
 
 
 def _matrices(configuration: Configuration, kernel: Callable[..., object], kind: str) -> FloatArray:
-    """Return what `kernel` computes, shape (..., 6, 6), or raise at a singularity of this kind."""
+    """Return the matrices of `kernel`, shape (..., 6, 6), or raise at a singularity of this kind."""
     results = ((6, 6), np.float64), ((), np.uint8)
     matrices, suspect = run_on_states(kernel, configuration, singular_sizes(configuration.geometry), results)
     refuse_singular(configuration, suspect.reshape(-1), kind)

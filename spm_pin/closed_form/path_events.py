@@ -1,4 +1,7 @@
-"""Keeping to one solution while a parameter grows, and the events on its way."""
+"""Events along a followed solution: singularities and leg limits, where functions of the solution change sign.
+
+The zeros of these functions are found by root finding on the solutions themselves.
+"""
 
 from __future__ import annotations
 
@@ -7,23 +10,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from spm_pin.closed_form.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.solutions import SolutionSet
+from spm_pin.mechanism.geometry import LEGS, Geometry
 
-__all__ = ["Event", "EventKind", "Solver", "Tracker", "joints_of"]
+__all__ = ["Event", "EventKind", "find_events"]
 
-Solver = Callable[[float], SolutionSet]
-"""The solutions at a parameter of the path."""
-
-CLEARLY = 0.25
-"""A solution is clearly the nearest to the predicted one if its error is at most this share of the next one's."""
-SHORTEST_STEP = 1e-11
-"""Shortest step in the path's parameter; solutions that it does not separate are taken to meet."""
-MOST_UNCLEAR = 100
-"""Number of successive shortest steps after which two solutions are taken to coincide."""
+_ROUNDING = 1e-12
+"""Share of d by which rounding may move the length of a leg."""
 
 
 class EventKind(enum.StrEnum):
@@ -48,102 +45,70 @@ class Event:
     """The stage, the leg and which limit, or the labels before and after."""
 
 
-def joints_of(configuration: Configuration) -> FloatArray:
-    """Return the points by which solutions are compared, b_i and c_i, shape (..., 6, 3)."""
-    return np.concatenate([configuration.middle_joints, configuration.platform_joints], axis=-2)
+def find_events(
+    geometry: Geometry, parameters: list[float], states: Configuration, state_at: Callable[[float], Configuration]
+) -> list[Event]:
+    """Find the singularities and leg limits that a followed solution meets.
+
+    `states` (n,) are the solution at the n parameters, `state_at` finds it at any parameter in between.
+    """
+    values = _monitored(geometry, states)
+    # A leg that is as long as its limit, to rounding, is within it.
+    values[:, 3:][np.abs(values[:, 3:]) <= _ROUNDING * geometry.middle_side] = 0.0
+    events = []
+    for which in range(values.shape[-1]):
+        column = values[:, which]
+
+        def value(s: float, which: int = which) -> float:
+            return float(_monitored(geometry, state_at(s))[which])
+
+        for k in range(len(parameters) - 1):
+            low, high = parameters[k], parameters[k + 1]
+            before, after = column[k : k + 2]
+            if which >= 3 and min(before, after) < 0.0 == max(before, after):
+                events.append(_event(geometry, which, high if before < 0.0 else low, after - before))
+            brackets = [(low, high)] if column[k] * column[k + 1] < 0.0 else _dip(value, parameters, column, k)
+            for left, right in brackets:
+                root = float(scipy.optimize.brentq(value, left, right, xtol=1e-13, rtol=8.9e-16))
+                events.append(_event(geometry, which, root, value(right)))
+    return events
 
 
-class Tracker:
-    """The solution followed so far."""
+def _monitored(geometry: Geometry, states: Configuration) -> FloatArray:
+    """Return the functions whose zeros are events, shape (..., 3) or with limits (..., 15)."""
+    scaled = determinants(states) / geometry.middle_side**3
+    if geometry.limits is None:
+        return scaled
+    lengths = states.leg_lengths
+    return np.concatenate([scaled, lengths - geometry.limits.minimum, geometry.limits.maximum - lengths], axis=-1)
 
-    def __init__(self, solve: Solver, place: int, longest_move: float, *, legs: bool) -> None:
-        solutions = solve(0.0)
-        self.solve = solve
-        self.longest_move = longest_move
-        self.legs = legs
-        self.parameters = [0.0]
-        self.states: list[Configuration] = [solutions.configurations[place]]
-        self.labels = [solutions.labels[place]]
-        self.events: list[Event] = []
-        self._step = 1e-6
-        self._unclear = 0  # shortest steps in a row that did not tell solutions apart
 
-    def configurations(self) -> Configuration:
-        """Return the states as one batch."""
-        return Configuration.from_arrays(
-            self.states[0].geometry,
-            np.stack([state.rotation for state in self.states]),
-            np.stack([state.translation for state in self.states]),
-            np.stack([state.middle_joints for state in self.states]),
-        )
+def _event(geometry: Geometry, which: int, parameter: float, after: float) -> Event:
+    if which < 2:
+        return Event(EventKind.FORWARD_SINGULARITY, parameter, ("lower stage", "upper stage")[which])
+    if which == 2:
+        return Event(EventKind.INVERSE_SINGULARITY, parameter, "det K changes sign")
+    assert geometry.limits is not None
+    bound, values = ("minimum", geometry.limits.minimum) if which < 9 else ("maximum", geometry.limits.maximum)
+    leg = (which - 3) % 6
+    verb = "comes back within" if after > 0.0 else "goes beyond"
+    return Event(EventKind.LIMIT, parameter, f"{LEGS[leg]} {verb} its {bound}, {values[leg]:g} m")
 
-    def advance(self, stop: float) -> bool:
-        """Follow the solution to `stop`; False where it ends before."""
-        while self.parameters[-1] < stop:
-            here = self.parameters[-1]
-            ahead = min(stop, here + self._step)
-            # What a step of rounding would leave before the stop is not worth one.
-            ahead = stop if stop - ahead < 0.1 * SHORTEST_STEP else ahead
-            solutions = self.solve(ahead)
-            place, clear = self._nearest(solutions, ahead)
-            shortest = ahead - here <= SHORTEST_STEP
-            # Two solutions that nearly meet look like two that cross, except for their labels: labels are exchanged
-            # only where the shortest step confirms it.
-            same = place is not None and solutions.labels[place] == self.labels[-1]
-            if place is not None and ((clear and same) or (shortest and self._unclear < MOST_UNCLEAR)):
-                self._unclear = 0 if clear else self._unclear + 1
-                self._accept(ahead, solutions, place)
-                self._step = 2.0 * (ahead - here)
-            elif not shortest:
-                self._step = 0.5 * (ahead - here)
-            else:
-                self._end(here)
-                return False
-        return True
 
-    def _nearest(self, solutions: SolutionSet, ahead: float) -> tuple[int | None, bool]:
-        """Return the solution nearest to the predicted one, if any is near, and whether it clearly is."""
-        here = joints_of(self.states[-1])
-        predicted = here
-        if len(self.states) > 1:
-            last = self.parameters[-1] - self.parameters[-2]
-            predicted = here + (here - joints_of(self.states[-2])) * (ahead - self.parameters[-1]) / last
-        points = joints_of(solutions.configurations)
-        error = np.linalg.norm(points - predicted, axis=-1).max(axis=-1)
-        error = np.where(solutions.exists, error, np.inf)
-        order = error.argsort()
-        nearest = int(order[0])
-        move = float(np.linalg.norm(points[nearest] - here, axis=-1).max())
-        if not np.isfinite(error[nearest]) or move > self.longest_move:
-            return None, False
-        rounding = 1e-12 * float(np.abs(here).max())
-        return nearest, bool(error[nearest] <= CLEARLY * error[order[1]] + rounding and error[order[1]] > 4 * rounding)
-
-    def _accept(self, parameter: float, solutions: SolutionSet, place: int) -> None:
-        label = solutions.labels[place]
-        if label != self.labels[-1]:
-            self.events.append(Event(EventKind.SWITCH, parameter, f"{self.labels[-1]} becomes {label}"))
-        self.parameters.append(parameter)
-        self.states.append(solutions.configurations[place])
-        self.labels.append(label)
-
-    def _end(self, parameter: float) -> None:
-        if self._unclear >= MOST_UNCLEAR:
-            what = f"{self.labels[-1]}, which coincides with another solution"
-            self.events.append(Event(EventKind.END, parameter, what))
-            return
-        # Given leg lengths end at a forward singularity of a stage, given poses at an inverse one.
-        lower, upper, _ = np.abs(determinants(self.states[-1]))
-        meets = ("forward, lower stage" if lower < upper else "forward, upper stage") if self.legs else "inverse"
-        self.events.append(Event(EventKind.END, parameter, f"{self.labels[-1]}, at a singularity: {meets}"))
-
-    def state(self, parameter: float) -> Configuration:
-        """Return the followed solution anywhere between two places where it is known."""
-        k = int(np.clip(np.searchsorted(self.parameters, parameter), 1, len(self.parameters) - 1))
-        low, high = self.parameters[k - 1], self.parameters[k]
-        share = (parameter - low) / (high - low)
-        between = (1.0 - share) * joints_of(self.states[k - 1]) + share * joints_of(self.states[k])
-        solutions = self.solve(parameter)
-        error = np.linalg.norm(joints_of(solutions.configurations) - between, axis=-1).max(axis=-1)
-        state: Configuration = solutions.configurations[int(np.where(solutions.exists, error, np.inf).argmin())]
-        return state
+def _dip(
+    value: Callable[[float], float], parameters: list[float], column: FloatArray, k: int
+) -> list[tuple[float, float]]:
+    """Return two brackets where a function of one sign at both ends crosses zero twice in between."""
+    if not 0 < k < len(parameters) - 2 or column[k] == 0.0 or column[k + 1] == 0.0:
+        return []
+    sign = float(np.sign(column[k]))
+    slopes = np.diff(sign * column[k - 1 : k + 3]) / np.diff(parameters[k - 1 : k + 3])
+    low, high = parameters[k], parameters[k + 1]
+    # Tangents from both sides meet below zero only where a dip may reach it.
+    deepest = min(sign * column[k] + slopes[0] * (high - low), sign * column[k + 1] - slopes[2] * (high - low))
+    if not (slopes[0] < 0.0 < slopes[2] and deepest < 0.0):
+        return []
+    lowest = scipy.optimize.minimize_scalar(
+        lambda s: sign * value(s), bounds=(low, high), method="bounded", options={"xatol": 1e-12}
+    )
+    return [(low, float(lowest.x)), (float(lowest.x), high)] if lowest.fun < 0.0 else []

@@ -1,8 +1,6 @@
-"""Following one solution along a path, and finding where it meets a singularity, a limit, or its end.
+"""Following one solution along a path of poses or leg lengths.
 
-At every parameter all solutions are known in closed form, so there is nothing to integrate and nothing drifts: the
-solution nearest to where the last two lead is taken, and the step is halved until it is clearly the nearest. What
-happens in between shows in functions that change sign there, and is found by root finding on the solutions themselves.
+`path_tracker` keeps to the solution, `path_events` finds the singularities and limits that it meets.
 """
 
 from __future__ import annotations
@@ -13,18 +11,17 @@ from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 from scipy.spatial.transform import RigidTransform, Slerp
 
 from spm_pin.closed_form.forward_displacement import forward_displacement, forward_physical
 from spm_pin.closed_form.inverse_displacement import inverse_displacement
-from spm_pin.closed_form.path_events import Event, EventKind, Solver, Tracker, joints_of
-from spm_pin.closed_form.singularity_analysis import determinants
+from spm_pin.closed_form.path_events import Event, find_events
+from spm_pin.closed_form.path_tracker import PathSolver, Tracker, joints_of
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, as_array, instance, real_array, type_and_value, whole_number
 from spm_pin.mechanism.branches import physical
 from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import LEGS, Geometry
+from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import as_rigid_transform
 from spm_pin.mechanism.solutions import SolutionSet
 
@@ -33,8 +30,6 @@ __all__ = ["CertifiedLimits", "FollowedPath", "follow", "home_mode_share", "last
 LONGEST_MOVE = 0.1
 """A joint moves at most this share of d in a step, so that no turn is missed."""
 
-_ROUNDING = 1e-12
-"""Share of d by which rounding may move the length of a leg."""
 _MOST_EVENTS = 4
 """Events that the text of a path shows."""
 
@@ -129,7 +124,7 @@ def follow(
         if not tracker.advance(float(stop)):
             break
     found = tracker.configurations()
-    events = _sign_changes(geometry, tracker, found) + tracker.events
+    events = find_events(geometry, tracker.parameters, found, tracker.state) + tracker.events
     covered = None if certificate is None else certificate.covers(found)
     ordered = tuple(sorted(events, key=lambda e: e.parameter))
     return FollowedPath(np.array(tracker.parameters), found, tuple(tracker.labels), ordered, covered)
@@ -138,7 +133,7 @@ def follow(
 def home_mode_share(
     geometry: Geometry, start: FloatArray, ends: FloatArray, *, parts: int = 16, rounds: int = 3
 ) -> FloatArray:
-    """Return how far the mode of a real machine lasts on straight lines of leg lengths, as shares of them, shape (n,).
+    """Return the shares of straight lines of leg lengths to which the physical mode lasts, shape (n,).
 
     From lengths (6,), at which it exists, to each of `ends` (n, 6) [m]. A line is solved at the ends of `parts` parts,
     and each further of `rounds` divides the first part at whose end the mode is gone: a shorter gap may be missed.
@@ -166,7 +161,7 @@ def last_on_line(start: Configuration, leg_lengths: FloatArray) -> tuple[Configu
     return forward_physical(geometry, lengths + share * (leg_lengths - lengths)) if share else start, share
 
 
-def _solver(geometry: Geometry, path: Any) -> tuple[Solver, FloatArray, bool]:
+def _solver(geometry: Geometry, path: Any) -> tuple[PathSolver, FloatArray, bool]:
     """Return all solutions as a function of the parameter, the parameters of given points, and if those are legs."""
     if callable(path):
         if np.shape(_bare(path(0.0))) == (6,):
@@ -217,68 +212,3 @@ def _start(solutions: SolutionSet, start: Configuration | str | None) -> int:
         raise ArgumentError("start", "a solution that exists where the path begins", "none", cause)
     gap = np.abs(joints_of(solutions.configurations) - joints_of(chosen)).max(axis=(-1, -2))
     return int(np.where(solutions.exists, gap, np.inf).argmin())
-
-
-def _monitored(geometry: Geometry, states: Configuration) -> FloatArray:
-    """Return the functions whose zeros are events, shape (..., 3) or with limits (..., 15)."""
-    scaled = determinants(states) / geometry.middle_side**3
-    if geometry.limits is None:
-        return scaled
-    lengths = states.leg_lengths
-    return np.concatenate([scaled, lengths - geometry.limits.minimum, geometry.limits.maximum - lengths], axis=-1)
-
-
-def _event(geometry: Geometry, which: int, parameter: float, after: float) -> Event:
-    if which < 2:
-        return Event(EventKind.FORWARD_SINGULARITY, parameter, ("lower stage", "upper stage")[which])
-    if which == 2:
-        return Event(EventKind.INVERSE_SINGULARITY, parameter, "det K changes sign")
-    assert geometry.limits is not None
-    bound, values = ("minimum", geometry.limits.minimum) if which < 9 else ("maximum", geometry.limits.maximum)
-    leg = (which - 3) % 6
-    verb = "comes back within" if after > 0.0 else "goes beyond"
-    return Event(EventKind.LIMIT, parameter, f"{LEGS[leg]} {verb} its {bound}, {values[leg]:g} m")
-
-
-def _sign_changes(geometry: Geometry, tracker: Tracker, states: Configuration) -> list[Event]:
-    """Find the zeros of the monitored functions along the followed solution."""
-    values = _monitored(geometry, states)
-    # A leg that is as long as its limit, to rounding, is within it.
-    values[:, 3:][np.abs(values[:, 3:]) <= _ROUNDING * geometry.middle_side] = 0.0
-    parameters = tracker.parameters
-    events = []
-    for which in range(values.shape[-1]):
-        column = values[:, which]
-
-        def value(s: float, which: int = which) -> float:
-            return float(_monitored(geometry, tracker.state(s))[which])
-
-        for k in range(len(parameters) - 1):
-            low, high = parameters[k], parameters[k + 1]
-            before, after = column[k : k + 2]
-            if which >= 3 and min(before, after) < 0.0 == max(before, after):
-                events.append(_event(geometry, which, high if before < 0.0 else low, after - before))
-            brackets = [(low, high)] if column[k] * column[k + 1] < 0.0 else _dip(value, parameters, column, k)
-            for left, right in brackets:
-                root = float(scipy.optimize.brentq(value, left, right, xtol=1e-13, rtol=8.9e-16))
-                events.append(_event(geometry, which, root, value(right)))
-    return events
-
-
-def _dip(
-    value: Callable[[float], float], parameters: list[float], column: FloatArray, k: int
-) -> list[tuple[float, float]]:
-    """Return two brackets where a function of one sign at both ends crosses zero twice in between."""
-    if not 0 < k < len(parameters) - 2 or column[k] == 0.0 or column[k + 1] == 0.0:
-        return []
-    sign = float(np.sign(column[k]))
-    slopes = np.diff(sign * column[k - 1 : k + 3]) / np.diff(parameters[k - 1 : k + 3])
-    low, high = parameters[k], parameters[k + 1]
-    # Tangents from both sides meet below zero only where a dip may reach it.
-    deepest = min(sign * column[k] + slopes[0] * (high - low), sign * column[k + 1] - slopes[2] * (high - low))
-    if not (slopes[0] < 0.0 < slopes[2] and deepest < 0.0):
-        return []
-    lowest = scipy.optimize.minimize_scalar(
-        lambda s: sign * value(s), bounds=(low, high), method="bounded", options={"xatol": 1e-12}
-    )
-    return [(low, float(lowest.x)), (float(lowest.x), high)] if lowest.fun < 0.0 else []

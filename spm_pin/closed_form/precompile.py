@@ -9,7 +9,7 @@ __all__ = ["compile_kernels"]
 
 
 def compile_kernels() -> None:
-    """Compile all functions for this machine, in about a minute, and keep them on disk for later processes.
+    """Compile all functions for this computer, in about a minute, and keep them on disk for later processes.
 
     Otherwise each is compiled when first called, which delays that call by up to 20 s. Compiled code is kept where
     `NUMBA_CACHE_DIR` says, else beside the sources, else in the user's cache directory. Worth a line where an image

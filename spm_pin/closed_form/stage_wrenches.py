@@ -78,7 +78,7 @@ class StageWrenches:
         return cls(rows(vectors / lengths), rows(configuration.leg_axes), lever, side, configuration.exists)
 
     def matrices(self, kind: str) -> FloatArray:
-        """Return what is singular at a "forward" singularity, J_b and J_c, or "inverse", K, shape (..., n, 6, 6)."""
+        """Return the matrices (..., n, 6, 6) of a kind of singularity: "forward", J_b and J_c, or "inverse", K."""
         if kind == "forward":
             return np.concatenate([self.legs, self.constraints], axis=-2)
         return self.constraints.reshape(*self.exists.shape, 1, 6, 6)

@@ -289,7 +289,7 @@ def check_geometry(value: Any, argument: str = "geometry") -> Geometry | AsBuilt
 
 
 def upper_ball_weights(geometry: AsBuiltGeometry) -> FloatArray:
-    """Return how far the upper balls are from b_1, in b_2 - b_1, b_3 - b_1 and their cross product, as rows (3, 3)."""
+    """Return the upper balls' coordinates from b_1 along b_2 - b_1, b_3 - b_1 and their cross product, rows (3, 3)."""
     balls = geometry.balls
     corner, first, second = balls[0], balls[1] - balls[0], balls[2] - balls[0]
     basis = np.stack([first, second, np.cross(first, second)], axis=-1)

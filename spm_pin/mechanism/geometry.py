@@ -122,7 +122,7 @@ class LegLimits:
         return np.asarray(np.maximum(lengths - self.maximum, 0.0) + np.minimum(lengths - self.minimum, 0.0))
 
     def margin(self, leg_lengths: npt.ArrayLike) -> FloatArray:
-        """Return how far the worst leg of (..., 6) [m] is inside its limits [m]; negative outside, NaN for NaN."""
+        """Return the margin [m] of the worst leg of (..., 6) [m] to its limits; negative outside, NaN for NaN."""
         lengths = real_array(leg_lengths, "leg_lengths", (6,), "leg lengths in metres", allow_nan=True)
         inside = np.minimum(lengths - np.array(self.minimum), np.array(self.maximum) - lengths)
         # Leg by leg: NumPy takes several times as long to reduce a short last axis.

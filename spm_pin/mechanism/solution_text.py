@@ -53,7 +53,7 @@ def html_table(solutions: Any) -> str:
 
 
 def absence_reason(solutions: Any, index: tuple[int, ...] = ()) -> str:
-    """Return why no solution of a problem can be chosen."""
+    """Return the reason why no solution of a problem can be chosen."""
     status, degeneracy = Status(int(np.asarray(solutions.status)[index])), solutions.degeneracy
     if status is Status.DEGENERATE:
         if solutions.labels == BRANCHES and degeneracy is not None and degeneracy.legs[index].all():
@@ -71,6 +71,6 @@ def absence_reason(solutions: Any, index: tuple[int, ...] = ()) -> str:
 
 
 def _hint(solutions: Any, index: tuple[int, ...]) -> str:
-    """Return what an unreachable problem's lengths suggest about their unit, after a stop; or an empty string."""
+    """Return the likely unit of an unreachable problem's lengths, as a sentence after a stop; or an empty string."""
     hint = solutions.configurations.absence or unit_hint(solutions.geometry, solutions.translation[index][0])
     return hint and f". {hint}"

@@ -91,7 +91,7 @@ class Certificate:
         return np.asarray(inside)
 
     def explain(self) -> str:
-        """Return what was proved, or what stands against it, in a few lines."""
+        """Return the statement proved, or the counterexample or doubt that is left, in a few lines."""
         low, high = zip(*zip(self.limits.minimum, self.limits.maximum, strict=True), strict=True)
         lines = [f"Leg lengths from {min(low):g} m to {max(high):g} m, {self.lower.boxes + self.upper.boxes:,} boxes."]
         if any(self.errors):
@@ -271,7 +271,7 @@ def largest_certified_limits(
 
 
 def stage_regions(geometry: Geometry, limits: LegLimits, errors: tuple[float, float] = (0.0, 0.0)) -> list[StageRegion]:
-    """Return what is searched in the lower and in the upper stage, for all machines within errors [m, rad]."""
+    """Return the regions of both stages to be searched, lower first, for all machines within errors [m, rad]."""
     radii = geometry.base_radius, geometry.platform_radius
     low, high = np.array(limits.minimum).reshape(2, 3), np.array(limits.maximum).reshape(2, 3)
     length, angle = _widened(geometry, errors)

@@ -79,7 +79,7 @@ class InverseCertificate:
         return self.bound > 0.0
 
     def explain(self) -> str:
-        """Return what was proved, or what stands against it, in a few lines."""
+        """Return the statement proved, or the counterexample or doubt that is left, in a few lines."""
         lines = [f"{self.region}, {self.boxes:,} boxes."]
         if np.isinf(self.bound):
             lines.append("Proved: there is no configuration without torsion in both stages.")

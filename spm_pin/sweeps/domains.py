@@ -21,11 +21,11 @@ from spm_pin.mechanism.arguments import FloatArray, choice, real_array, whole_nu
 
 __all__ = ["AXES", "Axis", "Domain", "Sample", "Space", "leg_grid", "leg_sample", "pose_grid", "pose_sample"]
 
-Range = float | Sequence[float]
+AxisRange = float | Sequence[float]
 """One value, (start, stop, count) of a grid, or (start, stop) of a sample [m or rad]."""
 Space = Literal["pose", "legs"]
 """The coordinates of a domain: poses of the platform, or six leg lengths."""
-Method = Literal["sobol", "uniform"]
+SamplingMethod = Literal["sobol", "uniform"]
 """The distribution of sampled points: a scrambled Sobol sequence, or independent uniform ones."""
 
 _ANGLES = {"alpha": "α", "beta": "β", "lambda_": "λ"}
@@ -82,7 +82,7 @@ class Sample:
     """
 
     count: int
-    method: Method
+    method: SamplingMethod
     seed: int
 
     def __post_init__(self) -> None:
@@ -113,7 +113,7 @@ class Domain:
     """How points are drawn from the box of the axes; a lattice, all combinations of their values, if not given."""
 
     @staticmethod
-    def of_ranges(space: Space, ranges: Sequence[Range], sample: Sample | None = None) -> Domain:
+    def of_ranges(space: Space, ranges: Sequence[AxisRange], sample: Sample | None = None) -> Domain:
         """Make a domain of the ranges of the six coordinates."""
         named = zip(AXES[space], ranges, strict=True)
         axes = tuple(_axis(name, values, sample is not None) for name, values in named)
@@ -184,11 +184,11 @@ class Domain:
 
 
 def pose_grid(
-    x: Range,
-    y: Range,
-    z: Range,
+    x: AxisRange,
+    y: AxisRange,
+    z: AxisRange,
     *,
-    xyx: Sequence[Range] | None = None,
+    xyx: Sequence[AxisRange] | None = None,
     rotation: Rotation | npt.ArrayLike | None = None,
 ) -> Domain:
     """Describe a lattice of poses.
@@ -217,7 +217,7 @@ def pose_grid(
     return Domain.of_ranges("pose", _pose_ranges(x, y, z, xyx, rotation))
 
 
-def leg_grid(lower: Range | Sequence[Range], upper: Range | Sequence[Range]) -> Domain:
+def leg_grid(lower: AxisRange | Sequence[AxisRange], upper: AxisRange | Sequence[AxisRange]) -> Domain:
     """Describe a lattice of leg lengths.
 
     Parameters
@@ -236,13 +236,13 @@ def leg_grid(lower: Range | Sequence[Range], upper: Range | Sequence[Range]) -> 
 
 def pose_sample(
     count: int,
-    x: Range,
-    y: Range,
-    z: Range,
+    x: AxisRange,
+    y: AxisRange,
+    z: AxisRange,
     *,
-    xyx: Sequence[Range] | None = None,
+    xyx: Sequence[AxisRange] | None = None,
     rotation: Rotation | npt.ArrayLike | None = None,
-    method: Method = "sobol",
+    method: SamplingMethod = "sobol",
     seed: int = 0,
 ) -> Domain:
     """Describe poses drawn from a box of positions and X-Y-X angles.
@@ -269,10 +269,10 @@ def pose_sample(
 
 def leg_sample(
     count: int,
-    lower: Range | Sequence[Range],
-    upper: Range | Sequence[Range],
+    lower: AxisRange | Sequence[AxisRange],
+    upper: AxisRange | Sequence[AxisRange],
     *,
-    method: Method = "sobol",
+    method: SamplingMethod = "sobol",
     seed: int = 0,
 ) -> Domain:
     """Describe leg lengths drawn from a box.
@@ -295,8 +295,8 @@ def leg_sample(
 
 
 def _pose_ranges(
-    x: Range, y: Range, z: Range, xyx: Sequence[Range] | None, rotation: Rotation | npt.ArrayLike | None
-) -> list[Range]:
+    x: AxisRange, y: AxisRange, z: AxisRange, xyx: Sequence[AxisRange] | None, rotation: Rotation | npt.ArrayLike | None
+) -> list[AxisRange]:
     if (xyx is None) == (rotation is None):
         raise ArgumentError("rotation", "either xyx=... or rotation=...", "neither" if xyx is None else "both")
     if rotation is not None:
@@ -310,7 +310,7 @@ def _pose_ranges(
     return [x, y, z, *xyx]
 
 
-def _leg_ranges(lower: Range | Sequence[Range], upper: Range | Sequence[Range]) -> list[Range]:
+def _leg_ranges(lower: AxisRange | Sequence[AxisRange], upper: AxisRange | Sequence[AxisRange]) -> list[AxisRange]:
     ranges: list[Any] = []
     for argument, lengths in (("lower", lower), ("upper", upper)):
         if isinstance(lengths, list) and len(lengths) != 3:
@@ -319,7 +319,7 @@ def _leg_ranges(lower: Range | Sequence[Range], upper: Range | Sequence[Range]) 
     return ranges
 
 
-def _axis(name: str, value: Range, sampled: bool) -> Axis:
+def _axis(name: str, value: AxisRange, sampled: bool) -> Axis:
     """Read one value, (start, stop, count), or (start, stop) where the coordinate is sampled."""
     unit = "radians" if name in _ANGLES else "metres"
     expected = f"one value or {'(start, stop)' if sampled else '(start, stop, count)'}, in {unit}"

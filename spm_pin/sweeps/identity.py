@@ -149,7 +149,7 @@ class _Reader:
             yield {name: value for name, value in vars(kind).items() if name not in _LEFT_OUT}
 
     def _object(self, value: Any) -> tuple[Any, ...]:
-        """Return what an object would be pickled as: its class, the arguments that make it, and its state."""
+        """Return an object as it is pickled: its class, the arguments that make it, and its state."""
         kind = type(value)
         try:
             reduce = copyreg.dispatch_table.get(kind)

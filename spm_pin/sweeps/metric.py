@@ -164,7 +164,7 @@ class Metric:
         }
 
     def attributes(self) -> dict[str, Any]:
-        """Return what describes the variable in a store: description, unit, flags, parameters."""
+        """Return the attributes of the variable in a store: description, unit, flags, parameters."""
         attributes: dict[str, Any] = {"long_name": self.description, "units": self.unit}
         if not self.dtype.startswith("float"):
             attributes["not_computed"] = self.not_computed

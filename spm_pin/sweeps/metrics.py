@@ -47,13 +47,13 @@ def reachable(points: Points) -> Values:
 
 @metric("1", "number of real branches, leg limits aside", dtype="int8")
 def branches(points: Points) -> Values:
-    """Return how many configurations hold the pose."""
+    """Return the number of configurations that hold the pose."""
     return np.asarray(np.count_nonzero(~np.isnan(points.branch_lengths[..., 0]), axis=-1))
 
 
 @metric("1", "number of real branches within the leg limits", dtype="int8")
 def branches_within(points: Points) -> Values:
-    """Return how many configurations within the leg limits hold the pose."""
+    """Return the number of configurations within the leg limits that hold the pose."""
     return np.asarray(np.count_nonzero(points.branches_within, axis=-1))
 
 
@@ -73,7 +73,7 @@ def branch(points: Points) -> Values:
 
 @metric("1", "number of assembly modes that the machine's leg lengths allow; 0 where not reachable", dtype="int16")
 def assembly_modes(points: Points) -> Values:
-    """Return how many poses the leg lengths of `Points.physical` allow."""
+    """Return the number of poses that the leg lengths of `Points.physical` allow."""
     lengths = points.reached.leg_lengths
     parts = range(0, max(1, len(lengths)), _MODES_AT_A_TIME)
     counts = [forward_displacement(points.geometry, lengths[k : k + _MODES_AT_A_TIME]).count for k in parts]

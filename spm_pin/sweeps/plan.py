@@ -100,7 +100,7 @@ class Plan:
         return {name: array.reshape(shape) for name, array in values.items()}
 
     def definition(self) -> dict[str, Any]:
-        """Return what determines the results, as JSON."""
+        """Return the inputs that determine the results, as JSON."""
         limits = self.geometry.limits
         ends = () if limits is None else (limits.minimum, limits.maximum)
         return {
@@ -150,7 +150,7 @@ def package_version() -> str:
 
 
 def definition_differences(stored: Any, requested: Any, where: str = "") -> list[str]:
-    """Return what differs between two definitions, a line for each."""
+    """Return the differences between two definitions, a line for each."""
     pairs: list[tuple[str, Any, Any]] = []
     if isinstance(stored, dict) and isinstance(requested, dict):
         pairs = [(f"{where}.{key}".lstrip("."), stored.get(key), requested.get(key)) for key in {**stored, **requested}]

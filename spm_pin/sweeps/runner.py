@@ -187,7 +187,7 @@ def resume(
 
 
 def status(store: str | os.PathLike[str]) -> SweepStatus:
-    """Return how far a sweep is, without disturbing it.
+    """Return the progress of a sweep, without disturbing it.
 
     Parameters
     ----------

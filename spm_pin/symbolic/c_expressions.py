@@ -83,13 +83,14 @@ class ExpressionTranslator:
 
     def identifier(self, name: str) -> str:
         """Return the name of a variable in C."""
-        own = self.prefix + name
-        return f"{own}_" if own in _KEYWORDS else own
+        variable = self.prefix + name
+        return f"{variable}_" if variable in _KEYWORDS else variable
 
     def assign_type(self, name: str, kind: Type) -> None:
         """Note that a variable holds values of a type."""
-        own = self.prefix + name
-        self.variables[own] = joined(self.variables[own], kind) if own in self.variables else kind
+        variable = self.prefix + name
+        known = self.variables.get(variable)
+        self.variables[variable] = kind if known is None else joined(known, kind)
 
     def temporary(self, value: Value) -> Value:
         """Store a value under a name of its own."""
@@ -131,17 +132,17 @@ class ExpressionTranslator:
         return literal(node.value)
 
     def _name(self, node: ast.Name) -> Value:
-        own = self.prefix + node.id
-        if own in self.fixed:
-            return literal(self.fixed[own])
-        if own in self.variables:
-            self.read.add(own)
-            return Value(self.identifier(node.id), self.variables[own])
+        variable = self.prefix + node.id
+        if variable in self.fixed:
+            return literal(self.fixed[variable])
+        if variable in self.variables:
+            self.read.add(variable)
+            return Value(self.identifier(node.id), self.variables[variable])
         found = self._object(node)
         return self.program.table(node.id, found) if isinstance(found, np.ndarray | tuple) else literal(found)
 
     def _object(self, node: ast.expr) -> Any:
-        """Return what a global name, or an attribute of a module, stands for."""
+        """Return the object that a global name, or an attribute of a module, stands for."""
         if isinstance(node, ast.Attribute):
             return getattr(self._object(node.value), node.attr)
         assert isinstance(node, ast.Name)

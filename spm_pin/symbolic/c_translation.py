@@ -282,8 +282,8 @@ class FunctionTranslator(ExpressionTranslator):
                 self.assign_type(target.id, value.type)
                 if isinstance(value.known, int) and self._stores[target.id] == 1 and not self.prefix:
                     self.fixed[target.id] = value.known
-                own = self.variables[self.prefix + target.id]
-                self.emit(f"{self.identifier(target.id)} = {bare(self.text(value, own))};")
+                kind = self.variables[self.prefix + target.id]
+                self.emit(f"{self.identifier(target.id)} = {bare(self.text(value, kind))};")
         else:
             assert isinstance(target, ast.Subscript)
             place = self.value(target)

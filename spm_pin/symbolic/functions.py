@@ -72,7 +72,7 @@ class _Machine:
             self.valid = ca.logic_and(self.valid, ca.logic_and(size >= SMALLEST, size <= LARGEST))
 
     def takes(self, rotation: ca.SX, position: ca.SX) -> Any:
-        """Return where a pose and the dimensions are what the package accepts."""
+        """Return 1 where the package accepts a pose and the dimensions, else 0."""
         _, matrix, place = _state(rotation, rotation, position)
         rigid = traced(branch_kernels.are_rigid)(matrix[0], place[0], ORTHONORMALITY_TOLERANCE)
         return ca.logic_and(self.valid, rigid)
@@ -293,7 +293,7 @@ def _preference(machine: _Machine, tiles: Any, branch: int, numbers: list[Any]) 
 
 
 def _is_real(machine: _Machine, tiles: Any, label: str) -> Any:
-    """Return where a branch is real, and its family not continuous."""
+    """Return 1 where a branch is real, and its family not continuous, else 0."""
     family, flags = BRANCHES.index(label) // 2, tiles[3][0]
     continuous = ca.floor(flags / 2**family) - 2.0 * ca.floor(flags / 2 ** (family + 1))
     regular = ca.logic_and(continuous == 0.0, flags < branch_tiles.VERTICAL)
@@ -313,22 +313,22 @@ def _stage_residual(stage: Any, state: Any) -> Any:
 
 
 def _newton(stage: Any) -> Any:
-    """Return where damped steps of Newton's method end that begin at the level stage."""
+    """Return the state that damped steps of Newton's method reach from the level stage."""
     level = ca.vertcat(1.0, 0.0, 0.0, ca.sqrt(ca.fmax(stage[1], 1e-4)))
     x = ca.SX.sym("x", 4)
     parameters = ca.SX.sym("stage", 5)
-    own = (*ca.vertsplit(parameters), None)
-    error = _stage_residual(own, ca.vertsplit(x))
+    symbols = (*ca.vertsplit(parameters), None)
+    error = _stage_residual(symbols, ca.vertsplit(x))
     step = -ca.solve(ca.jacobian(error, x), error)
     step /= ca.fmax(1.0, ca.norm_inf(step) / _LONGEST_STEP)
-    one = ca.Function("step", [x, parameters], [x + step])
+    damped_step = ca.Function("step", [x, parameters], [x + step])
     for _ in range(_NEWTON_STEPS):
-        level = one(level, ca.vertcat(*stage[:5]))
+        level = damped_step(level, ca.vertcat(*stage[:5]))
     return level
 
 
 def _composed(machine: _Machine, states: list[Any]) -> dict[str, ca.SX]:
-    """Return what two solutions of mode T make, and whether both are in the aspect of their home."""
+    """Return the configuration of two stages in mode T, and whether both are in the aspect of their home."""
     rotation, position, joints = table(3, 3), table(3), table(3, 3)
     (x0, x1, x2, zeta), (y0, y1, y2, eta) = states
     lower, upper = (x0, x1, x2, 0.0, zeta), (y0, -y1, -y2, 0.0, -eta)

@@ -49,7 +49,7 @@ def traced(function: Any) -> Callable[..., Any]:
 
 
 def _replaced(found: Any) -> Any:
-    """Return what a global name stands for while a formula is traced."""
+    """Return the object that a global name stands for while a formula is traced."""
     if isinstance(found, np.ndarray):
         return found.astype(object)  # plain numbers
     return traced(found) if callable(python_function(found)) and not isinstance(found, type) else found

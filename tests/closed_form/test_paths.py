@@ -12,8 +12,9 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
 import spm_pin as spm
-from spm_pin.closed_form.path_events import EventKind, Tracker
+from spm_pin.closed_form.path_events import EventKind
 from spm_pin.closed_form.path_following import FollowedPath, follow, home_mode_share, last_on_line
+from spm_pin.closed_form.path_tracker import Tracker
 
 PAPER = spm.Geometry.paper()
 FREE = replace(PAPER, limits=None)

@@ -21,7 +21,7 @@ _PAIRS = np.array([(i, j) for i in range(6) for j in range(i + 1, 6) if j != i +
 
 _ANGLES = ("hip", "ball_x", "ball_y", "ball_z")
 
-Range = tuple[float, float]
+AngleRange = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -44,10 +44,10 @@ class JointLimits:
         If a pair is not two increasing numbers, or `clearance` is negative or not finite.
     """
 
-    hip: Range | None = None
-    ball_x: Range | None = None
-    ball_y: Range | None = None
-    ball_z: Range | None = None
+    hip: AngleRange | None = None
+    ball_x: AngleRange | None = None
+    ball_y: AngleRange | None = None
+    ball_z: AngleRange | None = None
     clearance: float | None = None
 
     def __post_init__(self) -> None:

@@ -11,7 +11,7 @@ from spm_pin.mechanism.as_built import AsBuiltGeometry, check_geometry
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry
 
-__all__ = ["check_seed", "read_lengths"]
+__all__ = ["check_seed", "read_leg_lengths"]
 
 _OPEN = 1e-6
 """Closure residual of a seed, relative to d, from which on it is no configuration."""
@@ -19,7 +19,7 @@ _LARGEST = 1e5
 """Lengths, relative to the machine, beyond which eleven of sixteen digits are lost."""
 
 
-def read_lengths(geometry: Geometry | AsBuiltGeometry, leg_lengths: npt.ArrayLike) -> FloatArray:
+def read_leg_lengths(geometry: Geometry | AsBuiltGeometry, leg_lengths: npt.ArrayLike) -> FloatArray:
     """Read leg lengths (..., 6) [m] that this machine can be resolved beside; of one as built readings.
 
     Returned are the distances from pivots to balls.
@@ -59,7 +59,7 @@ def check_seed(geometry: Geometry | AsBuiltGeometry, lengths: FloatArray, seed: 
 
 
 def _dimensions(geometry: Geometry | AsBuiltGeometry) -> object:
-    """Return what distinguishes a machine from another, limits aside."""
+    """Return the dimensions that distinguish a machine from another, limits aside."""
     if isinstance(geometry, AsBuiltGeometry):
         return tuple(array.tobytes() for array in geometry.arrays)
     return geometry.dimensions
