@@ -52,12 +52,12 @@ def test_exact_measurements_give_the_machine_up_to_the_choice_of_the_middle_fram
 
 
 def test_parameters_not_asked_for_keep_their_values() -> None:
-    ideal = NOMINAL.parameters
+    nominal = NOMINAL.parameters
     wanted = np.array([name.split(".")[1] == "offset" or "pivot_z" in name for name in PARAMETERS])
     errors = np.where(wanted, 2e-4 * np.random.default_rng(3).standard_normal(54), 0.0)
-    machine = NOMINAL.from_parameters(ideal + errors)
+    machine = NOMINAL.from_parameters(nominal + errors)
     found = identify(PAPER, *measure(machine, 1), parameters=["offset", "pivot_z"])
-    changed = found.geometry.parameters - ideal
+    changed = found.geometry.parameters - nominal
     np.testing.assert_array_equal(changed[~wanted], 0.0)
     deviations = np.sqrt(np.diagonal(found.covariance))
     assert (deviations[~wanted] == 0.0).all()

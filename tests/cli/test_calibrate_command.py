@@ -61,7 +61,7 @@ def test_a_machine_is_identified_and_written(measured: Path, tmp_path: Path) -> 
     ("command", "message"),
     [
         (["forward", "--all", *LEGS], "--geometry: expected nominal dimensions for --all"),
-        (["workspace"], "a machine as built. This command is for the machine of"),
+        (["workspace"], "a machine as built. This command is for the nominal machine:"),
     ],
 )
 def test_commands_for_the_nominal_machine_refuse_a_machine_as_built(

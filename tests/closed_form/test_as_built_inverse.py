@@ -15,14 +15,14 @@ from spm_pin.closed_form import complex_middle_joints
 from spm_pin.proofs import certify_inverse
 
 PAPER = spm.Geometry.paper()
-IDEAL = spm.AsBuiltGeometry.from_nominal(PAPER)
+NOMINAL = spm.AsBuiltGeometry.from_nominal(PAPER)
 EXAMPLE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 DIRECTION = np.random.default_rng(1).standard_normal(54)
 SIZES = (1e-9, 1e-5, 1e-3, 1e-2, 5e-2)
 
 
 def along(size: float) -> spm.AsBuiltGeometry:
-    return IDEAL.from_parameters(IDEAL.parameters + size * DIRECTION)
+    return NOMINAL.from_parameters(NOMINAL.parameters + size * DIRECTION)
 
 
 def check_counts(name: str, size: float, machines: int, poses: int) -> None:
@@ -61,35 +61,35 @@ def test_without_errors_the_answers_are_those_of_the_nominal_machine(name: str) 
     problem = random_branches(geometry, "TF", 50, seed=7)
     level = spm.pose([0.0, 0.0, geometry.middle_side], rotation=np.eye(3))
     for pose in (problem.pose, level):
-        ideal = spm.inverse_displacement(geometry, pose)
+        nominal = spm.inverse_displacement(geometry, pose)
         built = spm.inverse_displacement(spm.AsBuiltGeometry.from_nominal(geometry), pose)
-        np.testing.assert_array_equal(built.middle_joints, ideal.middle_joints)
-        np.testing.assert_array_equal(built.leg_lengths, ideal.leg_lengths)
-        np.testing.assert_array_equal(built.status, ideal.status)
-        np.testing.assert_array_equal(built.is_physical, ideal.is_physical)
-        np.testing.assert_allclose(built.configurations.leg_lengths, ideal.leg_lengths, rtol=1e-14)
+        np.testing.assert_array_equal(built.middle_joints, nominal.middle_joints)
+        np.testing.assert_array_equal(built.leg_lengths, nominal.leg_lengths)
+        np.testing.assert_array_equal(built.status, nominal.status)
+        np.testing.assert_array_equal(built.is_physical, nominal.is_physical)
+        np.testing.assert_allclose(built.configurations.leg_lengths, nominal.leg_lengths, rtol=1e-14)
         assert built.met is not None
         assert not built.met.any()
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
-def test_vanishing_errors_lead_to_the_ideal_branches_under_their_labels(name: str) -> None:
+def test_vanishing_errors_lead_to_the_nominal_branches_under_their_labels(name: str) -> None:
     geometry = GEOMETRIES[name]
     pose = random_branches(geometry, "TT", 300, seed=8).pose
-    ideal = spm.inverse_displacement(geometry, pose)
-    assert ideal.discriminants is not None
+    nominal = spm.inverse_displacement(geometry, pose)
+    assert nominal.discriminants is not None
     # Away from the singularities at which branches of a family or of two families meet.
-    apart = np.abs(ideal.middle_joints[:, :, None] - ideal.middle_joints[:, None]).max(axis=(-1, -2))
+    apart = np.abs(nominal.middle_joints[:, :, None] - nominal.middle_joints[:, None]).max(axis=(-1, -2))
     apart = np.where(np.eye(8, dtype=bool) | np.isnan(apart), np.inf, apart) / geometry.middle_side
-    clear = (apart.min(axis=(-1, -2)) > 1e-2) & (np.abs(ideal.discriminants).min(axis=-1) > 1e-3)
+    clear = (apart.min(axis=(-1, -2)) > 1e-2) & (np.abs(nominal.discriminants).min(axis=-1) > 1e-3)
     assert clear.sum() > 150
     errors = []
     for size in (1e-11, 1e-9):
         built = spm.inverse_displacement(as_built(geometry, size, seed=9), pose)
-        np.testing.assert_array_equal(built.exists[clear], ideal.exists[clear])
+        np.testing.assert_array_equal(built.exists[clear], nominal.exists[clear])
         assert built.met is not None
         assert not built.met[clear].any()
-        moved = np.abs(built.middle_joints - ideal.middle_joints)[clear][ideal.exists[clear]]
+        moved = np.abs(built.middle_joints - nominal.middle_joints)[clear][nominal.exists[clear]]
         errors.append(np.median(moved.max(axis=(-1, -2))) / geometry.middle_side)
     # In proportion to the errors.
     assert errors[0] < 1e-9
@@ -201,10 +201,10 @@ def test_threads_do_not_change_a_bit() -> None:
 
 def test_the_physical_branch_of_a_small_error_is_near_the_nominal_one() -> None:
     pose = in_leg_space(PAPER, 300, seed=8).pose
-    ideal = spm.inverse_physical(PAPER, pose)
+    nominal = spm.inverse_physical(PAPER, pose)
     built = spm.inverse_physical(as_built(PAPER, 1e-6, seed=5), pose)
     assert built.exists.mean() > 0.97
-    moved = np.abs(built.leg_lengths - ideal.leg_lengths).max(axis=-1)
+    moved = np.abs(built.leg_lengths - nominal.leg_lengths).max(axis=-1)
     assert np.nanmedian(moved) < 1e-4
 
 
@@ -234,14 +234,14 @@ def test_outcomes_that_are_no_branches_are_statuses() -> None:
     far = spm.inverse_displacement(built, spm.pose([50.0, 0.0, 2.0], rotation=Rotation.from_rotvec([0.1, 0.2, 0.0])))
     assert far.status is spm.Status.UNREACHABLE
     # Offsets leave the planes as they are drawn: level ones, that say nothing of the height.
-    offsets = spm.AsBuiltGeometry(PAPER, IDEAL.axes, IDEAL.pivots, IDEAL.balls, np.full(6, 1e-3))
+    offsets = spm.AsBuiltGeometry(PAPER, NOMINAL.axes, NOMINAL.pivots, NOMINAL.balls, np.full(6, 1e-3))
     level = spm.inverse_displacement(offsets, spm.pose([0.0, 0.0, 2.2], rotation=np.eye(3)))
     assert level.status is spm.Status.DEGENERATE
     assert level.count == 0
     assert not level.physical().exists
     tilted = spm.inverse_displacement(offsets, EXAMPLE)
-    ideal = spm.inverse_displacement(PAPER, EXAMPLE)
-    np.testing.assert_allclose(tilted.leg_lengths, ideal.leg_lengths + 1e-3, atol=1e-9)
+    nominal = spm.inverse_displacement(PAPER, EXAMPLE)
+    np.testing.assert_allclose(tilted.leg_lengths, nominal.leg_lengths + 1e-3, atol=1e-9)
 
 
 STATE = spm.inverse_physical(as_built(PAPER, 1e-4, seed=7), EXAMPLE)

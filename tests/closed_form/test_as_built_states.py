@@ -48,20 +48,20 @@ def test_forward_finds_the_states_whose_readings_they_are(name: str, size: float
 def test_without_errors_the_answers_are_those_of_the_nominal_machine(name: str) -> None:
     geometry = GEOMETRIES[name]
     built = spm.AsBuiltGeometry.from_nominal(geometry)
-    ideal = random_branches(geometry, "TT", 300, seed=5).configuration
-    same = spm.Configuration(built, ideal.pose, ideal.middle_joints)
-    legs = ideal.leg_lengths
+    nominal = random_branches(geometry, "TT", 300, seed=5).configuration
+    same = spm.Configuration(built, nominal.pose, nominal.middle_joints)
+    legs = nominal.leg_lengths
     forward = spm.forward_physical(geometry, legs)
     np.testing.assert_array_equal(spm.forward_physical(built, legs).middle_joints, forward.middle_joints)
     load = np.random.default_rng(0).standard_normal((300, 6))
     for function in (spm.inverse_jacobian, spm.closed_form.platform_jacobian, spm.determinants):
-        expected, found = function(ideal), function(same)
+        expected, found = function(nominal), function(same)
         scale = np.abs(expected).max(axis=tuple(range(1, expected.ndim)), keepdims=True)
         # Errors of the 6 x 6 solution grow with the condition.
         assert np.median(np.abs(found - expected) / scale) < 1e-14
         assert (np.abs(found - expected) / scale).max() < 1e-8
-    np.testing.assert_allclose(spm.leg_forces(same, load), spm.leg_forces(ideal, load), rtol=1e-6, atol=1e-7)
-    first, second = spm.singularities(ideal), spm.singularities(same)
+    np.testing.assert_allclose(spm.leg_forces(same, load), spm.leg_forces(nominal, load), rtol=1e-6, atol=1e-7)
+    first, second = spm.singularities(nominal), spm.singularities(same)
     np.testing.assert_allclose(second.sigma, first.sigma, atol=1e-13)
     np.testing.assert_allclose(second.scaled_determinants, first.scaled_determinants, atol=1e-11)
     for name in ("rank", "kind", "mobility"):
@@ -159,11 +159,11 @@ def test_determinants_are_those_of_the_jacobian() -> None:
 def test_a_pair_of_branches_meets_at_an_inverse_singularity() -> None:
     """The errors are bisected to where two branches of the paper's example end; K is singular there and only there."""
     pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
-    ideal = spm.AsBuiltGeometry.from_nominal(PAPER)
+    nominal = spm.AsBuiltGeometry.from_nominal(PAPER)
     direction = np.random.default_rng(1).standard_normal(54)
 
     def branches(size: float) -> spm.SolutionSet:
-        return spm.inverse_displacement(ideal.from_parameters(ideal.parameters + size * direction), pose)
+        return spm.inverse_displacement(nominal.from_parameters(nominal.parameters + size * direction), pose)
 
     low, high = 1e-6, 1e-4
     while high / low - 1.0 > 1e-10:
@@ -194,15 +194,15 @@ def test_a_pair_of_branches_meets_at_an_inverse_singularity() -> None:
 
 def test_singular_states_are_refused_as_those_of_the_nominal_machine() -> None:
     home = spm.forward_physical(PAPER, np.full(6, 1.3))
-    ideal = spm.AsBuiltGeometry.from_nominal(PAPER)
-    state = spm.Configuration(ideal, home.pose, home.middle_joints)
+    nominal = spm.AsBuiltGeometry.from_nominal(PAPER)
+    state = spm.Configuration(nominal, home.pose, home.middle_joints)
     with pytest.raises(spm.SingularConfigurationError) as raised:
         spm.inverse_jacobian(state)
     assert raised.value.kind == "inverse"
     assert spm.singularities(state).rank[2] == spm.singularities(home).rank[2] == 3
     assert np.isfinite(spm.leg_forces(state, np.ones(6))).all()
     level = spm.pose(np.zeros(3), rotation=np.eye(3))
-    flat = spm.Configuration(ideal, level, PAPER.middle_radius * PAPER.radial_directions)
+    flat = spm.Configuration(nominal, level, PAPER.middle_radius * PAPER.radial_directions)
     with pytest.raises(spm.SingularConfigurationError) as raised:
         spm.leg_forces(flat, np.ones(6))
     assert raised.value.kind == "forward"

@@ -15,7 +15,7 @@ LENGTHS = np.array([1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
 LEGS = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]) * 1e7
 STATE = spm.forward_physical(PAPER, LENGTHS)
 MACHINE = spm.AsBuiltGeometry.from_nominal(PAPER).perturbed(2, length=0.01, angle=0.02)
-STATES = {"ideal": STATE, "as built": spm.forward_physical(MACHINE, LENGTHS)}
+STATES = {"nominal": STATE, "as built": spm.forward_physical(MACHINE, LENGTHS)}
 
 
 def displacement(before: spm.Configuration, after: spm.Configuration) -> np.ndarray:

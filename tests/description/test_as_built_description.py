@@ -49,9 +49,9 @@ def test_loops_close_to_rounding_at_the_joint_values_of_a_state(name: str, prefi
 
 
 def test_without_errors_joint_values_are_those_of_the_nominal_machine() -> None:
-    ideal = spm.forward_physical(PAPER, LEGS[0])
-    same = spm.Configuration(NOMINAL, ideal.pose, ideal.middle_joints)
-    expected, found = joint_values(ideal), joint_values(same)
+    nominal = spm.forward_physical(PAPER, LEGS[0])
+    same = spm.Configuration(NOMINAL, nominal.pose, nominal.middle_joints)
+    expected, found = joint_values(nominal), joint_values(same)
     assert tuple(found) == tuple(expected) == JOINTS
     np.testing.assert_allclose(list(found.values()), list(expected.values()), atol=1e-14)
 

@@ -24,14 +24,14 @@ def machine(seed: int = 0, length: float = 1e-3, angle: float = 1e-3) -> spm.AsB
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_without_errors_it_has_the_nominal_dimensions(name: str) -> None:
     geometry = GEOMETRIES[name]
-    ideal = spm.AsBuiltGeometry.from_nominal(geometry)
-    np.testing.assert_array_equal(ideal.pivots[:3], geometry.base_joints)
-    np.testing.assert_array_equal(ideal.pivots[3:], geometry.platform_joints)
-    np.testing.assert_array_equal(ideal.axes, np.tile(geometry.revolute_axes, (2, 1)))
-    sides = np.linalg.norm(ideal.balls[:3] - np.roll(ideal.balls[:3], 1, axis=0), axis=-1)
+    nominal = spm.AsBuiltGeometry.from_nominal(geometry)
+    np.testing.assert_array_equal(nominal.pivots[:3], geometry.base_joints)
+    np.testing.assert_array_equal(nominal.pivots[3:], geometry.platform_joints)
+    np.testing.assert_array_equal(nominal.axes, np.tile(geometry.revolute_axes, (2, 1)))
+    sides = np.linalg.norm(nominal.balls[:3] - np.roll(nominal.balls[:3], 1, axis=0), axis=-1)
     np.testing.assert_allclose(sides, geometry.middle_side, rtol=1e-15)
-    assert (ideal.parameters.reshape(6, 9)[:, :2] == 0.0).all()
-    assert ideal.limits == geometry.limits
+    assert (nominal.parameters.reshape(6, 9)[:, :2] == 0.0).all()
+    assert nominal.limits == geometry.limits
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-12, 1e-4, 0.05, 0.2])
@@ -46,15 +46,15 @@ def test_stage_coordinates_round_trip(size: float) -> None:
 
 
 def test_errors_have_the_standard_deviations_asked_for() -> None:
-    ideal = spm.AsBuiltGeometry.from_nominal(PAPER)
-    many = np.stack([machine(seed, 2e-4, 5e-4).parameters - ideal.parameters for seed in range(400)])
+    nominal = spm.AsBuiltGeometry.from_nominal(PAPER)
+    many = np.stack([machine(seed, 2e-4, 5e-4).parameters - nominal.parameters for seed in range(400)])
     scale = np.tile(np.repeat([5e-4, 2e-4], [2, 7]), 6)
     # 400 samples: the standard deviation of a standard deviation is 3.5 %.
     assert (np.abs(many.std(axis=0) / scale - 1.0) < 0.18).all()
     assert (np.abs(many.mean(axis=0)) < 0.25 * scale).all()
     turned = machine(1, 0.0, 1e-3)
-    np.testing.assert_array_equal(turned.pivots, ideal.pivots)
-    np.testing.assert_array_equal(turned.offsets, ideal.offsets)
+    np.testing.assert_array_equal(turned.pivots, nominal.pivots)
+    np.testing.assert_array_equal(turned.offsets, nominal.offsets)
     assert machine(5) == machine(5) != machine(6)
 
 

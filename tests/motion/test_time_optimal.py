@@ -65,9 +65,9 @@ def test_the_rows_keep_the_limits_and_some_limit_is_always_used(name: str) -> No
 def test_a_machine_as_built_moves_within_its_limits() -> None:
     exact = spm.AsBuiltGeometry.from_nominal(PAPER)
     limits = {"leg_forces": 1500.0, "leg_rates": 0.4}
-    ideal = spm.time_optimal(CHAIN, LINE, grid=500, **limits)
+    nominal = spm.time_optimal(CHAIN, LINE, grid=500, **limits)
     same = spm.time_optimal(spm.ClosedChain.from_urdf(geometry=exact), LINE, grid=500, **limits)
-    assert same.times[-1] == pytest.approx(ideal.times[-1], rel=1e-9)
+    assert same.times[-1] == pytest.approx(nominal.times[-1], rel=1e-9)
     machine = exact.perturbed(1, length=5e-3, angle=5e-3)
     chain = spm.ClosedChain.from_urdf(geometry=machine)
     planned = spm.plan(machine, START, GOAL)
@@ -78,7 +78,7 @@ def test_a_machine_as_built_moves_within_its_limits() -> None:
     k = len(motion.times) // 3
     forces = chain.inverse_dynamics(motion.positions[k], motion.velocities[k], motion.accelerations[k])
     np.testing.assert_allclose(motion.efforts[k, LEGS], forces, rtol=1e-6)
-    assert abs(motion.times[-1] / ideal.times[-1] - 1.0) > 1e-5
+    assert abs(motion.times[-1] / nominal.times[-1] - 1.0) > 1e-5
     with pytest.raises(spm.GeometryError, match="path: expected the axes of the chain, a nominal machine"):
         spm.time_optimal(CHAIN, planned, **limits)
 

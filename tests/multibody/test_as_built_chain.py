@@ -36,15 +36,15 @@ def built(name: str = "paper", size: float = 1e-2) -> Any:
 def states(robot: Any, count: int, seed: int) -> spm.Configuration:
     """Physical states of a machine, about where its nominal one has its random branches without torsion."""
     nominal = robot.geometry.nominal
-    ideal = problems.random_branches(nominal, "TT", 40 * count, seed).configuration
+    start = problems.random_branches(nominal, "TT", 40 * count, seed).configuration
     if nominal.limits is not None:
-        ideal = problems.in_leg_space(nominal, 4 * count, seed).configuration
+        start = problems.in_leg_space(nominal, 4 * count, seed).configuration
     # Away from inverse singularities and from legs of no length: readings of machines near them are no test.
-    far = (np.abs(spm.singularities(ideal).sigma[:, 2]) > 1e-2) & (
-        ideal.leg_lengths.min(axis=-1) > 0.1 * nominal.middle_side
+    far = (np.abs(spm.singularities(start).sigma[:, 2]) > 1e-2) & (
+        start.leg_lengths.min(axis=-1) > 0.1 * nominal.middle_side
     )
     offsets = getattr(robot.geometry, "offsets", np.zeros(6))
-    found = spm.forward_physical(robot.geometry, ideal.leg_lengths[far] + offsets)
+    found = spm.forward_physical(robot.geometry, start.leg_lengths[far] + offsets)
     found = found[found.exists][:count]
     assert len(found) >= count // 2
     return found
@@ -84,33 +84,33 @@ def test_loops_are_closed_at_the_joint_values_of_states(name: str, size: float) 
         robot.joint_values(torn)
 
 
-def test_without_errors_the_numbers_are_those_of_the_ideal_chain() -> None:
-    ideal, robot = chain(), ClosedChain.from_urdf(geometry=EXACT)
+def test_without_errors_the_numbers_are_those_of_the_nominal_chain() -> None:
+    nominal, robot = chain(), ClosedChain.from_urdf(geometry=EXACT)
     rng, state = np.random.default_rng(2), states(chain(), 10, seed=3)
-    q = ideal.joint_values(state)
+    q = nominal.joint_values(state)
     np.testing.assert_allclose(robot.joint_values(state), q, atol=1e-14)
     np.testing.assert_allclose(robot.joint_values(states(robot, 10, seed=3)), q, atol=1e-13)
-    assert robot.joint_names == ideal.joint_names
+    assert robot.joint_names == nominal.joint_names
     np.testing.assert_allclose(robot.forward_kinematics(state.leg_lengths), q, atol=1e-12)
     np.testing.assert_allclose(robot.inverse_kinematics(state.pose), q, atol=1e-9)
-    np.testing.assert_allclose(robot.closure_gap(q + 0.1), ideal.closure_gap(q + 0.1), atol=1e-14)
-    np.testing.assert_allclose(robot.constraint_jacobian(q), ideal.constraint_jacobian(q), atol=1e-14)
-    np.testing.assert_allclose(robot.inverse_jacobian(q), ideal.inverse_jacobian(q), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(robot.closure_gap(q + 0.1), nominal.closure_gap(q + 0.1), atol=1e-14)
+    np.testing.assert_allclose(robot.constraint_jacobian(q), nominal.constraint_jacobian(q), atol=1e-14)
+    np.testing.assert_allclose(robot.inverse_jacobian(q), nominal.inverse_jacobian(q), rtol=1e-9, atol=1e-9)
     wrench, twist, f = rng.normal(size=(3, 6))
     for method, argument in (("leg_forces", wrench), ("cut_forces", wrench), ("joint_rates", f)):
-        found, expected = (getattr(each, method)(q, argument) for each in (robot, ideal))
+        found, expected = (getattr(each, method)(q, argument) for each in (robot, nominal))
         np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-10)
-    v = ideal.joint_velocities(q, twist)
-    a = ideal.forward_dynamics(q, v, f, wrench)
+    v = nominal.joint_velocities(q, twist)
+    a = nominal.forward_dynamics(q, v, f, wrench)
     scale = np.abs(a).max()
     np.testing.assert_allclose(robot.forward_dynamics(q, v, f, wrench), a, atol=1e-9 * scale)
     again = robot.inverse_dynamics(q, v, a, wrench)
     np.testing.assert_allclose(again, np.broadcast_to(f, again.shape), atol=1e-9 * scale)
-    np.testing.assert_allclose(robot.energy(q, v).total, ideal.energy(q, v).total, rtol=1e-12)
+    np.testing.assert_allclose(robot.energy(q, v).total, nominal.energy(q, v).total, rtol=1e-12)
     stiffness = spm.stiffness(state, 1e7)
-    frequencies = [each.natural_frequencies(q, stiffness).frequencies for each in (robot, ideal)]
+    frequencies = [each.natural_frequencies(q, stiffness).frequencies for each in (robot, nominal)]
     np.testing.assert_allclose(frequencies[0], frequencies[1], rtol=1e-9)
-    values, expected = robot.singular_values(q), ideal.singular_values(q)
+    values, expected = robot.singular_values(q), nominal.singular_values(q)
     np.testing.assert_allclose(np.array(values), np.array(expected), rtol=1e-9, atol=1e-13)
 
 
@@ -311,15 +311,15 @@ def test_a_file_of_the_machine_gives_the_same_chain(prefix: str, tmp_path: Path)
 
 def test_files_and_geometries_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
     geometry = problems.as_built(PAPER, 1e-3)
-    ideal, measured = tmp_path / "ideal.urdf", tmp_path / "measured.urdf"
-    ideal.write_text(expand(PAPER), encoding="utf-8")
+    nominal, measured = tmp_path / "nominal.urdf", tmp_path / "measured.urdf"
+    nominal.write_text(expand(PAPER), encoding="utf-8")
     measured.write_text(urdf_text(manipulator(geometry)), encoding="utf-8")
     with pytest.raises(DescriptionError, match="Pass its AsBuiltGeometry as geometry"):
         ClosedChain.from_urdf(measured)
     with pytest.raises(DescriptionError, match="Pass its AsBuiltGeometry as geometry"):
         ClosedChain.from_urdf(measured, PAPER)
     with pytest.raises(DescriptionError, match=r"no middle_b2_upper, middle_b3_upper.*spm-pin urdf --geometry"):
-        ClosedChain.from_urdf(ideal, geometry)
+        ClosedChain.from_urdf(nominal, geometry)
     for other in (problems.as_built(PAPER, 1e-3, seed=4), EXACT, geometry.from_parameters(geometry.parameters + 1e-8)):
         with pytest.raises(
             GeometryError, match=r"^geometry: expected the dimensions of .*measured\.urdf, got others: "
@@ -334,11 +334,11 @@ def test_files_and_geometries_that_do_not_belong_together_are_refused(tmp_path: 
 def test_states_of_other_machines_are_refused() -> None:
     robot = built("paper", 1e-3)
     state = states(robot, 2, seed=18)
-    ideal = chain().configuration(chain().joint_values(states(chain(), 1, seed=18)))
+    nominal = chain().configuration(chain().joint_values(states(chain(), 1, seed=18)))
     with pytest.raises(
         GeometryError, match="the axes of the chain, a machine as built, got a nominal machine that differs"
     ):
-        robot.joint_values(ideal)
+        robot.joint_values(nominal)
     with pytest.raises(GeometryError, match="the axes of the chain, a nominal machine, got a machine as built"):
         chain().joint_values(state)
     other = problems.as_built(PAPER, 1e-3)

@@ -202,7 +202,7 @@ def test_singular_states_among_regular_ones_do_not_stop_a_sweep(which: int) -> N
         np.concatenate([getattr(regular, name), getattr(singular, name)[None]])
         for name in ("rotation", "translation", "middle_joints")
     ]
-    vars(points)["machine"] = spm.Configuration.from_arrays(GEOMETRY, *joined)
+    vars(points)["physical"] = spm.Configuration.from_arrays(GEOMETRY, *joined)
     alone = Points(GEOMETRY, "legs", legs(3))
     for mine in (METRICS[name] for name in ("conditioning", "isotropy", "payload", "payload_down", "stiffness")):
         values = mine.evaluate(points)
