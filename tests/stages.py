@@ -12,11 +12,10 @@ from spm_pin.closed_form.batches import run_kernel
 from spm_pin.closed_form.kernels.compilation import kernel, readonly_array
 from spm_pin.closed_form.kernels.stage_equations import SAME, equations, placed
 from spm_pin.closed_form.kernels.stage_modes import PLACES, is_continuous, solve_mode, workspace
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import BoolArray, FloatArray
 
 __all__ = ["MODES", "StageModes", "placement", "solve_stage"]
 
-BoolArray = npt.NDArray[np.bool_]
 
 MODES = ("T", "F")
 """The two families of solutions of a stage."""

@@ -19,11 +19,10 @@ from spm_pin.calibration.error_model import as_built, error_jacobian, invisible_
 from spm_pin.calibration.measurements import MeasurementError, Measurements, pose_covariances
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.mechanism import PARAMETERS, AsBuiltGeometry, Configuration, Geometry
-from spm_pin.mechanism.arguments import FloatArray, choice
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, choice
 
 __all__ = ["Calibration", "identify", "visible_basis"]
 
-BoolArray = npt.NDArray[np.bool_]
 
 _LOSSES = ("linear", "soft_l1", "huber", "cauchy")
 _UNKNOWN = 0.3

@@ -18,14 +18,13 @@ import numpy.typing as npt
 
 from spm_pin.closed_form.exact_discriminants import BITS, ExactPose
 from spm_pin.closed_form.intervals import SQRT_3, Interval
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.branches import physical, straightness
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 
 __all__ = ["existence_radii", "settle_families"]
 
-BoolArray = npt.NDArray[np.bool_]
 
 _SAFE = 1.0 + 1e-12
 """Factor for the rounding of a few products of bounds."""

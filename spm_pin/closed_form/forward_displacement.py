@@ -15,7 +15,7 @@ from spm_pin.closed_form.as_built_forward import as_built_forward
 from spm_pin.closed_form.batches import radii, run_kernel
 from spm_pin.closed_form.forward_continuation import follow_seed
 from spm_pin.closed_form.forward_displacement_arguments import read_leg_lengths
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
@@ -197,7 +197,7 @@ def _solve_ill_conditioned(geometry: Geometry, lengths: FloatArray, solved: tupl
         status[n] = Status.UNREACHABLE if np.isnan(joints[n]).all() else Status.OK
 
 
-def _is_ill_conditioned(lengths: FloatArray, epsilon: float) -> npt.NDArray[np.bool_]:
+def _is_ill_conditioned(lengths: FloatArray, epsilon: float) -> BoolArray:
     """Return whether double precision may miscount the modes of stages (N, 3), lengths and hips ε in units of r."""
     squares = lengths**2
     scale = squares.mean(axis=-1) + (1.0 + epsilon) ** 2

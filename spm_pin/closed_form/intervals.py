@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import BoolArray, FloatArray
 
 __all__ = ["SQRT_3", "Interval"]
 
@@ -104,7 +104,7 @@ class Interval:
         """Return the smallest magnitudes of numbers in the intervals; 0 where one contains zero."""
         return np.maximum(np.maximum(self.low, -self.high), 0.0)
 
-    def misses(self, other: Interval) -> npt.NDArray[np.bool_]:
+    def misses(self, other: Interval) -> BoolArray:
         """Return True for the intervals that have no point in common."""
         return np.asarray((self.low > other.high) | (self.high < other.low))
 

@@ -30,7 +30,7 @@ from spm_pin.closed_form.as_built_inverse import as_built_complex_joints, as_bui
 from spm_pin.closed_form.batches import BRANCH_RESULTS, radii, read_pose, run_kernel
 from spm_pin.closed_form.degeneracy import find_degeneracy
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, flag
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, flag
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.branches import BRANCHES
 from spm_pin.mechanism.configuration import Configuration
@@ -145,7 +145,7 @@ def _solution_set(
     shape: tuple[int, ...],
     solved: tuple[Any, ...],
     degeneracy: Degeneracy,
-    settled: npt.NDArray[np.bool_] | None = None,
+    settled: BoolArray | None = None,
     radius: FloatArray | None = None,
 ) -> SolutionSet:
     rotation, position, joints, lengths, discriminants, choice, status, _ = solved

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform, Slerp
 
 from spm_pin.closed_form.forward_displacement import forward_displacement, forward_physical
@@ -18,7 +17,15 @@ from spm_pin.closed_form.inverse_displacement import inverse_displacement
 from spm_pin.closed_form.path_events import Event, find_events
 from spm_pin.closed_form.path_tracker import PathSolver, Tracker, joints_of
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, as_array, instance, real_array, type_and_value, whole_number
+from spm_pin.mechanism.arguments import (
+    BoolArray,
+    FloatArray,
+    as_array,
+    instance,
+    real_array,
+    type_and_value,
+    whole_number,
+)
 from spm_pin.mechanism.branches import physical
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
@@ -37,7 +44,7 @@ _MOST_EVENTS = 4
 class CertifiedLimits(Protocol):
     """The part of a `Certificate` that `follow` uses: floors below cannot import it."""
 
-    def covers(self, configuration: Configuration) -> npt.NDArray[np.bool_]:
+    def covers(self, configuration: Configuration) -> BoolArray:
         """Return which configurations (...) are proved to be the only one of their leg lengths, shape (...)."""
 
 
@@ -53,7 +60,7 @@ class FollowedPath:
     """Its n labels."""
     events: tuple[Event, ...]
     """In the order of their parameters."""
-    certified: npt.NDArray[np.bool_] | None = None
+    certified: BoolArray | None = None
     """Which configurations a certificate covers, if one was given, shape (n,).
 
     A path on straight lines between leg lengths is in the certified limits as a whole if it is so at both ends of each

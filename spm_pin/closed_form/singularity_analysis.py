@@ -26,7 +26,7 @@ from spm_pin.closed_form.batches import run_kernel, run_on_states
 from spm_pin.closed_form.jacobians import platform_jacobian
 from spm_pin.closed_form.stage_wrenches import SINGULAR
 from spm_pin.errors import ArgumentError, SingularConfigurationError
-from spm_pin.mechanism.arguments import FloatArray, first_offender, real_number, shaped_array
+from spm_pin.mechanism.arguments import FloatArray, IntArray, first_offender, real_number, shaped_array
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.branches import leg_plane_determinant
 from spm_pin.mechanism.configuration import Configuration, check_configuration
@@ -77,11 +77,11 @@ class Singularities:
     """
     condition: FloatArray
     """Largest singular value over the smallest, shape (..., 3); infinite where that is zero."""
-    rank: npt.NDArray[np.intp]
+    rank: IntArray
     """Singular values above `tolerance` times the largest, shape (..., 3)."""
     kind: npt.NDArray[np.int8]
     """A combination of `SingularityKind`, at the same tolerance, shape (...)."""
-    mobility: npt.NDArray[np.intp]
+    mobility: IntArray
     """Dimension of the twists that the six legs can give the platform, shape (...).
 
     The rank of J_f⁻¹; 6 where regular. Not defined at a forward singularity, -1 there.

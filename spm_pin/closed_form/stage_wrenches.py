@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import SingularConfigurationError
-from spm_pin.mechanism.arguments import FloatArray, first_offender
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, first_offender
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 
@@ -51,7 +51,7 @@ class StageWrenches:
     """o - p [m], shape (..., 3)."""
     side: float
     """d [m]."""
-    exists: npt.NDArray[np.bool_]
+    exists: BoolArray
 
     @classmethod
     def of(cls, configuration: Configuration, *, short_legs: bool = False) -> StageWrenches:
@@ -149,5 +149,5 @@ def stage_inverses(configuration: Configuration) -> FloatArray:
     return np.concatenate([inverses[..., :3, :] + moved, angular], axis=-2)
 
 
-def _index(places: tuple[npt.NDArray[np.intp], ...], which: int) -> tuple[int, ...]:
+def _index(places: tuple[IntArray, ...], which: int) -> tuple[int, ...]:
     return tuple(int(axis[which]) for axis in places)

@@ -16,15 +16,13 @@ from spm_pin.crosscheck.scores import MethodScore, PairDifference, Quantity
 from spm_pin.crosscheck.tolerances import ROWS, Conditioning
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import BRANCHES, Configuration, Geometry, Status
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 
 __all__ = ["Comparison", "Progress"]
 
 _FORCE = 1e3  # N, and N m per metre of d
 _BRANCHES = len(BRANCHES)
 
-BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.intp]
 Progress = Callable[[str], None]
 """A function that is called with a line of text before each part of the work."""
 

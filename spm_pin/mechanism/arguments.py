@@ -21,7 +21,9 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 
 __all__ = [
+    "BoolArray",
     "FloatArray",
+    "IntArray",
     "as_array",
     "boolean_array",
     "broadcastable",
@@ -46,13 +48,17 @@ __all__ = [
 
 FloatArray = npt.NDArray[np.float64]
 """An array of 64-bit floating-point numbers."""
+BoolArray = npt.NDArray[np.bool_]
+"""An array of truth values."""
+IntArray = npt.NDArray[np.intp]
+"""An array of indices or counts."""
 Kind = TypeVar("Kind")
 
 _PRINTED = 10**20
 """Larger integers are not written out in messages."""
 
 
-def first_offender(wrong: npt.NDArray[np.bool_] | np.bool_) -> tuple[int, ...]:
+def first_offender(wrong: BoolArray | np.bool_) -> tuple[int, ...]:
     """Return the index of the first True entry, as plain integers; `()` for a single value."""
     return tuple(int(i) for i in np.argwhere(wrong)[0])
 
@@ -192,7 +198,7 @@ def generator(value: Any, argument: str = "rng") -> np.random.Generator:
     return np.random.default_rng(value)
 
 
-def boolean_array(value: Any, argument: str, shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
+def boolean_array(value: Any, argument: str, shape: tuple[int, ...]) -> BoolArray:
     """Read an array of booleans that broadcasts to `shape`."""
     expected = f"booleans of shape {shape}"
     array = as_array(value)

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
@@ -37,7 +37,6 @@ FAMILIES = ("TT", "TF", "FT", "FF")
 BRANCHES = ("TT+", "TT-", "TF+", "TF-", "FT+", "FT-", "FF+", "FF-")
 """Canonical order of the eight branches of an inverse displacement."""
 
-BoolArray = npt.NDArray[np.bool_]
 NumberArray = npt.NDArray[Any]
 
 
@@ -77,7 +76,7 @@ def _mean_radii(configuration: Configuration, geometry: Geometry | None = None) 
     return np.asarray(lower / 3.0), np.asarray(upper / 3.0)
 
 
-def family(configuration: Configuration) -> npt.NDArray[np.intp]:
+def family(configuration: Configuration) -> IntArray:
     """Return the index in `FAMILIES` of each state, shape (...); -1 where it does not exist."""
     lower, upper = _mean_radii(configuration)
     index = 2 * (lower < 0.0) + (upper < 0.0)

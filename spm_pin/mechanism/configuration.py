@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError, SelectionError
 from spm_pin.mechanism.arguments import (
+    BoolArray,
     FloatArray,
     broadcastable,
     first_offender,
@@ -186,7 +187,7 @@ class Configuration:
         return self._middle_joints
 
     @property
-    def exists(self) -> npt.NDArray[np.bool_]:
+    def exists(self) -> BoolArray:
         """False for a member of the batch that does not exist, shape (...)."""
         return ~np.isnan(self._middle_joints[..., 0, 0])
 

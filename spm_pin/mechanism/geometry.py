@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from spm_pin.errors import GeometryError
 from spm_pin.mechanism.arguments import (
+    BoolArray,
     FloatArray,
     as_array,
     file_path,
@@ -112,7 +113,7 @@ class LegLimits:
         bounds = (f"[{', '.join(f'{end:.6g}' for end in ends)}]" for ends in (self.minimum, self.maximum))
         return f"LegLimits({', '.join(bounds)})"
 
-    def contains(self, leg_lengths: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+    def contains(self, leg_lengths: npt.ArrayLike) -> BoolArray:
         """Return which sets of lengths (..., 6) [m] respect all limits; NaN does not."""
         return np.asarray(self.margin(leg_lengths) >= 0.0)
 

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from spm_pin.mechanism.arguments import BoolArray
+
 __all__ = ["Degeneracy", "Status"]
 
 
@@ -34,9 +36,9 @@ class Degeneracy:
 
     dimension: npt.NDArray[np.int8]
     """Dimension of the family, shape (...); 0 where all solutions are isolated."""
-    families: npt.NDArray[np.bool_]
+    families: BoolArray
     """Which of TT, TF, FT, FF are continuous, shape (..., 4)."""
-    legs: npt.NDArray[np.bool_]
+    legs: BoolArray
     """Legs whose lower and upper plane coincide, so that b_i is bound to no line, shape (..., 3)."""
 
     def __getitem__(self, batch: tuple[Any, ...]) -> Degeneracy:

@@ -11,7 +11,9 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, NotOneSolutionError, SelectionError
 from spm_pin.mechanism.arguments import (
+    BoolArray,
     FloatArray,
+    IntArray,
     boolean_array,
     broadcastable,
     first_offender,
@@ -28,7 +30,6 @@ from spm_pin.mechanism.solution_text import absence_reason, html_table, short_te
 
 __all__ = ["SolutionSet"]
 
-BoolArray = npt.NDArray[np.bool_]
 
 _PARALLEL = 1e-12
 """Sine of the tilt up to which the Z axes of {B} and {m} are taken for parallel in proofs."""
@@ -150,7 +151,7 @@ class SolutionSet:
         return self.configurations.exists
 
     @property
-    def count(self) -> npt.NDArray[np.intp]:
+    def count(self) -> IntArray:
         """Number of real solutions, shape (...)."""
         return np.asarray(np.count_nonzero(self.exists, axis=-1), dtype=np.intp)
 
@@ -237,7 +238,7 @@ class SolutionSet:
     def _repr_html_(self) -> str:
         return html_table(self)
 
-    def pick(self, index: npt.NDArray[np.intp], exists: BoolArray) -> Configuration:
+    def pick(self, index: IntArray, exists: BoolArray) -> Configuration:
         """Return the solution of each problem at `index` (...); NaN, the pose too, where `exists` (...) is False.
 
         For solvers, without checks.

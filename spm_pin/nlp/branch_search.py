@@ -15,11 +15,19 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import BRANCHES, Geometry, PoseLike, SolutionSet, Status, as_rigid_transform
-from spm_pin.mechanism.arguments import FloatArray, choice, instance, real_number, type_and_value, whole_number
+from spm_pin.mechanism.arguments import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    choice,
+    instance,
+    real_number,
+    type_and_value,
+    whole_number,
+)
 from spm_pin.nlp.batched_newton import LoopEquations
 from spm_pin.nlp.multistart import MOST_BRANCHES, Multistart
 from spm_pin.nlp.solvers import Ipopt
@@ -28,9 +36,6 @@ __all__ = ["SOLVERS", "Interrupted", "Search", "inverse_displacement", "search"]
 
 SOLVERS = ("newton", "ipopt")
 """Names of the solvers that run from each start."""
-
-IntArray = npt.NDArray[np.int_]
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

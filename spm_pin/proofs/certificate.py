@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError, GeometryError
-from spm_pin.mechanism.arguments import FloatArray, instance, real_array, real_number, whole_number
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, instance, real_array, real_number, whole_number
 from spm_pin.mechanism.as_built import AsBuiltGeometry, check_geometry
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry, LegLimits
@@ -69,7 +69,7 @@ class Certificate:
         errors, most = _deviation(check_geometry(geometry), self.geometry), _widened(self.geometry, self.errors)
         return errors[0] <= most[0] and errors[1] <= most[1]
 
-    def covers(self, configuration: Configuration) -> npt.NDArray[np.bool_]:
+    def covers(self, configuration: Configuration) -> BoolArray:
         """Return which configurations (...) are proved to be the only one of their leg lengths, shape (...).
 
         They respect the limits, and both stages lie in boxes of the proof. Nothing is covered if it does not hold.
@@ -296,7 +296,7 @@ def _deviation(machine: Geometry | AsBuiltGeometry, nominal: Geometry) -> tuple[
     return float(errors[:, 2:].max()), float(errors[:, :2].max())
 
 
-def _contained(states: FloatArray, boxes: FloatArray) -> npt.NDArray[np.bool_]:
+def _contained(states: FloatArray, boxes: FloatArray) -> BoolArray:
     """Return which states (..., 3) lie in one of the boxes (M, 3, 2), shape (...)."""
     flat = states.reshape(-1, 3)
     inside = [((boxes[..., 0] <= state) & (state <= boxes[..., 1])).all(axis=-1).any() for state in flat]

@@ -21,24 +21,21 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.closed_form.intervals import SQRT_3, Interval
 from spm_pin.closed_form.singularity_analysis import determinants
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, instance, whole_number
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, instance, whole_number
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.proofs.certificate import Certificate, certify, stage_regions
-from spm_pin.proofs.stage_proof import StageProof
+from spm_pin.proofs.stage_proof import Int64Array, StageProof
 from spm_pin.proofs.stage_region import StageRegion
 
 __all__ = ["SAMPLES", "InverseCertificate", "certify_inverse"]
 
-BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.int64]
 Cells = tuple[Interval, Interval]
 """x and y of cells of one stage."""
 
@@ -167,7 +164,7 @@ class _StageCells:
         for (i, j), (k, m) in zip(np.maximum(first, 0), last, strict=True):
             self._occupied[i:k, j:m] = True
 
-    def contain(self, level: int, position: IntArray) -> BoolArray:
+    def contain(self, level: int, position: Int64Array) -> BoolArray:
         """Return for which cells (N, 2) of a level there may be a height with lengths within the limits."""
         cell = position >> (level - _GRID)
         region, (x, y) = self._region, _ends(level, position)
@@ -185,7 +182,7 @@ class _StageCells:
         return np.asarray(self._occupied[cell[:, 0], cell[:, 1]] & inside & (lowest <= highest))
 
 
-def _ends(level: int, position: IntArray) -> Cells:
+def _ends(level: int, position: Int64Array) -> Cells:
     """Return x and y of cells (N, 2): exact, so that neighbours share theirs."""
     size = 2.0 ** (1 - level)
     x, y = (Interval(column * size - 1.0, (column + 1) * size - 1.0) for column in position.T)

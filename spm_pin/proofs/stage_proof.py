@@ -19,15 +19,14 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from spm_pin.closed_form.intervals import Interval
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.proofs.singular_states import singular_state
 from spm_pin.proofs.stage_region import StageRegion
 from spm_pin.proofs.unique_state import has_one_state
 
-__all__ = ["StageProof", "prove_stage"]
+__all__ = ["Int64Array", "StageProof", "prove_stage"]
 
-BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.int64]
+Int64Array = npt.NDArray[np.int64]
 
 FIRST_LEVEL = 4
 """The subdivision begins with cells of 1/16 of the cube's edge."""
@@ -154,7 +153,7 @@ def _joined(scale: FloatArray, boxes: Boxes, start: FloatArray) -> BoolArray:
     return np.isin(component, component[holds])
 
 
-def _touching(boxes: Boxes) -> IntArray:
+def _touching(boxes: Boxes) -> Int64Array:
     """Return the pairs of boxes that have a point in common, shape (N, 2)."""
     found = [np.empty((0, 2), dtype=np.int64)]
     level, position = boxes["level"], np.ascontiguousarray(boxes["position"])
@@ -179,5 +178,5 @@ def _touching(boxes: Boxes) -> IntArray:
     return np.concatenate(found)
 
 
-def _keys(position: IntArray, level: int) -> IntArray:
+def _keys(position: Int64Array, level: int) -> Int64Array:
     return np.asarray((position[..., 0] << 2 * int(level)) + (position[..., 1] << int(level)) + position[..., 2])

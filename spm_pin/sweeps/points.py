@@ -21,12 +21,11 @@ from spm_pin.closed_form import (
 )
 from spm_pin.errors import SingularConfigurationError
 from spm_pin.mechanism import BRANCHES, Configuration, Geometry, LegLimits, SolutionSet, Status
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.sweeps.domains import Space
 
 __all__ = ["Points"]
 
-BoolArray = npt.NDArray[np.bool_]
 Array = TypeVar("Array", bound=npt.NDArray[Any])
 
 _SHORTEST = float(np.finfo(np.float64).tiny)

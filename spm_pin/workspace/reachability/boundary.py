@@ -28,9 +28,6 @@ __all__ = ["Boundary", "BoundaryPoints", "reachable_boundary"]
 _BESIDE = 0.05
 """Share of the way from a point found nearest to the given one, where nothing may be nearer."""
 
-IntArray = npt.NDArray[np.intp]
-BoolArray = npt.NDArray[np.bool_]
-
 
 @dataclass(frozen=True)
 class BoundaryPoints:

@@ -5,20 +5,17 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, real_number
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, real_number
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox
 from spm_pin.workspace.reachability.nearest_points import SINGULARITY_MARGIN
 from spm_pin.workspace.reachability.state_search import Progress, StateSearch, in_portions, search_states
 
 __all__ = ["classified", "crossings", "lattice"]
 
-IntArray = npt.NDArray[np.intp]
-BoolArray = npt.NDArray[np.bool_]
 
 _STRIDES = (8, 4, 2, 1)
 """Spacings of the grids searched one after the other, in units of the final spacing."""

@@ -12,7 +12,7 @@ from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.closed_form.inverse_displacement import inverse_displacement
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import BRANCHES, Configuration, Geometry, LegLimits, PoseLike, SolutionSet, Status
-from spm_pin.mechanism.arguments import FloatArray, choice, generator, instance, real_array, whole_number
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, choice, generator, instance, real_array, whole_number
 from spm_pin.mechanism.branches import physical, straightness
 from spm_pin.workspace.reachability.joint_limits import JointLimits
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox, leg_length_box
@@ -28,7 +28,6 @@ __all__ = [
     "sample_reachable",
 ]
 
-BoolArray = npt.NDArray[np.bool_]
 
 _OPTIMALITY_TOLERANCE = 1e-6
 """Violation of the conditions of a nearest point, dimensionless, above which the search has not converged."""

@@ -24,10 +24,9 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from spm_pin.closed_form.forward_displacement import forward_physical
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import FloatArray, IntArray
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox
 from spm_pin.workspace.reachability.state_search import RESOLUTION, StateSearch, in_portions, search_states
 
@@ -40,7 +39,6 @@ __all__ = [
     "nearest_in_box",
 ]
 
-IntArray = npt.NDArray[np.intp]
 
 SINGULARITY_MARGIN = 1e-6
 """Least determinant of a stage, as a share of that at home: nearer to a forward singularity, rounding of the lengths

@@ -15,15 +15,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from spm_pin.mechanism import Configuration, Geometry
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.branches import in_home_aspect
 
 __all__ = ["PositionMap", "inverses", "rotated", "turned"]
 
-BoolArray = npt.NDArray[np.bool_]
 
 _STEPS = 24
 """Steps of Newton's method in `PositionMap.upper_for`."""

@@ -17,17 +17,14 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from spm_pin.closed_form.forward_displacement import forward_physical
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox
 from spm_pin.workspace.reachability.position_map import PositionMap
 
 __all__ = ["RESOLUTION", "Membership", "Progress", "StateSearch", "in_portions", "search_states"]
 
-BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.intp]
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how many steps are done, and of how many; may raise to interrupt."""
 

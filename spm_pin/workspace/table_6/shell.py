@@ -17,14 +17,13 @@ import numpy.typing as npt
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError, GeometryError, SelectionError
 from spm_pin.mechanism import LEGS, Configuration, Geometry, LegLimits
-from spm_pin.mechanism.arguments import FloatArray, first_offender, real_array, type_and_value, whole_number
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, first_offender, real_array, type_and_value, whole_number
 from spm_pin.workspace.closed_mesh import ClosedMesh, Convergence, enclosed_volume
 from spm_pin.workspace.table_6.patches import SubWorkspace, orientations, sub_workspaces
 from spm_pin.workspace.table_6.winding import ClosedSurface
 
 __all__ = ["Patch", "Shell", "workspace_shell"]
 
-BoolArray = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.intp]
 
 
