@@ -59,7 +59,7 @@ class _Reader:
 
     def __init__(self, function: Callable[..., Any]) -> None:
         # The package of the metric itself counts as the user's, also if it is installed.
-        self._own = _root(function.__module__) if isinstance(function, FunctionType) else ""
+        self._root_module = _root(function.__module__) if isinstance(function, FunctionType) else ""
         # The values are kept beside their digests, so that no address is used twice.
         self._done: dict[int, tuple[bytes, Any]] = {}
         self._open: dict[int, int] = {}
@@ -167,7 +167,7 @@ class _Reader:
         return self._is_installed(value.__module__) and "<locals>" not in value.__qualname__
 
     def _is_installed(self, module: str | None) -> bool:
-        return bool(module) and _root(module) != self._own and _is_installed(_root(module))
+        return bool(module) and _root(module) != self._root_module and _is_installed(_root(module))
 
 
 def _has_name(function: np.ufunc) -> bool:
