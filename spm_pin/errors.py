@@ -6,9 +6,11 @@ nothing of this package still catches them. "No real branch" is no error: it is 
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from typing import Any
 
 __all__ = [
+    "EXTRAS",
     "ArgumentError",
     "ClosureError",
     "DescriptionError",
@@ -19,8 +21,18 @@ __all__ = [
     "SelectionError",
     "SingularConfigurationError",
     "SpmError",
+    "require_extra",
 ]
 
+
+EXTRAS = {
+    "cluster": ("zarr", "xarray", "dask", "distributed", "filelock", "google_crc32c"),
+    "motion": ("toppra",),
+    "plots": ("matplotlib", "trimesh"),
+    "viewer": ("viser", "websockets", "trimesh"),
+    "workspace": ("trimesh", "skimage"),
+}
+"""Packages that the optional extras bring, by the names under which they are imported."""
 
 _LONGEST = 500
 """Characters of a received value that a message shows."""
@@ -154,6 +166,13 @@ class MissingExtraError(SpmError, ImportError):
         # Not published on a package index yet: the advice is for a folder of the sources.
         advice = f'pip install ".[{extra}]" in the folder of the sources'
         super().__init__(f"this needs {package}, of the extra {extra}: {advice}", name=package)
+
+
+def require_extra(extra: str, *packages: str) -> None:
+    """Raise `MissingExtraError` if a package of an extra is not installed, of all or of those named; import nothing."""
+    for package in packages or EXTRAS[extra]:
+        if find_spec(package) is None:
+            raise MissingExtraError(extra, package)
 
 
 class DescriptionError(ArgumentError):

@@ -30,7 +30,7 @@ def main() -> None:
                 until(lambda: viewer.sessions, "a session", seconds=120.0, page=page)
                 notice = page.locator(".mantine-Notification-closeButton")  # of software rendering
                 until(notice.count, "the notice of software rendering", seconds=120.0, page=page)
-                notice.first.evaluate("button => button.click()")
+                notice.evaluate_all("buttons => buttons.forEach(button => button.click())")
                 if name == "load":
                     page.get_by_role("tab", name="Load").click(timeout=120_000)
                     (session,) = viewer.sessions

@@ -63,7 +63,7 @@ def calibrate(
         loss=loss,
     )
     if json:
-        typer.echo(outputs.to_json(_content(found)))
+        outputs.write_json(_content(found))
     else:
         _report(found)
     if out is not None:

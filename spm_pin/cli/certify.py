@@ -63,9 +63,7 @@ def certify(
         nominal = certificate.geometry
         other = certify_inverse(nominal, certificate.limits, boxes=boxes, forward=certificate) if inverse else None
     if json:
-        typer.echo(
-            outputs.to_json(_content(certificate) | ({} if other is None else {"inverse": _inverse_content(other)}))
-        )
+        outputs.write_json(_content(certificate) | ({} if other is None else {"inverse": _inverse_content(other)}))
     else:
         outputs.print_lines(certificate.explain().splitlines())
         outputs.print_lines([] if other is None else ["", *other.explain().splitlines()])

@@ -26,7 +26,8 @@ def crosscheck(
     ] = None,
     pairs: Annotated[bool, typer.Option("--pairs", help="Show every pair of methods, not only the worst.")] = False,
     geometry: options.GeometryFile = None,
-    json: Annotated[Path | None, outputs.file_option("Also write everything as JSON.")] = None,
+    json: options.AsJson = False,
+    out: Annotated[Path | None, outputs.file_option("Also write the report to a file, as JSON.")] = None,
     figure: Annotated[Path | None, outputs.picture_option("Also draw the differences of all pairs.")] = None,
 ) -> None:
     """Solve random poses by independent methods and compare their answers.
@@ -36,14 +37,17 @@ def crosscheck(
     --figure needs the extra "plots".
     """
     report = compare_with_progress(options.read_geometry(geometry), poses, seed, method)
-    outputs.print_lines([verdict_line(report)], "bold green" if report.agrees else "bold red")
-    outputs.stdout.print()
     file = None if geometry is None else str(geometry)
-    print_report(report, pairs=pairs)
-    for line in _remarks(report, method is None, file):
-        outputs.stdout.print(line, soft_wrap=True)
-    if json is not None:
-        outputs.write_json(_content(report, file), json)
+    if json:
+        outputs.write_json(_content(report, file))
+    else:
+        outputs.print_lines([verdict_line(report)], "bold green" if report.agrees else "bold red")
+        outputs.stdout.print()
+        print_report(report, pairs=pairs)
+        for line in _remarks(report, method is None, file):
+            outputs.stdout.print(line, soft_wrap=True)
+    if out is not None:
+        outputs.write_json(_content(report, file), out)
     outputs.write_figure(figure, agreement_figure, report)
     if len(report.xyx) < poses:
         raise typer.Exit(130)

@@ -48,7 +48,9 @@ def draw(
     solutions, default = options.requested_solutions(options.read_geometry(geometry), translation, xyx, legs, unit)
     azimuth, elevation = np.deg2rad(view)
     direction = float(azimuth), float(elevation)
-    labels = options.selected_labels(solutions, branch) if every or branch is not None else []
+    labels = []
+    if every or branch is not None:
+        labels = options.selected_labels(solutions, branch, required=branch is not None)
     if len(labels) > 1:
         states = options.titled_branches(solutions, labels)
         save_gallery(states, out, view=direction, labels=bool(names), width=width or 1600, background=background)

@@ -39,7 +39,7 @@ def forward(
         modes = forward_displacement(dimensions, lengths)
     shown = _states(modes, physical, every)
     if json:
-        typer.echo(outputs.to_json(_content(modes, shown, unit)))
+        outputs.write_json(_content(modes, shown, unit))
     else:
         if shown:
             _print_states(shown, unit, "Assembly modes" if every else "The physical configuration")

@@ -28,7 +28,7 @@ def inverse(
     """
     solutions, remarks = options.solve_pose(geometry, translation, xyx, unit)
     if json:
-        typer.echo(outputs.to_json(_content(solutions, unit)))
+        outputs.write_json(_content(solutions, unit))
     else:
         if solutions.count:
             _print_branches(solutions, unit)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit, SixLegs, leg_option
 from spm_pin.display.result_plots import motion_figure
-from spm_pin.errors import ArgumentError
+from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LEGS, LegLimits
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.proofs import certify
@@ -105,19 +105,19 @@ def move(
     3 if there is no path. Needs the extra "motion", unless the jerk is limited; --plot needs "plots".
     """
     if leg_jerk is None:
-        outputs.require_extra("motion")
+        require_extra("motion")
     from spm_pin.motion import Payload, plan, time_optimal
     from spm_pin.multibody.chain import ClosedChain
 
     dimensions = options.read_any_geometry(geometry)
-    first, last = _place(start, start_pose, "--from", unit), _place(goal, goal_pose, "--to", unit)
+    first, last = _end_state(start, start_pose, "--from", unit), _end_state(goal, goal_pose, "--to", unit)
     allowed = dimensions.limits
     if limits is not None:
         shortest, longest = (_each_leg(text, "--limits") for text in limits)
         if hint := options.unit_hint("--limits", float(np.max(longest)), unit, dimensions):
             outputs.note(hint, "yellow")
         allowed = LegLimits(*((ends / unit.per_metre).tolist() for ends in (shortest, longest)))
-    passed = [_each_leg(text, "--via", least=6) / unit.per_metre for text in via or ()]
+    passed = [_each_leg(text, "--via", single=False) / unit.per_metre for text in via or ()]
     pairs = {"hip": hip, "ball_x": ball_x, "ball_y": ball_y, "ball_z": ball_z}
     angles = {name: (math.radians(pair[0]), math.radians(pair[1])) for name, pair in pairs.items() if pair is not None}
     joints = JointLimits(**angles, clearance=None if clearance is None else clearance / unit.per_metre)
@@ -152,7 +152,7 @@ def move(
     table = _columns(chain, motion, lengths)
     if json:
         content = {"method": planned.method, "certified": planned.certified, "margin": planned.margin}
-        typer.echo(outputs.to_json({**content, **table}))
+        outputs.write_json({**content, **table})
     else:
         _report(planned, table, unit)
     if out is not None:
@@ -161,26 +161,28 @@ def move(
     outputs.write_figure(plot, motion_figure, motion, lengths, allowed, largest)
 
 
-def _each_leg(text: str, option: str, least: int = 1) -> FloatArray:
-    """Return one number, shape (), or six, shape (6,), that are separated by commas; with a least of 6, six."""
+def _each_leg(text: str, option: str, *, single: bool = True) -> FloatArray:
+    """Read six numbers separated by commas, shape (6,), or where allowed a single one for all legs, shape ()."""
     try:
         numbers = np.array([float(part) for part in text.split(",")])
     except ValueError:
         numbers = np.empty(0)
-    if numbers.size not in (least, 6):
-        expected = "six numbers separated by commas" if least == 6 else "a number, or six separated by commas"
+    if numbers.size != 6 and not (single and numbers.size == 1):
+        expected = "a number, or six separated by commas" if single else "six numbers separated by commas"
         raise ArgumentError(option, expected, repr(text))
     return numbers if numbers.size == 6 else numbers[0]
 
 
-def _place(legs: SixLegs | None, at: SixLegs | None, option: str, unit: LengthUnit) -> FloatArray | RigidTransform:
-    """Return leg lengths or a pose, in metres, of one end of the motion."""
-    if legs is not None and at is None:
-        return np.array(legs) / unit.per_metre
-    if at is None or legs is not None:
-        received = "neither" if at is None else "both"
+def _end_state(
+    lengths: SixLegs | None, coordinates: SixLegs | None, option: str, unit: LengthUnit
+) -> FloatArray | RigidTransform:
+    """Return the state at one end of the motion as `plan` takes it: leg lengths (6,) [m], or a pose."""
+    if lengths is not None and coordinates is None:
+        return np.array(lengths) / unit.per_metre
+    if coordinates is None or lengths is not None:
+        received = "neither" if coordinates is None else "both"
         raise ArgumentError(option, f"six numbers, with either {option} or {option}-pose", received)
-    return options.read_pose(at[:3], at[3:], unit)
+    return options.read_pose(coordinates[:3], coordinates[3:], unit)
 
 
 def _columns(chain: ClosedChain, motion: JointTrajectory, lengths: FloatArray) -> dict[str, FloatArray]:

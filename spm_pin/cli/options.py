@@ -183,9 +183,19 @@ def pose_remarks(solutions: SolutionSet) -> list[str]:
     return remarks
 
 
-def selected_labels(solutions: SolutionSet, labels: list[str] | None) -> list[str]:
-    """Return the branches of `--branch`, or all real ones; raises `ArgumentError` where another one is real."""
+def selected_labels(solutions: SolutionSet, labels: list[str] | None, *, required: bool = False) -> list[str]:
+    """Return the branches of `--branch`, or all real ones.
+
+    Raises
+    ------
+    ArgumentError
+        If a branch of `--branch` is not real while others are; if `required`, also where no branch is real.
+    """
     real = [label for label, exists in zip(solutions.labels, solutions.exists, strict=True) if exists]
+    if required and labels is not None and not real:
+        cause = " ".join([*pose_remarks(solutions)[:1], "Without --branch the state requested is shown"])
+        expected = "a branch that is real at the pose requested, which has none"
+        raise ArgumentError("--branch", expected, ", ".join(labels), cause)
     if not real or labels is None:
         return real
     chosen = [label.upper() for label in labels]

@@ -6,7 +6,6 @@ import functools
 import math
 import os
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
@@ -16,7 +15,7 @@ from rich.console import Console
 
 from spm_pin.display.figure_files import FORMATS, save_figure
 from spm_pin.display.json_text import to_json
-from spm_pin.errors import ArgumentError, MissingExtraError
+from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism.arguments import writing
 
 if TYPE_CHECKING:
@@ -32,11 +31,9 @@ __all__ = [
     "picture_option",
     "print_lines",
     "print_table",
-    "require_extra",
     "significant",
     "stderr",
     "stdout",
-    "to_json",
     "write_figure",
     "write_json",
     "write_model",
@@ -49,15 +46,6 @@ stderr = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
 
 _ROUNDING = 1e-12
 """A number smaller than this share of its scale is printed as zero."""
-
-EXTRAS = {
-    "cluster": ("zarr", "xarray", "dask", "distributed", "filelock", "google_crc32c"),
-    "motion": ("toppra",),
-    "plots": ("matplotlib", "trimesh"),
-    "viewer": ("viser", "trimesh"),
-    "workspace": ("trimesh", "skimage"),
-}
-"""Packages that each optional extra brings."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -128,13 +116,6 @@ def significant(value: float, scale: float = 0.0, digits: int = 5) -> str:
     return "0" if abs(value) <= _ROUNDING * scale else f"{value:.{digits}g}"
 
 
-def require_extra(extra: str) -> None:
-    """Raise `MissingExtraError` if a package of an extra is not installed; nothing is imported."""
-    for package in EXTRAS[extra]:
-        if find_spec(package) is None:
-            raise MissingExtraError(extra, package)
-
-
 def file_name(text: str) -> Path:
     """Read the value of an option that names a file or a directory."""
     if not text:
@@ -199,9 +180,9 @@ def write_model(text: str, path: Path | None) -> None:
         note(f'in Pinocchio: pinocchio.buildModelsFromUrdf("{path}", package_dirs="{path.parent}"), for the meshes')
 
 
-def write_json(content: Any, path: Path) -> None:
-    """Write a file of `--json`, as `write_text`."""
-    write_text(to_json(content) + "\n", path, "--json")
+def write_json(content: Any, path: Path | None = None) -> None:
+    """Print JSON of a result, or write it to a file, as `write_text`."""
+    write_text(to_json(content) + "\n", path)
 
 
 def write_figure(path: Path | None, draw: Callable[P, Figure], *args: P.args, **kwargs: P.kwargs) -> None:

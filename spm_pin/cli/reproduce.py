@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from spm_pin.cli import outputs
+from spm_pin.cli import options, outputs
 from spm_pin.reproduction import POSE, TABLES, Reproduction, Verdict
 from spm_pin.reproduction import reproduce as recompute
 
@@ -39,21 +39,25 @@ def reproduce(
         typer.Option(metavar="NUMBER", help="Show every cell of a table, 1 to 5; may be repeated. All if not given."),
     ] = None,
     cells: Annotated[bool, typer.Option("--cells", help="Show every cell of all tables.")] = False,
-    json: Annotated[Path | None, outputs.file_option("Also write everything as JSON.")] = None,
+    json: options.AsJson = False,
+    out: Annotated[Path | None, outputs.file_option("Also write everything to a file, as JSON.")] = None,
 ) -> None:
     """Recompute the paper's tables and compare every printed digit.
 
     Exits with 1 if a printed number differs and nothing in the numbers explains why.
     """
     found = recompute(TABLES if table is None else table)
-    outputs.print_lines([summary_line(found)], "bold red" if found.unexplained else "bold green")
-    outputs.stdout.print()
-    print_summary(found)
-    if cells or table is not None:
-        _print_cells(found)
-    outputs.print_lines(f"• {line}" for line in _findings(found))
-    if json is not None:
-        outputs.write_json(_content(found), json)
+    if json:
+        outputs.write_json(_content(found))
+    else:
+        outputs.print_lines([summary_line(found)], "bold red" if found.unexplained else "bold green")
+        outputs.stdout.print()
+        print_summary(found)
+        if cells or table is not None:
+            _print_cells(found)
+        outputs.print_lines(f"• {line}" for line in _findings(found))
+    if out is not None:
+        outputs.write_json(_content(found), out)
     if found.unexplained:
         outputs.note(f"{len(found.unexplained)} printed values differ without an explanation", "bold red")
         raise typer.Exit(1)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import typer
-
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit
 from spm_pin.closed_form.singularity_analysis import SingularityKind
@@ -34,7 +32,7 @@ def singularities(
     solutions, remarks = options.solve_pose(geometry, translation, xyx, unit)
     found = {label: _quantities(solutions[label]) for label in options.selected_labels(solutions, branch)}
     if json:
-        typer.echo(outputs.to_json({"status": str(solutions.status), "branches": found}))
+        outputs.write_json({"status": str(solutions.status), "branches": found})
     elif found:
         _print_quantities(found)
     options.end_command(solutions, remarks)

@@ -48,7 +48,7 @@ def statics(
     labels = options.selected_labels(solutions, branch)
     found = {label: _quantities(solutions[label], wrench, twist, unit) for label in labels}
     if json:
-        typer.echo(outputs.to_json({"unit": unit, "status": str(solutions.status), "branches": found}))
+        outputs.write_json({"unit": unit, "status": str(solutions.status), "branches": found})
     elif found:
         if wrench.any():
             _print_quantities("Leg forces in N: positive extends the leg", found, "forces")

@@ -15,8 +15,8 @@ from rich.text import Text
 
 from spm_pin import sweeps
 from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Limits, Unit, read_geometry, unit_hint
-from spm_pin.cli.outputs import name_options, note, print_lines, require_extra, stderr, to_json
-from spm_pin.errors import ArgumentError
+from spm_pin.cli.outputs import name_options, note, print_lines, stderr, write_json
+from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LegLimits
 from spm_pin.sweeps.domains import Domain
 from spm_pin.sweeps.runner import CHUNK
@@ -113,7 +113,7 @@ def sweep(
                 sweeps.run(machine, domain, chosen, out, chunk=chunk, **others)
     found = sweeps.status(out)
     if json:
-        typer.echo(to_json(dataclasses.asdict(found) | {"complete": found.complete, "store": str(out)}))
+        write_json(dataclasses.asdict(found) | {"complete": found.complete, "store": str(out)})
         return
     shape = ", ".join(f"{name} {size}" for name, size in found.shape.items())
     lines = [f"{found.points} points: {shape}", f"metrics: {', '.join(found.metrics)}"]

@@ -36,9 +36,7 @@ def tolerance(
     ranking = found.ranking(by)
     if json:
         linear, sampled = (dict(zip(("position", "angle"), x, strict=True)) for x in (found.rms, found.sampled_rms))
-        typer.echo(
-            outputs.to_json({"tolerances": table, "rms": linear, "sampled_rms": sampled, "shares": dict(ranking)})
-        )
+        outputs.write_json({"tolerances": table, "rms": linear, "sampled_rms": sampled, "shares": dict(ranking)})
         return
     lines = [f"RMS error of the platform at {states} states, to first order: {_text(found.rms)}"]
     if samples:

@@ -12,6 +12,7 @@ import typer
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit
+from spm_pin.errors import require_extra
 
 __all__ = ["view"]
 
@@ -48,11 +49,12 @@ def view(
 
     Needs the extra "viewer".
     """
-    outputs.require_extra("viewer")
+    require_extra("viewer")
     dimensions = options.read_geometry(geometry)
     solutions, start = options.requested_solutions(dimensions, translation, xyx, legs, unit)
-    if branch is not None and (labels := options.selected_labels(solutions, [branch])):
-        start = solutions[labels[0]]
+    if branch is not None:
+        (label,) = options.selected_labels(solutions, [branch], required=True)
+        start = solutions[label]
     if snapshot is not None:
         from spm_pin.display.viewer import save_snapshot
 

@@ -12,7 +12,7 @@ from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit
 from spm_pin.display.figure_files import FORMATS, save_figure
 from spm_pin.display.shell_plots import MESH_FORMATS, save_mesh, shell_figure
-from spm_pin.errors import ArgumentError
+from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LEGS, LegLimits
 from spm_pin.workspace.table_6.patches import ERRATA
 from spm_pin.workspace.table_6.shell import Patch, Shell, workspace_shell
@@ -58,7 +58,7 @@ def workspace(
             raise
         raise ArgumentError("--limits", error.expected, error.received, hint) from error
     if json:
-        typer.echo(outputs.to_json(_content(shell, unit)))
+        outputs.write_json(_content(shell, unit))
     else:
         _print_patches(shell.patches, unit)
         _print_convergence(shell, unit)
@@ -76,7 +76,7 @@ def _check_output(out: Path | None, sections: bool) -> None:
     endings = FORMATS if sections else (*FORMATS, *MESH_FORMATS)
     cause = "Maps over many poses are for spm-pin sweep" if out.suffix == ".zarr" else ""
     outputs.check_output(out, "--out", endings, cause)
-    outputs.require_extra("plots")
+    require_extra("plots")
 
 
 def _write(shell: Shell, out: Path, samples: int | None) -> None:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from spm_pin.display.scene import plots_extra
-from spm_pin.errors import ArgumentError
+from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism.arguments import file_path, writing
 
 if TYPE_CHECKING:
@@ -23,8 +22,8 @@ WIDEST = 6000
 
 def new_figure(width: float, height: float, **options: Any) -> Figure:
     """Return a matplotlib figure of a size in inches, or raise `MissingExtraError`."""
-    with plots_extra():
-        from matplotlib.figure import Figure
+    require_extra("plots", "matplotlib")
+    from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), **options)
 
@@ -34,8 +33,9 @@ def check_appearance(width: int, narrowest: int, background: str) -> None:
     if not isinstance(width, int) or not narrowest <= width <= WIDEST:
         expected = f"at least {narrowest}" if isinstance(width, int) and width < narrowest else f"at most {WIDEST}"
         raise ArgumentError("width", f"{expected} pixels, a whole number", width)
-    with plots_extra():
-        from matplotlib.colors import is_color_like
+    require_extra("plots", "matplotlib")
+    from matplotlib.colors import is_color_like
+
     if not is_color_like(background):
         expected = "a colour of matplotlib, such as white, #f0f0f0 or none"
         raise ArgumentError("background", expected, repr(background))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.description.visuals import part_placements, section_size, visual_parts
-from spm_pin.errors import ArgumentError, MissingExtraError
+from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 
-__all__ = ["AXIS_COLOURS", "TRIAD", "Colour", "Scene", "Solid", "plots_extra", "scene"]
+__all__ = ["AXIS_COLOURS", "TRIAD", "Colour", "Scene", "Solid", "scene"]
 
 Colour = tuple[float, float, float]
 """Red, green and blue in sRGB, from 0 to 1."""
@@ -46,18 +44,6 @@ class Scene:
 
     solids: tuple[Solid, ...]
     size: float
-
-
-@contextmanager
-def plots_extra() -> Iterator[None]:
-    """Turn the absence of matplotlib or trimesh into a `MissingExtraError` that says how to install them."""
-    try:
-        yield
-    except ModuleNotFoundError as missing:
-        package = (missing.name or "").partition(".")[0]
-        if package not in ("matplotlib", "trimesh"):
-            raise
-        raise MissingExtraError("plots", package) from missing
 
 
 def scene(configuration: Configuration, *, frames: bool = True) -> Scene:

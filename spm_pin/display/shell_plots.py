@@ -12,7 +12,8 @@ from scipy import ndimage
 from spm_pin.display.figure_files import new_figure
 from spm_pin.display.plots import draw_solids
 from spm_pin.display.rendering import VIEW, Rendering, camera_axes
-from spm_pin.display.scene import Colour, Scene, Solid, plots_extra
+from spm_pin.display.scene import Colour, Scene, Solid
+from spm_pin.errors import require_extra
 from spm_pin.mechanism.arguments import file_path, instance, writing
 from spm_pin.workspace.table_6.shell import Patch, Shell
 
@@ -151,10 +152,12 @@ def save_mesh(shell: Shell, path: str | Path) -> Path:
     ------
     ArgumentError
         If the name does not end in one of `MESH_FORMATS`, or the file cannot be written.
+    MissingExtraError
+        If trimesh is not installed.
     """
     path = file_path(path, suffixes=MESH_FORMATS)
-    with plots_extra():
-        content = _patchwork(shell) if path.suffix.lower() == ".glb" else _whole(shell, path.suffix.lower()[1:])
+    require_extra("plots", "trimesh")
+    content = _patchwork(shell) if path.suffix.lower() == ".glb" else _whole(shell, path.suffix.lower()[1:])
     with writing(path):
         path.write_bytes(content)
     return path

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.closed_form.singularity_analysis import determinants
-from spm_pin.errors import ArgumentError, MissingExtraError
+from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism.arguments import FloatArray, instance, real_number, whole_number
 from spm_pin.mechanism.geometry import LEGS
 from spm_pin.motion.leg_path import LegPath
@@ -185,12 +185,10 @@ def _refuse_events(chain: ClosedChain, along: PathDynamics, path: Path, *, plann
 
 def _fastest(parameters: FloatArray, rows: LimitRows) -> tuple[float, Clock]:
     """Return the duration of the time-optimal motion, and s, ṡ and s̈ as functions of time."""
-    try:
-        import toppra
-        from toppra.algorithm import TOPPRA
-        from toppra.constraint import DiscretizationType, LinearConstraint
-    except ImportError as error:
-        raise MissingExtraError("motion", "toppra") from error
+    require_extra("motion")
+    import toppra
+    from toppra.algorithm import TOPPRA
+    from toppra.constraint import DiscretizationType, LinearConstraint
 
     class Limits(LinearConstraint):  # type: ignore[misc]
         """The rows as toppra reads them."""

@@ -11,11 +11,10 @@ import contextlib
 import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from spm_pin.errors import ArgumentError, MissingExtraError, SpmError
+from spm_pin.errors import ArgumentError, SpmError, require_extra
 from spm_pin.mechanism import Geometry
 from spm_pin.sweeps.domains import Domain
 from spm_pin.sweeps.metric import Metric
@@ -233,7 +232,7 @@ def open_store(store: str | os.PathLike[str]) -> xarray.Dataset:
     """
     path = store_path(store)
     read_plan(path)
-    _require_extra()
+    require_extra("cluster")
     import xarray
 
     with as_store_error(path):
@@ -247,7 +246,7 @@ def open_store(store: str | os.PathLike[str]) -> xarray.Dataset:
 def _run(
     plan: Plan, path: Path, scheduler: str | Client | None, workers: int | None, progress: Progress | None
 ) -> xarray.Dataset:
-    _require_extra()
+    require_extra("cluster")
     check_workers(scheduler, workers)
     if progress is not None and not callable(progress):
         raise ArgumentError("progress", "a function of the points done and of all points", repr(progress))
@@ -269,10 +268,3 @@ def _run(
             raise SweepError(str(path), str(error), completed_count(path), plan.count) from error
         store.remove_drafts()
     return open_store(path)
-
-
-def _require_extra() -> None:
-    """Raise `MissingExtraError` if a package of the extra is not installed."""
-    for package in ("dask", "distributed", "filelock", "google_crc32c", "xarray", "zarr"):
-        if find_spec(package) is None:
-            raise MissingExtraError("cluster", package)

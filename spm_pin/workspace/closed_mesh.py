@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from spm_pin.errors import MissingExtraError
+from spm_pin.errors import require_extra
 from spm_pin.mechanism.arguments import FloatArray
 
 if TYPE_CHECKING:
@@ -144,7 +144,5 @@ def enclosed_volume(vertices: FloatArray, faces: npt.NDArray[np.intp]) -> float:
 
 
 def _trimesh() -> Any:
-    try:
-        return import_module("trimesh")
-    except ModuleNotFoundError as missing:
-        raise MissingExtraError("workspace", "trimesh") from missing
+    require_extra("workspace", "trimesh")
+    return import_module("trimesh")

@@ -20,7 +20,8 @@ import spm_pin as spm
 from spm_pin.cli import outputs
 from spm_pin.cli.application import EXIT_CODES, app
 from spm_pin.crosscheck import METHODS, ClosedForm
-from spm_pin.errors import MissingExtraError
+from spm_pin.display.json_text import to_json
+from spm_pin.errors import EXTRAS, MissingExtraError
 
 EXAMPLE = ["--translation", "68.89", "49.63", "225.3", "--xyx", "-11.08", "32.97", "-12.88"]
 LOAD = ["--force", "0", "0", "-500", "--velocity", "1", "0", "0"]
@@ -48,7 +49,7 @@ def plain(text: str) -> str:
 # Messages
 
 
-@pytest.mark.parametrize("extra", outputs.EXTRAS)
+@pytest.mark.parametrize("extra", EXTRAS)
 def test_the_advice_on_a_missing_extra_is_printed_in_full(extra: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(*_: object) -> None:
         raise MissingExtraError(extra, "a package")
@@ -285,7 +286,7 @@ def test_a_pipe_has_no_width(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_zeros_are_printed_as_zero(value: float) -> None:
     assert outputs.fixed(value, 3) == "0.000"
     assert outputs.significant(value, scale=1.0) == "0"
-    assert "-" not in outputs.to_json([value if value == 0.0 else -0.0, np.array(-0.0)])
+    assert "-" not in to_json([value if value == 0.0 else -0.0, np.array(-0.0)])
     assert outputs.fixed(-0.0006, 3) == "-0.001"
     assert outputs.significant(-4.4527e-9, scale=1.0) == "-4.4527e-09"
 
@@ -319,7 +320,7 @@ def test_small_determinants_are_printed_with_significant_digits() -> None:
 
 
 def test_json_has_null_for_what_is_not_finite() -> None:
-    assert json.loads(outputs.to_json({"a": [np.nan, np.inf, np.array([1, np.nan])]})) == {"a": [None, None, [1, None]]}
+    assert json.loads(to_json({"a": [np.nan, np.inf, np.array([1, np.nan])]})) == {"a": [None, None, [1, None]]}
 
 
 # Outputs and extras, before the work
@@ -328,9 +329,9 @@ def test_json_has_null_for_what_is_not_finite() -> None:
 @pytest.mark.parametrize(
     ("arguments", "option"),
     [
-        (["crosscheck", "--json", "{}.json"], "--json"),
+        (["crosscheck", "--out", "{}.json"], "--out"),
         (["crosscheck", "--figure", "{}.svg"], "--figure"),
-        (["reproduce", "--json", "{}.json"], "--json"),
+        (["reproduce", "--out", "{}.json"], "--out"),
         (["draw", "--out", "{}.png"], "--out"),
         (["demo", "--out", "{}.png"], "--out"),
         (["workspace", "--out", "{}.stl"], "--out"),
@@ -450,6 +451,13 @@ def test_exit_codes_of_unreachable_and_degenerate(arguments: list[str], code: in
     assert json.loads(done.stdout)["status"] == {0: "ok", 3: "unreachable", 4: "degenerate"}[code]
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_json_is_a_flag_of_every_command_that_has_it(name: str) -> None:
+    command = get_command(app).commands[name]  # type: ignore[attr-defined]
+    for parameter in command.params:
+        assert "--json" not in parameter.opts or parameter.is_flag
+
+
 def test_a_degenerate_pose_shows_its_isolated_branches_and_exits_with_4() -> None:
     # A tilt about a horizontal axis, at the position on it where the family TF is continuous: h = r sin²(θ/2) sin 3ψ.
     azimuth, tilt = 0.4, 0.5
@@ -542,7 +550,7 @@ def test_an_interrupted_crosscheck_reports_what_it_has(tmp_path: Path, monkeypat
     monkeypatch.setitem(METHODS, "closed-form", Interrupting)
     monkeypatch.setattr(Interrupting, "batches", 0)
     target = tmp_path / "report.json"
-    done = run("crosscheck", "--poses", "40", "--method", "closed-form", "--method", "nlp", "--json", target)
+    done = run("crosscheck", "--poses", "40", "--method", "closed-form", "--method", "nlp", "--out", target)
     assert done.returncode == 130
     assert done.stdout.startswith("Interrupted after 20 of 40 poses")
     content = json.loads(target.read_text(encoding="utf-8"))

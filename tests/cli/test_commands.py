@@ -30,8 +30,10 @@ def test_reproduce_prints_the_verdict_every_table_and_each_finding() -> None:
 
 def test_reproduce_writes_json(tmp_path: Path) -> None:
     target = tmp_path / "tables.json"
-    assert run("reproduce", "--table", "3", "--json", str(target)).returncode == 0
-    content = json.loads(target.read_text(encoding="utf-8"))
+    assert run("reproduce", "--table", "3", "--out", str(target)).returncode == 0
+    text = target.read_text(encoding="utf-8")
+    assert run("reproduce", "--table", "3", "--json").stdout == text
+    content = json.loads(text)
     assert {cell["table"] for cell in content["cells"]} == {3}
     assert [cell["column"] for cell in content["cells"] if cell["verdict"] == "misprint"] == ["5"]
 
@@ -49,7 +51,7 @@ def test_reproduce_fails_on_a_difference_nothing_explains(monkeypatch: pytest.Mo
     ("arguments", "words"),
     [
         (["reproduce", "--table", "7"], "--table: expected numbers of (1, 2, 3, 4, 5)"),
-        (["reproduce", "--json", "/nowhere/x.json"], "--json: expected a file that can be written"),
+        (["reproduce", "--out", "/nowhere/x.json"], "--out: expected a file that can be written"),
         (["inverse", *EXAMPLE[:-4], "nan", "0", "--unit", "cm"], "--xyx: expected finite"),
         (["inverse", "--translation", "nan", "0", "2", "--xyx", "1", "2", "3"], "--translation: expected finite"),
         (["inverse", *EXAMPLE, "--geometry", "missing.yaml"], "No such file"),

@@ -14,7 +14,7 @@ from spm_pin.paper.jacobian import Table5Mistakes
 
 def test_all_methods_on_a_few_poses(tmp_path: Path) -> None:
     data, picture = tmp_path / "report.json", tmp_path / "report.svg"
-    done = run("crosscheck", "--poses", "10", "--seed", "3", "--json", str(data), "--figure", str(picture))
+    done = run("crosscheck", "--poses", "10", "--seed", "3", "--out", str(data), "--figure", str(picture))
     assert done.returncode == 0, done.stderr
     assert f"All {len(METHODS)} methods agree." in done.stdout
     assert "spm-pin inverse --translation" in done.stdout
@@ -27,6 +27,12 @@ def test_all_methods_on_a_few_poses(tmp_path: Path) -> None:
     assert all(pair["worst"] <= pair["tolerance"] for pair in content["differences"])
     assert content["differences"][0]["reproduce"].startswith("spm-pin inverse --translation")
     assert picture.read_text(encoding="utf-8").startswith("<?xml")
+
+
+def test_json_is_printed_alone() -> None:
+    done = run("crosscheck", "--poses", "2", "--method", "closed-form", "--method", "nlp", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["agrees"] is True
 
 
 def test_a_flipped_sign_fails_and_is_named() -> None:
@@ -45,7 +51,7 @@ def test_the_printed_lever_arm_fails_and_is_named(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setitem(METHODS, "paper", printed)
     data = tmp_path / "report.json"
     chosen = [word for name in ("closed-form", "paper", "pinocchio") for word in ("--method", name)]
-    done = run("crosscheck", "--poses", "6", *chosen, "--json", str(data))
+    done = run("crosscheck", "--poses", "6", *chosen, "--out", str(data))
     assert done.returncode == 1
     assert "paper is wrong: the others agree." in done.stdout
     assert json.loads(data.read_text(encoding="utf-8"))["outliers"] == ["paper"]
@@ -74,7 +80,7 @@ def test_a_method_that_cannot_be_imported_is_mentioned(monkeypatch: pytest.Monke
     ("arguments", "words"),
     [
         (["--method", "delphi"], "--method: expected names among closed-form"),
-        (["--json", "/nowhere/x.json"], "There is no directory /nowhere"),
+        (["--out", "/nowhere/x.json"], "There is no directory /nowhere"),
         (["--figure", "/nowhere/x.svg"], "There is no directory /nowhere"),
         (["--figure", "x.html"], "--figure: expected a file name ending in .png"),
     ],

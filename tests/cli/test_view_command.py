@@ -19,6 +19,7 @@ from spm_pin.display.plots import save_gallery
 from spm_pin.display.viewer.event_queue import EventQueue
 from spm_pin.display.viewer.viser_server import free_port
 
+EQUAL_LEGS = ["--legs", "1.3", "1.3", "1.3", "1.3", "1.3", "1.3"]
 COMMAND = [sys.executable, "-c", "from spm_pin.cli import main; main()"]
 
 
@@ -63,6 +64,8 @@ def test_a_taken_port_is_named_and_another_used_until_ctrl_c() -> None:
         (["--port", "70000"], "port: expected a port from 0 to 65535"),
         (["--path", "nothing.csv"], "No such file"),
         (["--branch", "FT+"], "real branches, here TT+"),
+        ([*EQUAL_LEGS, "--branch", "FF+"], "--branch: expected a branch that is real at the pose requested"),
+        ([*EQUAL_LEGS, "--branch", "FF+"], "got FF+. The solutions of TT, FF form a continuous family"),
         (["--xyx", "1", "2", "3"], "--translation: expected a pose"),
         (["--legs", "1", "1", "1", "1", "1", "1", "--translation", "1", "2", "3", "--xyx", "1", "2", "3"], "both"),
         (["--legs", "9", "0.1", "9", "1", "1", "1"], "can be assembled"),
@@ -119,6 +122,7 @@ def test_draw_one_branch_or_all(tmp_path: Path) -> None:
         (["--out", "x.jpg"], "ending in .png, .svg, .pdf"),
         (["--out", "x.png", "--all", "--branch", "TT+"], "both --all and --branch"),
         (["--out", "x.png", "--branch", "ZZ"], "real branches, here TT+"),
+        (["--out", "x.png", *EQUAL_LEGS, "--branch", "FF+"], "real at the pose requested, which has none, got FF+"),
         (["--out", "/nowhere/x.png", "--width", "100", "--no-names"], "a file that can be written"),
         (["--out", "/nowhere/x.png", "--all", "--width", "300"], "a file that can be written"),
         (["--out", "x.png", "--width", "3"], "at least 100 pixels"),

@@ -206,7 +206,7 @@ def test_impossible_pictures_are_refused(tmp_path, save, options, says):
 
 
 def test_without_matplotlib_the_error_tells_how_to_install_it(monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(MissingExtraError, match=r'this needs matplotlib.*pip install "\.\[plots\]"') as caught:
         draw(STATE)
     assert isinstance(caught.value, ImportError)

@@ -29,6 +29,6 @@ def test_each_pair_has_a_bar_as_long_as_its_share_of_the_tolerance() -> None:
 
 def test_without_matplotlib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     report = compare_methods(GEOMETRY, poses=1, methods=["closed-form"])
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(MissingExtraError, match="plots"):
         agreement_figure(report)

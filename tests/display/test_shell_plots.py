@@ -159,6 +159,6 @@ def test_arguments_that_are_no_shell_or_axes_are_refused() -> None:
 
 
 def test_without_matplotlib_the_error_tells_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(MissingExtraError, match="this needs matplotlib"):
         shell_figure(SHELL)

@@ -15,7 +15,7 @@ from typing import Any
 import rich
 
 from spm_pin.display.viewer.connection_guard import LARGEST_MESSAGE, limited_receiver, origin_allowed
-from spm_pin.errors import ArgumentError, MissingExtraError
+from spm_pin.errors import ArgumentError, require_extra
 
 __all__ = ["PHONE_ASPECT", "PHONE_PANEL", "branded_html", "free_port", "start", "stop"]
 
@@ -74,13 +74,10 @@ def start(host: str, port: int, allowed_origins: Collection[str] = ()) -> Any:
 
     Pages of `allowed_origins` may open its websocket, beside its own. If it does not start, raises `ArgumentError`.
     """
-    try:
-        import viser
-        import websockets.asyncio.server as sockets
-    except ModuleNotFoundError as missing:
-        if (missing.name or "").partition(".")[0] not in ("viser", "websockets"):
-            raise
-        raise MissingExtraError("viewer", "viser") from missing
+    require_extra("viewer", "viser", "websockets")
+    import viser
+    import websockets.asyncio.server as sockets
+
     serve, servers = sockets.serve, []
 
     def guarded(handler: Any, *arguments: Any, process_request: Any = None, **options: Any) -> Any:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError, MissingExtraError
+from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism.arguments import FloatArray, generator, whole_number
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.workspace.closed_mesh import ClosedMesh
@@ -168,10 +168,8 @@ def reachable_boundary(
     >>> 1.7 < boundary.volume < 1.9
     True
     """
-    try:
-        measure: Any = import_module("skimage.measure")
-    except ModuleNotFoundError as missing:
-        raise MissingExtraError("workspace", "scikit-image") from missing
+    require_extra("workspace", "skimage")
+    measure: Any = import_module("skimage.measure")
     box = leg_length_box(geometry, limits)
     origin, shape = lattice(box, spacing)
     inside, states = classified(box, origin, shape, spacing, progress)
