@@ -136,7 +136,6 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "minimum": lambda: 1.1,
     "names": lambda: ["paper"],
     "near": lambda: q(),
-    "other": lambda: spm.workspace.Estimate(1.0, 0.9, 1.1, 0.95, 10, "sampling", "m³"),
     "path": lambda: PATH,
     "points": lambda: STATE.translation,
     "pose": lambda: STATE.pose,

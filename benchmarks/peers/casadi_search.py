@@ -25,9 +25,9 @@ ITERATIONS = 60
 def ipopt(problem: tuple[Geometry, RigidTransform]) -> Prepared:
     """Prepare IPOPT on the feasibility problem, start by start."""
     required("casadi", "casadi")
-    from spm_pin.nlp.solvers import Ipopt
+    from spm_pin.nlp.ipopt_solver import IpoptSolver
 
-    solver = Ipopt(problem[0], {"ipopt.tol": 1e-12})
+    solver = IpoptSolver(problem[0], {"ipopt.tol": 1e-12})
     return search(problem, lambda starts, matrix: solver(starts, matrix)[0])
 
 

@@ -54,8 +54,8 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
 
 def walk(count: int) -> FloatArray:
     """Return leg lengths (count, 6) [m] as a machine in motion reports them, a millisecond apart."""
-    moments = 1e-3 * np.arange(count)
-    return np.asarray(_LENGTHS + 0.05 * np.sin(np.outer(moments, 0.7 + 0.3 * np.arange(6))))
+    times = 1e-3 * np.arange(count)
+    return np.asarray(_LENGTHS + 0.05 * np.sin(np.outer(times, 0.7 + 0.3 * np.arange(6))))
 
 
 def _add(section: Section, calls: list[TimedCall], pace: Pace, progress: Progress, job: str, item: str) -> list[Spread]:

@@ -121,7 +121,7 @@ def invisible_errors(geometry: AsBuiltGeometry, positions_only: bool) -> FloatAr
 
 
 def parameter_scale(geometry: AsBuiltGeometry) -> FloatArray:
-    """Return what errors (54,) are compared with: a radian, or the side of the middle platform [m]."""
+    """Return the unit of each parameter's error (54,): a radian, or the side of the middle platform [m]."""
     return np.tile(np.repeat([1.0, geometry.nominal.middle_side], [2, 7]), 6)
 
 

@@ -24,14 +24,14 @@ from spm_pin.mechanism.units import unit_hint
 __all__ = ["MeasurementError", "Measurements", "pose_covariances", "read_measurements"]
 
 _POSITION, _QUATERNION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
-_UNIT = 1e-3
+_UNIT_TOLERANCE = 1e-3
 """Largest error of the length of a quaternion that is taken for rounding."""
 _SUSPICIOUS = 0.02
 """Median error of the positions, in sides of the middle platform, from which on exchanged columns are looked for."""
-_ENOUGH = 40
-"""Measurements that tell."""
+_SUBSET = 40
+"""Measurements, evenly spread over all, with which exchanged columns are tried."""
 _BETTER = 5.0
-"""How many times smaller it must become when columns are exchanged."""
+"""How many times smaller that error must become when columns are exchanged."""
 
 
 class MeasurementError(ArgumentError):
@@ -42,10 +42,14 @@ class MeasurementError(ArgumentError):
 class Measurements:
     """N poses and readings, checked."""
 
-    rotation: FloatArray  # measured rotations from {m} to {B}, (N, 3, 3); identities if only positions were measured
-    position: FloatArray  # measured positions of o in {B}, (N, 3) [m]
-    readings: FloatArray  # of the legs, (N, 6) [m]
-    components: int  # 6 for poses, 3 for positions alone
+    rotation: FloatArray
+    """Measured rotations from {m} to {B}, (N, 3, 3); identities if only positions were measured."""
+    position: FloatArray
+    """Measured positions of o in {B}, (N, 3) [m]."""
+    readings: FloatArray
+    """Readings of the legs, (N, 6) [m]."""
+    components: int
+    """6 for poses, 3 for positions alone."""
 
     @classmethod
     def check(cls, geometry: AsBuiltGeometry, poses: Any, leg_lengths: npt.ArrayLike) -> Measurements:
@@ -87,7 +91,7 @@ class Measurements:
         typical = float(np.median(size)) if len(size) else 0.0
         if typical > _SUSPICIOUS * side:
             best, order = typical, tuple(range(6))
-            some = slice(None, None, -(-len(size) // _ENOUGH))
+            some = slice(None, None, -(-len(size) // _SUBSET))
             for tried in itertools.permutations(range(6)):
                 swapped = Measurements(self.rotation[some], self.position[some], self.readings[some][:, tried], 3)
                 if (swapped.readings > geometry.offsets).all():
@@ -205,8 +209,8 @@ def read_measurements(path: str | Path) -> tuple[Any, FloatArray]:
     if not turned:
         return position, readings
     size = np.linalg.norm(table[:, 3:7], axis=-1)
-    if (np.abs(size - 1.0) > _UNIT).any():
-        row = int((np.abs(size - 1.0) > _UNIT).argmax())
+    if (np.abs(size - 1.0) > _UNIT_TOLERANCE).any():
+        row = int((np.abs(size - 1.0) > _UNIT_TOLERANCE).argmax())
         place = f"columns qx to qw in {path}:{lines[1 + row][0]}"
         raise MeasurementError(place, "a quaternion of length 1", f"length {size[row]:g}", "Rounded to few digits?")
     return RigidTransform.from_components(position, Rotation.from_quat(table[:, 3:7])), readings

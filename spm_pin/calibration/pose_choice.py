@@ -19,6 +19,7 @@ from spm_pin.mechanism.configuration import check_configuration
 __all__ = ["choose_poses", "random_states"]
 
 _SWEEPS = 20
+"""Passes of exchanges over all chosen poses at most."""
 _GAIN = 1e-6
 """Relative gain below which no pose is exchanged any more."""
 _RIDGE = 1e-6

@@ -18,23 +18,25 @@ from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import BRANCHES, Configuration, Geometry, Status
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 
-__all__ = ["Comparison", "Progress"]
+__all__ = ["Comparison"]
 
-_FORCE = 1e3  # N, and N m per metre of d
+_FORCE = 1e3
+"""Largest component of the wrenches: forces [N], and moments over d [N]."""
 _BRANCHES = len(BRANCHES)
-
-Progress = Callable[[str], None]
-"""A function that is called with a line of text before each part of the work."""
 
 
 @dataclass(frozen=True)
 class _Answer:
     """The branches one method found at n poses; NaN where it found none or did not solve the pose."""
 
-    states: Configuration  # (n * 8,)
-    selected: BoolArray  # (n,)
-    status: npt.NDArray[np.int8]  # (n,)
-    rounding: FloatArray  # (n * 8,)
+    states: Configuration
+    """The branches of all poses, shape (8 n,)."""
+    selected: BoolArray
+    """Poses that the method was given, shape (n,)."""
+    status: npt.NDArray[np.int8]
+    """One `Status` per pose, shape (n,)."""
+    rounding: FloatArray
+    """Closure residuals that the method states [m], shape (8 n,)."""
 
 
 @dataclass(frozen=True)
@@ -42,18 +44,23 @@ class _States:
     """Configurations (m,) at which methods are compared, each a branch of a pose."""
 
     configuration: Configuration
-    place: IntArray  # pose * 8 + branch, in the batch
-    first: int  # pose of the report with which the batch begins
+    """The configurations, shape (m,)."""
+    place: IntArray
+    """8 times the number of the pose in the batch, plus the number of the branch, shape (m,)."""
+    first: int
+    """Number of the pose of the report with which the batch begins."""
     rounding: Mapping[str, FloatArray]
+    """Closure residuals [m] that each method states, by its name, shape (m,)."""
 
 
 class Comparison:
     """Scores and differences of methods, over all poses added so far; the counts are those of `Report`.
 
-    `progress` is called with a description of each step. Two methods of the same name are an `ArgumentError`.
+    `describe_step` is called with a line of text before each part of the work. Two methods of the same name are an
+    `ArgumentError`.
     """
 
-    def __init__(self, geometry: Geometry, methods: Sequence[Method], progress: Progress) -> None:
+    def __init__(self, geometry: Geometry, methods: Sequence[Method], describe_step: Callable[[str], None]) -> None:
         names = [method.name for method in methods]
         if len(set(names)) < len(names):
             raise ArgumentError("methods", "a name of its own for each", names)
@@ -62,7 +69,7 @@ class Comparison:
         self._differences: dict[tuple[Quantity, str, str], PairDifference] = {}
         self._geometry = geometry
         self._methods = methods
-        self._progress = progress
+        self._describe_step = describe_step
         self._solves_inverse = False
 
     @property
@@ -120,7 +127,7 @@ class Comparison:
         forces: dict[str, FloatArray] = {}
         assembled: dict[str, FloatArray] = {"given state": _points(configuration)}
         for method in self._methods:
-            self._progress(f"{method.name}: Jacobians and forces")
+            self._describe_step(f"{method.name}: Jacobians and forces")
             jacobian, force = method.inverse_jacobian(configuration), method.leg_forces(configuration, wrench)
             built = method.assembled(configuration)
             if jacobian is not None:
@@ -142,7 +149,7 @@ class Comparison:
         """Return a method's branches of poses (n,); None if it solves none of them."""
         if not selected.any():
             return None
-        self._progress(f"{method.name}: branches")
+        self._describe_step(f"{method.name}: branches")
         solutions = method.inverse(poses[selected])
         if solutions is None:
             return None

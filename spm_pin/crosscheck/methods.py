@@ -39,9 +39,13 @@ class Method:
     """A method to compare; a subclass overrides what it can answer."""
 
     geometry: Geometry
-    name: str = ""  #: in the report
-    miss_rate: float = 0.0  #: share of poses at which its route may lose branches
-    share: float = 1.0  #: of the poses that it solves, less than one where that takes long
+    """The manipulator."""
+    name: str = ""
+    """Its name in the report."""
+    miss_rate: float = 0.0
+    """Share of poses at which it may miss branches."""
+    share: float = 1.0
+    """Share of the poses that it solves, less than one where that takes long."""
 
     def inverse(self, pose: RigidTransform) -> SolutionSet | None:
         """Return the branches of poses (N,)."""

@@ -17,6 +17,7 @@ from spm_pin.mechanism.pose import homogeneous
 __all__ = ["command", "in_leg_space", "on_all_rotations", "printable"]
 
 _STEPS = 30
+"""Steps of Newton's method for each stage."""
 
 
 def in_leg_space(geometry: Geometry, count: int, rng: np.random.Generator | int) -> RigidTransform:

@@ -28,23 +28,34 @@ __all__ = ["Report", "compare_in_batches", "compare_methods"]
 LEG_SPACE = 0.8
 """Share of the poses drawn in leg space; the rest have rotations from all of SO(3)."""
 _BATCH = 10
+"""Poses compared before each report."""
 
 Progress = Callable[[str, int, int], None]
+"""Called with a description of the step, the number of poses compared, and of how many."""
 
 
 @dataclass(frozen=True)
 class Report:
     """The outcome of a comparison."""
 
-    geometry: Geometry  #: the manipulator
-    seed: int  #: of the poses and wrenches
-    requested: int  #: number of poses; fewer are in the report of a run that was interrupted
-    translation: FloatArray  #: (N, 3) of the poses compared [m]
-    xyx: FloatArray  #: their X-Y-X angles (N, 3) in degrees
-    reached: int  #: poses with a branch
-    states: int  #: configurations at which Jacobians and forces were compared
-    scores: tuple[MethodScore, ...]  #: one per method
-    differences: tuple[PairDifference, ...]  #: one per pair and quantity
+    geometry: Geometry
+    """The manipulator."""
+    seed: int
+    """Seed of the poses and wrenches."""
+    requested: int
+    """Number of poses asked for; the report of a run that was interrupted has fewer."""
+    translation: FloatArray
+    """Positions of o at the poses compared, in {B} [m], shape (N, 3)."""
+    xyx: FloatArray
+    """Their X-Y-X angles in degrees, shape (N, 3)."""
+    reached: int
+    """Number of poses with a branch."""
+    states: int
+    """Number of configurations at which Jacobians and forces were compared."""
+    scores: tuple[MethodScore, ...]
+    """One per method."""
+    differences: tuple[PairDifference, ...]
+    """One per pair and quantity."""
 
     @property
     def agrees(self) -> bool:

@@ -35,14 +35,23 @@ class PairDifference:
     """
 
     quantity: Quantity
+    """The quantity compared."""
     first: str
-    second: str  #: names of the methods
-    compared: int  #: states at which both answered
-    disagreements: int  #: those at which they differ by more than the tolerance
-    worst: float  #: difference and tolerance where their ratio is largest
+    """Name of the first method."""
+    second: str
+    """Name of the second method."""
+    compared: int
+    """Number of states at which both answered."""
+    disagreements: int
+    """Number of those at which they differ by more than the tolerance."""
+    worst: float
+    """Difference where its ratio to the tolerance is largest, in the quantity's unit."""
     tolerance: float
-    pose: int  #: where that is, counted as in the report
+    """Tolerance there, in the same unit."""
+    pose: int
+    """Number of the pose where that is, counted as in the report."""
     branch: str
+    """Branch of that pose, one of `BRANCHES`."""
 
     @property
     def ratio(self) -> float:
@@ -64,16 +73,27 @@ class MethodScore:
     """Counts of one method: branches found, invented and missed, comparisons lost."""
 
     name: str
-    allowed: float = 0.0  #: share of poses at which it may miss a branch, as it states
-    solved: int = 0  #: poses it was given
-    unsolved: int = 0  #: those at which it reported that it cannot solve them
-    branches: int = 0  #: that it found
-    invented: int = 0  #: those of them whose loops do not close
-    missed: int = 0  #: poses at which it lacks a branch that another method proved, those left unsolved included
-    outvoted: int = 0  #: comparisons at which a majority of the methods contradicts it
-    residual: float = 0.0  #: largest closure residual in units of what it states
-    invented_at: int = -1  #: pose of the first branch invented, and of the first missed; -1 if there is none
+    """The method's name."""
+    allowed: float = 0.0
+    """Share of poses at which it may miss a branch, as it states."""
+    solved: int = 0
+    """Number of poses it was given."""
+    unsolved: int = 0
+    """Number of those that it reported as unsolved."""
+    branches: int = 0
+    """Number of branches it found."""
+    invented: int = 0
+    """Number of those whose loops do not close."""
+    missed: int = 0
+    """Number of poses at which it lacks a branch that another method proved, those left unsolved included."""
+    outvoted: int = 0
+    """Number of comparisons in which a majority of the methods contradicts it."""
+    residual: float = 0.0
+    """Largest closure residual in units of the one it states."""
+    invented_at: int = -1
+    """Pose of the first branch invented; -1 if there is none."""
     missed_at: int = -1
+    """Pose of the first branch missed; -1 if there is none."""
 
     @property
     def pose(self) -> int:

@@ -28,16 +28,21 @@ __all__ = ["ROWS", "Conditioning"]
 ROWS = 3.0
 """√9: from the largest of nine equations to their norm."""
 _SINGULAR = 16.0 * float(np.finfo(np.float64).eps)
+"""Smallest singular value of the loop equations' Jacobian, dimensionless, that counts as zero."""
 
 
 @dataclass(frozen=True)
 class Conditioning:
     """Condition numbers of states (N,), from which errors follow."""
 
-    sigma: FloatArray  #: smallest singular value of the loop equations, dimensionless
-    jacobian: FloatArray  #: error of J_f, angles times d, per metre of closure residual [1/m]
-    inverse: FloatArray  #: |J_f⁻¹|, angles times d, dimensionless
-    side: float  #: d [m]
+    sigma: FloatArray
+    """Smallest singular value of the loop equations' Jacobian, dimensionless, shape (N,)."""
+    jacobian: FloatArray
+    """Error of J_f, angles times d, per metre of closure residual [1/m], shape (N,)."""
+    inverse: FloatArray
+    """|J_f⁻¹|, angles times d, dimensionless, shape (N,)."""
+    side: float
+    """d [m]."""
 
     @classmethod
     def of(cls, configuration: Configuration) -> Conditioning:

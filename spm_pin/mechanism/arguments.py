@@ -53,6 +53,7 @@ BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.intp]
 """An array of indices or counts."""
 Kind = TypeVar("Kind")
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 _PRINTED = 10**20
 """Larger integers are not written out in messages."""
@@ -63,7 +64,7 @@ def first_offender(wrong: BoolArray | np.bool_) -> tuple[int, ...]:
     return tuple(int(i) for i in np.argwhere(wrong)[0])
 
 
-def frozen(array: FloatArray) -> FloatArray:
+def frozen(array: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
     """Return a read-only view of `array`."""
     view = array.view()
     view.flags.writeable = False

@@ -44,8 +44,8 @@ _POINTS = 5
 """Points of each polynomial at which the programme keeps the limits, at first."""
 _ROUNDS = 4
 """Programmes solved at most: each keeps the limits also where the one before did not."""
-_ENOUGH = 0.9995
-"""Share of y that keeps all limits with which no other programme is solved."""
+_ACCEPTED = 0.9995
+"""Share of y, keeping all limits, from which on no other programme is solved."""
 _LEAST = 1e-6
 """Smallest coefficient of y, as a share of the fastest constant y."""
 _LEFT = 1e-12
@@ -109,9 +109,9 @@ def limited_jerk(
     for _ in range(_ROUNDS):
         y = programme.solve(y, top, np.flatnonzero(chosen))
         shares = programme.kept_shares([y(programme.tau, order)[:, None] for order in range(3)])
-        if shares.min() > _ENOUGH:
+        if shares.min() > _ACCEPTED:
             break
-        chosen |= shares < _ENOUGH
+        chosen |= shares < _ACCEPTED
     y = BSpline(knots, float(shares.min()) * y.c, 3)
     nodes, weights = np.polynomial.legendre.leggauss(3)
     half = 0.5 * np.diff(grid.tau)[:, None]
@@ -119,8 +119,8 @@ def limited_jerk(
     times = np.concatenate([[0.0], np.cumsum(steps)])
     reached = BPoly.from_derivatives(times, np.stack([grid.tau, np.sqrt(y(grid.tau)), 0.5 * y(grid.tau, 1)], axis=-1))
 
-    def clock(moments: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        tau = np.clip(reached(moments), 0.0, 1.0)
+    def clock(at: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        tau = np.clip(reached(at), 0.0, 1.0)
         s, s1, s2 = (_EASE[order](tau) for order in range(3))
         return np.clip(s, 0.0, 1.0), s1 * np.sqrt(y(tau)), s2 * y(tau) + 0.5 * s1 * y(tau, 1)
 

@@ -136,7 +136,7 @@ class MotionLimits:
 
 
 def _largest(value: npt.ArrayLike | None, argument: str, unit: str) -> FloatArray | None:
-    """Return one positive limit a leg, shape (6,)."""
+    """Return the positive limits of the legs (6,); None if there are none."""
     if value is None:
         return None
     meaning = f"a limit of each leg or of all in {unit}"

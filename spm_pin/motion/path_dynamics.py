@@ -17,7 +17,7 @@ from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.motion.leg_path import LegPath
-from spm_pin.motion.path_states import Path, platform_motion, states_along
+from spm_pin.motion.path_states import MotionPath, platform_motion, states_along
 from spm_pin.motion.payload import Payload
 from spm_pin.multibody.chain import ClosedChain
 from spm_pin.multibody.constrained_state import ChainState
@@ -40,7 +40,9 @@ class PathDynamics:
     static: FloatArray  # f_c (n, 6) [N]
 
 
-def path_dynamics(chain: ClosedChain, path: Path, parameters: FloatArray, payload: Payload | None) -> PathDynamics:
+def path_dynamics(
+    chain: ClosedChain, path: MotionPath, parameters: FloatArray, payload: Payload | None
+) -> PathDynamics:
     """Return the mechanism along a path; `ArgumentError` where it is out of reach or meets a singularity."""
     states = states_along(chain.geometry, path, parameters)
     if not states.exists.all():

@@ -21,7 +21,7 @@ from spm_pin.workspace.reachability.joint_limits import JointLimits
 __all__ = [
     "ROUNDING",
     "STEP",
-    "Path",
+    "MotionPath",
     "PathRules",
     "least_determinant",
     "line_states",
@@ -36,11 +36,11 @@ STEP = 0.005
 ROUNDING = 1e-9
 """Amount by which a rule may be broken, in its unit: a state at its limit keeps it."""
 
-Path = LegPath | PlatformPath
+MotionPath = LegPath | PlatformPath
 """A path; its parameter goes from 0 to 1, of a `PlatformPath` the share of its duration."""
 
 
-def states_along(geometry: Geometry | AsBuiltGeometry, path: Path, parameters: FloatArray) -> Configuration:
+def states_along(geometry: Geometry | AsBuiltGeometry, path: MotionPath, parameters: FloatArray) -> Configuration:
     """Return the states at parameters (n,) from 0 to 1; some may not exist."""
     if isinstance(path, LegPath):
         return forward_physical(geometry, path(parameters).lengths)

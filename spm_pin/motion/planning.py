@@ -35,7 +35,7 @@ from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.motion.leg_path import LegPath
 from spm_pin.motion.leg_search import find_corners, smooth_path
-from spm_pin.motion.path_states import Path, PathRules, least_determinant, spaced_parameters, states_along
+from spm_pin.motion.path_states import MotionPath, PathRules, least_determinant, spaced_parameters, states_along
 from spm_pin.multibody.joint_layout import require_dimensions
 from spm_pin.multibody.platform_path import PlatformPath
 from spm_pin.proofs import Certificate
@@ -52,7 +52,7 @@ class MotionPlan:
 
     geometry: Geometry | AsBuiltGeometry
     """The machine."""
-    path: Path | None
+    path: MotionPath | None
     """The path, over a parameter from 0 to 1 (a PlatformPath: in "seconds")."""
     method: str
     """"straight in leg lengths", "straight in poses", "around", or "none"."""
@@ -251,7 +251,7 @@ def _no_plan(geometry: Geometry | AsBuiltGeometry, reason: str) -> MotionPlan:
 
 
 def _finished(
-    path: Path, states: Configuration, method: str, reason: str, certificate: Certificate | None
+    path: MotionPath, states: Configuration, method: str, reason: str, certificate: Certificate | None
 ) -> MotionPlan:
     """Return the plan of a path whose states, evenly spaced in its parameter, keep the rules."""
     certified = False

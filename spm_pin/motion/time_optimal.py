@@ -24,7 +24,7 @@ from spm_pin.motion.leg_path import LegPath
 from spm_pin.motion.limited_jerk import Clock, EasedGrid, limited_jerk
 from spm_pin.motion.motion_limits import LimitRows, MotionLimits
 from spm_pin.motion.path_dynamics import PathDynamics, path_dynamics
-from spm_pin.motion.path_states import ROUNDING, Path
+from spm_pin.motion.path_states import ROUNDING, MotionPath
 from spm_pin.motion.payload import Payload
 from spm_pin.motion.planning import MotionPlan
 from spm_pin.multibody.chain import ClosedChain
@@ -143,7 +143,7 @@ def time_optimal(
     raise ArgumentError("grid", expected, received, cause)
 
 
-def _path(path: Any, chain: ClosedChain) -> Path:
+def _path(path: Any, chain: ClosedChain) -> MotionPath:
     if isinstance(path, MotionPlan):
         require_dimensions(path.geometry, chain.geometry, "path", "the chain")
         if path.path is None:
@@ -156,12 +156,12 @@ def _path(path: Any, chain: ClosedChain) -> Path:
     return path
 
 
-def _knots(path: Path) -> FloatArray:
+def _knots(path: MotionPath) -> FloatArray:
     """Return the parameters, from 0 to 1, where the third derivative of a path may jump."""
     return path.knots if isinstance(path, LegPath) else (path.times - path.start) / path.duration
 
 
-def _refuse_events(chain: ClosedChain, along: PathDynamics, path: Path, *, planned: bool) -> None:
+def _refuse_events(chain: ClosedChain, along: PathDynamics, path: MotionPath, *, planned: bool) -> None:
     """Raise `ArgumentError` where a path crosses a singularity or, unless it was planned, a leg limit of the chain.
 
     A path of leg lengths may cross inverse singularities: the legs lead through.

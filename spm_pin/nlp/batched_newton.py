@@ -25,12 +25,13 @@ from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.nlp import loop_equations
 
-__all__ = ["LoopEquations", "RootCertificate", "certify", "isolated", "newton"]
+__all__ = ["LoopEquations", "RootCertificate", "certify_root", "isolated", "newton"]
 
 _EPS = float(np.finfo(np.float64).eps)
 ROUNDING = 16.0 * _EPS
 """Rounding of one loop equation relative to the robot's size: some ten products and sums."""
 _LOST = 1e6
+"""Distance of a point, over the side d and the platform's distance, at which Newton's method has diverged."""
 
 
 class LoopEquations:
@@ -119,7 +120,7 @@ class RootCertificate:
     """Points closer than this are the same solution [m]."""
 
 
-def certify(equations: LoopEquations, b: FloatArray, matrix: FloatArray) -> RootCertificate:
+def certify_root(equations: LoopEquations, b: FloatArray, matrix: FloatArray) -> RootCertificate:
     """Polish one converged point (9,) by a Newton step and certify it, as the module's docstring derives."""
     residual, jacobian = equations(b[None], matrix)
     better = b - _solve(jacobian, residual)[0]
@@ -136,7 +137,7 @@ def certify(equations: LoopEquations, b: FloatArray, matrix: FloatArray) -> Root
 
 
 def isolated(equations: LoopEquations, b: FloatArray, matrix: FloatArray) -> npt.NDArray[np.bool_]:
-    """Return which converged points (n, 9) are proved to be isolated solutions, shape (n,)."""
+    """Test which converged points (n, 9) are proved to be isolated solutions, shape (n,)."""
     return _margins(equations, b, matrix, *equations(b, matrix))[2] > 0.0
 
 

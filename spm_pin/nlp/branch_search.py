@@ -29,8 +29,8 @@ from spm_pin.mechanism.arguments import (
     whole_number,
 )
 from spm_pin.nlp.batched_newton import LoopEquations
+from spm_pin.nlp.ipopt_solver import IpoptSolver
 from spm_pin.nlp.multistart import MOST_BRANCHES, Multistart
-from spm_pin.nlp.solvers import Ipopt
 
 __all__ = ["SOLVERS", "Interrupted", "Search", "inverse_displacement", "search"]
 
@@ -164,7 +164,7 @@ def search(
         options = _options(options, solver)
     transform = as_rigid_transform(pose)
     matrices = transform.as_matrix().reshape(-1, 4, 4)
-    method = Ipopt(geometry, options) if options else _ipopt(geometry) if solver == "ipopt" else None
+    method = IpoptSolver(geometry, options) if options else _ipopt(geometry) if solver == "ipopt" else None
     equations = loop_equations_of(geometry)
     found: list[Multistart] = []
     try:
@@ -179,7 +179,7 @@ def search(
 
 
 loop_equations_of = functools.lru_cache(maxsize=32)(LoopEquations)
-_ipopt = functools.lru_cache(maxsize=32)(Ipopt)
+_ipopt = functools.lru_cache(maxsize=32)(IpoptSolver)
 
 
 def _options(options: Mapping[str, Any], solver: str) -> dict[str, Any]:

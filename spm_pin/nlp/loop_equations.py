@@ -23,6 +23,7 @@ from spm_pin.mechanism.geometry import Geometry
 __all__ = ["closure", "equations", "inverse_jacobian", "leg_jacobian", "leg_lengths", "leg_vectors", "placed_platform"]
 
 _SHAPES = (9, 9), (9, 6), (6, 9), (6, 6)
+"""Shapes of the derivatives that `leg_jacobian` returns."""
 
 
 def _vector(value: npt.ArrayLike) -> ca.DM:

@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.solution_status import Status
-from spm_pin.nlp.batched_newton import LoopEquations, RootCertificate, certify, isolated, newton
-from spm_pin.nlp.solvers import Ipopt
+from spm_pin.nlp.batched_newton import LoopEquations, RootCertificate, certify_root, isolated, newton
+from spm_pin.nlp.ipopt_solver import IpoptSolver
 
 __all__ = ["MOST_BRANCHES", "Multistart", "random_starts", "unseen_probability"]
 
@@ -27,10 +27,15 @@ MOST_BRANCHES = 8
 """Largest number of branches of a pose: the degree of Eq. (19)."""
 
 _ITERATIONS = 60
-_FIRST, _LARGEST, _LAST = 64, 512, 4096
+"""Steps of Newton's method from each start at most."""
+_FIRST_BATCH, _LARGEST_BATCH = 64, 512
+"""Starts made together: at first, doubled each time, and at most."""
+_MOST_STARTS = 4096
+"""Starts at most where the stopping rule is not met."""
 _LEAST_SQUARES = 12
-# One double root in each family at most; more solutions that cannot be isolated are a continuous family.
+"""Starts of the least squares where no start led to a solution."""
 _DOUBLE_ROOTS = 4
+"""Double roots of a pose at most, one in each family; more solutions that are not isolated are a continuous family."""
 
 
 @dataclass
@@ -48,20 +53,20 @@ class Multistart:
     settled: bool = False
     outcomes: Counter[str] = field(default_factory=Counter)
 
-    def run(self, method: Ipopt | None, starts: int | None, risk: float, rng: np.random.Generator) -> None:
+    def run(self, method: IpoptSolver | None, starts: int | None, risk: float, rng: np.random.Generator) -> None:
         """Make `starts` starts, or until the stopping rule is met; `method` None means Newton's method."""
-        size = _FIRST
-        last = _LAST if starts is None else starts
+        size = _FIRST_BATCH
+        last = _MOST_STARTS if starts is None else starts
         while self.starts < last and not (starts is None and self.settled):
             count = min(size, last - self.starts)
             self._extend(method, random_starts(self.equations.geometry, self.matrix, count, rng))
             seen_once = any(self.hits[k] == 1 for k in self.kept)
             self.settled = self.unseen_probability <= risk and not seen_once
-            size = min(2 * size, _LARGEST)
+            size = min(2 * size, _LARGEST_BATCH)
         if not self.certificates:
             self._minimize_residual(random_starts(self.equations.geometry, self.matrix, _LEAST_SQUARES, rng))
 
-    def _extend(self, method: Ipopt | None, starts: FloatArray) -> None:
+    def _extend(self, method: IpoptSolver | None, starts: FloatArray) -> None:
         self.starts += len(starts)
         if method is None:
             ends, converged = newton(self.equations, starts, self.matrix, _ITERATIONS)
@@ -88,7 +93,7 @@ class Multistart:
         if self.continuous and len(ends):
             ends = ends[isolated(self.equations, ends, self.matrix)]
         while len(ends):
-            new = certify(self.equations, ends[0], self.matrix)
+            new = certify_root(self.equations, ends[0], self.matrix)
             same = np.linalg.norm(ends - new.b, axis=-1) <= new.apart
             same[0] = True
             self.certificates.append(new)

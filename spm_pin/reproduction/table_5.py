@@ -18,8 +18,11 @@ from spm_pin.reproduction.cells import Cell, Verdict, matches
 __all__ = ["Diagnosis", "TrueValue", "diagnoses", "rates_and_forces", "true_values"]
 
 _CM = 100.0
+"""Centimetres per metre."""
 _KILO = 1e3
+"""Newtons per kilonewton."""
 _ROWS = ("v", "f")
+"""Names of the rows of Table 5: rates and forces."""
 
 
 @dataclass(frozen=True)

@@ -27,12 +27,12 @@ if TYPE_CHECKING:
     import xarray
     from distributed import Client
 
-__all__ = ["CHUNK", "Progress", "SweepError", "SweepStatus", "open_store", "resume", "run", "status"]
+__all__ = ["CHUNK", "PointProgress", "SweepError", "SweepStatus", "open_store", "resume", "run", "status"]
 
 CHUNK = 2**18
 """Points in a chunk by default: a fraction of a second's work, and two megabytes per metric."""
 
-Progress = Callable[[int, int], None]
+PointProgress = Callable[[int, int], None]
 """A function that is called with the points done and all points."""
 
 
@@ -92,7 +92,7 @@ def run(
     scheduler: str | Client | None = None,
     workers: int | None = None,
     chunk: int = CHUNK,
-    progress: Progress | None = None,
+    progress: PointProgress | None = None,
 ) -> xarray.Dataset:
     """Evaluate metrics over a domain and store them; continue where an earlier run stopped.
 
@@ -156,7 +156,7 @@ def resume(
     *,
     scheduler: str | Client | None = None,
     workers: int | None = None,
-    progress: Progress | None = None,
+    progress: PointProgress | None = None,
 ) -> xarray.Dataset:
     """Continue a sweep from its store alone.
 
@@ -244,7 +244,7 @@ def open_store(store: str | os.PathLike[str]) -> xarray.Dataset:
 
 
 def _run(
-    plan: Plan, path: Path, scheduler: str | Client | None, workers: int | None, progress: Progress | None
+    plan: Plan, path: Path, scheduler: str | Client | None, workers: int | None, progress: PointProgress | None
 ) -> xarray.Dataset:
     require_extra("cluster")
     check_workers(scheduler, workers)

@@ -61,7 +61,7 @@ class ClosedMesh:
 
     @cached_property
     def mesh(self) -> Trimesh:
-        """The same as a `trimesh.Trimesh` in {B} [m], watertight, its normals outward.
+        """The mesh as a `trimesh.Trimesh` in {B} [m], watertight, its normals outward.
 
         Raises
         ------

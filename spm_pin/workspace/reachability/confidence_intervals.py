@@ -33,10 +33,6 @@ class Estimate:
     def __str__(self) -> str:
         return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}] {self.unit}".rstrip()
 
-    def agrees_with(self, other: Estimate) -> bool:
-        """Return whether the two intervals have a number in common."""
-        return self.low <= other.high and other.low <= self.high
-
     def times(self, factor: float, unit: str) -> Estimate:
         """Return the estimate of a multiple."""
         low, high = sorted((self.low * factor, self.high * factor))

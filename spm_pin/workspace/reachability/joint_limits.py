@@ -16,12 +16,13 @@ from spm_pin.mechanism.configuration import check_configuration
 
 __all__ = ["JointLimits", "leg_clearance"]
 
-# Pairs of legs that have no joint in common, in the order of `LEGS`.
 _PAIRS = np.array([(i, j) for i in range(6) for j in range(i + 1, 6) if j != i + 3])
-
+"""Pairs of legs that have no joint in common, by their indices in `LEGS`."""
 _ANGLES = ("hip", "ball_x", "ball_y", "ball_z")
+"""Names of the limits of angles."""
 
 AngleRange = tuple[float, float]
+"""Smallest and largest angle [rad]."""
 
 
 @dataclass(frozen=True)

@@ -84,7 +84,7 @@ def sub_workspaces() -> tuple[SubWorkspace, ...]:
 
 
 def _setting(cell: str) -> Setting:
-    """Return what a cell says; whatever letter stands before it, the limit itself is legible."""
+    """Return the setting in a cell of the table: the limit is legible, whatever letter stands before it."""
     first, *last = cell.replace("~", " ").split()
     return Setting.VARIES if last else Setting(first[-3:])
 

@@ -17,7 +17,15 @@ import numpy.typing as npt
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError, GeometryError, SelectionError
 from spm_pin.mechanism import LEGS, Configuration, Geometry, LegLimits
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, first_offender, real_array, type_and_value, whole_number
+from spm_pin.mechanism.arguments import (
+    BoolArray,
+    FloatArray,
+    first_offender,
+    frozen,
+    real_array,
+    type_and_value,
+    whole_number,
+)
 from spm_pin.workspace.closed_mesh import ClosedMesh, Convergence, enclosed_volume
 from spm_pin.workspace.table_6.patches import SubWorkspace, orientations, sub_workspaces
 from spm_pin.workspace.table_6.winding import ClosedSurface
@@ -176,11 +184,11 @@ def workspace_shell(geometry: Geometry, limits: LegLimits | None = None, *, reso
         faces = np.concatenate([_lofted(grid, sign) for grid, sign in zip(grids, signs, strict=True)])
         volumes.append(enclosed_volume(states.translation, faces))
     outward = 1 if volumes[-1] > 0.0 else -1
-    vertices, faces = states.translation, _fixed(faces[:, ::outward])
+    vertices, faces = states.translation, frozen(faces[:, ::outward])
     areas = ClosedMesh(vertices, faces).face_areas.reshape(len(rows), -1).sum(axis=1)
     numbers = np.arange(len(faces)).reshape(len(rows), -1)
     patches = tuple(
-        Patch(row.name, row.settings, _fixed(grid), _fixed(number), float(area))
+        Patch(row.name, row.settings, frozen(grid), frozen(number), float(area))
         for row, grid, area, number in zip(rows, grids, areas, numbers, strict=True)
     )
     convergence = Convergence((*coarser, n), tuple(outward * volume for volume in volumes))
@@ -230,12 +238,6 @@ def _lofted(grid: Indices, sign: int) -> Indices:
     near, far, across, along = grid[:-1, :-1], grid[1:, 1:], grid[1:, :-1], grid[:-1, 1:]
     triangles = np.stack([near, across, far, near, far, along], axis=-1).reshape(-1, 3)
     return triangles[:, ::sign]
-
-
-def _fixed(array: Indices) -> Indices:
-    view = array.view()
-    view.flags.writeable = False
-    return view
 
 
 def _read_limits(geometry: Geometry, limits: LegLimits | None) -> LegLimits:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from intervals import overlap
 from problems import GEOMETRIES
 from scipy.spatial.transform import Rotation
 
@@ -30,7 +31,7 @@ def boundary() -> Boundary:
 def test_two_methods_agree_on_the_volume() -> None:
     sampled = reachable_volume(PAPER, NARROW, samples=2000, rng=1)
     meshed = reachable_volume(PAPER, NARROW, method="mesh", spacing=0.2)
-    assert sampled.agrees_with(meshed)
+    assert overlap(sampled, meshed)
     assert sampled.unit == meshed.unit == "m³"
     assert 0.0 < sampled.low < sampled.value < sampled.high
     assert sampled.high - sampled.low < 0.2 * sampled.value
@@ -75,7 +76,7 @@ def test_the_volume_of_poses_is_that_of_uniform_poses_in_a_part_of_them() -> Non
     by_poses = from_mean(hit * (2.0 * np.sin(0.5 * angle) / angle) ** 2, region, 0.999, "poses", "m³ rad³")
     assert hit.sum() > 300
     assert inside.sum() > 300
-    assert by_legs.agrees_with(by_poses)
+    assert overlap(by_legs, by_poses)
 
     whole = pose_volume(PAPER, samples=20_000, rng=4)
     assert by_legs.value < whole.value
@@ -97,7 +98,6 @@ def test_text_of_an_estimate() -> None:
     assert str(estimate) == "1.859 [1.853, 1.865] m³"
     assert str(estimate.times(100.0, "")) == "185.9 [185.3, 186.5]"
     assert estimate.times(-1.0, "m³").low == -1.865
-    assert not estimate.agrees_with(estimate.times(2.0, "m³"))
 
 
 def test_volume_outside_the_shell(boundary: Boundary) -> None:
@@ -139,7 +139,7 @@ def test_computation_can_be_interrupted() -> None:
 def test_the_reachable_volume_is_more_than_a_tenth_larger_than_the_shell() -> None:
     sampled = reachable_volume(PAPER, samples=20_000, rng=7)
     meshed = reachable_volume(PAPER, method="mesh", spacing=0.1)
-    assert sampled.agrees_with(meshed)
+    assert overlap(sampled, meshed)
     shell = workspace_shell(PAPER)
     for estimate in (sampled, meshed):
         ratio = estimate.times(1.0 / shell.volume, "")

@@ -14,15 +14,17 @@ from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.nlp import loop_equations
 
-__all__ = ["Ipopt"]
+__all__ = ["IpoptSolver"]
 
 _DEFAULTS: dict[str, Any] = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
-# CasADi swallows a Ctrl-C during a solve and reports it by these alone; the functions here throw nothing else.
+"""Options that the caller's replace: no output, and the tolerance [m]."""
 _INTERRUPTED = ("User_Requested_Stop", "NonIpopt_Exception_Thrown")
+"""Statuses after a Ctrl-C, which CasADi swallows during a solve; the functions here throw nothing else."""
 _UNUSABLE = ("Invalid_Option", "Invalid_Problem_Definition", "Insufficient_Memory", "Internal_Error")
+"""Statuses of options that IPOPT cannot meet."""
 
 
-class Ipopt:
+class IpoptSolver:
     """The square feasibility problem: no objective, the nine loop equations as constraints.
 
     Options that IPOPT or CasADi refuses raise `ArgumentError`, some of them only when the solver is called.
