@@ -73,7 +73,7 @@ def calibrate(
 
 
 def _sizes(found: Calibration) -> list[tuple[str, str, float, float]]:
-    """Return what is compared, its unit, and its root mean square before and after."""
+    """Return each compared quantity, its unit, and its root mean square before and after."""
     rows = []
     for name, unit, part in (("position", "mm", slice(3)), ("orientation", "mrad", slice(3, 6))):
         if found.before[:, part].size:

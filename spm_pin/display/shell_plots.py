@@ -102,7 +102,7 @@ def patch_symbol(name: str) -> str:
 
 
 def _places(shell: Shell, seen: Rendering, room: float) -> list[tuple[Patch, tuple[float, float]]]:
-    """Return where to name each patch: amid what is seen of it, if that is farther than `room` pixels from the rest."""
+    """Return the places of patches' names, amid what is seen of each, if farther than `room` pixels from the rest."""
     left, _, _, top = seen.extent
     pixel = (seen.extent[1] - left) / seen.solid.shape[1]
     found = []

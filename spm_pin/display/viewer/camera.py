@@ -27,7 +27,7 @@ def robot_points(configuration: Configuration, margin: float) -> FloatArray:
 def fit_camera(
     points: FloatArray, view: tuple[float, float], aspect: float, covered: float = 0.0, border: float = 0.06
 ) -> tuple[FloatArray, FloatArray]:
-    """Return where a camera stands and looks at [m], so that points (n, 3) fill the free part of its picture.
+    """Return the position of a camera and the point that it looks at [m], for points (n, 3) to fill its picture.
 
     `view` is the azimuth and elevation of the viewer [degrees], `aspect` width over height of the whole picture. From
     below something covers the share `covered` of it; a `border`, in shares of its height, stays empty at every edge.

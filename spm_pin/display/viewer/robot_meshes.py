@@ -53,7 +53,7 @@ class RobotMeshes:
         self._parts = [mesh.part for mesh in self.meshes]
 
     def placements(self, configuration: Configuration) -> Placements:
-        """Return where configurations (...) put the meshes: arrays of shape (..., n, k)."""
+        """Return positions, rotations and scales of the meshes in configurations (...): arrays of shape (..., n, k)."""
         matrices = part_placements(configuration)[..., self._parts, :, :]
         scales = np.linalg.norm(matrices[..., :3, :3], axis=-2)
         rotations = matrices[..., :3, :3] / scales[..., None, :]
