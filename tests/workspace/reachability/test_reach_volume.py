@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from intervals import overlap
 from problems import GEOMETRIES
 from scipy.spatial.transform import Rotation
+from workspace.reachability.intervals import overlap
 
 import spm_pin as spm
 from spm_pin.workspace.reachability.boundary import Boundary, reachable_boundary
