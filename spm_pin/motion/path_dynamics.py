@@ -73,7 +73,7 @@ def _at(
     """Return q', q'', the twist, f_a, f_b and f_c at one q, from the derivatives of leg lengths or of the platform."""
     state.set(q)
     first = state.joint_rates(rate) if of_legs else state.joint_velocities(rate)
-    twist = state.kinematics.platform @ first
+    twist = state.kinematics.platform_jacobian @ first
     rest = np.zeros(len(q))
     still, moved = (_forces(state, a, np.zeros(6), payload) for a in (rest, first))
     state.set(q, first)

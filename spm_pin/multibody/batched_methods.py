@@ -147,7 +147,7 @@ class ConstrainedMethods:
         generalized forces. Exact at any q.
         """
         shape = 3 * len(self._states.constrained.closures), self._states.constrained.model.nv
-        return self._states.array(lambda state: state.kinematics.closures, shape, q)
+        return self._states.array(lambda state: state.kinematics.constraint_jacobian, shape, q)
 
     def forward_dynamics(
         self,
@@ -220,7 +220,7 @@ class ConstrainedMethods:
 
     def _wrenches(self, wrench: WrenchLike) -> Wrenches:
         constrained = self._states.constrained
-        return read_wrenches(wrench, constrained.model, constrained.layout.platform)
+        return read_wrenches(wrench, constrained.model, constrained.layout.platform_frame)
 
 
 class ChainMethods(ConstrainedMethods):

@@ -28,7 +28,7 @@ from spm_pin.multibody.constrained_model import ConstrainedModel
 from spm_pin.multibody.constrained_state import ChainState
 from spm_pin.multibody.dynamics import require_closed
 from spm_pin.multibody.joint_layout import JointLayout
-from spm_pin.multibody.loading import chain_closures, read_description
+from spm_pin.multibody.loading import description_closures, read_description
 from spm_pin.multibody.mounting import MountedChain, joined
 from spm_pin.multibody.platform_path import PlatformMotion
 from spm_pin.multibody.simulation import ForceFunction, Simulation, simulate
@@ -69,7 +69,7 @@ class ClosedChain(ChainMethods):
         self._urdf, self._geometry, self._prefix = urdf, geometry, prefix
         self._model = pin.buildModelFromXML(urdf)
         self._layout = JointLayout(self._model, geometry, prefix)
-        constrained = ConstrainedModel(self._model, self._layout, chain_closures(geometry, prefix))
+        constrained = ConstrainedModel(self._model, self._layout, description_closures(geometry, prefix))
         self._states = BatchedStates(lambda: ChainState(constrained), self._layout.checked)
 
     @classmethod
@@ -243,10 +243,13 @@ class ClosedChain(ChainMethods):
             If `near` or a member is at a forward or a constraint singularity.
         """
         if near is None:
-            expected = "lengths that the physical assembly mode can have"
-            return self._physical(
-                forward_physical(self._geometry, leg_lengths), "leg_lengths", expected, "A misread leg?"
-            )
+            found = forward_physical(self._geometry, leg_lengths)
+            if not found.exists.all():
+                index = first_offender(~found.exists)
+                received = f"{_listed(np.asarray(leg_lengths, dtype=np.float64)[index])} m"
+                expected = "lengths that the physical assembly mode can have"
+                raise _not_found("leg_lengths", expected, received, index, found.absence or "A misread leg?")
+            return self._layout.values_of(found)
         lengths = read_vectors(leg_lengths, "leg_lengths", 6)
         if (lengths < self._layout.offsets).any():
             worst = np.unravel_index(int((lengths - self._layout.offsets).argmin()), lengths.shape)
@@ -272,8 +275,14 @@ class ClosedChain(ChainMethods):
             If `near` or a member is at an inverse or a constraint singularity.
         """
         if near is None:
-            expected = "poses that a physical branch has"
-            return self._physical(inverse_physical(self._geometry, pose), "pose", expected, "Level, or out of reach?")
+            found = inverse_physical(self._geometry, pose)
+            if not found.exists.all():
+                transform, index = as_rigid_transform(pose), first_offender(~found.exists)
+                place, turn = (x[index] for x in (transform.translation, transform.rotation.as_rotvec()))
+                received = f"o at {_listed(place)} m, turned by the rotation vector {_listed(turn)} rad"
+                expected = "poses that a physical branch has"
+                raise _not_found("pose", expected, received, index, found.absence or "Level, or out of reach?")
+            return self._layout.values_of(found)
         transform = as_rigid_transform(pose)
         poses = transform.rotation.as_matrix(), transform.translation
         return self._follow(ContinuationSolver.to_pose, near, transform.shape, *poses)
@@ -345,16 +354,6 @@ class ClosedChain(ChainMethods):
         start = self.state(self._layout.checked(q0, "q0", single=True))
         return simulate(start, v0, forces, times, wrench, period, stop_at, tolerance, max_step, progress)
 
-    def _physical(self, found: Configuration, argument: str, expected: str, cause: str) -> FloatArray:
-        """Return q of configurations, or raise `ArgumentError` if one does not exist."""
-        exists = found.exists
-        if not exists.all():
-            index = first_offender(~exists)
-            where = f" at batch index {index}" if index else ""
-            cause = f"{found.absence or cause} With near=, the solution on a path from there is found"
-            raise ArgumentError(argument, expected, f"others{where}", cause)
-        return self._layout.values_of(found)
-
     def _follow(
         self, solve: Callable[..., FloatArray], near: npt.ArrayLike, shape: tuple[int, ...], *targets: FloatArray
     ) -> FloatArray:
@@ -366,3 +365,16 @@ class ClosedChain(ChainMethods):
             return ContinuationSolver(state.kinematics).to_each(solve, q, shape, *targets)
 
         return self._states.array(found, (*shape, q.size), q)
+
+
+def _listed(numbers: FloatArray) -> str:
+    """Return numbers (n,) as text, to nine digits."""
+    return f"[{', '.join(f'{number:.9g}' for number in numbers)}]"
+
+
+def _not_found(argument: str, expected: str, received: str, index: tuple[int, ...], reason: str) -> ArgumentError:
+    """Return the error about a member of a batch that has no physical solution, `()` for a single one."""
+    where = f" at batch index {index}" if index else ""
+    sentence = f"{reason[0].upper()}{reason[1:]}{'' if reason.endswith(('.', '?')) else '.'}"
+    cause = f"{sentence} Pass a closed q as near: the solution on the path from there need not be physical."
+    return ArgumentError(argument, expected, f"{received}{where}", cause)

@@ -61,7 +61,7 @@ def project_to_closure(
             return q
         if iteration == max_iterations:
             break
-        jacobian = kinematics.closures[:, free] * layout.units[free]
+        jacobian = kinematics.constraint_jacobian[:, free] * layout.units[free]
         step = np.zeros(q.shape)
         step[free] = layout.units[free] * np.linalg.lstsq(jacobian, -gap.ravel(), rcond=None)[0]
         # To first order a share of the step shrinks the gap by that share: a quarter of that is required.
@@ -81,7 +81,7 @@ def project_to_closure(
 
 def _rounding(q: FloatArray, layout: JointLayout) -> float:
     """Return what rounding may leave of a closed gap [m]: a few eps times the loop length."""
-    return 16.0 * float(np.finfo(np.float64).eps) * float(layout.platforms + layout.distances(q).sum())
+    return 16.0 * float(np.finfo(np.float64).eps) * float(layout.platform_sizes + layout.distances(q).sum())
 
 
 class ContinuationSolver:
@@ -114,7 +114,7 @@ class ContinuationSolver:
             short, gap = target - layout.leg_lengths(q), kinematics.gap.ravel()
             move = np.empty(q.size)
             move[layout.legs] = short
-            opening = gap + kinematics.chain_closures[:, layout.legs] @ short
+            opening = gap + kinematics.chain_constraint_jacobian[:, layout.legs] @ short
             move[layout.passive] = -kinematics.forward_factors.solve(opening)
             return move, max(float(np.abs(short).max()), float(np.abs(gap).max())) / layout.side
 

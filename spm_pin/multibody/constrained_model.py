@@ -160,7 +160,7 @@ class TreeKinematics:
         return self.constrained.differences(np.concatenate(self._points).reshape(-1, 3))
 
     @cached_property
-    def closures(self) -> FloatArray:
+    def constraint_jacobian(self) -> FloatArray:
         """Jc: joint velocities (nv,) to the rates of the gaps, shape (3 n, nv); exact at any q, closed or not."""
         model, data, frames = self.model, self.data, self.constrained.frames
         rows = np.concatenate([pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED) for frame in frames])
@@ -170,66 +170,67 @@ class TreeKinematics:
         """Return the largest distance of two frames that a closure holds together [m]."""
         return math.sqrt(max(x * x + y * y + z * z for x, y, z in self.gap.tolist()))
 
-    def speed(self, v: FloatArray) -> float:
+    def gap_rate_bound(self, v: FloatArray) -> float:
         """Return the largest rate of a gap if all that joint velocities contribute to it had one sign [m/s]."""
-        return float(max(np.abs(self.closures).dot(np.abs(v)).tolist()))
+        return float(max(np.abs(self.constraint_jacobian).dot(np.abs(v)).tolist()))
 
     @property
-    def chain_closures(self) -> FloatArray:
+    def chain_constraint_jacobian(self) -> FloatArray:
         """Jc's columns of the mechanism's own joints, shape (3 n, 18)."""
-        return self.closures if self._chain is None else self.closures[:, self._chain]
+        jacobian = self.constraint_jacobian
+        return jacobian if self._chain is None else jacobian[:, self._chain]
 
     @cached_property
-    def platform(self) -> FloatArray:
+    def platform_jacobian(self) -> FloatArray:
         """Jm: velocities of the mechanism's joints to the twist (v, ω) of m at o, shape (6, 18)."""
-        jacobian = pin.getFrameJacobian(self.model, self.data, self.layout.platform, pin.LOCAL_WORLD_ALIGNED)
+        jacobian = pin.getFrameJacobian(self.model, self.data, self.layout.platform_frame, pin.LOCAL_WORLD_ALIGNED)
         return np.asarray(jacobian if self._chain is None else jacobian[:, self._chain])
 
     def terminal_pose(self) -> tuple[FloatArray, FloatArray]:
         """Return copies of the rotation (3, 3) and the translation (3,) of m."""
-        terminal = self.data.oMf[self.layout.platform]
+        terminal = self.data.oMf[self.layout.platform_frame]
         return terminal.rotation.copy(), terminal.translation.copy()
 
     def corners(self) -> FloatArray:
         """Return b_1, b_2 and b_3 as rows (3, 3)."""
-        return np.array([self.data.oMf[frame].translation for frame in self.layout.corners])
+        return np.array([self.data.oMf[frame].translation for frame in self.layout.corner_frames])
 
     @cached_property
-    def columns(self) -> FloatArray:
+    def velocity_scale(self) -> FloatArray:
         """C: scaled velocities u (18,) to joint velocities, shape (18, 18)."""
-        columns = np.diag(self.layout.units)
+        scale = np.diag(self.layout.units)
         for ball in self.layout.balls:
-            columns[np.ix_(ball, ball)] = np.linalg.inv(self.platform[3:, ball])
-        return columns
+            scale[np.ix_(ball, ball)] = np.linalg.inv(self.platform_jacobian[3:, ball])
+        return scale
 
     def inverse_matrix(self) -> FloatArray:
         """Return K̂, shape (18, 18)."""
-        platform = self.twist_scale[:, None] * (self.platform @ self.columns)
-        return np.concatenate([platform, self.scaled_closures()])
+        platform = self.twist_scale[:, None] * (self.platform_jacobian @ self.velocity_scale)
+        return np.concatenate([platform, self.scaled_constraint_jacobian()])
 
     def forward_matrix(self) -> FloatArray:
         """Return N̂, shape (18, 18)."""
-        return np.concatenate([np.eye(len(self.layout.v))[self.layout.legs], self.scaled_closures()])
+        return np.concatenate([np.eye(len(self.layout.v))[self.layout.legs], self.scaled_constraint_jacobian()])
 
-    def scaled_closures(self) -> FloatArray:
+    def scaled_constraint_jacobian(self) -> FloatArray:
         """Return Jc C / d, shape (12, 18)."""
-        return np.asarray(self.chain_closures @ self.columns) / self.layout.side
+        return np.asarray(self.chain_constraint_jacobian @ self.velocity_scale) / self.layout.side
 
     def singular_values(self) -> SingularValues:
         """Return the smallest singular values of K̂, N̂ and Jc C / d."""
         self.require_ball_angles()
-        matrices = self.inverse_matrix(), self.forward_matrix(), self.scaled_closures()
+        matrices = self.inverse_matrix(), self.forward_matrix(), self.scaled_constraint_jacobian()
         return SingularValues(*(float(np.linalg.svd(m, compute_uv=False)[-1]) for m in matrices))
 
     @cached_property
     def forward_factors(self) -> Factors:
         """Factors of Jc's columns of the passive joints (12, 12), regular where N is; else raises."""
-        return self._factors(self.chain_closures.take(self.layout.passive, axis=1), "forward")
+        return self._factors(self.chain_constraint_jacobian.take(self.layout.passive, axis=1), "forward")
 
     @cached_property
     def inverse_factors(self) -> Factors:
         """Factors of [A Jm; Jc / d] (18, 18), K with rows of one unit; raises where it is singular."""
-        rows = self.twist_scale[:, None] * self.platform, self.chain_closures / self.layout.side
+        rows = self.twist_scale[:, None] * self.platform_jacobian, self.chain_constraint_jacobian / self.layout.side
         return self._factors(np.concatenate(rows), "inverse")
 
     def velocities_of_twists(self) -> FloatArray:
@@ -242,7 +243,7 @@ class TreeKinematics:
         """Return N⁻¹ (ṙ, 0): leg rates (6,) to velocities of the mechanism's joints (18,)."""
         v = np.empty(len(self.layout.v))
         v[self.layout.legs] = leg_rates
-        opening = self.chain_closures[:, self.layout.legs] @ leg_rates
+        opening = self.chain_constraint_jacobian[:, self.layout.legs] @ leg_rates
         v[self.layout.passive] = -self.forward_factors.solve(opening)
         return v
 
@@ -282,7 +283,7 @@ class TreeKinematics:
         factors = Factors(lu, pivots)
         if info > 0 or not _is_regular(matrix, factors):
             scaled = self.forward_matrix() if kind == "forward" else self.inverse_matrix()
-            for concerned, name in ((self.scaled_closures(), "constraint"), (scaled, kind)):
+            for concerned, name in ((self.scaled_constraint_jacobian(), "constraint"), (scaled, kind)):
                 values = np.linalg.svd(concerned, compute_uv=False)
                 if values[-1] <= SINGULAR * values[0] or (name == kind and info > 0):
                     raise SingularConfigurationError(name, float(values[-1]))

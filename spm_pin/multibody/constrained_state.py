@@ -89,7 +89,7 @@ class ConstrainedState:
 
     def constraint_jacobian(self) -> FloatArray:
         """Return the derivative of `closure_gap` by q, shape (12, nv)."""
-        return self.kinematics.closures.copy()
+        return self.kinematics.constraint_jacobian.copy()
 
     def forward_dynamics(self, forces: npt.ArrayLike, wrench: WrenchLike = None, *, gains: Gains = None) -> FloatArray:
         """Return the accelerations of all joints (nv,) under the forces of all actuators, gravity and wrenches."""
@@ -117,7 +117,7 @@ class ConstrainedState:
 
     def _wrench_torques(self, wrench: WrenchLike) -> FloatArray:
         """Return the generalized forces (nv,) of wrenches."""
-        platform = self.constrained.layout.platform
+        platform = self.constrained.layout.platform_frame
         wrenches, frames = read_wrenches(wrench, self.constrained.model, platform, single=True)
         return wrench_torques(self.kinematics, frames, wrenches)
 
@@ -126,7 +126,7 @@ class ConstrainedState:
         layout = self.constrained.layout
         # The actuators do not act on the passive joints: these give λ, and the legs what is left.
         cuts = self.kinematics.forward_factors.solve_transposed(torques.take(layout.passive))
-        return torques.take(layout.legs) - cuts.dot(self.kinematics.chain_closures).take(layout.legs), cuts
+        return torques.take(layout.legs) - cuts.dot(self.kinematics.chain_constraint_jacobian).take(layout.legs), cuts
 
     def _bias(self) -> tuple[FloatArray, FloatArray]:
         """Return the accelerations where no joint accelerates: of the gaps, J̇c v (3 n,), and of m (6,)."""
@@ -136,7 +136,7 @@ class ConstrainedState:
             pin.forwardKinematics(model, data, kinematics.q, self._v, kinematics.still)
             *points, platform = (
                 pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED).vector
-                for frame in (*constrained.frames, constrained.layout.platform)
+                for frame in (*constrained.frames, constrained.layout.platform_frame)
             )
             gaps = constrained.differences(np.concatenate(points).reshape(-1, 6))[:, :3].ravel()
             self._drift = gaps, platform
@@ -151,10 +151,10 @@ class ConstrainedState:
     def _require_closed_accelerations(self, a: FloatArray) -> None:
         """Raise unless the closures allow the accelerations a, to `AGREEMENT`."""
         kinematics, drift = self.kinematics, self._bias()[0]
-        opening, size = largest(kinematics.closures.dot(a) + drift), largest(drift)
+        opening, size = largest(kinematics.constraint_jacobian.dot(a) + drift), largest(drift)
         # The rest of the size takes longer and is rarely needed.
         if opening > AGREEMENT * size and opening > AGREEMENT * (
-            size + kinematics.speed(a) + kinematics.speed(self._v) ** 2 / self.constrained.layout.side
+            size + kinematics.gap_rate_bound(a) + kinematics.gap_rate_bound(self._v) ** 2 / self.constrained.layout.side
         ):
             expected = "joint accelerations that keep the loops closed"
             cause = "joint_accelerations makes them from the platform's, at the velocities v"
@@ -218,7 +218,9 @@ class ChainState(ConstrainedState):
 
     def platform_acceleration(self, a: npt.ArrayLike) -> FloatArray:
         """Return the time derivative of the twist of m (6,) [m/s², rad/s²] for joint accelerations (nv,)."""
-        return np.asarray(self.kinematics.platform @ read_vector(a, "a", self.constrained.model.nv) + self._bias()[1])
+        return np.asarray(
+            self.kinematics.platform_jacobian @ read_vector(a, "a", self.constrained.model.nv) + self._bias()[1]
+        )
 
     def natural_frequencies(self, stiffness: npt.ArrayLike) -> NaturalFrequencies:
         """Return the vibrations Λ ẍ + K x = 0 on elastic legs, of a stiffness K (6, 6) as of `spm_pin.stiffness`."""
@@ -239,15 +241,15 @@ class ChainState(ConstrainedState):
         kinematics, layout, v = self.kinematics, self.constrained.layout, self._v
         model, data, q, scale = kinematics.model, kinematics.data, kinematics.q, kinematics.twist_scale
         x = kinematics.velocities_of_twists()
-        twist = kinematics.platform @ v
+        twist = kinematics.platform_jacobian @ v
         pin.computeJointJacobiansTimeVariation(model, data, q, v)
         *points, platform = (
             pin.getFrameJacobianTimeVariation(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-            for frame in (*self.constrained.frames, layout.platform)
+            for frame in (*self.constrained.frames, layout.platform_frame)
         )
-        closures = self.constrained.differences(np.array(points)[:, :3]).reshape(-1, model.nv)
+        constraint = self.constrained.differences(np.array(points)[:, :3]).reshape(-1, model.nv)
         # K Ẋ = -K̇ X.
-        rows = np.concatenate([scale[:, None] * platform, closures / layout.side])
+        rows = np.concatenate([scale[:, None] * platform, constraint / layout.side])
         x_rate = -kinematics.inverse_factors.solve(rows @ x)
         mass = mass_matrix(kinematics)
         coriolis = x.T @ (mass @ x_rate + pin.computeCoriolisMatrix(model, data, q, v) @ x)
@@ -256,4 +258,4 @@ class ChainState(ConstrainedState):
         return PlatformDynamics(0.5 * (reflected + reflected.T), coriolis, coriolis @ twist, gravity)
 
     def _holding_forces(self, wrench: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-        return self._balance(-(self.kinematics.platform.T @ read_vector(wrench, "wrench", 6)))
+        return self._balance(-(self.kinematics.platform_jacobian.T @ read_vector(wrench, "wrench", 6)))

@@ -142,10 +142,10 @@ def require_closed(kinematics: TreeKinematics, v: FloatArray | None = None, argu
         raise ClosureError(residual, 0, "Rounded or guessed joint values? The method project closes the loops")
     if v is None:
         return
-    opening = largest(kinematics.closures.dot(v))
+    opening = largest(kinematics.constraint_jacobian.dot(v))
     # A leg's own rate is part of the speed, along one axis or more: quicker, and mostly enough.
     rate = largest(v.take(kinematics.constrained.actuated[-6:]))
-    if opening > 0.5 * AGREEMENT * rate and opening > AGREEMENT * kinematics.speed(v):
+    if opening > 0.5 * AGREEMENT * rate and opening > AGREEMENT * kinematics.gap_rate_bound(v):
         expected = "joint velocities that keep the loops closed"
         cause = "joint_velocities makes them from a twist, joint_rates from leg rates"
         raise ArgumentError(argument, expected, f"gaps that open at {opening:.1e} m/s", cause)

@@ -245,7 +245,9 @@ class Integrator:
             margins = [*(lengths - self._limits.minimum).tolist(), *(self._limits.maximum - lengths).tolist()]
         kinematics.evaluate(q)
         kinematics.require_ball_angles()
-        margins.append(float(np.linalg.svd(kinematics.scaled_closures(), compute_uv=False)[-1]) - LEAST_CONSTRAINED)
+        margins.append(
+            float(np.linalg.svd(kinematics.scaled_constraint_jacobian(), compute_uv=False)[-1]) - LEAST_CONSTRAINED
+        )
         matrices = dict(zip(SINGULAR_ENDS, (kinematics.inverse_matrix, kinematics.forward_matrix), strict=True))
         return margins + [float(np.linalg.det(matrices[end]())) for end in self._singular]
 
@@ -266,7 +268,7 @@ class Integrator:
         """Return the state with q closed and v admissible."""
         q, v = self.parts(state)
         q = project_to_closure(q, self._kinematics)
-        jacobian = self._kinematics.closures
+        jacobian = self._kinematics.constraint_jacobian
         across = np.linalg.solve(mass_matrix(self._kinematics), jacobian.T)
         v = v - across @ np.linalg.solve(jacobian @ across, jacobian @ v)
         return np.concatenate([q, v, [state[-1]]])

@@ -52,9 +52,9 @@ class JointLayout:
         self._home_distances = frozen(np.repeat(home_lengths(nominal), 3))
         self.home = frozen(self._home_distances + self.offsets)
         # d, and the platforms' part in the length of a loop [m].
-        self.side, self.platforms = float(nominal.middle_side), float(sum(nominal.dimensions))
-        self.platform = int(model.getFrameId(f"{prefix}terminal_platform"))
-        self.corners = [int(model.getFrameId(f"{prefix}middle_b{i}")) for i in "123"]
+        self.side, self.platform_sizes = float(nominal.middle_side), float(sum(nominal.dimensions))
+        self.platform_frame = int(model.getFrameId(f"{prefix}terminal_platform"))
+        self.corner_frames = [int(model.getFrameId(f"{prefix}middle_b{i}")) for i in "123"]
         # Of a step of order one in each joint: 1 rad, or d.
         self.units = frozen(np.where(np.isin(np.arange(len(JOINTS)), self.legs), self.side, 1.0))
         self._order = np.argsort(self.indices(*ANGLES, *SLIDES))

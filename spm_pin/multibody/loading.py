@@ -25,7 +25,7 @@ from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.mechanism.leg_frames import home_lengths
 from spm_pin.multibody.joint_layout import AGREEMENT, require_dimensions
 
-__all__ = ["chain_closures", "read_description"]
+__all__ = ["description_closures", "read_description"]
 
 LINKS = (
     *("base", "middle_platform", "terminal_platform"),
@@ -38,7 +38,7 @@ UPPER_BALLS = ("middle_b2_upper", "middle_b3_upper")
 """The links at balls of upper legs that only the tree of a machine as built has."""
 
 
-def chain_closures(geometry: Geometry | AsBuiltGeometry, prefix: str) -> tuple[Closure, ...]:
+def description_closures(geometry: Geometry | AsBuiltGeometry, prefix: str) -> tuple[Closure, ...]:
     """Return the closures of the description's tree for these dimensions."""
     closures = read_closures(prefix=prefix)
     return as_built_closures(closures, prefix) if isinstance(geometry, AsBuiltGeometry) else closures

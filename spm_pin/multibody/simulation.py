@@ -147,8 +147,8 @@ def simulate(
 def _wrenches(constrained: ConstrainedModel, wrench: WrenchLike | ForceFunction) -> tuple[ForceCallback, list[int]]:
     """Return the wrenches side by side as a function, and the frames that they act onto."""
     if callable(wrench):
-        return _callback(wrench, "wrench"), [constrained.layout.platform]
-    together, frames = read_wrenches(wrench, constrained.model, constrained.layout.platform, single=True)
+        return _callback(wrench, "wrench"), [constrained.layout.platform_frame]
+    together, frames = read_wrenches(wrench, constrained.model, constrained.layout.platform_frame, single=True)
     return _constant(together), frames
 
 

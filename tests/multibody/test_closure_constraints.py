@@ -95,7 +95,7 @@ def test_the_order_of_the_closures_is_kept() -> None:
     backwards.evaluate(q)
     assert np.array_equal(backwards.gap, robot.closure_gap(q)[::-1])
     found = robot.constraint_jacobian(q).reshape(4, 3, 18)[::-1]
-    assert np.array_equal(backwards.closures.reshape(4, 3, 18), found)
+    assert np.array_equal(backwards.constraint_jacobian.reshape(4, 3, 18), found)
 
 
 def test_other_kinds_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
