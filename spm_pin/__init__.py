@@ -2,7 +2,8 @@
 
 The names of everyday use are here. All else is in public modules: `spm_pin.mechanism` (dimensions, states, sets of
 states), `spm_pin.closed_form` (branches, assembly modes, singularities, paths), `spm_pin.workspace`, `spm_pin.sweeps`,
-`spm_pin.calibration`, `spm_pin.symbolic`, `spm_pin.motion`, `spm_pin.nlp`, `spm_pin.crosscheck` and `spm_pin.errors`.
+`spm_pin.calibration`, `spm_pin.symbolic`, `spm_pin.multibody` (the robot in Pinocchio), `spm_pin.motion`,
+`spm_pin.nlp`, `spm_pin.crosscheck` and `spm_pin.errors`.
 """
 
 from importlib import import_module
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from spm_pin import errors as errors
     from spm_pin import mechanism as mechanism
     from spm_pin import motion as motion
+    from spm_pin import multibody as multibody
     from spm_pin import nlp as nlp
     from spm_pin import sweeps as sweeps
     from spm_pin import symbolic as symbolic
@@ -45,8 +47,7 @@ if TYPE_CHECKING:
     )
     from spm_pin.mechanism import AsBuiltGeometry, Configuration, Geometry, LegLimits, SolutionSet, Status, pose
     from spm_pin.motion import plan, time_optimal
-    from spm_pin.multibody.chain import ClosedChain
-    from spm_pin.multibody.platform_path import PlatformPath
+    from spm_pin.multibody import ClosedChain, PlatformPath
     from spm_pin.proofs import Certificate, certify, largest_certified_limits
 
 __version__ = "0.2.0"
@@ -90,8 +91,8 @@ __all__ = [
 
 # All are imported on first use: the start-up of the command line stays short, and Ctrl-C ends it.
 _MODULES = {"calibration", "closed_form", "crosscheck", "errors", "mechanism", "motion", "nlp", "sweeps", "symbolic"}
-_MODULES |= {"workspace"}
-_HOMES = ("errors", "mechanism", "closed_form", "proofs", "multibody.chain", "multibody.platform_path", "motion")
+_MODULES |= {"multibody", "workspace"}
+_HOMES = ("errors", "mechanism", "closed_form", "proofs", "multibody", "motion")
 
 
 def __getattr__(name: str) -> Any:

@@ -13,11 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio
 import pytest
 
 import spm_pin as spm
 
-MODULES = ("", ".mechanism", ".closed_form", ".workspace", ".motion", ".sweeps", ".calibration", ".nlp", ".crosscheck")
+MODULES = ("", ".mechanism", ".closed_form", ".workspace", ".multibody", ".motion", ".sweeps", ".calibration", ".nlp")
+MODULES += (".crosscheck",)
 
 
 class Foreign:
@@ -70,6 +72,12 @@ def chain() -> spm.ClosedChain:
 @functools.cache
 def q() -> np.ndarray:
     return np.asarray(chain().joint_values(STATE))
+
+
+@functools.cache
+def mounted() -> spm.multibody.MountedChain:
+    """Return a chain on a robot without joints: its q is the chain's."""
+    return chain().mounted_on(pinocchio.Model(), "universe")
 
 
 @functools.cache
@@ -181,12 +189,17 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "calibration.read_measurements.path": measurements_file,
     "calibration.tolerance.states": lambda: 3,
     "calibration.tolerance.tolerances": lambda: {"ball": 1e-4},
+    "ChainState.joint_accelerations_of_legs.leg_accelerations": lambda: np.zeros(6),
     "ClosedChain.from_urdf.path": lambda: None,
     "Configuration.pose": lambda: STATE.pose,
     "Geometry.base_radius": lambda: 0.7,
     "Geometry.platform_radius": lambda: 0.3,
     "Geometry.middle_side": lambda: 0.8,
     "Geometry.from_yaml.path": lambda: Path(__file__).parents[1] / "urdf" / "config" / "geometry.yaml",
+    "MountedChain.join.chain": lambda: q(),
+    "MountedChain.join.other": lambda: np.zeros(0),
+    "MountedChain.join_velocities.chain": lambda: np.zeros(18),
+    "MountedChain.join_velocities.other": lambda: np.zeros(0),
     "PlatformPath.poses": lambda: PATH,
     "principal_stiffness.compliance": lambda: np.eye(6),
     "SolutionSet.nearest.seed": lambda: STATE,
@@ -224,10 +237,12 @@ INPUTS = (
 INSTANCES: dict[str, Callable[[], Any]] = {
     "AsBuiltGeometry": lambda: BUILT,
     "Boundary": boundary,
+    "ChainState": lambda: chain().state(q()),
     "ClosedChain": chain,
     "Geometry": lambda: PAPER,
     "JointLimits": lambda: spm.workspace.JointLimits(hip=(-1.0, 1.0)),
     "LegLimits": lambda: spm.LegLimits(1.1, 1.5),
+    "MountedChain": mounted,
     "PlatformPath": lambda: spm.PlatformPath([0.0, 1.0], PATH),
     "Shell": shell,
     "SolutionSet": lambda: spm.inverse_displacement(PAPER, STATE.pose),
@@ -237,6 +252,7 @@ INSTANCES: dict[str, Callable[[], Any]] = {
 UNCHECKED = (
     "Configuration.from_arrays",  # for solvers, documented to check nothing
     "SolutionSet.pick",  # likewise
+    "ChainState.set",  # likewise
     "ClosedChain.simulate",  # has tests of its own arguments; a call takes long
     "ClosedChain.joint_trajectory",
     "ClosedChain.mounted_on",

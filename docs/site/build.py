@@ -33,6 +33,7 @@ PUBLIC = {
     "spm_pin.workspace": "what the terminal platform reaches: the paper's shell, and the reachable set",
     "spm_pin.calibration": "machines as built identified from measurements, and what tolerances cost",
     "spm_pin.sweeps": "metrics over any number of poses or leg lengths",
+    "spm_pin.multibody": "the robot in Pinocchio: states, dynamics, simulation, mounting on another robot",
     "spm_pin.motion": "paths from one state to another, and the fastest motion along them",
     "spm_pin.nlp": "the loop equations in CasADi, and the branches found from them by multi-start",
     "spm_pin.symbolic": "the closed forms as CasADi functions, and in C for controllers",
