@@ -20,11 +20,12 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.closed_form.stage_wrenches import stage_inverses
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import LEGS, PARAMETERS, AsBuiltGeometry, Configuration, Geometry
+from spm_pin.mechanism import LEGS, PARAMETERS, AsBuiltGeometry, Configuration
 from spm_pin.mechanism.arguments import FloatArray, instance
+from spm_pin.mechanism.as_built import as_built
 from spm_pin.mechanism.configuration import check_configuration
 
-__all__ = ["as_built", "error_jacobian", "invisible_errors", "parameter_scale", "platform_error", "selected"]
+__all__ = ["error_jacobian", "invisible_errors", "parameter_scale", "platform_error", "selected"]
 
 _KINDS = ("direction", "pivot", "ball", "offset")
 
@@ -86,11 +87,6 @@ def error_jacobian(configuration: Configuration) -> FloatArray:
         # Advanced indices move to the front: (2, ..., 6).
         moved[..., leg, :, :] = np.einsum("k...i,...kj->...ij", columns, rows[..., leg, :, :])
     return np.asarray(np.swapaxes(moved, -3, -2).reshape(*state.shape, 6, 54))
-
-
-def as_built(geometry: Geometry | AsBuiltGeometry) -> AsBuiltGeometry:
-    """Return the machine itself, or the one without errors of a `Geometry`."""
-    return geometry if isinstance(geometry, AsBuiltGeometry) else AsBuiltGeometry.from_nominal(geometry)
 
 
 def platform_error(state: Configuration, rotation: FloatArray, position: FloatArray) -> FloatArray:

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.calibration.error_model import as_built, error_jacobian, platform_error, selected
+from spm_pin.calibration.error_model import error_jacobian, platform_error, selected
 from spm_pin.calibration.pose_choice import random_states
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import PARAMETERS, AsBuiltGeometry, Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray, choice, generator, real_array, real_number, whole_number
+from spm_pin.mechanism.as_built import as_built
 from spm_pin.mechanism.configuration import check_configuration
 
 __all__ = ["ToleranceAnalysis", "tolerance"]

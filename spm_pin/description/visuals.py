@@ -88,7 +88,7 @@ def read_obj(path: Path) -> tuple[FloatArray, npt.NDArray[np.int32]]:
 
 
 def part_placements(configuration: Configuration) -> FloatArray:
-    """Return where configurations (...) put the solids of their robot, (..., n, 4, 4) in the order of `visual_parts`.
+    """Return the poses of the solids of configurations (...), shape (..., n, 4, 4), in the order of `visual_parts`.
 
     The matrices go from the vertices of a part to {B}. A state may violate the mechanism's closure; what does not exist
     is NaN. All are rigid, but for the tubes of barrels and rods, whose third column is longer or shorter than 1: a rod

@@ -25,6 +25,7 @@ __all__ = [
     "AsBuiltGeometry",
     "all_balls",
     "any_geometry_from_yaml",
+    "as_built",
     "check_geometry",
     "upper_ball_weights",
 ]
@@ -286,6 +287,11 @@ def _without_errors(geometry: Geometry) -> AsBuiltGeometry:
 def check_geometry(value: Any, argument: str = "geometry") -> Geometry | AsBuiltGeometry:
     """Return `value` if it is a `Geometry` or an `AsBuiltGeometry`, or raise `ArgumentError`."""
     return value if isinstance(value, AsBuiltGeometry) else instance(value, Geometry, argument)
+
+
+def as_built(geometry: Geometry | AsBuiltGeometry) -> AsBuiltGeometry:
+    """Return the machine itself, or the one without errors of a `Geometry`."""
+    return geometry if isinstance(geometry, AsBuiltGeometry) else AsBuiltGeometry.from_nominal(geometry)
 
 
 def upper_ball_weights(geometry: AsBuiltGeometry) -> FloatArray:

@@ -181,11 +181,10 @@ class ConstrainedMethods:
         SingularConfigurationError
             At a constraint singularity. Inverse and forward singularities are no obstacle.
         """
-        wrenches, frames = self._wrenches(wrench)
-        read_gains(gains)
+        (wrenches, frames), stabilisation = self._wrenches(wrench), read_gains(gains)
 
         def member(state: ConstrainedState, force: FloatArray, loads: FloatArray) -> FloatArray:
-            return state.forward_dynamics(force, Wrenches(loads, frames), gains=gains)
+            return state.accelerations_under(force, Wrenches(loads, frames), stabilisation)
 
         shape = (self._states.constrained.model.nv,)
         return self._states.array(member, shape, q, v=v, forces=forces, wrenches=wrenches)
@@ -210,7 +209,7 @@ class ConstrainedMethods:
         wrenches, frames = self._wrenches(wrench)
 
         def member(state: ConstrainedState, a: FloatArray, loads: FloatArray) -> FloatArray:
-            return state.inverse_dynamics(a, Wrenches(loads, frames))
+            return state.forces_for(a, Wrenches(loads, frames))
 
         return self._states.array(member, (self._states.constrained.actuated.size,), q, v=v, a=a, wrenches=wrenches)
 

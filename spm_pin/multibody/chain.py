@@ -29,7 +29,7 @@ from spm_pin.multibody.constrained_state import ChainState
 from spm_pin.multibody.dynamics import require_closed
 from spm_pin.multibody.joint_layout import JointLayout
 from spm_pin.multibody.loading import description_closures, read_description
-from spm_pin.multibody.mounting import MountedChain, joined
+from spm_pin.multibody.mounting import MountedChain, mount
 from spm_pin.multibody.platform_path import PlatformMotion
 from spm_pin.multibody.simulation import ForceFunction, Simulation, simulate
 from spm_pin.multibody.trajectory import JointTrajectory, joint_trajectory
@@ -130,7 +130,7 @@ class ClosedChain(ChainMethods):
         return self._layout.legs.copy()
 
     def joint_indices(self, *names: str) -> npt.NDArray[np.intp]:
-        """Return where joints, named as in the URDF, are in q (n,); `ArgumentError` if there is none of such a name."""
+        """Return the indices in q (n,) of joints named as in the URDF; raise `ArgumentError` for an unknown name."""
         return self._layout.indices(*(name.removeprefix(self._prefix) for name in names))
 
     @cached_property
@@ -159,14 +159,14 @@ class ClosedChain(ChainMethods):
         one of them is malformed, or both robots have a link, joint or frame of the same name: `from_urdf` takes a
         prefix.
         """
-        return joined(self, other, frame, placement, carried=False)
+        return mount(self, other, frame, placement, carried=False)
 
     def carrying(self, other: Any, frame: str = "terminal_platform", placement: Any = None) -> MountedChain:
         """Return this chain with another robot on it, whose universe is fixed to a frame of the chain.
 
         `frame` is named without prefix, `placement` is that of the other robot's universe in it; else as `mounted_on`.
         """
-        return joined(self, other, f"{self._prefix}{frame}", placement, carried=True)
+        return mount(self, other, f"{self._prefix}{frame}", placement, carried=True)
 
     def state(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> ChainState:
         """Return the state of joint values q (18,) and velocities v (18,), by default at rest.

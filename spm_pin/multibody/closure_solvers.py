@@ -80,7 +80,7 @@ def project_to_closure(
 
 
 def _rounding(q: FloatArray, layout: JointLayout) -> float:
-    """Return what rounding may leave of a closed gap [m]: a few eps times the loop length."""
+    """Return the widest gap of closed loops that is rounding [m]: a few eps times the loop length."""
     return 16.0 * float(np.finfo(np.float64).eps) * float(layout.platform_sizes + layout.distances(q).sum())
 
 

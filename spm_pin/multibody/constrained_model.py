@@ -82,7 +82,7 @@ class ConstrainedModel:
         self.actuated = np.concatenate([layout.others, layout.v[layout.legs]])
 
     def differences(self, points: FloatArray) -> FloatArray:
-        """Return what belongs to `frame_b` of each closure less what belongs to `frame_a`, of arrays over `frames`."""
+        """Return, of an array over `frames`, the difference `frame_b` less `frame_a` for each closure."""
         found = self._signs.dot(points.reshape(len(self.frames), -1))
         return np.asarray(found.reshape(-1, *points.shape[1:]))
 

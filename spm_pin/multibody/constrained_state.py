@@ -26,7 +26,15 @@ from spm_pin.multibody.dynamics import (
     wrench_torques,
 )
 from spm_pin.multibody.joint_layout import AGREEMENT
-from spm_pin.multibody.vector_arguments import Gains, WrenchLike, read_gains, read_stiffness, read_vector, read_wrenches
+from spm_pin.multibody.vector_arguments import (
+    Gains,
+    Wrenches,
+    WrenchLike,
+    read_gains,
+    read_stiffness,
+    read_vector,
+    read_wrenches,
+)
 
 __all__ = ["ChainState", "ConstrainedState"]
 
@@ -93,21 +101,31 @@ class ConstrainedState:
 
     def forward_dynamics(self, forces: npt.ArrayLike, wrench: WrenchLike = None, *, gains: Gains = None) -> FloatArray:
         """Return the accelerations of all joints (nv,) under the forces of all actuators, gravity and wrenches."""
-        kinematics, drift_gains = self.kinematics, read_gains(gains)
-        force, torques = read_vector(forces, "forces", self.constrained.actuated.size), self._wrench_torques(wrench)
+        stabilisation, force = read_gains(gains), read_vector(forces, "forces", self.constrained.actuated.size)
+        return self.accelerations_under(force, self._read_wrenches(wrench), stabilisation)
+
+    def accelerations_under(self, forces: FloatArray, wrenches: Wrenches, gains: Gains) -> FloatArray:
+        """Return `forward_dynamics` of arguments that have been read."""
+        kinematics = self.kinematics
         kinematics.require_constrained()
         if gains is None:
             self._require_closed()
-        torques[self.constrained.actuated] += force
-        return self.solver.accelerations(kinematics.q, self._v, torques, drift_gains)
+        torques = wrench_torques(kinematics, wrenches)
+        torques[self.constrained.actuated] += forces
+        return self.solver.accelerations(kinematics.q, self._v, torques, gains)
 
     def inverse_dynamics(self, a: npt.ArrayLike, wrench: WrenchLike = None) -> FloatArray:
         """Return the forces of all actuators for joint accelerations (nv,), under gravity and wrenches."""
+        wanted = read_vector(a, "a", self.constrained.model.nv)
+        return self.forces_for(wanted, self._read_wrenches(wrench))
+
+    def forces_for(self, a: FloatArray, wrenches: Wrenches) -> FloatArray:
+        """Return `inverse_dynamics` of arguments that have been read."""
         kinematics, layout = self.kinematics, self.constrained.layout
-        wanted, load = read_vector(a, "a", self.constrained.model.nv), self._wrench_torques(wrench)
         self._require_closed()
-        self._require_closed_accelerations(wanted)
-        torques = pin.rnea(kinematics.model, kinematics.data, kinematics.q, self._v, wanted) - load
+        self._require_closed_accelerations(a)
+        load = wrench_torques(kinematics, wrenches)
+        torques = pin.rnea(kinematics.model, kinematics.data, kinematics.q, self._v, a) - load
         # Forces in the balls do no work on another robot: its actuators carry the tree's torques.
         return np.concatenate([torques[layout.others], self._balance(torques[layout.v])[0]])
 
@@ -115,11 +133,8 @@ class ConstrainedState:
         """Return the kinetic and the potential energy [J] of all bodies, closed or not."""
         return energy_of(self.kinematics, self._v)
 
-    def _wrench_torques(self, wrench: WrenchLike) -> FloatArray:
-        """Return the generalized forces (nv,) of wrenches."""
-        platform = self.constrained.layout.platform_frame
-        wrenches, frames = read_wrenches(wrench, self.constrained.model, platform, single=True)
-        return wrench_torques(self.kinematics, frames, wrenches)
+    def _read_wrenches(self, wrench: WrenchLike) -> Wrenches:
+        return read_wrenches(wrench, self.constrained.model, self.constrained.layout.platform_frame, single=True)
 
     def _balance(self, torques: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return leg forces (6,) and forces in the cut balls (3 n,) that give the tree's generalized forces (18,)."""

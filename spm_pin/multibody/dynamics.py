@@ -26,6 +26,7 @@ from spm_pin.errors import ArgumentError, ClosureError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.multibody.constrained_model import ConstrainedModel, TreeKinematics
 from spm_pin.multibody.joint_layout import AGREEMENT
+from spm_pin.multibody.vector_arguments import Gains, Wrenches
 
 __all__ = [
     "AccelerationSolver",
@@ -96,13 +97,13 @@ class AccelerationSolver:
         self._each = list(self._constraints)
         self._gains = (0.0, 0.0)
 
-    def accelerations(
-        self, q: FloatArray, v: FloatArray, torques: FloatArray, gains: tuple[float, float] = (0.0, 0.0)
-    ) -> FloatArray:
+    def accelerations(self, q: FloatArray, v: FloatArray, torques: FloatArray, gains: Gains = None) -> FloatArray:
         """Return the joint accelerations (nv,) under generalized forces (nv,), the closures' forces included.
 
-        The gaps e obey ë + gains[1] ė + gains[0] e = 0 in the universe's axes, at any q and v, closed or not.
+        The gaps e obey ë + gains[1] ė + gains[0] e = 0 in the universe's axes, at any q and v, closed or not; without
+        gains, ë = 0.
         """
+        gains = gains or (0.0, 0.0)
         if gains != self._gains:
             for constraint in self._each:
                 constraint.m_baumgarte_parameters.Kp, constraint.m_baumgarte_parameters.Kd = gains
@@ -111,12 +112,12 @@ class AccelerationSolver:
         return np.asarray(pin.constraintDynamics(self._model, self._data, q, v, torques, *constraints).copy())
 
 
-def wrench_torques(kinematics: TreeKinematics, frames: list[int], wrenches: FloatArray) -> FloatArray:
+def wrench_torques(kinematics: TreeKinematics, wrenches: Wrenches) -> FloatArray:
     """Return Σ J_kᵀ w_k (nv,) of wrenches (6 n,) at the origins of n frames, in the axes of the universe."""
     total = np.zeros(kinematics.model.nv)
-    if not frames:
+    if not wrenches.frames:
         return total
-    for frame, wrench in zip(frames, wrenches.reshape(-1, 6), strict=True):
+    for frame, wrench in zip(wrenches.frames, wrenches.vectors.reshape(-1, 6), strict=True):
         jacobian = pin.getFrameJacobian(kinematics.model, kinematics.data, frame, pin.LOCAL_WORLD_ALIGNED)
         total += jacobian.T @ wrench
     return total

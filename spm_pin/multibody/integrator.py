@@ -26,6 +26,7 @@ from spm_pin.mechanism.geometry import LEGS, LegLimits
 from spm_pin.multibody.closure_solvers import project_to_closure
 from spm_pin.multibody.constrained_state import ChainState
 from spm_pin.multibody.dynamics import energy_of, mass_matrix, wrench_torques
+from spm_pin.multibody.vector_arguments import Wrenches
 
 __all__ = ["Ending", "ForceCallback", "Integrator", "SimulationEnd"]
 
@@ -118,7 +119,7 @@ class Integrator:
         return state[: self._size], state[self._size : -1]
 
     def record(self, time: float, state: FloatArray, forces: ForceCallback) -> None:
-        """Keep the motion at one time, unless the last one kept is of that time."""
+        """Record the motion at a time, unless the last record is of that time."""
         if self.rows and self.rows[-1][0] == time:
             return
         q, v = self.parts(state)
@@ -193,42 +194,42 @@ class Integrator:
     ) -> Callable[[float], FloatArray]:
         """Return the closed state as a function of time in a step, at its ends the states known there."""
 
-        def at(moment: float) -> FloatArray:
-            if moment <= begin[0]:
+        def at(time: float) -> FloatArray:
+            if time <= begin[0]:
                 return begin[1]
-            return end[1] if moment >= end[0] else self._closed(np.asarray(dense(moment)))
+            return end[1] if time >= end[0] else self._closed(np.asarray(dense(time)))
 
         return at
 
     def _collapse(self, solver: Any, before: float) -> tuple[float, Ending | None]:
-        """Return where a step ends, and why if before its time: the first leg that has no length left."""
+        """Return the time at which a step ends, with the first leg that has no length left if that ends it early."""
         lengths = self._layout.distances(solver.y[: self._size])
         if lengths.min() >= self._least:
             return float(solver.t), None
         dense = solver.dense_output()
 
-        def length(moment: float, k: int) -> float:
-            left = float(self._layout.distances(np.asarray(dense(moment))[: self._size])[k]) - self._least
+        def length(time: float, k: int) -> float:
+            left = float(self._layout.distances(np.asarray(dense(time))[: self._size])[k]) - self._least
             # Rounding must not take the length away before the step begins.
-            return max(left, np.finfo(np.float64).tiny) if moment <= before else left
+            return max(left, np.finfo(np.float64).tiny) if time <= before else left
 
         short = [int(k) for k in np.flatnonzero(lengths < self._least)]
-        moments = {k: float(brentq(length, before, solver.t, (k,), xtol=1e-15, rtol=1e-14)) for k in short}
-        first = min(short, key=lambda k: moments[k])
-        return moments[first], Ending(SimulationEnd.COLLAPSE, LEGS[first], moments[first])
+        times = {k: float(brentq(length, before, solver.t, (k,), xtol=1e-15, rtol=1e-14)) for k in short}
+        first = min(short, key=lambda k: times[k])
+        return times[first], Ending(SimulationEnd.COLLAPSE, LEGS[first], times[first])
 
     def _first(
-        self, passed: list[int], margins: list[float], at: Callable[[float], FloatArray], before: float, time: float
+        self, passed: list[int], margins: list[float], at: Callable[[float], FloatArray], begin: float, end: float
     ) -> Ending | None:
         """Return the first event passed in a step."""
 
-        def margin(moment: float, k: int) -> float:
-            return self._margins(at(moment))[k]
+        def margin(time: float, k: int) -> float:
+            return self._margins(at(time))[k]
 
         found = []
         for k in passed:
-            moment = before if margins[k] == 0.0 else float(brentq(margin, before, time, (k,), xtol=1e-15, rtol=1e-14))
-            found.append(Ending(*self._events[k], moment))
+            time = begin if margins[k] == 0.0 else float(brentq(margin, begin, end, (k,), xtol=1e-15, rtol=1e-14))
+            found.append(Ending(*self._events[k], time))
         return min(found, key=lambda ending: ending.time, default=None)
 
     def _passed(self, k: int, margin: float, following: float) -> bool:
@@ -238,7 +239,7 @@ class Integrator:
         return following < 0.0
 
     def _margins(self, state: FloatArray) -> list[float]:
-        """Return what is positive inside a limit, or changes its sign at a singularity, for each event."""
+        """Return a margin for each event: positive inside a limit, of another sign beyond a singularity."""
         q, kinematics, margins = state[: self._size], self._kinematics, []
         if self._limits is not None:
             lengths = self._layout.leg_lengths(q)
@@ -258,9 +259,9 @@ class Integrator:
         force = forces(time, q, v)
         torques = np.zeros(self._size)
         if self._frames:
-            wrenches = self._wrenches(time, q, v)
+            wrenches = Wrenches(self._wrenches(time, q, v), self._frames)
             self._kinematics.evaluate(q)
-            torques += wrench_torques(self._kinematics, self._frames, wrenches)
+            torques += wrench_torques(self._kinematics, wrenches)
         torques[self._layout.legs] += force
         return self._solver.accelerations(q, v, torques), force, float(torques @ v)
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from spm_pin.description.tree import ANGLES, JOINTS, SLIDES
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.mechanism.arguments import FloatArray, first_offender, frozen
-from spm_pin.mechanism.as_built import AsBuiltGeometry
+from spm_pin.mechanism.as_built import AsBuiltGeometry, as_built
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry
 from spm_pin.mechanism.joint_angles import joint_angles
@@ -60,7 +60,7 @@ class JointLayout:
         self._order = np.argsort(self.indices(*ANGLES, *SLIDES))
 
     def indices(self, *names: str) -> npt.NDArray[np.intp]:
-        """Return where joints, named without prefix, are among the eighteen, shape (n,)."""
+        """Return the indices (n,) among the eighteen of joints named without prefix."""
         unknown = [name for name in names if name not in self._place]
         if unknown:
             raise ArgumentError("names", f"joints: {', '.join(JOINTS)}", ", ".join(map(repr, unknown)))
@@ -133,7 +133,7 @@ def _require_as_built(
     received_kind, expected_kind = (
         "a nominal machine" if isinstance(g, Geometry) else "a machine as built" for g in both
     )
-    found, sought = (AsBuiltGeometry.from_nominal(g) if isinstance(g, Geometry) else g for g in both)
+    found, sought = map(as_built, both)
     for name in ("axes", "pivots", "balls", "offsets"):
         unit, symbol = (1.0, "rad") if name == "axes" else (sought.nominal.middle_side, "m")
         apart = np.abs(getattr(found, name) - getattr(sought, name)).reshape(len(LEGS), -1).max(axis=-1)

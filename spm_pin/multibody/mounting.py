@@ -16,7 +16,7 @@ from spm_pin.multibody.constrained_state import ConstrainedState
 from spm_pin.multibody.joint_layout import JointLayout
 from spm_pin.multibody.vector_arguments import read_vectors
 
-__all__ = ["MountedChain", "joined"]
+__all__ = ["MountedChain", "mount"]
 
 Indices = npt.NDArray[np.intp]
 
@@ -54,7 +54,7 @@ class MountedChain(ConstrainedMethods):
         return f"<MountedChain: {self.chain!r} and {self._other.name}, {self.model.nv} degrees of freedom of the tree>"
 
     def _places(self, tree: Any) -> tuple[Indices, Indices]:
-        """Return where the q and the v of one of the two trees are, in its own order."""
+        """Return the indices in q and in v of the joints of one of the two trees, in its own order."""
         q, v = np.empty(tree.nq, dtype=np.intp), np.empty(tree.nv, dtype=np.intp)
         for part in tree.joints[1:]:
             joint = self.model.joints[self.model.getJointId(tree.names[part.id])]
@@ -113,7 +113,7 @@ def _together(other: npt.ArrayLike, other_place: Indices, chain: npt.ArrayLike, 
     return whole
 
 
-def joined(chain: Any, other: Any, frame: str, placement: Any, *, carried: bool) -> MountedChain:
+def mount(chain: Any, other: Any, frame: str, placement: Any, *, carried: bool) -> MountedChain:
     """Return a chain on another robot or with it; see `ClosedChain.mounted_on` and `ClosedChain.carrying`."""
     if isinstance(other, pin.Model):
         other = pin.RobotWrapper(other)

@@ -35,9 +35,9 @@ class PlatformPath:
     Parameters
     ----------
     times : array_like, shape (n,)
-        When to be where [s], increasing, at least two.
+        Times of the poses [s], increasing, at least two.
     poses : RigidTransform or array_like (n, 4, 4)
-        Where: of {m} in {B}.
+        Poses of the terminal platform at these times, {m} in {B}.
     ease : bool
         Start from rest and end at rest, without acceleration: the path is gone through on a clock that runs from the
         first to the last time as 10 x³ - 15 x⁴ + 6 x⁵. The poses between are then met at other times.
@@ -49,18 +49,18 @@ class PlatformPath:
     """
 
     def __init__(self, times: npt.ArrayLike, poses: PoseLike, *, ease: bool = False) -> None:
-        moments = increasing_times(times, least=2)
+        knots = increasing_times(times, least=2)
         transforms = as_rigid_transform(poses, "poses")
-        if transforms.shape != moments.shape:
-            raise PoseError("poses", f"one for each of {moments.size} times", f"shape {transforms.shape}")
-        self._times = moments
+        if transforms.shape != knots.shape:
+            raise PoseError("poses", f"one for each of {knots.size} times", f"shape {transforms.shape}")
+        self._times = knots
         self._ease = flag(ease, "ease")
-        self._translation = CubicSpline(moments, transforms.translation)
-        self._rotation = RotationSpline(moments, transforms.rotation)
+        self._translation = CubicSpline(knots, transforms.translation)
+        self._rotation = RotationSpline(knots, transforms.rotation)
 
     @property
     def times(self) -> FloatArray:
-        """When it passes the poses [s], shape (n,), if not eased; a copy."""
+        """Times of the poses [s], shape (n,), as given, before easing; a copy."""
         return self._times.copy()
 
     @property
@@ -86,19 +86,19 @@ class PlatformPath:
         ArgumentError
             If a time is not finite, or outside.
         """
-        moments = real_array(times, "times", (), "in seconds")
+        t = real_array(times, "times", (), "in seconds")
         begin, until = self.start, self.end
-        outside = (moments < begin) | (moments > until)
+        outside = (t < begin) | (t > until)
         if outside.any():
-            raise ArgumentError("times", f"times from {begin:g} to {until:g} s", f"{moments[outside].flat[0]:g}")
-        clock, rate, rate_change = moments, np.ones_like(moments), np.zeros_like(moments)
+            raise ArgumentError("times", f"times from {begin:g} to {until:g} s", f"{t[outside].flat[0]:g}")
+        clock, rate, rate_change = t, np.ones_like(t), np.zeros_like(t)
         if self._ease:
-            x = (moments - begin) / self.duration
+            x = (t - begin) / self.duration
             # Rounding must not run past the end.
             clock = np.clip(begin + self.duration * x**3 * (10.0 - 15.0 * x + 6.0 * x**2), begin, until)
             rate = 30.0 * x**2 * (1.0 - x) ** 2
             rate_change = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / self.duration
-        flat, shape = clock.reshape(-1), moments.shape
+        flat, shape = clock.reshape(-1), t.shape
         rotation = self._rotation(flat)
         # SciPy's angular rates are in {m}; in {B} their derivative is that in {m}, because ω × ω = 0.
         first, second = (

@@ -31,7 +31,7 @@ class Wrenches(NamedTuple):
     frames: list[int]
 
 
-WrenchLike = npt.ArrayLike | Mapping[str, npt.ArrayLike] | Wrenches | None
+WrenchLike = npt.ArrayLike | Mapping[str, npt.ArrayLike] | None
 """A wrench (6,) on the platform, wrenches by the name of their frame, or none."""
 Gains = tuple[float, float] | None
 """Gains of the constraint stabilisation on gap [1/s²] and gap rate [1/s], or none."""
@@ -87,8 +87,6 @@ def read_wrenches(wrench: WrenchLike, model: Any, platform: int, *, single: bool
     read = read_vector if single else read_vectors
     if wrench is None:
         return Wrenches(np.empty((0,)), [])
-    if isinstance(wrench, Wrenches):
-        return wrench
     if not isinstance(wrench, Mapping):
         return Wrenches(read(wrench, "wrench", 6), [platform])
     unknown = [name for name in wrench if not (isinstance(name, str) and model.existFrame(name))]
@@ -103,10 +101,10 @@ def read_wrenches(wrench: WrenchLike, model: Any, platform: int, *, single: bool
     return Wrenches(together, [int(model.getFrameId(name)) for name in wrench])
 
 
-def read_gains(gains: Gains) -> tuple[float, float]:
-    """Return the gains of a drift control, zero by default, or raise `ArgumentError`."""
+def read_gains(gains: Gains) -> Gains:
+    """Return the gains of a drift control, or raise `ArgumentError`."""
     if gains is None:
-        return 0.0, 0.0
+        return None
     array = real_array(gains, "gains", (2,), "kp in 1/s² and kd in 1/s")
     if array.ndim != 1 or (array < 0.0).any():
         raise ArgumentError("gains", "a pair (kp, kd), not negative", repr(gains))
