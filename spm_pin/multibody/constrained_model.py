@@ -171,8 +171,15 @@ class TreeKinematics:
         return math.sqrt(max(x * x + y * y + z * z for x, y, z in self.gap.tolist()))
 
     def gap_rate_bound(self, v: FloatArray) -> float:
-        """Return the largest rate of a gap if all that joint velocities contribute to it had one sign [m/s]."""
-        return float(max(np.abs(self.constraint_jacobian).dot(np.abs(v)).tolist()))
+        """Return the largest rate of a gap if all that joint velocities contribute to its ends had one sign [m/s]."""
+        rates = np.abs(v)
+        bound = float(max(np.abs(self.constraint_jacobian).dot(rates).tolist()))
+        if self._chain is None:
+            return bound
+        # Another robot moves both ends of a gap alike: what is left of the difference is rounding of their speeds.
+        others, model, data = self.layout.others, self.model, self.data
+        ends = (pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED) for frame in self.constrained.frames)
+        return bound + max(float(np.abs(end[:3, others]).dot(rates[others]).max()) for end in ends)
 
     @property
     def chain_constraint_jacobian(self) -> FloatArray:

@@ -178,3 +178,18 @@ def test_invalid_mountings_are_refused() -> None:
         both.forward_dynamics(q, v, np.zeros(6))
     with pytest.raises(ArgumentError, match=r"^chain: expected leading axes"):
         both.join(np.zeros((2, 6)), np.zeros((3, 18)))
+
+
+@pytest.mark.parametrize(("name", "way"), CASES)
+@pytest.mark.parametrize("speed", [1e-3, 1.0, 30.0])
+def test_the_arm_moves_alone_with_the_legs_held(name: str, way: str, speed: float) -> None:
+    """Both ends of a gap have the arm's speed: rounding of their difference is no velocity that opens the loops."""
+    both = mounted(name, way)
+    q, v = state(both, name, seed=510)
+    v *= speed
+    v[both.chain_indices] = 0.0
+    a = both.forward_dynamics(q, v, np.zeros(both.actuated_indices.size))
+    assert np.abs(both.inverse_dynamics(q, v, a)).max() <= 1e-9 * max(1.0, np.abs(a).max())
+    v[both.chain_indices[3]] = 1e-3 * speed
+    with pytest.raises(ArgumentError, match="keep the loops closed"):
+        both.inverse_dynamics(q, v, a)
