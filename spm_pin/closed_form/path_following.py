@@ -32,7 +32,7 @@ from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import as_rigid_transform
 from spm_pin.mechanism.solutions import SolutionSet
 
-__all__ = ["CertifiedLimits", "FollowedPath", "follow", "home_mode_share", "last_on_line"]
+__all__ = ["CertifiedLimits", "FollowedPath", "follow", "last_on_line", "physical_mode_share"]
 
 LONGEST_MOVE = 0.1
 """A joint moves at most this share of d in a step, so that no turn is missed."""
@@ -137,7 +137,7 @@ def follow(
     return FollowedPath(np.array(tracker.parameters), found, tuple(tracker.labels), ordered, covered)
 
 
-def home_mode_share(
+def physical_mode_share(
     geometry: Geometry, start: FloatArray, ends: FloatArray, *, parts: int = 16, rounds: int = 3
 ) -> FloatArray:
     """Return the shares of straight lines of leg lengths to which the physical mode lasts, shape (n,).
@@ -164,7 +164,7 @@ def last_on_line(start: Configuration, leg_lengths: FloatArray) -> tuple[Configu
     if not physical(start):
         path = follow(geometry, np.stack([lengths, leg_lengths]), start, samples=4)
         return path.configurations[-1], float(path.parameters[-1])
-    share = float(home_mode_share(geometry, lengths, leg_lengths[None])[0])
+    share = float(physical_mode_share(geometry, lengths, leg_lengths[None])[0])
     return forward_physical(geometry, lengths + share * (leg_lengths - lengths)) if share else start, share
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from spm_pin.closed_form.path_following import home_mode_share
+from spm_pin.closed_form.path_following import physical_mode_share
 from spm_pin.mechanism import Configuration
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.branches import physical
@@ -49,6 +49,6 @@ def leg_ranges(configuration: Configuration) -> FloatArray:
     low, high = np.minimum(low, now), np.maximum(high, now)
     if physical(configuration) and (limits is None or not np.isfinite(limits.maximum).all()):
         for ends in (low, high):
-            shares = home_mode_share(geometry, now, now + np.diag(ends - now), parts=_STEPS, rounds=1)
+            shares = physical_mode_share(geometry, now, now + np.diag(ends - now), parts=_STEPS, rounds=1)
             ends[:] = now + shares * (ends - now)
     return np.stack([low, high], axis=-1)
