@@ -33,7 +33,7 @@ lint: $(VENV)/.test
 	$(BIN)/lint-imports --no-logo
 
 # The documentation as a static site in build/site, its theory as build/theory.pdf; `make figures` draws its figures anew,
-# but for those of the viewer, which need Chromium: docs/site/viewer_figures.py.
+# but for those of the viewer, which need Chromium: docs/site/viewer_figures.py; and MuJoCo's, docs/site/engine_figure.py.
 docs: $(VENV)/.test
 	$(BIN)/python docs/site/build.py build/site
 	$(BIN)/python docs/site/theory_pdf.py build/theory.pdf

@@ -10,7 +10,6 @@ from importlib.util import find_spec
 from typing import Any
 
 __all__ = [
-    "EXTRAS",
     "ArgumentError",
     "ClosureError",
     "DescriptionError",
@@ -21,9 +20,7 @@ __all__ = [
     "SelectionError",
     "SingularConfigurationError",
     "SpmError",
-    "require_extra",
 ]
-
 
 EXTRAS = {
     "cluster": ("zarr", "xarray", "dask", "distributed", "filelock", "google_crc32c"),
@@ -32,7 +29,7 @@ EXTRAS = {
     "viewer": ("viser", "websockets", "trimesh"),
     "workspace": ("trimesh", "skimage"),
 }
-"""Packages that the optional extras bring, by the names under which they are imported."""
+"""Packages looked for, of those that the optional extras bring, by the names under which they are imported."""
 
 _LONGEST = 500
 """Characters of a received value that a message shows."""

@@ -87,9 +87,7 @@ def _threads(section: Section, pace: Pace, progress: Progress, facts: Facts, per
     jobs = {
         "`inverse_displacement`": package.inverse((GEOMETRY, poses)).call,
         "`inverse_physical`, a fifth of the memory": package.inverse_physical((GEOMETRY, poses)).call,
-        "memory written before filled, a kilobyte each": lambda: parallel_for(
-            lambda part: memory[part].fill(1.0), n, 1
-        ),
+        "memory filled that was written before, a kilobyte a pose": fill,
     }
 
     def shared(job: str, number: int) -> TimedCall:

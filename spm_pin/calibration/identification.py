@@ -51,9 +51,10 @@ class Calibration:
     """Combinations that change no measurement of this kind, such as a shift of {n}, shape (k, 54); kept at their
     initial values."""
     before: FloatArray
-    """Predicted less measured poses before: displacement [m], rotation vector [rad], in {B}, shape (N, 6) or (N, 3)."""
+    """Predicted less measured poses before the identification: displacement [m] and rotation vector [rad] in {B}, shape
+    (N, 6), or displacement alone (N, 3)."""
     residuals: FloatArray
-    """The same after."""
+    """The same after the identification, of the same units and shape."""
     misfit: FloatArray
     """Residuals in units of their expected errors, root mean square of a measurement, shape (N,); 1 is as expected."""
     outliers: BoolArray

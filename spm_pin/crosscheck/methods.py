@@ -105,6 +105,7 @@ class Paper(Method):
     name: str = "paper"
     miss_rate: float = 0.05
     mistakes: Table5Mistakes = CORRECT
+    """Mistakes of the paper's Table 5 to repeat; none by default."""
 
     def inverse(self, pose: RigidTransform) -> SolutionSet:
         """Solve poses (N,)."""
@@ -139,6 +140,7 @@ class Nlp(Method):
     name: str = "nlp"
     miss_rate: float = 1e-3
     solver: str = "newton"
+    """One of `spm_pin.nlp.SOLVERS`."""
 
     def __post_init__(self) -> None:
         self._nlp = import_module("spm_pin.nlp")

@@ -22,7 +22,7 @@ __all__ = [
     "description_file",
 ]
 
-# Of files that `spm_pin.description` names, that says what they are.
+# Names of files; `spm_pin.description` says what each is.
 ENTRY = "spm.urdf.xacro"
 URDF = "spm.urdf"
 SRDF = "spm.srdf"

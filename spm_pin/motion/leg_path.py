@@ -18,8 +18,11 @@ class LegMotion(NamedTuple):
     """Leg lengths r_b1 to r_c3 along a path, (..., 6) [m], and their derivatives per unit of its parameter."""
 
     lengths: FloatArray
+    """Leg lengths [m]."""
     first: FloatArray
+    """First derivatives [m]."""
     second: FloatArray
+    """Second derivatives [m]."""
 
 
 class LegPath:

@@ -95,7 +95,7 @@ def time_optimal(
     ArgumentError
         If an argument is malformed, the plan is one of other dimensions, no limit bounds the acceleration, the path
         leaves the physical mode or meets a singularity, with the parameter where, or the forces cannot even hold the
-        machine at rest somewhere; if the rows of every motion that is tried exceed a limit between points of `grid`.
+        machine at rest somewhere; if every motion that is tried exceeds a limit between points of `grid`.
     MissingExtraError
         Without the extra "motion", which `leg_jerks` does not need.
 

@@ -45,6 +45,7 @@ class Energy(NamedTuple):
     """Energy of all moving bodies [J], floats or arrays (...)."""
 
     kinetic: Any
+    """Of the motion."""
     potential: Any
     """Of gravity, zero at the height of the universe's origin."""
 

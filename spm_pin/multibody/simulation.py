@@ -48,15 +48,15 @@ class Simulation:
     a: FloatArray
     """Joint accelerations, shape (n, 18)."""
     leg_lengths: FloatArray
-    """[m], shape (n, 6)."""
+    """Leg lengths [m], shape (n, 6)."""
     leg_forces: FloatArray
-    """What the actuators gave [N], shape (n, 6); positive pushes."""
+    """Forces of the actuators [N], shape (n, 6); positive pushes."""
     kinetic: FloatArray
     """Kinetic energy of all bodies [J], shape (n,)."""
     potential: FloatArray
     """Potential energy of all bodies [J], shape (n,)."""
     work: FloatArray
-    """Of the leg forces and the wrenches since the start [J], shape (n,)."""
+    """Work of the leg forces and the wrenches since the start [J], shape (n,)."""
     closure_gap: FloatArray
     """The widest of the four gaps [m], shape (n,)."""
     end: SimulationEnd

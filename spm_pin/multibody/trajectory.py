@@ -30,14 +30,14 @@ class JointTrajectory:
     joint_names: tuple[str, ...]
     """As in the URDF, in the order of the columns."""
     times: FloatArray
-    """[s], shape (n,)."""
+    """Times [s], shape (n,)."""
     positions: FloatArray
-    """[rad, m], shape (n, 18); a slide is its leg's length less that at home. Angles are continuous in time, and not
-    reduced to one turn."""
+    """Joint values [rad, m], shape (n, 18); a slide is its leg's length less that at home. Angles are continuous in
+    time, and not reduced to one turn."""
     velocities: FloatArray
-    """[rad/s, m/s], shape (n, 18)."""
+    """Joint velocities [rad/s, m/s], shape (n, 18)."""
     accelerations: FloatArray
-    """[rad/s², m/s²], shape (n, 18)."""
+    """Joint accelerations [rad/s², m/s²], shape (n, 18)."""
     efforts: FloatArray
     """Of the actuators under gravity [N], shape (n, 18); zero in passive joints."""
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, instance, real_array, real_number, whole_number
-from spm_pin.mechanism.as_built import AsBuiltGeometry, check_geometry
+from spm_pin.mechanism.as_built import AsBuiltGeometry, as_built, check_geometry
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.mechanism.stage_states import configuration_of_stages, stage_states
@@ -286,10 +286,9 @@ def _widened(geometry: Geometry, errors: tuple[float, float]) -> tuple[float, fl
 
 def _deviation(machine: Geometry | AsBuiltGeometry, nominal: Geometry) -> tuple[float, float]:
     """Return the largest errors of a machine's lengths [m] and axes [rad] against a nominal geometry."""
-    if isinstance(machine, Geometry):
-        if machine.dimensions == nominal.dimensions:
-            return 0.0, 0.0
-        machine = AsBuiltGeometry.from_nominal(machine)
+    if isinstance(machine, Geometry) and machine.dimensions == nominal.dimensions:
+        return 0.0, 0.0
+    machine = as_built(machine)
     nominal_parameters = AsBuiltGeometry.from_nominal(nominal).parameters
     # Directions of the axes are counted from the nominal ones, which are the same for all dimensions.
     errors = np.abs(machine.parameters - nominal_parameters).reshape(6, 9)

@@ -41,7 +41,8 @@ class Diagnosis:
 
     row: str
     mistakes: Table5Mistakes
-    values: tuple[float, ...]  # all six, so that the empty cell is recovered too
+    values: tuple[float, ...]
+    """All six values of the row, so that the empty cell is recovered too."""
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -41,7 +41,8 @@ class SolvedTwice:
     label: str
     paper: complex
     closed_form: complex
-    difference: float  # largest over the nine coordinates, cm
+    difference: float
+    """Largest difference of the nine coordinates [cm]."""
 
 
 @dataclass(frozen=True)

@@ -110,8 +110,10 @@ class Convergence:
     A mesh's error is a series in even powers of 1/n, so a polynomial in 1/n² through the values leads to its limit.
     """
 
-    resolutions: tuple[int, ...]  # growing; the last one is the shell's
-    volumes: tuple[float, ...]  # what their meshes enclose [m³]
+    resolutions: tuple[int, ...]
+    """Resolutions n of the meshes, growing."""
+    volumes: tuple[float, ...]
+    """Volumes that the meshes enclose [m³]."""
 
     @property
     def limit(self) -> float:

@@ -22,7 +22,6 @@ from spm_pin.proofs.unique_state import has_one_state
 
 PAPER = spm.Geometry.paper()
 LIMITS = spm.LegLimits(1.1, 1.5)
-ROOT_3 = 3.0**0.5
 
 
 @pytest.fixture(scope="module")

@@ -94,7 +94,7 @@ def all_branches(
     joints, lengths, discriminants : ndarray, shapes (N, 8, 3, 3), (N, 8, 6) and (N, 4), written
         b_i [m], leg lengths [m], discriminants over r².
     choice : ndarray, shape (N, 3), written
-        Whether a real machine can be in TT+, in TT-, and whether TT- is tilted less.
+        Whether TT+ is physical, whether TT- is, and whether TT- is tilted less.
     status, flagged : ndarray, shape (N,), written
         0 or 1, the first two of `Status`, continuous families not counted; and bit k for a continuous family k,
         `VERTICAL`.
@@ -131,7 +131,7 @@ def physical_branches(
     joints: FloatArray,
     lengths: FloatArray,
 ) -> None:
-    """Solve N poses for the branch that a real machine is in, which is TT+ or TT-.
+    """Solve N poses for the physical branch, which is TT+ or TT-.
 
     Arguments as for `all_branches`, and the least and largest leg lengths (2, 6) [m], which decide between two; then
     the smaller tilt does. Poses, joints (N, 3, 3) and lengths (N, 6) are NaN where there is no such branch.

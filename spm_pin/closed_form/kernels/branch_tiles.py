@@ -346,7 +346,7 @@ def put_branch(branch: int, tiles: Tiles, roots: FloatArray, e: float, joints: F
 
 @jit_inline
 def put_aspect(branch: int, poses: FloatArray, e: float, c: float, joints: FloatArray, aspects: FloatArray) -> None:
-    """Write whether a real machine can be in a branch TT, leg limits aside, and the sum of its radii in both stages.
+    """Write whether a branch TT is physical, leg limits aside, and the sum of its radii in both stages.
 
     Both stages stand upright and are in their home's aspect. The sum is larger where their tilts are smaller.
     """

@@ -30,7 +30,7 @@ enum @PREFIX@status {
     @PREFIX_UPPER@OK = 0,
     @PREFIX_UPPER@UNREACHABLE = 1,     /* no real solution */
     @PREFIX_UPPER@DEGENERATE = 2,      /* a continuous family of solutions; isolated ones beside it are given */
-    @PREFIX_UPPER@NOT_PHYSICAL = 4,    /* real solutions, but none that a real machine can be in */
+    @PREFIX_UPPER@NOT_PHYSICAL = 4,    /* real solutions, but none of them physical */
     @PREFIX_UPPER@SINGULAR = 5,        /* the state is singular, or the way to it is */
     @PREFIX_UPPER@NOT_FINITE = -1,     /* an argument is NaN or infinite */
     @PREFIX_UPPER@NOT_A_ROTATION = -2, /* R^T R is not I, or R is a reflection */
@@ -78,7 +78,7 @@ const char *@PREFIX@status_name(int status);
 int @PREFIX@inverse(const @PREFIX@geometry *geometry, const double rotation[9], const double position[3],
         @PREFIX@branches *branches);
 
-/* Inverse displacement in the branch that a real machine is in: both stages without torsion, upright, and reached from
+/* Inverse displacement in the physical branch: both stages without torsion, upright, and reached from
    the symmetric home without a forward singularity. Of two the one within the leg limits is taken, then the one whose
    stages are tilted less. */
 int @PREFIX@inverse_physical(const @PREFIX@geometry *geometry, const double rotation[9], const double position[3],

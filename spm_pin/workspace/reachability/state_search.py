@@ -271,7 +271,7 @@ def search_states(
 def in_portions(
     function: Callable[..., tuple[Any, ...]], what: str, progress: Progress | None, *arrays: FloatArray
 ) -> Iterator[Any]:
-    """Call `function` with 4096 rows of the arrays at a time; return each of its results, concatenated."""
+    """Call `function` with a portion of the rows of the arrays at a time; return each of its results, concatenated."""
     count, parts = len(arrays[0]), []
     for begin in range(0, max(count, 1), _PORTION):
         if progress is not None:

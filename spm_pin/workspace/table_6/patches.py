@@ -38,8 +38,10 @@ class Setting(enum.Enum):
 class SubWorkspace:
     """A row of Table 6."""
 
-    name: str  # the paper's: St1 to St3, Sc1 to Sc9, Sm1 to Sm9, Sl1 to Sl3
-    settings: tuple[Setting, ...]  # in the order of `LEGS`; two legs vary
+    name: str
+    """The paper's name: St1 to St3, Sc1 to Sc9, Sm1 to Sm9, Sl1 to Sl3."""
+    settings: tuple[Setting, ...]
+    """The setting of each leg, in the order of `LEGS`; two legs vary."""
 
     @property
     def family(self) -> str:

@@ -54,7 +54,7 @@ class Patch(SubWorkspace):
 
 @dataclass(frozen=True)
 class Shell(ClosedMesh):
-    """The 24 surfaces of Table 6, joined to a mesh in {B}; made by `workspace_shell`. Faces of a patch lie together."""
+    """The 24 surfaces of Table 6, joined to a mesh in {B}; made by `spm.workspace.shell`. Faces lie patch by patch."""
 
     geometry: Geometry
     """The manipulator."""
@@ -67,7 +67,7 @@ class Shell(ClosedMesh):
     configuration: Configuration
     """The state at each vertex of the mesh, shape (V,)."""
     convergence: Convergence
-    """Of the volume."""
+    """How the volume converges as the resolution grows."""
 
     def __repr__(self) -> str:
         size = f"{len(self.vertices)} vertices, {len(self.faces)} faces"
