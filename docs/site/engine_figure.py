@@ -47,14 +47,14 @@ def rendering(model: mujoco.MjModel, key: int) -> npt.NDArray[np.uint8]:
     """Return MuJoCo's picture of a keyframe, its black background white."""
     height, width = 1100, 860
     model.vis.global_.offheight, model.vis.global_.offwidth = height, width
-    model.vis.global_.orthographic, model.vis.global_.fovy = 1, 2.6  # of the free camera; [m] from top to bottom
+    model.vis.global_.orthographic, model.vis.global_.fovy = 1, 2.65  # of the free camera; [m] from top to bottom
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, key)
     mujoco.mj_forward(model, data)
     camera = mujoco.MjvCamera()
     mujoco.mjv_defaultFreeCamera(model, camera)
     camera.azimuth, camera.elevation = AZIMUTH + 180.0, -ELEVATION
-    camera.lookat[:], camera.distance = (0.35, 0.22, 1.15), 5.0
+    camera.lookat[:], camera.distance = (0.35, 0.22, 1.2), 5.0
     with mujoco.Renderer(model, height, width) as renderer:
         renderer.update_scene(data, camera)
         picture = renderer.render().copy()

@@ -41,7 +41,7 @@ class Calibration:
     geometry: AsBuiltGeometry
     """The machine."""
     covariance: FloatArray
-    """Of the parameters [m, rad], shape (54, 54), zero along what is not identifiable."""
+    """Covariance of the parameters [m, rad], shape (54, 54), zero along what is not identifiable."""
     identifiable: FloatArray
     """Combinations of parameters that the measurements determine, shape (n, 54), the best first: rows of length one,
     for parameters in radians and in sides of the middle platform."""

@@ -30,7 +30,8 @@ class ToleranceAnalysis:
     deviations: FloatArray
     """Standard deviations of the parameters [m, rad], shape (54,)."""
     covariance: FloatArray
-    """Of the platform's error (displacement, rotation vector) [m, rad] in {B}, to first order, shape (N, 6, 6)."""
+    """Covariance of the platform's error (displacement, rotation vector) [m, rad] in {B}, to first order, shape
+    (N, 6, 6)."""
     shares: FloatArray
     """Part of the mean variance of the position that each parameter causes, shape (54,); they add up to 1."""
     samples: FloatArray

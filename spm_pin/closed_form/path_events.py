@@ -38,9 +38,9 @@ class Event:
     """Something that happens at one parameter."""
 
     kind: EventKind
-    """What happens."""
+    """Kind of the event: a singularity, a limit, a new label, the end."""
     parameter: float
-    """Where, from 0 to 1."""
+    """Parameter of the path at which it happens, from 0 to 1."""
     detail: str
     """The stage, the leg and which limit, or the labels before and after."""
 

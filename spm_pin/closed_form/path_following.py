@@ -57,7 +57,7 @@ class FollowedPath:
     configurations: Configuration
     """The solution there, batch of shape (n,)."""
     labels: tuple[str, ...]
-    """Its n labels."""
+    """Label of the solution at each parameter, n of them."""
     events: tuple[Event, ...]
     """In the order of their parameters."""
     certified: BoolArray | None = None

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from spm_pin.display.scene import Colour, Scene
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import FloatArray, IntArray
 
 __all__ = ["VIEW", "Extent", "Image", "Rendering", "bounds", "camera_axes", "render"]
 
@@ -24,7 +24,6 @@ Image = npt.NDArray[np.float32]
 """Pixels (height, width, 4): red, green, blue and opacity, each from 0 to 1."""
 Extent = tuple[float, float, float, float]
 """Left, right, bottom and top of an image [m]."""
-Indices = npt.NDArray[np.intp]
 Samples = npt.NDArray[np.int32]
 
 VIEW = (math.radians(15.0), math.radians(25.0))
@@ -39,7 +38,7 @@ class Rendering(NamedTuple):
 
     image: Image
     extent: Extent
-    solid: Indices  # (height, width)
+    solid: IntArray  # (height, width)
 
 
 def camera_axes(view: tuple[float, float]) -> FloatArray:
@@ -110,7 +109,7 @@ def render(solids: Scene, camera: FloatArray, resolution: float, edge: float) ->
     return Rendering(image, (left, left + width / resolution, top - height / resolution, top), shown)
 
 
-def _normals_and_regions(vertices: FloatArray, faces: npt.NDArray[np.signedinteger]) -> tuple[FloatArray, Indices]:
+def _normals_and_regions(vertices: FloatArray, faces: npt.NDArray[np.signedinteger]) -> tuple[FloatArray, IntArray]:
     """Return the unit normals (m, 3) of faces, and numbers (m,) that faces joined without a crease share."""
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     normals = np.cross(b - a, c - a)

@@ -52,13 +52,14 @@ class SingularValues(NamedTuple):
     """
 
     inverse: Any
-    """Of K, the twist of m and the closures' rates: zero where the platform's twist does not determine the rates of the
-    legs."""
+    """Smallest singular value of K, the twist of {m} and the closures' rates: zero where the platform's twist does not
+    determine the rates of the legs."""
     forward: Any
-    """Of [S; Jc], the rates of the legs and of the closures: zero where the legs do not hold the platform."""
+    """Smallest singular value of [S; Jc], the rates of the legs and of the closures: zero where the legs do not hold
+    the platform."""
     constraint: Any
-    """Of Jc, the rates of the closures: zero where the revolute joints of a stage do not constrain its platform. Then
-    the other two are zero as well."""
+    """Smallest singular value of Jc, the rates of the closures: zero where the revolute joints of a stage do not
+    constrain its platform. Then the other two are zero as well."""
 
 
 class ConstrainedModel:

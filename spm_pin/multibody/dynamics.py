@@ -45,9 +45,9 @@ class Energy(NamedTuple):
     """Energy of all moving bodies [J], floats or arrays (...)."""
 
     kinetic: Any
-    """Of the motion."""
+    """Kinetic energy [J]."""
     potential: Any
-    """Of gravity, zero at the height of the universe's origin."""
+    """Potential energy of gravity [J], zero at the height of the universe's origin."""
 
     @property
     def total(self) -> Any:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, broadcastable
+from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable
 from spm_pin.multibody.batched_methods import BatchedStates, ConstrainedMethods
 from spm_pin.multibody.constrained_model import ConstrainedModel
 from spm_pin.multibody.constrained_state import ConstrainedState
@@ -17,8 +17,6 @@ from spm_pin.multibody.joint_layout import JointLayout
 from spm_pin.multibody.vector_arguments import read_vectors
 
 __all__ = ["MountedChain", "mount"]
-
-Indices = npt.NDArray[np.intp]
 
 
 class MountedChain(ConstrainedMethods):
@@ -53,7 +51,7 @@ class MountedChain(ConstrainedMethods):
     def __repr__(self) -> str:
         return f"<MountedChain: {self.chain!r} and {self._other.name}, {self.model.nv} degrees of freedom of the tree>"
 
-    def _places(self, tree: Any) -> tuple[Indices, Indices]:
+    def _places(self, tree: Any) -> tuple[IntArray, IntArray]:
         """Return the indices in q and in v of the joints of one of the two trees, in its own order."""
         q, v = np.empty(tree.nq, dtype=np.intp), np.empty(tree.nv, dtype=np.intp)
         for part in tree.joints[1:]:
@@ -68,18 +66,18 @@ class MountedChain(ConstrainedMethods):
         return array
 
     @property
-    def chain_indices(self) -> Indices:
-        """Indices of the chain's joints in v, in the order of `chain.joint_names`, shape (18,)."""
+    def chain_indices(self) -> IntArray:
+        """IntArray of the chain's joints in v, in the order of `chain.joint_names`, shape (18,)."""
         return self._v.copy()
 
     @property
-    def other_indices(self) -> Indices:
-        """Indices of the other robot's degrees of freedom in v, in that robot's order."""
+    def other_indices(self) -> IntArray:
+        """IntArray of the other robot's degrees of freedom in v, in that robot's order."""
         return self._other_v.copy()
 
     @property
-    def actuated_indices(self) -> Indices:
-        """Indices of the actuators in v: all of the other robot's, then the six legs."""
+    def actuated_indices(self) -> IntArray:
+        """IntArray of the actuators in v: all of the other robot's, then the six legs."""
         return self._constrained.actuated.copy()
 
     def join(self, other: npt.ArrayLike, chain: npt.ArrayLike) -> FloatArray:
@@ -104,7 +102,7 @@ class MountedChain(ConstrainedMethods):
         return ConstrainedState(self._constrained).update(q, v)
 
 
-def _together(other: npt.ArrayLike, other_place: Indices, chain: npt.ArrayLike, place: Indices) -> FloatArray:
+def _together(other: npt.ArrayLike, other_place: IntArray, chain: npt.ArrayLike, place: IntArray) -> FloatArray:
     """Return vectors of the model from those of the other robot and of the chain."""
     parts = read_vectors(other, "other", other_place.size), read_vectors(chain, "chain", place.size)
     shape = broadcastable("chain", parts[1].shape[:-1], "other", parts[0].shape[:-1])

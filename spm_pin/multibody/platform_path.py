@@ -20,7 +20,7 @@ class PlatformMotion(NamedTuple):
     """Motion of the terminal platform at one time or several."""
 
     pose: RigidTransform
-    """Of {m} in {B}, shape (...)."""
+    """Pose of {m} in {B}, shape (...)."""
     twist: FloatArray
     """(v, ω): velocity of o [m/s], angular velocity [rad/s], in {B}, shape (..., 6)."""
     acceleration: FloatArray

@@ -39,7 +39,7 @@ class JointTrajectory:
     accelerations: FloatArray
     """Joint accelerations [rad/s², m/s²], shape (n, 18)."""
     efforts: FloatArray
-    """Of the actuators under gravity [N], shape (n, 18); zero in passive joints."""
+    """Forces of the actuators under gravity [N], shape (n, 18); zero in passive joints."""
 
     def __repr__(self) -> str:
         return f"<JointTrajectory: {len(self.joint_names)} joints at {self.times.size} times>"

@@ -71,7 +71,7 @@ class Search:
     infeasibility: FloatArray
     """Where no branch was found: the smallest norm of the loop equations that least squares reach [m]."""
     outcomes: Mapping[str, int]
-    """How often the solver ended how, over all poses."""
+    """Number of times that the solver ended with each status, over all poses."""
 
 
 class Interrupted(KeyboardInterrupt):

@@ -54,7 +54,7 @@ class Notice:
 
 @dataclass(frozen=True)
 class State:
-    """What a session shows: the configuration and what was asked for, its branches, readings, load and notices."""
+    """State of a session: the configuration shown and the pose requested, its branches, readings, load and notices."""
 
     drive: Drive  # the quantity moved last
     target: RigidTransform  # the requested pose; that of `shown` where legs were moved
@@ -109,7 +109,7 @@ class StateMachine:
         """Move to leg lengths (6,) [m] in the assembly mode, as far as it lasts."""
         lengths = real_array(leg_lengths, "leg_lengths", (6,), "leg lengths in metres")
         here = self.state.shown
-        # In the home mode no path needs to be followed.
+        # The physical mode is solved for, without a path to follow.
         found = forward_physical(self.geometry, lengths, seed=None if physical(here) else here)
         remarks = []
         if not found.exists:
@@ -196,10 +196,8 @@ def _label(solutions: SolutionSet, shown: Configuration, last: str) -> str:
 
 
 def _crossings(before: State, after: Readings, label: str) -> list[Notice]:
-    crossed = (
-        np.sign(before.readings.singularities.scaled_determinants) * np.sign(after.singularities.scaled_determinants)
-        < 0.0
-    )
+    was, now = (readings.singularities.scaled_determinants for readings in (before.readings, after))
+    crossed = np.sign(was) * np.sign(now) < 0.0
     renamed = f": {before.label} became {label}" if before.label and label and label != before.label else ""
     names = [name for hit, name in zip(crossed, SINGULARITIES, strict=True) if hit]
     return [Notice("warning", f"A singularity was crossed ({name}){renamed}.") for name in names]

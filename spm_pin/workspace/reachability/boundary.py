@@ -64,7 +64,7 @@ class Boundary(ClosedMesh):
     limits: LegLimits
     """The leg limits."""
     spacing: float
-    """Of the grid it was made on [m]."""
+    """Spacing of the grid that the mesh was made on [m]."""
     leg_lengths: FloatArray
     """Lengths that put o at the vertices [m], shape (V, 6)."""
 

@@ -20,15 +20,15 @@ class Estimate:
     low: float
     """Lower end of the interval."""
     high: float
-    """Its upper end."""
+    """Upper end of the interval."""
     confidence: float
     """How probable it is that such an interval holds the truth; NaN where the interval is an extrapolation's error."""
     samples: int
     """How many points the estimate is made from."""
     method: str
-    """Where it comes from."""
+    """The method of the estimate."""
     unit: str
-    """Of the first three numbers; empty for a share."""
+    """Unit of the value and both ends; empty for a share."""
 
     def __str__(self) -> str:
         return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}] {self.unit}".rstrip()

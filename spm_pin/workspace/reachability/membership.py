@@ -49,7 +49,7 @@ class Reachability:
     """How far the worst leg of a branch is inside its limits [m], shape (..., 8); negative outside, infinite without
     limits, NaN where the branch is not real."""
     angle_margin: FloatArray
-    """The same of the passive joints' angles [rad], shape (..., 8)."""
+    """How far the worst passive joint of a branch is inside its limits [rad], shape (..., 8)."""
     clearance_margin: FloatArray
     """By how much the nearest legs of a branch are farther apart than they must [m], shape (..., 8)."""
 
@@ -145,9 +145,9 @@ class PositionReach:
     reachable: BoolArray
     """Whether o can be there, to within `tolerance`, shape (...)."""
     distance: FloatArray
-    """From the nearest reachable position that was found [m], shape (...); zero where reachable."""
+    """Distance to the nearest reachable position that was found [m], shape (...); zero where reachable."""
     nearest: FloatArray
-    """That position, in {B} [m], shape (..., 3)."""
+    """The nearest reachable position that was found, in {B} [m], shape (..., 3)."""
     leg_lengths: FloatArray
     """Leg lengths that put o there [m], shape (..., 6); there may be others."""
     optimality: FloatArray
@@ -155,7 +155,7 @@ class PositionReach:
     `spm_pin.workspace.reachability.nearest_points`; rounding, unless the search has not converged and `distance` is
     only an upper bound."""
     tolerance: float
-    """Of the positions [m]."""
+    """Tolerance of the positions [m]: one nearer than this counts as reached."""
 
     @property
     def undecided(self) -> BoolArray:

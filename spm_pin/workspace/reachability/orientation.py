@@ -36,19 +36,19 @@ class OrientationWorkspace:
     """Orientations that can be reached at one position; arrays over the n states found."""
 
     position: FloatArray
-    """Of o in {B} [m], shape (3,)."""
+    """Position of o in {B} [m], shape (3,)."""
     states: Configuration
     """States with o there, uniform in the coordinates of the lower stage, shape (n,)."""
     weights: FloatArray
-    """How much of the orientations each state stands for [rad³], shape (n,); they add up to `volume.value`."""
+    """Volume of the orientations that each state stands for [rad³], shape (n,); they add up to `volume.value`."""
     azimuth: FloatArray
-    """Where the platform's normal leans [rad], shape (n,)."""
+    """Azimuth to which the platform's normal leans [rad], shape (n,)."""
     tilt: FloatArray
-    """How far it leans [rad], shape (n,)."""
+    """Angle of the platform's normal to the vertical [rad], shape (n,)."""
     torsion: FloatArray
-    """The turn about it [rad], shape (n,)."""
+    """Rotation about the platform's normal [rad], shape (n,)."""
     volume: Estimate
-    """Of the orientations, in rad³; all rotations measure 8π²."""
+    """Volume of the orientations in rad³; all rotations measure 8π²."""
 
     def __repr__(self) -> str:
         return f"<OrientationWorkspace: {len(self.weights)} states, {self.volume}>"

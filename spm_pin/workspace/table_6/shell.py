@@ -20,6 +20,7 @@ from spm_pin.mechanism import LEGS, Configuration, Geometry, LegLimits
 from spm_pin.mechanism.arguments import (
     BoolArray,
     FloatArray,
+    IntArray,
     first_offender,
     frozen,
     real_array,
@@ -32,8 +33,6 @@ from spm_pin.workspace.table_6.winding import ClosedSurface
 
 __all__ = ["Patch", "Shell", "workspace_shell"]
 
-Indices = npt.NDArray[np.intp]
-
 
 FINEST = 2000
 """Increments of a varying leg, at most: 24 surfaces of four million vertices."""
@@ -43,13 +42,13 @@ FINEST = 2000
 class Patch(SubWorkspace):
     """One of the 24 surfaces: a row of Table 6, and its part of the shell's mesh; arrays are read-only."""
 
-    grid: Indices
+    grid: IntArray
     """Vertices of the shell's mesh, shape (n + 1, n + 1); the first varying leg grows along the first axis, the second
     along the other."""
-    faces: Indices
+    faces: IntArray
     """Faces of the shell's mesh, shape (2n²,)."""
     area: float
-    """Of those faces [m²]."""
+    """Area of those faces [m²]."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +194,7 @@ def workspace_shell(geometry: Geometry, limits: LegLimits | None = None, *, reso
     return Shell(vertices, faces, geometry, box, n, patches, states, convergence)
 
 
-def _joined(rows: Sequence[SubWorkspace], limits: LegLimits, n: int) -> tuple[FloatArray, Indices]:
+def _joined(rows: Sequence[SubWorkspace], limits: LegLimits, n: int) -> tuple[FloatArray, IntArray]:
     """Return the leg lengths of all vertices (V, 6) [m], and which of them form each surface (24, n + 1, n + 1).
 
     Steps 1 to 3 and 5: four legs at limits, the two others from minimum to maximum by δr, for every row. What two rows
@@ -230,7 +229,7 @@ def _assembled(geometry: Geometry, limits: LegLimits, lengths: FloatArray) -> Co
     raise ArgumentError("limits", expected, share, "A narrower range would close the shell")
 
 
-def _lofted(grid: Indices, sign: int) -> Indices:
+def _lofted(grid: IntArray, sign: int) -> IntArray:
     """Return triangles (2n², 3) between the curves c_j and c_j+1: step 4's loft.
 
     Squares are divided from both legs short to both long, which no exchange of legs changes.

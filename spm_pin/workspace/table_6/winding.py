@@ -17,11 +17,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from spm_pin.mechanism.arguments import FloatArray, real_array
+from spm_pin.mechanism.arguments import FloatArray, IntArray, real_array
 
 __all__ = ["ClosedSurface"]
 
-Indices = npt.NDArray[np.intp]
 Counts = npt.NDArray[np.int32]
 
 _PAIRS = 1 << 17
@@ -37,7 +36,7 @@ class ClosedSurface:
     Its faces are filed by the cells of a grid across the rays.
     """
 
-    def __init__(self, vertices: FloatArray, faces: Indices) -> None:
+    def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
         self._vertices, self._faces = vertices @ _OBLIQUE, faces
         self._cells = int(np.clip(math.sqrt(2.0 * len(faces)), 1, 1024))  # per direction
         across = self._vertices[:, :2]
@@ -62,7 +61,7 @@ class ClosedSurface:
             np.add.at(number, point[hit], turn)
         return number.reshape(array.shape[:-1])
 
-    def _near(self, points: FloatArray) -> Iterator[tuple[Indices, Indices]]:
+    def _near(self, points: FloatArray) -> Iterator[tuple[IntArray, IntArray]]:
         """Give each point together with each face of its cell that reaches its height, so many pairs at a time."""
         place = (points[:, :2] - self._low) / self._width
         inside = np.flatnonzero(((place >= 0.0) & (place <= self._cells)).all(axis=1))
@@ -76,7 +75,7 @@ class ClosedSurface:
             ahead = self._top[face] >= points[point, 2]
             yield point[ahead], face[ahead]
 
-    def _crossings(self, points: FloatArray, face: Indices) -> tuple[Indices, Counts]:
+    def _crossings(self, points: FloatArray, face: IntArray) -> tuple[IntArray, Counts]:
         """Return which of M pairs have the face ahead of the point, and how often its outline goes round the ray."""
         corners = self._faces[face]
         following = np.roll(corners, -1, axis=1)
@@ -94,7 +93,7 @@ class ClosedSurface:
         return hit, turn[hit]
 
 
-def _ragged(counts: Indices) -> tuple[Indices, Indices]:
+def _ragged(counts: IntArray) -> tuple[IntArray, IntArray]:
     """Return, for rows of `counts` items each, every item's row and its place in that row."""
     row = np.repeat(np.arange(len(counts)), counts)
     return row, np.arange(len(row)) - (np.cumsum(counts) - counts)[row]
