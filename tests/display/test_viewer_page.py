@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -36,38 +37,53 @@ def viewer():
         yield started
 
 
+@contextmanager
 def opened(browser, viewer, **options):
-    """Return a new page that is up to date, its session, and its errors."""
+    """Have a new page that is up to date, its session, and its errors; it is closed whatever comes."""
     before = {id(session) for session in viewer.sessions}
     page = browser.new_page(**{"viewport": SIZE, **options})
-    page.set_default_timeout(90_000)
-    errors = watched(page)
-    page.goto(viewer.url)
-    page.wait_for_selector('[data-spm="branch"]', state="attached", timeout=60_000)
-    until(lambda: len(viewer.sessions) > len(before), "a session of its own", page=page)
-    (session,) = [candidate for candidate in viewer.sessions if id(candidate) not in before]
-    settled(page, session)
-    until(lambda: session.player.time == 1.0 and not session.player.playing, "the end of its path", page=page)
-    until(lambda: abs(session.state.shown.leg_lengths[1] - 1.25) < 1e-9, "its last point", page=page)
-    assert "configurations of" in session.panel.path_note.content
-    reset(page, session)
-    return page, session, errors
+    try:
+        page.set_default_timeout(90_000)
+        errors = watched(page)
+        page.goto(viewer.url)
+        page.wait_for_selector('[data-spm="branch"]', state="attached", timeout=60_000)
+        until(lambda: len(viewer.sessions) > len(before), "a session of its own", page=page)
+        (session,) = [candidate for candidate in viewer.sessions if id(candidate) not in before]
+        settled(page, session)
+        until(lambda: session.player.time == 1.0 and not session.player.playing, "the end of its path", page=page)
+        until(lambda: abs(session.state.shown.leg_lengths[1] - 1.25) < 1e-9, "its last point", page=page)
+        assert "configurations of" in session.panel.path_note.content
+        reset(page, session)
+        yield page, session, errors
+    finally:
+        page.close()
+        until(lambda: len(viewer.sessions) == len(before), "its session ended")
 
 
 @pytest.fixture(scope="module")
 def client(browser, viewer):
-    page, session, errors = opened(browser, viewer)
-    yield page, session, errors
-    page.close()
+    with opened(browser, viewer) as opened_client:
+        yield opened_client
+
+
+def drawn(page, frames):
+    """Wait until the page has drawn so many frames: seconds where the machine is slow and busy."""
+    page.evaluate(
+        """frames => new Promise(done => {
+        const next = () => frames-- > 0 ? requestAnimationFrame(next) : done();
+        next(); })""",
+        frames,
+    )
 
 
 def settled(page, session):
-    """Wait until the camera that the page reports is where the session put it and stays there."""
+    """Wait until the camera that the page reports stays where the session put it, while frames are drawn."""
     last = []
 
     def still():
         camera = session.client.camera
         last.append((*camera.position, camera.image_width))
+        drawn(page, 5)
         page.wait_for_timeout(150)
         return len(last) > 4 and last[-1] == last[-4] and camera.image_width > 0
 
@@ -136,28 +152,32 @@ def test_the_page_shows_the_robot_and_its_instruments(client):
 
 
 def test_the_robot_fills_a_window_of_another_size_until_the_user_moves_the_camera(browser, viewer):
-    page, session, errors = opened(browser, viewer)
+    with opened(browser, viewer) as (page, session, errors):
 
-    def fits():
-        camera = session.client.camera
-        seen = np.array([pixel(camera, point) for point in robot_points(session.state.shown, 0.0)])
-        size = np.array([camera.image_width, camera.image_height])
-        shares = np.ptp(seen, axis=0) / size
-        return camera.image_width < 500 and (seen > 0.0).all() and (seen < size).all() and shares.max() > 0.65
+        def position():
+            return np.array(session.client.camera.position)
 
-    page.set_viewport_size({"width": 800, "height": 640})
-    until(fits, "the robot in a narrower picture", page=page)
-    settled(page, session)
-    page.mouse.move(200, 300)
-    page.mouse.wheel(0, 600)
-    settled(page, session)
-    position = np.array(session.client.camera.position)
-    page.set_viewport_size(SIZE)
-    until(lambda: session.client.camera.image_width > 500, "a wider picture", page=page)
-    settled(page, session)
-    np.testing.assert_allclose(session.client.camera.position, position, atol=1e-6)
-    page.close()
-    assert not errors
+        def fits():
+            camera = session.client.camera
+            seen = np.array([pixel(camera, point) for point in robot_points(session.state.shown, 0.0)])
+            size = np.array([camera.image_width, camera.image_height])
+            shares = np.ptp(seen, axis=0) / size
+            return camera.image_width < 500 and (seen > 0.0).all() and (seen < size).all() and shares.max() > 0.65
+
+        page.set_viewport_size({"width": 800, "height": 640})
+        until(fits, "the robot in a narrower picture", page=page)
+        settled(page, session)
+        fitted = position()
+        page.mouse.move(200, 300)
+        page.mouse.wheel(0, 600)
+        until(lambda: np.linalg.norm(position() - fitted) > 0.1, "the camera farther away", page=page)
+        settled(page, session)
+        moved = position()
+        page.set_viewport_size(SIZE)
+        until(lambda: session.client.camera.image_width > 500, "a wider picture", page=page)
+        settled(page, session)
+        np.testing.assert_allclose(position(), moved, atol=1e-6)
+        assert not errors
 
 
 def test_a_dragged_gizmo_moves_the_robot(client, viewer):
@@ -295,7 +315,7 @@ def test_legs_load_and_path_move_the_shown_robot(client):
     np.testing.assert_allclose(session.state.readings.forces, expected)
     assert session.scene._arrows["push"].visible or session.scene._arrows["pull"].visible
     send(session, "play")
-    until(lambda: session.player.playing, "time to run", page=page)
+    until(lambda: session.player.playing, "time to run")
     until(lambda: session.player.time == 1.0 and not session.player.playing, "the end of the path", page=page)
     until(lambda: abs(session.state.shown.leg_lengths[1] - 1.25) < 1e-9, "its last point", page=page)
     assert not session.gizmo.visible
@@ -312,50 +332,49 @@ def test_two_clients_at_once_and_one_that_goes(browser, viewer, client):
         tasks = [task for task in asyncio.all_tasks(loop) if "spm_pin" in repr(task.get_coro())]
         return len(tasks)
 
-    other_page, other, other_errors = opened(browser, viewer)
-    threads = threading.active_count()
-    assert len(viewer.sessions) == 2
-    send(other, "branch", "FF+")
-    until(lambda: other_page.inner_text('[data-spm="branch"]') == "FF+", "the other's branch", page=other_page)
-    assert session.state.label == "TT+"
-    assert page.inner_text('[data-spm="branch"]') == "TT+"
-    send(other, "play")
-    until(lambda: other.player.playing, "time to run", page=other_page)
-    other_page.close()
-    until(lambda: viewer.sessions == (session,), "one session less", page=page)
-    until(lambda: not running(), "no task of it left", page=page)
-    assert not other.player.playing
-    assert threading.active_count() <= threads
-    assert not errors
-    assert not other_errors
+    with opened(browser, viewer) as (other_page, other, other_errors):
+        threads = threading.active_count()
+        assert len(viewer.sessions) == 2
+        send(other, "branch", "FF+")
+        until(lambda: other_page.inner_text('[data-spm="branch"]') == "FF+", "the other's branch", page=other_page)
+        assert session.state.label == "TT+"
+        assert page.inner_text('[data-spm="branch"]') == "TT+"
+        send(other, "play")
+        until(lambda: other.player.playing, "time to run")
+        other_page.close()
+        until(lambda: viewer.sessions == (session,), "one session less", page=page)
+        until(lambda: not running(), "no task of it left", page=page)
+        assert not other.player.playing
+        assert threading.active_count() <= threads
+        assert not errors
+        assert not other_errors
 
 
 def test_phone_layout_and_dark_mode(browser, viewer):
-    page, session, errors = opened(browser, viewer, viewport={"width": 390, "height": 844})
-    send(session, "dark", True)
-    page.wait_for_timeout(1000)
-    # Nothing is wider than the page; the panel spans it and leaves the robot free.
-    assert page.evaluate("document.documentElement.scrollWidth") <= 390
-    panel = page.evaluate(
-        """() => { let box = document.querySelector('[data-spm="branch"]');
-        while (getComputedStyle(box).position != "fixed") box = box.parentElement;
-        box = box.getBoundingClientRect(); return [box.left, box.right, box.top]; }"""
-    )
-    assert panel[:2] == [0, 390]
-    seen = np.array([pixel(session.client.camera, point) for point in robot_points(session.state.shown, 0.0)])
-    assert (seen > 0.0).all()
-    assert (seen < [390, panel[2]]).all()
-    assert np.ptp(seen[:, 1]) > 0.6 * panel[2]
-    picture(page, "viewer_phone_dark.png")
-    page.close()
-    assert not errors
+    with opened(browser, viewer, viewport={"width": 390, "height": 844}) as (page, session, errors):
+        send(session, "dark", True)
+        page.wait_for_timeout(1000)
+        # Nothing is wider than the page; the panel spans it and leaves the robot free.
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        panel = page.evaluate(
+            """() => { let box = document.querySelector('[data-spm="branch"]');
+            while (getComputedStyle(box).position != "fixed") box = box.parentElement;
+            box = box.getBoundingClientRect(); return [box.left, box.right, box.top]; }"""
+        )
+        assert panel[:2] == [0, 390]
+        seen = np.array([pixel(session.client.camera, point) for point in robot_points(session.state.shown, 0.0)])
+        assert (seen > 0.0).all()
+        assert (seen < [390, panel[2]]).all()
+        assert np.ptp(seen[:, 1]) > 0.6 * panel[2]
+        picture(page, "viewer_phone_dark.png")
+        assert not errors
 
 
 def test_the_demo_moves_until_it_is_touched(browser):
     with Viewer(port=0) as viewer:
         page = browser.new_page(viewport=SIZE)
         errors = watched(page)
-        page.goto(viewer.url)
+        page.goto(viewer.url, timeout=90_000)
         until(lambda: viewer.sessions, "a session", page=page)
         (session,) = viewer.sessions
         start = viewer._config.start.translation
@@ -374,6 +393,7 @@ def test_the_snapshot_needs_neither_server_nor_network(browser, tmp_path):
     )
     context = browser.new_context(viewport={"width": 1280, "height": 720}, offline=True)
     page = context.new_page()
+    page.set_default_timeout(90_000)
     errors, requests = watched(page), []
     page.on("request", lambda request: requests.append(request.url))
     page.goto(path.as_uri())
