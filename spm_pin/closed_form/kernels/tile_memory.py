@@ -7,10 +7,12 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numba
+import numpy as np
 from numba.core import cgutils, types
 from numba.extending import intrinsic, overload
 
 from spm_pin.closed_form.kernels.compilation import TILE, jit_inline
+from spm_pin.mechanism.arguments import FloatArray
 
 __all__ = ["LANES", "fetch_line", "in_blocks", "in_caller", "move_block", "move_numbers", "on_stack"]
 
@@ -35,13 +37,13 @@ def in_caller(function: F) -> F:
     return compiled
 
 
-def on_stack(make: F) -> F:
-    """Mark a function that returns a new array of constant shape; compiled code keeps it on its stack.
+def on_stack(*shape: int) -> Callable[[], FloatArray]:
+    """Return a function that makes an array of this shape, in compiled code on the stack of the kernel that calls it.
 
     The compiler then knows that no two arrays overlap, and needs no second version of a loop for the case that they do.
-    The function is inlined where it is called, so the array lives as long as the kernel that called it.
     """
-    shape = make().shape
+    if _numba.config.DISABLE_JIT:
+        return lambda: np.empty(shape)
     array = _types.Array(_types.float64, len(shape), "C")
     strides = [8 * math.prod(shape[axis + 1 :]) for axis in range(len(shape))]
 
@@ -51,7 +53,7 @@ def on_stack(make: F) -> F:
 
         module: Any = arrayobj
         with builder.goto_entry_block():
-            memory = builder.alloca(_ir.ArrayType(_ir.DoubleType(), math.prod(shape)), name=make.__name__)
+            memory = builder.alloca(_ir.ArrayType(_ir.DoubleType(), math.prod(shape)))
         memory.align = _LINE
         size = context.get_value_type(_types.intp)
         found = context.make_array(array)(context, builder)
@@ -70,11 +72,7 @@ def on_stack(make: F) -> F:
         del typing
         return array(), lower
 
-    @overload(make, inline="always")
-    def compiled() -> Any:
-        return lambda: reserve()
-
-    return make
+    return reserve
 
 
 @_intrinsic(prefer_literal=False)
