@@ -3,15 +3,11 @@
 from spm_pin.workspace.reachability.boundary import Boundary, BoundaryPoints, reachable_boundary
 from spm_pin.workspace.reachability.confidence_intervals import Estimate
 from spm_pin.workspace.reachability.joint_limits import JointLimits, leg_clearance
-from spm_pin.workspace.reachability.membership import (
-    PositionReach,
-    Reachability,
-    reachable,
-    reachable_position,
-    sample_reachable,
-)
 from spm_pin.workspace.reachability.nearest_pose import NearestPose, nearest_reachable_pose, pose_distance
 from spm_pin.workspace.reachability.orientation import OrientationWorkspace, orientation_workspace
+from spm_pin.workspace.reachability.reachable_poses import Reachability, reachable
+from spm_pin.workspace.reachability.reachable_positions import PositionReach, reachable_position
+from spm_pin.workspace.reachability.reachable_samples import sample_reachable
 from spm_pin.workspace.reachability.volume import ShellComparison, compare_with_shell, pose_volume, reachable_volume
 from spm_pin.workspace.table_6.shell import Patch, Shell
 from spm_pin.workspace.table_6.shell import workspace_shell as shell

@@ -18,9 +18,9 @@ from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism.arguments import FloatArray, generator, whole_number
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.workspace.closed_mesh import ClosedMesh
-from spm_pin.workspace.reachability.lattice import classified, crossings, lattice
+from spm_pin.workspace.reachability.lattice import Lattice
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox, leg_length_box
-from spm_pin.workspace.reachability.nearest_points import NearestPoints, merged, nearest_in_box
+from spm_pin.workspace.reachability.nearest_points import NearestPoints, nearest_in_box
 from spm_pin.workspace.reachability.state_search import RESOLUTION, Progress
 
 __all__ = ["Boundary", "BoundaryPoints", "reachable_boundary"]
@@ -46,13 +46,6 @@ class BoundaryPoints:
     `at_limit`, or zero. At a forward singularity, where that is infinite, the multipliers of the limits."""
     violation: FloatArray
     """By how much normal and `gradient` miss the conditions of a nearest point, shape (n,); rounding."""
-
-    @classmethod
-    def of(cls, box: LegLengthBox, points: FloatArray, found: NearestPoints) -> BoundaryPoints:
-        """Describe what was found nearest to points outside the reachable set."""
-        normal = (points - found.position) / np.maximum(found.distance, np.finfo(float).tiny)[:, None]
-        at_limit = (found.lengths >= box.maximum).astype(np.int8) - (found.lengths <= box.minimum).astype(np.int8)
-        return cls(found.position, normal, found.lengths, at_limit, found.gradient, found.optimality)
 
 
 @dataclass(frozen=True)
@@ -94,15 +87,16 @@ class Boundary(ClosedMesh):
         on_mesh = (self.vertices[self.faces[face]] * weights[..., None]).sum(axis=1)
         outwards = doubled[face] / double_area[face, None]
         box = leg_length_box(self.geometry, self.limits)
-        points = np.empty((count, 3))
         left, lift = np.arange(count), 0.1 * self.spacing
-        points[:] = on_mesh + lift * outwards
+        points = on_mesh + lift * outwards
         found = _globally_nearest(box, points)
         while len(left := left[found.distance[left] <= 0.01 * self.spacing]):
             lift *= 2.0
             points[left] = on_mesh[left] + lift * outwards[left]
-            found = merged(found, left, _globally_nearest(box, points[left]))
-        return BoundaryPoints.of(box, points, found)
+            found.update(left, _globally_nearest(box, points[left]))
+        normal = (points - found.position) / np.maximum(found.distance, np.finfo(float).tiny)[:, None]
+        at_limit = (found.lengths >= box.maximum).astype(np.int8) - (found.lengths <= box.minimum).astype(np.int8)
+        return BoundaryPoints(found.position, normal, found.lengths, at_limit, found.gradient, found.optimality)
 
 
 def _globally_nearest(box: LegLengthBox, points: FloatArray) -> NearestPoints:
@@ -118,7 +112,7 @@ def _globally_nearest(box: LegLengthBox, points: FloatArray) -> NearestPoints:
         better = nearest_in_box(box, points[left], beside.coordinates[wrong])
         nearer = np.flatnonzero(better.distance < (1.0 - 1e-9) * found.distance[left])
         left = left[nearer]
-        found = merged(found, left, better.part(nearer))
+        found.update(left, better, nearer)
         left = left[found.distance[left] > RESOLUTION * box.size]
     return found
 
@@ -171,13 +165,12 @@ def reachable_boundary(
     require_extra("workspace", "skimage")
     measure: Any = import_module("skimage.measure")
     box = leg_length_box(geometry, limits)
-    origin, shape = lattice(box, spacing)
-    inside, states = classified(box, origin, shape, spacing, progress)
-    if not inside.any():
+    lattice = Lattice(box, spacing, progress)
+    if not lattice.inside.any():
         smallest = float((box.extent[1] - box.extent[0]).min())
         cause = f"No node of the grid is reachable; the reachable set is about {smallest:.2g} m"
         raise ArgumentError("spacing", "a spacing much smaller than the reachable set, in metres", spacing, cause)
-    corners, faces, _, _ = measure.marching_cubes(np.where(inside, 1.0, -1.0), 0.0)
-    vertices, lengths = crossings(box, origin, spacing, corners.astype(np.float64), inside, states, progress)
-    boundary = Boundary(vertices, faces.astype(np.intp), geometry, box.limits, float(spacing), lengths)
+    corners, faces, _, _ = measure.marching_cubes(np.where(lattice.inside, 1.0, -1.0), 0.0)
+    vertices, lengths = lattice.crossings(corners.astype(np.float64))
+    boundary = Boundary(vertices, faces.astype(np.intp), geometry, box.limits, lattice.spacing, lengths)
     return boundary if boundary.volume > 0.0 else replace(boundary, faces=boundary.faces[:, ::-1])

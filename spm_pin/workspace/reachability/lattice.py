@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, real_number
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox
-from spm_pin.workspace.reachability.nearest_points import SINGULARITY_MARGIN
-from spm_pin.workspace.reachability.state_search import Progress, StateSearch, in_portions, search_states
+from spm_pin.workspace.reachability.membership import in_portions, search_states
+from spm_pin.workspace.reachability.state_search import SINGULARITY_MARGIN, Progress, StateSearch
 
-__all__ = ["classified", "crossings", "lattice"]
-
+__all__ = ["Lattice"]
 
 _STRIDES = (8, 4, 2, 1)
 """Spacings of the grids searched one after the other, in units of the final spacing."""
@@ -35,92 +36,101 @@ _POSITION_TOLERANCE = 1e-7
 """Distance of a vertex from the position of o at its leg lengths, over the machine's size, that is accepted."""
 
 
-def lattice(box: LegLengthBox, spacing: float) -> tuple[FloatArray, tuple[int, int, int]]:
-    """Return the first node [m] and how many there are along each axis, wide enough to begin and to end outside."""
-    spacing = real_number(spacing, "spacing", "a positive length in metres", above=0.0)
-    low, high = box.extent
-    pad = 0.02 * (high - low) + 1.5 * spacing
-    with np.errstate(over="ignore"):
-        numbers = np.ceil((high - low + 2.0 * pad) / spacing) + 1.0
-    if numbers.prod() > _MOST_NODES:
-        expected = f"a spacing in metres that makes at most {_MOST_NODES:.0e} nodes"
-        raise ArgumentError("spacing", expected, f"{spacing:g}, which makes {numbers.prod():.0e}", "In millimetres?")
-    nx, ny, nz = (int(n) for n in numbers)
-    return 0.5 * (low + high - (numbers - 1.0) * spacing), (nx, ny, nz)
+class Lattice:
+    """The nodes of a grid wide enough to begin and to end outside the reachable set, and which of them are in it.
 
+    Parameters
+    ----------
+    box : LegLengthBox
+        The leg lengths.
+    spacing : float
+        Distance of neighbouring nodes [m].
+    progress : callable, optional
+        As for `reachable_boundary`.
 
-def classified(
-    box: LegLengthBox, origin: FloatArray, shape: tuple[int, int, int], spacing: float, progress: Progress | None
-) -> tuple[BoolArray, FloatArray]:
-    """Return which nodes are reachable, shape `shape`, and states there, shape `shape` + (2, 3).
-
-    The farther away, the coarser the grid that is searched.
+    Raises
+    ------
+    ArgumentError
+        If the spacing is not positive, or so small that there would be too many nodes.
     """
-    index = np.indices(shape).reshape(3, -1).T
-    nodes = origin + spacing * index
-    inside, known = np.zeros(len(nodes), dtype=bool), np.zeros(len(nodes), dtype=bool)
-    states = np.full((len(nodes), 2, 3), np.nan)
 
-    def search(what: str, chosen: IntArray, starts: FloatArray | None) -> FloatArray:
-        found = search_states(box, nodes[chosen], starts, what=what, progress=progress)
-        states[chosen] = found.coordinates
-        known[chosen] = True
-        inside[chosen] |= found.reached
-        return found.distance
+    def __init__(self, box: LegLengthBox, spacing: float, progress: Progress | None = None) -> None:
+        self.box, self.progress = box, progress
+        self.spacing = spacing = real_number(spacing, "spacing", "a positive length in metres", above=0.0)
+        low, high = box.extent
+        pad = 0.02 * (high - low) + 1.5 * spacing
+        with np.errstate(over="ignore"):
+            numbers = np.ceil((high - low + 2.0 * pad) / spacing) + 1.0
+        if numbers.prod() > _MOST_NODES:
+            expected = f"a spacing in metres that makes at most {_MOST_NODES:.0e} nodes"
+            raise ArgumentError(
+                "spacing", expected, f"{spacing:g}, which makes {numbers.prod():.0e}", "In millimetres?"
+            )
+        self.origin = 0.5 * (low + high - (numbers - 1.0) * spacing)
+        self.inside, self.states = self._classified(tuple(numbers.astype(int)))
 
-    for stride in _STRIDES:
-        chosen = np.flatnonzero(~known & (index % stride == 0).all(axis=-1))
-        distance = search(f"reachable nodes, every {stride * spacing:g} m", chosen, None) - box.margin
-        # Nothing within that distance is reachable.
-        remote = distance > spacing
-        if remote.any() and not known.all():
-            unknown = np.flatnonzero(~known)
-            around = KDTree(nodes[unknown]).query_ball_point(nodes[chosen[remote]], (1.0 - 1e-9) * distance[remote])
-            for members in around:
-                known[unknown[members]] = True
-    # What a search has overlooked beside a reachable node is found from there.
-    steps = [way * stride for stride in (1, shape[2], shape[1] * shape[2]) for way in (1, -1)]
-    fresh = np.flatnonzero(inside)
-    while len(fresh):
-        before = inside.copy()
-        for step in steps:
-            # No reachable node is at the end of a row: around the set there is room.
-            beside = fresh[~inside[fresh + step]] + step
-            search("nodes beside reachable ones", beside, states[beside - step])
-        fresh = np.flatnonzero(inside & ~before)
-    return inside.reshape(shape), states.reshape(*shape, 2, 3)
+    def _classified(self, shape: tuple[int, ...]) -> tuple[BoolArray, FloatArray]:
+        """Return which nodes are reachable, shape `shape`, and states there, shape `shape` + (2, 3).
 
+        The farther away, the coarser the grid that is searched.
+        """
+        index = np.indices(shape).reshape(3, -1).T
+        nodes = self._place(index)
+        inside, known = np.zeros(len(nodes), dtype=bool), np.zeros(len(nodes), dtype=bool)
+        states = np.full((len(nodes), 2, 3), np.nan)
 
-def crossings(
-    box: LegLengthBox,
-    origin: FloatArray,
-    spacing: float,
-    corners: FloatArray,
-    inside: BoolArray,
-    states: FloatArray,
-    progress: Progress | None,
-) -> tuple[FloatArray, FloatArray]:
-    """Move vertices of marching cubes (V, 3), in units of the grid, to the boundary; return them and leg lengths.
+        def search(what: str, chosen: IntArray, starts: FloatArray | None) -> FloatArray:
+            found = search_states(self.box, nodes[chosen], starts, what=what, progress=self.progress)
+            states[chosen] = found.coordinates
+            known[chosen] = True
+            inside[chosen] |= found.reached
+            return found.distance
 
-    `inside` and `states` are those of `classified`.
-    """
-    first, last = np.floor(corners).astype(int), np.ceil(corners).astype(int)
-    a, b = inside[tuple(first.T)], inside[tuple(last.T)]
-    nodes = np.where(a[:, None], first, last)
-    inner, outer = nodes.astype(np.float64), np.where(a[:, None], last, first).astype(np.float64)
-    known = states[tuple(nodes.T)]
-    # A vertex in the middle of a cube, which some ambiguous ones have, is on no edge.
-    for k in np.flatnonzero((a == b) | ((last - first).sum(axis=-1) != 1)):
-        cube = np.floor(corners[k]).astype(int) + np.indices((2, 2, 2)).reshape(3, -1).T
-        reached = inside[tuple(cube.T)]
-        centre = search_states(box, origin + spacing * corners[k : k + 1])
-        if centre.reached[0]:
-            inner[k], outer[k], known[k] = corners[k], cube[~reached][0], centre.coordinates[0]
-        else:
-            inner[k], outer[k], known[k] = cube[reached][0], corners[k], states[tuple(cube[reached][0])]
-    ends = origin + spacing * inner, origin + spacing * outer
-    vertices, lengths = in_portions(partial(_crossing, box), "vertices", progress, *ends, known)
-    return vertices, lengths
+        for stride in _STRIDES:
+            chosen = np.flatnonzero(~known & (index % stride == 0).all(axis=-1))
+            distance = search(f"reachable nodes, every {stride * self.spacing:g} m", chosen, None) - self.box.margin
+            # Nothing within that distance is reachable.
+            remote = distance > self.spacing
+            if remote.any() and not known.all():
+                unknown = np.flatnonzero(~known)
+                around = KDTree(nodes[unknown]).query_ball_point(nodes[chosen[remote]], (1.0 - 1e-9) * distance[remote])
+                for members in around:
+                    known[unknown[members]] = True
+        # What a search has overlooked beside a reachable node is found from there.
+        steps = [way * stride for stride in (1, shape[2], shape[1] * shape[2]) for way in (1, -1)]
+        fresh = np.flatnonzero(inside)
+        while len(fresh):
+            before = inside.copy()
+            for step in steps:
+                # No reachable node is at the end of a row: around the set there is room.
+                beside = fresh[~inside[fresh + step]] + step
+                search("nodes beside reachable ones", beside, states[beside - step])
+            fresh = np.flatnonzero(inside & ~before)
+        return inside.reshape(shape), states.reshape(*shape, 2, 3)
+
+    def _place(self, index: npt.NDArray[Any]) -> FloatArray:
+        """Return the positions [m] of points in units of the grid."""
+        return np.asarray(self.origin + self.spacing * index)
+
+    def crossings(self, corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Move vertices of marching cubes (V, 3), in units of the grid, to the boundary [m]; and leg lengths there."""
+        first, last = np.floor(corners).astype(int), np.ceil(corners).astype(int)
+        a, b = self.inside[tuple(first.T)], self.inside[tuple(last.T)]
+        nodes = np.where(a[:, None], first, last)
+        inner, outer = nodes.astype(np.float64), np.where(a[:, None], last, first).astype(np.float64)
+        known = self.states[tuple(nodes.T)]
+        # A vertex in the middle of a cube, which some ambiguous ones have, is on no edge.
+        for k in np.flatnonzero((a == b) | ((last - first).sum(axis=-1) != 1)):
+            cube = np.floor(corners[k]).astype(int) + np.indices((2, 2, 2)).reshape(3, -1).T
+            reached = self.inside[tuple(cube.T)]
+            centre = search_states(self.box, self._place(corners[k : k + 1]))
+            if centre.reached[0]:
+                inner[k], outer[k], known[k] = corners[k], cube[~reached][0], centre.coordinates[0]
+            else:
+                inner[k], outer[k], known[k] = cube[reached][0], corners[k], self.states[tuple(cube[reached][0])]
+        ends = self._place(inner), self._place(outer)
+        vertices, lengths = in_portions(partial(_crossing, self.box), "vertices", self.progress, *ends, known)
+        return vertices, lengths
 
 
 def _crossing(
@@ -151,10 +161,9 @@ def _crossing(
     left = np.flatnonzero(farther | ~proved)
     for _ in range(_HALVINGS if len(left) else 0):
         middle = 0.5 * (low[left] + high[left])
-        search = StateSearch(box, inner[left] + middle[:, None] * along[left], within[left])
-        search.iterate(np.arange(len(left)))
-        good, _ = search.proved()
-        within[left[good]] = search.coordinates[good]
+        found = search_states(box, inner[left] + middle[:, None] * along[left], within[left])
+        good = found.reached
+        within[left[good]] = found.coordinates[good]
         low[left], high[left] = np.where(good, middle, low[left]), np.where(good, high[left], middle)
     at[left], lengths[left] = low[left], box.snapped(box.map.lengths(within[left]))
     return inner + at[:, None] * along, lengths
@@ -177,7 +186,7 @@ def _follow_inwards(
         search = StateSearch(
             box, inner[going] + here[:, None] * along[going], outermost[going], singularity_margin=SINGULARITY_MARGIN
         )
-        search.iterate(np.arange(len(going)))
+        search.iterate()
         reached, _ = search.proved()
         within[going[reached]] = search.coordinates[reached]
         outermost[going] = search.coordinates

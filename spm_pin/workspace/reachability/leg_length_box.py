@@ -56,6 +56,10 @@ class LegLengthBox:
     """Least leg lengths (6,) [m], none of them zero."""
     maximum: FloatArray
     """Largest leg lengths (6,) [m]."""
+    family: str = "TT"
+    """The family of the states."""
+    sides: tuple[float, float] = (1.0, 1.0)
+    """On which side of its forward singularities each stage is: 1 for the side of the home."""
 
     @property
     def size(self) -> float:
@@ -65,12 +69,12 @@ class LegLengthBox:
 
     @cached_property
     def map(self) -> PositionMap:
-        """The physical states by the coordinates of their stages."""
-        return PositionMap(self.geometry)
+        """The states of the family by the coordinates of their stages."""
+        return PositionMap(self.geometry, self.family)
 
     @cached_property
     def stages(self) -> tuple[StageSet, StageSet]:
-        """The states of the lower and of the upper stage."""
+        """The physical states of the lower and of the upper stage."""
         lower, upper = (
             StageSet(self.map, k, *(x[3 * k : 3 * k + 3] for x in (self.minimum, self.maximum))) for k in range(2)
         )

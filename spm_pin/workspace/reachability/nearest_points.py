@@ -21,28 +21,18 @@ coordinates over √3.
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.mechanism.arguments import FloatArray, IntArray
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox
-from spm_pin.workspace.reachability.state_search import RESOLUTION, StateSearch, in_portions, search_states
+from spm_pin.workspace.reachability.membership import in_portions, search_states
+from spm_pin.workspace.reachability.state_search import CENTRE, RESOLUTION, SINGULARITY_MARGIN, StateSearch
 
-__all__ = [
-    "SINGULARITY_MARGIN",
-    "NearestPoints",
-    "augmented_lagrangian",
-    "gauss_newton_from_starts",
-    "merged",
-    "nearest_in_box",
-]
+__all__ = ["NearestPoints", "nearest_in_box", "nearest_states"]
 
-
-SINGULARITY_MARGIN = 1e-6
-"""Least determinant of a stage, as a share of that at home: nearer to a forward singularity, rounding of the lengths
-moves o farther than that."""
 _PENALTY_WEIGHTS = (1.0, 3.0, 10.0)
 """Penalty weights of the first minimisation, of the second and of the further ones, dimensionless."""
 _REMOTE_PENALTY = 1000.0
@@ -51,14 +41,8 @@ _UPDATES = 30
 """Updates of the multipliers at most."""
 _RESTART = 10
 """Updates after which members that have not converged begin again with the first penalty weight."""
-_STEPS = 200
-"""Steps of Newton's method between two updates, at most."""
-_LEAST_DECREASE = 1e-6
-"""Relative decrease of the residual norm, see `StateSearch.iterate`, below which Newton's method ends."""
 _MULTIPLIER_TOLERANCE = 1e-13
 """Change of the shifts, over the machine's size, at which the multipliers have converged."""
-_GRADIENT_TOLERANCE = 1e-9
-"""Gradient of half the squared residual norm, over that norm, at which a state is stationary, dimensionless."""
 _STARTS = 1
 """Starts from the coarse search, after the state that `search_states` ended in."""
 _REMOTE_STARTS = 3
@@ -66,6 +50,7 @@ _REMOTE_STARTS = 3
 _MODE_TOLERANCE = 1e-6
 """Distance, over the machine's size, of the position found from that of the lengths in the physical mode,
 above which the search has left that mode."""
+_ALL = slice(None)
 
 
 class NearestPoints(NamedTuple):
@@ -85,17 +70,10 @@ class NearestPoints(NamedTuple):
     coordinates: FloatArray
     """The states (N, 2, 3) for `spm_pin.workspace.reachability.position_map`, to begin another search with."""
 
-    def part(self, index: IntArray) -> NearestPoints:
-        """Return the points with these indices."""
-        return NearestPoints(*(array[index] for array in self))
-
-
-def merged(whole: NearestPoints, index: IntArray, part: NearestPoints) -> NearestPoints:
-    """Return `whole` with `part` in the places `index`."""
-    arrays = [array.copy() for array in whole]
-    for array, values in zip(arrays, part, strict=True):
-        array[index] = values
-    return NearestPoints(*arrays)
+    def update(self, index: IntArray, other: NearestPoints, chosen: IntArray | slice = _ALL) -> None:
+        """Put those points of `other` that are `chosen` in the places `index`."""
+        for array, values in zip(self, other, strict=True):
+            array[index] = values[chosen]
 
 
 def nearest_in_box(box: LegLengthBox, points: FloatArray, starts: FloatArray | None = None) -> NearestPoints:
@@ -104,11 +82,10 @@ def nearest_in_box(box: LegLengthBox, points: FloatArray, starts: FloatArray | N
     The search begins at `starts` (N, 2, 3), as in `NearestPoints.coordinates`. If not given, `search_states` says which
     points are reachable, and the others begin at the best states of `LegLengthBox.nearby`.
     """
-    given = [points] if starts is None else [points, starts]
-    return NearestPoints(*in_portions(partial(_nearest, box), "nearest points", None, *given))
+    return NearestPoints(*in_portions(partial(_nearest, box), "nearest points", None, points, starts))
 
 
-def _nearest(box: LegLengthBox, points: FloatArray, starts: FloatArray | None = None) -> NearestPoints:
+def _nearest(box: LegLengthBox, points: FloatArray, starts: FloatArray | None) -> NearestPoints:
     if starts is not None:
         first, choice = starts, starts[:, None]
     else:
@@ -119,38 +96,37 @@ def _nearest(box: LegLengthBox, points: FloatArray, starts: FloatArray | None = 
         left = np.flatnonzero(~found.reached)
         choice[left, 1 : 1 + _STARTS] = box.nearby(points[left], _STARTS)[1]
         choice[left, 1 + _STARTS :] = box.sample[box.tree.query(points[left], _REMOTE_STARTS)[1]]
-    search = gauss_newton_from_starts(box, points, choice, singularity_margin=SINGULARITY_MARGIN)
-    augmented_lagrangian(search)
-    return _result(box, points, first, search)
+    return _result(box, points, first, nearest_states(box, points, choice))
 
 
-def gauss_newton_from_starts(box: LegLengthBox, targets: FloatArray, starts: FloatArray, **options: Any) -> StateSearch:
-    """Minimise from all `starts` (N, M, 2, 3) by Gauss-Newton, limits penalised; return a search at the best of the M.
+def nearest_states(
+    box: LegLengthBox, targets: FloatArray, starts: FloatArray, body: FloatArray = CENTRE
+) -> StateSearch:
+    """Search for the states within the limits with the points of `body` nearest to `targets`, as in `StateSearch`.
 
-    `options` are those of `StateSearch`.
+    From all `starts` (N, M, 2, 3) by the Gauss-Newton method, limits penalised; from the best of the M by Newton's
+    method and updates of the multipliers.
     """
     count, members = starts.shape[1], np.arange(len(targets))
-    search = StateSearch(box, np.repeat(targets, count, axis=0), starts.reshape(-1, 2, 3), **options)
-    every = np.arange(len(search.targets))
-    _set_penalty(search, every, _PENALTY_WEIGHTS[0])
-    search.iterate(every)
+    search = StateSearch(box, np.repeat(targets, count, axis=0), starts.reshape(-1, 2, 3), body, SINGULARITY_MARGIN)
+    _set_penalty(search, search.members, _PENALTY_WEIGHTS[0])
+    search.iterate()
     best = search.residual_norm.reshape(-1, count).argmin(axis=1)
-    return StateSearch(box, targets, search.coordinates.reshape(-1, count, 2, 3)[members, best], **options)
-
-
-def augmented_lagrangian(search: StateSearch) -> None:
-    """Move the states of a search to the nearest ones within the limits, by Newton's method and multiplier updates."""
-    active = np.flatnonzero(search.distance > RESOLUTION * search.box.size)
+    search = StateSearch(
+        box, targets, search.coordinates.reshape(-1, count, 2, 3)[members, best], body, SINGULARITY_MARGIN
+    )
+    active = np.flatnonzero(search.distance > RESOLUTION * box.size)
     for update in range(_UPDATES):
         if not len(active):
             break
         _set_penalty(search, active, _PENALTY_WEIGHTS[min(update % _RESTART, len(_PENALTY_WEIGHTS) - 1)])
-        search.iterate(active, newton=True, tolerance=_GRADIENT_TOLERANCE, least_decrease=_LEAST_DECREASE, steps=_STEPS)
+        search.iterate(active, "Newton")
         before = search.shifts[active]
         search.shifts[active] = search.residual[active, -8:] / search.weights[active, None]
         search.refresh(active)
         change = np.abs(search.shifts[active] - before).max(axis=-1)
-        active = active[~(search.stationary[active] & (change <= _MULTIPLIER_TOLERANCE * search.box.size))]
+        active = active[~(search.stationary[active] & (change <= _MULTIPLIER_TOLERANCE * box.size))]
+    return search
 
 
 def _set_penalty(search: StateSearch, members: IntArray, weight: float) -> None:

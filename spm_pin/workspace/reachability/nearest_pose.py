@@ -24,11 +24,7 @@ from spm_pin.mechanism import pose as make_pose
 from spm_pin.mechanism.arguments import FloatArray, choice, instance
 from spm_pin.mechanism.branches import family, physical
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox, leg_length_box
-from spm_pin.workspace.reachability.nearest_points import (
-    SINGULARITY_MARGIN,
-    augmented_lagrangian,
-    gauss_newton_from_starts,
-)
+from spm_pin.workspace.reachability.nearest_points import nearest_states
 from spm_pin.workspace.reachability.nearest_real_pose import nearest_real_pose
 from spm_pin.workspace.reachability.position_map import PositionMap
 
@@ -165,23 +161,22 @@ def _within_limits(
     targets = (matrices[:, None, :3, 3] + joints @ np.swapaxes(matrices[:, :3, :3], -1, -2)).reshape(-1, 9)
     if near is None:
         box = leg_length_box(geometry, limits)
-        mapping, tree = box.map, KDTree(box.map.points(box.sample, joints)[0])
+        tree = KDTree(box.map.points(box.sample, joints)[0])
         starts = box.sample[tree.query(targets, _STARTS)[1]]
     else:
-        box = LegLengthBox(geometry, limits, np.array(limits.minimum), np.array(limits.maximum))
         mapping = PositionMap(geometry, FAMILIES[int(family(near))])
-        single = Configuration(near.geometry, near.pose.as_matrix()[None], near.middle_joints[None])
-        starts = np.broadcast_to(mapping.coordinates(single), (len(targets), 1, 2, 3))
-    sides = np.ones(2) if near is None else np.sign(mapping.determinants(mapping.legs(starts[0])[1]))[0]
-    search = gauss_newton_from_starts(
-        box, targets, starts, body=joints, mapping=mapping, sides=sides, singularity_margin=SINGULARITY_MARGIN
-    )
-    augmented_lagrangian(search)
+        start = mapping.coordinates(Configuration(geometry, near.pose.as_matrix()[None], near.middle_joints[None]))
+        lower, upper = np.sign(mapping.determinants(mapping.legs(start)[1]))[0]
+        box = LegLengthBox(
+            geometry, limits, np.array(limits.minimum), np.array(limits.maximum), mapping.family, (lower, upper)
+        )
+        starts = np.broadcast_to(start, (len(targets), 1, 2, 3))
+    search = nearest_states(box, targets, starts, joints)
     # Newton's method takes long steps: the assembly mode is checked.
     home = near is None or bool(physical(near))
-    lengths = np.clip(mapping.lengths(search.coordinates), limits.minimum, limits.maximum)
+    lengths = np.clip(box.map.lengths(search.coordinates), limits.minimum, limits.maximum)
     proved = forward_physical(geometry, lengths, seed=None if home else near)
-    found, begun = mapping.states(search.coordinates), mapping.states(starts[:, 0])
+    found, begun = box.map.states(search.coordinates), box.map.states(starts[:, 0])
     with np.errstate(invalid="ignore"):
         kept = (
             np.abs(proved.middle_joints - found.middle_joints).max(axis=(-1, -2))

@@ -23,7 +23,7 @@ from spm_pin.mechanism import Configuration, Geometry, LegLimits
 from spm_pin.mechanism.arguments import FloatArray, generator, real_array, whole_number
 from spm_pin.workspace.reachability.confidence_intervals import Estimate, check_confidence, from_hits, from_mean
 from spm_pin.workspace.reachability.leg_length_box import leg_length_box
-from spm_pin.workspace.reachability.membership import pose_multiplicity
+from spm_pin.workspace.reachability.reachable_samples import pose_multiplicity
 
 __all__ = ["ROTATIONS", "OrientationWorkspace", "orientation_workspace", "tilt_torsion"]
 

@@ -5,25 +5,21 @@ outside its limits, and how far each stage is beyond a forward singularity: smoo
 derivatives that the position has as a function of the lengths. All searches here are damped least squares of that kind,
 for many members at once.
 
-A point is reachable if all of it can vanish. The search begins at states that `LegLengthBox.nearby` finds by going
-through all of the set, and a state found counts only if it is physical: the position that its lengths give, snapped to
-the limits, is compared with the point.
+A point is reachable if all of it can vanish; a state found counts only if it is physical: the position that its
+lengths give, snapped to the limits, is compared with the point.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from functools import partial
-from typing import Any, NamedTuple
+from collections.abc import Callable
 
 import numpy as np
 
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox
-from spm_pin.workspace.reachability.position_map import PositionMap
 
-__all__ = ["RESOLUTION", "Membership", "Progress", "StateSearch", "in_portions", "search_states"]
+__all__ = ["CENTRE", "RESOLUTION", "SINGULARITY_MARGIN", "Progress", "StateSearch"]
 
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how many steps are done, and of how many; may raise to interrupt."""
@@ -31,30 +27,29 @@ Progress = Callable[[str, int, int], None]
 RESOLUTION = 1e-9
 """Distances are found to this share of the machine's size."""
 _EPS = float(np.finfo(np.float64).eps)
-_OTHERS, _SPREAD = 7, 24
-"""Starts after the best one: the next best, and different ones, as near the rim all good states may be elsewhere."""
-_STEPS = 40
+SINGULARITY_MARGIN = 1e-6
+"""Least determinant of a stage, as a share of that at home, in searches for the boundary: nearer to a forward
+singularity, rounding of the lengths moves o farther than `RESOLUTION`."""
+_STEPS = {"Gauss-Newton": 40, "Newton": 200}
 """Steps of a search at most."""
 _STALL_STEPS = 8
 """Steps after which the residual norm is compared with what it was before them."""
-_LEAST_DECREASE = 1e-3
+_LEAST_DECREASE = {"Gauss-Newton": 1e-3, "Newton": 1e-6}
 """Relative decrease of the residual norm in that many steps, below which a search ends."""
 _DOUBT = 1e-4
 """Residual norm, over the machine's size, up to which a search that ends away from a minimum leaves its point
 undecided."""
-_GRADIENT_TOLERANCE = 1e-6
+_GRADIENT_TOLERANCE = {"Gauss-Newton": 1e-6, "Newton": 1e-9}
 """Gradient of half the squared residual norm, over that norm, at which a state is stationary, dimensionless."""
 _DAMPING = 1e-3
 """Damping of the first step, relative to the matrix."""
 _LEAST_DAMPING, _LARGEST_DAMPING = 1e-13, 1e3
 """Least damping, and the one at which a search ends: its steps are too short to gain anything."""
-_PORTION = 4096
-"""Rows of a batch worked on together."""
 _DIFFERENCE = 1e-7
 """Step in the coordinates of the stages for derivatives of the determinants."""
 _SECOND_DIFFERENCE = 1e-4
 """Step in them for derivatives of the Jacobian."""
-_CENTRE = np.zeros((1, 3))
+CENTRE = np.zeros((1, 3))
 """The platform's centre o in {m}."""
 
 
@@ -64,15 +59,11 @@ class StateSearch:
     Parameters
     ----------
     box : LegLengthBox
-        The leg lengths.
+        The leg lengths, the family, and the side of its forward singularities on which each stage has to be.
     targets : ndarray, shape (N, 3K)
         Where the points of `body` (K, 3), given in {m}, should be [m].
     coordinates : ndarray, shape (N, 2, 3)
         States to begin with; then those that have been reached. `stationary` (N,) says where the gradient vanishes.
-    mapping : PositionMap, optional
-        Of the family of the states, if that is not TT.
-    sides : ndarray, shape (2,)
-        On which side of its forward singularities each stage has to be: 1 for the side of the home.
     singularity_margin : float
         Least determinant of a stage, as a share of what `PositionMap.determinants` is at home.
 
@@ -88,29 +79,24 @@ class StateSearch:
         box: LegLengthBox,
         targets: FloatArray,
         coordinates: FloatArray,
-        body: FloatArray = _CENTRE,
-        mapping: PositionMap | None = None,
-        sides: FloatArray | float = 1.0,
+        body: FloatArray = CENTRE,
         singularity_margin: float = 0.0,
     ) -> None:
-        self.box, self.body, self.map = box, body, mapping or box.map
+        self.box, self.body = box, body
         self.scale = 1.0 / np.sqrt(len(body))
         self.targets, self.coordinates = self.scale * targets, coordinates.copy()
-        self._unit = box.size * np.broadcast_to(sides, 2)
+        self._unit = box.size * np.array(box.sides)
         self._low = np.concatenate([box.minimum, np.full(2, singularity_margin * box.size)])
         self._high = np.concatenate([box.maximum, np.full(2, np.inf)])
         count = len(targets)
         self.weights, self.shifts = np.ones(count), np.zeros((count, 8))
         self.stationary = np.zeros(count, dtype=bool)
-        self.refresh(np.arange(count))
+        self.members = np.arange(count)
+        self.residual, self.jacobian = self._residuals(self.members, self.coordinates)
 
     def refresh(self, index: IntArray) -> None:
         """Evaluate members again, after a change of weights or shifts."""
-        residual, jacobian = self._residuals(index, self.coordinates[index])
-        if len(index) == len(self.coordinates):
-            self.residual, self.jacobian = residual, jacobian
-        else:
-            self.residual[index], self.jacobian[index] = residual, jacobian
+        self.residual[index], self.jacobian[index] = self._residuals(index, self.coordinates[index])
 
     @property
     def residual_norm(self) -> FloatArray:
@@ -138,7 +124,7 @@ class StateSearch:
         In doubt are those in another assembly mode, and those that stalled just short of a state.
         """
         solved = self.residual_norm <= RESOLUTION * self.box.size
-        lengths = self.box.snapped(self.map.lengths(self.coordinates[solved]))
+        lengths = self.box.snapped(self.box.map.lengths(self.coordinates[solved]))
         with np.errstate(invalid="ignore"):
             missed = np.abs(forward_physical(self.box.geometry, lengths).translation - self.targets[solved])
             good = solved.copy()
@@ -153,9 +139,9 @@ class StateSearch:
         The errors of the points, the violations of six lengths' limits, and how far each stage is beyond a forward
         singularity. Of the last eight, the derivatives of those that are `active`: not within limits.
         """
-        position, derivatives = self.map.points(coordinates, self.body)
-        lengths, slopes = self.map.legs(coordinates)
-        determinants = self._unit * self.map.determinants(slopes)
+        position, derivatives = self.box.map.points(coordinates, self.body)
+        lengths, slopes = self.box.map.legs(coordinates)
+        determinants = self._unit * self.box.map.determinants(slopes)
         values = np.concatenate([lengths.reshape(-1, 6), determinants], axis=-1) + self.shifts[index]
         outside = values - np.clip(values, self._low, self._high)
         active = outside != 0.0 if active is None else active
@@ -168,7 +154,7 @@ class StateSearch:
         crossed = np.flatnonzero(active[:, 6:].any(axis=-1))
         if len(crossed):
             there = coordinates[crossed] + _DIFFERENCE * np.eye(3)[:, None, None]
-            change = self._unit * self.map.determinants(self.map.legs(there)[1]) - determinants[crossed]
+            change = self._unit * self.box.map.determinants(self.box.map.legs(there)[1]) - determinants[crossed]
             for k in range(2):
                 slope = np.where(active[crossed, 6 + k], change[..., k] / _DIFFERENCE, 0.0)
                 jacobian[crossed, rows + 6 + k, 3 * k : 3 * k + 3] = slope.T
@@ -187,39 +173,31 @@ class StateSearch:
         matrix = 0.5 * (matrix + np.swapaxes(matrix, -1, -2))
         return np.where(np.isfinite(matrix).all(axis=(-1, -2), keepdims=True), matrix, 0.0)
 
-    def iterate(
-        self,
-        active: IntArray,
-        *,
-        newton: bool = False,
-        tolerance: float = _GRADIENT_TOLERANCE,
-        least_decrease: float = _LEAST_DECREASE,
-        steps: int = _STEPS,
-    ) -> None:
-        """Iterate the members `active` by the Gauss-Newton method, or if `newton` by Newton's method, damped.
+    def iterate(self, members: IntArray | None = None, method: str = "Gauss-Newton") -> None:
+        """Iterate `members`, all if not given, by the damped "Gauss-Newton" or "Newton" method.
 
-        At most `steps` times, until the gradient is at most `tolerance` times the residual norm, that norm vanishes, or
-        it decreases by less than the share `least_decrease` in eight steps.
+        Until the gradient is small, the residual norm vanishes, or it hardly decreases in eight steps.
         """
+        active = self.members if members is None else members
         self.damping = np.full(len(self.coordinates), _DAMPING)
         before = self.residual_norm
-        for count in range(1, steps + 1):
+        for count in range(1, _STEPS[method] + 1):
             residual, jacobian, norm = self.residual[active], self.jacobian[active], self.residual_norm[active]
             gradient = np.einsum("nij,ni->nj", jacobian, residual)
             largest = np.abs(gradient).max(axis=-1, initial=0.0)
-            self.stationary[active] = largest <= tolerance * norm
+            self.stationary[active] = largest <= _GRADIENT_TOLERANCE[method] * norm
             going = ~self.stationary[active] & (norm > 1e-3 * RESOLUTION * self.box.size)
             going &= self.damping[active] < _LARGEST_DAMPING
             if count % _STALL_STEPS == 0:
                 # Newton's method near a solution is faster than that.
-                going &= norm <= (1.0 - least_decrease) * before[active]
+                going &= norm <= (1.0 - _LEAST_DECREASE[method]) * before[active]
                 before[active] = norm
             active = active[going]
             jacobian, gradient, largest, norm = (array[going] for array in (jacobian, gradient, largest, norm))
             if not len(active):
                 break
             matrix = np.swapaxes(jacobian, -1, -2) @ jacobian
-            if newton:
+            if method == "Newton":
                 step = newton_step(matrix + self._curvature(active), gradient, self.damping[active])
             else:
                 step = damped_solution(matrix, gradient, self.damping[active])
@@ -235,79 +213,6 @@ class StateSearch:
             self.residual[chosen], self.jacobian[chosen] = errors[better], derivatives[better]
             damping = self.damping[active]
             self.damping[active] = np.where(better, np.maximum(0.1 * damping, _LEAST_DAMPING), 10.0 * damping)
-
-
-class Membership(NamedTuple):
-    """Which of N points are reachable."""
-
-    reached: BoolArray
-    """Points with a state, which proves it, (N,)."""
-    undecided: BoolArray
-    """Points (N,) without one for which a search failed: it ended in another assembly mode, or stalled just short of a
-    state."""
-    coordinates: FloatArray
-    """The states (N, 2, 3); where there is none, those found with the smallest residual norm."""
-    distance: FloatArray
-    """How far the reachable set is, to about two spacings of the box's table (N,) [m]; zero where reached."""
-
-
-def search_states(
-    box: LegLengthBox,
-    points: FloatArray,
-    starts: FloatArray | None = None,
-    *,
-    what: str = "",
-    progress: Progress | None = None,
-) -> Membership:
-    """Search for states within the limits that put o at `points` (N, 3), in {B} [m].
-
-    With `starts` (N, 2, 3) the search begins at one state for each point, instead of those of `LegLengthBox.nearby`.
-    `what` says what is being done, for `progress`.
-    """
-    given = [points] if starts is None else [points, starts]
-    return Membership(*in_portions(partial(_searched, box), what, progress, *given))
-
-
-def in_portions(
-    function: Callable[..., tuple[Any, ...]], what: str, progress: Progress | None, *arrays: FloatArray
-) -> Iterator[Any]:
-    """Call `function` with a portion of the rows of the arrays at a time; return each of its results, concatenated."""
-    count, parts = len(arrays[0]), []
-    for begin in range(0, max(count, 1), _PORTION):
-        if progress is not None:
-            progress(what, begin, count)
-        parts.append(function(*(array[begin : begin + _PORTION] for array in arrays)))
-    if progress is not None:
-        progress(what, count, count)
-    return map(np.concatenate, zip(*parts, strict=True))
-
-
-def _searched(box: LegLengthBox, points: FloatArray, near: FloatArray | None = None) -> Membership:
-    if near is None:
-        distance, starts = box.nearby(points)
-    else:
-        starts = near[:, None]
-        distance = np.sqrt(((box.map.points(near)[0] - points) ** 2).sum(axis=-1))
-    coordinates, undecided = starts[:, 0].copy(), np.zeros(len(points), dtype=bool)
-    least, tolerance = np.full(len(points), np.inf), RESOLUTION * box.size
-    left = np.flatnonzero(distance <= box.margin) if near is None else np.arange(len(points))
-    # The best start by itself, as it is enough for most; then others for the points that are left.
-    for count in (1, _OTHERS, _SPREAD) if near is None else (1,):
-        chosen = starts[left]
-        if count > 1:
-            chosen = box.nearby(points[left], count + 1, spread=count == _SPREAD)[1][:, 1:]
-        search = StateSearch(box, np.repeat(points[left], count, axis=0), chosen.reshape(-1, 2, 3))
-        search.iterate(np.arange(len(search.targets)))
-        good, doubtful = (mask.reshape(-1, count) for mask in search.proved())
-        norm = np.where(good, 0.0, search.residual_norm.reshape(-1, count) + tolerance)
-        best = np.arange(len(left)), norm.argmin(axis=1)
-        better = norm[best] < least[left]
-        coordinates[left[better]] = search.coordinates.reshape(-1, count, 2, 3)[best][better]
-        least[left[better]] = norm[best][better]
-        undecided[left] |= doubtful.any(axis=1)
-        left = left[~good.any(axis=1)]
-    reached = least == 0.0
-    return Membership(reached, undecided & ~reached, coordinates, np.where(reached, 0.0, np.maximum(distance, 0.0)))
 
 
 def damped_solution(matrix: FloatArray, right: FloatArray, damping: FloatArray) -> FloatArray:

@@ -13,8 +13,9 @@ from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.workspace.reachability.boundary import Boundary, reachable_boundary
 from spm_pin.workspace.reachability.confidence_intervals import Estimate, check_confidence, from_hits, from_mean
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox, leg_length_box
-from spm_pin.workspace.reachability.membership import pose_multiplicity, sample_reachable
-from spm_pin.workspace.reachability.state_search import Progress, search_states
+from spm_pin.workspace.reachability.membership import portions, search_states
+from spm_pin.workspace.reachability.reachable_samples import pose_weights, sample_reachable
+from spm_pin.workspace.reachability.state_search import Progress
 from spm_pin.workspace.table_6.shell import Shell
 
 __all__ = ["ShellComparison", "compare_with_shell", "pose_volume", "reachable_volume"]
@@ -118,16 +119,12 @@ def pose_volume(
     confidence = check_confidence(confidence)
     count = whole_number(samples, "samples", least=2)
     box, rng = leg_length_box(geometry, limits), generator(rng)
-    parts, volumes = [np.empty(0)], []
-    for begin in range(0, count, _PORTION):
-        if progress is not None:
-            progress("states", begin, count)
-        coordinates, volume = box.draw(min(_PORTION, count - begin), rng)
-        parts.append(box.map.pose_densities(coordinates) / pose_multiplicity(box.map.states(coordinates), box.limits))
+    parts, volumes = [], []
+    for rows in portions(count, _PORTION, "states", progress):
+        coordinates, volume = box.draw(rows.stop - rows.start, rng)
+        parts.append(pose_weights(box, coordinates))
         volumes.append(volume)
-    if progress is not None:
-        progress("states", count, count)
-    whole = float(np.average(volumes, weights=[len(part) for part in parts[1:]]))
+    whole = float(np.average(volumes, weights=[len(part) for part in parts]))
     how = "change of variables from the stages' coordinates"
     # Of the size of each stage's set, of which the volume is the product.
     variance = 2.0 / count

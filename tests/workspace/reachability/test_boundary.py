@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 
 import spm_pin as spm
 from spm_pin.workspace.reachability.boundary import Boundary, BoundaryPoints, reachable_boundary
-from spm_pin.workspace.reachability.membership import reachable_position
+from spm_pin.workspace.reachability.reachable_positions import reachable_position
 
 PAPER = GEOMETRIES["paper"]
 NARROW = spm.LegLimits(1.2, 1.4)

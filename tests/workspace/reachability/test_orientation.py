@@ -8,8 +8,8 @@ from workspace.reachability.intervals import overlap
 
 import spm_pin as spm
 from spm_pin.workspace.reachability.confidence_intervals import from_hits
-from spm_pin.workspace.reachability.membership import reachable
 from spm_pin.workspace.reachability.orientation import ROTATIONS, orientation_workspace, tilt_torsion
+from spm_pin.workspace.reachability.reachable_poses import reachable
 
 PAPER = GEOMETRIES["paper"]
 

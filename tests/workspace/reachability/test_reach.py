@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 import spm_pin as spm
 from spm_pin.mechanism.branches import physical
 from spm_pin.workspace.reachability.joint_limits import JointLimits
-from spm_pin.workspace.reachability.membership import Reachability, pose_multiplicity, reachable, sample_reachable
+from spm_pin.workspace.reachability.reachable_poses import Reachability, reachable
+from spm_pin.workspace.reachability.reachable_samples import pose_multiplicity, sample_reachable
 
 PAPER = GEOMETRIES["paper"]
 LIMITS = spm.LegLimits(1.1, 1.5)

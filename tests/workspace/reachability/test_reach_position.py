@@ -9,9 +9,9 @@ from scipy.optimize import least_squares
 
 import spm_pin as spm
 from spm_pin.workspace.reachability.leg_length_box import leg_length_box
-from spm_pin.workspace.reachability.membership import reachable_position
 from spm_pin.workspace.reachability.nearest_points import nearest_in_box
 from spm_pin.workspace.reachability.position_map import PositionMap
+from spm_pin.workspace.reachability.reachable_positions import reachable_position
 
 PAPER = GEOMETRIES["paper"]
 

@@ -12,9 +12,10 @@ from scipy.spatial.transform import Rotation
 import spm_pin as spm
 from spm_pin.mechanism.branches import physical
 from spm_pin.workspace.reachability.leg_length_box import leg_length_box
-from spm_pin.workspace.reachability.membership import reachable_position
+from spm_pin.workspace.reachability.membership import search_states
 from spm_pin.workspace.reachability.position_map import PositionMap
-from spm_pin.workspace.reachability.state_search import damped_solution, search_states
+from spm_pin.workspace.reachability.reachable_positions import reachable_position
+from spm_pin.workspace.reachability.state_search import damped_solution
 from spm_pin.workspace.reachability.volume import pose_volume, reachable_volume
 
 PAPER = GEOMETRIES["paper"]
