@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, broadcastable, first_offender, instance, real_array
+from spm_pin.mechanism.arguments import FloatArray, broadcastable, first_offender, real_array
 from spm_pin.mechanism.as_built import AsBuiltGeometry, check_geometry
-from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry
 
 __all__ = ["check_seed", "read_leg_lengths"]
@@ -47,12 +47,10 @@ def read_leg_lengths(geometry: Geometry | AsBuiltGeometry, leg_lengths: npt.Arra
 
 def check_seed(geometry: Geometry | AsBuiltGeometry, lengths: FloatArray, seed: Configuration) -> None:
     """Raise an ArgumentError if `seed` is no closed state of this geometry that goes with lengths (..., 6)."""
-    instance(seed, Configuration, "seed")
+    check_configuration(seed, "seed", existing=True, as_built=True)
     if _dimensions(geometry) != _dimensions(seed.geometry):
         raise ArgumentError("seed", f"a configuration of this geometry, {geometry!r}", repr(seed.geometry))
     broadcastable("seed", seed.shape, "leg_lengths", lengths.shape[:-1])
-    if not seed.exists.all():
-        raise ArgumentError("seed", "states that exist", f"NaN at index {first_offender(~seed.exists)}")
     torn = float(seed.closure_residual.max(initial=0.0))
     if torn > _OPEN * geometry.nominal.middle_side:
         raise ArgumentError("seed", "a configuration that closes", f"a closure residual of {torn:.1e} m")

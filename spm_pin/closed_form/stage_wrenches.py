@@ -75,7 +75,10 @@ class StageWrenches:
             return np.concatenate([forces, np.cross(arms, forces)], axis=-1).reshape(*shape, 2, 3, 6)
 
         lever = configuration.translation - centre
-        return cls(rows(vectors / lengths), rows(configuration.leg_axes), lever, side, configuration.exists)
+        exists = configuration.exists
+        # The axes of the lower legs do not depend on the state: one that does not exist has none of them either.
+        axes = np.where(exists[..., None, None], configuration.leg_axes, np.nan)
+        return cls(rows(vectors / lengths), rows(axes), lever, side, exists)
 
     def matrices(self, kind: str) -> FloatArray:
         """Return the matrices (..., n, 6, 6) of a kind of singularity: "forward", J_b and J_c, or "inverse", K."""

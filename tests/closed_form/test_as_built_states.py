@@ -223,6 +223,17 @@ def test_states_that_do_not_exist_give_nan() -> None:
     assert np.isnan(forces[1]).all()
 
 
+@pytest.mark.parametrize("size", [0.0, 1e-3])
+def test_rates_of_states_that_do_not_exist_are_nan(size: float) -> None:
+    found = spm.inverse_physical(as_built(PAPER, size), in_leg_space(PAPER, 5, seed=2).pose)
+    absent = spm.inverse_physical(as_built(PAPER, size), spm.pose([0.0, 0.0, 9.0], xyx=[0.0, 0.0, 0.0]))
+    assert not absent.exists
+    assert np.isfinite(spm.inverse_jacobian(found)).all()
+    assert np.isnan(spm.inverse_jacobian(absent)).all()
+    assert np.isnan(spm.leg_rates(absent, np.ones(6))).all()
+    assert np.isnan(spm.stiffness(absent, 1e7)).all()
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
