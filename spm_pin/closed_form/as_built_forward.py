@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.batches import run_kernel
+from spm_pin.closed_form.batches import flat_batch, run_kernel, with_batch_shape
 from spm_pin.closed_form.forward_displacement_arguments import check_seed, read_leg_lengths
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.as_built import AsBuiltGeometry
+from spm_pin.mechanism.as_built import AsBuiltGeometry, is_nominal
 from spm_pin.mechanism.branches import physical
 from spm_pin.mechanism.configuration import Configuration, triangle_frames, triangle_sides
 from spm_pin.mechanism.geometry import Geometry
@@ -39,17 +39,14 @@ def as_built_forward(
         rotation, position = seed.rotation[..., None, :, :], seed.translation[..., None, :]
         upper = ((seed.balls[..., 3:, :] - position)[..., None, :] @ rotation)[..., 0, :]
         balls = np.concatenate([seed.balls[..., :3, :], upper], axis=-2)
-        flat = [
-            np.broadcast_to(x, (*shape, *x.shape[-k:])).reshape(-1, *x.shape[-k:])
-            for x, k in ((balls, 2), (seed.leg_lengths - geometry.offsets, 1), (lengths, 1))
-        ]
-        return _compose(geometry, _follow(geometry, geometry, *flat), shape)
+        legs = [flat_batch(x, shape, 1) for x in (seed.leg_lengths - geometry.offsets, lengths)]
+        return _compose(geometry, _follow(geometry, geometry, flat_batch(balls, shape, 2), *legs), shape)
     shape, lengths = lengths.shape[:-1], lengths.reshape(-1, 6)
     nominal = AsBuiltGeometry.from_nominal(geometry.nominal)
     start = solve_nominal(geometry.nominal, lengths)
-    if geometry == nominal:
+    if is_nominal(geometry):
         state = start.rotation, start.translation, start.middle_joints
-        return Configuration.from_arrays(geometry, *(x.reshape(*shape, *x.shape[1:]) for x in state))
+        return Configuration.from_arrays(geometry, *with_batch_shape(state, shape))
     upper = (start.middle_joints - start.translation[:, None]) @ start.rotation
     balls = _follow(nominal, geometry, np.concatenate([start.middle_joints, upper], axis=1), lengths, lengths)
     found = physical(_compose(geometry, balls, (len(lengths),)))
@@ -100,7 +97,5 @@ def _compose(geometry: AsBuiltGeometry, balls: FloatArray, shape: tuple[int, ...
     places = placed.mean(axis=-2) - (turns @ local.mean(axis=-2)[..., None])[..., 0]
     rotation = turns[:, 0] @ np.swapaxes(turns[:, 1], -1, -2)
     translation = places[:, 0] - (rotation @ places[:, 1, :, None])[..., 0]
-    lower = np.ascontiguousarray(balls[:, :3])
-    return Configuration.from_arrays(
-        geometry, rotation.reshape(*shape, 3, 3), translation.reshape(*shape, 3), lower.reshape(*shape, 3, 3)
-    )
+    state = rotation, translation, np.ascontiguousarray(balls[:, :3])
+    return Configuration.from_arrays(geometry, *with_batch_shape(state, shape))

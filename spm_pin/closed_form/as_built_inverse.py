@@ -5,19 +5,17 @@ Derivation, and what becomes of the nominal machine's branches: `docs/theory/as_
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.batches import BRANCH_RESULTS, radii, read_pose, run_kernel
+from spm_pin.closed_form.batches import BRANCH_RESULTS, branch_states, radii, read_pose, run_kernel, with_batch_shape
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.branches import BRANCHES, tangent_signs
 from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.pose import PoseLike
+from spm_pin.mechanism.pose import PoseLike, homogeneous
 from spm_pin.mechanism.solution_status import Status
 from spm_pin.mechanism.solutions import SolutionSet
 
@@ -28,34 +26,23 @@ _LARGE = 5e-3
 """Errors, of directions and in units of the middle platform's radius, that may make other branches physical."""
 
 
-NominalSolver = Callable[[Geometry, PoseLike], SolutionSet]
-"""`inverse_displacement` of nominal machines."""
-
-
-def as_built_inverse(geometry: AsBuiltGeometry, pose: PoseLike, solve_nominal: NominalSolver) -> SolutionSet:
+def as_built_inverse(geometry: AsBuiltGeometry, pose: PoseLike) -> SolutionSet:
     """Find all configurations of a machine as built that hold the platform in a pose; see `inverse_displacement`.
 
     `.met` is true under a label whose branch of the nominal machine ended on the straight way from the nominal axes,
     pivots and balls to those of this machine, and under a label left over that a real root of this machine took: pairs
     of a root and a label near each other first. `.status` is `DEGENERATE` where the leg planes do not determine the
-    position, and `UNSOLVED` where not all eight roots could be isolated. Without errors the result is that of the
-    nominal geometry.
+    position, and `UNSOLVED` where not all eight roots could be isolated.
     """
-    if _is_nominal(geometry):
-        return _of_nominal(geometry, solve_nominal(geometry.nominal, pose))
     shape, rotation, position = read_pose(pose)
     joints, lengths, carried, status, _ = _solve(geometry, rotation, position, complex_roots=False)
-    branches = Configuration.from_arrays(
-        geometry,
-        np.broadcast_to(rotation.reshape(*shape, 1, 3, 3), (*shape, 8, 3, 3)).copy(),
-        np.broadcast_to(position.reshape(*shape, 1, 3), (*shape, 8, 3)).copy(),
-        joints.reshape(*shape, 8, 3, 3),
-        lengths.reshape(*shape, 8, 6) + geometry.offsets,
-    )
+    # The poses may be the caller's memory.
+    solved = rotation.copy(), position.copy(), joints, lengths + geometry.offsets
+    branches = branch_states(geometry, shape, solved)
     return SolutionSet(branches, BRANCHES, status.reshape(shape), met=(carried == 0).reshape(*shape, 8))
 
 
-def as_built_physical(geometry: AsBuiltGeometry, pose: PoseLike, solve_nominal: NominalSolver) -> Configuration:
+def as_built_physical(geometry: AsBuiltGeometry, pose: PoseLike) -> Configuration:
     """Find the configuration in which a machine as built holds the platform in a pose; see `inverse_physical`.
 
     Newton's method starts from the branches TT+ and TT- of the nominal machine. All branches are solved for where it
@@ -64,8 +51,8 @@ def as_built_physical(geometry: AsBuiltGeometry, pose: PoseLike, solve_nominal: 
     from spm_pin.closed_form.kernels.as_built_physical_kernel import certain_physical_branches
 
     limits, machines = geometry.limits, _machines(geometry)
-    if _is_nominal(geometry) or np.abs(machines[1] - machines[0]).max() > _LARGE:
-        return as_built_inverse(geometry, pose, solve_nominal).physical()
+    if np.abs(machines[1] - machines[0]).max() > _LARGE:
+        return as_built_inverse(geometry, pose).physical()
     shape, rotation, position = read_pose(pose)
     nominal = _nominal_branches(geometry, rotation, position)
     bounds = np.array([(-np.inf,) * 6, (np.inf,) * 6] if limits is None else [limits.minimum, limits.maximum])
@@ -78,15 +65,13 @@ def as_built_physical(geometry: AsBuiltGeometry, pose: PoseLike, solve_nominal: 
     turned, moved = nominal[0], nominal[1]
     rest = np.flatnonzero(~certain)
     if len(rest):
-        matrices = np.tile(np.eye(4), (len(rest), 1, 1))
-        matrices[:, :3, :3], matrices[:, :3, 3] = rotation[rest], position[rest]
-        others = as_built_inverse(geometry, matrices if shape else matrices[0], solve_nominal).physical()
+        matrices = homogeneous(rotation[rest], position[rest])
+        others = as_built_inverse(geometry, matrices if shape else matrices[0]).physical()
         if not shape:
             return others
         turned[rest], moved[rest] = others.rotation, others.translation
         joints[rest], lengths[rest] = others.middle_joints, others.leg_lengths
-    arrays = turned, moved, joints, lengths
-    return Configuration.from_arrays(geometry, *(x.reshape(*shape, *x.shape[1:]) for x in arrays))
+    return Configuration.from_arrays(geometry, *with_batch_shape((turned, moved, joints, lengths), shape))
 
 
 def as_built_complex_joints(geometry: AsBuiltGeometry, pose: PoseLike) -> npt.NDArray[np.complex128]:
@@ -99,30 +84,11 @@ def as_built_complex_joints(geometry: AsBuiltGeometry, pose: PoseLike) -> npt.ND
     return joints.reshape(*shape, 8, 3, 3)
 
 
-def _is_nominal(geometry: AsBuiltGeometry) -> bool:
-    return geometry == AsBuiltGeometry.from_nominal(geometry.nominal)
-
-
 def _machines(geometry: AsBuiltGeometry) -> list[FloatArray]:
     """Return axes, and pivots and balls in units of the middle radius, of the nominal machine and of this one."""
     unit = geometry.nominal.middle_radius
     both = AsBuiltGeometry.from_nominal(geometry.nominal), geometry
     return [np.stack([g.axes, g.pivots / unit, g.balls / unit]) for g in both]
-
-
-def _of_nominal(geometry: AsBuiltGeometry, nominal: SolutionSet) -> SolutionSet:
-    state = nominal.configurations
-    branches = Configuration.from_arrays(
-        geometry, state.rotation, state.translation, state.middle_joints, state.leg_lengths
-    )
-    return SolutionSet(
-        branches,
-        BRANCHES,
-        nominal.status,
-        discriminants=nominal.discriminants,
-        degeneracy=nominal.degeneracy,
-        met=np.zeros(branches.shape, dtype=np.bool_),
-    )
 
 
 def _nominal_branches(geometry: AsBuiltGeometry, rotation: FloatArray, position: FloatArray) -> tuple[Any, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from spm_pin.closed_form.threads import parallel_for
 from spm_pin.mechanism.arguments import FloatArray, instance
+from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import EXACT, PoseLike, checked_pose, unchecked_pose
@@ -18,11 +19,14 @@ from spm_pin.mechanism.pose import EXACT, PoseLike, checked_pose, unchecked_pose
 __all__ = [
     "BRANCH_RESULTS",
     "Result",
+    "branch_states",
+    "flat_batch",
     "new_result",
     "radii",
     "read_pose",
     "run_kernel",
     "run_on_states",
+    "with_batch_shape",
     "with_two_batch_axes",
 ]
 
@@ -141,7 +145,7 @@ def run_on_states(
     inner = inputs[0].shape[1]
     outer_batch = max(min_batch // max(inner, 1), 1)
     written = run_kernel(kernel, inputs, constants, results, outer_batch, packed=inner)
-    return tuple(array.reshape((*shape, *array.shape[1:])) for array in written)
+    return with_batch_shape(written, shape)
 
 
 def with_two_batch_axes(array: FloatArray, shape: tuple[int, ...], trailing: tuple[int, ...]) -> FloatArray:
@@ -149,6 +153,31 @@ def with_two_batch_axes(array: FloatArray, shape: tuple[int, ...], trailing: tup
     inner = shape[-1] if len(shape) > 1 else 1
     outer = int(np.prod(shape[:-1] if len(shape) > 1 else shape))
     return np.broadcast_to(array, (*shape, *trailing)).reshape(outer, inner, *trailing)
+
+
+def flat_batch(array: FloatArray, shape: tuple[int, ...], inner: int) -> FloatArray:
+    """Return an array with `inner` axes per member, broadcast to a batch of this shape, with one batch axis."""
+    trailing = array.shape[array.ndim - inner :]
+    return np.broadcast_to(array, (*shape, *trailing)).reshape(-1, *trailing)
+
+
+def with_batch_shape(arrays: Iterable[npt.NDArray[Any]], shape: tuple[int, ...]) -> tuple[Any, ...]:
+    """Return arrays of N members with the axes of a batch of this shape in place of the first."""
+    return tuple([array.reshape((*shape, *array.shape[1:])) for array in arrays])
+
+
+def branch_states(
+    geometry: Geometry | AsBuiltGeometry, shape: tuple[int, ...], solved: Iterable[npt.NDArray[Any]]
+) -> Configuration:
+    """Return the branches (..., 8) of a batch of this shape, of the first four `BRANCH_RESULTS` of its N poses."""
+    rotation, position, joints, lengths = with_batch_shape(solved, shape)
+    return Configuration.from_arrays(
+        geometry,
+        np.broadcast_to(rotation[..., None, :, :], joints.shape),
+        np.broadcast_to(position[..., None, :], joints.shape[:-1]),
+        joints,
+        lengths,
+    )
 
 
 def radii(geometry: Geometry) -> tuple[float, float, float]:

@@ -10,20 +10,22 @@ All bounds are computed with outward rounding. See `docs/theory/proofs.md`.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import mpmath
 import numpy as np
-import numpy.typing as npt
 
-from spm_pin.closed_form.exact_discriminants import BITS, ExactPose
+from spm_pin.closed_form.batches import with_batch_shape
+from spm_pin.closed_form.exact_discriminants import BITS, ExactPose, largest_component, quaternions, scaled_rotation
 from spm_pin.closed_form.intervals import SQRT_3, Interval
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.branches import physical, straightness
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.solutions import SolutionSet
 
-__all__ = ["existence_radii", "settle_families"]
+__all__ = ["certify_branches"]
 
 
 _SAFE = 1.0 + 1e-12
@@ -33,23 +35,33 @@ _CHUNK = 1 << 15
 _COS_30 = float(np.sqrt(0.75))
 
 
-def settle_families(
-    geometry: Geometry,
-    rotation: FloatArray,
-    position: FloatArray,
-    joints: FloatArray,
-    lengths: FloatArray,
-    discriminants: FloatArray,
-    choice: npt.NDArray[np.uint8],
-    status: npt.NDArray[np.int8],
-    undecided: BoolArray,
-) -> tuple[BoolArray, FloatArray]:
+def certify_branches(found: SolutionSet, solved: tuple[Any, ...]) -> SolutionSet:
+    """Decide the families of `found` that are not `certain`, and bound the error of all joints, in `radius`.
+
+    `solved` are the `BRANCH_RESULTS` that `found` is made of; families that are decided are written anew in there.
+    """
+    from spm_pin.closed_form.kernels.branch_tiles import VERTICAL
+
+    rotation, position, joints, _, _, _, status, flagged = solved
+    assert found.degeneracy is not None
+    certain, shape = np.asarray(found.certain).reshape(-1, 4), found.shape
+    vertical = (flagged & VERTICAL) > 0
+    undecided = ~certain & ~found.degeneracy.families.reshape(-1, 4) & ~vertical[:, None]
+    radius = _existence_radii(rotation, position, joints, found.geometry.middle_side)
+    settled, precise = _settle_families(found.geometry, solved, undecided)
+    radius = np.where(np.repeat(undecided, 2, axis=-1), precise, radius)
+    settled, radius = with_batch_shape((certain | settled, radius), shape)
+    return replace(found, status=status.reshape(shape), settled=settled, radius=radius)
+
+
+def _settle_families(geometry: Geometry, solved: tuple[Any, ...], undecided: BoolArray) -> tuple[BoolArray, FloatArray]:
     """Decide the families of N poses whose discriminants may have the wrong sign, and compute their branches anew.
 
-    What `kernels.branch_kernels.all_branches` wrote, from `joints` to `status`, is corrected for the families
-    `undecided` (N, 4). Returned is for which families (N, 4) it is proved that they are real, or not, as their joints
-    now say: not for continuous ones; and the `existence_radii` (N, 8) of the branches computed anew, NaN of others.
+    The results of `kernels.branch_kernels.all_branches` are corrected for the families `undecided` (N, 4). Returned is
+    for which families (N, 4) it is proved that they are real, or not, as their joints now say: not for continuous ones;
+    and the `_existence_radii` (N, 8) of the branches computed anew, NaN of others.
     """
+    rotation, position, joints, lengths, discriminants, choice, status, _ = solved
     settled, radii = np.zeros_like(undecided), np.full((len(position), 8), np.nan)
     for n in np.flatnonzero(undecided.any(axis=-1)):
         exact = ExactPose(rotation[n], position[n], geometry.middle_side)
@@ -76,7 +88,7 @@ def settle_families(
     return settled, radii
 
 
-def existence_radii(rotation: FloatArray, position: FloatArray, joints: FloatArray, side: float) -> FloatArray:
+def _existence_radii(rotation: FloatArray, position: FloatArray, joints: FloatArray, side: float) -> FloatArray:
     """Return radii (N, 8) [m] around computed joints within which exact joints exist, and are the only ones.
 
     NaN where nothing is proved. The joints (N, 8, 3, 3) [m] are those of the kernels, NaN where a branch is not real.
@@ -114,28 +126,13 @@ def _precise_joints(exact: ExactPose, branch: int) -> tuple[FloatArray, float]:
 
 def _enclosed_matrix(rotation: FloatArray) -> list[list[Interval]]:
     """Return enclosures of σR (N,), R the rotation of the quaternion that the kernels take from the matrices."""
-    (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = (
-        [Interval.of(rotation[:, i, j]) for j in range(3)] for i in range(3)
-    )
-    trace = r00 + r11 + r22
-    a, b, c = rotation[:, 0, 0], rotation[:, 1, 1], rotation[:, 2, 2]
-    largest = np.argmax([a + b + c, c, b, a], axis=0)
-    candidates = (
-        (1.0 + trace, r10 - r01, r02 - r20, r21 - r12),
-        (r21 - r12, r20 + r02, r10 + r01, 1.0 - trace + 2.0 * r00),
-        (r02 - r20, r21 + r12, 1.0 - trace + 2.0 * r11, r10 + r01),
-        (r10 - r01, 1.0 - trace + 2.0 * r22, r21 + r12, r20 + r02),
-    )
-    x0, x1, x2, x3 = (
-        Interval(*(np.choose(largest, ends) for ends in ([x.low for x in row], [x.high for x in row])))
-        for row in candidates
-    )
-    xx, yy, zz, ww = x1.square(), x2.square(), x3.square(), x0.square()
-    return [
-        [ww + xx - (yy + zz), 2.0 * (x1 * x2 - x0 * x3), 2.0 * (x1 * x3 + x0 * x2)],
-        [2.0 * (x1 * x2 + x0 * x3), ww + yy - (xx + zz), 2.0 * (x2 * x3 - x0 * x1)],
-        [2.0 * (x1 * x3 - x0 * x2), 2.0 * (x2 * x3 + x0 * x1), ww + zz - (xx + yy)],
+    entries = [Interval.of(entry) for entry in rotation.reshape(-1, 9).T]
+    largest = largest_component(rotation)
+    chosen = [
+        Interval(np.choose(largest, [x.low for x in component]), np.choose(largest, [x.high for x in component]))
+        for component in zip(*quaternions(entries, 1.0), strict=True)
     ]
+    return scaled_rotation(chosen, Interval.square)
 
 
 def _radius(

@@ -5,17 +5,38 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.solution_status import Degeneracy
+from spm_pin.mechanism.solution_status import Degeneracy, Status
 
 __all__ = ["find_degeneracy"]
 
 
 def find_degeneracy(
-    geometry: Geometry, flagged: npt.NDArray[np.uint8], rotation: FloatArray, position: FloatArray
+    geometry: Geometry,
+    shape: tuple[int, ...],
+    rotation: FloatArray,
+    position: FloatArray,
+    flagged: npt.NDArray[np.uint8],
+    status: npt.NDArray[np.int8],
 ) -> Degeneracy:
-    """Describe the continuous families of N poses that a kernel has flagged, see `kernels.branch_tiles`.
+    """Describe the continuous families of a batch of this shape, N poses (N, 3, 3), (N, 3); set their `status` (N,).
+
+    Only poses that a kernel has `flagged` (N,) can have any, see `kernels.branch_tiles`.
+    """
+    n = len(flagged)
+    dimension, families, legs = np.zeros(n, np.int8), np.zeros((n, 4), np.bool_), np.zeros((n, 3), np.bool_)
+    at = np.flatnonzero(flagged)
+    if len(at):
+        dimension[at], families[at], legs[at] = _describe(geometry, flagged[at], rotation[at], position[at])
+        status[dimension > 0] = Status.DEGENERATE
+    return Degeneracy(dimension.reshape(shape), families.reshape(*shape, 4), legs.reshape(*shape, 3))
+
+
+def _describe(
+    geometry: Geometry, flagged: npt.NDArray[np.uint8], rotation: FloatArray, position: FloatArray
+) -> tuple[npt.NDArray[np.int8], BoolArray, BoolArray]:
+    """Return the dimension (N,), families (N, 4) and legs (N, 3) of `Degeneracy` of flagged poses.
 
     Where the two Z axes meet or cross, a family is continuous iff its form vanishes: (P : Q) is then free and
     the family has one dimension. Where they are parallel, see `kernels.degeneracy_kernel`.
@@ -37,4 +58,4 @@ def find_degeneracy(
         sizes = np.empty(len(flat), np.int8)
         continuous_families(rotation[at], position[at], geometry.middle_radius, flat, sizes)
         families[at], dimension[at] = flat > 0, sizes
-    return Degeneracy(dimension, families, legs & (dimension > 0)[:, None])
+    return dimension, families, legs & (dimension > 0)[:, None]

@@ -11,15 +11,16 @@ rounding. Notation and derivation: `docs/theory/inverse_displacement.md`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import mpmath
+import numpy as np
 
 from spm_pin.closed_form.kernels.quadratics import ROOT_SIGN
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import FloatArray, IntArray
 
-__all__ = ["BITS", "ExactPose"]
+__all__ = ["BITS", "ExactPose", "largest_component", "quaternions", "scaled_rotation"]
 
 BITS = 400
 """Bits of the numbers in which branches are computed."""
@@ -70,17 +71,15 @@ class ExactPose:
     """
 
     def __init__(self, rotation: FloatArray, position: FloatArray, side: float) -> None:
-        x0, x1, x2, x3 = self._quaternion = _quaternion(rotation)
+        entries, one = _whole(rotation.ravel())
+        largest = int(largest_component(rotation))
+        x0, x1, x2, x3 = self._quaternion = quaternions(entries, one)[largest]
         (x, y, z, d), self.one = _whole([*position, side])
         self.position, self.side = (x, y, z), d
         s, w = (x0, x3), (x1, x2)
         self._w_square = x1 * x1 + x2 * x2
         self.norm = x0 * x0 + x3 * x3 + self._w_square
-        self.matrix = (
-            (x0 * x0 + x1 * x1 - x2 * x2 - x3 * x3, 2 * (x1 * x2 - x0 * x3), 2 * (x1 * x3 + x0 * x2)),
-            (2 * (x1 * x2 + x0 * x3), x0 * x0 - x1 * x1 + x2 * x2 - x3 * x3, 2 * (x2 * x3 - x0 * x1)),
-            (2 * (x1 * x3 - x0 * x2), 2 * (x2 * x3 + x0 * x1), x0 * x0 - x1 * x1 - x2 * x2 + x3 * x3),
-        )
+        self.matrix = scaled_rotation(self._quaternion, lambda x: x * x)
         self.vertical = not self._w_square or self.norm == self._w_square
         cube, normal = _times(w, _times(w, w)), _times(s, w)
         i_s, norm = (-x3, x0), self.norm
@@ -141,15 +140,33 @@ class ExactPose:
             return radii, [height + 2 * r * (p * w_a.conjugate() * u).imag for u in corners]
 
 
-def _quaternion(rotation: FloatArray) -> tuple[int, int, int, int]:
-    """Return x0, x1, x2, x3, of any length, of a rotation matrix, from the component that the kernels take."""
-    (r00, r01, r02, r10, r11, r12, r20, r21, r22), one = _whole(rotation.ravel())
-    diagonal = float(rotation[0, 0] + rotation[1, 1] + rotation[2, 2]), *rotation.diagonal()[::-1]
-    largest, trace = diagonal.index(max(diagonal)), r00 + r11 + r22
-    if largest == 0:
-        return one + trace, r21 - r12, r02 - r20, r10 - r01
-    if largest == 1:
-        return r10 - r01, r20 + r02, r21 + r12, one - trace + 2 * r22
-    if largest == 2:
-        return r02 - r20, r10 + r01, one - trace + 2 * r11, r21 + r12
-    return r21 - r12, one - trace + 2 * r00, r10 + r01, r20 + r02
+def largest_component(rotation: FloatArray) -> IntArray:
+    """Return which of `quaternions` the kernels take of matrices (..., 3, 3): that of the largest component."""
+    a, b, c = np.moveaxis(np.diagonal(rotation, axis1=-2, axis2=-1), -1, 0)
+    return np.asarray(np.argmax([a + b + c, c, b, a], axis=0))
+
+
+def quaternions(rotation: Sequence[Any], one: Any) -> tuple[tuple[Any, Any, Any, Any], ...]:
+    """Return x0, x1, x2, x3, of any length, computed from x0, x3, x2 and x1 of a rotation matrix.
+
+    The nine entries, row by row and in units of 1 / `one`, are whole numbers or intervals.
+    """
+    r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation
+    trace = r00 + r11 + r22
+    return (
+        (one + trace, r21 - r12, r02 - r20, r10 - r01),
+        (r10 - r01, r20 + r02, r21 + r12, one - trace + 2 * r22),
+        (r02 - r20, r10 + r01, one - trace + 2 * r11, r21 + r12),
+        (r21 - r12, one - trace + 2 * r00, r10 + r01, r20 + r02),
+    )
+
+
+def scaled_rotation(quaternion: Sequence[Any], square: Callable[[Any], Any]) -> list[list[Any]]:
+    """Return σR, σ the squared length of x0, x1, x2, x3, which are numbers or intervals with this `square`."""
+    x0, x1, x2, x3 = quaternion
+    ww, xx, yy, zz = map(square, quaternion)
+    return [
+        [ww + xx - (yy + zz), 2 * (x1 * x2 - x0 * x3), 2 * (x1 * x3 + x0 * x2)],
+        [2 * (x1 * x2 + x0 * x3), ww + yy - (xx + zz), 2 * (x2 * x3 - x0 * x1)],
+        [2 * (x1 * x3 - x0 * x2), 2 * (x2 * x3 + x0 * x1), ww + zz - (xx + yy)],
+    ]

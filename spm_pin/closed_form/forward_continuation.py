@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spm_pin.closed_form.batches import run_kernel
+from spm_pin.closed_form.batches import flat_batch, run_kernel, with_batch_shape
 from spm_pin.closed_form.forward_displacement_arguments import check_seed
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
@@ -30,13 +30,10 @@ def follow_seed(geometry: Geometry, lengths: FloatArray, seed: Configuration) ->
     check_seed(geometry, lengths, seed)
     shape = np.broadcast_shapes(lengths.shape[:-1], seed.shape)
     r = geometry.middle_radius
-    start, end = (
-        np.moveaxis(np.broadcast_to(x, (*shape, 6)).reshape(-1, 2, 3), 1, 0).reshape(-1, 3) / r
-        for x in (seed.leg_lengths, lengths)
-    )
-    b = np.broadcast_to(seed.middle_joints, (*shape, 3, 3)).reshape(-1, 3, 3)
-    rotation = np.broadcast_to(seed.rotation, (*shape, 3, 3)).reshape(-1, 3, 3)
-    translation = np.broadcast_to(seed.translation, (*shape, 3)).reshape(-1, 3)
+    legs = [flat_batch(x, shape, 1) / r for x in (seed.leg_lengths, lengths)]
+    start, end = (np.concatenate([x[:, :3], x[:, 3:]]) for x in legs)
+    b, rotation = flat_batch(seed.middle_joints, shape, 2), flat_batch(seed.rotation, shape, 2)
+    translation = flat_batch(seed.translation, shape, 1)
     count = len(b)
     # The lower stages, then the upper ones as they are seen from {m}.
     corners = np.concatenate([b, (b - translation[:, None]) @ rotation])
@@ -52,4 +49,4 @@ def follow_seed(geometry: Geometry, lengths: FloatArray, seed: Configuration) ->
     stages = np.where(half_turned[:, None], turned, plain)
     results = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64)
     found = run_kernel(compose_all, (stages[:count], stages[count:]), (r,), results, _MIN_BATCH_PER_THREAD)
-    return Configuration.from_arrays(geometry, *(array.reshape(*shape, *array.shape[1:]) for array in found))
+    return Configuration.from_arrays(geometry, *with_batch_shape(found, shape))

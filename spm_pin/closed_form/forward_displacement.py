@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.closed_form.as_built_forward import as_built_forward
-from spm_pin.closed_form.batches import radii, run_kernel
+from spm_pin.closed_form.batches import radii, run_kernel, with_batch_shape
 from spm_pin.closed_form.forward_continuation import follow_seed
 from spm_pin.closed_form.forward_displacement_arguments import read_leg_lengths
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
@@ -94,21 +94,15 @@ def forward_displacement(geometry: Geometry, leg_lengths: npt.ArrayLike) -> Solu
     )
     solved = run_kernel(all_modes, (lengths,), radii(geometry), results, _MIN_BATCH_PER_THREAD)
     _solve_ill_conditioned(geometry, lengths, solved)
-    rotation, translation, joints, dimension, status = solved
-    families = dimension.reshape(*shape, 4)
+    *state, families, status = with_batch_shape(solved, shape)
     largest = np.asarray(families.max(axis=-1))
-    modes = Configuration.from_arrays(
-        geometry,
-        rotation.reshape(*shape, n, 3, 3),
-        translation.reshape(*shape, n, 3),
-        joints.reshape(*shape, n, 3, 3),
-    )
-    if not shape and status[0] == Status.UNREACHABLE:
+    modes = Configuration.from_arrays(geometry, *state)
+    if not shape and status == Status.UNREACHABLE:
         modes.absence = unit_hint(geometry, checked)
     return SolutionSet(
         modes,
         ASSEMBLY_MODES,
-        np.where(largest > 0, Status.DEGENERATE, status.reshape(shape)),
+        np.where(largest > 0, Status.DEGENERATE, status),
         degeneracy=Degeneracy(largest, families > 0, np.zeros((*shape, 3), dtype=np.bool_)),
     )
 
@@ -166,7 +160,7 @@ def forward_physical(
     shape, lengths = checked.shape[:-1], checked.reshape(-1, 6)
     results = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64)
     solved = run_kernel(_solve_physical, (lengths,), radii(geometry), results, _MIN_BATCH_PER_THREAD_PHYSICAL)
-    found = Configuration.from_arrays(geometry, *(array.reshape(*shape, *array.shape[1:]) for array in solved))
+    found = Configuration.from_arrays(geometry, *with_batch_shape(solved, shape))
     if not shape and not found.exists:
         absence = "with these leg lengths no configuration is reached from the home without a forward singularity"
         found.absence = f"{absence}. {unit_hint(geometry, checked)}".rstrip(". ")

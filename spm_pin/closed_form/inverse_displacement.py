@@ -21,22 +21,28 @@ cancels as the platform levels. Derivation: `docs/theory/inverse_displacement.md
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from spm_pin.closed_form.as_built_inverse import as_built_complex_joints, as_built_inverse, as_built_physical
-from spm_pin.closed_form.batches import BRANCH_RESULTS, radii, read_pose, run_kernel
+from spm_pin.closed_form.batches import (
+    BRANCH_RESULTS,
+    branch_states,
+    radii,
+    read_pose,
+    run_kernel,
+    with_batch_shape,
+)
 from spm_pin.closed_form.degeneracy import find_degeneracy
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, flag
-from spm_pin.mechanism.as_built import AsBuiltGeometry
+from spm_pin.mechanism.arguments import FloatArray, flag
+from spm_pin.mechanism.as_built import AsBuiltGeometry, is_nominal
 from spm_pin.mechanism.branches import BRANCHES
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import PoseLike
-from spm_pin.mechanism.solution_status import Degeneracy, Status
 from spm_pin.mechanism.solutions import SolutionSet
 
 __all__ = ["branch_lengths", "complex_middle_joints", "inverse_displacement", "inverse_physical"]
@@ -113,51 +119,23 @@ def inverse_displacement(
             raise ArgumentError("out", "None for an AsBuiltGeometry", type(out).__name__)
         if certified:
             raise ArgumentError("certify", "False for an AsBuiltGeometry", certify)
-        return as_built_inverse(geometry, pose, inverse_displacement)
+        if is_nominal(geometry):
+            nominal = inverse_displacement(geometry.nominal, pose)
+            state = nominal.configurations
+            arrays = state.rotation, state.translation, state.middle_joints, state.leg_lengths
+            branches = Configuration.from_arrays(geometry, *arrays)
+            met = np.zeros(branches.shape, dtype=np.bool_)
+            return replace(nominal, configurations=branches, choice=None, memory=None, rounding=None, met=met)
+        return as_built_inverse(geometry, pose)
     from spm_pin.closed_form.kernels.branch_kernels import all_branches
-    from spm_pin.closed_form.kernels.branch_tiles import VERTICAL
 
     shape, rotation, position = read_pose(pose)
     results = BRANCH_RESULTS if out is None else _memory_of(out, shape)
     solved = run_kernel(all_branches, (rotation, position), radii(geometry), results, _MIN_BATCH_PER_THREAD)
-    rotation, position, joints, lengths, discriminants, choice, status, flagged = solved
-    degeneracy = _degeneracy(geometry, shape, rotation, position, flagged, status)
-    found = _solution_set(geometry, shape, solved, degeneracy)
-    if not certified:
-        return found
-    from spm_pin.closed_form.certified_branches import existence_radii, settle_families
-
-    certain = np.asarray(found.certain).reshape(-1, 4)
-    vertical = (flagged & VERTICAL) > 0
-    undecided = ~certain & ~degeneracy.families.reshape(-1, 4) & ~vertical[:, None]
-    radius = existence_radii(rotation, position, joints, geometry.middle_side)
-    settled, precise = settle_families(
-        geometry, rotation, position, joints, lengths, discriminants, choice, status, undecided
-    )
-    radius = np.where(np.repeat(undecided, 2, axis=-1), precise, radius)
-    return _solution_set(
-        geometry, shape, solved, degeneracy, (certain | settled).reshape(*shape, 4), radius.reshape(*shape, 8)
-    )
-
-
-def _solution_set(
-    geometry: Geometry,
-    shape: tuple[int, ...],
-    solved: tuple[Any, ...],
-    degeneracy: Degeneracy,
-    settled: BoolArray | None = None,
-    radius: FloatArray | None = None,
-) -> SolutionSet:
-    rotation, position, joints, lengths, discriminants, choice, status, _ = solved
-    branches = Configuration.from_arrays(
-        geometry,
-        np.broadcast_to(rotation.reshape(*shape, 1, 3, 3), (*shape, 8, 3, 3)),
-        np.broadcast_to(position.reshape(*shape, 1, 3), (*shape, 8, 3)),
-        joints.reshape(*shape, 8, 3, 3),
-        lengths.reshape(*shape, 8, 6),
-    )
-    return SolutionSet(
-        branches,
+    rotation, position, _, _, discriminants, choice, status, flagged = solved
+    degeneracy = find_degeneracy(geometry, shape, rotation, position, flagged, status)
+    found = SolutionSet(
+        branch_states(geometry, shape, solved[:4]),
         BRANCHES,
         status.reshape(shape),
         discriminants=discriminants.reshape(*shape, 4),
@@ -165,9 +143,12 @@ def _solution_set(
         choice=choice.reshape(*shape, 3),
         memory=solved,
         rounding=ROUNDING_BOUND,
-        settled=settled,
-        radius=radius,
     )
+    if not certified:
+        return found
+    from spm_pin.closed_form.certified_branches import certify_branches
+
+    return certify_branches(found, solved)
 
 
 def _memory_of(out: SolutionSet, shape: tuple[int, ...]) -> tuple[npt.NDArray[np.generic], ...]:
@@ -214,13 +195,15 @@ def inverse_physical(geometry: Geometry | AsBuiltGeometry, pose: PoseLike) -> Co
     from spm_pin.closed_form.kernels.branch_kernels import physical_branches
 
     if isinstance(geometry, AsBuiltGeometry):
-        return as_built_physical(geometry, pose, inverse_displacement)
+        if is_nominal(geometry):
+            return inverse_displacement(geometry, pose).physical()
+        return as_built_physical(geometry, pose)
     sizes, limits = radii(geometry), geometry.limits
     shape, rotation, position = read_pose(pose)
     bounds = np.array([(0.0,) * 6, (np.inf,) * 6] if limits is None else [limits.minimum, limits.maximum])
     results = (((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64), ((6,), np.float64))
     solved = run_kernel(physical_branches, (rotation, position), (*sizes, bounds), results, _MIN_BATCH_PER_THREAD)
-    found = Configuration.from_arrays(geometry, *(array.reshape(*shape, *array.shape[1:]) for array in solved))
+    found = Configuration.from_arrays(geometry, *with_batch_shape(solved, shape))
     if not shape and not found.exists:
         # The same, with the reason why there is none.
         return inverse_displacement(geometry, pose).physical()
@@ -255,8 +238,9 @@ def branch_lengths(geometry: Geometry, pose: PoseLike) -> tuple[FloatArray, npt.
     lengths, status, flagged = run_kernel(
         kernels.branch_lengths, (rotation, position), radii(geometry), results, _MIN_BATCH_PER_THREAD
     )
-    _degeneracy(geometry, shape, rotation, position, flagged, status)
-    return lengths.reshape(*shape, 8, 6), status.reshape(shape)
+    find_degeneracy(geometry, shape, rotation, position, flagged, status)
+    leg_lengths, outcome = with_batch_shape((lengths, status), shape)
+    return leg_lengths, outcome
 
 
 def complex_middle_joints(geometry: Geometry | AsBuiltGeometry, pose: PoseLike) -> npt.NDArray[np.complex128]:
@@ -286,22 +270,3 @@ def complex_middle_joints(geometry: Geometry | AsBuiltGeometry, pose: PoseLike) 
     results = [((8, 3, 3), np.complex128)]
     (joints,) = run_kernel(complex_branches, (rotation, position), radii(geometry)[:1], results, _MIN_BATCH_PER_THREAD)
     return np.asarray(joints.reshape(*shape, 8, 3, 3))
-
-
-def _degeneracy(
-    geometry: Geometry,
-    shape: tuple[int, ...],
-    rotation: FloatArray,
-    position: FloatArray,
-    flagged: npt.NDArray[np.uint8],
-    status: npt.NDArray[np.int8],
-) -> Degeneracy:
-    """Describe the continuous families of N flagged poses (N, 3, 3), (N, 3), and set their `status` (N,)."""
-    n = len(flagged)
-    dimension, families, legs = np.zeros(n, np.int8), np.zeros((n, 4), np.bool_), np.zeros((n, 3), np.bool_)
-    if flagged.any():
-        at = np.flatnonzero(flagged)
-        found = find_degeneracy(geometry, flagged[at], rotation[at], position[at])
-        dimension[at], families[at], legs[at] = found.dimension, found.families, found.legs
-        status[at[found.dimension > 0]] = Status.DEGENERATE
-    return Degeneracy(dimension.reshape(shape), families.reshape(*shape, 4), legs.reshape(*shape, 3))

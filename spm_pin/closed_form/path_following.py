@@ -29,7 +29,7 @@ from spm_pin.mechanism.arguments import (
 from spm_pin.mechanism.branches import physical
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.pose import as_rigid_transform
+from spm_pin.mechanism.pose import as_rigid_transform, pose
 from spm_pin.mechanism.solutions import SolutionSet
 
 __all__ = ["CertifiedLimits", "FollowedPath", "follow", "last_on_line", "physical_mode_share"]
@@ -182,21 +182,14 @@ def _solver(geometry: Geometry, path: Any) -> tuple[PathSolver, FloatArray, bool
     knots = np.linspace(0.0, 1.0, points)
     if bare.ndim == 2:
         lengths = real_array(path, "path", (6,), "leg lengths in metres, or poses of shape (n, 4, 4)")
-
-        def legs_at(s: float) -> FloatArray:
-            return np.array([np.interp(s, knots, column) for column in lengths.T])
-
-        return lambda s: forward_displacement(geometry, legs_at(s)), knots, True
+        return lambda s: forward_displacement(geometry, _between(s, knots, lengths)), knots, True
     poses = as_rigid_transform(path, "path")
     turn, positions = Slerp(knots, poses.rotation), poses.translation
+    return lambda s: inverse_displacement(geometry, pose(_between(s, knots, positions), rotation=turn(s))), knots, False
 
-    def pose_at(s: float) -> RigidTransform:
-        matrix = np.eye(4)
-        matrix[:3, :3] = turn(s).as_matrix()
-        matrix[:3, 3] = [np.interp(s, knots, column) for column in positions.T]
-        return as_rigid_transform(matrix, "path")
 
-    return lambda s: inverse_displacement(geometry, pose_at(s)), knots, False
+def _between(s: float, knots: FloatArray, rows: FloatArray) -> FloatArray:
+    return np.array([np.interp(s, knots, column) for column in rows.T])
 
 
 def _bare(value: Any) -> Any:

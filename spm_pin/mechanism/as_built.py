@@ -26,7 +26,9 @@ __all__ = [
     "all_balls",
     "any_geometry_from_yaml",
     "as_built",
+    "axis_directions",
     "check_geometry",
+    "is_nominal",
     "upper_ball_weights",
 ]
 
@@ -173,7 +175,7 @@ class AsBuiltGeometry:
         The direction is the turn of the axis from the nominal one about the two directions perpendicular to it [rad]:
         the tangent coordinates of the shortest arc. All else is in metres.
         """
-        nominal, first, second = _directions(self.nominal)
+        nominal, first, second = axis_directions(self.nominal)
         across = np.stack([(self.axes * first).sum(axis=-1), (self.axes * second).sum(axis=-1)], axis=-1)
         sine = np.sqrt((across**2).sum(axis=-1))
         angle = np.arctan2(sine, (self.axes * nominal).sum(axis=-1))
@@ -189,7 +191,7 @@ class AsBuiltGeometry:
             If they are not 54 finite numbers, or those of no machine.
         """
         values = _array(parameters, "parameters", (54,), "radians and metres, see PARAMETERS").reshape(6, 9)
-        nominal, first, second = _directions(self.nominal)
+        nominal, first, second = axis_directions(self.nominal)
         angle = np.sqrt((values[:, :2] ** 2).sum(axis=-1))
         if (angle > np.pi / 2.0).any():
             leg = int(angle.argmax())
@@ -202,7 +204,7 @@ class AsBuiltGeometry:
     @property
     def axis_derivatives(self) -> FloatArray:
         """Derivatives of `axes` with respect to the two coordinates of their direction in `parameters`, (6, 3, 2)."""
-        nominal, first, second = _directions(self.nominal)
+        nominal, first, second = axis_directions(self.nominal)
         turn = self.parameters.reshape(6, 9)[:, None, :2]
         angle = np.sqrt((turn**2).sum(axis=-1, keepdims=True))
         sinc, across = np.sinc(angle / np.pi), np.stack([first, second], axis=-1)
@@ -294,6 +296,11 @@ def as_built(geometry: Geometry | AsBuiltGeometry) -> AsBuiltGeometry:
     return geometry if isinstance(geometry, AsBuiltGeometry) else AsBuiltGeometry.from_nominal(geometry)
 
 
+def is_nominal(geometry: AsBuiltGeometry) -> bool:
+    """Return True if the machine has no errors."""
+    return geometry == _without_errors(geometry.nominal)
+
+
 def upper_ball_weights(geometry: AsBuiltGeometry) -> FloatArray:
     """Return the upper balls' coordinates from b_1 along b_2 - b_1, b_3 - b_1 and their cross product, rows (3, 3)."""
     balls = geometry.balls
@@ -335,7 +342,7 @@ def _array(value: npt.ArrayLike, argument: str, shape: tuple[int, ...], meaning:
     return array
 
 
-def _directions(geometry: Geometry) -> tuple[FloatArray, FloatArray, FloatArray]:
+def axis_directions(geometry: Geometry) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return each leg's nominal axis and the two directions perpendicular to it, radial and along z, (6, 3) each."""
     axes = np.tile(geometry.revolute_axes, (2, 1))
     up = np.broadcast_to([0.0, 0.0, 1.0], (6, 3))

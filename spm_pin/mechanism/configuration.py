@@ -74,20 +74,9 @@ class Configuration:
             np.broadcast_to(joints.copy(), (*shape, 3, 3)),
         )
 
-    def _set(
-        self,
-        geometry: Geometry | AsBuiltGeometry,
-        rotation: FloatArray,
-        translation: FloatArray,
-        joints: FloatArray,
-        lengths: FloatArray | None = None,
-    ) -> None:
+    def _set(self, geometry: Geometry | AsBuiltGeometry, *arrays: FloatArray) -> None:
         self._geometry = geometry
-        self._rotation = frozen(rotation)
-        self._translation = frozen(translation)
-        self._middle_joints = frozen(joints)
-        if lengths is not None:
-            self.__dict__["leg_lengths"] = frozen(lengths)
+        self._rotation, self._translation, self._middle_joints = map(frozen, arrays)
 
     @classmethod
     def from_arrays(
@@ -104,7 +93,9 @@ class Configuration:
         already, `leg_lengths` (..., 6) [m] have equal leading axes.
         """
         self = cls.__new__(cls)
-        self._set(geometry, rotation, translation, middle_joints, leg_lengths)
+        self._set(geometry, rotation, translation, middle_joints)
+        if leg_lengths is not None:
+            self.__dict__["leg_lengths"] = frozen(leg_lengths)
         return self
 
     def transformed(self, change: Callable[[FloatArray, int], FloatArray]) -> Configuration:
@@ -226,7 +217,7 @@ class Configuration:
         lower = np.broadcast_to(self._local[0][:3], self.platform_axes.shape)
         return frozen(np.concatenate([lower, self.platform_axes], axis=-2))
 
-    @property
+    @cached_property
     def _local(self) -> tuple[FloatArray, FloatArray]:
         """Axes and pivots (6, 3) of the legs, the lower in {B}, the upper in {m}."""
         geometry = self._geometry

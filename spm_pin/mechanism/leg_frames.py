@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.as_built import AsBuiltGeometry
+from spm_pin.mechanism.as_built import AsBuiltGeometry, axis_directions
 from spm_pin.mechanism.configuration import triangle_frames
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import homogeneous
@@ -179,9 +179,7 @@ def _tuples(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
 
 def _corner_turns(geometry: AsBuiltGeometry) -> FloatArray:
     """Return the axes of the frames at the balls in {n} as columns, shape (6, 3, 3)."""
-    axes = np.tile(geometry.nominal.revolute_axes, (2, 1))
-    up = np.broadcast_to([0.0, 0.0, 1.0], axes.shape)
-    return np.stack([axes, np.cross(up, axes), up], axis=-1)
+    return np.stack(axis_directions(geometry.nominal), axis=-1)
 
 
 def dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
