@@ -2,8 +2,8 @@
 
 The names of everyday use are here. All else is in public modules: `spm_pin.mechanism` (dimensions, states, sets of
 states), `spm_pin.closed_form` (branches, assembly modes, singularities, paths), `spm_pin.workspace`, `spm_pin.sweeps`,
-`spm_pin.calibration`, `spm_pin.symbolic`, `spm_pin.multibody` (the robot in Pinocchio), `spm_pin.motion`,
-`spm_pin.nlp`, `spm_pin.crosscheck` and `spm_pin.errors`.
+`spm_pin.calibration`, `spm_pin.proofs`, `spm_pin.symbolic`, `spm_pin.multibody` (the robot in Pinocchio),
+`spm_pin.motion`, `spm_pin.nlp`, `spm_pin.crosscheck` and `spm_pin.errors`.
 """
 
 from importlib import import_module
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from spm_pin import motion as motion
     from spm_pin import multibody as multibody
     from spm_pin import nlp as nlp
+    from spm_pin import proofs as proofs
     from spm_pin import sweeps as sweeps
     from spm_pin import symbolic as symbolic
     from spm_pin import workspace as workspace
@@ -90,8 +91,8 @@ __all__ = [
 ]
 
 # All are imported on first use: the start-up of the command line stays short, and Ctrl-C ends it.
-_MODULES = {"calibration", "closed_form", "crosscheck", "errors", "mechanism", "motion", "nlp", "sweeps", "symbolic"}
-_MODULES |= {"multibody", "workspace"}
+_MODULES = {"calibration", "closed_form", "crosscheck", "errors", "mechanism", "motion", "multibody", "nlp", "proofs"}
+_MODULES |= {"sweeps", "symbolic", "workspace"}
 _HOMES = ("errors", "mechanism", "closed_form", "proofs", "multibody", "motion")
 
 

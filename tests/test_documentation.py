@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import shlex
 import subprocess
@@ -75,6 +76,8 @@ def test_the_site_is_built_without_a_warning_and_names_everything_public(tmp_pat
     assert done.returncode == 0, done.stderr
     front = (tmp_path / "site/index.html").read_text(encoding="utf-8")
     assert ('id="live"' in front) == (live_page.webassembly() is not None)
+    for module, _ in inspect.getmembers(spm_pin, inspect.ismodule):
+        assert (tmp_path / f"site/reference/spm_pin.{module}.html").exists(), module
     index = (tmp_path / "site/reference/index.html").read_text(encoding="utf-8")
     links = re.findall(r'<a [^>]*href="([^"]*)"[^>]*>(?:<(?:span|code)[^>]*>)*(\w+)<', index)
     homes = {name: target for target, name in links}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import enum
 import functools
-import importlib
 import inspect
 import signal
 from collections.abc import Callable, Iterator
@@ -17,9 +16,6 @@ import pinocchio
 import pytest
 
 import spm_pin as spm
-
-MODULES = ("", ".mechanism", ".closed_form", ".workspace", ".multibody", ".motion", ".sweeps", ".calibration", ".nlp")
-MODULES += (".crosscheck",)
 
 
 class Foreign:
@@ -113,7 +109,9 @@ LINE = [[1.20, 1.20, 1.40, 1.25, 1.20, 1.50], [1.40, 1.20, 1.20, 1.20, 1.50, 1.2
 
 EXAMPLES: dict[str, Callable[[], Any]] = {
     "acceleration": lambda: np.zeros(6),
+    "angle": lambda: 1e-3,
     "argument": lambda: "pose",
+    "branch": lambda: "TT+",
     "chain": lambda: chain(),
     "compliances": lambda: np.eye(6),
     "configuration": lambda: STATE,
@@ -122,6 +120,8 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "count": lambda: 4,
     "matrices": lambda: np.eye(3),
     "description": lambda: "a metric",
+    "directory": lambda: "sources",
+    "distance": lambda: 1e-3,
     "domain": lambda: spm.sweeps.pose_grid(0.0, 0.0, (2.1, 2.2, 2), xyx=[0.1, 0.2, 0.1]),
     "metrics": lambda: ["branches"],
     "store": lambda: "map.zarr",
@@ -270,19 +270,12 @@ SKIPPED_PARAMETERS = ("progress", "evaluate", "argument", "workspace", "state", 
 def callables() -> Iterator[tuple[str, Callable[..., Any]]]:
     """Yield every public function, constructor of an input, and method of an instance, with its name."""
     seen: set[int] = set()
-    for name in MODULES:
-        module = importlib.import_module(f"spm_pin{name}")
+    for name, module in [("", spm), *inspect.getmembers(spm, inspect.ismodule)]:
         for public in module.__all__:
             member = getattr(module, public)
             if inspect.isfunction(member) and id(member) not in seen:
-                yield (
-                    (
-                        public
-                        if name in ("", ".mechanism", ".closed_form", ".motion", ".workspace")
-                        else f"{name[1:]}.{public}"
-                    ),
-                    member,
-                )
+                plain = name in ("", "mechanism", "closed_form", "motion", "workspace")
+                yield public if plain else f"{name}.{public}", member
             elif inspect.isclass(member) and id(member) not in seen and not issubclass(member, enum.Enum):
                 if public in INPUTS:
                     yield public, member

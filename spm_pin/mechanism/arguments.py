@@ -159,21 +159,22 @@ def file_path(
     argument: str = "path",
     *,
     suffixes: Collection[str] = (),
+    expected: str = "the name of a file",
     error: type[ArgumentError] = ArgumentError,
 ) -> Path:
-    """Read the name of a file, as str or `os.PathLike`; without access to the file system.
+    """Read the name of a file, or of what `expected` says, as str or `os.PathLike`; without access to the file system.
 
     The endings accepted are `suffixes`, lower case and with their dot; any if not given.
     """
     if not isinstance(value, str | os.PathLike):
-        raise error(argument, "the name of a file", type_and_value(value))
+        raise error(argument, expected, type_and_value(value))
     try:
         text = os.fspath(value)
         fits = isinstance(text, str) and bool(text) and b"\0" not in os.fsencode(text)
     except Exception as failed:
-        raise error(argument, "the name of a file", type_and_value(value), str(failed)) from failed
+        raise error(argument, expected, type_and_value(value), str(failed)) from failed
     if not fits:
-        raise error(argument, "the name of a file", repr(value), "Empty, or a byte of zero in it?")
+        raise error(argument, expected, repr(value), "Empty, or a byte of zero in it?")
     path = Path(text)
     if suffixes and path.suffix.lower() not in suffixes:
         raise error(argument, f"a file name ending in {', '.join(suffixes)}", repr(path.name))

@@ -21,7 +21,7 @@ __all__ = ["Certificate", "certify", "largest_certified_limits", "stage_regions"
 
 STAGES = ("lower", "upper")
 LONGEST = 1e3
-"""Leg lengths that are worth a proof, at most, in units of the machine's size."""
+"""Leg lengths, and distances of poses, that are worth a proof, at most, in units of the machine's size."""
 
 _ROUNDING = 1e-15
 """Rounding of a parameter of a machine, in metres per metre of its size, and in radians."""

@@ -27,6 +27,7 @@ from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import pose as make_pose
 from spm_pin.mechanism.stage_states import configuration_of_stages, stage_states
+from spm_pin.proofs.certificate import LONGEST
 from spm_pin.proofs.inverse_certificate import SAMPLES, InverseCertificate
 
 __all__ = ["certify_poses"]
@@ -64,7 +65,8 @@ def certify_poses(
     Raises
     ------
     ArgumentError
-        If an argument has the wrong kind, or the configuration is another one.
+        If an argument has the wrong kind, the configuration is another one, or `distance` exceeds 1000 times the sum of
+        the dimensions.
     """
     check_configuration(configuration, single=True, existing=True)
     geometry = instance(configuration.geometry, Geometry, "configuration.geometry")
@@ -73,7 +75,8 @@ def certify_poses(
     if not (gaps <= _SAME * geometry.middle_side).any():
         raise ArgumentError("configuration", "a state without torsion in both stages", "another")
     branch = int(np.nanargmin(gaps))
-    real_number(distance, "distance", "metres from 0", least=0.0, below=np.inf)
+    most = LONGEST * sum(geometry.dimensions)
+    real_number(distance, "distance", f"metres from 0 to {most:g}", least=0.0, most=most)
     real_number(angle, "angle", "radians from 0 to pi", least=0.0, below=np.pi)
     whole_number(boxes, "boxes", least=1)
     least, witness = _search(configuration, branch, distance, angle)

@@ -18,7 +18,7 @@ from spm_pin.closed_form import forward_physical, inverse_displacement, inverse_
 from spm_pin.closed_form.stage_wrenches import SINGULAR
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import AsBuiltGeometry, Geometry, LegLimits
-from spm_pin.mechanism.arguments import FloatArray, instance
+from spm_pin.mechanism.arguments import FloatArray, file_path, instance
 from spm_pin.mechanism.pose import EXACT
 from spm_pin.symbolic.c_translation import Program
 from spm_pin.symbolic.c_types import Array, Type, literal
@@ -111,9 +111,10 @@ def write_c(geometry: Geometry, directory: str | Path, *, prefix: str = "spm_") 
     ArgumentError
         As by `c_sources`, and if the directory cannot be written.
     """
-    if not str(directory):
+    if isinstance(directory, str) and not directory:
         raise ArgumentError("directory", "a directory that can be written", "an empty name", "The current one is '.'")
-    sources, folder = c_sources(geometry, prefix=prefix), Path(directory)
+    folder = file_path(directory, "directory", expected="the name of a directory")
+    sources = c_sources(geometry, prefix=prefix)
     existed, beside = folder.is_dir(), None
     try:
         folder.mkdir(exist_ok=True)

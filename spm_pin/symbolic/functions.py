@@ -23,7 +23,7 @@ from spm_pin.closed_form.kernels.branch_tiles import DISCRIMINANT, PHYSICAL, STR
 from spm_pin.closed_form.kernels.vectors import dot, minus
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import BRANCHES, AsBuiltGeometry, Geometry
-from spm_pin.mechanism.arguments import type_and_value
+from spm_pin.mechanism.arguments import choice, type_and_value
 from spm_pin.mechanism.geometry import LARGEST, SMALLEST
 from spm_pin.mechanism.pose import ORTHONORMALITY_TOLERANCE
 from spm_pin.symbolic.tracing import table, traced
@@ -139,8 +139,7 @@ def inverse_branch(branch: str, geometry: Dimensions = None) -> ca.Function:
     ArgumentError
         If there is no such branch.
     """
-    if branch not in BRANCHES:
-        raise ArgumentError("branch", f"one of {', '.join(BRANCHES)}", repr(branch))
+    choice(branch, "branch", BRANCHES)
     machine, rotation, position = _Machine(geometry), *_pose()
     tiles, (numbers,) = _branches(machine, rotation, position, (branch,))
     exists = ca.logic_and(_is_real(machine, tiles, branch), machine.takes(rotation, position))

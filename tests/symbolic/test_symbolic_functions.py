@@ -315,7 +315,7 @@ def test_nothing_exists_for_what_is_no_pose_and_no_machine() -> None:
 
 
 def test_bad_arguments_are_clear_errors() -> None:
-    with pytest.raises(ArgumentError, match=r"branch: expected one of TT\+, .*, got 'TX'"):
+    with pytest.raises(ArgumentError, match=r"branch: expected one of 'TT\+', .*, got 'TX'"):
         spm.symbolic.inverse_branch("TX")
     with pytest.raises(ArgumentError, match='geometry: expected a Geometry, "symbolic" or None'):
         spm.symbolic.leg_forces(3)  # type: ignore[arg-type]
