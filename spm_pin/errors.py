@@ -31,6 +31,9 @@ EXTRAS = {
 }
 """Packages looked for, of those that the optional extras bring, by the names under which they are imported."""
 
+_INSTALLED_AS = {"google_crc32c": "google-crc32c", "skimage": "scikit-image"}
+"""What pip calls the packages that are imported under another name."""
+
 _LONGEST = 500
 """Characters of a received value that a message shows."""
 
@@ -154,7 +157,7 @@ class MissingExtraError(SpmError, ImportError):
     extra : str
         The extra that brings it.
     package : str
-        The package that could not be imported.
+        The package that could not be imported, by the name under which it is; the message has pip's name of it.
     """
 
     def __init__(self, extra: str, package: str) -> None:
@@ -162,7 +165,8 @@ class MissingExtraError(SpmError, ImportError):
         self.package = package
         # Not published on a package index yet: the advice is for a folder of the sources.
         advice = f'pip install ".[{extra}]" in the folder of the sources'
-        super().__init__(f"this needs {package}, of the extra {extra}: {advice}", name=package)
+        installed = _INSTALLED_AS.get(package, package)
+        super().__init__(f"this needs {installed}, of the extra {extra}: {advice}", name=package)
 
 
 def require_extra(extra: str, *packages: str) -> None:

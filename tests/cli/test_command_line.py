@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,18 @@ def test_the_advice_on_a_missing_extra_is_printed_in_full(extra: str, monkeypatc
     done = run("inverse", *EXAMPLE)
     assert done.returncode == 2
     assert f'pip install ".[{extra}]"' in done.message
+
+
+@pytest.mark.parametrize("extra", EXTRAS)
+def test_a_missing_package_has_the_name_that_pip_installs(extra: str) -> None:
+    installed = packages_distributions()
+    for package in EXTRAS[extra]:
+        error = MissingExtraError(extra, package)
+        assert error.package == error.name == package
+        if package in installed:  # not all extras can be installed everywhere
+            named = re.match(r"this needs ([\w-]+),", str(error))
+            assert named
+            assert named[1] in installed[package]
 
 
 def test_brackets_in_any_text_are_printed_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
