@@ -15,13 +15,12 @@ from __future__ import annotations
 from collections.abc import Collection
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from spm_pin.closed_form.stage_wrenches import stage_inverses
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LEGS, PARAMETERS, AsBuiltGeometry, Configuration
-from spm_pin.mechanism.arguments import FloatArray, instance
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, instance
 from spm_pin.mechanism.as_built import as_built
 from spm_pin.mechanism.configuration import check_configuration
 
@@ -121,7 +120,7 @@ def parameter_scale(geometry: AsBuiltGeometry) -> FloatArray:
     return np.tile(np.repeat([1.0, geometry.nominal.middle_side], [2, 7]), 6)
 
 
-def selected(names: Collection[str] | str, argument: str) -> npt.NDArray[np.bool_]:
+def selected(names: Collection[str] | str, argument: str) -> BoolArray:
     """Return which of `PARAMETERS` are meant by names of parameters, legs, components or kinds, such as `ball`."""
     several = [names] if isinstance(names, str) else instance(names, Collection, argument)  # type: ignore[type-abstract]
     wanted = {name if isinstance(name, str) else repr(name) for name in several}

@@ -6,11 +6,10 @@ import math
 import shlex
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.mechanism import Geometry, LegLimits, pose
-from spm_pin.mechanism.arguments import FloatArray, generator, instance, whole_number
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, generator, instance, whole_number
 from spm_pin.mechanism.configuration import triangle_frames
 from spm_pin.mechanism.pose import homogeneous
 
@@ -81,9 +80,7 @@ def _around_home(geometry: Geometry) -> LegLimits:
     return LegLimits.stages(pair(geometry.base_radius), pair(geometry.platform_radius))
 
 
-def _stage(
-    geometry: Geometry, radius: float, lengths: FloatArray, side: float
-) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+def _stage(geometry: Geometry, radius: float, lengths: FloatArray, side: float) -> tuple[FloatArray, BoolArray]:
     """Return ball joints (n, 3, 3) [m] of stages with leg lengths (n, 3) [m], and whether Newton's method converged."""
     axes, radial, d = geometry.revolute_axes, geometry.radial_directions, geometry.middle_side
     feet = radius * radial

@@ -13,14 +13,13 @@ from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.crosscheck.compare import Comparison
 from spm_pin.crosscheck.methods import Method, make_methods
 from spm_pin.crosscheck.random_poses import command, in_leg_space, on_all_rotations, printable
 from spm_pin.crosscheck.scores import MethodScore, PairDifference
-from spm_pin.mechanism.arguments import FloatArray, whole_number
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, whole_number
 from spm_pin.mechanism.geometry import Geometry
 
 __all__ = ["Report", "compare_in_batches", "compare_methods"]
@@ -172,7 +171,7 @@ def compare_methods(
     return report
 
 
-def _spread(share: float, poses: int) -> npt.NDArray[np.bool_]:
+def _spread(share: float, poses: int) -> BoolArray:
     """Return a mask (poses,) of a share of the poses, at least one, evenly spread."""
     count = max(1, round(share * poses))
     return np.asarray(np.arange(poses) * count % poses < count)

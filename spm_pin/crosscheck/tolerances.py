@@ -18,9 +18,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.configuration import Configuration
 
 __all__ = ["ROWS", "Conditioning"]
@@ -68,7 +67,7 @@ class Conditioning:
         sigma, jacobian, norm = (np.where(absent, np.nan, array) for array in (values, spread, inverse))
         return cls(sigma, jacobian, norm, side)
 
-    def resolves(self, rounding: FloatArray) -> npt.NDArray[np.bool_]:
+    def resolves(self, rounding: FloatArray) -> BoolArray:
         """Return whether branches are isolated despite a closure residual [m] (N,)."""
         return np.asarray(self.sigma**2 > 6.0 / self.side * ROWS * rounding)
 

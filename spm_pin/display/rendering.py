@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from spm_pin.display.scene import Colour, Scene
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, IntArray
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 
 __all__ = ["VIEW", "Extent", "Image", "Rendering", "bounds", "camera_axes", "render"]
 
@@ -164,7 +164,7 @@ def _nearest_faces(triangles: FloatArray, shape: tuple[int, int]) -> tuple[Sampl
     return index, depth
 
 
-def _edges(region: Samples, depth: Image, width: int) -> npt.NDArray[np.bool_]:
+def _edges(region: Samples, depth: Image, width: int) -> BoolArray:
     """Return the pixels within `width` of the border of their region, on the nearer side of that border."""
     edge = np.zeros(region.shape, dtype=bool)
     for axis in (0, 1):

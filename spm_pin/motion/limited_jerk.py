@@ -22,13 +22,12 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from numpy.polynomial import Polynomial
 from scipy.interpolate import BPoly, BSpline
 from scipy.special import betaincinv
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import FloatArray, IntArray
 from spm_pin.motion.motion_limits import LimitRows
 
 __all__ = ["Clock", "EasedGrid", "limited_jerk"]
@@ -59,7 +58,7 @@ def _even_grid(knots: FloatArray, parts: int) -> FloatArray:
     return grid
 
 
-def _nearest(knots: FloatArray, parts: int) -> npt.NDArray[np.intp]:
+def _nearest(knots: FloatArray, parts: int) -> IntArray:
     return np.clip((knots[1:-1] * parts).round().astype(np.intp), 1, parts - 1)
 
 
@@ -68,7 +67,7 @@ class EasedGrid:
     """Even steps of τ from 0 to 1, moved to the path's knots where these are near."""
 
     tau: FloatArray  # the grid, (n,)
-    corners: npt.NDArray[np.intp]  # which of it are inner knots of the path, (k,)
+    corners: IntArray  # which of it are inner knots of the path, (k,)
 
     @classmethod
     def over(cls, knots: FloatArray, parts: int) -> EasedGrid:
@@ -165,7 +164,7 @@ class _Programme:
         used = (np.sqrt(y[0][:, 0]) * np.abs(jerk[..., 0]) / self.jerks[:, None]).max(axis=0)
         return np.asarray(np.minimum(self.rows.kept_shares(x[:, 0], u[:, 0]), np.maximum(used, 1e-300) ** (-2.0 / 3.0)))
 
-    def solve(self, start: BSpline, top: float, at: npt.NDArray[np.intp]) -> BSpline:
+    def solve(self, start: BSpline, top: float, at: IntArray) -> BSpline:
         """Return the quickest y that keeps the limits at p of the points; its unknowns are in units of `top`."""
         import casadi as ca
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, as_array, leg_values, real_array
+from spm_pin.mechanism.arguments import FloatArray, IntArray, as_array, leg_values, real_array
 from spm_pin.mechanism.geometry import LEGS
 from spm_pin.motion.path_dynamics import PathDynamics
 from spm_pin.multibody.chain import ClosedChain
@@ -54,7 +54,7 @@ class LimitRows:
             shares = np.where(moved != 0.0, room / np.abs(moved), np.inf).min(axis=-1)
             return np.asarray(np.minimum(shares, np.where(x > 0.0, self.fastest * (1.0 + tolerance) / x, np.inf)))
 
-    def __getitem__(self, index: npt.NDArray[np.intp]) -> LimitRows:
+    def __getitem__(self, index: IntArray) -> LimitRows:
         """Return the limits at some points of the grid."""
         a, b, c = self.a[index], self.b[index], self.c[index]
         return LimitRows(a, b, c, self.lower, self.upper, self.fastest[index])

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.closed_form.inverse_displacement import inverse_physical
 from spm_pin.closed_form.singularity_analysis import determinants
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
@@ -84,7 +83,7 @@ class PathRules:
         rows = [np.where(states.exists, 1.0, -1.0), legs, least_determinant(states) - self.margin, angles, clearance]
         return np.stack(np.broadcast_arrays(*rows), axis=-1)
 
-    def broken(self, states: Configuration) -> npt.NDArray[np.bool_]:
+    def broken(self, states: Configuration) -> BoolArray:
         """Return which states do not exist or break a rule by more than `ROUNDING`, shape (...)."""
         return np.asarray(~(self.margins(states) >= -ROUNDING).all(axis=-1))
 

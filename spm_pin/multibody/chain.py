@@ -17,7 +17,7 @@ from spm_pin.description.closures import Closure
 from spm_pin.description.paths import description_directory
 from spm_pin.description.srdf import srdf_text
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, broadcastable, first_offender, flag, whole_number
+from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable, first_offender, flag, whole_number
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry
@@ -125,11 +125,11 @@ class ClosedChain(ChainMethods):
         return tuple(self._prefix + name for name in self._layout.names)
 
     @property
-    def leg_indices(self) -> npt.NDArray[np.intp]:
+    def leg_indices(self) -> IntArray:
         """Indices of the legs' prismatic joints in q, shape (6,)."""
         return self._layout.legs.copy()
 
-    def joint_indices(self, *names: str) -> npt.NDArray[np.intp]:
+    def joint_indices(self, *names: str) -> IntArray:
         """Return the indices in q (n,) of joints named as in the URDF; raise `ArgumentError` for an unknown name."""
         return self._layout.indices(*(name.removeprefix(self._prefix) for name in names))
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from spm_pin.description.tree import ANGLES, JOINTS, SLIDES
 from spm_pin.errors import ArgumentError, GeometryError
-from spm_pin.mechanism.arguments import FloatArray, first_offender, frozen
+from spm_pin.mechanism.arguments import FloatArray, IntArray, first_offender, frozen
 from spm_pin.mechanism.as_built import AsBuiltGeometry, as_built
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry
@@ -59,7 +59,7 @@ class JointLayout:
         self.units = frozen(np.where(np.isin(np.arange(len(JOINTS)), self.legs), self.side, 1.0))
         self._order = np.argsort(self.indices(*ANGLES, *SLIDES))
 
-    def indices(self, *names: str) -> npt.NDArray[np.intp]:
+    def indices(self, *names: str) -> IntArray:
         """Return the indices (n,) among the eighteen of joints named without prefix."""
         unknown = [name for name in names if name not in self._place]
         if unknown:

@@ -19,9 +19,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.nlp import loop_equations
 
@@ -71,7 +70,7 @@ class LoopEquations:
 
 def newton(
     equations: LoopEquations, starts: FloatArray, matrix: FloatArray, iterations: int
-) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+) -> tuple[FloatArray, BoolArray]:
     """Iterate Newton's method from each of the starts b (n, 9) [m], for a pose (4, 4).
 
     Returns where each start ended (n, 9) [m], and whether all equations hold there to rounding (n,).
@@ -136,7 +135,7 @@ def certify_root(equations: LoopEquations, b: FloatArray, matrix: FloatArray) ->
     return RootCertificate(b, sigma, 2.0 * delta / (sigma + margin**0.5), True, max(0.5 * sigma / q, 4.0 * double))
 
 
-def isolated(equations: LoopEquations, b: FloatArray, matrix: FloatArray) -> npt.NDArray[np.bool_]:
+def isolated(equations: LoopEquations, b: FloatArray, matrix: FloatArray) -> BoolArray:
     """Test which converged points (n, 9) are proved to be isolated solutions, shape (n,)."""
     return _margins(equations, b, matrix, *equations(b, matrix))[2] > 0.0
 

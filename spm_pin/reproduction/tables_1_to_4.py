@@ -17,6 +17,7 @@ from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.closed_form.inverse_displacement import complex_middle_joints
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import BRANCHES, LEGS, Configuration, Geometry, pose
+from spm_pin.mechanism.arguments import FloatArray, IntArray
 from spm_pin.paper import published, resultant
 from spm_pin.reproduction import table_5
 from spm_pin.reproduction.cells import Cell, Verdict, matches, number
@@ -141,7 +142,7 @@ def _count_real(roots: npt.NDArray[np.complex128]) -> int:
     return int(np.count_nonzero(np.abs(roots.imag) < 1e-7 * np.abs(roots)))
 
 
-def _order(first: npt.NDArray[np.complex128], second: npt.NDArray[np.complex128]) -> npt.NDArray[np.intp]:
+def _order(first: npt.NDArray[np.complex128], second: npt.NDArray[np.complex128]) -> IntArray:
     """Return for each solution of `first` (8, 3, 3) its place in `second`, one to one, nearest overall."""
     cost = np.abs(first[:, None] - second[None]).max(axis=(-1, -2))
     return np.asarray(scipy.optimize.linear_sum_assignment(cost)[1])
@@ -181,7 +182,7 @@ def _conjugated(
     return Verdict.MISPRINT if after < 1e-2 * before else Verdict.UNEXPLAINED, note
 
 
-def _leg_lengths(geometry: Geometry, matrix: npt.NDArray[np.float64], joints: npt.NDArray[np.complex128]) -> list[Cell]:
+def _leg_lengths(geometry: Geometry, matrix: FloatArray, joints: npt.NDArray[np.complex128]) -> list[Cell]:
     """Compare Table 4: leg lengths of the real solutions, in the order of Tables 1-3. Eq. (20)."""
     real = np.flatnonzero(np.abs(joints.imag).max(axis=(-1, -2)) < 1e-6)
     b = joints[real].real
@@ -212,7 +213,7 @@ def _simulated_pose(geometry: Geometry) -> list[Cell]:
     ]
 
 
-def _shifted(text: str, column: int, lengths: npt.NDArray[np.float64]) -> tuple[Verdict, str]:
+def _shifted(text: str, column: int, lengths: FloatArray) -> tuple[Verdict, str]:
     """Look for the printed number in a cell of the same column that was left empty."""
     for leg, value in enumerate(lengths):
         if published.TABLE_4[leg][column] is None and matches(text, complex(value)):

@@ -8,11 +8,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from spm_pin.errors import require_extra
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -31,7 +30,7 @@ class ClosedMesh:
 
     vertices: FloatArray
     """Positions of o in {B} [m], shape (V, 3)."""
-    faces: npt.NDArray[np.intp]
+    faces: IntArray
     """Triangles, counter-clockwise seen from outside, shape (F, 3)."""
 
     @property
@@ -139,7 +138,7 @@ class Convergence:
         return float(np.polyfit(squares, self.volumes[part], len(squares) - 1)[-1])
 
 
-def enclosed_volume(vertices: FloatArray, faces: npt.NDArray[np.intp]) -> float:
+def enclosed_volume(vertices: FloatArray, faces: IntArray) -> float:
     """Return the signed volume of a closed mesh [m³]."""
     a, b, c = np.moveaxis(vertices[faces] - vertices.mean(axis=0), 1, 0)
     return float((a * np.cross(b, c)).sum()) / 6.0

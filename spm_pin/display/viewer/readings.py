@@ -11,7 +11,7 @@ from spm_pin.closed_form.leg_forces import leg_forces
 from spm_pin.closed_form.singularity_analysis import determinant_gradients, singularities
 from spm_pin.closed_form.stiffness import compliance, principal_stiffness
 from spm_pin.errors import SingularConfigurationError
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.branches import physical
 from spm_pin.mechanism.configuration import Configuration
 
@@ -60,7 +60,7 @@ class Readings:
         return np.asarray(np.abs(self.singularities.determinants) / np.maximum(gradients, np.finfo(float).tiny))
 
     @property
-    def near(self) -> npt.NDArray[np.bool_]:
+    def near(self) -> BoolArray:
         """Which singularities are near, shape (3,); see `NEAR`."""
         return np.asarray((self.travel < NEAR * self._state.geometry.middle_side) | np.isnan(self.travel))
 

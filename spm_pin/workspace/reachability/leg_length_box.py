@@ -15,12 +15,11 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import ConvexHull, KDTree
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, first_offender, instance
+from spm_pin.mechanism.arguments import FloatArray, IntArray, first_offender, instance
 from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
 from spm_pin.workspace.reachability.position_map import PositionMap, rotated, stage_centre
 from spm_pin.workspace.reachability.stage_set import StageSet
@@ -203,7 +202,7 @@ class LegLengthBox:
         return distance, np.stack([lower, upper], axis=2)
 
 
-def _far_apart(points: FloatArray, count: int) -> npt.NDArray[np.intp]:
+def _far_apart(points: FloatArray, count: int) -> IntArray:
     """Return which of points (N, M, 3) to choose so that the next one is the farthest from all before, (N, count)."""
     chosen = np.zeros((len(points), count), dtype=np.intp)
     distance = np.full(points.shape[:2], np.inf)

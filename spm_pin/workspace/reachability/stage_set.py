@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.workspace.reachability.position_map import PositionMap
 
 __all__ = ["StageSet"]
@@ -38,7 +37,7 @@ class StageSet:
     minimum: FloatArray  # of its legs (3,) [m]
     maximum: FloatArray
 
-    def contains(self, coordinates: FloatArray) -> npt.NDArray[np.bool_]:
+    def contains(self, coordinates: FloatArray) -> BoolArray:
         """Test which coordinates (N, 3) are states of the set."""
         lengths = self._lengths(coordinates)
         with np.errstate(invalid="ignore"):

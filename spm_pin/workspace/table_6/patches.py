@@ -12,13 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from spm_pin.mechanism.arguments import IntArray
 from spm_pin.paper import published
 
 __all__ = ["ERRATA", "Setting", "SubWorkspace", "orientations", "sub_workspaces"]
 
-Lattice = npt.NDArray[np.intp]
 Corner = tuple[int, ...]
 
 ERRATA = {("St3", "r_b1"): "mmax", ("Sm3", "r_b3"): "min", ("Sm5", "r_b3"): "bmin~mmax"}
@@ -54,7 +53,7 @@ class SubWorkspace:
         first, second = (leg for leg, setting in enumerate(self.settings) if setting is Setting.VARIES)
         return first, second
 
-    def lattice(self, resolution: int) -> Lattice:
+    def lattice(self, resolution: int) -> IntArray:
         """Return the increments of the six legs above their minima, (resolution + 1, resolution + 1, 6).
 
         The first varying leg changes along the first axis, the other along the second.
