@@ -37,7 +37,8 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
-autodoc_type_aliases = {name: name for name in ("BoolArray", "ComplexArray", "FloatArray", "IntArray", "PoseLike")}
+aliases = "BoolArray", "ComplexArray", "FloatArray", "IntArray", "PoseLike", "Progress"
+autodoc_type_aliases = {name: name for name in aliases}
 # Methods of our own bases are described with each class, not those of Python's.
 foreign_bases = "BaseException, ImportError, Enum, int, str, dict, tuple, object"
 autodoc_default_options = {"members": True, "show-inheritance": True, "inherited-members": foreign_bases}

@@ -8,7 +8,7 @@ conditioning and rounding explain, the outlier is attributed by majority.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ from spm_pin.crosscheck.compare import Comparison
 from spm_pin.crosscheck.methods import Method, make_methods
 from spm_pin.crosscheck.random_poses import command, in_leg_space, on_all_rotations, printable
 from spm_pin.crosscheck.scores import MethodScore, PairDifference
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, whole_number
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, Progress, whole_number
 from spm_pin.mechanism.geometry import Geometry
 
 __all__ = ["Report", "compare_in_batches", "compare_methods"]
@@ -28,9 +28,6 @@ LEG_SPACE = 0.8
 """Share of the poses drawn in leg space; the rest have rotations from all of SO(3)."""
 _BATCH = 10
 """Poses compared before each report."""
-
-Progress = Callable[[str, int, int], None]
-"""Called with a description of the step, the number of poses compared, and of how many."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Checks of arguments, one for each kind: each returns the value read, or raises an error that names the argument.
+"""Types of arguments, and a check for each kind: it returns the value read, or raises an error that names the argument.
 
 All rooms use these, so that the same mistake gives the same message everywhere. Every check takes the value as the
 caller gave it, then `argument`, its name in the caller's signature. In messages, `expected` and `meaning` say in words
@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import operator
 import os
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -24,6 +24,7 @@ __all__ = [
     "BoolArray",
     "FloatArray",
     "IntArray",
+    "Progress",
     "as_array",
     "boolean_array",
     "broadcastable",
@@ -52,6 +53,8 @@ BoolArray = npt.NDArray[np.bool_]
 """An array of truth values."""
 IntArray = npt.NDArray[np.intp]
 """An array of indices or counts."""
+Progress = Callable[[str, int, int], None]
+"""Called with what is being done, how many points or poses are done, and of how many; may raise to interrupt."""
 Kind = TypeVar("Kind")
 Scalar = TypeVar("Scalar", bound=np.generic)
 

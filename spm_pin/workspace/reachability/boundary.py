@@ -15,13 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.mechanism.arguments import FloatArray, generator, whole_number
+from spm_pin.mechanism.arguments import FloatArray, Progress, generator, whole_number
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.workspace.closed_mesh import ClosedMesh
 from spm_pin.workspace.reachability.lattice import Lattice
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox, leg_length_box
 from spm_pin.workspace.reachability.nearest_points import NearestPoints, nearest_in_box
-from spm_pin.workspace.reachability.state_search import RESOLUTION, Progress
+from spm_pin.workspace.reachability.state_search import RESOLUTION
 
 __all__ = ["Boundary", "BoundaryPoints", "reachable_boundary"]
 

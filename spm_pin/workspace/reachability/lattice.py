@@ -11,10 +11,10 @@ from scipy.spatial import KDTree
 
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, real_number
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, Progress, real_number
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox
 from spm_pin.workspace.reachability.membership import in_portions, search_states
-from spm_pin.workspace.reachability.state_search import SINGULARITY_MARGIN, Progress, StateSearch
+from spm_pin.workspace.reachability.state_search import SINGULARITY_MARGIN, StateSearch
 
 __all__ = ["Lattice"]
 

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from spm_pin.mechanism.arguments import BoolArray, FloatArray
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, Progress
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox
-from spm_pin.workspace.reachability.state_search import RESOLUTION, Progress, StateSearch
+from spm_pin.workspace.reachability.state_search import RESOLUTION, StateSearch
 
 __all__ = ["Membership", "in_portions", "portions", "search_states"]
 

@@ -10,10 +10,9 @@ from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.closed_form.inverse_displacement import inverse_displacement
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import Configuration, Geometry, LegLimits
-from spm_pin.mechanism.arguments import FloatArray, IntArray, choice, generator, whole_number
+from spm_pin.mechanism.arguments import FloatArray, IntArray, Progress, choice, generator, whole_number
 from spm_pin.mechanism.branches import physical
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox, leg_length_box
-from spm_pin.workspace.reachability.state_search import Progress
 
 __all__ = ["pose_multiplicity", "pose_weights", "sample_reachable"]
 

@@ -11,18 +11,13 @@ lengths give, snapped to the limits, is compared with the point.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox
 
-__all__ = ["CENTRE", "RESOLUTION", "SINGULARITY_MARGIN", "Progress", "StateSearch"]
-
-Progress = Callable[[str, int, int], None]
-"""Called with what is being done, how many steps are done, and of how many; may raise to interrupt."""
+__all__ = ["CENTRE", "RESOLUTION", "SINGULARITY_MARGIN", "StateSearch"]
 
 RESOLUTION = 1e-9
 """Distances are found to this share of the machine's size."""

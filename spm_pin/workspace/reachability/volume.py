@@ -8,14 +8,13 @@ from typing import Literal
 import numpy as np
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, choice, generator, instance, whole_number
+from spm_pin.mechanism.arguments import FloatArray, Progress, choice, generator, instance, whole_number
 from spm_pin.mechanism.geometry import Geometry, LegLimits
 from spm_pin.workspace.reachability.boundary import Boundary, reachable_boundary
 from spm_pin.workspace.reachability.confidence_intervals import Estimate, check_confidence, from_hits, from_mean
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox, leg_length_box
 from spm_pin.workspace.reachability.membership import portions, search_states
 from spm_pin.workspace.reachability.reachable_samples import pose_weights, sample_reachable
-from spm_pin.workspace.reachability.state_search import Progress
 from spm_pin.workspace.table_6.shell import Shell
 
 __all__ = ["ShellComparison", "compare_with_shell", "pose_volume", "reachable_volume"]
