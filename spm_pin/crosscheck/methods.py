@@ -7,6 +7,7 @@ needs them, when it is made.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -88,11 +89,11 @@ class ClosedForm(Method):
 
     def inverse_jacobian(self, configuration: Configuration) -> FloatArray:
         """Return J_f (N, 6, 6)."""
-        return _each(inverse_jacobian, configuration)
+        return _each(inverse_jacobian, (6, 6), configuration)
 
     def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray:
         """Return forces (N, 6) [N]."""
-        return _each(leg_forces, configuration, wrench)
+        return _each(leg_forces, (6,), configuration, wrench)
 
 
 @dataclass
@@ -113,15 +114,11 @@ class Paper(Method):
 
     def inverse_jacobian(self, configuration: Configuration) -> FloatArray:
         """Return J_f (N, 6, 6)."""
-        return _each(lambda state: J_f(state, self.mistakes), configuration)
+        return _each(lambda state: J_f(state, self.mistakes), (6, 6), configuration)
 
     def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray:
         """Return forces (N, 6) [N]."""
-
-        def forces(state: Configuration, load: FloatArray) -> FloatArray:
-            return f_r(state, load[..., :3], load[..., 3:], self.mistakes)
-
-        return _each(forces, configuration, wrench)
+        return _each(lambda state, w: f_r(state, w[..., :3], w[..., 3:], self.mistakes), (6,), configuration, wrench)
 
     def rounding(self, configuration: Configuration) -> FloatArray:
         """Return the closure residual [m], with the squared slopes of the lines in the coefficients of Eq. (13)."""
@@ -154,12 +151,9 @@ class Nlp(Method):
 
     def inverse_jacobian(self, configuration: Configuration) -> FloatArray | None:
         """Return J_f (N, 6, 6)."""
-
-        def single(state: Configuration) -> Any:
-            arguments = state.middle_joints.ravel(), state.rotation, state.translation
-            return self._nlp.inverse_jacobian(self._derivatives(*arguments))
-
-        return np.stack([single(state) for state in configuration])
+        points = configuration.middle_joints.reshape(-1, 9), configuration.rotation, configuration.translation
+        derivatives = (self._derivatives(*point) for point in zip(*points, strict=True))
+        return np.stack([self._nlp.inverse_jacobian(each) for each in derivatives])
 
     def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray | None:
         """Return forces (N, 6) [N]."""
@@ -194,46 +188,28 @@ class Pinocchio(Method):
 
     def inverse_jacobian(self, configuration: Configuration) -> FloatArray:
         """Return J_f (N, 6, 6)."""
-
-        def single(state: Configuration) -> Any:
-            return self.chain.inverse_jacobian(self.chain.joint_values(state))
-
-        return _one_by_one(single, (6, 6), configuration)
+        return _each(self.chain.inverse_jacobian, (6, 6), self.chain.joint_values(configuration))
 
     def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray:
         """Return forces (N, 6) [N]."""
-
-        def single(state: Configuration, load: FloatArray) -> Any:
-            return self.chain.leg_forces(self.chain.joint_values(state), load)
-
-        return _one_by_one(single, (6,), configuration, wrench)
+        return _each(self.chain.leg_forces, (6,), self.chain.joint_values(configuration), wrench)
 
     def assembled(self, configuration: Configuration) -> Configuration:
         """Return the configurations that the tree's frames give at the joint values of states (N,)."""
-        states = [self.chain.configuration(self.chain.joint_values(state)) for state in configuration]
-        parts = ("rotation", "translation", "middle_joints")
-        arrays = (np.stack([getattr(state, part) for state in states]) for part in parts)
-        return Configuration.from_arrays(configuration.geometry, *arrays)
+        states: Configuration = self.chain.configuration(self.chain.joint_values(configuration))
+        return states
 
 
-def _each(function: Callable[..., FloatArray], configuration: Configuration, *arguments: FloatArray) -> FloatArray:
-    """Call with the whole batch, or one by one where a member is singular."""
+def _each(function: Callable[..., FloatArray], shape: tuple[int, ...], *batch: Any) -> FloatArray:
+    """Call with a whole batch, or one by one where a member is singular, which becomes NaN of the shape."""
     try:
-        return function(configuration, *arguments)
+        return function(*batch)
     except SingularConfigurationError:
-        shape = function(configuration[:0], *(argument[:0] for argument in arguments)).shape[1:]
-        return _one_by_one(function, shape, configuration, *arguments)
-
-
-def _one_by_one(function: Callable[..., Any], shape: tuple[int, ...], *arguments: Any) -> FloatArray:
-    """Call for each member of the batch; NaN of the shape where one is singular."""
-    found = []
-    for member in zip(*arguments, strict=True):
-        try:
-            found.append(np.asarray(function(*member)))
-        except SingularConfigurationError:
-            found.append(np.full(shape, np.nan))
-    return np.stack(found)
+        found = np.full((len(batch[0]), *shape), np.nan)
+        for k, member in enumerate(zip(*batch, strict=True)):
+            with contextlib.suppress(SingularConfigurationError):
+                found[k] = function(*member)
+        return found
 
 
 METHODS: dict[str, Callable[[Geometry], Method]] = {

@@ -88,22 +88,17 @@ def _stage(geometry: Geometry, radius: float, lengths: FloatArray, side: float) 
     rise = np.sqrt(np.maximum(mean**2 - (radius - geometry.middle_radius) ** 2, (0.1 * d) ** 2))
     b = geometry.middle_radius * radial + side * rise[:, None, None] * np.array([0.0, 0.0, 1.0])
     error = np.full((len(b), 9), np.inf)
-    pairs = ((0, 1), (1, 2), (2, 0))
+    i, following = np.array([0, 1, 2]), np.array([1, 2, 0])
     for _ in range(_STEPS):
-        jacobian = np.zeros((len(b), 9, 9))
-        rows = []
-        for i in range(3):
-            leg = b[:, i] - feet[i]
-            rows.append(b[:, i] @ axes[i])
-            jacobian[:, 2 * i, 3 * i : 3 * i + 3] = axes[i]
-            rows.append(((leg**2).sum(axis=-1) - lengths[:, i] ** 2) / (2.0 * d))
-            jacobian[:, 2 * i + 1, 3 * i : 3 * i + 3] = leg / d
-        for row, (i, j) in enumerate(pairs, start=6):
-            between = b[:, i] - b[:, j]
-            rows.append(((between**2).sum(axis=-1) - d**2) / (2.0 * d))
-            jacobian[:, row, 3 * i : 3 * i + 3] = between / d
-            jacobian[:, row, 3 * j : 3 * j + 3] = -between / d
-        error = np.stack(rows, axis=-1)
+        leg, between = b - feet, b - b[:, following]
+        off_plane = np.stack([joint @ axis for joint, axis in zip(b.swapaxes(0, 1), axes, strict=True)], axis=-1)
+        too_long = ((leg**2).sum(axis=-1) - lengths**2) / (2.0 * d)
+        too_far = ((between**2).sum(axis=-1) - d**2) / (2.0 * d)
+        error = np.concatenate([np.stack([off_plane, too_long], axis=-1).reshape(-1, 6), too_far], axis=-1)
+        derivatives = np.zeros((len(b), 9, 3, 3))
+        derivatives[:, 2 * i, i], derivatives[:, 2 * i + 1, i] = axes, leg / d
+        derivatives[:, 6 + i, i], derivatives[:, 6 + i, following] = between / d, -between / d
+        jacobian = derivatives.reshape(-1, 9, 9)
         regular = np.abs(np.linalg.det(jacobian)) > 0.0
         jacobian = np.where(regular[:, None, None], jacobian, np.eye(9))
         b = b - np.linalg.solve(jacobian, error[..., None])[..., 0].reshape(-1, 3, 3)

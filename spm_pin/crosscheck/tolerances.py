@@ -87,27 +87,25 @@ class Conditioning:
         return np.asarray(self.inverse * self.rates(rounding))
 
 
-def _derivatives(configuration: Configuration) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _derivatives(configuration: Configuration) -> tuple[FloatArray, ...]:
     """Return F_b (N, 9, 9), F_x (N, 9, 6), l_b (N, 6, 9) and l_x (N, 6, 6), angles times d."""
-    b = configuration.middle_joints
-    count, side = len(b), configuration.geometry.middle_side
+    b, count, side = configuration.middle_joints, len(configuration), configuration.geometry.middle_side
     axes, platform_axes = configuration.geometry.revolute_axes, configuration.platform_axes
     arms = configuration.platform_joints - configuration.translation[:, None, :]
     directions = configuration.leg_vectors / configuration.leg_lengths[..., None]
-    closure_b, closure_x = np.zeros((count, 9, 9)), np.zeros((count, 9, 6))
-    lengths_b, lengths_x = np.zeros((count, 6, 9)), np.zeros((count, 6, 6))
-    for i in range(3):
-        leg, following = slice(3 * i, 3 * i + 3), slice(3 * ((i + 1) % 3), 3 * ((i + 1) % 3) + 3)
-        closure_b[:, i, leg] = axes[i]
-        closure_b[:, 3 + i, leg] = platform_axes[:, i]
-        between = (b[:, i] - b[:, (i + 1) % 3]) / side
-        closure_b[:, 6 + i, leg], closure_b[:, 6 + i, following] = between, -between
-        # n·(b - c) with n and c fixed to m changes by n x (b - o) · ω - n·v.
-        closure_x[:, 3 + i, :3] = -platform_axes[:, i]
-        arm = b[:, i] - configuration.translation
-        closure_x[:, 3 + i, 3:] = np.cross(platform_axes[:, i], arm) / side
-        lengths_b[:, i, leg] = directions[:, i]
-        lengths_b[:, 3 + i, leg] = -directions[:, 3 + i]
-        lengths_x[:, 3 + i, :3] = directions[:, 3 + i]
-        lengths_x[:, 3 + i, 3:] = np.cross(arms[:, i], directions[:, 3 + i]) / side
-    return closure_b, closure_x, lengths_b, lengths_x
+    i, following = np.array([0, 1, 2]), np.array([1, 2, 0])
+    between = (b - b[:, following]) / side
+    # For each kind of equation the three legs, and in the derivatives by b the three b_i.
+    closure_b, closure_x = np.zeros((count, 3, 3, 3, 3)), np.zeros((count, 3, 3, 6))
+    lengths_b, lengths_x = np.zeros((count, 2, 3, 3, 3)), np.zeros((count, 2, 3, 6))
+    closure_b[:, 0, i, i], closure_b[:, 1, i, i] = axes, platform_axes
+    closure_b[:, 2, i, i], closure_b[:, 2, i, following] = between, -between
+    # n·(b - c) with n and c fixed to m changes by n x (b - o) · ω - n·v.
+    closure_x[:, 1, :, :3] = -platform_axes
+    closure_x[:, 1, :, 3:] = np.cross(platform_axes, b - configuration.translation[:, None, :]) / side
+    lengths_b[:, 0, i, i], lengths_b[:, 1, i, i] = directions[:, :3], -directions[:, 3:]
+    lengths_x[:, 1, :, :3] = directions[:, 3:]
+    lengths_x[:, 1, :, 3:] = np.cross(arms, directions[:, 3:]) / side
+    shapes = (9, 9), (9, 6), (6, 9), (6, 6)
+    parts = (closure_b, closure_x, lengths_b, lengths_x)
+    return tuple(part.reshape(count, *shape) for part, shape in zip(parts, shapes, strict=True))
