@@ -37,12 +37,15 @@ def forward(
         modes = _alone(physical)
     else:
         modes = forward_displacement(dimensions, lengths)
-    shown = _states(modes, physical, every)
+    shown = {modes.labels[0]: physical} if physical.exists else {}
+    if every:
+        shown = {modes.labels[k]: modes.configurations[k] for k in np.flatnonzero(modes.exists)}
+    home = modes.labels[0] if physical.exists else ""
     if json:
-        outputs.write_json(_content(modes, shown, unit))
+        outputs.write_json(_content(modes, shown, home, unit))
     else:
         if shown:
-            _print_states(shown, unit, "Assembly modes" if every else "The physical configuration")
+            _print_states(shown, home, unit, "Assembly modes" if every else "The physical configuration")
         outputs.print_lines(_remarks(modes, physical, options.unit_hint("--legs", max(legs), unit, dimensions)))
     raise typer.Exit(options.exit_code(modes))
 
@@ -54,36 +57,24 @@ def _alone(physical: Configuration) -> SolutionSet:
     return SolutionSet(Configuration.from_arrays(physical.geometry, *state), ("physical",), status)
 
 
-def _states(modes: SolutionSet, physical: Configuration, every: bool) -> list[tuple[str, Configuration, bool]]:
-    """Return label, configuration and whether it is the physical one."""
-    if not every:
-        return [(modes.labels[0], physical, True)] if physical.exists else []
-    real = np.flatnonzero(modes.exists)
-    return [(modes.labels[k], modes.configurations[k], bool(k == 0 and physical.exists)) for k in real]
-
-
 def _angles(state: Configuration) -> list[float]:
     return [float(angle) for angle in state.pose.rotation.as_euler("XYX", degrees=True, suppress_warnings=True)]
 
 
-def _print_states(states: list[tuple[str, Configuration, bool]], unit: LengthUnit, title: str) -> None:
+def _print_states(states: dict[str, Configuration], physical: str, unit: LengthUnit, title: str) -> None:
     rows = []
-    for label, state, physical in states:
+    for label, state in states.items():
         # One digit more where there is room for it in 80 columns.
         finer = int(len(states) == 1)
         position = [unit.text(x, finer) for x in state.translation]
         angles = [outputs.fixed(angle, 3 + finer) for angle in _angles(state)]
-        rows.append([label, *position, *angles, "physical" if physical else ""])
+        rows.append([label, *position, *angles, "physical" if label == physical else ""])
     headings = ["mode", "X", "Y", "Z", "alpha", "beta", "lambda", ""]
     outputs.print_table(f"{title}: o in {unit}, X-Y-X in degrees", headings, rows, left=[""])
 
 
 def _remarks(modes: SolutionSet, physical: Configuration, hint: str) -> list[str]:
-    remarks = [f"status: {modes.status}"]
-    if len(modes.labels) > 1:
-        remarks[0] += f", {modes.count} of {len(modes.labels)} assembly modes real"
-    if modes.count:
-        remarks[0] += f", closure residual up to {np.nanmax(modes.residual):.0e} m"
+    remarks = [options.status_line(modes, "assembly modes")]
     if modes.status is Status.DEGENERATE:
         remarks += ["With these legs locked the platform can still move.", *options.pose_remarks(modes)]
     if modes.status is Status.UNREACHABLE:
@@ -93,7 +84,7 @@ def _remarks(modes: SolutionSet, physical: Configuration, hint: str) -> list[str
     return remarks
 
 
-def _content(modes: SolutionSet, shown: list[tuple[str, Configuration, bool]], unit: LengthUnit) -> dict[str, Any]:
+def _content(modes: SolutionSet, shown: dict[str, Configuration], physical: str, unit: LengthUnit) -> dict[str, Any]:
     degeneracy = modes.degeneracy
     return {
         "unit": unit,
@@ -107,9 +98,9 @@ def _content(modes: SolutionSet, shown: list[tuple[str, Configuration, bool]], u
                 "xyx": _angles(state),
                 "rotation": state.rotation,
                 "middle_joints": state.middle_joints * unit.per_metre,
-                "physical": is_physical,
+                "physical": label == physical,
                 "residual": state.closure_residual * unit.per_metre,
             }
-            for label, state, is_physical in shown
+            for label, state in shown.items()
         ],
     }

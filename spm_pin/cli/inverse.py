@@ -50,9 +50,7 @@ def _print_branches(solutions: SolutionSet, unit: LengthUnit) -> None:
 
 
 def _remarks(solutions: SolutionSet, on_the_pose: list[str]) -> list[str]:
-    remarks = [f"status: {solutions.status}, {solutions.count} of 8 branches real"]
-    if solutions.count:
-        remarks[0] += f", closure residual up to {np.nanmax(solutions.residual):.0e} m"
+    remarks = [options.status_line(solutions, "branches")]
     if not np.array_equal(solutions.within().exists, solutions.exists):
         remarks.append("* beyond the limits of this leg")
     remarks += on_the_pose
@@ -69,12 +67,7 @@ def _content(solutions: SolutionSet, unit: LengthUnit) -> dict[str, Any]:
     return {
         "unit": unit,
         "status": str(solutions.status),
-        "degeneracy": degeneracy
-        and {
-            "dimension": degeneracy.dimension,
-            "families": degeneracy.families,
-            "legs": degeneracy.legs,
-        },
+        "degeneracy": degeneracy and {name: getattr(degeneracy, name) for name in ("dimension", "families", "legs")},
         "discriminants": solutions.discriminants,
         "branches": [
             {

@@ -30,9 +30,12 @@ _NAMES = {"start": "--from", "goal": "--to", "leg_rates": "--leg-rate", "leg_acc
 _NAMES |= {"leg_forces": "--leg-force", "leg_jerks": "--leg-jerk", "mass": "--payload", "path": "--out"}
 _NAMES |= {"minimum": "--limits", "maximum": "--limits"}
 
-# One number, or six of them separated by commas.
-_EachLeg = str | None
 _Degrees = tuple[float, float] | None
+
+
+def _largest(help_text: str) -> Any:
+    """Return an option of a limit: one number, or six of them separated by commas."""
+    return typer.Option(metavar="X", help=f"Largest {help_text}")
 
 
 @outputs.name_options(**_NAMES)
@@ -60,16 +63,10 @@ def move(
             help="Leg lengths allowed, each one number or six, in --unit; the geometry's if not given.",
         ),
     ] = None,
-    leg_rate: Annotated[_EachLeg, typer.Option(metavar="X", help="Largest speed of a leg \\[m/s].")] = None,
-    leg_acceleration: Annotated[
-        _EachLeg, typer.Option(metavar="X", help="Largest acceleration of a leg \\[m/s²].")
-    ] = None,
-    leg_force: Annotated[
-        _EachLeg, typer.Option(metavar="X", help="Largest force of a leg, pushing or pulling \\[N].")
-    ] = None,
-    leg_jerk: Annotated[
-        _EachLeg, typer.Option(metavar="X", help="Largest jerk of a leg \\[m/s³]: forces without jumps, slower.")
-    ] = None,
+    leg_rate: Annotated[str | None, _largest("speed of a leg \\[m/s].")] = None,
+    leg_acceleration: Annotated[str | None, _largest("acceleration of a leg \\[m/s²].")] = None,
+    leg_force: Annotated[str | None, _largest("force of a leg, pushing or pulling \\[N].")] = None,
+    leg_jerk: Annotated[str | None, _largest("jerk of a leg \\[m/s³]: forces without jumps, slower.")] = None,
     twist: Annotated[
         tuple[float, float] | None,
         typer.Option(metavar="V OMEGA", help="Speed limits of o \\[m/s] and turning \\[rad/s]."),
@@ -125,29 +122,15 @@ def move(
     largest: dict[str, Any] = {
         f"leg_{name}s": _each_leg(text, f"--leg-{name}") for name, text in typed.items() if text is not None
     }
-    planned = plan(
-        dimensions,
-        first,
-        last,
-        allowed,
-        via=passed,
-        joint_limits=joints,
-        margin=margin,
-        line="poses" if straight else "legs",
-        certificate=certify(dimensions, allowed) if allowed is not None else None,
-    )
+    ways: dict[str, Any] = {"via": passed, "joint_limits": joints, "line": "poses" if straight else "legs"}
+    certificate = certify(dimensions, allowed) if allowed is not None else None
+    planned = plan(dimensions, first, last, allowed, margin=margin, certificate=certificate, **ways)
     if planned.path is None:
         outputs.note(f"no path: {planned.reason}")
         raise typer.Exit(3)
     chain = ClosedChain.from_urdf(geometry=dimensions)
-    motion = time_optimal(
-        chain,
-        planned,
-        **largest,
-        twist=twist,
-        payload=Payload(payload) if payload else None,
-        period=period,
-    )
+    load = Payload(payload) if payload else None
+    motion = time_optimal(chain, planned, **largest, twist=twist, payload=load, period=period)
     lengths = chain.leg_lengths(motion.positions)
     table = _columns(chain, motion, lengths)
     if json:
@@ -187,15 +170,11 @@ def _end_state(
 
 def _columns(chain: ClosedChain, motion: JointTrajectory, lengths: FloatArray) -> dict[str, FloatArray]:
     legs = chain.leg_indices
-    kinds = {
-        "": lengths,
-        ".rate": motion.velocities[:, legs],
-        ".acceleration": motion.accelerations[:, legs],
-        ".force": motion.efforts[:, legs],
-    }
-    columns = {"t": motion.times}
+    joints = {".rate": motion.velocities, ".acceleration": motion.accelerations, ".force": motion.efforts}
+    kinds = {"": lengths, **{kind: values[:, legs] for kind, values in joints.items()}}
     # No negative zeros.
-    return columns | {leg + kind: values[:, k] + 0.0 for kind, values in kinds.items() for k, leg in enumerate(LEGS)}
+    columns = {leg + kind: values[:, k] + 0.0 for kind, values in kinds.items() for k, leg in enumerate(LEGS)}
+    return {"t": motion.times, **columns}
 
 
 def _report(planned: MotionPlan, table: dict[str, FloatArray], unit: LengthUnit) -> None:

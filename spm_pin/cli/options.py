@@ -47,6 +47,7 @@ __all__ = [
     "requested_solutions",
     "selected_labels",
     "solve_pose",
+    "status_line",
     "titled_branches",
     "unit_hint",
 ]
@@ -181,6 +182,14 @@ def pose_remarks(solutions: SolutionSet) -> list[str]:
             "branches, but far beyond usual leg limits."
         )
     return remarks
+
+
+def status_line(solutions: SolutionSet, what: str) -> str:
+    """Return a sentence on the status of solutions, called `what`: how many are real, how well they close."""
+    line = f"status: {solutions.status}"
+    if len(solutions.labels) > 1:
+        line += f", {solutions.count} of {len(solutions.labels)} {what} real"
+    return line + (f", closure residual up to {np.nanmax(solutions.residual):.0e} m" if solutions.count else "")
 
 
 def selected_labels(solutions: SolutionSet, labels: list[str] | None, *, required: bool = False) -> list[str]:

@@ -61,7 +61,4 @@ def _parts(text: str) -> tuple[str, str]:
 
 def number(text: str | None) -> complex:
     """Return a printed number; NaN where nothing is printed."""
-    if text is None:
-        return complex("nan")
-    real, imaginary = _parts(text)
-    return complex(float(real), float(imaginary))
+    return complex("nan" if text is None else text.replace("i", "j"))

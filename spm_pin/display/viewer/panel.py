@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Coroutine
-from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,21 @@ from spm_pin.mechanism.geometry import LEGS, Geometry
 __all__ = ["Panel"]
 
 _COORDINATES = ("x [m]", "y [m]", "z [m]", "α [°]", "β [°]", "λ [°]")
-_DRIVES = {"platform pose": Drive.POSE, "leg lengths": Drive.LEGS}
+_LAYERS = {
+    "Other branches": ("ghosts", False),
+    "Leg names": ("names", True),
+    "Trail of o": ("trail", True),
+    "Gizmo": ("gizmo", True),
+    "Workspace shell": ("shell", False),
+    "Points reached": ("points", False),
+}
+"""What the scene may show: names of the layers, and whether they are shown at first."""
+_EXPORTS = {
+    "Save picture (PNG)": ("png", "photo"),
+    "Save this view as a page (HTML)": ("snapshot", "file-code"),
+    "Save state (JSON)": ("json", "download"),
+}
+"""Files to save: names of the events, and icons."""
 _NONE = "–"
 
 # viser makes the colour of its buttons from these: light ones on a dark page, and white text on both.
@@ -53,14 +66,13 @@ class Panel:
         self.theme(dark)
         gui.main_panel.dock_right()
         self.status = gui.add_html("")
-        self.back = gui.add_button(
-            "Back to the reachable pose", visible=False, color=(200, 16, 46), icon="arrow-back-up"
+        self.back = self._add(
+            "button", "back", "Back to the reachable pose", visible=False, color=(200, 16, 46), icon="arrow-back-up"
         )
-        self._on(self.back.on_click, "back")
-        self.branch = gui.add_dropdown("Branch", [_NONE], hint="Or show the other branches as ghosts and click one")
-        self._on(self.branch.on_update, "branch")
-        views = gui.add_button_group("View", tuple(VIEWS))
-        self._on(views.on_click, "view")
+        self.branch = self._add(
+            "dropdown", "branch", "Branch", [_NONE], hint="Or show the other branches as ghosts and click one"
+        )
+        self._add("button_group", "view", "View", tuple(VIEWS))
         if not narrow:
             self.instruments = gui.add_html("")
         tabs = gui.add_tab_group()
@@ -70,19 +82,25 @@ class Panel:
             with tabs.add_tab("Readings"):
                 self.instruments = gui.add_html("")
         with tabs.add_tab("Load"):
-            self.force = gui.add_vector3("Force [N]", (0.0, 0.0, 0.0), step=10.0, hint="Onto m at o, in {B}")
-            self.moment = gui.add_vector3("Moment [N m]", (0.0, 0.0, 0.0), step=10.0, hint="Onto m, in {B}")
-            self._on(self.force.on_update, "load")
-            self._on(self.moment.on_update, "load")
+            zero = (0.0, 0.0, 0.0)
+            self.force = self._add("vector3", "load", "Force [N]", zero, step=10.0, hint="Onto m at o, in {B}")
+            self.moment = self._add("vector3", "load", "Moment [N m]", zero, step=10.0, hint="Onto m, in {B}")
             self.forces = gui.add_html("")
         with tabs.add_tab("Show"):
-            limits = geometry.limits
-            self._add_layers(dark, limits is not None and bool(np.isfinite(limits.maximum).all()))
+            limited = geometry.limits is not None and bool(np.isfinite(geometry.limits.maximum).all())
+            for label, (layer, shown) in _LAYERS.items():
+                self._add("checkbox", "layer", label, shown, key=layer, visible=limited or layer != "shell")
+            self._add("checkbox", "dark", "Dark page", dark)
         if duration is not None:
             with tabs.add_tab("Path"):
-                self._add_path(duration)
+                self._add("button", "play", "Play / pause", icon="player-play")
+                self.time = self._add("slider", "time", "Time [s]", 0.0, duration, max(duration / 1000.0, 1e-6), 0.0)
+                self.path_note = gui.add_html("")
         with tabs.add_tab("Share"):
-            self._add_export()
+            for label, (name, icon) in _EXPORTS.items():
+                self._add("button", name, label, icon=icon)
+            self.command = gui.add_text("Command", "", multiline=True)
+            self.q = gui.add_text("q", "", multiline=True, hint="Joint values in Pinocchio's order [rad, m]")
 
     def theme(self, dark: bool) -> None:
         """Make the page dark or light."""
@@ -90,73 +108,39 @@ class Panel:
             dark_mode=dark, show_logo=False, show_share_button=False, control_width="large", brand_color=_BRAND[dark]
         )
 
-    def _on(self, register: Any, name: str, value: Callable[[Any], Any] = attrgetter("value")) -> None:
-        """Report the events for which a widget registers callbacks, with the value of the widget."""
+    def _add(self, kind: str, event: str, label: str, *arguments: Any, key: Any = None, **options: Any) -> Any:
+        """Add a widget of a kind, whose events are reported under a name, with its value or with `key` and value."""
+        widget = getattr(self.gui, f"add_{kind}")(label, *arguments, **options)
 
-        async def happened(event: Any) -> None:
+        async def happened(message: Any) -> None:
             # What the server assigns comes back as an event of no client.
-            if event.client_id is not None:
-                await self._report(name, value(event.target))
+            if message.client_id is not None:
+                value = message.target.value
+                if kind == "slider":
+                    value = float(min(max(value, message.target.min), message.target.max))
+                await self._report(event, value if key is None else (key, value))
 
+        register = widget.on_click if kind.startswith("button") else widget.on_update
         register(happened)
+        return widget
 
     def _add_motion(self, geometry: Geometry, demo: bool) -> None:
-        gui = self.gui
-        self.drive = gui.add_dropdown("Drive", tuple(_DRIVES))
-        self._on(self.drive.on_update, "drive", lambda widget: _DRIVES.get(widget.value, Drive.POSE))
-        self.pose_folder = gui.add_folder(None)
+        self.drive = self._add("dropdown", "drive", "Drive", tuple(map(str, Drive)))
+        self.pose_folder = self.gui.add_folder(None)
         with self.pose_folder:
-            self.pose_sliders = [self._slider(name, "coordinate", k) for k, name in enumerate(_COORDINATES)]
-        self.leg_folder = gui.add_folder(None, visible=False)
+            self.pose_sliders = [self._add_slider(name, "coordinate", k) for k, name in enumerate(_COORDINATES)]
+        self.leg_folder = self.gui.add_folder(None, visible=False)
         with self.leg_folder:
-            self.leg_sliders = [self._slider(f"{leg} [m]", "leg", k) for k, leg in enumerate(LEGS)]
-        self.hold = gui.add_checkbox(
-            "Hold leg limits", True, visible=geometry.limits is not None, hint="Once within its limits it stays there"
-        )
-        self._on(self.hold.on_update, "hold")
-        self._on(gui.add_button("Start pose", icon="home").on_click, "reset")
+            self.leg_sliders = [self._add_slider(f"{leg} [m]", "leg", k) for k, leg in enumerate(LEGS)]
+        limited = geometry.limits is not None
+        hint = "Once within its limits it stays there"
+        self._add("checkbox", "hold", "Hold leg limits", True, visible=limited, hint=hint)
+        self._add("button", "reset", "Start pose", icon="home")
         if demo:
-            self._on(gui.add_button("Demo motion", icon="player-play").on_click, "demo")
+            self._add("button", "demo", "Demo motion", icon="player-play")
 
-    def _slider(self, label: str, name: str, index: int) -> Any:
-        slider = self.gui.add_slider(label, 0.0, 1.0, 0.1 if "°" in label else 0.001, 0.0)
-
-        def clipped(widget: Any) -> tuple[int, float]:
-            return index, float(min(max(widget.value, widget.min), widget.max))
-
-        self._on(slider.on_update, name, clipped)
-        return slider
-
-    def _add_layers(self, dark: bool, limited: bool) -> None:
-        for label, name, value, visible in (
-            ("Other branches", "ghosts", False, True),
-            ("Leg names", "names", True, True),
-            ("Trail of o", "trail", True, True),
-            ("Gizmo", "gizmo", True, True),
-            ("Workspace shell", "shell", False, limited),
-            ("Points reached", "points", False, True),
-        ):
-            box = self.gui.add_checkbox(label, value, visible=visible)
-            self._on(box.on_update, "layer", lambda widget, name=name: (name, widget.value))  # type: ignore[misc]
-        self._on(self.gui.add_checkbox("Dark page", dark).on_update, "dark")
-
-    def _add_path(self, duration: float) -> None:
-        gui = self.gui
-        self._on(gui.add_button("Play / pause", icon="player-play").on_click, "play")
-        self.time = gui.add_slider("Time [s]", 0.0, duration, max(duration / 1000.0, 1e-6), 0.0)
-        self._on(self.time.on_update, "time", lambda widget: float(min(max(widget.value, 0.0), duration)))
-        self.path_note = gui.add_html("")
-
-    def _add_export(self) -> None:
-        gui = self.gui
-        for label, name, icon in (
-            ("Save picture (PNG)", "png", "photo"),
-            ("Save this view as a page (HTML)", "snapshot", "file-code"),
-            ("Save state (JSON)", "json", "download"),
-        ):
-            self._on(gui.add_button(label, icon=icon).on_click, name)
-        self.command = gui.add_text("Command", "", multiline=True)
-        self.q = gui.add_text("q", "", multiline=True, hint="Joint values in Pinocchio's order [rad, m]")
+    def _add_slider(self, label: str, event: str, index: int) -> Any:
+        return self._add("slider", event, label, 0.0, 1.0, 0.1 if "°" in label else 0.001, 0.0, key=index)
 
     def show(
         self,
@@ -198,7 +182,7 @@ class Panel:
         """Show the sliders of what is driven."""
         self.pose_folder.visible = drive is Drive.POSE
         self.leg_folder.visible = drive is Drive.LEGS
-        self.drive.value = next(name for name, value in _DRIVES.items() if value is drive)
+        self.drive.value = str(drive)
 
     @property
     def wrench(self) -> FloatArray:

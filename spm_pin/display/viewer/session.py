@@ -146,12 +146,16 @@ class Session:
                 player.stop()
 
     def _failed(self, error: Exception) -> None:
-        if self.queue.closed:
-            return
-        if isinstance(error, SpmError):
-            self.client.add_notification("Not possible", str(error), color="orange", auto_close_seconds=8.0)
-        else:
+        if isinstance(error, SpmError) and not self.queue.closed:
+            self._notify("Not possible", error)
+        elif not self.queue.closed:
             _log.error("an event of the page failed", exc_info=error)
+
+    def _notify(self, title: str, error: Exception) -> None:
+        self.client.add_notification(title, str(error), color="orange", auto_close_seconds=8.0)
+
+    def _download(self, name: str, content: bytes) -> None:
+        self.client.send_file_download(name, content, save_immediately=True)
 
     def show(self, moved: tuple[str, int] = ("", 0)) -> None:
         """Bring the page up to date; `moved` is the gizmo or the slider that is in the user's hands."""
@@ -192,7 +196,8 @@ class Session:
             self.scene.clear_trail()
             self.show()
 
-    def _on_drive(self, drive: Drive) -> None:
+    def _on_drive(self, name: str) -> None:
+        drive = Drive.LEGS if name == Drive.LEGS else Drive.POSE
         self.panel.show_drive(drive)
         self.gizmo.visible = drive is Drive.POSE
         if drive is Drive.LEGS:
@@ -206,12 +211,14 @@ class Session:
         self.show()
 
     def _on_back(self, _: None) -> None:
-        self.state_machine.place(self.state.shown)
-        self.show()
+        self._place(self.state.shown)
 
     def _on_reset(self, _: None) -> None:
-        self.state_machine.place(self.config.start)
         self.scene.clear_trail()
+        self._place(self.config.start)
+
+    def _place(self, configuration: Configuration) -> None:
+        self.state_machine.place(configuration)
         self.show()
 
     def _on_view(self, view: str) -> None:
@@ -272,9 +279,7 @@ class Session:
     def _show_frame(self, time: float, moved: bool = False) -> None:
         if self.playback is None:
             return
-        configuration, _ = self.playback.at(time)
-        self.state_machine.place(configuration)
-        self.show()
+        self._place(self.playback.at(time)[0])
         if not moved:
             self.panel.time.value = time
         self.panel.show_path(*self.playback.report(time))
@@ -282,8 +287,7 @@ class Session:
     def _show_demo(self, time: float) -> None:
         assert self.config.demo is not None
         if self.demo is not None and self.demo.playing:
-            self.state_machine.place(self.config.demo.at(time)[0])
-            self.show()
+            self._place(self.config.demo.at(time)[0])
 
     def _on_png(self, _: None) -> None:
         import imageio.v3 as imageio
@@ -294,17 +298,17 @@ class Session:
                 int(camera.image_height), int(camera.image_width), transport_format="png", timeout=60.0
             )
         except (RuntimeError, TimeoutError) as error:
-            self.client.add_notification("No picture", str(error), color="orange", auto_close_seconds=8.0)
+            self._notify("No picture", error)
             return
         file = io.BytesIO()
         imageio.imwrite(file, picture, extension=".png")
-        self.client.send_file_download("spm_pin.png", file.getvalue(), save_immediately=True)
+        self._download("spm_pin.png", file.getvalue())
 
     def _on_json(self, _: None) -> None:
         text = to_json(content(self.state, self.config.chain, self.config.geometry_file))
-        self.client.send_file_download("spm_pin_state.json", f"{text}\n".encode(), save_immediately=True)
+        self._download("spm_pin_state.json", f"{text}\n".encode())
 
     def _on_snapshot(self, _: None) -> None:
         ghosts = self.scene.layers["ghosts"]
         page = snapshot_html(self.state, self.config.robot, geometry_file=self.config.geometry_file, ghosts=ghosts)
-        self.client.send_file_download("spm_pin.html", page.encode(), save_immediately=True)
+        self._download("spm_pin.html", page.encode())

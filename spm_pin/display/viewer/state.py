@@ -38,10 +38,10 @@ _SAME = 1e-4  # of d: closer joints are one solution
 
 
 class Drive(enum.StrEnum):
-    """The quantity that the user moves."""
+    """The quantity that the user moves, as the page names it."""
 
-    POSE = "pose"
-    LEGS = "legs"
+    POSE = "platform pose"
+    LEGS = "leg lengths"
 
 
 @dataclass(frozen=True)
