@@ -54,8 +54,7 @@ def certify(
     limits = None
     if minimum is not None and maximum is not None:
         limits = LegLimits(minimum / unit.per_metre, maximum / unit.per_metre)
-    if maximum is not None and (hint := options.unit_hint("--max", maximum, unit, dimensions)):
-        outputs.note(hint, "yellow")
+        options.note_unit("--max", maximum, unit, dimensions)
     with outputs.stderr.status("dividing the states of both stages"):
         certificate = prove(
             dimensions, limits, boxes=boxes, length_error=length_error / unit.per_metre, angle_error=angle_error
@@ -77,13 +76,8 @@ def _state(witness: Configuration | None) -> dict[str, Any] | None:
 
 
 def _inverse_content(certificate: InverseCertificate) -> dict[str, Any]:
-    return {
-        "holds": certificate.holds,
-        "bound": certificate.bound,
-        "least": certificate.least,
-        "undecided": len(certificate.undecided),
-        "witness": _state(certificate.witness),
-    }
+    measures = {name: getattr(certificate, name) for name in ("holds", "bound", "least")}
+    return {**measures, "undecided": len(certificate.undecided), "witness": _state(certificate.witness)}
 
 
 def _content(certificate: Certificate) -> dict[str, Any]:

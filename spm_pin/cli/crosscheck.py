@@ -111,17 +111,11 @@ def print_report(report: Report, *, pairs: bool = False) -> None:
         of_quantity = list(group)
         rules.append(len(shown))
         shown += of_quantity if pairs else [max(of_quantity, key=lambda pair: pair.ratio)]
-    rows = [
-        [
-            pair.quantity,
-            f"{pair.first} - {pair.second}",
-            str(pair.compared),
-            str(pair.disagreements),
-            f"{pair.worst:.0e} {pair.quantity.unit}".strip(),
-            f"{pair.ratio:.0e}",
-        ]
-        for pair in shown
-    ]
+    rows = []
+    for pair in shown:
+        counts, largest = (pair.compared, pair.disagreements), f"{pair.worst:.0e} {pair.quantity.unit}".strip()
+        names = f"{pair.first} - {pair.second}"
+        rows.append([pair.quantity, names, *map(str, counts), largest, f"{pair.ratio:.0e}"])
     styles = {k: "red" for k, pair in enumerate(shown) if pair.disagreements}
     which = "Differences of all pairs" if pairs else "Largest difference in each quantity"
     title = f"{which}, and its share of the tolerance"
@@ -142,12 +136,14 @@ def _remarks(report: Report, all_methods: bool, file: str | None) -> list[str]:
         lines.append(f"  {report.command(worst.pose, file)}")
     for score in report.scores:
         if score.pose >= 0:
-            if score.invented:
-                what = f"{score.invented} false branches"
-            elif score.misses_too_often:
-                what = f"branches lost at {score.missed} poses, more often than the {100 * score.allowed:g} % it states"
-            else:
-                what = f"branches lost at {score.missed} poses, within its known rate of {100 * score.allowed:g} %"
+            rate = f"{100 * score.allowed:g} %"
+            how = (
+                f"more often than the {rate} it states"
+                if score.misses_too_often
+                else f"within its known rate of {rate}"
+            )
+            lost = f"branches lost at {score.missed} poses, {how}"
+            what = f"{score.invented} false branches" if score.invented else lost
             lines.append(f"{score.name}: {what}. The first is at the pose")
             lines.append(f"  {report.command(score.pose, file)}")
     return lines

@@ -111,8 +111,7 @@ def move(
     allowed = dimensions.limits
     if limits is not None:
         shortest, longest = (_each_leg(text, "--limits") for text in limits)
-        if hint := options.unit_hint("--limits", float(np.max(longest)), unit, dimensions):
-            outputs.note(hint, "yellow")
+        options.note_unit("--limits", float(np.max(longest)), unit, dimensions)
         allowed = LegLimits(*((ends / unit.per_metre).tolist() for ends in (shortest, longest)))
     passed = [_each_leg(text, "--via", single=False) / unit.per_metre for text in via or ()]
     pairs = {"hip": hip, "ball_x": ball_x, "ball_y": ball_y, "ball_z": ball_z}

@@ -40,6 +40,7 @@ __all__ = [
     "end_command",
     "exit_code",
     "leg_option",
+    "note_unit",
     "pose_remarks",
     "read_any_geometry",
     "read_geometry",
@@ -160,6 +161,12 @@ def unit_hint(
         f"{option} was read in {unit}: {length:g} {unit}, on a machine of {size:.3g} {unit}. "
         f"In {better} it would be in proportion: --unit {better}."
     )
+
+
+def note_unit(option: str, typed: float, unit: LengthUnit, geometry: Geometry | AsBuiltGeometry) -> None:
+    """Print the hint of `unit_hint` on stderr, if there is one."""
+    if hint := unit_hint(option, typed, unit, geometry):
+        note(hint, "yellow")
 
 
 def pose_remarks(solutions: SolutionSet) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
@@ -101,40 +102,28 @@ def _number(value: complex, like: str | None = None) -> str:
 def _print_cells(found: Reproduction) -> None:
     for number, group in groupby(found.cells, key=_TABLE):
         cells = list(group)
-        rows = [
-            [
-                cell.row,
-                cell.column,
-                cell.published or "",
-                _number(cell.recomputed, cell.published),
-                "" if cell.difference is None else f"{cell.difference:.0e}",
-                cell.verdict,
-            ]
-            for cell in cells
-        ]
+        rows = []
+        for cell in cells:
+            difference = "" if cell.difference is None else f"{cell.difference:.0e}"
+            recomputed = _number(cell.recomputed, cell.published)
+            rows.append([cell.row, cell.column, cell.published or "", recomputed, difference, cell.verdict])
         styles = {k: _STYLES[cell.verdict] for k, cell in enumerate(cells) if cell.verdict in _STYLES}
         rules = [k for k in range(1, len(cells)) if number and number < 5 and cells[k].row != cells[k - 1].row]
         headings = ["", "solution", "published", "recomputed", "difference", "verdict"]
         outputs.print_table(_TITLES[number], headings, rows, left=["verdict"], rules=rules, styles=styles)
     if any(cell.table < 5 for cell in found.cells):
-        rows = [
-            [
-                str(each.solution),
-                each.label,
-                _number(each.paper, "0.000"),
-                _number(each.closed_form, "0.000"),
-                f"{each.difference:.0e}",
-            ]
-            for each in found.solutions
-        ]
+        rows = []
+        for each in found.solutions:
+            values = (_number(value, "0.000") for value in (each.paper, each.closed_form))
+            rows.append([str(each.solution), each.label, *values, f"{each.difference:.0e}"])
         headings = ["solution", "branch", "paper: |U| = 0", "four quadratics", "difference"]
         title = "The same solutions by two methods: b_2Y (cm), and the largest difference"
         outputs.print_table(title, headings, rows, left=["branch"])
     if found.true_values:
         rows = []
         for each in found.true_values:
-            values = (each.paper, each.closed_form, each.pinocchio)
-            rows.append([each.name, *(outputs.fixed(x, 6) for x in values), f"{max(values) - min(values):.0e}"])
+            _, *numbers = astuple(each)
+            rows.append([each.name, *(outputs.fixed(x, 6) for x in numbers), f"{max(numbers) - min(numbers):.0e}"])
         headings = ["", "paper: 9 × 9", "wrench form", "Pinocchio", "difference"]
         outputs.print_table("The true numbers of Table 5 by three methods", headings, rows)
 

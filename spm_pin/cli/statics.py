@@ -59,14 +59,14 @@ def statics(
 
 def _quantities(state: Configuration, wrench: np.ndarray, twist: np.ndarray, unit: LengthUnit) -> dict[str, Any]:
     quantities: dict[str, Any] = {"forces": None, "rates": None, "singular": []}
-    try:
-        quantities["forces"] = leg_forces(state, wrench)
-    except SingularConfigurationError as error:
-        quantities["singular"].append(error.kind)
-    try:
-        quantities["rates"] = leg_rates(state, twist) * unit.per_metre
-    except SingularConfigurationError as error:
-        quantities["singular"].append(error.kind)
+    for name, solve, vector, scale in (
+        ("forces", leg_forces, wrench, 1.0),
+        ("rates", leg_rates, twist, unit.per_metre),
+    ):
+        try:
+            quantities[name] = solve(state, vector) * scale
+        except SingularConfigurationError as error:
+            quantities["singular"].append(error.kind)
     return quantities
 
 
@@ -77,6 +77,5 @@ def _print_quantities(title: str, found: dict[str, dict[str, Any]], what: str) -
         if values is None:
             rows.append([f"{label}: {quantities['singular'][0]} singularity", *[""] * len(LEGS)])
         else:
-            scale = float(np.abs(values).max())
-            rows.append([label, *(outputs.significant(value, scale) for value in values)])
+            rows.append([label, *(outputs.significant(value, np.abs(values).max()) for value in values)])
     outputs.print_table(title, ["branch", *LEGS], rows)

@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskProgres
 from rich.text import Text
 
 from spm_pin import sweeps
-from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Limits, Unit, read_geometry, unit_hint
+from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Limits, Unit, note_unit, read_geometry
 from spm_pin.cli.outputs import name_options, note, print_lines, stderr, write_json
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LegLimits
@@ -103,8 +103,7 @@ def sweep(
                 typed["--limits"] = limits[1]
                 machine = dataclasses.replace(machine, limits=LegLimits(*(end / unit.per_metre for end in limits)))
             for option, largest in typed.items():
-                if hint := unit_hint(option, largest, unit, machine):
-                    note(hint, "yellow")
+                note_unit(option, largest, unit, machine)
             parameters: dict[str, float] = {"push": leg_force, "leg": leg_stiffness}
             if length is not None:
                 parameters["length"] = length / unit.per_metre

@@ -6,7 +6,7 @@ import os
 import sys
 import webbrowser
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -67,16 +67,8 @@ def view(
     recording = read_recording(path) if path is not None else None
     if demo is None:
         demo = all(option is None for option in (translation, xyx, legs, branch, path))
-    with Viewer(
-        start,
-        host=host,
-        port=port,
-        recording=recording,
-        dark=dark,
-        geometry_file=geometry,
-        demo=demo,
-        allowed_origins=origin or (),
-    ) as viewer:
+    page: dict[str, Any] = {"recording": recording, "dark": dark, "geometry_file": geometry, "demo": demo}
+    with Viewer(start, host=host, port=port, allowed_origins=origin or (), **page) as viewer:
         if port not in (0, viewer.port):
             outputs.note(f"port {port} is taken, this is on {viewer.port}")
         outputs.note(f"viewer at {viewer.url}, Ctrl-C ends it")

@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 from spm_pin.cli import options, outputs
@@ -109,14 +110,10 @@ def _print_patches(patches: tuple[Patch, ...], unit: LengthUnit) -> None:
 def _print_convergence(shell: Shell, unit: LengthUnit) -> None:
     scale = unit.per_metre**3
     convergence = shell.convergence
-    rows = [
-        [
-            str(n),
-            outputs.significant(volume * scale, digits=8),
-            outputs.significant((convergence.limit - volume) * scale, digits=2),
-        ]
-        for n, volume in zip(convergence.resolutions, convergence.volumes, strict=True)
-    ]
+    rows = []
+    for n, volume in zip(convergence.resolutions, convergence.volumes, strict=True):
+        short = (convergence.limit - volume) * scale
+        rows.append([str(n), outputs.significant(volume * scale, digits=8), outputs.significant(short, digits=2)])
     title = f"The volume as the mesh gets finer, in {unit}³"
     outputs.print_table(title, ["increments", "volume", "short of the limit by"], rows)
 
@@ -146,10 +143,7 @@ def _content(shell: Shell, unit: LengthUnit) -> dict[str, Any]:
     length, area, volume = (unit.per_metre**power for power in (1, 2, 3))
     return {
         "unit": str(unit),
-        "limits": {
-            "minimum": [end * length for end in shell.limits.minimum],
-            "maximum": [end * length for end in shell.limits.maximum],
-        },
+        "limits": {end: np.multiply(getattr(shell.limits, end), length) for end in ("minimum", "maximum")},
         "resolution": shell.resolution,
         "vertices": len(shell.vertices),
         "faces": len(shell.faces),
