@@ -113,9 +113,9 @@ def print_report(report: Report, *, pairs: bool = False) -> None:
         shown += of_quantity if pairs else [max(of_quantity, key=lambda pair: pair.ratio)]
     rows = []
     for pair in shown:
-        counts, largest = (pair.compared, pair.disagreements), f"{pair.worst:.0e} {pair.quantity.unit}".strip()
-        names = f"{pair.first} - {pair.second}"
-        rows.append([pair.quantity, names, *map(str, counts), largest, f"{pair.ratio:.0e}"])
+        names, largest = f"{pair.first} - {pair.second}", f"{pair.worst:.0e} {pair.quantity.unit}".strip()
+        numbers = str(pair.compared), str(pair.disagreements), largest, f"{pair.ratio:.0e}"
+        rows.append([pair.quantity, names, *numbers])
     styles = {k: "red" for k, pair in enumerate(shown) if pair.disagreements}
     which = "Differences of all pairs" if pairs else "Largest difference in each quantity"
     title = f"{which}, and its share of the tolerance"

@@ -121,9 +121,9 @@ def _print_cells(found: Reproduction) -> None:
         outputs.print_table(title, headings, rows, left=["branch"])
     if found.true_values:
         rows = []
-        for each in found.true_values:
-            _, *numbers = astuple(each)
-            rows.append([each.name, *(outputs.fixed(x, 6) for x in numbers), f"{max(numbers) - min(numbers):.0e}"])
+        for true in found.true_values:
+            name, *numbers = astuple(true)
+            rows.append([name, *(outputs.fixed(x, 6) for x in numbers), f"{max(numbers) - min(numbers):.0e}"])
         headings = ["", "paper: 9 × 9", "wrench form", "Pinocchio", "difference"]
         outputs.print_table("The true numbers of Table 5 by three methods", headings, rows)
 
