@@ -4,9 +4,9 @@ from spm_pin.sweeps.domains import leg_grid, leg_sample, pose_grid, pose_sample
 from spm_pin.sweeps.metric import Metric, metric
 from spm_pin.sweeps.metrics import METRICS
 from spm_pin.sweeps.points import Points
-from spm_pin.sweeps.runner import SweepError, SweepStatus, resume, run, status
+from spm_pin.sweeps.runner import SweepStatus, resume, run, status
 from spm_pin.sweeps.runner import open_store as open  # noqa: A004
-from spm_pin.sweeps.store import StoreError, StoreLockedError
+from spm_pin.sweeps.sweep_errors import StoreError, StoreLockedError, SweepError
 
 __all__ = [
     "METRICS",

@@ -16,57 +16,14 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import LEGS, pose
-from spm_pin.mechanism.arguments import FloatArray, choice, real_array, whole_number
+from spm_pin.mechanism import pose
+from spm_pin.mechanism.arguments import FloatArray, choice, whole_number
+from spm_pin.sweeps.axes import AXES, Axis, AxisRange, Space
 
-__all__ = ["AXES", "Axis", "Domain", "Sample", "Space", "leg_grid", "leg_sample", "pose_grid", "pose_sample"]
+__all__ = ["Domain", "Sample", "leg_grid", "leg_sample", "pose_grid", "pose_sample"]
 
-AxisRange = float | Sequence[float]
-"""One value, (start, stop, count) of a grid, or (start, stop) of a sample [m or rad]."""
-Space = Literal["pose", "legs"]
-"""The coordinates of a domain: poses of the platform, or six leg lengths."""
 SamplingMethod = Literal["sobol", "uniform"]
 """The distribution of sampled points: a scrambled Sobol sequence, or independent uniform ones."""
-
-_ANGLES = {"alpha": "α", "beta": "β", "lambda_": "λ"}
-AXES: Mapping[str, tuple[str, ...]] = {"pose": ("x", "y", "z", *_ANGLES), "legs": LEGS}
-"""Names of the six coordinates of each space."""
-_MOST_VALUES = 10**8
-"""Values along one axis; they are held in memory."""
-
-
-@dataclass(frozen=True)
-class Axis:
-    """One coordinate, x, y, z, alpha, beta, lambda_, or a leg, and its first and last value [m or rad]."""
-
-    name: str
-    start: float
-    stop: float
-    count: int
-    """Number of equally spaced values, both ends included; 1 where the coordinate is fixed, 0 where it is sampled."""
-
-    @property
-    def fixed(self) -> bool:
-        """True if the coordinate has one value only."""
-        return self.count == 1
-
-    @property
-    def values(self) -> FloatArray:
-        """All values, shape (count,)."""
-        return np.linspace(self.start, self.stop, self.count)
-
-    @property
-    def unit(self) -> str:
-        """Unit, "rad" or "m"."""
-        return "rad" if self.name in _ANGLES else "m"
-
-    @property
-    def description(self) -> str:
-        """One line that says what the coordinate is."""
-        if self.name in LEGS:
-            return f"length of leg {self.name}"
-        sign = _ANGLES.get(self.name)
-        return f"X-Y-X Euler angle {sign}" if sign else f"{self.name.upper()} of o in {{B}}"
 
 
 @dataclass(frozen=True)
@@ -116,7 +73,7 @@ class Domain:
     def of_ranges(space: Space, ranges: Sequence[AxisRange], sample: Sample | None = None) -> Domain:
         """Make a domain of the ranges of the six coordinates."""
         named = zip(AXES[space], ranges, strict=True)
-        axes = tuple(_axis(name, values, sample is not None) for name, values in named)
+        axes = tuple(Axis.of_range(name, values, sample is not None) for name, values in named)
         if all(axis.fixed for axis in axes):
             raise ArgumentError("ranges", "at least one coordinate that varies", "six fixed ones")
         return Domain(space, axes, sample)
@@ -317,27 +274,3 @@ def _leg_ranges(lower: AxisRange | Sequence[AxisRange], upper: AxisRange | Seque
             raise ArgumentError(argument, "one length or range, or a list of three", f"a list of {len(lengths)}")
         ranges += lengths if isinstance(lengths, list) else [lengths] * 3
     return ranges
-
-
-def _axis(name: str, value: AxisRange, sampled: bool) -> Axis:
-    """Read one value, (start, stop, count), or (start, stop) where the coordinate is sampled."""
-    unit = "radians" if name in _ANGLES else "metres"
-    expected = f"one value or {'(start, stop)' if sampled else '(start, stop, count)'}, in {unit}"
-    numbers = real_array(value, name, (), expected)
-    if numbers.shape not in ((), (2 if sampled else 3,)):
-        raise ArgumentError(name, expected, f"shape {numbers.shape}")
-    start, stop = map(float, numbers[:2] if numbers.ndim else (numbers, numbers))
-    if name in _ANGLES and max(abs(start), abs(stop)) > 2.0 * math.pi:
-        raise ArgumentError(name, "angles within ±2π radians", value, "Degrees instead of radians?")
-    if name in LEGS and start <= 0.0:
-        raise ArgumentError(name, "positive lengths in metres", value)
-    if numbers.ndim == 0:
-        return Axis(name, start, stop, 1)
-    if not start < stop:
-        cause = "The ends exchanged?" if start > stop else "Give a fixed coordinate as one number."
-        raise ArgumentError(name, "start < stop", f"{start:g} and {stop:g}", cause)
-    count = 0.0 if sampled else float(numbers[2])
-    if not sampled and (not 2 <= count <= _MOST_VALUES or count != int(count)):
-        cause = "Give a fixed coordinate as one number." if count == 1 else ""
-        raise ArgumentError(name, f"an integer count of at least 2, at most {_MOST_VALUES}", f"{count:g}", cause)
-    return Axis(name, start, stop, int(count))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from importlib import import_module
 from typing import Any
@@ -16,7 +16,8 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import Geometry, LegLimits
 from spm_pin.mechanism.arguments import instance
-from spm_pin.sweeps.domains import AXES, Domain
+from spm_pin.sweeps.axes import AXES
+from spm_pin.sweeps.domains import Domain
 from spm_pin.sweeps.metric import Metric
 from spm_pin.sweeps.metrics import metric_from_definition, status
 from spm_pin.sweeps.points import Points
@@ -101,17 +102,13 @@ class Plan:
 
     def definition(self) -> dict[str, Any]:
         """Return the inputs that determine the results, as JSON."""
-        limits = self.geometry.limits
-        ends = () if limits is None else (limits.minimum, limits.maximum)
+        geometry = asdict(self.geometry)
+        if geometry["limits"]:
+            geometry["limits"] = [[x if math.isfinite(x) else None for x in end] for end in geometry["limits"].values()]
         return {
             "format": FORMAT,
             "spm_pin": self.version,
-            "geometry": {
-                "base_radius": self.geometry.base_radius,
-                "platform_radius": self.geometry.platform_radius,
-                "middle_side": self.geometry.middle_side,
-                "limits": [[x if math.isfinite(x) else None for x in end] for end in ends] or None,
-            },
+            "geometry": geometry,
             "domain": self.domain.definition(),
             "metrics": [metric.definition() for metric in self.metrics],
             "chunk": list(self.chunk),

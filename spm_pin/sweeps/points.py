@@ -22,7 +22,7 @@ from spm_pin.closed_form import (
 from spm_pin.errors import SingularConfigurationError
 from spm_pin.mechanism import BRANCHES, Configuration, Geometry, LegLimits, SolutionSet, Status
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
-from spm_pin.sweeps.domains import Space
+from spm_pin.sweeps.axes import Space
 
 __all__ = ["Points"]
 

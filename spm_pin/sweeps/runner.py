@@ -14,50 +14,27 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from spm_pin.errors import ArgumentError, SpmError, require_extra
+from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import Geometry
 from spm_pin.sweeps.domains import Domain
 from spm_pin.sweeps.metric import Metric
 from spm_pin.sweeps.metrics import METRICS, resolve_metrics, unavailable
 from spm_pin.sweeps.plan import Plan, package_version
-from spm_pin.sweeps.store import Store, StoreError, as_store_error, completed_count, locked, read_plan, store_path
+from spm_pin.sweeps.store import Store, completed_count, locked, read_plan, store_path
+from spm_pin.sweeps.sweep_errors import StoreError, SweepError, as_store_error
 from spm_pin.sweeps.workers import WorkersLostError, check_workers, complete_chunks
 
 if TYPE_CHECKING:
     import xarray
     from distributed import Client
 
-__all__ = ["CHUNK", "PointProgress", "SweepError", "SweepStatus", "open_store", "resume", "run", "status"]
+__all__ = ["CHUNK", "PointProgress", "SweepStatus", "open_store", "resume", "run", "status"]
 
 CHUNK = 2**18
 """Points in a chunk by default: a fraction of a second's work, and two megabytes per metric."""
 
 PointProgress = Callable[[int, int], None]
 """A function that is called with the points done and all points."""
-
-
-class SweepError(SpmError):
-    """A sweep that stopped; what it had done is kept.
-
-    Attributes
-    ----------
-    store : str
-        Path of the store.
-    reason : str
-        Why it stopped.
-    done, total : int
-        Chunks that are complete, and all chunks.
-    """
-
-    def __init__(self, store: str, reason: str, done: int, total: int) -> None:
-        self.store = store
-        self.reason = reason
-        self.done = done
-        self.total = total
-        super().__init__(
-            f"{reason}. {done} of {total} chunks are complete in {store} and stay so; "
-            "the same sweep, started again, does the others"
-        )
 
 
 @dataclass(frozen=True)
@@ -235,11 +212,8 @@ def open_store(store: str | os.PathLike[str]) -> xarray.Dataset:
     require_extra("cluster")
     import xarray
 
-    with as_store_error(path):
-        try:
-            dataset: xarray.Dataset = xarray.open_zarr(path, zarr_format=3)
-        except (KeyError, TypeError, ValueError) as error:
-            raise StoreError(str(path), f"its metadata cannot be read ({error})") from error
+    with as_store_error(path, "metadata"):
+        dataset: xarray.Dataset = xarray.open_zarr(path, zarr_format=3)
     return dataset
 
 

@@ -24,49 +24,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError, SpmError
+from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import file_path
 from spm_pin.sweeps.metric import DTYPES
 from spm_pin.sweeps.plan import FORMAT, Plan, definition_differences
+from spm_pin.sweeps.sweep_errors import StoreError, StoreLockedError, as_store_error
 
-__all__ = [
-    "Store",
-    "StoreError",
-    "StoreLockedError",
-    "as_store_error",
-    "completed_count",
-    "locked",
-    "read_plan",
-    "store_path",
-]
+__all__ = ["Store", "completed_count", "locked", "read_plan", "store_path"]
 
 _LOCK = "sweep/lock"
 _RECORDS = "sweep/crc32c"
-_CODECS = {"bytes", "zstd", "crc32c"}
+_WRITTEN = ("bytes", "zstd", "crc32c", *DTYPES)
+"""Codecs and types of a store."""
 _CHUNK = r"c(\.\d+)*"
 _DRAFT = rf"({_CHUNK}|zarr)\.[0-9a-f]{{32}}\.partial"
-_UNREADABLE = (SpmError, LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError)
-
-
-class StoreError(SpmError):
-    """A store that cannot be read or written.
-
-    Attributes
-    ----------
-    path : str
-        The store.
-    reason : str
-        What failed, and on which host.
-    """
-
-    def __init__(self, path: str, reason: str) -> None:
-        self.path = path
-        self.reason = reason
-        super().__init__(f"{path}: {reason}")
-
-
-class StoreLockedError(StoreError):
-    """Another process is at work on a store."""
 
 
 class Store:
@@ -82,16 +53,13 @@ class Store:
             expected = "a new folder, or one with a store of this very sweep"
             raise ArgumentError("store", expected, f"{path}, where {'; '.join(lines)}")
         self._names = tuple(metric.name for metric in plan.variables)
-        with as_store_error(path):
-            try:
-                group = zarr.open_group(path, mode="r+", zarr_format=3)
-                # A chunk of nothing but fill values is a file like the others: a missing one is always an accident.
-                self._arrays: dict[str, Any] = {
-                    name: group[name].with_config({"write_empty_chunks": True})  # type: ignore[union-attr]
-                    for name in (*self._names, _RECORDS)
-                }
-            except _UNREADABLE as error:
-                raise _damaged(path, "metadata", error) from error
+        with as_store_error(path, "metadata"):
+            group = zarr.open_group(path, mode="r+", zarr_format=3)
+            # A chunk of nothing but fill values is a file like the others: a missing one is always an accident.
+            self._arrays: dict[str, Any] = {
+                name: group[name].with_config({"write_empty_chunks": True})  # type: ignore[union-attr]
+                for name in (*self._names, _RECORDS)
+            }
 
     @classmethod
     def create(cls, path: Path, plan: Plan) -> Store:
@@ -161,8 +129,6 @@ def store_path(store: str | os.PathLike[str]) -> Path:
         path = path.resolve()
     except (OSError, RuntimeError) as error:
         raise ArgumentError("store", "the path of a folder", repr(store), str(error)) from error
-    if not path.name:
-        raise ArgumentError("store", "the path of a folder", repr(store))
     return path
 
 
@@ -171,45 +137,25 @@ def read_plan(path: Path) -> Plan:
 
     Raises `ArgumentError` if there is no such store, `StoreError` if it is damaged, or not written by a sweep.
     """
-    with as_store_error(path):
-        try:
-            _require_file(path / "zarr.json")
-            text = (path / "zarr.json").read_bytes()
-        except (FileNotFoundError, NotADirectoryError):
-            received = "which holds none" if path.exists() else "which does not exist"
-            raise ArgumentError("store", "the folder of a sweep", f"{path}, {received}") from None
-        try:
-            metadata = json.loads(text)
+    with as_store_error(path, "definition"):
+        if (path / "zarr.json").exists():
+            _require_files(path)
+            metadata = json.loads((path / "zarr.json").read_bytes())
             stored = metadata["attributes"].get("spm_pin_sweep")
             if stored is not None:
-                _require_files(path)
                 _check_metadata(path, metadata)
                 definition = json.loads(stored)
                 if definition["format"] != FORMAT:
                     raise StoreError(str(path), f"a store of format {definition['format']}; this version has {FORMAT}")
                 return Plan.from_definition(definition)
-        except StoreError:
-            raise
-        except _UNREADABLE as error:
-            raise _damaged(path, "definition", error) from error
-    raise ArgumentError("store", "the folder of a sweep", f"{path}, which holds something else")
+        received = "which holds none" if path.exists() else "which does not exist"
+    raise ArgumentError("store", "the folder of a sweep", f"{path}, {received}")
 
 
 def completed_count(path: Path) -> int:
     """Return the number of chunks with a record, without reading them."""
     with as_store_error(path):
         return sum(re.fullmatch(_CHUNK, entry.name) is not None for entry in os.scandir(path / _RECORDS))
-
-
-@contextlib.contextmanager
-def as_store_error(path: Path) -> Iterator[None]:
-    """Turn an `OSError` into a `StoreError` that says where it happened."""
-    try:
-        yield
-    except OSError as error:
-        where = f" at {error.filename}" if error.filename and str(error.filename) != str(path) else ""
-        reason = f"{(error.strerror or str(error)).lower()}{where}, on host {socket.gethostname()}"
-        raise StoreError(str(path), reason) from error
 
 
 @contextlib.contextmanager
@@ -223,13 +169,14 @@ def locked(path: Path) -> Iterator[None]:
         try:
             lock.acquire(blocking=False)
         except Timeout:
-            reason = f"{_holder(file)} is at work on this store. Wait for it, or end it; what it did is kept"
+            holder = file.read_text(encoding="utf-8", errors="replace") or "another process"
+            reason = f"{holder} is at work on this store. Wait for it, or end it; what it did is kept"
             raise StoreLockedError(str(path), reason) from None
         except OSError as error:
             # A file system without locks; two processes would write the same bytes, each file as a whole.
             if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
                 raise
-        file.write_text(json.dumps({"host": socket.gethostname(), "pid": os.getpid()}), encoding="utf-8")
+        file.write_text(f"process {os.getpid()} on {socket.gethostname()}", encoding="utf-8")
     try:
         yield
     finally:
@@ -238,31 +185,14 @@ def locked(path: Path) -> Iterator[None]:
         lock.release()
 
 
-def _holder(file: Path) -> str:
-    try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-        return f"process {content['pid']} on {content['host']}"
-    except (OSError, ValueError, KeyError, TypeError):
-        return "another process"
-
-
-def _require_file(path: Path) -> None:
-    """Raise `OSError` if there is something at a path that is no regular file: to open a pipe may take for ever."""
-    if path.exists() and not path.is_file():
-        raise OSError(errno.EINVAL, "not a regular file", str(path))
-
-
-def _require_files(path: Path) -> None:
-    """Raise `OSError` if there is anything but folders and regular files in a store; readers open what they find."""
-    folders = [str(path)]
-    while folders:
-        with os.scandir(folders.pop()) as scan:
-            entries = list(scan)
+def _require_files(folder: Path | str) -> None:
+    """Raise `OSError` if there is anything but folders and regular files in a folder: opening a pipe may block."""
+    with os.scandir(folder) as entries:
         for entry in entries:
             if entry.is_dir(follow_symlinks=False):
-                folders.append(entry.path)
-            elif not entry.is_file():
-                _require_file(Path(entry.path))
+                _require_files(entry.path)
+            elif not entry.is_file() and Path(entry.path).exists():  # drafts of a sweep that runs come and go
+                raise OSError(errno.EINVAL, "not a regular file", entry.path)
 
 
 def _synchronise(*paths: Path) -> None:
@@ -283,25 +213,16 @@ def _check_metadata(path: Path, metadata: dict[str, Any]) -> None:
     for name, member in members.items():
         if member["node_type"] == "group":
             continue
-        codecs = [codec["name"] if isinstance(codec, dict) else codec for codec in member["codecs"]]
-        strange = [codec for codec in codecs if codec not in _CODECS]
-        strange += [member["data_type"]] if member["data_type"] not in DTYPES else []
-        strange += member.get("storage_transformers", ())
-        if strange:
-            reason = f"{name} is stored by {strange[0]!r}, which no sweep writes, and is not read"
-            raise StoreError(str(path), reason)
-
-
-def _damaged(path: Path, what: str, error: BaseException) -> StoreError:
-    text = " ".join(str(error).split())[:200]
-    reason = f"its {what} cannot be read ({type(error).__name__}: {text}). Sweep into another folder"
-    return StoreError(str(path), reason)
+        codecs = (codec["name"] if isinstance(codec, dict) else codec for codec in member["codecs"])
+        for used in (*codecs, member["data_type"], *member.get("storage_transformers", ())):
+            if used not in _WRITTEN:
+                raise StoreError(str(path), f"{name} is stored by {used!r}, which no sweep writes, and is not read")
 
 
 def _create(path: Path, plan: Plan) -> None:
     """Write the metadata and the coordinates that are the same for all points of a row."""
     import zarr
-    from zarr.codecs import BytesCodec, Crc32cCodec, ZstdCodec
+    from zarr.codecs import Crc32cCodec, ZstdCodec
 
     axes = plan.domain.axes
     apart = " ".join(axis.name for axis in axes if axis.count < 2)
@@ -330,7 +251,6 @@ def _create(path: Path, plan: Plan) -> None:
             chunks=plan.chunk,
             dtype=metric.dtype,
             fill_value=metric.not_computed,
-            serializer=BytesCodec(endian=None if metric.dtype == "int8" else "little"),
             compressors=[ZstdCodec(level=3), Crc32cCodec()],
             attributes=metric.attributes(),
             **layout,

@@ -20,7 +20,8 @@ from spm_pin.mechanism.arguments import instance, whole_number
 from spm_pin.sweeps.metrics import METRICS
 from spm_pin.sweeps.plan import Plan, package_version
 from spm_pin.sweeps.points import Points
-from spm_pin.sweeps.store import Store, StoreError
+from spm_pin.sweeps.store import Store
+from spm_pin.sweeps.sweep_errors import StoreError
 
 if TYPE_CHECKING:
     from distributed import Client, Future, Worker

@@ -13,7 +13,7 @@ from scipy.optimize import linprog
 import spm_pin as spm
 from spm_pin.mechanism.branches import BRANCHES
 from spm_pin.sweeps import METRICS, Metric, Points, metric
-from spm_pin.sweeps.domains import Space
+from spm_pin.sweeps.axes import Space
 from spm_pin.sweeps.metrics import metric_from_definition, resolve_metrics
 
 GEOMETRY = spm.Geometry.paper()
