@@ -9,6 +9,7 @@ from spm_pin.crosscheck.random_poses import in_leg_space, on_all_rotations
 from spm_pin.crosscheck.report import Report, compare_in_batches, compare_methods
 from spm_pin.crosscheck.scores import MethodScore, PairDifference, Quantity
 from spm_pin.crosscheck.tolerances import Conditioning
+from spm_pin.paper.jacobian import Table5Mistakes
 
 __all__ = [
     "METHODS",
@@ -23,6 +24,7 @@ __all__ = [
     "Pinocchio",
     "Quantity",
     "Report",
+    "Table5Mistakes",
     "compare_in_batches",
     "compare_methods",
     "in_leg_space",

@@ -1,5 +1,6 @@
 """The mechanism in Pinocchio, its loops closed by constraints: kinematics, dynamics, motion in time, mounting."""
 
+from spm_pin.description.closures import Closure
 from spm_pin.multibody.chain import ClosedChain
 from spm_pin.multibody.constrained_model import SingularValues
 from spm_pin.multibody.constrained_state import ChainState, ConstrainedState
@@ -13,6 +14,7 @@ from spm_pin.multibody.trajectory import JointTrajectory
 __all__ = [
     "ChainState",
     "ClosedChain",
+    "Closure",
     "ConstrainedState",
     "Energy",
     "JointTrajectory",

@@ -3,10 +3,12 @@
 from spm_pin.proofs.certificate import Certificate, certify, largest_certified_limits
 from spm_pin.proofs.inverse_certificate import InverseCertificate, certify_inverse
 from spm_pin.proofs.pose_certificate import certify_poses
+from spm_pin.proofs.stage_proof import StageProof
 
 __all__ = [
     "Certificate",
     "InverseCertificate",
+    "StageProof",
     "certify",
     "certify_inverse",
     "certify_poses",

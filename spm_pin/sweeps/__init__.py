@@ -1,6 +1,6 @@
 """Metrics over any number of poses or leg lengths: domains, metrics, and runs that can be resumed."""
 
-from spm_pin.sweeps.domains import leg_grid, leg_sample, pose_grid, pose_sample
+from spm_pin.sweeps.domains import Axis, Domain, Sample, leg_grid, leg_sample, pose_grid, pose_sample
 from spm_pin.sweeps.metric import Metric, metric
 from spm_pin.sweeps.metrics import METRICS
 from spm_pin.sweeps.points import Points
@@ -10,8 +10,11 @@ from spm_pin.sweeps.sweep_errors import StoreError, StoreLockedError, SweepError
 
 __all__ = [
     "METRICS",
+    "Axis",
+    "Domain",
     "Metric",
     "Points",
+    "Sample",
     "StoreError",
     "StoreLockedError",
     "SweepError",

@@ -1,5 +1,6 @@
 """Workspace of the terminal platform: the paper's 24 surfaces as one shell, and the reachable set itself."""
 
+from spm_pin.workspace.closed_mesh import Convergence
 from spm_pin.workspace.reachability.boundary import Boundary, BoundaryPoints, reachable_boundary
 from spm_pin.workspace.reachability.confidence_intervals import Estimate
 from spm_pin.workspace.reachability.joint_limits import JointLimits, leg_clearance
@@ -9,12 +10,14 @@ from spm_pin.workspace.reachability.reachable_poses import Reachability, reachab
 from spm_pin.workspace.reachability.reachable_positions import PositionReach, reachable_position
 from spm_pin.workspace.reachability.reachable_samples import sample_reachable
 from spm_pin.workspace.reachability.volume import ShellComparison, compare_with_shell, pose_volume, reachable_volume
+from spm_pin.workspace.table_6.patches import Setting
 from spm_pin.workspace.table_6.shell import Patch, Shell
 from spm_pin.workspace.table_6.shell import workspace_shell as shell
 
 __all__ = [
     "Boundary",
     "BoundaryPoints",
+    "Convergence",
     "Estimate",
     "JointLimits",
     "NearestPose",
@@ -22,6 +25,7 @@ __all__ = [
     "Patch",
     "PositionReach",
     "Reachability",
+    "Setting",
     "Shell",
     "ShellComparison",
     "compare_with_shell",
