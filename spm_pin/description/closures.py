@@ -21,8 +21,6 @@ KINDS = {"point": "3d", "weld": "6d"}
 class Closure:
     """Two frames that the mechanism holds together, at which a loop is cut.
 
-    `kind` says what is held together: "point", the origins of the two frames, as by a ball joint; "weld", the frames.
-
     Raises
     ------
     DescriptionError
@@ -30,9 +28,13 @@ class Closure:
     """
 
     name: str
+    """Name of the closure."""
     kind: str
-    frame_a: str  # the two frames, links of the URDF
+    """What is held together: "point", the origins of the two frames, as by a ball joint; "weld", the frames."""
+    frame_a: str
+    """Name of the first frame, a link of the URDF."""
     frame_b: str
+    """Name of the second frame, a link of the URDF."""
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -33,10 +33,15 @@ class RobotDescription:
     """
 
     name: str
+    """Name of the robot."""
     links: tuple[Link, ...]
-    joints: tuple[Joint, ...]  # they make the links a tree with one root, the base
-    closures: tuple[Closure, ...] = ()  # between links
-    transmissions: tuple[Transmission, ...] = ()  # in the order of the actuators
+    """The bodies."""
+    joints: tuple[Joint, ...]
+    """The joints, which make the links a tree with one root, the base."""
+    closures: tuple[Closure, ...] = ()
+    """Closures of loops, between links."""
+    transmissions: tuple[Transmission, ...] = ()
+    """The actuated joints, in the order of the actuators."""
     states: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Named values of all moving joints; zero is a state without a name."""
 

@@ -23,10 +23,12 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Placement:
-    """Placement of a frame in another: `xyz` [m] and roll, pitch, yaw `rpy` [rad] about the fixed x, y and z axes."""
+    """Placement of a frame in another."""
 
     xyz: Triple = (0.0, 0.0, 0.0)
+    """Origin in the other frame [m]."""
     rpy: Triple = (0.0, 0.0, 0.0)
+    """Roll, pitch and yaw about the fixed x, y and z axes [rad]."""
 
     @property
     def matrix(self) -> FloatArray:
@@ -41,11 +43,14 @@ class Placement:
 
 @dataclass(frozen=True)
 class Inertial:
-    """Mass [kg] and moments ixx, ixy, ixz, iyy, iyz, izz [kg m²] about the centre of mass, in a frame placed there."""
+    """Mass and moments of inertia of a link."""
 
     mass: float
+    """Mass [kg]."""
     moments: tuple[float, float, float, float, float, float]
+    """Moments ixx, ixy, ixz, iyy, iyz, izz about the centre of mass [kg m²], in the inertial frame."""
     placement: Placement = Placement()
+    """Placement of the inertial frame, whose origin is the centre of mass, in the link."""
 
     @property
     def named_moments(self) -> dict[str, float]:
@@ -61,18 +66,22 @@ class Inertial:
 
 @dataclass(frozen=True)
 class Material:
-    """A name and red, green, blue and opacity from 0 to 1."""
+    """A colour and its name."""
 
     name: str
+    """Name of the material."""
     rgba: tuple[float, float, float, float]
+    """Red, green, blue and opacity, from 0 to 1."""
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """A mesh file: the URI in the source, and the path."""
+    """A mesh file."""
 
     uri: str = field(compare=False)
+    """The URI in the source."""
     path: Path
+    """The file."""
 
     def reference(self, folder: Path | None, *, uri: bool = True) -> str:
         """Return the path as a file in `folder` names it, absolute without one; the `uri` if it is no plain path."""
@@ -86,12 +95,16 @@ class Mesh:
 class Shape:
     """A visual or a collision shape."""
 
-    kind: str  # "box", "cylinder", "sphere" or "mesh"
+    kind: str
+    """"box", "cylinder", "sphere" or "mesh"."""
     size: tuple[float, ...]
     """Sides of a box, radius and length of a cylinder about z, radius of a sphere [m]; scales of a mesh."""
-    placement: Placement = Placement()  # of its centre, or of the mesh's origin, in the link
-    material: Material | None = None  # colour of what is seen
-    mesh: Mesh | None = None  # for kind "mesh"
+    placement: Placement = Placement()
+    """Placement of the centre, or of the mesh's origin, in the link."""
+    material: Material | None = None
+    """Colour of what is seen; None for the reader's own."""
+    mesh: Mesh | None = None
+    """The file of kind "mesh"; None for the others."""
 
 
 @dataclass(frozen=True)
@@ -99,38 +112,51 @@ class Link:
     """A body; massless without `inertial`."""
 
     name: str
+    """Name of the link and of its frame."""
     inertial: Inertial | None = None
+    """Mass and moments; None for a massless link."""
     visuals: tuple[Shape, ...] = ()
+    """Shapes that are seen."""
     collisions: tuple[Shape, ...] = ()
+    """Shapes that collide."""
 
 
 @dataclass(frozen=True)
 class Limit:
-    """Range [rad or m], effort [N m or N] and velocity [rad/s or m/s]; infinite where there is none."""
+    """Limits of a joint; infinite where there is none."""
 
     lower: float = -math.inf
+    """Least value [rad or m]."""
     upper: float = math.inf
+    """Largest value [rad or m]."""
     effort: float = math.inf
+    """Largest torque or force [N m or N]."""
     velocity: float = math.inf
+    """Largest rate [rad/s or m/s]."""
 
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint of the spanning tree; `placement` is its frame, and the child's at zero, in the parent.
-
-    `kind` is "fixed", "revolute", "continuous" or "prismatic", `axis` a unit vector in the child; `damping` and
-    `friction` are those of URDF: N m s/rad or N s/m, and N m or N.
-    """
+    """A joint of the spanning tree; damping and friction are those of URDF."""
 
     name: str
+    """Name of the joint."""
     kind: str
+    """"fixed", "revolute", "continuous" or "prismatic"."""
     parent: str
+    """Name of the parent link."""
     child: str
+    """Name of the child link."""
     placement: Placement = Placement()
+    """Placement of the joint's frame, and of the child's at zero, in the parent."""
     axis: Triple = (1.0, 0.0, 0.0)
+    """Unit vector along the axis, in the child."""
     limit: Limit = Limit()
+    """Limits of value, effort and rate."""
     damping: float = 0.0
+    """Damping [N m s/rad or N s/m]."""
     friction: float = 0.0
+    """Friction [N m or N]."""
 
     @property
     def moves(self) -> bool:
@@ -152,5 +178,8 @@ class Transmission:
     """An actuator that drives one joint directly, by force or torque up to the joint's limit of effort."""
 
     name: str
+    """Name of the transmission."""
     joint: str
+    """Name of the joint."""
     actuator: str
+    """Name of the actuator."""

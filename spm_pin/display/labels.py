@@ -27,11 +27,17 @@ class LabelPlacer:
     """Places labels where they are clear of edges, dark colours and one another, as far as there is room."""
 
     ax: Axes
+    """Where the labels are written."""
     darkness: Image
+    """How much is in the way at each pixel, from 0 to 1, shape (height, width)."""
     extent: Extent
-    height: float  # of the font [m]
-    points: float  # the same in points
-    taken: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)  # centres and half sizes
+    """Place of `darkness` in the picture [m]."""
+    height: float
+    """Height of the font [m]."""
+    points: float
+    """Height of the font in points."""
+    taken: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
+    """Centres and half sizes of the labels written [m], each of shape (2,)."""
 
     def put(self, text: str, colour: Colour, places: FloatArray, dislike: FloatArray, letters: float = 1.8) -> None:
         """Write `text` at the best of `places` (n, 2), given a penalty (n,) of about 1 for a bad one."""

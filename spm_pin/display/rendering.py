@@ -37,8 +37,11 @@ class Rendering(NamedTuple):
     """An image of a scene, transparent around it, its place, and which of the solids each pixel shows, -1 for none."""
 
     image: Image
+    """The pixels."""
     extent: Extent
-    solid: IntArray  # (height, width)
+    """Place of the image in the picture plane [m]."""
+    solid: IntArray
+    """Index of the solid that each pixel shows, -1 for none, shape (height, width)."""
 
 
 def camera_axes(view: tuple[float, float]) -> FloatArray:

@@ -31,19 +31,26 @@ _SIDES = 24  # of an arrow
 class Solid:
     """One closed surface of a scene."""
 
-    name: str  # the link and the mesh, "base_a1 clevis", or the frame and the axis, "{B} x"; unique in its scene
-    kind: Literal["robot", "frame"]  # arrows of a frame are no part of the machine
+    name: str
+    """The link and the mesh, "base_a1 clevis", or the frame and the axis, "{B} x"; unique in its scene."""
+    kind: Literal["robot", "frame"]
+    """Part of the machine, or arrow of a frame."""
     colour: Colour
-    vertices: FloatArray  # (n, 3) in {B} [m]
-    faces: npt.NDArray[np.signedinteger]  # triangles (m, 3), counter-clockwise seen from outside
+    """Red, green and blue in sRGB, from 0 to 1."""
+    vertices: FloatArray
+    """Vertices in {B} [m], shape (n, 3)."""
+    faces: npt.NDArray[np.signedinteger]
+    """Triangles, counter-clockwise seen from outside, shape (m, 3)."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """The solids of one picture, and the length that their cross-sections are in proportion to [m]."""
+    """The solids of one picture."""
 
     solids: tuple[Solid, ...]
+    """The surfaces, those of the machine before the frames."""
     size: float
+    """Length that the cross-sections of the robot are in proportion to [m]."""
 
 
 def scene(configuration: Configuration, *, frames: bool = True) -> Scene:

@@ -31,11 +31,16 @@ _GAP = 3
 class Plane:
     """A plane to cut with, given by a point of it in {B} [m], and orthogonal unit vectors in {B}."""
 
-    name: str  # the title of its picture
-    origin: tuple[float, float, float]  # becomes the origin of the picture
-    across: tuple[float, float, float]  # to the right in the picture
+    name: str
+    """Title of its picture."""
+    origin: tuple[float, float, float]
+    """Point of the plane in {B} [m]; the origin of the picture."""
+    across: tuple[float, float, float]
+    """Unit vector in {B}, to the right in the picture."""
     up: tuple[float, float, float]
-    labels: tuple[str, str]  # of the two axes
+    """Unit vector in {B}, upwards in the picture."""
+    labels: tuple[str, str]
+    """Labels of the two axes of the picture."""
 
     @classmethod
     def level(cls, height: float) -> Plane:

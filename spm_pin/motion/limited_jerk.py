@@ -66,8 +66,10 @@ def _nearest(knots: FloatArray, parts: int) -> IntArray:
 class EasedGrid:
     """Even steps of τ from 0 to 1, moved to the path's knots where these are near."""
 
-    tau: FloatArray  # the grid, (n,)
-    corners: IntArray  # which of it are inner knots of the path, (k,)
+    tau: FloatArray
+    """The grid, shape (n,)."""
+    corners: IntArray
+    """Indices in `tau` of the inner knots of the path, shape (k,)."""
 
     @classmethod
     def over(cls, knots: FloatArray, parts: int) -> EasedGrid:

@@ -25,11 +25,17 @@ class LimitRows:
     """Limits on a grid: lower <= a u + b x + c <= upper of (n, m) rows, and x <= fastest (n,)."""
 
     a: FloatArray
+    """Coefficients of u, shape (n, m)."""
     b: FloatArray
+    """Coefficients of x, shape (n, m)."""
     c: FloatArray
+    """Constants, shape (n, m)."""
     lower: FloatArray
+    """Least values of the rows, shape (m,)."""
     upper: FloatArray
+    """Largest values of the rows, shape (m,)."""
     fastest: FloatArray
+    """Largest x at each point of the grid, shape (n,)."""
 
     def excess(self, speeds: FloatArray, accelerations: FloatArray) -> tuple[FloatArray, float]:
         """Return by how much ṡ and s̈ (n,) break each row at most (m,), and the share by which x is above `fastest`."""
@@ -64,11 +70,16 @@ class LimitRows:
 class MotionLimits:
     """Limits of a motion; None where there is none."""
 
-    leg_rates: FloatArray | None  # largest, (6,) [m/s]
-    leg_accelerations: FloatArray | None  # largest, (6,) [m/s²]
-    leg_jerks: FloatArray | None  # largest, (6,) [m/s³]
-    leg_forces: tuple[FloatArray, FloatArray] | None  # the least and the largest, (6,) [N]
-    twist: tuple[float, float] | None  # largest speed of o [m/s] and of turning [rad/s]
+    leg_rates: FloatArray | None
+    """Largest leg rates [m/s], shape (6,)."""
+    leg_accelerations: FloatArray | None
+    """Largest leg accelerations [m/s²], shape (6,)."""
+    leg_jerks: FloatArray | None
+    """Largest leg jerks [m/s³], shape (6,)."""
+    leg_forces: tuple[FloatArray, FloatArray] | None
+    """Least and largest leg forces [N], each of shape (6,)."""
+    twist: tuple[float, float] | None
+    """Largest speed of o [m/s] and of turning [rad/s]."""
 
     @classmethod
     def read(cls, leg_rates: Any, leg_accelerations: Any, leg_jerks: Any, leg_forces: Any, twist: Any) -> MotionLimits:

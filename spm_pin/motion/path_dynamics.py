@@ -29,15 +29,24 @@ __all__ = ["PathDynamics", "path_dynamics"]
 class PathDynamics:
     """The mechanism at n parameters of a path; see the module."""
 
-    parameters: FloatArray  # from 0 to 1
-    states: Configuration  # in the physical mode
-    q: FloatArray  # joint values (n, 18), continuous along the path
-    first: FloatArray  # q' (n, 18)
-    second: FloatArray  # q'' (n, 18)
-    twist: FloatArray  # of the terminal platform (n, 6), (v, ω) at o in {B} per unit of ṡ
-    inertial: FloatArray  # f_a (n, 6) [N]
-    centrifugal: FloatArray  # f_b (n, 6) [N]
-    static: FloatArray  # f_c (n, 6) [N]
+    parameters: FloatArray
+    """Parameters from 0 to 1, shape (n,)."""
+    states: Configuration
+    """States in the physical mode, shape (n,)."""
+    q: FloatArray
+    """Joint values [rad or m], continuous along the path, shape (n, 18)."""
+    first: FloatArray
+    """q', first derivatives of `q` by the parameter, shape (n, 18)."""
+    second: FloatArray
+    """q'', second derivatives of `q` by the parameter, shape (n, 18)."""
+    twist: FloatArray
+    """Twist (v, ω) of the terminal platform at o in {B} per unit of ṡ [m, rad], shape (n, 6)."""
+    inertial: FloatArray
+    """f_a [N s²], shape (n, 6)."""
+    centrifugal: FloatArray
+    """f_b [N s²], shape (n, 6)."""
+    static: FloatArray
+    """f_c [N], shape (n, 6)."""
 
 
 def path_dynamics(

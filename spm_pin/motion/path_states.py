@@ -68,10 +68,14 @@ def spaced_parameters(geometry: Geometry | AsBuiltGeometry, lengths: FloatArray)
 class PathRules:
     """The rules of a path."""
 
-    geometry: Geometry | AsBuiltGeometry  # its own leg limits play no part
+    geometry: Geometry | AsBuiltGeometry
+    """The machine; its own leg limits play no part."""
     limits: LegLimits | None
+    """Leg limits; None without any."""
     joints: JointLimits
-    margin: float  # least |det J_b| and |det J_c| over d³
+    """Limits of the joint angles and of the legs' clearance."""
+    margin: float
+    """Least |det J_b| and |det J_c| over d³."""
 
     def margins(self, states: Configuration) -> FloatArray:
         """Return how far states are inside: existence, legs [m], singularities, angles [rad], clearance [m], (..., 5).

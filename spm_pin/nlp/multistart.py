@@ -43,15 +43,25 @@ class Multistart:
     """State of the multi-start at one pose."""
 
     equations: LoopEquations
+    """The loop equations of the machine."""
     matrix: FloatArray
+    """The pose of {m} in {B}, shape (4, 4)."""
     certificates: list[RootCertificate] = field(default_factory=list)
+    """The solutions found, each with what is proved about it."""
     hits: list[int] = field(default_factory=list)
+    """Starts that ended at each of them."""
     starts: int = 0
+    """Starts made."""
     failed: int = 0
+    """Starts that ended at no solution."""
     failed_residual: float = np.nan
+    """Smallest norm of the loop equations where a failed start ended [m]; NaN where none failed."""
     infeasibility: float = np.nan
+    """Smallest norm of the loop equations that least squares found [m]; NaN where they were not needed."""
     settled: bool = False
+    """True if the stopping rule was met."""
     outcomes: Counter[str] = field(default_factory=Counter)
+    """Starts by the solver's own verdict."""
 
     def run(self, method: IpoptSolver | None, starts: int | None, risk: float, rng: np.random.Generator) -> None:
         """Make `starts` starts, or until the stopping rule is met; `method` None means Newton's method."""

@@ -37,8 +37,10 @@ Eqs. (13b) and (13c) list b_3y's coefficients first; p_i2 and p_i1 belong to the
 class Resultant:
     """Eqs. (6)-(19) of N poses: the lines of the ball joints and the determinant |U|."""
 
-    s: FloatArray  # s_i1 [m] and s_i2 of Eq. (10), (N, 3, 2); NaN where the line of b_i is vertical
-    d: float  # side of the middle platform [m]
+    s: FloatArray
+    """s_i1 [m] and s_i2 of Eq. (10), shape (N, 3, 2); NaN where the line of b_i is vertical."""
+    d: float
+    """Side of the middle platform [m]."""
 
     @classmethod
     def of(cls, geometry: Geometry, pose: PoseLike) -> Resultant:

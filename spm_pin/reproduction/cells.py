@@ -23,12 +23,19 @@ class Cell:
     """One cell of a table in the paper's units: cm, cm/s, kN."""
 
     table: int
+    """Number of the table, from 1 to 5; `POSE` for the pose of the example."""
     row: str
+    """Name of the row, as `b_1 X` or `r_b1`."""
     column: str
+    """Number of the solution, from 1 to 8, as the paper counts them."""
     published: str | None
+    """The number as printed; None where the cell is empty."""
     recomputed: complex
+    """The true number [cm, cm/s, kN, or degrees for the angles of the pose]; complex in Tables 1 to 3."""
     verdict: Verdict
+    """Whether they agree, and if not, whether the cause is known."""
     note: str = ""
+    """The cause of a difference, in words; empty where they agree."""
 
     @property
     def difference(self) -> float | None:

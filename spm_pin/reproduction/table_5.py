@@ -30,9 +30,13 @@ class TrueValue:
     """One true number of Table 5 by three methods: cm/s or kN."""
 
     name: str
+    """Name of the row and the leg, as `v_rb1` or `f_rc3`."""
     paper: float
+    """By the paper's 9 × 9 Jacobian, corrected."""
     closed_form: float
+    """By the wrench matrices of `spm_pin.closed_form`."""
     pinocchio: float
+    """By the constrained multibody model of `spm_pin.multibody`."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +44,9 @@ class Diagnosis:
     """The fewest of `Table5Mistakes` that give a printed row of Table 5 to its four decimals."""
 
     row: str
+    """Name of the row, v for the rates or f for the forces."""
     mistakes: Table5Mistakes
+    """The mistakes that are made together."""
     values: tuple[float, ...]
     """All six values of the row, so that the empty cell is recovered too."""
 

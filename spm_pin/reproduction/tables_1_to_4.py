@@ -39,9 +39,13 @@ class SolvedTwice:
     """One solution as the paper's route and the closed form find it, lengths in cm."""
 
     solution: int
+    """Number of the solution, from 1 to 8, as the paper counts them."""
     label: str
+    """Branch of the closed form, one of `BRANCHES`."""
     paper: complex
+    """b_2y by the paper's route, a root of |U| = 0 [cm]."""
     closed_form: complex
+    """b_2y by the closed form [cm]."""
     difference: float
     """Largest difference of the nine coordinates [cm]."""
 
@@ -51,8 +55,11 @@ class MisprintedEquation:
     """Real roots of |U| = 0 with Eq. (17) as printed and with its signs mended, beside those of the closed form."""
 
     printed: int
+    """Number with Eq. (17) as printed."""
     mended: int
+    """Number with its signs mended."""
     true: int
+    """Number by the closed form."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +67,15 @@ class Reproduction:
     """All recomputed cells, and the eight solutions by two methods."""
 
     cells: tuple[Cell, ...]
+    """Cells of the tables that were asked for, in the order of print."""
     solutions: tuple[SolvedTwice, ...]
+    """The eight solutions by the paper's route and by the closed form."""
     equation_17: MisprintedEquation
+    """What the signs of Eq. (17) change."""
     diagnoses: tuple[table_5.Diagnosis, ...] = ()
+    """The mistakes behind the rows of Table 5; empty without that table."""
     true_values: tuple[table_5.TrueValue, ...] = ()
+    """The true numbers of Table 5, rates before forces; empty without that table."""
 
     @property
     def in_tables(self) -> tuple[Cell, ...]:

@@ -34,6 +34,7 @@ class Recording:
     """A recorded path: poses (n,) of {m} in {B}, or leg lengths (n, 6) [m]."""
 
     points: RigidTransform | FloatArray
+    """Poses (n,) of {m} in {B}, or leg lengths [m], shape (n, 6)."""
     times: FloatArray
     """When it was at each (n,) [s], increasing from 0."""
 
@@ -57,6 +58,7 @@ class Playback:
     """A followed path, to be shown at any time."""
 
     path: FollowedPath
+    """The solution followed along the recorded points."""
     times: FloatArray
     """When the recorded points (n,) were reached [s]."""
 

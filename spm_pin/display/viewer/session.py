@@ -48,14 +48,19 @@ class SessionConfig:
     chain: ClosedChain
     """The manipulator in Pinocchio, for its joint values."""
     robot: RobotMeshes
+    """The meshes of the manipulator."""
     start: Configuration
     """The state at first."""
     workspace: WorkspaceLayer
+    """The workspace, computed when it is first shown."""
     recording: Recording | None = None
+    """The recorded path that can be played; None without one."""
     demo: Playback | None = None
     """The motion that a page begins with."""
     geometry_file: Path | None = None
+    """The file that the geometry was read from, for the commands shown; None for the paper's."""
     dark: bool = False
+    """True for a page in dark colours."""
 
 
 class Session:
