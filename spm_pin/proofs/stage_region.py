@@ -60,8 +60,9 @@ class StageRegion:
     side: float
     """Side of the middle platform's triangle [m]."""
     minimum: FloatArray
+    """Least leg lengths as they are read [m], shape (3,)."""
     maximum: FloatArray
-    """Limits of the leg lengths as they are read [m], shape (3,)."""
+    """Largest leg lengths as they are read [m], shape (3,)."""
     length_error: float = 0.0
     """Largest error of each coordinate of a pivot and of a ball, and of a reading [m]."""
     angle_error: float = 0.0

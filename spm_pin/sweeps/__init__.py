@@ -1,6 +1,7 @@
 """Metrics over any number of poses or leg lengths: domains, metrics, and runs that can be resumed."""
 
-from spm_pin.sweeps.domains import Axis, Domain, Sample, leg_grid, leg_sample, pose_grid, pose_sample
+from spm_pin.sweeps.axes import Axis
+from spm_pin.sweeps.domains import Domain, Sample, leg_grid, leg_sample, pose_grid, pose_sample
 from spm_pin.sweeps.metric import Metric, metric
 from spm_pin.sweeps.metrics import METRICS
 from spm_pin.sweeps.points import Points

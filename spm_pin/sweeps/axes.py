@@ -30,11 +30,14 @@ _MOST_VALUES = 10**8
 
 @dataclass(frozen=True)
 class Axis:
-    """One coordinate, x, y, z, alpha, beta, lambda_, or a leg, and its first and last value [m or rad]."""
+    """One coordinate of a domain and its values."""
 
     name: str
+    """Name of the coordinate, one of `AXES`."""
     start: float
+    """First value [m or rad]."""
     stop: float
+    """Last value [m or rad]."""
     count: int
     """Number of equally spaced values, both ends included; 1 where the coordinate is fixed, 0 where it is sampled."""
 

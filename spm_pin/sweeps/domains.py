@@ -39,8 +39,11 @@ class Sample:
     """
 
     count: int
+    """Number of points."""
     method: SamplingMethod
+    """The distribution of the points in the box."""
     seed: int
+    """Seed of the random numbers, from 0 to 2¹²⁸."""
 
     def __post_init__(self) -> None:
         for argument, least, most in (("count", 1, 2**53), ("seed", 0, 2**128)):
@@ -64,6 +67,7 @@ class Domain:
     """The points of a sweep. Made by `pose_grid`, `leg_grid`, `pose_sample` and `leg_sample`."""
 
     space: Space
+    """What the coordinates are: the platform's pose, or the leg lengths."""
     axes: tuple[Axis, ...]
     """The six coordinates, in the order of `AXES`."""
     sample: Sample | None = None

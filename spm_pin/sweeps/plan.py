@@ -37,7 +37,9 @@ class Plan:
     """Everything that determines the bytes of a store."""
 
     geometry: Geometry
+    """The machine."""
     domain: Domain
+    """The points."""
     metrics: tuple[Metric, ...]
     """Metrics computed, in the order of their names."""
     chunk: tuple[int, ...]
