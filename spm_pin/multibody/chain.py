@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -11,34 +10,26 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from spm_pin.closed_form.forward_displacement import forward_physical
-from spm_pin.closed_form.inverse_displacement import inverse_physical
 from spm_pin.description.closures import Closure
 from spm_pin.description.paths import description_directory
 from spm_pin.description.srdf import srdf_text
-from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable, first_offender, flag, whole_number
+from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import LEGS, Geometry
-from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
-from spm_pin.multibody.batched_methods import BatchedStates, ChainMethods
-from spm_pin.multibody.closure_solvers import ContinuationSolver, project_to_closure
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.multibody import batched_methods, chain_kinematics, simulation, trajectory
+from spm_pin.multibody.batched_states import BatchedStates
 from spm_pin.multibody.constrained_model import ConstrainedModel
 from spm_pin.multibody.constrained_state import ChainState
-from spm_pin.multibody.dynamics import require_closed
 from spm_pin.multibody.joint_layout import JointLayout
 from spm_pin.multibody.loading import description_closures, read_description
 from spm_pin.multibody.mounting import MountedChain, mount
-from spm_pin.multibody.platform_path import PlatformMotion
-from spm_pin.multibody.simulation import ForceFunction, Simulation, simulate
-from spm_pin.multibody.trajectory import JointTrajectory, joint_trajectory
-from spm_pin.multibody.vector_arguments import WrenchLike, read_vectors
+from spm_pin.multibody.vector_arguments import read_vectors
 
 __all__ = ["ClosedChain"]
 
 
-class ClosedChain(ChainMethods):
+class ClosedChain:
     """The spanning tree of the description in Pinocchio, and the closures that make it the mechanism; read-only.
 
     Made by `from_urdf`. {B} is the link `base` and Pinocchio's universe. Methods take q, joint values [rad, m] in the
@@ -53,7 +44,7 @@ class ClosedChain(ChainMethods):
     Wrenches are (f, m) [N, N m] onto the terminal platform at o in the axes of {B}, twists (v, ω) [m/s, rad/s] of it;
     legs are in the order r_b1, r_b2, r_b3, r_c1, r_c2, r_c3, and a positive leg force pushes, to extend the leg.
     Methods that use rates or forces raise `ArgumentError` where a ball joint's middle angle is ±90°, and
-    `SingularConfigurationError` at the singularities they name; see `spm_pin.multibody.constrained_model.SINGULAR`.
+    `SingularConfigurationError` at the singularities they name; see `spm_pin.multibody.regularity.SINGULAR`.
 
     Parameters
     ----------
@@ -70,7 +61,7 @@ class ClosedChain(ChainMethods):
         self._model = pin.buildModelFromXML(urdf)
         self._layout = JointLayout(self._model, geometry, prefix)
         constrained = ConstrainedModel(self._model, self._layout, description_closures(geometry, prefix))
-        self._states = BatchedStates(lambda: ChainState(constrained), self._layout.checked)
+        self._states = BatchedStates(constrained, ChainState)
 
     @classmethod
     def from_urdf(
@@ -122,7 +113,7 @@ class ClosedChain(ChainMethods):
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints in the order of q."""
-        return tuple(self._prefix + name for name in self._layout.names)
+        return self._layout.names_in_model
 
     @property
     def leg_indices(self) -> IntArray:
@@ -191,190 +182,47 @@ class ClosedChain(ChainMethods):
         If q is not closed, neither is the configuration, and its leg lengths are those between its points, not
         those of q.
         """
-        arrays = self._states.over(ChainState.pose_arrays, ((3, 3), (3,), (3, 3)), q)
-        return Configuration.from_arrays(self._geometry, *arrays)
+
+        def member(state: ChainState) -> tuple[FloatArray, ...]:
+            return *state.kinematics.terminal_pose(), state.kinematics.corners()
+
+        return Configuration.from_arrays(self._geometry, *self._states.over(member, ((3, 3), (3,), (3, 3)), q))
 
     def leg_lengths(self, q: npt.ArrayLike) -> FloatArray:
         """Return the leg lengths [m] of the slides in q (..., 18), shape (..., 6)."""
-        return self._layout.leg_lengths(self._layout.checked(q))
+        return self._layout.leg_lengths(self._states.constrained.checked(q))
 
     def with_leg_lengths(self, q: npt.ArrayLike, leg_lengths: npt.ArrayLike) -> FloatArray:
         """Return a copy of q (..., 18) with other leg lengths (..., 6) [m], all other joints as they are.
 
         That opens the loops; `forward_kinematics` keeps them closed.
         """
-        joints, lengths = self._layout.checked(q), read_vectors(leg_lengths, "leg_lengths", 6)
+        checked = self._states.constrained.checked
+        joints, lengths = checked(q), read_vectors(leg_lengths, "leg_lengths", 6)
         shape = broadcastable("leg_lengths", lengths.shape[:-1], "q", joints.shape[:-1])
         changed = np.broadcast_to(joints, (*shape, joints.shape[-1])).copy()
         changed[..., self._layout.legs] = lengths - self._layout.home
-        return self._layout.checked(changed)
+        return checked(changed)
 
-    def project(self, q: npt.ArrayLike, *, hold_legs: bool = False, max_iterations: int = 50) -> FloatArray:
-        """Return closed joint values (..., 18) near q, by Newton's method; angles are not reduced to one turn.
+    project = chain_kinematics.project
+    forward_kinematics = chain_kinematics.forward_kinematics
+    inverse_kinematics = chain_kinematics.inverse_kinematics
 
-        All joints move, as little as closes the loops to first order, slides measured in units of the middle platform's
-        side; with `hold_legs` the passive ones alone: forward displacement, to the assembly mode that q is near to.
-        Steps are halved where a full one does not shrink the gaps. Raises `ClosureError`, with the largest gap and the
-        number of steps, if the loops of a member do not close to rounding in `max_iterations`.
-        """
-        most, held = whole_number(max_iterations, "max_iterations", "a number of steps"), flag(hold_legs, "hold_legs")
+    # The methods of a state, for batches.
+    closure_gap = batched_methods.closure_gap
+    constraint_jacobian = batched_methods.constraint_jacobian
+    singular_values = batched_methods.singular_values
+    inverse_jacobian = batched_methods.inverse_jacobian
+    joint_velocities = batched_methods.joint_velocities
+    joint_rates = batched_methods.joint_rates
+    joint_accelerations = batched_methods.joint_accelerations
+    leg_forces = batched_methods.leg_forces
+    cut_forces = batched_methods.cut_forces
+    forward_dynamics = batched_methods.forward_dynamics
+    inverse_dynamics = batched_methods.inverse_dynamics
+    platform_dynamics = batched_methods.platform_dynamics
+    natural_frequencies = batched_methods.natural_frequencies
+    energy = batched_methods.energy
 
-        def member(state: ChainState) -> FloatArray:
-            return project_to_closure(state.kinematics.q, state.kinematics, held, most)
-
-        return self._states.array(member, (18,), q)
-
-    def forward_kinematics(self, leg_lengths: npt.ArrayLike, near: npt.ArrayLike | None = None) -> FloatArray:
-        """Return all joints (..., 18) of leg lengths (..., 6) [m]: the passive ones from the actuated ones.
-
-        By default in the physical assembly mode of each member, in closed form and vectorised, angles in [-π, π]; see
-        `spm_pin.forward_physical`. With `near` (18,), a closed q, the mechanism goes from there to the first member by
-        changing all legs in proportion, and on to each from the one before, in C order, in the assembly mode that it
-        comes to, angles continuous and not reduced to one turn; legs that change little take one or two steps of
-        Newton's method. Closed to rounding.
-
-        Raises
-        ------
-        ArgumentError
-            If an argument is malformed or, without `near`, the physical mode cannot have these lengths.
-        ClosureError
-            If `near` is open, or the path does not lead to a member: with how far it leads.
-        SingularConfigurationError
-            If `near` or a member is at a forward or a constraint singularity.
-        """
-        if near is None:
-            found = forward_physical(self._geometry, leg_lengths)
-            if not found.exists.all():
-                index = first_offender(~found.exists)
-                received = f"{_listed(np.asarray(leg_lengths, dtype=np.float64)[index])} m"
-                expected = "lengths that the physical assembly mode can have"
-                raise _not_found("leg_lengths", expected, received, index, found.absence or "A misread leg?")
-            return self._layout.values_of(found)
-        lengths = read_vectors(leg_lengths, "leg_lengths", 6)
-        if (lengths < self._layout.offsets).any():
-            worst = np.unravel_index(int((lengths - self._layout.offsets).argmin()), lengths.shape)
-            expected = "no negative length" if isinstance(self._geometry, Geometry) else "readings above the offsets"
-            raise ArgumentError("leg_lengths", expected, f"{lengths[worst]:g} m in {LEGS[worst[-1]]}")
-        return self._follow(ContinuationSolver.to_leg_lengths, near, lengths.shape[:-1], lengths)
-
-    def inverse_kinematics(self, pose: PoseLike, near: npt.ArrayLike | None = None) -> FloatArray:
-        """Return all joints (..., 18) of a pose (...) of the terminal platform, {m} in {B}.
-
-        By default in the physical branch of each member, in closed form and vectorised, angles in [-π, π]; see
-        `spm_pin.closed_form.inverse_physical`. With `near` (18,), a closed q, the platform moves and turns from there
-        to the first member in proportion, and on to each from the one before, as in `forward_kinematics`, in the branch
-        that it comes to; leg limits play no part. Closed to rounding.
-
-        Raises
-        ------
-        ArgumentError, PoseError
-            If an argument is malformed or, without `near`, no physical branch has the pose.
-        ClosureError
-            If `near` is open, or the path does not lead to a member: with how far it leads.
-        SingularConfigurationError
-            If `near` or a member is at an inverse or a constraint singularity.
-        """
-        if near is None:
-            found = inverse_physical(self._geometry, pose)
-            if not found.exists.all():
-                transform, index = as_rigid_transform(pose), first_offender(~found.exists)
-                place, turn = (x[index] for x in (transform.translation, transform.rotation.as_rotvec()))
-                received = f"o at {_listed(place)} m, turned by the rotation vector {_listed(turn)} rad"
-                expected = "poses that a physical branch has"
-                raise _not_found("pose", expected, received, index, found.absence or "Level, or out of reach?")
-            return self._layout.values_of(found)
-        transform = as_rigid_transform(pose)
-        poses = transform.rotation.as_matrix(), transform.translation
-        return self._follow(ContinuationSolver.to_pose, near, transform.shape, *poses)
-
-    def joint_trajectory(
-        self, path: Callable[[float], PlatformMotion], times: npt.ArrayLike, near: npt.ArrayLike
-    ) -> JointTrajectory:
-        """Return the motion of all joints for one of the platform, with the leg forces of it under gravity.
-
-        `path`, a `PlatformPath` or another callable, takes a time [s] and returns pose, twist and acceleration of the
-        terminal platform; `times` (n,) [s] increase at any rate; `near` (18,) is a closed q in the branch wanted, near
-        the path's begin. Raises as `inverse_kinematics`, with the index of the time.
-        """
-        start = self._layout.checked(near, "near", single=True)
-        return joint_trajectory(ChainState(self._states.constrained), self.joint_names, path, times, start)
-
-    def simulate(
-        self,
-        q0: npt.ArrayLike,
-        v0: npt.ArrayLike,
-        forces: npt.ArrayLike | ForceFunction | None,
-        times: npt.ArrayLike,
-        *,
-        wrench: WrenchLike | ForceFunction = None,
-        period: float | None = None,
-        stop_at: Collection[str] = (),
-        tolerance: float = 1e-11,
-        max_step: float = np.inf,
-        progress: Callable[[float], object] | None = None,
-    ) -> Simulation:
-        """Integrate the motion under leg forces, gravity and wrenches, up to the last time or what ends it before.
-
-        By SciPy's DOP853 with projection onto the closures after each step; see the module `integrator`. The loops are
-        closed to rounding at every time. Errors of `forces`, `wrench` or `progress` reach the caller.
-
-        Parameters
-        ----------
-        q0, v0 : array_like, shape (18,)
-            Joint values and velocities of a closed mechanism at the first time.
-        forces : array_like (6,), callable, or None
-            Of the legs [N]: constant, or a function (t, q, v) → (6,); None lets the slides move freely. A function
-            without `period` is smooth in its arguments alone: it is called several times a step, and not in order.
-        times : array_like, shape (n,)
-            When to record [s], increasing; the motion begins at the first.
-        wrench : as in `forward_dynamics`, or callable, optional
-            Applied from outside: constant, or a function (t, q, v) → (6,) for the terminal platform.
-        period : float, optional
-            Of a digital controller [s]: `forces` is called once at the begin of each period, in order, and its
-            answer held. It may keep a state of its own.
-        stop_at : collection of {"limits", "inverse", "forward"}
-            End the run at the leg limits of `geometry`, or where a singularity is crossed. By default these are passed
-            through. A leg of no length and a constraint singularity always end it: forces in the balls have no bound
-            there. Looked for at the ends of steps: a smaller `max_step` sees what happens and is undone within one.
-        tolerance : float
-            Of a step, relative and absolute in the units of q and v; from 1e-13 to 1e-3. The default keeps the energy
-            to about 1e-12 of itself in a second of falling.
-        max_step : float
-            Longest step [s]; not less than 1e-7 of the run.
-        progress : callable, optional
-            Called with the share done, from 0 to 1, after each step. If it returns False, the run ends there.
-
-        Raises
-        ------
-        ArgumentError
-            If an argument is malformed, v0 opens the loops, or a function returns something else than finite (6,).
-        ClosureError
-            If q0 is open.
-        """
-        start = self.state(self._layout.checked(q0, "q0", single=True))
-        return simulate(start, v0, forces, times, wrench, period, stop_at, tolerance, max_step, progress)
-
-    def _follow(
-        self, solve: Callable[..., FloatArray], near: npt.ArrayLike, shape: tuple[int, ...], *targets: FloatArray
-    ) -> FloatArray:
-        """Return q of each target by a method of `ContinuationSolver`, from that of the one before."""
-        q = self._layout.checked(near, "near", single=True)
-
-        def found(state: ChainState) -> FloatArray:
-            require_closed(state.kinematics)
-            return ContinuationSolver(state.kinematics).to_each(solve, q, shape, *targets)
-
-        return self._states.array(found, (*shape, q.size), q)
-
-
-def _listed(numbers: FloatArray) -> str:
-    """Return numbers (n,) as text, to nine digits."""
-    return f"[{', '.join(f'{number:.9g}' for number in numbers)}]"
-
-
-def _not_found(argument: str, expected: str, received: str, index: tuple[int, ...], reason: str) -> ArgumentError:
-    """Return the error about a member of a batch that has no physical solution, `()` for a single one."""
-    where = f" at batch index {index}" if index else ""
-    sentence = f"{reason[0].upper()}{reason[1:]}{'' if reason.endswith(('.', '?')) else '.'}"
-    cause = f"{sentence} Pass a closed q as near: the solution on the path from there need not be physical."
-    return ArgumentError(argument, expected, f"{received}{where}", cause)
+    joint_trajectory = trajectory.joint_trajectory
+    simulate = simulation.simulate

@@ -15,9 +15,8 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 
-from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
+from spm_pin.errors import ClosureError
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.multibody.batched_methods import located
 from spm_pin.multibody.constrained_model import TreeKinematics
 from spm_pin.multibody.joint_layout import JointLayout
 
@@ -90,18 +89,6 @@ class ContinuationSolver:
     def __init__(self, kinematics: TreeKinematics) -> None:
         self.kinematics, self.layout = kinematics, kinematics.layout
 
-    def to_each(
-        self, solve: Callable[..., FloatArray], q: FloatArray, shape: tuple[int, ...], *targets: FloatArray
-    ) -> FloatArray:
-        """Return the q (..., 18) of each target, from that of the one before; `solve` is one of the two methods."""
-        found = np.empty((*shape, q.size))
-        for index in np.ndindex(shape):
-            try:
-                q = found[index] = solve(self, q, *(array[index] for array in targets))
-            except (ArgumentError, ClosureError, SingularConfigurationError) as error:
-                raise located(error, index) from error
-        return found
-
     def to_leg_lengths(self, q: FloatArray, lengths: FloatArray) -> FloatArray:
         """Return q of other leg lengths (6,), all six changed in proportion; raises at a forward singularity."""
         kinematics, layout = self.kinematics, self.layout
@@ -112,10 +99,7 @@ class ContinuationSolver:
             # At the end the target itself, not what adding up makes of it.
             target = lengths if share == 1.0 else begin + share * (lengths - begin)
             short, gap = target - layout.leg_lengths(q), kinematics.gap.ravel()
-            move = np.empty(q.size)
-            move[layout.legs] = short
-            opening = gap + kinematics.chain_constraint_jacobian[:, layout.legs] @ short
-            move[layout.passive] = -kinematics.forward_factors.solve(opening)
+            move = kinematics.velocities_of_legs(short, gap)
             return move, max(float(np.abs(short).max()), float(np.abs(gap).max())) / layout.side
 
         cause = "a forward singularity, or the end of this assembly mode?"

@@ -17,49 +17,22 @@ are of order one together, v = C u, and the scaled matrices are
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pinocchio as pin
-from scipy.linalg import lapack
 
 from spm_pin.description.closures import Closure
 from spm_pin.errors import ArgumentError, SingularConfigurationError
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import FloatArray, broadcastable
 from spm_pin.multibody.joint_layout import JointLayout
+from spm_pin.multibody.regularity import SINGULAR, Factors, SingularValues
+from spm_pin.multibody.vector_arguments import NO_WRENCHES, Wrenches, WrenchLike, read_vector, read_vectors
 
-__all__ = ["SINGULAR", "ConstrainedModel", "Factors", "SingularValues", "TreeKinematics"]
-
-SINGULAR = 64.0 * float(np.finfo(np.float64).eps)
-"""A matrix is singular to rounding where its smallest singular value is at most this times its largest.
-
-Ten joints lie between {B} and m, each adds a rounding or two of eps times an arm to an entry; some hundred entries
-that are not zero make a matrix off by a few hundred eps in the Frobenius norm, of a largest singular value of about
-five: a smaller singular value may as well be zero.
-"""
-
-SUSPECT = 1e-9
-"""Reciprocal condition number below which a factorisation is checked by singular values: they take longer."""
-
-
-class SingularValues(NamedTuple):
-    """Smallest singular values at a configuration, dimensionless; each is named after what its zero means.
-
-    Lengths are in units of the middle platform's side, the rates of a ball joint are its angular velocity. Arrays (...)
-    for a batch.
-    """
-
-    inverse: Any
-    """Smallest singular value of K, the twist of {m} and the closures' rates: zero where the platform's twist does not
-    determine the rates of the legs."""
-    forward: Any
-    """Smallest singular value of [S; Jc], the rates of the legs and of the closures: zero where the legs do not hold
-    the platform."""
-    constraint: Any
-    """Smallest singular value of Jc, the rates of the closures: zero where the revolute joints of a stage do not
-    constrain its platform. Then the other two are zero as well."""
+__all__ = ["ConstrainedModel", "TreeKinematics"]
 
 
 class ConstrainedModel:
@@ -80,12 +53,48 @@ class ConstrainedModel:
         # A product takes a third of the time of picking rows and subtracting, and gives the same bits.
         unit = np.eye(len(self.frames))
         self._signs = unit[self.ends[:, 1]] - unit[self.ends[:, 0]]
+        # Where the actuators are in v: all of another robot, then the six legs.
         self.actuated = np.concatenate([layout.others, layout.v[layout.legs]])
 
-    def differences(self, points: FloatArray) -> FloatArray:
-        """Return, of an array over `frames`, the difference `frame_b` less `frame_a` for each closure."""
-        found = self._signs.dot(points.reshape(len(self.frames), -1))
-        return np.asarray(found.reshape(-1, *points.shape[1:]))
+    def checked(self, q: npt.ArrayLike, argument: str = "q", *, single: bool = False) -> FloatArray:
+        """Return joint values (..., nq) as an array, or raise `ArgumentError`."""
+        array = (read_vector if single else read_vectors)(q, argument, self.model.nq)
+        self.layout.require_distances(array, argument)
+        return array
+
+    def read_wrenches(self, wrench: WrenchLike, *, single: bool = False) -> Wrenches:
+        """Return wrenches that act onto frames of the model, one without a name onto m, or raise `ArgumentError`.
+
+        `Wrenches` have been read, and are returned as they are.
+        """
+        if wrench is None:
+            return NO_WRENCHES
+        if isinstance(wrench, Wrenches):
+            return wrench
+        read = read_vector if single else read_vectors
+        if not isinstance(wrench, Mapping):
+            return Wrenches(read(wrench, "wrench", 6), [self.layout.platform_frame])
+        unknown = [name for name in wrench if not (isinstance(name, str) and self.model.existFrame(name))]
+        if unknown:
+            cause = "The names of links, with the prefix"
+            raise ArgumentError("wrench", "frames of the model", ", ".join(map(repr, unknown)), cause)
+        arrays = [read(value, "wrench", 6) for value in wrench.values()]
+        shape: tuple[int, ...] = ()
+        for array in arrays:
+            shape = broadcastable("wrench", array.shape[:-1], "the other wrenches", shape)
+        spread = (np.broadcast_to(array, (*shape, 6)) for array in arrays)
+        together = np.concatenate([np.empty((*shape, 0)), *spread], axis=-1)
+        return Wrenches(together, [int(self.model.getFrameId(name)) for name in wrench])
+
+    def differences(self, vectors: FloatArray) -> FloatArray:
+        """Return, of vectors of `frames` side by side, that of `frame_b` less that of `frame_a` per closure, (n, 3)."""
+        return np.asarray(self._signs.dot(vectors.reshape(-1, 3)))
+
+    def linear_differences(self, spatial: Sequence[FloatArray]) -> FloatArray:
+        """Return `differences` of the linear part of spatial vectors (6,) or matrices (6, m), (3 n,) or (3 n, m)."""
+        rows = np.concatenate(spatial)
+        found = self._signs.dot(rows.reshape(len(self.frames), -1)).reshape(-1, 6, *rows.shape[1:])
+        return np.asarray(found[:, :3].reshape(-1, *rows.shape[1:]))
 
     def rigid_constraints(self) -> Any:
         """Return the closures in the form that `pinocchio.constraintDynamics` takes; they hold gains."""
@@ -95,29 +104,6 @@ class ConstrainedModel:
             places = a.parentJoint, a.placement, b.parentJoint, b.placement
             constraints.append(pin.RigidConstraintModel(pin.ContactType.CONTACT_3D, self.model, *places, pin.LOCAL))
         return constraints
-
-
-class Factors(NamedTuple):
-    """The LU factorisation of a regular matrix, as of LAPACK's dgetrf."""
-
-    lu: FloatArray
-    pivots: Any
-
-    def determinant(self) -> float:
-        """Return the determinant."""
-        swaps = sum(place != k for k, place in enumerate(self.pivots.tolist()))
-        return float(math.prod(self.lu.diagonal().tolist()) * (-1.0) ** swaps)
-
-    def solve(self, right_side: FloatArray) -> FloatArray:
-        """Return A⁻¹ b, for one or several columns b."""
-        if right_side.ndim > 1:
-            # One by one: for several, OpenBLAS waits for threads, which may take milliseconds.
-            return np.stack([self.solve(column) for column in right_side.T], axis=-1)
-        return np.asarray(lapack.dgetrs(self.lu, self.pivots, right_side)[0])
-
-    def solve_transposed(self, right_side: FloatArray) -> FloatArray:
-        """Return A⁻ᵀ b."""
-        return np.asarray(lapack.dgetrs(self.lu, self.pivots, right_side, trans=1)[0])
 
 
 class TreeKinematics:
@@ -134,13 +120,14 @@ class TreeKinematics:
         self._values: bytes | None = None
         self.still = np.zeros(self.model.nv)
         # The diagonal of A.
-        self.twist_scale = np.array([1.0 / self.layout.side] * 3 + [1.0] * 3)
+        self._twist_scale = np.array([1.0 / self.layout.side] * 3 + [1.0] * 3)
+        self._unit_twists = self.in_one_unit(np.eye(6), np.zeros((len(self.layout.v) - 6, 6)))
         # Where the balls' middle angles are in q.
         self._middles = [int(self.layout.q[ball[1]]) for ball in self.layout.balls]
         # Pinocchio updates these in place: no look-up at each q.
         self._points = [self.data.oMf[frame].translation for frame in constrained.frames]
-        # Without other joints there is nothing to pick.
-        self._chain = self.layout.v if len(self.layout.others) else None
+        # The mechanism's own columns; without other joints there is nothing to pick.
+        self._own: Any = self.layout.v if len(self.layout.others) else slice(None)
 
     def evaluate(self, q: FloatArray) -> None:
         """Set the joint values (nq,) of the model; nothing is computed again for the last ones."""
@@ -158,14 +145,14 @@ class TreeKinematics:
     @cached_property
     def gap(self) -> FloatArray:
         """From the origin of `frame_a` to that of `frame_b` of each closure, in the universe's axes [m], (n, 3)."""
-        return self.constrained.differences(np.concatenate(self._points).reshape(-1, 3))
+        return self.constrained.differences(np.concatenate(self._points))
 
     @cached_property
     def constraint_jacobian(self) -> FloatArray:
         """Jc: joint velocities (nv,) to the rates of the gaps, shape (3 n, nv); exact at any q, closed or not."""
         model, data, frames = self.model, self.data, self.constrained.frames
-        rows = np.concatenate([pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED) for frame in frames])
-        return self.constrained.differences(rows.reshape(-1, 6, model.nv))[:, :3].reshape(-1, model.nv)
+        jacobians = [pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED) for frame in frames]
+        return self.constrained.linear_differences(jacobians)
 
     def widest_gap(self) -> float:
         """Return the largest distance of two frames that a closure holds together [m]."""
@@ -175,24 +162,23 @@ class TreeKinematics:
         """Return the largest rate of a gap if all that joint velocities contribute to its ends had one sign [m/s]."""
         rates = np.abs(v)
         bound = float(max(np.abs(self.constraint_jacobian).dot(rates).tolist()))
-        if self._chain is None:
+        others, model, data = self.layout.others, self.model, self.data
+        if not len(others):
             return bound
         # Another robot moves both ends of a gap alike: what is left of the difference is rounding of their speeds.
-        others, model, data = self.layout.others, self.model, self.data
         ends = (pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED) for frame in self.constrained.frames)
         return bound + max(float(np.abs(end[:3, others]).dot(rates[others]).max()) for end in ends)
 
-    @property
+    @cached_property
     def chain_constraint_jacobian(self) -> FloatArray:
         """Jc's columns of the mechanism's own joints, shape (3 n, 18)."""
-        jacobian = self.constraint_jacobian
-        return jacobian if self._chain is None else jacobian[:, self._chain]
+        return np.asarray(self.constraint_jacobian[:, self._own])
 
     @cached_property
     def platform_jacobian(self) -> FloatArray:
         """Jm: velocities of the mechanism's joints to the twist (v, ω) of m at o, shape (6, 18)."""
         jacobian = pin.getFrameJacobian(self.model, self.data, self.layout.platform_frame, pin.LOCAL_WORLD_ALIGNED)
-        return np.asarray(jacobian if self._chain is None else jacobian[:, self._chain])
+        return np.asarray(jacobian[:, self._own])
 
     def terminal_pose(self) -> tuple[FloatArray, FloatArray]:
         """Return copies of the rotation (3, 3) and the translation (3,) of m."""
@@ -213,8 +199,8 @@ class TreeKinematics:
 
     def inverse_matrix(self) -> FloatArray:
         """Return K̂, shape (18, 18)."""
-        platform = self.twist_scale[:, None] * (self.platform_jacobian @ self.velocity_scale)
-        return np.concatenate([platform, self.scaled_constraint_jacobian()])
+        scale = self.velocity_scale
+        return self.in_one_unit(self.platform_jacobian @ scale, self.chain_constraint_jacobian @ scale)
 
     def forward_matrix(self) -> FloatArray:
         """Return N̂, shape (18, 18)."""
@@ -238,20 +224,21 @@ class TreeKinematics:
     @cached_property
     def inverse_factors(self) -> Factors:
         """Factors of [A Jm; Jc / d] (18, 18), K with rows of one unit; raises where it is singular."""
-        rows = self.twist_scale[:, None] * self.platform_jacobian, self.chain_constraint_jacobian / self.layout.side
-        return self._factors(np.concatenate(rows), "inverse")
+        return self._factors(self.in_one_unit(self.platform_jacobian, self.chain_constraint_jacobian), "inverse")
+
+    def in_one_unit(self, platform: FloatArray, closures: FloatArray) -> FloatArray:
+        """Return [A p; c / d] of rows p of the platform (6, ...) and c of the closures (3 n, ...)."""
+        return np.concatenate([(self._twist_scale * platform.T).T, closures / self.layout.side])
 
     def velocities_of_twists(self) -> FloatArray:
         """Return X = K⁻¹ [I; 0]: twists of m to velocities of the mechanism's joints, shape (18, 6)."""
-        unit = np.eye(len(self.layout.v), 6)
-        unit[:6] *= self.twist_scale
-        return self.inverse_factors.solve(unit)
+        return self.inverse_factors.solve(self._unit_twists)
 
-    def velocities_of_legs(self, leg_rates: FloatArray) -> FloatArray:
-        """Return N⁻¹ (ṙ, 0): leg rates (6,) to velocities of the mechanism's joints (18,)."""
+    def velocities_of_legs(self, leg_rates: FloatArray, closing: FloatArray | float = 0.0) -> FloatArray:
+        """Return N⁻¹ (ṙ, -c): leg rates (6,), and c (3 n,) by which gaps close, to velocities of the joints (18,)."""
         v = np.empty(len(self.layout.v))
         v[self.layout.legs] = leg_rates
-        opening = self.chain_constraint_jacobian[:, self.layout.legs] @ leg_rates
+        opening = self.chain_constraint_jacobian[:, self.layout.legs] @ leg_rates + closing
         v[self.layout.passive] = -self.forward_factors.solve(opening)
         return v
 
@@ -287,28 +274,14 @@ class TreeKinematics:
 
     def _factors(self, matrix: FloatArray, kind: str) -> Factors:
         self.require_ball_angles()
-        lu, pivots, info = lapack.dgetrf(matrix)
-        factors = Factors(lu, pivots)
-        if info > 0 or not _is_regular(matrix, factors):
+        factors = Factors.of(matrix)
+        if not factors.is_regular(matrix):
             scaled = self.forward_matrix() if kind == "forward" else self.inverse_matrix()
             for concerned, name in ((self.scaled_constraint_jacobian(), "constraint"), (scaled, kind)):
                 values = np.linalg.svd(concerned, compute_uv=False)
-                if values[-1] <= SINGULAR * values[0] or (name == kind and info > 0):
+                if values[-1] <= SINGULAR * values[0] or (name == kind and factors.zero_pivot):
                     raise SingularConfigurationError(name, float(values[-1]))
         return factors
-
-
-def _is_regular(matrix: FloatArray, factors: Factors) -> bool:
-    """Return whether the reciprocal condition number of a matrix is above `SUSPECT`."""
-    flat, others = matrix.ravel(), len(matrix) - 1
-    square = float(flat.dot(flat))
-    # All but the smallest singular value multiply to at most (F²/(n - 1))^((n - 1)/2), F the Frobenius norm: quicker
-    # than LAPACK's estimate, and nearly always enough.
-    size = abs(math.prod(factors.lu.diagonal().tolist()))
-    if size * (others / square) ** (0.5 * others) > SUSPECT * math.sqrt(square):
-        return True
-    norm = lapack.dlange("1", matrix)  # type: ignore[call-arg]
-    return bool(lapack.dgecon(factors.lu, norm)[0] > SUSPECT)
 
 
 _CACHED = {name for name, member in vars(TreeKinematics).items() if isinstance(member, cached_property)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -13,7 +14,7 @@ from scipy.linalg import LinAlgError, eigh
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
-from spm_pin.multibody.constrained_model import ConstrainedModel, SingularValues, TreeKinematics
+from spm_pin.multibody.constrained_model import ConstrainedModel, TreeKinematics
 from spm_pin.multibody.dynamics import (
     AccelerationSolver,
     Energy,
@@ -26,15 +27,8 @@ from spm_pin.multibody.dynamics import (
     wrench_torques,
 )
 from spm_pin.multibody.joint_layout import AGREEMENT
-from spm_pin.multibody.vector_arguments import (
-    Gains,
-    Wrenches,
-    WrenchLike,
-    read_gains,
-    read_stiffness,
-    read_vector,
-    read_wrenches,
-)
+from spm_pin.multibody.regularity import SingularValues
+from spm_pin.multibody.vector_arguments import GainsLike, WrenchLike, read_gains, read_stiffness, read_vector
 
 __all__ = ["ChainState", "ConstrainedState"]
 
@@ -54,7 +48,6 @@ class ConstrainedState:
         self._v = np.zeros(constrained.model.nv)
         self._drift: tuple[FloatArray, FloatArray] | None = None
         self._closed = False
-        self._solver: AccelerationSolver | None = None
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {self.constrained.model.nv} degrees of freedom of the tree>"
@@ -71,10 +64,8 @@ class ConstrainedState:
 
     def update(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> Self:
         """Move to other joint values (nq,) and velocities (nv,), zero by default; return this state."""
-        model, layout = self.constrained.model, self.constrained.layout
-        joints = read_vector(q, "q", model.nq)
-        layout.require_distances(joints[layout.q])
-        self.set(joints.copy(), None if v is None else read_vector(v, "v", model.nv).copy())
+        joints = self.constrained.checked(q, single=True).copy()
+        self.set(joints, None if v is None else read_vector(v, "v", self.constrained.model.nv).copy())
         return self
 
     def set(self, q: FloatArray, v: FloatArray | None = None) -> None:
@@ -84,13 +75,6 @@ class ConstrainedState:
         self._drift = None
         self._closed = False
 
-    @property
-    def solver(self) -> AccelerationSolver:
-        """Pinocchio's constrained dynamics, with its memory."""
-        if self._solver is None:
-            self._solver = AccelerationSolver(self.constrained)
-        return self._solver
-
     def closure_gap(self) -> FloatArray:
         """Return how far the closures are open, shape (4, 3) [m]."""
         return self.kinematics.gap.copy()
@@ -99,33 +83,29 @@ class ConstrainedState:
         """Return the derivative of `closure_gap` by q, shape (12, nv)."""
         return self.kinematics.constraint_jacobian.copy()
 
-    def forward_dynamics(self, forces: npt.ArrayLike, wrench: WrenchLike = None, *, gains: Gains = None) -> FloatArray:
+    def forward_dynamics(
+        self, forces: npt.ArrayLike, wrench: WrenchLike = None, *, gains: GainsLike = None
+    ) -> FloatArray:
         """Return the accelerations of all joints (nv,) under the forces of all actuators, gravity and wrenches."""
-        stabilisation, force = read_gains(gains), read_vector(forces, "forces", self.constrained.actuated.size)
-        return self.accelerations_under(force, self._read_wrenches(wrench), stabilisation)
-
-    def accelerations_under(self, forces: FloatArray, wrenches: Wrenches, gains: Gains) -> FloatArray:
-        """Return `forward_dynamics` of arguments that have been read."""
-        kinematics = self.kinematics
+        kinematics, actuated = self.kinematics, self.constrained.actuated
+        stabilisation, force = read_gains(gains), read_vector(forces, "forces", actuated.size)
+        wrenches = self.constrained.read_wrenches(wrench, single=True)
         kinematics.require_constrained()
-        if gains is None:
+        if stabilisation is None:
             self._require_closed()
         torques = wrench_torques(kinematics, wrenches)
-        torques[self.constrained.actuated] += forces
-        return self.solver.accelerations(kinematics.q, self._v, torques, gains)
+        torques[actuated] += force
+        return self._solver.accelerations(kinematics.q, self._v, torques, stabilisation)
 
     def inverse_dynamics(self, a: npt.ArrayLike, wrench: WrenchLike = None) -> FloatArray:
         """Return the forces of all actuators for joint accelerations (nv,), under gravity and wrenches."""
-        wanted = read_vector(a, "a", self.constrained.model.nv)
-        return self.forces_for(wanted, self._read_wrenches(wrench))
-
-    def forces_for(self, a: FloatArray, wrenches: Wrenches) -> FloatArray:
-        """Return `inverse_dynamics` of arguments that have been read."""
         kinematics, layout = self.kinematics, self.constrained.layout
+        wanted = read_vector(a, "a", kinematics.model.nv)
+        wrenches = self.constrained.read_wrenches(wrench, single=True)
         self._require_closed()
-        self._require_closed_accelerations(a)
+        self._require_closed_accelerations(wanted)
         load = wrench_torques(kinematics, wrenches)
-        torques = pin.rnea(kinematics.model, kinematics.data, kinematics.q, self._v, a) - load
+        torques = pin.rnea(kinematics.model, kinematics.data, kinematics.q, self._v, wanted) - load
         # Forces in the balls do no work on another robot: its actuators carry the tree's torques.
         return np.concatenate([torques[layout.others], self._balance(torques[layout.v])[0]])
 
@@ -133,8 +113,9 @@ class ConstrainedState:
         """Return the kinetic and the potential energy [J] of all bodies, closed or not."""
         return energy_of(self.kinematics, self._v)
 
-    def _read_wrenches(self, wrench: WrenchLike) -> Wrenches:
-        return read_wrenches(wrench, self.constrained.model, self.constrained.layout.platform_frame, single=True)
+    @cached_property
+    def _solver(self) -> AccelerationSolver:
+        return AccelerationSolver(self.constrained)
 
     def _balance(self, torques: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return leg forces (6,) and forces in the cut balls (3 n,) that give the tree's generalized forces (18,)."""
@@ -153,8 +134,7 @@ class ConstrainedState:
                 pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED).vector
                 for frame in (*constrained.frames, constrained.layout.platform_frame)
             )
-            gaps = constrained.differences(np.concatenate(points).reshape(-1, 6))[:, :3].ravel()
-            self._drift = gaps, platform
+            self._drift = constrained.linear_differences(points), platform
         return self._drift
 
     def _require_closed(self) -> None:
@@ -181,11 +161,8 @@ class ChainState(ConstrainedState):
 
     def configuration(self) -> Configuration:
         """Return the poses of m and of the middle platform's corners."""
-        return Configuration.from_arrays(self.constrained.layout.geometry, *self.pose_arrays())
-
-    def pose_arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the rotation (3, 3) and the translation (3,) of m, and the rows b_1, b_2, b_3."""
-        return *self.kinematics.terminal_pose(), self.kinematics.corners()
+        arrays = *self.kinematics.terminal_pose(), self.kinematics.corners()
+        return Configuration.from_arrays(self.constrained.layout.geometry, *arrays)
 
     def leg_lengths(self) -> FloatArray:
         """Return the leg lengths (6,) [m]."""
@@ -220,8 +197,7 @@ class ChainState(ConstrainedState):
         kinematics, wanted = self.kinematics, read_vector(acceleration, "acceleration", 6)
         self._require_closed()
         gaps, platform = self._bias()
-        rows = [kinematics.twist_scale * (wanted - platform), -gaps / self.constrained.layout.side]
-        return kinematics.inverse_factors.solve(np.concatenate(rows))
+        return kinematics.inverse_factors.solve(kinematics.in_one_unit(wanted - platform, -gaps))
 
     def joint_accelerations_of_legs(self, leg_accelerations: npt.ArrayLike) -> FloatArray:
         """Return the accelerations of all joints (18,) for those of the legs (6,) [m/s²]."""
@@ -253,19 +229,18 @@ class ChainState(ConstrainedState):
     def platform_dynamics(self) -> PlatformDynamics:
         """Return the equations of motion at the terminal platform."""
         self._require_closed()
-        kinematics, layout, v = self.kinematics, self.constrained.layout, self._v
-        model, data, q, scale = kinematics.model, kinematics.data, kinematics.q, kinematics.twist_scale
+        kinematics, v = self.kinematics, self._v
+        model, data, q = kinematics.model, kinematics.data, kinematics.q
         x = kinematics.velocities_of_twists()
         twist = kinematics.platform_jacobian @ v
         pin.computeJointJacobiansTimeVariation(model, data, q, v)
         *points, platform = (
             pin.getFrameJacobianTimeVariation(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-            for frame in (*self.constrained.frames, layout.platform_frame)
+            for frame in (*self.constrained.frames, self.constrained.layout.platform_frame)
         )
-        constraint = self.constrained.differences(np.array(points)[:, :3]).reshape(-1, model.nv)
         # K Ẋ = -K̇ X.
-        rows = np.concatenate([scale[:, None] * platform, constraint / layout.side])
-        x_rate = -kinematics.inverse_factors.solve(rows @ x)
+        rates = kinematics.in_one_unit(platform, self.constrained.linear_differences(points))
+        x_rate = -kinematics.inverse_factors.solve(rates @ x)
         mass = mass_matrix(kinematics)
         coriolis = x.T @ (mass @ x_rate + pin.computeCoriolisMatrix(model, data, q, v) @ x)
         reflected = x.T @ mass @ x

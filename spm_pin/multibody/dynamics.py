@@ -41,6 +41,9 @@ __all__ = [
 ]
 
 
+NO_GAINS = Gains(0.0, 0.0)
+
+
 class Energy(NamedTuple):
     """Energy of all moving bodies [J], floats or arrays (...)."""
 
@@ -96,15 +99,16 @@ class AccelerationSolver:
         self._settings = pin.ProximalSettings(0.0, 0.0, 1)
         # References into the vector, which is slow to iterate over.
         self._each = list(self._constraints)
-        self._gains = (0.0, 0.0)
+        self._gains = NO_GAINS
 
-    def accelerations(self, q: FloatArray, v: FloatArray, torques: FloatArray, gains: Gains = None) -> FloatArray:
+    def accelerations(
+        self, q: FloatArray, v: FloatArray, torques: FloatArray, gains: Gains | None = None
+    ) -> FloatArray:
         """Return the joint accelerations (nv,) under generalized forces (nv,), the closures' forces included.
 
-        The gaps e obey ë + gains[1] ė + gains[0] e = 0 in the universe's axes, at any q and v, closed or not; without
-        gains, ë = 0.
+        The gaps e obey ë + kd ė + kp e = 0 in the universe's axes, at any q and v, closed or not; without gains, ë = 0.
         """
-        gains = gains or (0.0, 0.0)
+        gains = gains or NO_GAINS
         if gains != self._gains:
             for constraint in self._each:
                 constraint.m_baumgarte_parameters.Kp, constraint.m_baumgarte_parameters.Kd = gains

@@ -24,8 +24,8 @@ from spm_pin.errors import ClosureError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import LEGS, LegLimits
 from spm_pin.multibody.closure_solvers import project_to_closure
-from spm_pin.multibody.constrained_state import ChainState
-from spm_pin.multibody.dynamics import energy_of, mass_matrix, wrench_torques
+from spm_pin.multibody.constrained_model import TreeKinematics
+from spm_pin.multibody.dynamics import AccelerationSolver, energy_of, mass_matrix, wrench_torques
 from spm_pin.multibody.vector_arguments import Wrenches
 
 __all__ = ["Ending", "ForceCallback", "Integrator", "SimulationEnd"]
@@ -77,19 +77,19 @@ class Ending(NamedTuple):
 class Integrator:
     """One simulation as it goes; a state vector is q, v and the work done, shape (37,).
 
-    `state` is moved; `wrenches` (6 n,) side by side act onto `frames`; `limits` and `singular` are what to stop at.
+    `kinematics` is moved; `wrenches` (6 n,) side by side act onto `frames`; the run stops at `limits` and `singular`.
     """
 
     def __init__(
         self,
-        state: ChainState,
+        kinematics: TreeKinematics,
         frames: list[int],
         wrenches: ForceCallback,
         limits: LegLimits | None,
         singular: frozenset[SimulationEnd],
     ) -> None:
-        self._kinematics, self._solver = state.kinematics, state.solver
-        self._layout = state.constrained.layout
+        self._kinematics, self._layout = kinematics, kinematics.layout
+        self._solver = AccelerationSolver(kinematics.constrained)
         self._frames, self._wrenches = frames, wrenches
         self._limits, self._singular = limits, [end for end in SINGULAR_ENDS if end in singular]
         sides = () if limits is None else ("minimum", "maximum")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from spm_pin.description.tree import ANGLES, JOINTS, SLIDES
 from spm_pin.errors import ArgumentError, GeometryError
@@ -15,7 +14,6 @@ from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import LEGS, Geometry
 from spm_pin.mechanism.joint_angles import joint_angles
 from spm_pin.mechanism.leg_frames import home_lengths
-from spm_pin.multibody.vector_arguments import read_vector, read_vectors
 
 __all__ = ["AGREEMENT", "BALLS", "JointLayout", "require_dimensions"]
 
@@ -37,6 +35,7 @@ class JointLayout:
         joints = {name: model.joints[model.getJointId(prefix + name)] for name in JOINTS}
         # Without prefix in Pinocchio's order, the order of all that follows.
         self.names = tuple(sorted(JOINTS, key=lambda name: joints[name].idx_q))
+        self.names_in_model = tuple(prefix + name for name in self.names)
         self._place = {name: k for k, name in enumerate(self.names)}
         # Where they are in the q and the v of the model, and where all other degrees of freedom are in v.
         self.q = np.array([joints[name].idx_q for name in self.names], dtype=np.intp)
@@ -45,6 +44,7 @@ class JointLayout:
         # Among the eighteen: the slides in the order of `LEGS`, the other joints, and those of each ball.
         self.legs = self.indices(*SLIDES)
         self.passive = np.setdiff1d(np.arange(len(JOINTS)), self.legs)
+        self._slides = self.q[self.legs]
         self.balls = tuple(self.indices(*names) for names in BALLS)
         nominal = geometry.nominal
         # What leg lengths exceed the distances of ball and pivot by, and leg lengths (readings as built) at zero [m].
@@ -67,21 +67,15 @@ class JointLayout:
         return np.array([self._place[name] for name in names], dtype=np.intp)
 
     def leg_lengths(self, q: FloatArray) -> FloatArray:
-        """Return the six leg lengths (..., 6) [m] in the chain's q (..., 18), offsets included."""
-        return np.asarray(self.home + q.take(self.legs, axis=-1))
+        """Return the six leg lengths (..., 6) [m] in q (..., nq) of the model, offsets included."""
+        return np.asarray(self.home + q.take(self._slides, axis=-1))
 
     def distances(self, q: FloatArray) -> FloatArray:
-        """Return the distances (..., 6) [m] of the balls from the pivots in the chain's q (..., 18)."""
-        return np.asarray(self._home_distances + q.take(self.legs, axis=-1))
-
-    def checked(self, q: npt.ArrayLike, argument: str = "q", *, single: bool = False) -> FloatArray:
-        """Return the chain's q (..., 18) as an array, or raise `ArgumentError`."""
-        array = (read_vector if single else read_vectors)(q, argument, len(JOINTS))
-        self.require_distances(array, argument)
-        return array
+        """Return the distances (..., 6) [m] of the balls from the pivots in q (..., nq) of the model."""
+        return np.asarray(self._home_distances + q.take(self._slides, axis=-1))
 
     def require_distances(self, q: FloatArray, argument: str = "q") -> None:
-        """Raise `ArgumentError` where a leg in the chain's q (..., 18) has a negative length."""
+        """Raise `ArgumentError` where a leg in q (..., nq) of the model has a negative length."""
         lengths = self.distances(q)
         if (min(lengths.tolist()) if lengths.ndim == 1 else lengths.min(initial=0.0)) < 0.0:
             worst = np.unravel_index(int(lengths.argmin()), lengths.shape)

@@ -10,7 +10,8 @@ import pinocchio as pin
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable
-from spm_pin.multibody.batched_methods import BatchedStates, ConstrainedMethods
+from spm_pin.multibody import batched_methods
+from spm_pin.multibody.batched_states import BatchedStates
 from spm_pin.multibody.constrained_model import ConstrainedModel
 from spm_pin.multibody.constrained_state import ConstrainedState
 from spm_pin.multibody.joint_layout import JointLayout
@@ -19,7 +20,7 @@ from spm_pin.multibody.vector_arguments import read_vectors
 __all__ = ["MountedChain", "mount"]
 
 
-class MountedChain(ConstrainedMethods):
+class MountedChain:
     """A `ClosedChain` and another robot in one Pinocchio model, the loops closed; read-only.
 
     Made by `ClosedChain.mounted_on` and `ClosedChain.carrying`. Its q is that of `model`; `join` and `split` put it
@@ -39,8 +40,7 @@ class MountedChain(ConstrainedMethods):
         self.chain, self.model = chain, model
         self._other, self._shapes = other, (collisions, visuals)
         layout = JointLayout(model, chain.geometry, chain.prefix)
-        self._constrained = constrained = ConstrainedModel(model, layout, chain.closures)
-        self._states = BatchedStates(lambda: ConstrainedState(constrained), self._checked)
+        self._states = BatchedStates(ConstrainedModel(model, layout, chain.closures), ConstrainedState)
         self._q, self._v = self._places(chain.model)
         self._other_q, self._other_v = self._places(other)
 
@@ -60,25 +60,20 @@ class MountedChain(ConstrainedMethods):
             v[part.idx_v : part.idx_v + part.nv] = joint.idx_v + np.arange(part.nv)
         return q, v
 
-    def _checked(self, q: npt.ArrayLike) -> FloatArray:
-        array = read_vectors(q, "q", self.model.nq)
-        self._constrained.layout.checked(array[..., self._constrained.layout.q])
-        return array
-
     @property
     def chain_indices(self) -> IntArray:
-        """IntArray of the chain's joints in v, in the order of `chain.joint_names`, shape (18,)."""
+        """Indices of the chain's joints in v, in the order of `chain.joint_names`, shape (18,)."""
         return self._v.copy()
 
     @property
     def other_indices(self) -> IntArray:
-        """IntArray of the other robot's degrees of freedom in v, in that robot's order."""
+        """Indices of the other robot's degrees of freedom in v, in that robot's order."""
         return self._other_v.copy()
 
     @property
     def actuated_indices(self) -> IntArray:
-        """IntArray of the actuators in v: all of the other robot's, then the six legs."""
-        return self._constrained.actuated.copy()
+        """Indices of the actuators in v: all of the other robot's, then the six legs."""
+        return self._states.constrained.actuated.copy()
 
     def join(self, other: npt.ArrayLike, chain: npt.ArrayLike) -> FloatArray:
         """Return q (..., nq) of the model from the other robot's q and the chain's (..., 18)."""
@@ -99,7 +94,13 @@ class MountedChain(ConstrainedMethods):
 
     def state(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> ConstrainedState:
         """Return the state of joint values q (nq,) and velocities v (nv,), by default at rest."""
-        return ConstrainedState(self._constrained).update(q, v)
+        return ConstrainedState(self._states.constrained).update(q, v)
+
+    closure_gap = batched_methods.closure_gap
+    constraint_jacobian = batched_methods.constraint_jacobian
+    forward_dynamics = batched_methods.forward_dynamics
+    inverse_dynamics = batched_methods.inverse_dynamics
+    energy = batched_methods.energy
 
 
 def _together(other: npt.ArrayLike, other_place: IntArray, chain: npt.ArrayLike, place: IntArray) -> FloatArray:
@@ -116,7 +117,7 @@ def mount(chain: Any, other: Any, frame: str, placement: Any, *, carried: bool) 
     if isinstance(other, pin.Model):
         other = pin.RobotWrapper(other)
     if not isinstance(other, pin.RobotWrapper):
-        cause = "Its loops would be lost" if isinstance(other, ConstrainedMethods) else ""
+        cause = "Its loops would be lost" if isinstance(other, MountedChain | type(chain)) else ""
         raise ArgumentError("other", "a pinocchio.Model or a pinocchio.RobotWrapper", type(other).__name__, cause)
     robots = chain.robot_wrapper(), other
     parent, child = robots if carried else robots[::-1]

@@ -13,12 +13,12 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, real_number
-from spm_pin.multibody.constrained_model import ConstrainedModel
-from spm_pin.multibody.constrained_state import ChainState
+from spm_pin.multibody.batched_states import HasStates
+from spm_pin.multibody.constrained_model import TreeKinematics
 from spm_pin.multibody.dynamics import require_closed
 from spm_pin.multibody.integrator import Ending, ForceCallback, Integrator, SimulationEnd
 from spm_pin.multibody.platform_path import increasing_times
-from spm_pin.multibody.vector_arguments import WrenchLike, read_vector, read_wrenches
+from spm_pin.multibody.vector_arguments import WrenchLike, read_vector
 
 __all__ = ["ForceFunction", "Simulation", "simulate"]
 
@@ -89,21 +89,62 @@ class Simulation:
 
 
 def simulate(
-    state: ChainState,
+    self: HasStates,
+    q0: npt.ArrayLike,
     v0: npt.ArrayLike,
     forces: npt.ArrayLike | ForceFunction | None,
     times: npt.ArrayLike,
-    wrench: WrenchLike | ForceFunction,
-    period: float | None,
-    stop_at: Collection[str],
-    tolerance: float,
-    max_step: float,
-    progress: Callable[[float], object] | None,
+    *,
+    wrench: WrenchLike | ForceFunction = None,
+    period: float | None = None,
+    stop_at: Collection[str] = (),
+    tolerance: float = 1e-11,
+    max_step: float = np.inf,
+    progress: Callable[[float], object] | None = None,
 ) -> Simulation:
-    """Integrate the motion from a state on; see `ClosedChain.simulate`. The state is left anywhere."""
-    layout, q = state.constrained.layout, state.kinematics.q
-    v = read_vector(v0, "v0", len(layout.v))
-    require_closed(state.kinematics, v, "v0")
+    """Integrate the motion under leg forces, gravity and wrenches, up to the last time or what ends it before.
+
+    By SciPy's DOP853 with projection onto the closures after each step; see the module `integrator`. The loops are
+    closed to rounding at every time. Errors of `forces`, `wrench` or `progress` reach the caller.
+
+    Parameters
+    ----------
+    q0, v0 : array_like, shape (18,)
+        Joint values and velocities of a closed mechanism at the first time.
+    forces : array_like (6,), callable, or None
+        Of the legs [N]: constant, or a function (t, q, v) → (6,); None lets the slides move freely. A function
+        without `period` is smooth in its arguments alone: it is called several times a step, and not in order.
+    times : array_like, shape (n,)
+        When to record [s], increasing; the motion begins at the first.
+    wrench : as in `forward_dynamics`, or callable, optional
+        Applied from outside: constant, or a function (t, q, v) → (6,) for the terminal platform.
+    period : float, optional
+        Of a digital controller [s]: `forces` is called once at the begin of each period, in order, and its
+        answer held. It may keep a state of its own.
+    stop_at : collection of {"limits", "inverse", "forward"}
+        End the run at the leg limits of `geometry`, or where a singularity is crossed. By default these are passed
+        through. A leg of no length and a constraint singularity always end it: forces in the balls have no bound
+        there. Looked for at the ends of steps: a smaller `max_step` sees what happens and is undone within one.
+    tolerance : float
+        Of a step, relative and absolute in the units of q and v; from 1e-13 to 1e-3. The default keeps the energy
+        to about 1e-12 of itself in a second of falling.
+    max_step : float
+        Longest step [s]; not less than 1e-7 of the run.
+    progress : callable, optional
+        Called with the share done, from 0 to 1, after each step. If it returns False, the run ends there.
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is malformed, v0 opens the loops, or a function returns something else than finite (6,).
+    ClosureError
+        If q0 is open.
+    """
+    constrained = self._states.constrained
+    q, v = constrained.checked(q0, "q0", single=True), read_vector(v0, "v0", constrained.model.nv)
+    kinematics = TreeKinematics(constrained)
+    kinematics.evaluate(q)
+    require_closed(kinematics, v, "v0")
     recorded = increasing_times(times)
     begin, until = float(recorded[0]), float(recorded[-1])
     span = until - begin
@@ -114,14 +155,18 @@ def simulate(
         _interval(period, "period", span)
     if isinstance(stop_at, str) or any(stop not in STOPS for stop in stop_at):
         raise ArgumentError("stop_at", f"a collection of {', '.join(map(repr, STOPS))}", repr(stop_at))
-    limits = layout.geometry.limits if "limits" in stop_at else None
+    limits = constrained.layout.geometry.limits if "limits" in stop_at else None
     if "limits" in stop_at and limits is None:
         raise ArgumentError("stop_at", "no limits, for a geometry without leg limits", "limits")
 
     act = _callback(np.zeros(6) if forces is None else forces, "forces")
-    wrenches, frames = _wrenches(state.constrained, wrench)
+    if callable(wrench):
+        wrenches, frames = _callback(wrench, "wrench"), [constrained.layout.platform_frame]
+    else:
+        together, frames = constrained.read_wrenches(wrench, single=True)
+        wrenches = _constant(together)
     ends = frozenset(STOPS[stop] for stop in stop_at) - {SimulationEnd.LIMIT}
-    integrator = Integrator(state, frames, wrenches, limits, ends)
+    integrator = Integrator(kinematics, frames, wrenches, limits, ends)
 
     def proceed(time: float) -> bool:
         return progress is None or progress((time - begin) / span) is not False
@@ -142,14 +187,6 @@ def simulate(
     names = (field.name for field in fields(Simulation))
     columns: dict[str, Any] = dict(zip(names, map(np.array, zip(*integrator.rows, strict=True)), strict=False))
     return Simulation(**columns, end=why, detail=detail, steps=integrator.steps, evaluations=integrator.evaluations)
-
-
-def _wrenches(constrained: ConstrainedModel, wrench: WrenchLike | ForceFunction) -> tuple[ForceCallback, list[int]]:
-    """Return the wrenches side by side as a function, and the frames that they act onto."""
-    if callable(wrench):
-        return _callback(wrench, "wrench"), [constrained.layout.platform_frame]
-    together, frames = read_wrenches(wrench, constrained.model, constrained.layout.platform_frame, single=True)
-    return _constant(together), frames
 
 
 def _constant(value: FloatArray) -> ForceCallback:

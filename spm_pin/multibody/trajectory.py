@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
+from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, real_array
 from spm_pin.mechanism.pose import as_rigid_transform
-from spm_pin.multibody.batched_methods import located
+from spm_pin.multibody.batched_states import LOCATED, HasStates, located
 from spm_pin.multibody.closure_solvers import ContinuationSolver
 from spm_pin.multibody.constrained_state import ChainState
 from spm_pin.multibody.dynamics import require_closed
@@ -86,17 +86,19 @@ class JointTrajectory:
 
 
 def joint_trajectory(
-    state: ChainState,
-    joint_names: tuple[str, ...],
-    path: Callable[[float], PlatformMotion],
-    times: npt.ArrayLike,
-    q: FloatArray,
+    self: HasStates, path: Callable[[float], PlatformMotion], times: npt.ArrayLike, near: npt.ArrayLike
 ) -> JointTrajectory:
-    """Return the motion of all joints from q (18,) on; see `ClosedChain.joint_trajectory`. The state is moved."""
-    at = increasing_times(times)
+    """Return the motion of all joints for one of the platform, with the leg forces of it under gravity.
+
+    `path`, a `PlatformPath` or another callable, takes a time [s] and returns pose, twist and acceleration of the
+    terminal platform; `times` (n,) [s] increase at any rate; `near` (18,) is a closed q in the branch wanted, near
+    the path's begin. Raises as `inverse_kinematics`, with the index of the time.
+    """
+    constrained = self._states.constrained
+    q, at = constrained.checked(near, "near", single=True), increasing_times(times)
     if not callable(path):
         raise ArgumentError("path", "a PlatformPath or another function of time", type(path).__name__)
-    state.set(q)
+    state = ChainState(constrained).update(q)
     require_closed(state.kinematics)
     rows: list[tuple[FloatArray, ...]] = []
     # All at once where that is known to be allowed.
@@ -104,11 +106,11 @@ def joint_trajectory(
     for k, motion in enumerate(motions):
         try:
             rows.append(_moving(state, q, PlatformMotion(*motion)))
-        except (ArgumentError, ClosureError, SingularConfigurationError) as error:
+        except LOCATED as error:
             raise located(error, (k,)) from error
         q = rows[-1][0]
     columns = (np.array(column).reshape(at.size, -1) for column in zip(*rows, strict=True))
-    return JointTrajectory(joint_names, at, *columns)
+    return JointTrajectory(constrained.layout.names_in_model, at, *columns)
 
 
 def _moving(state: ChainState, q: FloatArray, motion: PlatformMotion) -> tuple[FloatArray, ...]:

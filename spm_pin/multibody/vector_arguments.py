@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, broadcastable, real_array, symmetric_matrices
+from spm_pin.mechanism.arguments import FloatArray, frozen, real_array, symmetric_matrices
 
 __all__ = [
+    "NO_WRENCHES",
     "Gains",
+    "GainsLike",
     "WrenchLike",
     "Wrenches",
     "read_gains",
     "read_stiffness",
     "read_vector",
     "read_vectors",
-    "read_wrenches",
 ]
 
 
@@ -31,9 +32,19 @@ class Wrenches(NamedTuple):
     frames: list[int]
 
 
-WrenchLike = npt.ArrayLike | Mapping[str, npt.ArrayLike] | None
-"""A wrench (6,) on the platform, wrenches by the name of their frame, or none."""
-Gains = tuple[float, float] | None
+NO_WRENCHES = Wrenches(frozen(np.empty(0)), [])
+
+
+class Gains(NamedTuple):
+    """Gains of the constraint stabilisation, kp on the gap [1/s²] and kd on its rate [1/s]."""
+
+    kp: float
+    kd: float
+
+
+WrenchLike = npt.ArrayLike | Mapping[str, npt.ArrayLike] | Wrenches | None
+"""A wrench (6,) on the platform, wrenches by the name of their frame, those that have been read, or none."""
+GainsLike = tuple[float, float] | None
 """Gains of the constraint stabilisation on gap [1/s²] and gap rate [1/s], or none."""
 
 _FLOAT = np.dtype(np.float64)
@@ -82,30 +93,11 @@ def read_stiffness(value: npt.ArrayLike) -> FloatArray:
     return symmetric_matrices(value, "stiffness", 6, "in N/m, N/rad, N and N m/rad, as of spm_pin.stiffness")
 
 
-def read_wrenches(wrench: WrenchLike, model: Any, platform: int, *, single: bool = False) -> Wrenches:
-    """Return wrenches that act onto frames of the model, one without a name onto the frame `platform`."""
-    read = read_vector if single else read_vectors
-    if wrench is None:
-        return Wrenches(np.empty((0,)), [])
-    if not isinstance(wrench, Mapping):
-        return Wrenches(read(wrench, "wrench", 6), [platform])
-    unknown = [name for name in wrench if not (isinstance(name, str) and model.existFrame(name))]
-    if unknown:
-        cause = "The names of links, with the prefix"
-        raise ArgumentError("wrench", "frames of the model", ", ".join(map(repr, unknown)), cause)
-    arrays = [read(value, "wrench", 6) for value in wrench.values()]
-    shape: tuple[int, ...] = ()
-    for array in arrays:
-        shape = broadcastable("wrench", array.shape[:-1], "the other wrenches", shape)
-    together = np.concatenate([np.empty((*shape, 0)), *(np.broadcast_to(a, (*shape, 6)) for a in arrays)], axis=-1)
-    return Wrenches(together, [int(model.getFrameId(name)) for name in wrench])
-
-
-def read_gains(gains: Gains) -> Gains:
-    """Return the gains of a drift control, or raise `ArgumentError`."""
-    if gains is None:
-        return None
+def read_gains(gains: GainsLike) -> Gains | None:
+    """Return the gains of a drift control, or raise `ArgumentError`; `Gains` are returned as they are."""
+    if gains is None or isinstance(gains, Gains):
+        return gains
     array = real_array(gains, "gains", (2,), "kp in 1/s² and kd in 1/s")
     if array.ndim != 1 or (array < 0.0).any():
         raise ArgumentError("gains", "a pair (kp, kd), not negative", repr(gains))
-    return float(array[0]), float(array[1])
+    return Gains(float(array[0]), float(array[1]))
