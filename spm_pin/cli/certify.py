@@ -62,7 +62,7 @@ def certify(
         nominal = certificate.geometry
         other = certify_inverse(nominal, certificate.limits, boxes=boxes, forward=certificate) if inverse else None
     if json:
-        outputs.write_json(_content(certificate) | ({} if other is None else {"inverse": _inverse_content(other)}))
+        outputs.write_json(_content(certificate, other))
     else:
         outputs.print_lines(certificate.explain().splitlines())
         outputs.print_lines([] if other is None else ["", *other.explain().splitlines()])
@@ -75,14 +75,9 @@ def _state(witness: Configuration | None) -> dict[str, Any] | None:
     return None if witness is None else {"leg_lengths": witness.leg_lengths, "pose": witness.pose.as_matrix()}
 
 
-def _inverse_content(certificate: InverseCertificate) -> dict[str, Any]:
-    measures = {name: getattr(certificate, name) for name in ("holds", "bound", "least")}
-    return {**measures, "undecided": len(certificate.undecided), "witness": _state(certificate.witness)}
-
-
-def _content(certificate: Certificate) -> dict[str, Any]:
+def _content(certificate: Certificate, other: InverseCertificate | None) -> dict[str, Any]:
     lower, upper = certificate.bounds
-    return {
+    content = {
         "holds": certificate.holds,
         "limits": {"minimum": certificate.limits.minimum, "maximum": certificate.limits.maximum},
         "errors": {"length": certificate.errors[0], "angle": certificate.errors[1]},
@@ -93,3 +88,8 @@ def _content(certificate: Certificate) -> dict[str, Any]:
         },
         "witness": _state(certificate.witness),
     }
+    if other is not None:
+        measures = {name: getattr(other, name) for name in ("holds", "bound", "least")}
+        undecided, witness = len(other.undecided), _state(other.witness)
+        content["inverse"] = {**measures, "undecided": undecided, "witness": witness}
+    return content

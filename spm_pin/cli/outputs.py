@@ -14,7 +14,7 @@ from rich.cells import cell_len
 from rich.console import Console
 
 from spm_pin.display.figure_files import FORMATS, save_figure
-from spm_pin.display.json_text import to_json
+from spm_pin.display.json_text import fixed, to_json
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism.arguments import writing
 
@@ -105,12 +105,6 @@ def print_table(
     stdout.print()
 
 
-def fixed(value: float, digits: int) -> str:
-    """Format with a number of decimals; a number that rounds to zero has no sign."""
-    text = f"{value:.{digits}f}"
-    return text.removeprefix("-") if float(text) == 0.0 else text
-
-
 def significant(value: float, scale: float = 0.0, digits: int = 5) -> str:
     """Format with a number of significant digits; what is rounding beside `scale` is 0."""
     return "0" if abs(value) <= _ROUNDING * scale else f"{value:.{digits}g}"
@@ -159,12 +153,12 @@ def check_output(path: Path, option: str = "--out", endings: Sequence[str] = (),
         raise ArgumentError(option, "a file that can be written", path, reason)
 
 
-def write_text(text: str, path: Path | None, option: str = "--out") -> None:
+def write_text(text: str, path: Path | None) -> None:
     """Write a text file and say so on stderr; without a path, print the text; raises `ArgumentError` if it cannot."""
     if path is None:
         typer.echo(text, nl=False)
         return
-    with writing(path, option):
+    with writing(path, "--out"):
         path.write_text(text, encoding="utf-8")
     note(f"wrote {path}")
 

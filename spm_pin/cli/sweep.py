@@ -135,9 +135,8 @@ def _domain(poses: dict[str, Any], legs: list[str] | None, drawn: dict[str, Any]
         return None
     if missing:
         raise ArgumentError(", ".join(missing), "a range or a number for every coordinate of a pose", "none")
-    position = [_range(option, poses[option], scale) for option in ("--x", "--y", "--z")]
-    angles = [_range("--xyx", text, np.pi / 180.0) for text in poses["--xyx"]]
-    pose: dict[str, Any] = {"x": position[0], "y": position[1], "z": position[2], "xyx": angles}
+    pose: dict[str, Any] = {axis: _range(f"--{axis}", poses[f"--{axis}"], scale) for axis in "xyz"}
+    pose["xyx"] = [_range("--xyx", text, np.pi / 180.0) for text in poses["--xyx"]]
     return sweeps.pose_sample(**drawn, **pose) if drawn else sweeps.pose_grid(**pose)
 
 

@@ -131,23 +131,42 @@ class Paper(Method):
 
 
 @dataclass
-class Nlp(Method):
-    """CasADi's loop equations, solved by multi-start and differentiated implicitly: `spm_pin.nlp`."""
+class _MultiStart(Method):
+    """CasADi's loop equations, solved from many starts: `spm_pin.nlp`."""
 
-    name: str = "nlp"
-    miss_rate: float = 1e-3
     solver: str = "newton"
     """One of `spm_pin.nlp.SOLVERS`."""
 
     def __post_init__(self) -> None:
         self._nlp = import_module("spm_pin.nlp")
-        self._derivatives = self._nlp.leg_jacobian(self.geometry)
 
     def inverse(self, pose: RigidTransform) -> SolutionSet:
         """Solve poses (N,)."""
         found = self._nlp.search(self.geometry, pose, risk=self.miss_rate, solver=self.solver)
         solutions: SolutionSet = found.solutions
         return solutions
+
+
+@dataclass
+class Ipopt(_MultiStart):
+    """CasADi's loop equations solved by IPOPT, which takes some eighty times as long as `Nlp`; for branches alone."""
+
+    name: str = "ipopt"
+    miss_rate: float = 1e-2
+    share: float = 0.04
+    solver: str = "ipopt"
+
+
+@dataclass
+class Nlp(_MultiStart):
+    """CasADi's loop equations, solved by multi-start and differentiated implicitly: `spm_pin.nlp`."""
+
+    name: str = "nlp"
+    miss_rate: float = 1e-3
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._derivatives = self._nlp.leg_jacobian(self.geometry)
 
     def inverse_jacobian(self, configuration: Configuration) -> FloatArray | None:
         """Return J_f (N, 6, 6)."""
@@ -159,22 +178,6 @@ class Nlp(Method):
         """Return forces (N, 6) [N]."""
         transposed = np.swapaxes(np.asarray(self.inverse_jacobian(configuration)), -1, -2)
         return np.asarray(-np.linalg.solve(transposed, wrench[..., None])[..., 0])
-
-
-@dataclass
-class Ipopt(Nlp):
-    """The same loop equations solved by IPOPT, which takes some eighty times as long; for branches alone."""
-
-    name: str = "ipopt"
-    miss_rate: float = 1e-2
-    share: float = 0.04
-    solver: str = "ipopt"
-
-    def inverse_jacobian(self, configuration: Configuration) -> None:
-        """Return None: IPOPT computes no derivatives of the solution."""
-
-    def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> None:
-        """Return None: IPOPT computes no derivatives of the solution."""
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""Results as JSON text."""
+"""Results as JSON text, and numbers as text."""
 
 from __future__ import annotations
 
@@ -9,7 +9,13 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["to_json"]
+__all__ = ["fixed", "to_json"]
+
+
+def fixed(value: float, digits: int) -> str:
+    """Format with a number of decimals; a number that rounds to zero has no sign."""
+    text = f"{value:.{digits}f}"
+    return text.removeprefix("-") if float(text) == 0.0 else text
 
 
 def to_json(content: Any) -> str:

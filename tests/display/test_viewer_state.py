@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.closed_form.starting_configuration import starting_configuration
-from spm_pin.display.json_text import to_json
+from spm_pin.display.json_text import fixed, to_json
 from spm_pin.display.viewer.camera import FIELD_OF_VIEW, VIEWS, fit_camera, robot_points
 from spm_pin.display.viewer.readings import Readings
 from spm_pin.display.viewer.recording import demo_motion
@@ -24,7 +24,7 @@ from spm_pin.display.viewer.robot_meshes import RobotMeshes
 from spm_pin.display.viewer.slider_ranges import leg_ranges, pose_coordinates, pose_ranges
 from spm_pin.display.viewer.state import Drive, StateMachine
 from spm_pin.display.viewer.state_export import command_line, content
-from spm_pin.display.viewer.state_markup import forces_table, instruments, number, status
+from spm_pin.display.viewer.state_markup import forces_table, instruments, status
 from spm_pin.display.viewer.workspace_layer import WorkspaceLayer
 
 PAPER = spm.Geometry.paper()
@@ -213,7 +213,7 @@ def test_a_leg_is_one_leg_whatever_its_length():
 
 
 def test_numbers_have_no_negative_zero_and_long_lengths_a_unit_that_fits():
-    assert [number(x, 1) for x in (-0.04, -0.0, 0.04, -0.06)] == ["0.0", "0.0", "0.0", "-0.1"]
+    assert [fixed(x, 1) for x in (-0.04, -0.0, 0.04, -0.06)] == ["0.0", "0.0", "0.0", "-0.1"]
     assert "-0.0" not in forces_table(StateMachine(START).load([0.0, 0.0, -1e-9, 0.0, 0.0, 0.0]))
     far = StateMachine(START).state
     far.readings.travel = np.array([56.999, 0.02, np.nan])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from spm_pin.closed_form.singularity_analysis import SingularityKind
+from spm_pin.crosscheck.random_poses import command
 from spm_pin.display.viewer.camera import FIELD_OF_VIEW, VIEWS, fit_camera, robot_points
 from spm_pin.display.viewer.robot_meshes import RobotMeshes
 from spm_pin.display.viewer.robot_scene import RobotScene
@@ -38,21 +38,16 @@ max-height:calc(100vh - 1.6em);overflow:auto}}
 
 def command_line(configuration: Configuration, geometry_file: Path | None = None) -> str:
     """Return the `spm-pin inverse` that finds all branches of a single configuration's pose, to float64's digits."""
-    values = [repr(float(x)) for x in pose_coordinates(configuration.pose)]
-    words = ["spm-pin", "inverse", "--translation", *values[:3], "--xyx", *values[3:]]
-    return shlex.join(words + (["--geometry", str(geometry_file)] if geometry_file is not None else []))
+    values = pose_coordinates(configuration.pose)
+    return command(values[:3], values[3:], None if geometry_file is None else str(geometry_file))
 
 
 def content(state: State, chain: ClosedChain, geometry_file: Path | None = None) -> dict[str, Any]:
     """Return the state as data for `spm_pin.display.json_text.to_json`, in metres, radians and newtons."""
     shown, readings = state.shown, state.readings
     found = readings.singularities
-    measures = {
-        "sigma": found.sigma,
-        "condition": found.condition,
-        "scaled_determinants": found.scaled_determinants,
-        "leg_travel": readings.travel,
-    }
+    measures = {name: getattr(found, name) for name in ("sigma", "condition", "scaled_determinants")}
+    measures["leg_travel"] = readings.travel
     return {
         "geometry": {"leg_limits": None, **geometry_data(shown.geometry)},
         "branch": state.label or None,

@@ -6,12 +6,13 @@ from html import escape
 
 import numpy as np
 
+from spm_pin.display.json_text import fixed
 from spm_pin.display.viewer.readings import NEAR
 from spm_pin.display.viewer.slider_ranges import pose_coordinates
 from spm_pin.display.viewer.state import State
 from spm_pin.mechanism.geometry import LEGS
 
-__all__ = ["LOAD", "PULL", "PUSH", "WARN", "forces_table", "instruments", "note", "number", "status"]
+__all__ = ["LOAD", "PULL", "PUSH", "WARN", "forces_table", "instruments", "note", "status"]
 
 # After Okabe and Ito's palette, distinct with any colour vision. Limits and warnings have a red of their own, darker
 # than all colours of the robot.
@@ -24,14 +25,9 @@ _TRACK = "position:relative;height:0.62em;border-radius:0.3em;background:rgba(12
 _RIGHT = "text-align:right"
 
 
-def number(value: float, digits: int) -> str:
-    """Return a number with so many digits after the point; zero has no sign."""
-    return f"{round(float(value), digits) + 0.0:.{digits}f}"
-
-
 def _length(value: float) -> str:
     """Return a length in mm, or in m from ten metres on."""
-    return f"{number(1e3 * value, 0)} mm" if abs(value) < 9.9995 else f"{number(value, 1)} m"
+    return f"{fixed(1e3 * value, 0)} mm" if abs(value) < 9.9995 else f"{fixed(value, 1)} m"
 
 
 def _signed_length(value: float) -> str:
@@ -41,7 +37,7 @@ def _signed_length(value: float) -> str:
 def status(state: State) -> str:
     """Return the branch, the position and the notices."""
     values = pose_coordinates(state.shown.pose)
-    o, angles = (", ".join(number(x, digits) for x in part) for part, digits in ((values[:3], 3), (values[3:], 1)))
+    o, angles = (", ".join(fixed(x, digits) for x in part) for part, digits in ((values[:3], 3), (values[3:], 1)))
     name = escape(state.label) or "no isolated branch"
     tags = ["physical" if state.readings.physical else "not physical"]
     if state.shown.geometry.limits is not None:
@@ -104,7 +100,7 @@ def _legs(state: State) -> str:
         share = float(np.clip(0.1 + 0.8 * (length - low) / max(high - low, 1e-12), 0.0, 1.0))
         colour = WARN if beyond else (PUSH if k < 3 else _UPPER)
         mark = f"⚠ {_signed_length(beyond)}" if beyond else ""
-        value = _cell(number(length, 3), _RIGHT, leg)
+        value = _cell(fixed(length, 3), _RIGHT, leg)
         cells += [_cell(leg), _bar(share, colour, ticks), value, _cell(mark, f"color:{WARN};font-weight:600")]
     unit = "in m" + (", between limits" if limits is not None else "")
     columns = "max-content minmax(3em,1fr) max-content max-content"
@@ -123,7 +119,7 @@ def _singularities(state: State) -> str:
             _cell(f"{'⚠ ' if near[k] else ''}{name}"),
             _bar(max(share, 0.02), WARN if near[k] else _CALM),
             _cell(_length(travel) if finite else "–", _RIGHT),
-            _cell(number(found.sigma[k], 3), _RIGHT),
+            _cell(fixed(found.sigma[k], 3), _RIGHT),
             _cell(f"{condition:.3g}" if np.isfinite(condition) and condition < 1e5 else "&gt;10⁵", _RIGHT),
         ]
     columns = "max-content minmax(2em,1fr) max-content max-content max-content"
@@ -143,7 +139,7 @@ def forces_table(state: State) -> str:
         pushes = force >= 0.0
         bar = _bar(share, PUSH if pushes else PULL, side="left" if pushes else "right", start=0.5)
         sign = "" if abs(force) < 5e-4 else ("▲" if pushes else "▼")
-        shown = number(force, 1) if abs(force) < 1e6 else f"{force:.3g}"
+        shown = fixed(force, 1) if abs(force) < 1e6 else f"{force:.3g}"
         cells += [_cell(leg), bar, _cell(shown, _RIGHT, f"force {leg}"), _cell(sign)]
     columns = "max-content minmax(3em,1fr) max-content 1em"
     soft = f"<div>Softest direction of o: {state.readings.softest:.2g} × the stiffness of a leg</div>"
