@@ -11,8 +11,9 @@ from spm_pin.closed_form.batches import flat_batch, run_kernel, with_batch_shape
 from spm_pin.closed_form.forward_displacement_arguments import check_seed, read_leg_lengths
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.as_built import AsBuiltGeometry, is_nominal
+from spm_pin.mechanism.ball_triangles import triangle_frames, triangle_sides
 from spm_pin.mechanism.branches import physical
-from spm_pin.mechanism.configuration import Configuration, triangle_frames, triangle_sides
+from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 
 __all__ = ["as_built_forward"]

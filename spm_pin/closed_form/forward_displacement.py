@@ -204,22 +204,17 @@ def _is_ill_conditioned(lengths: FloatArray, epsilon: float) -> BoolArray:
 
 
 def _solve_physical(
-    lengths: FloatArray,
-    r: float,
-    base_radius: float,
-    platform_radius: float,
-    rotation: FloatArray,
-    translation: FloatArray,
-    joints: FloatArray,
+    lengths: FloatArray, r: float, base_radius: float, platform_radius: float, *state: FloatArray
 ) -> None:
     """Write R, o and the b_i of the modes in the home's aspect; all modes are solved where Newton's method fails."""
     from spm_pin.closed_form.kernels.mode_kernels import home_modes, home_modes_of_all
 
-    sizes = r, base_radius, platform_radius
+    sizes, (rotation, translation, joints) = (r, base_radius, platform_radius), state
     found = np.empty(len(lengths), dtype=np.bool_)
     home_modes(lengths, *sizes, rotation, translation, joints, found)
     if not found.all():
         rest = np.flatnonzero(~found)
-        states = np.empty((len(rest), 3, 3)), np.empty((len(rest), 3)), np.empty((len(rest), 3, 3))
-        home_modes_of_all(lengths[rest], *sizes, *states)
-        rotation[rest], translation[rest], joints[rest] = states
+        solved = [np.empty((len(rest), *array.shape[1:])) for array in state]
+        home_modes_of_all(lengths[rest], *sizes, *solved)
+        for array, part in zip(state, solved, strict=True):
+            array[rest] = part

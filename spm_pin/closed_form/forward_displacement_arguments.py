@@ -9,7 +9,8 @@ from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, broadcastable, first_offender, real_array
 from spm_pin.mechanism.as_built import AsBuiltGeometry, check_geometry
 from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import LEGS, Geometry
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.leg_limits import LEGS
 
 __all__ = ["check_seed", "read_leg_lengths"]
 

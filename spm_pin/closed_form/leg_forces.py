@@ -14,10 +14,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.as_built_jacobians import as_built_platform_jacobian
 from spm_pin.closed_form.batches import run_on_states
-from spm_pin.closed_form.jacobians import broadcast_argument
-from spm_pin.closed_form.stage_wrenches import refuse_singular, singular_sizes
+from spm_pin.closed_form.jacobians import broadcast_argument, platform_jacobian
+from spm_pin.closed_form.stage_wrenches import singular_sizes
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
@@ -58,16 +57,12 @@ def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArra
 
     load = broadcast_argument(wrench, "wrench", "(f, m) at o in {B} in N and N m", configuration)
     if isinstance(configuration.geometry, AsBuiltGeometry):
-        jacobian = as_built_platform_jacobian(configuration)
+        jacobian = platform_jacobian(configuration)
         return np.asarray(-(np.swapaxes(jacobian, -1, -2) @ load[..., None])[..., 0])
     results = ((6,), np.float64), ((), np.uint8)
     sizes = singular_sizes(configuration.geometry)
     forces, doubtful = run_on_states(stage_forces, configuration, sizes, results, load=load)
-    # A state is as singular under any wrench; only its index must be that of the configuration.
     if doubtful.any():
-        extra = doubtful.ndim - len(configuration.shape)
-        doubtful = doubtful.max(axis=tuple(range(extra)), initial=0)
-        narrow = tuple(k for k, n in enumerate(configuration.shape) if n == 1 and doubtful.shape[k] != 1)
-        doubtful = doubtful.max(axis=narrow, keepdims=True, initial=0)
-        refuse_singular(configuration, doubtful.reshape(-1), "forward")
+        # A state is as singular under any wrench: raises where one is.
+        platform_jacobian(configuration)
     return np.asarray(forces)

@@ -15,7 +15,8 @@ import scipy
 from spm_pin.closed_form.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import LEGS, Geometry
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.leg_limits import LEGS
 
 __all__ = ["Event", "EventKind", "find_events"]
 

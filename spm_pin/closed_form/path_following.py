@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform, Slerp
 from spm_pin.closed_form.forward_displacement import forward_displacement, forward_physical
 from spm_pin.closed_form.inverse_displacement import inverse_displacement
 from spm_pin.closed_form.path_events import Event, find_events
-from spm_pin.closed_form.path_tracker import PathSolver, Tracker, joints_of
+from spm_pin.closed_form.path_tracker import PathSolver, Tracker
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import (
     BoolArray,
@@ -27,7 +27,7 @@ from spm_pin.mechanism.arguments import (
     whole_number,
 )
 from spm_pin.mechanism.branches import physical
-from spm_pin.mechanism.configuration import Configuration, check_configuration
+from spm_pin.mechanism.configuration import Configuration, check_configuration, compared_points
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import as_rigid_transform, pose
 from spm_pin.mechanism.solutions import SolutionSet
@@ -210,5 +210,5 @@ def _start(solutions: SolutionSet, start: Configuration | str | None) -> int:
     if not chosen.exists:
         cause = f"{chosen.absence}. A solution that is not physical is named by its label" if start is None else ""
         raise ArgumentError("start", "a solution that exists where the path begins", "none", cause)
-    gap = np.abs(joints_of(solutions.configurations) - joints_of(chosen)).max(axis=(-1, -2))
+    gap = np.abs(compared_points(solutions.configurations) - compared_points(chosen)).max(axis=(-1, -2))
     return int(np.where(solutions.exists, gap, np.inf).argmin())

@@ -12,11 +12,10 @@ import numpy as np
 
 from spm_pin.closed_form.path_events import Event, EventKind
 from spm_pin.closed_form.singularity_analysis import determinants
-from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.configuration import Configuration, compared_points
 from spm_pin.mechanism.solutions import SolutionSet
 
-__all__ = ["PathSolver", "Tracker", "joints_of"]
+__all__ = ["PathSolver", "Tracker"]
 
 PathSolver = Callable[[float], SolutionSet]
 """The solutions at a parameter of the path."""
@@ -27,11 +26,6 @@ SHORTEST_STEP = 1e-11
 """Shortest step in the path's parameter; solutions that it does not separate are taken to meet."""
 MOST_UNCLEAR = 100
 """Number of successive shortest steps after which two solutions are taken to coincide."""
-
-
-def joints_of(configuration: Configuration) -> FloatArray:
-    """Return the points by which solutions are compared, b_i and c_i, shape (..., 6, 3)."""
-    return np.concatenate([configuration.middle_joints, configuration.platform_joints], axis=-2)
 
 
 class Tracker:
@@ -84,12 +78,12 @@ class Tracker:
 
     def _nearest(self, solutions: SolutionSet, ahead: float) -> tuple[int | None, bool]:
         """Return the solution nearest to the predicted one, if any is near, and whether it clearly is."""
-        here = joints_of(self.states[-1])
+        here = compared_points(self.states[-1])
         predicted = here
         if len(self.states) > 1:
             last = self.parameters[-1] - self.parameters[-2]
-            predicted = here + (here - joints_of(self.states[-2])) * (ahead - self.parameters[-1]) / last
-        points = joints_of(solutions.configurations)
+            predicted = here + (here - compared_points(self.states[-2])) * (ahead - self.parameters[-1]) / last
+        points = compared_points(solutions.configurations)
         error = np.linalg.norm(points - predicted, axis=-1).max(axis=-1)
         error = np.where(solutions.exists, error, np.inf)
         order = error.argsort()
@@ -123,8 +117,8 @@ class Tracker:
         k = int(np.clip(np.searchsorted(self.parameters, parameter), 1, len(self.parameters) - 1))
         low, high = self.parameters[k - 1], self.parameters[k]
         share = (parameter - low) / (high - low)
-        between = (1.0 - share) * joints_of(self.states[k - 1]) + share * joints_of(self.states[k])
+        between = (1.0 - share) * compared_points(self.states[k - 1]) + share * compared_points(self.states[k])
         solutions = self.solve(parameter)
-        error = np.linalg.norm(joints_of(solutions.configurations) - between, axis=-1).max(axis=-1)
+        error = np.linalg.norm(compared_points(solutions.configurations) - between, axis=-1).max(axis=-1)
         state: Configuration = solutions.configurations[int(np.where(solutions.exists, error, np.inf).argmin())]
         return state

@@ -71,7 +71,8 @@ def _allowed() -> int:
         return count
     if threading.current_thread() is not threading.main_thread() or multiprocessing.parent_process() is not None:
         return 1
-    return _from_environment("OMP_NUM_THREADS") or _processors()
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return _from_environment("OMP_NUM_THREADS") or processors or 1
 
 
 def _from_environment(name: str) -> int | None:
@@ -79,12 +80,6 @@ def _from_environment(name: str) -> int | None:
     # OMP_NUM_THREADS may be a list, one number per level.
     first = text.split(",")[0].strip()
     return int(first) if first.isascii() and first.isdigit() and int(first) > 0 else None
-
-
-def _processors() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def parallel_for(work: Callable[[slice], None], size: int, min_batch: int) -> None:

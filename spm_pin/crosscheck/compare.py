@@ -17,6 +17,7 @@ from spm_pin.crosscheck.tolerances import ROWS, Conditioning
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import BRANCHES, Configuration, Geometry, Status
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
+from spm_pin.mechanism.configuration import compared_points
 
 __all__ = ["Comparison"]
 
@@ -232,5 +233,4 @@ class Comparison:
 
 def _points(configuration: Configuration) -> FloatArray:
     """Return the b_i and the c_i of states (m,) as rows (m, 18) [m]."""
-    both = np.concatenate([configuration.middle_joints, configuration.platform_joints], axis=-2)
-    return both.reshape(-1, 18)
+    return compared_points(configuration).reshape(-1, 18)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.mechanism import Geometry, LegLimits, pose
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, generator, instance, whole_number
-from spm_pin.mechanism.configuration import triangle_frames
+from spm_pin.mechanism.ball_triangles import triangle_frames
 from spm_pin.mechanism.pose import homogeneous
 
 __all__ = ["command", "in_leg_space", "on_all_rotations", "printable"]

@@ -10,7 +10,8 @@ import yaml
 
 from spm_pin.description.paths import ENTRY, MESHES, description_directory, description_file
 from spm_pin.description.xml_nodes import check_prefix
-from spm_pin.mechanism.geometry import Geometry, geometry_data
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.geometry_files import geometry_data
 
 __all__ = ["expand"]
 

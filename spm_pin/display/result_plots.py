@@ -11,7 +11,7 @@ from spm_pin.crosscheck import Quantity, Report
 from spm_pin.description.tree import SLIDES
 from spm_pin.display.figure_files import new_figure
 from spm_pin.mechanism.arguments import FloatArray, instance
-from spm_pin.mechanism.geometry import LEGS, LegLimits
+from spm_pin.mechanism.leg_limits import LEGS, LegLimits
 from spm_pin.proofs import Certificate
 
 if TYPE_CHECKING:

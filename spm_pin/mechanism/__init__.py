@@ -3,8 +3,9 @@
 from spm_pin.mechanism.as_built import PARAMETERS, AsBuiltGeometry
 from spm_pin.mechanism.branches import BRANCHES, FAMILIES
 from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
+from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.joint_angles import JointAngles, joint_angles
+from spm_pin.mechanism.leg_limits import LEGS, LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose
 from spm_pin.mechanism.solution_status import Degeneracy, Status
 from spm_pin.mechanism.solutions import SolutionSet

@@ -17,22 +17,22 @@ import yaml
 
 from spm_pin.errors import GeometryError
 from spm_pin.mechanism.arguments import FloatArray, file_path, generator, instance, real_array, real_number, writing
-from spm_pin.mechanism.geometry import LARGEST, LEGS, SMALLEST, Geometry, LegLimits, geometry_data, geometry_of_node
+from spm_pin.mechanism.ball_triangles import triangle_sides
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.geometry_files import geometry_data, leg_arrays, legs_data, read_dimensions
+from spm_pin.mechanism.leg_limits import LARGEST, LEGS, SMALLEST, LegLimits
 from spm_pin.mechanism.yaml_node import YamlNode
 
 __all__ = [
     "PARAMETERS",
     "AsBuiltGeometry",
-    "all_balls",
     "any_geometry_from_yaml",
     "as_built",
     "axis_directions",
     "check_geometry",
     "is_nominal",
-    "upper_ball_weights",
 ]
 
-_KEYS = ("axis", "pivot", "ball", "offset")
 _COMPONENTS = ("direction_1", "direction_2", *(f"{p}_{x}" for p in ("pivot", "ball") for x in "xyz"), "offset")
 PARAMETERS = tuple(f"{leg}.{component}" for leg in LEGS for component in _COMPONENTS)
 """Names of the 54 parameters, nine for each leg, in the order of `AsBuiltGeometry.parameters`."""
@@ -96,10 +96,9 @@ class AsBuiltGeometry:
         self._put("axes", axes / np.where(exact, 1.0, sizes)[:, None])
         self._put("pivots", _array(self.pivots, "pivots", (6, 3), "points of the revolute axes in metres"))
         balls = _array(self.balls, "balls", (6, 3), "ball centres in {n} in metres")
-        for stage, (b1, b2, b3) in (("lower", balls[:3]), ("upper", balls[3:])):
-            sides = b2 - b1, b3 - b1, b3 - b2
-            longest = max(float(np.linalg.norm(side)) for side in sides)
-            if longest < SMALLEST or np.linalg.norm(np.cross(sides[0], sides[1])) < _FLAT * longest**2:
+        for stage, b in (("lower", balls[:3]), ("upper", balls[3:])):
+            longest = triangle_sides(b).max()
+            if longest < SMALLEST or np.linalg.norm(np.cross(b[1] - b[0], b[2] - b[0])) < _FLAT * longest**2:
                 expected = "three ball centres of each stage that form a triangle"
                 raise GeometryError("balls", expected, f"those of the {stage} legs on one line")
         self._put("balls", balls)
@@ -111,14 +110,11 @@ class AsBuiltGeometry:
         object.__setattr__(self, name, copy)
 
     def __repr__(self) -> str:
-        return f"AsBuiltGeometry({self.nominal!r}, {self._deviation()})"
-
-    def _deviation(self) -> str:
         nominal = AsBuiltGeometry.from_nominal(self.nominal)
         length = max(float(np.abs(a - b).max()) for a, b in zip(self.arrays[1:], nominal.arrays[1:], strict=True))
         sine = np.sqrt((np.cross(self.axes, nominal.axes) ** 2).sum(axis=-1))
         angle = float(np.arctan2(sine, (self.axes * nominal.axes).sum(axis=-1)).max())
-        return f"errors to {length:.3g} m, {angle:.3g} rad"
+        return f"AsBuiltGeometry({self.nominal!r}, errors to {length:.3g} m, {angle:.3g} rad)"
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, AsBuiltGeometry):
@@ -235,13 +231,9 @@ class AsBuiltGeometry:
         path = file_path(path, error=GeometryError)
         root = YamlNode.read(path, "a YAML mapping with the keys nominal and legs", GeometryError)
         nodes = root.mapping({"nominal", "legs"})
-        nominal, legs = geometry_of_node(nodes["nominal"]), nodes["legs"].mapping(LEGS)
-        read = [legs[leg].mapping(_KEYS) for leg in LEGS]
-        vectors = ([_vector(leg[key], key) for leg in read] for key in _KEYS[:3])
-        axes, pivots, balls = (np.array(rows) for rows in vectors)
-        offsets = [_finite(leg["offset"], "a number of metres under the key offset") for leg in read]
+        nominal, arrays = Geometry(*read_dimensions(nodes["nominal"])), leg_arrays(nodes["legs"])
         try:
-            return cls(nominal, axes, pivots, balls, np.array(offsets))
+            return cls(nominal, *arrays)
         except GeometryError as wrong:
             place = f"{wrong.argument} in {nodes['legs'].place}"
             raise GeometryError(place, wrong.expected, wrong.received, wrong.cause) from None
@@ -255,18 +247,8 @@ class AsBuiltGeometry:
             If the file cannot be written.
         """
         path = file_path(path, error=GeometryError)
-        legs = {
-            leg: {
-                "axis": self.axes[i].tolist(),
-                "pivot": self.pivots[i].tolist(),
-                "ball": self.balls[i].tolist(),
-                "offset": float(self.offsets[i]),
-            }
-            for i, leg in enumerate(LEGS)
-        }
-        text = yaml.safe_dump(
-            {"nominal": geometry_data(self.nominal), "legs": legs}, sort_keys=False, default_flow_style=None, width=120
-        )
+        data = {"nominal": geometry_data(self.nominal), "legs": legs_data(self.arrays)}
+        text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120)
         heading = "# A 3RPS-3SPR manipulator as built, lengths in metres: see AsBuiltGeometry of spm_pin.\n"
         with writing(path, error=GeometryError):
             path.write_text(heading + text, encoding="utf-8")
@@ -301,22 +283,6 @@ def is_nominal(geometry: AsBuiltGeometry) -> bool:
     return geometry == _without_errors(geometry.nominal)
 
 
-def upper_ball_weights(geometry: AsBuiltGeometry) -> FloatArray:
-    """Return the upper balls' coordinates from b_1 along b_2 - b_1, b_3 - b_1 and their cross product, rows (3, 3)."""
-    balls = geometry.balls
-    corner, first, second = balls[0], balls[1] - balls[0], balls[2] - balls[0]
-    basis = np.stack([first, second, np.cross(first, second)], axis=-1)
-    return np.asarray(np.linalg.solve(basis, (balls[3:] - corner).T).T)
-
-
-def all_balls(geometry: AsBuiltGeometry, lower: FloatArray) -> FloatArray:
-    """Return the centres of all six balls (..., 6, 3) in {B} [m], from those of the lower legs (..., 3, 3)."""
-    weights = upper_ball_weights(geometry)
-    sides = lower[..., 1, :] - lower[..., 0, :], lower[..., 2, :] - lower[..., 0, :]
-    moved = np.stack([*sides, np.cross(*sides)], axis=-2)
-    return np.concatenate([lower, lower[..., :1, :] + weights @ moved], axis=-2)
-
-
 def _refused(name: str) -> property:
     def refuse(self: AsBuiltGeometry) -> None:
         expected = "a Geometry: this function is for the nominal machine alone"
@@ -347,15 +313,3 @@ def axis_directions(geometry: Geometry) -> tuple[FloatArray, FloatArray, FloatAr
     axes = np.tile(geometry.revolute_axes, (2, 1))
     up = np.broadcast_to([0.0, 0.0, 1.0], (6, 3))
     return axes, np.cross(up, axes), up
-
-
-def _finite(node: YamlNode, expected: str) -> float:
-    number = node.number(expected)
-    if not np.isfinite(number):
-        raise node.error(expected, f"{number:g}")
-    return number
-
-
-def _vector(node: YamlNode, key: str) -> list[float]:
-    expected = f"three numbers under the key {key}"
-    return [_finite(entry, expected) for entry in node.items(key, 3, expected)]

@@ -21,11 +21,12 @@ from spm_pin.mechanism.arguments import (
     real_array,
     type_and_value,
 )
-from spm_pin.mechanism.as_built import AsBuiltGeometry, all_balls, check_geometry
+from spm_pin.mechanism.as_built import AsBuiltGeometry, check_geometry
+from spm_pin.mechanism.ball_triangles import all_balls, triangle_frames, triangle_sides
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, unchecked_transform
 
-__all__ = ["Configuration", "check_configuration", "triangle_frames", "triangle_sides"]
+__all__ = ["Configuration", "batch_index", "check_configuration", "compared_points"]
 
 
 class Configuration:
@@ -121,9 +122,7 @@ class Configuration:
         """Index the batch axes as NumPy would."""
         if not self.shape:
             raise SelectionError("index", "a batch of configurations", "a single one", "It has no batch axes to index")
-        batch = index if isinstance(index, tuple) else (index,)
-        if not any(part is Ellipsis for part in batch):
-            batch = (*batch, Ellipsis)
+        batch = batch_index(index)
         try:
             return self.transformed(lambda array, inner: array[(*batch, *(slice(None),) * inner)])
         except Exception as error:  # whatever NumPy makes of a foreign object
@@ -192,7 +191,7 @@ class Configuration:
         """Centres of the legs' balls as rows in {B} [m], (..., 6, 3); b_1, b_2, b_3 twice in the nominal machine."""
         b, geometry = self._middle_joints, self._geometry
         if isinstance(geometry, AsBuiltGeometry):
-            return frozen(all_balls(geometry, b))
+            return frozen(all_balls(geometry.balls, b))
         return frozen(np.concatenate([b, b], axis=-2))
 
     @cached_property
@@ -271,20 +270,15 @@ class Configuration:
         return frozen(np.asarray(np.abs(np.concatenate([lower, upper, sides], axis=-1)).max(axis=-1)))
 
 
-def triangle_frames(b: FloatArray) -> FloatArray:
-    """Return the axes (..., 3, 3) of triangles b_1, b_2, b_3: x along b_3 b_1, y towards b_2, z normal, as columns."""
-    x = b[..., 0, :] - b[..., 2, :]
-    y = 2.0 * b[..., 1, :] - b[..., 0, :] - b[..., 2, :]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        x = x / np.linalg.norm(x, axis=-1, keepdims=True)
-        y = y - (x * y).sum(axis=-1, keepdims=True) * x
-        y = y / np.linalg.norm(y, axis=-1, keepdims=True)
-    return np.stack([x, y, np.cross(x, y)], axis=-1)
+def compared_points(configuration: Configuration) -> FloatArray:
+    """Return the points by which states are compared, b_i and c_i as rows in {B} [m], shape (..., 6, 3)."""
+    return np.concatenate([configuration.middle_joints, configuration.platform_joints], axis=-2)
 
 
-def triangle_sides(b: FloatArray) -> FloatArray:
-    """Return the sides b_1 b_2, b_2 b_3 and b_3 b_1 (..., 3) of triangles (..., 3, 3)."""
-    return np.asarray(np.sqrt(((b - np.roll(b, -1, axis=-2)) ** 2).sum(axis=-1)))
+def batch_index(index: object) -> tuple[Any, ...]:
+    """Return an index of batch axes with an Ellipsis, so that an index of the inner axes may follow."""
+    batch = index if isinstance(index, tuple) else (index,)
+    return batch if any(part is Ellipsis for part in batch) else (*batch, Ellipsis)
 
 
 def check_configuration(

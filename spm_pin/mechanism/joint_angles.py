@@ -20,8 +20,9 @@ import numpy as np
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, type_and_value, whole_number
-from spm_pin.mechanism.as_built import AsBuiltGeometry, upper_ball_weights
-from spm_pin.mechanism.configuration import Configuration, check_configuration, triangle_sides
+from spm_pin.mechanism.as_built import AsBuiltGeometry
+from spm_pin.mechanism.ball_triangles import triangle_sides, upper_ball_weights
+from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_frames import LegFrame, Vector, dot, leg_frames
 
@@ -130,7 +131,7 @@ def _constants(geometry: Geometry | AsBuiltGeometry) -> Constants:
     """
     if isinstance(geometry, AsBuiltGeometry):
         sides = triangle_sides(geometry.balls[:3])
-        return leg_frames(geometry), tuple(sides.tolist()), upper_ball_weights(geometry).tolist()
+        return leg_frames(geometry), tuple(sides.tolist()), upper_ball_weights(geometry.balls).tolist()
     return leg_frames(geometry), (float(geometry.middle_side),) * 3, []
 
 

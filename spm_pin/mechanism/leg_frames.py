@@ -16,7 +16,7 @@ import numpy as np
 
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.as_built import AsBuiltGeometry, axis_directions
-from spm_pin.mechanism.configuration import triangle_frames
+from spm_pin.mechanism.ball_triangles import triangle_frames
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import homogeneous
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from spm_pin.mechanism.branches import BRANCHES
-from spm_pin.mechanism.geometry import LEGS
+from spm_pin.mechanism.leg_limits import LEGS
 from spm_pin.mechanism.solution_status import Status
 from spm_pin.mechanism.units import unit_hint
 

@@ -22,8 +22,9 @@ from spm_pin.mechanism.arguments import (
     type_and_value,
 )
 from spm_pin.mechanism.branches import BRANCHES, in_canonical_order, physical, straightness
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry, LegLimits
+from spm_pin.mechanism.configuration import Configuration, batch_index, compared_points
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.leg_limits import LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.mechanism.solution_status import Degeneracy, Status
 from spm_pin.mechanism.solution_text import absence_reason, html_table, short_text
@@ -210,9 +211,7 @@ class SolutionSet:
             return self.configurations[..., self.labels.index(index)]
         if not self.shape:
             return self.configurations[index]
-        batch = index if isinstance(index, tuple) else (index,)
-        if not any(part is Ellipsis for part in batch):
-            batch = (*batch, Ellipsis)
+        batch = batch_index(index)
         inner = (*batch, slice(None))
         try:
             chosen = self.configurations[inner]
@@ -305,8 +304,7 @@ class SolutionSet:
         """
         state = self.configurations
         if isinstance(seed, Configuration):
-            points = np.concatenate([state.middle_joints, state.platform_joints], axis=-2)
-            target = np.concatenate([seed.middle_joints, seed.platform_joints], axis=-2)
+            points, target = compared_points(state), compared_points(seed)
         else:
             points = state.middle_joints
             target = real_array(seed, "seed", (3, 3), "a Configuration, or rows b_1, b_2, b_3 in metres")

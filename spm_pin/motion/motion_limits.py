@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, IntArray, as_array, leg_values, real_array
-from spm_pin.mechanism.geometry import LEGS
+from spm_pin.mechanism.leg_limits import LEGS
 from spm_pin.motion.path_dynamics import PathDynamics
 from spm_pin.multibody.chain import ClosedChain
 

@@ -12,7 +12,8 @@ from spm_pin.closed_form.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.leg_limits import LEGS, LegLimits
 from spm_pin.motion.leg_path import LegPath
 from spm_pin.multibody.platform_path import PlatformMotion, PlatformPath
 from spm_pin.workspace.reachability.joint_limits import JointLimits

@@ -31,7 +31,8 @@ from spm_pin.mechanism.arguments import (
 )
 from spm_pin.mechanism.as_built import AsBuiltGeometry, check_geometry
 from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import Geometry, LegLimits
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.leg_limits import LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.motion.leg_path import LegPath
 from spm_pin.motion.leg_search import find_corners, smooth_path

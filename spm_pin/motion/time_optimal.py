@@ -19,7 +19,7 @@ import numpy.typing as npt
 from spm_pin.closed_form.singularity_analysis import determinants
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism.arguments import FloatArray, instance, real_number, whole_number
-from spm_pin.mechanism.geometry import LEGS
+from spm_pin.mechanism.leg_limits import LEGS
 from spm_pin.motion.leg_path import LegPath
 from spm_pin.motion.limited_jerk import Clock, EasedGrid, limited_jerk
 from spm_pin.motion.motion_limits import LimitRows, MotionLimits

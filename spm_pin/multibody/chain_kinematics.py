@@ -11,7 +11,8 @@ from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.closed_form.inverse_displacement import inverse_physical
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, first_offender, flag, whole_number
-from spm_pin.mechanism.geometry import LEGS, Geometry
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.leg_limits import LEGS
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.multibody.batched_states import LOCATED, HasStates, located
 from spm_pin.multibody.closure_solvers import ContinuationSolver, project_to_closure

@@ -22,7 +22,7 @@ from scipy.optimize import brentq
 
 from spm_pin.errors import ClosureError
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.geometry import LEGS, LegLimits
+from spm_pin.mechanism.leg_limits import LEGS, LegLimits
 from spm_pin.multibody.closure_solvers import project_to_closure
 from spm_pin.multibody.constrained_model import TreeKinematics
 from spm_pin.multibody.dynamics import AccelerationSolver, energy_of, mass_matrix, wrench_torques

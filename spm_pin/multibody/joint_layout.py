@@ -11,9 +11,10 @@ from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.mechanism.arguments import FloatArray, IntArray, first_offender, frozen
 from spm_pin.mechanism.as_built import AsBuiltGeometry, as_built
 from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import LEGS, Geometry
+from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.joint_angles import joint_angles
 from spm_pin.mechanism.leg_frames import home_lengths
+from spm_pin.mechanism.leg_limits import LEGS
 
 __all__ = ["AGREEMENT", "BALLS", "JointLayout", "require_dimensions"]
 

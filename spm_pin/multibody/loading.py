@@ -21,8 +21,9 @@ from spm_pin.description.xml_nodes import check_prefix
 from spm_pin.errors import DescriptionError, GeometryError
 from spm_pin.mechanism.arguments import FloatArray, file_path
 from spm_pin.mechanism.as_built import AsBuiltGeometry, check_geometry
-from spm_pin.mechanism.geometry import Geometry, LegLimits
+from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_frames import home_lengths
+from spm_pin.mechanism.leg_limits import LegLimits
 from spm_pin.multibody.joint_layout import AGREEMENT, require_dimensions
 
 __all__ = ["description_closures", "read_description"]

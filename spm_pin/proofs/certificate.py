@@ -12,7 +12,8 @@ from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, instance, real_array, real_number, whole_number
 from spm_pin.mechanism.as_built import AsBuiltGeometry, as_built, check_geometry
 from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import Geometry, LegLimits
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.leg_limits import LegLimits
 from spm_pin.mechanism.stage_states import configuration_of_stages, stage_states
 from spm_pin.proofs.stage_proof import StageProof, prove_stage
 from spm_pin.proofs.stage_region import StageRegion

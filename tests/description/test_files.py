@@ -36,7 +36,7 @@ from spm_pin.description.srdf import srdf_text
 from spm_pin.description.tree import JOINTS, PASSIVE, SLIDES
 from spm_pin.description.visuals import read_obj
 from spm_pin.errors import ArgumentError, DescriptionError
-from spm_pin.mechanism.geometry import geometry_data
+from spm_pin.mechanism.geometry_files import geometry_data
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 PAPER = spm.Geometry.paper()

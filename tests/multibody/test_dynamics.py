@@ -12,7 +12,7 @@ from multibody.engine_dynamics import Drake, Mujoco, accelerations
 
 import spm_pin as spm
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
-from spm_pin.mechanism.geometry import LEGS
+from spm_pin.mechanism.leg_limits import LEGS
 
 pinocchio = pytest.importorskip("pinocchio")
 

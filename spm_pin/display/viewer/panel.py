@@ -15,7 +15,8 @@ from spm_pin.display.viewer.state import Drive, State
 from spm_pin.display.viewer.state_export import command_line
 from spm_pin.display.viewer.state_markup import forces_table, instruments, note, status
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.geometry import LEGS, Geometry
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.leg_limits import LEGS
 
 __all__ = ["Panel"]
 

@@ -19,7 +19,7 @@ from spm_pin.display.viewer.state_markup import forces_table, instruments, statu
 from spm_pin.display.viewer.viser_server import branded_html, start, stop
 from spm_pin.mechanism import LEGS, Configuration
 from spm_pin.mechanism.arguments import file_path, writing
-from spm_pin.mechanism.geometry import geometry_data
+from spm_pin.mechanism.geometry_files import geometry_data
 from spm_pin.multibody.chain import ClosedChain
 
 __all__ = ["command_line", "content", "save_snapshot", "snapshot_html"]

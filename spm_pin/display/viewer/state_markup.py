@@ -10,7 +10,7 @@ from spm_pin.display.json_text import fixed
 from spm_pin.display.viewer.readings import NEAR
 from spm_pin.display.viewer.slider_ranges import pose_coordinates
 from spm_pin.display.viewer.state import State
-from spm_pin.mechanism.geometry import LEGS
+from spm_pin.mechanism.leg_limits import LEGS
 
 __all__ = ["LOAD", "PULL", "PUSH", "WARN", "forces_table", "instruments", "note", "status"]
 

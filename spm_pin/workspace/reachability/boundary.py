@@ -16,7 +16,8 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism.arguments import FloatArray, Progress, generator, whole_number
-from spm_pin.mechanism.geometry import Geometry, LegLimits
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.leg_limits import LegLimits
 from spm_pin.workspace.closed_mesh import ClosedMesh
 from spm_pin.workspace.reachability.lattice import Lattice
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox, leg_length_box

@@ -20,7 +20,8 @@ from scipy.spatial import ConvexHull, KDTree
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, IntArray, first_offender, instance
-from spm_pin.mechanism.geometry import LEGS, Geometry, LegLimits
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.leg_limits import LEGS, LegLimits
 from spm_pin.workspace.reachability.position_map import PositionMap, rotated, stage_centre
 from spm_pin.workspace.reachability.stage_set import StageSet
 

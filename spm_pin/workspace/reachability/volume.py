@@ -9,7 +9,8 @@ import numpy as np
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, Progress, choice, generator, instance, whole_number
-from spm_pin.mechanism.geometry import Geometry, LegLimits
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.leg_limits import LegLimits
 from spm_pin.workspace.reachability.boundary import Boundary, reachable_boundary
 from spm_pin.workspace.reachability.confidence_intervals import Estimate, check_confidence, from_hits, from_mean
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox, leg_length_box

@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.closed_form.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.geometry import Geometry, LegLimits
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.leg_limits import LegLimits
 
 __all__ = ["reached_positions"]
 
