@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from importlib import import_module
@@ -19,7 +19,7 @@ from spm_pin.mechanism.arguments import instance
 from spm_pin.sweeps.axes import AXES
 from spm_pin.sweeps.domains import Domain
 from spm_pin.sweeps.metric import Metric
-from spm_pin.sweeps.metrics import metric_from_definition, status
+from spm_pin.sweeps.metrics import metric_from_definition, resolve_metrics, status
 from spm_pin.sweeps.points import Points
 
 __all__ = ["FORMAT", "Plan", "definition_differences", "package_version"]
@@ -48,15 +48,15 @@ class Plan:
     """Version of this package."""
 
     @classmethod
-    def make(cls, geometry: Geometry, domain: Domain, metrics: tuple[Metric, ...], chunk: int) -> Plan:
-        """Make a plan with chunks of at most `chunk` points."""
+    def make(cls, geometry: Geometry, domain: Domain, metrics: Iterable[str | Metric], chunk: int) -> Plan:
+        """Make a plan of metrics, each given by its name or as it is, with chunks of at most `chunk` points."""
         instance(geometry, Geometry, "geometry")
         instance(domain, Domain, "domain", "Made by pose_grid, leg_grid, pose_sample or leg_sample?")
-        taken = sorted(_RESERVED & {metric.name for metric in metrics})
+        # By name, so that their order makes no other sweep.
+        ordered = tuple(sorted(resolve_metrics(metrics), key=lambda metric: metric.name))
+        taken = [metric.name for metric in ordered if metric.name in _RESERVED]
         if taken:
             raise ArgumentError("metrics", "names other than those of the coordinates", ", ".join(taken))
-        # By name, so that their order makes no other sweep.
-        ordered = tuple(sorted(metrics, key=lambda metric: metric.name))
         return cls(geometry, domain, ordered, domain.chunk_shape(chunk), package_version())
 
     @property

@@ -18,7 +18,7 @@ from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import Geometry
 from spm_pin.sweeps.domains import Domain
 from spm_pin.sweeps.metric import Metric
-from spm_pin.sweeps.metrics import METRICS, resolve_metrics, unavailable
+from spm_pin.sweeps.metrics import METRICS, unavailable
 from spm_pin.sweeps.plan import Plan, package_version
 from spm_pin.sweeps.store import Store, completed_count, locked, read_plan, store_path
 from spm_pin.sweeps.sweep_errors import StoreError, SweepError, as_store_error
@@ -124,7 +124,7 @@ def run(
 
     Worker processes import the main module: a script that calls this needs ``if __name__ == "__main__":``.
     """
-    plan = Plan.make(geometry, domain, resolve_metrics(metrics), chunk)
+    plan = Plan.make(geometry, domain, metrics, chunk)
     return _run(plan, store_path(store), scheduler, workers, progress)
 
 
