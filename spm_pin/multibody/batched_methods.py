@@ -8,6 +8,8 @@ twist, the wrench and the legs at q (..., 18) of a closed mechanism.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy.typing as npt
 
 from spm_pin.mechanism.arguments import FloatArray
@@ -15,7 +17,7 @@ from spm_pin.multibody.batched_states import HasStates
 from spm_pin.multibody.constrained_state import ChainState, ConstrainedState
 from spm_pin.multibody.dynamics import Energy, NaturalFrequencies, PlatformDynamics
 from spm_pin.multibody.regularity import SingularValues
-from spm_pin.multibody.vector_arguments import GainsLike, Wrenches, WrenchLike, read_gains, read_stiffness
+from spm_pin.multibody.vector_arguments import GainsLike, WrenchLike, read_gains, read_stiffness
 
 __all__ = [
     "closure_gap",
@@ -83,10 +85,7 @@ def forward_dynamics(
     """
     constrained = self._states.constrained
     wrenches, stabilisation = constrained.read_wrenches(wrench), read_gains(gains)
-
-    def member(state: ConstrainedState, force: FloatArray, loads: FloatArray) -> FloatArray:
-        return state.forward_dynamics(force, Wrenches(loads, wrenches.frames), gains=stabilisation)
-
+    member = partial(ConstrainedState.forward_dynamics, gains=stabilisation)
     return self._states.array(member, (constrained.model.nv,), q, v=v, forces=forces, wrench=wrenches)
 
 
@@ -109,11 +108,8 @@ def inverse_dynamics(
     """
     constrained = self._states.constrained
     wrenches = constrained.read_wrenches(wrench)
-
-    def member(state: ConstrainedState, a: FloatArray, loads: FloatArray) -> FloatArray:
-        return state.inverse_dynamics(a, Wrenches(loads, wrenches.frames))
-
-    return self._states.array(member, (constrained.actuated.size,), q, v=v, a=a, wrench=wrenches)
+    shape = (constrained.actuated.size,)
+    return self._states.array(ConstrainedState.inverse_dynamics, shape, q, v=v, a=a, wrench=wrenches)
 
 
 def energy(self: HasStates, q: npt.ArrayLike, v: npt.ArrayLike) -> Energy:

@@ -43,8 +43,9 @@ class BatchedStates:
         """Call a function of a state and of vectors for each member of a batch; return arrays of what it returns.
 
         The state is at q (..., nq), and at v where `vectors` has it; the function takes one member of each other vector
-        (..., n), of `Wrenches` that of their vectors, and returns a tuple of arrays whose shapes are `trailing`. The
-        names of vectors are those of the errors and choose n, six by default. A result of one number is a float.
+        (..., n), of `Wrenches`, which are the last, as `Wrenches`, and returns a tuple of arrays whose shapes are
+        `trailing`. The names of vectors are those of the errors and choose n, six by default. A result of one number is
+        a float.
 
         Raises
         ------
@@ -53,10 +54,10 @@ class BatchedStates:
         ArgumentError, ClosureError, SingularConfigurationError
             As of `function`, with the member's index.
         """
-        arguments = {"q": self.constrained.checked(q)}
+        arguments, frames = {"q": self.constrained.checked(q)}, None
         for name, value in vectors.items():
             if isinstance(value, Wrenches):
-                arguments[name] = value.vectors
+                arguments[name], frames = value
             else:
                 arguments[name] = read_vectors(value, name, self._sizes.get(name, 6))
         moving = 2 if "v" in vectors else 1
@@ -67,7 +68,9 @@ class BatchedStates:
 
         def member(*values: FloatArray) -> tuple[Any, ...]:
             state.set(*values[:moving])
-            return function(state, *values[moving:])
+            if frames is None:
+                return function(state, *values[moving:])
+            return function(state, *values[moving:-1], Wrenches(values[-1], frames))
 
         try:
             return _over_batch(member, trailing, arguments)

@@ -42,8 +42,8 @@ class Gains(NamedTuple):
     kd: float
 
 
-WrenchLike = npt.ArrayLike | Mapping[str, npt.ArrayLike] | Wrenches | None
-"""A wrench (6,) on the platform, wrenches by the name of their frame, those that have been read, or none."""
+WrenchLike = npt.ArrayLike | Mapping[str, npt.ArrayLike] | None
+"""A wrench (6,) on the platform, wrenches by the name of their frame, or none."""
 GainsLike = tuple[float, float] | None
 """Gains of the constraint stabilisation on gap [1/s²] and gap rate [1/s], or none."""
 
