@@ -1,9 +1,9 @@
 """Methods of a state for batches of q and v, as `ClosedChain` and `MountedChain` have them.
 
-Those of both take q (..., nq) and v (..., nv) of the `model` and have n actuators. By itself, nq and nv are 18, and the
-actuators are the six legs. On another robot, its own joints and actuators are among them, see
-`MountedChain.actuated_indices`, and the universe takes the place of {B}. The others are of a chain by itself, about the
-twist, the wrench and the legs at q (..., 18) of a closed mechanism.
+Those of both take q (..., nq) and v (..., nv) of the `model`, and forces (..., n) of its actuators. For a chain by
+itself, nq and nv are 18, and the actuators are the six legs. On another robot, its own joints and actuators are among
+them, see `MountedChain.actuated_indices`, and the universe takes the place of {B}. The others are of a chain by itself,
+about the twist, the wrench and the legs at q (..., 18) of a closed mechanism.
 """
 
 from __future__ import annotations

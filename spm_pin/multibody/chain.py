@@ -204,11 +204,10 @@ class ClosedChain:
         changed[..., self._layout.legs] = lengths - self._layout.home
         return checked(changed)
 
+    # Methods that are written in the files of their subjects; their `self` is the chain.
     project = chain_kinematics.project
     forward_kinematics = chain_kinematics.forward_kinematics
     inverse_kinematics = chain_kinematics.inverse_kinematics
-
-    # The methods of a state, for batches.
     closure_gap = batched_methods.closure_gap
     constraint_jacobian = batched_methods.constraint_jacobian
     singular_values = batched_methods.singular_values
@@ -223,6 +222,5 @@ class ClosedChain:
     platform_dynamics = batched_methods.platform_dynamics
     natural_frequencies = batched_methods.natural_frequencies
     energy = batched_methods.energy
-
     joint_trajectory = trajectory.joint_trajectory
     simulate = simulation.simulate

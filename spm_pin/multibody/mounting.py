@@ -96,6 +96,7 @@ class MountedChain:
         """Return the state of joint values q (nq,) and velocities v (nv,), by default at rest."""
         return ConstrainedState(self._states.constrained).update(q, v)
 
+    # Methods that a chain by itself has too.
     closure_gap = batched_methods.closure_gap
     constraint_jacobian = batched_methods.constraint_jacobian
     forward_dynamics = batched_methods.forward_dynamics
