@@ -86,10 +86,9 @@ def _report(found: Calibration) -> None:
     known, total = len(found.deviations), len(found.deviations) + len(found.unidentifiable)
     misfit = float(np.sqrt((found.misfit[~found.outliers] ** 2).mean()))
     lines = [f"{known} of {total} combinations of parameters identified from {len(found.misfit)} measurements"]
-    lines += [
-        f"{name} predicted from the readings, RMS error: {before:.3g} {unit} before, {after:.3g} {unit} after"
-        for name, unit, before, after in _sizes(found)
-    ]
+    for name, unit, before, after in _sizes(found):
+        errors = f"{before:.3g} {unit} before, {after:.3g} {unit} after"
+        lines.append(f"{name} predicted from the readings, RMS error: {errors}")
     lines.append(f"residuals are {misfit:.2g} times what the noise given explains")
     if misfit > 3.0:
         lines.append("The noise is larger than given, or the machine has errors that are not among the parameters.")
@@ -100,9 +99,8 @@ def _report(found: Calibration) -> None:
     least = " and ".join(f"{PARAMETERS[k]} by {x:.2g} {u}" for k, x, u in zip(worst, apart, units, strict=True))
     lines.append(f"least known is the combination that moves {least} (standard deviation)")
     if found.outliers.any():
-        lines.append(
-            f"outliers in the rows {', '.join(map(str, np.flatnonzero(found.outliers)))} after the heading, from 0"
-        )
+        rows = ", ".join(map(str, np.flatnonzero(found.outliers)))
+        lines.append(f"outliers in the rows {rows} after the heading, from 0")
     outputs.print_lines(lines)
     nominal = AsBuiltGeometry.from_nominal(found.geometry.nominal)
     changes = (found.geometry.parameters - nominal.parameters).reshape(6, 9)

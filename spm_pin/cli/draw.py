@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from spm_pin.cli import options, outputs
@@ -46,11 +46,9 @@ def draw(
     if every and branch is not None:
         raise ArgumentError("--all", "all branches or some", "both --all and --branch")
     solutions, default = options.requested_solutions(options.read_geometry(geometry), translation, xyx, legs, unit)
-    azimuth, elevation = np.deg2rad(view)
-    direction = float(azimuth), float(elevation)
-    labels = []
-    if every or branch is not None:
-        labels = options.selected_labels(solutions, branch, required=branch is not None)
+    direction = math.radians(view[0]), math.radians(view[1])
+    named = branch is not None
+    labels = options.selected_labels(solutions, branch, required=named) if every or named else []
     if len(labels) > 1:
         states = options.titled_branches(solutions, labels)
         save_gallery(states, out, view=direction, labels=bool(names), width=width or 1600, background=background)

@@ -40,13 +40,11 @@ def tolerance(
         return
     lines = [f"RMS error of the platform at {states} states, to first order: {_text(found.rms)}"]
     if samples:
-        lines.append(
-            f"of {samples} random machines: {_text(found.sampled_rms)}; 95 % within {_text(found.percentile())}"
-        )
+        usual, most = _text(found.sampled_rms), _text(found.percentile())
+        lines.append(f"of {samples} random machines: {usual}; 95 % within {most}")
     outputs.print_lines(lines)
-    outputs.print_table(
-        "Shares of the variance of the position", [by, "share"], [[n, f"{s:.1%}"] for n, s in ranking[:20]]
-    )
+    rows = [[name, f"{share:.1%}"] for name, share in ranking[:20]]
+    outputs.print_table("Shares of the variance of the position", [by, "share"], rows)
 
 
 def _text(sizes: tuple[float, float]) -> str:
