@@ -105,7 +105,7 @@ def joint_trajectory(
     motions = zip(*path(at), strict=True) if isinstance(path, PlatformPath) else map(path, at.tolist())
     for k, motion in enumerate(motions):
         try:
-            rows.append(_moving(state, q, PlatformMotion(*motion)))
+            rows.append(_moving(state, q, motion))
         except LOCATED as error:
             raise located(error, (k,)) from error
         q = rows[-1][0]
@@ -113,12 +113,17 @@ def joint_trajectory(
     return JointTrajectory(constrained.layout.names_in_model, at, *columns)
 
 
-def _moving(state: ChainState, q: FloatArray, motion: PlatformMotion) -> tuple[FloatArray, ...]:
-    """Return q, v, a and the actuators' forces of a motion of the platform."""
-    transform = as_rigid_transform(motion.pose, "path")
+def _moving(state: ChainState, q: FloatArray, motion: Any) -> tuple[FloatArray, ...]:
+    """Return q, v, a and the actuators' forces of what a path returned for one time."""
+    try:
+        pose, *rates = PlatformMotion(*motion)
+    except TypeError as error:
+        received = f"{type(motion).__name__}, not of these three"
+        raise ArgumentError("path", "a function that returns pose, twist and acceleration", received) from error
+    transform = as_rigid_transform(pose, "path")
     twist, acceleration = (
         real_array(value, "path", (6,), f"{name} of the platform")
-        for value, name in zip(motion[1:], ("twist", "acceleration"), strict=True)
+        for value, name in zip(rates, ("twist", "acceleration"), strict=True)
     )
     solver = ContinuationSolver(state.kinematics)
     q = solver.to_pose(q, transform.rotation.as_matrix(), transform.translation)

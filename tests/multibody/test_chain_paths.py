@@ -227,6 +227,9 @@ def test_invalid_trajectories_are_refused() -> None:
         robot.joint_trajectory(WAYPOINTS, [0.0, 1.0], q)
     with pytest.raises(ArgumentError, match=r"^path: expected real numbers .* twist of the platform"):
         robot.joint_trajectory(lambda t: PlatformMotion(POSE, np.zeros(3), np.zeros(6)), [0.0, 1.0], q)
+    for motion in (None, (POSE, np.zeros(6))):
+        with pytest.raises(ArgumentError, match=r"path: expected a function that returns .* at batch index \(0,\)"):
+            robot.joint_trajectory(lambda t, motion=motion: motion, [0.0, 1.0], q)
     away = PlatformPath([0.0, 1.0], spm.pose([POSE.translation, [0.0, 0.0, 9.0]], xyx=[[0.1, 0.2, 0.3]] * 2))
     with pytest.raises(ClosureError, match=r"At batch index \(\d+,\)"):
         robot.joint_trajectory(away, np.linspace(0.0, 1.0, 5), q)
