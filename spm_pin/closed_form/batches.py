@@ -170,11 +170,12 @@ def branch_states(
     geometry: Geometry | AsBuiltGeometry, shape: tuple[int, ...], solved: Iterable[npt.NDArray[Any]]
 ) -> Configuration:
     """Return the branches (..., 8) of a batch of this shape, of the first four `BRANCH_RESULTS` of its N poses."""
-    rotation, position, joints, lengths = with_batch_shape(solved, shape)
+    rotation, position, *rest = solved
+    joints, lengths = with_batch_shape(rest, shape)
     return Configuration.from_arrays(
         geometry,
-        np.broadcast_to(rotation[..., None, :, :], joints.shape),
-        np.broadcast_to(position[..., None, :], joints.shape[:-1]),
+        np.broadcast_to(rotation.reshape((*shape, 1, 3, 3)), joints.shape),
+        np.broadcast_to(position.reshape((*shape, 1, 3)), joints.shape[:-1]),
         joints,
         lengths,
     )
