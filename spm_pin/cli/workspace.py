@@ -88,7 +88,7 @@ def _write(shell: Shell, out: Path, samples: int | None) -> None:
         save_figure(shell_figure(shell), out)
     else:
         from spm_pin.display.section_plots import sections_figure
-        from spm_pin.workspace.table_6.sampling import reached_positions
+        from spm_pin.workspace.reachability.reachable_samples import reached_positions
 
         with outputs.stderr.status("drawing leg lengths"):
             reached, aspect = reached_positions(shell.geometry, shell.limits, count=samples)

@@ -71,9 +71,9 @@ def draw_section(
     """Draw a section of a shell into axes, in the colours of its families, and of what is reached.
 
     `reached` are positions of o (N, 3) [m], `aspect` the sign of det K in each state (N,), see
-    `spm_pin.workspace.table_6.sampling`. Cells of the plane of the size `cell` [m] are filled that have a position
-    nearer than half of it; those that are reached on both sides of an inverse singularity are darker. A plane that
-    meets nothing is an `ArgumentError`.
+    `spm_pin.workspace.reachability.reachable_samples`. Cells of the plane of the size `cell` [m] are filled that have a
+    position nearer than half of it; those that are reached on both sides of an inverse singularity are darker. A plane
+    that meets nothing is an `ArgumentError`.
     """
     from matplotlib.collections import LineCollection
     from trimesh.intersections import mesh_plane

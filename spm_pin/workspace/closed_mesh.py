@@ -1,4 +1,4 @@
-"""Closed triangle meshes: volume, area, distances of points, and volumes of ever finer meshes extrapolated."""
+"""Closed triangle meshes: volume, area, points inside, distances, and volumes of ever finer meshes extrapolated."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from spm_pin.errors import require_extra
-from spm_pin.mechanism.arguments import FloatArray, IntArray
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, real_array
+from spm_pin.workspace.winding_numbers import WindingNumbers
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -69,6 +71,46 @@ class ClosedMesh:
         """
         mesh: Trimesh = _trimesh().Trimesh(self.vertices, self.faces, process=False)
         return mesh
+
+    @cached_property
+    def _winding_numbers(self) -> WindingNumbers:
+        return WindingNumbers(self.vertices, self.faces)
+
+    def winding_number(self, points: npt.ArrayLike) -> npt.NDArray[np.int32]:
+        """Return how many times the mesh goes round each of `points` (..., 3) [m], shape (...).
+
+        For a point on the mesh to within rounding it is the number on one of its sides.
+
+        Raises
+        ------
+        ArgumentError
+            If `points` are not finite numbers of that shape.
+        """
+        return self._winding_numbers.at(points)
+
+    def contains(self, points: npt.ArrayLike) -> BoolArray:
+        """Return which of `points` (..., 3) [m] are inside: those with a winding number that is not zero, shape (...).
+
+        Raises
+        ------
+        ArgumentError
+            If `points` are not finite numbers of that shape.
+        """
+        return np.asarray(self.winding_number(points) != 0)
+
+    def distance(self, points: npt.ArrayLike) -> FloatArray:
+        """Return how far `points` (..., 3) are from the mesh [m], shape (...): positive inside, negative outside.
+
+        Raises
+        ------
+        ArgumentError
+            If `points` are not finite numbers of that shape.
+        MissingExtraError
+            If trimesh is not installed.
+        """
+        array = real_array(points, "points", (3,), "positions in metres")
+        distance = self._unsigned_distance(array.reshape(-1, 3)).reshape(array.shape[:-1])
+        return np.where(self.contains(array), distance, -distance)
 
     @cached_property
     def _faces_by_place(self) -> tuple[cKDTree, float]:

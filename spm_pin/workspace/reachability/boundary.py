@@ -168,7 +168,7 @@ def reachable_boundary(
     box = leg_length_box(geometry, limits)
     lattice = Lattice(box, spacing, progress)
     if not lattice.inside.any():
-        smallest = float((box.extent[1] - box.extent[0]).min())
+        smallest = float((box.coarse.extent[1] - box.coarse.extent[0]).min())
         cause = f"No node of the grid is reachable; the reachable set is about {smallest:.2g} m"
         raise ArgumentError("spacing", "a spacing much smaller than the reachable set, in metres", spacing, cause)
     corners, faces, _, _ = measure.marching_cubes(np.where(lattice.inside, 1.0, -1.0), 0.0)

@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
-from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, Progress, real_number
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox
@@ -57,7 +56,7 @@ class Lattice:
     def __init__(self, box: LegLengthBox, spacing: float, progress: Progress | None = None) -> None:
         self.box, self.progress = box, progress
         self.spacing = spacing = real_number(spacing, "spacing", "a positive length in metres", above=0.0)
-        low, high = box.extent
+        low, high = box.coarse.extent
         pad = 0.02 * (high - low) + 1.5 * spacing
         with np.errstate(over="ignore"):
             numbers = np.ceil((high - low + 2.0 * pad) / spacing) + 1.0
@@ -88,7 +87,9 @@ class Lattice:
 
         for stride in _STRIDES:
             chosen = np.flatnonzero(~known & (index % stride == 0).all(axis=-1))
-            distance = search(f"reachable nodes, every {stride * self.spacing:g} m", chosen, None) - self.box.margin
+            distance = (
+                search(f"reachable nodes, every {stride * self.spacing:g} m", chosen, None) - self.box.coarse.margin
+            )
             # Nothing within that distance is reachable.
             remote = distance > self.spacing
             if remote.any() and not known.all():
@@ -149,9 +150,7 @@ def _crossing(
     at, low, within, outermost = _follow_inwards(box, inner, along, states)
     # In the outermost state, legs are beyond limits by what is left of the residual.
     lengths = np.clip(box.map.lengths(outermost), box.minimum, box.maximum)
-    there = forward_physical(box.geometry, lengths).translation
-    with np.errstate(invalid="ignore"):
-        proved = np.abs(there - inner - at[:, None] * along).max(axis=-1, initial=0.0) <= _POSITION_TOLERANCE * box.size
+    proved, _ = box.confirm(lengths, inner + at[:, None] * along, _POSITION_TOLERANCE)
     # Following one state inwards, another may be overlooked: just outside nothing must be reachable.
     high = np.minimum(at + _CHECK_DISTANCE, 1.0)
     beyond = search_states(box, inner + high[:, None] * along)
@@ -165,7 +164,7 @@ def _crossing(
         good = found.reached
         within[left[good]] = found.coordinates[good]
         low[left], high[left] = np.where(good, middle, low[left]), np.where(good, high[left], middle)
-    at[left], lengths[left] = low[left], box.snapped(box.map.lengths(within[left]))
+    at[left], lengths[left] = low[left], box.lengths(within[left])
     return inner + at[:, None] * along, lengths
 
 

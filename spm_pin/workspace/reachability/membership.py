@@ -1,6 +1,6 @@
 """Which points are reachable: a search for a state within the limits at each.
 
-The search begins at states that `LegLengthBox.nearby` finds by going through all of the set. One that it finds is a
+The search begins at states that `CoarseDistance.nearby` finds by going through all of the set. One that it finds is a
 proof, see `spm_pin.workspace.reachability.state_search`.
 """
 
@@ -48,7 +48,7 @@ def search_states(
 ) -> Membership:
     """Search for states within the limits that put o at `points` (N, 3), in {B} [m].
 
-    With `starts` (N, 2, 3) the search begins at one state for each point, instead of those of `LegLengthBox.nearby`,
+    With `starts` (N, 2, 3) the search begins at one state for each point, instead of those of `CoarseDistance.nearby`,
     and `distance` is that of the start. `what` says what is being done, for `progress`.
     """
     return Membership(*in_portions(partial(_searched, box), what, progress, points, starts))
@@ -82,8 +82,8 @@ def portions(count: int, most: int, what: str, progress: Progress | None) -> Ite
 def _searched(box: LegLengthBox, points: FloatArray, near: FloatArray | None) -> Membership:
     counts: tuple[int, ...] = (1, _OTHERS, _SPREAD)
     if near is None:
-        distance, starts = box.nearby(points)
-        left = np.flatnonzero(distance <= box.margin)
+        distance, starts = box.coarse.nearby(points)
+        left = np.flatnonzero(distance <= box.coarse.margin)
     else:
         distance, starts = np.linalg.norm(box.map.points(near)[0] - points, axis=-1), near[:, None]
         counts, left = (1,), np.arange(len(points))
@@ -93,7 +93,7 @@ def _searched(box: LegLengthBox, points: FloatArray, near: FloatArray | None) ->
     for count in counts:
         chosen = starts[left]
         if count > 1:
-            chosen = box.nearby(points[left], count + 1, spread=count == _SPREAD)[1][:, 1:]
+            chosen = box.coarse.nearby(points[left], count + 1, spread=count == _SPREAD)[1][:, 1:]
         search = StateSearch(box, np.repeat(points[left], count, axis=0), chosen.reshape(-1, 2, 3))
         search.iterate()
         good, doubtful = (mask.reshape(-1, count) for mask in search.proved())

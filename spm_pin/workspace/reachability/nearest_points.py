@@ -1,18 +1,11 @@
 """The states nearest to given points or poses: least squares within leg limits by an augmented Lagrangian.
 
-In one assembly mode the six lengths l determine where points of the platform are. For the platform's centre o alone, in
-the physical mode, the reachable positions are the image W of the box of the limits under that map p(l). The
-point of W nearest to y minimises |p(l) - y|² over the box. Where that is zero y is reachable; elsewhere
-n = (y - p)/|y - p| is an outward normal of W, and with the gradient q_i = n·∂p/∂l_i
-
-    q_i = 0 for a free leg,    q_i ≥ 0 for one at its maximum,    q_i ≤ 0 for one at its minimum.            (1)
-
-So a leg is at a limit, or n annihilates the whole 3 x 6 Jacobian of the position, which then has lost its rank; or a
-stage is at a forward singularity, where p has no derivative. In the coordinates c of the stages all these are the
-conditions of Karush, Kuhn and Tucker, with q as the multipliers of the limits. They are found by the method of
-multipliers, or augmented Lagrangian (Bertsekas, "Constrained Optimization and Lagrange Multiplier Methods", 1982,
-chapter 3): violations of limits are penalised in the least squares, with a penalty weight and shifted by the
-multipliers, which are updated until no limit is violated.
+The point of the reachable set nearest to one outside obeys Eq. (1) of `docs/theory/reachable_set.md`, n being the
+direction to the point outside and q_i = n·∂p/∂l_i. In the coordinates of the stages, with forward singularities as
+limits too, these are the conditions of Karush, Kuhn and Tucker, and the q_i are the multipliers of the limits. They are
+found by the method of multipliers, or augmented Lagrangian (Bertsekas, "Constrained Optimization and Lagrange
+Multiplier Methods", 1982, chapter 3): violations of limits are penalised in the least squares, with a penalty weight
+and shifted by the multipliers, which are updated until no limit is violated.
 
 For three points, the platform's joints c_1, c_2, c_3, the same finds the nearest pose; n and q are those of all nine
 coordinates over √3.
@@ -25,11 +18,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.mechanism.arguments import FloatArray, IntArray
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox
 from spm_pin.workspace.reachability.membership import in_portions, search_states
-from spm_pin.workspace.reachability.state_search import CENTRE, RESOLUTION, SINGULARITY_MARGIN, StateSearch
+from spm_pin.workspace.reachability.position_map import CENTRE
+from spm_pin.workspace.reachability.state_search import RESOLUTION, SINGULARITY_MARGIN, StateSearch
 
 __all__ = ["NearestPoints", "nearest_in_box", "nearest_states"]
 
@@ -63,7 +56,7 @@ class NearestPoints(NamedTuple):
     distance: FloatArray
     """Distances from the given points (N,) [m]."""
     gradient: FloatArray
-    """q of Eq. (1), (N, 6), with n towards the given point; zero where that is reachable."""
+    """The q_i of Eq. (1), (N, 6), with n towards the given point; zero where that is reachable."""
     optimality: FloatArray
     """By how much n and q miss the conditions of a nearest point, (N,); zero where the point is reachable. Infinite
     where the search has left the physical mode; then the state is the one it began with."""
@@ -80,7 +73,7 @@ def nearest_in_box(box: LegLengthBox, points: FloatArray, starts: FloatArray | N
     """Return the points of the reachable set nearest to `points` (N, 3) [m].
 
     The search begins at `starts` (N, 2, 3), as in `NearestPoints.coordinates`. If not given, `search_states` says which
-    points are reachable, and the others begin at the best states of `LegLengthBox.nearby`.
+    points are reachable, and the others begin at the best states of `CoarseDistance.nearby`.
     """
     return NearestPoints(*in_portions(partial(_nearest, box), "nearest points", None, points, starts))
 
@@ -94,7 +87,7 @@ def _nearest(box: LegLengthBox, points: FloatArray, starts: FloatArray | None) -
         # Far away the state with the smallest residual is not the nearest.
         choice = np.repeat(first[:, None], 1 + _STARTS + _REMOTE_STARTS, axis=1)
         left = np.flatnonzero(~found.reached)
-        choice[left, 1 : 1 + _STARTS] = box.nearby(points[left], _STARTS)[1]
+        choice[left, 1 : 1 + _STARTS] = box.coarse.nearby(points[left], _STARTS)[1]
         choice[left, 1 + _STARTS :] = box.sample[box.tree.query(points[left], _REMOTE_STARTS)[1]]
     return _result(box, points, first, nearest_states(box, points, choice))
 
@@ -143,20 +136,18 @@ def _result(box: LegLengthBox, points: FloatArray, first: FloatArray, search: St
 
     A state that has left that mode is replaced by the one of `first` (N, 2, 3).
     """
-    lengths = box.snapped(box.map.lengths(search.coordinates))
+    lengths = box.lengths(search.coordinates)
     lengths = np.where(search.shifts[:, :6] > 0.0, box.maximum, lengths)
     lengths = np.where(search.shifts[:, :6] < 0.0, box.minimum, lengths)
-    states = forward_physical(box.geometry, lengths)
-    position, coordinates = states.translation.copy(), search.coordinates
-    with np.errstate(invalid="ignore"):
-        left = ~(np.abs(position - search.position).max(axis=-1, initial=0.0) <= _MODE_TOLERANCE * box.size)
-    coordinates[left] = first[left]
-    position[left], lengths[left] = (array[left] for array in (box.map.points(first)[0], box.map.lengths(first)))
-    distance = np.sqrt(((points - position) ** 2).sum(axis=-1))
+    kept, position = box.confirm(lengths, search.position, _MODE_TOLERANCE)
+    position = np.where(kept[:, None], position, box.map.points(first)[0])
+    lengths = np.where(kept[:, None], lengths, box.lengths(first))
+    coordinates = np.where(kept[:, None, None], search.coordinates, first)
+    distance = np.linalg.norm(points - position, axis=-1)
     remote = distance > RESOLUTION * box.size
     scale = np.where(remote, distance, np.inf)
     gradient = search.weights[:, None] ** 2 * search.shifts[:, :6] / scale[:, None]
     slope = np.einsum("nij,ni->nj", search.jacobian, search.residual)
     optimality = np.abs(slope).max(axis=-1, initial=0.0) / scale
-    gradient[left], optimality[left] = 0.0, np.inf
-    return NearestPoints(position, box.snapped(lengths), distance, gradient, optimality, coordinates)
+    gradient[~kept], optimality[~kept] = 0.0, np.inf
+    return NearestPoints(position, lengths, distance, gradient, optimality, coordinates)

@@ -20,15 +20,14 @@ from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.branches import in_home_aspect
 
-__all__ = ["PositionMap", "inverses", "rotated", "turned"]
+__all__ = ["CENTRE", "PositionMap", "rotated", "stage_centre"]
 
-
+CENTRE = np.zeros((1, 3))
+"""The platform's centre o in {m}."""
 _STEPS = 24
 """Steps of Newton's method in `PositionMap.upper_for`."""
 _BOTH = slice(None)
 """Index of both stages."""
-_CENTRE = np.zeros((1, 3))
-"""The platform's centre o in {m}."""
 _OPPOSITE = np.array([-1.0, -1.0, 1.0])
 """Factors of the coordinates (x1, x2, Z/r) for the inverse rotation."""
 _HALF_TURN = np.array([-1.0, -1.0, 1.0])
@@ -72,17 +71,15 @@ class PositionMap:
         """Return the leg lengths (N, 6) [m] of stage coordinates (N, 2, 3)."""
         return np.hypot(*self.in_leg_planes(coordinates)).reshape(-1, 6)
 
-    def in_leg_planes(self, coordinates: FloatArray, stages: slice = _BOTH) -> tuple[FloatArray, FloatArray]:
+    def in_leg_planes(self, coordinates: FloatArray, stages: int | slice = _BOTH) -> tuple[FloatArray, FloatArray]:
         """Return the ball joints' coordinates in their legs' planes: outward from the hips, and up, (N, 2, 3) each [m].
 
-        `coordinates` has the shape (N, 2, 3), or (N, 1, 3) for one of the stages.
+        `coordinates` has the shape (N, 2, 3). For one of the stages it has the shape (N, 3), and so have the results.
         """
-        r = self.radii[stages, None]
+        r = self.radii[stages][..., None]
         cos, sin = self.geometry.radial_directions[:, 0], self.geometry.radial_directions[:, 1]
-        x1, x2, height = (coordinates[..., k, None] for k in range(3))
-        with np.errstate(invalid="ignore"):
-            square = 1.0 - x1 * x1 - x2 * x2
-            x0 = np.sqrt(square)
+        x0, x1, x2 = _quaternion(coordinates[..., None, :])
+        height, square = coordinates[..., 2, None], 1.0 - x1 * x1 - x2 * x2
         across = r * (square - 2.0 * (2.0 * x1 * x2 * cos + (x1 * x1 - x2 * x2) * sin)) - self._hips[stages]
         return across, abs(r) * height + 2.0 * r * x0 * (x1 * sin - x2 * cos)
 
@@ -95,9 +92,8 @@ class PositionMap:
         r = self.radii[:, None]
         cos, sin = self.geometry.radial_directions[:, 0], self.geometry.radial_directions[:, 1]
         across, up = self.in_leg_planes(coordinates)
-        x1, x2 = coordinates[..., 0, None], coordinates[..., 1, None]
+        x0, x1, x2 = _quaternion(coordinates[..., None, :])
         with np.errstate(invalid="ignore", divide="ignore"):
-            x0 = np.sqrt(1.0 - x1 * x1 - x2 * x2)
             lift = (x1 * sin - x2 * cos) / x0
             lengths = np.sqrt(across * across + up * up)
             across_1 = -2.0 * r * (x1 + 2.0 * (x2 * cos + x1 * sin))
@@ -113,21 +109,21 @@ class PositionMap:
         """
         return np.asarray(inverses(slopes)[1] / (6.0 * np.sqrt(3.0) * self.geometry.middle_radius**3) * [1.0, -1.0])
 
-    def home_aspect(self, coordinates: FloatArray, stages: slice = _BOTH) -> BoolArray:
+    def home_aspect(self, coordinates: FloatArray, stages: int | slice = _BOTH) -> BoolArray:
         """Test which stages (N, 2) of mode T are on the outer side of their platform and in the home's aspect.
 
-        For one of the stages `coordinates` has the shape (N, 1, 3), and the result (N, 1).
+        For one of the stages `coordinates` has the shape (N, 3), and the result (N,).
         """
         radial = self.geometry.radial_directions
         axis = np.array([0.0, 0.0, 1.0])
         across, up = (array[..., None] for array in self.in_leg_planes(coordinates, stages))
-        points = (across + self._hips[stages, :, None]) * radial + up * axis
+        points = (across + self._hips[stages][..., None]) * radial + up * axis
         outer = np.array([1.0, -1.0])[stages]
-        normals = outer[:, None, None] * (up * radial - across * axis)
+        normals = outer[..., None, None] * (up * radial - across * axis)
         with np.errstate(invalid="ignore"):
             return (outer * coordinates[..., 2] > 0.0) & in_home_aspect(points, normals)
 
-    def points(self, coordinates: FloatArray, body: FloatArray = _CENTRE) -> tuple[FloatArray, FloatArray]:
+    def points(self, coordinates: FloatArray, body: FloatArray = CENTRE) -> tuple[FloatArray, FloatArray]:
         """Return the positions of points of the platform in {B}, (N, 3K) [m], and the derivatives (N, 3K, 6).
 
         With respect to the `coordinates` (N, 2, 3) of the stages; `body` holds the points (K, 3) in {m} [m].
@@ -142,7 +138,7 @@ class PositionMap:
         count = 3 * len(body)
         return (centre + moved).reshape(-1, count), np.swapaxes(rows, -1, -2).reshape(-1, count, 6)
 
-    def seen(self, upper: FloatArray, point: FloatArray = _CENTRE[0]) -> tuple[FloatArray, FloatArray]:
+    def seen(self, upper: FloatArray, point: FloatArray = CENTRE[0]) -> tuple[FloatArray, FloatArray]:
         """Return s [m], where points of {m} are seen from the middle platform, (..., 3), and a row per coordinate.
 
         `upper` holds the coordinates of the upper stage, (..., 3), `point` the points, (3,) or (..., 3).
@@ -158,9 +154,9 @@ class PositionMap:
 
     def states(self, coordinates: FloatArray) -> Configuration:
         """Return the configurations (N,) of stage coordinates (N, 2, 3)."""
-        across, up = self.in_leg_planes(coordinates[:, :1], slice(1))
-        outward = (across + self._hips[0])[:, 0, :, None] * self.geometry.radial_directions
-        joints = outward + up[:, 0, :, None] * [0.0, 0.0, 1.0]
+        across, up = self.in_leg_planes(coordinates[:, 0], 0)
+        outward = (across + self._hips[0])[..., None] * self.geometry.radial_directions
+        joints = outward + up[..., None] * [0.0, 0.0, 1.0]
         lower, upper = coordinates[:, None, 0], coordinates[:, None, 1]
         back = rotated(upper * _OPPOSITE, np.eye(3))
         rotation = np.swapaxes(rotated(lower, self._between * back), -1, -2)
@@ -211,11 +207,16 @@ def stage_centre(coordinates: FloatArray, r: float) -> tuple[FloatArray, FloatAr
     return np.stack([-2.0 * r * x1 * x2, r * (x2 * x2 - x1 * x1), abs(r) * height], axis=-1), rows
 
 
-def rotated(coordinates: FloatArray, vector: FloatArray) -> FloatArray:
-    """Return R v (..., 3) for the turn by (x0, x1, x2, 0)."""
+def _quaternion(coordinates: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return x0, x1 and x2 of coordinates (..., 3), (...) each; x0 is NaN beyond the unit circle."""
     x1, x2 = coordinates[..., 0], coordinates[..., 1]
     with np.errstate(invalid="ignore"):
-        x0 = np.sqrt(1.0 - x1 * x1 - x2 * x2)
+        return np.sqrt(1.0 - x1 * x1 - x2 * x2), x1, x2
+
+
+def rotated(coordinates: FloatArray, vector: FloatArray) -> FloatArray:
+    """Return R v (..., 3) for the turn by (x0, x1, x2, 0)."""
+    x0, x1, x2 = _quaternion(coordinates)
     a, b, c = (vector[..., k] for k in range(3))
     # w = x × v, and v' = v + 2 x0 w + 2 x × w.
     w1, w2, w3 = x2 * c, -x1 * c, x1 * b - x2 * a
@@ -229,9 +230,7 @@ def rotated(coordinates: FloatArray, vector: FloatArray) -> FloatArray:
 
 def turned(coordinates: FloatArray, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return R v as `rotated`, and its derivatives by x1 and x2, rows of (..., 2, 3)."""
-    x1, x2 = coordinates[..., 0], coordinates[..., 1]
-    with np.errstate(invalid="ignore"):
-        x0 = np.sqrt(1.0 - x1 * x1 - x2 * x2)
+    x0, x1, x2 = _quaternion(coordinates)
     a, b, c = (vector[..., k] for k in range(3))
     w1, w2, w3 = x2 * c, -x1 * c, x1 * b - x2 * a
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -245,8 +244,7 @@ def turned(coordinates: FloatArray, vector: FloatArray) -> tuple[FloatArray, Flo
 
 def _angular(coordinates: FloatArray) -> FloatArray:
     """Return the angular velocities [rad] of the turn by (x0, x1, x2, 0) per x1 and x2, rows of (N, 2, 3)."""
-    x1, x2 = coordinates[:, 0], coordinates[:, 1]
-    x0 = np.sqrt(1.0 - x1 * x1 - x2 * x2)
+    x0, x1, x2 = _quaternion(coordinates)
     # Twice the vector part of dq q*.
     first = [x0 + x1 * x1 / x0, x1 * x2 / x0, -x2]
     second = [x1 * x2 / x0, x0 + x2 * x2 / x0, x1]

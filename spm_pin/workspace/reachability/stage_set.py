@@ -43,15 +43,11 @@ class StageSet:
         with np.errstate(invalid="ignore"):
             inside = np.asarray(((lengths >= self.minimum) & (lengths <= self.maximum)).all(axis=-1))
         place = np.flatnonzero(inside)
-        inside[place] = self.map.home_aspect(coordinates[place, None], self._this)[:, 0]
+        inside[place] = self.map.home_aspect(coordinates[place], self.stage)
         return inside
 
-    @property
-    def _this(self) -> slice:
-        return slice(self.stage, self.stage + 1)
-
     def _lengths(self, coordinates: FloatArray) -> FloatArray:
-        return np.asarray(np.hypot(*self.map.in_leg_planes(coordinates[:, None], self._this))[:, 0])
+        return np.asarray(np.hypot(*self.map.in_leg_planes(coordinates, self.stage)))
 
     @cached_property
     def _cover(self) -> tuple[FloatArray, FloatArray]:

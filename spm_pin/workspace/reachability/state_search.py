@@ -13,11 +13,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox
+from spm_pin.workspace.reachability.position_map import CENTRE
 
-__all__ = ["CENTRE", "RESOLUTION", "SINGULARITY_MARGIN", "StateSearch"]
+__all__ = ["RESOLUTION", "SINGULARITY_MARGIN", "StateSearch"]
 
 RESOLUTION = 1e-9
 """Distances are found to this share of the machine's size."""
@@ -44,8 +44,6 @@ _DIFFERENCE = 1e-7
 """Step in the coordinates of the stages for derivatives of the determinants."""
 _SECOND_DIFFERENCE = 1e-4
 """Step in them for derivatives of the Jacobian."""
-CENTRE = np.zeros((1, 3))
-"""The platform's centre o in {m}."""
 
 
 class StateSearch:
@@ -119,11 +117,8 @@ class StateSearch:
         In doubt are those in another assembly mode, and those that stalled just short of a state.
         """
         solved = self.residual_norm <= RESOLUTION * self.box.size
-        lengths = self.box.snapped(self.box.map.lengths(self.coordinates[solved]))
-        with np.errstate(invalid="ignore"):
-            missed = np.abs(forward_physical(self.box.geometry, lengths).translation - self.targets[solved])
-            good = solved.copy()
-            good[solved] = missed.max(axis=-1, initial=0.0) <= RESOLUTION * self.box.size
+        good, lengths = solved.copy(), self.box.lengths(self.coordinates[solved])
+        good[solved], _ = self.box.confirm(lengths, self.targets[solved], RESOLUTION)
         return good, ~good & (solved | (~self.stationary & (self.residual_norm <= _DOUBT * self.box.size)))
 
     def _residuals(

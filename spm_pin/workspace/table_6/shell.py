@@ -9,27 +9,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError, GeometryError, SelectionError
 from spm_pin.mechanism import LEGS, Configuration, Geometry, LegLimits
 from spm_pin.mechanism.arguments import (
-    BoolArray,
     FloatArray,
     IntArray,
     first_offender,
     frozen,
-    real_array,
     type_and_value,
     whole_number,
 )
 from spm_pin.workspace.closed_mesh import ClosedMesh, Convergence, enclosed_volume
 from spm_pin.workspace.table_6.patches import SubWorkspace, orientations, sub_workspaces
-from spm_pin.workspace.table_6.winding import ClosedSurface
 
 __all__ = ["Patch", "Shell", "workspace_shell"]
 
@@ -88,46 +83,6 @@ class Shell(ClosedMesh):
     def volume_error(self) -> float:
         """Estimate of the error of `volume` [m³]."""
         return self.convergence.error
-
-    @cached_property
-    def _surface(self) -> ClosedSurface:
-        return ClosedSurface(self.vertices, self.faces)
-
-    def winding_number(self, points: npt.ArrayLike) -> npt.NDArray[np.int32]:
-        """Return how many times the mesh goes round each of `points` (..., 3) [m], shape (...).
-
-        For a point on the mesh to within rounding it is the number on one of its sides.
-
-        Raises
-        ------
-        ArgumentError
-            If `points` are not finite numbers of that shape.
-        """
-        return self._surface.winding_number(points)
-
-    def contains(self, points: npt.ArrayLike) -> BoolArray:
-        """Return which of `points` (..., 3) [m] are inside: those with a winding number that is not zero, shape (...).
-
-        Raises
-        ------
-        ArgumentError
-            If `points` are not finite numbers of that shape.
-        """
-        return np.asarray(self.winding_number(points) != 0)
-
-    def distance(self, points: npt.ArrayLike) -> FloatArray:
-        """Return how far `points` (..., 3) are from the mesh [m], shape (...): positive inside, negative outside.
-
-        Raises
-        ------
-        ArgumentError
-            If `points` are not finite numbers of that shape.
-        MissingExtraError
-            If trimesh is not installed.
-        """
-        array = real_array(points, "points", (3,), "positions in metres")
-        distance = self._unsigned_distance(array.reshape(-1, 3)).reshape(array.shape[:-1])
-        return np.where(self.contains(array), distance, -distance)
 
 
 def workspace_shell(geometry: Geometry, limits: LegLimits | None = None, *, resolution: int = 40) -> Shell:

@@ -114,7 +114,10 @@ def test_dense_sample_of_leg_lengths_lies_inside(boundary: Boundary) -> None:
 
     rng = np.random.default_rng(4)
     sample = spm.forward_physical(PAPER, 1.1 + 0.4 * rng.beta(0.3, 0.3, (3000, 6))).translation
-    gap = -trimesh.proximity.signed_distance(boundary.mesh, sample[:300])
+    inside = trimesh.proximity.signed_distance(boundary.mesh, sample[:300])
+    np.testing.assert_allclose(boundary.distance(sample[:300]), inside, atol=1e-9)
+    np.testing.assert_array_equal(boundary.contains(sample[:300]), inside > 0.0)
+    gap = -inside
     # Outside the mesh by no more than it cuts off the set.
     assert gap.max() < boundary.spacing
     assert sample.min(axis=0) == pytest.approx(boundary.vertices.min(axis=0), abs=boundary.spacing)

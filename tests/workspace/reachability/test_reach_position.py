@@ -74,7 +74,7 @@ def test_far_points_are_not_reachable_and_have_a_distance() -> None:
 def test_distances_are_those_a_bounded_least_squares_solver_finds() -> None:
     rng = np.random.default_rng(4)
     box = leg_length_box(PAPER)
-    points = rng.uniform(box.extent[0] - 0.1, box.extent[1] + 0.1, (6, 3))
+    points = rng.uniform(box.coarse.extent[0] - 0.1, box.coarse.extent[1] + 0.1, (6, 3))
     answer = reachable_position(PAPER, points)
     for k, point in enumerate(points):
 
@@ -94,7 +94,7 @@ def test_no_set_of_lower_legs_reaches_a_point_said_to_be_out_of_reach() -> None:
     """On a grid of 16³ lower stages, each with the upper legs that then put o there."""
     rng = np.random.default_rng(5)
     box = leg_length_box(PAPER)
-    points = rng.uniform(*box.extent, (20, 3))
+    points = rng.uniform(*box.coarse.extent, (20, 3))
     answer = reachable_position(PAPER, points)
     assert 3 <= answer.reachable.sum() <= 17
     grid = np.stack(np.meshgrid(*[np.linspace(1.1, 1.5, 16)] * 3), axis=-1).reshape(-1, 3)
@@ -133,7 +133,7 @@ def test_where_the_machine_cannot_be_assembled_everywhere_in_the_limits_the_rest
 def test_states_with_the_optimality_conditions_are_nearest_among_many() -> None:
     box = leg_length_box(PAPER)
     rng = np.random.default_rng(7)
-    points = rng.uniform(box.extent[0] - 0.2, box.extent[1] + 0.2, (200, 3))
+    points = rng.uniform(box.coarse.extent[0] - 0.2, box.coarse.extent[1] + 0.2, (200, 3))
     found = nearest_in_box(box, points)
     sample = spm.forward_physical(PAPER, 1.1 + 0.4 * rng.beta(0.3, 0.3, (20_000, 6))).translation
     least = np.array([np.sqrt(((sample - point) ** 2).sum(axis=-1)).min() for point in points])

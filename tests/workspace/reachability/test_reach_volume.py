@@ -11,7 +11,8 @@ from spm_pin.workspace.reachability.boundary import Boundary, reachable_boundary
 from spm_pin.workspace.reachability.confidence_intervals import Estimate, from_hits, from_mean
 from spm_pin.workspace.reachability.reachable_poses import reachable
 from spm_pin.workspace.reachability.reachable_samples import pose_multiplicity
-from spm_pin.workspace.reachability.volume import compare_with_shell, pose_volume, reachable_volume
+from spm_pin.workspace.reachability.volume import pose_volume, reachable_volume
+from spm_pin.workspace.shell_comparison import compare_with_shell
 from spm_pin.workspace.table_6.shell import workspace_shell
 
 PAPER = GEOMETRIES["paper"]

@@ -204,7 +204,7 @@ def test_no_state_is_found_by_random_starts_where_none_was() -> None:
 
     limits = spm.LegLimits(0.6, 2.0)
     box, rng = leg_length_box(PAPER, limits), np.random.default_rng(2)
-    points = rng.uniform(*box.extent, (150, 3))
+    points = rng.uniform(*box.coarse.extent, (150, 3))
     found = search_states(box, points)
     near = np.flatnonzero(~found.reached & ~found.undecided & (found.distance < 0.3))[:8]
     mapping = PositionMap(PAPER)

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.mechanism.arguments import FloatArray, IntArray, real_array
 
-__all__ = ["ClosedSurface"]
+__all__ = ["WindingNumbers"]
 
 Counts = npt.NDArray[np.int32]
 
@@ -29,8 +29,8 @@ _OBLIQUE = Rotation.from_rotvec([0.37, -0.59, 0.83]).as_matrix()
 """To a frame whose last axis is the rays' direction."""
 
 
-class ClosedSurface:
-    """A mesh of vertices (V, 3) [m] and triangles (F, 3), counter-clockwise seen from outside, and its winding numbers.
+class WindingNumbers:
+    """Winding numbers of a mesh of vertices (V, 3) [m] and triangles (F, 3), counter-clockwise seen from outside.
 
     It may pass through itself, but every edge must be run along as often one way as the other; that is not checked.
     Its faces are filed by the cells of a grid across the rays.
@@ -51,8 +51,8 @@ class ClosedSurface:
         self._filed = face[np.argsort(cell, kind="stable")]
         self._top = self._vertices[:, 2][faces].max(axis=1)
 
-    def winding_number(self, points: npt.ArrayLike) -> Counts:
-        """Return how many times the surface goes round each of `points` (..., 3) [m], shape (...); see `Shell`."""
+    def at(self, points: npt.ArrayLike) -> Counts:
+        """Return how many times the surface goes round each of `points` (..., 3) [m], shape (...); see `ClosedMesh`."""
         array = real_array(points, "points", (3,), "positions in metres")
         flat = array.reshape(-1, 3) @ _OBLIQUE
         number = np.zeros(len(flat), dtype=np.int32)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import spm_pin as spm
-from spm_pin.workspace.table_6.winding import ClosedSurface
+from spm_pin.workspace.winding_numbers import WindingNumbers
 
 Array = npt.NDArray[np.float64]
 
@@ -27,8 +27,8 @@ def solid_angles(mesh: trimesh.Trimesh, points: Array) -> Array:
     return total
 
 
-def surface(mesh: trimesh.Trimesh) -> ClosedSurface:
-    return ClosedSurface(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+def surface(mesh: trimesh.Trimesh) -> WindingNumbers:
+    return WindingNumbers(np.asarray(mesh.vertices), np.asarray(mesh.faces))
 
 
 CUBE = trimesh.creation.box((2.0, 2.0, 2.0))
@@ -39,7 +39,7 @@ TORUS = trimesh.creation.torus(1.0, 0.3)
 @given(st.tuples(*[st.sampled_from([-2.0, -1.5, -0.999, -0.5, 0.0, 0.25, 0.5, 0.999, 1.5])] * 3))
 def test_a_cube_also_along_its_edges_diagonals_and_corners(point: tuple[float, float, float]) -> None:
     # Many of these rays run through an edge, a corner, or the diagonal that divides a face.
-    assert surface(CUBE).winding_number(point) == (max(map(abs, point)) < 1.0)
+    assert surface(CUBE).at(point) == (max(map(abs, point)) < 1.0)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -51,10 +51,10 @@ def test_points_that_line_up_with_vertices_and_edges(axis: int) -> None:
     points[:, axis] = rng.uniform(-0.999, 0.999, len(points)) * np.abs(points[:, axis])
     inside = np.abs(np.einsum("ij,kj->ki", SPHERE.face_normals, points)).max(axis=1) < 0.99
     assert inside.sum() > 500
-    np.testing.assert_array_equal(surface(SPHERE).winding_number(points[inside]), 1)
+    np.testing.assert_array_equal(surface(SPHERE).at(points[inside]), 1)
     beyond = points[inside] + 3.0 * np.eye(3)[axis]
-    np.testing.assert_array_equal(surface(SPHERE).winding_number(beyond), 0)
-    np.testing.assert_array_equal(surface(SPHERE).winding_number(beyond - 6.0 * np.eye(3)[axis]), 0)
+    np.testing.assert_array_equal(surface(SPHERE).at(beyond), 0)
+    np.testing.assert_array_equal(surface(SPHERE).at(beyond - 6.0 * np.eye(3)[axis]), 0)
 
 
 @pytest.mark.parametrize("mesh", [CUBE, SPHERE, TORUS], ids=["cube", "sphere", "torus"])
@@ -62,14 +62,14 @@ def test_agrees_with_solid_angles(mesh: trimesh.Trimesh) -> None:
     points = np.random.default_rng(1).uniform(-1.5, 1.5, (400, 3))
     exact = solid_angles(mesh, points)
     assert np.abs(exact - exact.round()).max() < 1e-9
-    np.testing.assert_array_equal(surface(mesh).winding_number(points), exact.round())
+    np.testing.assert_array_equal(surface(mesh).at(points), exact.round())
 
 
 def test_a_sphere_by_its_radius() -> None:
     points = np.random.default_rng(2).normal(size=(20_000, 3))
     radius = np.linalg.norm(points, axis=-1)
     deepest = float((SPHERE.triangles_center * SPHERE.face_normals).sum(axis=-1).min())
-    number = surface(SPHERE).winding_number(points)
+    number = surface(SPHERE).at(points)
     np.testing.assert_array_equal(number[radius < deepest], 1)
     np.testing.assert_array_equal(number[radius > 1.0], 0)
 
@@ -77,20 +77,20 @@ def test_a_sphere_by_its_radius() -> None:
 def test_surfaces_that_go_round_twice_backwards_or_round_a_cavity() -> None:
     points = [[0.1, 0.2, 0.05], [0.0, 0.0, 0.8], [0.0, 0.0, 3.0]]
     twice = trimesh.util.concatenate([SPHERE, SPHERE])
-    assert surface(twice).winding_number(points).tolist() == [2, 2, 0]
+    assert surface(twice).at(points).tolist() == [2, 2, 0]
     inverted = SPHERE.copy()
     inverted.invert()
-    assert surface(inverted).winding_number(points).tolist() == [-1, -1, 0]
+    assert surface(inverted).at(points).tolist() == [-1, -1, 0]
     small = inverted.copy().apply_scale(0.5)
-    assert surface(trimesh.util.concatenate([SPHERE, small])).winding_number(points).tolist() == [0, 1, 0]
+    assert surface(trimesh.util.concatenate([SPHERE, small])).at(points).tolist() == [0, 1, 0]
 
 
 def test_surfaces_that_pass_through_each_other() -> None:
     other = SPHERE.copy().apply_translation([0.9, 0.3, 0.1])
     both = trimesh.util.concatenate([SPHERE, other])
     points = np.random.default_rng(3).uniform(-1.0, 2.0, (300, 3))
-    np.testing.assert_array_equal(surface(both).winding_number(points), solid_angles(both, points).round())
-    assert set(surface(both).winding_number(points)) == {0, 1, 2}
+    np.testing.assert_array_equal(surface(both).at(points), solid_angles(both, points).round())
+    assert set(surface(both).at(points)) == {0, 1, 2}
 
 
 def test_rays_along_walls() -> None:
@@ -99,27 +99,27 @@ def test_rays_along_walls() -> None:
     box.apply_transform(trimesh.transformations.rotation_matrix(0.3, [0, 0, 1]))
     middles = np.asarray(box.vertices)[box.edges_unique].mean(axis=1)
     for height in (-1.2, 1.2):
-        np.testing.assert_array_equal(surface(box).winding_number(middles + np.array([0.0, 0.0, height])), 0)
-    np.testing.assert_array_equal(surface(box).winding_number(0.999 * middles), 1)
+        np.testing.assert_array_equal(surface(box).at(middles + np.array([0.0, 0.0, height])), 0)
+    np.testing.assert_array_equal(surface(box).at(0.999 * middles), 1)
 
 
 @pytest.mark.parametrize("shape", [(), (1,), (3, 1, 2), (0,)])
 def test_any_leading_axes(shape: tuple[int, ...]) -> None:
     points = np.random.default_rng(4).uniform(-1.5, 1.5, (*shape, 3))
-    number = surface(SPHERE).winding_number(points)
+    number = surface(SPHERE).at(points)
     assert number.shape == shape
-    flat = [surface(SPHERE).winding_number(point) for point in points.reshape(-1, 3)]
+    flat = [surface(SPHERE).at(point) for point in points.reshape(-1, 3)]
     np.testing.assert_array_equal(number.ravel(), flat)
 
 
 def test_large_batches_are_taken_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     points = np.random.default_rng(5).uniform(-1.2, 1.2, (5000, 3))
-    whole = surface(SPHERE).winding_number(points)
-    monkeypatch.setattr("spm_pin.workspace.table_6.winding._PAIRS", 97)
-    np.testing.assert_array_equal(surface(SPHERE).winding_number(points), whole)
+    whole = surface(SPHERE).at(points)
+    monkeypatch.setattr("spm_pin.workspace.winding_numbers._PAIRS", 97)
+    np.testing.assert_array_equal(surface(SPHERE).at(points), whole)
 
 
 @pytest.mark.parametrize("points", [[0.0, 0.0], [np.nan, 0.0, 0.0], [np.inf, 0.0, 0.0], "abc", [[0.0, 1.0j, 0.0]]])
 def test_invalid_points_are_refused(points: object) -> None:
     with pytest.raises(spm.ArgumentError, match="points: expected"):
-        surface(SPHERE).winding_number(points)  # type: ignore[arg-type]
+        surface(SPHERE).at(points)  # type: ignore[arg-type]

@@ -5,7 +5,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.workspace.table_6.sampling import reached_positions
+from spm_pin.workspace.reachability.reachable_samples import reached_positions
 
 PAPER = spm.Geometry.paper()
 LIMITS = spm.LegLimits(1.1, 1.5)
