@@ -77,20 +77,25 @@ ByteArray = npt.NDArray[np.uint8]
 Tiles = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """Poses and discriminants over r² (16, TILE), what families share (25, TILE), families (4, 14, TILE), flags (TILE,)."""
 
-_poses = on_stack(16, TILE)
-_shared = on_stack(25, TILE)
-_families = on_stack(4, 14, TILE)
-_flags = on_stack(TILE)
-allocate_roots = on_stack(8, 3, TILE)
-"""Allocates u, v and r / (u² + v²) of all branches."""
-allocate_joints = on_stack(72, TILE)
-"""Allocates the b_i of all branches."""
-allocate_records = on_stack(TILE, 16)
-"""Allocates a tile of poses and discriminants, pose by pose."""
-allocate_lengths = on_stack(48, TILE)
-"""Allocates the leg lengths of all branches."""
-allocate_aspects = on_stack(2, 2, TILE)
-"""Allocates, for TT+ and TT-, whether it is physical and how straight it stands."""
+
+@on_stack
+def _poses() -> FloatArray:
+    return np.empty((16, TILE))
+
+
+@on_stack
+def _shared() -> FloatArray:
+    return np.empty((25, TILE))
+
+
+@on_stack
+def _families() -> FloatArray:
+    return np.empty((4, 14, TILE))
+
+
+@on_stack
+def _flags() -> FloatArray:
+    return np.empty(TILE)
 
 
 @in_caller
@@ -99,6 +104,36 @@ def allocate() -> Tiles:
     poses, shared, families, flags = _poses(), _shared(), _families(), _flags()
     poses[:] = 1.0
     return poses, shared, families, flags
+
+
+@on_stack
+def allocate_roots() -> FloatArray:
+    """Allocate u, v and r / (u² + v²) of all branches (8, 3, TILE)."""
+    return np.empty((8, 3, TILE))
+
+
+@on_stack
+def allocate_joints() -> FloatArray:
+    """Allocate the b_i of all branches (72, TILE)."""
+    return np.empty((72, TILE))
+
+
+@on_stack
+def allocate_records() -> FloatArray:
+    """Allocate a tile of poses and discriminants, pose by pose (TILE, 16)."""
+    return np.empty((TILE, 16))
+
+
+@on_stack
+def allocate_lengths() -> FloatArray:
+    """Allocate the leg lengths of all branches (48, TILE)."""
+    return np.empty((48, TILE))
+
+
+@on_stack
+def allocate_aspects() -> FloatArray:
+    """Allocate, for TT+ and TT-, whether it is physical and how straight it stands (2, 2, TILE)."""
+    return np.empty((2, 2, TILE))
 
 
 @jit_inline

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
-import numpy as np
 from numba.core import cgutils, types
 from numba.extending import intrinsic, overload
 
 from spm_pin.closed_form.kernels.compilation import TILE, jit_inline
-from spm_pin.mechanism.arguments import FloatArray
 
 __all__ = ["LANES", "fetch_line", "in_blocks", "in_caller", "move_block", "move_numbers", "on_stack"]
 
@@ -37,13 +35,14 @@ def in_caller(function: F) -> F:
     return compiled
 
 
-def on_stack(*shape: int) -> Callable[[], FloatArray]:
-    """Return a function that makes an array of this shape, in compiled code on the stack of the kernel that calls it.
+def on_stack(make: F) -> F:
+    """Mark a function that returns a new array of constant shape: a kernel that calls it keeps it on its stack.
 
     The compiler then knows that no two arrays overlap, and needs no second version of a loop for the case that they do.
     """
     if _numba.config.DISABLE_JIT:
-        return lambda: np.empty(shape)
+        return make
+    shape = make().shape
     array = _types.Array(_types.float64, len(shape), "C")
     strides = [8 * math.prod(shape[axis + 1 :]) for axis in range(len(shape))]
 
@@ -53,7 +52,7 @@ def on_stack(*shape: int) -> Callable[[], FloatArray]:
 
         module: Any = arrayobj
         with builder.goto_entry_block():
-            memory = builder.alloca(_ir.ArrayType(_ir.DoubleType(), math.prod(shape)))
+            memory = builder.alloca(_ir.ArrayType(_ir.DoubleType(), math.prod(shape)), name=make.__name__)
         memory.align = _LINE
         size = context.get_value_type(_types.intp)
         found = context.make_array(array)(context, builder)
@@ -72,7 +71,9 @@ def on_stack(*shape: int) -> Callable[[], FloatArray]:
         del typing
         return array(), lower
 
-    return reserve
+    found: Any = reserve
+    found.py_func = make
+    return cast(F, found)
 
 
 @_intrinsic(prefer_literal=False)
