@@ -124,7 +124,8 @@ class SolutionSet:
         Raises
         ------
         PoseError, ArgumentError
-            If an argument has the wrong kind or shape, or leading axes that do not fit.
+            If an argument has the wrong kind or shape, or leading axes that do not fit, or the three ball joints
+            of a solution lie in a line.
         """
         instance(geometry, Geometry, "geometry")
         transform = as_rigid_transform(pose)
@@ -133,6 +134,14 @@ class SolutionSet:
             raise ArgumentError("middle_joints", "shape (..., n, 3, 3) with n from 1", f"shape {joints.shape}")
         shape = broadcastable("middle_joints", joints.shape[:-3], "the pose", transform.shape)
         good = boolean_array(solved, "solved", shape)
+        with np.errstate(over="ignore", invalid="ignore"):
+            normal = np.cross(joints[..., 0, :] - joints[..., 2, :], joints[..., 1, :] - joints[..., 2, :])
+        size = np.abs(normal).max(axis=-1) / geometry.middle_side**2
+        if (wrong := (size < 1e-9) | (size > 1e9)).any():
+            index = first_offender(wrong)
+            cause = f"They are the corners of the middle platform, {geometry.middle_side:g} m from each other."
+            received = f"{joints[index].tolist()} at index {index}"
+            raise ArgumentError("middle_joints", "three points that are not in a line", received, cause)
         branches, status = in_canonical_order(geometry, transform, joints, good)
         return cls(branches, BRANCHES, status)
 

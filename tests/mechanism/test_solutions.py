@@ -324,6 +324,8 @@ def test_what_does_not_hold_in_another_unit_hints_at_it(length: float) -> None:
         (lambda s: spm.SolutionSet.from_unordered("x", POSE, np.zeros((1, 3, 3))), "geometry"),
         (lambda s: spm.SolutionSet.from_unordered(PAPER, POSE, np.zeros((3, 3))), "middle_joints"),
         (lambda s: spm.SolutionSet.from_unordered(PAPER, POSE, np.zeros((0, 3, 3))), "middle_joints"),
+        (lambda s: spm.SolutionSet.from_unordered(PAPER, POSE, np.zeros((1, 3, 3))), "middle_joints"),
+        (lambda s: spm.SolutionSet.from_unordered(PAPER, POSE, np.full((2, 3, 3), 1e200)), "middle_joints"),
         (lambda s: spm.SolutionSet.from_unordered(PAPER, [POSE.as_matrix()] * 2, np.zeros((3, 1, 3, 3))), "middle_joi"),
         (lambda s: spm.SolutionSet.from_unordered(PAPER, POSE, np.zeros((1, 3, 3)), solved="no"), "solved"),
     ],
