@@ -170,7 +170,10 @@ class MissingExtraError(SpmError, ImportError):
 
 
 def require_extra(extra: str, *packages: str) -> None:
-    """Raise `MissingExtraError` if a package of an extra is not installed, of all or of those named; import nothing."""
+    """Raise `MissingExtraError` if a package of an extra is not installed, of all or of those named; import nothing.
+
+    For the package itself, where it uses what an extra installs.
+    """
     for package in packages or EXTRAS[extra]:
         if find_spec(package) is None:
             raise MissingExtraError(extra, package)

@@ -1,4 +1,4 @@
-"""The controls beside the picture. The session sets what they show; they report events and keep no state."""
+"""The control panel of a page: its widgets, their events, and what they show."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ class Panel:
         with self.leg_folder:
             self.leg_sliders = [self._add_slider(f"{leg} [m]", "leg", k) for k, leg in enumerate(LEGS)]
         limited = geometry.limits is not None
-        hint = "Once within its limits it stays there"
+        hint = "A leg within its limits is kept within them"
         self._add("checkbox", "hold", "Hold leg limits", True, visible=limited, hint=hint)
         self._add("button", "reset", "Start pose", icon="home")
         if demo:

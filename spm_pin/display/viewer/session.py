@@ -144,7 +144,7 @@ class Session:
             await self.report("gizmo", None)
 
     def close(self) -> None:
-        """End: nothing of the session runs any longer; on the event loop."""
+        """Stop the event queue and the players; on the event loop."""
         self.queue.close()
         for player in (self.player, self.demo):
             if player is not None:
@@ -268,7 +268,7 @@ class Session:
         if recording is None or self.playback is not None:
             return
         panel.show_path("Following the branch along the path …")
-        # A path of leg lengths begins in an assembly mode, which has other names; the nearest is meant.
+        # A path of leg lengths is followed in an assembly mode, which branch labels do not name: start at the nearest one.
         start = self.state.shown if isinstance(recording.points, np.ndarray) else (self.state.label or None)
         try:
             try:
