@@ -268,7 +268,7 @@ class Session:
         if recording is None or self.playback is not None:
             return
         panel.show_path("Following the branch along the path …")
-        # A path of leg lengths is followed in an assembly mode, which branch labels do not name: start at the nearest one.
+        # A path of leg lengths is followed in an assembly mode, which labels of branches do not name: take the nearest.
         start = self.state.shown if isinstance(recording.points, np.ndarray) else (self.state.label or None)
         try:
             try:
