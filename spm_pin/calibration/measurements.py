@@ -18,7 +18,7 @@ from spm_pin.closed_form.jacobians import platform_jacobian
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LEGS, AsBuiltGeometry, Configuration, as_rigid_transform
 from spm_pin.mechanism.arguments import FloatArray, as_array, file_path, first_offender, real_array
-from spm_pin.mechanism.leg_limits import LARGEST
+from spm_pin.mechanism.dimension_checks import LARGEST
 from spm_pin.mechanism.units import unit_hint
 
 __all__ = ["MeasurementError", "Measurements", "pose_covariances", "read_measurements"]

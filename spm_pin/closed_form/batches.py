@@ -182,15 +182,19 @@ def branch_states(
 
 
 def radii(geometry: Geometry) -> tuple[float, float, float]:
-    """Return the circumradii of the middle, base and terminal platforms [m]; raise if `geometry` is no Geometry."""
+    """Return the circumradii of the middle, base and terminal platforms [m].
+
+    Raises `ArgumentError` if `geometry` is not a Geometry.
+    """
     instance(geometry, Geometry, "geometry")
     return geometry.middle_radius, geometry.base_radius, geometry.platform_radius
 
 
 def read_pose(pose: PoseLike) -> tuple[tuple[int, ...], FloatArray, FloatArray]:
-    """Return the batch shape of a pose, its rotations (N, 3, 3) and positions (N, 3) [m]; raise if it is none.
+    """Return the batch shape of a pose, its rotations (N, 3, 3) and positions (N, 3) [m].
 
-    The arrays may be the caller's memory. Rotations are repaired where rounding made them inexact.
+    Raises `PoseError` if it is not a pose. The arrays may be the caller's memory. Rotations are repaired where rounding
+    made them inexact.
     """
     from spm_pin.closed_form.kernels.branch_kernels import are_rigid
 

@@ -12,9 +12,9 @@ def compile_kernels() -> None:
     """Compile all functions for this computer, in about a minute, and keep them on disk for later processes.
 
     Otherwise each is compiled when first called, which delays that call by up to 20 s. Compiled code is kept where
-    `NUMBA_CACHE_DIR` says, else beside the sources, else in the user's cache directory. Worth a line where an image
-    of a container is built, or before many processes start. Another processor model, or another version of spm_pin or
-    Numba, compiles anew.
+    `NUMBA_CACHE_DIR` says, else beside the sources, else in the user's cache directory. Call it when a container
+    image is built, or before many processes start. Another processor model, or another version of spm_pin or Numba,
+    compiles anew.
     """
     from spm_pin.closed_form import kernels
     from spm_pin.closed_form.kernels.compilation import Kernel

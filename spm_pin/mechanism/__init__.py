@@ -1,4 +1,4 @@
-"""Dimensions of the robot, its states, and sets of states. NumPy and SciPy only."""
+"""Dimensions of the robot, its states, and sets of states. No Pinocchio, CasADi or Numba."""
 
 from spm_pin.mechanism.as_built import PARAMETERS, AsBuiltGeometry
 from spm_pin.mechanism.branches import BRANCHES, FAMILIES

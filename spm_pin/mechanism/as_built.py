@@ -18,9 +18,10 @@ import yaml
 from spm_pin.errors import GeometryError
 from spm_pin.mechanism.arguments import FloatArray, file_path, generator, instance, real_array, real_number, writing
 from spm_pin.mechanism.ball_triangles import triangle_sides
+from spm_pin.mechanism.dimension_checks import LARGEST, SMALLEST
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.geometry_files import geometry_data, leg_arrays, legs_data, read_dimensions
-from spm_pin.mechanism.leg_limits import LARGEST, LEGS, SMALLEST, LegLimits
+from spm_pin.mechanism.leg_limits import LEGS, LegLimits
 from spm_pin.mechanism.yaml_node import YamlNode
 
 __all__ = [

@@ -126,9 +126,9 @@ def physical(configuration: Configuration) -> BoolArray:
 
     Those reached from the symmetric home without a forward singularity: no torsion in either stage, each
     stage on the outer side of its platform, and both in the home's aspect. The signs of det J_b and det J_c do not
-    tell the aspect alone: they are sums of two products of three factors, all six positive at home, and in the
+    determine the aspect alone: they are sums of two products of three factors, all six positive at home, and in the
     home's aspect at most one of them is negative; see `docs/theory/forward_displacement.md`. Of a machine as built, the
-    directions of the nominal geometry tell the mode and its own axes the aspect.
+    nominal directions determine the mode, and the machine's own axes the aspect.
     """
     geometry = configuration.geometry
     centre = configuration.middle_joints.mean(axis=-2)

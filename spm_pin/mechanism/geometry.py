@@ -15,8 +15,9 @@ import numpy as np
 
 from spm_pin.errors import GeometryError
 from spm_pin.mechanism.arguments import FloatArray, file_path
+from spm_pin.mechanism.dimension_checks import dimension
 from spm_pin.mechanism.geometry_files import read_dimensions
-from spm_pin.mechanism.leg_limits import LegLimits, dimension
+from spm_pin.mechanism.leg_limits import LegLimits
 from spm_pin.mechanism.yaml_node import YamlNode
 
 __all__ = ["Geometry", "config_directory"]
@@ -52,8 +53,8 @@ class Geometry:
     Raises
     ------
     GeometryError
-        If a dimension is not a number from 1e-9 to 1e9 m, or `limits` are none. Within that range no product of
-        lengths in this package over- or underflows.
+        If a dimension is not a number from 1e-9 to 1e9 m, or `limits` is neither a LegLimits nor None. Within that
+        range no product of lengths in this package over- or underflows.
     """
 
     base_radius: float

@@ -11,7 +11,8 @@ import numpy as np
 
 from spm_pin.errors import GeometryError
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.leg_limits import LEGS, ORDERED, LegLimits, dimension
+from spm_pin.mechanism.dimension_checks import dimension
+from spm_pin.mechanism.leg_limits import LEGS, ORDERED, LegLimits
 from spm_pin.mechanism.yaml_node import YamlNode
 
 __all__ = ["geometry_data", "leg_arrays", "legs_data", "read_dimensions"]

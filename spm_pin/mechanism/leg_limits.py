@@ -1,11 +1,10 @@
-"""The six legs: their names and order, the sizes that are accepted, and the limits of their lengths."""
+"""The six legs: their names and order, and the limits of their lengths."""
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,17 +16,14 @@ from spm_pin.mechanism.arguments import (
     as_array,
     number_pair,
     real_array,
-    real_number,
     type_and_value,
 )
 
-__all__ = ["LARGEST", "LEGS", "ORDERED", "SMALLEST", "LegLimits", "dimension"]
+__all__ = ["LEGS", "ORDERED", "LegLimits"]
 
 LEGS = ("r_b1", "r_b2", "r_b3", "r_c1", "r_c2", "r_c3")
 """Names and order of the legs: the lower stage's three, then the upper stage's."""
 
-SMALLEST, LARGEST = 1e-9, 1e9
-"""Dimensions accepted [m]. Every result was found to scale to rounding from 1e-52 to 1e60 m."""
 ORDERED = "0 <= minimum < maximum for every leg, in metres"
 
 
@@ -104,16 +100,3 @@ def _six(value: float | Sequence[float], argument: str) -> tuple[float, ...]:
     if np.isnan(array).any():
         raise GeometryError(argument, expected, "NaN", "Use 0 and infinity where there is no limit")
     return tuple(float(x) for x in np.broadcast_to(array, 6))
-
-
-def dimension(value: Any, argument: str) -> float:
-    """Read a radius or a side [m]; see `spm_pin.mechanism.arguments`."""
-    return real_number(
-        value,
-        argument,
-        f"a positive length in metres, from {SMALLEST:g} to {LARGEST:g}",
-        least=SMALLEST,
-        most=LARGEST,
-        error=GeometryError,
-        cause="Given in another unit?" if isinstance(value, float | int) and value > 0 else "",
-    )

@@ -14,7 +14,7 @@ from spm_pin.mechanism.as_built import AsBuiltGeometry, as_built, check_geometry
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LegLimits
-from spm_pin.mechanism.stage_states import configuration_of_stages, stage_states
+from spm_pin.mechanism.stage_coordinates import configuration_of_stages, stage_coordinates
 from spm_pin.proofs.stage_proof import StageProof, prove_stage
 from spm_pin.proofs.stage_region import StageRegion
 
@@ -86,7 +86,7 @@ class Certificate:
         inside = self.limits.contains(configuration.leg_lengths)
         if not self.holds:
             return np.zeros_like(inside)
-        states = stage_states(configuration)
+        states = stage_coordinates(configuration)
         for k, proof in enumerate((self.lower, self.upper)):
             inside = inside & _contained(states[..., k, :], proof.proved)
         return np.asarray(inside)
@@ -190,7 +190,7 @@ def certify(
     middle = forward_physical(nominal, 0.5 * (np.array(limits.minimum) + np.array(limits.maximum)))
     if not middle.exists:
         raise GeometryError("limits", "lengths between them that can be assembled", "a middle that cannot be")
-    starts = stage_states(middle)
+    starts = stage_coordinates(middle)
     regions = stage_regions(nominal, limits, errors)
     proofs = [prove_stage(region, start, most=boxes) for region, start in zip(regions, starts, strict=True)]
     witness = None

@@ -26,7 +26,7 @@ from spm_pin.mechanism.arguments import FloatArray, instance, real_number, whole
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import pose as make_pose
-from spm_pin.mechanism.stage_states import configuration_of_stages, stage_states
+from spm_pin.mechanism.stage_coordinates import configuration_of_stages, stage_coordinates
 from spm_pin.proofs.certificate import LONGEST
 from spm_pin.proofs.inverse_certificate import SAMPLES, InverseCertificate
 
@@ -116,7 +116,7 @@ def _search(
     steps = (0.0, *10.0 ** np.arange(-16.0, -6.0))
     meeting = next(solutions for solutions in (at(fold + step) for step in steps) if solutions.exists[0])
     # Halfway between the two branches det K is zero.
-    return 0.0, configuration_of_stages(geometry, stage_states(meeting.configurations[:2]).mean(axis=0))
+    return 0.0, configuration_of_stages(geometry, stage_coordinates(meeting.configurations[:2]).mean(axis=0))
 
 
 def _divide(

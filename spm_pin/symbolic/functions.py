@@ -24,7 +24,7 @@ from spm_pin.closed_form.kernels.vectors import dot, minus
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import BRANCHES, AsBuiltGeometry, Geometry
 from spm_pin.mechanism.arguments import choice, type_and_value
-from spm_pin.mechanism.leg_limits import LARGEST, SMALLEST
+from spm_pin.mechanism.dimension_checks import LARGEST, SMALLEST
 from spm_pin.mechanism.pose import ORTHONORMALITY_TOLERANCE
 from spm_pin.symbolic.tracing import table, traced
 

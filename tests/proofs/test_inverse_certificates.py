@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.closed_form.intervals import Interval
-from spm_pin.mechanism.stage_states import configuration_of_stages, stage_states
+from spm_pin.mechanism.stage_coordinates import configuration_of_stages, stage_coordinates
 from spm_pin.proofs import certify_inverse, certify_poses
 from spm_pin.proofs.inverse_certificate import structure_determinant
 
@@ -59,7 +59,7 @@ def test_boxes_contain_the_determinant_of_forty_digits(seed: int) -> None:
 
 def test_the_determinant_is_that_of_configurations() -> None:
     states = spm.forward_physical(PAPER, np.random.default_rng(0).uniform(1.1, 1.5, (50, 6)))
-    tilts = stage_states(states)[..., :2].reshape(-1, 4)
+    tilts = stage_coordinates(states)[..., :2].reshape(-1, 4)
     expected = spm.determinants(states)[:, 2] / PAPER.middle_side**3
     with mpmath.workdps(30):
         found = [float(determinant([mpmath.mpf(float(x)) for x in row])) for row in tilts]
@@ -68,7 +68,7 @@ def test_the_determinant_is_that_of_configurations() -> None:
 
 def singular_at_fifty_digits(state: spm.Configuration) -> bool:
     """Return whether det K changes its sign within 1e-11 of the tilts of a state, along its gradient."""
-    tilts = stage_states(state)[:, :2].ravel()
+    tilts = stage_coordinates(state)[:, :2].ravel()
     with mpmath.workdps(50):
         point = [mpmath.mpf(float(x)) for x in tilts]
         step = mpmath.mpf("1e-20")
@@ -146,7 +146,7 @@ def test_poses_that_hold_a_known_fold_are_never_proved(seed: int) -> None:
     problem = random_branches(PAPER, "TT", 40, seed)
     solutions = spm.inverse_displacement(PAPER, problem.pose)
     at = int(np.flatnonzero(solutions.exists[:, :2].all(axis=-1))[0])
-    pair = stage_states(solutions[at].configurations[:2])
+    pair = stage_coordinates(solutions[at].configurations[:2])
     middle = configuration_of_stages(PAPER, pair.mean(axis=0))
     state = solutions[at]["TT+"]
     distance = float(np.abs((middle.translation - state.translation)[:2]).max()) * 1.01

@@ -7,9 +7,10 @@ orientations have the volume
 
     ∫ |det ∂(o, R)/∂(u, v)| / |det ∂o/∂v| du.
 
-Rotations are told by tilt and torsion, R = Rz(φ) Ry(θ) Rz(σ - φ): the platform's normal leans by the tilt θ towards the
-azimuth φ, and the platform is turned by the torsion σ about it. The uniform measure of rotations is sin θ dφ dθ dσ, 8π²
-in all. Bonev, Zlatanov, Gosselin, "Advantages of the modified Euler angles in the design and control of PKMs", 2002.
+Rotations are described by tilt and torsion, R = Rz(φ) Ry(θ) Rz(σ - φ): the platform's normal leans by the tilt θ
+towards the azimuth φ, and the platform is turned by the torsion σ about it. The uniform measure of rotations is
+sin θ dφ dθ dσ, 8π² in all. Bonev, Zlatanov, Gosselin, "Advantages of the modified Euler angles in the design and
+control of PKMs", 2002.
 """
 
 from __future__ import annotations

@@ -8,6 +8,9 @@ of both stages give everything explicitly, and without singularities: a point p 
     t_a + R_a s,    s = R_bᵀ (p - t_b),
 
 s being where it is seen from the middle platform. The leg lengths are explicit too.
+
+In mode T, `spm_pin.mechanism.stage_coordinates` has (x1, x2, Z) of the lower stage and (-x1, -x2, -Z) of the upper one,
+which it mirrors, so that both have a positive Z at home.
 """
 
 from __future__ import annotations

@@ -4,6 +4,9 @@ The middle platform's quaternion against the base is (x0, x, y, 0) with x0 > 0, 
 (-2r xy, r (y² - x²), Z) over the base's centre, r = d/√3. The upper stage is the same stage upside down, seen from the
 terminal platform and mirrored at its plane, so that Z is positive at home in both. See
 `docs/theory/inverse_displacement.md`.
+
+`spm_pin.workspace.reachability.position_map` does not mirror the upper stage, and divides heights by r: its coordinates
+are (x, y, Z/r) of the lower stage and (-x, -y, -Z/r) of the upper one.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 
-__all__ = ["configuration_of_stages", "stage_states"]
+__all__ = ["configuration_of_stages", "stage_coordinates"]
 
 _MIRROR = np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]])
 """Sign of x, y and Z of each stage against those of the frame that it is seen from."""
@@ -25,7 +28,7 @@ _TORSION = 1e-9
 """Part x3 of the quaternion from which on a stage of the nominal machine has torsion."""
 
 
-def stage_states(configuration: Configuration) -> FloatArray:
+def stage_coordinates(configuration: Configuration) -> FloatArray:
     """Return (x, y, Z [m]) of the lower and upper stage, shape (..., 2, 3); NaN where there is none or in mode F.
 
     The stages of a machine as built have torsion; they are not in mode F as long as it is less than half a turn.
@@ -47,7 +50,7 @@ def stage_states(configuration: Configuration) -> FloatArray:
 
 
 def configuration_of_stages(geometry: Geometry, states: FloatArray) -> Configuration:
-    """Return the configurations (...) of the stage coordinates (..., 2, 3), those of `stage_states`."""
+    """Return the configurations (...) of stage coordinates (..., 2, 3), as `stage_coordinates` returns them."""
     r = geometry.middle_radius
     poses = []
     for k, sign in enumerate(_MIRROR):
