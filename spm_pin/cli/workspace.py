@@ -15,8 +15,8 @@ from spm_pin.display.figure_files import FORMATS, save_figure
 from spm_pin.display.shell_plots import MESH_FORMATS, save_mesh, shell_figure
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LEGS, LegLimits
-from spm_pin.workspace.table_6.patches import ERRATA
 from spm_pin.workspace.table_6.shell import Patch, Shell, workspace_shell
+from spm_pin.workspace.table_6.sub_workspaces import ERRATA
 
 __all__ = ["workspace"]
 
@@ -88,10 +88,10 @@ def _write(shell: Shell, out: Path, samples: int | None) -> None:
         save_figure(shell_figure(shell), out)
     else:
         from spm_pin.display.section_plots import sections_figure
-        from spm_pin.workspace.reachability.reachable_samples import reached_positions
+        from spm_pin.workspace.reachability.reachable_samples import sample_positions_near_limits
 
         with outputs.stderr.status("drawing leg lengths"):
-            reached, aspect = reached_positions(shell.geometry, shell.limits, count=samples)
+            reached, aspect = sample_positions_near_limits(shell.geometry, shell.limits, count=samples)
         save_figure(sections_figure(shell, reached, aspect), out)
     outputs.note(f"wrote {out}")
 

@@ -11,9 +11,9 @@ from spm_pin.workspace.reachability.reachable_positions import PositionReach, re
 from spm_pin.workspace.reachability.reachable_samples import sample_reachable
 from spm_pin.workspace.reachability.volume import pose_volume, reachable_volume
 from spm_pin.workspace.shell_comparison import ShellComparison, compare_with_shell
-from spm_pin.workspace.table_6.patches import Setting
 from spm_pin.workspace.table_6.shell import Patch, Shell
 from spm_pin.workspace.table_6.shell import workspace_shell as shell
+from spm_pin.workspace.table_6.sub_workspaces import Setting
 
 __all__ = [
     "Boundary",

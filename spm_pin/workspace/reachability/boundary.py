@@ -1,7 +1,7 @@
 """The boundary of the reachable positions, as a closed mesh whose vertices lie on it.
 
 Marching cubes need only the reachability of the nodes of a grid: it determines which edges the boundary crosses,
-and `spm_pin.workspace.reachability.lattice` says where. What bounds the set is derived in
+and `spm_pin.workspace.reachability.reachability_grid` says where. What bounds the set is derived in
 `docs/theory/reachable_set.md`.
 """
 
@@ -19,9 +19,9 @@ from spm_pin.mechanism.arguments import FloatArray, Progress, generator, whole_n
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LegLimits
 from spm_pin.workspace.closed_mesh import ClosedMesh
-from spm_pin.workspace.reachability.lattice import Lattice
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox, leg_length_box
 from spm_pin.workspace.reachability.nearest_points import NearestPoints, nearest_in_box
+from spm_pin.workspace.reachability.reachability_grid import ReachabilityGrid
 from spm_pin.workspace.reachability.state_search import RESOLUTION
 
 __all__ = ["Boundary", "BoundaryPoints", "reachable_boundary"]
@@ -166,12 +166,12 @@ def reachable_boundary(
     require_extra("workspace", "skimage")
     measure: Any = import_module("skimage.measure")
     box = leg_length_box(geometry, limits)
-    lattice = Lattice(box, spacing, progress)
-    if not lattice.inside.any():
+    grid = ReachabilityGrid(box, spacing, progress)
+    if not grid.inside.any():
         smallest = float((box.coarse.extent[1] - box.coarse.extent[0]).min())
         cause = f"No node of the grid is reachable; the reachable set is about {smallest:.2g} m"
         raise ArgumentError("spacing", "a spacing much smaller than the reachable set, in metres", spacing, cause)
-    corners, faces, _, _ = measure.marching_cubes(np.where(lattice.inside, 1.0, -1.0), 0.0)
-    vertices, lengths = lattice.crossings(corners.astype(np.float64))
-    boundary = Boundary(vertices, faces.astype(np.intp), geometry, box.limits, lattice.spacing, lengths)
+    corners, faces, _, _ = measure.marching_cubes(np.where(grid.inside, 1.0, -1.0), 0.0)
+    vertices, lengths = grid.crossings(corners.astype(np.float64))
+    boundary = Boundary(vertices, faces.astype(np.intp), geometry, box.limits, grid.spacing, lengths)
     return boundary if boundary.volume > 0.0 else replace(boundary, faces=boundary.faces[:, ::-1])

@@ -6,22 +6,20 @@ proof, see `spm_pin.workspace.reachability.state_search`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, Progress
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox
+from spm_pin.workspace.reachability.portions import in_portions
 from spm_pin.workspace.reachability.state_search import RESOLUTION, StateSearch
 
-__all__ = ["Membership", "in_portions", "portions", "search_states"]
+__all__ = ["Membership", "search_states"]
 
 _OTHERS, _SPREAD = 7, 24
 """Starts after the best one: the next best, and different ones, as near the rim all good states may be elsewhere."""
-_PORTION = 4096
-"""Rows of a batch worked on together."""
 
 
 class Membership(NamedTuple):
@@ -52,31 +50,6 @@ def search_states(
     and `distance` is that of the start. `what` says what is being done, for `progress`.
     """
     return Membership(*in_portions(partial(_searched, box), what, progress, points, starts))
-
-
-def in_portions(
-    function: Callable[..., tuple[Any, ...]],
-    what: str,
-    progress: Progress | None,
-    first: FloatArray,
-    *others: FloatArray | None,
-) -> Iterator[Any]:
-    """Call `function` with a portion of the rows of the arrays at a time; return each of its results, concatenated."""
-    parts = [
-        function(first[rows], *(None if array is None else array[rows] for array in others))
-        for rows in portions(len(first), _PORTION, what, progress)
-    ]
-    return map(np.concatenate, zip(*parts, strict=True))
-
-
-def portions(count: int, most: int, what: str, progress: Progress | None) -> Iterator[slice]:
-    """Give slices of `most` rows that together are `count` rows, and report the progress; without rows an empty one."""
-    for begin in range(0, max(count, 1), most):
-        if progress is not None:
-            progress(what, begin, count)
-        yield slice(begin, min(begin + most, count))
-    if progress is not None:
-        progress(what, count, count)
 
 
 def _searched(box: LegLengthBox, points: FloatArray, near: FloatArray | None) -> Membership:

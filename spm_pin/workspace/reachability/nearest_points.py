@@ -20,7 +20,8 @@ import numpy as np
 
 from spm_pin.mechanism.arguments import FloatArray, IntArray
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox
-from spm_pin.workspace.reachability.membership import in_portions, search_states
+from spm_pin.workspace.reachability.membership import search_states
+from spm_pin.workspace.reachability.portions import in_portions
 from spm_pin.workspace.reachability.position_map import CENTRE
 from spm_pin.workspace.reachability.state_search import RESOLUTION, SINGULARITY_MARGIN, StateSearch
 

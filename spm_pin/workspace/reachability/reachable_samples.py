@@ -17,14 +17,14 @@ from spm_pin.mechanism.arguments import FloatArray, IntArray, Progress, choice, 
 from spm_pin.mechanism.branches import physical
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox, leg_length_box
 
-__all__ = ["pose_multiplicity", "pose_weights", "reached_positions", "sample_reachable"]
+__all__ = ["pose_multiplicity", "pose_weights", "sample_positions_near_limits", "sample_reachable"]
 
 _PORTION = 20_000
 """States drawn together, at most."""
 _MOST_PORTIONS = 1000
 """Portions that are drawn at most."""
 _AT_A_LIMIT = 0.35
-"""Share of the legs that `reached_positions` draws at a limit."""
+"""Share of the legs that `sample_positions_near_limits` draws at a limit."""
 
 
 def sample_reachable(
@@ -126,7 +126,7 @@ def pose_multiplicity(states: Configuration, limits: LegLimits) -> IntArray:
     return np.asarray(np.maximum(same, 1), dtype=np.intp)
 
 
-def reached_positions(
+def sample_positions_near_limits(
     geometry: Geometry, limits: LegLimits, *, count: int = 200_000, seed: int = 0
 ) -> tuple[FloatArray, npt.NDArray[np.int8]]:
     """Draw leg lengths at limits or near them; return positions of o (N, 3) [m] and the sign of det K (N,) there.

@@ -12,7 +12,8 @@ from spm_pin.mechanism.leg_limits import LegLimits
 from spm_pin.workspace.reachability.boundary import reachable_boundary
 from spm_pin.workspace.reachability.confidence_intervals import Estimate, check_confidence, from_hits, from_mean
 from spm_pin.workspace.reachability.leg_length_box import leg_length_box
-from spm_pin.workspace.reachability.membership import portions, search_states
+from spm_pin.workspace.reachability.membership import search_states
+from spm_pin.workspace.reachability.portions import portions
 from spm_pin.workspace.reachability.reachable_samples import pose_weights
 
 __all__ = ["pose_volume", "reachable_volume"]
@@ -39,10 +40,9 @@ def reachable_volume(
     geometry, limits, progress
         As for `reachable_boundary`.
     method : str
-        "sampling": the share of uniform points that are reachable, with Clopper and Pearson's interval, to which
-        points are added for which the search failed. "mesh": what
-        `reachable_boundary` encloses at `spacing` and at half of it, extrapolated; as error counts what the
-        extrapolation adds, and the interval has no confidence.
+        "sampling": the share of uniform points that are reachable, with Clopper and Pearson's interval, whose upper end
+        counts undecided points as reachable. "mesh": the volume enclosed by `reachable_boundary` at `spacing` and half
+        of it, extrapolated; the error is the extrapolated part, and the interval has no confidence.
     samples : int
         Points for "sampling".
     spacing : float

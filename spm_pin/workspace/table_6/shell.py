@@ -24,7 +24,7 @@ from spm_pin.mechanism.arguments import (
     whole_number,
 )
 from spm_pin.workspace.closed_mesh import ClosedMesh, Convergence, enclosed_volume
-from spm_pin.workspace.table_6.patches import SubWorkspace, orientations, sub_workspaces
+from spm_pin.workspace.table_6.sub_workspaces import SubWorkspace, orientations, sub_workspaces
 
 __all__ = ["Patch", "Shell", "workspace_shell"]
 
@@ -114,7 +114,7 @@ def workspace_shell(geometry: Geometry, limits: LegLimits | None = None, *, reso
     Notes
     -----
     Section "Workspace analysis" and Table 6 of the paper, whose misprints are named in
-    `spm_pin.workspace.table_6.patches.ERRATA`. It takes the physical configuration throughout, the one of
+    `spm_pin.workspace.table_6.sub_workspaces.ERRATA`. It takes the physical configuration throughout, the one of
     `forward_physical`.
 
     Examples
@@ -155,7 +155,7 @@ def _joined(rows: Sequence[SubWorkspace], limits: LegLimits, n: int) -> tuple[Fl
     Steps 1 to 3 and 5: four legs at limits, the two others from minimum to maximum by δr, for every row. What two rows
     have in common has the same increments, which are whole numbers, and is taken once.
     """
-    steps = np.stack([row.lattice(n) for row in rows])
+    steps = np.stack([row.increments(n) for row in rows])
     vertices, number = np.unique(steps.reshape(-1, 6), axis=0, return_inverse=True)
     share = vertices / n
     # Written so that both limits come out exactly.

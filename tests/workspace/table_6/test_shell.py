@@ -36,7 +36,7 @@ def flux(shell: Shell, nodes: int = 12) -> float:
     total = 0.0
     for patch in shell.patches:
         first, second = patch.varying
-        corners = patch.lattice(1)[[0, 1], [0, 1]]
+        corners = patch.increments(1)[[0, 1], [0, 1]]
         low, high = np.where(corners, shell.limits.maximum, shell.limits.minimum)
         legs = np.broadcast_to(low, (nodes, nodes, 6)).copy()
         half = (high - low) / 2.0
@@ -85,7 +85,7 @@ def test_patches_are_forward_displacement_of_their_legs() -> None:
     for patch in SHELL.patches:
         first, second = patch.varying
         legs = SHELL.configuration.leg_lengths[patch.grid]
-        expected = np.broadcast_to(np.where(patch.lattice(1)[0, 0], 1.5, 1.1), legs.shape).copy()
+        expected = np.broadcast_to(np.where(patch.increments(1)[0, 0], 1.5, 1.1), legs.shape).copy()
         expected[..., first] = np.linspace(1.1, 1.5, 17)[:, None]
         expected[..., second] = np.linspace(1.1, 1.5, 17)
         np.testing.assert_allclose(legs, expected, rtol=0.0, atol=1e-14)

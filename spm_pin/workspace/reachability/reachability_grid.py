@@ -12,10 +12,11 @@ from scipy.spatial import KDTree
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, Progress, real_number
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox
-from spm_pin.workspace.reachability.membership import in_portions, search_states
+from spm_pin.workspace.reachability.membership import search_states
+from spm_pin.workspace.reachability.portions import in_portions
 from spm_pin.workspace.reachability.state_search import SINGULARITY_MARGIN, StateSearch
 
-__all__ = ["Lattice"]
+__all__ = ["ReachabilityGrid"]
 
 _STRIDES = (8, 4, 2, 1)
 """Spacings of the grids searched one after the other, in units of the final spacing."""
@@ -35,7 +36,7 @@ _POSITION_TOLERANCE = 1e-7
 """Distance of a vertex from the position of o at its leg lengths, over the machine's size, that is accepted."""
 
 
-class Lattice:
+class ReachabilityGrid:
     """The nodes of a grid wide enough to begin and to end outside the reachable set, and which of them are in it.
 
     Parameters

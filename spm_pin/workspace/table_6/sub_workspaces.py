@@ -53,7 +53,7 @@ class SubWorkspace:
         first, second = (leg for leg, setting in enumerate(self.settings) if setting is Setting.VARIES)
         return first, second
 
-    def lattice(self, resolution: int) -> IntArray:
+    def increments(self, resolution: int) -> IntArray:
         """Return the increments of the six legs above their minima, (resolution + 1, resolution + 1, 6).
 
         The first varying leg changes along the first axis, the other along the second.
@@ -69,7 +69,7 @@ class SubWorkspace:
     @property
     def corners(self) -> tuple[Corner, ...]:
         """The four corners, 0 at a minimum and 1 at a maximum, going round: first leg out, second out, both back."""
-        square = self.lattice(1)
+        square = self.increments(1)
         return tuple(tuple(int(x) for x in square[at]) for at in ((0, 0), (1, 0), (1, 1), (0, 1)))
 
     @property

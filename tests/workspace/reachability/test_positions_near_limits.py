@@ -5,7 +5,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.workspace.reachability.reachable_samples import reached_positions
+from spm_pin.workspace.reachability.reachable_samples import sample_positions_near_limits
 
 PAPER = spm.Geometry.paper()
 LIMITS = spm.LegLimits(1.1, 1.5)
@@ -13,7 +13,7 @@ LIMITS = spm.LegLimits(1.1, 1.5)
 
 def test_positions_are_those_of_legs_within_their_limits() -> None:
     limits = spm.LegLimits([1.1, 1.2, 1.3, 1.1, 1.2, 1.3], [1.5, 1.4, 1.5, 1.2, 1.4, 1.5])
-    positions, aspect = reached_positions(PAPER, limits, count=300, seed=1)
+    positions, aspect = sample_positions_near_limits(PAPER, limits, count=300, seed=1)
     assert positions.shape == (300, 3)
     # The same numbers again, through a solver that returns more than positions.
     rng = np.random.default_rng(1)
@@ -27,7 +27,7 @@ def test_positions_are_those_of_legs_within_their_limits() -> None:
 
 
 def test_symmetric_limits_give_all_images_with_the_signs_that_belong_to_them() -> None:
-    positions, aspect = reached_positions(PAPER, LIMITS, count=50, seed=2)
+    positions, aspect = sample_positions_near_limits(PAPER, LIMITS, count=50, seed=2)
     assert positions.shape == (300, 3)
     tree = KDTree(np.column_stack([positions, aspect]))
     turned = Rotation.from_euler("z", 120, degrees=True).apply(positions)
@@ -48,6 +48,6 @@ def test_a_mirror_changes_the_sign_of_det_K() -> None:
 
 
 def test_lengths_that_close_nothing_are_left_out() -> None:
-    positions, _ = reached_positions(PAPER, spm.LegLimits(0.3, 4.0), count=400)
+    positions, _ = sample_positions_near_limits(PAPER, spm.LegLimits(0.3, 4.0), count=400)
     assert 0 < len(positions) < 6 * 400
     assert np.isfinite(positions).all()

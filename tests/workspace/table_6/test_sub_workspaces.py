@@ -9,7 +9,7 @@ import pytest
 
 import spm_pin as spm
 from spm_pin.paper import published
-from spm_pin.workspace.table_6.patches import ERRATA, Setting, SubWorkspace, orientations, sub_workspaces
+from spm_pin.workspace.table_6.sub_workspaces import ERRATA, Setting, SubWorkspace, orientations, sub_workspaces
 
 ROWS = sub_workspaces()
 CYCLE = (1, 2, 0, 4, 5, 3)  # leg 1 takes the settings of leg 2, and so on
@@ -35,7 +35,7 @@ def test_the_surface_that_the_text_describes() -> None:
     high, varies = Setting.MAXIMUM, Setting.VARIES
     assert ROWS[0].name == "St1"
     assert ROWS[0].settings == (varies, varies, high, high, high, high)
-    steps = ROWS[0].lattice(5)
+    steps = ROWS[0].increments(5)
     assert steps.shape == (6, 6, 6)
     assert steps[2, 4].tolist() == [2, 4, 5, 5, 5, 5]
 
