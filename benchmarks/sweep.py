@@ -22,8 +22,8 @@ import psutil
 
 import spm_pin as spm
 from spm_pin.sweeps.domains import Domain
-from spm_pin.sweeps.plan import Plan
 from spm_pin.sweeps.runner import CHUNK
+from spm_pin.sweeps.sweep_plan import SweepPlan
 
 GEOMETRY = spm.Geometry.paper()
 METRICS = ("reachable", "branches", "conditioning", "payload")
@@ -95,7 +95,7 @@ def per_core(points: int) -> tuple[float, float]:
     """Return points per second of processor time: of a lattice of poses, and of leg lengths within the limits."""
     rates = []
     for domain in (lattice(points), spm.sweeps.leg_sample(points // 4, (1.1, 1.5), (1.1, 1.5))):
-        plan = Plan.make(GEOMETRY, domain, METRICS, CHUNK)
+        plan = SweepPlan.make(GEOMETRY, domain, METRICS, CHUNK)
         index = next(iter(plan))
         begin = time.process_time()
         with spm.threads(1):

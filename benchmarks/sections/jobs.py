@@ -20,8 +20,8 @@ from benchmarks.poses import GEOMETRY, tiled
 from benchmarks.report import Facts, Section, count, seconds, spread_of_seconds, table, three_digits, times
 from benchmarks.sections.preparation import Progress, failure
 from benchmarks.timing import Pace, Spread, TimedCall, duration, time_in_turns
-from spm_pin.sweeps.plan import Plan
 from spm_pin.sweeps.runner import CHUNK
+from spm_pin.sweeps.sweep_plan import SweepPlan
 
 __all__ = ["ACCURACY", "box", "measure", "metrics_by_numpy", "of_simulation", "tick", "walk"]
 
@@ -148,7 +148,7 @@ def _sweep(section: Section, n: int, pace: Pace, progress: Progress, facts: Fact
     ]
     text = f"A sweep of {count(n)} random poses: {', '.join(METRICS)}"
     _add(section, calls, Pace(2, pace.turn, pace.quick), progress, text, "point")
-    plan = Plan.make(GEOMETRY, domain, METRICS, CHUNK)
+    plan = SweepPlan.make(GEOMETRY, domain, METRICS, CHUNK)
     rates = []
     for index in list(plan)[:3]:
         begin = time.process_time()

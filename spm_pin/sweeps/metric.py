@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import instance, real_number
-from spm_pin.sweeps.identity import function_identity
+from spm_pin.sweeps.function_identity import function_identity
 from spm_pin.sweeps.points import Points
 
 __all__ = ["DTYPES", "Metric", "metric"]

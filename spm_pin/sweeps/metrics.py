@@ -71,7 +71,11 @@ def branch(points: Points) -> Values:
     return np.where(np.isfinite(gaps.min(axis=-1)), gaps.argmin(axis=-1), -1)
 
 
-@metric("1", "number of assembly modes that the machine's leg lengths allow; 0 where not reachable", dtype="int16")
+@metric(
+    "1",
+    "number of assembly modes that the leg lengths of the physical configuration allow; 0 where not reachable",
+    dtype="int16",
+)
 def assembly_modes(points: Points) -> Values:
     """Return the number of poses that the leg lengths of `Points.physical` allow."""
     lengths = points.reached.leg_lengths
@@ -98,7 +102,11 @@ def o_z(points: Points) -> Values:
     return points.physical.translation[:, 2]
 
 
-@metric("m", "how far the worst leg is inside its limits, negative outside; NaN where no machine can be at all")
+@metric(
+    "m",
+    "how far the worst leg is inside its limits, negative outside; "
+    "NaN where no physical configuration exists, leg limits aside",
+)
 def leg_margin(points: Points) -> Values:
     """Return the margin of the worst leg; of the physical branches of a pose the one with the largest margin counts.
 
@@ -173,7 +181,7 @@ def det_structure(points: Points) -> Values:
     return points.spread(points.determinants[:, 2])
 
 
-@metric("N", f"largest force at o held in every direction, legs pushing and pulling at most so much; {_ABSENT}")
+@metric("N", f"largest force at o held in every direction with leg forces of at most push and pull; {_ABSENT}")
 def payload(points: Points, *, push: float = 1.0, pull: float | None = None) -> Values:
     """Return the force that the machine holds at o whatever its direction, without a moment.
 
@@ -186,7 +194,7 @@ def payload(points: Points, *, push: float = 1.0, pull: float | None = None) -> 
     return points.spread(_zero_if_singular(min(push, push if pull is None else pull) / largest))
 
 
-@metric("N", f"largest force at o held along -Z, legs pushing and pulling at most so much; {_ABSENT}")
+@metric("N", f"largest force at o held along -Z with leg forces of at most push and pull; {_ABSENT}")
 def payload_down(points: Points, *, push: float = 1.0, pull: float | None = None) -> Values:
     """Return the force along -Z of {B} that the machine holds at o, without a moment: a weight. See `payload`."""
     forces = points.platform_jacobians[:, 2]

@@ -91,7 +91,7 @@ class Points:
     def solutions(self) -> SolutionSet:
         """All branches of the pose, leg limits aside, a `SolutionSet` of shape (N,).
 
-        Where points are leg lengths, of the pose that the machine then has; no branch exists where it has none.
+        Where points are leg lengths, of the pose of `assembled`; no branch exists where that does not.
         """
         if self.space == "pose":
             return inverse_displacement(self.geometry, self._poses)
@@ -162,12 +162,15 @@ class Points:
 
     @cached_property
     def assembled(self) -> Configuration:
-        """The machine with the given leg lengths, limits aside, shape (N,); only where points are leg lengths."""
+        """The physical configuration with the given leg lengths, limits aside, shape (N,).
+
+        Only where points are leg lengths.
+        """
         return forward_physical(self.geometry, self.coordinates)
 
     @cached_property
     def _poses(self) -> _Poses:
-        """All poses; where points are leg lengths, those of the machines that can be assembled."""
+        """All poses; where points are leg lengths, those of the physical configurations that exist."""
         if self.space == "pose":
             return _Poses(_xyx_rotations(self.coordinates[:, 3:]), np.ascontiguousarray(self.coordinates[:, :3]))
         there = self.assembled[self.assembled.exists]

@@ -19,9 +19,9 @@ from spm_pin.mechanism import Geometry
 from spm_pin.sweeps.domains import Domain
 from spm_pin.sweeps.metric import Metric
 from spm_pin.sweeps.metrics import METRICS, unavailable
-from spm_pin.sweeps.plan import Plan, package_version
 from spm_pin.sweeps.store import Store, completed_count, locked, read_plan, store_path
 from spm_pin.sweeps.sweep_errors import StoreError, SweepError, as_store_error
+from spm_pin.sweeps.sweep_plan import SweepPlan, package_version
 from spm_pin.sweeps.workers import WorkersLostError, check_workers, complete_chunks
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ def run(
 
     Worker processes import the main module: a script that calls this needs ``if __name__ == "__main__":``.
     """
-    plan = Plan.make(geometry, domain, metrics, chunk)
+    plan = SweepPlan.make(geometry, domain, metrics, chunk)
     return _run(plan, store_path(store), scheduler, workers, progress)
 
 
@@ -218,7 +218,7 @@ def open_store(store: str | os.PathLike[str]) -> xarray.Dataset:
 
 
 def _run(
-    plan: Plan, path: Path, scheduler: str | Client | None, workers: int | None, progress: PointProgress | None
+    plan: SweepPlan, path: Path, scheduler: str | Client | None, workers: int | None, progress: PointProgress | None
 ) -> xarray.Dataset:
     require_extra("cluster")
     check_workers(scheduler, workers)

@@ -3,8 +3,8 @@
 Each chunk of each variable ends with its CRC32C, by Zarr's own codec. Beside the variables is a group `sweep` with the
 array `crc32c`: for every chunk the CRC32C of the sweep's definition, of the chunk's index, and of its bytes in all
 variables. It is the record that the chunk is complete. It is written after the chunk's bytes have reached the disk, so
-a chunk with a record that fits needs no work, and any other is computed again. Nothing is removed but the drafts, by
-their names, that Zarr writes before it renames them.
+a chunk with a record that fits needs no work, and any other is computed again. Of a store, only Zarr's
+temporary files (`*.partial`), left by killed processes, are ever removed.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import file_path
 from spm_pin.sweeps.metric import DTYPES
-from spm_pin.sweeps.plan import FORMAT, Plan, definition_differences
 from spm_pin.sweeps.sweep_errors import StoreError, StoreLockedError, as_store_error
+from spm_pin.sweeps.sweep_plan import FORMAT, SweepPlan, definition_differences
 
 __all__ = ["Store", "completed_count", "locked", "read_plan", "store_path"]
 
@@ -41,9 +41,12 @@ _DRAFT = rf"({_CHUNK}|zarr)\.[0-9a-f]{{32}}\.partial"
 
 
 class Store:
-    """The store of one plan: `ArgumentError` if there is something else at the path, or a store of another plan."""
+    """The store of one plan.
 
-    def __init__(self, path: Path, plan: Plan) -> None:
+    Raises `ArgumentError` if the path holds anything else, `StoreError` if what it holds is damaged.
+    """
+
+    def __init__(self, path: Path, plan: SweepPlan) -> None:
         import zarr
 
         self.path = path
@@ -62,8 +65,8 @@ class Store:
             }
 
     @classmethod
-    def create(cls, path: Path, plan: Plan) -> Store:
-        """Open the store; make it if there is none or an empty folder. It appears as a whole."""
+    def create(cls, path: Path, plan: SweepPlan) -> Store:
+        """Open the store; make it if there is none or an empty folder. It is created atomically."""
         with as_store_error(path):
             if not path.exists() or (path.is_dir() and not any(path.iterdir())):
                 # A process that is killed leaves this hidden folder behind: no later one can find out whose it is.
@@ -132,7 +135,7 @@ def store_path(store: str | os.PathLike[str]) -> Path:
     return path
 
 
-def read_plan(path: Path) -> Plan:
+def read_plan(path: Path) -> SweepPlan:
     """Return the plan of the sweep whose store is at `path`, after a check of its metadata.
 
     Raises `ArgumentError` if there is no such store, `StoreError` if it is damaged, or not written by a sweep.
@@ -147,7 +150,7 @@ def read_plan(path: Path) -> Plan:
                 definition = json.loads(stored)
                 if definition["format"] != FORMAT:
                     raise StoreError(str(path), f"a store of format {definition['format']}; this version has {FORMAT}")
-                return Plan.from_definition(definition)
+                return SweepPlan.from_definition(definition)
         received = "which holds none" if path.exists() else "which does not exist"
     raise ArgumentError("store", "the folder of a sweep", f"{path}, {received}")
 
@@ -219,7 +222,7 @@ def _check_metadata(path: Path, metadata: dict[str, Any]) -> None:
                 raise StoreError(str(path), f"{name} is stored by {used!r}, which no sweep writes, and is not read")
 
 
-def _create(path: Path, plan: Plan) -> None:
+def _create(path: Path, plan: SweepPlan) -> None:
     """Write the metadata and the coordinates that are the same for all points of a row."""
     import zarr
     from zarr.codecs import Crc32cCodec, ZstdCodec

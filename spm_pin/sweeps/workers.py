@@ -18,10 +18,10 @@ import numpy as np
 from spm_pin.errors import ArgumentError, SpmError
 from spm_pin.mechanism.arguments import instance, whole_number
 from spm_pin.sweeps.metrics import METRICS
-from spm_pin.sweeps.plan import Plan, package_version
 from spm_pin.sweeps.points import Points
 from spm_pin.sweeps.store import Store
 from spm_pin.sweeps.sweep_errors import StoreError
+from spm_pin.sweeps.sweep_plan import SweepPlan, package_version
 
 if TYPE_CHECKING:
     from distributed import Client, Future, Worker
@@ -56,7 +56,7 @@ def check_workers(scheduler: object, workers: object) -> None:
         instance(scheduler, Client, "scheduler", "Give the address of a Dask scheduler, or a Client.")
 
 
-def complete_chunk(plan: Plan, path: Path, chunk: Chunk) -> Chunk:
+def complete_chunk(plan: SweepPlan, path: Path, chunk: Chunk) -> Chunk:
     """Compute and write a chunk unless it is complete; return its index. This is the task of a worker."""
     store = _opened.get((plan.text, path)) or _open(plan, path)
     if not store.is_complete(chunk):
@@ -64,7 +64,7 @@ def complete_chunk(plan: Plan, path: Path, chunk: Chunk) -> Chunk:
     return chunk
 
 
-def _open(plan: Plan, path: Path) -> Store:
+def _open(plan: SweepPlan, path: Path) -> Store:
     host, version = socket.gethostname(), package_version()
     if plan.version != version:
         raise StoreError(str(path), f"a sweep of spm_pin {plan.version}, but the worker on {host} has {version}")
@@ -78,7 +78,9 @@ def _open(plan: Plan, path: Path) -> Store:
     return store
 
 
-def complete_chunks(plan: Plan, path: Path, scheduler: str | Client | None, workers: int | None) -> Generator[Chunk]:
+def complete_chunks(
+    plan: SweepPlan, path: Path, scheduler: str | Client | None, workers: int | None
+) -> Generator[Chunk]:
     """Complete all chunks, in any order, and yield the index of each; `ArgumentError` without the scheduler."""
     if scheduler is None and 1 in (workers, plan.count):
         yield from (complete_chunk(plan, path, chunk) for chunk in plan)
@@ -110,7 +112,7 @@ def complete_chunks(plan: Plan, path: Path, scheduler: str | Client | None, work
         yield from _scheduled(plan, path, client)
 
 
-def _compile_kernels(plan: Plan) -> None:
+def _compile_kernels(plan: SweepPlan) -> None:
     """Compile the kernels of the package's metrics in this process, for workers to find them in the cache on disk."""
     # Whether the point is reached does not matter: kernels are called, and so compiled, without any items too.
     points = Points(plan.geometry, plan.domain.space, np.array([[axis.start for axis in plan.domain.axes]]))
@@ -120,7 +122,7 @@ def _compile_kernels(plan: Plan) -> None:
                 metric.evaluate(points)
 
 
-def _scheduled(plan: Plan, path: Path, client: Client) -> Iterator[Chunk]:
+def _scheduled(plan: SweepPlan, path: Path, client: Client) -> Iterator[Chunk]:
     from distributed import KilledWorker, as_completed
 
     def submit(count: int) -> list[Future[Any]]:

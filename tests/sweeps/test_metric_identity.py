@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.sweeps import METRICS, Metric, Points, metric
-from spm_pin.sweeps.identity import function_identity
+from spm_pin.sweeps.function_identity import function_identity
 from spm_pin.sweeps.metrics import metric_from_definition, unavailable
 
 FACTOR = 2.0
@@ -264,7 +264,7 @@ def test_a_stored_metric_whose_object_has_another_state_is_refused(tmp_path: Pat
 
     first = stores.small(path, metrics=[with_scale(1.0)]).mine.values
     before = stores.contents(path)
-    with pytest.raises(spm.ArgumentError, match=r"function is .* there and .* here"):
+    with pytest.raises(spm.ArgumentError, match=r"function is .* in the store and .* in this sweep"):
         stores.small(path, metrics=[with_scale(2.0)])
     assert stores.contents(path) == before
     np.testing.assert_array_equal(stores.small(path, metrics=[with_scale(1.0)]).mine, first)
@@ -287,7 +287,7 @@ def test_a_decorated_function_is_a_metric_with_parameters(tmp_path: Path) -> Non
     found = stores.small(tmp_path / "map.zarr", metrics=[other])
     np.testing.assert_array_equal(found.shifted, np.broadcast_to(found.x + 3.0, found.shifted.T.shape).T)
     assert found.shifted.attrs["shift"] == 3.0
-    with pytest.raises(spm.ArgumentError, match=r"parameters.shift is 3.0 there and 1.0 here"):
+    with pytest.raises(spm.ArgumentError, match=r"parameters.shift is 3.0 in the store and 1.0 in this sweep"):
         stores.small(tmp_path / "map.zarr", metrics=[shifted])
 
 

@@ -40,9 +40,9 @@ from spm_pin.sweeps import (
     run,
     status,
 )
-from spm_pin.sweeps.plan import Plan
 from spm_pin.sweeps.runner import open_store
 from spm_pin.sweeps.store import locked
+from spm_pin.sweeps.sweep_plan import SweepPlan
 
 payload = spm.sweeps.METRICS["payload"]
 
@@ -57,13 +57,13 @@ def store(undisturbed: Path, tmp_path: Path) -> Path:
 def computed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, ...]]:
     """The chunks that are computed during a test."""
     done: list[tuple[int, ...]] = []
-    evaluate = Plan.evaluate
+    evaluate = SweepPlan.evaluate
 
-    def counted(self: Plan, index: tuple[int, ...]) -> dict[str, Any]:
+    def counted(self: SweepPlan, index: tuple[int, ...]) -> dict[str, Any]:
         done.append(index)
         return evaluate(self, index)
 
-    monkeypatch.setattr(Plan, "evaluate", counted)
+    monkeypatch.setattr(SweepPlan, "evaluate", counted)
     return done
 
 
@@ -277,28 +277,31 @@ OTHERS: dict[str, tuple[dict[str, Any], str]] = {
     "geometry": ({"geometry": dataclasses.replace(GEOMETRY, base_radius=0.7)}, r"geometry.base_radius is 0.69.* 0.7 "),
     "limits": (
         {"geometry": dataclasses.replace(GEOMETRY, limits=spm.LegLimits(1.1, 1.45))},
-        r"geometry.limits\[1\]\[0\] is 1.5 there and 1.45 here",
+        r"geometry.limits\[1\]\[0\] is 1.5 in the store and 1.45 in this sweep",
     ),
-    "no limits": ({"geometry": dataclasses.replace(GEOMETRY, limits=None)}, "geometry.limits is .* and null here"),
+    "no limits": (
+        {"geometry": dataclasses.replace(GEOMETRY, limits=None)},
+        "geometry.limits is .* in the store and null in this sweep",
+    ),
     "grid": (
         {"domain": pose_grid((0.37, 0.44, 8), (-0.16, -0.12, 6), (2.45, 2.55, 5), xyx=[0.01, (0.3, 0.34, 3), 0.1])},
-        r"domain.axes.x\[2\] is 7 there and 8 here",
+        r"domain.axes.x\[2\] is 7 in the store and 8 in this sweep",
     ),
-    "space": ({"domain": leg_grid((1.1, 1.5, 3), 1.2)}, 'domain.space is "pose" there and "legs" here'),
+    "space": ({"domain": leg_grid((1.1, 1.5, 3), 1.2)}, 'domain.space is "pose" in the store and "legs" in this sweep'),
     "fewer metrics": ({"metrics": METRICS[:3]}, r'metrics is \["branches", .*"payload"'),
     "parameters": (
         {"metrics": [*METRICS[:3], payload(push=5.0)]},
-        r"metrics\[2\].parameters.push is 1.0 there and 5.0",
+        r"metrics\[2\].parameters.push is 1.0 in the store and 5.0",
     ),
     "type": (
         {"metrics": [*METRICS[:3], dataclasses.replace(payload, dtype="float32")]},
-        'dtype is "float64" there and "float32" here',
+        'dtype is "float64" in the store and "float32" in this sweep',
     ),
     "function": (
         {"metrics": [*METRICS[:3], dataclasses.replace(payload, function=lambda points: np.zeros(len(points)))]},
-        "function is .*payload.* there and .*code",
+        "function is .*payload.* in the store and .*code",
     ),
-    "chunk": ({"chunk": 300}, r"chunk\[0\] is 1 there and"),
+    "chunk": ({"chunk": 300}, r"chunk\[0\] is 1 in the store and"),
 }
 
 
@@ -312,7 +315,7 @@ def test_store_of_another_sweep_is_refused_and_not_changed(other: str, store: Pa
 
 def test_a_store_of_another_version_is_refused(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(spm, "__version__", "9.9")
-    with pytest.raises(spm.ArgumentError, match=r'spm_pin is "0\..*" there and "9.9" here'):
+    with pytest.raises(spm.ArgumentError, match=r'spm_pin is "0\..*" in the store and "9.9" in this sweep'):
         small(store)
     with pytest.raises(spm.ArgumentError, match=r"of spm_pin 9.9, got .* made by 0\."):
         resume(store)
@@ -640,6 +643,6 @@ def test_errors_can_be_pickled() -> None:
 
 def test_a_plan_is_made_again_from_its_definition() -> None:
     geometry = dataclasses.replace(GEOMETRY, limits=spm.LegLimits(0.0, [1.5] * 5 + [math.inf]))
-    plan = Plan.make(geometry, GRID, (payload(push=3.0),), CHUNK)
-    again = Plan.from_definition(json.loads(plan.text))
+    plan = SweepPlan.make(geometry, GRID, (payload(push=3.0),), CHUNK)
+    again = SweepPlan.from_definition(json.loads(plan.text))
     assert (again.text, again.geometry, again.domain) == (plan.text, geometry, GRID)

@@ -229,7 +229,7 @@ def test_a_scheduler_that_is_not_there(address: str, tmp_path: Path, monkeypatch
 
 
 def test_a_worker_of_another_version_or_elsewhere_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    plan = workers.Plan.make(stores.GEOMETRY, stores.GRID, (METRICS["reachable"],), 100)
+    plan = workers.SweepPlan.make(stores.GEOMETRY, stores.GRID, (METRICS["reachable"],), 100)
     with pytest.raises(StoreError, match="need a file system in common"):
         workers.complete_chunk(plan, tmp_path / "nowhere.zarr", (0, 0, 0, 0))
     monkeypatch.setattr(spm, "__version__", "9.9")

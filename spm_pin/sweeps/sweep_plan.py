@@ -22,7 +22,7 @@ from spm_pin.sweeps.metric import Metric
 from spm_pin.sweeps.metrics import metric_from_definition, resolve_metrics, status
 from spm_pin.sweeps.points import Points
 
-__all__ = ["FORMAT", "Plan", "definition_differences", "package_version"]
+__all__ = ["FORMAT", "SweepPlan", "definition_differences", "package_version"]
 
 FORMAT = 2
 """Version of the layout of a store."""
@@ -33,7 +33,7 @@ _RESERVED = {*AXES["pose"], *AXES["legs"], "sample", "status", "sweep"}
 
 
 @dataclass(frozen=True)
-class Plan:
+class SweepPlan:
     """Everything that determines the bytes of a store."""
 
     geometry: Geometry
@@ -48,7 +48,7 @@ class Plan:
     """Version of this package."""
 
     @classmethod
-    def make(cls, geometry: Geometry, domain: Domain, metrics: Iterable[str | Metric], chunk: int) -> Plan:
+    def make(cls, geometry: Geometry, domain: Domain, metrics: Iterable[str | Metric], chunk: int) -> SweepPlan:
         """Make a plan of metrics, each given by its name or as it is, with chunks of at most `chunk` points."""
         instance(geometry, Geometry, "geometry")
         instance(domain, Domain, "domain", "Made by pose_grid, leg_grid, pose_sample or leg_sample?")
@@ -117,7 +117,7 @@ class Plan:
         }
 
     @classmethod
-    def from_definition(cls, content: Mapping[str, Any]) -> Plan:
+    def from_definition(cls, content: Mapping[str, Any]) -> SweepPlan:
         """Make a plan from its `definition`, checked by comparison with that of the plan it makes.
 
         Metrics that are none of this package's can be named, but not computed. Anything but a definition ends in an
@@ -161,4 +161,4 @@ def definition_differences(stored: Any, requested: Any, where: str = "") -> list
     if pairs or stored == requested:
         return [line for name, *pair in pairs for line in definition_differences(pair[0], pair[1], name)]
     there, here = (json.dumps(value, ensure_ascii=False) for value in (stored, requested))
-    return [f"{where} is {there} there and {here} here"]
+    return [f"{where} is {there} in the store and {here} in this sweep"]
