@@ -252,7 +252,6 @@ INSTANCES: dict[str, Callable[[], Any]] = {
 UNCHECKED = (
     "Configuration.from_arrays",  # for solvers, documented to check nothing
     "SolutionSet.pick",  # likewise
-    "ChainState.set",  # likewise
     "ClosedChain.simulate",  # has tests of its own arguments; a call takes long
     "ClosedChain.joint_trajectory",
     "ClosedChain.mounted_on",

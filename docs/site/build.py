@@ -201,6 +201,18 @@ def _home(module: str, name: str) -> str:
 
 
 @functools.cache
+def _methods() -> set[str]:
+    """Return where functions are defined that are methods of public classes, as module.name."""
+    public = [
+        getattr(importlib.import_module(module), name)
+        for module in PUBLIC
+        for name in importlib.import_module(module).__all__
+    ]
+    members = [value for cls in public if inspect.isclass(cls) for value in vars(cls).values()]
+    return {f"{value.__module__}.{value.__qualname__}" for value in members if inspect.isfunction(value)}
+
+
+@functools.cache
 def _constants() -> dict[int, str]:
     """Return where each public constant is assigned, as module.name, by its identity."""
     return {
@@ -253,7 +265,8 @@ def _folder(folder: str, described: set[str]) -> str:
     lines = [f"# {folder}", "", f"{summary[0].upper()}{summary[1:]}.", ""]
     for module in _modules(folder):
         short = module.removeprefix(f"spm_pin.{folder}").removeprefix(".")
-        known = sorted(name for name in importlib.import_module(module).__all__ if f"{module}.{name}" in described)
+        homes = described | _methods()
+        known = sorted(name for name in importlib.import_module(module).__all__ if f"{module}.{name}" in homes)
         lines += ["", f"## {short or folder}", "", f"```{{eval-rst}}\n.. automodule:: {module}"]
         lines += [f"   :exclude-members: {', '.join(known)}"] if known else []
         # A function named as its module has the module's name as its address: only one of the two can be indexed.

@@ -80,12 +80,12 @@ def _at(
     state: ChainState, q: FloatArray, rate: FloatArray, change: FloatArray, of_legs: bool, payload: Payload | None
 ) -> tuple[FloatArray, ...]:
     """Return q', q'', the twist, f_a, f_b and f_c at one q, from the derivatives of leg lengths or of the platform."""
-    state.set(q)
+    state.update(q)
     first = state.joint_rates(rate) if of_legs else state.joint_velocities(rate)
     twist = state.kinematics.platform_jacobian @ first
     rest = np.zeros(len(q))
     still, moved = (_forces(state, a, np.zeros(6), payload) for a in (rest, first))
-    state.set(q, first)
+    state.update(q, first)
     second = state.joint_accelerations_of_legs(change) if of_legs else state.joint_accelerations(change)
     driven = _forces(state, second, twist, payload)
     return first, second, twist, moved - still, driven - still, still
@@ -96,6 +96,6 @@ def _forces(state: ChainState, a: FloatArray, twist: FloatArray, payload: Payloa
     if payload is None:
         return state.inverse_dynamics(a)
     rotation, _ = state.kinematics.terminal_pose()
-    gravity = state.constrained.model.gravity.linear
+    gravity = state.kinematics.model.gravity.linear
     load = payload.wrench(rotation, twist, state.platform_acceleration(a), gravity)
     return state.inverse_dynamics(a, load)

@@ -13,7 +13,7 @@ from functools import partial
 import numpy.typing as npt
 
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.multibody.batched_states import HasStates
+from spm_pin.multibody.batched_states import ChainLike
 from spm_pin.multibody.constrained_state import ChainState, ConstrainedState
 from spm_pin.multibody.dynamics import Energy, NaturalFrequencies, PlatformDynamics
 from spm_pin.multibody.regularity import SingularValues
@@ -37,12 +37,12 @@ __all__ = [
 ]
 
 
-def closure_gap(self: HasStates, q: npt.ArrayLike) -> FloatArray:
+def closure_gap(self: ChainLike, q: npt.ArrayLike) -> FloatArray:
     """Return how far the closures are open: from `frame_a` to `frame_b` of each, in {B} [m], shape (..., 4, 3)."""
     return self._states.array(ConstrainedState.closure_gap, (4, 3), q)
 
 
-def constraint_jacobian(self: HasStates, q: npt.ArrayLike) -> FloatArray:
+def constraint_jacobian(self: ChainLike, q: npt.ArrayLike) -> FloatArray:
     """Return the derivative of `closure_gap` by q, shape (..., 12, nv), three rows per closure.
 
     Its transpose maps forces in {B} onto the closures' `frame_b`, with the opposite onto `frame_a`, to
@@ -52,7 +52,7 @@ def constraint_jacobian(self: HasStates, q: npt.ArrayLike) -> FloatArray:
 
 
 def forward_dynamics(
-    self: HasStates,
+    self: ChainLike,
     q: npt.ArrayLike,
     v: npt.ArrayLike,
     forces: npt.ArrayLike,
@@ -90,7 +90,7 @@ def forward_dynamics(
 
 
 def inverse_dynamics(
-    self: HasStates, q: npt.ArrayLike, v: npt.ArrayLike, a: npt.ArrayLike, wrench: WrenchLike = None
+    self: ChainLike, q: npt.ArrayLike, v: npt.ArrayLike, a: npt.ArrayLike, wrench: WrenchLike = None
 ) -> FloatArray:
     """Return the forces of the actuators (..., n) [N, N m] for a motion under gravity, inertia and wrenches.
 
@@ -112,12 +112,12 @@ def inverse_dynamics(
     return self._states.array(ConstrainedState.inverse_dynamics, shape, q, v=v, a=a, wrench=wrenches)
 
 
-def energy(self: HasStates, q: npt.ArrayLike, v: npt.ArrayLike) -> Energy:
+def energy(self: ChainLike, q: npt.ArrayLike, v: npt.ArrayLike) -> Energy:
     """Return the kinetic and the potential energy (...) [J] of all bodies at q and v, closed or not."""
     return Energy(*self._states.over(ConstrainedState.energy, ((), ()), q, v=v))
 
 
-def inverse_jacobian(self: HasStates, q: npt.ArrayLike) -> FloatArray:
+def inverse_jacobian(self: ChainLike, q: npt.ArrayLike) -> FloatArray:
     """Return J_f (..., 6, 6), which maps the platform's twist to the leg rates; q is closed.
 
     Raises `SingularConfigurationError` at an inverse or a constraint singularity.
@@ -125,15 +125,15 @@ def inverse_jacobian(self: HasStates, q: npt.ArrayLike) -> FloatArray:
     return self._states.array(ChainState.inverse_jacobian, (6, 6), q)
 
 
-def joint_velocities(self: HasStates, q: npt.ArrayLike, twist: npt.ArrayLike) -> FloatArray:
-    """Return the rates of all joints (..., 18) [rad/s, m/s], in the order of `joint_names`, for a twist of m.
+def joint_velocities(self: ChainLike, q: npt.ArrayLike, twist: npt.ArrayLike) -> FloatArray:
+    """Return the velocities of all joints (..., 18) [rad/s, m/s] for a twist of m, in the order of `joint_names`.
 
     The twist is (..., 6); else as `inverse_jacobian`.
     """
     return self._states.array(ChainState.joint_velocities, (18,), q, twist=twist)
 
 
-def joint_rates(self: HasStates, q: npt.ArrayLike, leg_rates: npt.ArrayLike) -> FloatArray:
+def joint_rates(self: ChainLike, q: npt.ArrayLike, leg_rates: npt.ArrayLike) -> FloatArray:
     """Return the velocities of all joints (..., 18) [rad/s, m/s] for rates of the six legs (..., 6) [m/s].
 
     q is closed; the other way is `joint_velocities`. Raises `SingularConfigurationError` at a forward or a
@@ -142,7 +142,7 @@ def joint_rates(self: HasStates, q: npt.ArrayLike, leg_rates: npt.ArrayLike) -> 
     return self._states.array(ChainState.joint_rates, (18,), q, leg_rates=leg_rates)
 
 
-def leg_forces(self: HasStates, q: npt.ArrayLike, wrench: npt.ArrayLike) -> FloatArray:
+def leg_forces(self: ChainLike, q: npt.ArrayLike, wrench: npt.ArrayLike) -> FloatArray:
     """Return the actuator forces (..., 6) [N] that hold a wrench (..., 6) applied onto the terminal platform.
 
     Weights and friction are left out: `inverse_dynamics` has the weights. Raises `SingularConfigurationError` at a
@@ -151,7 +151,7 @@ def leg_forces(self: HasStates, q: npt.ArrayLike, wrench: npt.ArrayLike) -> Floa
     return self._states.array(ChainState.leg_forces, (6,), q, wrench=wrench)
 
 
-def cut_forces(self: HasStates, q: npt.ArrayLike, wrench: npt.ArrayLike) -> FloatArray:
+def cut_forces(self: ChainLike, q: npt.ArrayLike, wrench: npt.ArrayLike) -> FloatArray:
     """Return the forces in the ball joints where the tree is cut, shape (..., 4, 3) [N] in {B}.
 
     Per closure, what the middle platform (`frame_a`) exerts onto the tip of the leg (`frame_b`); the leg exerts
@@ -160,12 +160,12 @@ def cut_forces(self: HasStates, q: npt.ArrayLike, wrench: npt.ArrayLike) -> Floa
     return self._states.array(ChainState.cut_forces, (4, 3), q, wrench=wrench)
 
 
-def singular_values(self: HasStates, q: npt.ArrayLike) -> SingularValues:
+def singular_values(self: ChainLike, q: npt.ArrayLike) -> SingularValues:
     """Return how near q (..., 18) is to each kind of singularity, without raising `SingularConfigurationError`."""
     return SingularValues(*self._states.over(ChainState.singular_values, ((), (), ()), q))
 
 
-def joint_accelerations(self: HasStates, q: npt.ArrayLike, v: npt.ArrayLike, acceleration: npt.ArrayLike) -> FloatArray:
+def joint_accelerations(self: ChainLike, q: npt.ArrayLike, v: npt.ArrayLike, acceleration: npt.ArrayLike) -> FloatArray:
     """Return the accelerations of all joints (..., 18) for one of the terminal platform (..., 6).
 
     That is the time derivative of the twist: of the point o [m/s²], and angular [rad/s²], in {B}. q and v (..., 18)
@@ -175,7 +175,7 @@ def joint_accelerations(self: HasStates, q: npt.ArrayLike, v: npt.ArrayLike, acc
     return self._states.array(ChainState.joint_accelerations, (18,), q, v=v, acceleration=acceleration)
 
 
-def platform_dynamics(self: HasStates, q: npt.ArrayLike, v: npt.ArrayLike) -> PlatformDynamics:
+def platform_dynamics(self: ChainLike, q: npt.ArrayLike, v: npt.ArrayLike) -> PlatformDynamics:
     """Return the equations of motion at the terminal platform, Λ ṫ + C t + G = J_fᵀ f + w, of all bodies' masses.
 
     q, v and the errors are those of `joint_accelerations`.
@@ -183,7 +183,7 @@ def platform_dynamics(self: HasStates, q: npt.ArrayLike, v: npt.ArrayLike) -> Pl
     return PlatformDynamics(*self._states.over(ChainState.platform_dynamics, ((6, 6), (6, 6), (6,), (6,)), q, v=v))
 
 
-def natural_frequencies(self: HasStates, q: npt.ArrayLike, stiffness: npt.ArrayLike) -> NaturalFrequencies:
+def natural_frequencies(self: ChainLike, q: npt.ArrayLike, stiffness: npt.ArrayLike) -> NaturalFrequencies:
     """Return the small vibrations of the platform with its motors held, on legs that are elastic.
 
     q is closed, `stiffness` (..., 6, 6) the platform's as of `spm_pin.stiffness`; all bodies' masses take part as

@@ -1,4 +1,4 @@
-"""Batches of q and v: Pinocchio answers one state at a time, so that leading axes are gone through member by member."""
+"""Loops over batches of q and v: Pinocchio computes one state at a time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from spm_pin.multibody.constrained_model import ConstrainedModel
 from spm_pin.multibody.constrained_state import ConstrainedState
 from spm_pin.multibody.vector_arguments import Wrenches, read_vectors
 
-__all__ = ["LOCATED", "BatchedStates", "HasStates", "located"]
+__all__ = ["LOCATED", "BatchedStates", "ChainLike", "located"]
 
 LOCATED = ArgumentError, ClosureError, SingularConfigurationError
 """The errors that are about a member of a batch."""
@@ -52,7 +52,7 @@ class BatchedStates:
         ArgumentError
             If a vector is malformed, or the leading axes do not broadcast.
         ArgumentError, ClosureError, SingularConfigurationError
-            As of `function`, with the member's index.
+            Raised by `function`; the member's index is added.
         """
         arguments, frames = {"q": self.constrained.checked(q)}, None
         for name, value in vectors.items():
@@ -67,7 +67,7 @@ class BatchedStates:
             state = self._kind(self.constrained)
 
         def member(*values: FloatArray) -> tuple[Any, ...]:
-            state.set(*values[:moving])
+            state._set_checked(*values[:moving])
             if frames is None:
                 return function(state, *values[moving:])
             return function(state, *values[moving:-1], Wrenches(values[-1], frames))
@@ -84,8 +84,8 @@ class BatchedStates:
         return np.asarray(self.over(lambda *values: (function(*values),), (trailing,), q, **vectors)[0])
 
 
-class HasStates(Protocol):
-    """What methods for batches need: a `ClosedChain` and a `MountedChain` have it."""
+class ChainLike(Protocol):
+    """A `ClosedChain` or a `MountedChain`."""
 
     @property
     def _states(self) -> BatchedStates: ...

@@ -35,8 +35,9 @@ class ClosedChain:
     Made by `from_urdf`. {B} is the link `base` and Pinocchio's universe. Methods take q, joint values [rad, m] in the
     order of `joint_names`, of one state or of a batch (..., 18), and raise `ArgumentError` if it has another shape, is
     not finite, or gives a leg a negative length. Leading axes of several arguments broadcast. Pinocchio answers one
-    state at a time, so that a batch takes as long as its members. `state` computes several quantities of
-    one q and v; methods in closed form, which say so, are for millions of states.
+    state at a time, so that a batch takes as long as its members; `joint_values`, and `forward_kinematics` and
+    `inverse_kinematics` without `near`, are vectorised closed forms. `state` computes several quantities of one q
+    and v. For a chain by itself nq = nv = 18, and the n = 6 actuators are the legs.
 
     The geometry may be that of a machine as built: leg lengths are then its readings, offsets included, and joint
     values zero at the home of the nominal machine, where its loops are open by about its errors.
@@ -45,6 +46,8 @@ class ClosedChain:
     legs are in the order r_b1, r_b2, r_b3, r_c1, r_c2, r_c3, and a positive leg force pushes, to extend the leg.
     Methods that use rates or forces raise `ArgumentError` where a ball joint's middle angle is ±90°, and
     `SingularConfigurationError` at the singularities they name; see `spm_pin.multibody.regularity.SINGULAR`.
+
+    A subclass with other constructor arguments needs its own `__reduce__`.
 
     Parameters
     ----------
@@ -162,8 +165,9 @@ class ClosedChain:
     def state(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> ChainState:
         """Return the state of joint values q (18,) and velocities v (18,), by default at rest.
 
-        Its methods are those of the chain without q and v, and share what they compute; `state.update(q, v)` moves it
-        on. In a control loop it saves reading and computing the same twice.
+        It has the chain's methods about rates, forces and dynamics, without q and v, and `joint_accelerations_of_legs`
+        and `platform_acceleration` besides. They share what they compute; `state.update(q, v)` moves it on. In a
+        control loop it saves reading and computing the same twice.
         """
         return ChainState(self._states.constrained).update(q, v)
 

@@ -14,16 +14,16 @@ from spm_pin.mechanism.arguments import FloatArray, first_offender, flag, whole_
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LEGS
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
-from spm_pin.multibody.batched_states import LOCATED, HasStates, located
+from spm_pin.multibody.batched_states import LOCATED, ChainLike, located
+from spm_pin.multibody.closure_checks import require_closed
 from spm_pin.multibody.closure_solvers import ContinuationSolver, project_to_closure
 from spm_pin.multibody.constrained_state import ChainState
-from spm_pin.multibody.dynamics import require_closed
 from spm_pin.multibody.vector_arguments import read_vectors
 
 __all__ = ["forward_kinematics", "inverse_kinematics", "project"]
 
 
-def project(self: HasStates, q: npt.ArrayLike, *, hold_legs: bool = False, max_iterations: int = 50) -> FloatArray:
+def project(self: ChainLike, q: npt.ArrayLike, *, hold_legs: bool = False, max_iterations: int = 50) -> FloatArray:
     """Return closed joint values (..., 18) near q, by Newton's method; angles are not reduced to one turn.
 
     All joints move, as little as closes the loops to first order, slides measured in units of the middle platform's
@@ -39,7 +39,7 @@ def project(self: HasStates, q: npt.ArrayLike, *, hold_legs: bool = False, max_i
     return self._states.array(member, (18,), q)
 
 
-def forward_kinematics(self: HasStates, leg_lengths: npt.ArrayLike, near: npt.ArrayLike | None = None) -> FloatArray:
+def forward_kinematics(self: ChainLike, leg_lengths: npt.ArrayLike, near: npt.ArrayLike | None = None) -> FloatArray:
     """Return all joints (..., 18) of leg lengths (..., 6) [m]: the passive ones from the actuated ones.
 
     By default in the physical assembly mode of each member, in closed form and vectorised, angles in [-π, π]; see
@@ -74,7 +74,7 @@ def forward_kinematics(self: HasStates, leg_lengths: npt.ArrayLike, near: npt.Ar
     return _follow(self, ContinuationSolver.to_leg_lengths, near, lengths.shape[:-1], lengths)
 
 
-def inverse_kinematics(self: HasStates, pose: PoseLike, near: npt.ArrayLike | None = None) -> FloatArray:
+def inverse_kinematics(self: ChainLike, pose: PoseLike, near: npt.ArrayLike | None = None) -> FloatArray:
     """Return all joints (..., 18) of a pose (...) of the terminal platform, {m} in {B}.
 
     By default in the physical branch of each member, in closed form and vectorised, angles in [-π, π]; see
@@ -106,7 +106,7 @@ def inverse_kinematics(self: HasStates, pose: PoseLike, near: npt.ArrayLike | No
 
 
 def _follow(
-    self: HasStates,
+    self: ChainLike,
     solve: Callable[..., FloatArray],
     near: npt.ArrayLike,
     shape: tuple[int, ...],

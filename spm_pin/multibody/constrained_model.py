@@ -130,7 +130,7 @@ class TreeKinematics:
         self._own: Any = self.layout.v if len(self.layout.others) else slice(None)
 
     def evaluate(self, q: FloatArray) -> None:
-        """Set the joint values (nq,) of the model; nothing is computed again for the last ones."""
+        """Evaluate the kinematics at q (nq,), unless q is unchanged."""
         values, self.q = q.tobytes(), q
         if values == self._values:
             return

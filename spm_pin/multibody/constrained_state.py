@@ -14,6 +14,7 @@ from scipy.linalg import LinAlgError, eigh
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
+from spm_pin.multibody.closure_checks import largest, require_closed
 from spm_pin.multibody.constrained_model import ConstrainedModel, TreeKinematics
 from spm_pin.multibody.dynamics import (
     AccelerationSolver,
@@ -21,9 +22,7 @@ from spm_pin.multibody.dynamics import (
     NaturalFrequencies,
     PlatformDynamics,
     energy_of,
-    largest,
     mass_matrix,
-    require_closed,
     wrench_torques,
 )
 from spm_pin.multibody.joint_layout import AGREEMENT
@@ -39,18 +38,24 @@ class ConstrainedState:
     Made by the method `state` of `ClosedChain` and of `MountedChain`. Kinematics, constraint Jacobian and
     factorisations are computed once and kept for later calls: use it for several quantities of one q and v, or for one
     quantity of many in turn. `update` moves it to another q and v without new memory. One state is for one thread at a
-    time. Methods are those of the chain without q and v, for one member each, with the same errors.
+    time. Its methods are those of `MountedChain` about closures, dynamics and energy, without q and v, for one member
+    each, with the same errors.
+
+    Attributes
+    ----------
+    kinematics : TreeKinematics
+        Pinocchio's data, Jacobians and factorisations at q; do not change it.
     """
 
     def __init__(self, constrained: ConstrainedModel) -> None:
-        self.constrained = constrained
+        self._constrained = constrained
         self.kinematics = TreeKinematics(constrained)
         self._v = np.zeros(constrained.model.nv)
         self._drift: tuple[FloatArray, FloatArray] | None = None
         self._closed = False
 
     def __repr__(self) -> str:
-        return f"<{type(self).__name__}: {self.constrained.model.nv} degrees of freedom of the tree>"
+        return f"<{type(self).__name__}: {self._constrained.model.nv} degrees of freedom of the tree>"
 
     @property
     def q(self) -> FloatArray:
@@ -64,14 +69,14 @@ class ConstrainedState:
 
     def update(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> Self:
         """Move to other joint values (nq,) and velocities (nv,), zero by default; return this state."""
-        joints = self.constrained.checked(q, single=True).copy()
-        self.set(joints, None if v is None else read_vector(v, "v", self.constrained.model.nv).copy())
+        joints = self._constrained.checked(q, single=True).copy()
+        self._set_checked(joints, None if v is None else read_vector(v, "v", self._constrained.model.nv).copy())
         return self
 
-    def set(self, q: FloatArray, v: FloatArray | None = None) -> None:
+    def _set_checked(self, q: FloatArray, v: FloatArray | None = None) -> None:
         """Move to arrays that have been checked, and are not changed while the state is there."""
         self.kinematics.evaluate(q)
-        self._v = np.zeros(self.constrained.model.nv) if v is None else v
+        self._v = np.zeros(self._constrained.model.nv) if v is None else v
         self._drift = None
         self._closed = False
 
@@ -87,9 +92,9 @@ class ConstrainedState:
         self, forces: npt.ArrayLike, wrench: WrenchLike = None, *, gains: GainsLike = None
     ) -> FloatArray:
         """Return the accelerations of all joints (nv,) under the forces of all actuators, gravity and wrenches."""
-        kinematics, actuated = self.kinematics, self.constrained.actuated
+        kinematics, actuated = self.kinematics, self._constrained.actuated
         stabilisation, force = read_gains(gains), read_vector(forces, "forces", actuated.size)
-        wrenches = self.constrained.read_wrenches(wrench, single=True)
+        wrenches = self._constrained.read_wrenches(wrench, single=True)
         kinematics.require_constrained()
         if stabilisation is None:
             self._require_closed()
@@ -99,9 +104,9 @@ class ConstrainedState:
 
     def inverse_dynamics(self, a: npt.ArrayLike, wrench: WrenchLike = None) -> FloatArray:
         """Return the forces of all actuators for joint accelerations (nv,), under gravity and wrenches."""
-        kinematics, layout = self.kinematics, self.constrained.layout
+        kinematics, layout = self.kinematics, self._constrained.layout
         wanted = read_vector(a, "a", kinematics.model.nv)
-        wrenches = self.constrained.read_wrenches(wrench, single=True)
+        wrenches = self._constrained.read_wrenches(wrench, single=True)
         self._require_closed()
         self._require_closed_accelerations(wanted)
         load = wrench_torques(kinematics, wrenches)
@@ -115,11 +120,11 @@ class ConstrainedState:
 
     @cached_property
     def _solver(self) -> AccelerationSolver:
-        return AccelerationSolver(self.constrained)
+        return AccelerationSolver(self._constrained)
 
     def _balance(self, torques: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return leg forces (6,) and forces in the cut balls (3 n,) that give the tree's generalized forces (18,)."""
-        layout = self.constrained.layout
+        layout = self._constrained.layout
         # The actuators do not act on the passive joints: these give λ, and the legs what is left.
         cuts = self.kinematics.forward_factors.solve_transposed(torques.take(layout.passive))
         return torques.take(layout.legs) - cuts.dot(self.kinematics.chain_constraint_jacobian).take(layout.legs), cuts
@@ -127,7 +132,7 @@ class ConstrainedState:
     def _bias(self) -> tuple[FloatArray, FloatArray]:
         """Return the accelerations where no joint accelerates: of the gaps, J̇c v (3 n,), and of m (6,)."""
         if self._drift is None:
-            kinematics, constrained = self.kinematics, self.constrained
+            kinematics, constrained = self.kinematics, self._constrained
             model, data = kinematics.model, kinematics.data
             pin.forwardKinematics(model, data, kinematics.q, self._v, kinematics.still)
             *points, platform = (
@@ -149,7 +154,9 @@ class ConstrainedState:
         opening, size = largest(kinematics.constraint_jacobian.dot(a) + drift), largest(drift)
         # The rest of the size takes longer and is rarely needed.
         if opening > AGREEMENT * size and opening > AGREEMENT * (
-            size + kinematics.gap_rate_bound(a) + kinematics.gap_rate_bound(self._v) ** 2 / self.constrained.layout.side
+            size
+            + kinematics.gap_rate_bound(a)
+            + kinematics.gap_rate_bound(self._v) ** 2 / self._constrained.layout.side
         ):
             expected = "joint accelerations that keep the loops closed"
             cause = "joint_accelerations makes them from the platform's, at the velocities v"
@@ -157,27 +164,31 @@ class ConstrainedState:
 
 
 class ChainState(ConstrainedState):
-    """The state of a `ClosedChain`: a `ConstrainedState` with the methods that a mounted chain has not."""
+    """The state of a `ClosedChain`, a `ConstrainedState` with the methods that a mounted chain has not.
+
+    It has the chain's methods about rates, forces and dynamics, without q and v, and `joint_accelerations_of_legs` and
+    `platform_acceleration` besides.
+    """
 
     def configuration(self) -> Configuration:
         """Return the poses of m and of the middle platform's corners."""
         arrays = *self.kinematics.terminal_pose(), self.kinematics.corners()
-        return Configuration.from_arrays(self.constrained.layout.geometry, *arrays)
+        return Configuration.from_arrays(self._constrained.layout.geometry, *arrays)
 
     def leg_lengths(self) -> FloatArray:
         """Return the leg lengths (6,) [m]."""
-        return self.constrained.layout.leg_lengths(self.kinematics.q)
+        return self._constrained.layout.leg_lengths(self.kinematics.q)
 
     def inverse_jacobian(self) -> FloatArray:
         """Return J_f, which maps the platform's twist to the leg rates, shape (6, 6)."""
-        return np.asarray(self.kinematics.velocities_of_twists()[self.constrained.layout.legs])
+        return np.asarray(self.kinematics.velocities_of_twists()[self._constrained.layout.legs])
 
     def joint_velocities(self, twist: npt.ArrayLike) -> FloatArray:
-        """Return the rates of all joints (18,) for a twist (6,) of m."""
+        """Return the velocities of all joints (18,) for a twist (6,) of m."""
         return np.asarray(self.kinematics.velocities_of_twists() @ read_vector(twist, "twist", 6))
 
     def joint_rates(self, leg_rates: npt.ArrayLike) -> FloatArray:
-        """Return the rates of all joints (18,) for rates of the legs (6,)."""
+        """Return the velocities of all joints (18,) for rates of the six legs (6,)."""
         return self.kinematics.velocities_of_legs(read_vector(leg_rates, "leg_rates", 6))
 
     def leg_forces(self, wrench: npt.ArrayLike) -> FloatArray:
@@ -204,19 +215,19 @@ class ChainState(ConstrainedState):
         wanted = read_vector(leg_accelerations, "leg_accelerations", 6)
         self._require_closed()
         a = self.kinematics.velocities_of_legs(wanted)
-        a[self.constrained.layout.passive] -= self.kinematics.forward_factors.solve(self._bias()[0])
+        a[self._constrained.layout.passive] -= self.kinematics.forward_factors.solve(self._bias()[0])
         return a
 
     def platform_acceleration(self, a: npt.ArrayLike) -> FloatArray:
         """Return the time derivative of the twist of m (6,) [m/s², rad/s²] for joint accelerations (nv,)."""
         return np.asarray(
-            self.kinematics.platform_jacobian @ read_vector(a, "a", self.constrained.model.nv) + self._bias()[1]
+            self.kinematics.platform_jacobian @ read_vector(a, "a", self._constrained.model.nv) + self._bias()[1]
         )
 
     def natural_frequencies(self, stiffness: npt.ArrayLike) -> NaturalFrequencies:
         """Return the vibrations Λ ẍ + K x = 0 on elastic legs, of a stiffness K (6, 6) as of `spm_pin.stiffness`."""
         require_closed(self.kinematics)
-        matrix, x = read_stiffness(stiffness), self.kinematics.velocities_of_twists()
+        matrix, x = read_stiffness(stiffness, single=True), self.kinematics.velocities_of_twists()
         expected = "a symmetric matrix, positive definite"
         try:
             squares, modes = eigh(matrix, x.T @ mass_matrix(self.kinematics) @ x)
@@ -236,10 +247,10 @@ class ChainState(ConstrainedState):
         pin.computeJointJacobiansTimeVariation(model, data, q, v)
         *points, platform = (
             pin.getFrameJacobianTimeVariation(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-            for frame in (*self.constrained.frames, self.constrained.layout.platform_frame)
+            for frame in (*self._constrained.frames, self._constrained.layout.platform_frame)
         )
         # K Ẋ = -K̇ X.
-        rates = kinematics.in_one_unit(platform, self.constrained.linear_differences(points))
+        rates = kinematics.in_one_unit(platform, self._constrained.linear_differences(points))
         x_rate = -kinematics.inverse_factors.solve(rates @ x)
         mass = mass_matrix(kinematics)
         coriolis = x.T @ (mass @ x_rate + pin.computeCoriolisMatrix(model, data, q, v) @ x)

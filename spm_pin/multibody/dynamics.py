@@ -13,6 +13,8 @@ module `constrained_model`, leg forces f, wrenches w_k at frames with Jacobians 
       Λ ṫ + C t + G = J_fᵀ f + w,    Λ = Xᵀ M X,    C = Xᵀ (M Ẋ + C_tree X),    G = Xᵀ g,
 
   regular wherever the twist determines the leg rates. Λ̇ - 2 C is skew, because Ṁ - 2 C_tree is.
+
+Here are the forward form and the energies; `constrained_state` has the others.
 """
 
 from __future__ import annotations
@@ -22,10 +24,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from spm_pin.errors import ArgumentError, ClosureError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.multibody.constrained_model import ConstrainedModel, TreeKinematics
-from spm_pin.multibody.joint_layout import AGREEMENT
 from spm_pin.multibody.vector_arguments import Gains, Wrenches
 
 __all__ = [
@@ -34,9 +34,7 @@ __all__ = [
     "NaturalFrequencies",
     "PlatformDynamics",
     "energy_of",
-    "largest",
     "mass_matrix",
-    "require_closed",
     "wrench_torques",
 ]
 
@@ -138,25 +136,3 @@ def energy_of(kinematics: TreeKinematics, v: FloatArray) -> Energy:
     """Return the energy of the tree's bodies."""
     kinetic = float(pin.computeKineticEnergy(kinematics.model, kinematics.data, kinematics.q, v))
     return Energy(kinetic, float(pin.computePotentialEnergy(kinematics.model, kinematics.data, kinematics.q)))
-
-
-def require_closed(kinematics: TreeKinematics, v: FloatArray | None = None, argument: str = "v") -> None:
-    """Raise unless q is closed and v keeps it so, to `AGREEMENT`."""
-    gap, most = kinematics.gap.ravel(), AGREEMENT * kinematics.layout.side
-    # None is wider than all of them together: quicker, and mostly enough.
-    if gap.dot(gap) > most * most and (residual := kinematics.widest_gap()) > most:
-        raise ClosureError(residual, 0, "Rounded or guessed joint values? The method project closes the loops")
-    if v is None:
-        return
-    opening = largest(kinematics.constraint_jacobian.dot(v))
-    # A leg's own rate is part of the speed, along one axis or more: quicker, and mostly enough.
-    rate = largest(v.take(kinematics.constrained.actuated[-6:]))
-    if opening > 0.5 * AGREEMENT * rate and opening > AGREEMENT * kinematics.gap_rate_bound(v):
-        expected = "joint velocities that keep the loops closed"
-        cause = "joint_velocities makes them from a twist, joint_rates from leg rates"
-        raise ArgumentError(argument, expected, f"gaps that open at {opening:.1e} m/s", cause)
-
-
-def largest(vector: FloatArray) -> float:
-    """Return the largest absolute value of a short vector: quicker than NumPy."""
-    return float(max(map(abs, vector.tolist())))

@@ -42,7 +42,7 @@ SHORTEST_LEG = 1e-6
 LARGEST_RATE = 1e100
 """Velocity, acceleration or power at which a run ends: SciPy's step control loops for ever on infinite ones."""
 
-NOT_FINITE = "forces or accelerations beyond all measure"
+NOT_FINITE = "velocities, accelerations or power above 1e100"
 
 
 class SimulationEnd(enum.StrEnum):

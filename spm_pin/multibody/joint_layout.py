@@ -16,7 +16,7 @@ from spm_pin.mechanism.joint_angles import joint_angles
 from spm_pin.mechanism.leg_frames import home_lengths
 from spm_pin.mechanism.leg_limits import LEGS
 
-__all__ = ["AGREEMENT", "BALLS", "JointLayout", "require_dimensions"]
+__all__ = ["AGREEMENT", "JointLayout", "require_dimensions"]
 
 AGREEMENT = 1e-9
 """Lengths that differ by this share of the robot's own are taken for rounded, more for another robot's."""

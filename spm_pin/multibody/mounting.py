@@ -26,7 +26,7 @@ class MountedChain:
     Made by `ClosedChain.mounted_on` and `ClosedChain.carrying`. Its q is that of `model`; `join` and `split` put it
     together from the other robot's and the chain's and take it apart. Leading axes broadcast. The universe is that of
     whichever robot carries the other: all that is "in {B}" for a chain alone is in its axes here. Actuators are all of
-    the other robot's, then the six legs: `actuated_indices`.
+    the other robot's, then the six legs: `actuated_indices`. nq, nv and the number n of actuators are those of `model`.
 
     Attributes
     ----------

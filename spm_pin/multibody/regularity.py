@@ -1,4 +1,4 @@
-"""How near matrices are to singular: factorisations that tell, thresholds, and smallest singular values."""
+"""LU factorisations with a test of regularity, thresholds, and smallest singular values."""
 
 from __future__ import annotations
 

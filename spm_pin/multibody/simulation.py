@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, real_number
-from spm_pin.multibody.batched_states import HasStates
+from spm_pin.multibody.batched_states import ChainLike
+from spm_pin.multibody.closure_checks import require_closed
 from spm_pin.multibody.constrained_model import TreeKinematics
-from spm_pin.multibody.dynamics import require_closed
 from spm_pin.multibody.integrator import Ending, ForceCallback, Integrator, SimulationEnd
 from spm_pin.multibody.platform_path import increasing_times
 from spm_pin.multibody.vector_arguments import WrenchLike, read_vector
@@ -89,7 +89,7 @@ class Simulation:
 
 
 def simulate(
-    self: HasStates,
+    self: ChainLike,
     q0: npt.ArrayLike,
     v0: npt.ArrayLike,
     forces: npt.ArrayLike | ForceFunction | None,
@@ -119,7 +119,7 @@ def simulate(
     wrench : as in `forward_dynamics`, or callable, optional
         Applied from outside: constant, or a function (t, q, v) → (6,) for the terminal platform.
     period : float, optional
-        Of a digital controller [s]: `forces` is called once at the begin of each period, in order, and its
+        Of a digital controller [s]: `forces` is called once at the start of each period, in order, and its
         answer held. It may keep a state of its own.
     stop_at : collection of {"limits", "inverse", "forward"}
         End the run at the leg limits of `geometry`, or where a singularity is crossed. By default these are passed
@@ -207,7 +207,7 @@ def _interval(value: float, argument: str, span: float) -> None:
 
 
 def _samples(begin: float, until: float, period: float | None) -> list[float]:
-    """Return when forces change, from the begin to the end of the run."""
+    """Return when forces change, from the start to the end of the run."""
     if period is None:
         return [begin, until]
     # Multiples rather than sums, and no last period of rounding's length.

@@ -14,10 +14,10 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, real_array
 from spm_pin.mechanism.pose import as_rigid_transform
-from spm_pin.multibody.batched_states import LOCATED, HasStates, located
+from spm_pin.multibody.batched_states import LOCATED, ChainLike, located
+from spm_pin.multibody.closure_checks import require_closed
 from spm_pin.multibody.closure_solvers import ContinuationSolver
 from spm_pin.multibody.constrained_state import ChainState
-from spm_pin.multibody.dynamics import require_closed
 from spm_pin.multibody.platform_path import PlatformMotion, PlatformPath, increasing_times
 
 __all__ = ["JointTrajectory", "joint_trajectory"]
@@ -86,13 +86,13 @@ class JointTrajectory:
 
 
 def joint_trajectory(
-    self: HasStates, path: Callable[[float], PlatformMotion], times: npt.ArrayLike, near: npt.ArrayLike
+    self: ChainLike, path: Callable[[float], PlatformMotion], times: npt.ArrayLike, near: npt.ArrayLike
 ) -> JointTrajectory:
     """Return the motion of all joints for one of the platform, with the leg forces of it under gravity.
 
     `path`, a `PlatformPath` or another callable, takes a time [s] and returns pose, twist and acceleration of the
     terminal platform; `times` (n,) [s] increase at any rate; `near` (18,) is a closed q in the branch wanted, near
-    the path's begin. Raises as `inverse_kinematics`, with the index of the time.
+    the path's start. Raises as `inverse_kinematics`, with the index of the time.
     """
     constrained = self._states.constrained
     q, at = constrained.checked(near, "near", single=True), increasing_times(times)
@@ -127,12 +127,12 @@ def _moving(state: ChainState, q: FloatArray, motion: Any) -> tuple[FloatArray, 
     )
     solver = ContinuationSolver(state.kinematics)
     q = solver.to_pose(q, transform.rotation.as_matrix(), transform.translation)
-    state.set(q)
+    state._set_checked(q)
     v = state.joint_velocities(twist)
-    state.set(q, v)
+    state._set_checked(q, v)
     a = state.joint_accelerations(acceleration)
     efforts = np.zeros(q.size)
-    efforts[state.constrained.layout.legs] = state.inverse_dynamics(a)
+    efforts[state.kinematics.layout.legs] = state.inverse_dynamics(a)
     return q, v, a, efforts
 
 

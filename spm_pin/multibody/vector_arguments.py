@@ -64,6 +64,8 @@ MEANINGS = {
     "wrench": "(f, m) in N and N m in the axes of {B}",
 }
 """Meaning of each argument, for messages."""
+SINGLE = "A single {} is taken here; most methods of ClosedChain take batches"
+"""Cause of an error about a batch."""
 
 
 def read_vectors(value: npt.ArrayLike, argument: str, size: int) -> FloatArray:
@@ -84,13 +86,17 @@ def read_vector(value: npt.ArrayLike, argument: str, size: int) -> FloatArray:
     array = read_vectors(value, argument, size)
     if array.ndim != 1:
         expected = f"shape ({size},), {MEANINGS[argument]}"
-        raise ArgumentError(argument, expected, f"shape {array.shape}", "One motion a call")
+        raise ArgumentError(argument, expected, f"shape {array.shape}", SINGLE.format("vector"))
     return array
 
 
-def read_stiffness(value: npt.ArrayLike) -> FloatArray:
-    """Return symmetric matrices (..., 6, 6) of a platform's stiffness, or raise `ArgumentError`."""
-    return symmetric_matrices(value, "stiffness", 6, "in N/m, N/rad, N and N m/rad, as of spm_pin.stiffness")
+def read_stiffness(value: npt.ArrayLike, *, single: bool = False) -> FloatArray:
+    """Return symmetric matrices (..., 6, 6) of a platform's stiffness, or one (6, 6), or raise `ArgumentError`."""
+    array = symmetric_matrices(value, "stiffness", 6, "in N/m, N/rad, N and N m/rad, as of spm_pin.stiffness")
+    if single and array.ndim != 2:
+        cause = SINGLE.format("matrix")
+        raise ArgumentError("stiffness", "one matrix, shape (6, 6)", f"shape {array.shape}", cause)
+    return array
 
 
 def read_gains(gains: GainsLike) -> Gains | None:
