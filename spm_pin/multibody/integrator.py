@@ -42,7 +42,7 @@ SHORTEST_LEG = 1e-6
 LARGEST_RATE = 1e100
 """Velocity, acceleration or power at which a run ends: SciPy's step control loops for ever on infinite ones."""
 
-NOT_FINITE = "velocities, accelerations or power above 1e100"
+BEYOND_BOUND = "velocities, accelerations or power above 1e100"
 
 
 class SimulationEnd(enum.StrEnum):
@@ -154,7 +154,7 @@ class Integrator:
         try:
             solver = DOP853(rate, span[0], state, span[1], max_step=max_step, rtol=tolerance, atol=tolerance)
         except _InfiniteRateError:
-            return state, Ending(SimulationEnd.STALLED, NOT_FINITE, span[0])
+            return state, Ending(SimulationEnd.STALLED, BEYOND_BOUND, span[0])
         while solver.status == "running":
             before = float(solver.t)
             try:
@@ -162,7 +162,7 @@ class Integrator:
                 if solver.step() is not None:
                     return state, Ending(SimulationEnd.STALLED, "no step is short enough", before)
             except _InfiniteRateError:
-                return state, Ending(SimulationEnd.STALLED, NOT_FINITE, before)
+                return state, Ending(SimulationEnd.STALLED, BEYOND_BOUND, before)
             self.steps += 1
             time, collapse = self._collapse(solver, before)
             try:
