@@ -174,6 +174,8 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "y": lambda: 0.0,
     "z": lambda: 2.2,
     "xyx": lambda: (0.1, 0.2, 0.1),
+    "largest_certified_limits.boxes": lambda: 3000,
+    "largest_certified_limits.tolerance": lambda: 0.2,
     "AsBuiltGeometry.nominal": lambda: PAPER,
     "AsBuiltGeometry.axes": lambda: BUILT.axes,
     "AsBuiltGeometry.pivots": lambda: BUILT.pivots,
