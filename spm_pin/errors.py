@@ -32,7 +32,7 @@ EXTRAS = {
 """Packages looked for, of those that the optional extras bring, by the names under which they are imported."""
 
 _INSTALLED_AS = {"google_crc32c": "google-crc32c", "skimage": "scikit-image"}
-"""What pip calls the packages that are imported under another name."""
+"""Names for pip of the packages that are imported under another name."""
 
 _LONGEST = 500
 """Characters of a received value that a message shows."""

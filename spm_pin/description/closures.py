@@ -30,7 +30,7 @@ class Closure:
     name: str
     """Name of the closure."""
     kind: str
-    """What is held together: "point", the origins of the two frames, as by a ball joint; "weld", the frames."""
+    """Kind of the closure: "point" keeps the origins of the two frames together, as a ball joint; "weld" the frames."""
     frame_a: str
     """Name of the first frame, a link of the URDF."""
     frame_b: str

@@ -188,7 +188,7 @@ class ClosedChain:
         """
 
         def member(state: ChainState) -> tuple[FloatArray, ...]:
-            return *state.kinematics.terminal_pose(), state.kinematics.corners()
+            return state.kinematics.configuration_arrays()
 
         return Configuration.from_arrays(self._geometry, *self._states.over(member, ((3, 3), (3,), (3, 3)), q))
 

@@ -185,9 +185,10 @@ class TreeKinematics:
         terminal = self.data.oMf[self.layout.platform_frame]
         return terminal.rotation.copy(), terminal.translation.copy()
 
-    def corners(self) -> FloatArray:
-        """Return b_1, b_2 and b_3 as rows (3, 3)."""
-        return np.array([self.data.oMf[frame].translation for frame in self.layout.corner_frames])
+    def configuration_arrays(self) -> tuple[FloatArray, ...]:
+        """Return copies of the rotation (3, 3) and the translation (3,) of m, and b_1, b_2 and b_3 as rows (3, 3)."""
+        corners = [self.data.oMf[frame].translation for frame in self.layout.corner_frames]
+        return *self.terminal_pose(), np.array(corners)
 
     @cached_property
     def velocity_scale(self) -> FloatArray:

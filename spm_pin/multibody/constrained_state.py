@@ -172,8 +172,7 @@ class ChainState(ConstrainedState):
 
     def configuration(self) -> Configuration:
         """Return the poses of m and of the middle platform's corners."""
-        arrays = *self.kinematics.terminal_pose(), self.kinematics.corners()
-        return Configuration.from_arrays(self._constrained.layout.geometry, *arrays)
+        return Configuration.from_arrays(self._constrained.layout.geometry, *self.kinematics.configuration_arrays())
 
     def leg_lengths(self) -> FloatArray:
         """Return the leg lengths (6,) [m]."""

@@ -71,7 +71,7 @@ class Reproduction:
     solutions: tuple[SolvedTwice, ...]
     """The eight solutions by the paper's route and by the closed form."""
     equation_17: MisprintedEquation
-    """What the signs of Eq. (17) change."""
+    """Numbers of real roots with Eq. (17) as printed, with its signs mended, and by the closed form."""
     diagnoses: tuple[table_5.Diagnosis, ...] = ()
     """The mistakes behind the rows of Table 5; empty without that table."""
     true_values: tuple[table_5.TrueValue, ...] = ()

@@ -67,7 +67,7 @@ class Domain:
     """The points of a sweep. Made by `pose_grid`, `leg_grid`, `pose_sample` and `leg_sample`."""
 
     space: Space
-    """What the coordinates are: the platform's pose, or the leg lengths."""
+    """Kind of the coordinates: the platform's pose, or the leg lengths."""
     axes: tuple[Axis, ...]
     """The six coordinates, in the order of `AXES`."""
     sample: Sample | None = None

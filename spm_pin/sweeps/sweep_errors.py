@@ -12,7 +12,7 @@ from spm_pin.errors import SpmError
 __all__ = ["StoreError", "StoreLockedError", "SweepError", "as_store_error"]
 
 _UNREADABLE = (SpmError, LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError)
-"""What damaged contents of a store raise."""
+"""Exceptions raised while damaged contents of a store are read."""
 
 
 class SweepError(SpmError):

@@ -29,7 +29,7 @@ _LAYERS = {
     "Workspace shell": ("shell", False),
     "Points reached": ("points", False),
 }
-"""What the scene may show: names of the layers, and whether they are shown at first."""
+"""Layers of the scene by their labels: name of the layer, and whether it is shown at first."""
 _EXPORTS = {
     "Save picture (PNG)": ("png", "photo"),
     "Save this view as a page (HTML)": ("snapshot", "file-code"),
