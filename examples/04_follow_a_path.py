@@ -25,7 +25,7 @@ for event in path.events:
 figure, ax = plt.subplots(figsize=(6, 3.2), layout="constrained")
 ax.semilogy(path.parameters, spm.singularities(path.configurations).sigma[:, 2], "k")
 for event in path.events:
-    singular = event.kind is spm.closed_form.EventKind.INVERSE_SINGULARITY
+    singular = event.kind is spm.kinematics.EventKind.INVERSE_SINGULARITY
     ax.axvline(event.parameter, color="C3" if singular else "C1", ls="-" if singular else ":", label=str(event.kind))
 handles = dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
 ax.legend(handles.values(), handles.keys(), frameon=False)

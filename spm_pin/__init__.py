@@ -1,7 +1,7 @@
 """Closed-chain kinematics of the 3RPS-3SPR serial-parallel manipulator.
 
 The names of everyday use are here. All else is in public modules: `spm_pin.mechanism` (dimensions, states, sets of
-states), `spm_pin.closed_form` (branches, assembly modes, singularities, paths), `spm_pin.workspace`, `spm_pin.sweeps`,
+states), `spm_pin.kinematics` (branches, assembly modes, singularities, paths), `spm_pin.workspace`, `spm_pin.sweeps`,
 `spm_pin.calibration`, `spm_pin.proofs`, `spm_pin.symbolic`, `spm_pin.multibody` (the robot in Pinocchio),
 `spm_pin.motion`, `spm_pin.nlp`, `spm_pin.crosscheck` and `spm_pin.errors`.
 """
@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from spm_pin import calibration as calibration
-    from spm_pin import closed_form as closed_form
     from spm_pin import crosscheck as crosscheck
     from spm_pin import errors as errors
+    from spm_pin import kinematics as kinematics
     from spm_pin import mechanism as mechanism
     from spm_pin import motion as motion
     from spm_pin import multibody as multibody
@@ -22,7 +22,16 @@ if TYPE_CHECKING:
     from spm_pin import sweeps as sweeps
     from spm_pin import symbolic as symbolic
     from spm_pin import workspace as workspace
-    from spm_pin.closed_form import (
+    from spm_pin.errors import (
+        ArgumentError,
+        ClosureError,
+        GeometryError,
+        NotOneSolutionError,
+        PoseError,
+        SingularConfigurationError,
+        SpmError,
+    )
+    from spm_pin.kinematics import (
         determinants,
         follow,
         forward_displacement,
@@ -36,15 +45,6 @@ if TYPE_CHECKING:
         singularities,
         stiffness,
         threads,
-    )
-    from spm_pin.errors import (
-        ArgumentError,
-        ClosureError,
-        GeometryError,
-        NotOneSolutionError,
-        PoseError,
-        SingularConfigurationError,
-        SpmError,
     )
     from spm_pin.mechanism import AsBuiltGeometry, Configuration, Geometry, LegLimits, SolutionSet, Status, pose
     from spm_pin.motion import plan, time_optimal
@@ -91,9 +91,9 @@ __all__ = [
 ]
 
 # All are imported on first use: the start-up of the command line stays short, and Ctrl-C ends it.
-_MODULES = {"calibration", "closed_form", "crosscheck", "errors", "mechanism", "motion", "multibody", "nlp", "proofs"}
+_MODULES = {"calibration", "kinematics", "crosscheck", "errors", "mechanism", "motion", "multibody", "nlp", "proofs"}
 _MODULES |= {"sweeps", "symbolic", "workspace"}
-_HOMES = ("errors", "mechanism", "closed_form", "proofs", "multibody", "motion")
+_HOMES = ("errors", "mechanism", "kinematics", "proofs", "multibody", "motion")
 
 
 def __getattr__(name: str) -> Any:

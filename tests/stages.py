@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.batches import run_kernel
-from spm_pin.closed_form.kernels.compilation import kernel, readonly_array
-from spm_pin.closed_form.kernels.stage_equations import SAME, equations, placed
-from spm_pin.closed_form.kernels.stage_modes import PLACES, is_continuous, solve_mode, workspace
+from spm_pin.kinematics.batches import run_kernel
+from spm_pin.kinematics.kernels.compilation import kernel, readonly_array
+from spm_pin.kinematics.kernels.stage_equations import SAME, equations, placed
+from spm_pin.kinematics.kernels.stage_modes import PLACES, is_continuous, solve_mode, workspace
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 
 __all__ = ["MODES", "StageModes", "placement", "solve_stage"]

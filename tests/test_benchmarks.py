@@ -176,7 +176,7 @@ def test_power_of_leg_forces_equals_that_of_the_wrench(peer: Peer) -> None:
     wrenches = np.random.default_rng(1).uniform(-1.0, 1.0, (6, 6))
     forces = answer(peer.prepare((configuration, wrenches)))
     # Along any rates of the legs: f · rates + w · twist = 0.
-    twists = spm.closed_form.platform_jacobian(configuration)
+    twists = spm.kinematics.platform_jacobian(configuration)
     np.testing.assert_allclose(forces, -np.einsum("nij,ni->nj", twists, wrenches), rtol=1e-8, atol=1e-8)
 
 

@@ -275,7 +275,7 @@ def callables() -> Iterator[tuple[str, Callable[..., Any]]]:
         for public in module.__all__:
             member = getattr(module, public)
             if inspect.isfunction(member) and id(member) not in seen:
-                plain = name in ("", "mechanism", "closed_form", "motion", "workspace")
+                plain = name in ("", "mechanism", "kinematics", "motion", "workspace")
                 yield public if plain else f"{name}.{public}", member
             elif inspect.isclass(member) and id(member) not in seen and not issubclass(member, enum.Enum):
                 if public in INPUTS:

@@ -10,8 +10,8 @@ from scipy.spatial.transform import RigidTransform
 import spm_pin as spm
 from benchmarks.peers.c_loop import real_branches
 from benchmarks.peers.peer import FloatArray, Prepared
-from spm_pin.closed_form.batches import BRANCH_RESULTS, new_result
-from spm_pin.closed_form.inverse_displacement import branch_lengths
+from spm_pin.kinematics.batches import BRANCH_RESULTS, new_result
+from spm_pin.kinematics.inverse_displacement import branch_lengths
 from spm_pin.paper import resultant
 
 __all__ = [
@@ -56,7 +56,7 @@ def lengths_only(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
 
 def kernel(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
     """Prepare the compiled loop alone, which writes into the same arrays at every call, as the C loop does."""
-    from spm_pin.closed_form.kernels.branch_kernels import all_branches
+    from spm_pin.kinematics.kernels.branch_kernels import all_branches
 
     geometry, poses = problem
     matrices = poses.as_matrix()

@@ -13,7 +13,7 @@ from benchmarks.report import Facts, Section, count, microseconds, spread_of_sec
 from benchmarks.sections.preparation import Progress
 from benchmarks.sections.velocity import states
 from benchmarks.timing import Pace, Spread, TimedCall, time_in_turns
-from spm_pin.closed_form.stage_wrenches import StageWrenches
+from spm_pin.kinematics.stage_wrenches import StageWrenches
 
 __all__ = ["by_numpy", "measure"]
 

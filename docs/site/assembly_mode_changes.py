@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 import spm_pin as spm
-from spm_pin.closed_form.intervals import Interval
+from spm_pin.kinematics.intervals import Interval
 from spm_pin.proofs.stage_region import StageRegion
 
 Array = npt.NDArray[np.float64]

@@ -23,13 +23,13 @@ from literature import with_tables
 from live_page import with_machine
 from sphinx.cmd.build import build_main
 
-from spm_pin.reproduction import reproduce
+from spm_pin.crosscheck import reproduce
 
 ROOT = Path(__file__).parents[2]
 PUBLIC = {
     "spm_pin": "the names of everyday use",
     "spm_pin.mechanism": "dimensions, poses, configurations, sets of solutions",
-    "spm_pin.closed_form": "branches, assembly modes, rates, forces, singularities and paths in closed form",
+    "spm_pin.kinematics": "branches, assembly modes, rates, forces, singularities and paths in closed form",
     "spm_pin.workspace": "what the terminal platform reaches: the paper's shell, and the reachable set",
     "spm_pin.calibration": "machines as built identified from measurements, and what tolerances cost",
     "spm_pin.proofs": "leg limits and poses proved free of singularities, by interval arithmetic",
@@ -38,14 +38,14 @@ PUBLIC = {
     "spm_pin.motion": "paths from one state to another, and the fastest motion along them",
     "spm_pin.nlp": "the loop equations in CasADi, and the branches found from them by multi-start",
     "spm_pin.symbolic": "the closed forms as CasADi functions, and in C for controllers",
-    "spm_pin.crosscheck": "methods compared on random poses",
+    "spm_pin.crosscheck": "methods compared on random poses, and the paper's tables recomputed",
     "spm_pin.errors": "what is raised, and what it carries",
 }
 """The public modules, each with a page of the reference."""
 
 INTERNAL = {
     "mechanism": "the same types, and the checks of arguments",
-    "closed_form": "solvers and kernels",
+    "kinematics": "solvers and kernels",
     "paper": "the paper line by line: its tables, resultant, Jacobians and statics",
     "nlp": "the search",
     "description": "the URDF and its closures: read, checked, written in other formats",
@@ -57,7 +57,6 @@ INTERNAL = {
     "crosscheck": "methods, comparison, tolerances, report",
     "proofs": "leg limits and poses without singularities, proved by interval arithmetic",
     "motion": "planning, and time-optimal motion",
-    "reproduction": "the paper's tables recomputed",
     "display": "pictures and the viewer",
 }
 """The folders whose modules the reference describes for those who read or change the code."""

@@ -115,8 +115,8 @@ def followed_path() -> Figure:
     right.legend(fontsize=8, frameon=False, title="singular values")
     right.set(xlabel="parameter", ylabel="distance to a singularity")
     marks = {
-        spm.closed_form.EventKind.LIMIT: (":", UPPER),
-        spm.closed_form.EventKind.INVERSE_SINGULARITY: ("-", "#cc4778"),
+        spm.kinematics.EventKind.LIMIT: (":", UPPER),
+        spm.kinematics.EventKind.INVERSE_SINGULARITY: ("-", "#cc4778"),
     }
     for event in path.events:
         style, colour = marks.get(event.kind, ("-", GREY))

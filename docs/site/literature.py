@@ -17,7 +17,7 @@ from rank_strata import AXIS, Stratum, matrix_rank, strata
 from stage_placement import GEOMETRY, SAMPLES, problems
 
 import spm_pin as spm
-from spm_pin.closed_form.singularity_analysis import singular_values
+from spm_pin.kinematics.singularity_analysis import singular_values
 
 PAGE = Path(__file__).parents[1] / "theory/literature_checks.md"
 FAMILIES = ("TT", "TF", "FT", "FF")
@@ -48,7 +48,7 @@ def tetrahedron_determinants(configuration: spm.Configuration) -> tuple[Array, A
     normals = np.concatenate([normals, flat[..., None, :] / np.linalg.norm(flat, axis=-1)[..., None, None]], axis=-2)
     points = np.concatenate([joints, joints[..., :1, :]], axis=-2)
     planes = np.concatenate([normals, -(normals * points).sum(axis=-1)[..., None]], axis=-1)
-    return np.asarray(np.linalg.det(planes)), spm.closed_form.determinants(configuration)[..., 2]
+    return np.asarray(np.linalg.det(planes)), spm.kinematics.determinants(configuration)[..., 2]
 
 
 def tetrahedron() -> list[Tetrahedron]:
@@ -91,7 +91,7 @@ def freedoms() -> list[Freedoms]:
     found = []
     for name, state in states.items():
         closures = matrix_rank(chain.constraint_jacobian(chain.joint_values(state)))
-        platform = matrix_rank(spm.closed_form.platform_jacobian(state))
+        platform = matrix_rank(spm.kinematics.platform_jacobian(state))
         found.append(Freedoms(name, 18, closures, 18 - closures, platform))
     return found
 

@@ -7,7 +7,7 @@ and do of ball, pivot, axis and offset:
     lower:  δ·t_L(b) = δ·da - δ·dp - do,              n·t_L(b) = n·da - n·dp - dn·(b - a),
     upper:  δ·(t - t_L)(b) = δ·dp - δ·da - do,        n·(t - t_L)(b) = n·dp - n·da + dn·(b - a).
 
-On the left are the matrices J_b and J_c of `spm_pin.closed_form.jacobians`.
+On the left are the matrices J_b and J_c of `spm_pin.kinematics.jacobians`.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from collections.abc import Collection
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from spm_pin.closed_form.stage_wrenches import stage_inverses
 from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.stage_wrenches import stage_inverses
 from spm_pin.mechanism import LEGS, PARAMETERS, AsBuiltGeometry, Configuration
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, instance
 from spm_pin.mechanism.as_built import as_built

@@ -17,7 +17,7 @@ from scipy.special import gammainccinv
 
 from spm_pin.calibration.error_model import error_jacobian, invisible_errors, parameter_scale, selected
 from spm_pin.calibration.measurements import MeasurementError, Measurements, pose_covariances
-from spm_pin.closed_form.forward_displacement import forward_physical
+from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.mechanism import PARAMETERS, AsBuiltGeometry, Configuration, Geometry
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, choice
 from spm_pin.mechanism.as_built import as_built

@@ -13,9 +13,9 @@ import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.calibration.error_model import platform_error
-from spm_pin.closed_form.forward_displacement import forward_physical
-from spm_pin.closed_form.jacobians import platform_jacobian
 from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.forward_displacement import forward_physical
+from spm_pin.kinematics.jacobians import platform_jacobian
 from spm_pin.mechanism import LEGS, AsBuiltGeometry, Configuration, as_rigid_transform
 from spm_pin.mechanism.arguments import FloatArray, as_array, file_path, first_offender, real_array
 from spm_pin.mechanism.dimension_checks import LARGEST

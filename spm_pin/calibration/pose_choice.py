@@ -10,8 +10,8 @@ import numpy.typing as npt
 from spm_pin.calibration.error_model import error_jacobian, parameter_scale, selected
 from spm_pin.calibration.identification import visible_basis
 from spm_pin.calibration.measurements import pose_covariances
-from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.mechanism import PARAMETERS, AsBuiltGeometry, Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray, choice, flag, generator, whole_number
 from spm_pin.mechanism.as_built import as_built

@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from spm_pin.calibration.error_model import error_jacobian, platform_error, selected
 from spm_pin.calibration.pose_choice import random_states
-from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.mechanism import PARAMETERS, AsBuiltGeometry, Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray, choice, generator, real_array, real_number, whole_number
 from spm_pin.mechanism.as_built import as_built

@@ -13,11 +13,11 @@ import typer
 from spm_pin.cli import options, outputs
 from spm_pin.cli.crosscheck import compare_with_progress, print_report, verdict_line
 from spm_pin.cli.reproduce import print_summary, summary_line
-from spm_pin.closed_form.inverse_displacement import inverse_displacement
+from spm_pin.crosscheck import reproduce
 from spm_pin.display.plots import save_gallery
+from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import Geometry, pose
 from spm_pin.paper import published
-from spm_pin.reproduction import reproduce
 
 __all__ = ["demo"]
 

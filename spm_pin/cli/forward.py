@@ -9,8 +9,8 @@ import typer
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit, SixLegs, leg_option
-from spm_pin.closed_form.forward_displacement import forward_displacement, forward_physical
 from spm_pin.errors import GeometryError
+from spm_pin.kinematics.forward_displacement import forward_displacement, forward_physical
 from spm_pin.mechanism import AsBuiltGeometry, Configuration, SolutionSet, Status
 
 __all__ = ["forward"]

@@ -13,10 +13,10 @@ import typer
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.cli.outputs import fixed, note
-from spm_pin.closed_form.forward_displacement import forward_physical
-from spm_pin.closed_form.inverse_displacement import inverse_displacement
-from spm_pin.closed_form.starting_configuration import starting_configuration
 from spm_pin.errors import ArgumentError, GeometryError
+from spm_pin.kinematics.forward_displacement import forward_physical
+from spm_pin.kinematics.inverse_displacement import inverse_displacement
+from spm_pin.kinematics.starting_configuration import starting_configuration
 from spm_pin.mechanism import FAMILIES, AsBuiltGeometry, Configuration, Geometry, SolutionSet, Status, pose
 from spm_pin.mechanism.as_built import any_geometry_from_yaml
 from spm_pin.mechanism.units import PER_METRE, likely_unit, machine_size

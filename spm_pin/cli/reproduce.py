@@ -11,8 +11,8 @@ from typing import Annotated, Any
 import typer
 
 from spm_pin.cli import options, outputs
-from spm_pin.reproduction import POSE, TABLES, Reproduction, Verdict
-from spm_pin.reproduction import reproduce as recompute
+from spm_pin.crosscheck import POSE, TABLES, Reproduction, Verdict
+from spm_pin.crosscheck import reproduce as recompute
 
 __all__ = ["print_summary", "reproduce", "summary_line"]
 

@@ -6,8 +6,8 @@ from typing import Any
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit
-from spm_pin.closed_form.singularity_analysis import SingularityKind
-from spm_pin.closed_form.singularity_analysis import singularities as analyse
+from spm_pin.kinematics.singularity_analysis import SingularityKind
+from spm_pin.kinematics.singularity_analysis import singularities as analyse
 from spm_pin.mechanism import Configuration
 
 __all__ = ["singularities"]

@@ -9,9 +9,9 @@ import typer
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit, Triple
-from spm_pin.closed_form.jacobians import leg_rates
-from spm_pin.closed_form.leg_forces import leg_forces
 from spm_pin.errors import ArgumentError, SingularConfigurationError
+from spm_pin.kinematics.jacobians import leg_rates
+from spm_pin.kinematics.leg_forces import leg_forces
 from spm_pin.mechanism import LEGS, Configuration
 
 __all__ = ["statics"]

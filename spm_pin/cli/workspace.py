@@ -15,8 +15,8 @@ from spm_pin.display.figure_files import FORMATS, save_figure
 from spm_pin.display.shell_plots import MESH_FORMATS, save_mesh, shell_figure
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LEGS, LegLimits
-from spm_pin.workspace.table_6.shell import Patch, Shell, workspace_shell
-from spm_pin.workspace.table_6.sub_workspaces import ERRATA
+from spm_pin.workspace.paper_shell.shell import Patch, Shell, workspace_shell
+from spm_pin.workspace.paper_shell.sub_workspaces import ERRATA
 
 __all__ = ["workspace"]
 

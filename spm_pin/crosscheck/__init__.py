@@ -1,33 +1,48 @@
-"""Independent methods compared on random poses, with tolerances from conditioning and rounding.
+"""Independent methods compared on random poses, and the paper's tables recomputed.
 
 `compare_methods` runs a comparison and returns a `Report`; `METHODS` are the methods of this package, `Method` the
-base of one's own, and `Conditioning` turns rounding into the tolerance of an answer.
+base of one's own, and `Conditioning` turns rounding into the tolerance of an answer. `reproduce` compares every printed
+digit of the paper's tables and explains every difference, or marks it as unexplained.
 """
 
+from spm_pin.crosscheck.cells import Cell, Verdict, matches
 from spm_pin.crosscheck.methods import METHODS, ClosedForm, Ipopt, Method, Nlp, Paper, Pinocchio, make_methods
 from spm_pin.crosscheck.random_poses import in_leg_space, on_all_rotations
 from spm_pin.crosscheck.report import Report, compare_in_batches, compare_methods
 from spm_pin.crosscheck.scores import MethodScore, PairDifference, Quantity
+from spm_pin.crosscheck.table_5 import Diagnosis, TrueValue
+from spm_pin.crosscheck.tables_1_to_4 import POSE, TABLES, MisprintedEquation, Reproduction, SolvedTwice, reproduce
 from spm_pin.crosscheck.tolerances import Conditioning
 from spm_pin.paper.jacobian import Table5Mistakes
 
 __all__ = [
     "METHODS",
+    "POSE",
+    "TABLES",
+    "Cell",
     "ClosedForm",
     "Conditioning",
+    "Diagnosis",
     "Ipopt",
     "Method",
     "MethodScore",
+    "MisprintedEquation",
     "Nlp",
     "PairDifference",
     "Paper",
     "Pinocchio",
     "Quantity",
     "Report",
+    "Reproduction",
+    "SolvedTwice",
     "Table5Mistakes",
+    "TrueValue",
+    "Verdict",
     "compare_in_batches",
     "compare_methods",
     "in_leg_space",
     "make_methods",
+    "matches",
     "on_all_rotations",
+    "reproduce",
 ]

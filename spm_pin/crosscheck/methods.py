@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from spm_pin.closed_form.inverse_displacement import inverse_displacement
-from spm_pin.closed_form.jacobians import inverse_jacobian
-from spm_pin.closed_form.leg_forces import leg_forces
 from spm_pin.errors import ArgumentError, SingularConfigurationError
+from spm_pin.kinematics.inverse_displacement import inverse_displacement
+from spm_pin.kinematics.jacobians import inverse_jacobian
+from spm_pin.kinematics.leg_forces import leg_forces
 from spm_pin.mechanism import Configuration, Geometry, SolutionSet
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.paper import resultant
@@ -79,7 +79,7 @@ def _magnitude(configuration: Configuration) -> FloatArray:
 
 @dataclass
 class ClosedForm(Method):
-    """Four quadratics, and forces through the ball joints: `spm_pin.closed_form`."""
+    """Four quadratics, and forces through the ball joints: `spm_pin.kinematics`."""
 
     name: str = "closed form"
 

@@ -14,7 +14,7 @@ from spm_pin.display.figure_files import new_figure
 from spm_pin.display.shell_plots import FAMILY_COLOURS, patch_symbol, style_axes
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, instance
-from spm_pin.workspace.table_6.shell import Shell
+from spm_pin.workspace.paper_shell.shell import Shell
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,7 +15,7 @@ from spm_pin.display.rendering import VIEW, Rendering, camera_axes
 from spm_pin.display.scene import Colour, Scene, Solid
 from spm_pin.errors import require_extra
 from spm_pin.mechanism.arguments import file_path, instance, writing
-from spm_pin.workspace.table_6.shell import Patch, Shell
+from spm_pin.workspace.paper_shell.shell import Patch, Shell
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spm_pin.closed_form.forward_displacement import forward_physical
-from spm_pin.closed_form.inverse_displacement import inverse_physical
-from spm_pin.closed_form.singularity_analysis import determinants
+from spm_pin.kinematics.forward_displacement import forward_physical
+from spm_pin.kinematics.inverse_displacement import inverse_physical
+from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration

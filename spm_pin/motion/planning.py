@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.forward_displacement import forward_physical
-from spm_pin.closed_form.inverse_displacement import inverse_physical
-from spm_pin.closed_form.singularity_analysis import determinants
 from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.forward_displacement import forward_physical
+from spm_pin.kinematics.inverse_displacement import inverse_physical
+from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import (
     as_array,
     choice,

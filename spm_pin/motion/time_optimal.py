@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.singularity_analysis import determinants
 from spm_pin.errors import ArgumentError, require_extra
+from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import FloatArray, instance, real_number, whole_number
 from spm_pin.mechanism.leg_limits import LEGS
 from spm_pin.motion.leg_path import LegPath

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.forward_displacement import forward_physical
-from spm_pin.closed_form.inverse_displacement import inverse_physical
 from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.forward_displacement import forward_physical
+from spm_pin.kinematics.inverse_displacement import inverse_physical
 from spm_pin.mechanism.arguments import FloatArray, first_offender, flag, whole_number
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LEGS
@@ -78,7 +78,7 @@ def inverse_kinematics(self: ChainLike, pose: PoseLike, near: npt.ArrayLike | No
     """Return all joints (..., 18) of a pose (...) of the terminal platform, {m} in {B}.
 
     By default in the physical branch of each member, in closed form and vectorised, angles in [-π, π]; see
-    `spm_pin.closed_form.inverse_physical`. With `near` (18,), a closed q, the platform moves and turns from there
+    `spm_pin.kinematics.inverse_physical`. With `near` (18,), a closed q, the platform moves and turns from there
     to the first member in proportion, and on to each from the one before, as in `forward_kinematics`, in the branch
     that it comes to; leg limits play no part. Closed to rounding.
 

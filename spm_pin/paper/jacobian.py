@@ -12,7 +12,7 @@ those that the published numbers were computed with.
 The functions take a `Configuration` of shape (...) and the `mistakes` to make, by default none. A member that does not
 exist gives NaN. All raise `SingularConfigurationError` as "forward", where a leg has no length, hence no direction.
 
-J_α is singular at an inverse singularity, and J then loses digits near it; `spm_pin.closed_form` has no need of
+J_α is singular at an inverse singularity, and J then loses digits near it; `spm_pin.kinematics` has no need of
 it for forces.
 """
 

@@ -7,7 +7,7 @@ nodes on |b_2y| <= 2r, which holds every real solution, and the roots are the ei
 (Trefethen, Approximation Theory and Practice, ch. 18).
 
 Two weaknesses are the route's own: Eq. (10) divides by zero where a line is vertical, and by little near it;
-and where two solutions meet, the octic's double root costs half the digits. `spm_pin.closed_form.inverse_displacement`
+and where two solutions meet, the octic's double root costs half the digits. `spm_pin.kinematics.inverse_displacement`
 has neither.
 """
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError, GeometryError
+from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, instance, real_array, real_number, whole_number
 from spm_pin.mechanism.as_built import AsBuiltGeometry, as_built, check_geometry
 from spm_pin.mechanism.configuration import Configuration, check_configuration

@@ -23,10 +23,10 @@ from typing import Any
 import numpy as np
 import scipy
 
-from spm_pin.closed_form.forward_displacement import forward_physical
-from spm_pin.closed_form.intervals import SQRT_3, Interval
-from spm_pin.closed_form.singularity_analysis import determinants
 from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.forward_displacement import forward_physical
+from spm_pin.kinematics.intervals import SQRT_3, Interval
+from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, instance, whole_number
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry

@@ -18,10 +18,10 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import Rotation
 
-from spm_pin.closed_form.intervals import SQRT_3, Interval
-from spm_pin.closed_form.inverse_displacement import inverse_displacement
-from spm_pin.closed_form.singularity_analysis import determinants
 from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.intervals import SQRT_3, Interval
+from spm_pin.kinematics.inverse_displacement import inverse_displacement
+from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import FloatArray, instance, real_number, whole_number
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from spm_pin.closed_form.intervals import Interval
+from spm_pin.kinematics.intervals import Interval
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.proofs.stage_region import StageRegion
 

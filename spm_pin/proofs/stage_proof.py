@@ -18,7 +18,7 @@ import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from spm_pin.closed_form.intervals import Interval
+from spm_pin.kinematics.intervals import Interval
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.proofs.singular_states import singular_state
 from spm_pin.proofs.stage_region import StageRegion

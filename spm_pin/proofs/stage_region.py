@@ -21,7 +21,7 @@ from functools import cached_property
 
 import numpy as np
 
-from spm_pin.closed_form.intervals import SQRT_3, Interval
+from spm_pin.kinematics.intervals import SQRT_3, Interval
 from spm_pin.mechanism.arguments import FloatArray
 
 __all__ = ["StageRegion"]

@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from spm_pin.closed_form.intervals import SQRT_3, Interval
+from spm_pin.kinematics.intervals import SQRT_3, Interval
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.proofs.stage_region import StageRegion
 

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form import forward_displacement
 from spm_pin.errors import ArgumentError
+from spm_pin.kinematics import forward_displacement
 from spm_pin.mechanism import BRANCHES, Status
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.sweeps.metric import Metric, metric

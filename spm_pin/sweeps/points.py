@@ -8,7 +8,8 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form import (
+from spm_pin.errors import SingularConfigurationError
+from spm_pin.kinematics import (
     SingularityKind,
     branch_lengths,
     determinants,
@@ -19,7 +20,6 @@ from spm_pin.closed_form import (
     singular_values,
     singularities,
 )
-from spm_pin.errors import SingularConfigurationError
 from spm_pin.mechanism import BRANCHES, Configuration, Geometry, LegLimits, SolutionSet, Status
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.sweeps.axes import Space

@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from spm_pin.closed_form import forward_physical, inverse_displacement, inverse_jacobian, inverse_physical, leg_forces
-from spm_pin.closed_form.stage_wrenches import SINGULAR
 from spm_pin.errors import ArgumentError
+from spm_pin.kinematics import forward_physical, inverse_displacement, inverse_jacobian, inverse_physical, leg_forces
+from spm_pin.kinematics.stage_wrenches import SINGULAR
 from spm_pin.mechanism import AsBuiltGeometry, Geometry, LegLimits
 from spm_pin.mechanism.arguments import FloatArray, file_path, instance
 from spm_pin.mechanism.pose import EXACT
@@ -138,11 +138,11 @@ def write_c(geometry: Geometry, directory: str | Path, *, prefix: str = "spm_") 
 
 def _translated() -> tuple[str, dict[str, str]]:
     """Return the kernels in C, and their names there."""
-    from spm_pin.closed_form.kernels import branch_kernels as branches
-    from spm_pin.closed_form.kernels import branch_tiles, degeneracy_kernel, singular_values
-    from spm_pin.closed_form.kernels import continuation_kernel as continuation
-    from spm_pin.closed_form.kernels import jacobian_kernels as jacobians
-    from spm_pin.closed_form.kernels import mode_kernels as modes
+    from spm_pin.kinematics.kernels import branch_kernels as branches
+    from spm_pin.kinematics.kernels import branch_tiles, degeneracy_kernel, singular_values
+    from spm_pin.kinematics.kernels import continuation_kernel as continuation
+    from spm_pin.kinematics.kernels import jacobian_kernels as jacobians
+    from spm_pin.kinematics.kernels import mode_kernels as modes
 
     def array(*shape: int, item: str = "double") -> Array:
         return Array(item, shape)

@@ -11,7 +11,8 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
-from spm_pin.closed_form.kernels import (
+from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.kernels import (
     branch_kernels,
     branch_tiles,
     jacobian_kernels,
@@ -19,9 +20,8 @@ from spm_pin.closed_form.kernels import (
     stage_equations,
     wrench_vectors,
 )
-from spm_pin.closed_form.kernels.branch_tiles import DISCRIMINANT, PHYSICAL, STRAIGHT
-from spm_pin.closed_form.kernels.vectors import dot, minus
-from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.kernels.branch_tiles import DISCRIMINANT, PHYSICAL, STRAIGHT
+from spm_pin.kinematics.kernels.vectors import dot, minus
 from spm_pin.mechanism import BRANCHES, AsBuiltGeometry, Geometry
 from spm_pin.mechanism.arguments import choice, type_and_value
 from spm_pin.mechanism.dimension_checks import LARGEST, SMALLEST

@@ -1,6 +1,9 @@
 """Workspace of the terminal platform: the paper's 24 surfaces as one shell, and the reachable set itself."""
 
 from spm_pin.workspace.closed_mesh import Convergence
+from spm_pin.workspace.paper_shell.shell import Patch, Shell
+from spm_pin.workspace.paper_shell.shell import workspace_shell as shell
+from spm_pin.workspace.paper_shell.sub_workspaces import Setting
 from spm_pin.workspace.reachability.boundary import Boundary, BoundaryPoints, reachable_boundary
 from spm_pin.workspace.reachability.confidence_intervals import Estimate
 from spm_pin.workspace.reachability.joint_limits import JointLimits, leg_clearance
@@ -11,9 +14,6 @@ from spm_pin.workspace.reachability.reachable_positions import PositionReach, re
 from spm_pin.workspace.reachability.reachable_samples import sample_reachable
 from spm_pin.workspace.reachability.volume import pose_volume, reachable_volume
 from spm_pin.workspace.shell_comparison import ShellComparison, compare_with_shell
-from spm_pin.workspace.table_6.shell import Patch, Shell
-from spm_pin.workspace.table_6.shell import workspace_shell as shell
-from spm_pin.workspace.table_6.sub_workspaces import Setting
 
 __all__ = [
     "Boundary",

@@ -8,12 +8,12 @@ import numpy as np
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import Progress, generator, instance, whole_number
+from spm_pin.workspace.paper_shell.shell import Shell
 from spm_pin.workspace.reachability.boundary import Boundary, reachable_boundary
 from spm_pin.workspace.reachability.confidence_intervals import Estimate, check_confidence, from_hits
 from spm_pin.workspace.reachability.leg_length_box import leg_length_box
 from spm_pin.workspace.reachability.membership import search_states
 from spm_pin.workspace.reachability.reachable_samples import sample_reachable
-from spm_pin.workspace.table_6.shell import Shell
 
 __all__ = ["ShellComparison", "compare_with_shell"]
 

@@ -15,7 +15,6 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.closed_form.starting_configuration import starting_configuration
 from spm_pin.display.json_text import fixed, to_json
 from spm_pin.display.viewer.camera import FIELD_OF_VIEW, VIEWS, fit_camera, robot_points
 from spm_pin.display.viewer.readings import Readings
@@ -26,6 +25,7 @@ from spm_pin.display.viewer.state import Drive, StateMachine
 from spm_pin.display.viewer.state_export import command_line, content
 from spm_pin.display.viewer.state_markup import forces_table, instruments, status
 from spm_pin.display.viewer.workspace_layer import WorkspaceLayer
+from spm_pin.kinematics.starting_configuration import starting_configuration
 
 PAPER = spm.Geometry.paper()
 FREE = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)
@@ -167,7 +167,7 @@ def test_readings_are_those_of_the_library():
     found = spm.singularities(START)
     np.testing.assert_array_equal(readings.singularities.sigma, found.sigma)
     # The travel predicts where a determinant vanishes: go there along its gradient.
-    gradient = spm.closed_form.determinant_gradients(START)[2]
+    gradient = spm.kinematics.determinant_gradients(START)[2]
     way = -gradient / np.linalg.norm(gradient) * np.sign(found.determinants[2])
     there = spm.forward_physical(PAPER, START.leg_lengths + readings.travel[2] * way)
     assert abs(spm.singularities(there).determinants[2]) < 0.1 * abs(found.determinants[2])

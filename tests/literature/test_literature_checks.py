@@ -24,7 +24,7 @@ from assembly_mode_changes import (
 from problems import PAPER_TILTS, singular_state
 from stages import solve_stage
 
-from spm_pin.closed_form.intervals import Interval
+from spm_pin.kinematics.intervals import Interval
 
 STRUCTURE = 2
 

@@ -109,7 +109,7 @@ def test_rates_are_the_other_way_of_joint_velocities() -> None:
         rates = np.random.default_rng(402).normal(size=6)
         v = robot.joint_rates(q, rates)
         assert np.array_equal(v[robot.leg_indices], rates) or np.allclose(v[robot.leg_indices], rates, rtol=1e-14)
-        twist = spm.closed_form.platform_jacobian(state) @ rates
+        twist = spm.kinematics.platform_jacobian(state) @ rates
         allowed = 1e-10 * np.abs(v).max() / robot.singular_values(q).inverse
         assert np.abs(robot.joint_velocities(q, twist) - v).max() <= allowed
 

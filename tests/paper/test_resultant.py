@@ -74,7 +74,7 @@ def test_the_octic_is_of_degree_eight() -> None:
 
 def test_pure_paper_without_refinement_reaches_eight_digits_at_the_example() -> None:
     roots = resultant.solve(PAPER, EXAMPLE)
-    truth = spm.closed_form.complex_middle_joints(PAPER, EXAMPLE)
+    truth = spm.kinematics.complex_middle_joints(PAPER, EXAMPLE)
     gaps = np.abs(roots[:, None] - truth[None]).max(axis=(-1, -2))
     assert (gaps.min(axis=1) < 1e-8).all()
     assert sorted(gaps.argmin(axis=1)) == list(range(8))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import spm_pin as spm
+from spm_pin.crosscheck import MisprintedEquation, Reproduction, Verdict, matches, reproduce
 from spm_pin.paper import published, resultant
-from spm_pin.reproduction import MisprintedEquation, Reproduction, Verdict, matches, reproduce
 
 EXAMPLE = spm.pose(np.array(published.POSITION) / 100, xyx=np.deg2rad(published.XYX_DEGREES))
 

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import spm_pin as spm
-from spm_pin.closed_form.intervals import Interval
+from spm_pin.kinematics.intervals import Interval
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.stage_coordinates import configuration_of_stages, stage_coordinates
 from spm_pin.proofs.stage_proof import StageProof

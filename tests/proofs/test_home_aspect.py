@@ -18,7 +18,7 @@ from math import comb
 import numpy as np
 import pytest
 
-from spm_pin.closed_form.intervals import Interval
+from spm_pin.kinematics.intervals import Interval
 
 AZIMUTHS = np.radians([-30.0, 90.0, 210.0])
 PAIRS = ((0, 1), (1, 2), (2, 0), (1, 0), (2, 1), (0, 2))

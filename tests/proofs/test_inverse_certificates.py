@@ -11,7 +11,7 @@ from problems import random_branches
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.closed_form.intervals import Interval
+from spm_pin.kinematics.intervals import Interval
 from spm_pin.mechanism.stage_coordinates import configuration_of_stages, stage_coordinates
 from spm_pin.proofs import certify_inverse, certify_poses
 from spm_pin.proofs.inverse_certificate import structure_determinant

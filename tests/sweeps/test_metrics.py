@@ -162,8 +162,8 @@ def test_stiffness_is_that_of_springs_in_the_legs() -> None:
     compliance = np.linalg.inv(2e7 * jacobians.swapaxes(-1, -2) @ jacobians)[:, :3, :3]
     expected = 1.0 / np.linalg.eigvalsh(compliance)[:, -1]
     np.testing.assert_allclose(METRICS["stiffness"](leg=2e7).evaluate(points), expected, rtol=1e-7)
-    matrix = spm.closed_form.compliance(points.physical, 2e7)
-    weakest = spm.closed_form.principal_stiffness(compliance=matrix).rotational[:, 0]
+    matrix = spm.kinematics.compliance(points.physical, 2e7)
+    weakest = spm.kinematics.principal_stiffness(compliance=matrix).rotational[:, 0]
     np.testing.assert_allclose(METRICS["rotational_stiffness"](leg=2e7).evaluate(points), weakest, rtol=1e-7)
 
 

@@ -17,8 +17,8 @@ from symbolic.c_library import DRIVER, STRICT, CLibrary, as_states, compile_c, c
 from symbolic.c_poses import hard_poses, held_states, possible_lengths, spread_poses
 
 import spm_pin as spm
-from spm_pin.closed_form.kernels import continuation_kernel
 from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.kernels import continuation_kernel
 
 EXACT = "-ffp-contract=off"
 SANITIZED = ("-O1", "-fsanitize=undefined,address", "-fno-sanitize-recover=all")

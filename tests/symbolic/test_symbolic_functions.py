@@ -142,7 +142,7 @@ def test_forward_displacement_is_that_of_the_package(name: str) -> None:
     # Beside a fold fourteen steps may be too few.
     assert there.sum() >= 0.98 * expected.exists.sum()
     assert (~expected.exists).sum() > 50
-    scale = np.linalg.norm(spm.closed_form.platform_jacobian(expected[np.flatnonzero(there)]), axis=(-1, -2))
+    scale = np.linalg.norm(spm.kinematics.platform_jacobian(expected[np.flatnonzero(there)]), axis=(-1, -2))
     size = np.abs(expected.middle_joints[there]).max()
     assert (np.abs(rotation - expected.rotation)[there].max(axis=(-1, -2)) <= 64 * EPS * scale * (1.0 + size)).all()
     assert (np.abs(position - expected.translation)[there].max(axis=-1) <= 64 * EPS * scale * (1.0 + size)).all()

@@ -7,10 +7,10 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.leg_forces import leg_forces
-from spm_pin.closed_form.singularity_analysis import determinant_gradients, singularities
-from spm_pin.closed_form.stiffness import compliance, principal_stiffness
 from spm_pin.errors import SingularConfigurationError
+from spm_pin.kinematics.leg_forces import leg_forces
+from spm_pin.kinematics.singularity_analysis import determinant_gradients, singularities
+from spm_pin.kinematics.stiffness import compliance, principal_stiffness
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.branches import physical
 from spm_pin.mechanism.configuration import Configuration

@@ -11,9 +11,9 @@ from functools import lru_cache
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from spm_pin.closed_form.path_following import FollowedPath, follow
 from spm_pin.display.viewer.event_queue import EventQueue
 from spm_pin.errors import SpmError
+from spm_pin.kinematics.path_following import FollowedPath, follow
 from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.proofs import Certificate, certify

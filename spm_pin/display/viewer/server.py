@@ -8,7 +8,6 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
-from spm_pin.closed_form.starting_configuration import starting_configuration
 from spm_pin.display.viewer import viser_server
 from spm_pin.display.viewer.recording import Recording, demo_motion
 from spm_pin.display.viewer.robot_meshes import RobotMeshes
@@ -16,6 +15,7 @@ from spm_pin.display.viewer.session import Session, SessionConfig
 from spm_pin.display.viewer.state import StateMachine
 from spm_pin.display.viewer.workspace_layer import WorkspaceLayer
 from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.starting_configuration import starting_configuration
 from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.configuration import check_configuration
 from spm_pin.multibody.chain import ClosedChain

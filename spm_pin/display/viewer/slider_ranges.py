@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from spm_pin.closed_form.path_following import physical_mode_share
+from spm_pin.kinematics.path_following import physical_mode_share
 from spm_pin.mechanism import Configuration
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.branches import physical

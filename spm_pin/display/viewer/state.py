@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform
 
-from spm_pin.closed_form.forward_displacement import forward_physical
-from spm_pin.closed_form.inverse_displacement import inverse_displacement
-from spm_pin.closed_form.path_following import last_on_line
 from spm_pin.display.viewer.readings import SINGULARITIES, Readings
 from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.forward_displacement import forward_physical
+from spm_pin.kinematics.inverse_displacement import inverse_displacement
+from spm_pin.kinematics.path_following import last_on_line
 from spm_pin.mechanism import (
     FAMILIES,
     LEGS,

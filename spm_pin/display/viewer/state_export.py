@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from spm_pin.closed_form.singularity_analysis import SingularityKind
 from spm_pin.crosscheck.random_poses import command
 from spm_pin.display.viewer.camera import FIELD_OF_VIEW, VIEWS, fit_camera, robot_points
 from spm_pin.display.viewer.robot_meshes import RobotMeshes
@@ -17,6 +16,7 @@ from spm_pin.display.viewer.slider_ranges import pose_coordinates
 from spm_pin.display.viewer.state import State, StateMachine
 from spm_pin.display.viewer.state_markup import forces_table, instruments, status
 from spm_pin.display.viewer.viser_server import branded_html, start, stop
+from spm_pin.kinematics.singularity_analysis import SingularityKind
 from spm_pin.mechanism import LEGS, Configuration
 from spm_pin.mechanism.arguments import file_path, writing
 from spm_pin.mechanism.geometry_files import geometry_data

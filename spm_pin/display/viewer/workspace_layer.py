@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.leg_frames import home_lengths
-from spm_pin.workspace.table_6.shell import workspace_shell
+from spm_pin.workspace.paper_shell.shell import workspace_shell
 
 __all__ = ["WorkspaceLayer"]
 

@@ -8,8 +8,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.spatial import KDTree
 
-from spm_pin.closed_form.forward_displacement import forward_physical
 from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, first_offender, instance
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LEGS, LegLimits

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
-from spm_pin.closed_form.forward_displacement import forward_physical
-from spm_pin.closed_form.inverse_displacement import inverse_displacement
 from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.forward_displacement import forward_physical
+from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import BRANCHES, FAMILIES, Configuration, Geometry, LegLimits, PoseLike, as_rigid_transform
 from spm_pin.mechanism import pose as make_pose
 from spm_pin.mechanism.arguments import FloatArray, choice, instance

@@ -3,7 +3,7 @@
 Distances are those of `spm_pin.workspace.reachability.nearest_pose.pose_distance`; c_1, c_2, c_3 are symmetric about o,
 hence d² = |Δo|² + (the same mean for the rotation alone), and shifts and turns separate.
 
-For a fixed orientation a family is real where its quadratic form S, see `spm_pin.closed_form.family_forms`, allows for
+For a fixed orientation a family is real where its quadratic form S, see `spm_pin.kinematics.family_forms`, allows for
 the distance h = n·o of the two Z axes: λ_min(S) <= h <= λ_max(S). That is a slab between two planes normal to n, so the
 nearest position is a projection onto one of them and exact. What is left is a search over three angles, for which
 there is no such formula: a grid of turns, then BFGS from the best of them.
@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from spm_pin.closed_form.family_forms import FamilyForms
+from spm_pin.kinematics.family_forms import FamilyForms
 from spm_pin.mechanism import FAMILIES, Geometry
 from spm_pin.mechanism import pose as make_pose
 from spm_pin.mechanism.arguments import FloatArray

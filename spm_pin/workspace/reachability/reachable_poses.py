@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from spm_pin.closed_form.inverse_displacement import inverse_displacement
+from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import BRANCHES, Configuration, Geometry, LegLimits, PoseLike, SolutionSet, Status
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, choice, instance
 from spm_pin.mechanism.branches import physical, straightness

@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from spm_pin.closed_form.forward_displacement import forward_physical
-from spm_pin.closed_form.inverse_displacement import inverse_displacement
-from spm_pin.closed_form.singularity_analysis import determinants
 from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.forward_displacement import forward_physical
+from spm_pin.kinematics.inverse_displacement import inverse_displacement
+from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism import Configuration, Geometry, LegLimits
 from spm_pin.mechanism.arguments import FloatArray, IntArray, Progress, choice, generator, whole_number
 from spm_pin.mechanism.branches import physical

@@ -34,7 +34,7 @@ def check_theorem(points: BoundaryPoints, limits: spm.LegLimits) -> None:
     # Recomputed here, by the platform's Jacobian.
     states = spm.forward_physical(PAPER, points.leg_lengths)
     np.testing.assert_allclose(states.translation, points.position, atol=1e-9)
-    jacobian = spm.closed_form.platform_jacobian(states)[:, :3]
+    jacobian = spm.kinematics.platform_jacobian(states)[:, :3]
     outward = (points.normal[:, :, None] * jacobian).sum(axis=1)
     np.testing.assert_allclose(np.linalg.norm(points.normal, axis=-1), 1.0, atol=1e-9)
     tolerance = 1e-6

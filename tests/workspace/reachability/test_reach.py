@@ -144,7 +144,7 @@ def test_a_sample_of_poses_is_uniform_in_pose_space() -> None:
     steps: list[int] = []
     states = sample_reachable(PAPER, 4000, space="poses", rng=9, progress=lambda what, done, of: steps.append(done))
     assert steps[-1] == 4000
-    determinant = np.linalg.det(spm.closed_form.platform_jacobian(states))
+    determinant = np.linalg.det(spm.kinematics.platform_jacobian(states))
     weight = np.abs(determinant) / pose_multiplicity(states, LIMITS)
     # Weighted back, leg lengths are uniform, but that pairs of states with one pose count one half each.
     share = (states.leg_lengths - 1.1) / 0.4

@@ -34,7 +34,7 @@ def test_the_map_is_forward_displacement_and_its_derivatives_those_of_the_platfo
     jacobian = np.concatenate([derivatives[..., :3] @ inverse[:, 0], derivatives[..., 3:] @ inverse[:, 1]], axis=-1)
     np.testing.assert_allclose(mapping.lengths(coordinates), legs, atol=1e-12)
     np.testing.assert_allclose(position, states.translation, atol=1e-12)
-    np.testing.assert_allclose(jacobian, spm.closed_form.platform_jacobian(states)[:, :3], atol=1e-10)
+    np.testing.assert_allclose(jacobian, spm.kinematics.platform_jacobian(states)[:, :3], atol=1e-10)
 
 
 def test_upper_legs_that_reach_a_point_are_found_from_the_lower_ones() -> None:

@@ -7,13 +7,13 @@ from scipy.spatial.transform import Rotation
 from workspace.reachability.intervals import overlap
 
 import spm_pin as spm
+from spm_pin.workspace.paper_shell.shell import workspace_shell
 from spm_pin.workspace.reachability.boundary import Boundary, reachable_boundary
 from spm_pin.workspace.reachability.confidence_intervals import Estimate, from_hits, from_mean
 from spm_pin.workspace.reachability.reachable_poses import reachable
 from spm_pin.workspace.reachability.reachable_samples import pose_multiplicity
 from spm_pin.workspace.reachability.volume import pose_volume, reachable_volume
 from spm_pin.workspace.shell_comparison import compare_with_shell
-from spm_pin.workspace.table_6.shell import workspace_shell
 
 PAPER = GEOMETRIES["paper"]
 NARROW = spm.LegLimits(1.2, 1.4)
@@ -21,7 +21,7 @@ NARROW = spm.LegLimits(1.2, 1.4)
 
 def density_over_legs(states: spm.Configuration, limits: spm.LegLimits) -> np.ndarray:
     """|det ∂(o, R)/∂l| over how many states have the same pose: by leg lengths, as the package does not."""
-    determinant = np.linalg.det(spm.closed_form.platform_jacobian(states))
+    determinant = np.linalg.det(spm.kinematics.platform_jacobian(states))
     return np.abs(determinant) / pose_multiplicity(states, limits)
 
 

@@ -265,7 +265,7 @@ def test_the_pose_volume_is_that_of_an_integral_over_the_legs(limits: tuple[floa
     legs = rng.uniform(*limits, (40_000, 6))
     states = spm.forward_physical(PAPER, legs)
     states = states[states.exists]
-    density = np.abs(np.linalg.det(spm.closed_form.platform_jacobian(states)))
+    density = np.abs(np.linalg.det(spm.kinematics.platform_jacobian(states)))
     allowed = spm.workspace.reachable(PAPER, states.pose, spm.LegLimits(*limits)).allowed.sum(axis=-1)
     values = np.zeros(len(legs))
     values[: len(density)] = density / np.maximum(allowed, 1)

@@ -1,0 +1,233 @@
+"""Tables 1 to 4 recomputed beside what the paper printed, every difference explained by what the code finds.
+
+No misprint is listed here. A cell that differs in its printed digits is searched for a cause in the numbers
+themselves: a sign, a shifted column, a cell left empty. What has no cause is `Verdict.UNEXPLAINED`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from spm_pin.crosscheck import table_5
+from spm_pin.crosscheck.cells import Cell, Verdict, matches, number
+from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.forward_displacement import forward_physical
+from spm_pin.kinematics.inverse_displacement import complex_middle_joints
+from spm_pin.mechanism import BRANCHES, LEGS, Configuration, Geometry, pose
+from spm_pin.mechanism.arguments import FloatArray, IntArray
+from spm_pin.paper import published, resultant
+
+__all__ = ["POSE", "TABLES", "MisprintedEquation", "Reproduction", "SolvedTwice", "reproduce"]
+
+TABLES = (1, 2, 3, 4, 5)
+"""Numbers of the paper's tables that can be recomputed."""
+POSE = 0
+"""Number of the cells that compare the example's pose; the paper has no table of it."""
+# The lengths of which the printed pose is the forward displacement, found there "by simulation", in cm.
+_SIMULATED_LEGS = (120.0, 120.0, 140.0, 125.0, 120.0, 150.0)
+_CM = 100.0
+_COORDINATES = {1: published.TABLE_1, 2: published.TABLE_2, 3: published.TABLE_3}
+
+
+@dataclass(frozen=True)
+class SolvedTwice:
+    """One solution as the paper's route and the closed form find it, lengths in cm."""
+
+    solution: int
+    """Number of the solution, from 1 to 8, as the paper counts them."""
+    label: str
+    """Branch of the closed form, one of `BRANCHES`."""
+    paper: complex
+    """b_2y by the paper's route, a root of |U| = 0 [cm]."""
+    closed_form: complex
+    """b_2y by the closed form [cm]."""
+    difference: float
+    """Largest difference of the nine coordinates [cm]."""
+
+
+@dataclass(frozen=True)
+class MisprintedEquation:
+    """Real roots of |U| = 0 with Eq. (17) as printed and with its signs mended, beside those of the closed form."""
+
+    printed: int
+    """Number with Eq. (17) as printed."""
+    mended: int
+    """Number with its signs mended."""
+    true: int
+    """Number by the closed form."""
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """All recomputed cells, and the eight solutions by two methods."""
+
+    cells: tuple[Cell, ...]
+    """Cells of the tables that were asked for, in the order of print."""
+    solutions: tuple[SolvedTwice, ...]
+    """The eight solutions by the paper's route and by the closed form."""
+    equation_17: MisprintedEquation
+    """Numbers of real roots with Eq. (17) as printed, with its signs mended, and by the closed form."""
+    diagnoses: tuple[table_5.Diagnosis, ...] = ()
+    """The mistakes behind the rows of Table 5; empty without that table."""
+    true_values: tuple[table_5.TrueValue, ...] = ()
+    """The true numbers of Table 5, rates before forces; empty without that table."""
+
+    @property
+    def in_tables(self) -> tuple[Cell, ...]:
+        """Cells of Tables 1 to 5, without the numbers of the example's pose."""
+        return tuple(cell for cell in self.cells if cell.table != POSE)
+
+    def table(self, number: int) -> tuple[Cell, ...]:
+        """Return the cells of one table; of the example's pose for `POSE`."""
+        return tuple(cell for cell in self.cells if cell.table == number)
+
+    @property
+    def unexplained(self) -> tuple[Cell, ...]:
+        """Cells that differ in their printed digits without a cause."""
+        return tuple(cell for cell in self.cells if cell.verdict is Verdict.UNEXPLAINED)
+
+
+def reproduce(tables: Sequence[int] = TABLES) -> Reproduction:
+    """Recompute tables of the paper from its example.
+
+    Parameters
+    ----------
+    tables : sequence of int
+        Which tables, of `TABLES`.
+
+    Raises
+    ------
+    ArgumentError
+        If a table is none of those that can be reproduced.
+    """
+    unknown = [table for table in tables if table not in TABLES]
+    if unknown:
+        raise ArgumentError("tables", f"numbers of {TABLES}", unknown)
+    geometry = Geometry.paper()
+    example = pose(np.array(published.POSITION) / _CM, xyx=np.deg2rad(published.XYX_DEGREES))
+    closed = complex_middle_joints(geometry, example) * _CM
+    printed = np.array([[[number(c) for c in row] for row in table] for table in _COORDINATES.values()])
+    printed = np.moveaxis(printed, -1, 0)  # (solution, joint, coordinate)
+    found = resultant.solve(geometry, example) * _CM
+    joints = found[_order(printed, found)]
+    other = _order(joints, closed)
+    solutions = tuple(
+        SolvedTwice(
+            n + 1,
+            BRANCHES[other[n]],
+            complex(joints[n, 1, 1]),
+            complex(closed[other[n], 1, 1]),
+            float(np.abs(joints[n] - closed[other[n]]).max()),
+        )
+        for n in range(8)
+    )
+    roots = resultant.Resultant.of(geometry, example)
+    equation = MisprintedEquation(
+        printed=_count_real(roots.roots(as_printed=True)),
+        mended=_count_real(roots.roots()),
+        true=_count_real(closed[:, 1, 1]),
+    )
+    cells: list[Cell] = []
+    diagnoses: list[table_5.Diagnosis] = []
+    true_values: list[table_5.TrueValue] = []
+    for table in sorted(set(tables)):
+        if table in _COORDINATES:
+            cells += _coordinates(table, joints, printed, geometry.middle_side * _CM)
+        elif table == 4:
+            cells += _leg_lengths(geometry, example.as_matrix(), joints)
+            cells += _simulated_pose(geometry)
+        else:
+            third = Configuration(geometry, example, joints[2].real / _CM)
+            diagnoses = table_5.diagnoses(third)
+            true_values = table_5.true_values(third)
+            cells += table_5.rates_and_forces(true_values, diagnoses)
+    return Reproduction(tuple(cells), solutions, equation, tuple(diagnoses), tuple(true_values))
+
+
+def _count_real(roots: npt.NDArray[np.complex128]) -> int:
+    # The example's roots are well apart: complex ones are off the axis by 1e-5 and more, rounding is 1e-12.
+    return int(np.count_nonzero(np.abs(roots.imag) < 1e-7 * np.abs(roots)))
+
+
+def _order(first: npt.NDArray[np.complex128], second: npt.NDArray[np.complex128]) -> IntArray:
+    """Return for each solution of `first` (8, 3, 3) its place in `second`, one to one, nearest overall."""
+    cost = np.abs(first[:, None] - second[None]).max(axis=(-1, -2))
+    return np.asarray(scipy.optimize.linear_sum_assignment(cost)[1])
+
+
+def _coordinates(
+    table: int, joints: npt.NDArray[np.complex128], printed: npt.NDArray[np.complex128], side: float
+) -> list[Cell]:
+    """Compare Table 1, 2 or 3: coordinates of b_1, b_2 or b_3."""
+    cells = []
+    for axis, row in enumerate(_COORDINATES[table]):
+        for n, text in enumerate(row):
+            assert text is not None
+            value = complex(joints[n, table - 1, axis])
+            verdict, note = Verdict.SAME, ""
+            if not matches(text, value):
+                verdict, note = _conjugated(text, value, printed[n], (table - 1, axis), side)
+            cells.append(Cell(table, f"b_{table} {'XYZ'[axis]}", str(n + 1), text, value, verdict, note))
+    return cells
+
+
+def _conjugated(
+    text: str, value: complex, printed: npt.NDArray[np.complex128], place: tuple[int, int], side: float
+) -> tuple[Verdict, str]:
+    """Look for a flipped sign of the imaginary part; the evidence is Eq. (12) of the printed triangle."""
+    if not matches(text, value.conjugate()):
+        return Verdict.UNEXPLAINED, ""
+    mended = printed.copy()
+    mended[place] = printed[place].conjugate()
+    # Sums of squares, not of moduli: Eq. (12) holds over the complex numbers.
+    edges = (triangle - np.roll(triangle, 1, axis=0) for triangle in (printed, mended))
+    before, after = (np.abs((edge**2).sum(axis=-1) - side**2).max() for edge in edges)
+    note = (
+        f"sign of the imaginary part: as printed, Eq. (12) is off by {before:,.0f} cm²; "
+        f"with the sign changed by {after:,.1f}, the rounding of five digits"
+    )
+    return Verdict.MISPRINT if after < 1e-2 * before else Verdict.UNEXPLAINED, note
+
+
+def _leg_lengths(geometry: Geometry, matrix: FloatArray, joints: npt.NDArray[np.complex128]) -> list[Cell]:
+    """Compare Table 4: leg lengths of the real solutions, in the order of Tables 1-3. Eq. (20)."""
+    real = np.flatnonzero(np.abs(joints.imag).max(axis=(-1, -2)) < 1e-6)
+    b = joints[real].real
+    a = geometry.base_joints * _CM
+    c = (geometry.platform_joints @ matrix[:3, :3].T + matrix[:3, 3]) * _CM
+    lengths = np.concatenate([np.linalg.norm(b - a, axis=-1), np.linalg.norm(b - c, axis=-1)], axis=-1)
+    cells = []
+    for leg, row in enumerate(published.TABLE_4):
+        for column, text in enumerate(row):
+            value = float(lengths[column, leg])
+            verdict, note = Verdict.SAME, ""
+            if text is None:
+                verdict, note = Verdict.NOT_PRINTED, f"solution {real[column] + 1}: the cell is empty"
+            elif not matches(text, value):
+                verdict, note = _shifted(text, column, lengths[column])
+            cells.append(Cell(4, LEGS[leg], str(column + 1), text, complex(value), verdict, note))
+    return cells
+
+
+def _simulated_pose(geometry: Geometry) -> list[Cell]:
+    """Compare the example's pose with the forward displacement of round leg lengths, which it was rounded from."""
+    state = forward_physical(geometry, np.array(_SIMULATED_LEGS) / _CM)
+    values = [*(state.translation * _CM), *state.pose.rotation.as_euler("XYX", degrees=True)]
+    names = ("X_o", "Y_o", "Z_o", "alpha", "beta", "lambda")
+    return [
+        Cell(POSE, name, "3", text, complex(x), Verdict.SAME if matches(text, complex(x)) else Verdict.UNEXPLAINED)
+        for name, text, x in zip(names, published.POSE_AS_PRINTED, values, strict=True)
+    ]
+
+
+def _shifted(text: str, column: int, lengths: FloatArray) -> tuple[Verdict, str]:
+    """Look for the printed number in a cell of the same column that was left empty."""
+    for leg, value in enumerate(lengths):
+        if published.TABLE_4[leg][column] is None and matches(text, complex(value)):
+            return Verdict.MISPRINT, f"this is {LEGS[leg]} = {value:.4f}, whose own cell is empty: a shifted number"
+    return Verdict.UNEXPLAINED, ""

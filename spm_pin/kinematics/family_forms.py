@@ -1,0 +1,48 @@
+"""The four quadratics of a pose; their discriminants measure how far its families are from being real.
+
+Notation and derivation: `spm_pin.kinematics.inverse_displacement` and `docs/theory/inverse_displacement.md`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.geometry import Geometry
+
+__all__ = ["FamilyForms"]
+
+
+@dataclass(frozen=True)
+class FamilyForms:
+    """Quadratic forms of N poses for the families TT, TF, FT, FF, arrays of shape (N,) or, per family, (N, 4)."""
+
+    cosine: FloatArray
+    """c, s: half the tilt of the platform."""
+    sine: FloatArray
+    normal: npt.NDArray[np.complex128]
+    """The common normal n of the two Z axes, seen from {B}; NaN where they are parallel."""
+    form_uu: FloatArray
+    """The quadratic form, h subtracted, (N, 4) [m]."""
+    form_uv: FloatArray
+    form_vv: FloatArray
+
+    @property
+    def discriminant(self) -> FloatArray:
+        """Discriminants of the four forms, (N, 4) [m²]."""
+        return self.form_uv**2 - self.form_uu * self.form_vv
+
+    @classmethod
+    def of(cls, geometry: Geometry, quaternion: FloatArray, position: FloatArray) -> FamilyForms:
+        """Set up the four forms for quaternions (N, 4), scalar last, and positions (N, 3) [m]."""
+        from spm_pin.kinematics.kernels.branch_kernels import family_forms
+
+        rotation = Rotation.from_quat(quaternion).as_matrix()
+        common, forms = np.empty((len(position), 4)), np.empty((len(position), 4, 3))
+        family_forms(rotation, position, geometry.middle_radius, common, forms)
+        cosine, sine, x, y = common.T
+        return cls(cosine, sine, x + 1j * y, forms[..., 0], forms[..., 1], forms[..., 2])

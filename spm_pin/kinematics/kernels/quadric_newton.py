@@ -1,0 +1,224 @@
+"""Newton's method on three quadrics from eight points side by side, real or complex.
+
+Points are one flat array, so that loops over them are vectorised: row i begins at i * POINTS. Rows 0 to 3 hold the real
+parts of unit vectors, rows 4 to 7 the imaginary ones.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from spm_pin.kinematics.kernels.compilation import jit, jit_inline
+from spm_pin.mechanism.arguments import FloatArray
+
+__all__ = [
+    "CONVERGED",
+    "FAILED",
+    "PENDING",
+    "POINTS",
+    "ROWS",
+    "STATE",
+    "part",
+    "point",
+    "polish",
+    "product",
+    "put_part",
+    "solve_bordered",
+    "squared",
+    "symmetric",
+    "symmetric_product",
+]
+
+POINTS = 8
+_SIZE, _LAST, STATE, ROWS = 8 * POINTS, 9 * POINTS, 10 * POINTS, 11
+"""Where the rows of the last step's size, of the size before and of the states begin; and the number of rows."""
+PENDING, CONVERGED, FAILED = 0.0, 1.0, 2.0
+"""States. Steps move the points that are pending."""
+_FIRST_STEP = 0.1
+_CONTRACTION = 0.1
+"""Newton's method has to begin with a step of at most the one, and its second be at most this part of the first.
+
+It then converges to the root next to it, and no other is near.
+"""
+
+
+@jit
+def polish(forms: FloatArray, points: FloatArray, imaginary: bool, contracting: bool, most: int) -> None:
+    """Improve the pending points by Newton's method until nothing changes any more.
+
+    Parameters
+    ----------
+    forms : ndarray, shape (3, 4, 4)
+        Symmetric matrices of the quadrics.
+    points : ndarray, shape (ROWS * POINTS,), changed
+        The points; in the end each has converged or failed.
+    imaginary : bool
+        Whether imaginary parts are not zero.
+    contracting : bool
+        Whether a point fails if it is not next to a root, see `_CONTRACTION`.
+    most : int
+        Largest number of steps.
+    """
+    for number in range(most):
+        if imaginary:
+            _complex_step(forms, points)
+        else:
+            _real_step(forms, points)
+        again = False
+        for k in range(POINTS):
+            if points[STATE + k] != PENDING:
+                continue
+            size = points[_SIZE + k]
+            last = points[_LAST + k] if number > 0 else 1.0
+            longest = 4.0
+            if contracting and number < 2:
+                longest = _FIRST_STEP if number == 0 else max(_CONTRACTION * last, 1e-13)
+            if not size <= longest:
+                points[STATE + k] = FAILED
+            # Rounding is reached, or will be by what is left after this step.
+            elif (
+                size < 1e-15
+                or (size < 1e-10 and size > 0.5 * last)
+                or (number > 0 and size * size * size < 1e-17 * last * last)
+            ):
+                points[STATE + k] = CONVERGED
+            else:
+                points[_LAST + k] = size
+                again = True
+        if not again:
+            return
+    for k in range(POINTS):
+        if points[STATE + k] == PENDING:
+            points[STATE + k] = CONVERGED if points[_LAST + k] < 1e-9 else FAILED
+
+
+@jit
+def _real_step(forms: FloatArray, points: FloatArray) -> None:
+    """Move the pending points, all of which are real, by a step."""
+    p, q, r = symmetric(forms, 0), symmetric(forms, 1), symmetric(forms, 2)
+    for k in range(POINTS):
+        x = part(points, 0, k)
+        y, size = _improved(symmetric_product(p, x), symmetric_product(q, x), symmetric_product(r, x), x)
+        points[_SIZE + k] = size
+        put_part(points, 0, k, _chosen(points[STATE + k] == PENDING, y, x))
+
+
+@jit
+def _complex_step(forms: FloatArray, points: FloatArray) -> None:
+    """Move the pending points by a step; real ones stay real."""
+    p, q, r = symmetric(forms, 0), symmetric(forms, 1), symmetric(forms, 2)
+    for k in range(POINTS):
+        x, y = part(points, 0, k), part(points, 4, k)
+        a, b, c = (
+            _joined(symmetric_product(p, x), symmetric_product(p, y)),
+            _joined(symmetric_product(q, x), symmetric_product(q, y)),
+            _joined(symmetric_product(r, x), symmetric_product(r, y)),
+        )
+        z, size = _improved(a, b, c, _joined(x, y))
+        moves = points[STATE + k] == PENDING
+        points[_SIZE + k] = size
+        put_part(points, 0, k, _chosen(moves, (z[0].real, z[1].real, z[2].real, z[3].real), x))
+        put_part(points, 4, k, _chosen(moves, (z[0].imag, z[1].imag, z[2].imag, z[3].imag), y))
+
+
+@jit_inline
+def part(points, row, k):  # type: ignore[no-untyped-def]
+    """Return the real or the imaginary parts of point k, from row 0 or row 4 on."""
+    at = row * POINTS + k
+    return points[at], points[at + POINTS], points[at + 2 * POINTS], points[at + 3 * POINTS]
+
+
+@jit_inline
+def put_part(points, row, k, x):  # type: ignore[no-untyped-def]
+    """Write the real or the imaginary parts of point k."""
+    at = row * POINTS + k
+    points[at], points[at + POINTS], points[at + 2 * POINTS], points[at + 3 * POINTS] = x
+
+
+@jit_inline
+def _chosen(first, x, y):  # type: ignore[no-untyped-def]
+    """Return x or y, without a branch in the compiled code."""
+    return x[0] if first else y[0], x[1] if first else y[1], x[2] if first else y[2], x[3] if first else y[3]
+
+
+@jit_inline
+def _improved(a, b, c, x):  # type: ignore[no-untyped-def]
+    """Return x after a step across it, for half the gradients a, b, c of the quadrics at x, and the step's size."""
+    d = solve_bordered(a, b, c, x, 0.5 * product(a, x), 0.5 * product(b, x), 0.5 * product(c, x))
+    x0, x1, x2, x3 = x[0] - d[0], x[1] - d[1], x[2] - d[2], x[3] - d[3]
+    scale = 1.0 / math.sqrt(squared(x0) + squared(x1) + squared(x2) + squared(x3))
+    size = math.sqrt(squared(d[0]) + squared(d[1]) + squared(d[2]) + squared(d[3]))
+    return (x0 * scale, x1 * scale, x2 * scale, x3 * scale), size
+
+
+@jit_inline
+def solve_bordered(a, b, c, x, u, v, w):  # type: ignore[no-untyped-def]
+    """Solve a · d = u, b · d = v, c · d = w for d across x, by minors; not finite where that is singular.
+
+    Vectors are tuples of four numbers, all real or all complex.
+    """
+    bc, ca, ab = _minors(b, c), _minors(c, a), _minors(a, b)
+    n = np.conj(x[0]), np.conj(x[1]), np.conj(x[2]), np.conj(x[3])
+    e = _normal(bc, n)
+    determinant = product(a, e)
+    # Not a division: complex ones have branches.
+    scale = np.conj(determinant) * (1.0 / squared(determinant))
+    u, v, w = u * scale, v * scale, w * scale
+    m01, m02 = u * bc[0] + v * ca[0] + w * ab[0], u * bc[1] + v * ca[1] + w * ab[1]
+    m03, m12 = u * bc[2] + v * ca[2] + w * ab[2], u * bc[3] + v * ca[3] + w * ab[3]
+    m13, m23 = u * bc[4] + v * ca[4] + w * ab[4], u * bc[5] + v * ca[5] + w * ab[5]
+    return _normal((m01, m02, m03, m12, m13, m23), n)
+
+
+@jit_inline
+def _minors(p, q):  # type: ignore[no-untyped-def]
+    """Return the minors 01, 02, 03, 12, 13, 23 of two rows."""
+    p01, p02, p03 = p[0] * q[1] - p[1] * q[0], p[0] * q[2] - p[2] * q[0], p[0] * q[3] - p[3] * q[0]
+    return p01, p02, p03, p[1] * q[2] - p[2] * q[1], p[1] * q[3] - p[3] * q[1], p[2] * q[3] - p[3] * q[2]
+
+
+@jit_inline
+def _normal(m, n):  # type: ignore[no-untyped-def]
+    """Return e such that e · y is the determinant of two rows, given by their minors m, the row n and the row y."""
+    e0, e1 = m[4] * n[2] - m[3] * n[3] - m[5] * n[1], m[1] * n[3] - m[2] * n[2] + m[5] * n[0]
+    return e0, e1, m[2] * n[1] - m[0] * n[3] - m[4] * n[0], m[0] * n[2] - m[1] * n[1] + m[3] * n[0]
+
+
+@jit_inline
+def symmetric(forms, k):  # type: ignore[no-untyped-def]
+    """Return the ten entries of a symmetric matrix: as scalars, so that loops need not ask whether memory is shared."""
+    first, second = (forms[k, 0, 0], forms[k, 0, 1], forms[k, 0, 2], forms[k, 0, 3]), (forms[k, 1, 1], forms[k, 1, 2])
+    return *first, *second, forms[k, 1, 3], forms[k, 2, 2], forms[k, 2, 3], forms[k, 3, 3]
+
+
+@jit_inline
+def symmetric_product(q, x):  # type: ignore[no-untyped-def]
+    """Return the product of a symmetric matrix, as its ten entries, and a vector."""
+    y0, y1 = product((q[0], q[1], q[2], q[3]), x), product((q[1], q[4], q[5], q[6]), x)
+    return y0, y1, product((q[2], q[5], q[7], q[8]), x), product((q[3], q[6], q[8], q[9]), x)
+
+
+@jit_inline
+def product(a, b):  # type: ignore[no-untyped-def]
+    """Return a · b."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
+
+
+@jit_inline
+def point(points: FloatArray, k: int):  # type: ignore[no-untyped-def]
+    """Return point k as four complex numbers."""
+    return _joined(part(points, 0, k), part(points, 4, k))
+
+
+@jit_inline
+def _joined(re, im):  # type: ignore[no-untyped-def]
+    """Return four complex numbers."""
+    return complex(re[0], im[0]), complex(re[1], im[1]), complex(re[2], im[2]), complex(re[3], im[3])
+
+
+@jit_inline
+def squared(z):  # type: ignore[no-untyped-def]
+    """Return |z|²."""
+    return z.real * z.real + z.imag * z.imag

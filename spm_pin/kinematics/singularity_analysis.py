@@ -1,0 +1,295 @@
+"""Singularity analysis: kind, rank, distance, lost wrench and gained twist of configurations.
+
+Three 6 x 6 matrices decide, built as in `spm_pin.kinematics.jacobians` from forces through the ball joints, at the
+middle platform's centre and with lengths in units of d, so that they are dimensionless and of order one:
+
+- J_b and J_c, the six forces of the lower and of the upper stage. Where one is singular the locked legs of that
+  stage let its platform move: a **forward** singularity (type 2, parallel).
+- K, the structure's forces of both stages. Where it is singular the middle platform can move while the terminal
+  platform stands still, and a direction of motion of the latter is lost: an **inverse** singularity (type 1, serial).
+- Where the structure's three forces of one stage are dependent already, both happen: a **constraint** singularity.
+
+det J_f = det J_b det J_c / det K, and each determinant is a difference of two triple products, without a 6 x 6.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.errors import ArgumentError, SingularConfigurationError
+from spm_pin.kinematics.as_built_jacobians import as_built_determinants, as_built_singularities
+from spm_pin.kinematics.batches import run_kernel, run_on_states
+from spm_pin.kinematics.jacobians import platform_jacobian
+from spm_pin.kinematics.stage_wrenches import SINGULAR
+from spm_pin.mechanism.arguments import FloatArray, IntArray, first_offender, real_number, shaped_array
+from spm_pin.mechanism.as_built import AsBuiltGeometry
+from spm_pin.mechanism.branches import leg_plane_determinant
+from spm_pin.mechanism.configuration import Configuration, check_configuration
+
+__all__ = [
+    "Singularities",
+    "SingularityKind",
+    "determinant_gradients",
+    "determinants",
+    "singular_values",
+    "singularities",
+]
+
+
+_MIN_BATCH_PER_THREAD = 1 << 11
+_STEP = 1e-100
+"""Imaginary step of derivatives, in metres of leg length: its square is nothing beside one."""
+
+
+class SingularityKind(enum.IntFlag):
+    """Kinds of singularity; a configuration can be of several."""
+
+    REGULAR = 0
+    INVERSE = 1
+    FORWARD = 2
+    CONSTRAINT = 4
+
+    def __str__(self) -> str:
+        return " and ".join(str(kind.name).lower() for kind in SingularityKind if kind & self) or "regular"
+
+
+@dataclass(frozen=True, repr=False)
+class Singularities:
+    """Singularities of states of shape (...), and distances to them; NaN and rank 0 where a state does not exist.
+
+    The axis of length three counts the matrices J_b, J_c, K.
+    """
+
+    determinants: FloatArray
+    """det J_b, det J_c, det K [m³], for forces of length one and moments about any point: signed, smooth; (..., 3)."""
+    scaled_determinants: FloatArray
+    """The determinants over d³, shape (..., 3): dimensionless, signed, smooth, zero just where singular; for a cost."""
+    sigma: FloatArray
+    """Smallest singular values, dimensionless, shape (..., 3).
+
+    How far, in the Frobenius norm, the forces' directions and arms over d would have to change to make the matrix
+    singular.
+    """
+    condition: FloatArray
+    """Largest singular value over the smallest, shape (..., 3); infinite where that is zero."""
+    rank: IntArray
+    """Singular values above `tolerance` times the largest, shape (..., 3)."""
+    kind: npt.NDArray[np.int8]
+    """A combination of `SingularityKind`, at the same tolerance, shape (...)."""
+    mobility: IntArray
+    """Dimension of the twists that the six legs can give the platform, shape (...).
+
+    The rank of J_f⁻¹; 6 where regular. Not defined at a forward singularity, -1 there.
+    """
+    gained_twist: FloatArray
+    """The twist (v, ω) at o in {B} that each stage resists least when its legs are locked, shape (..., 2, 6).
+
+    Of the lower stage, then the upper: the right singular vector of J_b, or J_c. At a forward singularity the platform
+    moves so. Its size is such that (v, dω) at the middle platform's centre has length 1 m/s.
+    """
+    inner_twist: FloatArray
+    """The twist (v, ω) at o in {B} of the middle platform with both ends standing still, shape (..., 6).
+
+    The one that the structure resists least: the right singular vector of K. At an inverse singularity it is free,
+    given the legs.
+    """
+    lost_wrench: FloatArray
+    """The wrench (f, m) at o in {B} on the terminal platform that takes hardly any leg force, shape (..., 6).
+
+    The structure of both stages carries it. At an inverse singularity with none at all, and no motion can do work on
+    it: that is the lost freedom. |f| = 1, or |m| = 1 for a couple.
+    """
+
+    def __repr__(self) -> str:
+        if not self.kind.shape:
+            kind = str(SingularityKind(int(self.kind))) if self.rank.any() else "does not exist"
+            sigmas = ", ".join(f"{value:.2e}" for value in self.sigma)
+            return f"<Singularities: {kind}; smallest singular values of J_b, J_c, K: {sigmas}>"
+        exists = np.asarray(self.rank.any(axis=-1))
+        counts = ", ".join(
+            f"{np.count_nonzero(self.kind & kind)} {kind}" for kind in SingularityKind if (self.kind & kind).any()
+        )
+        smallest = np.where(exists[..., None], self.sigma, np.inf).reshape(-1, 3).min(axis=0, initial=np.inf)
+        sigmas = ", ".join(f"{value:.2e}" for value in smallest)
+        shown = f"{self.kind.shape} states, {np.count_nonzero(exists)} exist, {counts or 'all regular'}"
+        return f"<Singularities: {shown}; smallest singular values of J_b, J_c, K: {sigmas}>"
+
+
+def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) -> Singularities:
+    """Describe the singularities of a configuration, or how near they are.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        States of shape (...).
+    tolerance : float
+        A matrix is singular where its smallest singular value is at most this times its largest; by default
+        where rounding cannot tell. Raise it to name singularities that are merely near.
+
+    Raises
+    ------
+    ArgumentError
+        If `tolerance` is not between 0 and 1.
+    SingularConfigurationError
+        Where a leg has no length, hence no direction.
+
+    Notes
+    -----
+    At the symmetric home K has rank 3: it is an inverse singularity in which three freedoms are lost. Inverse and
+    forward singularities are those of [1]_, constraint singularities those of [2]_; det K is the determinant of the
+    tetrahedron of [3]_, see docs/theory/literature_checks.md.
+
+    References
+    ----------
+    .. [1] C. Gosselin, J. Angeles, "Singularity Analysis of Closed-Loop Kinematic Chains", IEEE Transactions on
+       Robotics and Automation 6 (1990).
+    .. [2] D. Zlatanov, I. Bonev, C. Gosselin, "Constraint Singularities of Parallel Mechanisms", ICRA 2002.
+    .. [3] A. Nayak, S. Caro, P. Wenger, "Kinematic Analysis of the 3-RPS-3-SPR Series-Parallel Manipulator", Robotica
+       37 (2019).
+    """
+    tolerance = real_number(tolerance, "tolerance", "a number from 0 to below 1", least=0.0, below=1.0)
+    geometry = check_configuration(configuration, as_built=True).geometry
+    exists = configuration.exists
+    if isinstance(geometry, AsBuiltGeometry):
+        described, side = as_built_singularities(configuration, tolerance), geometry.nominal.middle_side
+    else:
+        from spm_pin.kinematics.kernels.singularity_kernel import describe_singularities
+
+        side = geometry.middle_side
+        sizes = geometry.base_radius, geometry.platform_radius, side, tolerance, SINGULAR
+        three, six = ((3,), np.float64), ((6,), np.float64)
+        results = (three, three, three, ((3,), np.int8), ((2,), np.bool_), ((3, 6), np.float64), six)
+        described = run_on_states(
+            describe_singularities, configuration, sizes, results, min_batch=_MIN_BATCH_PER_THREAD
+        )
+    dets, largest, smallest, rank, flags, twists, wrench = described
+    dependent, short = flags[..., 0], flags[..., 1]
+    if short.any():
+        raise SingularConfigurationError("forward", 0.0, first_offender(short))
+    kind = (
+        np.where(rank[..., 2] < 6, SingularityKind.INVERSE, 0)
+        | np.where((rank[..., :2] < 6).any(axis=-1), SingularityKind.FORWARD, 0)
+        | np.where(dependent, SingularityKind.CONSTRAINT, 0)
+    )
+    held = (rank[..., :2] == 6).all(axis=-1)
+    with np.errstate(divide="ignore"):
+        condition = largest / smallest
+    return Singularities(
+        determinants=dets,
+        scaled_determinants=dets / side**3,
+        sigma=smallest,
+        condition=condition,
+        rank=rank,
+        kind=np.where(exists, kind, 0).astype(np.int8),
+        mobility=np.where(exists, np.where(held, rank[..., 2], -1), 0),
+        gained_twist=twists[..., :2, :],
+        inner_twist=twists[..., 2, :],
+        lost_wrench=wrench,
+    )
+
+
+def singular_values(matrices: npt.ArrayLike) -> FloatArray:
+    """Return the singular values of many small matrices, without LAPACK's overhead for each.
+
+    Parameters
+    ----------
+    matrices : array_like, shape (..., m, n)
+        Matrices with at most six rows and columns, of finite numbers; NaN gives NaN.
+
+    Returns
+    -------
+    ndarray, shape (..., min(m, n))
+        From large to small, each accurate to rounding of the largest.
+
+    Raises
+    ------
+    ArgumentError
+        If `matrices` has another shape.
+    """
+    from spm_pin.kinematics.kernels import singular_values as kernels
+
+    expected = "matrices with at most six rows and columns"
+    array = shaped_array(matrices, "matrices", (), expected, error=ArgumentError)
+    if array.ndim < 2 or max(array.shape[-2:]) > kernels.WIDTH:
+        raise ArgumentError("matrices", expected, f"shape {array.shape}")
+    if array.shape[-2] > array.shape[-1]:
+        array = np.swapaxes(array, -1, -2)
+    shape, (m, n) = array.shape[:-2], array.shape[-2:]
+    results = [((m,), np.float64)]
+    (values,) = run_kernel(kernels.singular_values, [array.reshape(-1, m, n)], (), results, _MIN_BATCH_PER_THREAD)
+    return np.asarray(values.reshape(*shape, m))
+
+
+def determinants(configuration: Configuration) -> FloatArray:
+    """Return det J_b, det J_c and det K alone, as `Singularities.determinants`.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        States of shape (...).
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        [m³]; NaN for a member that does not exist, or for a leg without length.
+    """
+    from spm_pin.kinematics.kernels.jacobian_kernels import all_determinants
+
+    geometry = check_configuration(configuration, as_built=True).geometry
+    if isinstance(geometry, AsBuiltGeometry):
+        return as_built_determinants(configuration)
+    sizes = geometry.base_radius, geometry.platform_radius
+    (found,) = run_on_states(all_determinants, configuration, sizes, [((3,), np.float64)])
+    return np.asarray(found)
+
+
+def determinant_gradients(configuration: Configuration) -> FloatArray:
+    """Return the derivatives of det J_b, det J_c and det K with respect to the six leg lengths.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        States of shape (...).
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 6)
+        Row per determinant, column per leg r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m²]; finite at an inverse
+        singularity. NaN for a member that does not exist. For the derivative along a motion of the platform
+        multiply with `inverse_jacobian`.
+
+    Raises
+    ------
+    SingularConfigurationError
+        At a forward or a constraint singularity, where the leg lengths do not determine the motion.
+    """
+    geometry = check_configuration(configuration).geometry
+    # Twists (v, ω) of m per unit leg rate, at the middle platform's centre.
+    jacobian = np.swapaxes(platform_jacobian(configuration), -1, -2)
+    b, c, axes = configuration.middle_joints, configuration.platform_joints, configuration.platform_axes
+    centre = b.mean(axis=-2)
+    angular = jacobian[..., 3:]
+    linear = jacobian[..., :3] - np.cross(angular, (configuration.translation - centre)[..., None, :])
+
+    def moved(points: FloatArray, legs: FloatArray) -> Any:
+        """Return three points after an imaginary step of each of the six `legs` that move them, (..., 6, 3, 3)."""
+        arms = (points - centre[..., None, :])[..., None, :, :]
+        rates = linear[..., None, :] + np.cross(angular[..., None, :], arms)
+        return points[..., None, :, :] + 1j * _STEP * legs[:, None, None] * rates
+
+    def unit(vectors: Any) -> Any:
+        return vectors / np.sqrt((vectors**2).sum(axis=-1, keepdims=True))
+
+    # The middle platform moves with the lower legs only. Without subtraction, a complex step loses no digits.
+    with np.errstate(invalid="ignore"):
+        b, c = moved(b, np.repeat([1.0, 0.0], 3)), moved(c, np.ones(6))
+        turned = axes[..., None, :, :] + 1j * _STEP * np.cross(angular[..., None, :], axes[..., None, :, :])
+        lower, upper, fixed = unit(b - geometry.base_joints), unit(c - b), geometry.revolute_axes
+        pairs = (lower, fixed), (upper, turned), (fixed, turned)
+        rows = [-leg_plane_determinant(b, np.cross(*pair)).imag / _STEP for pair in pairs]
+    return np.stack(rows, axis=-2)

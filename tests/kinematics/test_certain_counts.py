@@ -1,0 +1,253 @@
+"""Which families are real, and how far from the computed joints the exact ones are: proved, against ball arithmetic."""
+
+from __future__ import annotations
+
+import pickle
+
+import mpmath
+import numpy as np
+import pytest
+from oracle import certified_count, discriminants, quaternion_of
+from problems import GEOMETRIES, in_leg_space, random_branches
+from scipy.spatial.transform import RigidTransform, Rotation
+
+import spm_pin as spm
+from spm_pin.kinematics.inverse_displacement import ROUNDING_BOUND
+
+PAPER = spm.Geometry.paper()
+FAMILIES = ("TT", "TF", "FT", "FF")
+
+
+def poses(count: int, seed: int, size: float = 0.6) -> RigidTransform:
+    """Return poses of all orientations, half of them nearly level, nearly turned over, or beside another half turn."""
+    rng = np.random.default_rng(seed)
+    rotation = Rotation.random(count, rng=seed)
+    near = Rotation.from_rotvec(rng.normal(size=(count, 3)) * 10.0 ** rng.uniform(-9.0, 0.0, (count, 1)))
+    axis = np.eye(3)[rng.integers(0, 3, count)] * np.pi * rng.integers(0, 3, (count, 1)) / 2.0
+    special = near * Rotation.from_rotvec(axis)
+    half = np.arange(count) % 2 == 0
+    matrices = np.where(half[:, None, None], rotation.as_matrix(), special.as_matrix())
+    place = rng.normal(size=(count, 3)) * size * np.where(half, 1.0, 10.0 ** rng.uniform(-6.0, 2.0, count))[:, None]
+    return spm.pose(place, rotation=matrices)
+
+
+def folds(geometry: spm.Geometry, family: int, count: int, seed: int, beyond: float) -> RigidTransform:
+    """Return poses at which the two branches of a family are about to meet, to `beyond` [m] and rounding.
+
+    The discriminant is a quadratic in the shift of o along the common normal of the Z axes.
+    """
+    poses = random_branches(geometry, FAMILIES[family], count, seed).pose
+    rotation, position = poses.rotation.as_matrix(), poses.translation
+    normal = np.stack([-rotation[:, 1, 2], rotation[:, 0, 2], np.zeros(count)], axis=-1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    for step in (0.1, 1e-4, 1e-7):
+        shift = step * geometry.middle_side
+
+        def value(s: float, position: np.ndarray = position) -> np.ndarray:
+            found = spm.inverse_displacement(geometry, spm.pose(position + s * normal, rotation=rotation))
+            assert found.discriminants is not None
+            return found.discriminants[:, family]
+
+        low, middle, high = value(-shift), value(0.0), value(shift)
+        curvature, slope = (high - 2.0 * middle + low) / 2.0, (high - low) / 2.0
+        with np.errstate(invalid="ignore", divide="ignore"):
+            root = np.sqrt(np.maximum(slope**2 - 4.0 * curvature * middle, 0.0))
+            size = -2.0 * middle / (slope + np.where(slope < 0.0, -root, root))
+        size = np.where(np.isfinite(size), size, 0.0)
+        position = position + (shift * size)[:, None] * normal
+    rng = np.random.default_rng(seed)
+    return spm.pose(position + beyond * rng.uniform(-1.0, 1.0, (count, 1)) * normal, rotation=rotation)
+
+
+def check_against_balls(geometry: spm.Geometry, solutions: spm.SolutionSet) -> None:
+    """Check that no family is said to be certainly real, or not, that is otherwise."""
+    certain, exists = solutions.certain, solutions.exists
+    assert certain is not None
+    rotation, position = solutions.rotation[:, 0], solutions.translation[:, 0]
+    for n in range(len(position)):
+        values = discriminants(rotation[n], position[n], geometry.middle_side)
+        for family in np.flatnonzero(certain[n]):
+            real = exists[n, 2 * family]
+            value = values[family]
+            if not (value > 0 or value < 0):
+                value = discriminants(rotation[n], position[n], geometry.middle_side, bits=2000)[family]
+            assert value >= 0 if real else value < 0
+
+
+@pytest.mark.parametrize("name", GEOMETRIES)
+def test_rounding_error_of_a_discriminant_is_below_its_bound(name: str) -> None:
+    geometry = GEOMETRIES[name]
+    solutions = spm.inverse_displacement(geometry, poses(400, 3, geometry.middle_side))
+    assert solutions.discriminants is not None
+    position = solutions.translation[:, 0]
+    allowed = (1.0 + np.abs(position[:, :2]).sum(axis=-1) / geometry.middle_radius) ** 2
+    for n in range(400):
+        exact = discriminants(solutions.rotation[n, 0], position[n], geometry.middle_side, bits=300)
+        for computed, ball in zip(solutions.discriminants[n], exact, strict=True):
+            # The bound is a sum of worst cases; a fiftieth of it is never reached.
+            assert abs(float(computed) - ball) <= ROUNDING_BOUND * float(allowed[n]) / 50.0
+
+
+def test_generic_poses_are_certain_and_right() -> None:
+    for geometry in GEOMETRIES.values():
+        solutions = spm.inverse_displacement(geometry, poses(300, 4, geometry.middle_side))
+        assert solutions.certain is not None
+        assert solutions.certain[::2].all()
+        check_against_balls(geometry, solutions)
+
+
+def test_counts_are_those_of_the_isolated_roots_of_the_octic() -> None:
+    pose = poses(60, 5)
+    solutions = spm.inverse_displacement(PAPER, pose, certify=True)
+    for n in range(0, 60, 2):
+        x0, *rest = quaternion_of(solutions.rotation[n, 0])
+        assert solutions.count[n] == certified_count([*rest, x0], solutions.translation[n, 0], PAPER.middle_side)
+
+
+@pytest.mark.parametrize("family", range(4))
+def test_folds_are_uncertain_and_their_counts_then_corrected(family: int) -> None:
+    pose = folds(PAPER, family, 80, family, 2e-16)
+    plain = spm.inverse_displacement(PAPER, pose)
+    settled = spm.inverse_displacement(PAPER, pose, certify=True)
+    assert plain.certain is not None
+    assert settled.certain is not None
+    assert settled.radius is not None
+    assert not plain.certain[:, family].any()
+    assert settled.certain.all()
+    check_against_balls(PAPER, plain)
+    check_against_balls(PAPER, settled)
+    assert np.isfinite(settled.radius[settled.exists]).all()
+    np.testing.assert_array_equal(np.isnan(settled.radius), ~settled.exists)
+    assert (settled.residual[settled.exists] < 1e-13).all()
+    # A wrong count is corrected, and nothing else changed.
+    others = np.delete(np.arange(8), [2 * family, 2 * family + 1])
+    np.testing.assert_array_equal(settled.middle_joints[:, others], plain.middle_joints[:, others])
+    assert (plain.exists != settled.exists).any()
+    np.testing.assert_array_equal(settled.status == spm.Status.OK, settled.exists.any(axis=-1))
+
+
+def test_settled_families_keep_labels_and_the_physical_choice() -> None:
+    pose = folds(PAPER, 0, 200, 11, 1e-13)
+    plain, settled = spm.inverse_displacement(PAPER, pose), spm.inverse_displacement(PAPER, pose, certify=True)
+    both = plain.exists & settled.exists
+    apart = np.abs(plain.middle_joints - settled.middle_joints)[both].max(axis=(-1, -2))
+    assert both[:, :2].sum() > 100
+    # Rounding of the discriminant moves the joints by its root.
+    assert apart.max() < 1e-5
+    wide = np.abs(settled.middle_joints[:, 0] - settled.middle_joints[:, 1]).max(axis=(-1, -2)) > 1e-6
+    assert wide.any()
+    assert (np.abs(plain.middle_joints - settled.middle_joints)[wide][:, :2] < 1e-7).all()
+    unchanged = (plain.exists == settled.exists).all(axis=-1)
+    assert (plain.is_physical == settled.is_physical)[unchanged].mean() > 0.95
+
+
+def newton(solutions: spm.SolutionSet, n: int, branch: int, side: float) -> np.ndarray:
+    """Return the exact joints (3, 3) beside computed ones: nine loop equations by Newton's method with fifty digits."""
+    with mpmath.workdps(60):
+        x0, x1, x2, x3 = (mpmath.mpf(int(x.p)) / int(x.q) for x in quaternion_of(solutions.rotation[n, 0]))
+        size = x0 * x0 + x1 * x1 + x2 * x2 + x3 * x3
+        rows = [
+            [x0 * x0 + x1 * x1 - x2 * x2 - x3 * x3, 2 * (x1 * x2 - x0 * x3), 2 * (x1 * x3 + x0 * x2)],
+            [2 * (x1 * x2 + x0 * x3), x0 * x0 - x1 * x1 + x2 * x2 - x3 * x3, 2 * (x2 * x3 - x0 * x1)],
+            [2 * (x1 * x3 - x0 * x2), 2 * (x2 * x3 + x0 * x1), x0 * x0 - x1 * x1 - x2 * x2 + x3 * x3],
+        ]
+        o = [mpmath.mpf(float(v)) for v in solutions.translation[n, 0]]
+        half_root = mpmath.sqrt(3) / 2
+        below = [[mpmath.mpf(1) / 2, half_root, 0], [-1, 0, 0], [mpmath.mpf(1) / 2, -half_root, 0]]
+        above = [[sum(row[k] * axis[k] for k in range(3)) / size for row in rows] for axis in below]
+
+        def equations(*b: object) -> list[object]:
+            joints = [b[0:3], b[3:6], b[6:9]]
+            planes = [sum(axis[k] * joints[i][k] for k in range(3)) for i, axis in enumerate(below)]
+            planes += [sum(axis[k] * (joints[i][k] - o[k]) for k in range(3)) for i, axis in enumerate(above)]
+            sides = [sum((joints[i][k] - joints[i - 1][k]) ** 2 for k in range(3)) for i in range(3)]
+            return planes + [square - mpmath.mpf(side) ** 2 for square in sides]
+
+        start = [mpmath.mpf(float(v)) for v in solutions.middle_joints[n, branch].ravel()]
+        exact = mpmath.findroot(equations, start, tol=1e-80, maxsteps=30)
+        moved = [float(a - b) for a, b in zip(exact, start, strict=True)]
+    return np.array(moved).reshape(3, 3)
+
+
+def test_exact_joints_are_within_the_radius() -> None:
+    for name, problem in (("leg space", in_leg_space(PAPER, 6, 1)), ("any", random_branches(PAPER, "TF", 6, 2))):
+        solutions = spm.inverse_displacement(PAPER, problem.pose, certify=True)
+        assert solutions.radius is not None, name
+        for n, branch in zip(*np.nonzero(solutions.exists), strict=True):
+            apart = np.linalg.norm(newton(solutions, n, branch, PAPER.middle_side), axis=-1).max()
+            assert apart <= solutions.radius[n, branch] < 1e-10
+
+
+def test_branches_that_nearly_meet_are_told_apart_by_their_radii() -> None:
+    solutions = spm.inverse_displacement(PAPER, folds(PAPER, 3, 20, 6, 1e-13), certify=True)
+    assert solutions.radius is not None
+    real = solutions.exists[:, 6]
+    between = np.linalg.norm(solutions.middle_joints[:, 6] - solutions.middle_joints[:, 7], axis=-1).max(axis=-1)[real]
+    assert real.any()
+    assert (solutions.radius[real, 6] + solutions.radius[real, 7] < between).all()
+    for n in np.flatnonzero(real)[:5]:
+        apart = np.linalg.norm(newton(solutions, n, 6, PAPER.middle_side), axis=-1).max()
+        assert apart <= solutions.radius[n, 6]
+
+
+def test_continuous_families_and_parallel_axes_are_not_certain() -> None:
+    home = spm.inverse_displacement(PAPER, spm.pose([0, 0, 2.5], rotation=np.eye(3)), certify=True)
+    assert home.certain is not None
+    assert not home.certain.any()
+    # A rotation about the axis of a leg, on the axis of the base: all four families are continuous.
+    axis = PAPER.revolute_axes[0]
+    symmetric = spm.inverse_displacement(
+        PAPER, spm.pose([0, 0, 2.5], rotation=Rotation.from_rotvec(0.4 * axis)), certify=True
+    )
+    assert symmetric.degeneracy is not None
+    assert symmetric.certain is not None
+    assert not (symmetric.certain & symmetric.degeneracy.families).any()
+    assert symmetric.status is spm.Status.DEGENERATE
+
+
+def test_proofs_are_kept_by_parts_and_copies() -> None:
+    pose = folds(PAPER, 1, 4, 7, 1e-15)
+    solutions = spm.inverse_displacement(PAPER, pose, certify=True)
+    assert solutions.certain is not None
+    assert solutions.radius is not None
+    copied = pickle.loads(pickle.dumps(solutions))
+    np.testing.assert_array_equal(copied.radius, solutions.radius)
+    np.testing.assert_array_equal(copied[1].certain, solutions.certain[1])
+    np.testing.assert_array_equal(solutions[2].radius, solutions.radius[2])
+    few = solutions.within(spm.LegLimits(0.5, 0.9))
+    np.testing.assert_array_equal(few.certain, solutions.certain)
+    assert few.radius is not None
+    assert np.isnan(few.radius[~few.exists]).all()
+    alone = spm.inverse_displacement(PAPER, pose[0], certify=True)
+    np.testing.assert_array_equal(alone.radius, solutions.radius[0])
+    assert spm.inverse_displacement(PAPER, pose).radius is None
+
+
+def test_a_machine_as_built_has_no_such_proof() -> None:
+    machine = spm.AsBuiltGeometry.from_nominal(PAPER)
+    pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
+    assert spm.inverse_displacement(machine, pose).certain is None
+    with pytest.raises(spm.ArgumentError) as caught:
+        spm.inverse_displacement(machine, pose, certify=True)
+    assert caught.value.argument == "certify"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(10))
+def test_no_false_proof_at_a_hundred_thousand_poses(seed: int) -> None:
+    solutions = spm.inverse_displacement(PAPER, poses(100_000, seed))
+    assert solutions.certain is not None
+    assert solutions.certain[::2].all()
+    check_against_balls(PAPER, solutions)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("family", range(4))
+def test_no_false_proof_at_many_folds(family: int) -> None:
+    for seed in range(5):
+        pose = folds(PAPER, family, 5000, 10 * family + seed, 1e-15)
+        check_against_balls(PAPER, spm.inverse_displacement(PAPER, pose))
+        settled = spm.inverse_displacement(PAPER, pose, certify=True)
+        assert settled.certain is not None
+        assert settled.certain.mean() > 0.99
+        check_against_balls(PAPER, settled)

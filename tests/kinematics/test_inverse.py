@@ -1,0 +1,233 @@
+"""Known branches are found, their number is certified, and the closure holds to rounding."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from oracle import certified_count
+from problems import GEOMETRIES, Problem, conditioning, in_leg_space, random_branches
+from scipy.spatial.transform import RigidTransform, Rotation
+
+import spm_pin as spm
+from spm_pin.kinematics.inverse_displacement import complex_middle_joints, inverse_physical
+from spm_pin.mechanism import branches
+from spm_pin.mechanism.branches import branch_sign, family
+
+EPS = np.finfo(float).eps
+PAPER = spm.Geometry.paper()
+
+
+def certified_counts(problem: Problem) -> np.ndarray:
+    side = problem.geometry.middle_side
+    quaternions, positions = problem.pose.rotation.as_quat(), problem.pose.translation
+    counts = [certified_count(q, o, side) for q, o in zip(quaternions, positions, strict=True)]
+    assert None not in counts, "a pose the oracle cannot decide tests nothing"
+    return np.array(counts)
+
+
+def assert_closed(solutions: spm.SolutionSet) -> None:
+    """Closure to 64 roundings of the largest coordinate: 1e-14 m for a machine of the paper's size."""
+    exists = solutions.exists
+    size = np.abs(solutions.middle_joints[exists]).max(axis=(-1, -2), initial=solutions.geometry.middle_side)
+    assert (solutions.residual[exists] <= 64 * EPS * size).all()
+
+
+@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("modes", spm.mechanism.FAMILIES)
+def test_the_known_branch_is_among_those_found(name: str, modes: str) -> None:
+    problem = random_branches(GEOMETRIES[name], modes, 5_000, seed=1)
+    solutions = spm.inverse_displacement(problem.geometry, problem.pose)
+    assert (solutions.status == spm.Status.OK).all()
+    assert_closed(solutions)
+    found = solutions.nearest(problem.configuration)
+    error = np.abs(found.middle_joints - problem.middle_joints).max(axis=(-1, -2))
+    assert (error <= 32 * EPS * conditioning(problem.configuration)).all()
+    assert np.median(error) < 1e-15 * 10 * problem.geometry.middle_side
+    # And it is found under its own name.
+    assert (family(found) == spm.mechanism.FAMILIES.index(modes)).all()
+
+
+def test_poses_sampled_in_leg_space() -> None:
+    problem = in_leg_space(spm.Geometry.paper(), 20_000, seed=2)
+    solutions = spm.inverse_displacement(problem.geometry, problem.pose)
+    assert (solutions.status == spm.Status.OK).all()
+    assert_closed(solutions)
+    assert solutions.residual[solutions.exists].max() <= 1e-12
+    found = solutions.nearest(problem.configuration)
+    error = np.abs(found.middle_joints - problem.middle_joints).max(axis=(-1, -2))
+    assert (error <= 32 * EPS * conditioning(problem.configuration)).all()
+    assert set(np.unique(solutions.count)) == {4, 6, 8}
+
+
+@pytest.mark.parametrize("modes", spm.mechanism.FAMILIES)
+def test_number_of_branches_is_certified_over_all_rotations(modes: str) -> None:
+    for seed, geometry in enumerate(GEOMETRIES.values()):
+        problem = random_branches(geometry, modes, 500, seed=10 + seed)
+        solutions = spm.inverse_displacement(geometry, problem.pose)
+        np.testing.assert_array_equal(solutions.count, certified_counts(problem))
+
+
+def test_number_of_branches_is_certified_where_most_poses_have_none() -> None:
+    rng = np.random.default_rng(4)
+    position = rng.normal(size=(2_000, 3)) * [0.4, 0.4, 2.0]
+    pose = spm.pose(position, rotation=Rotation.random(2_000, rng=rng))
+    problem = Problem(spm.Geometry.paper(), pose, np.full((2_000, 3, 3), np.nan))
+    solutions = spm.inverse_displacement(problem.geometry, pose)
+    np.testing.assert_array_equal(solutions.count, certified_counts(problem))
+    assert (solutions.status == np.where(solutions.count > 0, spm.Status.OK, spm.Status.UNREACHABLE)).all()
+    assert 100 < np.count_nonzero(solutions.count == 0) < 1_900
+
+
+def test_number_of_branches_is_certified_in_leg_space() -> None:
+    problem = in_leg_space(spm.Geometry.paper(), 4_000, seed=5)
+    solutions = spm.inverse_displacement(problem.geometry, problem.pose)
+    np.testing.assert_array_equal(solutions.count, certified_counts(problem))
+
+
+@pytest.mark.slow
+def test_number_of_branches_is_certified_on_a_hundred_thousand_poses() -> None:
+    problems = [in_leg_space(spm.Geometry.paper(), 50_000, seed=6)]
+    problems += [
+        random_branches(geometry, modes, 50_000 // 16, seed=7)
+        for geometry in GEOMETRIES.values()
+        for modes in spm.mechanism.FAMILIES
+    ]
+    for problem in problems:
+        solutions = spm.inverse_displacement(problem.geometry, problem.pose)
+        assert_closed(solutions)
+        np.testing.assert_array_equal(solutions.count, certified_counts(problem))
+
+
+def test_every_label_says_what_its_branch_is() -> None:
+    problem = random_branches(spm.Geometry.paper(), "TT", 5_000, seed=8)
+    solutions = spm.inverse_displacement(problem.geometry, problem.pose)
+    for k, label in enumerate(solutions.labels):
+        state = solutions[label][solutions.exists[:, k]]
+        assert (family(state) == spm.mechanism.FAMILIES.index(label[:2])).all()
+        assert (branch_sign(state) * (1 if label[2] == "+" else -1) > 0.0).all()
+
+
+def test_both_branches_of_a_family_are_real_or_none() -> None:
+    problem = random_branches(spm.Geometry.paper(), "FT", 2_000, seed=9)
+    solutions = spm.inverse_displacement(problem.geometry, problem.pose)
+    assert solutions.discriminants is not None
+    pairs = solutions.exists.reshape(-1, 4, 2)
+    np.testing.assert_array_equal(pairs[..., 0], pairs[..., 1])
+    np.testing.assert_array_equal(pairs[..., 0], solutions.discriminants >= 0.0)
+
+
+def test_complex_roots_solve_the_closure_equations_and_contain_the_real_ones() -> None:
+    problem = in_leg_space(spm.Geometry.paper(), 500, seed=11)
+    geometry = problem.geometry
+    roots = spm.kinematics.complex_middle_joints(geometry, problem.pose)
+    sides = ((roots - np.roll(roots, 1, axis=-2)) ** 2).sum(axis=-1)
+    scale = np.abs(roots).max(axis=(-1, -2, -3))
+    assert (np.abs(sides - geometry.middle_side**2).max(axis=(-1, -2)) <= 1e3 * EPS * scale**2).all()
+    lower = (roots * geometry.revolute_axes).sum(axis=-1)
+    offsets = roots - problem.pose.translation[:, None, None, :]
+    axes = geometry.revolute_axes @ np.swapaxes(problem.pose.rotation.as_matrix(), -1, -2)
+    upper = (offsets * axes[:, None]).sum(axis=-1)
+    assert (np.abs(lower).max(axis=(-1, -2)) <= 1e3 * EPS * scale).all()
+    assert (np.abs(upper).max(axis=(-1, -2)) <= 1e3 * EPS * scale).all()
+    real = spm.inverse_displacement(geometry, problem.pose)
+    np.testing.assert_array_equal(roots[real.exists].imag, 0.0)
+    np.testing.assert_allclose(roots[real.exists].real, real.middle_joints[real.exists], rtol=0, atol=1e-12)
+    pairs = roots.reshape(-1, 4, 2, 3, 3)
+    absent = ~real.exists.reshape(-1, 4, 2).all(axis=-1)
+    np.testing.assert_allclose(pairs[absent, 0], pairs[absent, 1].conj(), rtol=1e-9)
+
+
+def test_labels_follow_a_branch_along_a_path() -> None:
+    """A label changes hands only at an inverse singularity, on loops over all orientations."""
+    rng = np.random.default_rng(12)
+    steps = np.linspace(0.0, 2 * np.pi, 4_001)
+    geometry = spm.Geometry.paper()
+    followed = 0
+    for _ in range(6):
+        axis = np.cumsum(rng.normal(size=(4, 3)) / [[1], [2], [3], [4]], axis=0)
+        angles = sum(np.sin(k * steps)[:, None] * axis[k - 1] for k in range(1, 4))
+        aside = rng.normal(size=(2, 3)) * [0.15, 0.15, 0.3]
+        position = [0, 0, 2.2] + np.cos(steps)[:, None] * aside[0] + np.sin(steps)[:, None] * aside[1]
+        solutions = spm.inverse_displacement(geometry, spm.pose(position, rotation=Rotation.from_rotvec(angles)))
+        determinant = np.abs(branch_sign(solutions.configurations))
+        joints = solutions.middle_joints
+        for k, label in enumerate(solutions.labels):
+            here, ahead = joints[:-1, k], joints[1:]
+            moved = np.linalg.norm(ahead - here[:, None], axis=-1).max(axis=-1)
+            # det K is at most (9/4) d² r = 0.67 m³; a step this long stays on its side of zero above 0.01.
+            regular = (determinant[:-1, k] > 0.01) & (determinant[1:, k] > 0.01)
+            followed += np.count_nonzero(regular)
+            nearest = np.where(np.isnan(moved), np.inf, moved)[regular].argmin(axis=-1)
+            assert (nearest == k).all(), label
+    assert followed > 20_000
+
+
+def test_a_pose_object_of_another_library_is_read_without_importing_it() -> None:
+    class Se3:
+        rotation = Rotation.from_euler("XYX", [-11.08, 32.97, -12.88], degrees=True).as_matrix()
+        translation = np.array([0.6889, 0.4963, 2.253])
+
+    geometry = spm.Geometry.paper()
+    expected = spm.inverse_displacement(geometry, spm.pose(Se3.translation, rotation=Se3.rotation))
+    for other in (Se3(), expected.configurations[0].pose.as_matrix(), expected.configurations[0].pose):
+        np.testing.assert_array_equal(spm.inverse_displacement(geometry, other).middle_joints, expected.middle_joints)
+    assert isinstance(expected.configurations[0].pose, RigidTransform)
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (3, 1, 2), (0,), (500,)])
+@pytest.mark.parametrize("limits", [None, spm.LegLimits(1.1, 1.5)])
+def test_the_physical_branch_alone_is_that_of_all(shape: tuple[int, ...], limits: spm.LegLimits | None) -> None:
+    geometry = dataclasses.replace(PAPER, limits=limits)
+    pose = in_leg_space(PAPER, 500, seed=12).pose.as_matrix()[: int(np.prod(shape))].reshape(*shape, 4, 4)
+    solutions, found = spm.inverse_displacement(geometry, pose), inverse_physical(geometry, pose)
+    chosen = solutions.physical()
+    for name in ("rotation", "translation", "middle_joints", "leg_lengths"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(chosen, name), err_msg=name)
+    if limits is None:
+        # The rule itself, on the configurations.
+        np.testing.assert_array_equal(branches.physical(solutions.configurations), solutions.is_physical)
+
+
+def test_physical_chooses_the_branch_tilted_less() -> None:
+    solutions = spm.inverse_displacement(PAPER, in_leg_space(PAPER, 20_000, seed=13).pose)
+    both = solutions[np.flatnonzero(solutions.ambiguous)]
+    assert len(both.ambiguous) > 10
+    less = branches.straightness(both.configurations[:, :2]).argmax(axis=-1)
+    np.testing.assert_array_equal(both.physical().middle_joints, both.middle_joints[np.arange(len(less)), less])
+
+
+def test_a_pose_without_a_physical_branch_says_why() -> None:
+    pose = spm.pose([9, 9, 2], rotation=np.diag([1.0, -1, -1]))
+    assert repr(inverse_physical(PAPER, pose)) == repr(spm.inverse_displacement(PAPER, pose).physical())
+    assert not inverse_physical(PAPER, pose).exists
+
+
+def test_the_memory_of_an_earlier_result_is_used_again() -> None:
+    poses = in_leg_space(PAPER, 40, seed=14).pose.as_matrix().reshape(2, 20, 4, 4)
+    first = spm.inverse_displacement(PAPER, poses[0])
+    kept = first.middle_joints
+    again = spm.inverse_displacement(PAPER, poses[1], out=first)
+    assert np.shares_memory(again.middle_joints, kept)
+    fresh = spm.inverse_displacement(PAPER, poses[1])
+    for name in ("rotation", "translation", "middle_joints", "leg_lengths", "discriminants", "status"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(fresh, name), err_msg=name)
+    for wrong in (poses[0], fresh[:5], spm.forward_displacement(PAPER, first[0].leg_lengths[0])):
+        with pytest.raises(spm.ArgumentError, match=r"^out: expected"):
+            spm.inverse_displacement(PAPER, poses[1], out=wrong)
+
+
+def test_complex_roots_are_nan_at_level_and_at_symmetric_poses() -> None:
+    regular = in_leg_space(PAPER, 3, seed=15).pose.as_matrix()
+    level = [spm.pose(o, rotation=np.eye(3)).as_matrix() for o in ([0, 0, 2.2], [0.1, 0.2, 2.2])]
+    half = Rotation.from_rotvec([np.pi, 0.0, 0.0]).as_matrix()
+    symmetric = [spm.pose([0.0, 0.1, 2.2], rotation=half).as_matrix()]
+    symmetric += [
+        spm.pose([0.0, y, 2.2], rotation=Rotation.from_rotvec([a, 0.0, 0.0])).as_matrix()
+        for a in (0.3, 1.0, np.pi / 2)
+        for y in (0.0, 0.2)
+    ]
+    together = complex_middle_joints(PAPER, np.stack([*regular, *level, *symmetric]))
+    np.testing.assert_array_equal(together[:3], complex_middle_joints(PAPER, regular))
+    assert np.isnan(together[3:5]).all()

@@ -1,0 +1,270 @@
+"""A followed solution keeps its identity, and events are reported at their parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from problems import at_discriminant, in_leg_space, random_branches
+from scipy.optimize import brentq
+from scipy.spatial.transform import RigidTransform, Rotation, Slerp
+
+import spm_pin as spm
+from spm_pin.kinematics.path_events import EventKind
+from spm_pin.kinematics.path_following import FollowedPath, follow, last_on_line, physical_mode_share
+from spm_pin.kinematics.path_tracker import Tracker
+
+PAPER = spm.Geometry.paper()
+FREE = replace(PAPER, limits=None)
+RESOLUTION = 1e-9
+
+
+def pose_between(first: RigidTransform, last: RigidTransform, s: float | np.ndarray) -> RigidTransform:
+    turn = Slerp([0.0, 1.0], Rotation.concatenate([first.rotation, last.rotation]))
+    share = np.asarray(s)[..., None]
+    return spm.pose((1 - share) * first.translation + share * last.translation, rotation=turn(s))
+
+
+def stacked(*poses: RigidTransform) -> np.ndarray:
+    return np.stack([pose.as_matrix() for pose in poses])
+
+
+def of_kind(found: FollowedPath, kind: EventKind) -> list[float]:
+    return [event.parameter for event in found.events if event.kind is kind]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_along_poses_a_solution_keeps_its_label(seed: int) -> None:
+    """Labels are continuous up to a fold, so whatever is followed must not change its own."""
+    problem = in_leg_space(PAPER, 3, seed=seed)
+    start = problem.configuration[0]
+    found = follow(FREE, problem.pose, spm.Configuration(FREE, start.pose, start.middle_joints))
+    assert len(set(found.labels)) == 1
+    assert found.labels[0] in ("TT+", "TT-")
+    assert not of_kind(found, EventKind.SWITCH)
+    assert found.configurations.closure_residual.max() < 1e-13
+    np.testing.assert_allclose(found.configurations[0].middle_joints, start.middle_joints, atol=1e-9)
+    moves = np.abs(np.diff(found.configurations.middle_joints, axis=0)).max(axis=(1, 2))
+    assert moves.max() <= 0.1 * PAPER.middle_side
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_sign_changes_are_those_of_a_dense_sample(seed: int) -> None:
+    problem = in_leg_space(PAPER, 2, seed=100 + seed)
+    first, last = problem.pose[0], problem.pose[1]
+    start = problem.configuration[0]
+    found = follow(FREE, problem.pose, spm.Configuration(FREE, start.pose, start.middle_joints))
+    label = found.labels[0]
+    end = found.parameters[-1]
+    dense = np.linspace(0.0, end, 100_001)[1:-1]
+    branch = spm.inverse_displacement(FREE, pose_between(first, last, dense))[label]
+    scaled = spm.singularities(branch).scaled_determinants
+    kinds = [EventKind.FORWARD_SINGULARITY, EventKind.INVERSE_SINGULARITY]
+    for kind, columns in zip(kinds, (scaled[:, :2], scaled[:, 2:]), strict=True):
+        crossings = np.concatenate([dense[np.flatnonzero(np.diff(np.sign(column)))] for column in columns.T])
+        # Towards an end the legs may grow without bound, and a determinant be nothing but rounding.
+        before = [s for s in of_kind(found, kind) if s < 0.99 * end]
+        np.testing.assert_allclose(before, np.sort(crossings[crossings < 0.99 * end]), atol=2e-5 * end)
+
+
+def test_an_end_is_where_two_branches_meet() -> None:
+    problem = random_branches(PAPER, "TT", 3, seed=1)
+    for n in range(3):
+        inside, outside = (at_discriminant(problem.pose[n], 0, h, PAPER) for h in (0.01, -0.01))
+        for label in ("TT+", "TT-"):
+            found = follow(FREE, stacked(inside, outside), label)
+            assert not found.complete
+            (end,) = of_kind(found, EventKind.END)
+            assert end == pytest.approx(0.5, abs=RESOLUTION)
+            assert "inverse" in found.events[-1].detail
+            branches = [spm.inverse_displacement(FREE, pose_between(inside, outside, end + x)) for x in (-1e-8, 1e-8)]
+            assert branches[0][label].exists
+            assert not branches[1][label].exists
+
+
+def excess(ends: RigidTransform, label: str, leg: int, bound: float) -> Callable[[float], float]:
+    def value(s: float) -> float:
+        branches = spm.inverse_displacement(PAPER, pose_between(ends[0], ends[1], s))
+        return float(branches[label].leg_lengths[leg]) - bound
+
+    return value
+
+
+def test_a_limit_is_crossed_where_the_leg_is_as_long_as_it_may_be() -> None:
+    checked = 0
+    for seed in range(8):
+        problem = in_leg_space(PAPER, 2, seed=200 + seed)
+        found = follow(PAPER, problem.pose, problem.configuration[0])
+        label = found.labels[0]
+        for event in found.events:
+            if event.kind is not EventKind.LIMIT:
+                continue
+            leg = spm.mechanism.LEGS.index(event.detail.split()[0])
+            bound = {"minimum": 1.1, "maximum": 1.5}["maximum" if "maximum" in event.detail else "minimum"]
+
+            beyond = excess(problem.pose, label, leg, bound)
+            low, high = event.parameter - 1e-5, event.parameter + 1e-5
+            assert beyond(low) * beyond(high) < 0.0
+            assert event.parameter == pytest.approx(brentq(beyond, low, high, xtol=1e-13), abs=RESOLUTION)
+            outward = (beyond(high) > 0.0) == (bound == 1.5)
+            assert ("goes beyond" in event.detail) == outward
+            checked += 1
+    assert checked >= 8
+
+
+def test_two_crossings_within_one_step_are_found() -> None:
+    """A path that leaves a limit and comes back between two samples."""
+    pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
+    length = float(spm.inverse_displacement(PAPER, pose)["TT+"].leg_lengths[0])
+    limits = spm.LegLimits(0.5, [length + 1e-7, 9, 9, 9, 9, 9])
+    geometry = replace(PAPER, limits=limits)
+
+    def path(s: float) -> RigidTransform:
+        # r_b1 grows with the height; at most 2e-7 m beyond the limit, for about a twentieth of a step.
+        return spm.pose(pose.translation + np.array([0, 0, 4e-7 - 2.0 * (s - 0.512) ** 2]), rotation=pose.rotation)
+
+    found = follow(geometry, path, "TT+", samples=50)
+    crossings = of_kind(found, EventKind.LIMIT)
+    assert len(crossings) == 2
+    assert crossings[0] < 0.512 < crossings[1]
+    for s in crossings:
+        there = spm.inverse_displacement(geometry, path(s))["TT+"].leg_lengths[0]
+        assert there == pytest.approx(length + 1e-7, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("lengths", "expected"),
+    [
+        ([1.3, 1.5], []),
+        ([1.3, 1.5, 1.3], []),
+        ([1.5, 1.3], []),
+        ([1.5, 1.5], []),
+        ([1.3, 1.5, 1.5, 1.3], []),
+        ([1.3, 1.5, 1.6], [(0.5, "goes beyond")]),
+        ([1.3, 1.5, 1.5, 1.6, 1.5], [(0.5, "goes beyond"), (1.0, "comes back within")]),
+        ([1.4, 1.6], [(0.5, "goes beyond")]),
+    ],
+)
+def test_a_leg_as_long_as_its_limit_is_within_it(lengths: list[float], expected: list[tuple[float, str]]) -> None:
+    legs = np.full((len(lengths), 6), 1.25)
+    legs[:, 3] = 1.3
+    legs[:, 5] = lengths
+    found = follow(PAPER, legs, samples=12)
+    events = [event for event in found.events if event.kind is EventKind.LIMIT]
+    assert [(event.parameter, event.detail) for event in events] == [
+        (pytest.approx(parameter, abs=RESOLUTION), f"r_c3 {verb} its maximum, 1.5 m") for parameter, verb in expected
+    ]
+
+
+def test_along_leg_lengths_the_machine_stays_in_its_mode() -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(4):
+        legs = rng.uniform(1.1, 1.5, (3, 6))
+        found = follow(PAPER, legs)
+        assert found.complete
+        assert not of_kind(found, EventKind.FORWARD_SINGULARITY)
+        np.testing.assert_allclose(found.configurations.leg_lengths[-1], legs[-1], atol=1e-12)
+        physical = spm.forward_physical(PAPER, legs[-1])
+        np.testing.assert_allclose(found.configurations[-1].middle_joints, physical.middle_joints, atol=1e-11)
+        # det K is not what holds the machine together: it may change sign on the way.
+        dense = np.array([np.interp(np.linspace(0, 1, 4001), [0, 0.5, 1], column) for column in legs.T]).T
+        structure = spm.singularities(spm.forward_physical(PAPER, dense)).scaled_determinants[:, 2]
+        crossings = np.linspace(0, 1, 4001)[np.flatnonzero(np.diff(np.sign(structure)))]
+        np.testing.assert_allclose(of_kind(found, EventKind.INVERSE_SINGULARITY), crossings, atol=5e-4)
+
+
+def test_leg_lengths_that_can_no_longer_close_end_the_path() -> None:
+    """One leg grows while the others stay: the stage ceases to close at a forward singularity."""
+    start = np.full(6, 1.3)
+    grown = start.copy()
+    grown[0] = 2.6
+    found = follow(replace(PAPER, limits=None), np.stack([start, grown]), samples=100)
+    assert not found.complete
+    (end,) = of_kind(found, EventKind.END)
+    assert "forward, lower stage" in found.events[-1].detail
+    before, after = (spm.forward_physical(PAPER, start + (end + x) * (grown - start)) for x in (-1e-8, 1e-8))
+    assert before.exists
+    assert not after.exists
+
+
+def test_two_solutions_that_coincide_are_not_followed_forever() -> None:
+    state = in_leg_space(PAPER, 1, seed=0).configuration[0]
+    twice = spm.Configuration(FREE, np.stack([state.pose.as_matrix()] * 2), np.stack([state.middle_joints] * 2))
+    parameters = []
+
+    def solve(s: float) -> spm.SolutionSet:
+        parameters.append(s)
+        return spm.SolutionSet(twice, ("one", "other"), spm.Status.OK)
+
+    tracker = Tracker(solve, 0, 0.1, legs=False)
+    assert not tracker.advance(1.0)
+    assert "coincides with another" in tracker.events[-1].detail
+    assert len(parameters) < 1_000
+
+
+def test_a_callable_and_its_samples_are_the_same_path() -> None:
+    problem = in_leg_space(PAPER, 2, seed=7)
+    first, last = problem.pose[0], problem.pose[1]
+    sampled = follow(PAPER, problem.pose, problem.configuration[0], samples=20)
+    called = follow(PAPER, lambda s: pose_between(first, last, s), problem.configuration[0], samples=20)
+    assert [event.kind for event in sampled.events] == [event.kind for event in called.events]
+    for found, expected in zip(sampled.events, called.events, strict=True):
+        assert found.parameter == pytest.approx(expected.parameter, abs=RESOLUTION)
+
+
+POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
+
+
+@pytest.mark.parametrize(
+    ("path", "start", "words"),
+    [
+        (stacked(POSE, POSE), "FT+", "start: expected the label of a solution that is real"),
+        (stacked(POSE, POSE), "XX", "start: expected the label"),
+        (stacked(POSE), None, "path: expected a callable, or at least two poses"),
+        (np.zeros((4, 5)), None, "path: expected real numbers of shape .* leg lengths in metres, or poses"),
+        (np.zeros(6), None, "path: expected a callable, or at least two poses"),
+        (np.full((2, 6), -1.0), None, "leg_lengths"),
+        (np.full((2, 6), np.nan), None, "path: expected finite real numbers of shape .* got nan at index"),
+        (stacked(spm.pose([9, 9, 9], rotation=POSE.rotation), POSE), None, "start: expected a solution that exists"),
+        (np.stack([np.eye(4), 2 * np.eye(4)]), None, "path"),
+    ],
+)
+def test_invalid_paths_are_refused(path: object, start: str | None, words: str) -> None:
+    with pytest.raises(spm.ArgumentError, match=words):
+        follow(PAPER, path, start)  # type: ignore[arg-type]
+
+
+def test_samples_must_be_positive() -> None:
+    with pytest.raises(spm.ArgumentError, match="samples"):
+        follow(PAPER, stacked(POSE, POSE), samples=0)
+
+
+def test_the_share_of_a_line_in_the_home_mode_is_that_of_the_followed_path() -> None:
+    start = spm.inverse_displacement(FREE, in_leg_space(PAPER, 1, seed=3).pose[0]).physical()
+    ends = np.random.default_rng(5).uniform(0.2, 3.0, (8, 6))
+    ends[0] = 1.05 * start.leg_lengths
+    shares = physical_mode_share(FREE, start.leg_lengths, ends)
+    for end, share in zip(ends, shares, strict=True):
+        path = follow(FREE, np.stack([start.leg_lengths, end]), start, samples=20)
+        singular = [*of_kind(path, EventKind.FORWARD_SINGULARITY), path.parameters[-1]]
+        assert share <= singular[0] < share + 1.0 / 16**3 + 1e-6 or share == singular[0] == 1.0
+        last, found = last_on_line(start, end)
+        assert found == share
+        np.testing.assert_allclose(last.leg_lengths, start.leg_lengths + share * (end - start.leg_lengths), atol=1e-9)
+    assert [share == 1.0 for share in shares] == [True] + 7 * [False]
+    np.testing.assert_allclose(
+        physical_mode_share(FREE, start.leg_lengths, ends, parts=64, rounds=2), shares, atol=4e-4
+    )
+
+
+def test_another_mode_is_followed_along_a_line_to_its_end() -> None:
+    solutions = spm.inverse_displacement(
+        FREE, spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
+    )
+    start = solutions["FF+"]
+    last, share = last_on_line(start, np.array([0.2, 3.0, 0.2, 1.3, 1.3, 1.31]))
+    assert 0.0 < share < 1.0
+    line = np.array([0.2, 3.0, 0.2, 1.3, 1.3, 1.31]) - start.leg_lengths
+    np.testing.assert_allclose(last.leg_lengths, start.leg_lengths + share * line, atol=1e-9)

@@ -1,0 +1,330 @@
+"""Singularities: found where the mechanism is singular, of the right kind, with the right screws."""
+
+from __future__ import annotations
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from problems import (
+    GEOMETRIES,
+    PAPER_TILTS,
+    in_leg_space,
+    random_branches,
+    singular_state,
+    without_torsion,
+)
+from scipy.spatial.transform import Rotation
+
+import spm_pin as spm
+from spm_pin.kinematics.singularity_analysis import (
+    SingularityKind,
+    determinant_gradients,
+    singular_values,
+    singularities,
+)
+
+EPS = np.finfo(float).eps
+PAPER = spm.Geometry.paper()
+LOWER, UPPER, STRUCTURE = range(3)
+
+
+@pytest.fixture(scope="module")
+def inverse() -> spm.Configuration:
+    return singular_state(STRUCTURE, *PAPER_TILTS[STRUCTURE])
+
+
+@pytest.fixture(scope="module")
+def forward() -> spm.Configuration:
+    """A low lower stage: as it tilts further, its legs cease to hold it."""
+    return singular_state(LOWER, *PAPER_TILTS[LOWER])
+
+
+def test_regular_is_the_reasonable_solution() -> None:
+    pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
+    found = singularities(spm.inverse_displacement(PAPER, pose)["TT+"])
+    assert SingularityKind(int(found.kind)) is SingularityKind.REGULAR
+    assert str(SingularityKind(int(found.kind))) == "regular"
+    assert (found.rank == 6).all()
+    assert found.mobility == 6
+
+
+def test_home_loses_three_freedoms() -> None:
+    home = in_leg_space(PAPER, 1, seed=0, legs=np.full((1, 6), 1.3)).configuration[0]
+    found = singularities(home)
+    assert SingularityKind(int(found.kind)) is SingularityKind.INVERSE
+    np.testing.assert_array_equal(found.rank, [6, 6, 3])
+    assert found.mobility == 3 == np.linalg.matrix_rank(spm.kinematics.platform_jacobian(home), tol=1e-12)
+
+
+@pytest.mark.parametrize("leg", range(3))
+def test_a_mirror_symmetric_pose_loses_one_freedom(leg: int) -> None:
+    """Both stages tilted about the revolute axis of one leg."""
+    axis = PAPER.revolute_axes[leg]
+    azimuth = np.arctan2(axis[1], axis[0])
+    state = without_torsion(PAPER, (azimuth, 0.2, 1.1), (azimuth, -0.1, -1.2))
+    found = singularities(state)
+    np.testing.assert_array_equal(found.rank, [6, 6, 5])
+    assert found.mobility == 5
+    assert SingularityKind(int(found.kind)) is SingularityKind.INVERSE
+
+
+def test_a_stage_tilted_by_half_a_turn_is_a_constraint_singularity() -> None:
+    state = without_torsion(PAPER, (0.4, 1.0, 0.8), (1.0, 0.2, -1.1))
+    found = singularities(state)
+    kind = SingularityKind(int(found.kind))
+    assert kind == SingularityKind.CONSTRAINT | SingularityKind.FORWARD | SingularityKind.INVERSE
+    assert str(kind) == "inverse and forward and constraint"
+    assert found.mobility == -1
+
+
+def moved(state: spm.Configuration, twist: np.ndarray, step: float) -> np.ndarray:
+    """Move the middle joints by a finite screw: `step` seconds of a twist (v, ω) at o."""
+    turn = Rotation.from_rotvec(step * twist[3:])
+    offsets = state.middle_joints - state.translation
+    return np.asarray(turn.apply(offsets) + state.translation + step * twist[:3])
+
+
+def test_inner_twist_moves_the_middle_platform_between_two_fixed_ends(inverse: spm.Configuration) -> None:
+    found = singularities(inverse, tolerance=1e-9)
+    assert SingularityKind(int(found.kind)) is SingularityKind.INVERSE
+    assert found.mobility == 5
+
+    def gap(twist: np.ndarray, step: float) -> float:
+        joints = moved(inverse, twist, step)
+        return float(spm.Configuration(PAPER, inverse.pose, joints).closure_residual)
+
+    # The closure opens with the square of the step along the inner twist, and in proportion along any other.
+    free = [gap(found.inner_twist, step) for step in (1e-2, 1e-3, 1e-4)]
+    assert 50 < free[0] / free[1] < 200
+    assert 50 < free[1] / free[2] < 200
+    other = np.random.default_rng(0).normal(size=6)
+    bound = [gap(other, step) for step in (1e-3, 1e-4)]
+    assert 8 < bound[0] / bound[1] < 12
+    # Its legs have to give way, though: it is no idle freedom.
+    arms = inverse.middle_joints - inverse.translation
+    joint_velocities = found.inner_twist[:3] + np.cross(found.inner_twist[3:], arms)
+    assert np.abs((joint_velocities * inverse.leg_vectors[:3]).sum(axis=-1)).max() > 1e-2
+
+
+def test_lost_wrench_is_carried_without_the_legs(inverse: spm.Configuration) -> None:
+    found = singularities(inverse, tolerance=1e-9)
+    assert np.linalg.norm(found.lost_wrench[:3]) == pytest.approx(1.0)
+    assert np.abs(spm.leg_forces(inverse, found.lost_wrench)).max() < 1e-11
+    assert np.abs(spm.leg_forces(inverse, np.eye(6)[2])).max() > 0.1
+    # No motion of the platform does work on it.
+    assert np.abs(found.lost_wrench @ spm.kinematics.platform_jacobian(inverse)).max() < 1e-11
+
+
+def test_gained_twist_leaves_the_leg_lengths(forward: spm.Configuration) -> None:
+    found = singularities(forward, tolerance=1e-9)
+    assert SingularityKind(int(found.kind)) is SingularityKind.FORWARD
+    assert found.rank[LOWER] == 5
+    assert found.mobility == -1
+    a = PAPER.base_joints
+
+    def change(step: float) -> float:
+        joints = moved(forward, found.gained_twist[LOWER], step)
+        planes = np.abs((joints * PAPER.revolute_axes).sum(axis=-1))
+        lengths = np.linalg.norm(joints - a, axis=-1) - forward.leg_lengths[:3]
+        return float(max(planes.max(), np.abs(lengths).max()))
+
+    changes = [change(step) for step in (1e-2, 1e-3, 1e-4)]
+    assert 50 < changes[0] / changes[1] < 200
+    assert 50 < changes[1] / changes[2] < 200
+    with pytest.raises(spm.SingularConfigurationError, match="forward"):
+        spm.leg_forces(singular_to_rounding(), np.eye(6)[2])
+
+
+def singular_to_rounding() -> spm.Configuration:
+    """The three lower legs in one plane with the platform, all on Z: exactly forward singular."""
+    state = in_leg_space(PAPER, 1, seed=0, legs=np.full((1, 6), 1.3)).configuration[0]
+    flat = np.array(state.middle_joints)
+    shift = flat[:, 2].copy()
+    flat[:, 2] = 0.0
+    return spm.Configuration(PAPER, spm.pose(state.translation - [0, 0, shift[0]], rotation=state.rotation), flat)
+
+
+@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("modes", spm.mechanism.FAMILIES)
+def test_determinants_are_those_of_the_matrices(name: str, modes: str) -> None:
+    problem = random_branches(GEOMETRIES[name], modes, 200, seed=1)
+    state, found = problem.configuration, singularities(problem.configuration)
+    lengths = state.leg_lengths[..., None]
+    directions = state.leg_vectors / lengths
+    base = np.broadcast_to(state.geometry.revolute_axes, state.middle_joints.shape)
+    rows = {
+        LOWER: (directions[:, :3], base),
+        UPPER: (directions[:, 3:], state.platform_axes),
+        STRUCTURE: (base, state.platform_axes),
+    }
+    arms = state.middle_joints - state.middle_joints.mean(axis=-2, keepdims=True)
+    for which, pair in rows.items():
+        matrix = np.concatenate([np.concatenate([f, np.cross(arms, f)], axis=-1) for f in pair], axis=-2)
+        scale = state.geometry.middle_side**3
+        np.testing.assert_allclose(
+            np.linalg.det(matrix) / scale, found.scaled_determinants[:, which], rtol=1e-9, atol=1e-12
+        )
+    np.testing.assert_allclose(
+        found.determinants, found.scaled_determinants * state.geometry.middle_side**3, rtol=1e-15
+    )
+
+
+@pytest.mark.parametrize("modes", spm.mechanism.FAMILIES)
+def test_determinant_of_the_inverse_jacobian_factorises(modes: str) -> None:
+    problem = random_branches(PAPER, modes, 2_000, seed=2)
+    state = problem.configuration
+    found = singularities(state)
+    direct = np.linalg.det(spm.inverse_jacobian(state))
+    worst = found.condition.max(axis=-1)
+    lower, upper, structure = np.moveaxis(found.determinants, -1, 0)
+    difference = np.abs(direct - lower * upper / structure)
+    assert (difference <= 1e3 * EPS * worst * np.abs(direct)).all()
+
+
+def test_gradients_of_the_determinants_against_finite_differences() -> None:
+    lengths = np.random.default_rng(3).uniform(1.15, 1.45, (20, 6))
+    gradient = determinant_gradients(in_leg_space(PAPER, 20, seed=0, legs=lengths).configuration)
+    for k in range(6):
+        steps = []
+        for h in (1e-3, 5e-4):
+            ahead, behind = (
+                singularities(
+                    in_leg_space(PAPER, 20, seed=0, legs=lengths + sign * h * np.eye(6)[k]).configuration
+                ).determinants
+                for sign in (1, -1)
+            )
+            steps.append((ahead - behind) / (2 * h))
+        # Richardson: what is left is of fourth order in h, times the fifth derivative.
+        numeric = (4 * steps[1] - steps[0]) / 3
+        np.testing.assert_allclose(gradient[..., k], numeric, rtol=1e-7, atol=1e-9)
+
+
+def test_gradients_are_finite_at_an_inverse_singularity(inverse: spm.Configuration) -> None:
+    gradient = determinant_gradients(inverse)
+    assert np.isfinite(gradient).all()
+    assert np.abs(gradient[STRUCTURE]).max() > 1e-3
+
+
+def test_no_forward_singularity_inside_the_leg_limits() -> None:
+    found = singularities(in_leg_space(PAPER, 20_000, seed=4).configuration)
+    assert (found.scaled_determinants[:, :2] > 0.1).all()
+    # det K changes sign inside the box: two aspects, about half each.
+    assert 0.4 < (found.scaled_determinants[:, STRUCTURE] > 0.0).mean() < 0.6
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (3, 1, 2), (0,)])
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_batch_is_its_singles(shape: tuple[int, ...], seed: int) -> None:
+    count = int(np.prod(shape))
+    problem = in_leg_space(PAPER, max(count, 1), seed=seed % 100)
+    pose = problem.pose.as_matrix()[:count].reshape(*shape, 4, 4)
+    joints = problem.middle_joints[:count].reshape(*shape, 3, 3)
+    batch = spm.Configuration(PAPER, pose, joints)
+    found, gradient = singularities(batch), determinant_gradients(batch)
+    shapes = {
+        "determinants": (3,),
+        "scaled_determinants": (3,),
+        "sigma": (3,),
+        "condition": (3,),
+        "rank": (3,),
+        "kind": (),
+    }
+    shapes |= {"mobility": (), "gained_twist": (2, 6), "inner_twist": (6,), "lost_wrench": (6,)}
+    for name, inner in shapes.items():
+        assert np.shape(getattr(found, name)) == (*shape, *inner), name
+    assert gradient.shape == (*shape, 3, 6)
+    for index in np.ndindex(shape):
+        single = spm.Configuration(PAPER, pose[index], joints[index])
+        alone = singularities(single)
+        for name in ("determinants", "sigma", "rank", "kind", "mobility"):
+            np.testing.assert_allclose(getattr(alone, name), getattr(found, name)[index], rtol=4 * EPS)
+        np.testing.assert_allclose(determinant_gradients(single), gradient[index], rtol=1e-12, atol=1e-15)
+
+
+def test_absent_members_have_no_singularity() -> None:
+    pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
+    branches = spm.inverse_displacement(PAPER, pose)
+    found = singularities(branches.configurations)
+    absent = ~branches.exists
+    assert np.isnan(found.scaled_determinants[absent]).all()
+    assert np.isnan(found.sigma[absent]).all()
+    assert np.isnan(found.lost_wrench[absent]).all()
+    assert (found.rank[absent] == 0).all()
+    assert (found.kind[absent] == SingularityKind.REGULAR).all()
+    assert np.isnan(determinant_gradients(branches.configurations)[absent]).all()
+
+
+@pytest.mark.parametrize("tolerance", [-0.1, 1.0, float("nan")])
+def test_invalid_tolerance_is_refused(tolerance: float) -> None:
+    state = in_leg_space(PAPER, 1, seed=0).configuration
+    with pytest.raises(spm.ArgumentError, match="tolerance: expected a number from 0"):
+        singularities(state, tolerance=tolerance)
+
+
+def matrices_of(state: spm.Configuration) -> list[mpmath.matrix]:
+    """J_b, J_c and K of a state with forty digits, at the middle platform's centre and with arms over d."""
+    joints, platform = mpmath.matrix(state.middle_joints), mpmath.matrix(state.rotation)
+    root, d = mpmath.sqrt(3), mpmath.mpf(PAPER.middle_side)
+    half = mpmath.mpf(1) / 2
+    radial = [[root / 2, -half, 0], [0, 1, 0], [-root / 2, -half, 0]]
+    axes = [[half, root / 2, 0], [1, 0, 0], [-half, root / 2, 0]]
+    o = mpmath.matrix(state.translation)
+    centre = [sum(joints[i, c] for i in range(3)) / 3 for c in range(3)]
+    blocks: list[list[list[mpmath.mpf]]] = [[], [], [], []]
+    for i in range(3):
+        b = [joints[i, c] for c in range(3)]
+        turned = [sum(platform[c, j] * radial[i][j] for j in range(3)) for c in range(3)]
+        lower = [b[c] - PAPER.base_radius * radial[i][c] for c in range(3)]
+        upper = [o[c] + PAPER.platform_radius * turned[c] - b[c] for c in range(3)]
+        axis = [sum(platform[c, j] * axes[i][j] for j in range(3)) for c in range(3)]
+        arm = [(b[c] - centre[c]) / d for c in range(3)]
+        for block, force in zip(blocks, (lower, axes[i], upper, axis), strict=True):
+            size = mpmath.norm(force) if block is blocks[0] or block is blocks[2] else 1
+            f = [x / size for x in force]
+            moment = [arm[1] * f[2] - arm[2] * f[1], arm[2] * f[0] - arm[0] * f[2], arm[0] * f[1] - arm[1] * f[0]]
+            block.append([*f, *moment])
+    lower_legs, lower_axes, upper_legs, upper_axes = blocks
+    return [mpmath.matrix(x) for x in (lower_legs + lower_axes, upper_legs + upper_axes, lower_axes + upper_axes)]
+
+
+def test_singular_values_are_those_of_forty_digits() -> None:
+    """Small ones included: states up to 1e-14 from inverse and from forward singularities."""
+    regular = in_leg_space(PAPER, 5, seed=8).configuration
+    states = [regular[i] for i in range(5)]
+    for which in PAPER_TILTS:
+        singular = singular_state(which, *PAPER_TILTS[which])
+        for away in (0.0, 1e-13, 1e-10, 1e-6):
+            joints = singular.middle_joints + away * np.array([[1.0, 0.5, 0.2], [0.0, 0.3, 1.0], [0.4, 0.0, 0.1]])
+            states.append(spm.Configuration(PAPER, singular.pose, joints))
+    for state in states:
+        found = singularities(state)
+        with mpmath.workdps(40):
+            values = [mpmath.svd(matrix, compute_uv=False) for matrix in matrices_of(state)]
+        truth = np.array([[float(x) for x in row] for row in values])
+        np.testing.assert_allclose(found.sigma, truth[:, -1], rtol=0, atol=16 * EPS)
+        np.testing.assert_allclose(found.sigma * found.condition, truth[:, 0], rtol=16 * EPS)
+
+
+@pytest.mark.parametrize("size", [(6, 6), (3, 6), (6, 3), (2, 2), (1, 5)])
+@pytest.mark.parametrize("shape", [(), (0,), (17, 2)])
+def test_singular_values_of_any_matrices(size: tuple[int, int], shape: tuple[int, ...]) -> None:
+    matrices = np.random.default_rng(3).normal(size=(*shape, *size)) * np.geomspace(1.0, 1e-9, size[1])
+    found = singular_values(matrices)
+    truth = np.linalg.svd(matrices, compute_uv=False)
+    np.testing.assert_allclose(found, truth, rtol=0, atol=64 * EPS * truth.max(initial=0.0))
+
+
+def test_member_of_a_batch_equals_the_single_result() -> None:
+    states = in_leg_space(PAPER, 37, seed=9).configuration
+    together = singularities(states)
+    for i in (0, 15, 16, 36):
+        alone = singularities(states[i])
+        for name in ("determinants", "sigma", "condition", "gained_twist", "inner_twist", "lost_wrench"):
+            np.testing.assert_array_equal(getattr(together, name)[i], getattr(alone, name), err_msg=name)
+
+
+def test_matrices_with_more_than_six_columns_are_refused() -> None:
+    with pytest.raises(spm.ArgumentError, match="matrices: expected matrices with at most six"):
+        singular_values(np.zeros((3, 7)))

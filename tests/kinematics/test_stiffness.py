@@ -1,0 +1,178 @@
+"""Stiffness of the platform on elastic legs, against static equilibrium found by the forward displacement."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import fsolve
+from scipy.spatial.transform import Rotation
+
+import spm_pin as spm
+from spm_pin.kinematics import compliance, principal_stiffness
+
+PAPER = spm.Geometry.paper()
+LENGTHS = np.array([1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
+LEGS = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]) * 1e7
+STATE = spm.forward_physical(PAPER, LENGTHS)
+MACHINE = spm.AsBuiltGeometry.from_nominal(PAPER).perturbed(2, length=0.01, angle=0.02)
+STATES = {"nominal": STATE, "as built": spm.forward_physical(MACHINE, LENGTHS)}
+
+
+def displacement(before: spm.Configuration, after: spm.Configuration) -> np.ndarray:
+    turned = Rotation.from_matrix(after.rotation @ before.rotation.T).as_rotvec()
+    return np.concatenate([after.translation - before.translation, turned])
+
+
+@pytest.mark.parametrize("column", range(6))
+@pytest.mark.parametrize("name", STATES)
+def test_compliance_is_the_displacement_under_load(name: str, column: int) -> None:
+    """Legs are shortened by their force over their stiffness; the pose follows from the new lengths."""
+    wrench, state = np.eye(6)[column], STATES[name]
+
+    def moved(load: np.ndarray) -> np.ndarray:
+        shortened = LENGTHS - spm.leg_forces(state, load) / LEGS
+        return displacement(state, spm.forward_physical(state.geometry, shortened, seed=state))
+
+    found = (moved(20.0 * wrench) - moved(-20.0 * wrench)) / 40.0
+    expected = compliance(state, LEGS)[:, column]
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("name", STATES)
+def test_compliance_is_the_error_of_changed_lengths_and_of_pivots_moved_along_their_axes(name: str) -> None:
+    state, structure = STATES[name], LEGS[::-1] / 3.0
+    geometry = state.geometry if name == "as built" else spm.AsBuiltGeometry.from_nominal(PAPER)
+    errors = spm.calibration.error_jacobian(state).reshape(6, 6, 9)
+    along = errors[..., 8]
+    across = (errors[..., 2:5] * geometry.axes).sum(axis=-1)
+    expected = (along / LEGS) @ along.T + (across / structure) @ across.T
+    found = compliance(state, LEGS, structure)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+    np.testing.assert_allclose(spm.stiffness(state, LEGS, structure) @ found, np.eye(6), atol=1e-9)
+
+
+def test_a_soft_structure_lets_the_balls_leave_the_planes_of_their_legs() -> None:
+    """All eighteen coordinates of b, o and R solved from forces: rods along, springs across."""
+    structure = LEGS[::-1] / 3.0
+    wrench = np.array([30.0, -20.0, 50.0, 4.0, 3.0, -2.0])
+    axes, feet, tips = PAPER.revolute_axes, PAPER.base_joints, PAPER.platform_joints
+
+    def place(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Middle joints, position and rotation, each a rigid displacement of the state."""
+        lower, upper = (Rotation.from_rotvec(part) for part in (x[3:6], x[9:12]))
+        centre = STATE.middle_joints.mean(axis=0)
+        b = centre + x[:3] + lower.apply(STATE.middle_joints - centre)
+        return b, STATE.translation + x[6:9], upper.as_matrix() @ STATE.rotation, upper.as_matrix()
+
+    def gaps(x: np.ndarray, load: np.ndarray) -> np.ndarray:
+        b, o, rotation, _ = place(x)
+        total = []
+        forces = []
+        for foot, axis, sign in ((feet, axes, 1.0), (o + tips @ rotation.T, axes @ rotation.T, -1.0)):
+            part = slice(0, 3) if sign > 0 else slice(3, 6)
+            leg = b - foot
+            across = (leg * axis).sum(axis=-1)
+            along = leg - across[:, None] * axis
+            length = np.linalg.norm(along, axis=-1)
+            # Springs on the middle platform at b: along the leg, and across its plane.
+            push = -LEGS[part] * (length - LENGTHS[part])
+            side = -structure[part] * across
+            forces.append(push[:, None] * along / length[:, None] + side[:, None] * axis)
+        lower, upper = forces
+        # Equilibrium of the middle platform, and of the terminal one, which the upper springs push the other way.
+        total += [(lower + upper).sum(axis=0), np.cross(b, lower + upper).sum(axis=0)]
+        total += [load[:3] - upper.sum(axis=0), load[3:] + np.cross(o, load[:3]) - np.cross(b, upper).sum(axis=0)]
+        return np.concatenate(total) / 1e4
+
+    def moved(load: np.ndarray) -> np.ndarray:
+        x = fsolve(gaps, np.zeros(12), args=(load,), xtol=1e-14)
+        assert np.abs(gaps(x, load)).max() < 1e-8
+        return x[6:12]
+
+    found = (moved(wrench) - moved(-wrench)) / 2.0
+    expected = compliance(STATE, LEGS, structure) @ wrench
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+    assert np.linalg.norm(expected - compliance(STATE, LEGS) @ wrench) > 0.1 * np.linalg.norm(expected)
+
+
+def test_stiffness_is_the_inverse_with_and_without_a_structure() -> None:
+    states = spm.forward_physical(PAPER, np.random.default_rng(0).uniform(1.1, 1.5, (50, 6)))
+    for structure in (None, 2e8):
+        product = spm.stiffness(states, LEGS, structure) @ compliance(states, LEGS, structure)
+        np.testing.assert_allclose(product, np.broadcast_to(np.eye(6), product.shape), atol=1e-7)
+    np.testing.assert_allclose(compliance(states[3], LEGS), compliance(states, LEGS)[3], rtol=1e-12)
+
+
+def test_a_stiff_structure_is_a_rigid_one() -> None:
+    rigid = compliance(STATE, LEGS)
+    np.testing.assert_allclose(compliance(STATE, LEGS, 1e18), rigid, rtol=0, atol=1e-9 * np.abs(rigid).max())
+
+
+def test_the_level_home_is_rigid_in_some_directions() -> None:
+    """There the legs cannot tell some motions apart: an inverse singularity."""
+    home = spm.forward_physical(PAPER, [1.3] * 6)
+    with pytest.raises(spm.SingularConfigurationError, match="inverse"):
+        spm.stiffness(home, 1e7)
+    found = principal_stiffness(compliance=compliance(home, 1e7))
+    assert np.isinf(found.translational).any() or np.isinf(found.rotational).any()
+    assert np.isfinite(principal_stiffness(compliance=compliance(home, 1e7, 1e8)).translational).all()
+
+
+def test_principal_stiffness_is_force_over_displacement_in_its_directions() -> None:
+    matrix = compliance(STATE, LEGS)
+    found = principal_stiffness(compliance=matrix)
+    assert (np.diff(found.translational) >= 0.0).all()
+    for value, direction in zip(found.translational, found.translational_directions, strict=True):
+        np.testing.assert_allclose(matrix[:3, :3] @ direction, direction / value, rtol=0, atol=1e-9 / value)
+    for value, direction in zip(found.rotational, found.rotational_directions, strict=True):
+        np.testing.assert_allclose(matrix[3:, 3:] @ direction, direction / value, rtol=0, atol=1e-9 / value)
+
+
+def test_absent_members_are_not_numbers() -> None:
+    states = spm.forward_physical(PAPER, [LENGTHS, [1.2, 1.2, 9.0, 1.2, 1.2, 1.2]])
+    assert np.isnan(compliance(states, 1e7)[1]).all()
+    assert np.isnan(spm.stiffness(states, 1e7)[1]).all()
+    assert np.isfinite(spm.stiffness(states, 1e7)[0]).all()
+    assert np.isnan(principal_stiffness(compliance=compliance(states, 1e7)).translational[1]).all()
+
+
+@pytest.mark.parametrize(
+    ("legs", "structure", "argument"),
+    [(0.0, None, "legs"), (-1.0, None, "legs"), ([1e7] * 5, None, "legs"), ("stiff", None, "legs"),
+     (np.nan, None, "legs"), (1e7, 0.0, "structure"), (np.full((7, 6), 1e7), None, "legs")],
+)  # fmt: skip
+def test_wrong_stiffnesses_are_named(legs: object, structure: object, argument: str) -> None:
+    states = spm.forward_physical(PAPER, np.tile(LENGTHS, (3, 1)))
+    with pytest.raises(spm.ArgumentError, match=argument):
+        compliance(states, legs, structure)  # type: ignore[arg-type]
+
+
+def test_principal_stiffness_takes_either_matrix_by_its_name() -> None:
+    from_compliance = principal_stiffness(compliance=compliance(STATE, LEGS, 1e8))
+    from_stiffness = principal_stiffness(stiffness=spm.stiffness(STATE, LEGS, 1e8))
+    for found, expected in zip(from_compliance[::2], from_stiffness[::2], strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-9)
+    # In other units of length the numbers of a matrix differ in size, and it is as good.
+    units = np.diag([1e-9] * 3 + [1.0] * 3)
+    scaled = principal_stiffness(stiffness=units @ spm.stiffness(STATE, LEGS, 1e8) @ units)
+    np.testing.assert_allclose(scaled.rotational, from_stiffness.rotational, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        ({}, "neither"),
+        ({"compliance": np.eye(6), "stiffness": np.eye(6)}, "both"),
+        ({"compliance": np.arange(36.0).reshape(6, 6)}, "symmetric"),
+        ({"compliance": np.diag([1.0, 1.0, 1.0, 1.0, 1.0, -1e-6])}, "semidefinite"),
+        ({"stiffness": np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0])}, "positive definite"),
+        ({"stiffness": np.ones((6, 6))}, "positive definite"),
+        ({"stiffness": np.eye(5)}, "shape"),
+    ],
+)
+def test_a_matrix_that_is_neither_is_refused(wrong: dict[str, object], text: str) -> None:
+    with pytest.raises(spm.ArgumentError, match=text) as caught:
+        principal_stiffness(**wrong)  # type: ignore[arg-type]
+    assert caught.value.argument in (*wrong, "compliance, stiffness")
+    with pytest.raises(TypeError):
+        principal_stiffness(compliance(STATE, LEGS))  # type: ignore[misc]

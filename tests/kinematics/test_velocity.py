@@ -1,0 +1,334 @@
+"""Leg rates and the platform's twist: symmetries, finite differences of the displacement, singular states."""
+
+from __future__ import annotations
+
+import functools
+import math
+import pickle
+from collections.abc import Callable
+
+import numpy as np
+import problems
+import pytest
+from finite_differences import extrapolated
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+import spm_pin as spm
+from spm_pin.errors import ArgumentError, SingularConfigurationError, SpmError
+from spm_pin.kinematics.jacobians import inverse_jacobian, leg_rates, platform_jacobian
+
+EPS = np.finfo(float).eps
+PAPER = spm.Geometry.paper()
+POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
+POOL = problems.in_leg_space(PAPER, 400, seed=41).configuration
+EVERY_FAMILY = [(name, family) for name in problems.GEOMETRIES for family in spm.mechanism.FAMILIES]
+
+batches = st.sampled_from([(), (1,), (3, 1, 2), (0,)])
+seeds = st.integers(0, 2**32 - 1)
+
+
+members = functools.partial(problems.members, POOL)
+
+
+def wrench_matrices(state: spm.Configuration) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """J_b, J_c and K at the middle platform's centre, lengths in units of d."""
+    b = state.middle_joints
+    arms = (b - b.mean(axis=-2, keepdims=True)) / state.geometry.middle_side
+    legs = state.leg_vectors / state.leg_lengths[..., None]
+    axes = np.broadcast_to(state.geometry.revolute_axes, b.shape), state.platform_axes
+
+    def rows(*forces: np.ndarray) -> np.ndarray:
+        return np.concatenate([np.concatenate([f, np.cross(arms, f)], axis=-1) for f in forces], axis=-2)
+
+    return rows(legs[..., :3, :], axes[0]), rows(legs[..., 3:, :], axes[1]), rows(*axes)
+
+
+def smallest(matrix: np.ndarray) -> np.ndarray:
+    return np.linalg.svd(matrix, compute_uv=False)[..., -1]
+
+
+def scaling(state: spm.Configuration) -> np.ndarray:
+    """(1, 1, 1, s, s, s) with s = d + |o - p|: makes a twist's parts comparable wherever o is."""
+    distance = np.linalg.norm(state.translation - state.middle_joints.mean(axis=-2), axis=-1)
+    scales = np.ones((*state.shape, 6))
+    scales[..., 3:] = (state.geometry.middle_side + distance)[..., None]
+    return scales
+
+
+def norm(matrices: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(matrices, axis=(-1, -2))
+
+
+@settings(max_examples=60)
+@given(batches, seeds)
+def test_shapes_and_absent_members(shape, seed):
+    rng = np.random.default_rng(seed)
+    state, twist = members(shape, rng, absent=0.2), rng.normal(size=6)
+    for matrix in (inverse_jacobian(state), platform_jacobian(state)):
+        assert matrix.shape == (*shape, 6, 6)
+        assert np.array_equal(np.isfinite(matrix), np.broadcast_to(state.exists[..., None, None], matrix.shape))
+    rates = leg_rates(state, twist)
+    assert rates.shape == (*shape, 6)
+    assert np.array_equal(np.isfinite(rates), np.broadcast_to(state.exists[..., None], rates.shape))
+
+
+@settings(max_examples=60)
+@given(batches, seeds)
+def test_a_batch_is_its_members(shape, seed):
+    rng = np.random.default_rng(seed)
+    state, twist = members(shape, rng, absent=0.2), rng.normal(size=(*shape, 6))
+    everything = inverse_jacobian(state), platform_jacobian(state), leg_rates(state, twist)
+    for index in np.ndindex(shape):
+        member = state[index] if shape else state
+        alone = inverse_jacobian(member), platform_jacobian(member), leg_rates(member, twist[index])
+        for batch, single in zip(everything, alone, strict=True):
+            assert np.array_equal(batch[index], single, equal_nan=True)
+
+
+@settings(max_examples=60)
+@given(batches, seeds)
+def test_jacobians_are_inverse_to_each_other(shape, seed):
+    check_inverse(members(shape, np.random.default_rng(seed)))
+
+
+def check_inverse(state: spm.Configuration) -> None:
+    product = platform_jacobian(state) @ inverse_jacobian(state)
+    scales = scaling(state)
+    error = norm(scales[..., :, None] * (product - np.eye(6)) / scales[..., None, :])
+    lower, upper, both = (smallest(matrix) for matrix in wrench_matrices(state))
+    # G is off by eps κ |G|, with |G| = 1/σ of J_b or J_c, times |J_f|; J_f by eps / σ(K)², times |G|.
+    g = np.maximum(1 / lower, 1 / upper)
+    size = norm(inverse_jacobian(state) / scales[..., None, :])
+    assert (error <= 8 * EPS * (g**2 * size + g / both**2)).all()
+
+
+@pytest.mark.parametrize(("name", "family"), EVERY_FAMILY)
+def test_symmetries_in_every_family(name, family):
+    state = problems.random_branches(problems.GEOMETRIES[name], family, 500, seed=42).configuration
+    check_inverse(state)
+    check_determinant(state)
+
+
+def check_determinant(state: spm.Configuration) -> None:
+    lower, upper, both = spm.determinants(state).T
+    matrix = inverse_jacobian(state)
+    expected = lower * upper / both
+    error = np.abs(np.linalg.det(matrix) / expected - 1)
+    # d log det A = tr(A⁻¹ dA), six times the error of J_f (as above) times |G|; J_b, J_c and K have their own.
+    s_b, s_c, s_k = (smallest(each) for each in wrench_matrices(state))
+    scaled = matrix / scaling(state)[..., None, :]
+    g = np.maximum(1 / s_b, 1 / s_c)
+    assert (error <= 6 * 8 * EPS * (g / s_k**2 + g * norm(scaled) + 1 / s_b + 1 / s_c + 1 / s_k)).all()
+
+
+def test_determinant_in_leg_space():
+    """det J_f = det J_b det J_c / det K, sign included; both signs of det K occur."""
+    check_determinant(POOL)
+    assert set(np.sign(np.linalg.det(inverse_jacobian(POOL)))) == {-1.0, 1.0}
+
+
+def finite_differences(state: spm.Configuration, labels: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """J_f from the displacement alone, and the error to expect; `size` is about the norm of J_f, for the steps.
+
+    Two branches meet at a fold as square roots do, so its
+    distance goes with 1/|J|², and the steps as well.
+    """
+    d = state.geometry.middle_side
+    unit = np.concatenate([np.eye(6), -np.eye(6)]) * np.array([1, 1, 1, *[1 / d] * 3])
+
+    def central(h: np.ndarray) -> np.ndarray:
+        step = h[:, None, None] * unit
+        turn = Rotation.from_rotvec(step[..., 3:].reshape(-1, 3)).as_matrix().reshape(*step.shape[:2], 3, 3)
+        pose = spm.pose(state.translation[:, None] + step[..., :3], rotation=turn @ state.rotation[:, None])
+        lengths = spm.inverse_displacement(state.geometry, pose).leg_lengths
+        lengths = np.take_along_axis(lengths, labels[:, None, None, None], axis=-2)[..., 0, :]
+        difference = lengths[:, :6] - lengths[:, 6:]
+        return np.swapaxes(difference / (2 * h[:, None, None] * unit[:6].sum(axis=-1)[:, None]), -1, -2)
+
+    h = 0.03 * d / size**2
+    coarse, fine = extrapolated(central, 2 * h), extrapolated(central, h)
+    # The pose's coordinates are rounded, and J_f magnifies that, over the smallest step.
+    reach = np.linalg.norm(state.translation, axis=-1) + d
+    rounding = 4 * EPS * reach * size / (h / 4)
+    return fine, norm(fine - coarse) + rounding
+
+
+def test_finite_differences_at_the_six_branches():
+    branches = spm.inverse_displacement(PAPER, POSE)
+    labels = np.flatnonzero(branches.exists)
+    check_finite_differences(branches.configurations[branches.exists], labels, quantile=1.0)
+
+
+@pytest.mark.parametrize("family", spm.mechanism.FAMILIES)
+@pytest.mark.parametrize("name", problems.GEOMETRIES)
+def test_finite_differences_at_random(name, family):
+    problem = problems.random_branches(problems.GEOMETRIES[name], family, 100, seed=43)
+    check_random_differences(problem)
+
+
+def test_finite_differences_in_leg_space():
+    check_random_differences(problems.in_leg_space(PAPER, 1500, seed=44))
+
+
+def check_random_differences(problem: problems.Problem) -> None:
+    solved = spm.inverse_displacement(problem.geometry, problem.pose)
+    distance = np.abs(solved.middle_joints - problem.middle_joints[:, None]).max(axis=(-1, -2))
+    check_finite_differences(problem.configuration, np.nanargmin(distance, axis=-1), quantile=0.9)
+
+
+def check_finite_differences(state: spm.Configuration, labels: np.ndarray, quantile: float) -> None:
+    """Nearly all members must tell to four digits; so close to a fold that none is left, some may not."""
+    exact = inverse_jacobian(state)
+    columns = np.array([1, 1, 1, *[state.geometry.middle_side] * 3])
+    size = norm(exact / columns)
+    approximate, tolerance = finite_differences(state, labels, size)
+    error = norm((approximate - exact) / columns)
+    telling = tolerance < 1e-4 * size
+    assert telling.mean() >= quantile
+    assert (error <= tolerance)[telling].all()
+
+
+def test_leading_axes_broadcast():
+    twists = np.random.default_rng(5).normal(size=(4, 1, 6))
+    rates = leg_rates(POOL[:3], twists)
+    assert rates.shape == (4, 3, 6)
+    assert np.array_equal(rates[2, 1], leg_rates(POOL[1], twists[2, 0]))
+    assert leg_rates(POOL[0], twists).shape == (4, 1, 6)
+
+
+def in_stages(geometry: spm.Geometry, lower: tuple[float, ...], upper: tuple[float, ...]) -> spm.Configuration:
+    """One state, each stage from its tilt axis, sine of half the tilt, and height in units of d."""
+    tilts = ((axis, half_sine, height * geometry.middle_side) for axis, half_sine, height in (lower, upper))
+    return problems.without_torsion(geometry, *tilts)
+
+
+REGULAR = (0.3, 0.2, 1.5), (2.0, 0.15, -1.4)
+
+
+def crossing(make: Callable[[float], spm.Configuration], which: int, values: np.ndarray) -> float:
+    """Follow a path of states to where det J_b, det J_c or det K (0, 1, 2) changes sign, to the last bit."""
+    signs = np.sign([spm.determinants(make(value))[which] for value in values])
+    first = int(np.flatnonzero(signs[1:] != signs[:-1])[0])
+    low, high = values[first], values[first + 1]
+    while low < (middle := (low + high) / 2) < high:
+        same = np.sign(spm.determinants(make(middle))[which]) == signs[first]
+        low, high = (middle, high) if same else (low, middle)
+    return float(low)
+
+
+def inverse_path(geometry: spm.Geometry) -> tuple[Callable[[float], spm.Configuration], float]:
+    """States over the azimuth of the upper stage's tilt, and where one is singular."""
+
+    def make(azimuth: float) -> spm.Configuration:
+        return in_stages(geometry, REGULAR[0], (azimuth, *REGULAR[1][1:]))
+
+    return make, crossing(make, 2, np.linspace(0.5, 3.5, 61))
+
+
+def forward_path(geometry: spm.Geometry) -> tuple[Callable[[float], spm.Configuration], float]:
+    """States over the height of the lower stage, and where one near the base is singular."""
+
+    def make(height: float) -> spm.Configuration:
+        return in_stages(geometry, (*REGULAR[0][:2], height), REGULAR[1])
+
+    return make, crossing(make, 0, np.linspace(-1.0, 1.0, 60))
+
+
+# Lower stage level at the height of the base: all its forces are in one plane.
+FLAT = (0.3, 0.0, 0.0), REGULAR[1]
+# Lower stage tilted half round: its three revolute axes do not constrain it.
+TURNED_OVER = (0.3, 1.0, 1.5), REGULAR[1]
+
+
+@pytest.mark.parametrize("name", problems.GEOMETRIES)
+def test_singular_states(name):
+    geometry = problems.GEOMETRIES[name]
+    inverse, forward = (make(value) for make, value in (inverse_path(geometry), forward_path(geometry)))
+    constraint = in_stages(geometry, *TURNED_OVER)
+    expected = [
+        (inverse, inverse_jacobian, "inverse"),
+        (forward, platform_jacobian, "forward"),
+        (constraint, inverse_jacobian, "constraint"),
+        (constraint, platform_jacobian, "constraint"),
+        (constraint, functools.partial(spm.kinematics.compliance, legs=1e7), "constraint"),
+    ]
+    for state, function, kind in expected:
+        with pytest.raises(SingularConfigurationError, match=f"^{kind} singularity: ") as caught:
+            function(state)
+        assert (caught.value.kind, caught.value.index) == (kind, ())
+        assert caught.value.sigma_min <= 64 * EPS * 8**0.5  # |J|² <= 8: six unit forces with arms of d/√3
+    with pytest.raises(SingularConfigurationError):
+        leg_rates(inverse, np.zeros(6))
+    # The other map is finite, and of rank five.
+    for matrix in (platform_jacobian(inverse), inverse_jacobian(forward)):
+        values = np.linalg.svd(matrix / np.abs(matrix).max(axis=0), compute_uv=False)
+        assert values[-1] < 1e-12 < 1e-6 < values[-2]
+
+
+def test_the_first_singular_member_is_named():
+    good, bad = in_stages(PAPER, *REGULAR), in_stages(PAPER, *FLAT)
+    absent = np.full((3, 3), np.nan)
+    joints = np.array([[good.middle_joints, absent], [bad.middle_joints, bad.middle_joints]])
+    pose = np.array([[good.pose.as_matrix()] * 2, [bad.pose.as_matrix()] * 2])
+    with pytest.raises(SingularConfigurationError, match=r"^forward singularity at batch index \(1, 0\)") as caught:
+        platform_jacobian(spm.Configuration(PAPER, pose, joints))
+    assert caught.value.index == (1, 0)
+    joints[1] = absent
+    masked = platform_jacobian(spm.Configuration(PAPER, pose, joints))
+    assert np.array_equal(np.isfinite(masked).all(axis=(-1, -2)), [[True, False], [False, False]])
+
+
+@pytest.mark.parametrize("path", [inverse_path, forward_path])
+def test_singular_means_singular_to_rounding(path):
+    """Away from a singularity by more and more, a state is refused exactly as long as the singular values say."""
+    make, value = path(PAPER)
+    matrix, function = (2, inverse_jacobian) if path is inverse_path else (0, platform_jacobian)
+    decisions = []
+    for offset in np.logspace(-16, -10, 121):
+        state = make(value + offset)
+        sigma = np.linalg.svd(wrench_matrices(state)[matrix], compute_uv=False)
+        relative = sigma[-1] / (64 * EPS * sigma[0])
+        if abs(relative - 1) < 0.1:  # as good as on the line
+            continue
+        decisions.append(relative > 1)
+        if relative > 1:
+            assert np.isfinite(function(state)).all()
+        else:
+            with pytest.raises(SingularConfigurationError) as caught:
+                function(state)
+            assert caught.value.sigma_min == pytest.approx(sigma[-1], abs=8 * EPS)
+    assert set(decisions) == {False, True}
+
+
+def test_a_leg_of_no_length_is_refused():
+    joints = in_stages(PAPER, *REGULAR).middle_joints.copy()
+    joints[1] = PAPER.base_joints[1]
+    state = spm.Configuration(PAPER, POSE, joints)
+    for function in (inverse_jacobian, platform_jacobian):
+        with pytest.raises(SingularConfigurationError, match="forward"):
+            function(state)
+
+
+def test_the_error_survives_pickling():
+    error = SingularConfigurationError("inverse", 1e-17, (2, 0))
+    again = pickle.loads(pickle.dumps(error))
+    assert type(again) is SingularConfigurationError
+    assert (again.kind, again.sigma_min, again.index, str(again)) == ("inverse", 1e-17, (2, 0), str(error))
+    assert isinstance(error, SpmError)
+
+
+@pytest.mark.parametrize(
+    "twist",
+    [np.zeros(5), np.zeros((3, 6, 1)), [0, 0, 0, 0, 0, math.inf], [math.nan] * 6, "a twist", np.zeros(6, complex)],
+    ids=["five", "column", "infinite", "NaN", "text", "complex"],
+)
+def test_bad_twists_are_refused(twist):
+    with pytest.raises(ArgumentError, match="twist: expected"):
+        leg_rates(POOL[0], twist)
+
+
+def test_twists_that_do_not_broadcast_are_refused():
+    with pytest.raises(ArgumentError, match=r"twist: expected leading axes that broadcast .* \(3,\)"):
+        leg_rates(POOL[:3], np.zeros((2, 6)))
