@@ -55,7 +55,7 @@ NONSENSE: dict[str, Any] = {
 }
 
 PAPER = spm.Geometry.paper()
-BUILT = spm.AsBuiltGeometry.from_nominal(PAPER)
+BUILT = PAPER
 MEASURED = spm.forward_physical(PAPER, np.random.default_rng(0).uniform(1.15, 1.45, (16, 6)))
 STATE = spm.forward_physical(PAPER, [1.25, 1.15, 1.40, 1.30, 1.20, 1.40])
 
@@ -177,12 +177,12 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "largest_certified_limits.boxes": lambda: 3000,
     "largest_certified_limits.tolerance": lambda: 0.2,
     "AsBuiltGeometry.nominal": lambda: PAPER,
-    "AsBuiltGeometry.axes": lambda: BUILT.axes,
-    "AsBuiltGeometry.pivots": lambda: BUILT.pivots,
-    "AsBuiltGeometry.balls": lambda: BUILT.balls,
-    "AsBuiltGeometry.offsets": lambda: BUILT.offsets,
+    "AsBuiltGeometry.axes": lambda: BUILT.legs.axes,
+    "AsBuiltGeometry.pivots": lambda: BUILT.legs.pivots,
+    "AsBuiltGeometry.balls": lambda: BUILT.legs.balls,
+    "AsBuiltGeometry.offsets": lambda: BUILT.legs.offsets,
     "AsBuiltGeometry.from_parameters.parameters": lambda: BUILT.parameters,
-    "AsBuiltGeometry.from_yaml.path": as_built_file,
+    "Geometry.from_yaml.path": as_built_file,
     "AsBuiltGeometry.to_yaml.path": lambda: "machine.yaml",
     "calibration.choose_poses.candidates": lambda: 40,
     "calibration.choose_poses.count": lambda: 16,

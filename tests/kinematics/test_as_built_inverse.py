@@ -15,13 +15,13 @@ from spm_pin.kinematics import complex_middle_joints
 from spm_pin.proofs import certify_inverse
 
 PAPER = spm.Geometry.paper()
-NOMINAL = spm.AsBuiltGeometry.from_nominal(PAPER)
+NOMINAL = PAPER
 EXAMPLE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 DIRECTION = np.random.default_rng(1).standard_normal(54)
 SIZES = (1e-9, 1e-5, 1e-3, 1e-2, 5e-2)
 
 
-def along(size: float) -> spm.AsBuiltGeometry:
+def along(size: float) -> spm.Geometry:
     return NOMINAL.from_parameters(NOMINAL.parameters + size * DIRECTION)
 
 
@@ -62,7 +62,7 @@ def test_without_errors_the_answers_are_those_of_the_nominal_machine(name: str) 
     level = spm.pose([0.0, 0.0, geometry.middle_side], rotation=np.eye(3))
     for pose in (problem.pose, level):
         nominal = spm.inverse_displacement(geometry, pose)
-        built = spm.inverse_displacement(spm.AsBuiltGeometry.from_nominal(geometry), pose)
+        built = spm.inverse_displacement(geometry, pose)
         np.testing.assert_array_equal(built.middle_joints, nominal.middle_joints)
         np.testing.assert_array_equal(built.leg_lengths, nominal.leg_lengths)
         np.testing.assert_array_equal(built.status, nominal.status)
@@ -104,13 +104,13 @@ def test_readings_are_distances_from_pivots_to_balls_and_offsets() -> None:
     rotation, position = states.rotation, states.translation
     middle = states.middle_pose
     for i in range(6):
-        ball = middle.apply(built.balls[i])
-        pivot, axis = built.pivots[i], built.axes[i]
+        ball = middle.apply(built.legs.balls[i])
+        pivot, axis = built.legs.pivots[i], built.legs.axes[i]
         if i >= 3:
             pivot, axis = rotation @ pivot + position, rotation @ axis
         np.testing.assert_allclose(states.balls[:, i], ball, atol=1e-13)
         np.testing.assert_allclose(((ball - pivot) * axis).sum(axis=-1), 0.0, atol=1e-13)
-        reading = np.linalg.norm(ball - pivot, axis=-1) + built.offsets[i]
+        reading = np.linalg.norm(ball - pivot, axis=-1) + built.legs.offsets[i]
         np.testing.assert_allclose(states.leg_lengths[:, i], reading, atol=1e-13)
     again = spm.Configuration(built, states.pose, states.middle_joints)
     np.testing.assert_allclose(again.leg_lengths, states.leg_lengths, atol=1e-13)

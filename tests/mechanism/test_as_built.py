@@ -17,18 +17,18 @@ from spm_pin.mechanism import PARAMETERS
 PAPER = spm.Geometry.paper()
 
 
-def machine(seed: int = 0, length: float = 1e-3, angle: float = 1e-3) -> spm.AsBuiltGeometry:
-    return spm.AsBuiltGeometry.from_nominal(PAPER).perturbed(seed, length=length, angle=angle)
+def machine(seed: int = 0, length: float = 1e-3, angle: float = 1e-3) -> spm.Geometry:
+    return PAPER.perturbed(seed, length=length, angle=angle)
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_without_errors_it_has_the_nominal_dimensions(name: str) -> None:
     geometry = GEOMETRIES[name]
-    nominal = spm.AsBuiltGeometry.from_nominal(geometry)
-    np.testing.assert_array_equal(nominal.pivots[:3], geometry.base_joints)
-    np.testing.assert_array_equal(nominal.pivots[3:], geometry.platform_joints)
-    np.testing.assert_array_equal(nominal.axes, np.tile(geometry.revolute_axes, (2, 1)))
-    sides = np.linalg.norm(nominal.balls[:3] - np.roll(nominal.balls[:3], 1, axis=0), axis=-1)
+    nominal = geometry
+    np.testing.assert_array_equal(nominal.legs.pivots[:3], geometry.base_joints)
+    np.testing.assert_array_equal(nominal.legs.pivots[3:], geometry.platform_joints)
+    np.testing.assert_array_equal(nominal.legs.axes, np.tile(geometry.revolute_axes, (2, 1)))
+    sides = np.linalg.norm(nominal.legs.balls[:3] - np.roll(nominal.legs.balls[:3], 1, axis=0), axis=-1)
     np.testing.assert_allclose(sides, geometry.middle_side, rtol=1e-15)
     assert (nominal.parameters.reshape(6, 9)[:, :2] == 0.0).all()
     assert nominal.limits == geometry.limits
@@ -46,25 +46,25 @@ def test_stage_coordinates_round_trip(size: float) -> None:
 
 
 def test_errors_have_the_standard_deviations_asked_for() -> None:
-    nominal = spm.AsBuiltGeometry.from_nominal(PAPER)
+    nominal = PAPER
     many = np.stack([machine(seed, 2e-4, 5e-4).parameters - nominal.parameters for seed in range(400)])
     scale = np.tile(np.repeat([5e-4, 2e-4], [2, 7]), 6)
     # 400 samples: the standard deviation of a standard deviation is 3.5 %.
     assert (np.abs(many.std(axis=0) / scale - 1.0) < 0.18).all()
     assert (np.abs(many.mean(axis=0)) < 0.25 * scale).all()
     turned = machine(1, 0.0, 1e-3)
-    np.testing.assert_array_equal(turned.pivots, nominal.pivots)
-    np.testing.assert_array_equal(turned.offsets, nominal.offsets)
+    np.testing.assert_array_equal(turned.pivots, nominal.legs.pivots)
+    np.testing.assert_array_equal(turned.offsets, nominal.legs.offsets)
     assert machine(5) == machine(5) != machine(6)
 
 
 @pytest.mark.parametrize("limits", [None, spm.LegLimits([1.0, 1.1, 1.2, 0.9, 0.8, 0.7], [1.5, np.inf, 2, 2, 2, 2])])
 def test_a_file_there_and_back_keeps_every_bit(tmp_path: Path, limits: spm.LegLimits | None) -> None:
     nominal = spm.Geometry(0.7, 1e-7, 0.8, limits)
-    built = spm.AsBuiltGeometry.from_nominal(nominal).perturbed(2, length=1e-9, angle=1e-3)
+    built = nominal.perturbed(2, length=1e-9, angle=1e-3)
     file = tmp_path / "machine.yaml"
     built.to_yaml(file)
-    assert spm.AsBuiltGeometry.from_yaml(file) == built
+    assert spm.Geometry.from_yaml(file) == built
     assert "r_b1:" in file.read_text(encoding="utf-8")
 
 
@@ -76,9 +76,9 @@ def test_geometry_is_frozen_and_compared_by_value() -> None:
         with pytest.raises(ValueError, match="read-only"):
             twin.balls[0, 0] = 1.0
     with pytest.raises(AttributeError):
-        built.axes = built.axes  # type: ignore[misc]
-    pivots = np.array(built.pivots)
-    taken = spm.AsBuiltGeometry(PAPER, built.axes, pivots, built.balls, built.offsets)
+        built.legs.axes = built.legs.axes  # type: ignore[misc]
+    pivots = np.array(built.legs.pivots)
+    taken = spm.AsBuiltGeometry(PAPER, built.legs.axes, pivots, built.legs.balls, built.legs.offsets)
     pivots[0, 0] = 99.0
     assert taken == built
     assert built != PAPER
@@ -110,7 +110,7 @@ def test_what_is_no_machine_is_an_error_that_names_the_argument(name: str, value
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: spm.AsBuiltGeometry.from_nominal(machine()), "geometry: expected a Geometry"),  # type: ignore[arg-type]
+        (lambda: spm.machine().nominal, "geometry: expected a Geometry"),  # type: ignore[arg-type]
         (lambda: machine(length=-1.0), "length"),
         (lambda: machine(angle=np.inf), "angle"),
         (lambda: machine().perturbed("seed"), "rng"),
@@ -139,12 +139,12 @@ def test_bad_arguments_are_named(call: object, message: str) -> None:
 )
 def test_errors_of_a_file_name_the_line_and_the_key(tmp_path: Path, old: str | None, new: str, message: str) -> None:
     file = tmp_path / "machine.yaml"
-    spm.AsBuiltGeometry.from_nominal(spm.Geometry(0.7, 0.4, 0.8)).to_yaml(file)
+    spm.Geometry(0.7, 0.4, 0.8).to_yaml(file)
     text = file.read_text(encoding="utf-8")
     assert old is None or old in text, text
     file.write_text(new if old is None else text.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(spm.GeometryError, match=message):
-        spm.AsBuiltGeometry.from_yaml(file)
+        spm.Geometry.from_yaml(file)
 
 
 def test_nominal_dimensions_are_not_read_from_an_imperfect_machine() -> None:

@@ -25,7 +25,7 @@ from spm_pin.multibody.chain import ClosedChain  # noqa: E402
 
 NAMES = list(problems.GEOMETRIES)
 SIZES = (1e-6, 1e-3, 5e-2)
-EXACT = spm.AsBuiltGeometry.from_nominal(PAPER)
+EXACT = PAPER
 
 
 @cache
@@ -258,7 +258,7 @@ def test_all_joints_of_a_platform_path() -> None:
 @pytest.mark.parametrize("size", [1e-3, 5e-2])
 def test_a_passive_motion_keeps_its_energy_and_its_loops(size: float) -> None:
     robot = built("paper", size)
-    q = robot.forward_kinematics(np.array([1.25, 1.2, 1.35, 1.3, 1.25, 1.3]) + robot.geometry.offsets)
+    q = robot.forward_kinematics(np.array([1.25, 1.2, 1.35, 1.3, 1.25, 1.3]) + robot.geometry.legs.offsets)
     v = robot.joint_rates(q, [0.2, -0.1, 0.1, 0.05, -0.2, 0.1])
     run = robot.simulate(q, v, None, np.linspace(0.0, 0.5, 11))
     assert run.complete
@@ -277,7 +277,9 @@ def test_offsets_change_readings_and_nothing_else() -> None:
     geometry = plain.geometry
     shift = np.array([0.5, -0.05, 0.02, 0.0, 0.03, 0.01])
     shifted = ClosedChain.from_urdf(
-        geometry=spm.AsBuiltGeometry(PAPER, geometry.axes, geometry.pivots, geometry.balls, geometry.offsets + shift)
+        geometry=spm.AsBuiltGeometry(
+            PAPER, geometry.legs.axes, geometry.legs.pivots, geometry.legs.balls, geometry.legs.offsets + shift
+        )
     )
     q = plain.joint_values(states(plain, 3, seed=16))
     np.testing.assert_allclose(
@@ -326,7 +328,7 @@ def test_files_and_geometries_that_do_not_belong_together_are_refused(tmp_path: 
         ):
             ClosedChain.from_urdf(measured, other)
     raised = spm.Geometry(*PAPER.dimensions, spm.LegLimits([1.2] * 6, [1.5] * 6))
-    arrays = geometry.axes, geometry.pivots, geometry.balls, geometry.offsets
+    arrays = geometry.legs.axes, geometry.legs.pivots, geometry.legs.balls, geometry.legs.offsets
     with pytest.raises(GeometryError, match="other nominal leg limits"):
         ClosedChain.from_urdf(measured, spm.AsBuiltGeometry(raised, *arrays))
 
@@ -343,12 +345,14 @@ def test_states_of_other_machines_are_refused() -> None:
         chain().joint_values(state)
     other = problems.as_built(PAPER, 1e-3)
     moved = spm.AsBuiltGeometry(
-        PAPER, other.axes, other.pivots, other.balls, other.offsets + 2e-6 * (np.arange(6) == 4)
+        PAPER, other.legs.axes, other.legs.pivots, other.legs.balls, other.legs.offsets + 2e-6 * (np.arange(6) == 4)
     )
     with pytest.raises(GeometryError, match=r"the offsets of the chain, .* differs by 2\.0e-06 m in r_c2"):
         robot.joint_values(spm.Configuration(moved, state.pose, state.middle_joints))
     # Limits of the legs play no part.
-    free = spm.AsBuiltGeometry(spm.Geometry(*PAPER.dimensions), other.axes, other.pivots, other.balls, other.offsets)
+    free = spm.AsBuiltGeometry(
+        spm.Geometry(*PAPER.dimensions), other.legs.axes, other.legs.pivots, other.legs.balls, other.legs.offsets
+    )
     same = spm.Configuration(free, state.pose, state.middle_joints)
     np.testing.assert_array_equal(robot.joint_values(same), robot.joint_values(state))
     with pytest.raises(ClosureError):

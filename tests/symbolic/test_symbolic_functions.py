@@ -320,4 +320,4 @@ def test_bad_arguments_are_clear_errors() -> None:
     with pytest.raises(ArgumentError, match='geometry: expected a Geometry, "symbolic" or None'):
         spm.symbolic.leg_forces(3)  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="geometry: expected a Geometry, got AsBuiltGeometry"):
-        spm.symbolic.inverse_physical(spm.AsBuiltGeometry.from_nominal(PAPER))  # type: ignore[arg-type]
+        spm.symbolic.inverse_physical(spm.PAPER).nominal  # type: ignore[arg-type]

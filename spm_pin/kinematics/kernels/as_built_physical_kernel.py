@@ -25,8 +25,6 @@ from spm_pin.kinematics.kernels.quadric_roots import is_same_point
 from spm_pin.kinematics.kernels.three_quadrics import allocate_planes, image, put_quadrics, put_quaternion
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["certain_physical_branches"]
-
 _COS_30 = math.sqrt(0.75)
 
 _FIRST = 0.02

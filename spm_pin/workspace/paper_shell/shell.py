@@ -26,9 +26,6 @@ from spm_pin.mechanism.arguments import (
 from spm_pin.workspace.closed_mesh import ClosedMesh, Convergence, enclosed_volume
 from spm_pin.workspace.paper_shell.sub_workspaces import SubWorkspace, orientations, sub_workspaces
 
-__all__ = ["Patch", "Shell", "workspace_shell"]
-
-
 FINEST = 2000
 """Increments of a varying leg, at most: 24 surfaces of four million vertices."""
 
