@@ -8,8 +8,7 @@ from itertools import product
 import numpy as np
 
 from spm_pin.crosscheck.cells import Cell, Verdict, matches
-from spm_pin.kinematics.jacobians import leg_rates
-from spm_pin.kinematics.leg_forces import leg_forces
+from spm_pin.kinematics.rates_and_forces import leg_forces, leg_rates
 from spm_pin.mechanism import LEGS, Configuration
 from spm_pin.paper import published
 from spm_pin.paper.driving_forces import load, table_5

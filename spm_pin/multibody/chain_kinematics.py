@@ -62,7 +62,7 @@ def forward_kinematics(self: ChainLike, leg_lengths: npt.ArrayLike, near: npt.Ar
             index = first_offender(~found.exists)
             received = f"{_listed(np.asarray(leg_lengths, dtype=np.float64)[index])} m"
             expected = "lengths that the physical assembly mode can have"
-            raise _not_found("leg_lengths", expected, received, index, found.absence or "A misread leg?")
+            raise _not_found("leg_lengths", expected, received, index, found.missing_reason or "A misread leg?")
         return layout.values_of(found)
     lengths = read_vectors(leg_lengths, "leg_lengths", 6)
     if (lengths < layout.offsets).any():
@@ -97,7 +97,7 @@ def inverse_kinematics(self: ChainLike, pose: PoseLike, near: npt.ArrayLike | No
             place, turn = (x[index] for x in (transform.translation, transform.rotation.as_rotvec()))
             received = f"o at {_listed(place)} m, turned by the rotation vector {_listed(turn)} rad"
             expected = "poses that a physical branch has"
-            raise _not_found("pose", expected, received, index, found.absence or "Level, or out of reach?")
+            raise _not_found("pose", expected, received, index, found.missing_reason or "Level, or out of reach?")
         return layout.values_of(found)
     poses = transform.rotation.as_matrix(), transform.translation
     return _follow(self, ContinuationSolver.to_pose, near, transform.shape, *poses)
