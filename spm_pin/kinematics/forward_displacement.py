@@ -80,6 +80,9 @@ def forward_displacement(geometry: Geometry, leg_lengths: npt.ArrayLike) -> Solu
     """
     from spm_pin.kinematics.kernels.mode_kernels import all_modes
 
+    if not check_instance(geometry, Geometry, "geometry").is_nominal:
+        cause = "forward_physical finds the physical mode of a machine as built; all modes are those of its .nominal"
+        raise GeometryError("geometry", "a machine as drawn", "one as built", cause)
     checked = read_leg_lengths(geometry, leg_lengths)
     shape, lengths, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
     results = (
