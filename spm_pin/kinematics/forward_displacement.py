@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from spm_pin.errors import GeometryError
 from spm_pin.kinematics.as_built_forward import as_built_forward
 from spm_pin.kinematics.batches import radii, run_kernel, with_batch_shape
 from spm_pin.kinematics.forward_continuation import follow_seed
 from spm_pin.kinematics.forward_displacement_arguments import read_leg_lengths
-from spm_pin.mechanism.arguments import BoolArray, FloatArray
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.solution_status import Degeneracy, Status
