@@ -24,8 +24,6 @@ from spm_pin.mechanism.arguments import BoolArray, FloatArray, instance
 from spm_pin.mechanism.as_built import as_built
 from spm_pin.mechanism.configuration import check_configuration
 
-__all__ = ["error_jacobian", "invisible_errors", "parameter_scale", "platform_error", "selected"]
-
 _KINDS = ("direction", "pivot", "ball", "offset")
 
 
@@ -98,7 +96,7 @@ def platform_error(state: Configuration, rotation: FloatArray, position: FloatAr
     return np.concatenate([state.translation - position, turn], axis=-1)
 
 
-def invisible_errors(geometry: AsBuiltGeometry, positions_only: bool) -> FloatArray:
+def gauge_directions(geometry: AsBuiltGeometry, positions_only: bool) -> FloatArray:
     """Return the errors that change no measurement, (54, 6), or (54, 9) if only positions of o are measured.
 
     Six move the frame {n} and with it the coordinates of all balls; the other three turn the frame {m} about o.
