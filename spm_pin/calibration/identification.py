@@ -19,9 +19,8 @@ from spm_pin.calibration.error_model import error_jacobian, gauge_directions, pa
 from spm_pin.calibration.measurements import MeasurementError, Measurements, pose_covariances
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.mechanism import PARAMETERS, AsBuiltGeometry, Configuration, Geometry
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, choice
-from spm_pin.mechanism.as_built import as_built
+from spm_pin.mechanism import PARAMETERS, Configuration, Geometry
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, choice
 
 _LOSSES = ("linear", "soft_l1", "huber", "cauchy")
 _UNKNOWN = 0.3
@@ -44,7 +43,7 @@ _Function = Callable[[FloatArray], FloatArray]
 class Calibration:
     """A machine identified from N measurements, and how well it is known."""
 
-    fitted: AsBuiltGeometry
+    fitted: Geometry
     """The machine that fits the measurements best, whatever `status` says."""
     status: str
     """"fits"; or "outliers", "misfit" or "not converged": then `geometry` raises an error."""
@@ -82,7 +81,7 @@ class Calibration:
         )
 
     @property
-    def geometry(self) -> AsBuiltGeometry:
+    def geometry(self) -> Geometry:
         """The machine; raises `MeasurementError` if the measurements do not fit it, with the reason."""
         self._check_status()
         return self.fitted
@@ -104,7 +103,7 @@ class Calibration:
 
 
 def identify(
-    geometry: Geometry | AsBuiltGeometry,
+    geometry: Geometry,
     poses: Any,
     readings: npt.ArrayLike,
     *,
@@ -117,7 +116,7 @@ def identify(
 
     Parameters
     ----------
-    geometry : Geometry or AsBuiltGeometry
+    geometry : Geometry
         The machine as it is known before.
     poses : RigidTransform of shape (N,), array_like (N, 4, 4), or array_like (N, 3)
         Measured poses of {m} in {B}; or positions of o alone [m].
@@ -148,7 +147,7 @@ def identify(
         If readings are in another unit or such that the machine has no state, columns are exchanged, rows shifted or
         rotations transposed, or if the measurements are too few or too much alike to determine the parameters.
     """
-    start = as_built(geometry)
+    start = check_instance(geometry, Geometry, "geometry")
     wanted = selected(PARAMETERS if parameters is None else parameters, "parameters")
     choice(loss, "loss", _LOSSES)
     data = Measurements.check(start, poses, readings)
@@ -163,7 +162,7 @@ def identify(
         raise MeasurementError("poses", expected, f"{count}", "Measure more, or name fewer `parameters`")
     scaled = parameter_scale(start)[:, None] * basis
 
-    def machine(unknown: FloatArray) -> AsBuiltGeometry:
+    def machine(unknown: FloatArray) -> Geometry:
         return start.from_parameters(start.parameters + scaled @ unknown)
 
     def whitened(unknown: FloatArray) -> FloatArray:
@@ -202,7 +201,7 @@ def identify(
     )
 
 
-def visible_basis(start: AsBuiltGeometry, wanted: BoolArray, positions_only: bool) -> tuple[FloatArray, FloatArray]:
+def visible_basis(start: Geometry, wanted: BoolArray, positions_only: bool) -> tuple[FloatArray, FloatArray]:
     """Return orthonormal combinations of scaled parameters that measurements show, (54, n), and the others, (k, 54)."""
     scale = parameter_scale(start)
     hidden = gauge_directions(start, positions_only) / scale[:, None]
@@ -250,7 +249,11 @@ def _fit(whitened: _Function, jacobian: _Function, first: FloatArray, loss: str)
     good = np.flatnonzero(~robust_fit.outliers)
     if whitened(unknown)[good].size <= len(first):
         return robust_fit
-    unknown, converged = _minimize(lambda u: whitened(u)[good], lambda u: jacobian(u)[good], unknown)
+
+    def of_good_rows(values: _Function) -> _Function:
+        return lambda u: values(u)[good]
+
+    unknown, converged = _minimize(of_good_rows(whitened), of_good_rows(jacobian), unknown)
     return _judged(whitened(unknown), unknown, converged, robust_fit.outliers)
 
 

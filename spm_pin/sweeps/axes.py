@@ -13,8 +13,6 @@ from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LEGS
 from spm_pin.mechanism.arguments import FloatArray, real_array
 
-__all__ = ["AXES", "Axis", "AxisRange", "Space"]
-
 AxisRange = float | Sequence[float]
 """One value, (start, stop, count) of a grid, or (start, stop) of a sample [m or rad]."""
 Space = Literal["pose", "legs"]

@@ -20,8 +20,6 @@ from spm_pin.mechanism import pose
 from spm_pin.mechanism.arguments import FloatArray, choice, whole_number
 from spm_pin.sweeps.axes import AXES, Axis, AxisRange, Space
 
-__all__ = ["Domain", "Sample", "leg_grid", "leg_sample", "pose_grid", "pose_sample"]
-
 SamplingMethod = Literal["sobol", "uniform"]
 """The distribution of sampled points: a scrambled Sobol sequence, or independent uniform ones."""
 

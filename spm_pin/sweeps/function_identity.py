@@ -22,8 +22,6 @@ import numpy as np
 
 from spm_pin.errors import ArgumentError
 
-__all__ = ["function_identity"]
-
 _PLAIN = (type(None), bool, int, float, complex, str, bytes, type(Ellipsis))
 _WRAPPERS = (staticmethod, classmethod, type(functools.cache(len)))
 _DESCRIPTORS = (types.MemberDescriptorType, types.GetSetDescriptorType, types.WrapperDescriptorType)

@@ -16,11 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import instance, real_number
+from spm_pin.mechanism.arguments import check_instance, real_number
 from spm_pin.sweeps.function_identity import function_identity
 from spm_pin.sweeps.points import Points
-
-__all__ = ["DTYPES", "Metric", "metric"]
 
 DTYPES = ("float64", "float32", "float16", "int64", "int32", "int16", "int8")
 """Types in which a metric can be stored."""
@@ -72,8 +70,8 @@ class Metric:
     def __post_init__(self) -> None:
         if not (isinstance(self.name, str) and _NAME.fullmatch(self.name)):
             raise ArgumentError("name", "letters, digits and underscores", repr(self.name))
-        instance(self.unit, str, "unit")
-        instance(self.description, str, "description")
+        check_instance(self.unit, str, "unit")
+        check_instance(self.description, str, "description")
         if not callable(self.function):
             raise ArgumentError("function", "a function of Points", type(self.function).__name__)
         try:

@@ -24,8 +24,6 @@ from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.sweeps.metric import Metric, metric
 from spm_pin.sweeps.points import Points
 
-__all__ = ["METRICS", "metric_from_definition", "resolve_metrics", "status", "unavailable"]
-
 Values = npt.NDArray[Any]
 
 _ABSENT = "NaN where not reachable"
@@ -119,7 +117,7 @@ def leg_margin(points: Points) -> Values:
         raise ArgumentError("geometry", "one with leg limits, of which a margin can be left", "none")
     if points.space == "legs":
         return np.where(points.assembled.exists, points.limits.margin(points.coordinates), np.nan)
-    margins = points.limits.margin(points.solutions.leg_lengths)
+    margins = points.limits.margin(points.solutions.readings)
     best = np.where(points.solutions.is_physical, margins, -np.inf).max(axis=-1)
     return np.where(np.isinf(best), np.nan, best)
 

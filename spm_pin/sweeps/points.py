@@ -24,8 +24,6 @@ from spm_pin.mechanism import BRANCHES, Configuration, Geometry, LegLimits, Solu
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.sweeps.axes import Space
 
-__all__ = ["Points"]
-
 Array = TypeVar("Array", bound=npt.NDArray[Any])
 
 _SHORTEST = float(np.finfo(np.float64).tiny)
@@ -112,7 +110,7 @@ class Points:
             there = np.asarray(self.branches_within.any(axis=-1))
             poses = _Poses(self._poses.rotation[there], self._poses.translation[there])
             found = inverse_physical(self.geometry, poses)
-            inside = self.limits.contains(found.leg_lengths)
+            inside = self.limits.contains(found.readings)
             there[there], found = inside, found[inside]
         return found.transformed(lambda values, _: _spread(values, there))
 

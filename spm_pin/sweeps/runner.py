@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     import xarray
     from distributed import Client
 
-__all__ = ["CHUNK", "PointProgress", "SweepStatus", "open_store", "resume", "run", "status"]
-
 CHUNK = 2**18
 """Points in a chunk by default: a fraction of a second's work, and two megabytes per metric."""
 

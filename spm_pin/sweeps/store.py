@@ -30,8 +30,6 @@ from spm_pin.sweeps.metric import DTYPES
 from spm_pin.sweeps.sweep_errors import StoreError, StoreLockedError, as_store_error
 from spm_pin.sweeps.sweep_plan import FORMAT, SweepPlan, definition_differences
 
-__all__ = ["Store", "completed_count", "locked", "read_plan", "store_path"]
-
 _LOCK = "sweep/lock"
 _RECORDS = "sweep/crc32c"
 _WRITTEN = ("bytes", "zstd", "crc32c", *DTYPES)

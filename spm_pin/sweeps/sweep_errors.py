@@ -9,8 +9,6 @@ from pathlib import Path
 
 from spm_pin.errors import SpmError
 
-__all__ = ["StoreError", "StoreLockedError", "SweepError", "as_store_error"]
-
 _UNREADABLE = (SpmError, LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError)
 """Exceptions raised while damaged contents of a store are read."""
 

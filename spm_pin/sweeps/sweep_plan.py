@@ -15,14 +15,12 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import Geometry, LegLimits
-from spm_pin.mechanism.arguments import instance
+from spm_pin.mechanism.arguments import check_instance
 from spm_pin.sweeps.axes import AXES
 from spm_pin.sweeps.domains import Domain
 from spm_pin.sweeps.metric import Metric
 from spm_pin.sweeps.metrics import metric_from_definition, resolve_metrics, status
 from spm_pin.sweeps.points import Points
-
-__all__ = ["FORMAT", "SweepPlan", "definition_differences", "package_version"]
 
 FORMAT = 2
 """Version of the layout of a store."""
@@ -50,8 +48,8 @@ class SweepPlan:
     @classmethod
     def make(cls, geometry: Geometry, domain: Domain, metrics: Iterable[str | Metric], chunk: int) -> SweepPlan:
         """Make a plan of metrics, each given by its name or as it is, with chunks of at most `chunk` points."""
-        instance(geometry, Geometry, "geometry")
-        instance(domain, Domain, "domain", "Made by pose_grid, leg_grid, pose_sample or leg_sample?")
+        check_instance(geometry, Geometry, "geometry")
+        check_instance(domain, Domain, "domain", "Made by pose_grid, leg_grid, pose_sample or leg_sample?")
         # By name, so that their order makes no other sweep.
         ordered = tuple(sorted(resolve_metrics(metrics), key=lambda metric: metric.name))
         taken = [metric.name for metric in ordered if metric.name in _RESERVED]
