@@ -176,14 +176,12 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "xyx": lambda: (0.1, 0.2, 0.1),
     "largest_certified_limits.boxes": lambda: 3000,
     "largest_certified_limits.tolerance": lambda: 0.2,
-    "AsBuiltGeometry.nominal": lambda: PAPER,
-    "AsBuiltGeometry.axes": lambda: BUILT.legs.axes,
-    "AsBuiltGeometry.pivots": lambda: BUILT.legs.pivots,
-    "AsBuiltGeometry.balls": lambda: BUILT.legs.balls,
-    "AsBuiltGeometry.offsets": lambda: BUILT.legs.offsets,
-    "AsBuiltGeometry.from_parameters.parameters": lambda: BUILT.parameters,
-    "Geometry.from_yaml.path": as_built_file,
-    "AsBuiltGeometry.to_yaml.path": lambda: "machine.yaml",
+    "Legs.axes": lambda: BUILT.legs.axes,
+    "Legs.pivots": lambda: BUILT.legs.pivots,
+    "Legs.balls": lambda: BUILT.legs.balls,
+    "Legs.offsets": lambda: BUILT.legs.offsets,
+    "Geometry.from_parameters.parameters": lambda: BUILT.parameters,
+    "Geometry.to_yaml.path": lambda: "machine.yaml",
     "calibration.choose_poses.candidates": lambda: 40,
     "calibration.choose_poses.count": lambda: 16,
     "calibration.identify.leg_lengths": lambda: MEASURED.leg_lengths,
@@ -225,19 +223,18 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
 """A good value for each parameter that has no default, or whose default takes long; by name or by place and name."""
 
 INPUTS = (
-    "AsBuiltGeometry",
     "Configuration",
     "Geometry",
     "JointLimits",
     "LegLimits",
     "LegPath",
+    "Legs",
     "Payload",
     "PlatformPath",
 )
 """Classes that users make themselves; the others are results, made by the package."""
 
 INSTANCES: dict[str, Callable[[], Any]] = {
-    "AsBuiltGeometry": lambda: BUILT,
     "Boundary": boundary,
     "ChainState": lambda: chain().state(q()),
     "ClosedChain": chain,

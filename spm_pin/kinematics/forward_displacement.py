@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from spm_pin.errors import GeometryError
 from spm_pin.kinematics.as_built_forward import as_built_forward
 from spm_pin.kinematics.batches import radii, run_kernel, with_batch_shape
 from spm_pin.kinematics.forward_continuation import follow_seed
 from spm_pin.kinematics.forward_displacement_arguments import read_leg_lengths
-from spm_pin.mechanism.arguments import BoolArray, FloatArray
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.solution_status import Degeneracy, Status
@@ -80,6 +81,9 @@ def forward_displacement(geometry: Geometry, leg_lengths: npt.ArrayLike) -> Solu
     """
     from spm_pin.kinematics.kernels.mode_kernels import all_modes
 
+    if not check_instance(geometry, Geometry, "geometry").is_nominal:
+        cause = "forward_physical finds the physical mode of a machine as built; all modes are those of its .nominal"
+        raise GeometryError("geometry", "a machine as drawn", "one as built", cause)
     checked = read_leg_lengths(geometry, leg_lengths)
     shape, lengths, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
     results = (
