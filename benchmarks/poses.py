@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from problems import at_discriminant, in_leg_space, random_branches
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -16,11 +18,12 @@ KINDS = ("leg lengths", "all rotations", "nearly level", "near a fold")
 """Kinds of poses that `mixture` makes."""
 
 
-def as_built(size: float) -> spm.AsBuiltGeometry:
+def as_built(size: float) -> spm.Geometry:
     """Return a machine with random errors [m and rad] whose two balls at a corner coincide."""
-    machine = spm.AsBuiltGeometry.from_nominal(GEOMETRY).perturbed(0, length=size, angle=size)
-    balls = np.tile(machine.balls[:3], (2, 1))
-    return spm.AsBuiltGeometry(GEOMETRY, machine.axes, machine.pivots, balls, machine.offsets)
+    machine = GEOMETRY.perturbed(0, length=size, angle=size)
+    balls = np.tile(machine.legs.balls[:3], (2, 1))
+    legs = replace(machine.legs, balls=balls)
+    return replace(machine, legs=legs)
 
 
 def leg_space(count: int, seed: int = 0) -> RigidTransform:

@@ -24,7 +24,7 @@ for name, share in analysis.ranking("component")[:4]:
     print(f"  {name}: {share:.0%} of the variance")
 
 # Forty poses, chosen; measured with a laser tracker (10 µm, 10 µrad) on a machine nobody knows, encoders of 1 µm.
-machine = spm.AsBuiltGeometry.from_nominal(geometry).perturbed(random, length=1e-4, angle=1e-4)
+machine = geometry.perturbed(random, length=1e-4, angle=1e-4)
 plan = spm.calibration.choose_poses(geometry, 40, rng=random)
 poses = spm.forward_physical(machine, plan.leg_lengths).pose.as_matrix()
 poses[:, :3, 3] += 1e-5 * random.standard_normal((40, 3))
@@ -38,7 +38,7 @@ found.geometry.to_yaml(folder / "machine.yaml")
 # Elsewhere in the workspace: the platform of the nominal machine and of the one identified, against the true one.
 legs = random.uniform(geometry.limits.minimum, geometry.limits.maximum, (200, 6))
 true = spm.forward_physical(machine, legs).translation
-models = {"nominal": spm.AsBuiltGeometry.from_nominal(geometry), "identified": found.geometry}
+models = {"nominal": geometry, "identified": found.geometry}
 errors = {
     name: 1e6 * np.linalg.norm(spm.forward_physical(model, legs).translation - true, axis=-1)
     for name, model in models.items()

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
         stiffness,
         threads,
     )
-    from spm_pin.mechanism import AsBuiltGeometry, Configuration, Geometry, LegLimits, SolutionSet, Status, pose
+    from spm_pin.mechanism import Configuration, Geometry, LegLimits, SolutionSet, Status, pose
     from spm_pin.motion import plan, time_optimal
     from spm_pin.multibody import ClosedChain, PlatformPath
     from spm_pin.proofs import Certificate, certify, largest_certified_limits
@@ -55,7 +55,6 @@ __version__ = "0.2.0"
 
 __all__ = [
     "ArgumentError",
-    "AsBuiltGeometry",
     "Certificate",
     "ClosedChain",
     "ClosureError",

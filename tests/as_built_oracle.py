@@ -21,7 +21,7 @@ Matrix = list[list[Any]]
 
 
 def certified_real_branches(
-    geometry: spm.AsBuiltGeometry,
+    geometry: spm.Geometry,
     rotation: npt.NDArray[np.float64],
     position: npt.NDArray[np.float64],
     joints: npt.NDArray[np.complex128],
@@ -30,7 +30,7 @@ def certified_real_branches(
     ctx.prec = 160
     planes = _planes(geometry, rotation, position)
     weights = _weights(geometry)
-    sides = [_squared(geometry.balls[i], geometry.balls[(i + 1) % 3]) for i in range(3)]
+    sides = [_squared(geometry.legs.balls[i], geometry.legs.balls[(i + 1) % 3]) for i in range(3)]
     regions = []
     for answer in joints:
         region = _proved(answer.reshape(9), planes, weights, sides)
@@ -52,13 +52,13 @@ def certified_real_branches(
 
 
 def _planes(
-    geometry: spm.AsBuiltGeometry, rotation: npt.NDArray[np.float64], position: npt.NDArray[np.float64]
+    geometry: spm.Geometry, rotation: npt.NDArray[np.float64], position: npt.NDArray[np.float64]
 ) -> list[tuple[list[Any], Any]]:
     """Return normal and height of the six planes, the given floats taken as exact."""
     found = []
     for i in range(6):
-        normal = [arb(float(c)) for c in geometry.axes[i]]
-        pivot = [arb(float(c)) for c in geometry.pivots[i]]
+        normal = [arb(float(c)) for c in geometry.legs.axes[i]]
+        pivot = [arb(float(c)) for c in geometry.legs.pivots[i]]
         if i >= 3:
             rows = [[arb(float(c)) for c in row] for row in rotation]
             normal = [sum((a * b for a, b in zip(row, normal, strict=True)), arb(0)) for row in rows]
@@ -72,9 +72,9 @@ def _squared(a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> Any:
     return sum(((arb(float(x)) - arb(float(y))) ** 2 for x, y in zip(a, b, strict=True)), arb(0))
 
 
-def _weights(geometry: spm.AsBuiltGeometry) -> Matrix:
+def _weights(geometry: spm.Geometry) -> Matrix:
     """Return the upper balls in the basis of two sides of the lower triangle and their cross product, (3, 3)."""
-    balls = [[arb(float(c)) for c in ball] for ball in geometry.balls]
+    balls = [[arb(float(c)) for c in ball] for ball in geometry.legs.balls]
     e = [[a - b for a, b in zip(balls[k], balls[0], strict=True)] for k in (1, 2)]
     basis = [*e, cross(e[0], e[1])]
     matrix = arb_mat(3, 3, [basis[j][i] for i in range(3) for j in range(3)])

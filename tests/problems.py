@@ -39,9 +39,9 @@ class Problem:
         return spm.Configuration(self.geometry, self.pose, self.middle_joints)
 
 
-def as_built(geometry: spm.Geometry, size: float, seed: int = 3) -> spm.AsBuiltGeometry:
+def as_built(geometry: spm.Geometry, size: float, seed: int = 3) -> spm.Geometry:
     """Return a machine with random errors: angles of `size` [rad], lengths of `size` times d."""
-    return spm.AsBuiltGeometry.from_nominal(geometry).perturbed(seed, length=size * geometry.middle_side, angle=size)
+    return geometry.perturbed(seed, length=size * geometry.middle_side, angle=size)
 
 
 def stage_quaternion(mode: str, tilt_axis: npt.ArrayLike, half_sine: npt.ArrayLike) -> Array:

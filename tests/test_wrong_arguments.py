@@ -55,7 +55,7 @@ NONSENSE: dict[str, Any] = {
 }
 
 PAPER = spm.Geometry.paper()
-BUILT = spm.AsBuiltGeometry.from_nominal(PAPER)
+BUILT = PAPER
 MEASURED = spm.forward_physical(PAPER, np.random.default_rng(0).uniform(1.15, 1.45, (16, 6)))
 STATE = spm.forward_physical(PAPER, [1.25, 1.15, 1.40, 1.30, 1.20, 1.40])
 
@@ -176,14 +176,12 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "xyx": lambda: (0.1, 0.2, 0.1),
     "largest_certified_limits.boxes": lambda: 3000,
     "largest_certified_limits.tolerance": lambda: 0.2,
-    "AsBuiltGeometry.nominal": lambda: PAPER,
-    "AsBuiltGeometry.axes": lambda: BUILT.axes,
-    "AsBuiltGeometry.pivots": lambda: BUILT.pivots,
-    "AsBuiltGeometry.balls": lambda: BUILT.balls,
-    "AsBuiltGeometry.offsets": lambda: BUILT.offsets,
-    "AsBuiltGeometry.from_parameters.parameters": lambda: BUILT.parameters,
-    "AsBuiltGeometry.from_yaml.path": as_built_file,
-    "AsBuiltGeometry.to_yaml.path": lambda: "machine.yaml",
+    "Legs.axes": lambda: BUILT.legs.axes,
+    "Legs.pivots": lambda: BUILT.legs.pivots,
+    "Legs.balls": lambda: BUILT.legs.balls,
+    "Legs.offsets": lambda: BUILT.legs.offsets,
+    "Geometry.from_parameters.parameters": lambda: BUILT.parameters,
+    "Geometry.to_yaml.path": lambda: "machine.yaml",
     "calibration.choose_poses.candidates": lambda: 40,
     "calibration.choose_poses.count": lambda: 16,
     "calibration.identify.leg_lengths": lambda: MEASURED.leg_lengths,
@@ -225,19 +223,18 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
 """A good value for each parameter that has no default, or whose default takes long; by name or by place and name."""
 
 INPUTS = (
-    "AsBuiltGeometry",
     "Configuration",
     "Geometry",
     "JointLimits",
     "LegLimits",
     "LegPath",
+    "Legs",
     "Payload",
     "PlatformPath",
 )
 """Classes that users make themselves; the others are results, made by the package."""
 
 INSTANCES: dict[str, Callable[[], Any]] = {
-    "AsBuiltGeometry": lambda: BUILT,
     "Boundary": boundary,
     "ChainState": lambda: chain().state(q()),
     "ClosedChain": chain,

@@ -13,12 +13,12 @@ from scipy.spatial.transform import RigidTransform
 
 from benchmarks.peers.lines import lines
 from benchmarks.peers.peer import FloatArray, Prepared, required
-from spm_pin import AsBuiltGeometry, Geometry
+from spm_pin import Geometry
 
 __all__ = ["bare", "complete"]
 
 
-def bare(problem: tuple[Geometry | AsBuiltGeometry, RigidTransform]) -> Prepared:
+def bare(problem: tuple[Geometry, RigidTransform]) -> Prepared:
     """Prepare the call alone: lines computed beforehand, results left as poses of the triangle."""
     geometry, poses = problem
     gp3p = required("poselib", "poselib").gp3p
@@ -48,9 +48,8 @@ def complete(problem: tuple[Geometry, RigidTransform]) -> Prepared:
     return Prepared(lambda: [solve(matrix) for matrix in matrices], lambda found: [joints for joints, _ in found])
 
 
-def _triangle(geometry: Geometry | AsBuiltGeometry) -> FloatArray:
-    if isinstance(geometry, AsBuiltGeometry):
-        return geometry.balls[:3]
+def _triangle(geometry: Geometry) -> FloatArray:
+    return geometry.legs.balls[:3]
     return geometry.middle_radius * geometry.radial_directions
 
 

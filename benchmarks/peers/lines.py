@@ -6,19 +6,19 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from benchmarks.peers.peer import FloatArray
-from spm_pin import AsBuiltGeometry, Geometry
+from spm_pin import Geometry
 
 __all__ = ["coordinates", "lines"]
 
 
-def lines(geometry: Geometry | AsBuiltGeometry, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+def lines(geometry: Geometry, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return points and unit directions, (..., 3, 3) each, a row per corner, for poses (..., 4, 4); NaN if vertical.
 
     The two balls at a corner of a machine as built have to coincide.
     """
-    machine = AsBuiltGeometry.from_nominal(geometry) if isinstance(geometry, Geometry) else geometry
     rotation, position = matrix[..., :3, :3], matrix[..., :3, 3]
-    (lower, above), heights = machine.axes.reshape(2, 3, 3), (machine.axes * machine.pivots).sum(axis=-1, keepdims=True)
+    legs = geometry.legs
+    (lower, above), heights = legs.axes.reshape(2, 3, 3), (legs.axes * legs.pivots).sum(axis=-1, keepdims=True)
     upper = above @ np.swapaxes(rotation, -1, -2)
     along = np.cross(lower, upper)
     squared = (along * along).sum(axis=-1, keepdims=True)
@@ -28,9 +28,7 @@ def lines(geometry: Geometry | AsBuiltGeometry, matrix: FloatArray) -> tuple[Flo
     return point, along / np.sqrt(squared)
 
 
-def coordinates(
-    geometry: Geometry | AsBuiltGeometry, poses: RigidTransform, branches: list[FloatArray]
-) -> list[FloatArray]:
+def coordinates(geometry: Geometry, poses: RigidTransform, branches: list[FloatArray]) -> list[FloatArray]:
     """Return where on its line b_2 is, in the branches (k, 3, 3) of each pose, (k,) in ascending order [m].
 
     All branches of a pose differ in it, so it tells them apart, and it is what is certified.

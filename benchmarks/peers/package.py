@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 
-def inverse(problem: tuple[spm.Geometry | spm.AsBuiltGeometry, RigidTransform]) -> Prepared:
+def inverse(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
     """Prepare `inverse_displacement`: ball joints, leg lengths and status of all branches, as the C loop writes."""
     geometry, poses = problem
 
@@ -40,7 +40,7 @@ def inverse(problem: tuple[spm.Geometry | spm.AsBuiltGeometry, RigidTransform]) 
     return Prepared(call, lambda solutions: real_branches(solutions.middle_joints))
 
 
-def inverse_physical(problem: tuple[spm.Geometry | spm.AsBuiltGeometry, RigidTransform]) -> Prepared:
+def inverse_physical(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
     """Prepare `inverse_physical`: the physical branch."""
     geometry, poses = problem
     return Prepared(

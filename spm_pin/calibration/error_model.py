@@ -19,12 +19,9 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.stage_wrenches import stage_inverses
-from spm_pin.mechanism import LEGS, PARAMETERS, AsBuiltGeometry, Configuration
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, instance
-from spm_pin.mechanism.as_built import as_built
+from spm_pin.mechanism import LEGS, PARAMETERS, Configuration, Geometry
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance
 from spm_pin.mechanism.configuration import check_configuration
-
-__all__ = ["error_jacobian", "invisible_errors", "parameter_scale", "platform_error", "selected"]
 
 _KINDS = ("direction", "pivot", "ball", "offset")
 
@@ -35,7 +32,7 @@ def error_jacobian(configuration: Configuration) -> FloatArray:
     Parameters
     ----------
     configuration : Configuration
-        States of shape (...), of a `Geometry` or an `AsBuiltGeometry`.
+        States of shape (...), of a `Geometry`.
 
     Returns
     -------
@@ -57,8 +54,8 @@ def error_jacobian(configuration: Configuration) -> FloatArray:
     >>> (jacobian @ errors)[:3].round(6)
     array([-6.0e-06,  6.9e-05, -3.9e-05])
     """
-    check_configuration(configuration, as_built=True)
-    geometry = as_built(configuration.geometry)
+    check_configuration(configuration)
+    geometry = configuration.geometry
     state = configuration
     if geometry is not configuration.geometry:
         state = Configuration.from_arrays(geometry, state.rotation, state.translation, state.middle_joints)
@@ -98,7 +95,7 @@ def platform_error(state: Configuration, rotation: FloatArray, position: FloatAr
     return np.concatenate([state.translation - position, turn], axis=-1)
 
 
-def invisible_errors(geometry: AsBuiltGeometry, positions_only: bool) -> FloatArray:
+def invisible_errors(geometry: Geometry, positions_only: bool) -> FloatArray:
     """Return the errors that change no measurement, (54, 6), or (54, 9) if only positions of o are measured.
 
     Six move the frame {n} and with it the coordinates of all balls; the other three turn the frame {m} about o.
@@ -108,21 +105,21 @@ def invisible_errors(geometry: AsBuiltGeometry, positions_only: bool) -> FloatAr
     for k in range(3):
         axis = np.eye(3)[k]
         found[:, 5 + k, k] = 1.0
-        found[:, 5:8, 3 + k] = np.cross(axis, geometry.balls)
+        found[:, 5:8, 3 + k] = np.cross(axis, geometry.legs.balls)
         if positions_only:
-            found[3:, 2:5, 6 + k] = np.cross(axis, geometry.pivots[3:])
-            found[3:, :2, 6 + k] = (first[3:] @ np.cross(axis, geometry.axes[3:])[..., None])[..., 0]
+            found[3:, 2:5, 6 + k] = np.cross(axis, geometry.legs.pivots[3:])
+            found[3:, :2, 6 + k] = (first[3:] @ np.cross(axis, geometry.legs.axes[3:])[..., None])[..., 0]
     return found.reshape(54, -1)
 
 
-def parameter_scale(geometry: AsBuiltGeometry) -> FloatArray:
+def parameter_scale(geometry: Geometry) -> FloatArray:
     """Return the unit of each parameter's error (54,): a radian, or the side of the middle platform [m]."""
     return np.tile(np.repeat([1.0, geometry.nominal.middle_side], [2, 7]), 6)
 
 
 def selected(names: Collection[str] | str, argument: str) -> BoolArray:
     """Return which of `PARAMETERS` are meant by names of parameters, legs, components or kinds, such as `ball`."""
-    several = [names] if isinstance(names, str) else instance(names, Collection, argument)  # type: ignore[type-abstract]
+    several = [names] if isinstance(names, str) else check_instance(names, Collection, argument)  # type: ignore[type-abstract]
     wanted = {name if isinstance(name, str) else repr(name) for name in several}
     parts = [name.split(".") for name in PARAMETERS]
     keys = [{name, leg, part, part.split("_")[0]} for name, (leg, part) in zip(PARAMETERS, parts, strict=True)]

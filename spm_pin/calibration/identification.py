@@ -18,12 +18,8 @@ from scipy.special import gammainccinv
 from spm_pin.calibration.error_model import error_jacobian, invisible_errors, parameter_scale, selected
 from spm_pin.calibration.measurements import MeasurementError, Measurements, pose_covariances
 from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.mechanism import PARAMETERS, AsBuiltGeometry, Configuration, Geometry
+from spm_pin.mechanism import PARAMETERS, Configuration, Geometry
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, choice
-from spm_pin.mechanism.as_built import as_built
-
-__all__ = ["Calibration", "identify", "visible_basis"]
-
 
 _LOSSES = ("linear", "soft_l1", "huber", "cauchy")
 _UNKNOWN = 0.3
@@ -38,7 +34,7 @@ _CHANCE = 1e-6
 class Calibration:
     """A machine identified from N measurements, and how well it is known."""
 
-    geometry: AsBuiltGeometry
+    geometry: Geometry
     """The machine."""
     covariance: FloatArray
     """Covariance of the parameters [m, rad], shape (54, 54), zero along what is not identifiable."""
@@ -77,7 +73,7 @@ class Calibration:
 
 
 def identify(
-    geometry: Geometry | AsBuiltGeometry,
+    geometry: Geometry,
     poses: Any,
     leg_lengths: npt.ArrayLike,
     *,
@@ -90,7 +86,7 @@ def identify(
 
     Parameters
     ----------
-    geometry : Geometry or AsBuiltGeometry
+    geometry : Geometry
         The machine as it is known before.
     poses : RigidTransform of shape (N,), array_like (N, 4, 4), or array_like (N, 3)
         Measured poses of {m} in {B}; or positions of o alone [m].
@@ -121,7 +117,7 @@ def identify(
         If readings are in another unit or such that the machine has no state, columns are exchanged, a row is an
         outlier, or the measurements are too few or too much alike to determine the parameters.
     """
-    start = as_built(geometry)
+    start = geometry
     wanted = selected(PARAMETERS if parameters is None else parameters, "parameters")
     choice(loss, "loss", _LOSSES)
     data = Measurements.check(start, poses, leg_lengths)
@@ -136,7 +132,7 @@ def identify(
         raise MeasurementError("poses", expected, f"{count}", "Measure more, or name fewer `parameters`")
     scaled = parameter_scale(start)[:, None] * basis
 
-    def machine(unknown: FloatArray) -> AsBuiltGeometry:
+    def machine(unknown: FloatArray) -> Geometry:
         return start.from_parameters(start.parameters + scaled @ unknown)
 
     def residuals(unknown: FloatArray) -> FloatArray:
@@ -178,7 +174,7 @@ def identify(
     )
 
 
-def visible_basis(start: AsBuiltGeometry, wanted: BoolArray, positions_only: bool) -> tuple[FloatArray, FloatArray]:
+def visible_basis(start: Geometry, wanted: BoolArray, positions_only: bool) -> tuple[FloatArray, FloatArray]:
     """Return orthonormal combinations of scaled parameters that measurements show, (54, n), and the others, (k, 54)."""
     scale = parameter_scale(start)
     hidden = invisible_errors(start, positions_only) / scale[:, None]

@@ -16,12 +16,9 @@ from spm_pin.calibration.error_model import platform_error
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.jacobians import platform_jacobian
-from spm_pin.mechanism import LEGS, AsBuiltGeometry, Configuration, as_rigid_transform
-from spm_pin.mechanism.arguments import FloatArray, as_array, file_path, first_offender, real_array
-from spm_pin.mechanism.dimension_checks import LARGEST
+from spm_pin.mechanism import LEGS, Configuration, Geometry, as_rigid_transform
+from spm_pin.mechanism.arguments import LARGEST, FloatArray, as_array, file_path, first_offender, real_array
 from spm_pin.mechanism.units import unit_hint
-
-__all__ = ["MeasurementError", "Measurements", "pose_covariances", "read_measurements"]
 
 _POSITION, _QUATERNION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
 _UNIT_TOLERANCE = 1e-3
@@ -52,7 +49,7 @@ class Measurements:
     """6 for poses, 3 for positions alone."""
 
     @classmethod
-    def check(cls, geometry: AsBuiltGeometry, poses: Any, leg_lengths: npt.ArrayLike) -> Measurements:
+    def check(cls, geometry: Geometry, poses: Any, leg_lengths: npt.ArrayLike) -> Measurements:
         """Read the arguments of `identify`, with its errors."""
         array = as_array(poses) if not isinstance(poses, RigidTransform) else None
         if array is not None and array.shape[-1:] == (3,):
@@ -73,14 +70,14 @@ class Measurements:
         found._check_columns(geometry)
         return found
 
-    def errors(self, geometry: AsBuiltGeometry) -> FloatArray:
+    def errors(self, geometry: Geometry) -> FloatArray:
         """Return the predicted less the measured poses (N, components) [m, rad]; NaN where there is no state."""
         state = forward_physical(geometry, self.readings)
         return platform_error(state, self.rotation, self.position)[:, : self.components]
 
-    def _check_columns(self, geometry: AsBuiltGeometry) -> None:
+    def _check_columns(self, geometry: Geometry) -> None:
         """Raise if there is no state, or if exchanged columns explain the positions much better."""
-        below = self.readings <= geometry.offsets
+        below = self.readings <= geometry.legs.offsets
         if below.any():
             row, leg = first_offender(below)
             received = f"{self.readings[row, leg]:g} for {LEGS[leg]} in row {row}"
@@ -94,7 +91,7 @@ class Measurements:
             some = slice(None, None, -(-len(size) // _SUBSET))
             for tried in itertools.permutations(range(6)):
                 swapped = Measurements(self.rotation[some], self.position[some], self.readings[some][:, tried], 3)
-                if (swapped.readings > geometry.offsets).all():
+                if (swapped.readings > geometry.legs.offsets).all():
                     with np.errstate(invalid="ignore"):
                         gaps = np.linalg.norm(np.nan_to_num(swapped.errors(geometry), nan=np.inf), axis=-1)
                     if np.median(gaps) < best:

@@ -12,12 +12,9 @@ from spm_pin.calibration.identification import visible_basis
 from spm_pin.calibration.measurements import pose_covariances
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.mechanism import PARAMETERS, AsBuiltGeometry, Configuration, Geometry
-from spm_pin.mechanism.arguments import FloatArray, choice, flag, generator, whole_number
-from spm_pin.mechanism.as_built import as_built
+from spm_pin.mechanism import PARAMETERS, Configuration, Geometry
+from spm_pin.mechanism.arguments import FloatArray, as_bool, choice, generator, whole_number
 from spm_pin.mechanism.configuration import check_configuration
-
-__all__ = ["choose_poses", "random_states"]
 
 _SWEEPS = 20
 """Passes of exchanges over all chosen poses at most."""
@@ -28,7 +25,7 @@ _RIDGE = 1e-6
 
 
 def choose_poses(
-    geometry: Geometry | AsBuiltGeometry,
+    geometry: Geometry,
     count: int = 40,
     *,
     candidates: int | Configuration = 500,
@@ -43,7 +40,7 @@ def choose_poses(
 
     Parameters
     ----------
-    geometry : Geometry or AsBuiltGeometry
+    geometry : Geometry
         The machine as it is known before.
     count : int
         Number of poses.
@@ -69,15 +66,15 @@ def choose_poses(
     ArgumentError
         If there are fewer candidates than poses, too few poses for the parameters, or no leg limits to draw from.
     """
-    machine = as_built(geometry)
+    machine = geometry
     wanted = selected(PARAMETERS if parameters is None else parameters, "parameters")
     choice(criterion, "criterion", ("D", "A"))
-    basis, _ = visible_basis(machine, wanted, flag(positions_only, "positions_only"))
+    basis, _ = visible_basis(machine, wanted, as_bool(positions_only, "positions_only"))
     components = 3 if positions_only else 6
     few = -(-basis.shape[1] // components)
     count = whole_number(count, "count", f"a number of poses, at least {few} for {basis.shape[1]} unknowns", least=few)
     if isinstance(candidates, Configuration):
-        states = check_configuration(candidates, "candidates", existing=True, as_built=True)
+        states = check_configuration(candidates, "candidates", existing=True)
     else:
         states = random_states(machine, whole_number(candidates, "candidates", least=1), rng)
     if len(states.shape) != 1 or len(states) < count:
@@ -88,7 +85,7 @@ def choose_poses(
     return states[np.array(_exchanged(rows, count, criterion))]
 
 
-def random_states(geometry: AsBuiltGeometry, count: int, rng: object) -> Configuration:
+def random_states(geometry: Geometry, count: int, rng: object) -> Configuration:
     """Return states at leg readings drawn uniformly from the limits, (count,)."""
     if geometry.limits is None or not np.isfinite(geometry.limits.maximum).all():
         cause = "Give the limits to the Geometry, or the states to choose from"
@@ -97,7 +94,7 @@ def random_states(geometry: AsBuiltGeometry, count: int, rng: object) -> Configu
     for _ in range(100):
         low, high = np.array(geometry.limits.minimum), np.array(geometry.limits.maximum)
         states = forward_physical(geometry, random.uniform(low, high, (2 * wanted, 6)))
-        found.append(states.leg_lengths[states.exists][:wanted])
+        found.append(states.readings[states.exists][:wanted])
         wanted -= len(found[-1])
         if not wanted:
             return forward_physical(geometry, np.concatenate(found))

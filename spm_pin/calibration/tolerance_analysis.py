@@ -13,12 +13,9 @@ from spm_pin.calibration.error_model import error_jacobian, platform_error, sele
 from spm_pin.calibration.pose_choice import random_states
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.mechanism import PARAMETERS, AsBuiltGeometry, Configuration, Geometry
+from spm_pin.mechanism import PARAMETERS, Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray, choice, generator, real_array, real_number, whole_number
-from spm_pin.mechanism.as_built import as_built
 from spm_pin.mechanism.configuration import check_configuration
-
-__all__ = ["ToleranceAnalysis", "tolerance"]
 
 
 @dataclass(frozen=True, repr=False)
@@ -88,7 +85,7 @@ class ToleranceAnalysis:
 
 
 def tolerance(
-    geometry: Geometry | AsBuiltGeometry,
+    geometry: Geometry,
     tolerances: Mapping[str, float] | npt.ArrayLike,
     states: Configuration | int = 60,
     *,
@@ -99,7 +96,7 @@ def tolerance(
 
     Parameters
     ----------
-    geometry : Geometry or AsBuiltGeometry
+    geometry : Geometry
         The machine whose readings are commanded.
     tolerances : mapping of str to float, or array_like, shape (54,)
         Standard deviations [m, rad]: of each of `PARAMETERS`, or under names of parameters, components such as
@@ -125,12 +122,12 @@ def tolerance(
     >>> [f"{name} {share:.0%}" for name, share in found.ranking("kind")]
     ['ball 33%', 'pivot 33%', 'offset 31%', 'direction 4%']
     """
-    machine, random = as_built(geometry), generator(rng)
+    machine, random = geometry, generator(rng)
     deviations = _deviations(tolerances)
     samples = whole_number(samples, "samples", least=0, most=10**6)
     if isinstance(states, Configuration):
-        at = check_configuration(states, "states", existing=True, as_built=True)
-        if len(at.shape) != 1 or as_built(at.geometry) != machine:
+        at = check_configuration(states, "states", existing=True)
+        if len(at.shape) != 1 or at.geometry != machine:
             raise ArgumentError("states", "states of this machine, shape (N,)", f"shape {at.shape}, {at.geometry!r}")
     else:
         at = random_states(machine, whole_number(states, "states", least=1), random)
@@ -139,7 +136,7 @@ def tolerance(
     errors = np.empty((samples, len(at), 6))
     for sample in range(samples):
         built = machine.from_parameters(machine.parameters + deviations * random.standard_normal(54))
-        errors[sample] = platform_error(forward_physical(built, at.leg_lengths), at.rotation, at.translation)
+        errors[sample] = platform_error(forward_physical(built, at.readings), at.rotation, at.translation)
     return ToleranceAnalysis(
         states=at,
         deviations=deviations,

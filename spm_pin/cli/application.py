@@ -14,8 +14,6 @@ from spm_pin import __version__
 from spm_pin.cli import outputs
 from spm_pin.errors import SpmError
 
-__all__ = ["app", "run"]
-
 EXIT_CODES = """Exit codes: 0 done. 1 a comparison or a proof failed: methods disagree, a printed number is unexplained,
 leg limits hold a singularity. 2 the command cannot be carried out as typed: an option, a file, a missing extra.
 3 unreachable: no real solution. 4 degenerate: a continuous family of solutions; isolated solutions beside it are shown.

@@ -12,9 +12,7 @@ from spm_pin.calibration import Calibration, identify, read_measurements
 from spm_pin.calibration.error_model import parameter_scale
 from spm_pin.cli import options, outputs
 from spm_pin.display.result_plots import calibration_figure
-from spm_pin.mechanism import LEGS, PARAMETERS, AsBuiltGeometry
-
-__all__ = ["calibrate"]
+from spm_pin.mechanism import LEGS, PARAMETERS
 
 
 @outputs.name_options(loss="--loss", parameters="--identify", pose_noise="--pose-noise", length_noise="--length-noise")
@@ -102,7 +100,7 @@ def _report(found: Calibration) -> None:
         rows = ", ".join(map(str, np.flatnonzero(found.outliers)))
         lines.append(f"outliers in the rows {rows} after the heading, from 0")
     outputs.print_lines(lines)
-    nominal = AsBuiltGeometry.from_nominal(found.geometry.nominal)
+    nominal = found.geometry.nominal.nominal
     changes = (found.geometry.parameters - nominal.parameters).reshape(6, 9)
     names = [name.split(".")[1] for name in PARAMETERS[:9]]
     table = [[leg, *(outputs.significant(1e3 * x, 3) for x in row)] for leg, row in zip(LEGS, changes, strict=True)]

@@ -11,11 +11,9 @@ from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit
 from spm_pin.display.result_plots import certificate_figure
 from spm_pin.errors import GeometryError
-from spm_pin.mechanism import AsBuiltGeometry, Configuration, LegLimits
+from spm_pin.mechanism import Configuration, LegLimits
 from spm_pin.proofs import Certificate, InverseCertificate, certify_inverse
 from spm_pin.proofs import certify as prove
-
-__all__ = ["certify"]
 
 
 @outputs.name_options(path="--out", boxes="--boxes", length_error="--length-error", angle_error="--angle-error")
@@ -48,7 +46,7 @@ def certify(
     dimensions = options.read_any_geometry(geometry)
     if (minimum is None) != (maximum is None):
         raise GeometryError("--min and --max", "both or neither", "one of them")
-    if inverse and (length_error or angle_error or isinstance(dimensions, AsBuiltGeometry)):
+    if inverse and (length_error or angle_error or not dimensions.is_nominal):
         cause = "A bound of |det K| is proved for one nominal machine only"
         raise GeometryError("--inverse", "no errors of the machine", "errors as well", cause)
     limits = None

@@ -14,8 +14,6 @@ from spm_pin.crosscheck import METHODS, PairDifference, Report, compare_in_batch
 from spm_pin.display.result_plots import agreement_figure
 from spm_pin.mechanism import Geometry
 
-__all__ = ["compare_with_progress", "crosscheck", "print_report", "verdict_line"]
-
 
 @outputs.name_options(methods="--method", path="--figure")
 def crosscheck(

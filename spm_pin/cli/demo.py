@@ -19,8 +19,6 @@ from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import Geometry, pose
 from spm_pin.paper import published
 
-__all__ = ["demo"]
-
 _NEXT = (
     ("inverse --help", "all branches of a pose; the paper's as example"),
     ("forward --help", "the pose of six leg lengths"),

@@ -14,8 +14,6 @@ from spm_pin.display.figure_files import FORMATS
 from spm_pin.display.plots import NARROWEST, save_gallery, save_picture
 from spm_pin.errors import ArgumentError
 
-__all__ = ["draw"]
-
 
 @outputs.name_options(path="--out", leg_lengths="--legs")
 def draw(

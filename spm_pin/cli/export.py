@@ -10,9 +10,6 @@ import typer
 from spm_pin.cli import options, outputs
 from spm_pin.errors import ArgumentError
 
-__all__ = ["export"]
-
-
 Format = Literal["urdf", "mjcf", "sdf", "extended-urdf", "srdf", "c"]
 Anchors = Literal["bodies", "sites"]
 Loops = Literal["joints", "drake"]

@@ -9,11 +9,10 @@ import typer
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit, SixLegs, leg_option
+from spm_pin.display.json_text import fixed
 from spm_pin.errors import GeometryError
 from spm_pin.kinematics.forward_displacement import forward_displacement, forward_physical
-from spm_pin.mechanism import AsBuiltGeometry, Configuration, SolutionSet, Status
-
-__all__ = ["forward"]
+from spm_pin.mechanism import Configuration, SolutionSet, Status
 
 
 @outputs.name_options(leg_lengths="--legs")
@@ -31,7 +30,7 @@ def forward(
     lengths = np.array(legs) / unit.per_metre
     dimensions = options.read_any_geometry(geometry)
     physical = forward_physical(dimensions, lengths)
-    if isinstance(dimensions, AsBuiltGeometry):
+    if not dimensions.is_nominal:
         if every:
             raise GeometryError("--geometry", "nominal dimensions for --all", "a machine as built", "Leave out --all")
         modes = _alone(physical)
@@ -67,7 +66,7 @@ def _print_states(states: dict[str, Configuration], physical: str, unit: LengthU
         # One digit more where there is room for it in 80 columns.
         finer = int(len(states) == 1)
         position = [unit.text(x, finer) for x in state.translation]
-        angles = [outputs.fixed(angle, 3 + finer) for angle in _angles(state)]
+        angles = [fixed(angle, 3 + finer) for angle in _angles(state)]
         rows.append([label, *position, *angles, "physical" if label == physical else ""])
     headings = ["mode", "X", "Y", "Z", "alpha", "beta", "lambda", ""]
     outputs.print_table(f"{title}: o in {unit}, X-Y-X in degrees", headings, rows, left=[""])

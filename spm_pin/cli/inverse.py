@@ -11,8 +11,6 @@ from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit
 from spm_pin.mechanism import LEGS, SolutionSet
 
-__all__ = ["inverse"]
-
 
 @outputs.name_options()
 def inverse(

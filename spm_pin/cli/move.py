@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit, SixLegs, leg_option
+from spm_pin.display.json_text import fixed
 from spm_pin.display.result_plots import motion_figure
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LEGS, LegLimits
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
     from spm_pin.motion import MotionPlan
     from spm_pin.multibody.chain import ClosedChain
     from spm_pin.multibody.trajectory import JointTrajectory
-
-__all__ = ["move"]
 
 _NAMES = {"start": "--from", "goal": "--to", "leg_rates": "--leg-rate", "leg_accelerations": "--leg-acceleration"}
 _NAMES |= {"leg_forces": "--leg-force", "leg_jerks": "--leg-jerk", "mass": "--payload", "path": "--out"}
@@ -184,7 +183,7 @@ def _report(planned: MotionPlan, table: dict[str, FloatArray], unit: LengthUnit)
         [
             leg,
             *(unit.text(length) for length in table[leg][[0, -1]]),
-            *(outputs.fixed(np.abs(table[f"{leg}.{kind}"]).max(), count) for kind, count in digits.items()),
+            *(fixed(np.abs(table[f"{leg}.{kind}"]).max(), count) for kind, count in digits.items()),
         ]
         for leg in LEGS
     ]

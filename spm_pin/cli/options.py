@@ -12,46 +12,14 @@ import numpy as np
 import typer
 from scipy.spatial.transform import RigidTransform
 
-from spm_pin.cli.outputs import fixed, note
+from spm_pin.cli.outputs import note
+from spm_pin.display.json_text import fixed
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.kinematics.starting_configuration import starting_configuration
-from spm_pin.mechanism import FAMILIES, AsBuiltGeometry, Configuration, Geometry, SolutionSet, Status, pose
-from spm_pin.mechanism.as_built import any_geometry_from_yaml
+from spm_pin.mechanism import FAMILIES, Configuration, Geometry, SolutionSet, Status, pose
 from spm_pin.mechanism.units import PER_METRE, likely_unit, machine_size
-
-__all__ = [
-    "PREFIX",
-    "AnyGeometryFile",
-    "AnyLegs",
-    "AnyTranslation",
-    "AnyXyx",
-    "AsJson",
-    "Branches",
-    "GeometryFile",
-    "LengthUnit",
-    "Limits",
-    "SixLegs",
-    "Translation",
-    "Triple",
-    "Unit",
-    "Xyx",
-    "end_command",
-    "exit_code",
-    "leg_option",
-    "note_unit",
-    "pose_remarks",
-    "read_any_geometry",
-    "read_geometry",
-    "read_pose",
-    "requested_solutions",
-    "selected_labels",
-    "solve_pose",
-    "status_line",
-    "titled_branches",
-    "unit_hint",
-]
 
 
 class LengthUnit(enum.StrEnum):
@@ -114,13 +82,13 @@ Branches = Annotated[
 def read_geometry(path: Path | None) -> Geometry:
     """Return the geometry of `--geometry`, or the paper's, as `read_any_geometry`; a machine as built is an error."""
     found = read_any_geometry(path)
-    if isinstance(found, AsBuiltGeometry):
+    if not found.is_nominal:
         cause = "This command is for the nominal machine: give the dimensions under the key nominal"
         raise GeometryError("--geometry", "nominal dimensions", f"{path}, a machine as built", cause)
     return found
 
 
-def read_any_geometry(path: Path | None) -> Geometry | AsBuiltGeometry:
+def read_any_geometry(path: Path | None) -> Geometry:
     """Return the geometry of `--geometry`, of a nominal machine or of one as built; by default the paper's.
 
     Warnings about the file are notes on stderr; a file that describes no manipulator is a `GeometryError`.
@@ -130,7 +98,7 @@ def read_any_geometry(path: Path | None) -> Geometry | AsBuiltGeometry:
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            geometry = any_geometry_from_yaml(path)
+            geometry = Geometry.from_yaml(path)
     except GeometryError as error:
         where = "--geometry" if error.argument == "path" else f"--geometry: {error.argument}"
         raise GeometryError(where, error.expected, error.received, error.cause) from error
@@ -145,9 +113,7 @@ def read_pose(translation: Triple, xyx: Triple, unit: LengthUnit) -> RigidTransf
     return pose(np.array(translation) / unit.per_metre, xyx=np.deg2rad(turned))
 
 
-def unit_hint(
-    option: str, typed: float | tuple[float, ...], unit: LengthUnit, geometry: Geometry | AsBuiltGeometry
-) -> str:
+def unit_hint(option: str, typed: float | tuple[float, ...], unit: LengthUnit, geometry: Geometry) -> str:
     """Return a hint at the unit where lengths are out of proportion to the machine, else an empty string.
 
     `typed`, after `option`, is a length or several, of which the norm counts, in the `unit` they were read in.
@@ -163,7 +129,7 @@ def unit_hint(
     )
 
 
-def note_unit(option: str, typed: float, unit: LengthUnit, geometry: Geometry | AsBuiltGeometry) -> None:
+def note_unit(option: str, typed: float, unit: LengthUnit, geometry: Geometry) -> None:
     """Print the hint of `unit_hint` on stderr, if there is one."""
     if hint := unit_hint(option, typed, unit, geometry):
         note(hint, "yellow")

@@ -14,31 +14,12 @@ from rich.cells import cell_len
 from rich.console import Console
 
 from spm_pin.display.figure_files import FORMATS, save_figure
-from spm_pin.display.json_text import fixed, to_json
+from spm_pin.display.json_text import to_json
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism.arguments import writing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-__all__ = [
-    "check_output",
-    "file_name",
-    "file_option",
-    "fixed",
-    "name_options",
-    "note",
-    "picture_option",
-    "print_lines",
-    "print_table",
-    "significant",
-    "stderr",
-    "stdout",
-    "write_figure",
-    "write_json",
-    "write_model",
-    "write_text",
-]
 
 # Without markup: file names and messages may contain brackets, which Rich would take for styles.
 stdout = Console(markup=False, highlight=False)

@@ -13,8 +13,7 @@ import typer
 from spm_pin.cli import options, outputs
 from spm_pin.crosscheck import POSE, TABLES, Reproduction, Verdict
 from spm_pin.crosscheck import reproduce as recompute
-
-__all__ = ["print_summary", "reproduce", "summary_line"]
+from spm_pin.display.json_text import fixed
 
 _TITLES = {
     POSE: "The example's pose (cm, degrees) from the leg lengths 120, 120, 140, 125, 120, 150 cm",
@@ -95,7 +94,7 @@ def _number(value: complex, like: str | None = None) -> str:
     text = like or "0.0000"
     digits = len(text.removesuffix("i").rpartition(".")[2]) if "." in text else 0
     digits = min(digits + 1, 5)
-    real = outputs.fixed(value.real, digits)
+    real = fixed(value.real, digits)
     return real if abs(value.imag) < 1e-9 else f"{real}{value.imag:+.{digits}f}i"
 
 
@@ -123,7 +122,7 @@ def _print_cells(found: Reproduction) -> None:
         rows = []
         for true in found.true_values:
             name, *numbers = astuple(true)
-            rows.append([name, *(outputs.fixed(x, 6) for x in numbers), f"{max(numbers) - min(numbers):.0e}"])
+            rows.append([name, *(fixed(x, 6) for x in numbers), f"{max(numbers) - min(numbers):.0e}"])
         headings = ["", "paper: 9 × 9", "wrench form", "Pinocchio", "difference"]
         outputs.print_table("The true numbers of Table 5 by three methods", headings, rows)
 

@@ -10,8 +10,6 @@ from spm_pin.kinematics.singularity_analysis import SingularityKind
 from spm_pin.kinematics.singularity_analysis import singularities as analyse
 from spm_pin.mechanism import Configuration
 
-__all__ = ["singularities"]
-
 _MATRICES = ("J_b", "J_c", "K")
 
 

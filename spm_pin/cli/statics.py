@@ -14,8 +14,6 @@ from spm_pin.kinematics.jacobians import leg_rates
 from spm_pin.kinematics.leg_forces import leg_forces
 from spm_pin.mechanism import LEGS, Configuration
 
-__all__ = ["statics"]
-
 _NONE = (0.0, 0.0, 0.0)
 
 

@@ -21,8 +21,6 @@ from spm_pin.mechanism import LegLimits
 from spm_pin.sweeps.domains import Domain
 from spm_pin.sweeps.runner import CHUNK
 
-__all__ = ["sweep"]
-
 _DEFAULT = ("reachable", "branches", "conditioning")
 _RANGE = "START:STOP:COUNT"
 

@@ -9,8 +9,6 @@ import typer
 from spm_pin.calibration import tolerance as analyse
 from spm_pin.cli import options, outputs
 
-__all__ = ["tolerance"]
-
 Deviation = Annotated[float, typer.Option(min=0.0, metavar="SIGMA", help="Standard deviation, in metres or radians.")]
 
 

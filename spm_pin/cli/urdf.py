@@ -6,9 +6,6 @@ from pathlib import Path
 from typing import Annotated
 
 from spm_pin.cli import options, outputs
-from spm_pin.mechanism import AsBuiltGeometry
-
-__all__ = ["urdf"]
 
 
 @outputs.name_options()
@@ -29,7 +26,7 @@ def urdf(
     from spm_pin.description.write_urdf import urdf_text
 
     dimensions = options.read_any_geometry(geometry)
-    if isinstance(dimensions, AsBuiltGeometry):
+    if not dimensions.is_nominal:
         folder = description_directory() if out else None
         outputs.write_model(urdf_text(manipulator(dimensions, prefix=prefix), folder=folder), out)
     else:

@@ -14,8 +14,6 @@ from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit
 from spm_pin.errors import require_extra
 
-__all__ = ["view"]
-
 
 @outputs.name_options(allowed_origins="--origin", leg_lengths="--legs")
 def view(

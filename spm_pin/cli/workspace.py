@@ -18,8 +18,6 @@ from spm_pin.mechanism import LEGS, LegLimits
 from spm_pin.workspace.paper_shell.shell import Patch, Shell, workspace_shell
 from spm_pin.workspace.paper_shell.sub_workspaces import ERRATA
 
-__all__ = ["workspace"]
-
 
 @outputs.name_options(path="--out")
 def workspace(

@@ -6,8 +6,6 @@ import enum
 from dataclasses import dataclass
 from decimal import Decimal
 
-__all__ = ["Cell", "Verdict", "matches", "number"]
-
 
 class Verdict(enum.StrEnum):
     """Verdict on a printed cell."""

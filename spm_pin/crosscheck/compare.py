@@ -19,8 +19,6 @@ from spm_pin.mechanism import BRANCHES, Configuration, Geometry, Status
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 from spm_pin.mechanism.configuration import compared_points
 
-__all__ = ["Comparison"]
-
 _FORCE = 1e3
 """Largest component of the wrenches: forces [N], and moments over d [N]."""
 _BRANCHES = len(BRANCHES)

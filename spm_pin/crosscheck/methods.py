@@ -26,8 +26,6 @@ from spm_pin.paper import resultant
 from spm_pin.paper.driving_forces import f_r
 from spm_pin.paper.jacobian import CORRECT, J_f, Table5Mistakes
 
-__all__ = ["METHODS", "ClosedForm", "Ipopt", "Method", "Nlp", "Paper", "Pinocchio", "make_methods"]
-
 ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 """Closure residual of a backward stable route, relative to the size of the robot: the closed form's worst
 over 10⁵ poses is 45 eps, see `docs/theory/inverse_displacement.md`."""

@@ -9,11 +9,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.mechanism import Geometry, LegLimits, pose
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, generator, instance, whole_number
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, generator, whole_number
 from spm_pin.mechanism.ball_triangles import triangle_frames
 from spm_pin.mechanism.pose import homogeneous
-
-__all__ = ["command", "in_leg_space", "on_all_rotations", "printable"]
 
 _STEPS = 30
 """Steps of Newton's method for each stage."""
@@ -51,7 +49,7 @@ def on_all_rotations(geometry: Geometry, count: int, rng: np.random.Generator | 
 
 
 def _checked(geometry: Geometry, count: int, rng: np.random.Generator | int) -> tuple[int, np.random.Generator]:
-    instance(geometry, Geometry, "geometry")
+    check_instance(geometry, Geometry, "geometry")
     return whole_number(count, "count", "a number of poses up to 10⁹", most=10**9), generator(rng)
 
 

@@ -22,8 +22,6 @@ from spm_pin.crosscheck.scores import MethodScore, PairDifference
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, Progress, whole_number
 from spm_pin.mechanism.geometry import Geometry
 
-__all__ = ["Report", "compare_in_batches", "compare_methods"]
-
 LEG_SPACE = 0.8
 """Share of the poses drawn in leg space; the rest have rotations from all of SO(3)."""
 _BATCH = 10

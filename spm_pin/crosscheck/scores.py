@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 
 import scipy
 
-__all__ = ["MethodScore", "PairDifference", "Quantity"]
-
 UNLIKELY = 1e-6
 """A number of missed branches less probable than this at a method's stated rate counts as a fault."""
 

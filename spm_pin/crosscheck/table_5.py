@@ -15,8 +15,6 @@ from spm_pin.paper import published
 from spm_pin.paper.driving_forces import load, table_5
 from spm_pin.paper.jacobian import Table5Mistakes
 
-__all__ = ["Diagnosis", "TrueValue", "diagnoses", "rates_and_forces", "true_values"]
-
 _CM = 100.0
 """Centimetres per metre."""
 _KILO = 1e3

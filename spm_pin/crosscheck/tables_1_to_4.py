@@ -22,8 +22,6 @@ from spm_pin.mechanism import BRANCHES, LEGS, Configuration, Geometry, pose
 from spm_pin.mechanism.arguments import FloatArray, IntArray
 from spm_pin.paper import published, resultant
 
-__all__ = ["POSE", "TABLES", "MisprintedEquation", "Reproduction", "SolvedTwice", "reproduce"]
-
 TABLES = (1, 2, 3, 4, 5)
 """Numbers of the paper's tables that can be recomputed."""
 POSE = 0

@@ -22,8 +22,6 @@ import numpy as np
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.configuration import Configuration
 
-__all__ = ["ROWS", "Conditioning"]
-
 ROWS = 3.0
 """√9: from the largest of nine equations to their norm."""
 _SINGULAR = 16.0 * float(np.finfo(np.float64).eps)

@@ -17,14 +17,12 @@ from scipy.spatial.transform import Rotation
 from spm_pin.description.closures import Closure
 from spm_pin.description.robot_description import RobotDescription
 from spm_pin.description.robot_parts import Joint, Link, Placement
-from spm_pin.mechanism import LEGS, AsBuiltGeometry
+from spm_pin.mechanism import LEGS, Geometry
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.leg_frames import ball_placements, leg_placements
 
-__all__ = ["as_built_closures", "as_built_robot"]
 
-
-def as_built_robot(robot: RobotDescription, geometry: AsBuiltGeometry, prefix: str) -> RobotDescription:
+def as_built_robot(robot: RobotDescription, geometry: Geometry, prefix: str) -> RobotDescription:
     """Return the robot of a nominal geometry with the dimensions of a machine as built; names begin with `prefix`."""
     corners, middle = leg_placements(geometry), ball_placements(geometry)
     moved: dict[str, FloatArray] = {f"base_a{i + 1}_mount": corners[i] for i in range(3)}
@@ -54,14 +52,14 @@ def as_built_closures(closures: Iterable[Closure], prefix: str) -> tuple[Closure
     )
 
 
-def _moved(joint: Joint, moved: dict[str, FloatArray], geometry: AsBuiltGeometry, prefix: str) -> Joint:
+def _moved(joint: Joint, moved: dict[str, FloatArray], geometry: Geometry, prefix: str) -> Joint:
     """Return a joint at its place in the machine; the limits of a slide are those of its reading."""
     name = joint.name.removeprefix(prefix)
     if name in moved:
         return replace(joint, placement=_placement(moved[name]))
     if not name.endswith("_slide"):
         return joint
-    offset = float(geometry.offsets[LEGS.index(f"r_{name[4:6]}")])
+    offset = float(geometry.legs.offsets[LEGS.index(f"r_{name[4:6]}")])
     return replace(
         joint, limit=replace(joint.limit, lower=joint.limit.lower - offset, upper=joint.limit.upper - offset)
     )

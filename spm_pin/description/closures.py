@@ -11,8 +11,6 @@ from spm_pin.description.xml_nodes import check_prefix
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism.yaml_node import YamlNode
 
-__all__ = ["KINDS", "Closure", "closure_at", "read_closures"]
-
 KINDS = {"point": "3d", "weld": "6d"}
 """Kinds of closure, each with its name in an Extended-URDF file."""
 

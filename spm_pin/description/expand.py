@@ -11,9 +11,7 @@ import yaml
 from spm_pin.description.paths import ENTRY, MESHES, description_directory, description_file
 from spm_pin.description.xml_nodes import check_prefix
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.geometry_files import geometry_data
-
-__all__ = ["expand"]
+from spm_pin.mechanism.geometry_files import as_data
 
 # xacro keeps its state in module globals.
 _XACRO = threading.Lock()
@@ -46,7 +44,7 @@ def expand(geometry: Geometry | None = None, *, prefix: str = "", meshes: str | 
     import xacro
 
     check_prefix(prefix)
-    data = geometry_data(Geometry.paper() if geometry is None else geometry)
+    data = as_data(Geometry.paper() if geometry is None else geometry)
     with tempfile.TemporaryDirectory() as folder, _XACRO:
         path = Path(folder) / "geometry.yaml"
         path.write_text(yaml.safe_dump(data), encoding="utf-8")

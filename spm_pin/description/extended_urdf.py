@@ -14,8 +14,6 @@ from spm_pin.description.closures import KINDS, Closure, closure_at
 from spm_pin.description.robot_description import RobotDescription
 from spm_pin.mechanism.yaml_node import YamlNode
 
-__all__ = ["JOINT_TYPES", "ExtendedUrdf", "extended_urdf_text", "read_extended_urdf"]
-
 JOINT_TYPES = re.compile(r"SPHERICAL|FIXED|UJOINT_[XYZ][XYZ]")
 """Joint types that a joint of the URDF can be changed to when it is loaded."""
 

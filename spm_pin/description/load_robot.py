@@ -15,14 +15,12 @@ from spm_pin.description.robot_description import RobotDescription
 from spm_pin.description.robot_parts import Transmission
 from spm_pin.description.tree import joint_values
 from spm_pin.errors import DescriptionError
-from spm_pin.mechanism import AsBuiltGeometry, Configuration, Geometry
+from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.yaml_node import YamlNode
-
-__all__ = ["manipulator", "read_robot"]
 
 
 def manipulator(
-    geometry: Geometry | AsBuiltGeometry | None = None,
+    geometry: Geometry | None = None,
     *,
     prefix: str = "",
     states: Mapping[str, Configuration] | None = None,
@@ -31,7 +29,7 @@ def manipulator(
 
     Parameters
     ----------
-    geometry : Geometry or AsBuiltGeometry, optional
+    geometry : Geometry, optional
         By default the paper's.
     prefix : str
         Put before every name but those of the states.
@@ -47,7 +45,7 @@ def manipulator(
     """
     geometry = Geometry.paper() if geometry is None else geometry
     robot = urdf_description(expand(geometry.nominal, prefix=prefix), read_closures(prefix=prefix))
-    if isinstance(geometry, AsBuiltGeometry):
+    if not geometry.is_nominal:
         robot = as_built_robot(robot, geometry, prefix)
     values = {}
     for name, configuration in (states or {}).items():

@@ -8,20 +8,6 @@ from spm_pin.errors import DescriptionError
 from spm_pin.mechanism.arguments import writing
 from spm_pin.mechanism.geometry import config_directory
 
-__all__ = [
-    "CLOSURES",
-    "ENTRY",
-    "EXTENDED_URDF",
-    "MESHES",
-    "MJCF",
-    "SDF",
-    "SRDF",
-    "URDF",
-    "copy_meshes",
-    "description_directory",
-    "description_file",
-]
-
 # Names of files; `spm_pin.description` says what each is.
 ENTRY = "spm.urdf.xacro"
 URDF = "spm.urdf"

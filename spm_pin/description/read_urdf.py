@@ -13,8 +13,6 @@ from spm_pin.description.urdf_elements import inertial, limit, merged_closures, 
 from spm_pin.description.xml_nodes import Node, parse
 from spm_pin.errors import DescriptionError
 
-__all__ = ["TRANSMISSION", "read_urdf", "urdf_description"]
-
 TRANSMISSION = "transmission_interface/SimpleTransmission"
 """The type of transmission that is read and written."""
 

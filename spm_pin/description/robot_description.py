@@ -15,8 +15,6 @@ from spm_pin.description.robot_parts import Joint, Link, Transmission
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["ASSEMBLED", "RobotDescription"]
-
 ASSEMBLED = 1e-9
 """Largest gap [m] of a closure, and largest angle [rad] of a weld, at which a robot counts as assembled."""
 

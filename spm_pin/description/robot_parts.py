@@ -13,8 +13,6 @@ from scipy.spatial.transform import Rotation
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.pose import homogeneous
 
-__all__ = ["MOVING", "Inertial", "Joint", "Limit", "Link", "Material", "Mesh", "Placement", "Shape", "Transmission"]
-
 MOVING = ("revolute", "continuous", "prismatic")
 """Kinds of joint with a degree of freedom."""
 

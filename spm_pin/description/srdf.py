@@ -9,8 +9,6 @@ from spm_pin.description.xml_nodes import check_prefix
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism.configuration import Configuration
 
-__all__ = ["HOME", "srdf_text"]
-
 HOME = "home"
 """Name of the state in which all joints are at zero."""
 
@@ -48,8 +46,8 @@ def srdf_text(configurations: Mapping[str, Configuration], *, prefix: str = "") 
             raise DescriptionError("configurations", "one geometry in all states", f"another one in {name}")
         values = joint_values(configuration)
         limits = configuration.geometry.limits
-        if limits is not None and not limits.contains(configuration.leg_lengths):
-            beyond = -1e3 * float(limits.margin(configuration.leg_lengths))
+        if limits is not None and not limits.contains(configuration.readings):
+            beyond = -1e3 * float(limits.margin(configuration.readings))
             lines.append(f"  <!-- A solution outside the leg limits, by {beyond:.1f} mm. -->")
         lines += _state(name, values, prefix)
     lines += [f'  <passive_joint name="{prefix}{name}"/>' for name in PASSIVE]

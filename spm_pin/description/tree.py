@@ -7,8 +7,6 @@ import itertools
 from spm_pin.mechanism import Configuration, joint_angles
 from spm_pin.mechanism.configuration import check_configuration
 
-__all__ = ["ANGLES", "JOINTS", "PASSIVE", "SLIDES", "joint_values", "touching_links"]
-
 JOINTS = (
     *("leg_b1_hip", "leg_b1_slide", "ball_b1_x", "ball_b1_y", "ball_b1_z"),
     *("ball_c1_z", "ball_c1_y", "ball_c1_x", "leg_c1_slide", "leg_c1_hip"),
@@ -36,7 +34,7 @@ def joint_values(configuration: Configuration) -> dict[str, float]:
     By name, without prefix, in the order of `JOINTS`: angles in [-π, π] [rad], slides [m] as length minus home length.
     Where the configuration violates the mechanism's closure, so does the tree.
     """
-    check_configuration(configuration, single=True, existing=True, as_built=True)
+    check_configuration(configuration, single=True, existing=True)
     found = joint_angles(configuration, corners=(0,)).values
     values = dict(zip((*ANGLES, *SLIDES), found.tolist(), strict=True))
     return {name: values[name] for name in JOINTS}

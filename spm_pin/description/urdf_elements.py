@@ -9,8 +9,6 @@ from spm_pin.description.robot_parts import Inertial, Limit, Placement
 from spm_pin.description.xml_nodes import Node, parse
 from spm_pin.errors import DescriptionError
 
-__all__ = ["check_inertials", "inertial", "limit", "merged_closures", "placement"]
-
 LARGEST = 1e12
 """Largest mass [kg], moment of inertia [kg m²] and distance of a centre of mass [m] accepted."""
 KINDS_OF_CONSTRAINT = {"spherical": "point", "spherical_joint": "point", "link": "weld"}

@@ -19,8 +19,6 @@ from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.leg_frames import home_lengths
 from spm_pin.mechanism.pose import homogeneous
 
-__all__ = ["BODIES", "VisualPart", "part_placements", "read_obj", "section_size", "visual_parts"]
-
 PLATFORMS = ("base", "middle_platform", "terminal_platform")
 BODIES = (*PLATFORMS, *(f"leg_{leg[2:]}_{half}" for half in ("cylinder", "rod") for leg in LEGS))
 """The links that move against one another, as far as they are seen; all other links are fixed to them."""
@@ -123,7 +121,7 @@ def _body_poses(configuration: Configuration) -> dict[str, FloatArray]:
     base = np.broadcast_to(np.eye(4), (*configuration.shape, 4, 4))
     terminal = homogeneous(configuration.rotation, configuration.translation)
     poses = dict(zip(PLATFORMS, (base, configuration.middle_pose.as_matrix(), terminal), strict=True))
-    hips, balls = configuration.hips, configuration.balls
+    hips, balls = configuration.leg_bases, configuration.balls
     with np.errstate(invalid="ignore"):
         z = (balls - hips) / configuration.leg_lengths[..., None]
         y = np.cross(z, configuration.leg_axes)

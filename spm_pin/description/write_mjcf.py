@@ -21,8 +21,6 @@ from spm_pin.description.xml_nodes import document, element
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism.arguments import FloatArray, choice
 
-__all__ = ["mjcf_text"]
-
 MESHES = (".stl", ".obj", ".msh")
 """Mesh formats that MuJoCo reads."""
 

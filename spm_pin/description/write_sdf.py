@@ -13,8 +13,6 @@ from spm_pin.description.xml_nodes import document, element, texts
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism.arguments import choice
 
-__all__ = ["sdf_text"]
-
 VERSION = "1.9"
 
 

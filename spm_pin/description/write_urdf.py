@@ -14,8 +14,6 @@ from spm_pin.description.robot_parts import Joint, Link, Material, Placement, Sh
 from spm_pin.description.xml_nodes import document, element
 from spm_pin.errors import DescriptionError
 
-__all__ = ["urdf_text"]
-
 DRAKE = "http://drake.mit.edu"
 
 

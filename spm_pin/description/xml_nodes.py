@@ -14,8 +14,6 @@ import numpy as np
 
 from spm_pin.errors import DescriptionError
 
-__all__ = ["Node", "check_prefix", "document", "element", "parse", "texts"]
-
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 """As C++ reads it: other readers leave out what only Python takes for a number, a whole inertia for example."""
 

@@ -11,8 +11,6 @@ from spm_pin.mechanism.arguments import file_path, writing
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["FORMATS", "WIDEST", "check_appearance", "new_figure", "save_figure"]
-
 FORMATS = (".png", ".svg", ".pdf")
 """File types that figures are written in."""
 

@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["fixed", "to_json"]
-
 
 def fixed(value: float, digits: int) -> str:
     """Format with a number of decimals; a number that rounds to zero has no sign."""

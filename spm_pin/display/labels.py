@@ -17,8 +17,6 @@ from spm_pin.mechanism.arguments import FloatArray
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["LabelPlacer", "label"]
-
 _INK = (0.13, 0.15, 0.18)
 
 

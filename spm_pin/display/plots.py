@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["NARROWEST", "VIEW", "draw", "draw_solids", "save_gallery", "save_picture"]
-
 _EDGE = 0.45  # width of edges in points
 _WIDTH = 4.0  # of a new figure, in inches
 _MARGINS = (0.049, 0.035)  # for labels

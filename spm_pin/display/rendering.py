@@ -18,8 +18,6 @@ from spm_pin.display.scene import Colour, Scene
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 
-__all__ = ["VIEW", "Extent", "Image", "Rendering", "bounds", "camera_axes", "render"]
-
 Image = npt.NDArray[np.float32]
 """Pixels (height, width, 4): red, green, blue and opacity, each from 0 to 1."""
 Extent = tuple[float, float, float, float]

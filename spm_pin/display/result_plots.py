@@ -10,7 +10,7 @@ from spm_pin.calibration import Calibration
 from spm_pin.crosscheck import Quantity, Report
 from spm_pin.description.tree import SLIDES
 from spm_pin.display.figure_files import new_figure
-from spm_pin.mechanism.arguments import FloatArray, instance
+from spm_pin.mechanism.arguments import FloatArray, check_instance
 from spm_pin.mechanism.leg_limits import LEGS, LegLimits
 from spm_pin.proofs import Certificate
 
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from spm_pin.multibody.trajectory import JointTrajectory
-
-__all__ = ["agreement_figure", "calibration_figure", "certificate_figure", "motion_figure"]
 
 # After Okabe and Ito's palette, distinct with any colour vision.
 _BLUE, _SKY, _GREEN, _VERMILION, _ORANGE, _PURPLE = "#0072b2", "#56b4e9", "#009e73", "#d55e00", "#e69f00", "#cc79a7"
@@ -57,7 +55,7 @@ def agreement_figure(report: Report) -> Figure:
 
 def calibration_figure(calibration: Calibration) -> Figure:
     """Draw the position errors of all measurements before and after, and the uncertainties of the combinations."""
-    instance(calibration, Calibration, "calibration")
+    check_instance(calibration, Calibration, "calibration")
     figure = new_figure(9.0, 3.8, layout="constrained")
     errors, combinations = figure.subplots(1, 2, width_ratios=(3, 2))
     rows = np.arange(len(calibration.misfit))
@@ -83,7 +81,7 @@ def calibration_figure(calibration: Calibration) -> Figure:
 
 def certificate_figure(certificate: Certificate) -> Figure:
     """Draw the boxes of both stages over the tilt of the middle platform, seen along Z."""
-    instance(certificate, Certificate, "certificate")
+    check_instance(certificate, Certificate, "certificate")
     figure = new_figure(9.0, 4.6, layout="constrained")
     stages = (("lower stage", certificate.lower, 0), ("upper stage", certificate.upper, 1))
     for ax, (name, proof, k) in zip(figure.subplots(1, 2), stages, strict=True):
@@ -145,7 +143,7 @@ def motion_figure(
     from spm_pin.multibody.trajectory import JointTrajectory
 
     colours = (_BLUE, _SKY, _GREEN, _VERMILION, _ORANGE, _PURPLE)
-    instance(motion, JointTrajectory, "motion")
+    check_instance(motion, JointTrajectory, "motion")
     # The chain may have a prefix.
     slides = [next(k for k, name in enumerate(motion.joint_names) if name.endswith(slide)) for slide in SLIDES]
     figure = new_figure(8.0, 8.4, layout="constrained")

@@ -13,8 +13,6 @@ from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 
-__all__ = ["AXIS_COLOURS", "TRIAD", "Colour", "Scene", "Solid", "scene"]
-
 Colour = tuple[float, float, float]
 """Red, green and blue in sRGB, from 0 to 1."""
 

@@ -13,14 +13,12 @@ from scipy import ndimage
 from spm_pin.display.figure_files import new_figure
 from spm_pin.display.shell_plots import FAMILY_COLOURS, patch_symbol, style_axes
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, instance
+from spm_pin.mechanism.arguments import FloatArray, check_instance
 from spm_pin.workspace.paper_shell.shell import Shell
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-__all__ = ["Plane", "draw_section", "sections_figure"]
 
 _FILL = {"det K < 0": "#CFDDED", "det K > 0": "#F3DCCB", "either sign": "#8C8A93"}
 """Colours of cells reached on one side of an inverse singularity, on the other, and on both."""
@@ -128,7 +126,7 @@ def sections_figure(shell: Shell, reached: FloatArray, aspect: npt.NDArray[np.in
 
     `reached` and `aspect` are those of `draw_section`.
     """
-    instance(shell, Shell, "shell", "Make one with workspace.shell(geometry)")
+    check_instance(shell, Shell, "shell", "Make one with workspace.shell(geometry)")
     bottom, top = float(shell.vertices[:, 2].min()), float(shell.vertices[:, 2].max())
     heights = [float(f"{bottom + share * (top - bottom):.2g}") for share in (0.21, 0.36, 0.65)]
     planes = [*map(Plane.level, heights), Plane.upright(0.0), Plane.upright(0.5 * math.pi)]

@@ -14,23 +14,12 @@ from spm_pin.display.plots import draw_solids
 from spm_pin.display.rendering import VIEW, Rendering, camera_axes
 from spm_pin.display.scene import Colour, Scene, Solid
 from spm_pin.errors import require_extra
-from spm_pin.mechanism.arguments import file_path, instance, writing
+from spm_pin.mechanism.arguments import check_instance, file_path, writing
 from spm_pin.workspace.paper_shell.shell import Patch, Shell
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-__all__ = [
-    "FAMILY_COLOURS",
-    "MESH_FORMATS",
-    "VIEWS",
-    "draw_shell",
-    "patch_symbol",
-    "save_mesh",
-    "shell_figure",
-    "style_axes",
-]
 
 # Okabe and Ito's, light ones for surfaces, https://jfly.uni-koeln.de/color/.
 FAMILY_COLOURS: dict[str, Colour] = {
@@ -71,7 +60,7 @@ def draw_shell(
     ArgumentError
         If `shell` is no Shell, `ax` is three-dimensional, or `view` is not two angles.
     """
-    instance(shell, Shell, "shell", "Make one with workspace.shell(geometry)")
+    check_instance(shell, Shell, "shell", "Make one with workspace.shell(geometry)")
     camera = camera_axes(view)
     solids = [
         # The renderer shows what faces the viewer, and that is all one sees of a closed shell.

@@ -10,19 +10,16 @@ import numpy.typing as npt
 from spm_pin.kinematics.batches import flat_batch, run_kernel, with_batch_shape
 from spm_pin.kinematics.forward_displacement_arguments import check_seed, read_leg_lengths
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.as_built import AsBuiltGeometry, is_nominal
 from spm_pin.mechanism.ball_triangles import triangle_frames, triangle_sides
 from spm_pin.mechanism.branches import physical
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 
-__all__ = ["as_built_forward"]
-
 _MIN_BATCH_PER_THREAD = 1 << 11
 
 
 def as_built_forward(
-    geometry: AsBuiltGeometry,
+    geometry: Geometry,
     leg_lengths: npt.ArrayLike,
     seed: Configuration | None,
     solve_nominal: Callable[[Geometry, FloatArray], Configuration],
@@ -40,14 +37,11 @@ def as_built_forward(
         rotation, position = seed.rotation[..., None, :, :], seed.translation[..., None, :]
         upper = ((seed.balls[..., 3:, :] - position)[..., None, :] @ rotation)[..., 0, :]
         balls = np.concatenate([seed.balls[..., :3, :], upper], axis=-2)
-        legs = [flat_batch(x, shape, 1) for x in (seed.leg_lengths - geometry.offsets, lengths)]
+        legs = [flat_batch(x, shape, 1) for x in (seed.leg_lengths, lengths)]
         return _compose(geometry, _follow(geometry, geometry, flat_batch(balls, shape, 2), *legs), shape)
     shape, lengths = lengths.shape[:-1], lengths.reshape(-1, 6)
-    nominal = AsBuiltGeometry.from_nominal(geometry.nominal)
+    nominal = geometry.nominal
     start = solve_nominal(geometry.nominal, lengths)
-    if is_nominal(geometry):
-        state = start.rotation, start.translation, start.middle_joints
-        return Configuration.from_arrays(geometry, *with_batch_shape(state, shape))
     upper = (start.middle_joints - start.translation[:, None]) @ start.rotation
     balls = _follow(nominal, geometry, np.concatenate([start.middle_joints, upper], axis=1), lengths, lengths)
     found = physical(_compose(geometry, balls, (len(lengths),)))
@@ -60,15 +54,15 @@ def as_built_forward(
 
 
 def _follow(
-    start: AsBuiltGeometry, end: AsBuiltGeometry, balls: FloatArray, start_lengths: FloatArray, end_lengths: FloatArray
+    start: Geometry, end: Geometry, balls: FloatArray, start_lengths: FloatArray, end_lengths: FloatArray
 ) -> FloatArray:
     """Follow states to other dimensions and lengths (N, 6); balls (N, 6, 3), the lower in {B}, the upper in {m}."""
     from spm_pin.kinematics.kernels.ball_circles import follow_circles
 
     unit, found = end.nominal.middle_radius, np.empty_like(balls)
     for stage in (slice(3), slice(3, 6)):
-        machines = [np.stack([g.axes[stage], g.pivots[stage] / unit]) for g in (start, end)]
-        sides = [triangle_sides(g.balls[stage]) / unit for g in (start, end)]
+        machines = [np.stack([g.legs.axes[stage], g.legs.pivots[stage] / unit]) for g in (start, end)]
+        sides = [triangle_sides(g.legs.balls[stage]) / unit for g in (start, end)]
         inputs = balls[:, stage] / unit, start_lengths[:, stage] / unit, end_lengths[:, stage] / unit
         results = ((3, 3), np.float64), ((), np.bool_)
         moved, _ = run_kernel(follow_circles, inputs, (*machines, *sides), results, _MIN_BATCH_PER_THREAD)
@@ -77,7 +71,7 @@ def _follow(
     return found
 
 
-def _follow_from_home(nominal: AsBuiltGeometry, geometry: AsBuiltGeometry, lengths: FloatArray) -> FloatArray:
+def _follow_from_home(nominal: Geometry, geometry: Geometry, lengths: FloatArray) -> FloatArray:
     """Follow the level state with equal legs to legs (N, 6); return its balls as `_follow` does."""
     dimensions = geometry.nominal
     hips = np.array([dimensions.base_radius, dimensions.platform_radius]) - dimensions.middle_radius
@@ -91,9 +85,9 @@ def _follow_from_home(nominal: AsBuiltGeometry, geometry: AsBuiltGeometry, lengt
     return _follow(geometry, geometry, _follow(nominal, geometry, balls, legs, legs), legs, lengths)
 
 
-def _compose(geometry: AsBuiltGeometry, balls: FloatArray, shape: tuple[int, ...]) -> Configuration:
+def _compose(geometry: Geometry, balls: FloatArray, shape: tuple[int, ...]) -> Configuration:
     """Return the states of shape (...) in which {n} is where balls (N, 6, 3) are, seen from {B} and from {m}."""
-    local, placed = geometry.balls.reshape(2, 3, 3), balls.reshape(-1, 2, 3, 3)
+    local, placed = geometry.legs.balls.reshape(2, 3, 3), balls.reshape(-1, 2, 3, 3)
     turns = triangle_frames(placed) @ np.swapaxes(triangle_frames(local), -1, -2)
     places = placed.mean(axis=-2) - (turns @ local.mean(axis=-2)[..., None])[..., 0]
     rotation = turns[:, 0] @ np.swapaxes(turns[:, 1], -1, -2)

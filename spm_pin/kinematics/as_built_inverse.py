@@ -12,21 +12,19 @@ import numpy.typing as npt
 
 from spm_pin.kinematics.batches import BRANCH_RESULTS, branch_states, radii, read_pose, run_kernel, with_batch_shape
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.branches import BRANCHES, tangent_signs
 from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import PoseLike, homogeneous
 from spm_pin.mechanism.solution_status import Status
 from spm_pin.mechanism.solutions import SolutionSet
-
-__all__ = ["as_built_complex_joints", "as_built_inverse", "as_built_physical"]
 
 _MIN_BATCH_PER_THREAD = 1 << 9
 _LARGE = 5e-3
 """Errors, of directions and in units of the middle platform's radius, that may make other branches physical."""
 
 
-def as_built_inverse(geometry: AsBuiltGeometry, pose: PoseLike) -> SolutionSet:
+def as_built_inverse(geometry: Geometry, pose: PoseLike) -> SolutionSet:
     """Find all configurations of a machine as built that hold the platform in a pose; see `inverse_displacement`.
 
     `.met` is true under a label whose branch of the nominal machine ended on the straight way from the nominal axes,
@@ -37,12 +35,12 @@ def as_built_inverse(geometry: AsBuiltGeometry, pose: PoseLike) -> SolutionSet:
     shape, rotation, position = read_pose(pose)
     joints, lengths, carried, status, _ = _solve(geometry, rotation, position, complex_roots=False)
     # The poses may be the caller's memory.
-    solved = rotation.copy(), position.copy(), joints, lengths + geometry.offsets
+    solved = rotation.copy(), position.copy(), joints, lengths
     branches = branch_states(geometry, shape, solved)
     return SolutionSet(branches, BRANCHES, status.reshape(shape), met=(carried == 0).reshape(*shape, 8))
 
 
-def as_built_physical(geometry: AsBuiltGeometry, pose: PoseLike) -> Configuration:
+def as_built_physical(geometry: Geometry, pose: PoseLike) -> Configuration:
     """Find the configuration in which a machine as built holds the platform in a pose; see `inverse_physical`.
 
     Newton's method starts from the branches TT+ and TT- of the nominal machine. All branches are solved for where it
@@ -56,12 +54,16 @@ def as_built_physical(geometry: AsBuiltGeometry, pose: PoseLike) -> Configuratio
     shape, rotation, position = read_pose(pose)
     nominal = _nominal_branches(geometry, rotation, position)
     bounds = np.array([(-np.inf,) * 6, (np.inf,) * 6] if limits is None else [limits.minimum, limits.maximum])
-    constants = *machines, tangent_signs(geometry.nominal), bounds - geometry.offsets, geometry.nominal.middle_radius
+    constants = (
+        *machines,
+        tangent_signs(geometry.nominal),
+        bounds - geometry.legs.offsets,
+        geometry.nominal.middle_radius,
+    )
     results = ((3, 3), np.float64), ((6,), np.float64), ((), np.bool_)
     joints, lengths, certain = run_kernel(
         certain_physical_branches, (rotation, position, nominal[2]), constants, results, _MIN_BATCH_PER_THREAD
     )
-    lengths += geometry.offsets
     turned, moved = nominal[0], nominal[1]
     rest = np.flatnonzero(~certain)
     if len(rest):
@@ -74,7 +76,7 @@ def as_built_physical(geometry: AsBuiltGeometry, pose: PoseLike) -> Configuratio
     return Configuration.from_arrays(geometry, *with_batch_shape((turned, moved, joints, lengths), shape))
 
 
-def as_built_complex_joints(geometry: AsBuiltGeometry, pose: PoseLike) -> npt.NDArray[np.complex128]:
+def as_built_complex_joints(geometry: Geometry, pose: PoseLike) -> npt.NDArray[np.complex128]:
     """Return the centres of the lower legs' balls of all eight roots; see `complex_middle_joints`.
 
     Real roots stand under their labels of `as_built_inverse`, the others under those left over.
@@ -84,14 +86,14 @@ def as_built_complex_joints(geometry: AsBuiltGeometry, pose: PoseLike) -> npt.ND
     return joints.reshape(*shape, 8, 3, 3)
 
 
-def _machines(geometry: AsBuiltGeometry) -> list[FloatArray]:
+def _machines(geometry: Geometry) -> list[FloatArray]:
     """Return axes, and pivots and balls in units of the middle radius, of the nominal machine and of this one."""
     unit = geometry.nominal.middle_radius
-    both = AsBuiltGeometry.from_nominal(geometry.nominal), geometry
-    return [np.stack([g.axes, g.pivots / unit, g.balls / unit]) for g in both]
+    both = geometry.nominal, geometry
+    return [np.stack([g.legs.axes, g.legs.pivots / unit, g.legs.balls / unit]) for g in both]
 
 
-def _nominal_branches(geometry: AsBuiltGeometry, rotation: FloatArray, position: FloatArray) -> tuple[Any, ...]:
+def _nominal_branches(geometry: Geometry, rotation: FloatArray, position: FloatArray) -> tuple[Any, ...]:
     """Return the `BRANCH_RESULTS` of the nominal machine at N poses, joints that are not to be followed as NaN."""
     from spm_pin.kinematics.kernels.branch_kernels import all_branches
 
@@ -102,9 +104,7 @@ def _nominal_branches(geometry: AsBuiltGeometry, rotation: FloatArray, position:
     return found
 
 
-def _solve(
-    geometry: AsBuiltGeometry, rotation: FloatArray, position: FloatArray, *, complex_roots: bool
-) -> tuple[Any, ...]:
+def _solve(geometry: Geometry, rotation: FloatArray, position: FloatArray, *, complex_roots: bool) -> tuple[Any, ...]:
     """Run the kernels on N poses: joints, lengths without offsets, carried, status, and the complex joints if asked."""
     from spm_pin.kinematics.kernels.as_built_kernels import as_built_branches
     from spm_pin.kinematics.kernels.branch_kernels import complex_branches

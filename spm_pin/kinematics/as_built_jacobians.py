@@ -14,13 +14,6 @@ from spm_pin.kinematics.stage_wrenches import SINGULAR, StageWrenches, regular_w
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
 
-__all__ = [
-    "as_built_determinants",
-    "as_built_inverse_jacobian",
-    "as_built_platform_jacobian",
-    "as_built_singularities",
-]
-
 # States that do not exist are NaN throughout.
 _ABSENT = np.errstate(invalid="ignore")
 

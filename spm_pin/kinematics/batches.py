@@ -10,25 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.kinematics.threads import parallel_for
-from spm_pin.mechanism.arguments import FloatArray, instance
-from spm_pin.mechanism.as_built import AsBuiltGeometry
+from spm_pin.mechanism.arguments import FloatArray, check_instance
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import EXACT, PoseLike, checked_pose, unchecked_pose
-
-__all__ = [
-    "BRANCH_RESULTS",
-    "Result",
-    "branch_states",
-    "flat_batch",
-    "new_result",
-    "radii",
-    "read_pose",
-    "run_kernel",
-    "run_on_states",
-    "with_batch_shape",
-    "with_two_batch_axes",
-]
 
 _MIN_CHECKED = 1 << 17
 """Poses whose check is worth a thread."""
@@ -134,7 +119,7 @@ def run_on_states(
     tuple of ndarray
         The results, their leading axes those of the states, broadcast with those of the load.
     """
-    instance(configuration, Configuration, "configuration")
+    check_instance(configuration, Configuration, "configuration")
     shape = configuration.shape if load is None else np.broadcast_shapes(configuration.shape, load.shape[:-1])
     state = configuration
     arrays = [state.middle_joints, state.rotation, state.translation]
@@ -166,9 +151,7 @@ def with_batch_shape(arrays: Iterable[npt.NDArray[Any]], shape: tuple[int, ...])
     return tuple([array.reshape((*shape, *array.shape[1:])) for array in arrays])
 
 
-def branch_states(
-    geometry: Geometry | AsBuiltGeometry, shape: tuple[int, ...], solved: Iterable[npt.NDArray[Any]]
-) -> Configuration:
+def branch_states(geometry: Geometry, shape: tuple[int, ...], solved: Iterable[npt.NDArray[Any]]) -> Configuration:
     """Return the branches (..., 8) of a batch of this shape, of the first four `BRANCH_RESULTS` of its N poses."""
     rotation, position, *rest = solved
     joints, lengths = with_batch_shape(rest, shape)
@@ -186,7 +169,7 @@ def radii(geometry: Geometry) -> tuple[float, float, float]:
 
     Raises `ArgumentError` if `geometry` is not a Geometry.
     """
-    instance(geometry, Geometry, "geometry")
+    check_instance(geometry, Geometry, "geometry")
     return geometry.middle_radius, geometry.base_radius, geometry.platform_radius
 
 

@@ -25,9 +25,6 @@ from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.solutions import SolutionSet
 
-__all__ = ["certify_branches"]
-
-
 _SAFE = 1.0 + 1e-12
 """Factor for the rounding of a few products of bounds."""
 _CHUNK = 1 << 15

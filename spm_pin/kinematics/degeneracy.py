@@ -9,8 +9,6 @@ from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.solution_status import Degeneracy, Status
 
-__all__ = ["find_degeneracy"]
-
 
 def find_degeneracy(
     geometry: Geometry,

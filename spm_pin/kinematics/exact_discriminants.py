@@ -20,8 +20,6 @@ import numpy as np
 from spm_pin.kinematics.kernels.quadratics import ROOT_SIGN
 from spm_pin.mechanism.arguments import FloatArray, IntArray
 
-__all__ = ["BITS", "ExactPose", "largest_component", "quaternions", "scaled_rotation"]
-
 BITS = 400
 """Bits of the numbers in which branches are computed."""
 

@@ -14,8 +14,6 @@ from scipy.spatial.transform import Rotation
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import Geometry
 
-__all__ = ["FamilyForms"]
-
 
 @dataclass(frozen=True)
 class FamilyForms:

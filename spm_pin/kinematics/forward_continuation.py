@@ -17,8 +17,6 @@ from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 
-__all__ = ["follow_seed"]
-
 _MIN_BATCH_PER_THREAD = 1 << 10
 
 

@@ -11,19 +11,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from spm_pin.errors import GeometryError
 from spm_pin.kinematics.as_built_forward import as_built_forward
 from spm_pin.kinematics.batches import radii, run_kernel, with_batch_shape
 from spm_pin.kinematics.forward_continuation import follow_seed
 from spm_pin.kinematics.forward_displacement_arguments import read_leg_lengths
-from spm_pin.mechanism.arguments import BoolArray, FloatArray
-from spm_pin.mechanism.as_built import AsBuiltGeometry
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.solution_status import Degeneracy, Status
 from spm_pin.mechanism.solutions import SolutionSet
 from spm_pin.mechanism.units import unit_hint
-
-__all__ = ["ASSEMBLY_MODES", "STAGE_MODES", "forward_displacement", "forward_physical"]
 
 STAGE_MODES = tuple(f"{mode}{place + 1}{sheet}" for mode in "TF" for place in range(4) for sheet in "+-")
 """Canonical order of the sixteen assembly modes of a stage: T1+, T1-, T2+ … F4-."""
@@ -83,6 +81,9 @@ def forward_displacement(geometry: Geometry, leg_lengths: npt.ArrayLike) -> Solu
     """
     from spm_pin.kinematics.kernels.mode_kernels import all_modes
 
+    if not check_instance(geometry, Geometry, "geometry").is_nominal:
+        cause = "forward_physical finds the physical mode of a machine as built; all modes are those of its .nominal"
+        raise GeometryError("geometry", "a machine as drawn", "one as built", cause)
     checked = read_leg_lengths(geometry, leg_lengths)
     shape, lengths, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
     results = (
@@ -108,13 +109,13 @@ def forward_displacement(geometry: Geometry, leg_lengths: npt.ArrayLike) -> Solu
 
 
 def forward_physical(
-    geometry: Geometry | AsBuiltGeometry, leg_lengths: npt.ArrayLike, seed: Configuration | None = None
+    geometry: Geometry, leg_lengths: npt.ArrayLike, seed: Configuration | None = None
 ) -> Configuration:
     """Find the physical configuration with these leg lengths: the one that the machine is in.
 
     Parameters
     ----------
-    geometry : Geometry or AsBuiltGeometry
+    geometry : Geometry
         The manipulator. Its leg limits are not applied.
     leg_lengths : array_like, shape (..., 6)
         r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m]; of a machine as built the readings, offsets included.
@@ -152,7 +153,7 @@ def forward_physical(
     >>> state.pose.rotation.as_euler("XYX", degrees=True).round(4)
     array([-11.0818,  32.9691, -12.8831])
     """
-    if isinstance(geometry, AsBuiltGeometry):
+    if not geometry.is_nominal:
         return as_built_forward(geometry, leg_lengths, seed, forward_physical)
     checked = read_leg_lengths(geometry, leg_lengths)
     if seed is not None:

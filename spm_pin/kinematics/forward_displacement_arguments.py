@@ -6,13 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, broadcastable, first_offender, real_array
-from spm_pin.mechanism.as_built import AsBuiltGeometry, check_geometry
+from spm_pin.mechanism.arguments import FloatArray, broadcastable, check_instance, first_offender, real_array
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LEGS
-
-__all__ = ["check_seed", "read_leg_lengths"]
 
 _OPEN = 1e-6
 """Closure residual of a seed, relative to d, from which on it is no configuration."""
@@ -20,13 +17,13 @@ _LARGEST = 1e5
 """Lengths, relative to the machine, beyond which eleven of sixteen digits are lost."""
 
 
-def read_leg_lengths(geometry: Geometry | AsBuiltGeometry, leg_lengths: npt.ArrayLike) -> FloatArray:
+def read_leg_lengths(geometry: Geometry, leg_lengths: npt.ArrayLike) -> FloatArray:
     """Read leg lengths (..., 6) [m] that this machine can be resolved beside; of one as built readings.
 
     Returned are the distances from pivots to balls.
     """
-    nominal = check_geometry(geometry).nominal
-    offsets = geometry.offsets if isinstance(geometry, AsBuiltGeometry) else None
+    nominal = check_instance(geometry, Geometry, "geometry").nominal
+    offsets = geometry.legs.offsets if not geometry.is_nominal else None
     meaning = f"{', '.join(LEGS)} in metres"
     read = real_array(leg_lengths, "leg_lengths", (6,), meaning if offsets is None else f"readings of {meaning}")
     lengths = read if offsets is None else np.asarray(read - offsets)
@@ -46,19 +43,12 @@ def read_leg_lengths(geometry: Geometry | AsBuiltGeometry, leg_lengths: npt.Arra
     return lengths
 
 
-def check_seed(geometry: Geometry | AsBuiltGeometry, lengths: FloatArray, seed: Configuration) -> None:
+def check_seed(geometry: Geometry, lengths: FloatArray, seed: Configuration) -> None:
     """Raise an ArgumentError if `seed` is no closed state of this geometry that goes with lengths (..., 6)."""
-    check_configuration(seed, "seed", existing=True, as_built=True)
-    if _dimensions(geometry) != _dimensions(seed.geometry):
+    check_configuration(seed, "seed", existing=True)
+    if not geometry.is_same_machine(seed.geometry):
         raise ArgumentError("seed", f"a configuration of this geometry, {geometry!r}", repr(seed.geometry))
     broadcastable("seed", seed.shape, "leg_lengths", lengths.shape[:-1])
     torn = float(seed.closure_residual.max(initial=0.0))
     if torn > _OPEN * geometry.nominal.middle_side:
         raise ArgumentError("seed", "a configuration that closes", f"a closure residual of {torn:.1e} m")
-
-
-def _dimensions(geometry: Geometry | AsBuiltGeometry) -> object:
-    """Return the dimensions that distinguish a machine from another, limits aside."""
-    if isinstance(geometry, AsBuiltGeometry):
-        return tuple(array.tobytes() for array in geometry.arrays)
-    return geometry.dimensions

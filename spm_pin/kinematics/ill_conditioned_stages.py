@@ -21,8 +21,6 @@ from spm_pin.kinematics.kernels.quartic import quartic_coefficients
 from spm_pin.kinematics.kernels.stage_modes import PLACES
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["solve_stage_with_more_digits"]
-
 _DIGITS = 60
 _REAL, _SOLVED, _SAME = 1e-20, 1e-40, 1e-14
 

@@ -14,8 +14,6 @@ import numpy.typing as npt
 
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 
-__all__ = ["SQRT_3", "Interval"]
-
 
 def _below(x: FloatArray) -> FloatArray:
     return np.asarray(np.nextafter(x, -np.inf))

@@ -21,7 +21,6 @@ cancels as the platform levels. Derivation: `docs/theory/inverse_displacement.md
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -37,15 +36,12 @@ from spm_pin.kinematics.batches import (
     with_batch_shape,
 )
 from spm_pin.kinematics.degeneracy import find_degeneracy
-from spm_pin.mechanism.arguments import FloatArray, flag
-from spm_pin.mechanism.as_built import AsBuiltGeometry, is_nominal
+from spm_pin.mechanism.arguments import FloatArray, as_bool
 from spm_pin.mechanism.branches import BRANCHES
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import PoseLike
 from spm_pin.mechanism.solutions import SolutionSet
-
-__all__ = ["branch_lengths", "complex_middle_joints", "inverse_displacement", "inverse_physical"]
 
 ROUNDING_BOUND = 2.0**-39
 """Bound of the rounding error of a discriminant over r², divided by (1 + (|x| + |y|)/r)²: `docs/theory/proofs.md`."""
@@ -54,13 +50,13 @@ _MIN_BATCH_PER_THREAD = 1 << 14
 
 
 def inverse_displacement(
-    geometry: Geometry | AsBuiltGeometry, pose: PoseLike, *, out: SolutionSet | None = None, certify: bool = False
+    geometry: Geometry, pose: PoseLike, *, out: SolutionSet | None = None, certify: bool = False
 ) -> SolutionSet:
     """Find all configurations of the manipulator that hold the platform in a pose.
 
     Parameters
     ----------
-    geometry : Geometry or AsBuiltGeometry
+    geometry : Geometry
         The manipulator. Its leg limits are not applied; see `SolutionSet.within`.
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
         Pose of {m} in {B}, translation in metres; one, or a batch of shape (...).
@@ -79,7 +75,7 @@ def inverse_displacement(
         (..., 4), dimensionless, are those of the families' quadratics divided by r² = d²/3: the two branches
         of a family are real where it is not negative, and meet where it is zero, at an inverse singularity.
         `.status` (...) is `Status.OK`; `UNREACHABLE` where no branch is real; or `DEGENERATE` where some
-        family is continuous: it is left out, and `.degeneracy` describes it. For an `AsBuiltGeometry` `.leg_lengths`
+        family is continuous: it is left out, and `.degeneracy` describes it. For a machine as built `.leg_lengths`
         are readings, offsets included, labels are carried from the nominal machine, `.met` (..., 8) is true where two
         branches met on the way, and the status may be `UNSOLVED`; see `docs/theory/as_built.md`. For a `Geometry`
         `.certain` (..., 4) says which families are proved to be real, or not; see `docs/theory/proofs.md`.
@@ -90,7 +86,7 @@ def inverse_displacement(
         If `pose` is not a rigid transform of finite numbers.
     ArgumentError
         If `out` is no result of this function for a batch of this shape, or it or `certify` is given for an
-        `AsBuiltGeometry`.
+        machine as built.
 
     Notes
     -----
@@ -113,19 +109,12 @@ def inverse_displacement(
     >>> spm.inverse_displacement(geometry, pose)
     <SolutionSet: ok, 6 of 8 real: TT+, TT-, TF+, TF-, FF+, FF->
     """
-    certified = flag(certify, "certify")
-    if isinstance(geometry, AsBuiltGeometry):
+    certified = as_bool(certify, "certify")
+    if not geometry.is_nominal:
         if out is not None:
-            raise ArgumentError("out", "None for an AsBuiltGeometry", type(out).__name__)
+            raise ArgumentError("out", "None for a machine as built", type(out).__name__)
         if certified:
-            raise ArgumentError("certify", "False for an AsBuiltGeometry", certify)
-        if is_nominal(geometry):
-            nominal = inverse_displacement(geometry.nominal, pose)
-            state = nominal.configurations
-            arrays = state.rotation, state.translation, state.middle_joints, state.leg_lengths
-            branches = Configuration.from_arrays(geometry, *arrays)
-            met = np.zeros(branches.shape, dtype=np.bool_)
-            return replace(nominal, configurations=branches, choice=None, memory=None, rounding=None, met=met)
+            raise ArgumentError("certify", "False for a machine as built", certify)
         return as_built_inverse(geometry, pose)
     from spm_pin.kinematics.kernels.branch_kernels import all_branches
 
@@ -160,7 +149,7 @@ def _memory_of(out: SolutionSet, shape: tuple[int, ...]) -> tuple[npt.NDArray[np
     return out.memory
 
 
-def inverse_physical(geometry: Geometry | AsBuiltGeometry, pose: PoseLike) -> Configuration:
+def inverse_physical(geometry: Geometry, pose: PoseLike) -> Configuration:
     """Find the physical configuration for a pose: the one in which the machine holds the platform there.
 
     Parameters
@@ -194,9 +183,7 @@ def inverse_physical(geometry: Geometry | AsBuiltGeometry, pose: PoseLike) -> Co
     """
     from spm_pin.kinematics.kernels.branch_kernels import physical_branches
 
-    if isinstance(geometry, AsBuiltGeometry):
-        if is_nominal(geometry):
-            return inverse_displacement(geometry, pose).physical()
+    if not geometry.is_nominal:
         return as_built_physical(geometry, pose)
     sizes, limits = radii(geometry), geometry.limits
     shape, rotation, position = read_pose(pose)
@@ -233,6 +220,9 @@ def branch_lengths(geometry: Geometry, pose: PoseLike) -> tuple[FloatArray, npt.
     """
     from spm_pin.kinematics.kernels import branch_kernels as kernels
 
+    if not geometry.is_nominal:
+        solutions = inverse_displacement(geometry, pose)
+        return solutions.leg_lengths, solutions.status
     shape, rotation, position = read_pose(pose)
     results = ((8, 6), np.float64), ((), np.int8), ((), np.uint8)
     lengths, status, flagged = run_kernel(
@@ -243,7 +233,7 @@ def branch_lengths(geometry: Geometry, pose: PoseLike) -> tuple[FloatArray, npt.
     return leg_lengths, outcome
 
 
-def complex_middle_joints(geometry: Geometry | AsBuiltGeometry, pose: PoseLike) -> npt.NDArray[np.complex128]:
+def complex_middle_joints(geometry: Geometry, pose: PoseLike) -> npt.NDArray[np.complex128]:
     """Return all eight roots of the inverse displacement, real or complex.
 
     Parameters
@@ -264,7 +254,7 @@ def complex_middle_joints(geometry: Geometry | AsBuiltGeometry, pose: PoseLike) 
     """
     from spm_pin.kinematics.kernels.branch_kernels import complex_branches
 
-    if isinstance(geometry, AsBuiltGeometry):
+    if not geometry.is_nominal:
         return as_built_complex_joints(geometry, pose)
     shape, rotation, position = read_pose(pose)
     results = [((8, 3, 3), np.complex128)]

@@ -31,10 +31,7 @@ from spm_pin.kinematics.as_built_jacobians import as_built_inverse_jacobian, as_
 from spm_pin.kinematics.batches import run_on_states
 from spm_pin.kinematics.stage_wrenches import refuse_singular, singular_sizes
 from spm_pin.mechanism.arguments import FloatArray, broadcastable, real_array
-from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration, check_configuration
-
-__all__ = ["broadcast_argument", "inverse_jacobian", "leg_rates", "platform_jacobian"]
 
 
 def inverse_jacobian(configuration: Configuration) -> FloatArray:
@@ -103,7 +100,7 @@ def platform_jacobian(configuration: Configuration) -> FloatArray:
 
 
 def _is_as_built(configuration: Configuration) -> bool:
-    return isinstance(check_configuration(configuration, as_built=True).geometry, AsBuiltGeometry)
+    return not check_configuration(configuration).geometry.is_nominal
 
 
 def _matrices(configuration: Configuration, kernel: Callable[..., object], kind: str) -> FloatArray:
@@ -142,7 +139,7 @@ def leg_rates(configuration: Configuration, twist: npt.ArrayLike) -> FloatArray:
 
 def broadcast_argument(value: npt.ArrayLike, argument: str, meaning: str, configuration: Configuration) -> FloatArray:
     """Read a twist or a wrench (..., 6) whose leading axes broadcast with those of `configuration`."""
-    check_configuration(configuration, as_built=True)
+    check_configuration(configuration)
     array = real_array(value, argument, (6,), meaning)
     broadcastable(argument, array.shape[:-1], "the configuration", configuration.shape)
     return array

@@ -18,10 +18,7 @@ from spm_pin.kinematics.batches import run_on_states
 from spm_pin.kinematics.jacobians import broadcast_argument, platform_jacobian
 from spm_pin.kinematics.stage_wrenches import singular_sizes
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
-
-__all__ = ["leg_forces"]
 
 
 def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArray:
@@ -56,7 +53,7 @@ def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArra
     from spm_pin.kinematics.kernels.jacobian_kernels import stage_forces
 
     load = broadcast_argument(wrench, "wrench", "(f, m) at o in {B} in N and N m", configuration)
-    if isinstance(configuration.geometry, AsBuiltGeometry):
+    if not configuration.geometry.is_nominal:
         jacobian = platform_jacobian(configuration)
         return np.asarray(-(np.swapaxes(jacobian, -1, -2) @ load[..., None])[..., 0])
     results = ((6,), np.float64), ((), np.uint8)

@@ -18,8 +18,6 @@ from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LEGS
 
-__all__ = ["Event", "EventKind", "find_events"]
-
 _ROUNDING = 1e-12
 """Share of d by which rounding may move the length of a leg."""
 
@@ -80,7 +78,7 @@ def _monitored(geometry: Geometry, states: Configuration) -> FloatArray:
     scaled = determinants(states) / geometry.middle_side**3
     if geometry.limits is None:
         return scaled
-    lengths = states.leg_lengths
+    lengths = states.readings
     return np.concatenate([scaled, lengths - geometry.limits.minimum, geometry.limits.maximum - lengths], axis=-1)
 
 

@@ -21,7 +21,7 @@ from spm_pin.mechanism.arguments import (
     BoolArray,
     FloatArray,
     as_array,
-    instance,
+    check_instance,
     real_array,
     type_and_value,
     whole_number,
@@ -31,8 +31,6 @@ from spm_pin.mechanism.configuration import Configuration, check_configuration, 
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import as_rigid_transform, pose
 from spm_pin.mechanism.solutions import SolutionSet
-
-__all__ = ["CertifiedLimits", "FollowedPath", "follow", "last_on_line", "physical_mode_share"]
 
 LONGEST_MOVE = 0.1
 """A joint moves at most this share of d in a step, so that no turn is missed."""
@@ -120,7 +118,7 @@ def follow(
     PoseError
         If it contains what is no pose.
     """
-    instance(geometry, Geometry, "geometry")
+    check_instance(geometry, Geometry, "geometry")
     samples = whole_number(samples, "samples", least=1, most=10**9)
     if certificate is not None and not hasattr(certificate, "covers"):
         raise ArgumentError("certificate", "a Certificate", type(certificate).__name__)
@@ -160,7 +158,7 @@ def last_on_line(start: Configuration, leg_lengths: FloatArray) -> tuple[Configu
 
     The mode is that of `start`; the share is 1 if it lasts to the end.
     """
-    geometry, lengths = start.geometry, start.leg_lengths
+    geometry, lengths = start.geometry, start.readings
     if not physical(start):
         path = follow(geometry, np.stack([lengths, leg_lengths]), start, samples=4)
         return path.configurations[-1], float(path.parameters[-1])

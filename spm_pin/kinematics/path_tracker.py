@@ -15,8 +15,6 @@ from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism.configuration import Configuration, compared_points
 from spm_pin.mechanism.solutions import SolutionSet
 
-__all__ = ["PathSolver", "Tracker"]
-
 PathSolver = Callable[[float], SolutionSet]
 """The solutions at a parameter of the path."""
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import pkgutil
 from importlib import import_module
 
-__all__ = ["compile_kernels"]
-
 
 def compile_kernels() -> None:
     """Compile all functions for this computer, in about a minute, and keep them on disk for later processes.

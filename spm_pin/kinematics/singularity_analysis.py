@@ -27,19 +27,8 @@ from spm_pin.kinematics.batches import run_kernel, run_on_states
 from spm_pin.kinematics.jacobians import platform_jacobian
 from spm_pin.kinematics.stage_wrenches import SINGULAR
 from spm_pin.mechanism.arguments import FloatArray, IntArray, first_offender, real_number, shaped_array
-from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.branches import leg_plane_determinant
 from spm_pin.mechanism.configuration import Configuration, check_configuration
-
-__all__ = [
-    "Singularities",
-    "SingularityKind",
-    "determinant_gradients",
-    "determinants",
-    "singular_values",
-    "singularities",
-]
-
 
 _MIN_BATCH_PER_THREAD = 1 << 11
 _STEP = 1e-100
@@ -153,9 +142,9 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
        37 (2019).
     """
     tolerance = real_number(tolerance, "tolerance", "a number from 0 to below 1", least=0.0, below=1.0)
-    geometry = check_configuration(configuration, as_built=True).geometry
+    geometry = check_configuration(configuration).geometry
     exists = configuration.exists
-    if isinstance(geometry, AsBuiltGeometry):
+    if not geometry.is_nominal:
         described, side = as_built_singularities(configuration, tolerance), geometry.nominal.middle_side
     else:
         from spm_pin.kinematics.kernels.singularity_kernel import describe_singularities
@@ -240,8 +229,8 @@ def determinants(configuration: Configuration) -> FloatArray:
     """
     from spm_pin.kinematics.kernels.jacobian_kernels import all_determinants
 
-    geometry = check_configuration(configuration, as_built=True).geometry
-    if isinstance(geometry, AsBuiltGeometry):
+    geometry = check_configuration(configuration).geometry
+    if not geometry.is_nominal:
         return as_built_determinants(configuration)
     sizes = geometry.base_radius, geometry.platform_radius
     (found,) = run_on_states(all_determinants, configuration, sizes, [((3,), np.float64)])

@@ -16,15 +16,6 @@ from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, first_o
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 
-__all__ = [
-    "SINGULAR",
-    "StageWrenches",
-    "refuse_singular",
-    "regular_wrenches",
-    "singular_sizes",
-    "stage_inverses",
-]
-
 _EPS = float(np.finfo(np.float64).eps)
 SINGULAR = 64.0 * _EPS
 """A matrix is singular to rounding where its smallest singular value is at most this times its largest.

@@ -10,8 +10,6 @@ from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_frames import home_lengths
 
-__all__ = ["starting_configuration"]
-
 _START = np.array([1.20, 1.20, 1.40, 1.25, 1.20, 1.50]) / 1.30
 
 

@@ -23,9 +23,6 @@ from spm_pin.kinematics.stage_wrenches import stage_inverses
 from spm_pin.mechanism.arguments import FloatArray, broadcastable, leg_values, symmetric_matrices
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 
-__all__ = ["PrincipalStiffness", "compliance", "principal_stiffness", "stiffness"]
-
-
 _STIFFEST = 1e100
 """Largest stiffness [N/m]: products of two are still numbers."""
 
@@ -69,7 +66,7 @@ def compliance(configuration: Configuration, legs: npt.ArrayLike, structure: npt
     SingularConfigurationError
         At a forward or a constraint singularity, where the legs do not hold the platform.
     """
-    check_configuration(configuration, as_built=True)
+    check_configuration(configuration)
     along = _inverses(legs, "legs", configuration)
     across = np.zeros(6) if structure is None else _inverses(structure, "structure", configuration)
     inverses = stage_inverses(configuration)
@@ -110,7 +107,7 @@ def stiffness(configuration: Configuration, legs: npt.ArrayLike, structure: npt.
     """
     if structure is not None:
         return _inverse(compliance(configuration, legs, structure))
-    along = 1.0 / _inverses(legs, "legs", check_configuration(configuration, as_built=True))
+    along = 1.0 / _inverses(legs, "legs", check_configuration(configuration))
     jacobian = inverse_jacobian(configuration)
     return np.asarray(jacobian.swapaxes(-1, -2) @ (along[..., None] * jacobian))
 

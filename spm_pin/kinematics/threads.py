@@ -18,8 +18,6 @@ from contextvars import ContextVar
 
 from spm_pin.mechanism.arguments import whole_number
 
-__all__ = ["parallel_for", "set_threads", "threads"]
-
 ENVIRONMENT = "SPM_PIN_THREADS"
 _PARTS = 4
 """Per thread, so that one that is interrupted does not keep the others waiting long."""

@@ -1,9 +1,8 @@
 """Dimensions of the robot, its states, and sets of states. No Pinocchio, CasADi or Numba."""
 
-from spm_pin.mechanism.as_built import PARAMETERS, AsBuiltGeometry
 from spm_pin.mechanism.branches import BRANCHES, FAMILIES
 from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.geometry import PARAMETERS, Geometry
 from spm_pin.mechanism.joint_angles import JointAngles, joint_angles
 from spm_pin.mechanism.leg_limits import LEGS, LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose

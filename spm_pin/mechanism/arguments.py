@@ -18,34 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError
-
-__all__ = [
-    "BoolArray",
-    "FloatArray",
-    "IntArray",
-    "Progress",
-    "as_array",
-    "boolean_array",
-    "broadcastable",
-    "choice",
-    "file_path",
-    "finite_array",
-    "first_offender",
-    "flag",
-    "frozen",
-    "generator",
-    "instance",
-    "leg_values",
-    "number_pair",
-    "real_array",
-    "real_number",
-    "shaped_array",
-    "symmetric_matrices",
-    "type_and_value",
-    "whole_number",
-    "writing",
-]
+from spm_pin.errors import ArgumentError, GeometryError
 
 FloatArray = npt.NDArray[np.float64]
 """An array of 64-bit floating-point numbers."""
@@ -74,7 +47,7 @@ def frozen(array: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
     return view
 
 
-def instance(value: Any, kind: type[Kind], argument: str, cause: str = "") -> Kind:
+def check_instance(value: Any, kind: type[Kind], argument: str, cause: str = "") -> Kind:
     """Return `value` if it is an instance of `kind`."""
     if not isinstance(value, kind):
         article = "an" if kind.__name__[0] in "AEIOU" else "a"
@@ -113,6 +86,23 @@ def real_number(
     return number
 
 
+SMALLEST, LARGEST = 1e-9, 1e9
+"""Dimensions accepted [m]. Every result was found to scale to rounding from 1e-52 to 1e60 m."""
+
+
+def dimension(value: Any, argument: str) -> float:
+    """Read a radius or a side [m]."""
+    return real_number(
+        value,
+        argument,
+        f"a positive length in metres, from {SMALLEST:g} to {LARGEST:g}",
+        least=SMALLEST,
+        most=LARGEST,
+        error=GeometryError,
+        cause="Given in another unit?" if isinstance(value, float | int) and value > 0 else "",
+    )
+
+
 def number_pair(
     value: Any, argument: str, unit: str, *, error: type[ArgumentError] = ArgumentError
 ) -> tuple[float, float]:
@@ -142,7 +132,7 @@ def whole_number(
     return number
 
 
-def flag(value: Any, argument: str) -> bool:
+def as_bool(value: Any, argument: str) -> bool:
     """Read True or False; 0 and 1 are neither."""
     if not isinstance(value, bool | np.bool_):
         raise ArgumentError(argument, "True or False", type_and_value(value))

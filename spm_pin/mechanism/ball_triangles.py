@@ -6,8 +6,6 @@ import numpy as np
 
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["all_balls", "triangle_frames", "triangle_sides", "upper_ball_weights"]
-
 
 def triangle_frames(b: FloatArray) -> FloatArray:
     """Return the axes (..., 3, 3) of triangles b_1, b_2, b_3: x along b_3 b_1, y towards b_2, z normal, as columns."""
@@ -37,6 +35,8 @@ def upper_ball_weights(balls: FloatArray) -> FloatArray:
 
 def all_balls(balls: FloatArray, lower: FloatArray) -> FloatArray:
     """Return the centres of balls (6, 3) in {B} [m], shape (..., 6, 3), from those of the lower legs (..., 3, 3)."""
+    if np.array_equal(balls[:3], balls[3:]):
+        return np.concatenate([lower, lower], axis=-2)
     weights = upper_ball_weights(balls)
     sides = lower[..., 1, :] - lower[..., 0, :], lower[..., 2, :] - lower[..., 0, :]
     moved = np.stack([*sides, np.cross(*sides)], axis=-2)

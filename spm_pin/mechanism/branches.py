@@ -14,23 +14,9 @@ import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
-from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.solution_status import Status
-
-__all__ = [
-    "BRANCHES",
-    "FAMILIES",
-    "branch_sign",
-    "family",
-    "in_canonical_order",
-    "in_home_aspect",
-    "leg_plane_determinant",
-    "physical",
-    "straightness",
-    "tangent_signs",
-]
 
 FAMILIES = ("TT", "TF", "FT", "FF")
 """The four families of branches: the mode, T or F, of the lower stage and of the upper."""
@@ -147,8 +133,8 @@ def physical(configuration: Configuration) -> BoolArray:
 def _at_home(configuration: Configuration) -> BoolArray:
     """Return for which upright states both stages are in the home's aspect, shape (...)."""
     geometry, legs, balls = configuration.geometry, configuration.leg_vectors, configuration.balls
-    if isinstance(geometry, AsBuiltGeometry):
-        tangents = tangent_signs(geometry.nominal)[:, None] * geometry.axes
+    if not geometry.is_nominal:
+        tangents = tangent_signs(geometry.nominal)[:, None] * geometry.legs.axes
         below, above = tangents[:3], tangents[3:]
     else:
         below = above = np.cross([0.0, 0.0, 1.0], geometry.radial_directions)

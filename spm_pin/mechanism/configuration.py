@@ -15,18 +15,15 @@ from spm_pin.mechanism.arguments import (
     BoolArray,
     FloatArray,
     broadcastable,
+    check_instance,
     first_offender,
     frozen,
-    instance,
     real_array,
     type_and_value,
 )
-from spm_pin.mechanism.as_built import AsBuiltGeometry, check_geometry
 from spm_pin.mechanism.ball_triangles import all_balls, triangle_frames, triangle_sides
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, unchecked_transform
-
-__all__ = ["Configuration", "batch_index", "check_configuration", "compared_points"]
 
 
 class Configuration:
@@ -34,13 +31,13 @@ class Configuration:
 
     Parameters
     ----------
-    geometry : Geometry or AsBuiltGeometry
+    geometry : Geometry
         The manipulator.
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
         Pose of the terminal platform {m} in the base {B}.
     middle_joints : array_like, shape (..., 3, 3)
-        Centres of the compound ball joints b_1, b_2, b_3 as rows, in {B} [m]; of a machine as built, those of the lower
-        legs' balls. A member that does not exist is NaN throughout. Leading axes broadcast with those of `pose`.
+        Centres of the compound ball joints b_1, b_2, b_3 as rows, in {B} [m]: those of the lower legs' balls. A member
+        that does not exist is NaN throughout. Leading axes broadcast with those of `pose`.
 
     Raises
     ------
@@ -57,7 +54,7 @@ class Configuration:
     """Why a single state does not exist, where that is known; empty otherwise."""
 
     def __init__(self, geometry: Geometry, pose: PoseLike, middle_joints: npt.ArrayLike) -> None:
-        check_geometry(geometry)
+        check_instance(geometry, Geometry, "geometry")
         transform = as_rigid_transform(pose)
         joints = real_array(
             middle_joints, "middle_joints", (3, 3), "rows b_1, b_2, b_3 in {B} in metres", allow_nan=True
@@ -75,14 +72,14 @@ class Configuration:
             np.broadcast_to(joints.copy(), (*shape, 3, 3)),
         )
 
-    def _set(self, geometry: Geometry | AsBuiltGeometry, *arrays: FloatArray) -> None:
+    def _set(self, geometry: Geometry, *arrays: FloatArray) -> None:
         self._geometry = geometry
         self._rotation, self._translation, self._middle_joints = map(frozen, arrays)
 
     @classmethod
     def from_arrays(
         cls,
-        geometry: Geometry | AsBuiltGeometry,
+        geometry: Geometry,
         rotation: FloatArray,
         translation: FloatArray,
         middle_joints: FloatArray,
@@ -152,8 +149,8 @@ class Configuration:
         return self._middle_joints.shape[:-2]
 
     @property
-    def geometry(self) -> Any:
-        """The manipulator, a `Geometry` or an `AsBuiltGeometry`."""
+    def geometry(self) -> Geometry:
+        """The manipulator."""
         return self._geometry
 
     @property
@@ -188,66 +185,59 @@ class Configuration:
 
     @cached_property
     def balls(self) -> FloatArray:
-        """Centres of the legs' balls as rows in {B} [m], (..., 6, 3); b_1, b_2, b_3 twice in the nominal machine."""
-        b, geometry = self._middle_joints, self._geometry
-        if isinstance(geometry, AsBuiltGeometry):
-            return frozen(all_balls(geometry.balls, b))
-        return frozen(np.concatenate([b, b], axis=-2))
+        """Centres of the legs' balls as rows in {B} [m], (..., 6, 3); b_1, b_2, b_3 twice in the drawn machine."""
+        return frozen(all_balls(self._geometry.legs.balls, self._middle_joints))
 
     @cached_property
     def platform_joints(self) -> FloatArray:
         """Upper revolute joints c_1, c_2, c_3, or pivots, as rows in {B} [m], shape (..., 3, 3). Eq. (2)."""
-        return frozen(self._local[1][3:] @ np.swapaxes(self._rotation, -1, -2) + self._translation[..., None, :])
+        return frozen(
+            self._geometry.legs.pivots[3:] @ np.swapaxes(self._rotation, -1, -2) + self._translation[..., None, :]
+        )
 
     @cached_property
     def platform_axes(self) -> FloatArray:
         """Unit revolute axes at c_1, c_2, c_3 as rows in {B}, shape (..., 3, 3). Eq. (4b)."""
-        return frozen(self._local[0][3:] @ np.swapaxes(self._rotation, -1, -2))
+        return frozen(self._geometry.legs.axes[3:] @ np.swapaxes(self._rotation, -1, -2))
 
     @cached_property
-    def hips(self) -> FloatArray:
+    def leg_bases(self) -> FloatArray:
         """Revolute joints of the six legs, a_1 to a_3 and c_1 to c_3, as rows in {B} [m], shape (..., 6, 3)."""
-        lower = np.broadcast_to(self._local[1][:3], self.platform_joints.shape)
+        lower = np.broadcast_to(self._geometry.legs.pivots[:3], self.platform_joints.shape)
         return frozen(np.concatenate([lower, self.platform_joints], axis=-2))
 
     @cached_property
     def leg_axes(self) -> FloatArray:
         """Unit revolute axes of the six legs as rows in {B}, shape (..., 6, 3). Eq. (4)."""
-        lower = np.broadcast_to(self._local[0][:3], self.platform_axes.shape)
+        lower = np.broadcast_to(self._geometry.legs.axes[:3], self.platform_axes.shape)
         return frozen(np.concatenate([lower, self.platform_axes], axis=-2))
-
-    @cached_property
-    def _local(self) -> tuple[FloatArray, FloatArray]:
-        """Axes and pivots (6, 3) of the legs, the lower in {B}, the upper in {m}."""
-        geometry = self._geometry
-        if isinstance(geometry, AsBuiltGeometry):
-            return geometry.axes, geometry.pivots
-        axes = geometry.revolute_axes
-        return np.concatenate([axes, axes]), np.concatenate([geometry.base_joints, geometry.platform_joints])
 
     @cached_property
     def leg_vectors(self) -> FloatArray:
         """a_i to b_i of the lower legs, then b_i to c_i of the upper legs, as rows in {B} [m], (..., 6, 3)."""
-        lower = self.balls[..., :3, :] - self._local[1][:3]
+        lower = self.balls[..., :3, :] - self._geometry.legs.pivots[:3]
         upper = self.platform_joints - self.balls[..., 3:, :]
         return frozen(np.concatenate([lower, upper], axis=-2))
 
     @cached_property
     def leg_lengths(self) -> FloatArray:
-        """r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], shape (..., 6). Eq. (20). Readings, offsets included, if as built."""
-        lengths = np.sqrt((self.leg_vectors**2).sum(axis=-1))
-        geometry = self._geometry
-        return frozen(lengths + geometry.offsets if isinstance(geometry, AsBuiltGeometry) else lengths)
+        """r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], shape (..., 6): distances of balls and pivots. Eq. (20)."""
+        return frozen(np.sqrt((self.leg_vectors**2).sum(axis=-1)))
+
+    @cached_property
+    def readings(self) -> FloatArray:
+        """What the encoders of the legs show [m], shape (..., 6): `leg_lengths` and the offsets of the machine."""
+        return self.leg_lengths if self._geometry.is_nominal else frozen(self.leg_lengths + self._geometry.legs.offsets)
 
     @cached_property
     def middle_pose(self) -> RigidTransform:
         """Pose of the middle platform {n} in {B}: origin at the triangle's centre, x along b_3 b_1, z its normal."""
-        geometry = self._geometry
         frames, centres = triangle_frames(self._middle_joints), self._middle_joints.mean(axis=-2)
-        if isinstance(geometry, AsBuiltGeometry):
-            # {n} is where the nominal triangle would be, from where the balls are.
-            frames = frames @ triangle_frames(geometry.balls[:3]).T
-            centres = centres - frames @ geometry.balls[:3].mean(axis=0)
+        if not self._geometry.is_nominal:
+            # {n} is where the drawn triangle would be, from where the balls are.
+            corners = self._geometry.legs.balls[:3]
+            frames = frames @ triangle_frames(corners).T
+            centres = centres - frames @ corners.mean(axis=0)
         return unchecked_transform(frames, centres)
 
     @cached_property
@@ -257,16 +247,11 @@ class Configuration:
         The distances of each b_i from the planes of its lower and of its upper leg, Eqs. (5b) and (5c), and
         the errors of the middle platform's three sides, Eq. (12).
         """
-        b, geometry = self._middle_joints, self._geometry
-        axes, pivots = self._local
-        if isinstance(geometry, AsBuiltGeometry):
-            lower = ((b - pivots[:3]) * axes[:3]).sum(axis=-1)
-            right = triangle_sides(geometry.balls[:3])
-        else:
-            lower = (b * axes[:3]).sum(axis=-1)
-            right = np.broadcast_to(geometry.middle_side, 3)
+        b, legs = self._middle_joints, self._geometry.legs
+        # The axes and the planes' distances from O: exact zeros in a drawn machine, whose planes go through Z.
+        lower = (b * legs.axes[:3]).sum(axis=-1) - (legs.pivots[:3] * legs.axes[:3]).sum(axis=-1)
         upper = ((self.balls[..., 3:, :] - self.platform_joints) * self.platform_axes).sum(axis=-1)
-        sides = triangle_sides(b) - right
+        sides = triangle_sides(b) - triangle_sides(legs.balls[:3])
         return frozen(np.asarray(np.abs(np.concatenate([lower, upper, sides], axis=-1)).max(axis=-1)))
 
 
@@ -287,19 +272,14 @@ def check_configuration(
     *,
     single: bool = False,
     existing: bool = False,
-    as_built: bool = False,
 ) -> Configuration:
     """Return `value` if it is a configuration, and no `SolutionSet`; see `spm_pin.mechanism.arguments`.
 
-    A `single` one is no batch, an `existing` one has no NaN. States of an `AsBuiltGeometry` are accepted with
-    `as_built` only.
+    A `single` one is no batch, an `existing` one has no NaN.
     """
     several = hasattr(type(value), "physical")
     cause = "Choose one of its solutions: .physical(), .nearest(seed), or a label such as ['TT+']" if several else ""
-    configuration = instance(value, Configuration, argument, cause)
-    if not as_built and isinstance(configuration.geometry, AsBuiltGeometry):
-        expected = "a configuration of a Geometry: this function is for the nominal machine alone"
-        raise ArgumentError(argument, expected, "one of an AsBuiltGeometry")
+    configuration = check_instance(value, Configuration, argument, cause)
     if single and configuration.shape:
         cause = f"Choose one by its index: {argument}[0]"
         raise ArgumentError(argument, "a single configuration", f"a batch of shape {configuration.shape}", cause)

@@ -1,31 +1,51 @@
-"""Dimensions of a 3RPS-3SPR manipulator, and the positions of its revolute joints.
+"""The dimensions of a manipulator and the legs of one machine, as drawn or as built.
 
-Frames (Fig. 1 and Eq. (1) of the paper): {B} at the centre O of the base triangle, Z up; {m} at the centre o
-of the terminal platform, z up. Legs 1, 2, 3 stand at the azimuths -30, 90 and 210 degrees in both.
+Frames (Fig. 1 and Eq. (1) of the paper): {B} at the centre O of the base triangle, Z up; {m} at the centre o of the
+terminal platform, z up; {n} at the centre of the middle platform's triangle, x along b_3 b_1 and z normal to it. Legs
+1, 2, 3 stand at the azimuths -30, 90 and 210 degrees in all three.
 """
 
 from __future__ import annotations
 
+import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from spm_pin.errors import GeometryError
-from spm_pin.mechanism.arguments import FloatArray, file_path
-from spm_pin.mechanism.dimension_checks import dimension
-from spm_pin.mechanism.geometry_files import read_dimensions
-from spm_pin.mechanism.leg_limits import LegLimits
-from spm_pin.mechanism.yaml_node import YamlNode
+from spm_pin.mechanism import geometry_files
+from spm_pin.mechanism.arguments import (
+    LARGEST,
+    SMALLEST,
+    FloatArray,
+    dimension,
+    generator,
+    real_array,
+    real_number,
+)
+from spm_pin.mechanism.ball_triangles import triangle_sides
+from spm_pin.mechanism.leg_limits import LEGS, LegLimits
 
-__all__ = ["Geometry", "config_directory"]
+_COMPONENTS = ("direction_1", "direction_2", *(f"{p}_{x}" for p in ("pivot", "ball") for x in "xyz"), "offset")
+PARAMETERS = tuple(f"{leg}.{component}" for leg in LEGS for component in _COMPONENTS)
+"""Names of the 54 parameters of the legs, nine for each, in the order of `Geometry.parameters`."""
 
 _HALF_SQRT3 = math.sqrt(3.0) / 2.0
 # Unit vectors towards leg 1, 2, 3, and the revolute axes R_1i of Eq. (4a), in {B}; in {m} they read the same.
 _RADIAL = np.array([[_HALF_SQRT3, -0.5, 0.0], [0.0, 1.0, 0.0], [-_HALF_SQRT3, -0.5, 0.0]])
 _AXES = np.array([[0.5, _HALF_SQRT3, 0.0], [1.0, 0.0, 0.0], [-0.5, _HALF_SQRT3, 0.0]])
+
+_UNIT = 1e-6
+"""Largest error of the length of an axis that is taken for rounding."""
+_FLAT = 1e-6
+"""Smallest height of the triangle of three balls, in units of its longest side."""
+_MOST_LENGTH, _MOST_ANGLE = 1e7, 0.2
+"""Largest standard deviations of random errors: normal numbers then do not leave the ranges accepted."""
 
 
 def config_directory() -> Path:
@@ -35,9 +55,89 @@ def config_directory() -> Path:
     return installed if installed.is_dir() else package.parent / "urdf" / "config"
 
 
+@dataclass(frozen=True, repr=False, eq=False)
+class Legs:
+    """Axes, pivots, balls and encoder offsets of the six legs, in the order of `LEGS`; read-only.
+
+    Leg i turns about a revolute axis, along which nothing moves: its line starts at the pivot, is perpendicular to the
+    axis, and ends at the centre of a ball of the middle platform. Its reading is |ball - pivot| + offset.
+
+    Parameters
+    ----------
+    axes : array_like, shape (6, 3)
+        Unit vectors along the revolute axes, of the lower legs in {B}, of the upper legs in {m}.
+    pivots : array_like, shape (6, 3)
+        Points of these axes where the legs' lines start [m], in the same frames.
+    balls : array_like, shape (6, 3)
+        Centres of the balls [m] in {n}. Those of a lower and of an upper leg need not coincide.
+    offsets : array_like, shape (6,)
+        What each reading exceeds the length of its leg by [m].
+
+    Raises
+    ------
+    GeometryError
+        If a number is beyond 1e9 m, if an axis is no unit vector, or if the balls of the lower or of the upper legs
+        are on one line.
+    """
+
+    axes: FloatArray
+    pivots: FloatArray
+    balls: FloatArray
+    offsets: FloatArray
+    is_drawn: bool = field(default=False, init=False)
+    """True for the legs that a `Geometry` has drawn from its dimensions."""
+
+    def __post_init__(self) -> None:
+        axes = _array(self.axes, "axes", (6, 3), "unit vectors along the revolute axes")
+        sizes = np.sqrt((axes**2).sum(axis=-1))
+        wrong = np.abs(sizes - 1.0) > _UNIT
+        if wrong.any():
+            leg = int(wrong.argmax())
+            expected = "unit vectors along the revolute axes"
+            raise GeometryError("axes", expected, f"length {sizes[leg]:g} of {LEGS[leg]}", "Divide it by its length")
+        # An exact unit vector keeps its bits, so that writing and reading gives the same machine.
+        exact = np.abs(sizes - 1.0) <= 4.0 * np.finfo(float).eps
+        self._put("axes", axes / np.where(exact, 1.0, sizes)[:, None])
+        self._put("pivots", _array(self.pivots, "pivots", (6, 3), "points of the revolute axes in metres"))
+        balls = _array(self.balls, "balls", (6, 3), "ball centres in {n} in metres")
+        for stage, b in (("lower", balls[:3]), ("upper", balls[3:])):
+            longest = triangle_sides(b).max()
+            if longest < SMALLEST or np.linalg.norm(np.cross(b[1] - b[0], b[2] - b[0])) < _FLAT * longest**2:
+                expected = "three ball centres of each stage that form a triangle"
+                raise GeometryError("balls", expected, f"those of the {stage} legs on one line")
+        self._put("balls", balls)
+        self._put("offsets", _array(self.offsets, "offsets", (6,), "offsets of the readings in metres"))
+
+    def _put(self, name: str, array: FloatArray) -> None:
+        copy = np.array(array)
+        copy.flags.writeable = False
+        object.__setattr__(self, name, copy)
+
+    @property
+    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Axes, pivots, balls and offsets."""
+        return self.axes, self.pivots, self.balls, self.offsets
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Legs):
+            return NotImplemented
+        return self is other or all(map(np.array_equal, self.arrays, other.arrays))
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    @functools.cached_property
+    def _hash(self) -> int:
+        # -0.0 and 0.0 are equal and must have one hash.
+        return hash(tuple((array + 0.0).tobytes() for array in self.arrays))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Legs, self.arrays
+
+
 @dataclass(frozen=True, repr=False)
 class Geometry:
-    """Dimensions of a manipulator.
+    """Dimensions of a manipulator, and its legs: those of the drawing, or those of one machine as built.
 
     Parameters
     ----------
@@ -48,19 +148,27 @@ class Geometry:
     middle_side : float
         d, side of the middle platform's triangle b_1 b_2 b_3 [m].
     limits : LegLimits, optional
-        Limits of the leg lengths. None means unlimited.
+        Limits of the encoders' readings, which in a drawn machine are the leg lengths. None means unlimited.
+    legs : Legs, optional
+        The legs of a machine as built; branches are named after those of the drawn machine. Drawn from the three
+        dimensions if not given.
 
     Raises
     ------
     GeometryError
-        If a dimension is not a number from 1e-9 to 1e9 m, or `limits` is neither a LegLimits nor None. Within that
-        range no product of lengths in this package over- or underflows.
+        If a dimension is not a number from 1e-9 to 1e9 m. Within that range no product of lengths in this package
+        over- or underflows.
+
+    Notes
+    -----
+    Six of the 54 parameters of the legs are the choice of {n} and change no reading.
     """
 
     base_radius: float
     platform_radius: float
     middle_side: float
     limits: LegLimits | None = None
+    legs: Legs = None  # type: ignore[assignment]  # drawn below
 
     def __post_init__(self) -> None:
         for name in ("base_radius", "platform_radius", "middle_side"):
@@ -68,13 +176,30 @@ class Geometry:
         if self.limits is not None and not isinstance(self.limits, LegLimits):
             expected = "LegLimits(minimum, maximum) or None"
             raise GeometryError("limits", expected, type(self.limits).__name__)
+        drawn = _drawn_legs(*self.dimensions)
+        legs: Legs | None = self.legs
+        if legs is not None and not isinstance(legs, Legs):
+            raise GeometryError("legs", "Legs(axes, pivots, balls, offsets) or None", type(legs).__name__)
+        # Drawn legs follow the dimensions when these are replaced.
+        if legs is None or legs.is_drawn or legs == drawn:
+            object.__setattr__(self, "legs", drawn)
 
     def __repr__(self) -> str:
         limits = "" if self.limits is None else f", limits={self.limits!r}"
-        return (
+        text = (
             f"Geometry(base_radius={self.base_radius:.6g}, platform_radius={self.platform_radius:.6g}, "
-            f"middle_side={self.middle_side:.6g}{limits})"
+            f"middle_side={self.middle_side:.6g}{limits}"
         )
+        if self.is_nominal:
+            return f"{text})"
+        drawn = self.nominal.legs
+        length = max(float(np.abs(a - b).max()) for a, b in zip(self.legs.arrays[1:], drawn.arrays[1:], strict=True))
+        sine = np.sqrt((np.cross(self.legs.axes, drawn.axes) ** 2).sum(axis=-1))
+        angle = float(np.arctan2(sine, (self.legs.axes * drawn.axes).sum(axis=-1)).max())
+        return f"{text}, legs off the drawing by up to {length:.3g} m, {angle:.3g} rad)"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Geometry, (*self.dimensions, self.limits, None if self.is_nominal else self.legs)
 
     @classmethod
     def paper(cls) -> Geometry:
@@ -86,11 +211,12 @@ class Geometry:
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> Geometry:
-        """Read a geometry from a YAML file.
+        """Read a geometry from a YAML file, all lengths in metres; `docs/howto/geometry_files.md` describes it.
 
-        The keys are `base_side` or `base_radius`, `platform_side` or `platform_radius`, `middle_side`, and
-        optionally `leg_limits` with the pairs `lower` and `upper`, or a pair for each leg `r_b1` to `r_c3`; all
-        in metres. A warning is given for dimensions above 20 m, which are often centimetres or millimetres.
+        The keys are `base_side` or `base_radius`, `platform_side` or `platform_radius`, `middle_side`, and optionally
+        `leg_limits`, a pair for all legs or a mapping of `r_b1` to `r_c3` to a pair each, and `legs`, a mapping of the
+        six legs to `axis`, `pivot`, `ball` (three numbers each) and `offset`. A warning is given for dimensions above
+        20 m, which are often centimetres or millimetres.
 
         Raises
         ------
@@ -98,40 +224,160 @@ class Geometry:
             If the file cannot be read, is no mapping, has a key missing, unknown or given twice, or numbers that
             describe no manipulator. The error names the line and the key.
         """
-        path = file_path(path, error=GeometryError)
-        return cls(*read_dimensions(YamlNode.read(path, "a YAML mapping of dimensions", GeometryError)))
+        data = geometry_files.read(path)
+        if data.legs is None:
+            return cls(*data.dimensions, data.limits)
+        try:
+            return cls(*data.dimensions, data.limits, Legs(*data.legs))
+        except GeometryError as wrong:
+            place = f"{wrong.argument} in {data.legs_place}"
+            raise GeometryError(place, wrong.expected, wrong.received, wrong.cause) from None
+
+    def to_yaml(self, path: str | Path) -> None:
+        """Write the geometry to a YAML file that `from_yaml` reads, every number with all its digits.
+
+        Raises
+        ------
+        GeometryError
+            If the file cannot be written.
+        """
+        geometry_files.write(path, geometry_files.as_data(self))
 
     @property
+    def is_nominal(self) -> bool:
+        """True if the legs are those of the drawing."""
+        return self.legs.is_drawn
+
+    @functools.cached_property
     def nominal(self) -> Geometry:
-        """The geometry itself; of an `AsBuiltGeometry`, `.nominal` is the one that it deviates from."""
-        return self
+        """The machine as drawn, with the same dimensions and limits."""
+        return self if self.is_nominal else Geometry(*self.dimensions, self.limits)
 
     @property
     def dimensions(self) -> tuple[float, float, float]:
-        """E, C and d [m]: what makes two machines the same, their limits aside."""
+        """E, C and d [m]."""
         return self.base_radius, self.platform_radius, self.middle_side
+
+    def is_same_machine(self, other: Geometry) -> bool:
+        """Return True if the dimensions and legs are equal; the limits may differ."""
+        return self.dimensions == other.dimensions and self.legs == other.legs
 
     @property
     def middle_radius(self) -> float:
-        """Radius r = d/√3 of the middle platform, from its centre to a ball joint b_i [m]."""
+        """Radius r = d/√3 of the drawn middle platform, from its centre to a ball joint b_i [m]."""
         return self.middle_side / math.sqrt(3.0)
 
     @property
     def base_joints(self) -> FloatArray:
-        """Lower revolute joints a_1..a_3 as rows (3, 3) [m] in {B}. Eq. (1a)."""
+        """Lower revolute joints a_1..a_3 of the drawing as rows (3, 3) [m] in {B}. Eq. (1a)."""
         return self.base_radius * _RADIAL
 
     @property
     def platform_joints(self) -> FloatArray:
-        """Upper revolute joints c_1..c_3 as rows (3, 3) [m] in {m}. Eq. (1b)."""
+        """Upper revolute joints c_1..c_3 of the drawing as rows (3, 3) [m] in {m}. Eq. (1b)."""
         return self.platform_radius * _RADIAL
 
     @property
     def radial_directions(self) -> FloatArray:
-        """Unit vectors from O towards a_i in {B}, equally from o towards c_i in {m}, as rows (3, 3)."""
+        """Unit vectors from O towards the drawn a_i in {B}, equally from o towards c_i in {m}, as rows (3, 3)."""
         return _RADIAL.copy()
 
     @property
     def revolute_axes(self) -> FloatArray:
-        """Unit revolute axes of legs 1..3 as rows (3, 3): in {B} at the a_i, in {m} at the c_i. Eq. (4)."""
+        """Unit revolute axes of the drawn legs 1..3 as rows (3, 3): in {B} at the a_i, in {m} at the c_i. Eq. (4)."""
         return _AXES.copy()
+
+    @property
+    def parameters(self) -> FloatArray:
+        """The 54 parameters of the legs, named in `PARAMETERS`: per leg direction (2), pivot, ball (3 each), offset.
+
+        The direction is the turn of the axis from the drawn one about the two directions perpendicular to it [rad]:
+        the tangent coordinates of the shortest arc. All else is in metres.
+        """
+        drawn, first, second = axis_directions()
+        axes = self.legs.axes
+        across = np.stack([(axes * first).sum(axis=-1), (axes * second).sum(axis=-1)], axis=-1)
+        sine = np.sqrt((across**2).sum(axis=-1))
+        angle = np.arctan2(sine, (axes * drawn).sum(axis=-1))
+        turn = across * np.divide(angle, sine, out=np.ones(6), where=sine > 0.0)[:, None]
+        _, pivots, balls, offsets = self.legs.arrays
+        return np.concatenate([turn, pivots, balls, offsets[:, None]], axis=-1).reshape(54)
+
+    def from_parameters(self, parameters: npt.ArrayLike) -> Geometry:
+        """Return the machine of the same dimensions and limits whose legs have these 54 `parameters`.
+
+        Raises
+        ------
+        GeometryError
+            If they are those of no machine.
+        """
+        values = _array(parameters, "parameters", (54,), "radians and metres, see PARAMETERS").reshape(6, 9)
+        drawn, first, second = axis_directions()
+        angle = np.sqrt((values[:, :2] ** 2).sum(axis=-1))
+        if (angle > np.pi / 2.0).any():
+            leg = int(angle.argmax())
+            expected = "directions of the axes within a quarter turn of the drawn ones, in radians"
+            raise GeometryError("parameters", expected, f"{angle[leg]:g} rad at {LEGS[leg]}", "Given in degrees?")
+        across = np.sinc(angle / np.pi)[:, None] * values[:, :2]
+        axes = np.cos(angle)[:, None] * drawn + across[:, :1] * first + across[:, 1:] * second
+        legs = Legs(axes, values[:, 2:5], values[:, 5:8], values[:, 8])
+        return Geometry(*self.dimensions, self.limits, legs)
+
+    def perturbed(self, rng: Any = None, *, length: float = 1e-4, angle: float = 1e-4) -> Geometry:
+        """Return a machine with independent normal errors added to all parameters of the legs.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator, seed, or None
+            Source of the errors.
+        length : float
+            Standard deviation of each coordinate of the pivots and balls and of the offsets [m], up to 1e7.
+        angle : float
+            Standard deviation of the turn of each axis about either direction perpendicular to it [rad], up to 0.2.
+        """
+        random = generator(rng)
+        spread = real_number(
+            length, "length", f"a standard deviation from 0 to {_MOST_LENGTH:g} m", least=0.0, most=_MOST_LENGTH
+        )
+        expected = f"a standard deviation from 0 to {_MOST_ANGLE} rad"
+        turn = real_number(angle, "angle", expected, least=0.0, most=_MOST_ANGLE, cause="Given in degrees?")
+        scale = np.tile(np.repeat([turn, spread], [2, 7]), 6)
+        return self.from_parameters(self.parameters + scale * random.standard_normal(54))
+
+    @property
+    def axis_derivatives(self) -> FloatArray:
+        """Derivatives of the axes with respect to the two coordinates of their direction in `parameters`, (6, 3, 2)."""
+        drawn, first, second = axis_directions()
+        turn = self.parameters.reshape(6, 9)[:, None, :2]
+        angle = np.sqrt((turn**2).sum(axis=-1, keepdims=True))
+        sinc, across = np.sinc(angle / np.pi), np.stack([first, second], axis=-1)
+        # (cos a - sin a / a) / a², which is -1/3 at zero.
+        small = angle < 1e-3
+        curve = np.where(small, -1.0 / 3.0 + angle**2 / 30.0, (np.cos(angle) - sinc) / np.where(small, 1.0, angle) ** 2)
+        along = (across * turn).sum(axis=-1, keepdims=True)
+        return np.asarray(sinc * (across - turn * drawn[..., None]) + curve * turn * along)
+
+
+def axis_directions() -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return each leg's drawn axis and the two directions perpendicular to it, radial and along z, (6, 3) each."""
+    axes = np.tile(_AXES, (2, 1))
+    up = np.broadcast_to([0.0, 0.0, 1.0], (6, 3))
+    return axes, np.cross(up, axes), up
+
+
+@functools.lru_cache(maxsize=64)
+def _drawn_legs(base_radius: float, platform_radius: float, middle_side: float) -> Legs:
+    corners = middle_side / math.sqrt(3.0) * _RADIAL
+    pivots = np.concatenate([base_radius * _RADIAL, platform_radius * _RADIAL])
+    legs = Legs(np.tile(_AXES, (2, 1)), pivots, np.concatenate([corners, corners]), np.zeros(6))
+    object.__setattr__(legs, "is_drawn", True)
+    return legs
+
+
+def _array(value: npt.ArrayLike, argument: str, shape: tuple[int, ...], meaning: str) -> FloatArray:
+    array = real_array(value, argument, shape, meaning, error=GeometryError)
+    if array.shape != shape:
+        raise GeometryError(argument, f"shape {shape}, {meaning}", f"shape {array.shape}")
+    if (np.abs(array) > LARGEST).any():
+        raise GeometryError(argument, f"{meaning}, at most {LARGEST:g}", f"{np.abs(array).max():g}", "Another unit?")
+    return array

@@ -1,32 +1,47 @@
-"""The data of geometries in YAML files, and back: dimensions, leg limits, and the legs of a machine as built."""
+"""Geometries in YAML files: dimensions, limits of the readings, and the legs of a machine as built."""
 
 from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import yaml
 
 from spm_pin.errors import GeometryError
-from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.dimension_checks import dimension
+from spm_pin.mechanism.arguments import FloatArray, dimension, file_path, writing
 from spm_pin.mechanism.leg_limits import LEGS, ORDERED, LegLimits
 from spm_pin.mechanism.yaml_node import YamlNode
 
-__all__ = ["geometry_data", "leg_arrays", "legs_data", "read_dimensions"]
+if TYPE_CHECKING:
+    from spm_pin.mechanism.geometry import Geometry
 
 _IMPLAUSIBLE = 20.0
 """A file with a larger dimension [m] is suspected to be in another unit."""
 _LEG_KEYS = ("axis", "pivot", "ball", "offset")
+_HEADING = "# A 3RPS-3SPR manipulator, lengths in metres: see Geometry of spm_pin.\n"
 
 
-def read_dimensions(root: YamlNode) -> tuple[float, float, float, LegLimits | None]:
-    """Read E, C, d [m] and the leg limits under a node of a YAML file; keys and errors as for `Geometry.from_yaml`."""
+class GeometryData(NamedTuple):
+    """What a file says."""
+
+    dimensions: tuple[float, float, float]
+    """E, C and d [m]."""
+    limits: LegLimits | None
+    legs: tuple[FloatArray, ...] | None
+    """Axes, pivots, balls (6, 3) and offsets (6,)."""
+    legs_place: str
+    """File and line of the legs."""
+
+
+def read(path: str | Path) -> GeometryData:
+    """Read a file; keys and errors as for `Geometry.from_yaml`."""
+    root = YamlNode.read(file_path(path, error=GeometryError), "a YAML mapping of dimensions", GeometryError)
     sizes = {f"{triangle}_{size}" for triangle in ("base", "platform") for size in ("side", "radius")}
-    nodes = root.mapping({"middle_side"}, sizes | {"leg_limits"})
-    limits = nodes.pop("leg_limits", None)
+    nodes = root.mapping({"middle_side"}, sizes | {"leg_limits", "legs"})
+    limits, legs = nodes.pop("leg_limits", None), nodes.pop("legs", None)
     lengths = {
         key: dimension(node.number(f"a number of metres under the key {key}"), f"{key} in {node.place}")
         for key, node in nodes.items()
@@ -39,58 +54,63 @@ def read_dimensions(root: YamlNode) -> tuple[float, float, float, LegLimits | No
             raise GeometryError(str(root.path), expected, " and ".join(keys) or "neither")
         return lengths[keys[0]] / (math.sqrt(3.0) if keys[0].endswith("_side") else 1.0)
 
-    read = None if limits is None else _read_limits(limits)
-    dimensions = radius("base"), radius("platform"), lengths["middle_side"], read
+    data = GeometryData(
+        (radius("base"), radius("platform"), lengths["middle_side"]),
+        None if limits is None else _read_limits(limits),
+        None if legs is None else _read_legs(legs),
+        "" if legs is None else legs.place,
+    )
     longest = max(lengths, key=lambda key: lengths[key])
     if lengths[longest] > _IMPLAUSIBLE:
         text = (
             f"{root.path}: {longest} is {lengths[longest]:g} m. Lengths are read as metres; are these in another unit?"
         )
         warnings.warn(text, stacklevel=3)
-    return dimensions
-
-
-def geometry_data(geometry: Any) -> dict[str, Any]:
-    """Return a geometry as the data of a YAML file: radii, and limits per leg, as `Geometry.from_yaml` takes them."""
-    data: dict[str, Any] = {name: getattr(geometry, name) for name in ("base_radius", "platform_radius", "middle_side")}
-    if geometry.limits is not None:
-        pairs = zip(LEGS, geometry.limits.minimum, geometry.limits.maximum, strict=True)
-        data["leg_limits"] = {leg: [low, high] for leg, low, high in pairs}
     return data
 
 
-def _read_limits(node: YamlNode) -> LegLimits:
-    by_leg = not node.keys.isdisjoint(LEGS)
-    wanted = LEGS if by_leg else ("lower", "upper")
-    pairs = node.mapping(wanted)
+def as_data(geometry: Geometry) -> dict[str, Any]:
+    """Return a geometry as the data of a YAML file that `read` reads."""
+    data: dict[str, Any] = {name: getattr(geometry, name) for name in ("base_radius", "platform_radius", "middle_side")}
+    if geometry.limits is not None:
+        pairs = [list(pair) for pair in zip(geometry.limits.minimum, geometry.limits.maximum, strict=True)]
+        data["leg_limits"] = pairs[0] if pairs.count(pairs[0]) == 6 else dict(zip(LEGS, pairs, strict=True))
+    if not geometry.is_nominal:
+        rows = (zip(_LEG_KEYS, leg, strict=True) for leg in zip(*geometry.legs.arrays, strict=True))
+        data["legs"] = {leg: {key: entry.tolist() for key, entry in row} for leg, row in zip(LEGS, rows, strict=True)}
+    return data
 
-    def bounds(leg: str) -> tuple[float, float]:
-        expected = f"a pair of lengths in metres under the key {leg}"
-        low, high = (end.number(expected) for end in pairs[leg].items(leg, 2, expected))
+
+def write(path: str | Path, data: dict[str, Any]) -> None:
+    """Write the data of a geometry, every number with all its digits."""
+    path = file_path(path, error=GeometryError)
+    text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120)
+    with writing(path, error=GeometryError):
+        path.write_text(_HEADING + text, encoding="utf-8")
+
+
+def _read_limits(node: YamlNode) -> LegLimits:
+    def bounds(pair: YamlNode, name: str) -> tuple[float, float]:
+        expected = f"a pair of lengths in metres under the key {name}"
+        low, high = (end.number(expected) for end in pair.items(name, 2, expected))
         try:
             LegLimits(low, high)
         except GeometryError as wrong:
-            raise GeometryError(f"{leg} in {pairs[leg].place}", ORDERED, f"[{low:g}, {high:g}]", wrong.cause) from None
+            raise GeometryError(f"{name} in {pair.place}", ORDERED, f"[{low:g}, {high:g}]", wrong.cause) from None
         return low, high
 
-    ends = {leg: bounds(leg) for leg in wanted}
-    if not by_leg:
-        return LegLimits.stages(ends["lower"], ends["upper"])
-    return LegLimits([ends[leg][0] for leg in LEGS], [ends[leg][1] for leg in LEGS])
+    if not isinstance(node.node, yaml.MappingNode):
+        return LegLimits(*bounds(node, "leg_limits"))
+    pairs = node.mapping(LEGS)
+    ends = [bounds(pairs[leg], leg) for leg in LEGS]
+    return LegLimits([low for low, _ in ends], [high for _, high in ends])
 
 
-def leg_arrays(root: YamlNode) -> list[FloatArray]:
-    """Read axes, pivots, balls (6, 3) and offsets (6,) of a machine as built, under a node with a key for each leg."""
-    legs = root.mapping(LEGS)
-    read = [legs[leg].mapping(_LEG_KEYS) for leg in LEGS]
-    vectors = [np.array([_vector(leg[key], key) for leg in read]) for key in _LEG_KEYS[:3]]
-    return [*vectors, np.array([_finite(leg["offset"], "a number of metres under the key offset") for leg in read])]
-
-
-def legs_data(arrays: Sequence[FloatArray]) -> dict[str, Any]:
-    """Return what `leg_arrays` reads as the data of a YAML file, every number with all its digits."""
-    rows = (zip(_LEG_KEYS, leg, strict=True) for leg in zip(*arrays, strict=True))
-    return {leg: {key: part.tolist() for key, part in row} for leg, row in zip(LEGS, rows, strict=True)}
+def _read_legs(node: YamlNode) -> tuple[FloatArray, ...]:
+    legs = node.mapping(LEGS)
+    rows = [legs[leg].mapping(_LEG_KEYS) for leg in LEGS]
+    vectors = [np.array([_vector(row[key], key) for row in rows]) for key in _LEG_KEYS[:3]]
+    return *vectors, np.array([_finite(row["offset"], "a number of metres under the key offset") for row in rows])
 
 
 def _finite(node: YamlNode, expected: str) -> float:

@@ -20,13 +20,10 @@ import numpy as np
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, type_and_value, whole_number
-from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.ball_triangles import triangle_sides, upper_ball_weights
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_frames import LegFrame, Vector, dot, leg_frames
-
-__all__ = ["JointAngles", "joint_angles"]
 
 # Configurations computed together: intermediate arrays stay in the processor's cache.
 _BLOCK = 2048
@@ -91,7 +88,7 @@ def joint_angles(configuration: Configuration, corners: tuple[int, ...] = (0, 1,
     ArgumentError
         If an argument is of another kind.
     """
-    check_configuration(configuration, as_built=True)
+    check_configuration(configuration)
     if not isinstance(corners, tuple | list):
         raise ArgumentError("corners", "a tuple of legs, 0 to 2", type_and_value(corners))
     corners = tuple(whole_number(corner, "corners", "legs, 0 to 2", most=2) for corner in corners)
@@ -124,14 +121,14 @@ Pair = tuple[Any, Any]
 
 
 @functools.lru_cache(maxsize=16)
-def _constants(geometry: Geometry | AsBuiltGeometry) -> Constants:
+def _constants(geometry: Geometry) -> Constants:
     """Return the constants of the six legs, and of the middle platform.
 
     These are its sides b_1 b_2, b_2 b_3 and b_3 b_1 and, where the upper legs' balls differ, `upper_ball_weights`.
     """
-    if isinstance(geometry, AsBuiltGeometry):
-        sides = triangle_sides(geometry.balls[:3])
-        return leg_frames(geometry), tuple(sides.tolist()), upper_ball_weights(geometry.balls).tolist()
+    if not geometry.is_nominal:
+        sides = triangle_sides(geometry.legs.balls[:3])
+        return leg_frames(geometry), tuple(sides.tolist()), upper_ball_weights(geometry.legs.balls).tolist()
     return leg_frames(geometry), (float(geometry.middle_side),) * 3, []
 
 

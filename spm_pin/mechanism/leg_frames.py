@@ -15,21 +15,9 @@ from typing import Any
 import numpy as np
 
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.as_built import AsBuiltGeometry, axis_directions
 from spm_pin.mechanism.ball_triangles import triangle_frames
-from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.geometry import Geometry, axis_directions
 from spm_pin.mechanism.pose import homogeneous
-
-__all__ = [
-    "LegFrame",
-    "Vector",
-    "ball_placements",
-    "dot",
-    "home_leans",
-    "home_lengths",
-    "leg_frames",
-    "leg_placements",
-]
 
 Vector = tuple[Any, Any, Any]
 """Three numbers, or arrays of equal shape."""
@@ -73,17 +61,17 @@ def home_leans(geometry: Geometry) -> tuple[float, ...]:
     return tuple(leans)
 
 
-def leg_placements(geometry: AsBuiltGeometry) -> FloatArray:
+def leg_placements(geometry: Geometry) -> FloatArray:
     """Return the frames (6, 4, 4) of the legs, the lower in {B}, the upper in {m}."""
-    x = geometry.axes
+    x = geometry.legs.axes
     z = np.array([0.0, 0.0, 1.0]) - x[:, 2:] * x
     z = z / np.linalg.norm(z, axis=-1, keepdims=True)
-    return homogeneous(np.stack([x, np.cross(z, x), z], axis=-1), geometry.pivots)
+    return homogeneous(np.stack([x, np.cross(z, x), z], axis=-1), geometry.legs.pivots)
 
 
-def ball_placements(geometry: AsBuiltGeometry) -> FloatArray:
+def ball_placements(geometry: Geometry) -> FloatArray:
     """Return the frames (6, 4, 4) at the balls in {n}."""
-    return homogeneous(_corner_turns(geometry), geometry.balls)
+    return homogeneous(_corner_turns(geometry), geometry.legs.balls)
 
 
 @dataclass(frozen=True)
@@ -150,7 +138,7 @@ LegFrame = _LevelLegFrame | _TiltedLegFrame
 """Constants of a leg."""
 
 
-def leg_frames(geometry: Geometry | AsBuiltGeometry) -> tuple[LegFrame, ...]:
+def leg_frames(geometry: Geometry) -> tuple[LegFrame, ...]:
     """Return the constants of the six legs."""
     nominal = geometry.nominal
     homes = [
@@ -158,15 +146,15 @@ def leg_frames(geometry: Geometry | AsBuiltGeometry) -> tuple[LegFrame, ...]:
         for lean, length in zip(home_leans(nominal), np.repeat(home_lengths(nominal), 3), strict=True)
     ]
     axes = nominal.revolute_axes.tolist() * 2
-    if isinstance(geometry, Geometry):
+    if geometry.is_nominal:
         hips = np.concatenate([geometry.base_joints, geometry.platform_joints]).tolist()
         return tuple(
             _LevelLegFrame(*home, a[0], a[1], h[1] * a[0] - h[0] * a[1])
             for home, a, h in zip(homes, axes, hips, strict=True)
         )
     turns = np.swapaxes(leg_placements(geometry)[:, :3, :3], -1, -2)
-    shifts = (turns @ geometry.pivots[..., None])[..., 0]
-    columns = np.swapaxes(triangle_frames(geometry.balls[:3]).T @ _corner_turns(geometry), -1, -2)
+    shifts = (turns @ geometry.legs.pivots[..., None])[..., 0]
+    columns = np.swapaxes(triangle_frames(geometry.legs.balls[:3]).T @ _corner_turns(geometry), -1, -2)
     return tuple(
         _TiltedLegFrame(*home, _tuples(rows), tuple(shift), _tuples(corner))
         for home, rows, shift, corner in zip(homes, turns, shifts.tolist(), columns, strict=True)
@@ -177,9 +165,9 @@ def _tuples(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
     return tuple(map(tuple, matrix.tolist()))
 
 
-def _corner_turns(geometry: AsBuiltGeometry) -> FloatArray:
+def _corner_turns(geometry: Geometry) -> FloatArray:
     """Return the axes of the frames at the balls in {n} as columns, shape (6, 3, 3)."""
-    return np.stack(axis_directions(geometry.nominal), axis=-1)
+    return np.stack(axis_directions(), axis=-1)
 
 
 def dot(a: Sequence[Any], b: Sequence[Any]) -> Any:

@@ -19,8 +19,6 @@ from spm_pin.mechanism.arguments import (
     type_and_value,
 )
 
-__all__ = ["LEGS", "ORDERED", "LegLimits"]
-
 LEGS = ("r_b1", "r_b2", "r_b3", "r_c1", "r_c2", "r_c3")
 """Names and order of the legs: the lower stage's three, then the upper stage's."""
 

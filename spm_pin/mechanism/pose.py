@@ -19,18 +19,6 @@ from spm_pin.mechanism.arguments import (
     shaped_array,
 )
 
-__all__ = [
-    "EXACT",
-    "HasRotationTranslation",
-    "PoseLike",
-    "as_rigid_transform",
-    "checked_pose",
-    "homogeneous",
-    "pose",
-    "unchecked_pose",
-    "unchecked_transform",
-]
-
 ORTHONORMALITY_TOLERANCE = 1e-6
 """Largest entry of RᵀR - I taken for rounding, as of single precision, and repaired; more is an error."""
 EXACT = 16.0 * float(np.finfo(np.float64).eps)

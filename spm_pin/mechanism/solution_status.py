@@ -11,8 +11,6 @@ import numpy.typing as npt
 
 from spm_pin.mechanism.arguments import BoolArray
 
-__all__ = ["Degeneracy", "Status"]
-
 
 class Status(enum.IntEnum):
     """Outcome of one problem."""

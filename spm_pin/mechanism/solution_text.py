@@ -15,8 +15,6 @@ from spm_pin.mechanism.leg_limits import LEGS
 from spm_pin.mechanism.solution_status import Status
 from spm_pin.mechanism.units import unit_hint
 
-__all__ = ["absence_reason", "html_table", "short_text"]
-
 _MOST_ROWS = 16
 """Solutions that a table shows."""
 

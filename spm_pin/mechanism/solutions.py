@@ -16,8 +16,8 @@ from spm_pin.mechanism.arguments import (
     IntArray,
     boolean_array,
     broadcastable,
+    check_instance,
     first_offender,
-    instance,
     real_array,
     type_and_value,
 )
@@ -28,9 +28,6 @@ from spm_pin.mechanism.leg_limits import LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.mechanism.solution_status import Degeneracy, Status
 from spm_pin.mechanism.solution_text import absence_reason, html_table, short_text
-
-__all__ = ["SolutionSet"]
-
 
 _PARALLEL = 1e-12
 """Sine of the tilt up to which the Z axes of {B} and {m} are taken for parallel in proofs."""
@@ -91,7 +88,7 @@ class SolutionSet:
     radius: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        shape = instance(self.configurations, Configuration, "configurations").shape
+        shape = check_instance(self.configurations, Configuration, "configurations").shape
         count = len(self.labels)
         if not shape or shape[-1] != count:
             raise ArgumentError("configurations", f"a last axis of {count}, one per label", f"shape {shape}")
@@ -127,7 +124,7 @@ class SolutionSet:
             If an argument has the wrong kind or shape, or leading axes that do not fit, or the three ball joints
             of a solution lie in a line.
         """
-        instance(geometry, Geometry, "geometry")
+        check_instance(geometry, Geometry, "geometry")
         transform = as_rigid_transform(pose)
         joints = real_array(middle_joints, "middle_joints", (3, 3), "rows b_1, b_2, b_3", allow_nan=True)
         if joints.ndim < 3 or joints.shape[-3] == 0:
@@ -151,8 +148,8 @@ class SolutionSet:
         return self.configurations.shape[:-1]
 
     @property
-    def geometry(self) -> Any:
-        """The manipulator, a `Geometry` or an `AsBuiltGeometry`."""
+    def geometry(self) -> Geometry:
+        """The manipulator."""
         return self.configurations.geometry
 
     @property
@@ -184,6 +181,11 @@ class SolutionSet:
     def leg_lengths(self) -> FloatArray:
         """r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], shape (..., n, 6); NaN where not real."""
         return self.configurations.leg_lengths
+
+    @property
+    def readings(self) -> FloatArray:
+        """What the encoders of the legs show [m], shape (..., n, 6); see `Configuration.readings`."""
+        return self.configurations.readings
 
     @property
     def residual(self) -> FloatArray:
@@ -294,8 +296,8 @@ class SolutionSet:
         ArgumentError
             If `limits` are of another kind.
         """
-        limits = self.geometry.limits if limits is None else instance(limits, LegLimits, "limits")
-        return self if limits is None else self.where(limits.contains(self.leg_lengths))
+        limits = self.geometry.limits if limits is None else check_instance(limits, LegLimits, "limits")
+        return self if limits is None else self.where(limits.contains(self.readings))
 
     def nearest(self, seed: Configuration | npt.ArrayLike) -> Configuration:
         """Return the solution whose joints moved least from `seed`; NaN where none exists.
@@ -342,7 +344,7 @@ class SolutionSet:
         if limits is None:
             return mode
         inside = mode.copy()
-        inside[..., :most] &= limits.contains(self.leg_lengths[..., :most, :])
+        inside[..., :most] &= limits.contains(self.readings[..., :most, :])
         return np.where(inside.any(axis=-1, keepdims=True), inside, mode)
 
     @property

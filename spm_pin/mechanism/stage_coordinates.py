@@ -15,11 +15,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
-
-__all__ = ["configuration_of_stages", "stage_coordinates"]
 
 _MIRROR = np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]])
 """Sign of x, y and Z of each stage against those of the frame that it is seen from."""
@@ -33,7 +30,7 @@ def stage_coordinates(configuration: Configuration) -> FloatArray:
 
     The stages of a machine as built have torsion; they are not in mode F as long as it is less than half a turn.
     """
-    most = np.inf if isinstance(configuration.geometry, AsBuiltGeometry) else _TORSION
+    most = np.inf if not configuration.geometry.is_nominal else _TORSION
     middle = configuration.middle_pose.as_matrix()
     turned, centre = middle[..., :3, :3], middle[..., :3, 3]
     to_platform = np.swapaxes(configuration.rotation, -1, -2)

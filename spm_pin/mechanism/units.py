@@ -7,10 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.geometry import Geometry
-
-__all__ = ["PER_METRE", "likely_unit", "machine_size", "unit_hint"]
 
 PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 """Units of length, and how many of them are a metre."""
@@ -19,13 +16,13 @@ _PROPORTION = 10.0
 """Lengths this many times the machine's size, or less than its inverse, are read as a wrong unit."""
 
 
-def machine_size(geometry: Geometry | AsBuiltGeometry) -> float:
+def machine_size(geometry: Geometry) -> float:
     """Return E + C + 2 d [m], about the height of a machine."""
     nominal = geometry.nominal
     return nominal.base_radius + nominal.platform_radius + 2.0 * nominal.middle_side
 
 
-def likely_unit(geometry: Geometry | AsBuiltGeometry, length: float, unit: str = "m") -> str | None:
+def likely_unit(geometry: Geometry, length: float, unit: str = "m") -> str | None:
     """Return the unit in which a length [m], if it was typed in `unit`, would be in proportion; None if it is."""
     size = machine_size(geometry)
 
@@ -38,7 +35,7 @@ def likely_unit(geometry: Geometry | AsBuiltGeometry, length: float, unit: str =
     return better if better != unit else None
 
 
-def unit_hint(geometry: Geometry | AsBuiltGeometry, lengths: npt.ArrayLike) -> str:
+def unit_hint(geometry: Geometry, lengths: npt.ArrayLike) -> str:
     """Return a sentence on the unit that the largest of these lengths [m] may be in; empty if in proportion."""
     length = float(np.abs(lengths).max())
     unit = likely_unit(geometry, length)

@@ -14,8 +14,6 @@ import yaml
 
 from spm_pin.errors import ArgumentError, DescriptionError
 
-__all__ = ["YamlNode"]
-
 LARGEST_FILE = 1 << 20
 """Characters of a file that are read; a larger one is refused."""
 

@@ -11,8 +11,6 @@ from scipy.interpolate import BPoly
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, real_array
 
-__all__ = ["LegMotion", "LegPath"]
-
 
 class LegMotion(NamedTuple):
     """Leg lengths r_b1 to r_c3 along a path, (..., 6) [m], and their derivatives per unit of its parameter."""

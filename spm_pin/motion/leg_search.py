@@ -15,8 +15,6 @@ from spm_pin.mechanism.configuration import Configuration
 from spm_pin.motion.leg_path import LegPath
 from spm_pin.motion.path_states import PathRules, line_states, spaced_parameters, states_along
 
-__all__ = ["find_corners", "smooth_path"]
-
 _REACH = 0.25
 """Longest step of a tree, in units of d."""
 _SHORTCUTS = 100

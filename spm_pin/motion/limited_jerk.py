@@ -30,8 +30,6 @@ from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, IntArray
 from spm_pin.motion.motion_limits import LimitRows
 
-__all__ = ["Clock", "EasedGrid", "limited_jerk"]
-
 Clock = Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
 """A function of times (m,) [s], which gives s, ṡ and s̈ there."""
 

@@ -14,8 +14,6 @@ from spm_pin.mechanism.leg_limits import LEGS
 from spm_pin.motion.path_dynamics import PathDynamics
 from spm_pin.multibody.chain import ClosedChain
 
-__all__ = ["LimitRows", "MotionLimits"]
-
 _LARGEST = 1e12
 """Largest limit of a leg that is accepted, far from overflow."""
 

@@ -22,8 +22,6 @@ from spm_pin.motion.payload import Payload
 from spm_pin.multibody.chain import ClosedChain
 from spm_pin.multibody.constrained_state import ChainState
 
-__all__ = ["PathDynamics", "path_dynamics"]
-
 
 @dataclass(frozen=True)
 class PathDynamics:

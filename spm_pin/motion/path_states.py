@@ -10,25 +10,12 @@ from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_physical
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
-from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LEGS, LegLimits
 from spm_pin.motion.leg_path import LegPath
 from spm_pin.multibody.platform_path import PlatformMotion, PlatformPath
 from spm_pin.workspace.reachability.joint_limits import JointLimits
-
-__all__ = [
-    "ROUNDING",
-    "STEP",
-    "MotionPath",
-    "PathRules",
-    "least_determinant",
-    "line_states",
-    "platform_motion",
-    "spaced_parameters",
-    "states_along",
-]
 
 STEP = 0.005
 """Largest distance of two samples of a path in the leg lengths, in units of d."""
@@ -40,7 +27,7 @@ MotionPath = LegPath | PlatformPath
 """A path; its parameter goes from 0 to 1, of a `PlatformPath` the share of its duration."""
 
 
-def states_along(geometry: Geometry | AsBuiltGeometry, path: MotionPath, parameters: FloatArray) -> Configuration:
+def states_along(geometry: Geometry, path: MotionPath, parameters: FloatArray) -> Configuration:
     """Return the states at parameters (n,) from 0 to 1; some may not exist."""
     if isinstance(path, LegPath):
         return forward_physical(geometry, path(parameters).lengths)
@@ -53,13 +40,13 @@ def platform_motion(path: PlatformPath, parameters: FloatArray) -> PlatformMotio
     return path(np.minimum(path.start + parameters * path.duration, path.end))
 
 
-def line_states(geometry: Geometry | AsBuiltGeometry, start: FloatArray, end: FloatArray) -> Configuration:
+def line_states(geometry: Geometry, start: FloatArray, end: FloatArray) -> Configuration:
     """Return the states on a straight line between leg lengths (6,), at most `STEP` apart."""
     parameters = spaced_parameters(geometry, np.array([start, end]))[:, None]
     return forward_physical(geometry, start + parameters * (end - start))
 
 
-def spaced_parameters(geometry: Geometry | AsBuiltGeometry, lengths: FloatArray) -> FloatArray:
+def spaced_parameters(geometry: Geometry, lengths: FloatArray) -> FloatArray:
     """Return evenly spaced parameters from 0 to 1 for a path through leg lengths (n, 6), at most `STEP` apart."""
     distance = float(np.linalg.norm(np.diff(lengths, axis=0), axis=-1).sum())
     return np.linspace(0.0, 1.0, max(int(np.ceil(distance / (STEP * geometry.nominal.middle_side))), 2) + 1)
@@ -69,7 +56,7 @@ def spaced_parameters(geometry: Geometry | AsBuiltGeometry, lengths: FloatArray)
 class PathRules:
     """The rules of a path."""
 
-    geometry: Geometry | AsBuiltGeometry
+    geometry: Geometry
     """The machine; its own leg limits play no part."""
     limits: LegLimits | None
     """Leg limits; None without any."""
@@ -83,7 +70,7 @@ class PathRules:
 
         Where a state does not exist the first is -1 and the others are not numbers.
         """
-        legs = np.full(states.shape, np.inf) if self.limits is None else self.limits.margin(states.leg_lengths)
+        legs = np.full(states.shape, np.inf) if self.limits is None else self.limits.margin(states.readings)
         angles, clearance = self.joints.angle_margin(states), self.joints.clearance_margin(states)
         rows = [np.where(states.exists, 1.0, -1.0), legs, least_determinant(states) - self.margin, angles, clearance]
         return np.stack(np.broadcast_arrays(*rows), axis=-1)
@@ -99,9 +86,9 @@ class PathRules:
             return "the physical mode cannot have these lengths"
         if legs < -ROUNDING:
             assert self.limits is not None
-            leg = int(np.abs(self.limits.excess(state.leg_lengths)).argmax())
+            leg = int(np.abs(self.limits.excess(state.readings)).argmax())
             return (
-                f"{LEGS[leg]} of {state.leg_lengths[leg]:.4g} m is outside its limits, "
+                f"{LEGS[leg]} of {state.readings[leg]:.4g} m is outside its limits, "
                 f"{self.limits.minimum[leg]:g} to {self.limits.maximum[leg]:g} m"
             )
         if least < -ROUNDING:

@@ -10,8 +10,6 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, frozen, real_array, real_number, symmetric_matrices
 
-__all__ = ["Payload"]
-
 
 @dataclass(frozen=True, eq=False)
 class Payload:

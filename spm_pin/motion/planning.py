@@ -21,15 +21,14 @@ from spm_pin.kinematics.inverse_displacement import inverse_physical
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import (
     as_array,
+    check_instance,
     choice,
     generator,
-    instance,
     real_array,
     real_number,
     type_and_value,
     whole_number,
 )
-from spm_pin.mechanism.as_built import AsBuiltGeometry, check_geometry
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LegLimits
@@ -42,8 +41,6 @@ from spm_pin.multibody.platform_path import PlatformPath
 from spm_pin.proofs import Certificate
 from spm_pin.workspace.reachability.joint_limits import JointLimits
 
-__all__ = ["MotionPlan", "plan"]
-
 Place = Configuration | PoseLike | npt.ArrayLike
 
 
@@ -51,7 +48,7 @@ Place = Configuration | PoseLike | npt.ArrayLike
 class MotionPlan:
     """A path between two states, or the reason why there is none; made by `plan`."""
 
-    geometry: Geometry | AsBuiltGeometry
+    geometry: Geometry
     """The machine."""
     path: MotionPath | None
     """The path, over a parameter from 0 to 1 (a PlatformPath: in "seconds")."""
@@ -90,7 +87,7 @@ class MotionPlan:
 
 
 def plan(
-    geometry: Geometry | AsBuiltGeometry,
+    geometry: Geometry,
     start: Place,
     goal: Place,
     limits: LegLimits | None = None,
@@ -108,7 +105,7 @@ def plan(
 
     Parameters
     ----------
-    geometry : Geometry or AsBuiltGeometry
+    geometry : Geometry
         The manipulator.
     start, goal : Configuration, pose, or array_like of shape (6,)
         The states: a configuration in the physical mode, a pose of {m} in {B}, or leg lengths [m].
@@ -150,9 +147,9 @@ def plan(
     >>> spm.plan(spm.Geometry.paper(), [1.2, 1.2, 1.4, 1.25, 1.2, 1.5], [1.4, 1.2, 1.2, 1.2, 1.5, 1.25])
     <MotionPlan: straight in leg lengths, least determinant 1.15 d³>
     """
-    check_geometry(geometry)
-    allowed = geometry.limits if limits is None else instance(limits, LegLimits, "limits")
-    joints = JointLimits() if joint_limits is None else instance(joint_limits, JointLimits, "joint_limits")
+    check_instance(geometry, Geometry, "geometry")
+    allowed = geometry.limits if limits is None else check_instance(limits, LegLimits, "limits")
+    joints = JointLimits() if joint_limits is None else check_instance(joint_limits, JointLimits, "joint_limits")
     least = real_number(margin, "margin", "a number, not negative", least=0.0)
     rules = PathRules(geometry, allowed, joints, least)
     choice(line, "line", ("legs", "poses"))
@@ -161,9 +158,9 @@ def plan(
     if progress is not None and not callable(progress):
         raise ArgumentError("progress", "a function of the share of the tries done", type_and_value(progress))
     if certificate is not None:
-        instance(certificate, Certificate, "certificate")
+        check_instance(certificate, Certificate, "certificate")
         if not certificate.concerns(geometry):
-            cause = "certify takes the machine as built itself" if isinstance(geometry, AsBuiltGeometry) else ""
+            cause = "certify takes the machine as built itself" if not geometry.is_nominal else ""
             raise ArgumentError("certificate", "a certificate of `geometry`", "one of other dimensions", cause)
     if not isinstance(via, Sequence | np.ndarray) or isinstance(via, str | bytes):
         raise ArgumentError("via", "a sequence of states to pass", type_and_value(via))
@@ -173,11 +170,11 @@ def plan(
         if broken := rules.explain(state):
             raise ArgumentError(name, "a state that keeps the rules of the plan", broken)
     for k in range(len(states) - 1):
-        if np.linalg.norm(states[k + 1].leg_lengths - states[k].leg_lengths) <= 1e-12 * geometry.nominal.middle_side:
+        if np.linalg.norm(states[k + 1].readings - states[k].readings) <= 1e-12 * geometry.nominal.middle_side:
             raise ArgumentError(names[k + 1], f"another state than {names[k]}", "the same: a motion of no length")
     if line == "poses":
         return _along_poses(rules, states, certificate)
-    places = [state.leg_lengths for state in states]
+    places = [state.readings for state in states]
     if allowed is not None:
         # Not beyond the limits by rounding.
         places = [np.clip(lengths, allowed.minimum, allowed.maximum) for lengths in places]
@@ -196,12 +193,12 @@ def plan(
     return _finished(*smooth, method, reason, certificate)
 
 
-def _state(geometry: Geometry | AsBuiltGeometry, place: Place, name: str) -> Configuration:
+def _state(geometry: Geometry, place: Place, name: str) -> Configuration:
     """Return the physical state of a configuration, a pose or leg lengths."""
     if isinstance(place, Configuration):
-        check_configuration(place, name, single=True, existing=True, as_built=True)
+        check_configuration(place, name, single=True, existing=True)
         require_dimensions(place.geometry, geometry, name, "`geometry`")
-        physical = forward_physical(geometry, place.leg_lengths)
+        physical = forward_physical(geometry, place.readings)
         apart = np.abs(physical.middle_joints - place.middle_joints).max() if physical.exists else np.inf
         if not apart <= 1e-6 * geometry.nominal.middle_side:
             cause = "Another branch or assembly mode: .physical() chooses the one a machine is in"
@@ -238,7 +235,7 @@ def _along_poses(rules: PathRules, states: list[Configuration], certificate: Cer
         share = 100.0 * first / (len(rough) - 1)
         missing = f"the line of poses meets an inverse singularity, or what is out of reach, at {share:.0f} %"
         return _no_plan(geometry, rules.explain_line(rough) if rough.exists[first] else missing)
-    along = states_along(geometry, path, spaced_parameters(geometry, rough.leg_lengths))
+    along = states_along(geometry, path, spaced_parameters(geometry, rough.readings))
     reason = rules.explain_line(along)
     signs = np.sign(determinants(along)[..., 2])
     if not reason and (signs != signs[0]).any():
@@ -247,7 +244,7 @@ def _along_poses(rules: PathRules, states: list[Configuration], certificate: Cer
     return _no_plan(geometry, reason) if reason else _finished(path, along, "straight in poses", "", certificate)
 
 
-def _no_plan(geometry: Geometry | AsBuiltGeometry, reason: str) -> MotionPlan:
+def _no_plan(geometry: Geometry, reason: str) -> MotionPlan:
     return MotionPlan(geometry, None, "none", False, reason, float("nan"))
 
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.kinematics.singularity_analysis import determinants
-from spm_pin.mechanism.arguments import FloatArray, instance, real_number, whole_number
+from spm_pin.mechanism.arguments import FloatArray, check_instance, real_number, whole_number
 from spm_pin.mechanism.leg_limits import LEGS
 from spm_pin.motion.leg_path import LegPath
 from spm_pin.motion.limited_jerk import Clock, EasedGrid, limited_jerk
@@ -31,8 +31,6 @@ from spm_pin.multibody.chain import ClosedChain
 from spm_pin.multibody.joint_layout import require_dimensions
 from spm_pin.multibody.platform_path import PlatformPath
 from spm_pin.multibody.trajectory import JointTrajectory
-
-__all__ = ["time_optimal"]
 
 _LONGEST = 10**6
 """Samples that a trajectory may have."""
@@ -105,10 +103,10 @@ def time_optimal(
     as implemented by toppra. With limited jerk, a nonlinear programme in the square of the speed, as in Verscheure et
     al., IEEE Transactions on Automatic Control 54 (2009), there without jerk; solved by IPOPT to a local optimum.
     """
-    instance(chain, ClosedChain, "chain")
+    check_instance(chain, ClosedChain, "chain")
     way = _path(path, chain)
     if payload is not None:
-        instance(payload, Payload, "payload")
+        check_instance(payload, Payload, "payload")
     parts = whole_number(grid, "grid", "a number of parts from 10 to 100,000", least=10, most=100_000)
     step = real_number(period, "period", "a positive time in seconds", above=0.0)
     limits = MotionLimits.read(leg_rates, leg_accelerations, leg_jerks, leg_forces, twist)
@@ -166,7 +164,7 @@ def _refuse_events(chain: ClosedChain, along: PathDynamics, path: MotionPath, *,
 
     A path of leg lengths may cross inverse singularities: the legs lead through.
     """
-    limits, lengths = chain.geometry.limits, along.states.leg_lengths
+    limits, lengths = chain.geometry.limits, along.states.readings
     if limits is not None and not planned:
         beyond = np.abs(limits.excess(lengths))
         if (beyond > ROUNDING).any():

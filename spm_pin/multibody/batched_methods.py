@@ -19,23 +19,6 @@ from spm_pin.multibody.dynamics import Energy, NaturalFrequencies, PlatformDynam
 from spm_pin.multibody.regularity import SingularValues
 from spm_pin.multibody.vector_arguments import GainsLike, WrenchLike, read_gains, read_stiffness
 
-__all__ = [
-    "closure_gap",
-    "constraint_jacobian",
-    "cut_forces",
-    "energy",
-    "forward_dynamics",
-    "inverse_dynamics",
-    "inverse_jacobian",
-    "joint_accelerations",
-    "joint_rates",
-    "joint_velocities",
-    "leg_forces",
-    "natural_frequencies",
-    "platform_dynamics",
-    "singular_values",
-]
-
 
 def closure_gap(self: ChainLike, q: npt.ArrayLike) -> FloatArray:
     """Return how far the closures are open: from `frame_a` to `frame_b` of each, in {B} [m], shape (..., 4, 3)."""

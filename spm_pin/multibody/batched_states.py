@@ -14,8 +14,6 @@ from spm_pin.multibody.constrained_model import ConstrainedModel
 from spm_pin.multibody.constrained_state import ConstrainedState
 from spm_pin.multibody.vector_arguments import Wrenches, read_vectors
 
-__all__ = ["LOCATED", "BatchedStates", "ChainLike", "located"]
-
 LOCATED = ArgumentError, ClosureError, SingularConfigurationError
 """The errors that are about a member of a batch."""
 

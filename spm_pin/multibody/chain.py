@@ -14,7 +14,6 @@ from spm_pin.description.closures import Closure
 from spm_pin.description.paths import description_directory
 from spm_pin.description.srdf import srdf_text
 from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable
-from spm_pin.mechanism.as_built import AsBuiltGeometry
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.multibody import batched_methods, chain_kinematics, simulation, trajectory
@@ -25,8 +24,6 @@ from spm_pin.multibody.joint_layout import JointLayout
 from spm_pin.multibody.loading import description_closures, read_description
 from spm_pin.multibody.mounting import MountedChain, mount
 from spm_pin.multibody.vector_arguments import read_vectors
-
-__all__ = ["ClosedChain"]
 
 
 class ClosedChain:
@@ -53,13 +50,13 @@ class ClosedChain:
     ----------
     urdf : str
         Text of the description expanded for `geometry` and `prefix`; not checked here.
-    geometry : Geometry or AsBuiltGeometry
+    geometry : Geometry
         Its dimensions, and the limits that set its zero.
     prefix : str
         Before the name of every link and joint.
     """
 
-    def __init__(self, urdf: str, geometry: Geometry | AsBuiltGeometry, prefix: str = "") -> None:
+    def __init__(self, urdf: str, geometry: Geometry, prefix: str = "") -> None:
         self._urdf, self._geometry, self._prefix = urdf, geometry, prefix
         self._model = pin.buildModelFromXML(urdf)
         self._layout = JointLayout(self._model, geometry, prefix)
@@ -70,7 +67,7 @@ class ClosedChain:
     def from_urdf(
         cls,
         path: str | Path | None = None,
-        geometry: Geometry | AsBuiltGeometry | None = None,
+        geometry: Geometry | None = None,
         *,
         prefix: str = "",
     ) -> ClosedChain:
@@ -105,7 +102,7 @@ class ClosedChain:
 
     @property
     def geometry(self) -> Any:
-        """Dimensions and leg limits, a `Geometry` or an `AsBuiltGeometry`."""
+        """Dimensions and leg limits, a `Geometry`."""
         return self._geometry
 
     @property

@@ -10,8 +10,7 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_physical
-from spm_pin.mechanism.arguments import FloatArray, first_offender, flag, whole_number
-from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.arguments import FloatArray, as_bool, first_offender, whole_number
 from spm_pin.mechanism.leg_limits import LEGS
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.multibody.batched_states import LOCATED, ChainLike, located
@@ -19,8 +18,6 @@ from spm_pin.multibody.closure_checks import require_closed
 from spm_pin.multibody.closure_solvers import ContinuationSolver, project_to_closure
 from spm_pin.multibody.constrained_state import ChainState
 from spm_pin.multibody.vector_arguments import read_vectors
-
-__all__ = ["forward_kinematics", "inverse_kinematics", "project"]
 
 
 def project(self: ChainLike, q: npt.ArrayLike, *, hold_legs: bool = False, max_iterations: int = 50) -> FloatArray:
@@ -31,7 +28,7 @@ def project(self: ChainLike, q: npt.ArrayLike, *, hold_legs: bool = False, max_i
     Steps are halved where a full one does not shrink the gaps. Raises `ClosureError`, with the largest gap and the
     number of steps, if the loops of a member do not close to rounding in `max_iterations`.
     """
-    most, held = whole_number(max_iterations, "max_iterations", "a number of steps"), flag(hold_legs, "hold_legs")
+    most, held = whole_number(max_iterations, "max_iterations", "a number of steps"), as_bool(hold_legs, "hold_legs")
 
     def member(state: ChainState) -> FloatArray:
         return project_to_closure(state.kinematics.q, state.kinematics, held, most)
@@ -69,7 +66,7 @@ def forward_kinematics(self: ChainLike, leg_lengths: npt.ArrayLike, near: npt.Ar
     lengths = read_vectors(leg_lengths, "leg_lengths", 6)
     if (lengths < layout.offsets).any():
         worst = np.unravel_index(int((lengths - layout.offsets).argmin()), lengths.shape)
-        expected = "no negative length" if isinstance(layout.geometry, Geometry) else "readings above the offsets"
+        expected = "no negative length" if layout.geometry.is_nominal else "readings above the offsets"
         raise ArgumentError("leg_lengths", expected, f"{lengths[worst]:g} m in {LEGS[worst[-1]]}")
     return _follow(self, ContinuationSolver.to_leg_lengths, near, lengths.shape[:-1], lengths)
 

@@ -7,8 +7,6 @@ from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.multibody.constrained_model import TreeKinematics
 from spm_pin.multibody.joint_layout import AGREEMENT
 
-__all__ = ["largest", "require_closed"]
-
 
 def require_closed(kinematics: TreeKinematics, v: FloatArray | None = None, argument: str = "v") -> None:
     """Raise unless q is closed and v keeps it so, to `AGREEMENT`."""

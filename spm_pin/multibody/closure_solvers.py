@@ -20,8 +20,6 @@ from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.multibody.constrained_model import TreeKinematics
 from spm_pin.multibody.joint_layout import JointLayout
 
-__all__ = ["ContinuationSolver", "project_to_closure"]
-
 SHORTEST_NEWTON_SHARE = 2.0**-10
 """Share of a Newton step below which the projection ends without a solution."""
 LONGEST_STEP = 0.25

@@ -32,8 +32,6 @@ from spm_pin.multibody.joint_layout import JointLayout
 from spm_pin.multibody.regularity import SINGULAR, Factors, SingularValues
 from spm_pin.multibody.vector_arguments import NO_WRENCHES, Wrenches, WrenchLike, read_vector, read_vectors
 
-__all__ = ["ConstrainedModel", "TreeKinematics"]
-
 
 class ConstrainedModel:
     """A Pinocchio model that holds the mechanism's tree, perhaps with another robot, and its closures; immutable.

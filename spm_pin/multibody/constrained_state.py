@@ -29,8 +29,6 @@ from spm_pin.multibody.joint_layout import AGREEMENT
 from spm_pin.multibody.regularity import SingularValues
 from spm_pin.multibody.vector_arguments import GainsLike, WrenchLike, read_gains, read_stiffness, read_vector
 
-__all__ = ["ChainState", "ConstrainedState"]
-
 
 class ConstrainedState:
     """Joint values q and velocities v of a constrained model, with the memory for all that is computed from them.

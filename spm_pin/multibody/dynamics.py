@@ -28,17 +28,6 @@ from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.multibody.constrained_model import ConstrainedModel, TreeKinematics
 from spm_pin.multibody.vector_arguments import Gains, Wrenches
 
-__all__ = [
-    "AccelerationSolver",
-    "Energy",
-    "NaturalFrequencies",
-    "PlatformDynamics",
-    "energy_of",
-    "mass_matrix",
-    "wrench_torques",
-]
-
-
 NO_GAINS = Gains(0.0, 0.0)
 
 

@@ -28,8 +28,6 @@ from spm_pin.multibody.constrained_model import TreeKinematics
 from spm_pin.multibody.dynamics import AccelerationSolver, energy_of, mass_matrix, wrench_torques
 from spm_pin.multibody.vector_arguments import Wrenches
 
-__all__ = ["Ending", "ForceCallback", "Integrator", "SimulationEnd"]
-
 ForceCallback = Callable[[float, FloatArray, FloatArray], FloatArray]
 """Forces at (t, q, v)."""
 

@@ -9,14 +9,11 @@ import numpy as np
 from spm_pin.description.tree import ANGLES, JOINTS, SLIDES
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.mechanism.arguments import FloatArray, IntArray, first_offender, frozen
-from spm_pin.mechanism.as_built import AsBuiltGeometry, as_built
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.joint_angles import joint_angles
 from spm_pin.mechanism.leg_frames import home_lengths
 from spm_pin.mechanism.leg_limits import LEGS
-
-__all__ = ["AGREEMENT", "JointLayout", "require_dimensions"]
 
 AGREEMENT = 1e-9
 """Lengths that differ by this share of the robot's own are taken for rounded, more for another robot's."""
@@ -31,7 +28,7 @@ class JointLayout:
     `geometry` are its dimensions, and the limits that set its zero; `prefix` stands before its names in `model`.
     """
 
-    def __init__(self, model: Any, geometry: Geometry | AsBuiltGeometry, prefix: str) -> None:
+    def __init__(self, model: Any, geometry: Geometry, prefix: str) -> None:
         self.geometry = geometry
         joints = {name: model.joints[model.getJointId(prefix + name)] for name in JOINTS}
         # Without prefix in Pinocchio's order, the order of all that follows.
@@ -49,7 +46,7 @@ class JointLayout:
         self.balls = tuple(self.indices(*names) for names in BALLS)
         nominal = geometry.nominal
         # What leg lengths exceed the distances of ball and pivot by, and leg lengths (readings as built) at zero [m].
-        self.offsets = geometry.offsets if isinstance(geometry, AsBuiltGeometry) else frozen(np.zeros(len(LEGS)))
+        self.offsets = geometry.legs.offsets
         self._home_distances = frozen(np.repeat(home_lengths(nominal), 3))
         self.home = frozen(self._home_distances + self.offsets)
         # d, and the platforms' part in the length of a loop [m].
@@ -86,7 +83,7 @@ class JointLayout:
 
     def joint_values(self, configuration: Configuration) -> FloatArray:
         """Return the chain's q (..., 18) of a configuration; see `ClosedChain.joint_values`."""
-        geometry = check_configuration(configuration, existing=True, as_built=True).geometry
+        geometry = check_configuration(configuration, existing=True).geometry
         if geometry is not self.geometry:
             require_dimensions(geometry, self.geometry, "configuration", "the chain")
             # With the chain's own limits: they set the zero of its slides.
@@ -107,11 +104,9 @@ class JointLayout:
         return angles.values.take(self._order, axis=-1)
 
 
-def require_dimensions(
-    geometry: Geometry | AsBuiltGeometry, expected: Geometry | AsBuiltGeometry, argument: str, owner: str
-) -> None:
+def require_dimensions(geometry: Geometry, expected: Geometry, argument: str, owner: str) -> None:
     """Raise `GeometryError` unless both are the same mechanism; limits only choose the home, the tree's zero."""
-    if isinstance(geometry, AsBuiltGeometry) or isinstance(expected, AsBuiltGeometry):
+    if not geometry.is_nominal or not expected.is_nominal:
         _require_as_built(geometry, expected, argument, owner)
         return
     for name in ("base_radius", "platform_radius", "middle_side"):
@@ -120,18 +115,14 @@ def require_dimensions(
             raise GeometryError(argument, f"the {name} of {owner}, {sought:.9g} m", f"{found:.9g} m")
 
 
-def _require_as_built(
-    geometry: Geometry | AsBuiltGeometry, expected: Geometry | AsBuiltGeometry, argument: str, owner: str
-) -> None:
+def _require_as_built(geometry: Geometry, expected: Geometry, argument: str, owner: str) -> None:
     """Raise `GeometryError` unless both have the same axes, pivots, balls and offsets."""
     both = geometry, expected
-    received_kind, expected_kind = (
-        "a nominal machine" if isinstance(g, Geometry) else "a machine as built" for g in both
-    )
-    found, sought = map(as_built, both)
+    received_kind, expected_kind = ("a nominal machine" if g.is_nominal else "a machine as built" for g in both)
+    found, sought = geometry, expected
     for name in ("axes", "pivots", "balls", "offsets"):
         unit, symbol = (1.0, "rad") if name == "axes" else (sought.nominal.middle_side, "m")
-        apart = np.abs(getattr(found, name) - getattr(sought, name)).reshape(len(LEGS), -1).max(axis=-1)
+        apart = np.abs(getattr(found.legs, name) - getattr(sought.legs, name)).reshape(len(LEGS), -1).max(axis=-1)
         if apart.max() > AGREEMENT * unit:
             leg = int(apart.argmax())
             received = f"{received_kind} that differs by {apart[leg]:.1e} {symbol} in {LEGS[leg]}"

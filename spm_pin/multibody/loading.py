@@ -19,14 +19,11 @@ from spm_pin.description.urdf_elements import check_inertials
 from spm_pin.description.write_urdf import urdf_text
 from spm_pin.description.xml_nodes import check_prefix
 from spm_pin.errors import DescriptionError, GeometryError
-from spm_pin.mechanism.arguments import FloatArray, file_path
-from spm_pin.mechanism.as_built import AsBuiltGeometry, check_geometry
+from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_frames import home_lengths
 from spm_pin.mechanism.leg_limits import LegLimits
 from spm_pin.multibody.joint_layout import AGREEMENT, require_dimensions
-
-__all__ = ["description_closures", "read_description"]
 
 LINKS = (
     *("base", "middle_platform", "terminal_platform"),
@@ -39,15 +36,13 @@ UPPER_BALLS = ("middle_b2_upper", "middle_b3_upper")
 """The links at balls of upper legs that only the tree of a machine as built has."""
 
 
-def description_closures(geometry: Geometry | AsBuiltGeometry, prefix: str) -> tuple[Closure, ...]:
+def description_closures(geometry: Geometry, prefix: str) -> tuple[Closure, ...]:
     """Return the closures of the description's tree for these dimensions."""
     closures = read_closures(prefix=prefix)
-    return as_built_closures(closures, prefix) if isinstance(geometry, AsBuiltGeometry) else closures
+    return as_built_closures(closures, prefix) if not geometry.is_nominal else closures
 
 
-def read_description(
-    path: str | Path | None, geometry: Geometry | AsBuiltGeometry | None, prefix: str
-) -> tuple[str, Geometry | AsBuiltGeometry]:
+def read_description(path: str | Path | None, geometry: Geometry | None, prefix: str) -> tuple[str, Geometry]:
     """Return the text of a URDF and its dimensions, as `ClosedChain.from_urdf` takes them, with its errors.
 
     Without `geometry`, the dimensions of a file are measured in the tree at zero; its limits are those of the slides,
@@ -55,7 +50,7 @@ def read_description(
     """
     check_prefix(prefix)
     if geometry is not None:
-        check_geometry(geometry)
+        check_instance(geometry, Geometry, "geometry")
     if path is not None:
         return _read_file(file_path(path), geometry, prefix)
     paper = Geometry.paper()
@@ -64,16 +59,14 @@ def read_description(
     return _expanded(geometry or paper, prefix), geometry or paper
 
 
-def _expanded(geometry: Geometry | AsBuiltGeometry, prefix: str) -> str:
+def _expanded(geometry: Geometry, prefix: str) -> str:
     """Return the URDF of the description's tree for these dimensions."""
-    if isinstance(geometry, AsBuiltGeometry):
+    if not geometry.is_nominal:
         return urdf_text(manipulator(geometry, prefix=prefix), folder=description_directory())
     return expand(geometry, prefix=prefix)
 
 
-def _read_file(
-    path: Path, geometry: Geometry | AsBuiltGeometry | None, prefix: str
-) -> tuple[str, Geometry | AsBuiltGeometry]:
+def _read_file(path: Path, geometry: Geometry | None, prefix: str) -> tuple[str, Geometry]:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -91,7 +84,7 @@ def _read_file(
         received = f"{', '.join(missing) or 'none'} missing, {', '.join(foreign) or 'none'} foreign, nq = {model.nq}"
         what = f"the joints of the description, one degree of freedom each, with the prefix {prefix!r}"
         raise DescriptionError(str(path), what, received)
-    as_built = isinstance(geometry, AsBuiltGeometry)
+    as_built = geometry is not None and not geometry.is_nominal
     upper = [prefix + link for link in UPPER_BALLS]
     links = [prefix + link for link in LINKS] + upper * as_built
     absent = [link for link in links if not model.existFrame(link, pin.FrameType.BODY)]
@@ -100,7 +93,7 @@ def _read_file(
         raise DescriptionError(str(path), "the links of the description", f"no {', '.join(absent)}", cause)
     if not as_built and model.existFrame(upper[0], pin.FrameType.BODY):
         received = f"that of a machine as built, with a link {upper[0]}"
-        cause = "Pass its AsBuiltGeometry as geometry: a URDF does not have the offsets"
+        cause = "Pass its geometry, with the legs as built: a URDF does not have the offsets"
         raise DescriptionError(str(path), "the URDF of a nominal machine", received, cause)
     if not as_built:
         measured = _measured(model, prefix, _placements(model, pin.neutral(model), links))

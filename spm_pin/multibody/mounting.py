@@ -17,8 +17,6 @@ from spm_pin.multibody.constrained_state import ConstrainedState
 from spm_pin.multibody.joint_layout import JointLayout
 from spm_pin.multibody.vector_arguments import read_vectors
 
-__all__ = ["MountedChain", "mount"]
-
 
 class MountedChain:
     """A `ClosedChain` and another robot in one Pinocchio model, the loops closed; read-only.

@@ -10,10 +10,8 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform, RotationSpline
 
 from spm_pin.errors import ArgumentError, PoseError
-from spm_pin.mechanism.arguments import FloatArray, flag, real_array
+from spm_pin.mechanism.arguments import FloatArray, as_bool, real_array
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose
-
-__all__ = ["PlatformMotion", "PlatformPath", "increasing_times"]
 
 
 class PlatformMotion(NamedTuple):
@@ -54,7 +52,7 @@ class PlatformPath:
         if transforms.shape != knots.shape:
             raise PoseError("poses", f"one for each of {knots.size} times", f"shape {transforms.shape}")
         self._times = knots
-        self._ease = flag(ease, "ease")
+        self._ease = as_bool(ease, "ease")
         self._translation = CubicSpline(knots, transforms.translation)
         self._rotation = RotationSpline(knots, transforms.rotation)
 

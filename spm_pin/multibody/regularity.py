@@ -10,8 +10,6 @@ from scipy.linalg import lapack
 
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["SINGULAR", "SUSPECT", "Factors", "SingularValues"]
-
 SINGULAR = 64.0 * float(np.finfo(np.float64).eps)
 """A matrix is singular to rounding where its smallest singular value is at most this times its largest.
 

@@ -20,8 +20,6 @@ from spm_pin.multibody.integrator import Ending, ForceCallback, Integrator, Simu
 from spm_pin.multibody.platform_path import increasing_times
 from spm_pin.multibody.vector_arguments import WrenchLike, read_vector
 
-__all__ = ["ForceFunction", "Simulation", "simulate"]
-
 ForceFunction = Callable[[float, FloatArray, FloatArray], npt.ArrayLike]
 """A function of the time, q (18,) and v (18,): leg forces (6,), or a wrench (6,)."""
 

@@ -20,8 +20,6 @@ from spm_pin.multibody.closure_solvers import ContinuationSolver
 from spm_pin.multibody.constrained_state import ChainState
 from spm_pin.multibody.platform_path import PlatformMotion, PlatformPath, increasing_times
 
-__all__ = ["JointTrajectory", "joint_trajectory"]
-
 
 @dataclass(frozen=True)
 class JointTrajectory:

@@ -12,18 +12,6 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, frozen, real_array, symmetric_matrices
 
-__all__ = [
-    "NO_WRENCHES",
-    "Gains",
-    "GainsLike",
-    "WrenchLike",
-    "Wrenches",
-    "read_gains",
-    "read_stiffness",
-    "read_vector",
-    "read_vectors",
-]
-
 
 class Wrenches(NamedTuple):
     """Wrenches side by side (..., 6 n), and the n frames of the model that they act onto."""

@@ -24,8 +24,6 @@ from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.nlp import loop_equations
 
-__all__ = ["LoopEquations", "RootCertificate", "certify_root", "isolated", "newton"]
-
 _EPS = float(np.finfo(np.float64).eps)
 ROUNDING = 16.0 * _EPS
 """Rounding of one loop equation relative to the robot's size: some ten products and sums."""

@@ -22,8 +22,8 @@ from spm_pin.mechanism.arguments import (
     BoolArray,
     FloatArray,
     IntArray,
+    check_instance,
     choice,
-    instance,
     real_number,
     type_and_value,
     whole_number,
@@ -31,8 +31,6 @@ from spm_pin.mechanism.arguments import (
 from spm_pin.nlp.batched_newton import LoopEquations
 from spm_pin.nlp.ipopt_solver import IpoptSolver
 from spm_pin.nlp.multistart import MOST_BRANCHES, Multistart
-
-__all__ = ["SOLVERS", "Interrupted", "Search", "inverse_displacement", "search"]
 
 SOLVERS = ("newton", "ipopt")
 """Names of the solvers that run from each start."""
@@ -154,7 +152,7 @@ def search(
     The rule is tested against certified counts of branches, 200 poses in leg space and 50 on all of SO(3) with ten
     seeds each: at the default risk 0 of 2500 searches missed a branch, that is at most 0.15 % with 95 % confidence.
     """
-    instance(geometry, Geometry, "geometry")
+    check_instance(geometry, Geometry, "geometry")
     if starts is not None:
         starts = whole_number(starts, "starts", "a positive whole number, or None for the stopping rule", least=1)
     risk = real_number(risk, "risk", "a probability between 0 and 1", above=0.0, below=1.0)

@@ -14,8 +14,6 @@ from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.nlp import loop_equations
 
-__all__ = ["IpoptSolver"]
-
 _DEFAULTS: dict[str, Any] = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
 """Options that the caller's replace: no output, and the tolerance [m]."""
 _INTERRUPTED = ("User_Requested_Stop", "NonIpopt_Exception_Thrown")

@@ -17,10 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, SingularConfigurationError
-from spm_pin.mechanism.arguments import FloatArray, instance, real_array, type_and_value
+from spm_pin.mechanism.arguments import FloatArray, check_instance, real_array, type_and_value
 from spm_pin.mechanism.geometry import Geometry
-
-__all__ = ["closure", "equations", "inverse_jacobian", "leg_jacobian", "leg_lengths", "leg_vectors", "placed_platform"]
 
 _SHAPES = (9, 9), (9, 6), (6, 9), (6, 6)
 """Shapes of the derivatives that `leg_jacobian` returns."""
@@ -156,7 +154,7 @@ def inverse_jacobian(derivatives: Sequence[npt.ArrayLike | ca.DM]) -> FloatArray
 
 
 def _symbols(geometry: Geometry) -> tuple[ca.SX, ca.SX, ca.SX]:
-    instance(geometry, Geometry, "geometry")
+    check_instance(geometry, Geometry, "geometry")
     return ca.SX.sym("b", 9), ca.SX.sym("R", 3, 3), ca.SX.sym("o", 3)
 
 

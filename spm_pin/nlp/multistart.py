@@ -21,8 +21,6 @@ from spm_pin.mechanism.solution_status import Status
 from spm_pin.nlp.batched_newton import LoopEquations, RootCertificate, certify_root, isolated, newton
 from spm_pin.nlp.ipopt_solver import IpoptSolver
 
-__all__ = ["MOST_BRANCHES", "Multistart", "random_starts", "unseen_probability"]
-
 MOST_BRANCHES = 8
 """Largest number of branches of a pose: the degree of Eq. (19)."""
 

@@ -14,8 +14,6 @@ from spm_pin.mechanism.configuration import Configuration
 from spm_pin.paper import published
 from spm_pin.paper.jacobian import CORRECT, J_f, Table5Mistakes, refuse_singular
 
-__all__ = ["f_r", "load", "table_5"]
-
 KILO = 1e3
 CENTI = 1e-2
 # F [kN] and T [kN cm] that Table 5 was computed with; Section 5 prints others.

@@ -26,8 +26,6 @@ from spm_pin.errors import SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray, first_offender
 from spm_pin.mechanism.configuration import Configuration
 
-__all__ = ["CORRECT", "PUBLISHED", "J", "J_alpha", "J_f", "J_lambda", "Table5Mistakes", "refuse_singular"]
-
 SINGULAR = 64.0 * float(np.finfo(np.float64).eps)
 """A matrix is singular where its smallest singular value is at most this times its largest: its entries, products
 of unit vectors computed from joint positions, carry errors of this order."""

@@ -9,21 +9,6 @@ Bo Hu, Yi Lu, Jing Jing Yu, Shan Zhuang: Analyses of Inverse Kinematics, Statics
 
 from __future__ import annotations
 
-__all__ = [
-    "FORCE",
-    "POSE_AS_PRINTED",
-    "POSITION",
-    "TABLE_1",
-    "TABLE_2",
-    "TABLE_3",
-    "TABLE_4",
-    "TABLE_5",
-    "TABLE_6",
-    "TORQUE",
-    "VELOCITY",
-    "XYX_DEGREES",
-]
-
 Row = tuple[str | None, ...]
 
 # The example of Section 5, with E = 120/√3, C = 60/√3, d = 80 cm.

@@ -22,8 +22,6 @@ import numpy.typing as npt
 from spm_pin.mechanism import Geometry, PoseLike, SolutionSet, as_rigid_transform
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["Resultant", "inverse_displacement", "solve"]
-
 ComplexArray = npt.NDArray[np.complex128]
 q = math.sqrt(3.0)
 

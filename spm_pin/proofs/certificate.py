@@ -9,16 +9,13 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, instance, real_array, real_number, whole_number
-from spm_pin.mechanism.as_built import AsBuiltGeometry, as_built, check_geometry
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, real_array, real_number, whole_number
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LegLimits
 from spm_pin.mechanism.stage_coordinates import configuration_of_stages, stage_coordinates
 from spm_pin.proofs.stage_proof import StageProof, prove_stage
 from spm_pin.proofs.stage_region import StageRegion
-
-__all__ = ["Certificate", "certify", "largest_certified_limits", "stage_regions"]
 
 STAGES = ("lower", "upper")
 LONGEST = 1e3
@@ -65,9 +62,12 @@ class Certificate:
         """
         return self.lower.undecided, self.upper.undecided
 
-    def concerns(self, geometry: Geometry | AsBuiltGeometry) -> bool:
+    def concerns(self, geometry: Geometry) -> bool:
         """Return whether a machine, its limits aside, is one of those it was proved for, or looked for."""
-        errors, most = _deviation(check_geometry(geometry), self.geometry), _widened(self.geometry, self.errors)
+        errors, most = (
+            _deviation(check_instance(geometry, Geometry, "geometry"), self.geometry),
+            _widened(self.geometry, self.errors),
+        )
         return errors[0] <= most[0] and errors[1] <= most[1]
 
     def covers(self, configuration: Configuration) -> BoolArray:
@@ -80,10 +80,10 @@ class Certificate:
         ArgumentError
             If they are not states of the certificate's geometry, nor of a machine within its errors.
         """
-        check_configuration(configuration, as_built=True)
+        check_configuration(configuration)
         if not self.concerns(configuration.geometry):
             raise ArgumentError("configuration", "a state of the certificate's geometry", "one of another")
-        inside = self.limits.contains(configuration.leg_lengths)
+        inside = self.limits.contains(configuration.readings)
         if not self.holds:
             return np.zeros_like(inside)
         states = stage_coordinates(configuration)
@@ -107,7 +107,7 @@ class Certificate:
                 "free of forward singularities. Assembly modes that are not joined to the home are not part of this.",
             ]
         elif self.witness is not None:
-            lengths = ", ".join(f"{length:.6f}" for length in self.witness.leg_lengths)
+            lengths = ", ".join(f"{length:.6f}" for length in self.witness.readings)
             lines += [
                 "Does not hold: a configuration within the limits is forward singular, with legs",
                 f"({lengths}) m.",
@@ -129,7 +129,7 @@ class Certificate:
 
 
 def certify(
-    geometry: Geometry | AsBuiltGeometry,
+    geometry: Geometry,
     limits: LegLimits | None = None,
     *,
     boxes: int = 300_000,
@@ -145,7 +145,7 @@ def certify(
 
     Parameters
     ----------
-    geometry : Geometry or AsBuiltGeometry
+    geometry : Geometry
         Dimensions. For a machine as built it is proved for all machines that are as near to the nominal one.
     limits : LegLimits, optional
         Limits of the leg lengths, finite; by default those of the geometry.
@@ -172,8 +172,8 @@ def certify(
     .. [1] J.-P. Merlet, "Interval Analysis for Certified Numerical Solution of Problems in Robotics", International
        Journal of Applied Mathematics and Computer Science 19 (2009).
     """
-    nominal = check_geometry(geometry).nominal
-    limits = nominal.limits if limits is None else instance(limits, LegLimits, "limits")
+    nominal = check_instance(geometry, Geometry, "geometry").nominal
+    limits = nominal.limits if limits is None else check_instance(limits, LegLimits, "limits")
     whole_number(boxes, "boxes", least=1)
     most = 0.25 * min(nominal.dimensions)
     expected = f"metres from 0 to {most:g}, a quarter of the smallest dimension"
@@ -238,7 +238,7 @@ def largest_certified_limits(
     ArgumentError
         If no limits around `centre` certify, or the centre cannot be assembled.
     """
-    instance(geometry, Geometry, "geometry")
+    check_instance(geometry, Geometry, "geometry")
     real_number(tolerance, "tolerance", "a relative width between 1e-6 and 1", least=1e-6, below=1.0)
     if centre is None:
         if geometry.limits is None or not np.isfinite(geometry.limits.maximum).all():
@@ -262,7 +262,7 @@ def largest_certified_limits(
         if found.holds:
             best, narrow = found, half
         elif found.witness is not None:
-            wide = min(half, float(np.abs(found.witness.leg_lengths - lengths).max()))
+            wide = min(half, float(np.abs(found.witness.readings - lengths).max()))
         else:
             wide = half
         if best is None and wide < 1e-6 * float(lengths.min()):
@@ -285,12 +285,11 @@ def _widened(geometry: Geometry, errors: tuple[float, float]) -> tuple[float, fl
     return (length + _ROUNDING * sum(geometry.dimensions), angle + _ROUNDING) if any(errors) else errors
 
 
-def _deviation(machine: Geometry | AsBuiltGeometry, nominal: Geometry) -> tuple[float, float]:
+def _deviation(machine: Geometry, nominal: Geometry) -> tuple[float, float]:
     """Return the largest errors of a machine's lengths [m] and axes [rad] against a nominal geometry."""
-    if isinstance(machine, Geometry) and machine.dimensions == nominal.dimensions:
+    if machine.is_nominal and machine.dimensions == nominal.dimensions:
         return 0.0, 0.0
-    machine = as_built(machine)
-    nominal_parameters = AsBuiltGeometry.from_nominal(nominal).parameters
+    nominal_parameters = nominal.nominal.parameters
     # Directions of the axes are counted from the nominal ones, which are the same for all dimensions.
     errors = np.abs(machine.parameters - nominal_parameters).reshape(6, 9)
     return float(errors[:, 2:].max()), float(errors[:, :2].max())

@@ -27,7 +27,7 @@ from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.intervals import SQRT_3, Interval
 from spm_pin.kinematics.singularity_analysis import determinants
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, instance, whole_number
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, whole_number
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LegLimits
@@ -115,11 +115,11 @@ def certify_inverse(
     ArgumentError, GeometryError
         As for `spm_pin.certify`, or if `forward` is a certificate of other dimensions or limits, or of errors.
     """
-    instance(geometry, Geometry, "geometry")
+    check_instance(geometry, Geometry, "geometry")
     whole_number(boxes, "boxes", least=1)
     if forward is None:
         forward = certify(geometry, limits, boxes=boxes)
-    elif any(instance(forward, Certificate, "forward").errors):
+    elif any(check_instance(forward, Certificate, "forward").errors):
         raise ArgumentError("forward", "a certificate of one machine, without errors", "one of machines with errors")
     elif forward.geometry.dimensions != geometry.dimensions or forward.limits != (limits or geometry.limits):
         raise ArgumentError("forward", "a certificate of `geometry` and `limits`", "one of others")

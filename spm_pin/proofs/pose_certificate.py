@@ -22,15 +22,13 @@ from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.intervals import SQRT_3, Interval
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.kinematics.singularity_analysis import determinants
-from spm_pin.mechanism.arguments import FloatArray, instance, real_number, whole_number
+from spm_pin.mechanism.arguments import FloatArray, check_instance, real_number, whole_number
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import pose as make_pose
 from spm_pin.mechanism.stage_coordinates import configuration_of_stages, stage_coordinates
 from spm_pin.proofs.certificate import LONGEST
 from spm_pin.proofs.inverse_certificate import SAMPLES, InverseCertificate
-
-__all__ = ["certify_poses"]
 
 _SLACK = 1e-12
 """Rounding of a pose's quaternion, and of a cosine."""
@@ -69,7 +67,7 @@ def certify_poses(
         the dimensions.
     """
     check_configuration(configuration, single=True, existing=True)
-    geometry = instance(configuration.geometry, Geometry, "configuration.geometry")
+    geometry = check_instance(configuration.geometry, Geometry, "configuration.geometry")
     solutions = inverse_displacement(geometry, configuration.pose)
     gaps = np.abs(solutions.middle_joints[:2] - configuration.middle_joints).max(axis=(-1, -2))
     if not (gaps <= _SAME * geometry.middle_side).any():

@@ -10,8 +10,6 @@ from spm_pin.kinematics.intervals import Interval
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.proofs.stage_region import StageRegion
 
-__all__ = ["singular_state"]
-
 STARTS = 2_000
 STEPS = 60
 

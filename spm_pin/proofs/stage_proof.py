@@ -24,8 +24,6 @@ from spm_pin.proofs.singular_states import singular_state
 from spm_pin.proofs.stage_region import StageRegion
 from spm_pin.proofs.unique_state import has_one_state
 
-__all__ = ["Int64Array", "StageProof", "prove_stage"]
-
 Int64Array = npt.NDArray[np.int64]
 
 FIRST_LEVEL = 4

@@ -24,7 +24,7 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import forward_displacement
 from spm_pin.mechanism import BRANCHES, Status
-from spm_pin.mechanism.arguments import FloatArray, instance, real_number
+from spm_pin.mechanism.arguments import FloatArray, check_instance, real_number
 from spm_pin.sweeps.points import Points
 
 DTYPES = ("float64", "float32", "float16", "int64", "int32", "int16", "int8")
@@ -73,8 +73,8 @@ class Metric:
     def __post_init__(self) -> None:
         if not (isinstance(self.name, str) and _NAME.fullmatch(self.name)):
             raise ArgumentError("name", "letters, digits and underscores", repr(self.name))
-        instance(self.unit, str, "unit")
-        instance(self.description, str, "description")
+        check_instance(self.unit, str, "unit")
+        check_instance(self.description, str, "description")
         if not callable(self.function):
             raise ArgumentError("function", "a function of Points", type(self.function).__name__)
         try:
@@ -204,7 +204,7 @@ def metric(
     >>> import spm_pin as spm
     >>> @spm.sweeps.metric("m", "length of the longest leg beyond a length; NaN where not reachable", version=1)
     ... def excess(points, *, length=1.4):
-    ...     return points.physical.leg_lengths.max(axis=-1) - length
+    ...     return points.physical.readings.max(axis=-1) - length
     >>> excess(length=1.3).parameters
     mappingproxy({'length': 1.3})
     """
@@ -292,7 +292,7 @@ def _branch(points: Points) -> npt.ArrayLike:
 
 
 def _assembly_modes(points: Points) -> npt.ArrayLike:
-    readings = points.reached.leg_lengths
+    readings = points.reached.readings
     batches = range(0, max(1, len(readings)), _MODES_AT_A_TIME)
     counts = [forward_displacement(points.geometry, readings[k : k + _MODES_AT_A_TIME]).count for k in batches]
     return points.spread(np.concatenate(counts), absent=0.0).astype(np.int16)
@@ -304,7 +304,7 @@ def _leg_margin(points: Points) -> npt.ArrayLike:
         raise ArgumentError("geometry", "one with leg limits, of which a margin can be left", "none")
     if points.space == "legs":
         return np.where(points.assembled.exists, points.limits.margin(points.coordinates), np.nan)
-    margins = points.limits.margin(points.solutions.leg_lengths)
+    margins = points.limits.margin(points.solutions.readings)
     largest = np.where(points.solutions.is_physical, margins, -np.inf).max(axis=-1)
     return np.where(np.isinf(largest), np.nan, largest)
 

@@ -46,7 +46,7 @@ class Points:
     space : {"pose", "legs"}
         Kind of the coordinates.
     coordinates : ndarray, shape (N, 6)
-        x, y, z [m] and the X-Y-X angles [rad], or the leg lengths [m].
+        x, y, z [m] and the X-Y-X angles [rad], or the readings of the legs [m], their lengths in a drawn machine.
     """
 
     def __init__(self, geometry: Geometry, space: Space, coordinates: FloatArray) -> None:
@@ -110,7 +110,7 @@ class Points:
             reachable = np.asarray(self.branches_within.any(axis=-1))
             poses = _Poses(self._poses.rotation[reachable], self._poses.translation[reachable])
             states = inverse_physical(self.geometry, poses)
-            is_within = self.limits.contains(states.leg_lengths)
+            is_within = self.limits.contains(states.readings)
             reachable[reachable], states = is_within, states[is_within]
         return states.transformed(lambda values, _: _spread(values, reachable))
 
@@ -160,7 +160,7 @@ class Points:
 
     @cached_property
     def assembled(self) -> Configuration:
-        """The physical configuration with the given leg lengths, limits aside, shape (N,).
+        """The physical configuration with the given readings, limits aside, shape (N,).
 
         Only where points are leg lengths.
         """
@@ -176,11 +176,12 @@ class Points:
 
     @cached_property
     def _branches(self) -> tuple[FloatArray, npt.NDArray[np.int8]]:
-        """Leg lengths of all branches, shape (N, 8, 6), and the status of the M `_poses`."""
+        """Readings of all branches, shape (N, 8, 6), and the status of the M `_poses`."""
         lengths, status = branch_lengths(self.geometry, self._poses)
+        readings = lengths + self.geometry.legs.offsets
         if self.space == "legs":
-            lengths = _spread(lengths, self.assembled.exists)
-        return _locked(lengths), _locked(status)
+            readings = _spread(readings, self.assembled.exists)
+        return _locked(readings), _locked(status)
 
 
 def _xyx_rotations(angles: FloatArray) -> FloatArray:

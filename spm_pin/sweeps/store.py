@@ -33,6 +33,8 @@ _LOCK = "sweep/lock"
 _RECORDS = "sweep/crc32c"
 _WRITTEN = ("bytes", "zstd", "crc32c", *DTYPES)
 """Codecs and types of a store."""
+_SHOWN = 4
+"""Differences between a store and a sweep that a message spells out."""
 _CHUNK = r"c(\.\d+)*"
 _DRAFT = rf"({_CHUNK}|zarr)\.[0-9a-f]{{32}}\.partial"
 
@@ -122,7 +124,8 @@ class Store:
         lines = definition_differences(read_plan(path).definition(), plan.definition())
         if lines:
             expected = "a new folder, or one with a store of this very sweep"
-            raise ArgumentError("store", expected, f"{path}, where {'; '.join(lines)}")
+            more = [f"{len(lines) - _SHOWN} more differences"] if len(lines) > _SHOWN else []
+            raise ArgumentError("store", expected, f"{path}, where {'; '.join([*lines[:_SHOWN], *more])}")
         self._names = tuple(metric.name for metric in plan.variables)
         with as_store_error(path, "metadata"):
             group = zarr.open_group(path, mode="r+", zarr_format=3)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
 from typing import Any
@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import Geometry, LegLimits
-from spm_pin.mechanism.arguments import instance
+from spm_pin.mechanism import Geometry, LegLimits, Legs
+from spm_pin.mechanism.arguments import check_instance
 from spm_pin.sweeps.domains import AXES, Domain
 from spm_pin.sweeps.metrics import STATUS, Metric, resolve_metrics
 from spm_pin.sweeps.points import Points
@@ -46,8 +46,8 @@ class SweepPlan:
     @classmethod
     def make(cls, geometry: Geometry, domain: Domain, metrics: Iterable[str | Metric], chunk: int) -> SweepPlan:
         """Make a plan of metrics, each given by its name or as it is, with chunks of at most `chunk` points."""
-        instance(geometry, Geometry, "geometry")
-        instance(domain, Domain, "domain", "Made by pose_grid, leg_grid, pose_sample or leg_sample?")
+        check_instance(geometry, Geometry, "geometry")
+        check_instance(domain, Domain, "domain", "Made by pose_grid, leg_grid, pose_sample or leg_sample?")
         # By name, so that their order makes no other sweep.
         ordered = tuple(sorted(resolve_metrics(metrics), key=lambda metric: metric.name))
         reserved = [metric.name for metric in ordered if metric.name in _RESERVED]
@@ -105,13 +105,14 @@ class SweepPlan:
 
     def definition(self) -> dict[str, Any]:
         """Return the inputs that determine the results, as JSON."""
-        geometry = asdict(self.geometry)
-        if geometry["limits"]:
-            geometry["limits"] = [[x if math.isfinite(x) else None for x in end] for end in geometry["limits"].values()]
+        geometry, limits = self.geometry, self.geometry.limits
+        sizes = {name: getattr(geometry, name) for name in ("base_radius", "platform_radius", "middle_side")}
+        ends = limits and [[x if math.isfinite(x) else None for x in end] for end in (limits.minimum, limits.maximum)]
+        legs = {name: getattr(geometry.legs, name).tolist() for name in ("axes", "pivots", "balls", "offsets")}
         return {
             "format": FORMAT,
             "spm_pin": self.version,
-            "geometry": geometry,
+            "geometry": {**sizes, "limits": ends, "legs": legs},
             "domain": self.domain.definition(),
             "metrics": [metric.definition() for metric in self.metrics],
             "chunk": list(self.chunk),
@@ -125,13 +126,13 @@ class SweepPlan:
         `SpmError`, or in one of the errors of subscripts, attributes, types and values.
         """
         sizes = dict(content["geometry"])
-        limits = sizes.pop("limits")
+        limits, legs = sizes.pop("limits"), Legs(**sizes.pop("legs"))
         if limits is not None:
             limits = LegLimits(*([math.inf if x is None else x for x in end] for end in limits))
         domain = Domain.from_definition(content["domain"])
         metrics = tuple(map(Metric.from_definition, content["metrics"]))
         chunk = domain.chunk_shape(math.prod(content["chunk"]))
-        plan = cls(Geometry(**sizes, limits=limits), domain, metrics, chunk, str(content["spm_pin"]))
+        plan = cls(Geometry(**sizes, limits=limits, legs=legs), domain, metrics, chunk, str(content["spm_pin"]))
         lines = definition_differences(content, plan.definition())
         if lines:
             raise ValueError(lines[0])

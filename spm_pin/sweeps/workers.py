@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spm_pin.errors import ArgumentError, SpmError
-from spm_pin.mechanism.arguments import instance, whole_number
+from spm_pin.mechanism.arguments import check_instance, whole_number
 from spm_pin.sweeps.points import Points
 from spm_pin.sweeps.store import Store, StoreError
 from spm_pin.sweeps.sweep_plan import SweepPlan, package_version
@@ -49,7 +49,7 @@ def check_workers(scheduler: object, workers: object) -> None:
     if scheduler is not None and not isinstance(scheduler, str):
         from distributed import Client
 
-        instance(scheduler, Client, "scheduler", "Give the address of a Dask scheduler, or a Client.")
+        check_instance(scheduler, Client, "scheduler", "Give the address of a Dask scheduler, or a Client.")
 
 
 def complete_chunk(plan: SweepPlan, path: Path, chunk: Chunk) -> Chunk:

@@ -17,13 +17,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import forward_physical, inverse_displacement, inverse_jacobian, inverse_physical, leg_forces
 from spm_pin.kinematics.stage_wrenches import SINGULAR
-from spm_pin.mechanism import AsBuiltGeometry, Geometry, LegLimits
-from spm_pin.mechanism.arguments import FloatArray, file_path, instance
+from spm_pin.mechanism import Geometry, LegLimits
+from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path
 from spm_pin.mechanism.pose import EXACT
 from spm_pin.symbolic.c_translation import Program
 from spm_pin.symbolic.c_types import Array, Type, literal
-
-__all__ = ["c_sources", "write_c"]
 
 _NAMES = "kinematics.h", "kinematics.c", "kinematics_test.c"
 _CASES = 12
@@ -54,10 +52,10 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_") -> dict[str, str]:
         If `geometry` is no `Geometry`, which one as built is not, if one of its dimensions is more than 1000 times
         another, or `prefix` cannot begin a name in C.
     """
-    if isinstance(geometry, AsBuiltGeometry):
+    if not geometry.is_nominal:
         cause = "The eight roots of a machine as built take an iteration; export its .nominal"
-        raise ArgumentError("geometry", "a Geometry", "AsBuiltGeometry", cause)
-    instance(geometry, Geometry, "geometry")
+        raise ArgumentError("geometry", "a Geometry", "a machine as built", cause)
+    check_instance(geometry, Geometry, "geometry")
     smallest, largest = min(geometry.dimensions), max(geometry.dimensions)
     if largest > _SPREAD * smallest:
         expected = f"dimensions within a factor of {_SPREAD:g}, for the answers of the test program to keep ten digits"

@@ -12,8 +12,6 @@ import numpy as np
 
 from spm_pin.symbolic.c_types import Array, Tuple, Type, Value, bare, converted, declaration, joined, literal, structure
 
-__all__ = ["Declarations", "ExpressionTranslator"]
-
 _ARITHMETIC = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.BitAnd: "&", ast.BitOr: "|"}
 _COMPLEX = {
     ast.Add: "complex_sum",

@@ -20,8 +20,6 @@ import numpy as np
 from spm_pin.symbolic.c_expressions import ExpressionTranslator
 from spm_pin.symbolic.c_types import Array, Tuple, Type, Value, bare, converted, declaration, joined, literal, mangled
 
-__all__ = ["Program", "python_function", "source_tree"]
-
 _TABLES = {"f": "double", "i": "int", "c": "complex_number"}
 
 

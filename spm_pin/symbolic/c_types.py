@@ -6,20 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = [
-    "Array",
-    "Tuple",
-    "Type",
-    "Value",
-    "bare",
-    "converted",
-    "declaration",
-    "joined",
-    "literal",
-    "mangled",
-    "structure",
-]
-
 
 @dataclass(frozen=True)
 class Tuple:

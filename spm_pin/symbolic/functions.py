@@ -22,20 +22,10 @@ from spm_pin.kinematics.kernels import (
 )
 from spm_pin.kinematics.kernels.branch_tiles import DISCRIMINANT, PHYSICAL, STRAIGHT
 from spm_pin.kinematics.kernels.vectors import dot, minus
-from spm_pin.mechanism import BRANCHES, AsBuiltGeometry, Geometry
-from spm_pin.mechanism.arguments import choice, type_and_value
-from spm_pin.mechanism.dimension_checks import LARGEST, SMALLEST
+from spm_pin.mechanism import BRANCHES, Geometry
+from spm_pin.mechanism.arguments import LARGEST, SMALLEST, choice, type_and_value
 from spm_pin.mechanism.pose import ORTHONORMALITY_TOLERANCE
 from spm_pin.symbolic.tracing import table, traced
-
-__all__ = [
-    "closure_residual",
-    "forward_physical",
-    "inverse_branch",
-    "inverse_jacobian",
-    "inverse_physical",
-    "leg_forces",
-]
 
 Dimensions = Geometry | Literal["symbolic"] | None
 """A machine; `"symbolic"`, for one more input `dimensions` (3,) = E, C, d [m]; or None, for the paper's machine."""
@@ -48,9 +38,9 @@ class _Machine:
     """Dimensions as numbers or symbols, and the inputs that functions of them have."""
 
     def __init__(self, geometry: Dimensions) -> None:
-        if isinstance(geometry, AsBuiltGeometry):
+        if isinstance(geometry, Geometry) and not geometry.is_nominal:
             cause = "The roots of a machine as built have no closed form"
-            raise ArgumentError("geometry", "a Geometry", "AsBuiltGeometry", cause)
+            raise ArgumentError("geometry", "a Geometry", "a machine as built", cause)
         self.limits = None
         self.inputs: list[ca.SX] = []
         self.base: Any

@@ -20,8 +20,6 @@ import numpy as np
 
 from spm_pin.symbolic.c_translation import python_function, source_tree
 
-__all__ = ["FLOOR", "table", "traced"]
-
 FLOOR = 1e-40
 """Least radicand of a square root: its root is far below rounding, and its powers in derivatives are finite."""
 

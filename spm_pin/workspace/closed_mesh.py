@@ -18,8 +18,6 @@ from spm_pin.workspace.winding_numbers import WindingNumbers
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
-__all__ = ["ClosedMesh", "Convergence", "enclosed_volume"]
-
 _FEW = 16
 """Number of nearest faces examined first."""
 _CHUNK = 1 << 20

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import Progress, generator, instance, whole_number
+from spm_pin.mechanism.arguments import Progress, check_instance, generator, whole_number
 from spm_pin.workspace.paper_shell.shell import Shell
 from spm_pin.workspace.reachability.boundary import Boundary, reachable_boundary
 from spm_pin.workspace.reachability.confidence_intervals import Estimate, check_confidence, from_hits
 from spm_pin.workspace.reachability.leg_length_box import leg_length_box
 from spm_pin.workspace.reachability.membership import search_states
 from spm_pin.workspace.reachability.reachable_samples import sample_reachable
-
-__all__ = ["ShellComparison", "compare_with_shell"]
 
 
 @dataclass(frozen=True)
@@ -60,11 +58,11 @@ def compare_with_shell(
     """
     check_confidence(confidence)
     count, rng = whole_number(samples, "samples", least=20), generator(rng)
-    geometry, limits = instance(shell, Shell, "shell").geometry, shell.limits
+    geometry, limits = check_instance(shell, Shell, "shell").geometry, shell.limits
     box = leg_length_box(geometry, limits)
     if boundary is None:
         boundary = reachable_boundary(geometry, limits, progress=progress)
-    instance(boundary, Boundary, "boundary")
+    check_instance(boundary, Boundary, "boundary")
     if (boundary.geometry, boundary.limits) != (geometry, limits):
         raise ArgumentError("boundary", "that of the shell's geometry and limits", repr(boundary))
 

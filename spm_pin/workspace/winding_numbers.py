@@ -19,8 +19,6 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.mechanism.arguments import FloatArray, IntArray, real_array
 
-__all__ = ["WindingNumbers"]
-
 Counts = npt.NDArray[np.int32]
 
 _PAIRS = 1 << 17

@@ -11,7 +11,7 @@ import spm_pin as spm
 from spm_pin import calibration
 
 PAPER = spm.Geometry.paper()
-NOMINAL = spm.AsBuiltGeometry.from_nominal(PAPER)
+NOMINAL = PAPER
 
 
 @cache
@@ -28,7 +28,7 @@ def elsewhere() -> spm.Configuration:
 
 
 def measure(
-    machine: spm.AsBuiltGeometry, seed: int, noise: float = 1.0, states: spm.Configuration | None = None
+    machine: spm.Geometry, seed: int, noise: float = 1.0, states: spm.Configuration | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Poses (N, 4, 4) and readings (N, 6): 10 µm and 10 µrad, and 1 µm, times `noise`."""
     random = np.random.default_rng(seed)
@@ -40,7 +40,7 @@ def measure(
     return poses, readings + 1e-6 * noise * random.standard_normal(readings.shape)
 
 
-def position_errors(first: spm.AsBuiltGeometry, second: spm.AsBuiltGeometry) -> np.ndarray:
+def position_errors(first: spm.Geometry, second: spm.Geometry) -> np.ndarray:
     """Distances [m] of the platform of two machines at the same readings, all over the workspace."""
     legs = elsewhere().leg_lengths
     places = (spm.forward_physical(machine, legs).translation for machine in (first, second))

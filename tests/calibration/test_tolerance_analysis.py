@@ -43,7 +43,7 @@ def test_ranking_says_which_tolerance_pays() -> None:
     np.testing.assert_array_equal(tolerance(NOMINAL, table, elsewhere_of(NOMINAL), samples=0).shares, without.shares)
 
 
-def elsewhere_of(machine: spm.AsBuiltGeometry) -> spm.Configuration:
+def elsewhere_of(machine: spm.Geometry) -> spm.Configuration:
     state = elsewhere()
     return spm.Configuration(machine, state.pose, state.middle_joints)
 

@@ -35,7 +35,7 @@ def test_a_machine_is_identified_and_written(measured: Path, tmp_path: Path) -> 
     assert done.returncode == 0, done.stderr
     assert "48 of 54 combinations of parameters identified from 40 measurements" in done.stdout
     assert "least known is the combination that moves" in done.stdout
-    assert position_errors(spm.AsBuiltGeometry.from_yaml(out), MACHINE).max() < 5e-5
+    assert position_errors(spm.Geometry.from_yaml(out), MACHINE).max() < 5e-5
     assert figure.stat().st_size > 10_000
     for command, arguments in (
         ("inverse", POSE),
@@ -47,7 +47,7 @@ def test_a_machine_is_identified_and_written(measured: Path, tmp_path: Path) -> 
         assert other.returncode == 0, other.stderr
         assert ("TT+" if command != "forward" else "physical") in other.stdout
     pose = json.loads(run("forward", *LEGS, "--geometry", str(out), "--json").stdout)["modes"][0]["translation"]
-    found = spm.AsBuiltGeometry.from_yaml(out)
+    found = spm.Geometry.from_yaml(out)
     legs = [float(x) for x in LEGS[1:]]
     np.testing.assert_allclose(pose, spm.forward_physical(found, legs).translation, atol=1e-12)
     assert json.loads(run("inverse", *POSE, "--geometry", str(out), "--json").stdout)["degeneracy"] is None

@@ -15,7 +15,7 @@ from spm_pin.description.write_mjcf import mjcf_text
 from spm_pin.description.write_urdf import urdf_text
 
 PAPER = spm.Geometry.paper()
-NOMINAL = spm.AsBuiltGeometry.from_nominal(PAPER)
+NOMINAL = PAPER
 MACHINES = {
     "without errors": NOMINAL,
     "a millimetre": NOMINAL.perturbed(1, length=1e-3, angle=1e-3),
@@ -24,7 +24,7 @@ MACHINES = {
 LEGS = np.random.default_rng(0).uniform(1.2, 1.4, (12, 6))
 
 
-def states(machine: spm.AsBuiltGeometry) -> spm.Configuration:
+def states(machine: spm.Geometry) -> spm.Configuration:
     found = spm.forward_physical(machine, LEGS)
     assert found.exists.sum() > 8
     return found[found.exists]
@@ -44,7 +44,7 @@ def test_loops_close_to_rounding_at_the_joint_values_of_a_state(name: str, prefi
             gap = frames[closure.frame_a][:3, 3] - frames[closure.frame_b][:3, 3]
             np.testing.assert_allclose(gap, 0.0, atol=1e-14)
         # What a slide says is the length without the offset, less the length at home.
-        for slide, reading, offset in zip(SLIDES, state.leg_lengths, machine.offsets, strict=True):
+        for slide, reading, offset in zip(SLIDES, state.leg_lengths, machine.legs.offsets, strict=True):
             assert values[prefix + slide] == pytest.approx(reading - offset - 1.3, abs=1e-14)
 
 
@@ -78,8 +78,8 @@ def test_slide_limits_are_those_of_the_readings() -> None:
     assert PAPER.limits is not None
     slides = {joint.name: joint.limit for joint in manipulator(machine).joints if joint.name in SLIDES}
     for k, name in enumerate(SLIDES):
-        assert slides[name].lower + 1.3 + machine.offsets[k] == pytest.approx(PAPER.limits.minimum[k])
-        assert slides[name].upper + 1.3 + machine.offsets[k] == pytest.approx(PAPER.limits.maximum[k])
+        assert slides[name].lower + 1.3 + machine.legs.offsets[k] == pytest.approx(PAPER.limits.minimum[k])
+        assert slides[name].upper + 1.3 + machine.legs.offsets[k] == pytest.approx(PAPER.limits.maximum[k])
 
 
 @pytest.mark.parametrize("name", MACHINES)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -47,7 +48,7 @@ def test_forward_finds_the_states_whose_readings_they_are(name: str, size: float
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_without_errors_the_answers_are_those_of_the_nominal_machine(name: str) -> None:
     geometry = GEOMETRIES[name]
-    built = spm.AsBuiltGeometry.from_nominal(geometry)
+    built = geometry
     nominal = random_branches(geometry, "TT", 300, seed=5).configuration
     same = spm.Configuration(built, nominal.pose, nominal.middle_joints)
     legs = nominal.leg_lengths
@@ -94,7 +95,7 @@ def test_a_seed_is_followed_from_its_readings_to_others() -> None:
 
 def test_offsets_are_taken_off_the_readings() -> None:
     built = as_built(PAPER, 1e-4)
-    shifted = spm.AsBuiltGeometry(PAPER, built.axes, built.pivots, built.balls, built.offsets + 0.25)
+    shifted = replace(built, legs=replace(built.legs, offsets=built.legs.offsets + 0.25))
     legs = np.full(6, 1.3)
     np.testing.assert_allclose(
         spm.forward_physical(shifted, legs + 0.25).translation,
@@ -159,7 +160,7 @@ def test_determinants_are_those_of_the_jacobian() -> None:
 def test_a_pair_of_branches_meets_at_an_inverse_singularity() -> None:
     """The errors are bisected to where two branches of the paper's example end; K is singular there and only there."""
     pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
-    nominal = spm.AsBuiltGeometry.from_nominal(PAPER)
+    nominal = PAPER
     direction = np.random.default_rng(1).standard_normal(54)
 
     def branches(size: float) -> spm.SolutionSet:
@@ -194,7 +195,7 @@ def test_a_pair_of_branches_meets_at_an_inverse_singularity() -> None:
 
 def test_singular_states_are_refused_as_those_of_the_nominal_machine() -> None:
     home = spm.forward_physical(PAPER, np.full(6, 1.3))
-    nominal = spm.AsBuiltGeometry.from_nominal(PAPER)
+    nominal = PAPER
     state = spm.Configuration(nominal, home.pose, home.middle_joints)
     with pytest.raises(spm.SingularConfigurationError) as raised:
         spm.inverse_jacobian(state)

@@ -224,7 +224,7 @@ def test_proofs_are_kept_by_parts_and_copies() -> None:
 
 
 def test_a_machine_as_built_has_no_such_proof() -> None:
-    machine = spm.AsBuiltGeometry.from_nominal(PAPER)
+    machine = PAPER
     pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
     assert spm.inverse_displacement(machine, pose).certain is None
     with pytest.raises(spm.ArgumentError) as caught:

@@ -85,9 +85,9 @@ def test_a_count_above_the_largest_is_refused() -> None:
 
 @pytest.mark.parametrize("value", [0, 1, "yes", None, np.ones(2, bool)], ids=kind)
 def test_a_flag_is_true_or_false_only(value: object) -> None:
-    assert arguments.flag(np.True_, "check") is True
+    assert arguments.as_bool(np.True_, "check") is True
     with pytest.raises(spm.ArgumentError, match=r"^check: expected True or False, got"):
-        arguments.flag(value, "check")
+        arguments.as_bool(value, "check")
 
 
 @pytest.mark.parametrize("value", ["pose", None, np.ones(3), ["legs"], b"legs", HUGE], ids=kind)

@@ -58,7 +58,7 @@ def test_the_turns_of_a_machine_as_built_are_about_its_own_axes(size: float) -> 
     middle, terminal = states.middle_pose, states.rotation
     for leg in range(6):
         corner = corner_frames()[leg % 3]
-        x = built.axes[leg]
+        x = built.legs.axes[leg]
         y = np.cross([0.0, 0.0, 1.0], x) / np.linalg.norm(np.cross([0.0, 0.0, 1.0], x))
         frame = np.stack([x, y, np.cross(x, y)], axis=-1)
         ball = states.balls[:, leg]
@@ -69,7 +69,7 @@ def test_the_turns_of_a_machine_as_built_are_about_its_own_axes(size: float) -> 
         hip = Rotation.from_euler("x", angles.hip[:, leg, None])
         length = angles.slide[:, leg] + homes[leg]
         direction = hip.apply([0.0, -np.sin(leans[leg]), np.cos(leans[leg])])
-        assert (ball - built.pivots[leg]) @ frame == pytest.approx(length[:, None] * direction, abs=1e-13)
+        assert (ball - built.legs.pivots[leg]) @ frame == pytest.approx(length[:, None] * direction, abs=1e-13)
         x, y, z = (getattr(angles, f"ball_{axis}")[:, leg] for axis in "xyz")
         turns = hip * Rotation.from_euler("XYZ", np.stack([x, y, z], axis=-1))
         if leg >= 3:

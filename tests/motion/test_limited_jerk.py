@@ -126,7 +126,7 @@ def test_a_smaller_jerk_takes_longer_and_the_result_is_the_same_every_time() -> 
 
 
 def test_a_machine_as_built_is_timed_as_well() -> None:
-    machine = spm.AsBuiltGeometry.from_nominal(PAPER).perturbed(0, length=1e-3, angle=1e-3)
+    machine = PAPER.perturbed(0, length=1e-3, angle=1e-3)
     chain = spm.ClosedChain.from_urdf(geometry=machine)
     motion = spm.time_optimal(chain, LINE, leg_forces=1500.0, leg_jerks=400.0, grid=500)
     assert chain.closure_gap(motion.positions).max() < 1e-9

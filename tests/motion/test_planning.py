@@ -34,7 +34,7 @@ def test_a_straight_line_is_taken_where_it_is_safe() -> None:
 
 
 def test_a_machine_as_built_is_planned_for_by_its_readings() -> None:
-    exact = spm.AsBuiltGeometry.from_nominal(PAPER)
+    exact = PAPER
     machine = exact.perturbed(1, length=5e-3, angle=5e-3)
     limits = JointLimits(hip=(-1.2, 1.2), clearance=0.05)
     for line, goal in (("legs", GOAL), ("poses", [1.22, 1.22, 1.42, 1.3, 1.2, 1.45])):

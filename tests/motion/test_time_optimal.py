@@ -63,7 +63,7 @@ def test_the_rows_keep_the_limits_and_some_limit_is_always_used(name: str) -> No
 
 
 def test_a_machine_as_built_moves_within_its_limits() -> None:
-    exact = spm.AsBuiltGeometry.from_nominal(PAPER)
+    exact = PAPER
     limits = {"leg_forces": 1500.0, "leg_rates": 0.4}
     nominal = spm.time_optimal(CHAIN, LINE, grid=500, **limits)
     same = spm.time_optimal(spm.ClosedChain.from_urdf(geometry=exact), LINE, grid=500, **limits)

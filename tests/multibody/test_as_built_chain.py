@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,7 @@ from spm_pin.multibody.chain import ClosedChain  # noqa: E402
 
 NAMES = list(problems.GEOMETRIES)
 SIZES = (1e-6, 1e-3, 5e-2)
-EXACT = spm.AsBuiltGeometry.from_nominal(PAPER)
+EXACT = PAPER
 
 
 @cache
@@ -258,7 +259,7 @@ def test_all_joints_of_a_platform_path() -> None:
 @pytest.mark.parametrize("size", [1e-3, 5e-2])
 def test_a_passive_motion_keeps_its_energy_and_its_loops(size: float) -> None:
     robot = built("paper", size)
-    q = robot.forward_kinematics(np.array([1.25, 1.2, 1.35, 1.3, 1.25, 1.3]) + robot.geometry.offsets)
+    q = robot.forward_kinematics(np.array([1.25, 1.2, 1.35, 1.3, 1.25, 1.3]) + robot.geometry.legs.offsets)
     v = robot.joint_rates(q, [0.2, -0.1, 0.1, 0.05, -0.2, 0.1])
     run = robot.simulate(q, v, None, np.linspace(0.0, 0.5, 11))
     assert run.complete
@@ -277,7 +278,7 @@ def test_offsets_change_readings_and_nothing_else() -> None:
     geometry = plain.geometry
     shift = np.array([0.5, -0.05, 0.02, 0.0, 0.03, 0.01])
     shifted = ClosedChain.from_urdf(
-        geometry=spm.AsBuiltGeometry(PAPER, geometry.axes, geometry.pivots, geometry.balls, geometry.offsets + shift)
+        geometry=replace(geometry, legs=replace(geometry.legs, offsets=geometry.legs.offsets + shift))
     )
     q = plain.joint_values(states(plain, 3, seed=16))
     np.testing.assert_allclose(
@@ -314,9 +315,9 @@ def test_files_and_geometries_that_do_not_belong_together_are_refused(tmp_path: 
     nominal, measured = tmp_path / "nominal.urdf", tmp_path / "measured.urdf"
     nominal.write_text(expand(PAPER), encoding="utf-8")
     measured.write_text(urdf_text(manipulator(geometry)), encoding="utf-8")
-    with pytest.raises(DescriptionError, match="Pass its AsBuiltGeometry as geometry"):
+    with pytest.raises(DescriptionError, match="Pass its geometry, with the legs as built"):
         ClosedChain.from_urdf(measured)
-    with pytest.raises(DescriptionError, match="Pass its AsBuiltGeometry as geometry"):
+    with pytest.raises(DescriptionError, match="Pass its geometry, with the legs as built"):
         ClosedChain.from_urdf(measured, PAPER)
     with pytest.raises(DescriptionError, match=r"no middle_b2_upper, middle_b3_upper.*spm-pin urdf --geometry"):
         ClosedChain.from_urdf(nominal, geometry)
@@ -325,10 +326,8 @@ def test_files_and_geometries_that_do_not_belong_together_are_refused(tmp_path: 
             GeometryError, match=r"^geometry: expected the dimensions of .*measured\.urdf, got others: "
         ):
             ClosedChain.from_urdf(measured, other)
-    raised = spm.Geometry(*PAPER.dimensions, spm.LegLimits([1.2] * 6, [1.5] * 6))
-    arrays = geometry.axes, geometry.pivots, geometry.balls, geometry.offsets
     with pytest.raises(GeometryError, match="other nominal leg limits"):
-        ClosedChain.from_urdf(measured, spm.AsBuiltGeometry(raised, *arrays))
+        ClosedChain.from_urdf(measured, replace(geometry, limits=spm.LegLimits(1.2, 1.5)))
 
 
 def test_states_of_other_machines_are_refused() -> None:
@@ -342,13 +341,11 @@ def test_states_of_other_machines_are_refused() -> None:
     with pytest.raises(GeometryError, match="the axes of the chain, a nominal machine, got a machine as built"):
         chain().joint_values(state)
     other = problems.as_built(PAPER, 1e-3)
-    moved = spm.AsBuiltGeometry(
-        PAPER, other.axes, other.pivots, other.balls, other.offsets + 2e-6 * (np.arange(6) == 4)
-    )
+    moved = replace(other, legs=replace(other.legs, offsets=other.legs.offsets + 2e-6 * (np.arange(6) == 4)))
     with pytest.raises(GeometryError, match=r"the offsets of the chain, .* differs by 2\.0e-06 m in r_c2"):
         robot.joint_values(spm.Configuration(moved, state.pose, state.middle_joints))
     # Limits of the legs play no part.
-    free = spm.AsBuiltGeometry(spm.Geometry(*PAPER.dimensions), other.axes, other.pivots, other.balls, other.offsets)
+    free = replace(other, limits=None)
     same = spm.Configuration(free, state.pose, state.middle_joints)
     np.testing.assert_array_equal(robot.joint_values(same), robot.joint_values(state))
     with pytest.raises(ClosureError):

@@ -14,11 +14,11 @@ from spm_pin.proofs.certificate import stage_regions
 
 PAPER = spm.Geometry.paper()
 LIMITS = spm.LegLimits(1.1, 1.5)
-NOMINAL = spm.AsBuiltGeometry.from_nominal(PAPER)
+NOMINAL = PAPER
 CORNERS = np.array(np.meshgrid(*[[1.1, 1.5]] * 6)).reshape(6, -1).T
 
 
-def machine_within(length: float, angle: float, rng: np.random.Generator) -> spm.AsBuiltGeometry:
+def machine_within(length: float, angle: float, rng: np.random.Generator) -> spm.Geometry:
     """Return a random machine; half of them are at corners of the set."""
     share = rng.uniform(-1.0, 1.0, 54) if rng.uniform() < 0.5 else rng.choice([-1.0, 1.0], 54)
     return NOMINAL.from_parameters(NOMINAL.parameters + np.tile(np.repeat([angle, length], [2, 7]), 6) * share)
@@ -182,9 +182,10 @@ def test_a_machine_with_larger_errors_has_a_singular_configuration() -> None:
     machine = NOMINAL.from_parameters(NOMINAL.parameters + error * signs.ravel())
     with mpmath.workdps(50):
         axes, pivots, balls = (
-            [mpmath.matrix(row.tolist()) for row in part[:3]] for part in (machine.axes, machine.pivots, machine.balls)
+            [mpmath.matrix(row.tolist()) for row in part[:3]]
+            for part in (machine.legs.axes, machine.legs.pivots, machine.legs.balls)
         )
-        offsets = [mpmath.mpf(offset) for offset in machine.offsets.tolist()]
+        offsets = [mpmath.mpf(offset) for offset in machine.legs.offsets.tolist()]
 
         def state(x, y, x3, *place):  # type: ignore[no-untyped-def]
             """Return distances from the legs' planes, readings, and D."""

@@ -8,8 +8,6 @@ from spm_pin.display.rendering import camera_axes
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.configuration import Configuration
 
-__all__ = ["FIELD_OF_VIEW", "VIEWS", "fit_camera", "robot_points"]
-
 VIEWS = {"Home": (15.0, 25.0), "Front": (0.0, 4.0), "Side": (90.0, 4.0), "Top": (0.0, 89.0)}
 """Azimuth and elevation of the viewer in {B} [degrees]; the first is that of the pictures."""
 
@@ -19,7 +17,7 @@ FIELD_OF_VIEW = np.deg2rad(28.0)
 
 def robot_points(configuration: Configuration, margin: float) -> FloatArray:
     """Return corners (n, 3) of boxes of half a side `margin` around the joints and o [m]; a picture shows them all."""
-    joints = [configuration.hips, configuration.middle_joints, configuration.translation[None]]
+    joints = [configuration.leg_bases, configuration.middle_joints, configuration.translation[None]]
     corners = margin * (2.0 * np.indices((2, 2, 2)).reshape(3, -1).T - 1.0)
     return np.asarray((np.concatenate(joints)[:, None] + corners).reshape(-1, 3))
 

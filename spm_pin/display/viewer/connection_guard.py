@@ -16,8 +16,6 @@ from collections.abc import Awaitable, Callable, Collection, Mapping
 from typing import Any
 from urllib.parse import urlsplit
 
-__all__ = ["LARGEST_MESSAGE", "acceptable", "limited_receiver", "origin_allowed"]
-
 LARGEST_MESSAGE = 32 * 1024 * 1024
 """Bytes of the largest message: a rendered picture. All others are at most `_LARGEST_EVENT`."""
 

@@ -18,8 +18,6 @@ from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LEGS
 
-__all__ = ["Panel"]
-
 _COORDINATES = ("x [m]", "y [m]", "z [m]", "α [°]", "β [°]", "λ [°]")
 _LAYERS = {
     "Other branches": ("ghosts", False),

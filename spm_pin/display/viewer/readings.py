@@ -15,8 +15,6 @@ from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.branches import physical
 from spm_pin.mechanism.configuration import Configuration
 
-__all__ = ["NEAR", "SINGULARITIES", "Readings"]
-
 SINGULARITIES = ("forward, lower stage", "forward, upper stage", "inverse")
 """The singularities that J_b, J_c and K have, in this order."""
 

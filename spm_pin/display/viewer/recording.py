@@ -18,8 +18,6 @@ from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.proofs import Certificate, certify
 
-__all__ = ["Playback", "Player", "Recording", "demo_motion"]
-
 _SECONDS = 10.0
 _POINTS = 81
 _INTERVAL = 1.0 / 25.0  # between two moments of a path that is played [s]

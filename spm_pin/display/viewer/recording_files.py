@@ -17,8 +17,6 @@ from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LEGS, as_rigid_transform, pose
 from spm_pin.mechanism.arguments import FloatArray, file_path, real_array
 
-__all__ = ["read_recording"]
-
 _POSITION, _XYX, _QUATERNION = ("x", "y", "z"), ("alpha_deg", "beta_deg", "lambda_deg"), ("qx", "qy", "qz", "qw")
 _KNOWN = {*LEGS, *_POSITION, *_XYX, *_QUATERNION, "t"}
 _KNOWN |= {f"{leg}.{kind}" for leg in LEGS for kind in ("rate", "acceleration", "force")}

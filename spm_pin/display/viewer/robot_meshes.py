@@ -12,8 +12,6 @@ from spm_pin.description.visuals import VisualPart, part_placements, visual_part
 from spm_pin.mechanism import LEGS, Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["MovingMesh", "Placements", "RobotMeshes"]
-
 _STRETCHED = ("tube", "gland")
 """Meshes of a leg with placements of their own, which depend on its length."""
 

@@ -14,8 +14,6 @@ from spm_pin.display.viewer.state_markup import LOAD, PULL, PUSH, WARN
 from spm_pin.mechanism import BRANCHES, LEGS
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["RobotScene", "assign"]
-
 OnClick = Callable[[str], Coroutine[Any, Any, None]]
 Colour = tuple[int, int, int]
 
@@ -178,7 +176,7 @@ class RobotScene:
         shown = state.shown
         axis = shown.middle_pose.as_matrix()[:3, 3]
         centres = np.stack([0.5 * axis, 0.5 * (axis + shown.translation)]).repeat(3, axis=0)
-        middles = 0.5 * (shown.hips + shown.balls)
+        middles = 0.5 * (shown.leg_bases + shown.balls)
         outward = _unit(middles - centres)
         for k, handle in enumerate(self._names):
             if self.layers["names"]:
@@ -204,7 +202,7 @@ class RobotScene:
         self._point("moment", [axis, np.stack([o, o + 0.82 * (axis[1] - o)])] if axis is not None else [])
         forces = np.zeros(6) if state.readings.forces is None else state.readings.forces
         shares = forces / max(float(np.abs(forces).max()), 1e-300)
-        hips, balls = state.shown.hips, state.shown.balls
+        hips, balls = state.shown.leg_bases, state.shown.balls
         # Beside the leg, on its side away from the robot's axis.
         middles = (hips + balls) / 2.0
         middles = middles + 0.2 * self.size * _unit(middles - 0.5 * o)

@@ -20,8 +20,6 @@ from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.configuration import check_configuration
 from spm_pin.multibody.chain import ClosedChain
 
-__all__ = ["Viewer"]
-
 
 class Viewer:
     """An interactive page of a manipulator, served until `stop`.

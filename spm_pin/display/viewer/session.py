@@ -30,8 +30,6 @@ from spm_pin.mechanism import Configuration
 from spm_pin.mechanism import pose as make_pose
 from spm_pin.multibody.chain import ClosedChain
 
-__all__ = ["Session", "SessionConfig"]
-
 _log = logging.getLogger(__name__)
 
 _MOTIONS = ("gizmo", "coordinate", "leg", "branch", "drive", "reset", "back", "time")

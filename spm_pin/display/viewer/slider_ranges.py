@@ -10,8 +10,6 @@ from spm_pin.mechanism import Configuration
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.branches import physical
 
-__all__ = ["leg_ranges", "pose_coordinates", "pose_ranges"]
-
 _NEIGHBOURS = 400
 """Sampled states, those nearest to the one shown, whose coordinates a slider spans."""
 _STEPS = 48

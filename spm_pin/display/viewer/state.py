@@ -30,8 +30,6 @@ from spm_pin.mechanism.arguments import FloatArray, real_array
 from spm_pin.mechanism.branches import family, physical
 from spm_pin.workspace.reachability.nearest_pose import nearest_reachable_pose, pose_distance
 
-__all__ = ["Drive", "Notice", "State", "StateMachine"]
-
 _UNLIMITED = LegLimits(0.0, np.inf)
 _REACHED = 1e-6  # of d
 _SAME = 1e-4  # of d: closer joints are one solution

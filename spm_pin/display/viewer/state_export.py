@@ -19,10 +19,8 @@ from spm_pin.display.viewer.viser_server import branded_html, start, stop
 from spm_pin.kinematics.singularity_analysis import SingularityKind
 from spm_pin.mechanism import LEGS, Configuration
 from spm_pin.mechanism.arguments import file_path, writing
-from spm_pin.mechanism.geometry_files import geometry_data
+from spm_pin.mechanism.geometry_files import as_data
 from spm_pin.multibody.chain import ClosedChain
-
-__all__ = ["command_line", "content", "save_snapshot", "snapshot_html"]
 
 _CARD = """<style>
 #spm-card{{position:fixed;top:0.8em;right:0.8em;width:min(24em,calc(100vw - 1.6em));box-sizing:border-box;z-index:10;
@@ -49,7 +47,7 @@ def content(state: State, chain: ClosedChain, geometry_file: Path | None = None)
     measures = {name: getattr(found, name) for name in ("sigma", "condition", "scaled_determinants")}
     measures["leg_travel"] = readings.travel
     return {
-        "geometry": {"leg_limits": None, **geometry_data(shown.geometry)},
+        "geometry": {"leg_limits": None, **as_data(shown.geometry)},
         "branch": state.label or None,
         "pose": shown.pose.as_matrix(),
         "translation": shown.translation,

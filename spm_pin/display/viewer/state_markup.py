@@ -12,8 +12,6 @@ from spm_pin.display.viewer.slider_ranges import pose_coordinates
 from spm_pin.display.viewer.state import State
 from spm_pin.mechanism.leg_limits import LEGS
 
-__all__ = ["LOAD", "PULL", "PUSH", "WARN", "forces_table", "instruments", "note", "status"]
-
 # After Okabe and Ito's palette, distinct with any colour vision. Limits and warnings have a red of their own, darker
 # than all colours of the robot.
 _CALM, _UPPER, WARN, PUSH, PULL, LOAD = "#009E73", "#E69F00", "#C8102E", "#0072B2", "#D55E00", "#7A4FB5"

@@ -17,8 +17,6 @@ import rich
 from spm_pin.display.viewer.connection_guard import LARGEST_MESSAGE, limited_receiver, origin_allowed
 from spm_pin.errors import ArgumentError, require_extra
 
-__all__ = ["PHONE_ASPECT", "PHONE_PANEL", "branded_html", "free_port", "start", "stop"]
-
 TITLE = "spm_pin"
 """The title of the page."""
 

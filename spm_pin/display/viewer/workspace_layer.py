@@ -15,8 +15,6 @@ from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.leg_frames import home_lengths
 from spm_pin.workspace.paper_shell.shell import workspace_shell
 
-__all__ = ["WorkspaceLayer"]
-
 _SAMPLES = 4000
 _RESOLUTION = 14
 _COLOUR = (86, 180, 233)

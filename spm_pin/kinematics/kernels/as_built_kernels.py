@@ -30,17 +30,6 @@ from spm_pin.kinematics.kernels.quadric_roots import eight_roots, is_real, is_sa
 from spm_pin.kinematics.kernels.three_quadrics import Planes, allocate_planes, image, put_quadrics, put_quaternion
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = [
-    "PART",
-    "SHORTEST_AT_FIRST",
-    "RootPath",
-    "allocate_path",
-    "as_built_branches",
-    "begin",
-    "follow",
-    "put_planes",
-]
-
 ComplexArray = npt.NDArray[np.complex128]
 RootPath = tuple[FloatArray, FloatArray, FloatArray, FloatArray, Planes]
 """Roots that are followed side by side, flat as in `polish`, and how they are moved on trial; targets, as parts of the

@@ -24,8 +24,6 @@ from spm_pin.kinematics.kernels.quadric_newton import part
 from spm_pin.kinematics.kernels.three_quadrics import allocate_planes, image, put_quadrics, put_quaternion
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["certain_physical_branches"]
-
 _COS_30 = math.sqrt(0.75)
 _DOUBT = 0.05
 """A branch of the nominal machine whose margin is below the negative of this is not physical in this machine either."""

@@ -15,8 +15,6 @@ import numpy.typing as npt
 from spm_pin.kinematics.kernels.compilation import jit, kernel, readonly_array
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["follow_circles"]
-
 _KANTOROVICH = 0.125
 """Largest product of the inverse's norm, the Lipschitz constant and Newton's first step; the theorem asks for 1/2."""
 _SHORTEST = 1e-7

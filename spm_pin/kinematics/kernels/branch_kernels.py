@@ -42,8 +42,6 @@ from spm_pin.kinematics.kernels.tile_results import store_joints, store_lengths,
 from spm_pin.kinematics.kernels.vectors import cross, dot
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["all_branches", "are_rigid", "branch_lengths", "complex_branches", "family_forms", "physical_branches"]
-
 _POSES = f"{readonly_array(3)}, {readonly_array(2)}"
 
 

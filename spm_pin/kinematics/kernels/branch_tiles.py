@@ -31,37 +31,6 @@ from spm_pin.kinematics.kernels.tile_memory import in_caller, on_stack
 from spm_pin.kinematics.kernels.vectors import Vector, dot, minus
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = [
-    "COSINE",
-    "DISCRIMINANT",
-    "NI",
-    "PHYSICAL",
-    "REAL",
-    "SINE",
-    "STRAIGHT",
-    "UU",
-    "UV",
-    "VERTICAL",
-    "VV",
-    "ByteArray",
-    "N",
-    "Tiles",
-    "allocate",
-    "allocate_aspects",
-    "allocate_joints",
-    "allocate_lengths",
-    "allocate_records",
-    "allocate_roots",
-    "joints_of_root",
-    "load_poses",
-    "put_aspect",
-    "put_branch",
-    "put_roots",
-    "put_status",
-    "set_up_families",
-    "solve_families",
-]
-
 VERTICAL = 16
 """Flag of a pose, besides bit k for a continuous family k: the two Z axes are parallel, without a common normal."""
 

@@ -14,8 +14,6 @@ from typing import Any, Generic, ParamSpec, TypeVar
 import numba
 from numba.core import caching, runtime
 
-__all__ = ["TILE", "Formula", "Kernel", "jit", "jit_inline", "kernel", "readonly_array"]
-
 P = ParamSpec("P")
 R = TypeVar("R")
 

@@ -18,8 +18,6 @@ from spm_pin.kinematics.kernels.three_quadrics import put_quaternion
 from spm_pin.kinematics.kernels.vectors import Vector, reduce_rows
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["follow_stages", "stage_states"]
-
 _MARGIN = 0.2
 """At most this instead of 1/2, so that `_ITERATIONS` steps of Newton's method reach rounding: 0.4^(2^5) < 1e-12."""
 _ITERATIONS = 5

@@ -21,8 +21,6 @@ from spm_pin.kinematics.kernels.compilation import jit_inline, kernel, readonly_
 from spm_pin.kinematics.kernels.quadratics import FAMILY_GROUP, FAMILY_LOWER, ROUNDING, complex_product
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["continuous_families"]
-
 
 @jit_inline
 def _half_angle(cosine: float, sine: float) -> tuple[float, float]:

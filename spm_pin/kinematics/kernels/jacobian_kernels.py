@@ -32,8 +32,6 @@ from spm_pin.kinematics.kernels.wrench_vectors import (
 )
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["all_determinants", "inverse_jacobians", "platform_jacobians", "stage_forces"]
-
 ByteArray = npt.NDArray[np.uint8]
 _STATES = f"{readonly_array(4)}, {readonly_array(4)}, {readonly_array(3)}"
 _Six = tuple[float, float, float, float, float, float]

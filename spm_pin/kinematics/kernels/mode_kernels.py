@@ -21,8 +21,6 @@ from spm_pin.kinematics.kernels.stage_modes import (
 )
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["all_modes", "compose_all", "home_modes", "home_modes_of_all"]
-
 Stage = tuple[float, float, float, float, float]
 STAGE = 4 * PLACES
 """Assembly modes of a stage: two modes, four places, two sheets."""

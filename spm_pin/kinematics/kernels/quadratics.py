@@ -14,24 +14,6 @@ import numpy as np
 from spm_pin.kinematics.kernels.compilation import jit_inline
 from spm_pin.kinematics.kernels.vectors import Vector
 
-__all__ = [
-    "COS_30",
-    "FAMILY_GROUP",
-    "FAMILY_LOWER",
-    "ROOT_SIGN",
-    "ROUNDING",
-    "RootWeights",
-    "axes",
-    "branch_weights",
-    "complex_product",
-    "middle_joints",
-    "quadratic_form",
-    "quaternion",
-    "root_of",
-    "root_weights",
-    "where",
-]
-
 ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 """Rounding of a pose relative to its size: what is smaller is taken for zero when a family is degenerate."""
 

@@ -27,8 +27,6 @@ from spm_pin.kinematics.kernels.quadric_newton import (
 from spm_pin.kinematics.kernels.vectors import cross, reduce_rows
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["ATTEMPTS", "Elimination", "allocate_elimination", "put_starts"]
-
 Elimination = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 """Arrays to compute in: a matrix in turned coordinates (4, 4), the equations (3, 10) and what is left of them (21,),
 the polynomial (9,), and the points, with the polynomial's roots in two more rows."""

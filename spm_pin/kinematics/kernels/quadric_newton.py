@@ -13,24 +13,6 @@ import numpy as np
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = [
-    "CONVERGED",
-    "FAILED",
-    "PENDING",
-    "POINTS",
-    "ROWS",
-    "STATE",
-    "part",
-    "point",
-    "polish",
-    "product",
-    "put_part",
-    "solve_bordered",
-    "squared",
-    "symmetric",
-    "symmetric_product",
-]
-
 POINTS = 8
 _SIZE, _LAST, STATE, ROWS = 8 * POINTS, 9 * POINTS, 10 * POINTS, 11
 """Where the rows of the last step's size, of the size before and of the states begin; and the number of rows."""

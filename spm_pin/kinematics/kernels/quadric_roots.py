@@ -30,8 +30,6 @@ from spm_pin.kinematics.kernels.quadric_newton import (
 )
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["eight_roots", "is_real", "is_same_point"]
-
 _SEPARATE = 1e-8
 """Projective distance above which two roots differ: rounding moves both members of a pair by less than their distance
 as long as that is above the square root of the precision."""

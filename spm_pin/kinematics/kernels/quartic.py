@@ -28,8 +28,6 @@ from spm_pin.kinematics.kernels.compilation import jit, jit_inline
 from spm_pin.kinematics.kernels.stage_equations import Equations
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["approximate_solutions", "quartic_coefficients"]
-
 ComplexArray = npt.NDArray[np.complex128]
 Quartic = tuple[float, float, float, float, float]
 

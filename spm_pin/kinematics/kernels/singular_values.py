@@ -16,17 +16,6 @@ from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, read
 from spm_pin.kinematics.kernels.stage_equations import EPS
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = [
-    "LANES",
-    "WIDTH",
-    "null_vector",
-    "orthogonalize",
-    "put_norms",
-    "put_smallest_last",
-    "singular_values",
-    "triangularize",
-]
-
 LANES = 64
 """Matrices in a tile: more than elsewhere, for the loops are many and short."""
 LANES = 64

@@ -32,8 +32,6 @@ from spm_pin.kinematics.kernels.wrench_vectors import (
 )
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["describe_singularities"]
-
 ByteArray = npt.NDArray[np.uint8]
 _STATES = f"{readonly_array(4)}, {readonly_array(4)}, {readonly_array(3)}"
 # Blocks of three rows of a tile: the forces of the lower and of the upper legs, and their revolute axes.

@@ -23,21 +23,6 @@ from spm_pin.kinematics.kernels.compilation import jit, jit_inline
 from spm_pin.kinematics.kernels.quadratics import COS_30
 from spm_pin.kinematics.kernels.vectors import Vector, combined, cross, dot, scaled
 
-__all__ = [
-    "EPS",
-    "NEAR",
-    "SAME",
-    "Equations",
-    "State",
-    "derivatives",
-    "equations",
-    "in_home_aspect",
-    "other_side_of_fold",
-    "placed",
-    "polished",
-    "residual",
-]
-
 State = tuple[float, float, float, float]
 Rows = tuple[Vector, Vector, Vector]
 Equations = tuple[float, float, float, float, float, Vector]

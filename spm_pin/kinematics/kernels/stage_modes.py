@@ -23,16 +23,6 @@ from spm_pin.kinematics.kernels.stage_equations import (
 )
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = [
-    "PLACES",
-    "Workspace",
-    "home_mode",
-    "home_mode_of_all",
-    "is_continuous",
-    "solve_mode",
-    "workspace",
-]
-
 Workspace = tuple[npt.NDArray[np.complex128], FloatArray, FloatArray, FloatArray]
 """The quartic's roots, where Newton's method starts, where it ended (with the gain), and what is kept of that."""
 

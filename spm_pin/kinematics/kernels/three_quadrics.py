@@ -14,8 +14,6 @@ import numpy as np
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["Planes", "allocate_planes", "image", "put_quadrics", "put_quaternion"]
-
 Planes = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """Normals (6, 3) and heights (6,) of planes in {B}, the balls (6, 3) in {n} that lie in them, and the factors (6, 9) of
 the normals N = Qᵀ R: R in factors[:3, :3], and Q, whose last three rows are the null space, in factors[:, 3:]."""

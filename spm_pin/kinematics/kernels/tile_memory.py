@@ -12,8 +12,6 @@ from numba.extending import intrinsic, overload
 
 from spm_pin.kinematics.kernels.compilation import TILE, jit_inline
 
-__all__ = ["LANES", "fetch_line", "in_blocks", "in_caller", "move_block", "move_numbers", "on_stack"]
-
 F = TypeVar("F", bound=Callable[..., Any])
 
 _LINE = 64

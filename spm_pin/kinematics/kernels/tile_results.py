@@ -7,8 +7,6 @@ from spm_pin.kinematics.kernels.compilation import TILE, jit_inline
 from spm_pin.kinematics.kernels.tile_memory import LANES, fetch_line, in_blocks, move_block, move_numbers
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["store_joints", "store_lengths", "store_pose", "store_poses"]
-
 _LARGE = 4000
 """Poses whose results, some megabytes, exceed the second-level cache: their lines are prefetched."""
 _AHEAD = 64

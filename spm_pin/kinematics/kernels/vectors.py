@@ -7,8 +7,6 @@ import numpy as np
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["Vector", "combined", "cross", "dot", "minus", "reduce_rows", "scaled"]
-
 Vector = tuple[float, float, float]
 """A vector as three scalars, which compiled code keeps in registers."""
 

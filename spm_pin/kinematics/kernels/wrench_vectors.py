@@ -22,26 +22,6 @@ from spm_pin.kinematics.kernels.quadratics import COS_30
 from spm_pin.kinematics.kernels.vectors import Vector, combined, cross, dot, minus, scaled
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = [
-    "BASE_AXES",
-    "Three",
-    "is_short",
-    "is_suspect",
-    "joints_of",
-    "load",
-    "lower_legs",
-    "mean",
-    "normals",
-    "plane_determinant",
-    "platform_axes",
-    "position_of",
-    "slides",
-    "twist",
-    "unit_rates",
-    "upper_legs",
-    "velocities",
-]
-
 Three = tuple[Vector, Vector, Vector]
 """Three vectors, one for each leg of a stage."""
 

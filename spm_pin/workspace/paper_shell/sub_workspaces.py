@@ -16,8 +16,6 @@ import numpy as np
 from spm_pin.mechanism.arguments import IntArray
 from spm_pin.paper import published
 
-__all__ = ["ERRATA", "Setting", "SubWorkspace", "orientations", "sub_workspaces"]
-
 Corner = tuple[int, ...]
 
 ERRATA = {("St3", "r_b1"): "mmax", ("Sm3", "r_b3"): "min", ("Sm5", "r_b3"): "bmin~mmax"}

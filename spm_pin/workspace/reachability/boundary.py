@@ -24,8 +24,6 @@ from spm_pin.workspace.reachability.nearest_points import NearestPoints, nearest
 from spm_pin.workspace.reachability.reachability_grid import ReachabilityGrid
 from spm_pin.workspace.reachability.state_search import RESOLUTION
 
-__all__ = ["Boundary", "BoundaryPoints", "reachable_boundary"]
-
 _BESIDE = 0.05
 """Share of the way from a point found nearest to the given one, where nothing may be nearer."""
 

@@ -18,8 +18,6 @@ from spm_pin.mechanism.arguments import FloatArray, IntArray
 from spm_pin.workspace.reachability.position_map import rotated, stage_centre
 from spm_pin.workspace.reachability.stage_set import StageSet
 
-__all__ = ["CoarseDistance"]
-
 _LOWER, _UPPER = 2048, 200_000
 """States of the lower stage that are gone through, and of the upper stage that the table is made of."""
 _VOXELS = 64

@@ -8,8 +8,6 @@ import numpy as np
 
 from spm_pin.mechanism.arguments import FloatArray, real_number
 
-__all__ = ["Estimate", "check_confidence", "from_hits", "from_mean"]
-
 
 @dataclass(frozen=True)
 class Estimate:

@@ -14,8 +14,6 @@ from spm_pin.mechanism import Configuration, joint_angles
 from spm_pin.mechanism.arguments import FloatArray, number_pair, real_number
 from spm_pin.mechanism.configuration import check_configuration
 
-__all__ = ["JointLimits", "leg_clearance"]
-
 _PAIRS = np.array([(i, j) for i in range(6) for j in range(i + 1, 6) if j != i + 3])
 """Pairs of legs that have no joint in common, by their indices in `LEGS`."""
 _ANGLES = ("hip", "ball_x", "ball_y", "ball_z")
@@ -70,7 +68,7 @@ class JointLimits:
 
         Negative outside, infinite without limits, NaN where a state does not exist.
         """
-        margin = np.full(check_configuration(configuration, as_built=True).shape, np.inf)
+        margin = np.full(check_configuration(configuration).shape, np.inf)
         if any(getattr(self, name) is not None for name in _ANGLES):
             angles = joint_angles(configuration)
             for name in _ANGLES:
@@ -82,7 +80,7 @@ class JointLimits:
     def clearance_margin(self, configuration: Configuration) -> FloatArray:
         """Return by how much the nearest legs are farther apart than they must, shape (...) [m]; as `angle_margin`."""
         if self.clearance is None:
-            return np.where(check_configuration(configuration, as_built=True).exists, np.inf, np.nan)
+            return np.where(check_configuration(configuration).exists, np.inf, np.nan)
         return leg_clearance(configuration) - self.clearance
 
 
@@ -92,8 +90,8 @@ def leg_clearance(configuration: Configuration) -> FloatArray:
     An axis is the segment from the revolute joint to the ball joint's centre. Of the fifteen pairs of legs, the three
     that meet at a corner of the middle platform are left out. NaN where a state does not exist.
     """
-    check_configuration(configuration, as_built=True)
-    starts = np.concatenate([configuration.hips[..., :3, :], configuration.balls[..., 3:, :]], axis=-2)
+    check_configuration(configuration)
+    starts = np.concatenate([configuration.leg_bases[..., :3, :], configuration.balls[..., 3:, :]], axis=-2)
     along = configuration.leg_vectors
     i, j = _PAIRS.T
     squares = _segment_distance2(starts[..., i, :], along[..., i, :], starts[..., j, :], along[..., j, :])

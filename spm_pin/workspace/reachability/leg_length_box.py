@@ -10,14 +10,12 @@ from scipy.spatial import KDTree
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, first_offender, instance
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, first_offender
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LEGS, LegLimits
 from spm_pin.workspace.reachability.coarse_distance import CoarseDistance
 from spm_pin.workspace.reachability.position_map import PositionMap
 from spm_pin.workspace.reachability.stage_set import StageSet
-
-__all__ = ["LegLengthBox", "leg_length_box"]
 
 _EPS = float(np.finfo(np.float64).eps)
 _SAMPLE = 20_000
@@ -105,7 +103,7 @@ def leg_length_box(geometry: Geometry, limits: LegLimits | None = None) -> LegLe
     ArgumentError
         If there are no limits or one is infinite, or no lengths within them belong to a configuration.
     """
-    instance(geometry, Geometry, "geometry")
+    check_instance(geometry, Geometry, "geometry")
     limits = geometry.limits if limits is None else limits
     if not isinstance(limits, LegLimits):
         cause = "The geometry has none of its own" if limits is None else ""

@@ -16,8 +16,6 @@ from spm_pin.workspace.reachability.leg_length_box import LegLengthBox
 from spm_pin.workspace.reachability.portions import in_portions
 from spm_pin.workspace.reachability.state_search import RESOLUTION, StateSearch
 
-__all__ = ["Membership", "search_states"]
-
 _OTHERS, _SPREAD = 7, 24
 """Starts after the best one: the next best, and different ones, as near the rim all good states may be elsewhere."""
 

@@ -25,8 +25,6 @@ from spm_pin.workspace.reachability.portions import in_portions
 from spm_pin.workspace.reachability.position_map import CENTRE
 from spm_pin.workspace.reachability.state_search import RESOLUTION, SINGULARITY_MARGIN, StateSearch
 
-__all__ = ["NearestPoints", "nearest_in_box", "nearest_states"]
-
 _PENALTY_WEIGHTS = (1.0, 3.0, 10.0)
 """Penalty weights of the first minimisation, of the second and of the further ones, dimensionless."""
 _REMOTE_PENALTY = 1000.0

@@ -21,14 +21,12 @@ from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import BRANCHES, FAMILIES, Configuration, Geometry, LegLimits, PoseLike, as_rigid_transform
 from spm_pin.mechanism import pose as make_pose
-from spm_pin.mechanism.arguments import FloatArray, choice, instance
+from spm_pin.mechanism.arguments import FloatArray, check_instance, choice
 from spm_pin.mechanism.branches import family, physical
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox, leg_length_box
 from spm_pin.workspace.reachability.nearest_points import nearest_states
 from spm_pin.workspace.reachability.nearest_real_pose import nearest_real_pose
 from spm_pin.workspace.reachability.position_map import PositionMap
-
-__all__ = ["NearestPose", "nearest_reachable_pose", "pose_distance"]
 
 _STARTS = 8
 """Starts of the search: the states of a sample whose platform joints are nearest to the target's."""
@@ -62,7 +60,7 @@ def pose_distance(geometry: Geometry, first: PoseLike, second: PoseLike) -> Any:
     ndarray, shape (...)
         A float for two single poses.
     """
-    instance(geometry, Geometry, "geometry")
+    check_instance(geometry, Geometry, "geometry")
     places = [as_rigid_transform(pose, name).as_matrix() for pose, name in ((first, "first"), (second, "second"))]
     difference = places[0] - places[1]
     moved = difference[..., None, :3, 3] + geometry.platform_joints @ np.swapaxes(difference[..., :3, :3], -1, -2)
@@ -114,11 +112,11 @@ def nearest_reachable_pose(
     >>> import spm_pin as spm
     >>> geometry = spm.Geometry.paper()
     >>> found = spm.workspace.nearest_reachable_pose(geometry, spm.pose([0.3, 0.1, 3.0], xyx=[0.1, 0.3, -0.1]))
-    >>> bool(geometry.limits.contains(found.configuration.leg_lengths)), round(found.distance, 3)
+    >>> bool(geometry.limits.contains(found.configuration.readings)), round(found.distance, 3)
     (True, 0.344)
     """
-    instance(geometry, Geometry, "geometry")
-    limits = limits if limits is None else instance(limits, LegLimits, "limits")
+    check_instance(geometry, Geometry, "geometry")
+    limits = limits if limits is None else check_instance(limits, LegLimits, "limits")
     target = as_rigid_transform(pose)
     limits = limits or geometry.limits or LegLimits(0.0, np.inf)
     limited = max(limits.minimum) > 0.0 or min(limits.maximum) < np.inf
@@ -145,11 +143,11 @@ def nearest_reachable_pose(
 
 
 def _check_near(geometry: Geometry, near: Configuration, limits: LegLimits) -> None:
-    if instance(near, Configuration, "near").shape or not near.exists:
+    if check_instance(near, Configuration, "near").shape or not near.exists:
         raise ArgumentError("near", "a single Configuration that exists", repr(near))
     if geometry.dimensions != near.geometry.dimensions:
         raise ArgumentError("near", "a configuration of the same geometry", repr(near.geometry))
-    if not limits.margin(near.leg_lengths) >= -1e-9 * geometry.middle_side:
+    if not limits.margin(near.readings) >= -1e-9 * geometry.middle_side:
         raise ArgumentError("near", "a configuration within the leg limits", repr(near))
 
 

@@ -20,8 +20,6 @@ from spm_pin.mechanism import FAMILIES, Geometry
 from spm_pin.mechanism import pose as make_pose
 from spm_pin.mechanism.arguments import FloatArray
 
-__all__ = ["LEAST_TILT", "nearest_real_pose"]
-
 LEAST_TILT = np.deg2rad(0.1)
 """Angle between the Z axes of {B} and {m} [rad] below which there is no search: parallel, they have no common normal,
 and the manipulator is degenerate or out of reach."""

@@ -26,8 +26,6 @@ from spm_pin.workspace.reachability.confidence_intervals import Estimate, check_
 from spm_pin.workspace.reachability.leg_length_box import leg_length_box
 from spm_pin.workspace.reachability.reachable_samples import pose_multiplicity
 
-__all__ = ["ROTATIONS", "OrientationWorkspace", "orientation_workspace", "tilt_torsion"]
-
 ROTATIONS = 8.0 * np.pi**2
 """Measure of all rotations [rad³]."""
 

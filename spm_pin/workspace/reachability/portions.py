@@ -9,8 +9,6 @@ import numpy as np
 
 from spm_pin.mechanism.arguments import FloatArray, Progress
 
-__all__ = ["in_portions", "portions"]
-
 _PORTION = 4096
 """Rows of a batch worked on together."""
 

@@ -23,8 +23,6 @@ from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.branches import in_home_aspect
 
-__all__ = ["CENTRE", "PositionMap", "rotated", "stage_centre"]
-
 CENTRE = np.zeros((1, 3))
 """The platform's centre o in {m}."""
 _STEPS = 24

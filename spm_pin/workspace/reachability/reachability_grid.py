@@ -16,8 +16,6 @@ from spm_pin.workspace.reachability.membership import search_states
 from spm_pin.workspace.reachability.portions import in_portions
 from spm_pin.workspace.reachability.state_search import SINGULARITY_MARGIN, StateSearch
 
-__all__ = ["ReachabilityGrid"]
-
 _STRIDES = (8, 4, 2, 1)
 """Spacings of the grids searched one after the other, in units of the final spacing."""
 _MOST_NODES = 5_000_000

@@ -9,11 +9,9 @@ import numpy as np
 
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import BRANCHES, Configuration, Geometry, LegLimits, PoseLike, SolutionSet, Status
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, choice, instance
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, check_instance, choice
 from spm_pin.mechanism.branches import physical, straightness
 from spm_pin.workspace.reachability.joint_limits import JointLimits
-
-__all__ = ["Reachability", "reachable"]
 
 
 @dataclass(frozen=True)
@@ -99,14 +97,14 @@ def reachable(
     >>> answer.reachable, spm.mechanism.BRANCHES[answer.branch], float(answer.leg_margin[answer.branch].round(2))
     (True, 'TT+', 0.05)
     """
-    instance(geometry, Geometry, "geometry")
+    check_instance(geometry, Geometry, "geometry")
     choice(branch, "branch", ("physical", "any", *BRANCHES))
-    limits = limits if limits is None else instance(limits, LegLimits, "limits")
-    joints = JointLimits() if joints is None else instance(joints, JointLimits, "joints")
+    limits = limits if limits is None else check_instance(limits, LegLimits, "limits")
+    joints = JointLimits() if joints is None else check_instance(joints, JointLimits, "joints")
     branches = inverse_displacement(geometry, pose)
     states = branches.configurations
     limits = limits or geometry.limits
-    leg_margin = np.where(states.exists, np.inf, np.nan) if limits is None else limits.margin(states.leg_lengths)
+    leg_margin = np.where(states.exists, np.inf, np.nan) if limits is None else limits.margin(states.readings)
     angle_margin, clearance_margin = joints.angle_margin(states), joints.clearance_margin(states)
     with np.errstate(invalid="ignore"):
         allowed = (leg_margin >= 0.0) & (angle_margin >= 0.0) & (clearance_margin >= 0.0)

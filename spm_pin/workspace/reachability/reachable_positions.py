@@ -13,8 +13,6 @@ from spm_pin.workspace.reachability.leg_length_box import leg_length_box
 from spm_pin.workspace.reachability.nearest_points import nearest_in_box
 from spm_pin.workspace.reachability.state_search import RESOLUTION
 
-__all__ = ["PositionReach", "reachable_position"]
-
 _OPTIMALITY_TOLERANCE = 1e-6
 """Violation of the conditions of a nearest point, dimensionless, above which the search has not converged."""
 

@@ -17,8 +17,6 @@ from spm_pin.mechanism.arguments import FloatArray, IntArray, Progress, choice, 
 from spm_pin.mechanism.branches import physical
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox, leg_length_box
 
-__all__ = ["pose_multiplicity", "pose_weights", "sample_positions_near_limits", "sample_reachable"]
-
 _PORTION = 20_000
 """States drawn together, at most."""
 _MOST_PORTIONS = 1000
@@ -122,7 +120,7 @@ def pose_multiplicity(states: Configuration, limits: LegLimits) -> IntArray:
     """Return how many physical states within `limits` have the pose of each of `states` (N,), (N,)."""
     branches = inverse_displacement(states.geometry, states.pose).configurations
     # A state at a limit may miss it by rounding: it counts itself at least.
-    same = (physical(branches) & limits.contains(branches.leg_lengths)).sum(axis=-1)
+    same = (physical(branches) & limits.contains(branches.readings)).sum(axis=-1)
     return np.asarray(np.maximum(same, 1), dtype=np.intp)
 
 

@@ -16,8 +16,6 @@ import numpy as np
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.workspace.reachability.position_map import PositionMap
 
-__all__ = ["StageSet"]
-
 _BOXES = 20_000
 """Boxes of the cover with which its refinement ends."""
 _HALVINGS = 12

@@ -17,8 +17,6 @@ from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 from spm_pin.workspace.reachability.leg_length_box import LegLengthBox
 from spm_pin.workspace.reachability.position_map import CENTRE
 
-__all__ = ["RESOLUTION", "SINGULARITY_MARGIN", "StateSearch"]
-
 RESOLUTION = 1e-9
 """Distances are found to this share of the machine's size."""
 _EPS = float(np.finfo(np.float64).eps)

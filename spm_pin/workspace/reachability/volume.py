@@ -16,8 +16,6 @@ from spm_pin.workspace.reachability.membership import search_states
 from spm_pin.workspace.reachability.portions import portions
 from spm_pin.workspace.reachability.reachable_samples import pose_weights
 
-__all__ = ["pose_volume", "reachable_volume"]
-
 _PORTION = 10_000
 """States evaluated together."""
 

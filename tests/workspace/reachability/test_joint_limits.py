@@ -16,14 +16,14 @@ PAPER = GEOMETRIES["paper"]
 def test_clearance_is_the_least_distance_of_two_legs_without_a_common_joint(built: bool) -> None:
     states = in_leg_space(PAPER, 6, 3).configuration
     if built:
-        machine = spm.AsBuiltGeometry.from_nominal(PAPER).perturbed(1, length=0.02, angle=0.02)
+        machine = PAPER.perturbed(1, length=0.02, angle=0.02)
         states = spm.forward_physical(machine, states.leg_lengths)
     found = leg_clearance(states)
     for k in range(6):
         state = states[k]
         starts = np.concatenate([PAPER.base_joints, state.middle_joints])
         if built:
-            starts = np.concatenate([machine.pivots[:3], state.balls[3:]])
+            starts = np.concatenate([machine.legs.pivots[:3], state.balls[3:]])
         least = np.inf
         for i in range(6):
             for j in range(i + 1, 6):
@@ -52,7 +52,7 @@ def test_crossed_legs_touch() -> None:
 def test_margins_are_the_worst_and_infinite_without_limits(built: bool) -> None:
     states = in_leg_space(PAPER, 50, 4).configuration
     if built:
-        machine = spm.AsBuiltGeometry.from_nominal(PAPER).perturbed(1, length=0.02, angle=0.02)
+        machine = PAPER.perturbed(1, length=0.02, angle=0.02)
         states = spm.forward_physical(machine, states.leg_lengths)
     angles = joint_angles(states)
     assert np.isposinf(JointLimits().angle_margin(states)).all()
