@@ -13,14 +13,13 @@ import numpy.typing as npt
 
 from spm_pin.kinematics.kernels.as_built_kernels import (
     PART,
-    SHORTEST_AT_FIRST,
     allocate_path,
     begin,
     follow,
     put_planes,
 )
 from spm_pin.kinematics.kernels.compilation import jit, kernel, readonly_array
-from spm_pin.kinematics.kernels.quadric_newton import part,point
+from spm_pin.kinematics.kernels.quadric_newton import part, point
 from spm_pin.kinematics.kernels.quadric_roots import is_same_point
 from spm_pin.kinematics.kernels.three_quadrics import allocate_planes, image, put_quadrics, put_quaternion
 from spm_pin.mechanism.arguments import FloatArray
