@@ -87,7 +87,7 @@ def shell() -> Any:
 
 
 def store() -> str:
-    spm.sweeps.run(PAPER, spm.sweeps.leg_grid(1.2, (1.2, 1.3, 2)), ["branches"], "made.zarr")
+    spm.sweeps.run_sweep(PAPER, spm.sweeps.leg_grid(1.2, (1.2, 1.3, 2)), ["branches"], "made.zarr")
     return "made.zarr"
 
 
@@ -177,14 +177,12 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "xyx": lambda: (0.1, 0.2, 0.1),
     "largest_certified_limits.boxes": lambda: 3000,
     "largest_certified_limits.tolerance": lambda: 0.2,
-    "AsBuiltGeometry.nominal": lambda: PAPER,
-    "AsBuiltGeometry.axes": lambda: BUILT.legs.axes,
-    "AsBuiltGeometry.pivots": lambda: BUILT.legs.pivots,
-    "AsBuiltGeometry.balls": lambda: BUILT.legs.balls,
-    "AsBuiltGeometry.offsets": lambda: BUILT.legs.offsets,
-    "AsBuiltGeometry.from_parameters.parameters": lambda: BUILT.parameters,
-    "Geometry.from_yaml.path": as_built_file,
-    "AsBuiltGeometry.to_yaml.path": lambda: "machine.yaml",
+    "Legs.axes": lambda: BUILT.legs.axes,
+    "Legs.pivots": lambda: BUILT.legs.pivots,
+    "Legs.balls": lambda: BUILT.legs.balls,
+    "Legs.offsets": lambda: BUILT.legs.offsets,
+    "Geometry.from_parameters.parameters": lambda: BUILT.parameters,
+    "Geometry.to_yaml.path": lambda: "machine.yaml",
     "calibration.choose_poses.candidates": lambda: 40,
     "calibration.choose_poses.count": lambda: 16,
     "calibration.identify.leg_lengths": lambda: MEASURED.leg_lengths,
@@ -210,9 +208,9 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "SolutionSet.from_unordered.middle_joints": lambda: STATE.middle_joints[None],
     "inverse_physical.near": lambda: STATE,
     "forward_physical.near": lambda: STATE,
-    "sweeps.open.store": store,
-    "sweeps.resume.store": store,
-    "sweeps.status.store": store,
+    "sweeps.open_sweep.store": store,
+    "sweeps.resume_sweep.store": store,
+    "sweeps.sweep_status.store": store,
     "leg_grid.lower": lambda: (1.2, 1.3, 2),
     "leg_grid.upper": lambda: (1.2, 1.3, 2),
     "sweeps.pose_sample.x": lambda: (0.0, 0.1),
@@ -227,19 +225,18 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
 """A good value for each parameter that has no default, or whose default takes long; by name or by place and name."""
 
 INPUTS = (
-    "AsBuiltGeometry",
     "Configuration",
     "Geometry",
     "JointLimits",
     "LegLimits",
     "LegPath",
+    "Legs",
     "Payload",
     "PlatformPath",
 )
 """Classes that users make themselves; the others are results, made by the package."""
 
 INSTANCES: dict[str, Callable[[], Any]] = {
-    "AsBuiltGeometry": lambda: BUILT,
     "Boundary": boundary,
     "ChainState": lambda: chain().state(q()),
     "ClosedChain": chain,

@@ -3,10 +3,10 @@
 The upper stage seen from {m} is a 3RPS stage like the lower one, so the two are solved independently, see
 `spm_pin.kinematics.kernels.stage_equations`, and every solution of one goes with every solution of the other.
 
-From a state, one mode is followed while the leg lengths change, in steps that are proved not to leave it: by the theorem
-of Newton and Kantorovich, if the inverse of the derivative times its Lipschitz constant times Newton's first step is at
-most 1/2, Newton's method converges to the only solution nearby. Steps are so short that this holds with a margin. A
-machine as built is followed in the same way from the drawn machine, while the dimensions change.
+From a state, one mode is followed while the leg lengths change, in steps that are proved not to leave it: by the
+theorem of Newton and Kantorovich, if the inverse of the derivative times its Lipschitz constant times Newton's first
+step is at most 1/2, Newton's method converges to the only solution nearby. Steps are so short that this holds with a
+margin. A machine as built is followed in the same way from the drawn machine, while the dimensions change.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError
+from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.kinematics.batches import LARGEST_RATIO, flat_batch, radii, run_kernel, with_batch_shape
 from spm_pin.mechanism.arguments import (
     BoolArray,
@@ -101,8 +101,8 @@ def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> Solutio
 
     checked = _read_lengths(geometry, readings)
     if not geometry.is_nominal:
-        expected = "a drawn machine: all assembly modes of a machine as built are not computed"
-        raise ArgumentError("geometry", expected, repr(geometry), "forward_physical, or the machine's .nominal?")
+        cause = "forward_physical finds the physical mode of a machine as built; all modes are those of its .nominal"
+        raise GeometryError("geometry", "a machine as drawn", "one as built", cause)
     shape, lengths, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
     results = (
         ((n, 3, 3), np.float64),
@@ -214,7 +214,7 @@ def modes_near(geometry: Geometry, readings: FloatArray, near: Configuration | N
 
 
 def _read_lengths(geometry: Geometry, readings: npt.ArrayLike) -> FloatArray:
-    """Read readings (..., 6) [m] that this machine can be resolved beside; return the distances from pivots to balls."""
+    """Return leg lengths (..., 6) [m] from readings that this machine can be resolved beside."""
     check_instance(geometry, Geometry, "geometry")
     meaning = f"{', '.join(LEGS)} in metres"
     read, offsets = real_array(readings, "readings", (6,), meaning), geometry.legs.offsets

@@ -52,7 +52,7 @@ ROUNDING_BOUND = 2.0**-39
 
 _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_AS_BUILT = 1 << 14, 1 << 9
 _LARGE = 5e-3
-"""Errors of a machine as built, of directions and in units of r, that leave no doubt too small to solve for all roots."""
+"""Errors of a machine as built, of directions and in units of r, for which all roots are solved for at once."""
 
 
 def inverse_displacement(

@@ -146,7 +146,7 @@ def leg_frames(geometry: Geometry) -> tuple[LegFrame, ...]:
         for lean, length in zip(home_leans(nominal), np.repeat(home_lengths(nominal), 3), strict=True)
     ]
     axes = nominal.revolute_axes.tolist() * 2
-    if isinstance(geometry, Geometry):
+    if geometry.is_nominal:
         hips = np.concatenate([geometry.base_joints, geometry.platform_joints]).tolist()
         return tuple(
             _LevelLegFrame(*home, a[0], a[1], h[1] * a[0] - h[0] * a[1])

@@ -11,7 +11,6 @@ from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_physical
 from spm_pin.mechanism.arguments import FloatArray, as_bool, first_offender, whole_number
-from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LEGS
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.multibody.batched_states import LOCATED, ChainLike, located
@@ -67,7 +66,7 @@ def forward_kinematics(self: ChainLike, leg_lengths: npt.ArrayLike, near: npt.Ar
     lengths = read_vectors(leg_lengths, "leg_lengths", 6)
     if (lengths < layout.offsets).any():
         worst = np.unravel_index(int((lengths - layout.offsets).argmin()), lengths.shape)
-        expected = "no negative length" if isinstance(layout.geometry, Geometry) else "readings above the offsets"
+        expected = "no negative length" if layout.geometry.is_nominal else "readings above the offsets"
         raise ArgumentError("leg_lengths", expected, f"{lengths[worst]:g} m in {LEGS[worst[-1]]}")
     return _follow(self, ContinuationSolver.to_leg_lengths, near, lengths.shape[:-1], lengths)
 

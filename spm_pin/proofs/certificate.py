@@ -287,9 +287,8 @@ def _widened(geometry: Geometry, errors: tuple[float, float]) -> tuple[float, fl
 
 def _deviation(machine: Geometry, nominal: Geometry) -> tuple[float, float]:
     """Return the largest errors of a machine's lengths [m] and axes [rad] against a nominal geometry."""
-    if isinstance(machine, Geometry) and machine.dimensions == nominal.dimensions:
+    if machine.is_nominal and machine.dimensions == nominal.dimensions:
         return 0.0, 0.0
-    machine = machine
     nominal_parameters = nominal.nominal.parameters
     # Directions of the axes are counted from the nominal ones, which are the same for all dimensions.
     errors = np.abs(machine.parameters - nominal_parameters).reshape(6, 9)

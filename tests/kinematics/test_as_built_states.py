@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -94,9 +95,7 @@ def test_a_seed_is_followed_from_its_readings_to_others() -> None:
 
 def test_offsets_are_taken_off_the_readings() -> None:
     built = as_built(PAPER, 1e-4)
-    shifted = spm.AsBuiltGeometry(
-        PAPER, built.legs.axes, built.legs.pivots, built.legs.balls, built.legs.offsets + 0.25
-    )
+    shifted = replace(built, legs=replace(built.legs, offsets=built.legs.offsets + 0.25))
     legs = np.full(6, 1.3)
     np.testing.assert_allclose(
         spm.forward_physical(shifted, legs + 0.25).translation,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
-from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +39,7 @@ def test_stage_coordinates_round_trip(size: float) -> None:
     built = machine(3, size, size)
     again = built.from_parameters(built.parameters)
     for name in ("axes", "pivots", "balls", "offsets"):
-        np.testing.assert_allclose(getattr(again, name), getattr(built, name), rtol=0, atol=4e-16)
+        np.testing.assert_allclose(getattr(again.legs, name), getattr(built.legs, name), rtol=0, atol=4e-16)
     assert len(PARAMETERS) == 54 == len(set(PARAMETERS))
     assert PARAMETERS[0] == "r_b1.direction_1"
     assert PARAMETERS[-1] == "r_c3.offset"
@@ -53,8 +53,8 @@ def test_errors_have_the_standard_deviations_asked_for() -> None:
     assert (np.abs(many.std(axis=0) / scale - 1.0) < 0.18).all()
     assert (np.abs(many.mean(axis=0)) < 0.25 * scale).all()
     turned = machine(1, 0.0, 1e-3)
-    np.testing.assert_array_equal(turned.pivots, nominal.legs.pivots)
-    np.testing.assert_array_equal(turned.offsets, nominal.legs.offsets)
+    np.testing.assert_array_equal(turned.legs.pivots, nominal.legs.pivots)
+    np.testing.assert_array_equal(turned.legs.offsets, nominal.legs.offsets)
     assert machine(5) == machine(5) != machine(6)
 
 
@@ -74,21 +74,36 @@ def test_geometry_is_frozen_and_compared_by_value() -> None:
         assert twin == built
         assert hash(twin) == hash(built)
         with pytest.raises(ValueError, match="read-only"):
-            twin.balls[0, 0] = 1.0
+            twin.legs.balls[0, 0] = 1.0
     with pytest.raises(AttributeError):
-        built.legs.axes = built.legs.axes  # type: ignore[misc]
+        built.legs = built.legs  # type: ignore[misc]
     pivots = np.array(built.legs.pivots)
-    taken = spm.AsBuiltGeometry(PAPER, built.legs.axes, pivots, built.legs.balls, built.legs.offsets)
+    twin = spm.Geometry(*PAPER.dimensions, PAPER.limits, replace(built.legs, pivots=pivots))
     pivots[0, 0] = 99.0
-    assert taken == built
+    assert twin == built
     assert built != PAPER
-    assert "errors to 0.00" in repr(built)
+    assert built.is_same_machine(replace(built, limits=None))
+    assert not built.is_same_machine(PAPER)
+    assert "off the drawing by up to 0.00" in repr(built)
+
+
+def test_a_machine_without_errors_is_the_drawn_one() -> None:
+    copies = machine(0, 0.0, 0.0), replace(PAPER, legs=replace(PAPER.legs)), pickle.loads(pickle.dumps(PAPER))
+    for geometry in copies:
+        assert geometry.is_nominal
+        assert geometry == PAPER
+        assert geometry.nominal is geometry
+    built = machine()
+    assert not built.is_nominal
+    assert built.nominal == PAPER
+    # Drawn legs follow the dimensions; legs as built stay.
+    assert replace(PAPER, base_radius=0.5) == spm.Geometry(0.5, *PAPER.dimensions[1:], PAPER.limits)
+    assert replace(built, base_radius=0.5).legs == built.legs
 
 
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("nominal", 1.0, "nominal: expected a Geometry"),
         ("axes", np.eye(3), "axes"),
         ("axes", 2.0 * np.ones((6, 3)), "r_b1.*Divide it by its length"),
         ("pivots", np.full((6, 3), np.nan), "pivots: expected finite"),
@@ -102,15 +117,14 @@ def test_geometry_is_frozen_and_compared_by_value() -> None:
 )
 def test_what_is_no_machine_is_an_error_that_names_the_argument(name: str, value: object, message: str) -> None:
     built = machine()
-    arguments = {key: getattr(built, key) for key in ("nominal", "axes", "pivots", "balls", "offsets")}
-    with pytest.raises(spm.ArgumentError, match=message):
-        spm.AsBuiltGeometry(**{**arguments, name: value})
+    with pytest.raises(spm.GeometryError, match=message):
+        replace(built.legs, **{name: value})
 
 
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: spm.machine().nominal, "geometry: expected a Geometry"),  # type: ignore[arg-type]
+        (lambda: replace(machine(), legs=1.0), "legs: expected Legs"),
         (lambda: machine(length=-1.0), "length"),
         (lambda: machine(angle=np.inf), "angle"),
         (lambda: machine().perturbed("seed"), "rng"),
@@ -134,34 +148,15 @@ def test_bad_arguments_are_named(call: object, message: str) -> None:
         ("axis: [0.5, 0.8660254037844386, 0.0]", "axis: [0.5, 0.5, 0.0]", "axes in .*yaml"),
         ("r_b1:", "r_b9:", "r_b9"),
         ("base_radius: ", "base_radius: -", "base_radius"),
-        ("nominal:", "ideal:", "ideal"),
+        ("middle_side:", "middle:", "middle"),
     ],
 )
 def test_errors_of_a_file_name_the_line_and_the_key(tmp_path: Path, old: str | None, new: str, message: str) -> None:
     file = tmp_path / "machine.yaml"
-    spm.Geometry(0.7, 0.4, 0.8).to_yaml(file)
+    legs = spm.Geometry(0.7, 0.4, 0.8).legs
+    spm.Geometry(0.7, 0.4, 0.8, legs=replace(legs, offsets=[0, 0, 0, 0, 0, 1e-3])).to_yaml(file)
     text = file.read_text(encoding="utf-8")
     assert old is None or old in text, text
     file.write_text(new if old is None else text.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(spm.GeometryError, match=message):
         spm.Geometry.from_yaml(file)
-
-
-def test_nominal_dimensions_are_not_read_from_an_imperfect_machine() -> None:
-    built = machine()
-    for name in ("base_radius", "middle_radius", "revolute_axes", "platform_joints"):
-        with pytest.raises(spm.ArgumentError, match=f"geometry: expected a Geometry.*{name}"):
-            getattr(built, name)
-
-
-@pytest.mark.parametrize(
-    "call",
-    [
-        lambda built: spm.forward_displacement(built, np.full(6, 1.3)),
-        spm.largest_certified_limits,
-        lambda built: spm.workspace.sample_reachable(built, 10),
-    ],
-)
-def test_functions_for_the_nominal_machine_refuse_an_imperfect_one(call: Callable[[object], object]) -> None:
-    with pytest.raises(spm.ArgumentError, match="geometry: expected a Geometry"):
-        call(machine())

@@ -15,9 +15,7 @@ GOOD = """\
 base_side: 1.20
 middle_side: 0.80
 platform_side: 0.60
-leg_limits:
-  lower: [1.10, 1.50]
-  upper: [1.10, 1.50]
+leg_limits: [1.10, 1.50]
 """
 
 
@@ -51,10 +49,10 @@ def test_yaml_with_limits_leg_by_leg(tmp_path: Path) -> None:
         ("base_side: 1\nplatform_side: 1", "middle_side"),
         ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\ncolour: red", "colour"),
         ("base_side: wide\nplatform_side: 1\nmiddle_side: 1", "number of metres"),
-        ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: [1, 2]", "lower, upper"),
-        ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: {lower: [1], upper: [1, 2]}", "a pair"),
-        ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: {lower: [a, b], upper: [1, 2]}", "a pair"),
-        ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: {lower: [2, 1], upper: [1, 2]}", "exchanged"),
+        ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: 1", "a list"),
+        ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: {lower: [1, 2], upper: [1, 2]}", "r_b1"),
+        ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: [a, b]", "a pair"),
+        ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: [2, 1]", "exchanged"),
         ("[1, 2", "YAML file"),
         ("- 1\n- 2", "mapping"),
         ("", "mapping"),
@@ -76,7 +74,7 @@ def test_yaml_that_is_not_there(tmp_path: Path) -> None:
         (GOOD.replace("1.20", "0"), r"^base_side in .*robot\.yaml:1: expected a positive length"),
         (GOOD.replace("0.60", "-0.6"), r"^platform_side in .*robot\.yaml:3: expected a positive length"),
         (GOOD.replace("0.80", "8e12"), r"^middle_side in .*robot\.yaml:2: .* Given in another unit\?"),
-        (GOOD.replace("upper: [1.10, 1.50]", "upper: [1.5, 1.1]"), r"^upper in .*robot\.yaml:6: .* exchanged\?"),
+        (GOOD.replace("[1.10, 1.50]", "[1.5, 1.1]"), r"^leg_limits in .*robot\.yaml:4: .* exchanged\?"),
     ],
 )
 def test_an_error_names_the_key_and_the_line_of_the_file(tmp_path: Path, text: str, words: str) -> None:
@@ -102,8 +100,8 @@ def test_numbers_are_read_as_python_writes_them(tmp_path: Path, number: str) -> 
 
 
 def test_a_maximum_may_be_infinite(tmp_path: Path) -> None:
-    path = write(tmp_path / "robot.yaml", GOOD.replace("lower: [1.10, 1.50]", "lower: [0, .inf]"))
-    assert spm.Geometry.from_yaml(path).limits == spm.LegLimits.stages((0.0, float("inf")), (1.1, 1.5))
+    path = write(tmp_path / "robot.yaml", GOOD.replace("[1.10, 1.50]", "[0, .inf]"))
+    assert spm.Geometry.from_yaml(path).limits == spm.LegLimits(0.0, float("inf"))
 
 
 BOMB = "".join(
@@ -114,10 +112,10 @@ BOMB = "".join(
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (GOOD + "middle_side: 0.9\n", r"robot\.yaml:7: .* the key 'middle_side' twice"),
-        (GOOD + "  upper: [1, 2]\n", r"robot\.yaml:7: .* the key 'upper' twice"),
+        (GOOD + "middle_side: 0.9\n", r"robot\.yaml:5: .* the key 'middle_side' twice"),
+        (GOOD.replace("[1.10, 1.50]", "{r_b1: [1, 2], r_b1: [1, 2]}"), r"robot\.yaml:4: .* the key 'r_b1' twice"),
         (f"a: &a lol\n{BOMB}leg_limits: *i\n", "the key 'a'"),
-        (GOOD.replace("lower: [1.10, 1.50]", "lower: &a [*a, *a]"), "pair of lengths"),
+        (GOOD.replace("[1.10, 1.50]", "&a [*a, *a]"), "pair of lengths"),
         ("[" * 10_000, "a YAML file"),
         ("{" * 10_000, "a YAML file"),
         ("- " * 10_000, "a YAML file"),

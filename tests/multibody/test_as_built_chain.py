@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -277,9 +278,7 @@ def test_offsets_change_readings_and_nothing_else() -> None:
     geometry = plain.geometry
     shift = np.array([0.5, -0.05, 0.02, 0.0, 0.03, 0.01])
     shifted = ClosedChain.from_urdf(
-        geometry=spm.AsBuiltGeometry(
-            PAPER, geometry.legs.axes, geometry.legs.pivots, geometry.legs.balls, geometry.legs.offsets + shift
-        )
+        geometry=replace(geometry, legs=replace(geometry.legs, offsets=geometry.legs.offsets + shift))
     )
     q = plain.joint_values(states(plain, 3, seed=16))
     np.testing.assert_allclose(
@@ -316,9 +315,9 @@ def test_files_and_geometries_that_do_not_belong_together_are_refused(tmp_path: 
     nominal, measured = tmp_path / "nominal.urdf", tmp_path / "measured.urdf"
     nominal.write_text(expand(PAPER), encoding="utf-8")
     measured.write_text(urdf_text(manipulator(geometry)), encoding="utf-8")
-    with pytest.raises(DescriptionError, match="Pass its AsBuiltGeometry as geometry"):
+    with pytest.raises(DescriptionError, match="Pass its geometry, with the legs as built"):
         ClosedChain.from_urdf(measured)
-    with pytest.raises(DescriptionError, match="Pass its AsBuiltGeometry as geometry"):
+    with pytest.raises(DescriptionError, match="Pass its geometry, with the legs as built"):
         ClosedChain.from_urdf(measured, PAPER)
     with pytest.raises(DescriptionError, match=r"no middle_b2_upper, middle_b3_upper.*spm-pin urdf --geometry"):
         ClosedChain.from_urdf(nominal, geometry)
@@ -327,10 +326,8 @@ def test_files_and_geometries_that_do_not_belong_together_are_refused(tmp_path: 
             GeometryError, match=r"^geometry: expected the dimensions of .*measured\.urdf, got others: "
         ):
             ClosedChain.from_urdf(measured, other)
-    raised = spm.Geometry(*PAPER.dimensions, spm.LegLimits([1.2] * 6, [1.5] * 6))
-    arrays = geometry.legs.axes, geometry.legs.pivots, geometry.legs.balls, geometry.legs.offsets
     with pytest.raises(GeometryError, match="other nominal leg limits"):
-        ClosedChain.from_urdf(measured, spm.AsBuiltGeometry(raised, *arrays))
+        ClosedChain.from_urdf(measured, replace(geometry, limits=spm.LegLimits(1.2, 1.5)))
 
 
 def test_states_of_other_machines_are_refused() -> None:
@@ -344,15 +341,11 @@ def test_states_of_other_machines_are_refused() -> None:
     with pytest.raises(GeometryError, match="the axes of the chain, a nominal machine, got a machine as built"):
         chain().joint_values(state)
     other = problems.as_built(PAPER, 1e-3)
-    moved = spm.AsBuiltGeometry(
-        PAPER, other.legs.axes, other.legs.pivots, other.legs.balls, other.legs.offsets + 2e-6 * (np.arange(6) == 4)
-    )
+    moved = replace(other, legs=replace(other.legs, offsets=other.legs.offsets + 2e-6 * (np.arange(6) == 4)))
     with pytest.raises(GeometryError, match=r"the offsets of the chain, .* differs by 2\.0e-06 m in r_c2"):
         robot.joint_values(spm.Configuration(moved, state.pose, state.middle_joints))
     # Limits of the legs play no part.
-    free = spm.AsBuiltGeometry(
-        spm.Geometry(*PAPER.dimensions), other.legs.axes, other.legs.pivots, other.legs.balls, other.legs.offsets
-    )
+    free = replace(other, limits=None)
     same = spm.Configuration(free, state.pose, state.middle_joints)
     np.testing.assert_array_equal(robot.joint_values(same), robot.joint_values(state))
     with pytest.raises(ClosureError):

@@ -395,8 +395,8 @@ def test_bad_arguments_are_clear_errors_and_nothing_is_written(tmp_path: Path) -
     assert file.read_text(encoding="utf-8") == "mine"
     with pytest.raises(ArgumentError, match=r"directory: .*got an empty name"):
         spm.symbolic.write_c(GEOMETRIES["paper"], "")
-    with pytest.raises(ArgumentError, match="geometry: expected a Geometry, got AsBuiltGeometry"):
-        spm.symbolic.c_sources(GEOMETRIES["paper"])  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="geometry: expected a Geometry, got a machine as built"):
+        spm.symbolic.c_sources(GEOMETRIES["paper"].perturbed(1))
 
 
 def test_a_directory_is_left_as_it_was_where_not_all_can_be_written(tmp_path: Path) -> None:

@@ -319,5 +319,5 @@ def test_bad_arguments_are_clear_errors() -> None:
         spm.symbolic.inverse_branch("TX")
     with pytest.raises(ArgumentError, match='geometry: expected a Geometry, "symbolic" or None'):
         spm.symbolic.leg_forces(3)  # type: ignore[arg-type]
-    with pytest.raises(ArgumentError, match="geometry: expected a Geometry, got AsBuiltGeometry"):
-        spm.symbolic.inverse_physical(spm.PAPER).nominal  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="geometry: expected a Geometry, got a machine as built"):
+        spm.symbolic.inverse_physical(PAPER.perturbed(1))

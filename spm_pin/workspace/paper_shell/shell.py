@@ -18,6 +18,7 @@ from spm_pin.mechanism import LEGS, Configuration, Geometry, LegLimits
 from spm_pin.mechanism.arguments import (
     FloatArray,
     IntArray,
+    check_instance,
     first_offender,
     frozen,
     type_and_value,
@@ -121,8 +122,9 @@ def workspace_shell(geometry: Geometry, limits: LegLimits | None = None, *, reso
     >>> len(shell.patches), shell.euler_characteristic, round(shell.volume, 3)
     (24, 2, 1.653)
     """
-    if not isinstance(geometry, Geometry):
-        raise ArgumentError("geometry", "a Geometry", type(geometry).__name__)
+    if not check_instance(geometry, Geometry, "geometry").is_nominal:
+        cause = "The paper's 24 surfaces are those of the drawing: pass its .nominal?"
+        raise GeometryError("geometry", "a machine as drawn", "one as built", cause)
     box = _read_limits(geometry, limits)
     n = whole_number(resolution, "resolution", "a whole number of increments, at least 2", least=2, most=FINEST)
     rows = sub_workspaces()
