@@ -225,7 +225,7 @@ def _state(geometry: Geometry, place: Place, name: str) -> Configuration:
 
 
 def _along_poses(rules: PathRules, states: list[Configuration], certificate: Certificate | None) -> MotionPlan:
-    """Return the plan straight in poses, or why it cannot be gone along."""
+    """Return the plan straight in poses, or one without a path and with the reason."""
     geometry = rules.geometry
     poses = np.array([state.pose.as_matrix() for state in states])
     path = PlatformPath(np.linspace(0.0, 1.0, len(poses)), poses)
