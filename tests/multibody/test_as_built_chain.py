@@ -136,7 +136,7 @@ def test_readings_and_poses_lead_to_the_state_that_has_them(name: str, size: flo
         np.testing.assert_allclose(back, q[k], atol=1e-9)
         projected = robot.project(q[k] + 1e-4 * np.sin(np.arange(18.0)))
         assert np.abs(robot.closure_gap(projected)).max() <= rounding(robot, projected)
-        held = robot.project(robot.with_leg_lengths(q[k], state.leg_lengths[k] + 1e-2 * change), hold_legs=True)
+        held = robot.project(robot.with_readings(q[k], state.leg_lengths[k] + 1e-2 * change), hold_legs=True)
         np.testing.assert_allclose(robot.leg_lengths(held), state.leg_lengths[k] + 1e-2 * change, atol=1e-13 * side)
 
 
@@ -285,7 +285,7 @@ def test_offsets_change_readings_and_nothing_else() -> None:
         shifted.leg_lengths(q) - plain.leg_lengths(q), np.broadcast_to(shift, (3, 6)), atol=1e-15
     )
     np.testing.assert_allclose(shifted.forward_kinematics(plain.leg_lengths(q) + shift), q, atol=1e-12)
-    np.testing.assert_allclose(shifted.with_leg_lengths(q, plain.leg_lengths(q) + shift), q, atol=1e-15)
+    np.testing.assert_allclose(shifted.with_readings(q, plain.leg_lengths(q) + shift), q, atol=1e-15)
     # Limits are those of the readings.
     ends = [each.simulate(q[0], np.zeros(18), None, [0.0, 0.01], stop_at=["limits"]) for each in (plain, shifted)]
     assert ends[0].complete

@@ -16,7 +16,7 @@ pytest.importorskip("pinocchio")
 METHODS: dict[str, Callable[[Any, Array, Array, Array], Any]] = {
     "joint_values": lambda robot, q, v, w: robot.joint_values(robot.configuration(q)),
     "leg_lengths": lambda robot, q, v, w: robot.leg_lengths(q),
-    "with_leg_lengths": lambda robot, q, v, w: robot.with_leg_lengths(q, 1.0 + 0.1 * w),
+    "with_readings": lambda robot, q, v, w: robot.with_readings(q, 1.0 + 0.1 * w),
     "closure_gap": lambda robot, q, v, w: robot.closure_gap(q + 0.01),
     "constraint_jacobian": lambda robot, q, v, w: robot.constraint_jacobian(q),
     "project": lambda robot, q, v, w: robot.project(q + 1e-3),

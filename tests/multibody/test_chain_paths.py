@@ -15,7 +15,7 @@ from multibody.chains import EPS, PAPER, POSE, Array, chain, six_branches
 
 import spm_pin as spm
 from spm_pin.errors import ArgumentError, ClosureError, PoseError, SingularConfigurationError
-from spm_pin.multibody.platform_path import PlatformMotion, PlatformPath
+from spm_pin.multibody.trajectory import PlatformMotion, PlatformPath
 
 pytest.importorskip("pinocchio")
 

@@ -14,7 +14,7 @@ from multibody.engine_dynamics import Drake, Mujoco, accelerations, rk4
 
 import spm_pin as spm
 from spm_pin.errors import ArgumentError, ClosureError
-from spm_pin.multibody.integrator import LEAST_CONSTRAINED, SimulationEnd
+from spm_pin.multibody.simulation import LEAST_CONSTRAINED, SimulationEnd
 
 pytest.importorskip("pinocchio")
 
