@@ -63,9 +63,10 @@ def _check_tree(model: Any, expected: Any, path: str, side: float) -> None:
     joints, wanted = set(model.names), set(expected.names)
     missing = sorted(wanted - joints) + [name for name in links if not model.existFrame(name, pin.FrameType.BODY)]
     foreign = sorted(joints - wanted)
-    cause = "geometry is that of the machine which the file was written for, by default the paper's"
+    cause = "The arguments geometry and prefix are those the file was written for, by default the paper's and none"
     if missing or foreign or model.nq != expected.nq:
-        received = f"{', '.join(missing) or 'none'} missing, {', '.join(foreign) or 'none'} foreign, nq = {model.nq}"
+        names = (f"{', '.join(names[:3]) or 'none'}{', …' * (len(names) > 3)}" for names in (missing, foreign))
+        received = "{} missing, {} foreign, nq = {}".format(*names, model.nq)
         raise DescriptionError(path, "the joints and links of the description", received, cause)
     values = dict(zip(expected.names[1:], np.linspace(0.2, 0.9, expected.nq), strict=True))
     places = []
@@ -76,7 +77,7 @@ def _check_tree(model: Any, expected: Any, path: str, side: float) -> None:
     off = np.abs((places[0] - places[1]) * [side, side, side, 1.0]).max(axis=(-1, -2))
     if off.max() > AGREEMENT * side:
         received = f"{links[int(off.argmax())]} {off.max():.1e} m off where all joints are turned"
-        cause = f"Another joint axis, order or zero, which follows from the leg limits? {cause[0].upper()}{cause[1:]}"
+        cause = f"Another joint axis, order or zero, which follows from the leg limits? {cause}"
         raise DescriptionError(path, "the tree of the description for this geometry", received, cause)
 
 

@@ -97,8 +97,7 @@ def test_results_do_not_depend_on_limits() -> None:
 def test_configurations_without_joint_values_are_refused() -> None:
     branches = spm.inverse_displacement(PAPER, six_branches()[0].pose)
     state = six_branches()[0]
-    with pytest.raises(ArgumentError, match=r"expected a configuration that exists, got NaN at batch index \(\d,\)"):
-        chain().joint_values(branches.configurations)
+    assert np.array_equal(np.isnan(chain().joint_values(branches.configurations)).all(axis=-1), ~branches.exists)
     with pytest.raises(ArgumentError, match="expected a configuration that exists, got NaN"):
         chain().joint_values(branches.configurations[~branches.exists][0])
     with pytest.raises(ArgumentError, match=r"expected a Configuration, got SolutionSet\. .*\.physical\(\)"):
@@ -156,7 +155,7 @@ def test_other_bad_vectors_are_refused(value: object) -> None:
     calls = {
         "twist": robot.joint_velocities,
         "wrench": robot.leg_forces,
-        "leg_lengths": robot.with_readings,
+        "readings": robot.with_readings,
     }
     for argument, call in calls.items():
         with pytest.raises(ArgumentError, match=f"^{argument}: expected"):
