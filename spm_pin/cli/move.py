@@ -127,7 +127,7 @@ def move(
     chain = ClosedChain.from_urdf(geometry=dimensions)
     load = Payload(payload) if payload else None
     motion = time_optimal(chain, planned, **largest, twist=twist, payload=load, period=period)
-    lengths = chain.leg_lengths(motion.positions)
+    lengths = chain.readings(motion.positions)
     table = _columns(chain, motion, lengths)
     if json:
         content = {"method": planned.method, "certified": planned.certified, "margin": planned.margin}
