@@ -10,9 +10,8 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from spm_pin.description.closures import Closure
-from spm_pin.description.paths import description_directory
-from spm_pin.description.srdf import srdf_text
+from spm_pin.description.source_files import description_directory
+from spm_pin.description.tree import Closure, read_closures, srdf_text
 from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
@@ -21,7 +20,7 @@ from spm_pin.multibody.batched_states import BatchedStates
 from spm_pin.multibody.constrained_model import ConstrainedModel
 from spm_pin.multibody.constrained_state import ChainState
 from spm_pin.multibody.joint_layout import JointLayout
-from spm_pin.multibody.loading import description_closures, read_description
+from spm_pin.multibody.loading import read_description
 from spm_pin.multibody.mounting import MountedChain, mount
 from spm_pin.multibody.vector_arguments import read_vectors
 
@@ -60,7 +59,7 @@ class ClosedChain:
         self._urdf, self._geometry, self._prefix = urdf, geometry, prefix
         self._model = pin.buildModelFromXML(urdf)
         self._layout = JointLayout(self._model, geometry, prefix)
-        constrained = ConstrainedModel(self._model, self._layout, description_closures(geometry, prefix))
+        constrained = ConstrainedModel(self._model, self._layout, read_closures(prefix=prefix))
         self._states = BatchedStates(constrained, ChainState)
 
     @classmethod

@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from spm_pin.description.closures import Closure
+from spm_pin.description.tree import Closure
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray, broadcastable
 from spm_pin.multibody.joint_layout import JointLayout
@@ -36,14 +36,11 @@ from spm_pin.multibody.vector_arguments import NO_WRENCHES, Wrenches, WrenchLike
 class ConstrainedModel:
     """A Pinocchio model that holds the mechanism's tree, perhaps with another robot, and its closures; immutable.
 
-    The closures are of kind "point", their frames in the model.
+    The closures have their frames in the model.
     """
 
     def __init__(self, model: Any, layout: JointLayout, closures: Iterable[Closure]) -> None:
         self.model, self.layout, self.closures = model, layout, tuple(closures)
-        for closure in self.closures:
-            if closure.kind != "point":
-                raise ArgumentError("closures", "closures of kind point", repr(closure.kind))
         pairs = [[int(model.getFrameId(name)) for name in (c.frame_a, c.frame_b)] for c in self.closures]
         # A frame that several closures share is evaluated once.
         self.frames = list(dict.fromkeys(frame for pair in pairs for frame in pair))

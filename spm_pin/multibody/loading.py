@@ -9,15 +9,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from spm_pin.description.as_built_tree import as_built_closures
-from spm_pin.description.closures import Closure, read_closures
-from spm_pin.description.expand import expand
-from spm_pin.description.load_robot import manipulator
-from spm_pin.description.paths import URDF, description_directory, description_file
+from spm_pin.description.robot import check_inertials
+from spm_pin.description.source_files import URDF, check_prefix, description_file, urdf_text
 from spm_pin.description.tree import JOINTS, SLIDES
-from spm_pin.description.urdf_elements import check_inertials
-from spm_pin.description.write_urdf import urdf_text
-from spm_pin.description.xml_nodes import check_prefix
 from spm_pin.errors import DescriptionError, GeometryError
 from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path
 from spm_pin.mechanism.geometry import Geometry
@@ -28,18 +22,10 @@ from spm_pin.multibody.joint_layout import AGREEMENT, require_dimensions
 LINKS = (
     *("base", "middle_platform", "terminal_platform"),
     *(end + i for i in "123" for end in ("base_a", "middle_b", "terminal_c")),
+    *("middle_b2_upper", "middle_b3_upper"),
     *(f"leg_{leg}_tip" for leg in ("b1", "b2", "b3", "c1", "c2", "c3")),
 )
 """The platforms, and the links that legs end at."""
-
-UPPER_BALLS = ("middle_b2_upper", "middle_b3_upper")
-"""The links at balls of upper legs that only the tree of a machine as built has."""
-
-
-def description_closures(geometry: Geometry, prefix: str) -> tuple[Closure, ...]:
-    """Return the closures of the description's tree for these dimensions."""
-    closures = read_closures(prefix=prefix)
-    return as_built_closures(closures, prefix) if not geometry.is_nominal else closures
 
 
 def read_description(path: str | Path | None, geometry: Geometry | None, prefix: str) -> tuple[str, Geometry]:
@@ -56,14 +42,7 @@ def read_description(path: str | Path | None, geometry: Geometry | None, prefix:
     paper = Geometry.paper()
     if (geometry or paper) == paper and prefix == "":
         return description_file(URDF).read_text(encoding="utf-8"), geometry or paper
-    return _expanded(geometry or paper, prefix), geometry or paper
-
-
-def _expanded(geometry: Geometry, prefix: str) -> str:
-    """Return the URDF of the description's tree for these dimensions."""
-    if not geometry.is_nominal:
-        return urdf_text(manipulator(geometry, prefix=prefix), folder=description_directory())
-    return expand(geometry, prefix=prefix)
+    return urdf_text(geometry or paper, prefix=prefix), geometry or paper
 
 
 def _read_file(path: Path, geometry: Geometry | None, prefix: str) -> tuple[str, Geometry]:
@@ -84,30 +63,24 @@ def _read_file(path: Path, geometry: Geometry | None, prefix: str) -> tuple[str,
         received = f"{', '.join(missing) or 'none'} missing, {', '.join(foreign) or 'none'} foreign, nq = {model.nq}"
         what = f"the joints of the description, one degree of freedom each, with the prefix {prefix!r}"
         raise DescriptionError(str(path), what, received)
-    as_built = geometry is not None and not geometry.is_nominal
-    upper = [prefix + link for link in UPPER_BALLS]
-    links = [prefix + link for link in LINKS] + upper * as_built
+    links = [prefix + link for link in LINKS]
     absent = [link for link in links if not model.existFrame(link, pin.FrameType.BODY)]
     if absent:
-        cause = "The URDF of a nominal machine? spm-pin urdf --geometry writes that of a machine as built" * as_built
-        raise DescriptionError(str(path), "the links of the description", f"no {', '.join(absent)}", cause)
-    if not as_built and model.existFrame(upper[0], pin.FrameType.BODY):
-        received = f"that of a machine as built, with a link {upper[0]}"
-        cause = "Pass its geometry, with the legs as built: a URDF does not have the offsets"
-        raise DescriptionError(str(path), "the URDF of a nominal machine", received, cause)
+        raise DescriptionError(str(path), "the links of the description", f"no {', '.join(absent)}")
+    as_built = geometry is not None and not geometry.is_nominal
     if not as_built:
         measured = _measured(model, prefix, _placements(model, pin.neutral(model), links))
         geometry = geometry or measured
         require_dimensions(geometry, measured, "geometry", str(path))
     assert geometry is not None
     side = geometry.nominal.middle_side
-    link, distance = _deviation(model, pin.buildModelFromXML(_expanded(geometry, prefix)), links, side)
+    link, distance = _deviation(model, pin.buildModelFromXML(urdf_text(geometry, prefix=prefix)), links, side)
     if distance > AGREEMENT * side:
         if as_built:
             received = f"others: {link} is {distance:.1e} m off where all joints are turned"
             cause = "Another machine or calibration, or other nominal leg limits, which set the zero?"
             raise GeometryError("geometry", f"the dimensions of {path}", received, cause)
-        cause = "Another joint axis, order or zero? The zero follows from the leg limits the URDF was made for"
+        cause = "Another joint axis, order or zero? Of a machine as built, pass its geometry, which has the offsets too"
         raise DescriptionError(str(path), "the tree of the description", f"{link} {distance:.1e} m off", cause)
     return text, geometry
 

@@ -9,9 +9,6 @@ import problems
 import pytest
 from multibody.chains import EPS, chain, closure_jacobian, placed, random_q
 
-from spm_pin.description.closures import KINDS, Closure
-from spm_pin.errors import ArgumentError
-
 pinocchio = pytest.importorskip("pinocchio")
 
 from spm_pin.multibody.constrained_model import ConstrainedModel, TreeKinematics  # noqa: E402
@@ -96,9 +93,3 @@ def test_the_order_of_the_closures_is_kept() -> None:
     assert np.array_equal(backwards.gap, robot.closure_gap(q)[::-1])
     found = robot.constraint_jacobian(q).reshape(4, 3, 18)[::-1]
     assert np.array_equal(backwards.constraint_jacobian.reshape(4, 3, 18), found)
-
-
-def test_other_kinds_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(KINDS, "frame", "6d")
-    with pytest.raises(ArgumentError, match="closures of kind point, got 'frame'"):
-        constrained(chain(), [Closure("weld", "frame", "middle_b2", "leg_b2_tip")])
