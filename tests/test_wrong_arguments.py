@@ -87,7 +87,7 @@ def shell() -> Any:
 
 
 def store() -> str:
-    spm.sweeps.run(PAPER, spm.sweeps.leg_grid(1.2, (1.2, 1.3, 2)), ["branches"], "made.zarr")
+    spm.sweeps.run_sweep(PAPER, spm.sweeps.leg_grid(1.2, (1.2, 1.3, 2)), ["branches"], "made.zarr")
     return "made.zarr"
 
 
@@ -206,9 +206,9 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "SolutionSet.physical.seed": lambda: STATE,
     "SolutionSet.from_unordered.middle_joints": lambda: STATE.middle_joints[None],
     "forward_physical.seed": lambda: STATE,
-    "sweeps.open.store": store,
-    "sweeps.resume.store": store,
-    "sweeps.status.store": store,
+    "sweeps.open_sweep.store": store,
+    "sweeps.resume_sweep.store": store,
+    "sweeps.sweep_status.store": store,
     "leg_grid.lower": lambda: (1.2, 1.3, 2),
     "leg_grid.upper": lambda: (1.2, 1.3, 2),
     "sweeps.pose_sample.x": lambda: (0.0, 0.1),

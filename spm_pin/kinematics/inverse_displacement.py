@@ -220,6 +220,9 @@ def branch_lengths(geometry: Geometry, pose: PoseLike) -> tuple[FloatArray, npt.
     """
     from spm_pin.kinematics.kernels import branch_kernels as kernels
 
+    if not geometry.is_nominal:
+        solutions = inverse_displacement(geometry, pose)
+        return solutions.leg_lengths, solutions.status
     shape, rotation, position = read_pose(pose)
     results = ((8, 6), np.float64), ((), np.int8), ((), np.uint8)
     lengths, status, flagged = run_kernel(
