@@ -95,7 +95,7 @@ def platform_error(state: Configuration, rotation: FloatArray, position: FloatAr
     return np.concatenate([state.translation - position, turn], axis=-1)
 
 
-def invisible_errors(geometry: Geometry, positions_only: bool) -> FloatArray:
+def gauge_directions(geometry: Geometry, positions_only: bool) -> FloatArray:
     """Return the errors that change no measurement, (54, 6), or (54, 9) if only positions of o are measured.
 
     Six move the frame {n} and with it the coordinates of all balls; the other three turn the frame {m} about o.

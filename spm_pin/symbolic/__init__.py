@@ -1,9 +1,5 @@
-"""The closed forms outside of Python: CasADi functions with derivatives of any order, and C99 for controllers.
+"""The kinematics outside of Python: CasADi functions with derivatives of any order, and C99 for controllers."""
 
-Both are made from the kernels' own source, see `spm_pin.kinematics.kernels`.
-"""
-
-from spm_pin.symbolic.c_export import c_sources, write_c
 from spm_pin.symbolic.functions import (
     closure_residual,
     forward_physical,
