@@ -37,7 +37,7 @@ def certify_branches(found: SolutionSet, solved: tuple[Any, ...]) -> SolutionSet
 
     `solved` are the `BRANCH_RESULTS` that `found` is made of; families that are decided are written anew in there.
     """
-    from spm_pin.kinematics.kernels.branch_tiles import VERTICAL
+    from spm_pin.kinematics.kernels.branch_kernels import VERTICAL
 
     rotation, position, joints, _, _, _, status, flagged = solved
     assert found.degeneracy is not None
