@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import forward_physical, inverse_displacement, inverse_jacobian, inverse_physical, leg_forces
-from spm_pin.kinematics.stage_wrenches import SINGULAR
+from spm_pin.kinematics.rates_and_forces import SINGULAR
 from spm_pin.mechanism import Geometry, LegLimits
 from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path
 from spm_pin.mechanism.pose import EXACT

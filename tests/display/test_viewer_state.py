@@ -21,7 +21,7 @@ from spm_pin.display.viewer.panel import forces_table, instruments, status
 from spm_pin.display.viewer.playback import demo_motion
 from spm_pin.display.viewer.robot_scene import FIELD_OF_VIEW, VIEWS, RobotMeshes, fit_camera, robot_points
 from spm_pin.display.viewer.workspace_layer import WorkspaceLayer, leg_ranges, pose_ranges
-from spm_pin.kinematics.starting_configuration import starting_configuration
+from spm_pin.kinematics.forward_displacement import starting_configuration
 
 PAPER = spm.Geometry.paper()
 FREE = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import problems
 import pytest
@@ -12,7 +10,6 @@ from multibody.chains import EPS, chain, closure_jacobian, placed, random_q
 pinocchio = pytest.importorskip("pinocchio")
 
 from spm_pin.multibody.constrained_model import ConstrainedModel, TreeKinematics  # noqa: E402
-from spm_pin.multibody.joint_layout import JointLayout  # noqa: E402
 
 NAMES = list(problems.GEOMETRIES)
 
@@ -81,14 +78,10 @@ def test_gaps_are_those_of_the_frames() -> None:
         assert np.allclose(gap, b - a, atol=16 * EPS * 10)
 
 
-def constrained(robot: Any, closures: Any) -> ConstrainedModel:
-    return ConstrainedModel(robot.model, JointLayout(robot.model, robot.geometry, ""), closures)
-
-
 def test_the_order_of_the_closures_is_kept() -> None:
     robot = chain()
     q = random_q(robot, np.random.default_rng(87))
-    backwards = TreeKinematics(constrained(robot, robot.closures[::-1]))
+    backwards = TreeKinematics(ConstrainedModel(robot.model, robot.closures[::-1], robot.geometry, ""))
     backwards.evaluate(q)
     assert np.array_equal(backwards.gap, robot.closure_gap(q)[::-1])
     found = robot.constraint_jacobian(q).reshape(4, 3, 18)[::-1]

@@ -17,10 +17,10 @@ from spm_pin.crosscheck.random_poses import command
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
-from spm_pin.kinematics.leg_forces import leg_forces
 from spm_pin.kinematics.path_following import last_on_line
+from spm_pin.kinematics.platform_stiffness import compliance, principal_stiffness
+from spm_pin.kinematics.rates_and_forces import leg_forces
 from spm_pin.kinematics.singularity_analysis import SingularityKind, determinant_gradients, singularities
-from spm_pin.kinematics.stiffness import compliance, principal_stiffness
 from spm_pin.mechanism import (
     FAMILIES,
     LEGS,
@@ -188,7 +188,7 @@ class ViewerModel:
         target = real_array(readings, "readings", (6,), "readings of the encoders in metres")
         here = self.state.shown
         # The physical mode is solved for, without a path to follow.
-        shown = forward_physical(self.geometry, target, seed=None if physical(here) else here)
+        shown = forward_physical(self.geometry, target, near=None if physical(here) else here)
         remarks = []
         if not shown.exists:
             shown, share = last_on_line(here, target)
