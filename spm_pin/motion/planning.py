@@ -209,7 +209,7 @@ def _state(geometry: Geometry, place: Place, name: str) -> Configuration:
         lengths = real_array(place, name, (6,), "leg lengths in metres")  # type: ignore[arg-type]
         found = forward_physical(geometry, lengths)
         if not found.exists:
-            raise ArgumentError(name, "leg lengths of the physical mode", f"{lengths.tolist()}", found.absence)
+            raise ArgumentError(name, "leg lengths of the physical mode", f"{lengths.tolist()}", found.missing_reason)
         return found
     if array is not None and array.ndim < 2 and array.dtype.kind != "O":
         received = f"shape {array.shape}" if array.dtype.kind in "iuf" else type_and_value(place)
@@ -219,13 +219,13 @@ def _state(geometry: Geometry, place: Place, name: str) -> Configuration:
     if found.shape:
         raise ArgumentError(name, "one state", f"a batch of shape {found.shape}")
     if not found.exists:
-        cause = found.absence or "Level poses are singular for the inverse: give leg lengths instead"
+        cause = found.missing_reason or "Level poses are singular for the inverse: give leg lengths instead"
         raise ArgumentError(name, "a pose with a physical branch", "one without", cause)
     return found
 
 
 def _along_poses(rules: PathRules, states: list[Configuration], certificate: Certificate | None) -> MotionPlan:
-    """Return the plan straight in poses, or why it cannot be gone along."""
+    """Return the plan straight in poses, or one without a path and with the reason."""
     geometry = rules.geometry
     poses = np.array([state.pose.as_matrix() for state in states])
     path = PlatformPath(np.linspace(0.0, 1.0, len(poses)), poses)

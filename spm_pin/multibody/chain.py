@@ -11,10 +11,8 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from spm_pin.description.closures import Closure
-from spm_pin.description.paths import description_directory
-from spm_pin.description.srdf import srdf_text
-from spm_pin.description.tree import ANGLES, SLIDES
+from spm_pin.description.source_files import description_directory
+from spm_pin.description.tree import ANGLES, SLIDES, Closure, read_closures, srdf_text
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_physical
@@ -39,7 +37,7 @@ from spm_pin.multibody.constrained_model import (
     TreeKinematics,
     check_leg_lengths,
 )
-from spm_pin.multibody.loading import check_same_machine, description_closures, read_description
+from spm_pin.multibody.loading import check_same_machine, read_description
 from spm_pin.multibody.mounting import MountedChain, mount
 from spm_pin.multibody.simulation import ForceFunction, Simulation, run_simulation
 from spm_pin.multibody.trajectory import JointTrajectory, PlatformMotion, follow_path
@@ -80,7 +78,7 @@ class ClosedChain:
     def __init__(self, urdf: str, geometry: Geometry, prefix: str = "") -> None:
         self._urdf, self._geometry, self._prefix = urdf, geometry, prefix
         self._model = pin.buildModelFromXML(urdf)
-        closures = description_closures(geometry, prefix)
+        closures = read_closures(prefix=prefix)
         self._constrained = ConstrainedModel(self._model, closures, geometry, prefix)
         self._order = np.argsort(self._constrained.joint_indices(*ANGLES, *SLIDES))
         self._calls = ThreadState(ChainState, self._constrained)
@@ -279,7 +277,7 @@ class ClosedChain:
             if not configuration.shape and not configuration.exists:
                 received = f"{_listed(np.asarray(leg_lengths, dtype=np.float64))} m"
                 expected = "lengths that the physical assembly mode can have"
-                raise _absent("leg_lengths", expected, received, configuration.absence or "A misread leg?")
+                raise _absent("leg_lengths", expected, received, configuration.missing_reason or "A misread leg?")
             return self.joint_values(configuration)
         return self._follow(near, follow_legs, self._lengths_of_readings(leg_lengths, "leg_lengths"), axes=(1,))
 
@@ -298,7 +296,7 @@ class ClosedChain:
             if not configuration.shape and not configuration.exists:
                 place, turn = transform.translation, transform.rotation.as_rotvec()
                 received = f"o at {_listed(place)} m, turned by the rotation vector {_listed(turn)} rad"
-                cause = configuration.absence or "Level, or out of reach?"
+                cause = configuration.missing_reason or "Level, or out of reach?"
                 raise _absent("pose", "poses that a physical branch has", received, cause)
             return self.joint_values(configuration)
         return self._follow(near, follow_pose, transform.rotation.as_matrix(), transform.translation, axes=(2, 1))

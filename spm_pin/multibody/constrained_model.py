@@ -26,8 +26,7 @@ import numpy.typing as npt
 import pinocchio as pin
 from scipy.linalg import lapack
 
-from spm_pin.description.closures import Closure
-from spm_pin.description.tree import JOINTS, SLIDES
+from spm_pin.description.tree import JOINTS, SLIDES, Closure
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable, frozen
 from spm_pin.mechanism.geometry import Geometry

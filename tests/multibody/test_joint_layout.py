@@ -9,7 +9,7 @@ from description.kinematic_tree import named_states
 from multibody.chains import EPS, PAPER, chain, placed, random_q, six_branches
 
 import spm_pin as spm
-from spm_pin.description.paths import SRDF, description_file
+from spm_pin.description.source_files import SRDF, description_file
 from spm_pin.description.tree import JOINTS, SLIDES
 from spm_pin.errors import ArgumentError, GeometryError
 
