@@ -24,7 +24,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from spm_pin.description.tree import JOINTS, joint_values
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import forward_physical, inverse_displacement, inverse_jacobian, inverse_physical, leg_forces
-from spm_pin.kinematics.stage_wrenches import SINGULAR
+from spm_pin.kinematics.rates_and_forces import SINGULAR
 from spm_pin.mechanism import BRANCHES, Configuration, Geometry, LegLimits
 from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path
 from spm_pin.symbolic import functions
@@ -145,8 +145,11 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_") -> dict[str, str]:
     for key, of_one in (
         ("STATE_FUNCTIONS", template("state_function.c")),
         ("PROTOTYPES", "/* @COMMENT@. */\nint @PREFIX@@NAME@(@PARAMETERS@);\n\n"),
-        ("CALLS", '    expect("@NAME@", n, @PREFIX@@NAME@(@CALL@), @PREFIX_UPPER@OK);\n'
-                  '    compare("@NAME@", n, numbers, @NAME@_answers[n], @COUNT@);\n'),
+        (
+            "CALLS",
+            '    expect("@NAME@", n, @PREFIX@@NAME@(@CALL@), @PREFIX_UPPER@OK);\n'
+            '    compare("@NAME@", n, numbers, @NAME@_answers[n], @COUNT@);\n',
+        ),
     ):
         values[key] = "".join(filled(of_one, snippet) for snippet in snippets)
     texts = {f"{prefix}{name}": filled(template(name), values) for name in _NAMES}
@@ -226,9 +229,7 @@ def _formulas() -> list[ca.Function]:
         error = functions.stage_equations(machine, k, balls, lengths)
         curvature = ca.vertcat(*[0.5 / machine.side] * 3, *(2.0 / s for s in machine.sides(k)))
         none = ca.SX.zeros(6)
-        made_functions.append(
-            made(name, [balls, lengths], error, ca.jacobian(error, balls), curvature, none, none)
-        )
+        made_functions.append(made(name, [balls, lengths], error, ca.jacobian(error, balls), curvature, none, none))
     # Of the closure: how far terms of second order go, and how the planes of the upper legs move.
     error = functions.closure_equations(machine, balls, rotation, position)
     points = [machine.frames[i].point(balls[2 * i : 2 * i + 2]) for i in range(3)]

@@ -16,8 +16,7 @@ from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.formulas import legs, stages, wrenches
 from spm_pin.kinematics.formulas.operations import COS_30, bind
 from spm_pin.mechanism import Geometry
-from spm_pin.mechanism.arguments import type_and_value
-from spm_pin.mechanism.arguments import LARGEST, SMALLEST
+from spm_pin.mechanism.arguments import LARGEST, SMALLEST, type_and_value
 from spm_pin.mechanism.pose import ORTHONORMALITY_TOLERANCE
 
 FLOOR = 1e-40

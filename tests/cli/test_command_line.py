@@ -535,7 +535,7 @@ WORK: dict[str, tuple[str, list[str]]] = {
     "reproduce": ("recompute", []),
     "singularities": ("options.solve_pose", EXAMPLE),
     "statics": ("options.solve_pose", [*EXAMPLE, *LOAD]),
-    "sweep": ("sweeps.run", ["--legs", "1.2:1.3:2", "--out", "map"]),
+    "sweep": ("sweeps.run_sweep", ["--legs", "1.2:1.3:2", "--out", "map"]),
     "tolerance": ("analyse", []),
     "urdf": ("options.read_any_geometry", []),
     "view": ("options.requested_solutions", ["--no-open"]),

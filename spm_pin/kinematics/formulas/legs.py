@@ -9,7 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from spm_pin.kinematics.formulas.operations import sqrt
+from spm_pin.kinematics.formulas.stages import is_home_aspect
 from spm_pin.kinematics.formulas.vectors import Rows, Vector, combined, cross, direction, dot, minus, times
+from spm_pin.kinematics.formulas.wrenches import normals, pairs
 
 
 class StageLegs(NamedTuple):
@@ -80,3 +82,13 @@ def side_errors(balls: Rows, sides: Vector) -> Vector:
 
 def _side_error(side: Vector, d: float) -> float:
     return (dot(side, side) - d * d) / (2.0 * d)
+
+
+def is_in_home_aspect(balls: Rows, legs: StageLegs, up: float) -> bool:
+    """Return whether a stage is in the aspect of its home; `up` is 1 for the lower stage and -1 for the upper one.
+
+    The axis of leg 1 has the opposite sense of the others about the platform's normal.
+    """
+    vectors = leg_vectors(balls, legs.pivots)
+    c12, c23, c31, c21, c32, c13 = pairs(balls, normals(vectors, legs.axes))
+    return is_home_aspect((-up * c12, up * c23, up * c31, up * c21, up * c32, -up * c13))

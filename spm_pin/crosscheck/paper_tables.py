@@ -1,4 +1,4 @@
-"""Tables 1 to 4 recomputed beside what the paper printed, every difference explained by what the code finds.
+"""The paper's tables recomputed beside what the paper printed, every difference explained by what the code finds.
 
 No misprint is listed here. A cell that differs in its printed digits is searched for a cause in the numbers
 themselves: a sign, a shifted column, a cell left empty. What has no cause is `Verdict.UNEXPLAINED`.
@@ -6,21 +6,25 @@ themselves: a sign, a shifted column, a cell left empty. What has no cause is `V
 
 from __future__ import annotations
 
+import enum
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from decimal import Decimal
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
-from spm_pin.crosscheck import table_5
-from spm_pin.crosscheck.cells import Cell, Verdict, matches, number
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import complex_middle_joints
+from spm_pin.kinematics.rates_and_forces import leg_forces, leg_rates
 from spm_pin.mechanism import BRANCHES, LEGS, Configuration, Geometry, pose
 from spm_pin.mechanism.arguments import FloatArray, IntArray
 from spm_pin.paper import published, resultant
+from spm_pin.paper.driving_forces import load, table_5
+from spm_pin.paper.jacobian import Table5Mistakes
 
 TABLES = (1, 2, 3, 4, 5)
 """Numbers of the paper's tables that can be recomputed."""
@@ -29,7 +33,77 @@ POSE = 0
 # The lengths of which the printed pose is the forward displacement, found there "by simulation", in cm.
 _SIMULATED_LEGS = (120.0, 120.0, 140.0, 125.0, 120.0, 150.0)
 _CM = 100.0
+"""Centimetres per metre."""
 _COORDINATES = {1: published.TABLE_1, 2: published.TABLE_2, 3: published.TABLE_3}
+_KILO = 1e3
+"""Newtons per kilonewton."""
+_ROWS = ("v", "f")
+"""Names of the rows of Table 5: rates and forces."""
+
+
+class Verdict(enum.StrEnum):
+    """Verdict on a printed cell."""
+
+    SAME = "same"
+    MISPRINT = "misprint"
+    NOT_PRINTED = "not printed"
+    UNEXPLAINED = "unexplained"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell of a table in the paper's units: cm, cm/s, kN."""
+
+    table: int
+    """Number of the table, from 1 to 5; `POSE` for the pose of the example."""
+    row: str
+    """Name of the row, as `b_1 X` or `r_b1`."""
+    column: str
+    """Number of the solution, from 1 to 8, as the paper counts them."""
+    published: str | None
+    """The number as printed; None where the cell is empty."""
+    recomputed: complex
+    """The true number [cm, cm/s, kN, or degrees for the angles of the pose]; complex in Tables 1 to 3."""
+    verdict: Verdict
+    """Whether they agree, and if not, whether the cause is known."""
+    note: str = ""
+    """The cause of a difference, in words; empty where they agree."""
+
+    @property
+    def difference(self) -> float | None:
+        """Modulus of recomputed minus printed; None where nothing is printed."""
+        return None if self.published is None else abs(self.recomputed - number(self.published))
+
+
+@dataclass(frozen=True)
+class TrueValue:
+    """One true number of Table 5 by three methods: cm/s or kN."""
+
+    name: str
+    """Name of the row and the leg, as `v_rb1` or `f_rc3`."""
+    paper: float
+    """By the paper's 9 × 9 Jacobian, corrected."""
+    closed_form: float
+    """By the wrench matrices of `spm_pin.kinematics`."""
+    pinocchio: float
+    """By the constrained multibody model of `spm_pin.multibody`."""
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The fewest of `Table5Mistakes` that give a printed row of Table 5 to its four decimals."""
+
+    row: str
+    """Name of the row, v for the rates or f for the forces."""
+    mistakes: Table5Mistakes
+    """The mistakes that are made together."""
+    values: tuple[float, ...]
+    """All six values of the row, so that the empty cell is recovered too."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The switches of `Table5Mistakes` that are needed."""
+        return tuple(field.name for field in fields(self.mistakes) if getattr(self.mistakes, field.name))
 
 
 @dataclass(frozen=True)
@@ -70,9 +144,9 @@ class Reproduction:
     """The eight solutions by the paper's route and by the closed form."""
     equation_17: MisprintedEquation
     """Numbers of real roots with Eq. (17) as printed, with its signs mended, and by the closed form."""
-    diagnoses: tuple[table_5.Diagnosis, ...] = ()
+    diagnoses: tuple[Diagnosis, ...] = ()
     """The mistakes behind the rows of Table 5; empty without that table."""
-    true_values: tuple[table_5.TrueValue, ...] = ()
+    true_values: tuple[TrueValue, ...] = ()
     """The true numbers of Table 5, rates before forces; empty without that table."""
 
     @property
@@ -131,8 +205,8 @@ def reproduce(tables: Sequence[int] = TABLES) -> Reproduction:
         true=_count_real(closed[:, 1, 1]),
     )
     cells: list[Cell] = []
-    diagnoses: list[table_5.Diagnosis] = []
-    true_values: list[table_5.TrueValue] = []
+    diagnoses: list[Diagnosis] = []
+    true_values: list[TrueValue] = []
     for table in sorted(set(tables)):
         if table in _COORDINATES:
             cells += _coordinates(table, joints, printed, geometry.middle_side * _CM)
@@ -141,9 +215,9 @@ def reproduce(tables: Sequence[int] = TABLES) -> Reproduction:
             cells += _simulated_pose(geometry)
         else:
             third = Configuration(geometry, example, joints[2].real / _CM)
-            diagnoses = table_5.diagnoses(third)
-            true_values = table_5.true_values(third)
-            cells += table_5.rates_and_forces(true_values, diagnoses)
+            diagnoses = _diagnoses(third)
+            true_values = _true_values(third)
+            cells += _rates_and_forces(true_values, diagnoses)
     return Reproduction(tuple(cells), solutions, equation, tuple(diagnoses), tuple(true_values))
 
 
@@ -229,3 +303,80 @@ def _shifted(text: str, column: int, lengths: FloatArray) -> tuple[Verdict, str]
         if published.TABLE_4[leg][column] is None and matches(text, complex(value)):
             return Verdict.MISPRINT, f"this is {LEGS[leg]} = {value:.4f}, whose own cell is empty: a shifted number"
     return Verdict.UNEXPLAINED, ""
+
+
+def _diagnoses(third: Configuration) -> list[Diagnosis]:
+    """Find the fewest mistakes that give each printed row of Table 5; none where no combination does."""
+    combinations = [Table5Mistakes(*flags) for flags in sorted(product((False, True), repeat=3), key=sum)]
+    found = []
+    for row, (name, printed) in enumerate(zip(_ROWS, published.TABLE_5, strict=True)):
+        for mistakes in combinations:
+            values = table_5(third, mistakes)[row]
+            if all(text is None or matches(text, complex(x)) for text, x in zip(printed, values, strict=True)):
+                found.append(Diagnosis(name, mistakes, tuple(float(x) for x in values)))
+                break
+    return found
+
+
+def _true_values(third: Configuration) -> list[TrueValue]:
+    """Find the true rates and forces by the paper's corrected 9 x 9, by the wrench form, and by Pinocchio."""
+    from spm_pin.multibody.chain import ClosedChain
+
+    twist = np.concatenate([np.array(published.VELOCITY[:3]) / _CM, np.deg2rad(published.VELOCITY[3:])])
+    wrench = np.concatenate(load())
+    chain = ClosedChain.from_urdf()
+    q = chain.joint_values(third)
+    paper = table_5(third)
+    closed_form = leg_rates(third, twist) * _CM, leg_forces(third, wrench) / _KILO
+    pinocchio = chain.inverse_jacobian(q) @ twist * _CM, chain.leg_forces(q, wrench) / _KILO
+    rows = zip(paper, closed_form, pinocchio, strict=True)
+    return [
+        TrueValue(f"{name}_{leg.replace('_', '')}", *(float(x) for x in values))
+        for name, row in zip(_ROWS, rows, strict=True)
+        for leg, *values in zip(LEGS, *row, strict=True)
+    ]
+
+
+def _rates_and_forces(true: list[TrueValue], found: list[Diagnosis]) -> list[Cell]:
+    """Compare Table 5 with the true rates [cm/s] and forces [kN]."""
+    explained = {diagnosis.row: diagnosis for diagnosis in found}
+    cells = []
+    for k, (text, value) in enumerate(zip((*published.TABLE_5[0], *published.TABLE_5[1]), true, strict=True)):
+        diagnosis = explained.get(value.name[0])
+        verdict, note = Verdict.SAME, ""
+        if text is None:
+            verdict, note = Verdict.NOT_PRINTED, "the cell is empty"
+            if diagnosis is not None:
+                note += f"; with the mistakes of its row it would read {diagnosis.values[k % 6]:.4f}"
+        elif not matches(text, complex(value.closed_form)):
+            verdict = Verdict.UNEXPLAINED if diagnosis is None or not diagnosis.names else Verdict.MISPRINT
+        cells.append(Cell(5, value.name, "3", text, complex(value.closed_form), verdict, note))
+    return cells
+
+
+def matches(published_value: str, recomputed: complex) -> bool:
+    """Return whether a number rounds to the digits printed; a plain "0" stands for zero itself."""
+    parts = zip(_parts(published_value), (recomputed.real, recomputed.imag), strict=True)
+    return all(_agrees(digits, value) for digits, value in parts)
+
+
+def _agrees(digits: str, value: float) -> bool:
+    if digits == "0":
+        return abs(value) < 1e-9
+    exponent = Decimal(digits).as_tuple().exponent
+    assert isinstance(exponent, int)
+    half_a_unit = 0.5 * 10.0**exponent
+    return abs(value - float(digits)) <= half_a_unit * (1.0 + 1e-9)
+
+
+def _parts(text: str) -> tuple[str, str]:
+    """Split "a+bi" into its parts; a real number has the imaginary part "0"."""
+    if not text.endswith("i"):
+        return text, "0"
+    split = max(text.rfind("+"), text.rfind("-"))
+    return text[:split], text[split:-1]
+
+
+def number(text: str | None) -> complex:
+    """Return a printed number; NaN where nothing is printed."""
+    return complex("nan" if text is None else text.replace("i", "j"))
