@@ -24,7 +24,6 @@ __all__ = [
 
 EXTRAS = {
     "cluster": ("zarr", "xarray", "dask", "distributed", "filelock", "google_crc32c"),
-    "motion": ("toppra",),
     "plots": ("matplotlib", "trimesh"),
     "viewer": ("viser", "websockets", "trimesh"),
     "workspace": ("trimesh", "skimage"),
