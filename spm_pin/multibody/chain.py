@@ -11,10 +11,8 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from spm_pin.description.closures import Closure
-from spm_pin.description.paths import description_directory
-from spm_pin.description.srdf import srdf_text
-from spm_pin.description.tree import ANGLES, SLIDES
+from spm_pin.description.source_files import description_directory
+from spm_pin.description.tree import ANGLES, SLIDES, Closure, read_closures, srdf_text
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_physical
@@ -39,7 +37,7 @@ from spm_pin.multibody.constrained_model import (
     TreeKinematics,
     check_leg_lengths,
 )
-from spm_pin.multibody.loading import check_same_machine, description_closures, read_description
+from spm_pin.multibody.loading import check_same_machine, read_description
 from spm_pin.multibody.mounting import MountedChain, mount
 from spm_pin.multibody.simulation import ForceFunction, Simulation, run_simulation
 from spm_pin.multibody.trajectory import JointTrajectory, PlatformMotion, follow_path
@@ -67,8 +65,6 @@ class ClosedChain:
     Methods that use rates or forces raise `ArgumentError` where a ball joint's middle angle is ±90°, and
     `SingularConfigurationError` at the singularities they name, where a matrix is singular to rounding.
 
-    A subclass with other constructor arguments needs its own `__reduce__`.
-
     Parameters
     ----------
     urdf : str
@@ -82,7 +78,7 @@ class ClosedChain:
     def __init__(self, urdf: str, geometry: Geometry, prefix: str = "") -> None:
         self._urdf, self._geometry, self._prefix = urdf, geometry, prefix
         self._model = pin.buildModelFromXML(urdf)
-        closures = description_closures(geometry, prefix)
+        closures = read_closures(prefix=prefix)
         self._constrained = ConstrainedModel(self._model, closures, geometry, prefix)
         self._order = np.argsort(self._constrained.joint_indices(*ANGLES, *SLIDES))
         self._calls = ThreadState(ChainState, self._constrained)
@@ -273,21 +269,15 @@ class ClosedChain:
         comes to, angles continuous and not reduced to one turn; legs that change little take one or two steps of
         Newton's method. Closed to rounding.
 
-        Raises
-        ------
-        ArgumentError
-            Without `near`, if the physical mode cannot have these lengths; such members of a batch are NaN.
-        ClosureError
-            If `near` is open, or the path does not lead to a member: with how far it leads.
-        SingularConfigurationError
-            If `near` or a member is at a forward or a constraint singularity.
+        Lengths that the physical mode cannot have are an `ArgumentError`, in a batch NaN. A path that does not lead to
+        a member, as one that ends at a forward or a constraint singularity, is an error for a batch as well.
         """
         if near is None:
             configuration = forward_physical(self._geometry, leg_lengths)
             if not configuration.shape and not configuration.exists:
                 received = f"{_listed(np.asarray(leg_lengths, dtype=np.float64))} m"
                 expected = "lengths that the physical assembly mode can have"
-                raise _absent("leg_lengths", expected, received, configuration.absence or "A misread leg?")
+                raise _absent("leg_lengths", expected, received, configuration.missing_reason or "A misread leg?")
             return self.joint_values(configuration)
         return self._follow(near, follow_legs, self._lengths_of_readings(leg_lengths, "leg_lengths"), axes=(1,))
 
@@ -297,16 +287,8 @@ class ClosedChain:
         By default in the physical branch of each member, in closed form and vectorised, angles in [-π, π]; see
         `spm_pin.kinematics.inverse_physical`. With `near` (18,), a closed q, the platform moves and turns from there
         to the first member in proportion, and on to each from the one before, as in `forward_kinematics`, in the branch
-        that it comes to; leg limits play no part. Closed to rounding.
-
-        Raises
-        ------
-        ArgumentError
-            Without `near`, if no physical branch has the pose; such members of a batch are NaN.
-        ClosureError
-            If `near` is open, or the path does not lead to a member: with how far it leads.
-        SingularConfigurationError
-            If `near` or a member is at an inverse or a constraint singularity.
+        that it comes to; leg limits play no part. Closed to rounding. Errors are those of `forward_kinematics`, at
+        inverse singularities instead of forward ones.
         """
         transform = as_rigid_transform(pose)
         if near is None:
@@ -314,7 +296,7 @@ class ClosedChain:
             if not configuration.shape and not configuration.exists:
                 place, turn = transform.translation, transform.rotation.as_rotvec()
                 received = f"o at {_listed(place)} m, turned by the rotation vector {_listed(turn)} rad"
-                cause = configuration.absence or "Level, or out of reach?"
+                cause = configuration.missing_reason or "Level, or out of reach?"
                 raise _absent("pose", "poses that a physical branch has", received, cause)
             return self.joint_values(configuration)
         return self._follow(near, follow_pose, transform.rotation.as_matrix(), transform.translation, axes=(2, 1))
@@ -355,7 +337,7 @@ class ClosedChain:
     def inverse_jacobian(self, q: npt.ArrayLike) -> FloatArray:
         """Return J_f (..., 6, 6), which maps the platform's twist to the leg rates; q is closed.
 
-        Raises `SingularConfigurationError` at an inverse or a constraint singularity.
+        Raises at an inverse or a constraint singularity.
         """
         return self._at(q).inverse_jacobian()
 
@@ -369,8 +351,8 @@ class ClosedChain:
     def joint_rates(self, q: npt.ArrayLike, leg_rates: npt.ArrayLike) -> FloatArray:
         """Return the velocities of all joints (..., 18) [rad/s, m/s] for rates of the six legs (..., 6) [m/s].
 
-        q is closed; the other way is `joint_velocities`. Raises `SingularConfigurationError` at a forward or a
-        constraint singularity.
+        q is closed; the other way is `joint_velocities`. Raises at a forward or
+        a constraint singularity.
         """
         return self._at(q).joint_rates(leg_rates)
 
@@ -378,16 +360,15 @@ class ClosedChain:
         """Return the accelerations of all joints (..., 18) for one of the terminal platform (..., 6).
 
         That is the time derivative of the twist: of the point o [m/s²], and angular [rad/s²], in {B}. q and v (..., 18)
-        are those of a closed mechanism. Raises `ClosureError` if q is open, `ArgumentError` if v opens the loops, and
-        `SingularConfigurationError` at an inverse or a constraint singularity.
+        are those of a closed mechanism. Raises at an inverse or a constraint singularity.
         """
         return self._at(q, v).joint_accelerations(acceleration)
 
     def leg_forces(self, q: npt.ArrayLike, wrench: npt.ArrayLike) -> FloatArray:
         """Return the actuator forces (..., 6) [N] that hold a wrench (..., 6) applied onto the terminal platform.
 
-        Weights and friction are left out: `inverse_dynamics` has the weights. Raises `SingularConfigurationError` at a
-        forward or a constraint singularity.
+        Weights and friction are left out: `inverse_dynamics` has the weights. Raises at a forward or a constraint
+        singularity.
         """
         return self._at(q).leg_forces(wrench)
 
@@ -426,14 +407,9 @@ class ClosedChain:
             (kp, kd) [1/s², 1/s], not negative, after Baumgarte: open gaps e then obey ë + kd ė + kp e = 0, for those
             who integrate by themselves. Without, q and v must be closed, and the accelerations keep them so.
 
-        Raises
-        ------
-        ArgumentError
-            If an argument is malformed, v opens the loops, or a ball joint's middle angle is ±90°.
-        ClosureError
-            If q is open.
-        SingularConfigurationError
-            At a constraint singularity. Inverse and forward singularities are no obstacle.
+        Notes
+        -----
+        Only constraint singularities raise: inverse and forward ones are no obstacle.
         """
         return self._at(q, v).forward_dynamics(forces, wrench, gains=gains)
 
@@ -443,16 +419,7 @@ class ClosedChain:
         """Return the forces of the legs (..., 6) [N] for a motion under gravity, inertia and wrenches.
 
         q, v and a (..., 18) are those of a closed mechanism, `wrench` is as in `forward_dynamics`. At rest, the weights
-        of all bodies are left; `leg_forces` has the wrench alone.
-
-        Raises
-        ------
-        ArgumentError
-            If an argument is malformed, v or a opens the loops, or a ball joint's middle angle is ±90°.
-        ClosureError
-            If q is open.
-        SingularConfigurationError
-            At a forward or a constraint singularity.
+        of all bodies are left; `leg_forces` has the wrench alone. Raises at a forward or a constraint singularity.
         """
         return self._at(q, v).inverse_dynamics(a, wrench)
 
@@ -467,9 +434,8 @@ class ClosedChain:
         """Return the small vibrations of the platform with its motors held, on legs that are elastic.
 
         q is closed, `stiffness` (..., 6, 6) the platform's as of `spm_pin.stiffness`; all bodies' masses take part as
-        if rigid. What weights add to the stiffness is left out: it is of the size of weight / leg length. Raises
-        `ClosureError` if q is open, `ArgumentError` if a matrix is not symmetric and positive definite, and
-        `SingularConfigurationError` at an inverse or a constraint singularity.
+        if rigid. What weights add to the stiffness is left out: it is of the size of weight / leg length. Raises at an
+        inverse or a constraint singularity.
         """
         return self._at(q).natural_frequencies(stiffness)
 
@@ -527,13 +493,6 @@ class ClosedChain:
             Longest step [s]; not less than 1e-7 of the run.
         progress : callable, optional
             Called with the share done, from 0 to 1, after each step. If it returns False, the run ends there.
-
-        Raises
-        ------
-        ArgumentError
-            If an argument is malformed, v0 opens the loops, or a function returns something else than finite (6,).
-        ClosureError
-            If q0 is open.
         """
         acting, steps = (forces, wrench, period), (tolerance, max_step, progress)
         return run_simulation(self._constrained, q0, v0, times, *acting, *steps)

@@ -8,24 +8,13 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from spm_pin.description.as_built_tree import as_built_closures
-from spm_pin.description.closures import Closure, read_closures
-from spm_pin.description.load_robot import manipulator
-from spm_pin.description.paths import URDF, description_directory, description_file
-from spm_pin.description.urdf_elements import check_inertials
-from spm_pin.description.write_urdf import urdf_text
-from spm_pin.description.xml_nodes import check_prefix
+from spm_pin.description.robot import check_inertials
+from spm_pin.description.source_files import URDF, check_prefix, description_file, urdf_text
 from spm_pin.errors import DescriptionError, GeometryError
 from spm_pin.mechanism.arguments import check_instance, file_path
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LEGS
 from spm_pin.multibody.constrained_model import AGREEMENT
-
-
-def description_closures(geometry: Geometry, prefix: str) -> tuple[Closure, ...]:
-    """Return the closures of the description's tree for a geometry."""
-    closures = read_closures(prefix=prefix)
-    return closures if geometry.is_nominal else as_built_closures(closures, prefix)
 
 
 def read_description(path: str | Path | None, geometry: Geometry | None, prefix: str) -> tuple[str, Geometry]:
@@ -35,7 +24,7 @@ def read_description(path: str | Path | None, geometry: Geometry | None, prefix:
     if machine == Geometry.paper() and prefix == "":
         expected = description_file(URDF).read_text(encoding="utf-8")
     else:
-        expected = urdf_text(manipulator(machine, prefix=prefix), folder=description_directory())
+        expected = urdf_text(machine, prefix=prefix)
     if path is None:
         return expected, machine
     file = file_path(path)
