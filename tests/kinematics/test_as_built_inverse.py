@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.kinematics import complex_middle_joints
-from spm_pin.proofs import certify_inverse
 
 PAPER = spm.Geometry.paper()
 NOMINAL = PAPER
@@ -256,7 +255,6 @@ STATE = spm.inverse_physical(as_built(PAPER, 1e-4, seed=7), EXAMPLE)
         lambda state: spm.forward_physical(PAPER, state.leg_lengths, seed=state),
         lambda state: spm.follow(PAPER, np.stack([state.pose.as_matrix()] * 2), start=state),
         lambda state: spm.workspace.nearest_reachable_pose(PAPER, state.pose, near=state),
-        lambda state: certify_inverse(state.geometry, PAPER.limits),
         lambda state: spm.workspace.reachable(state.geometry, state.pose),
         lambda state: spm.SolutionSet.from_unordered(state.geometry, state.pose, state.middle_joints[None]),
         lambda state: spm.follow(state.geometry, np.stack([state.pose.as_matrix()] * 2)),
