@@ -113,7 +113,7 @@ class NotOneSolutionError(SpmError):
         if labels:
             message = (
                 f"expected exactly one solution, got {len(labels)}{where}: {', '.join(labels)}. "
-                "Narrow them down with .within(limits), or choose with .nearest(seed) or .physical()"
+                "Narrow them down with .within(limits), or choose with .nearest(near) or .physical()"
             )
         else:
             cause = cause or "see .status: out of reach or degenerate, or .within(limits) excluded every branch"

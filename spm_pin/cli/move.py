@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit, SixLegs, leg_option
-from spm_pin.display.json_text import fixed
+from spm_pin.display.output_files import fixed
 from spm_pin.display.result_plots import motion_figure
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LEGS, LegLimits
@@ -127,7 +127,7 @@ def move(
     chain = ClosedChain.from_urdf(geometry=dimensions)
     load = Payload(payload) if payload else None
     motion = time_optimal(chain, planned, **largest, twist=twist, payload=load, period=period)
-    lengths = chain.leg_lengths(motion.positions)
+    lengths = chain.readings(motion.positions)
     table = _columns(chain, motion, lengths)
     if json:
         content = {"method": planned.method, "certified": planned.certified, "margin": planned.margin}

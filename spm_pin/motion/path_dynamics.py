@@ -20,7 +20,7 @@ from spm_pin.mechanism.configuration import Configuration
 from spm_pin.motion.leg_path import LegPath
 from spm_pin.motion.path_states import MotionPath, platform_motion, states_along
 from spm_pin.multibody.chain import ClosedChain
-from spm_pin.multibody.constrained_state import ChainState
+from spm_pin.multibody.chain_state import ChainState
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,9 +28,8 @@ from spm_pin.motion.path_dynamics import PathDynamics, Payload, path_dynamics
 from spm_pin.motion.path_states import ROUNDING, MotionPath
 from spm_pin.motion.planning import MotionPlan
 from spm_pin.multibody.chain import ClosedChain
-from spm_pin.multibody.joint_layout import require_dimensions
-from spm_pin.multibody.platform_path import PlatformPath
-from spm_pin.multibody.trajectory import JointTrajectory
+from spm_pin.multibody.loading import check_same_machine
+from spm_pin.multibody.trajectory import JointTrajectory, PlatformPath
 
 _LONGEST = 10**6
 """Samples that a trajectory may have."""
@@ -171,7 +170,7 @@ def _slowed(clock: Clock, slower: float) -> Clock:
 
 def _path(path: Any, chain: ClosedChain) -> MotionPath:
     if isinstance(path, MotionPlan):
-        require_dimensions(path.geometry, chain.geometry, "path", "the chain")
+        check_same_machine(path.geometry, chain.geometry, "path", "the chain")
         if path.path is None:
             raise ArgumentError("path", "a plan with a path", "one without", path.reason)
         return path.path

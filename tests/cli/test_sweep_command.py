@@ -69,9 +69,9 @@ def test_parameters_of_metrics(tmp_path: Path) -> None:
     definition = json.loads(stored.attrs["spm_pin_sweep"])
     expected = [
         METRICS["conditioning"](length=0.5),
+        METRICS["least_stiffness"](leg_stiffness=2e7),
         METRICS["payload"](push=900.0),
         METRICS["payload_down"](push=900.0),
-        METRICS["least_stiffness"](leg_stiffness=2e7),
     ]
     assert definition["metrics"] == [metric.definition() for metric in expected]
     assert definition["geometry"]["limits"] == [[1.15] * 6, [1.45] * 6]

@@ -129,7 +129,7 @@ def test_a_machine_as_built_is_timed_as_well() -> None:
     chain = spm.ClosedChain.from_urdf(geometry=machine)
     motion = spm.time_optimal(chain, LINE, leg_forces=1500.0, leg_jerks=400.0, grid=500)
     assert chain.closure_gap(motion.positions).max() < 1e-9
-    np.testing.assert_allclose(chain.leg_lengths(motion.positions)[[0, -1]], [START, GOAL], atol=1e-9)
+    np.testing.assert_allclose(chain.readings(motion.positions)[[0, -1]], [START, GOAL], atol=1e-9)
     forces = chain.inverse_dynamics(motion.positions, motion.velocities, motion.accelerations)
     np.testing.assert_allclose(motion.efforts[:, LEGS], forces, rtol=0, atol=1e-6)
     assert 0.97 < np.abs(forces).max() / 1500.0 < 1.0 + 1e-6

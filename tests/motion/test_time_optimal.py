@@ -70,7 +70,7 @@ def test_a_machine_as_built_moves_within_its_limits() -> None:
     motion = spm.time_optimal(chain, planned, grid=500, **limits)
     assert shares(motion, limits).max() < 1.0 + 1e-6
     assert np.abs(chain.closure_gap(motion.positions)).max() < 1e-9
-    np.testing.assert_allclose(chain.leg_lengths(motion.positions)[[0, -1]], [START, GOAL], atol=1e-9)
+    np.testing.assert_allclose(chain.readings(motion.positions)[[0, -1]], [START, GOAL], atol=1e-9)
     k = len(motion.times) // 3
     forces = chain.inverse_dynamics(motion.positions[k], motion.velocities[k], motion.accelerations[k])
     np.testing.assert_allclose(motion.efforts[k, LEGS], forces, rtol=1e-6)

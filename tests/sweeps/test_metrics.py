@@ -63,6 +63,37 @@ def test_counts_are_those_of_direct_calls() -> None:
         np.testing.assert_array_equal(METRICS[f"o_{axis}"].evaluate(points), values)
 
 
+@pytest.mark.parametrize("space", ["pose", "legs"])
+def test_metrics_of_a_machine_as_built_are_those_of_direct_calls(space: Space) -> None:
+    built = GEOMETRY.perturbed(3, length=2e-3, angle=2e-3)
+    coordinates = mixed_poses(80) if space == "pose" else legs(40, low=1.05, high=1.55)
+    points = Points(built, space, coordinates)
+    if space == "pose":
+        expected = spm.inverse_displacement(built, spm.pose(coordinates[:, :3], xyx=coordinates[:, 3:]))
+        np.testing.assert_array_equal(METRICS["branches"].evaluate(points), expected.count)
+        np.testing.assert_array_equal(METRICS["branches_within"].evaluate(points), expected.within().count)
+        states = expected.within().physical()
+    else:
+        states = spm.forward_physical(built, coordinates)
+    exists = states.exists & built.limits.contains(states.readings)  # type: ignore[union-attr]
+    reached = states[exists]
+    assert 0 < exists.sum() < len(points)
+    np.testing.assert_array_equal(METRICS["reachable"].evaluate(points), exists)
+    np.testing.assert_allclose(points.reached.readings, reached.readings, atol=1e-9)
+    # The offsets of the encoders make the two differ by millimetres.
+    assert np.abs(points.reached.readings - points.reached.leg_lengths).max() > 1e-3
+    margin = METRICS["leg_margin"].evaluate(points)
+    np.testing.assert_allclose(margin[exists], built.limits.margin(reached.readings), atol=1e-9)  # type: ignore[union-attr]
+    values = METRICS["conditioning"](length=0.5).evaluate(points)[exists]
+    np.testing.assert_allclose(values, 1.0 / np.linalg.cond(homogeneous(reached, 0.5)), rtol=1e-6)
+    for name in METRICS:
+        if name == "assembly_modes":
+            with pytest.raises(spm.ArgumentError, match="as built"):
+                METRICS[name].evaluate(points)
+        elif METRICS[name].dtype == "float64" and name != "leg_margin":
+            np.testing.assert_array_equal(np.isfinite(METRICS[name].evaluate(points)), exists, err_msg=name)
+
+
 def test_the_branch_is_the_machines(points: Points) -> None:
     numbers = METRICS["branch"].evaluate(points)
     flags = METRICS["branch"].flags

@@ -271,10 +271,25 @@ def test_the_note_of_an_interrupt_says_what_is_complete(tmp_path: Path, undistur
     assert contents(path) == contents(undisturbed)
 
 
+def test_a_sweep_of_a_machine_as_built_is_resumed_from_its_store(tmp_path: Path) -> None:
+    path, built = tmp_path / "map.zarr", GEOMETRY.perturbed(1, length=1e-3)
+    small(path, geometry=built)
+    whole = contents(path)
+    for record in records(path)[3:]:
+        record.unlink()
+    resume_sweep(path, workers=1)
+    assert contents(path) == whole
+    assert (open_sweep(path).reachable == 1).any()
+
+
 # What is refused
 
 OTHERS: dict[str, tuple[dict[str, Any], str]] = {
     "geometry": ({"geometry": dataclasses.replace(GEOMETRY, base_radius=0.7)}, r"geometry.base_radius is 0.69.* 0.7 "),
+    "legs": (
+        {"geometry": GEOMETRY.perturbed(1)},
+        r"geometry.legs.axes\[0\]\[0\] is 0.5 in the store and 0.49.* in this sweep; .*56 more differences",
+    ),
     "limits": (
         {"geometry": dataclasses.replace(GEOMETRY, limits=spm.LegLimits(1.1, 1.45))},
         r"geometry.limits\[1\]\[0\] is 1.5 in the store and 1.45 in this sweep",
@@ -426,6 +441,8 @@ DAMAGES: dict[str, Callable[[dict[str, Any]], Any]] = {
     "no geometry": lambda definition: definition.update(geometry=None),
     "dimension": lambda definition: definition["geometry"].update(base_radius="wide"),
     "no limits": lambda definition: definition["geometry"].pop("limits"),
+    "no legs": lambda definition: definition["geometry"].pop("legs"),
+    "short axes": lambda definition: definition["geometry"]["legs"].update(axes=[[0.0, 0.0, 0.5]] * 6),
     "parameters": lambda definition: definition["metrics"][1].update(parameters=[]),
     "no parameters": lambda definition: definition["metrics"][1].pop("parameters"),
     "another key": lambda definition: definition.update(points=630),
@@ -643,6 +660,7 @@ def test_errors_can_be_pickled() -> None:
 
 def test_a_plan_is_made_again_from_its_definition() -> None:
     geometry = dataclasses.replace(GEOMETRY, limits=spm.LegLimits(0.0, [1.5] * 5 + [math.inf]))
-    plan = SweepPlan.make(geometry, GRID, (payload(push=3.0),), CHUNK)
-    again = SweepPlan.from_definition(json.loads(plan.text))
-    assert (again.text, again.geometry, again.domain) == (plan.text, geometry, GRID)
+    for machine in (geometry, geometry.perturbed(1)):
+        plan = SweepPlan.make(machine, GRID, (payload(push=3.0),), CHUNK)
+        again = SweepPlan.from_definition(json.loads(plan.text))
+        assert (again.text, again.geometry, again.domain) == (plan.text, machine, GRID)

@@ -50,7 +50,7 @@ def _margin(
     lengths: FloatArray,
     legs: FloatArray,
 ) -> tuple[float, float]:
-    """Return a number that is positive where a state is physical, see `physical`, and its straightness.
+    """Return a number that is positive where a state is physical, see `physical`, and its tilt_cosine_sum.
 
     `balls` (6, 3), `axes` (6, 3), the upper ones along y of a leg's own azimuth as the lower ones, and `pivots` (6, 3)
     are in {B}, in units of r; `lengths` (6,) and the unit vectors along the `legs` (6, 3) are written.
@@ -187,7 +187,7 @@ def certain_physical_branches(
         follow(rotation[n], place, nominal, built, path, _FIRST)
         best, best_score, best_straight, sure = -1, 0, 0.0, True
         _put_frame(built, signs, rotation[n], place, axes, pivots)
-        if is_same_point(point(roots,0), point(roots,1), 1e-6):
+        if is_same_point(point(roots, 0), point(roots, 1), 1e-6):
             sure = False
         for side in range(2):
             if not possible[side]:
