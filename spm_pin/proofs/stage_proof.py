@@ -77,7 +77,7 @@ def prove_stage(region: StageRegion, start: FloatArray, *, most: int = 300_000, 
     cells = np.zeros(len(side) ** 3, _BOX)
     cells["level"] = FIRST_LEVEL
     cells["position"] = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)
-    kept, at_start = _examine(region, scale, cells), _value(region, [Interval.of(x) for x in start])
+    kept, at_start = _examine(region, scale, cells), float(_value(region, [Interval.of(x) for x in start]))
     seen, singular, search_at = len(cells), None, SEARCH
     while True:
         kept = kept[_joined(scale, kept, start)]
