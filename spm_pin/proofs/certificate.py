@@ -81,11 +81,6 @@ class Certificate:
 
         They respect the limits, as `admits` says, and both stages lie in boxes of the proof. Nothing is covered if it
         does not hold.
-
-        Raises
-        ------
-        ArgumentError
-            If they are not states of the certificate's geometry, nor of a machine within its errors.
         """
         check_configuration(configuration)
         if not self.concerns(configuration.geometry):
@@ -169,11 +164,6 @@ def certify(
     Certificate
         It may not hold: then it has a singular configuration, if there is one, and the boxes left undecided.
 
-    Raises
-    ------
-    ArgumentError, GeometryError
-        If there are no limits, one is infinite, or the errors exceed a quarter of the smallest dimension or 0.2 rad.
-
     References
     ----------
     .. [1] J.-P. Merlet, "Interval Analysis for Certified Numerical Solution of Problems in Robotics", International
@@ -239,11 +229,6 @@ def largest_certified_limits(
     -------
     Certificate
         It holds; its `limits` are the answer.
-
-    Raises
-    ------
-    ArgumentError
-        If no limits around `centre` certify, or the centre cannot be assembled.
     """
     check_instance(geometry, Geometry, "geometry")
     real_number(tolerance, "tolerance", "a relative width between 1e-6 and 1", least=1e-6, below=1.0)

@@ -108,11 +108,6 @@ def certify_inverse(
     -------
     InverseCertificate
         With a witness for limits in which det K changes its sign, as between 1.1 and 1.5 m of the paper's machine.
-
-    Raises
-    ------
-    ArgumentError, GeometryError
-        As for `spm_pin.certify`, or if `forward` is a certificate of other dimensions or limits, or of errors.
     """
     check_instance(geometry, Geometry, "geometry")
     if not geometry.is_nominal:
