@@ -32,7 +32,7 @@ PUBLIC = {
     "spm_pin.kinematics": "branches, assembly modes, rates, forces, singularities and paths in closed form",
     "spm_pin.workspace": "what the terminal platform reaches: the paper's shell, and the reachable set",
     "spm_pin.calibration": "machines as built identified from measurements, and what tolerances cost",
-    "spm_pin.proofs": "leg limits and poses proved free of singularities, by interval arithmetic",
+    "spm_pin.proofs": "leg limits proved free of singularities, by interval arithmetic",
     "spm_pin.sweeps": "metrics over any number of poses or leg lengths",
     "spm_pin.multibody": "the robot in Pinocchio: states, dynamics, simulation, mounting on another robot",
     "spm_pin.motion": "paths from one state to another, and the fastest motion along them",
@@ -55,7 +55,7 @@ INTERNAL = {
     "sweeps": "domains, metrics, store and runs",
     "symbolic": "the kernels traced and translated",
     "crosscheck": "methods, comparison, tolerances, report",
-    "proofs": "leg limits and poses without singularities, proved by interval arithmetic",
+    "proofs": "leg limits without singularities, proved by interval arithmetic",
     "motion": "planning, and time-optimal motion",
     "display": "pictures and the viewer",
 }
