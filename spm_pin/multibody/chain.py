@@ -462,15 +462,14 @@ class ClosedChain:
         period: float | None = None,
         tolerance: float = 1e-11,
         max_step: float = np.inf,
-        progress: Callable[[float], object] | None = None,
     ) -> Simulation:
         """Integrate the motion under leg forces, gravity and wrenches, up to the last time or what ends it before.
 
         By SciPy's DOP853 with projection onto the closures after each step; see the module `simulation`. The loops are
         closed to rounding at every time. Leg limits, inverse and forward singularities are passed through. A leg of no
         length and a constraint singularity end the run: forces in the balls have no bound there. They are looked for at
-        the ends of steps: a smaller `max_step` sees what happens and is undone within one. Errors of `forces`, `wrench`
-        or `progress` reach the caller.
+        the ends of steps: a smaller `max_step` sees what happens and is undone within one. Errors of `forces` and
+        `wrench` reach the caller, and so end a run before its time.
 
         Parameters
         ----------
@@ -491,11 +490,9 @@ class ClosedChain:
             to about 1e-12 of itself in a second of falling.
         max_step : float
             Longest step [s]; not less than 1e-7 of the run.
-        progress : callable, optional
-            Called with the share done, from 0 to 1, after each step. If it returns False, the run ends there.
         """
-        acting, steps = (forces, wrench, period), (tolerance, max_step, progress)
-        return run_simulation(self._constrained, q0, v0, times, *acting, *steps)
+        acting = forces, wrench, period
+        return run_simulation(self._constrained, q0, v0, times, *acting, tolerance, max_step)
 
 
 def _listed(numbers: FloatArray) -> str:
