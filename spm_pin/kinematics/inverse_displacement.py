@@ -39,6 +39,7 @@ from spm_pin.kinematics.batches import (
     run_kernel,
     with_batch_shape,
 )
+from spm_pin.kinematics.formulas.branches import ROUNDING
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, as_bool
 from spm_pin.mechanism.branches import BRANCHES, TANGENT_SIGNS
 from spm_pin.mechanism.configuration import Configuration
@@ -417,9 +418,7 @@ def _describe(
     Where the two Z axes meet or cross, a family is continuous iff its form vanishes: (P : Q) is then free and
     the family has one dimension. Where they are parallel, see `kernels.degeneracy_kernel`.
     """
-    from spm_pin.kinematics.kernels.branch_tiles import VERTICAL
-    from spm_pin.kinematics.kernels.degeneracy_kernel import continuous_families
-    from spm_pin.kinematics.kernels.quadratics import ROUNDING
+    from spm_pin.kinematics.kernels.branch_kernels import VERTICAL, continuous_families
 
     families = (flagged[:, None] & np.array([1, 2, 4, 8])) > 0
     dimension = families.any(axis=-1).astype(np.int8)

@@ -117,7 +117,7 @@ class Viewer:
         return f"http://{host}:{self.port}"
 
     @property
-    def sessions(self) -> tuple[Session, ...]:
+    def sessions(self) -> tuple[Any, ...]:
         """The sessions of the clients that are connected, oldest first."""
         with self._lock:
             return tuple(self._sessions[key] for key in sorted(self._sessions))
