@@ -39,6 +39,8 @@ PUBLIC = {
     "spm_pin.nlp": "the loop equations in CasADi, and the branches found from them by multi-start",
     "spm_pin.symbolic": "the closed forms as CasADi functions, and in C for controllers",
     "spm_pin.crosscheck": "methods compared on random poses, and the paper's tables recomputed",
+    "spm_pin.description": "the robot's files, and its text in URDF, MJCF, SDFormat, SRDF and Extended-URDF for any geometry",
+    "spm_pin.display": "pictures, figures of results, mesh files and the viewer",
     "spm_pin.errors": "what is raised, and what it carries",
 }
 """The public modules, each with a page of the reference."""
@@ -48,7 +50,7 @@ INTERNAL = {
     "kinematics": "solvers and kernels",
     "paper": "the paper line by line: its tables, resultant, Jacobians and statics",
     "nlp": "the search",
-    "description": "the URDF and its closures: read, checked, written in other formats",
+    "description": "the robot of the URDF as data, and its writers",
     "multibody": "the robot in Pinocchio, its loops closed by constraints",
     "workspace": "the shell of Table 6, and the reachable set",
     "calibration": "the error model, identification, the choice of poses",
