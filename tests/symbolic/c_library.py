@@ -36,7 +36,9 @@ void branches_all(const spm_geometry *g, long n, const double *r, const double *
     for (k = 0; k < n; ++k) status[k] = spm_all_branches(g, r + 9 * k, o + 3 * k, out + k);
 }
 """
-BRANCHES = np.dtype([("joints", "f8", (8, 3, 3)), ("lengths", "f8", (8, 6)), ("discriminants", "f8", 4), ("real", "i4", 8)])
+BRANCHES = np.dtype(
+    [("joints", "f8", (8, 3, 3)), ("lengths", "f8", (8, 6)), ("discriminants", "f8", 4), ("real", "i4", 8)]
+)
 
 
 def _batch_of(name: str, sizes: list[int], count: int) -> str:
