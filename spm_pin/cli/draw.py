@@ -1,10 +1,13 @@
-"""`spm-pin draw`: a picture in a file, without a screen."""
+"""`spm-pin draw`, a picture in a file, and `view`, the interactive page."""
 
 from __future__ import annotations
 
 import math
+import os
+import sys
+import webbrowser
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -12,7 +15,7 @@ from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit
 from spm_pin.display.figure_files import FORMATS
 from spm_pin.display.plots import NARROWEST, save_gallery, save_picture
-from spm_pin.errors import ArgumentError
+from spm_pin.errors import ArgumentError, require_extra
 
 
 @outputs.name_options(path="--out", leg_lengths="--legs")
@@ -56,3 +59,68 @@ def draw(
         names = width >= NARROWEST[True] if names is None else names
         save_picture(state, out, view=direction, labels=names, width=width, background=background)
     outputs.note(f"wrote {out}")
+
+
+@outputs.name_options(allowed_origins="--origin", leg_lengths="--legs")
+def view(
+    translation: options.AnyTranslation = None,
+    xyx: options.AnyXyx = None,
+    legs: options.AnyLegs = None,
+    branch: Annotated[str | None, typer.Option(metavar="LABEL", help="Branch to begin with, such as TT+.")] = None,
+    unit: options.Unit = LengthUnit.M,
+    geometry: options.GeometryFile = None,
+    path: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="A recorded path to play: CSV, JSON or NPZ.")
+    ] = None,
+    host: Annotated[str, typer.Option(help="Address to listen at; only this machine reaches the default.")] = (
+        "127.0.0.1"
+    ),
+    port: Annotated[int, typer.Option(help="First port to try; 0 lets the system choose.")] = 8080,
+    origin: Annotated[
+        list[str] | None,
+        typer.Option(metavar="URL", help="Another site whose pages may connect, for a proxy; may be repeated."),
+    ] = None,
+    demo: Annotated[
+        bool | None, typer.Option("--demo/--no-demo", help="Move until touched; by default if no pose is given.")
+    ] = None,
+    dark: Annotated[bool, typer.Option("--dark", help="Begin with a dark page.")] = False,
+    browser: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")] = True,
+    snapshot: Annotated[
+        Path | None, outputs.file_option("Write a page that needs no server, and end.", (".html",))
+    ] = None,
+) -> None:
+    """Drag the platform and watch all branches, in a browser. Ends with Ctrl-C.
+
+    Needs the extra "viewer".
+    """
+    require_extra("viewer")
+    dimensions = options.read_geometry(geometry)
+    solutions, start = options.requested_solutions(dimensions, translation, xyx, legs, unit)
+    if branch is not None:
+        (label,) = options.selected_labels(solutions, [branch], required=True)
+        start = solutions[label]
+    if snapshot is not None:
+        from spm_pin.display.viewer import save_snapshot
+
+        save_snapshot(start, snapshot, dark=dark, geometry_file=geometry)
+        outputs.note(f"wrote {snapshot}")
+        return
+    from spm_pin.display.viewer import Viewer
+    from spm_pin.display.viewer.recording_files import read_recording
+
+    recording = read_recording(path) if path is not None else None
+    if demo is None:
+        demo = all(option is None for option in (translation, xyx, legs, branch, path))
+    page: dict[str, Any] = {"recording": recording, "dark": dark, "geometry_file": geometry, "demo": demo}
+    with Viewer(start, host=host, port=port, allowed_origins=origin or (), **page) as viewer:
+        if port not in (0, viewer.port):
+            outputs.note(f"port {port} is taken, this is on {viewer.port}")
+        outputs.note(f"viewer at {viewer.url}, Ctrl-C ends it")
+        if browser and _has_screen():
+            webbrowser.open(viewer.url)
+        viewer.wait()
+
+
+def _has_screen() -> bool:
+    """Return whether a browser has somewhere to appear; without one, text browsers would take the terminal."""
+    return sys.platform == "darwin" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

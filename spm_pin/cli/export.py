@@ -1,4 +1,4 @@
-"""`spm-pin export`: the robot with its loops closed, in the format of another engine, or its closed forms in C."""
+"""`spm-pin export` and `urdf`: the robot in the format of another engine, or its closed forms in C."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def export(
         typer.Option(metavar="FILE", parser=outputs.file_name, help="Where to write; standard output if not given."),
     ] = None,
     prefix: Annotated[str | None, options.PREFIX] = None,
-    geometry: options.AnyGeometryFile = None,
+    geometry: options.GeometryFile = None,
     urdf: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Another robot instead of this manipulator.")
     ] = None,
@@ -83,9 +83,7 @@ def export(
     if format_ == "srdf":
         outputs.write_text(srdf_text({}, prefix=prefix), out)
         return
-    robot = (
-        manipulator(options.read_any_geometry(geometry), prefix=prefix) if urdf is None else read_robot(urdf, closures)
-    )
+    robot = manipulator(options.read_geometry(geometry), prefix=prefix) if urdf is None else read_robot(urdf, closures)
     # Beside a file of this manipulator go its meshes; a text on standard output, or of another robot, has whole paths.
     beside = out is not None and urdf is None and format_ != "extended-urdf"
     folder = description_directory() if beside else None
@@ -101,3 +99,28 @@ def export(
         case _:
             text = extended_urdf_text(robot)
     (outputs.write_model if beside else outputs.write_text)(text, out)
+
+
+@outputs.name_options()
+def urdf(
+    out: Annotated[Path | None, outputs.file_option("Where to write; standard output if not given.")] = None,
+    prefix: Annotated[str, options.PREFIX] = "",
+    geometry: options.GeometryFile = None,
+) -> None:
+    """Write the URDF: an open tree of eighteen joints, assembled at zero, its four loops closed by Drake's tags.
+
+    Other loaders pass over those tags; `spm-pin export` writes the closed robot for them. With --out, the meshes are
+    put beside the file, into a folder `meshes`, and named relative to it; Pinocchio finds them if it is told the
+    file's folder, package_dirs=".". A URDF on standard output names them by their whole paths.
+    """
+    from spm_pin.description.expand import expand
+    from spm_pin.description.load_robot import manipulator
+    from spm_pin.description.paths import MESHES, description_directory
+    from spm_pin.description.write_urdf import urdf_text
+
+    dimensions = options.read_geometry(geometry)
+    if not dimensions.is_nominal:
+        folder = description_directory() if out else None
+        outputs.write_model(urdf_text(manipulator(dimensions, prefix=prefix), folder=folder), out)
+    else:
+        outputs.write_model(expand(dimensions, prefix=prefix, meshes=MESHES if out else None), out)

@@ -187,7 +187,7 @@ def certain_physical_branches(
         follow(rotation[n], place, nominal, built, path, _FIRST)
         best, best_score, best_straight, sure = -1, 0, 0.0, True
         _put_frame(built, signs, rotation[n], place, axes, pivots)
-        if is_same_point(point(roots,0), point(roots,1), 1e-6):
+        if is_same_point(point(roots, 0), point(roots, 1), 1e-6):
             sure = False
         for side in range(2):
             if not possible[side]:
