@@ -252,7 +252,7 @@ def _control(section: Section, chain: Any, n: int, progress: Progress, facts: Fa
 
     def other(now: FloatArray, _: FloatArray) -> FloatArray:
         nonlocal q
-        q = chain.project(chain.with_leg_lengths(q, now), hold_legs=True)
+        q = chain.project(chain.with_readings(q, now), hold_legs=True)
         return plain.inverse(q, still, still)
 
     rows = []

@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from spm_pin.calibration.error_model import platform_error
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.kinematics.jacobians import platform_jacobian
+from spm_pin.kinematics.rates_and_forces import platform_jacobian
 from spm_pin.mechanism import LEGS, Configuration, Geometry, as_rigid_transform
 from spm_pin.mechanism.arguments import LARGEST, FloatArray, as_array, file_path, first_offender, real_array
 from spm_pin.mechanism.units import unit_hint

@@ -10,7 +10,6 @@ import typer
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit, SixLegs, leg_option
 from spm_pin.display.json_text import fixed
-from spm_pin.errors import GeometryError
 from spm_pin.kinematics.forward_displacement import forward_displacement, forward_physical
 from spm_pin.mechanism import Configuration, SolutionSet, Status
 
@@ -30,12 +29,8 @@ def forward(
     lengths = np.array(legs) / unit.per_metre
     dimensions = options.read_geometry(geometry)
     physical = forward_physical(dimensions, lengths)
-    if not dimensions.is_nominal:
-        if every:
-            raise GeometryError("--geometry", "nominal dimensions for --all", "a machine as built", "Leave out --all")
-        modes = _alone(physical)
-    else:
-        modes = forward_displacement(dimensions, lengths)
+    # All modes are those of a machine as drawn; for one as built --all is refused.
+    modes = forward_displacement(dimensions, lengths) if every or dimensions.is_nominal else _alone(physical)
     shown = {modes.labels[0]: physical} if physical.exists else {}
     if every:
         shown = {modes.labels[k]: modes.configurations[k] for k in np.flatnonzero(modes.exists)}

@@ -184,7 +184,7 @@ def write_text(text: str, path: Path | None) -> None:
 
 def write_model(text: str, path: Path | None) -> None:
     """Write a model as `write_text` does, and the meshes into a folder beside its file; raises as `copy_meshes`."""
-    from spm_pin.description.paths import copy_meshes
+    from spm_pin.description.source_files import copy_meshes
 
     if path is not None:
         copy_meshes(path.parent)

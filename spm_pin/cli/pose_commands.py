@@ -13,8 +13,7 @@ import typer
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit, Triple
 from spm_pin.errors import ArgumentError, SingularConfigurationError
-from spm_pin.kinematics.jacobians import leg_rates
-from spm_pin.kinematics.leg_forces import leg_forces
+from spm_pin.kinematics.rates_and_forces import leg_forces, leg_rates
 from spm_pin.kinematics.singularity_analysis import SingularityKind
 from spm_pin.kinematics.singularity_analysis import singularities as analyse
 from spm_pin.mechanism import LEGS, Configuration, SolutionSet

@@ -18,8 +18,7 @@ from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError, GeometryError, SingularConfigurationError
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
-from spm_pin.kinematics.jacobians import inverse_jacobian
-from spm_pin.kinematics.leg_forces import leg_forces
+from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_forces
 from spm_pin.mechanism import Configuration, Geometry, SolutionSet
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.paper import resultant

@@ -19,8 +19,7 @@ import scipy
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import complex_middle_joints
-from spm_pin.kinematics.jacobians import leg_rates
-from spm_pin.kinematics.leg_forces import leg_forces
+from spm_pin.kinematics.rates_and_forces import leg_forces, leg_rates
 from spm_pin.mechanism import BRANCHES, LEGS, Configuration, Geometry, pose
 from spm_pin.mechanism.arguments import FloatArray, IntArray
 from spm_pin.paper import published, resultant

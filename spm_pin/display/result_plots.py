@@ -133,7 +133,7 @@ def motion_figure(
     motion : JointTrajectory
         Times, rates, accelerations and forces.
     leg_lengths : ndarray, shape (n, 6)
-        At its times [m], of `ClosedChain.leg_lengths`.
+        At its times [m], of `ClosedChain.readings`.
     limits : LegLimits, optional
         Drawn as lines.
     largest : dict, optional

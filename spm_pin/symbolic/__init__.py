@@ -1,11 +1,13 @@
 """The kinematics outside of Python: CasADi functions with derivatives of any order, and C99 for controllers."""
 
+from spm_pin.symbolic.c_export import c_sources, write_c
 from spm_pin.symbolic.functions import (
     closure_residual,
     forward_physical,
     inverse_branch,
     inverse_jacobian,
     inverse_physical,
+    joint_values,
     leg_forces,
 )
 
@@ -16,6 +18,7 @@ __all__ = [
     "inverse_branch",
     "inverse_jacobian",
     "inverse_physical",
+    "joint_values",
     "leg_forces",
     "write_c",
 ]

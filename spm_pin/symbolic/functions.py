@@ -13,15 +13,18 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
+from spm_pin.description.tree import JOINTS
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.formulas import branches as formulas
+from spm_pin.kinematics.formulas import joint_values as values
 from spm_pin.kinematics.formulas import wrenches
 from spm_pin.mechanism import BRANCHES, Geometry
 from spm_pin.mechanism.arguments import choice
-from spm_pin.symbolic.machine import Machine, State, all_of, in_casadi, parts, sqrt
+from spm_pin.symbolic.machine import AXES, UP, Machine, State, all_of, in_casadi, parts, sqrt
 
 Dimensions = Geometry | Literal["symbolic"] | None
 
+_LEG_NAMES = ("b1", "b2", "b3", "c1", "c2", "c3")
 _NEWTON_STEPS = 14
 _LONGEST_STEP = 0.3
 """Of a step of Newton's method, in units of d."""
@@ -181,6 +184,18 @@ def closure_residual(geometry: Dimensions = None, *, parameters: bool = False) -
     return _of_state("closure_residual", Machine(geometry, parameters), {}, residual_of)
 
 
+def joint_values(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
+    """Make the values of the description's eighteen joints.
+
+    Returns
+    -------
+    casadi.Function
+        Inputs: `joints` (3, 3), rows b_i [m], `rotation`, `position`. Output: `values` (18,), in the order of
+        `spm_pin.description.tree.JOINTS`: angles [rad], slides [m].
+    """
+    return _of_state("joint_values", Machine(geometry, parameters), {}, values_of)
+
+
 def _of_state(name: str, machine: Machine, arguments: dict[str, int], compute: Callable[..., Any]) -> ca.Function:
     """Make a function of a state, `joints`, `rotation` and `position`, and of further arguments."""
     joints, further = ca.SX.sym("joints", 3, 3), [ca.SX.sym(*argument) for argument in arguments.items()]
@@ -191,7 +206,7 @@ def _of_state(name: str, machine: Machine, arguments: dict[str, int], compute: C
 def jacobian_of(state: State) -> dict[str, Any]:
     """Return J_f of a state."""
     b, c = ([parts(x) for x in state.balls[k : k + 3]] for k in (0, 3))
-    lower, upper = ([parts(x / n) for x, n in _legs(state)[k : k + 3]] for k in (0, 3))
+    lower, upper = ([parts(x / n) for x, n in legs_of(state)[k : k + 3]] for k in (0, 3))
     axes = [[parts(x) for x in state.axes[k : k + 3]] for k in (0, 3)]
     if state.machine.is_drawn:
         rows = in_casadi(wrenches.drawn_inverse_jacobian)(b, lower, upper, *axes, parts(state.position))
@@ -204,11 +219,35 @@ def forces_of(state: State, wrench: Any) -> dict[str, Any]:
     """Return the leg forces that hold a wrench in a state."""
     forces: list[Any] = []
     for k in (0, 3):
-        b, f = [parts(x) for x in state.balls[k : k + 3]], [parts(x / n) for x, n in _legs(state)[k : k + 3]]
+        b, f = [parts(x) for x in state.balls[k : k + 3]], [parts(x / n) for x, n in legs_of(state)[k : k + 3]]
         axes = [parts(x) for x in state.axes[k : k + 3]]
         twists = in_casadi(wrenches.stage_twists)(b, f, axes, parts(state.position))
         forces += in_casadi(wrenches.stage_forces)(twists, (parts(wrench[:3]), parts(wrench[3:])))
     return {"forces": ca.vertcat(*forces)}
+
+
+def values_of(state: State) -> dict[str, Any]:
+    """Return the values of the eighteen joints in a state."""
+    machine, turned = state.machine, state.rotation.T
+    triangle = in_casadi(values.triangle_axes)([parts(b) for b in state.joints])
+    own = ca.vertcat(*(ca.horzcat(*x) for x in in_casadi(values.triangle_axes)([parts(b) for b in machine.balls[:3]])))
+    seen = [parts(turned @ ca.vertcat(*x)) for x in triangle]
+    found: dict[str, Any] = {}
+    for k, (name, frame, axis) in enumerate(zip(_LEG_NAMES, machine.frames, (*AXES, *AXES), strict=True)):
+        radius, up = ((machine.base, 1.0), (machine.platform, -1.0))[k // 3]
+        home, offset = machine.home_lengths()[k // 3], machine.r - radius
+        axes = [parts(x) for x in (frame.x, frame.y, frame.z)]
+        pivot = parts(ca.vertcat(*(ca.dot(x, frame.pivot) for x in (frame.x, frame.y, frame.z))))
+        corner = [parts(own @ ca.SX(x)) for x in (axis, np.cross(UP, axis), UP)]
+        lean = up * sqrt((home - offset) * (home + offset)) / home, (1.0, -1.0, -1.0)[k % 3] * offset / home
+        leg = values.LegFrame(axes, pivot, corner, *lean, home)
+        ball = state.balls[k] if k < 3 else turned @ (state.balls[k] - state.position)
+        of_leg = in_casadi(values.leg_values)(parts(ball), leg)
+        found |= {f"leg_{name}_hip": ca.atan2(*of_leg.hip), f"leg_{name}_slide": of_leg.slide}
+        if k % 3 == 0:
+            angles = in_casadi(values.ball_angles)(of_leg, leg, triangle if k < 3 else seen, up)
+            found |= {f"ball_{name}_{x}": ca.atan2(*angle) for x, angle in zip("xyz", angles, strict=True)}
+    return {"values": ca.vertcat(*(found[name] for name in JOINTS))}
 
 
 def residual_of(state: State) -> dict[str, Any]:
@@ -217,7 +256,7 @@ def residual_of(state: State) -> dict[str, Any]:
     return {"residual": ca.vertcat(*rows, *_side_errors(state.machine, 0, state.joints))}
 
 
-def _legs(state: State) -> list[tuple[Any, Any]]:
+def legs_of(state: State) -> list[tuple[Any, Any]]:
     return list(zip(state.vectors, ca.vertsplit(state.lengths), strict=True))
 
 
@@ -299,12 +338,20 @@ def lower_coordinates(machine: Machine, joints: Any) -> Any:
     return ca.vertcat(*(machine.frames[i].coordinates(joints[i, :].T) for i in range(3)))
 
 
+def drawn_starts(machine: Machine, drawn: Drawn) -> list[Any]:
+    """Return TT+ and TT- of the drawn machine, and both as if they were farther apart, from where Newton's method starts.
+
+    Beside a fold of the drawing the branches of a machine as built are elsewhere, or real where those are not.
+    """
+    pairs = [(least, sign) for least in (0.0, 1e-3, 1e-1) for sign in (1.0, -1.0)]
+    return [lower_coordinates(machine, drawn.branch("TT", sign, least)) for least, sign in pairs]
+
+
 def _preference(machine: Machine, state: State) -> tuple[Any, Any]:
     """Return 0 where a state is not physical, 1 where it is, 2 where within leg limits too; and how straight it is."""
     is_physical, tilts = state.is_physical()
-    limits, readings = machine.limits, ca.vertsplit(state.readings)
-    pairs = () if limits is None else zip(readings, limits.minimum, limits.maximum, strict=True)
-    inside = all_of([ca.logic_and(q >= low, q <= high) for q, low, high in pairs])
+    limits = zip(*map(ca.vertsplit, (state.readings, machine.minimum, machine.maximum)), strict=True)
+    inside = all_of([ca.logic_and(q >= low, q <= high) for q, low, high in limits])
     return is_physical * (1.0 + inside), tilts
 
 
@@ -333,10 +380,11 @@ class Drawn:
         """Return whether the two branches of a family are real and isolated."""
         return ca.logic_and(self.discriminant(family) >= 0.0, ca.logic_not(self.is_continuous(family)))
 
-    def branch(self, family: str, sign: float) -> Any:
-        """Return the b_i (3, 3) of the branch of a sign, those of a fold where it is not real."""
+    def branch(self, family: str, sign: float, least: float = 0.0) -> Any:
+        """Return the b_i (3, 3) of the branch of a sign, as if the discriminant were at least `least` times r²."""
         form = self.families[family]
-        u, v, square = in_casadi(formulas.root)(form, sign, sqrt(in_casadi(formulas.discriminant)(form)))
+        radicand = ca.fmax(in_casadi(formulas.discriminant)(form), least * self.machine.r**2)
+        u, v, square = in_casadi(formulas.root)(form, sign, sqrt(radicand))
         radii, heights = in_casadi(formulas.middle_joints)(
             u, v, self.machine.r / square, form, self.frame, self._position
         )
@@ -347,7 +395,7 @@ class Drawn:
 def _as_built_inverse(machine: Machine, rotation: Any, position: Any) -> ca.Function:
     """Make `inverse_physical` of a machine as built, by Newton's method from the branches TT of the drawing."""
     drawn, unknowns = Drawn(machine, rotation, position), ca.SX.sym("unknowns", 6)
-    starts = [lower_coordinates(machine, drawn.branch("TT", sign)) for sign in (1.0, -1.0)]
+    starts = drawn_starts(machine, drawn)
     error = closure_equations(machine, unknowns, rotation, position)
     joints = ca.horzcat(*(machine.frames[i].point(unknowns[2 * i : 2 * i + 2]) for i in range(3))).T
     state = State(machine, joints, rotation, position)
@@ -369,8 +417,8 @@ def _implicit(
 ) -> ca.Function:
     """Make a function of the solution of equations.
 
-    Newton's method goes `_NEWTON_STEPS` steps from each start; of two ends the one of the larger rank is taken, then
-    the straighter one. `casadi.rootfinder`, through which CasADi differentiates implicitly, goes on from there.
+    Newton's method goes `_NEWTON_STEPS` steps from each start; the end of the largest rank is taken, of several the
+    straightest. `casadi.rootfinder`, through which CasADi differentiates implicitly, goes on from there.
     """
     unknowns, error, outputs = problem
     known = [*inputs, *machine.inputs]
@@ -385,9 +433,12 @@ def _implicit(
     best = ends[0]
     if preference is not None:
         rated = ca.Function("rated", [unknowns, *known], list(preference))
-        (rank, tilts), (other_rank, other_tilts) = (rated.call([end, *symbols]) for end in ends)
-        other = ca.logic_or(other_rank > rank, ca.logic_and(other_rank == rank, other_tilts > tilts))
-        best = ca.if_else(other, ends[1], ends[0])
+        rank, tilts = rated.call([best, *symbols])
+        for end in ends[1:]:
+            other_rank, other_tilts = rated.call([end, *symbols])
+            other = ca.logic_or(other_rank > rank, ca.logic_and(other_rank == rank, other_tilts > tilts))
+            best, rank = ca.if_else(other, end, best), ca.if_else(other, other_rank, rank)
+            tilts = ca.if_else(other, other_tilts, tilts)
     equations = ca.Function("equations", [unknowns, *known], [error])
     options = {"error_on_fail": False, "abstol": 1e-15, "max_iter": 4}
     solved = ca.rootfinder("root", "fast_newton", equations, options)(best, *symbols)

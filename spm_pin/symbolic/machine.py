@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from spm_pin.errors import ArgumentError
-from spm_pin.kinematics.formulas import stages, wrenches
+from spm_pin.kinematics.formulas import legs, stages, wrenches
 from spm_pin.kinematics.formulas.operations import COS_30, bind
 from spm_pin.mechanism import Geometry
 from spm_pin.mechanism.arguments import LARGEST, SMALLEST, type_and_value
@@ -22,10 +22,10 @@ from spm_pin.mechanism.pose import ORTHONORMALITY_TOLERANCE
 FLOOR = 1e-40
 """Least radicand of a square root: its root is far below rounding, and its powers in derivatives are finite."""
 _RADIAL = np.array([[COS_30, -0.5, 0.0], [0.0, 1.0, 0.0], [-COS_30, -0.5, 0.0]])
-_AXES = np.array([[0.5, COS_30, 0.0], [1.0, 0.0, 0.0], [-0.5, COS_30, 0.0]])
-_UP = np.array([0.0, 0.0, 1.0])
-LEG_FIELDS = {"axes": 18, "pivots": 18, "balls": 18, "offsets": 6}
-"""How many numbers describe the six legs."""
+AXES = np.array([[0.5, COS_30, 0.0], [1.0, 0.0, 0.0], [-0.5, COS_30, 0.0]])
+UP = np.array([0.0, 0.0, 1.0])
+FIELDS = {"dimensions": 3, "axes": 18, "pivots": 18, "balls": 18, "offsets": 6, "minimum": 6, "maximum": 6}
+"""How many numbers describe a machine: E, C, d, the six legs and the limits of their readings."""
 
 
 def sqrt(x: Any) -> Any:
@@ -90,7 +90,8 @@ class Machine:
 
     def __init__(self, geometry: Geometry | Literal["symbolic"] | None = None, parameters: bool = False) -> None:
         self.inputs: list[Any] = []
-        self.limits, self.is_drawn = None, not parameters
+        self.is_drawn = not parameters
+        self.minimum, self.maximum = ca.SX.zeros(6), ca.SX(6 * [np.inf])
         if isinstance(geometry, str) and geometry == "symbolic" and not parameters:
             self.inputs = [ca.SX.sym("dimensions", 3)]
             self._draw(*ca.vertsplit(self.inputs[0]))
@@ -98,23 +99,26 @@ class Machine:
         if not isinstance(geometry, Geometry | None):
             raise ArgumentError("geometry", 'a Geometry, "symbolic" or None', type_and_value(geometry))
         machine = Geometry.paper() if geometry is None else geometry
-        self.limits = machine.limits
+        if machine.limits is not None:
+            self.minimum, self.maximum = ca.SX(machine.limits.minimum), ca.SX(machine.limits.maximum)
         self._draw(*machine.nominal.dimensions)
         if parameters:
             self.inputs = [ca.SX.sym("parameters", 54)]
             self._set_legs(*_legs_of_parameters(self.inputs[0]))
         elif not machine.is_nominal:
-            legs = machine.legs
             self.is_drawn = False
-            self._set_legs(*([ca.SX(v) for v in a] for a in (legs.axes, legs.pivots, legs.balls)), ca.SX(legs.offsets))
+            axes, pivots, balls, offsets = machine.legs.arrays
+            self._set_legs(*([ca.SX(v) for v in array] for array in (axes, pivots, balls)), ca.SX(offsets))
 
     @classmethod
-    def of_legs(cls) -> Machine:
-        """Return a machine of symbols: `drawing` (3,), axes, pivots and balls (18,) leg by leg, and `offsets` (6,)."""
-        machine = cls("symbolic")
-        fields = [ca.SX.sym(name, count) for name, count in LEG_FIELDS.items()]
-        machine.inputs, machine.is_drawn = [*machine.inputs, *fields], False
-        machine._set_legs(*([x[3 * i : 3 * i + 3] for i in range(6)] for x in fields[:3]), fields[3])
+    def of_symbols(cls) -> Machine:
+        """Return a machine whose `FIELDS` are the inputs, vectors leg by leg; axes may be off unit length by rounding."""
+        machine, fields = cls(), {name: ca.SX.sym(name, count) for name, count in FIELDS.items()}
+        machine.inputs, machine.is_drawn = list(fields.values()), False
+        machine._draw(*ca.vertsplit(fields["dimensions"]))
+        axes, pivots, balls = (ca.vertsplit(fields[name], 3) for name in ("axes", "pivots", "balls"))
+        machine._set_legs([direction(x) for x in axes], pivots, balls, fields["offsets"])
+        machine.minimum, machine.maximum = fields["minimum"], fields["maximum"]
         return machine
 
     def _draw(self, base: Any, platform: Any, side: Any) -> None:
@@ -122,13 +126,13 @@ class Machine:
         self.valid = all_of([ca.logic_and(x >= SMALLEST, x <= LARGEST) for x in (base, platform, side)])
         corners = [self.r * ca.SX(v) for v in _RADIAL]
         pivots = [radius * ca.SX(v) for radius in (base, platform) for v in _RADIAL]
-        self._set_legs([ca.SX(v) for v in (*_AXES, *_AXES)], pivots, corners + corners, ca.SX.zeros(6))
+        self._set_legs([ca.SX(v) for v in (*AXES, *AXES)], pivots, corners + corners, ca.SX.zeros(6))
 
     def _set_legs(self, axes: list[Any], pivots: list[Any], balls: list[Any], offsets: Any) -> None:
         self.axes, self.pivots, self.balls, self.offsets = axes, pivots, balls, offsets
         self.frames = []
         for x, pivot in zip(axes, pivots, strict=True):
-            z = direction(ca.SX(_UP) - x[2] * x)
+            z = direction(ca.SX(UP) - x[2] * x)
             self.frames.append(LegFrame(x, ca.cross(z, x), z, pivot))
 
     def function(self, name: str, inputs: list[Any], outputs: dict[str, Any]) -> ca.Function:
@@ -150,33 +154,43 @@ class Machine:
         return [sqrt(ca.sumsqr(b[i] - b[(i + 1) % 3])) for i in range(3)]
 
     def ball_weights(self) -> list[tuple[Any, Any, Any]]:
-        """Return where the upper legs' balls are: from b_1 along b_2 - b_1, b_3 - b_1 and their cross product."""
+        """Return the weights of `spm_pin.kinematics.formulas.legs.upper_balls`."""
         if self.is_drawn:
-            return [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)]
+            return [(0.0, 0.0, 0.0)] * 3
         first, second = self.balls[1] - self.balls[0], self.balls[2] - self.balls[0]
         normal, weights = ca.cross(first, second), []
-        for ball in self.balls[3:]:
-            arm = ball - self.balls[0]
-            parts = ca.cross(arm, second), ca.cross(first, arm), arm
-            weights.append(tuple(ca.dot(part, normal) / ca.sumsqr(normal) for part in parts))
+        for lower, upper in zip(self.balls[:3], self.balls[3:], strict=True):
+            arm = upper - lower
+            u, v = ca.dot(ca.cross(arm, second), normal), ca.dot(ca.cross(first, arm), normal)
+            weights.append(tuple(x / ca.sumsqr(normal) for x in (u, v, ca.dot(arm, normal))))
         return weights
 
     def all_balls(self, b: Sequence[Any]) -> list[Any]:
         """Return the six balls from those of the lower legs, seen from the same frame."""
-        first, second = b[1] - b[0], b[2] - b[0]
-        return [*b, *(b[0] + u * first + v * second + w * ca.cross(first, second) for u, v, w in self.ball_weights())]
+        upper = in_casadi(legs.upper_balls)([parts(x) for x in b], self.ball_weights())
+        return [*b, *(ca.vertcat(*x) for x in upper)]
+
+    def home_lengths(self) -> list[Any]:
+        """Return the leg length at home of both stages [m]; see `spm_pin.mechanism.leg_frames.home_lengths`."""
+        found = []
+        for k, radius in enumerate((self.base, self.platform)):
+            low, high = ca.mmax(self.minimum[3 * k : 3 * k + 3]), ca.mmin(self.maximum[3 * k : 3 * k + 3])
+            middle, reach = 0.5 * (low + high), ca.fabs(self.r - radius)
+            stands = all_of([low < high, reach < middle, middle < np.inf])
+            found.append(ca.if_else(stands, middle, low + sqrt(reach**2 + (self.r + radius) ** 2)))
+        return found
 
 
 def _legs_of_parameters(parameters: Any) -> tuple[list[Any], list[Any], list[Any], Any]:
     """Return axes, pivots, balls and offsets of 54 parameters; see `Geometry.parameters`."""
     rows = [parameters[9 * i : 9 * i + 9] for i in range(6)]
     axes = []
-    for row, axis in zip(rows, (*_AXES, *_AXES), strict=True):
+    for row, axis in zip(rows, (*AXES, *AXES), strict=True):
         square = row[0] ** 2 + row[1] ** 2
         angle, small = ca.sqrt(ca.fmax(square, 1e-8)), square < 1e-8
         cosine = ca.if_else(small, 1.0 - square / 2.0 + square**2 / 24.0, ca.cos(angle))
         sinc = ca.if_else(small, 1.0 - square / 6.0 + square**2 / 120.0, ca.sin(angle) / angle)
-        axes.append(cosine * ca.SX(axis) + sinc * (row[0] * ca.SX(np.cross(_UP, axis)) + row[1] * ca.SX(_UP)))
+        axes.append(cosine * ca.SX(axis) + sinc * (row[0] * ca.SX(np.cross(UP, axis)) + row[1] * ca.SX(UP)))
     return axes, [row[2:5] for row in rows], [row[5:8] for row in rows], ca.vertcat(*(row[8] for row in rows))
 
 
@@ -210,7 +224,7 @@ class State:
     def is_physical(self) -> tuple[Any, Any]:
         """Return whether the state is physical, leg limits aside, and the sum of the cosines of both stages' tilts."""
         up, seen = self.rotation[:, 2], [self.rotation @ ca.SX(v) for v in _RADIAL]
-        conditions = [ca.dot(_UP, self.centre) > 0.0, ca.dot(self.position - self.centre, up) > 0.0]
+        conditions = [ca.dot(UP, self.centre) > 0.0, ca.dot(self.position - self.centre, up) > 0.0]
         for radial in ([ca.SX(v) for v in _RADIAL], seen):
             conditions.append(sum(ca.dot(v, b) for v, b in zip(radial, self.joints, strict=True)) > 0.0)
         for stage in (slice(3), slice(3, 6)):

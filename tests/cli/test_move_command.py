@@ -12,8 +12,6 @@ from cli.running import run
 
 import spm_pin as spm
 
-pytest.importorskip("toppra", reason="toppra has wheels for Linux on x86_64 only")
-
 START, GOAL = ["120", "120", "140", "125", "120", "150"], ["140", "120", "120", "120", "150", "125"]
 ENDS = ["--from", *START, "--to", *GOAL, "--unit", "cm"]
 

@@ -25,7 +25,7 @@ from spm_pin.display.viewer.state import Drive, StateMachine
 from spm_pin.display.viewer.state_export import command_line, content
 from spm_pin.display.viewer.state_markup import forces_table, instruments, status
 from spm_pin.display.viewer.workspace_layer import WorkspaceLayer
-from spm_pin.kinematics.starting_configuration import starting_configuration
+from spm_pin.kinematics.forward_displacement import starting_configuration
 
 PAPER = spm.Geometry.paper()
 FREE = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)

@@ -117,7 +117,7 @@ def test_forward_displacement_from_a_seed_follows_the_path_of_the_package(librar
     )
     seeds = seeds[seeds.exists]
     lengths = seeds.leg_lengths + rng.uniform(-0.15, 0.15, (len(seeds.exists), 6))
-    expected = spm.forward_physical(geometry, lengths, seed=seeds)
+    expected = spm.forward_physical(geometry, lengths, near=seeds)
     states, status = library.forward(lengths, as_states(seeds))
     np.testing.assert_array_equal(status, np.where(expected.exists, 0, SINGULAR))
     assert {int(s) for s in status} == {0, SINGULAR}

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import SingularConfigurationError
-from spm_pin.kinematics.leg_forces import leg_forces
+from spm_pin.kinematics.platform_stiffness import compliance, principal_stiffness
+from spm_pin.kinematics.rates_and_forces import leg_forces
 from spm_pin.kinematics.singularity_analysis import determinant_gradients, singularities
-from spm_pin.kinematics.stiffness import compliance, principal_stiffness
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.branches import physical
 from spm_pin.mechanism.configuration import Configuration

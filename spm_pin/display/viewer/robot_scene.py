@@ -202,11 +202,11 @@ class RobotScene:
         self._point("moment", [axis, np.stack([o, o + 0.82 * (axis[1] - o)])] if axis is not None else [])
         forces = np.zeros(6) if state.readings.forces is None else state.readings.forces
         shares = forces / max(float(np.abs(forces).max()), 1e-300)
-        hips, balls = state.shown.leg_bases, state.shown.balls
+        bases, balls = state.shown.leg_bases, state.shown.balls
         # Beside the leg, on its side away from the robot's axis.
-        middles = (hips + balls) / 2.0
+        middles = (bases + balls) / 2.0
         middles = middles + 0.2 * self.size * _unit(middles - 0.5 * o)
-        half = 0.45 * (balls - hips) * np.abs(shares)[:, None]
+        half = 0.45 * (balls - bases) * np.abs(shares)[:, None]
         # Away from the actuator's middle where it pushes, towards it where it pulls; at both ends.
         outward = np.stack([[middles, middles + half], [middles, middles - half]]).transpose(2, 0, 1, 3)
         self._point("push", outward[shares > 0.02].reshape(-1, 2, 3))

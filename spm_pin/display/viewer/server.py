@@ -15,7 +15,7 @@ from spm_pin.display.viewer.session import Session, SessionConfig
 from spm_pin.display.viewer.state import StateMachine
 from spm_pin.display.viewer.workspace_layer import WorkspaceLayer
 from spm_pin.errors import ArgumentError
-from spm_pin.kinematics.starting_configuration import starting_configuration
+from spm_pin.kinematics.forward_displacement import starting_configuration
 from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.configuration import check_configuration
 from spm_pin.multibody.chain import ClosedChain

@@ -119,7 +119,7 @@ class StateMachine:
         lengths = real_array(leg_lengths, "leg_lengths", (6,), "leg lengths in metres")
         here = self.state.shown
         # The physical mode is solved for, without a path to follow.
-        found = forward_physical(self.geometry, lengths, seed=None if physical(here) else here)
+        found = forward_physical(self.geometry, lengths, near=None if physical(here) else here)
         remarks = []
         if not found.exists:
             found, share = last_on_line(here, lengths)

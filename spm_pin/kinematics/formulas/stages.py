@@ -152,6 +152,38 @@ def damped(step: Vector, longest: float) -> Vector:
     return scaled(1.0 / excess, step)
 
 
+def quartic(
+    stage: StageEquations, size: float, x: float, y: float, omega: float, gain: float
+) -> tuple[float, float, float, float, float]:
+    """Return the coefficients of tan^j γ, j = 0..4, of the azimuths of the tilt, divided by |λ|.
+
+    `size` is |λ|, x + iy is μ = e^{3i arg λ}, and gain = ω/κ; see `spm_pin.kinematics.kernels.quartic`.
+    """
+    c, weight = stage.level, 2.0 * stage.epsilon + 1.0
+    g = weight * weight + 4.0 * c
+    w2, k2 = omega * omega, gain * gain
+    second = (4.0 * size * x - g) * size * k2 + 12.0 * c * gain * omega * x - 3.0 * w2 * size * (x * x - y * y)
+    fourth = (4.0 * size * size * k2 - 4.0 * size * w2 * x - g * w2) * size * k2
+    return (
+        -size * y * y,
+        (4.0 * omega * size * x - 4.0 * gain * c) * y,
+        second,
+        (8.0 * size * size * k2 * omega + 12.0 * c * gain * w2 - 4.0 * w2 * omega * size * x) * y,
+        fourth - 4.0 * c * gain * w2 * omega * x + w2 * w2 * size * x * x,
+    )
+
+
+def tilt_quadratic(stage: StageEquations, a: float, b: float, cos_three: float) -> Vector:
+    """Return the coefficients of p², p, 1 for the tilt p = |w|² of one azimuth ψ.
+
+    a = p sin 3ψ, b = Re(λ e^{iψ}), and `cos_three` is cos 3ψ.
+    """
+    kappa = 2.0 * stage.epsilon - 1.0
+    square = 4.0 * (a * a + b * cos_three) - 4.0 * (2.0 * stage.epsilon + stage.level) - kappa * kappa
+    linear = 4.0 * kappa * a * a + 4.0 * stage.level + 2.0 * kappa * b * cos_three
+    return square, linear, kappa * a * (kappa * a) - b * b
+
+
 def corners(x0: float, x1: float, x2: float, x3: float, zeta: float) -> tuple[Vector, Vector]:
     """Return radii and heights of the triangle's corners in the vertical planes of the legs, in units of r.
 

@@ -50,7 +50,7 @@ def _margin(
     lengths: FloatArray,
     legs: FloatArray,
 ) -> tuple[float, float]:
-    """Return a number that is positive where a state is physical, see `physical`, and its straightness.
+    """Return a number that is positive where a state is physical, see `physical`, and its tilt_cosine_sum.
 
     `balls` (6, 3), `axes` (6, 3), the upper ones along y of a leg's own azimuth as the lower ones, and `pivots` (6, 3)
     are in {B}, in units of r; `lengths` (6,) and the unit vectors along the `legs` (6, 3) are written.

@@ -173,7 +173,7 @@ def _within_limits(
     # Newton's method takes long steps: the assembly mode is checked.
     home = near is None or bool(physical(near))
     lengths = np.clip(box.map.lengths(search.coordinates), limits.minimum, limits.maximum)
-    proved = forward_physical(geometry, lengths, seed=None if home else near)
+    proved = forward_physical(geometry, lengths, near=None if home else near)
     found, begun = box.map.states(search.coordinates), box.map.states(starts[:, 0])
     with np.errstate(invalid="ignore"):
         kept = (

@@ -10,7 +10,7 @@ import numpy as np
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import BRANCHES, Configuration, Geometry, LegLimits, PoseLike, SolutionSet, Status
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, check_instance, choice
-from spm_pin.mechanism.branches import physical, straightness
+from spm_pin.mechanism.branches import physical, tilt_cosine_sum
 from spm_pin.workspace.reachability.joint_limits import JointLimits
 
 
@@ -45,7 +45,7 @@ class Reachability:
     @property
     def branch(self) -> IntArray:
         """Place in `BRANCHES` of the allowed branch whose stages tilt least, shape (...); -1 where there is none."""
-        score = np.where(self.allowed, straightness(self.branches.configurations), -np.inf)
+        score = np.where(self.allowed, tilt_cosine_sum(self.branches.configurations), -np.inf)
         return np.where(self.allowed.any(axis=-1), score.argmax(axis=-1), -1).astype(np.intp)
 
     @property

@@ -1,6 +1,6 @@
 """Stiffness of the platform from that of the legs: along each leg, and across it where its structure gives way.
 
-With the forces of a stage as rows of J_b = [A_b; K_b] and J_c = [A_c; K_c], see `spm_pin.kinematics.jacobians`, three
+With the forces of a stage as rows of J_b = [A_b; K_b] and J_c = [A_c; K_c], see `spm_pin.kinematics.rates_and_forces`, three
 along the legs and three along their revolute axes, both stages carry the whole load (they are in series), so that their
 compliances add:
 
@@ -18,8 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.kinematics.jacobians import inverse_jacobian
-from spm_pin.kinematics.stage_wrenches import stage_inverses
+from spm_pin.kinematics.rates_and_forces import inverse_jacobian, stage_inverses
 from spm_pin.mechanism.arguments import FloatArray, broadcastable, leg_values, symmetric_matrices
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 
