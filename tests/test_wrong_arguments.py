@@ -150,6 +150,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "pose": lambda: STATE.pose,
     "position": lambda: STATE.translation,
     "q": lambda: q(),
+    "readings": lambda: STATE.readings,
     "risk": lambda: 0.5,
     "rng": lambda: 0,
     "samples": lambda: 20,

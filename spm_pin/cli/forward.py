@@ -9,12 +9,12 @@ import typer
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit, SixLegs, leg_option
-from spm_pin.display.json_text import fixed
+from spm_pin.display.output_files import fixed
 from spm_pin.kinematics.forward_displacement import forward_displacement, forward_physical
 from spm_pin.mechanism import Configuration, SolutionSet, Status
 
 
-@outputs.name_options(leg_lengths="--legs")
+@outputs.name_options(leg_lengths="--legs", readings="--legs")
 def forward(
     legs: Annotated[SixLegs, leg_option("--legs", "Leg lengths r_b1 to r_b3 and r_c1 to r_c3, in --unit.")],
     every: Annotated[bool, typer.Option("--all", help="Show every assembly mode, not only the physical one.")] = False,

@@ -17,8 +17,7 @@ import typer
 from rich.cells import cell_len
 from rich.console import Console
 
-from spm_pin.display.figure_files import FORMATS, save_figure
-from spm_pin.display.json_text import to_json
+from spm_pin.display.output_files import FORMATS, save_figure, to_json
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism.arguments import writing
 

@@ -37,7 +37,7 @@ def certify_branches(branches: SolutionSet) -> SolutionSet:
 
     The families that are decided are written anew in the memory of `branches`.
     """
-    from spm_pin.kinematics.kernels.branch_tiles import VERTICAL
+    from spm_pin.kinematics.kernels.branch_kernels import VERTICAL
 
     assert branches.memory is not None
     rotation, position, joints, _, _, _, status, flagged = branches.memory

@@ -65,8 +65,6 @@ class ClosedChain:
     Methods that use rates or forces raise `ArgumentError` where a ball joint's middle angle is ±90°, and
     `SingularConfigurationError` at the singularities they name, where a matrix is singular to rounding.
 
-    A subclass with other constructor arguments needs its own `__reduce__`.
-
     Parameters
     ----------
     urdf : str
@@ -271,14 +269,8 @@ class ClosedChain:
         comes to, angles continuous and not reduced to one turn; legs that change little take one or two steps of
         Newton's method. Closed to rounding.
 
-        Raises
-        ------
-        ArgumentError
-            Without `near`, if the physical mode cannot have these lengths; such members of a batch are NaN.
-        ClosureError
-            If `near` is open, or the path does not lead to a member: with how far it leads.
-        SingularConfigurationError
-            If `near` or a member is at a forward or a constraint singularity.
+        Lengths that the physical mode cannot have are an `ArgumentError`, in a batch NaN. A path that does not lead to
+        a member, as one that ends at a forward or a constraint singularity, is an error for a batch as well.
         """
         if near is None:
             configuration = forward_physical(self._geometry, leg_lengths)
@@ -295,16 +287,8 @@ class ClosedChain:
         By default in the physical branch of each member, in closed form and vectorised, angles in [-π, π]; see
         `spm_pin.kinematics.inverse_physical`. With `near` (18,), a closed q, the platform moves and turns from there
         to the first member in proportion, and on to each from the one before, as in `forward_kinematics`, in the branch
-        that it comes to; leg limits play no part. Closed to rounding.
-
-        Raises
-        ------
-        ArgumentError
-            Without `near`, if no physical branch has the pose; such members of a batch are NaN.
-        ClosureError
-            If `near` is open, or the path does not lead to a member: with how far it leads.
-        SingularConfigurationError
-            If `near` or a member is at an inverse or a constraint singularity.
+        that it comes to; leg limits play no part. Closed to rounding. Errors are those of `forward_kinematics`, at
+        inverse singularities instead of forward ones.
         """
         transform = as_rigid_transform(pose)
         if near is None:
@@ -353,7 +337,7 @@ class ClosedChain:
     def inverse_jacobian(self, q: npt.ArrayLike) -> FloatArray:
         """Return J_f (..., 6, 6), which maps the platform's twist to the leg rates; q is closed.
 
-        Raises `SingularConfigurationError` at an inverse or a constraint singularity.
+        Raises at an inverse or a constraint singularity.
         """
         return self._at(q).inverse_jacobian()
 
@@ -367,8 +351,8 @@ class ClosedChain:
     def joint_rates(self, q: npt.ArrayLike, leg_rates: npt.ArrayLike) -> FloatArray:
         """Return the velocities of all joints (..., 18) [rad/s, m/s] for rates of the six legs (..., 6) [m/s].
 
-        q is closed; the other way is `joint_velocities`. Raises `SingularConfigurationError` at a forward or a
-        constraint singularity.
+        q is closed; the other way is `joint_velocities`. Raises at a forward or
+        a constraint singularity.
         """
         return self._at(q).joint_rates(leg_rates)
 
@@ -376,16 +360,15 @@ class ClosedChain:
         """Return the accelerations of all joints (..., 18) for one of the terminal platform (..., 6).
 
         That is the time derivative of the twist: of the point o [m/s²], and angular [rad/s²], in {B}. q and v (..., 18)
-        are those of a closed mechanism. Raises `ClosureError` if q is open, `ArgumentError` if v opens the loops, and
-        `SingularConfigurationError` at an inverse or a constraint singularity.
+        are those of a closed mechanism. Raises at an inverse or a constraint singularity.
         """
         return self._at(q, v).joint_accelerations(acceleration)
 
     def leg_forces(self, q: npt.ArrayLike, wrench: npt.ArrayLike) -> FloatArray:
         """Return the actuator forces (..., 6) [N] that hold a wrench (..., 6) applied onto the terminal platform.
 
-        Weights and friction are left out: `inverse_dynamics` has the weights. Raises `SingularConfigurationError` at a
-        forward or a constraint singularity.
+        Weights and friction are left out: `inverse_dynamics` has the weights. Raises at a forward or a constraint
+        singularity.
         """
         return self._at(q).leg_forces(wrench)
 
@@ -424,14 +407,9 @@ class ClosedChain:
             (kp, kd) [1/s², 1/s], not negative, after Baumgarte: open gaps e then obey ë + kd ė + kp e = 0, for those
             who integrate by themselves. Without, q and v must be closed, and the accelerations keep them so.
 
-        Raises
-        ------
-        ArgumentError
-            If an argument is malformed, v opens the loops, or a ball joint's middle angle is ±90°.
-        ClosureError
-            If q is open.
-        SingularConfigurationError
-            At a constraint singularity. Inverse and forward singularities are no obstacle.
+        Notes
+        -----
+        Only constraint singularities raise: inverse and forward ones are no obstacle.
         """
         return self._at(q, v).forward_dynamics(forces, wrench, gains=gains)
 
@@ -441,16 +419,7 @@ class ClosedChain:
         """Return the forces of the legs (..., 6) [N] for a motion under gravity, inertia and wrenches.
 
         q, v and a (..., 18) are those of a closed mechanism, `wrench` is as in `forward_dynamics`. At rest, the weights
-        of all bodies are left; `leg_forces` has the wrench alone.
-
-        Raises
-        ------
-        ArgumentError
-            If an argument is malformed, v or a opens the loops, or a ball joint's middle angle is ±90°.
-        ClosureError
-            If q is open.
-        SingularConfigurationError
-            At a forward or a constraint singularity.
+        of all bodies are left; `leg_forces` has the wrench alone. Raises at a forward or a constraint singularity.
         """
         return self._at(q, v).inverse_dynamics(a, wrench)
 
@@ -465,9 +434,8 @@ class ClosedChain:
         """Return the small vibrations of the platform with its motors held, on legs that are elastic.
 
         q is closed, `stiffness` (..., 6, 6) the platform's as of `spm_pin.stiffness`; all bodies' masses take part as
-        if rigid. What weights add to the stiffness is left out: it is of the size of weight / leg length. Raises
-        `ClosureError` if q is open, `ArgumentError` if a matrix is not symmetric and positive definite, and
-        `SingularConfigurationError` at an inverse or a constraint singularity.
+        if rigid. What weights add to the stiffness is left out: it is of the size of weight / leg length. Raises at an
+        inverse or a constraint singularity.
         """
         return self._at(q).natural_frequencies(stiffness)
 
@@ -525,13 +493,6 @@ class ClosedChain:
             Longest step [s]; not less than 1e-7 of the run.
         progress : callable, optional
             Called with the share done, from 0 to 1, after each step. If it returns False, the run ends there.
-
-        Raises
-        ------
-        ArgumentError
-            If an argument is malformed, v0 opens the loops, or a function returns something else than finite (6,).
-        ClosureError
-            If q0 is open.
         """
         acting, steps = (forces, wrench, period), (tolerance, max_step, progress)
         return run_simulation(self._constrained, q0, v0, times, *acting, *steps)

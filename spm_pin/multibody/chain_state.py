@@ -124,8 +124,8 @@ class ConstrainedState:
         if v is not None:
             rates = read_vectors(v, "v", rates.size).copy()
         self._q, self._v = joints.copy(), rates
+        self._batch = ()
         if joints.ndim == rates.ndim == 1:
-            self._batch = ()
             self._move(self._q, rates)
         else:
             self._batch = broadcastable("v", rates.shape[:-1], "q", joints.shape[:-1])
@@ -146,10 +146,14 @@ class ConstrainedState:
         `shape` is that of a result, or a NamedTuple of shapes if the function returns several. For a single state and
         single arguments, the function's own result is returned.
         """
-        values = arrays.values()
-        if not self._batch and all(array.ndim == 1 for array in values):
-            return function(*values)
-        batch = self._batch
+        values, batch = arrays.values(), self._batch
+        if not batch:
+            # A loop is quicker than a generator.
+            for array in values:
+                if array.ndim > 1:
+                    break
+            else:
+                return function(*values)
         for name, array in arrays.items():
             batch = broadcastable(name, array.shape[:-1], "the other arguments", batch)
         members = [np.broadcast_to(array, (*batch, array.shape[-1])) for array in (self._q, self._v, *values)]

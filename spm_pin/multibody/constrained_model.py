@@ -280,7 +280,9 @@ class TreeKinematics:
     @cached_property
     def constraint_jacobian(self) -> FloatArray:
         """Jc: joint velocities (nv,) to the rates of the gaps, shape (3 n, nv); exact at any q, closed or not."""
-        return self.constrained.linear_differences([self.frame_jacobian(f) for f in self.constrained.frames])
+        model, data, frames = self.model, self.data, self.constrained.frames
+        jacobians = [pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED) for frame in frames]
+        return self.constrained.linear_differences(jacobians)
 
     def frame_jacobian(self, frame: int) -> FloatArray:
         """Return the Jacobian (6, nv) of a frame, at its origin in the universe's axes."""
@@ -394,8 +396,9 @@ class TreeKinematics:
     def wrench_torques(self, wrenches: FloatArray, frames: list[int]) -> FloatArray:
         """Return Σ J_kᵀ w_k (nv,) of wrenches (6 n,) at the origins of n frames, in the axes of the universe."""
         total = np.zeros(self.model.nv)
-        for frame, wrench in zip(frames, wrenches.reshape(-1, 6), strict=True):
-            total += self.frame_jacobian(frame).T @ wrench
+        if frames:
+            for frame, wrench in zip(frames, wrenches.reshape(-1, 6), strict=True):
+                total += self.frame_jacobian(frame).T @ wrench
         return total
 
     def energies(self, v: FloatArray) -> tuple[float, float]:

@@ -17,7 +17,7 @@ ENDS = ["--from", *START, "--to", *GOAL, "--unit", "cm"]
 
 
 def test_the_csv_has_the_motion_and_the_viewer_reads_it(tmp_path: Path) -> None:
-    from spm_pin.display.viewer.recording_files import read_recording
+    from spm_pin.display import read_recording
 
     out, plot = tmp_path / "motion.csv", tmp_path / "motion.png"
     done = run("move", *ENDS, "--leg-force", "1500", "--leg-rate", "0.5", "--out", str(out), "--plot", str(plot))

@@ -185,41 +185,52 @@ static int read_pose(const @PREFIX@geometry *g, const double *rotation, const do
             > 0.0 ? @PREFIX_UPPER@OK : @PREFIX_UPPER@NOT_A_ROTATION;
 }
 
-/* Write the inverse (6, 6) by Gauss and Jordan, the largest pivot of a column first; return whether there is one. */
-static int invert(const double *matrix, double *inverse)
+/* Solve (6, 6) equations by Gauss and Jordan, the largest pivot of a column first. A row of `rows` is one of the matrix
+   and of the right sides; these become the solutions. Returns 0 where the matrix is singular. */
+static int eliminate(double *rows, int columns)
 {
-    double rows[6][12];
     int i, j, k;
-    for (i = 0; i < 6; ++i) {
-        for (j = 0; j < 6; ++j) {
-            rows[i][j] = matrix[6 * i + j];
-            rows[i][6 + j] = i == j ? 1.0 : 0.0;
-        }
-    }
     for (k = 0; k < 6; ++k) {
-        int best = k;
-        double scale;
+        double *row = rows + columns * k, *best = row, scale;
         for (i = k + 1; i < 6; ++i) {
-            best = fabs(rows[i][k]) > fabs(rows[best][k]) ? i : best;
+            double *other = rows + columns * i;
+            best = fabs(other[k]) > fabs(best[k]) ? other : best;
         }
-        if (!(fabs(rows[best][k]) > 0.0)) {
+        if (!(fabs(best[k]) > 0.0)) {
             return 0;
         }
-        scale = 1.0 / rows[best][k];
-        for (j = 0; j < 12; ++j) {
-            double moved = rows[best][j];
-            rows[best][j] = rows[k][j];
-            rows[k][j] = moved * scale;
+        scale = 1.0 / best[k];
+        for (j = k; j < columns; ++j) {
+            double moved = best[j];
+            best[j] = row[j];
+            row[j] = moved * scale;
         }
         for (i = 0; i < 6; ++i) {
-            double factor = rows[i][k];
-            for (j = k; j < 12 && i != k; ++j) {
-                rows[i][j] -= factor * rows[k][j];
+            double *other = rows + columns * i, factor = other[k];
+            for (j = k; j < columns && i != k; ++j) {
+                other[j] -= factor * row[j];
             }
         }
     }
+    return 1;
+}
+
+/* Write the inverse of a matrix (6, 6); return whether there is one. */
+static int invert(const double *matrix, double *inverse)
+{
+    double rows[72];
+    int i, j;
+    for (i = 0; i < 6; ++i) {
+        for (j = 0; j < 6; ++j) {
+            rows[12 * i + j] = matrix[6 * i + j];
+            rows[12 * i + 6 + j] = i == j ? 1.0 : 0.0;
+        }
+    }
+    if (!eliminate(rows, 12)) {
+        return 0;
+    }
     for (i = 0; i < 36; ++i) {
-        inverse[i] = rows[i / 6][6 + i % 6];
+        inverse[i] = rows[12 * (i / 6) + 6 + i % 6];
     }
     return are_within(inverse, 36, DBL_MAX);
 }
@@ -318,19 +329,22 @@ static void evaluate(const way *w, double t, const double *balls, equations *e)
 static int solve(const way *w, double t, double most, double *balls)
 {
     equations e;
-    double inverse[36], step[6], last = DBL_MAX, size = w->geometry->dimensions[2] + longest(balls);
+    double rows[42], step[6], last = DBL_MAX, size = w->geometry->dimensions[2] + longest(balls);
     int turn, i, j;
     for (turn = 0; turn < 40; ++turn) {
         double length, scale;
         evaluate(w, t, balls, &e);
-        if (!invert(e.jacobian, inverse)) {
+        for (i = 0; i < 6; ++i) {
+            for (j = 0; j < 6; ++j) {
+                rows[7 * i + j] = e.jacobian[6 * i + j];
+            }
+            rows[7 * i + 6] = -e.errors[i];
+        }
+        if (!eliminate(rows, 7)) {
             return 0;
         }
         for (i = 0; i < 6; ++i) {
-            step[i] = 0.0;
-            for (j = 0; j < 6; ++j) {
-                step[i] -= inverse[6 * i + j] * e.errors[j];
-            }
+            step[i] = rows[7 * i + 6];
         }
         length = longest(step);
         scale = length > most ? most / length : 1.0;
@@ -391,7 +405,7 @@ static int follow(way *w, double *balls)
         step = step < 1.0 - t ? step : 1.0 - t;
         while (!(kantorovich(w, &e, inverse, balls, t, step) <= 0.25)) {
             step *= 0.5;
-            if (--left < 0 || step < 1e-12) {
+            if (--left < 0 || step < @SHORTEST@) {
                 return 0;
             }
         }

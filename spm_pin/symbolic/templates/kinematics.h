@@ -4,7 +4,7 @@
 
    Needs nothing but math.h: no heap, no global state, no recursion, and no loop without a bound, so that all functions
    may be called from several threads and from interrupts. A call with a state `near` takes a time that grows with the
-   way from there, bounded by @MOST_STEPS@ evaluations of six equations; all other calls take microseconds.
+   way from there, bounded by @MOST_STEPS@ steps a stage; all other calls take microseconds.
 
    Lengths are in metres, forces in newtons, angles in radians. {B} is the frame of the base, with the origin O and Z
    upright; {m} that of the terminal platform, with the origin o; {n} that of the middle platform. Matrices are stored
