@@ -238,7 +238,7 @@ def test_bad_arguments_are_named(call: Callable[[object, object], object], messa
 
 
 def test_rounding_errors_change_nothing() -> None:
-    """Six legs that differ from the drawing by rounding have the rates, forces and singularities of the drawing."""
+    """Six legs that differ from the drawing by rounding have its rates, forces and singularities."""
     drawn = spm.forward_physical(PAPER, np.random.default_rng(3).uniform(1.1, 1.5, (200, 6)))
     drawn = drawn[drawn.exists]
     drawn = drawn[spm.singularities(drawn).sigma.min(axis=-1) > 1e-2]

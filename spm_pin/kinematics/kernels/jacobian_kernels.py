@@ -2,8 +2,8 @@
 
 States are arrays of two batch axes, (outer, inner), of any strides: what all branches of a pose share need not be
 copied. Results are packed. A machine is an array (15, 3): the axes and the pivots of the six legs, then the
-`upper_ball_weights`. Where these are zero the balls coincide in pairs, and K and J_f have a shorter form that keeps more
-digits near an inverse singularity.
+`upper_ball_weights`. Where these are zero the balls coincide in pairs, and K and J_f have a shorter form that keeps
+more digits near an inverse singularity.
 """
 
 from __future__ import annotations
