@@ -193,7 +193,7 @@ def test_stages_that_move_with_their_legs_locked_are_degenerate() -> None:
 @pytest.mark.parametrize(
     ("legs", "words"),
     [
-        ([1.2] * 3, "leg_lengths: expected real numbers of shape (..., 6), r_b1"),
+        ([1.2] * 3, "readings: expected real numbers of shape (..., 6), r_b1"),
         ([1.2] * 5 + [np.nan], "finite"),
         ([1.2] * 5 + [np.inf], "finite"),
         ([1.2] * 5 + ["long"], "dtype"),
