@@ -207,7 +207,7 @@ def test_invalid_lengths_are_refused(legs: list[float], words: str) -> None:
         with pytest.raises(spm.ArgumentError) as caught:
             function(PAPER, legs)
         assert words in str(caught.value)
-        assert caught.value.argument == "leg_lengths"
+        assert caught.value.argument == "readings"
 
 
 def test_names() -> None:
