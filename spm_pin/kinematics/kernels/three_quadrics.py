@@ -11,6 +11,8 @@ import math
 
 import numpy as np
 
+from spm_pin.kinematics.formulas.quadrics import StagePlanes, quadric, rotation
+from spm_pin.kinematics.formulas.vectors import dot
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline
 from spm_pin.mechanism.arguments import FloatArray
 
@@ -24,6 +26,19 @@ _FLAT = 1e-13
 def allocate_planes() -> Planes:
     """Allocate the arrays of six planes."""
     return np.empty((6, 3)), np.empty(6), np.empty((6, 3)), np.empty((6, 9))
+
+
+@jit_inline
+def _rows(array, i):  # type: ignore[no-untyped-def]
+    """Return three rows of an array (n, 3) as scalars, row i the first."""
+    first, second = (array[i, 0], array[i, 1], array[i, 2]), (array[i + 1, 0], array[i + 1, 1], array[i + 1, 2])
+    return first, second, (array[i + 2, 0], array[i + 2, 1], array[i + 2, 2])
+
+
+@jit_inline
+def _stage_planes(planes, i):  # type: ignore[no-untyped-def]
+    normals, heights, balls, _ = planes
+    return StagePlanes(_rows(normals, i), (heights[i], heights[i + 1], heights[i + 2]), _rows(balls, i))
 
 
 @jit
@@ -42,7 +57,7 @@ def put_quadrics(planes: Planes, forms: FloatArray) -> bool:
     bool
         Whether the normals span space; if not, t is not determined by the rotation.
     """
-    normals, heights, balls, factors = planes
+    normals, _, _, factors = planes
     # Householder reflections of (normals | identity), the identity's last three rows being the null space.
     for i in range(6):
         for j in range(3):
@@ -70,38 +85,22 @@ def put_quadrics(planes: Planes, forms: FloatArray) -> bool:
             factors[j, k] -= total * pivot
             for i in range(j + 1, 6):
                 factors[i, k] -= total * column[i]
+    lower, upper = _stage_planes(planes, 0), _stage_planes(planes, 3)
     for k in range(3):
-        c = 0.0
-        m00 = m01 = m02 = m10 = m11 = m12 = m20 = m21 = m22 = 0.0
-        for i in range(6):
-            weight = factors[3 + k, 3 + i]
-            c += weight * heights[i]
-            a0, a1, a2 = weight * normals[i, 0], weight * normals[i, 1], weight * normals[i, 2]
-            p0, p1, p2 = balls[i, 0], balls[i, 1], balls[i, 2]
-            m00 += a0 * p0
-            m01 += a0 * p1
-            m02 += a0 * p2
-            m10 += a1 * p0
-            m11 += a1 * p1
-            m12 += a1 * p2
-            m20 += a2 * p0
-            m21 += a2 * p1
-            m22 += a2 * p2
-        form = forms[k]
-        form[0, 0], form[1, 1] = m00 - m11 - m22 - c, m11 - m00 - m22 - c
-        form[2, 2], form[3, 3] = m22 - m00 - m11 - c, m00 + m11 + m22 - c
-        form[0, 1], form[0, 2], form[1, 2] = m01 + m10, m02 + m20, m12 + m21
-        form[0, 3], form[1, 3], form[2, 3] = m21 - m12, m02 - m20, m10 - m01
-        square = 0.0
-        for i in range(4):
-            for j in range(i):
-                form[i, j] = form[j, i]
-                square += 2.0 * form[i, j] * form[i, j]
-            square += form[i, i] * form[i, i]
+        weights = factors[3 + k, 3:]
+        q = quadric((weights[0], weights[1], weights[2]), (weights[3], weights[4], weights[5]), lower, upper)
+        square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
+        square += 2.0 * (q[4] * q[4] + q[5] * q[5] + q[6] * q[6] + q[7] * q[7] + q[8] * q[8] + q[9] * q[9])
         scale = 1.0 / math.sqrt(square) if square > 0.0 else 0.0
+        form = forms[k]
         for i in range(4):
-            for j in range(4):
-                form[i, j] *= scale
+            form[i, i] = scale * q[i]
+        form[0, 1] = form[1, 0] = scale * q[4]
+        form[0, 2] = form[2, 0] = scale * q[5]
+        form[1, 2] = form[2, 1] = scale * q[6]
+        form[0, 3] = form[3, 0] = scale * q[7]
+        form[1, 3] = form[3, 1] = scale * q[8]
+        form[2, 3] = form[3, 2] = scale * q[9]
     return spans
 
 
@@ -137,17 +136,11 @@ def put_quaternion(b: FloatArray, x: FloatArray) -> None:
 def image(x, planes, joints):  # type: ignore[no-untyped-def]
     """Write the six ball centres (6, 3) in {B} of a root, four numbers, for planes as `put_quadrics` left them."""
     normals, heights, balls, factors = planes
-    a, b, c, d = x[0], x[1], x[2], x[3]
-    scale = 1.0 / (a * a + b * b + c * c + d * d)
-    r00, r11 = (a * a - b * b - c * c + d * d) * scale, (b * b - a * a - c * c + d * d) * scale
-    r22 = (c * c - a * a - b * b + d * d) * scale
-    r01, r10 = 2.0 * (a * b - c * d) * scale, 2.0 * (a * b + c * d) * scale
-    r02, r20 = 2.0 * (a * c + b * d) * scale, 2.0 * (a * c - b * d) * scale
-    r12, r21 = 2.0 * (b * c - a * d) * scale, 2.0 * (b * c + a * d) * scale
-    s0 = s1 = s2 = 0.0 * scale
+    first, second, third = rotation(x[0], x[1], x[2], x[3])
+    s0 = s1 = s2 = 0.0 * first[0]
     for i in range(6):
-        p0, p1, p2 = balls[i, 0], balls[i, 1], balls[i, 2]
-        y0, y1, y2 = r00 * p0 + r01 * p1 + r02 * p2, r10 * p0 + r11 * p1 + r12 * p2, r20 * p0 + r21 * p1 + r22 * p2
+        ball = balls[i, 0], balls[i, 1], balls[i, 2]
+        y0, y1, y2 = dot(first, ball), dot(second, ball), dot(third, ball)
         joints[i, 0], joints[i, 1], joints[i, 2] = y0, y1, y2
         gap = heights[i] - (normals[i, 0] * y0 + normals[i, 1] * y1 + normals[i, 2] * y2)
         s0 += factors[0, 3 + i] * gap
