@@ -1,4 +1,4 @@
-"""`spm-pin export`: the robot with its loops closed, in the format of another engine, or its closed forms in C."""
+"""`spm-pin export`: the robot with its loops closed, in the format of another engine, or its kinematics in C."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def export(
     anchors: Annotated[Anchors | None, typer.Option(help="mjcf: anchor closures in bodies, or in sites.")] = None,
     loops: Annotated[Loops | None, typer.Option(help="sdf: close loops by joints, or by Drake's elements.")] = None,
 ) -> None:
-    """Write the robot with its loops closed, in the format of another engine, or its closed forms in C.
+    """Write the robot with its loops closed, in the format of another engine, or its kinematics in C.
 
     urdf: Drake, Pinocchio, yourdfpy, PyBullet, ROS. mjcf: MuJoCo, Drake, Pinocchio. sdf: SDFormat. extended-urdf: the
     YAML file that closes a URDF's loops. srdf: groups and passive joints. With --out, the meshes are put beside the
     file, into a folder `meshes`.
 
-    c: inverse and forward displacement, J_f and leg forces in C99 for controllers, with a test program.
+    c: inverse and forward displacement, J_f, leg forces and joint values in C99 for controllers, with a test program.
     """
     from spm_pin import description
     from spm_pin.symbolic import write_c
@@ -56,7 +56,7 @@ def export(
     if format_ == "c":
         if out is None:
             raise ArgumentError("--out", "the directory to write into", "none")
-        for path in write_c(options.read_geometry(geometry), out, prefix="spm_" if prefix is None else prefix):
+        for path in write_c(options.read_any_geometry(geometry), out, prefix="spm_" if prefix is None else prefix):
             outputs.note(f"wrote {path}")
         return
     if out is not None:
