@@ -14,7 +14,7 @@ from spm_pin.display.figure_files import new_figure
 from spm_pin.display.shell_plots import FAMILY_COLOURS, patch_symbol, style_axes
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, check_instance
-from spm_pin.workspace.paper_shell.shell import Shell
+from spm_pin.workspace.paper_shell import Shell
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -69,7 +69,7 @@ def draw_section(
     """Draw a section of a shell into axes, in the colours of its families, and of what is reached.
 
     `reached` are positions of o (N, 3) [m], `aspect` the sign of det K in each state (N,), see
-    `spm_pin.workspace.reachability.reachable_samples`. Cells of the plane of the size `cell` [m] are filled that have a
+    `spm_pin.workspace.sampling`. Cells of the plane of the size `cell` [m] are filled that have a
     position nearer than half of it; those that are reached on both sides of an inverse singularity are darker. A plane
     that meets nothing is an `ArgumentError`.
     """
@@ -126,7 +126,7 @@ def sections_figure(shell: Shell, reached: FloatArray, aspect: npt.NDArray[np.in
 
     `reached` and `aspect` are those of `draw_section`.
     """
-    check_instance(shell, Shell, "shell", "Make one with workspace.shell(geometry)")
+    check_instance(shell, Shell, "shell", "Make one with workspace.workspace_shell(geometry)")
     bottom, top = float(shell.vertices[:, 2].min()), float(shell.vertices[:, 2].max())
     heights = [float(f"{bottom + share * (top - bottom):.2g}") for share in (0.21, 0.36, 0.65)]
     planes = [*map(Plane.level, heights), Plane.upright(0.0), Plane.upright(0.5 * math.pi)]

@@ -15,7 +15,7 @@ from spm_pin.display.rendering import VIEW, Rendering, camera_axes
 from spm_pin.display.scene import Colour, Scene, Solid
 from spm_pin.errors import require_extra
 from spm_pin.mechanism.arguments import check_instance, file_path, writing
-from spm_pin.workspace.paper_shell.shell import Patch, Shell
+from spm_pin.workspace.paper_shell import Patch, Shell
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,7 +60,7 @@ def draw_shell(
     ArgumentError
         If `shell` is no Shell, `ax` is three-dimensional, or `view` is not two angles.
     """
-    check_instance(shell, Shell, "shell", "Make one with workspace.shell(geometry)")
+    check_instance(shell, Shell, "shell", "Make one with workspace.workspace_shell(geometry)")
     camera = camera_axes(view)
     solids = [
         # The renderer shows what faces the viewer, and that is all one sees of a closed shell.

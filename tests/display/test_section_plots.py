@@ -13,7 +13,7 @@ import spm_pin as spm
 from spm_pin.display.section_plots import Plane, draw_section, sections_figure
 from spm_pin.display.shell_plots import FAMILY_COLOURS
 from spm_pin.errors import ArgumentError
-from spm_pin.workspace.paper_shell.shell import workspace_shell
+from spm_pin.workspace.paper_shell import workspace_shell
 
 SHELL = workspace_shell(spm.Geometry.paper(), resolution=12)
 LEVEL = Plane.level(2.1)

@@ -28,7 +28,7 @@ from spm_pin.mechanism import (
 )
 from spm_pin.mechanism.arguments import FloatArray, real_array
 from spm_pin.mechanism.branches import family, physical
-from spm_pin.workspace.reachability.nearest_pose import nearest_reachable_pose, pose_distance
+from spm_pin.workspace.poses import nearest_reachable_pose, pose_distance
 
 _UNLIMITED = LegLimits(0.0, np.inf)
 _REACHED = 1e-6  # of d

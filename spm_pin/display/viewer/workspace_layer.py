@@ -13,7 +13,7 @@ from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.leg_frames import home_lengths
-from spm_pin.workspace.paper_shell.shell import workspace_shell
+from spm_pin.workspace.paper_shell import workspace_shell
 
 _SAMPLES = 4000
 _RESOLUTION = 14
