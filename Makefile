@@ -61,7 +61,7 @@ $(VENV)/.demo: $(VENV)/.python pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.test: $(VENV)/.demo
-	$(INSTALL) '.[plots,cluster,motion,viewer,engines,robots,docs,pdf,benchmarks,dev]'
+	$(INSTALL) '.[plots,cluster,viewer,engines,robots,docs,pdf,benchmarks,dev]'
 	@touch $@
 
 $(VENV)/.bench: $(VENV)/.demo

@@ -82,7 +82,7 @@ def run(name: str, points: int, workers: int, chunk: int, store: Path) -> str:
     domain = lattice(points)
     begin = time.perf_counter()
     with Memory() as memory:
-        found = spm.sweeps.run(GEOMETRY, domain, METRICS, store, workers=workers, chunk=chunk)
+        found = spm.sweeps.run_sweep(GEOMETRY, domain, METRICS, store, workers=workers, chunk=chunk)
     seconds = time.perf_counter() - begin
     found.close()
     size = sum(file.stat().st_size for file in store.rglob("*") if file.is_file())
@@ -100,7 +100,7 @@ def per_core(points: int) -> tuple[float, float]:
         begin = time.process_time()
         with spm.threads(1):
             plan.evaluate(index)
-        rates.append(plan.points_of(index) / (time.process_time() - begin))
+        rates.append(plan.chunk_size(index) / (time.process_time() - begin))
     return rates[0], rates[1]
 
 
@@ -129,7 +129,7 @@ def main() -> None:
     print("\n".join(lines), flush=True)
     with tempfile.TemporaryDirectory(dir=options.folder) as folder:
         # Kernels are compiled once per machine, which is not what is measured.
-        spm.sweeps.run(GEOMETRY, lattice(2000), METRICS, Path(folder, "first"), workers=1)
+        spm.sweeps.run_sweep(GEOMETRY, lattice(2000), METRICS, Path(folder, "first"), workers=1)
         poses, legs = per_core(options.points // 10)
         rows = (
             ("fewer points", options.points // 10, CHUNK, "tenth"),

@@ -14,7 +14,7 @@ if __name__ == "__main__":  # worker processes import this file
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
     legs = (1.10, 1.50, 101)
     grid = spm.sweeps.leg_grid(lower=[legs, legs, 1.30], upper=[1.25, 1.20, 1.40])
-    found = spm.sweeps.run(
+    found = spm.sweeps.run_sweep(
         spm.Geometry.paper(), grid, ["conditioning", "det_structure"], folder / "map.zarr", workers=1
     )
 

@@ -12,13 +12,8 @@ from pathlib import Path
 import numpy as np
 
 import spm_pin as spm
-from spm_pin.description.expand import expand
-from spm_pin.description.extended_urdf import extended_urdf_text
-from spm_pin.description.load_robot import manipulator
-from spm_pin.description.paths import CLOSURES, EXTENDED_URDF, MESHES, MJCF, SDF, SRDF, URDF
-from spm_pin.description.srdf import srdf_text
-from spm_pin.description.write_mjcf import mjcf_text
-from spm_pin.description.write_sdf import sdf_text
+from spm_pin.description import extended_urdf_text, mjcf_text, sdf_text, srdf_text, urdf_text
+from spm_pin.description.source_files import CLOSURES, EXTENDED_URDF, MESHES, MJCF, SDF, SRDF, URDF
 from spm_pin.paper.published import POSITION, TABLE_2, XYX_DEGREES
 
 FOLDER = Path(__file__).resolve().parents[1] / "urdf"
@@ -45,13 +40,12 @@ def generate() -> dict[str, str]:
     """Return the content of each generated file."""
     warning = f"Written by generate_description.py from {CLOSURES}, which is the place for changes."
     states = named_states()
-    robot = manipulator(states=states)
     return {
-        URDF: expand(meshes=MESHES),
+        URDF: urdf_text(meshes=MESHES),
         SRDF: srdf_text(states),
-        MJCF: mjcf_text(robot, folder=FOLDER),
-        SDF: sdf_text(robot, folder=FOLDER),
-        EXTENDED_URDF: f"# {warning}\n" + extended_urdf_text(robot),
+        MJCF: mjcf_text(states=states, meshes=MESHES),
+        SDF: sdf_text(meshes=MESHES),
+        EXTENDED_URDF: f"# {warning}\n" + extended_urdf_text(),
     }
 
 

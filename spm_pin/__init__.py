@@ -3,7 +3,8 @@
 The names of everyday use are here. All else is in public modules: `spm_pin.mechanism` (dimensions, states, sets of
 states), `spm_pin.kinematics` (branches, assembly modes, singularities, paths), `spm_pin.workspace`, `spm_pin.sweeps`,
 `spm_pin.calibration`, `spm_pin.proofs`, `spm_pin.symbolic`, `spm_pin.multibody` (the robot in Pinocchio),
-`spm_pin.motion`, `spm_pin.nlp`, `spm_pin.crosscheck` and `spm_pin.errors`.
+`spm_pin.motion`, `spm_pin.nlp`, `spm_pin.crosscheck`, `spm_pin.description` (URDF, MJCF, SDFormat), `spm_pin.display`
+(pictures, viewer) and `spm_pin.errors`.
 """
 
 from importlib import import_module
@@ -12,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from spm_pin import calibration as calibration
     from spm_pin import crosscheck as crosscheck
+    from spm_pin import description as description
+    from spm_pin import display as display
     from spm_pin import errors as errors
     from spm_pin import kinematics as kinematics
     from spm_pin import mechanism as mechanism
@@ -91,7 +94,7 @@ __all__ = [
 
 # All are imported on first use: the start-up of the command line stays short, and Ctrl-C ends it.
 _MODULES = {"calibration", "kinematics", "crosscheck", "errors", "mechanism", "motion", "multibody", "nlp", "proofs"}
-_MODULES |= {"sweeps", "symbolic", "workspace"}
+_MODULES |= {"description", "display", "sweeps", "symbolic", "workspace"}
 _HOMES = ("errors", "mechanism", "kinematics", "proofs", "multibody", "motion")
 
 

@@ -24,7 +24,6 @@ __all__ = [
 
 EXTRAS = {
     "cluster": ("zarr", "xarray", "dask", "distributed", "filelock", "google_crc32c"),
-    "motion": ("toppra",),
     "plots": ("matplotlib", "trimesh"),
     "viewer": ("viser", "websockets", "trimesh"),
     "workspace": ("trimesh", "skimage"),
@@ -114,7 +113,7 @@ class NotOneSolutionError(SpmError):
         if labels:
             message = (
                 f"expected exactly one solution, got {len(labels)}{where}: {', '.join(labels)}. "
-                "Narrow them down with .within(limits), or choose with .nearest(seed) or .physical()"
+                "Narrow them down with .within(limits), or choose with .nearest(near) or .physical()"
             )
         else:
             cause = cause or "see .status: out of reach or degenerate, or .within(limits) excluded every branch"

@@ -17,7 +17,7 @@ CHUNK = 100
 def small(path: Path, **changes: Any) -> Any:
     """Run the small sweep, in this process by default."""
     arguments = {"geometry": GEOMETRY, "domain": GRID, "metrics": METRICS, "chunk": CHUNK, "workers": 1} | changes
-    return spm.sweeps.run(store=path, **arguments)
+    return spm.sweeps.run_sweep(store=path, **arguments)
 
 
 def contents(path: Path) -> dict[str, bytes]:

@@ -87,7 +87,7 @@ def shell() -> Any:
 
 
 def store() -> str:
-    spm.sweeps.run(PAPER, spm.sweeps.leg_grid(1.2, (1.2, 1.3, 2)), ["branches"], "made.zarr")
+    spm.sweeps.run_sweep(PAPER, spm.sweeps.leg_grid(1.2, (1.2, 1.3, 2)), ["branches"], "made.zarr")
     return "made.zarr"
 
 
@@ -132,6 +132,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "forces": lambda: np.zeros(6),
     "geometry": lambda: PAPER,
     "leg_lengths": lambda: STATE.leg_lengths,
+    "readings": lambda: STATE.readings,
     "leg_rates": lambda: np.zeros(6),
     "legs": lambda: 1e7,
     "lengths": lambda: LINE,
@@ -149,6 +150,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "pose": lambda: STATE.pose,
     "position": lambda: STATE.translation,
     "q": lambda: q(),
+    "readings": lambda: STATE.readings,
     "risk": lambda: 0.5,
     "rng": lambda: 0,
     "samples": lambda: 20,
@@ -202,13 +204,14 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "MountedChain.join_velocities.other": lambda: np.zeros(0),
     "PlatformPath.poses": lambda: PATH,
     "principal_stiffness.compliance": lambda: np.eye(6),
-    "SolutionSet.nearest.seed": lambda: STATE,
-    "SolutionSet.physical.seed": lambda: STATE,
+    "SolutionSet.nearest.near": lambda: STATE,
+    "SolutionSet.physical.near": lambda: STATE,
     "SolutionSet.from_unordered.middle_joints": lambda: STATE.middle_joints[None],
-    "forward_physical.seed": lambda: STATE,
-    "sweeps.open.store": store,
-    "sweeps.resume.store": store,
-    "sweeps.status.store": store,
+    "inverse_physical.near": lambda: STATE,
+    "forward_physical.near": lambda: STATE,
+    "sweeps.open_sweep.store": store,
+    "sweeps.resume_sweep.store": store,
+    "sweeps.sweep_status.store": store,
     "leg_grid.lower": lambda: (1.2, 1.3, 2),
     "leg_grid.upper": lambda: (1.2, 1.3, 2),
     "sweeps.pose_sample.x": lambda: (0.0, 0.1),

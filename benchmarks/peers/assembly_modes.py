@@ -125,7 +125,7 @@ def pinocchio(problem: tuple[Geometry, FloatArray]) -> Prepared:
     home = np.zeros(chain.model.nq)
 
     def solve(lengths: FloatArray) -> FloatArray:
-        return chain.project(chain.with_leg_lengths(home, lengths), hold_legs=True)
+        return chain.project(chain.with_readings(home, lengths), hold_legs=True)
 
     def read(found: list[FloatArray]) -> FloatArray:
         return np.array([chain.configuration(q).middle_joints for q in found])

@@ -140,10 +140,10 @@ def _sweep(section: Section, n: int, pace: Pace, progress: Progress, facts: Fact
 
     def ours() -> None:
         with tempfile.TemporaryDirectory() as folder:
-            spm.sweeps.run(GEOMETRY, domain, METRICS, f"{folder}/store", workers=1).close()
+            spm.sweeps.run_sweep(GEOMETRY, domain, METRICS, f"{folder}/store", workers=1).close()
 
     calls = [
-        TimedCall("spm_pin, `spm.sweeps.run`, with the start of a worker and the store", ours, n),
+        TimedCall("spm_pin, `spm.sweeps.run_sweep`, with the start of a worker and the store", ours, n),
         TimedCall("J_f and `numpy.linalg.svd`, stacked, nothing stored", lambda: metrics_by_numpy(part), len(drawn)),
     ]
     text = f"A sweep of {count(n)} random poses: {', '.join(METRICS)}"
@@ -153,7 +153,7 @@ def _sweep(section: Section, n: int, pace: Pace, progress: Progress, facts: Fact
     for index in list(plan)[:3]:
         begin = time.process_time()
         plan.evaluate(index)
-        rates.append(1e-6 * plan.points_of(index) / (time.process_time() - begin))
+        rates.append(1e-6 * plan.chunk_size(index) / (time.process_time() - begin))
     facts["jobs/sweep"] = Spread.of(rates)
 
 
@@ -252,7 +252,7 @@ def _control(section: Section, chain: Any, n: int, progress: Progress, facts: Fa
 
     def other(now: FloatArray, _: FloatArray) -> FloatArray:
         nonlocal q
-        q = chain.project(chain.with_leg_lengths(q, now), hold_legs=True)
+        q = chain.project(chain.with_readings(q, now), hold_legs=True)
         return plain.inverse(q, still, still)
 
     rows = []

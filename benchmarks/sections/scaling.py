@@ -15,7 +15,7 @@ from benchmarks.poses import GEOMETRY, tiled
 from benchmarks.report import Facts, Section, count, seconds, size, spread_of_seconds, table, times
 from benchmarks.sections.preparation import Progress
 from benchmarks.timing import Pace, TimedCall, time_in_turns
-from spm_pin.kinematics.threads import parallel_for, threads
+from spm_pin.kinematics.batches import parallel_for, threads
 
 __all__ = ["measure"]
 

@@ -36,7 +36,7 @@ def main() -> None:
                     (session,) = viewer.sessions
                     session.config.workspace.show(session.client.scene, "shell", True)
                     session.panel.force.value = (0.0, 0.0, -500.0)
-                    session.state_machine.load(session.panel.wrench)
+                    session.model.load(session.panel.wrench)
                     session.show()
                 page.wait_for_timeout(6000)
                 path = IMAGES / f"viewer_{name}.png"

@@ -7,7 +7,7 @@ and do of ball, pivot, axis and offset:
     lower:  δ·t_L(b) = δ·da - δ·dp - do,              n·t_L(b) = n·da - n·dp - dn·(b - a),
     upper:  δ·(t - t_L)(b) = δ·dp - δ·da - do,        n·(t - t_L)(b) = n·dp - n·da + dn·(b - a).
 
-On the left are the matrices J_b and J_c of `spm_pin.kinematics.jacobians`.
+On the left are the matrices J_b and J_c of `spm_pin.kinematics.rates_and_forces`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from spm_pin.errors import ArgumentError
-from spm_pin.kinematics.stage_wrenches import stage_inverses
+from spm_pin.kinematics.rates_and_forces import stage_inverses
 from spm_pin.mechanism import LEGS, PARAMETERS, Configuration, Geometry
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance
 from spm_pin.mechanism.configuration import check_configuration
@@ -95,7 +95,7 @@ def platform_error(state: Configuration, rotation: FloatArray, position: FloatAr
     return np.concatenate([state.translation - position, turn], axis=-1)
 
 
-def invisible_errors(geometry: Geometry, positions_only: bool) -> FloatArray:
+def gauge_directions(geometry: Geometry, positions_only: bool) -> FloatArray:
     """Return the errors that change no measurement, (54, 6), or (54, 9) if only positions of o are measured.
 
     Six move the frame {n} and with it the coordinates of all balls; the other three turn the frame {m} about o.

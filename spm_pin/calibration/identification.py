@@ -6,36 +6,52 @@ displacement has no singularity where a machine works. Errors of the readings co
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import scipy
-from scipy.special import gammainccinv
+from scipy.special import chdtri
 
-from spm_pin.calibration.error_model import error_jacobian, invisible_errors, parameter_scale, selected
+from spm_pin.calibration.error_model import error_jacobian, gauge_directions, parameter_scale, selected
 from spm_pin.calibration.measurements import MeasurementError, Measurements, pose_covariances
+from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.mechanism import PARAMETERS, Configuration, Geometry
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, choice
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, choice
 
 _LOSSES = ("linear", "soft_l1", "huber", "cauchy")
 _UNKNOWN = 0.3
 """Standard deviation, in radians or sides of the middle platform, from which on a combination is not determined."""
-_CONVERGED, _EVALUATIONS = 1e-9, 60
+_CONVERGED, _EVALUATIONS = 1e-9, 100
 """Relative changes at which an iteration ends, and the most evaluations it may take."""
+_DIRECT = 20
+"""Evaluations of the first fit: measurements that fit one machine take five or so."""
 _CHANCE = 1e-6
 """Probability that a good measurement is taken for an outlier, all measurements together."""
+_GROSS = 100.0
+"""Times the noise from which on residuals are no matter of the noise."""
+_MISFIT = 9.0
+"""Largest reduced χ² of a fit: residuals three times what the noise explains."""
+
+_Function = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True, repr=False)
 class Calibration:
     """A machine identified from N measurements, and how well it is known."""
 
-    geometry: Geometry
-    """The machine."""
+    fitted: Geometry
+    """The machine that fits the measurements best, whatever `status` says."""
+    status: str
+    """"fits"; or "outliers", "misfit" or "not converged": then `geometry` raises an error."""
+    reason: str
+    """What is wrong, and its likely cause; empty if the measurements fit."""
+    chi_square: float
+    """Reduced χ² of all measurements but outliers: about 1 where the noise explains the residuals, a misfit above 9;
+    NaN if there are no more numbers than unknowns."""
     covariance: FloatArray
     """Covariance of the parameters [m, rad], shape (54, 54), zero along what is not identifiable."""
     identifiable: FloatArray
@@ -59,23 +75,37 @@ class Calibration:
     def __repr__(self) -> str:
         first, last = (1e3 * np.sqrt((e[:, :3] ** 2).sum(axis=-1).mean()) for e in (self.before, self.residuals))
         return (
-            f"<Calibration: {len(self.deviations)} of {len(self.deviations) + len(self.unidentifiable)} combinations "
-            f"from {len(self.residuals)} measurements, position error {first:.3g} mm before, {last:.3g} mm after>"
+            f"<Calibration: {self.status}, {len(self.deviations)} of "
+            f"{len(self.deviations) + len(self.unidentifiable)} combinations from {len(self.residuals)} measurements, "
+            f"position error {first:.3g} mm before, {last:.3g} mm after>"
         )
+
+    @property
+    def geometry(self) -> Geometry:
+        """The machine; raises `MeasurementError` if the measurements do not fit it, with the reason."""
+        self._check_status()
+        return self.fitted
 
     def accuracy(self, configuration: Configuration) -> FloatArray:
         """Return the covariance (..., 6, 6) of the platform's predicted pose (displacement, rotation) [m, rad], in {B}.
 
-        The states (...) are anywhere in the workspace, of this machine or of the nominal one.
+        The states (...) are anywhere in the workspace, of this machine or of the nominal one. Raises
+        `MeasurementError` if the measurements do not fit.
         """
+        self._check_status()
         jacobian = error_jacobian(configuration)
         return np.asarray(jacobian @ self.covariance @ np.swapaxes(jacobian, -1, -2))
+
+    def _check_status(self) -> None:
+        if self.status != "fits":
+            cause = "`.fitted` is the best fit all the same"
+            raise MeasurementError("poses", "measurements that fit one machine", self.reason, cause)
 
 
 def identify(
     geometry: Geometry,
     poses: Any,
-    leg_lengths: npt.ArrayLike,
+    readings: npt.ArrayLike,
     *,
     parameters: Collection[str] | str | None = None,
     pose_noise: npt.ArrayLike = (1e-5, 1e-5),
@@ -90,7 +120,7 @@ def identify(
         The machine as it is known before.
     poses : RigidTransform of shape (N,), array_like (N, 4, 4), or array_like (N, 3)
         Measured poses of {m} in {B}; or positions of o alone [m].
-    leg_lengths : array_like, shape (N, 6)
+    readings : array_like, shape (N, 6)
         Readings of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 at these poses [m].
     parameters : collection of str, optional
         What to identify: names of `PARAMETERS`, components such as "pivot_x", "direction", "pivot", "ball", "offset",
@@ -101,26 +131,26 @@ def identify(
     length_noise : array_like
         Standard deviation of the readings [m], one or six, or covariances (6, 6) or (N, 6, 6).
     loss : {"linear", "soft_l1", "huber", "cauchy"}
-        "linear" refuses outliers. The others, see `scipy.optimize.least_squares`, take them in with less weight, and
-        mark them.
+        With "linear", outliers are a reason not to use the machine. The others, see `scipy.optimize.least_squares`,
+        take them in with less weight, and mark them.
 
     Returns
     -------
     Calibration
-        The machine, its covariance, residuals and outliers.
+        The machine, its covariance, residuals and outliers. Its `status` says whether the measurements fit.
 
     Raises
     ------
     PoseError, ArgumentError
         If an argument has the wrong kind or shape, or is not finite.
     MeasurementError
-        If readings are in another unit or such that the machine has no state, columns are exchanged, a row is an
-        outlier, or the measurements are too few or too much alike to determine the parameters.
+        If readings are in another unit or such that the machine has no state, columns are exchanged, rows shifted or
+        rotations transposed, or if the measurements are too few or too much alike to determine the parameters.
     """
-    start = geometry
+    start = check_instance(geometry, Geometry, "geometry")
     wanted = selected(PARAMETERS if parameters is None else parameters, "parameters")
     choice(loss, "loss", _LOSSES)
-    data = Measurements.check(start, poses, leg_lengths)
+    data = Measurements.check(start, poses, readings)
     count, components = len(data.position), data.components
     total = pose_covariances(forward_physical(start, data.readings), components, pose_noise, length_noise)
     # Matrices (N, n, n) that give residuals unit covariance.
@@ -135,49 +165,46 @@ def identify(
     def machine(unknown: FloatArray) -> Geometry:
         return start.from_parameters(start.parameters + scaled @ unknown)
 
-    def residuals(unknown: FloatArray) -> FloatArray:
-        errors = data.errors(machine(unknown))
+    def whitened(unknown: FloatArray) -> FloatArray:
+        try:
+            errors = data.errors(machine(unknown))
+        except ArgumentError:  # A step to parameters that no machine has.
+            errors = np.full((count, components), np.nan)
         # A machine that cannot have these readings is far off.
-        whitened = (whitening @ np.nan_to_num(errors, nan=1e3 * start.nominal.middle_side)[..., None]).reshape(-1)
-        return np.asarray(whitened)
+        errors = np.nan_to_num(errors, nan=1e3 * start.nominal.middle_side)
+        return np.asarray((whitening @ errors[..., None])[..., 0])
 
     def jacobian(unknown: FloatArray) -> FloatArray:
         state = forward_physical(machine(unknown), data.readings)
-        rows = np.nan_to_num(error_jacobian(state)[:, :components])
-        return np.asarray((whitening @ rows @ scaled).reshape(-1, scaled.shape[1]))
+        return np.asarray(whitening @ np.nan_to_num(error_jacobian(state)[:, :components]) @ scaled)
 
     first = np.zeros(basis.shape[1])
-    _check_determined(jacobian(first), basis, count)
-    solution = _solved(residuals, jacobian, first, "soft_l1" if loss == "linear" else loss)
-    outliers = _outliers(residuals(solution).reshape(count, components))
-    if loss == "linear":
-        if outliers.any():
-            rows = np.flatnonzero(outliers)
-            shown = ", ".join(map(str, rows[:10])) + (", …" if len(rows) > 10 else "")
-            cause = "Look at these rows, leave them out, or give loss='soft_l1'"
-            raise MeasurementError("poses", "measurements that fit one machine", f"outliers in the rows {shown}", cause)
-        solution = _solved(residuals, jacobian, solution, loss)
-    slopes = jacobian(solution)[np.repeat(~outliers, components)]
-    _, values, right = np.linalg.svd(slopes, full_matrices=False)
-    found, whitened = machine(solution), residuals(solution).reshape(count, components)
+    _check_determined(np.concatenate(jacobian(first)), basis, count)
+    fit = _fit(whitened, jacobian, first, loss)
+    used = ~fit.outliers if fit.outliers.sum() * components + len(first) <= count * components else fit.outliers
+    _, values, right = np.linalg.svd(np.concatenate(jacobian(fit.unknown)[used]), full_matrices=False)
     spread = scaled @ (right.T / values)
+    found = machine(fit.unknown)
     return Calibration(
-        geometry=found,
+        fitted=found,
+        status=fit.status,
+        reason=fit.reason,
+        chi_square=fit.chi_square,
         covariance=spread @ spread.T,
         identifiable=right @ basis.T,
         deviations=1.0 / values,
         unidentifiable=invisible,
         before=data.errors(start),
         residuals=data.errors(found),
-        misfit=np.sqrt((whitened**2).mean(axis=-1)),
-        outliers=outliers,
+        misfit=np.sqrt((whitened(fit.unknown) ** 2).mean(axis=-1)),
+        outliers=fit.outliers,
     )
 
 
 def visible_basis(start: Geometry, wanted: BoolArray, positions_only: bool) -> tuple[FloatArray, FloatArray]:
     """Return orthonormal combinations of scaled parameters that measurements show, (54, n), and the others, (k, 54)."""
     scale = parameter_scale(start)
-    hidden = invisible_errors(start, positions_only) / scale[:, None]
+    hidden = gauge_directions(start, positions_only) / scale[:, None]
     # Those combinations of the invisible errors that leave the other parameters alone.
     _, values, right = np.linalg.svd(hidden[~wanted], full_matrices=True)
     rank = int((values > 1e-9).sum())
@@ -190,12 +217,98 @@ def visible_basis(start: Geometry, wanted: BoolArray, positions_only: bool) -> t
     return left[:, values > 1e-9], hidden.T
 
 
-def _solved(residuals: Any, jacobian: Any, first: FloatArray, loss: Any) -> FloatArray:
+class _Fit(NamedTuple):
+    """The unknowns that fit best, and whether the measurements belong to one machine."""
+
+    unknown: FloatArray
+    status: str
+    reason: str
+    chi_square: float
+    outliers: BoolArray
+
+
+def _fit(whitened: _Function, jacobian: _Function, first: FloatArray, loss: str) -> _Fit:
+    """Fit residuals (N, n): by least squares if that explains them, else by a robust loss that finds the outliers."""
+    direct, converged = _minimize(whitened, jacobian, first, evaluations=_DIRECT)
+    fit = _judged(whitened(direct), direct, converged)
+    if fit.status == "fits":
+        if loss == "linear":
+            return fit
+        robust, converged = _minimize(whitened, jacobian, direct, loss)
+        return _judged(whitened(robust), robust, converged, accept_outliers=True)
+    unknown, scale, converged = first, max(float(np.median(np.abs(whitened(first)))), 1.0), True
+    # First what is far off at the start too counts as good, then less and less, down to the noise.
+    while converged:
+        unknown, converged = _minimize(whitened, jacobian, unknown, "soft_l1" if loss == "linear" else loss, scale)
+        if scale == 1.0:
+            break
+        scale = max(0.1 * scale, 1.0)
+    robust_fit = _judged(whitened(unknown), unknown, converged, accept_outliers=loss != "linear")
+    if loss != "linear" or not robust_fit.outliers.any() or robust_fit.status == "not converged":
+        return robust_fit
+    good = np.flatnonzero(~robust_fit.outliers)
+    if whitened(unknown)[good].size <= len(first):
+        return robust_fit
+
+    def of_good_rows(values: _Function) -> _Function:
+        return lambda u: values(u)[good]
+
+    unknown, converged = _minimize(of_good_rows(whitened), of_good_rows(jacobian), unknown)
+    return _judged(whitened(unknown), unknown, converged, robust_fit.outliers)
+
+
+def _minimize(
+    whitened: _Function,
+    jacobian: _Function,
+    first: FloatArray,
+    loss: str = "linear",
+    scale: float = 1.0,
+    evaluations: int = _EVALUATIONS,
+) -> tuple[FloatArray, bool]:
+    """Return the unknowns that least squares or a robust loss find from a first guess, and whether it converged."""
     tolerances: Any = dict.fromkeys(("xtol", "ftol", "gtol"), _CONVERGED)
     result = scipy.optimize.least_squares(
-        residuals, first, jac=jacobian, loss=loss, max_nfev=_EVALUATIONS, **tolerances
+        lambda unknown: whitened(unknown).ravel(),
+        first,
+        jac=lambda unknown: np.concatenate(jacobian(unknown)),
+        loss=loss,  # type: ignore[arg-type]
+        f_scale=scale,
+        max_nfev=evaluations,
+        **tolerances,
     )
-    return np.asarray(result.x)
+    return np.asarray(result.x), result.status > 0
+
+
+def _judged(
+    residuals: FloatArray,
+    unknown: FloatArray,
+    converged: bool,
+    outliers: BoolArray | None = None,
+    accept_outliers: bool = False,
+) -> _Fit:
+    """Return a fit with its status; residuals (N, n) are whitened."""
+    if outliers is None:
+        outliers = _outliers(residuals, len(unknown))
+    squares = (residuals**2).sum(axis=-1)
+    freedom = int((~outliers).sum()) * residuals.shape[1] - len(unknown)
+    chi_square = float(squares[~outliers].sum()) / freedom if freedom > 0 else float("nan")
+    limit = max(_MISFIT, float(chdtri(freedom, _CHANCE)) / freedom) if freedom > 0 else _MISFIT
+    size, rows = f"residuals {np.sqrt(chi_square):.3g} times what the noise explains", np.flatnonzero(outliers)
+    status, reason = "fits", ""
+    if chi_square > limit or freedom < 0 or not converged:
+        status = "misfit" if converged else "not converged"
+        ended = "" if converged else ", when the search for a better fit was given up"
+        causes = (
+            "Larger noise than given, or errors that are not among the parameters?"
+            if chi_square < _GROSS**2
+            else "Another nominal geometry or unit, poses and readings of different rows, or many wrong rows?"
+        )
+        reason = f"{size}{ended}, largest in row {int(squares.argmax())}. {causes}"
+    elif len(rows) and not accept_outliers:
+        shown = ", ".join(map(str, rows[:10])) + (", …" if len(rows) > 10 else "")
+        status = "outliers"
+        reason = f"outliers in the rows {shown}. Look at these rows, leave them out, or give loss='soft_l1'"
+    return _Fit(unknown, status, reason, chi_square, outliers)
 
 
 def _check_determined(slopes: FloatArray, basis: FloatArray, count: int) -> None:
@@ -213,9 +326,10 @@ def _check_determined(slopes: FloatArray, basis: FloatArray, count: int) -> None
         raise MeasurementError("poses", f"poses that determine {len(unknown)} combinations", received, cause)
 
 
-def _outliers(whitened: FloatArray) -> BoolArray:
+def _outliers(whitened: FloatArray, unknowns: int) -> BoolArray:
     """Return which rows (N, n) of whitened residuals do not belong to the others."""
     squares, freedom = (whitened**2).sum(axis=-1), whitened.shape[1]
-    # The fit takes part of the noise away, or the noise was given too small: the median tells its size.
-    median, largest = (2.0 * gammainccinv(0.5 * freedom, p) for p in (0.5, _CHANCE / len(squares)))  # of χ²
-    return np.asarray(squares > max(np.median(squares) / median, 1e-12) * largest)
+    # The noise may have been given too small: the median tells its size. The fit takes part of it away.
+    median, largest = (float(chdtri(freedom, p)) for p in (0.5, _CHANCE / len(squares)))
+    left = max(1.0 - unknowns / whitened.size, 1.0 / whitened.size)
+    return np.asarray(squares > max(float(np.median(squares)) / median, left) * largest)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from spm_pin.calibration.error_model import platform_error
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.kinematics.jacobians import platform_jacobian
+from spm_pin.kinematics.rates_and_forces import platform_jacobian
 from spm_pin.mechanism import LEGS, Configuration, Geometry, as_rigid_transform
 from spm_pin.mechanism.arguments import LARGEST, FloatArray, as_array, file_path, first_offender, real_array
 from spm_pin.mechanism.units import unit_hint
@@ -49,7 +49,7 @@ class Measurements:
     """6 for poses, 3 for positions alone."""
 
     @classmethod
-    def check(cls, geometry: Geometry, poses: Any, leg_lengths: npt.ArrayLike) -> Measurements:
+    def check(cls, geometry: Geometry, poses: Any, readings: npt.ArrayLike) -> Measurements:
         """Read the arguments of `identify`, with its errors."""
         array = as_array(poses) if not isinstance(poses, RigidTransform) else None
         if array is not None and array.shape[-1:] == (3,):
@@ -58,22 +58,49 @@ class Measurements:
         else:
             matrix = as_rigid_transform(poses, "poses").as_matrix()
             rotation, position, components = matrix[..., :3, :3], matrix[..., :3, 3], 6
-        readings = real_array(leg_lengths, "leg_lengths", (6,), f"readings of {', '.join(LEGS)} in metres")
-        if position.ndim != 2 or readings.shape != (len(position), 6):
+        lengths = real_array(readings, "readings", (6,), f"readings of {', '.join(LEGS)} in metres")
+        if position.ndim != 2 or lengths.shape != (len(position), 6):
             expected = f"one row of six readings for each of N poses, whose shape is {position.shape[:-1]}"
-            raise ArgumentError("leg_lengths", expected, f"shape {readings.shape}")
-        found = cls(rotation, position, readings, components)
-        for name, lengths in (("leg_lengths", readings), ("poses", position)):
-            hint = unit_hint(geometry, np.median(np.abs(lengths), axis=0).max()) if len(position) else ""
+            raise ArgumentError("readings", expected, f"shape {lengths.shape}")
+        measured = cls(rotation, position, lengths, components)
+        for name, values in (("readings", lengths), ("poses", position)):
+            hint = unit_hint(geometry, np.median(np.abs(values), axis=0).max()) if len(position) else ""
             if hint:
-                raise MeasurementError(name, "lengths in metres", f"values of {np.median(np.abs(lengths)):g}", hint)
-        found._check_columns(geometry)
-        return found
+                raise MeasurementError(name, "lengths in metres", f"values of {np.median(np.abs(values)):g}", hint)
+        measured._check_columns(geometry)
+        measured._check_rows(geometry)
+        return measured
 
     def errors(self, geometry: Geometry) -> FloatArray:
         """Return the predicted less the measured poses (N, components) [m, rad]; NaN where there is no state."""
+        impossible = (self.readings <= geometry.legs.offsets).any(axis=-1, keepdims=True)
+        state = forward_physical(geometry, np.where(impossible, geometry.legs.offsets + 1.0, self.readings))
+        errors = platform_error(state, self.rotation, self.position)[:, : self.components]
+        return np.where(impossible, np.nan, errors)
+
+    def _check_rows(self, geometry: Geometry) -> None:
+        """Raise if transposed rotations, or readings of other rows, explain the poses much better."""
         state = forward_physical(geometry, self.readings)
-        return platform_error(state, self.rotation, self.position)[:, : self.components]
+        if self.components == 6:
+            transposed = np.swapaxes(self.rotation, -1, -2)
+            turns = [
+                float(np.median(np.linalg.norm(platform_error(state, rotation, self.position)[:, 3:], axis=-1)))
+                for rotation in (self.rotation, transposed)
+            ]
+            if turns[0] > max(_SUSPICIOUS, _BETTER * turns[1]):
+                cause = f"Transposed they agree to {1e3 * turns[1]:.3g} mrad instead of {1e3 * turns[0]:.3g} mrad"
+                raise MeasurementError("poses", "rotations from {m} to {B}", "rotations from {B} to {m}", cause)
+        shifts = range(1, len(self.position) // 2 + 1)
+        moved = {shift: state.translation - np.roll(self.position, shift, axis=0) for k in shifts for shift in (k, -k)}
+        sizes = {
+            shift: float(np.median(np.linalg.norm(gap, axis=-1)))
+            for shift, gap in {0: state.translation - self.position, **moved}.items()
+        }
+        best = min(sizes, key=lambda shift: sizes[shift])
+        if sizes[0] > max(_SUSPICIOUS * geometry.nominal.middle_side, _BETTER * sizes[best]):
+            cause = f"Shifted they agree to {1e3 * sizes[best]:.3g} mm instead of {1e3 * sizes[0]:.3g} mm"
+            expected, received = "poses in the order of the readings", f"readings shifted by {best} rows"
+            raise MeasurementError("poses", expected, received, cause)
 
     def _check_columns(self, geometry: Geometry) -> None:
         """Raise if there is no state, or if exchanged columns explain the positions much better."""
@@ -81,7 +108,7 @@ class Measurements:
         if below.any():
             row, leg = first_offender(below)
             received = f"{self.readings[row, leg]:g} for {LEGS[leg]} in row {row}"
-            raise MeasurementError("leg_lengths", "readings that exceed the offsets", received)
+            raise MeasurementError("readings", "readings that exceed the offsets", received)
         errors = self.errors(geometry)
         side = geometry.nominal.middle_side
         size = np.linalg.norm(np.nan_to_num(errors[:, :3], nan=np.inf), axis=-1)
@@ -102,12 +129,12 @@ class Measurements:
                 cause = f"In that order the positions agree to {1e3 * best:.3g} mm"
                 if np.isfinite(typical):
                     cause += f" instead of {1e3 * typical:.3g} mm"
-                raise MeasurementError("leg_lengths", f"readings in the order {', '.join(LEGS)}", received, cause)
+                raise MeasurementError("readings", f"readings in the order {', '.join(LEGS)}", received, cause)
         if np.isnan(errors).any():
             row = int(np.isnan(errors).any(axis=-1).argmax())
             received = f"row {row} with {', '.join(f'{x:g}' for x in self.readings[row])}"
             cause = "A mistyped reading, offsets not subtracted, or another machine? Correct the row or leave it out"
-            raise MeasurementError("leg_lengths", "readings that this machine can have", received, cause)
+            raise MeasurementError("readings", "readings that this machine can have", received, cause)
 
 
 def covariances(noise: npt.ArrayLike, argument: str, components: int, count: int) -> FloatArray:
@@ -159,8 +186,8 @@ def read_measurements(path: str | Path) -> tuple[Any, FloatArray]:
     -------
     poses : RigidTransform, shape (N,), or ndarray, shape (N, 3)
         Poses, or positions if there is no quaternion.
-    leg_lengths : ndarray, shape (N, 6)
-        Readings [m].
+    readings : ndarray, shape (N, 6)
+        Readings of the legs [m].
 
     Raises
     ------

@@ -13,7 +13,7 @@ from spm_pin.calibration.measurements import pose_covariances
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.mechanism import PARAMETERS, Configuration, Geometry
-from spm_pin.mechanism.arguments import FloatArray, as_bool, choice, generator, whole_number
+from spm_pin.mechanism.arguments import FloatArray, as_bool, check_instance, choice, generator, whole_number
 from spm_pin.mechanism.configuration import check_configuration
 
 _SWEEPS = 20
@@ -66,7 +66,7 @@ def choose_poses(
     ArgumentError
         If there are fewer candidates than poses, too few poses for the parameters, or no leg limits to draw from.
     """
-    machine = geometry
+    machine = check_instance(geometry, Geometry, "geometry")
     wanted = selected(PARAMETERS if parameters is None else parameters, "parameters")
     choice(criterion, "criterion", ("D", "A"))
     basis, _ = visible_basis(machine, wanted, as_bool(positions_only, "positions_only"))

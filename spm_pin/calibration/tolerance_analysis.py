@@ -14,7 +14,15 @@ from spm_pin.calibration.pose_choice import random_states
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.mechanism import PARAMETERS, Configuration, Geometry
-from spm_pin.mechanism.arguments import FloatArray, choice, generator, real_array, real_number, whole_number
+from spm_pin.mechanism.arguments import (
+    FloatArray,
+    check_instance,
+    choice,
+    generator,
+    real_array,
+    real_number,
+    whole_number,
+)
 from spm_pin.mechanism.configuration import check_configuration
 
 
@@ -122,7 +130,7 @@ def tolerance(
     >>> [f"{name} {share:.0%}" for name, share in found.ranking("kind")]
     ['ball 33%', 'pivot 33%', 'offset 31%', 'direction 4%']
     """
-    machine, random = geometry, generator(rng)
+    machine, random = check_instance(geometry, Geometry, "geometry"), generator(rng)
     deviations = _deviations(tolerances)
     samples = whole_number(samples, "samples", least=0, most=10**6)
     if isinstance(states, Configuration):

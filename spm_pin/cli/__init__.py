@@ -1,21 +1,39 @@
-"""The command `spm-pin`: one thin file per subcommand."""
+"""The command `spm-pin`: its subcommands by subject, options and outputs that they share."""
 
+import os
+import signal
 import sys
-
-__all__ = ["main"]
+from types import FrameType
 
 
 def main() -> None:
-    """Run the command line; Ctrl-C ends every command with exit code 130, also while modules are imported."""
+    """Run the command line and exit with its code: 130 after Ctrl-C at any moment, also while modules are imported."""
+    interrupted = False
+
+    def interrupt(*_: object) -> None:
+        # Libraries in C swallow the exception at times: what counts is that the signal came.
+        nonlocal interrupted
+        interrupted = True
+        raise KeyboardInterrupt
+
+    def quit_now(signum: int, frame: FrameType | None) -> None:
+        os._exit(130)
+
+    # A shell that starts a command in the background has Ctrl-C ignored; it stays so.
+    handles_interrupts = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    code: str | int | None = 0
     try:
+        if handles_interrupts:
+            signal.signal(signal.SIGINT, interrupt)
         from spm_pin.cli.application import run
 
-        run()
-        return
+        code = run(lambda: interrupted)
     except KeyboardInterrupt:
-        pass
-    except SystemExit as end:
-        if end.code != 130:
-            raise
-    sys.stderr.write("interrupted\n")
-    sys.exit(130)
+        interrupted = True
+    finally:
+        if handles_interrupts:
+            signal.signal(signal.SIGINT, quit_now)
+    if interrupted or code == 130:
+        code = 130
+        print("interrupted", file=sys.stderr, flush=True)
+    sys.exit(code)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-import sys
+from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
@@ -17,7 +17,7 @@ from spm_pin.errors import SpmError
 EXIT_CODES = """Exit codes: 0 done. 1 a comparison or a proof failed: methods disagree, a printed number is unexplained,
 leg limits hold a singularity. 2 the command cannot be carried out as typed: an option, a file, a missing extra.
 3 unreachable: no real solution. 4 degenerate: a continuous family of solutions; isolated solutions beside it are shown.
-70 a defect of spm-pin. 130 Ctrl-C, which ends every command, also view; crosscheck reports the poses done, and a sweep
+70 a defect of spm-pin. 74 input or output failed, as on a full device. 130 Ctrl-C, which ends every command, also view; crosscheck reports the poses done, and a sweep
 goes on when started again."""
 
 
@@ -95,16 +95,33 @@ def _common(
     del version
 
 
-def run() -> None:
-    """Run the command line; an error is a line on stderr, a traceback appears only if SPM_PIN_TRACEBACK is set."""
+def run(was_interrupted: Callable[[], bool]) -> str | int | None:
+    """Run the command line and return its exit code; an error is a line on stderr.
+
+    A traceback appears only if SPM_PIN_TRACEBACK is set. Errors that come of an interrupt are not shown.
+    """
+    outputs.write_any_text()
     try:
-        app()
+        try:
+            app()
+        except SystemExit as end:
+            return end.code
+        finally:
+            # Here, where a full device is still an error that can be shown.
+            outputs.flush()
     except SpmError as error:
         outputs.note(f"error: {error}", "bold red")
-        sys.exit(2)
+        return 2
     except Exception as error:
+        if was_interrupted():
+            return 130
         if os.environ.get("SPM_PIN_TRACEBACK"):
             raise
+        if isinstance(error, OSError):
+            if not isinstance(error, BrokenPipeError):  # whoever reads has seen enough
+                outputs.note(f"error: input or output failed: {error}", "bold red")
+            return 74
         outputs.note(f"error: {type(error).__name__}: {error}", "bold red")
         outputs.note("This is a defect of spm-pin. With SPM_PIN_TRACEBACK=1 in the environment it shows where.")
-        sys.exit(70)
+        return 70
+    return 0

@@ -40,6 +40,7 @@ def calibrate(
         str, typer.Option(help="linear refuses outliers; soft_l1, huber, cauchy give them less weight.")
     ] = "linear",
     geometry: options.AnyGeometryFile = None,
+    force: Annotated[bool, typer.Option("--force", help="Write --out even where the measurements do not fit.")] = False,
     json: options.AsJson = False,
 ) -> None:
     """Identify the machine as built from measured poses and leg readings.
@@ -48,6 +49,9 @@ def calibrate(
 
     Lengths are in metres, angles in radians. The quaternion is the rotation from {m} to {B}, scalar last. The file
     written can be given as --geometry to other commands. --figure needs the extra "plots".
+
+    The exit code is 1, and no machine is written without --force, if a row does not belong to the others or residuals
+    exceed three times what the noise explains.
     """
     dimensions = options.read_any_geometry(geometry)
     poses, readings = read_measurements(measurements)
@@ -64,10 +68,15 @@ def calibrate(
         outputs.write_json(_content(found))
     else:
         _report(found)
-    if out is not None:
-        found.geometry.to_yaml(out)
-        outputs.note(f"wrote {out}")
     outputs.write_figure(figure, calibration_figure, found)
+    fits = found.status == "fits"
+    if not fits:
+        outputs.note(f"the measurements do not fit one machine: {found.reason}")
+    if out is not None and (fits or force):
+        found.fitted.to_yaml(out)
+        outputs.note(f"wrote {out}")
+    if not fits and not force:
+        raise typer.Exit(1)
 
 
 def _sizes(found: Calibration) -> list[tuple[str, str, float, float]]:
@@ -82,15 +91,12 @@ def _sizes(found: Calibration) -> list[tuple[str, str, float, float]]:
 
 def _report(found: Calibration) -> None:
     known, total = len(found.deviations), len(found.deviations) + len(found.unidentifiable)
-    misfit = float(np.sqrt((found.misfit[~found.outliers] ** 2).mean()))
     lines = [f"{known} of {total} combinations of parameters identified from {len(found.misfit)} measurements"]
     for name, unit, before, after in _sizes(found):
         errors = f"{before:.3g} {unit} before, {after:.3g} {unit} after"
         lines.append(f"{name} predicted from the readings, RMS error: {errors}")
-    lines.append(f"residuals are {misfit:.2g} times what the noise given explains")
-    if misfit > 3.0:
-        lines.append("The noise is larger than given, or the machine has errors that are not among the parameters.")
-    scale = parameter_scale(found.geometry)
+    lines.append(f"residuals are {np.sqrt(found.chi_square):.2g} times what the noise given explains")
+    scale = parameter_scale(found.fitted)
     worst = np.argsort(-np.abs(found.identifiable[-1]))[:2]
     apart = 1e3 * found.deviations[-1] * np.abs(found.identifiable[-1, worst] * scale[worst])
     units = ["mrad" if k % 9 < 2 else "mm" for k in worst]
@@ -100,8 +106,8 @@ def _report(found: Calibration) -> None:
         rows = ", ".join(map(str, np.flatnonzero(found.outliers)))
         lines.append(f"outliers in the rows {rows} after the heading, from 0")
     outputs.print_lines(lines)
-    nominal = found.geometry.nominal.nominal
-    changes = (found.geometry.parameters - nominal.parameters).reshape(6, 9)
+    nominal = found.fitted.nominal
+    changes = (found.fitted.parameters - nominal.parameters).reshape(6, 9)
     names = [name.split(".")[1] for name in PARAMETERS[:9]]
     table = [[leg, *(outputs.significant(1e3 * x, 3) for x in row)] for leg, row in zip(LEGS, changes, strict=True)]
     outputs.print_table("Differences from the nominal machine [mm, mrad]", ["leg", *names], table)
@@ -112,8 +118,10 @@ def _content(found: Calibration) -> dict[str, Any]:
         "measurements": len(found.misfit),
         "identified": len(found.deviations),
         "rms": {name: {"unit": unit, "before": a, "after": b} for name, unit, a, b in _sizes(found)},
+        "status": found.status,
+        "chi_square": found.chi_square,
         "misfit": found.misfit,
         "outliers": np.flatnonzero(found.outliers),
-        "parameters": dict(zip(PARAMETERS, found.geometry.parameters, strict=True)),
+        "parameters": dict(zip(PARAMETERS, found.fitted.parameters, strict=True)),
         "standard_deviations": dict(zip(PARAMETERS, np.sqrt(np.diagonal(found.covariance)), strict=True)),
     }

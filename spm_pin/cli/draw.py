@@ -10,7 +10,7 @@ import typer
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit
-from spm_pin.display.figure_files import FORMATS
+from spm_pin.display.output_files import FORMATS
 from spm_pin.display.plots import NARROWEST, save_gallery, save_picture
 from spm_pin.errors import ArgumentError
 
@@ -24,7 +24,7 @@ def draw(
     branch: options.Branches = None,
     every: Annotated[bool, typer.Option("--all", help="All real branches, side by side.")] = False,
     unit: options.Unit = LengthUnit.M,
-    geometry: options.GeometryFile = None,
+    geometry: options.AnyGeometryFile = None,
     view: Annotated[
         tuple[float, float], typer.Option(metavar="AZIMUTH ELEVATION", help="Where to look from, in degrees.")
     ] = (15.0, 25.0),
@@ -43,7 +43,7 @@ def draw(
     """
     if every and branch is not None:
         raise ArgumentError("--all", "all branches or some", "both --all and --branch")
-    solutions, default = options.requested_solutions(options.read_geometry(geometry), translation, xyx, legs, unit)
+    solutions, default = options.requested_solutions(options.read_any_geometry(geometry), translation, xyx, legs, unit)
     direction = math.radians(view[0]), math.radians(view[1])
     named = branch is not None
     labels = options.selected_labels(solutions, branch, required=named) if every or named else []

@@ -25,13 +25,6 @@ def export(
     ] = None,
     prefix: Annotated[str | None, options.PREFIX] = None,
     geometry: options.AnyGeometryFile = None,
-    urdf: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Another robot instead of this manipulator.")
-    ] = None,
-    closures: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="What closes the loops of --urdf: an Extended-URDF file, or closures.yaml."),
-    ] = None,
     ros_constraints: Annotated[
         bool, typer.Option("--ros-constraints", help="urdf: add the <constraint> elements proposed for ROS.")
     ] = False,
@@ -41,36 +34,25 @@ def export(
     """Write the robot with its loops closed, in the format of another engine, or its closed forms in C.
 
     urdf: Drake, Pinocchio, yourdfpy, PyBullet, ROS. mjcf: MuJoCo, Drake, Pinocchio. sdf: SDFormat. extended-urdf: the
-    YAML file that closes a URDF's loops. srdf: groups and passive joints. What a format cannot say is an error. With
-    --out, the manipulator's meshes are put beside the file, into a folder `meshes`.
+    YAML file that closes a URDF's loops. srdf: groups and passive joints. With --out, the meshes are put beside the
+    file, into a folder `meshes`.
 
     c: inverse and forward displacement, J_f and leg forces in C99 for controllers, with a test program.
     """
-    from spm_pin.description.extended_urdf import extended_urdf_text
-    from spm_pin.description.load_robot import manipulator, read_robot
-    from spm_pin.description.paths import description_directory
-    from spm_pin.description.srdf import srdf_text
-    from spm_pin.description.write_mjcf import mjcf_text
-    from spm_pin.description.write_sdf import sdf_text
-    from spm_pin.description.write_urdf import urdf_text
+    from spm_pin import description
     from spm_pin.symbolic import write_c
 
     if (format_ is None) == (option is None):
         received = "none" if format_ is None else "two"
         raise ArgumentError("FORMAT", f"one of {', '.join(get_args(Format))}", received)
     format_ = format_ or option
-    foreign, by = urdf is not None, f"with --format {format_}"
-    for name, value, useless, when in (
-        ("--ros-constraints", ros_constraints, format_ != "urdf", by),
-        ("--anchors", anchors, format_ != "mjcf", by),
-        ("--loops", loops, format_ != "sdf", by),
-        ("--urdf", urdf, format_ in ("srdf", "c"), by),
-        ("--closures", closures, not foreign, "without --urdf"),
-        ("--prefix", prefix, foreign, "with --urdf"),
-        ("--geometry", geometry, foreign, "with --urdf"),
+    for name, value, formats in (
+        ("--ros-constraints", ros_constraints, ("urdf",)),
+        ("--anchors", anchors, ("mjcf",)),
+        ("--loops", loops, ("sdf",)),
     ):
-        if value and useless:
-            raise ArgumentError(name, f"to be left out {when}", value)
+        if value and format_ not in formats:
+            raise ArgumentError(name, f"to be left out with --format {format_}", value)
     if format_ == "c":
         if out is None:
             raise ArgumentError("--out", "the directory to write into", "none")
@@ -79,25 +61,18 @@ def export(
         return
     if out is not None:
         outputs.check_output(out)
-    prefix = prefix or ""
-    if format_ == "srdf":
-        outputs.write_text(srdf_text({}, prefix=prefix), out)
-        return
-    robot = (
-        manipulator(options.read_any_geometry(geometry), prefix=prefix) if urdf is None else read_robot(urdf, closures)
-    )
-    # Beside a file of this manipulator go its meshes; a text on standard output, or of another robot, has whole paths.
-    beside = out is not None and urdf is None and format_ != "extended-urdf"
-    folder = description_directory() if beside else None
-    # A machine as built is not assembled at zero, which MuJoCo's bodies and SDFormat's joints ask for.
-    apart = bool(robot.open_closures())
+    prefix, machine = prefix or "", options.read_any_geometry(geometry)
+    # Beside a file go its meshes; a text on standard output has whole paths.
+    meshes = "meshes" if out is not None else None
     match format_:
         case "urdf":
-            text = urdf_text(robot, ros_constraints=ros_constraints, folder=folder)
+            text = description.urdf_text(machine, prefix=prefix, meshes=meshes, ros_constraints=ros_constraints)
         case "mjcf":
-            text = mjcf_text(robot, anchors=anchors or ("sites" if apart else "bodies"), folder=folder)
+            text = description.mjcf_text(machine, prefix=prefix, meshes=meshes, anchors=anchors)
         case "sdf":
-            text = sdf_text(robot, loops=loops or ("drake" if apart else "joints"), folder=folder)
+            text = description.sdf_text(machine, prefix=prefix, meshes=meshes, loops=loops)
+        case "srdf":
+            text = description.srdf_text(prefix=prefix)
         case _:
-            text = extended_urdf_text(robot)
-    (outputs.write_model if beside else outputs.write_text)(text, out)
+            text = description.extended_urdf_text(prefix=prefix)
+    (outputs.write_model if format_ in ("urdf", "mjcf", "sdf") else outputs.write_text)(text, out)

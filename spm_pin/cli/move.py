@@ -12,9 +12,9 @@ from scipy.spatial.transform import RigidTransform
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit, SixLegs, leg_option
-from spm_pin.display.json_text import fixed
+from spm_pin.display.output_files import fixed
 from spm_pin.display.result_plots import motion_figure
-from spm_pin.errors import ArgumentError, require_extra
+from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LEGS, LegLimits
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.proofs import certify
@@ -98,10 +98,8 @@ def move(
 
     A limit of force or of acceleration is needed; X is one number for all legs, or six separated by commas. The CSV has
     the time, the length, rate, acceleration and force of each leg in SI units; spm-pin view --path plays it. Exit code
-    3 if there is no path. Needs the extra "motion", unless the jerk is limited; --plot needs "plots".
+    3 if there is no path. --plot needs the extra "plots".
     """
-    if leg_jerk is None:
-        require_extra("motion")
     from spm_pin.motion import Payload, plan, time_optimal
     from spm_pin.multibody.chain import ClosedChain
 
@@ -129,7 +127,7 @@ def move(
     chain = ClosedChain.from_urdf(geometry=dimensions)
     load = Payload(payload) if payload else None
     motion = time_optimal(chain, planned, **largest, twist=twist, payload=load, period=period)
-    lengths = chain.leg_lengths(motion.positions)
+    lengths = chain.readings(motion.positions)
     table = _columns(chain, motion, lengths)
     if json:
         content = {"method": planned.method, "certified": planned.certified, "margin": planned.margin}

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import codecs
+import contextlib
 import functools
+import io
 import math
 import os
+import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
@@ -13,8 +17,7 @@ import typer
 from rich.cells import cell_len
 from rich.console import Console
 
-from spm_pin.display.figure_files import FORMATS, save_figure
-from spm_pin.display.json_text import to_json
+from spm_pin.display.output_files import FORMATS, save_figure, to_json
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism.arguments import writing
 
@@ -32,6 +35,37 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
+_ASCII = {"─": "-", "│": "|", "²": "^2", "³": "^3", "°": " deg", "σ": "s", "ω": "w", "Δ": "d", "±": "+-", "·": "*"}
+_ASCII |= {"×": "x", "•": "*", "→": "->", "≤": "<=", "≥": ">=", "…": "...", "–": "-", "√": "sqrt", "−": "-", "∞": "inf"}
+
+
+def write_any_text() -> None:
+    """Let stdout and stderr take every text: what their encoding does not have is written in ASCII."""
+
+    def in_ascii(error: UnicodeError) -> tuple[str, int]:
+        assert isinstance(error, UnicodeEncodeError)
+        text = error.object[error.start : error.end]
+        return "".join(_ASCII.get(character, "?") for character in text), error.end
+
+    codecs.register_error("spm_pin", in_ascii)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="spm_pin")
+
+
+def flush() -> None:
+    """Write what stdout still holds; if that fails, raise `OSError`, and let nothing more be written."""
+    if sys.stdout is None:
+        return
+    try:
+        sys.stdout.flush()
+    except OSError:
+        # Python writes the rest when it ends, and would fail again.
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), sys.stdout.fileno())
+        raise
+
+
 def print_lines(lines: Iterable[str], style: str | None = None) -> None:
     """Print sentences on stdout, wrapped between words on a screen and not at all in a pipe."""
     for line in lines:
@@ -39,8 +73,9 @@ def print_lines(lines: Iterable[str], style: str | None = None) -> None:
 
 
 def note(text: str, style: str | None = None) -> None:
-    """Print a line on stderr, beside the results."""
-    stderr.print(text, style=style)
+    """Print a line on stderr, beside the results; where that is full there is no place left to say so."""
+    with contextlib.suppress(OSError):
+        stderr.print(text, style=style)
 
 
 def print_table(
@@ -146,7 +181,7 @@ def write_text(text: str, path: Path | None) -> None:
 
 def write_model(text: str, path: Path | None) -> None:
     """Write a model as `write_text` does, and the meshes into a folder beside its file; raises as `copy_meshes`."""
-    from spm_pin.description.paths import copy_meshes
+    from spm_pin.description.source_files import copy_meshes
 
     if path is not None:
         copy_meshes(path.parent)

@@ -10,8 +10,7 @@ import typer
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit, Triple
 from spm_pin.errors import ArgumentError, SingularConfigurationError
-from spm_pin.kinematics.jacobians import leg_rates
-from spm_pin.kinematics.leg_forces import leg_forces
+from spm_pin.kinematics.rates_and_forces import leg_forces, leg_rates
 from spm_pin.mechanism import LEGS, Configuration
 
 _NONE = (0.0, 0.0, 0.0)

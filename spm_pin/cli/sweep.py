@@ -25,7 +25,7 @@ _DEFAULT = ("reachable", "branches", "conditioning")
 _RANGE = "START:STOP:COUNT"
 
 
-@name_options(store="--out", count="--samples", metrics="--metric", push="--leg-force", leg="--leg-stiffness")
+@name_options(store="--out", count="--samples", metrics="--metric", push="--leg-force", leg_stiffness="--leg-stiffness")
 def sweep(
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Store of the results, in Zarr v3.")],
     x: Annotated[str | None, typer.Option(metavar=_RANGE, help="X of o in {B}, in --unit, or one number.")] = None,
@@ -60,7 +60,7 @@ def sweep(
         typer.Option(help="Characteristic length of conditioning and isotropy, in --unit; the platform's radius."),
     ] = None,
     leg_force: Annotated[float, typer.Option(help="Largest force of a leg, for the payloads [N].")] = 1.0,
-    leg_stiffness: Annotated[float, typer.Option(help="Stiffness of a leg, for the stiffness [N/m].")] = 1.0,
+    leg_stiffness: Annotated[float, typer.Option(help="Stiffness of a leg, for the stiffnesses [N/m].")] = 1.0,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler, such as tcp://head:8786.")
     ] = None,
@@ -92,7 +92,7 @@ def sweep(
                 cause = "To go on with a sweep, give --out alone."
                 raise ArgumentError(", ".join((*poses, "--legs")), f"ranges beside {', '.join(beside)}", "none", cause)
             with _progress(out) as others["progress"]:
-                sweeps.resume(out, **others)
+                sweeps.resume_sweep(out, **others)
         else:
             machine = read_geometry(geometry)
             longest = max(abs(end) for axis in domain.axes if axis.unit == "m" for end in (axis.start, axis.stop))
@@ -102,13 +102,13 @@ def sweep(
                 machine = dataclasses.replace(machine, limits=LegLimits(*(end / unit.per_metre for end in limits)))
             for option, largest in typed.items():
                 note_unit(option, largest, unit, machine)
-            parameters: dict[str, float] = {"push": leg_force, "leg": leg_stiffness}
+            parameters: dict[str, float] = {"push": leg_force, "leg_stiffness": leg_stiffness}
             if length is not None:
                 parameters["length"] = length / unit.per_metre
             chosen = [_with_parameters(name, parameters) for name in metric or _DEFAULT]
             with _progress(out) as others["progress"]:
-                sweeps.run(machine, domain, chosen, out, chunk=chunk, **others)
-    found = sweeps.status(out)
+                sweeps.run_sweep(machine, domain, chosen, out, chunk=chunk, **others)
+    found = sweeps.sweep_status(out)
     if json:
         write_json(dataclasses.asdict(found) | {"complete": found.complete, "store": str(out)})
         return

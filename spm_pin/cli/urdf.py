@@ -14,20 +14,14 @@ def urdf(
     prefix: Annotated[str, options.PREFIX] = "",
     geometry: options.AnyGeometryFile = None,
 ) -> None:
-    """Write the URDF: an open tree of eighteen joints, assembled at zero, its four loops closed by Drake's tags.
+    """Write the URDF: an open tree of eighteen joints, its four loops closed by Drake's tags.
 
-    Other loaders pass over those tags; `spm-pin export` writes the closed robot for them. With --out, the meshes are
-    put beside the file, into a folder `meshes`, and named relative to it; Pinocchio finds them if it is told the
-    file's folder, package_dirs=".". A URDF on standard output names them by their whole paths.
+    Other loaders pass over those tags; `spm-pin export` writes the closed robot for them. At zero the tree of a drawing
+    is assembled. With --out, the meshes are put beside the file, into a folder `meshes`, and named relative to it;
+    Pinocchio finds them if it is told the file's folder, package_dirs=".". A URDF on standard output names them by
+    their whole paths.
     """
-    from spm_pin.description.expand import expand
-    from spm_pin.description.load_robot import manipulator
-    from spm_pin.description.paths import MESHES, description_directory
-    from spm_pin.description.write_urdf import urdf_text
+    from spm_pin.description import urdf_text
 
-    dimensions = options.read_any_geometry(geometry)
-    if not dimensions.is_nominal:
-        folder = description_directory() if out else None
-        outputs.write_model(urdf_text(manipulator(dimensions, prefix=prefix), folder=folder), out)
-    else:
-        outputs.write_model(expand(dimensions, prefix=prefix, meshes=MESHES if out else None), out)
+    text = urdf_text(options.read_any_geometry(geometry), prefix=prefix, meshes="meshes" if out else None)
+    outputs.write_model(text, out)

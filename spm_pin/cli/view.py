@@ -15,61 +15,47 @@ from spm_pin.cli.options import LengthUnit
 from spm_pin.errors import require_extra
 
 
-@outputs.name_options(allowed_origins="--origin", leg_lengths="--legs")
+@outputs.name_options(leg_lengths="--legs")
 def view(
     translation: options.AnyTranslation = None,
     xyx: options.AnyXyx = None,
     legs: options.AnyLegs = None,
     branch: Annotated[str | None, typer.Option(metavar="LABEL", help="Branch to begin with, such as TT+.")] = None,
     unit: options.Unit = LengthUnit.M,
-    geometry: options.GeometryFile = None,
-    path: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="A recorded path to play: CSV, JSON or NPZ.")
-    ] = None,
+    geometry: options.AnyGeometryFile = None,
+    path: Annotated[Path | None, typer.Option(metavar="FILE", help="A recorded path to play, a CSV file.")] = None,
     host: Annotated[str, typer.Option(help="Address to listen at; only this machine reaches the default.")] = (
         "127.0.0.1"
     ),
     port: Annotated[int, typer.Option(help="First port to try; 0 lets the system choose.")] = 8080,
-    origin: Annotated[
-        list[str] | None,
-        typer.Option(metavar="URL", help="Another site whose pages may connect, for a proxy; may be repeated."),
-    ] = None,
     demo: Annotated[
         bool | None, typer.Option("--demo/--no-demo", help="Move until touched; by default if no pose is given.")
     ] = None,
     dark: Annotated[bool, typer.Option("--dark", help="Begin with a dark page.")] = False,
     browser: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")] = True,
-    snapshot: Annotated[
-        Path | None, outputs.file_option("Write a page that needs no server, and end.", (".html",))
-    ] = None,
 ) -> None:
     """Drag the platform and watch all branches, in a browser. Ends with Ctrl-C.
 
     Needs the extra "viewer".
     """
     require_extra("viewer")
-    dimensions = options.read_geometry(geometry)
+    dimensions = options.read_any_geometry(geometry)
     solutions, start = options.requested_solutions(dimensions, translation, xyx, legs, unit)
     if branch is not None:
         (label,) = options.selected_labels(solutions, [branch], required=True)
         start = solutions[label]
-    if snapshot is not None:
-        from spm_pin.display.viewer import save_snapshot
-
-        save_snapshot(start, snapshot, dark=dark, geometry_file=geometry)
-        outputs.note(f"wrote {snapshot}")
-        return
-    from spm_pin.display.viewer import Viewer
-    from spm_pin.display.viewer.recording_files import read_recording
+    from spm_pin.display.viewer import Viewer, read_recording
 
     recording = read_recording(path) if path is not None else None
     if demo is None:
         demo = all(option is None for option in (translation, xyx, legs, branch, path))
     page: dict[str, Any] = {"recording": recording, "dark": dark, "geometry_file": geometry, "demo": demo}
-    with Viewer(start, host=host, port=port, allowed_origins=origin or (), **page) as viewer:
+    with Viewer(start, host=host, port=port, **page) as viewer:
         if port not in (0, viewer.port):
             outputs.note(f"port {port} is taken, this is on {viewer.port}")
         outputs.note(f"viewer at {viewer.url}, Ctrl-C ends it")
+        if host not in ("127.0.0.1", "localhost", "::1"):
+            outputs.note("there is no password: whoever reaches this port can use the page", "yellow")
         if browser and _has_screen():
             webbrowser.open(viewer.url)
         viewer.wait()

@@ -11,7 +11,7 @@ import typer
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit
-from spm_pin.display.figure_files import FORMATS, save_figure
+from spm_pin.display.output_files import FORMATS, save_figure
 from spm_pin.display.shell_plots import MESH_FORMATS, save_mesh, shell_figure
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LEGS, LegLimits
@@ -84,7 +84,7 @@ def _write(shell: Shell, out: Path, samples: int | None) -> None:
     elif samples is None:
         save_figure(shell_figure(shell), out)
     else:
-        from spm_pin.display.section_plots import sections_figure
+        from spm_pin.display.shell_plots import sections_figure
         from spm_pin.workspace.sampling import sample_positions_near_limits
 
         with outputs.stderr.status("drawing leg lengths"):

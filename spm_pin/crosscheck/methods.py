@@ -16,10 +16,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from spm_pin.errors import ArgumentError, SingularConfigurationError
+from spm_pin.errors import ArgumentError, GeometryError, SingularConfigurationError
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
-from spm_pin.kinematics.jacobians import inverse_jacobian
-from spm_pin.kinematics.leg_forces import leg_forces
+from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_forces
 from spm_pin.mechanism import Configuration, Geometry, SolutionSet
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.paper import resultant
@@ -106,6 +105,9 @@ class Paper(Method):
     mistakes: Table5Mistakes = CORRECT
     """Mistakes of the paper's Table 5 to repeat; none by default."""
 
+    def __post_init__(self) -> None:
+        _check_drawn(self.geometry, self.name)
+
     def inverse(self, pose: RigidTransform) -> SolutionSet:
         """Solve poses (N,)."""
         return resultant.inverse_displacement(self.geometry, pose, refine=_REFINE)
@@ -132,15 +134,18 @@ class Paper(Method):
 class _MultiStart(Method):
     """CasADi's loop equations, solved from many starts: `spm_pin.nlp`."""
 
+    starts: int = 512
+    """Starts at each pose."""
     solver: str = "newton"
     """One of `spm_pin.nlp.SOLVERS`."""
 
     def __post_init__(self) -> None:
+        _check_drawn(self.geometry, self.name)
         self._nlp = import_module("spm_pin.nlp")
 
     def inverse(self, pose: RigidTransform) -> SolutionSet:
         """Solve poses (N,)."""
-        found = self._nlp.search(self.geometry, pose, risk=self.miss_rate, solver=self.solver)
+        found = self._nlp.search(self.geometry, pose, starts=self.starts, solver=self.solver)
         solutions: SolutionSet = found.solutions
         return solutions
 
@@ -150,7 +155,8 @@ class Ipopt(_MultiStart):
     """CasADi's loop equations solved by IPOPT, which takes some eighty times as long as `Nlp`; for branches alone."""
 
     name: str = "ipopt"
-    miss_rate: float = 1e-2
+    miss_rate: float = 2e-2
+    starts: int = 200
     share: float = 0.04
     solver: str = "ipopt"
 
@@ -213,6 +219,12 @@ def _each(function: Callable[..., FloatArray], shape: tuple[int, ...], *batch: A
         return found
 
 
+def _check_drawn(geometry: Geometry, method: str) -> None:
+    if not geometry.is_nominal:
+        expected = f"a machine as drawn, whose equations are those of the method {method}"
+        raise GeometryError("geometry", expected, "one as built", "Leave this method out, or pass its .nominal")
+
+
 METHODS: dict[str, Callable[[Geometry], Method]] = {
     "closed-form": ClosedForm,
     "paper": Paper,
@@ -224,12 +236,16 @@ METHODS: dict[str, Callable[[Geometry], Method]] = {
 
 
 def make_methods(names: Sequence[Method | str] | None, geometry: Geometry) -> list[Method]:
-    """Return methods: by their names in `METHODS`, as they are, or all of `METHODS` that can be imported.
+    """Return methods: by their names in `METHODS`, as they are, or all of `METHODS` that serve here.
+
+    Those serve whose packages can be imported and that take the machine, drawn or as built.
 
     Raises
     ------
     ArgumentError
         If a name is unknown.
+    GeometryError
+        If a method named is for machines as drawn, and this one is not.
     ImportError
         If a method named needs a package that is missing.
     """
@@ -238,7 +254,7 @@ def make_methods(names: Sequence[Method | str] | None, geometry: Geometry) -> li
         for maker in METHODS.values():
             try:
                 found.append(maker(geometry))
-            except ImportError:
+            except (ImportError, GeometryError):
                 continue
         return found
     unknown = [name for name in names if isinstance(name, str) and name not in METHODS]

@@ -10,6 +10,9 @@ their Jacobian F_b has the smallest singular value s; then
   ε (1 + |l_b|/s)(1 + |F_b⁻¹ F_x|) to first order, each norm over nine rows or columns;
 - forces f = -J_f⁻ᵀ w are then wrong by |J_f⁻¹| |ΔJ_f| |f|.
 
+In a machine as built the upper legs' balls are u_i = b_1 + α p + β q + γ p x q with p = b_2 - b_1, q = b_3 - b_1 and
+fixed α, β, γ: the equations stay quadratic, and q grows by (3/2) Σ|γ|.
+
 Lengths stand for angles times d, so that norms mean something.
 """
 
@@ -20,7 +23,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
+from spm_pin.mechanism.ball_triangles import triangle_sides, upper_ball_weights
 from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.geometry import Geometry
 
 ROWS = 3.0
 """√9: from the largest of nine equations to their norm."""
@@ -38,13 +43,14 @@ class Conditioning:
     """Error of J_f, angles times d, per metre of closure residual [1/m], shape (N,)."""
     inverse: FloatArray
     """|J_f⁻¹|, angles times d, dimensionless, shape (N,)."""
-    side: float
-    """d [m]."""
+    curvature: float
+    """The bound q of the equations' quadratic part [1/m]."""
 
     @classmethod
     def of(cls, configuration: Configuration) -> Conditioning:
         """Return the conditioning of states (N,); NaN for a member that does not exist."""
-        side = configuration.geometry.middle_side
+        sides, weights = _middle_platform(configuration.geometry)
+        curvature = 1.5 * (1.0 / sides.min() + np.abs(weights[:, 2]).sum())
         exists = configuration.exists[:, None, None]
         closure_b, closure_x, lengths_b, lengths_x = (
             np.where(exists, part, np.eye(*part.shape[-2:])) for part in _derivatives(configuration)
@@ -56,22 +62,22 @@ class Conditioning:
             regular = np.where(singular[:, None, None], np.eye(9), closure_b)
             motion = np.linalg.solve(regular, closure_x)
             rates = lengths_x - lengths_b @ motion
-            shortest = np.minimum(configuration.leg_lengths.min(axis=-1), side)
+            shortest = np.minimum(configuration.leg_lengths.min(axis=-1), sides.min())
             legs = np.linalg.norm(lengths_b, axis=(-1, -2)) / values
             spread = ROWS * (1.0 + legs) * (1.0 + np.linalg.norm(motion, axis=(-1, -2))) / shortest
             spread = np.where(singular, np.inf, spread)
             inverse = 1.0 / np.linalg.svd(rates, compute_uv=False)[..., -1]
         absent = ~configuration.exists
         sigma, jacobian, norm = (np.where(absent, np.nan, array) for array in (values, spread, inverse))
-        return cls(sigma, jacobian, norm, side)
+        return cls(sigma, jacobian, norm, float(curvature))
 
     def resolves(self, rounding: FloatArray) -> BoolArray:
         """Return whether branches are isolated despite a closure residual [m] (N,)."""
-        return np.asarray(self.sigma**2 > 6.0 / self.side * ROWS * rounding)
+        return np.asarray(self.sigma**2 > 4.0 * self.curvature * ROWS * rounding)
 
     def position(self, rounding: FloatArray) -> FloatArray:
         """Return the error of the b_i [m], (N,), for a closure residual [m] (N,)."""
-        delta, q = ROWS * rounding, 1.5 / self.side
+        delta, q = ROWS * rounding, self.curvature
         margin = self.sigma**2 - 4.0 * q * delta
         isolated = 2.0 * delta / (self.sigma + np.sqrt(np.maximum(margin, 0.0)))
         return np.where(margin > 0.0, isolated, np.sqrt(delta / q))
@@ -85,25 +91,42 @@ class Conditioning:
         return np.asarray(self.inverse * self.rates(rounding))
 
 
+def _middle_platform(geometry: Geometry) -> tuple[FloatArray, FloatArray]:
+    """Return the sides b_1 b_2, b_2 b_3, b_3 b_1 [m], and α, β [-] and γ [1/m] of the upper legs' balls as rows."""
+    balls = geometry.legs.balls
+    return triangle_sides(balls[:3]), upper_ball_weights(balls)
+
+
 def _derivatives(configuration: Configuration) -> tuple[FloatArray, ...]:
     """Return F_b (N, 9, 9), F_x (N, 9, 6), l_b (N, 6, 9) and l_x (N, 6, 6), angles times d."""
-    b, count, side = configuration.middle_joints, len(configuration), configuration.geometry.middle_side
-    axes, platform_axes = configuration.geometry.revolute_axes, configuration.platform_axes
+    b, count, geometry = configuration.middle_joints, len(configuration), configuration.geometry
+    side, (sides, weights) = geometry.middle_side, _middle_platform(geometry)
+    axes, directions = configuration.leg_axes, configuration.leg_vectors / configuration.leg_lengths[..., None]
+    platform_axes = axes[:, 3:]
     arms = configuration.platform_joints - configuration.translation[:, None, :]
-    directions = configuration.leg_vectors / configuration.leg_lengths[..., None]
     i, following = np.array([0, 1, 2]), np.array([1, 2, 0])
-    between = (b - b[:, following]) / side
+    between = (b - b[:, following]) / sides[:, None]
+    p, q = b[:, None, 1] - b[:, None, 0], b[:, None, 2] - b[:, None, 0]
+
+    def by_corners(along: FloatArray) -> FloatArray:
+        """Return the derivatives (N, 3, 3, 3) of n·u_i by the b_j, for a direction n (N, 3, 3) of each i."""
+        alpha, beta, gamma = (weight[:, None] for weight in weights.T)
+        second = alpha * along + gamma * np.cross(q, along)
+        third = beta * along + gamma * np.cross(along, p)
+        return np.stack([along - second - third, second, third], axis=-2)
+
     # For each kind of equation the three legs, and in the derivatives by b the three b_i.
     closure_b, closure_x = np.zeros((count, 3, 3, 3, 3)), np.zeros((count, 3, 3, 6))
     lengths_b, lengths_x = np.zeros((count, 2, 3, 3, 3)), np.zeros((count, 2, 3, 6))
-    closure_b[:, 0, i, i], closure_b[:, 1, i, i] = axes, platform_axes
+    closure_b[:, 0, i, i], closure_b[:, 1] = axes[:, :3], by_corners(platform_axes)
     closure_b[:, 2, i, i], closure_b[:, 2, i, following] = between, -between
-    # n·(b - c) with n and c fixed to m changes by n x (b - o) · ω - n·v.
+    # n·(u - c) with n and c fixed to m changes by n x (u - o) · ω - n·v.
     closure_x[:, 1, :, :3] = -platform_axes
-    closure_x[:, 1, :, 3:] = np.cross(platform_axes, b - configuration.translation[:, None, :]) / side
-    lengths_b[:, 0, i, i], lengths_b[:, 1, i, i] = directions[:, :3], -directions[:, 3:]
+    levers = configuration.balls[:, 3:] - configuration.translation[:, None, :]
+    closure_x[:, 1, :, 3:] = np.cross(platform_axes, levers) / side
+    lengths_b[:, 0, i, i], lengths_b[:, 1] = directions[:, :3], -by_corners(directions[:, 3:])
     lengths_x[:, 1, :, :3] = directions[:, 3:]
     lengths_x[:, 1, :, 3:] = np.cross(arms, directions[:, 3:]) / side
     shapes = (9, 9), (9, 6), (6, 9), (6, 6)
-    parts = (closure_b, closure_x, lengths_b, lengths_x)
-    return tuple(part.reshape(count, *shape) for part, shape in zip(parts, shapes, strict=True))
+    derivatives = (closure_b, closure_x, lengths_b, lengths_x)
+    return tuple(part.reshape(count, *shape) for part, shape in zip(derivatives, shapes, strict=True))

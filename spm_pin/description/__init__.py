@@ -1,4 +1,4 @@
-"""The robot's description: where its files are, and the data in them.
+"""The robot's description for any geometry: where its files are, and its text in the formats of other programs.
 
 The paths of the files are constants, named as the package robot_descriptions names them:
 
@@ -9,9 +9,38 @@ The paths of the files are constants, named as the package robot_descriptions na
 
 from __future__ import annotations
 
-from spm_pin.description.paths import ENTRY, EXTENDED_URDF, MJCF, SDF, SRDF, URDF, description_directory
+from spm_pin.description.source_files import (
+    ENTRY,
+    EXTENDED_URDF,
+    MJCF,
+    SDF,
+    SRDF,
+    URDF,
+    description_directory,
+    urdf_text,
+)
+from spm_pin.description.tree import JOINTS, SLIDES, Closure, extended_urdf_text, joint_values, read_closures, srdf_text
+from spm_pin.description.write_xml import mjcf_text, sdf_text
 
-__all__ = ["CLOSURES_PATH", "MJCF_PATH", "PACKAGE_PATH", "SDF_PATH", "SRDF_PATH", "URDF_PATH", "XACRO_PATH"]
+__all__ = [
+    "CLOSURES_PATH",
+    "JOINTS",
+    "MJCF_PATH",
+    "PACKAGE_PATH",
+    "SDF_PATH",
+    "SLIDES",
+    "SRDF_PATH",
+    "URDF_PATH",
+    "XACRO_PATH",
+    "Closure",
+    "extended_urdf_text",
+    "joint_values",
+    "mjcf_text",
+    "read_closures",
+    "sdf_text",
+    "srdf_text",
+    "urdf_text",
+]
 
 _folder = description_directory()
 

@@ -1,9 +1,15 @@
-"""The joints of the spanning tree, as `urdf/spm_macro.xacro` has them: names, values in a configuration, neighbours."""
+"""The spanning tree, as `urdf/spm_macro.xacro` has it: its joints and their values, its closures, the SRDF."""
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
 
+import yaml
+
+from spm_pin.description.source_files import CLOSURES, check_prefix, description_file
+from spm_pin.errors import DescriptionError
 from spm_pin.mechanism import Configuration, joint_angles
 from spm_pin.mechanism.configuration import check_configuration
 
@@ -16,7 +22,7 @@ JOINTS = (
 """The eighteen joints: up the first legs to the terminal platform, then the other lower and upper legs."""
 
 SLIDES = tuple(f"leg_{name}_slide" for name in ("b1", "b2", "b3", "c1", "c2", "c3"))
-"""The actuated joints, in the order of `spm_pin.LEGS`."""
+"""The actuated joints, in the order of `spm_pin.mechanism.LEGS`."""
 
 ANGLES = (
     *(f"leg_{name}_hip" for name in ("b1", "b2", "b3", "c1", "c2", "c3")),
@@ -27,6 +33,40 @@ ANGLES = (
 PASSIVE = tuple(name for name in JOINTS if name not in SLIDES)
 """The joints without an actuator."""
 
+HOME = "home"
+"""Name of the state in which all joints are at zero."""
+
+
+@dataclass(frozen=True)
+class Closure:
+    """Two frames whose origins a ball joint holds together, at which a loop is cut."""
+
+    name: str
+    """Name of the closure."""
+    frame_a: str
+    """Name of the first frame, a link of the URDF."""
+    frame_b: str
+    """Name of the second frame, a link of the URDF."""
+
+
+def read_closures(*, prefix: str = "") -> tuple[Closure, ...]:
+    """Return the closures of the robot, from `config/closures.yaml`; each name begins with `prefix`, as in the URDF."""
+    check_prefix(prefix)
+    entries = yaml.safe_load(description_file(CLOSURES).read_text(encoding="utf-8"))["closures"]
+    return tuple(Closure(**{key: prefix + name for key, name in entry.items()}) for entry in entries)
+
+
+def extended_urdf_text(*, prefix: str = "") -> str:
+    """Return closures and motors as an Extended-URDF file, to lie beside the URDF of any geometry.
+
+    Layout of https://github.com/Gepetto/example-parallel-robots. The names of the closures have no place in it. No
+    joint changes its type when loaded: `joint_name` and `joint_type` are empty.
+    """
+    closures = read_closures(prefix=prefix)
+    pairs = ",\n  ".join(f"['{closure.frame_a}', '{closure.frame_b}']" for closure in closures)
+    types, motors = ["3d"] * len(closures), [prefix + slide for slide in SLIDES]
+    return f"closed_loop: [\n  {pairs}\n]\ntype: {types}\nname_mot: {motors}\njoint_name: []\njoint_type: []\n"
+
 
 def joint_values(configuration: Configuration) -> dict[str, float]:
     """Return the values of the tree's eighteen joints in a single configuration that exists.
@@ -35,9 +75,52 @@ def joint_values(configuration: Configuration) -> dict[str, float]:
     Where the configuration violates the mechanism's closure, so does the tree.
     """
     check_configuration(configuration, single=True, existing=True)
-    found = joint_angles(configuration, corners=(0,)).values
-    values = dict(zip((*ANGLES, *SLIDES), found.tolist(), strict=True))
+    angles = joint_angles(configuration, corners=(0,)).values
+    values = dict(zip((*ANGLES, *SLIDES), angles.tolist(), strict=True))
     return {name: values[name] for name in JOINTS}
+
+
+def state_values(states: Mapping[str, Configuration], prefix: str) -> dict[str, dict[str, float]]:
+    """Return the values of the joints, named with the prefix, in `home` and in named states of one geometry."""
+    values = {HOME: dict.fromkeys((prefix + joint for joint in JOINTS), 0.0)}
+    for name, configuration in states.items():
+        if name == HOME:
+            raise DescriptionError("states", "other names than home, which is all joints at zero", name)
+        values[name] = {prefix + joint: value for joint, value in joint_values(configuration).items()}
+        if configuration.geometry != next(iter(states.values())).geometry:
+            raise DescriptionError("states", "one geometry in all states", f"another one in {name}")
+    return values
+
+
+def srdf_text(states: Mapping[str, Configuration] | None = None, *, prefix: str = "") -> str:
+    """Return the SRDF: groups, named states, passive joints, and pairs of links that touch by design.
+
+    Parameters
+    ----------
+    states : mapping of str to Configuration, optional
+        The states by name, all of one geometry, that of the URDF; `home` is added.
+    prefix : str
+        As for `urdf_text`.
+    """
+    check_prefix(prefix)
+    states = states or {}
+    lines = ['<?xml version="1.0" ?>', '<robot name="spm">']
+    for group, joints in (("legs", SLIDES), ("mechanism", JOINTS)):
+        lines.append(f'  <group name="{group}">')
+        lines += [f'    <joint name="{prefix}{name}"/>' for name in joints]
+        lines.append("  </group>")
+    for name, values in state_values(states, prefix).items():
+        limits = None if name == HOME else states[name].geometry.limits
+        if limits is not None and not limits.contains(states[name].readings):
+            excess = -1e3 * float(limits.margin(states[name].readings))
+            lines.append(f"  <!-- A solution outside the leg limits, by {excess:.1f} mm. -->")
+        lines.append(f'  <group_state name="{name}" group="mechanism">')
+        lines += [f'    <joint name="{joint}" value="{value!r}"/>' for joint, value in values.items()]
+        lines.append("  </group_state>")
+    lines += [f'  <passive_joint name="{prefix}{name}"/>' for name in PASSIVE]
+    for a, b in touching_links():
+        lines.append(f'  <disable_collisions link1="{prefix}{a}" link2="{prefix}{b}" reason="Adjacent"/>')
+    return "\n".join([*lines, "</robot>", ""])
 
 
 def touching_links() -> tuple[tuple[str, str], ...]:
@@ -48,6 +131,6 @@ def touching_links() -> tuple[tuple[str, str], ...]:
             groups.append((platform, corner, f"leg_{leg}{i}_cylinder"))
             groups.append((f"leg_{leg}{i}_cylinder", f"leg_{leg}{i}_rod"))
         legs = tuple(f"leg_{stage}{i}_{part}" for stage in "bc" for part in ("rod", "tip"))
-        inner = ("ball_b1_x_link", "ball_b1_y_link", "ball_c1_z_link", "ball_c1_y_link") if i == "1" else ()
-        groups.append(("middle_platform", f"middle_b{i}", *legs, *inner))
+        inner = ("ball_b1_x_link", "ball_b1_y_link", "ball_c1_z_link", "ball_c1_y_link")
+        groups.append(("middle_platform", f"middle_b{i}", *legs, *(inner if i == "1" else (f"middle_b{i}_upper",))))
     return tuple(dict.fromkeys(pair for group in groups for pair in itertools.combinations(group, 2)))

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.description.load_robot import manipulator
-from spm_pin.errors import DescriptionError
+from spm_pin.description.robot import read_robot
 from spm_pin.mechanism import LEGS, Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.leg_frames import home_lengths
@@ -53,29 +52,20 @@ def section_size(geometry: Geometry) -> float:
 
 @lru_cache(maxsize=16)
 def visual_parts(geometry: Geometry) -> tuple[VisualPart, ...]:
-    """Return the solids that the URDF of a manipulator shows, in the order of its links.
-
-    Raises
-    ------
-    DescriptionError
-        If a mesh of the installation is missing.
-    """
-    robot = manipulator(geometry)
+    """Return the solids that the URDF of a manipulator shows, in the order of its links."""
+    robot = read_robot(geometry)
     home = robot.frames()
+    carriers = {robot.carrier(body)[0]: body for body in BODIES}
     parts = []
-    for link in robot.links:
-        carrier = robot.carrier(link.name)[0]
-        (body,) = [name for name in BODIES if robot.carrier(name)[0] == carrier] or [""]
+    for name, link in robot.links.items():
         for shape in link.visuals:
-            if shape.mesh is None or shape.material is None:
-                raise DescriptionError("geometry", "meshes with a material in the description", link.name)
-            vertices, faces = read_obj(shape.mesh.path)
-            pose = np.linalg.inv(home[body]) @ home[link.name] @ shape.placement.matrix
+            body = carriers[robot.carrier(name)[0]]
+            vertices, faces = read_obj(Path(shape.mesh))
+            pose = np.linalg.inv(home[body]) @ home[name] @ shape.placement.matrix
             placed = (vertices * shape.size) @ pose[:3, :3].T + pose[:3, 3]
             placed.flags.writeable = False
-            red, green, blue, _ = shape.material.rgba
-            name = f"{link.name} {shape.mesh.path.stem}"
-            parts.append(VisualPart(name, body, (red, green, blue), placed, faces))
+            red, green, blue, _ = robot.materials[shape.material]
+            parts.append(VisualPart(f"{name} {Path(shape.mesh).stem}", body, (red, green, blue), placed, faces))
     return tuple(parts)
 
 
@@ -121,13 +111,13 @@ def _body_poses(configuration: Configuration) -> dict[str, FloatArray]:
     base = np.broadcast_to(np.eye(4), (*configuration.shape, 4, 4))
     terminal = homogeneous(configuration.rotation, configuration.translation)
     poses = dict(zip(PLATFORMS, (base, configuration.middle_pose.as_matrix(), terminal), strict=True))
-    hips, balls = configuration.leg_bases, configuration.balls
+    bases, balls = configuration.leg_bases, configuration.balls
     with np.errstate(invalid="ignore"):
-        z = (balls - hips) / configuration.leg_lengths[..., None]
+        z = (balls - bases) / configuration.leg_lengths[..., None]
         y = np.cross(z, configuration.leg_axes)
         y /= np.linalg.norm(y, axis=-1, keepdims=True)
     turns = np.stack([np.cross(y, z), y, z], axis=-1)
-    for half, origins in (("cylinder", hips), ("rod", balls)):
+    for half, origins in (("cylinder", bases), ("rod", balls)):
         for i, leg in enumerate(LEGS):
             poses[f"leg_{leg[2:]}_{half}"] = homogeneous(turns[..., i, :, :], origins[..., i, :])
     return poses

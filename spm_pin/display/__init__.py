@@ -1,5 +1,49 @@
-"""Pictures of the manipulator in PNG or SVG, and the viewer, from one scene of named solids.
+"""Pictures of the manipulator in PNG, SVG or PDF, figures of results, mesh files of the shell, and the viewer.
 
-Functions that draw raise `MissingExtraError` without the extra `plots`, those of the viewer without `viewer`. Figures
-that they make are unknown to pyplot.
+Functions that draw raise `MissingExtraError` without the extra `plots`, the viewer without `viewer`. Figures that they
+make are unknown to pyplot.
 """
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from spm_pin.display.output_files import save_figure
+    from spm_pin.display.plots import draw, save_gallery, save_picture
+    from spm_pin.display.result_plots import agreement_figure, calibration_figure, certificate_figure, motion_figure
+    from spm_pin.display.shell_plots import draw_shell, save_mesh, sections_figure, shell_figure
+    from spm_pin.display.viewer import Recording, Viewer, read_recording
+
+__all__ = [
+    "Recording",
+    "Viewer",
+    "agreement_figure",
+    "calibration_figure",
+    "certificate_figure",
+    "draw",
+    "draw_shell",
+    "motion_figure",
+    "read_recording",
+    "save_figure",
+    "save_gallery",
+    "save_mesh",
+    "save_picture",
+    "sections_figure",
+    "shell_figure",
+]
+
+# Imported on first use: each room that a figure shows takes a moment.
+_HOMES = {
+    "output_files": ("save_figure",),
+    "plots": ("draw", "save_gallery", "save_picture"),
+    "result_plots": ("agreement_figure", "calibration_figure", "certificate_figure", "motion_figure"),
+    "shell_plots": ("draw_shell", "save_mesh", "sections_figure", "shell_figure"),
+    "viewer": ("Recording", "Viewer", "read_recording"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    for home, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(f"spm_pin.display.{home}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -9,7 +9,7 @@ import numpy as np
 from spm_pin.calibration import Calibration
 from spm_pin.crosscheck import Quantity, Report
 from spm_pin.description.tree import SLIDES
-from spm_pin.display.figure_files import new_figure
+from spm_pin.display.output_files import new_figure
 from spm_pin.mechanism.arguments import FloatArray, check_instance
 from spm_pin.mechanism.leg_limits import LEGS, LegLimits
 from spm_pin.proofs import Certificate
@@ -133,7 +133,7 @@ def motion_figure(
     motion : JointTrajectory
         Times, rates, accelerations and forces.
     leg_lengths : ndarray, shape (n, 6)
-        At its times [m], of `ClosedChain.leg_lengths`.
+        At its times [m], of `ClosedChain.readings`.
     limits : LegLimits, optional
         Drawn as lines.
     largest : dict, optional

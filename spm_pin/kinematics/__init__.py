@@ -1,5 +1,6 @@
 """The closed form: branches, assembly modes, rates, forces and singularities, without iteration in the inverse."""
 
+from spm_pin.kinematics.batches import compile_kernels, set_threads, threads
 from spm_pin.kinematics.forward_displacement import (
     ASSEMBLY_MODES,
     STAGE_MODES,
@@ -12,11 +13,9 @@ from spm_pin.kinematics.inverse_displacement import (
     inverse_displacement,
     inverse_physical,
 )
-from spm_pin.kinematics.jacobians import inverse_jacobian, leg_rates, platform_jacobian
-from spm_pin.kinematics.leg_forces import leg_forces
-from spm_pin.kinematics.path_events import Event, EventKind
-from spm_pin.kinematics.path_following import CertifiedLimits, FollowedPath, follow
-from spm_pin.kinematics.precompile import compile_kernels
+from spm_pin.kinematics.path_following import CertifiedLimits, Event, EventKind, FollowedPath, follow
+from spm_pin.kinematics.platform_stiffness import PrincipalStiffness, compliance, principal_stiffness, stiffness
+from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_forces, leg_rates, platform_jacobian
 from spm_pin.kinematics.singularity_analysis import (
     Singularities,
     SingularityKind,
@@ -25,8 +24,6 @@ from spm_pin.kinematics.singularity_analysis import (
     singular_values,
     singularities,
 )
-from spm_pin.kinematics.stiffness import PrincipalStiffness, compliance, principal_stiffness, stiffness
-from spm_pin.kinematics.threads import set_threads, threads
 
 __all__ = [
     "ASSEMBLY_MODES",

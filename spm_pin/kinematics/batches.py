@@ -1,22 +1,39 @@
-"""Running kernels over batches: results allocated, the batch divided between threads, shapes restored."""
+"""Running kernels over batches: results allocated, the batch divided between threads, shapes restored.
+
+Kernels release the interpreter's lock and the members of a batch do not depend on each other, so a batch is cut into
+parts and the parts go to threads that live as long as the call. Nothing is left behind that a fork could break, and
+the answer does not depend on the number of threads.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import math
-from collections.abc import Callable, Iterable, Sequence
+import multiprocessing
+import os
+import pkgutil
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import ContextVar
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.kinematics.threads import parallel_for
-from spm_pin.mechanism.arguments import FloatArray, check_instance
+from spm_pin.errors import PoseError
+from spm_pin.mechanism.arguments import FloatArray, check_instance, first_offender, whole_number
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import EXACT, PoseLike, checked_pose, unchecked_pose
 
 _MIN_CHECKED = 1 << 17
 """Poses whose check is worth a thread."""
+
+LARGEST_RATIO = 1e5
+"""Leg lengths, relative to the machine, beyond which eleven of sixteen digits are lost."""
 
 _LINE = 64
 """Bytes of a cache line; a store across two of them takes twice as long."""
@@ -165,19 +182,15 @@ def branch_states(geometry: Geometry, shape: tuple[int, ...], solved: Iterable[n
 
 
 def radii(geometry: Geometry) -> tuple[float, float, float]:
-    """Return the circumradii of the middle, base and terminal platforms [m].
-
-    Raises `ArgumentError` if `geometry` is not a Geometry.
-    """
-    check_instance(geometry, Geometry, "geometry")
+    """Return the circumradii of the drawn middle, base and terminal platforms [m]."""
     return geometry.middle_radius, geometry.base_radius, geometry.platform_radius
 
 
-def read_pose(pose: PoseLike) -> tuple[tuple[int, ...], FloatArray, FloatArray]:
+def read_pose(geometry: Geometry, pose: PoseLike) -> tuple[tuple[int, ...], FloatArray, FloatArray]:
     """Return the batch shape of a pose, its rotations (N, 3, 3) and positions (N, 3) [m].
 
-    Raises `PoseError` if it is not a pose. The arrays may be the caller's memory. Rotations are repaired where rounding
-    made them inexact.
+    Raises `PoseError` if it is not a pose, or so far away that the machine cannot be resolved beside it. The arrays may
+    be the caller's memory. Rotations are repaired where rounding made them inexact.
     """
     from spm_pin.kinematics.kernels.branch_kernels import are_rigid
 
@@ -187,5 +200,110 @@ def read_pose(pose: PoseLike) -> tuple[tuple[int, ...], FloatArray, FloatArray]:
     parallel_for(lambda part: rigid.append(are_rigid(flat[part], places[part], EXACT)), len(flat), _MIN_CHECKED)
     if not all(rigid):
         rotation, position = checked_pose(rotation, position, "pose")
-        flat = rotation.reshape(-1, 3, 3)
-    return shape, flat, position.reshape(-1, 3)
+        flat, places = rotation.reshape(-1, 3, 3), position.reshape(-1, 3)
+    check_instance(geometry, Geometry, "geometry")
+    size = sum(geometry.dimensions)
+    farthest = 2.0 * (LARGEST_RATIO + 1.0) * size
+    # The sum of all squares is enough but for very large batches, and takes no time.
+    if not np.vdot(places, places) <= farthest * farthest:
+        beyond = np.abs(position).max(axis=-1) > farthest
+        if beyond.any():
+            index = first_offender(beyond)
+            expected = f"a position in metres within {farthest:.3g} m, {2.0 * LARGEST_RATIO:.0e} times the machine"
+            where = f" at index {index}" if index else ""
+            raise PoseError("pose", expected, f"{position[index].tolist()}{where}", "A position in another unit?")
+    return shape, flat, places
+
+
+ENVIRONMENT = "SPM_PIN_THREADS"
+_PARTS = 4
+"""Per thread, so that one that is interrupted does not keep the others waiting long."""
+_process_wide: int | None = None
+_in_this_context: ContextVar[int | None] = ContextVar("spm_pin_threads", default=None)
+
+
+def set_threads(count: int | None) -> None:
+    """Set how many threads may share a large batch, for the whole process.
+
+    Parameters
+    ----------
+    count : int or None
+        1 uses the caller's thread only. None, the default, takes the number from the environment: `SPM_PIN_THREADS`
+        if set; else, in the main thread of a main process, `OMP_NUM_THREADS` if set, or the number of processors
+        that the process may use; else 1. A Dask or joblib worker, a pool's thread or a child process thus uses one
+        thread: its parent has already allocated the cores.
+
+    Raises
+    ------
+    ArgumentError
+        If `count` is not a positive integer.
+
+    Notes
+    -----
+    Small batches are not shared: a thread must have some milliseconds of work.
+    """
+    global _process_wide
+    _process_wide = _checked(count)
+
+
+@contextlib.contextmanager
+def threads(count: int | None) -> Iterator[None]:
+    """Set how many threads may share a large batch inside a ``with``, in this thread alone; see `set_threads`."""
+    token = _in_this_context.set(_checked(count))
+    try:
+        yield
+    finally:
+        _in_this_context.reset(token)
+
+
+def _checked(count: int | None) -> int | None:
+    return None if count is None else whole_number(count, "count", "a positive number of threads, or None", least=1)
+
+
+def _allowed() -> int:
+    if count := _in_this_context.get() or _process_wide or _from_environment(ENVIRONMENT):
+        return count
+    if threading.current_thread() is not threading.main_thread() or multiprocessing.parent_process() is not None:
+        return 1
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return _from_environment("OMP_NUM_THREADS") or processors or 1
+
+
+def _from_environment(name: str) -> int | None:
+    text = os.environ.get(name, "")
+    # OMP_NUM_THREADS may be a list, one number per level.
+    first = text.split(",")[0].strip()
+    return int(first) if first.isascii() and first.isdigit() and int(first) > 0 else None
+
+
+def parallel_for(work: Callable[[slice], None], size: int, min_batch: int) -> None:
+    """Call `work` on slices that cover a batch of this size, on several threads at once if it is large.
+
+    `min_batch` is how many members are worth a thread.
+    """
+    count = min(_allowed(), size // min_batch) if size >= 2 * min_batch else 1
+    if count == 1:
+        work(slice(0, size))
+        return
+    parts = _PARTS * count
+    edges = [size * k // parts for k in range(parts + 1)]
+    with ThreadPoolExecutor(count) as pool:
+        for done in [pool.submit(work, slice(*pair)) for pair in itertools.pairwise(edges)]:
+            done.result()
+
+
+def compile_kernels() -> None:
+    """Compile all functions for this computer, in about a minute, and keep them on disk for later processes.
+
+    Otherwise each is compiled when first called, which delays that call by up to 20 s. Compiled code is kept where
+    `NUMBA_CACHE_DIR` says, else beside the sources, else in the user's cache directory. Call it when a container
+    image is built, or before many processes start. Another processor model, or another version of spm_pin or Numba,
+    compiles anew.
+    """
+    from spm_pin.kinematics import kernels
+    from spm_pin.kinematics.kernels.compilation import Kernel
+
+    for module in pkgutil.iter_modules(kernels.__path__, f"{kernels.__name__}."):
+        for member in vars(import_module(module.name)).values():
+            if isinstance(member, Kernel):
+                member.compile()

@@ -20,7 +20,7 @@ from spm_pin.kinematics.batches import with_batch_shape
 from spm_pin.kinematics.exact_discriminants import BITS, ExactPose, largest_component, quaternions, scaled_rotation
 from spm_pin.kinematics.intervals import SQRT_3, Interval
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
-from spm_pin.mechanism.branches import physical, straightness
+from spm_pin.mechanism.branches import physical, tilt_cosine_sum
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.solutions import SolutionSet
@@ -32,34 +32,35 @@ _CHUNK = 1 << 15
 _COS_30 = float(np.sqrt(0.75))
 
 
-def certify_branches(found: SolutionSet, solved: tuple[Any, ...]) -> SolutionSet:
-    """Decide the families of `found` that are not `certain`, and bound the error of all joints, in `radius`.
+def certify_branches(branches: SolutionSet) -> SolutionSet:
+    """Decide the families that are not `certain`, and bound the error of all joints, in `radius`.
 
-    `solved` are the `BRANCH_RESULTS` that `found` is made of; families that are decided are written anew in there.
+    The families that are decided are written anew in the memory of `branches`.
     """
-    from spm_pin.kinematics.kernels.branch_tiles import VERTICAL
+    from spm_pin.kinematics.kernels.branch_kernels import VERTICAL
 
-    rotation, position, joints, _, _, _, status, flagged = solved
-    assert found.degeneracy is not None
-    certain, shape = np.asarray(found.certain).reshape(-1, 4), found.shape
+    assert branches.memory is not None
+    rotation, position, joints, _, _, _, status, flagged = branches.memory
+    assert branches.degeneracy is not None
+    certain, shape, geometry = np.asarray(branches.certain).reshape(-1, 4), branches.shape, branches.geometry
     vertical = (flagged & VERTICAL) > 0
-    undecided = ~certain & ~found.degeneracy.families.reshape(-1, 4) & ~vertical[:, None]
-    radius = _existence_radii(rotation, position, joints, found.geometry.middle_side)
-    settled, precise = _settle_families(found.geometry, solved, undecided)
+    undecided = ~certain & ~branches.degeneracy.families.reshape(-1, 4) & ~vertical[:, None]
+    radius = _existence_radii(rotation, position, joints, geometry.middle_side)
+    decided, precise = _decide_families(geometry, branches.memory, undecided)
     radius = np.where(np.repeat(undecided, 2, axis=-1), precise, radius)
-    settled, radius = with_batch_shape((certain | settled, radius), shape)
-    return replace(found, status=status.reshape(shape), settled=settled, radius=radius)
+    proved, radius = with_batch_shape((certain | decided, radius), shape)
+    return replace(branches, status=status.reshape(shape), proved=proved, radius=radius)
 
 
-def _settle_families(geometry: Geometry, solved: tuple[Any, ...], undecided: BoolArray) -> tuple[BoolArray, FloatArray]:
+def _decide_families(geometry: Geometry, solved: tuple[Any, ...], undecided: BoolArray) -> tuple[BoolArray, FloatArray]:
     """Decide the families of N poses whose discriminants may have the wrong sign, and compute their branches anew.
 
     The results of `kernels.branch_kernels.all_branches` are corrected for the families `undecided` (N, 4). Returned is
     for which families (N, 4) it is proved that they are real, or not, as their joints now say: not for continuous ones;
     and the `_existence_radii` (N, 8) of the branches computed anew, NaN of others.
     """
-    rotation, position, joints, lengths, discriminants, choice, status, _ = solved
-    settled, radii = np.zeros_like(undecided), np.full((len(position), 8), np.nan)
+    rotation, position, joints, lengths, discriminants, hint, status, _ = solved
+    decided, radii = np.zeros_like(undecided), np.full((len(position), 8), np.nan)
     for n in np.flatnonzero(undecided.any(axis=-1)):
         exact = ExactPose(rotation[n], position[n], geometry.middle_side)
         for family in np.flatnonzero(undecided[n]).tolist():
@@ -67,7 +68,7 @@ def _settle_families(geometry: Geometry, solved: tuple[Any, ...], undecided: Boo
             if sign is None:
                 continue
             pair = slice(2 * family, 2 * family + 2)
-            settled[n, family], discriminants[n, family] = True, exact.discriminant(family)
+            decided[n, family], discriminants[n, family] = True, exact.discriminant(family)
             joints[n, pair], lengths[n, pair] = np.nan, np.nan
             if sign >= 0:
                 for branch in (2 * family, 2 * family + 1):
@@ -75,14 +76,14 @@ def _settle_families(geometry: Geometry, solved: tuple[Any, ...], undecided: Boo
         branches = Configuration.from_arrays(
             geometry, np.broadcast_to(rotation[n], (8, 3, 3)), np.broadcast_to(position[n], (8, 3)), joints[n]
         )
-        lengths[n] = np.where(np.repeat(settled[n], 2)[:, None], branches.leg_lengths, lengths[n])
+        lengths[n] = np.where(np.repeat(decided[n], 2)[:, None], branches.leg_lengths, lengths[n])
         if status[n] < 2:
             status[n] = 0 if branches.exists.any() else 1
-        if settled[n, 0]:
-            choice[n, :2] = physical(branches[:2])
-            tilts = straightness(branches[:2])
-            choice[n, 2] = tilts[1] > tilts[0]
-    return settled, radii
+        if decided[n, 0]:
+            hint[n, :2] = physical(branches[:2])
+            tilts = tilt_cosine_sum(branches[:2])
+            hint[n, 2] = tilts[1] > tilts[0]
+    return decided, radii
 
 
 def _existence_radii(rotation: FloatArray, position: FloatArray, joints: FloatArray, side: float) -> FloatArray:

@@ -17,13 +17,14 @@ from typing import Any
 import mpmath
 import numpy as np
 
-from spm_pin.kinematics.kernels.quadratics import ROOT_SIGN
 from spm_pin.mechanism.arguments import FloatArray, IntArray
 
 BITS = 400
 """Bits of the numbers in which branches are computed."""
 
 _LOWER, _UPPER = (1, 1, -1, -1), (1, -1, 1, -1)
+ROOT_SIGN = (1, -1, -1, 1, -1, 1, 1, -1)
+"""The root, in this order, of the branches + and - of each family."""
 _TURNS = ((1, 0), (0, 1), (0, -1), (1, 0))
 
 Pair = tuple[int, int]

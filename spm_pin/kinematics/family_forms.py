@@ -5,12 +5,15 @@ Notation and derivation: `spm_pin.kinematics.inverse_displacement` and `docs/the
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from spm_pin.kinematics.formulas.branches import families, pose_frame
+from spm_pin.kinematics.formulas.operations import bind
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import Geometry
 
@@ -37,10 +40,9 @@ class FamilyForms:
     @classmethod
     def of(cls, geometry: Geometry, quaternion: FloatArray, position: FloatArray) -> FamilyForms:
         """Set up the four forms for quaternions (N, 4), scalar last, and positions (N, 3) [m]."""
-        from spm_pin.kinematics.kernels.branch_kernels import family_forms
-
-        rotation = Rotation.from_quat(quaternion).as_matrix()
-        common, forms = np.empty((len(position), 4)), np.empty((len(position), 4, 3))
-        family_forms(rotation, position, geometry.middle_radius, common, forms)
-        cosine, sine, x, y = common.T
-        return cls(cosine, sine, x + 1j * y, forms[..., 0], forms[..., 1], forms[..., 2])
+        matrices = np.moveaxis(Rotation.from_quat(quaternion).as_matrix(), 0, -1)
+        run = functools.partial(bind, where=np.where, both=np.logical_and)
+        frame = run(pose_frame)(tuple(map(tuple, matrices)), tuple(position.T), geometry.middle_radius)
+        forms = [np.array(family[:3]) for family in run(families)(frame, geometry.middle_radius)]
+        normal = np.where(frame.is_vertical, np.nan, frame.normal[0] + 1j * frame.normal[1])
+        return cls(frame.cosine, frame.sine, normal, *np.transpose(forms, (1, 2, 0)))

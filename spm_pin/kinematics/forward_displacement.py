@@ -1,7 +1,12 @@
-"""Forward displacement: every assembly mode of six leg lengths, and the physical one.
+"""Forward displacement: every assembly mode of six leg lengths, the physical one, and the one near a state.
 
 The upper stage seen from {m} is a 3RPS stage like the lower one, so the two are solved independently, see
 `spm_pin.kinematics.kernels.stage_equations`, and every solution of one goes with every solution of the other.
+
+From a state, one mode is followed while the leg lengths change, in steps that are proved not to leave it: by the
+theorem of Newton and Kantorovich, if the inverse of the derivative times its Lipschitz constant times Newton's first
+step is at most 1/2, Newton's method converges to the only solution nearby. Steps are so short that this holds with a
+margin. A machine as built is followed in the same way from the drawn machine, while the dimensions change.
 """
 
 from __future__ import annotations
@@ -11,14 +16,22 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import GeometryError
-from spm_pin.kinematics.as_built_forward import as_built_forward
-from spm_pin.kinematics.batches import radii, run_kernel, with_batch_shape
-from spm_pin.kinematics.forward_continuation import follow_seed
-from spm_pin.kinematics.forward_displacement_arguments import read_leg_lengths
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance
-from spm_pin.mechanism.configuration import Configuration
+from spm_pin.errors import ArgumentError, GeometryError
+from spm_pin.kinematics.batches import LARGEST_RATIO, flat_batch, radii, run_kernel, with_batch_shape
+from spm_pin.mechanism.arguments import (
+    BoolArray,
+    FloatArray,
+    broadcastable,
+    check_instance,
+    first_offender,
+    real_array,
+)
+from spm_pin.mechanism.ball_triangles import triangle_frames, triangle_sides
+from spm_pin.mechanism.branches import physical
+from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.leg_frames import home_lengths
+from spm_pin.mechanism.leg_limits import LEGS
 from spm_pin.mechanism.solution_status import Degeneracy, Status
 from spm_pin.mechanism.solutions import SolutionSet
 from spm_pin.mechanism.units import unit_hint
@@ -32,18 +45,22 @@ _NEAR = 1e-5
 """Distance from a family, of squared lengths and relative to their size, within which counts may be wrong."""
 _SHORT = 1e-3
 """Length in units of r below which a leg is short."""
-_MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_PHYSICAL = 1 << 8, 1 << 12
+_OPEN = 1e-6
+"""Closure residual of a state, relative to d, from which on it is no configuration."""
+_START = np.array([1.20, 1.20, 1.40, 1.25, 1.20, 1.50]) / 1.30
+"""Leg lengths of the paper's solution 3, over its home lengths."""
+_MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_FOLLOWED, _MIN_BATCH_PER_THREAD_PHYSICAL = 1 << 8, 1 << 10, 1 << 12
 
 
-def forward_displacement(geometry: Geometry, leg_lengths: npt.ArrayLike) -> SolutionSet:
-    """Find all configurations of the manipulator that its six leg lengths allow.
+def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> SolutionSet:
+    """Find all configurations of a drawn machine that its six leg lengths allow.
 
     Parameters
     ----------
     geometry : Geometry
-        The manipulator. Its leg limits are not applied.
-    leg_lengths : array_like, shape (..., 6)
-        r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], from revolute joint to ball joint centre.
+        The manipulator, a drawn machine. Its leg limits are not applied.
+    readings : array_like, shape (..., 6)
+        r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], in a drawn machine from revolute joint to ball joint centre.
 
     Returns
     -------
@@ -56,7 +73,8 @@ def forward_displacement(geometry: Geometry, leg_lengths: npt.ArrayLike) -> Solu
     Raises
     ------
     ArgumentError
-        If a length is not a positive number, or too large for the machine to be resolved beside it.
+        If a length is not a positive number, or too large for the machine to be resolved beside it, or the machine is
+        one as built: its assembly modes are not known, see `forward_physical`.
 
     Notes
     -----
@@ -81,10 +99,10 @@ def forward_displacement(geometry: Geometry, leg_lengths: npt.ArrayLike) -> Solu
     """
     from spm_pin.kinematics.kernels.mode_kernels import all_modes
 
-    if not check_instance(geometry, Geometry, "geometry").is_nominal:
+    checked = _read_lengths(geometry, readings)
+    if not geometry.is_nominal:
         cause = "forward_physical finds the physical mode of a machine as built; all modes are those of its .nominal"
         raise GeometryError("geometry", "a machine as drawn", "one as built", cause)
-    checked = read_leg_lengths(geometry, leg_lengths)
     shape, lengths, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
     results = (
         ((n, 3, 3), np.float64),
@@ -99,7 +117,7 @@ def forward_displacement(geometry: Geometry, leg_lengths: npt.ArrayLike) -> Solu
     largest = np.asarray(families.max(axis=-1))
     modes = Configuration.from_arrays(geometry, *state)
     if not shape and status == Status.UNREACHABLE:
-        modes.absence = unit_hint(geometry, checked)
+        modes.missing_reason = unit_hint(geometry, checked)
     return SolutionSet(
         modes,
         ASSEMBLY_MODES,
@@ -108,25 +126,23 @@ def forward_displacement(geometry: Geometry, leg_lengths: npt.ArrayLike) -> Solu
     )
 
 
-def forward_physical(
-    geometry: Geometry, leg_lengths: npt.ArrayLike, seed: Configuration | None = None
-) -> Configuration:
-    """Find the physical configuration with these leg lengths: the one that the machine is in.
+def forward_physical(geometry: Geometry, readings: npt.ArrayLike, near: Configuration | None = None) -> Configuration:
+    """Find the physical configuration with these readings: the one that the machine is in.
 
     Parameters
     ----------
     geometry : Geometry
         The manipulator. Its leg limits are not applied.
-    leg_lengths : array_like, shape (..., 6)
-        r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m]; of a machine as built the readings, offsets included.
-    seed : Configuration, optional
-        Where the machine was. Its leading axes broadcast with those of `leg_lengths`.
+    readings : array_like, shape (..., 6)
+        What the encoders of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 show [m]: in a drawn machine the leg lengths.
+    near : Configuration, optional
+        Where the machine was. Its leading axes broadcast with those of `readings`.
 
     Returns
     -------
     Configuration
-        Of shape (...). Without a seed the configuration in the aspect of the symmetric home: both stages without
-        torsion, on the sheet +, and reached from equal legs without a forward singularity. With a seed the end of the
+        Of shape (...). Without `near` the configuration in the aspect of the symmetric home: both stages without
+        torsion, on the sheet +, and reached from equal legs without a forward singularity. With `near` the end of the
         path on which its leg lengths change to the given ones in a straight line, whatever its mode. `.exists` is
         False, and everything NaN, where there is no such configuration, or where that path meets a forward
         singularity or takes more than 250,000 steps of a stage.
@@ -134,16 +150,15 @@ def forward_physical(
     Raises
     ------
     ArgumentError
-        If a length is not a positive number or too large for the machine to be resolved beside it, or `seed` does
-        not exist, does not close, belongs to another geometry or has another shape.
+        If a length is not a positive number or too large for the machine to be resolved beside it, or `near` does
+        not exist, does not close, belongs to another machine or has another shape.
 
     Notes
     -----
     The home's aspect holds one configuration at most, so what Newton's method finds from level stages is taken if it is
     in there; if not, all solutions of mode T are found and looked at. It is T1+/T1+ unless E or C is less than
-    a twentieth of d. With a seed each step is so short that Newton's method provably stays on the path, see
-    `spm_pin.kinematics.forward_continuation`; so the seed may be far. A machine as built is followed from the one of
-    the nominal machine, or from the seed, in steps at whose start the theorem of Newton and Kantorovich holds; see
+    a twentieth of d. With `near` each step is so short that Newton's method provably stays on the path, see the module;
+    so that state may be far. A machine as built is followed from the drawn machine, or from `near`; see
     `docs/theory/as_built.md`.
 
     Examples
@@ -153,19 +168,193 @@ def forward_physical(
     >>> state.pose.rotation.as_euler("XYX", degrees=True).round(4)
     array([-11.0818,  32.9691, -12.8831])
     """
-    if not geometry.is_nominal:
-        return as_built_forward(geometry, leg_lengths, seed, forward_physical)
-    checked = read_leg_lengths(geometry, leg_lengths)
-    if seed is not None:
-        return follow_seed(geometry, checked, seed)
+    checked = _read_lengths(geometry, readings)
+    if near is not None:
+        _check_near(geometry, checked, near)
+        follow = _follow_drawn if geometry.is_nominal else _follow_as_built
+        return follow(geometry, checked, near)
     shape, lengths = checked.shape[:-1], checked.reshape(-1, 6)
+    solve = _solve_drawn if geometry.is_nominal else _solve_as_built
+    state = Configuration.from_arrays(geometry, *with_batch_shape(solve(geometry, lengths), shape))
+    if not shape and not state.exists:
+        reason = "with these leg lengths no configuration is reached from the home without a forward singularity"
+        state.missing_reason = f"{reason}. {unit_hint(geometry, checked)}".rstrip(". ")
+    return state
+
+
+def starting_configuration(geometry: Geometry) -> Configuration:
+    """Return a regular configuration of the manipulator: the paper's solution 3, in proportion.
+
+    Its leg lengths are the paper's 120, 120, 140, 125, 120 and 150 cm over 130 cm, times the home lengths.
+
+    Raises
+    ------
+    ArgumentError
+        If the manipulator has no such configuration.
+    """
+    home = np.repeat(home_lengths(geometry), 3)
+    for share in (1.0, 0.5, 0.2, 0.05):
+        state = forward_physical(geometry, home * (1.0 + share * (_START - 1.0)) + geometry.legs.offsets)
+        if state.exists:
+            return state
+    raise ArgumentError("geometry", "a manipulator that stands near its home", geometry, "Give a pose instead")
+
+
+def modes_near(geometry: Geometry, readings: FloatArray, near: Configuration | None) -> SolutionSet:
+    """Return the assembly modes of readings (6,) among which a path from the state `near` goes on.
+
+    All of a drawn machine. Of one as built the only one that is followed from there, or without `near` the physical.
+    """
+    if geometry.is_nominal:
+        return forward_displacement(geometry, readings)
+    state = forward_physical(geometry, readings, near)
+    arrays = state.rotation, state.translation, state.middle_joints
+    states = Configuration.from_arrays(geometry, *(array[None] for array in arrays))
+    return SolutionSet(states, ("followed",), Status.OK if state.exists else Status.UNREACHABLE)
+
+
+def _read_lengths(geometry: Geometry, readings: npt.ArrayLike) -> FloatArray:
+    """Return leg lengths (..., 6) [m] from readings that this machine can be resolved beside."""
+    check_instance(geometry, Geometry, "geometry")
+    meaning = f"{', '.join(LEGS)} in metres"
+    read, offsets = real_array(readings, "readings", (6,), meaning), geometry.legs.offsets
+    lengths = np.asarray(read - offsets) if offsets.any() else read
+    if (lengths <= 0.0).any():
+        index = first_offender(lengths <= 0.0)
+        where = f" for {LEGS[index[-1]]}" + (f" at index {index[:-1]}" if index[:-1] else "")
+        if offsets[index[-1]]:
+            expected = f"readings that exceed their offset, {offsets[index[-1]]:g} m{where}"
+            raise ArgumentError("readings", expected, f"{read[index]:g}")
+        cause = "Strokes of the actuators instead of distances between joint centres?"
+        raise ArgumentError("readings", f"positive lengths {meaning}", f"{lengths[index]:g}{where}", cause)
+    size = sum(geometry.dimensions)
+    if (lengths > LARGEST_RATIO * size).any():
+        index = first_offender(lengths > LARGEST_RATIO * size)
+        expected = f"lengths in metres up to {LARGEST_RATIO:.0e} times the machine's own {size:.3g} m"
+        raise ArgumentError("readings", expected, f"{lengths[index]:g}", "Lengths in another unit?")
+    return lengths
+
+
+def _check_near(geometry: Geometry, lengths: FloatArray, near: Configuration) -> None:
+    """Raise an ArgumentError if `near` is no closed state of this machine that goes with lengths (..., 6)."""
+    check_configuration(near, "near", existing=True)
+    if not geometry.is_same_machine(near.geometry):
+        raise ArgumentError("near", f"a configuration of this geometry, {geometry!r}", repr(near.geometry))
+    broadcastable("near", near.shape, "readings", lengths.shape[:-1])
+    residual = float(near.closure_residual.max(initial=0.0))
+    if residual > _OPEN * geometry.middle_side:
+        raise ArgumentError("near", "a configuration that closes", f"a closure residual of {residual:.1e} m")
+
+
+def _follow_drawn(geometry: Geometry, lengths: FloatArray, near: Configuration) -> Configuration:
+    """Follow `near` to leg lengths (..., 6), each stage by itself; NaN where a stage meets a singularity."""
+    from spm_pin.kinematics.kernels.continuation_kernel import follow_stages, stage_states
+    from spm_pin.kinematics.kernels.mode_kernels import compose_all
+
+    shape = np.broadcast_shapes(lengths.shape[:-1], near.shape)
+    r, count = geometry.middle_radius, int(np.prod(shape))
+    legs = [flat_batch(x, shape, 1) / r for x in (near.leg_lengths, lengths)]
+    # The lower stages, then the upper ones as they are seen from {m}.
+    start, end = (np.concatenate([x[:, :3], x[:, 3:]]) for x in legs)
+    corners = np.concatenate([flat_batch(balls, shape, 2) for balls in _balls_of_stages(near)])
+    hips = np.repeat([geometry.base_radius / r, geometry.platform_radius / r], count)
+    stage = ((4,), np.float64), ((), np.bool_)
+    starts, half_turned = run_kernel(stage_states, (corners,), (r,), stage, _MIN_BATCH_PER_THREAD_FOLLOWED)
+    inputs = start, end, np.where(half_turned, -hips, hips), starts
+    states, arrived = run_kernel(follow_stages, inputs, (), stage, _MIN_BATCH_PER_THREAD_FOLLOWED)
+    states[~arrived] = np.nan
+    x0, x1, x2, zeta = states.T
+    zero = 0.0 * x0  # NaN where a stage has not arrived
+    plain, turned = np.stack([x0, x1, x2, zero, zeta], -1), np.stack([zero, x2, -x1, x0, -zeta], -1)
+    stages = np.where(half_turned[:, None], turned, plain)
     results = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64)
-    solved = run_kernel(_solve_physical, (lengths,), radii(geometry), results, _MIN_BATCH_PER_THREAD_PHYSICAL)
-    found = Configuration.from_arrays(geometry, *with_batch_shape(solved, shape))
-    if not shape and not found.exists:
-        absence = "with these leg lengths no configuration is reached from the home without a forward singularity"
-        found.absence = f"{absence}. {unit_hint(geometry, checked)}".rstrip(". ")
-    return found
+    halves = stages[:count], stages[count:]
+    composed = run_kernel(compose_all, halves, (r,), results, _MIN_BATCH_PER_THREAD_FOLLOWED)
+    return Configuration.from_arrays(geometry, *with_batch_shape(composed, shape))
+
+
+def _follow_as_built(geometry: Geometry, lengths: FloatArray, near: Configuration) -> Configuration:
+    """Follow `near` to leg lengths (..., 6) as `_follow_drawn` does."""
+    shape = np.broadcast_shapes(lengths.shape[:-1], near.shape)
+    balls = np.concatenate(_balls_of_stages(near), axis=-2)
+    legs = [flat_batch(x, shape, 1) for x in (near.leg_lengths, lengths)]
+    followed = _follow_circles(geometry, geometry, flat_batch(balls, shape, 2), *legs)
+    return Configuration.from_arrays(geometry, *with_batch_shape(_composed(geometry, followed), shape))
+
+
+def _balls_of_stages(state: Configuration) -> tuple[FloatArray, FloatArray]:
+    """Return the balls (..., 3, 3) of the lower legs in {B} and of the upper legs in {m} [m]."""
+    upper = state.balls[..., 3:, :] - state.translation[..., None, :]
+    return state.balls[..., :3, :], (upper[..., None, :] @ state.rotation[..., None, :, :])[..., 0, :]
+
+
+def _solve_as_built(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, ...]:
+    """Return R, o and the b_i (N, ...) of the physical state of a machine as built with leg lengths (N, 6).
+
+    The state of the drawn machine with the same distances from pivots to balls is followed while the dimensions change
+    to those of this machine, or, where that gives none, the level state with equal legs is followed to the given legs.
+    """
+    drawn = geometry.nominal
+    start = Configuration.from_arrays(drawn, *_solve_drawn(drawn, lengths))
+    balls = np.concatenate(_balls_of_stages(start), axis=-2)
+    balls = _follow_circles(drawn, geometry, balls, lengths, lengths)
+    state = _composed(geometry, balls)
+    is_physical = physical(Configuration.from_arrays(geometry, *state))
+    missing = np.flatnonzero(~is_physical)
+    if len(missing):
+        others = _composed(geometry, _follow_from_home(geometry, lengths[missing]))
+        wrong = ~physical(Configuration.from_arrays(geometry, *others))
+        for array, values in zip(state, others, strict=True):
+            values[wrong] = np.nan
+            array[missing] = values
+    return state
+
+
+def _follow_from_home(geometry: Geometry, lengths: FloatArray) -> FloatArray:
+    """Follow the level state with equal legs to legs (N, 6); return its balls as `_follow_circles` does."""
+    drawn, r = geometry.nominal, geometry.middle_radius
+    offsets = np.array([geometry.base_radius, geometry.platform_radius]) - r
+    # Legs at least so long that the level stage is well away from flat.
+    equal = np.maximum(lengths.reshape(-1, 2, 3).mean(axis=-1), np.hypot(1.0, 0.5) * np.abs(offsets))
+    height = np.sqrt(np.maximum(equal**2 - offsets**2, 0.0))
+    balls = np.concatenate([np.broadcast_to(r * geometry.radial_directions, (len(lengths), 3, 3))] * 2, axis=1)
+    balls[..., 2] = np.repeat(height * [1.0, -1.0], 3, axis=-1)
+    legs = np.repeat(equal, 3, axis=-1)
+    return _follow_circles(geometry, geometry, _follow_circles(drawn, geometry, balls, legs, legs), legs, lengths)
+
+
+def _follow_circles(
+    start: Geometry, end: Geometry, balls: FloatArray, start_lengths: FloatArray, end_lengths: FloatArray
+) -> FloatArray:
+    """Follow states to other dimensions and lengths (N, 6); balls (N, 6, 3), the lower in {B}, the upper in {m}."""
+    from spm_pin.kinematics.kernels.ball_circles import follow_circles
+
+    unit, moved = end.middle_radius, np.empty_like(balls)
+    for stage in (slice(3), slice(3, 6)):
+        machines = [np.stack([g.legs.axes[stage], g.legs.pivots[stage] / unit]) for g in (start, end)]
+        sides = [triangle_sides(g.legs.balls[stage]) / unit for g in (start, end)]
+        inputs = balls[:, stage] / unit, start_lengths[:, stage] / unit, end_lengths[:, stage] / unit
+        results = ((3, 3), np.float64), ((), np.bool_)
+        reached, _ = run_kernel(follow_circles, inputs, (*machines, *sides), results, _MIN_BATCH_PER_THREAD_FOLLOWED)
+        moved[:, stage] = reached * unit
+    moved[np.isnan(moved).any(axis=(-1, -2))] = np.nan
+    return moved
+
+
+def _composed(geometry: Geometry, balls: FloatArray) -> tuple[FloatArray, ...]:
+    """Return R, o and the b_i of the states in which {n} is where balls (N, 6, 3) are, seen from {B} and from {m}."""
+    local, placed = geometry.legs.balls.reshape(2, 3, 3), balls.reshape(-1, 2, 3, 3)
+    turns = triangle_frames(placed) @ np.swapaxes(triangle_frames(local), -1, -2)
+    places = placed.mean(axis=-2) - (turns @ local.mean(axis=-2)[..., None])[..., 0]
+    rotation = turns[:, 0] @ np.swapaxes(turns[:, 1], -1, -2)
+    translation = places[:, 0] - (rotation @ places[:, 1, :, None])[..., 0]
+    return rotation, translation, np.ascontiguousarray(balls[:, :3])
+
+
+def _solve_drawn(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, ...]:
+    """Return R, o and the b_i (N, ...) of the physical state of a drawn machine with leg lengths (N, 6)."""
+    results = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64)
+    return run_kernel(_solve_physical, (lengths,), radii(geometry), results, _MIN_BATCH_PER_THREAD_PHYSICAL)
 
 
 def _solve_ill_conditioned(geometry: Geometry, lengths: FloatArray, solved: tuple[Any, ...]) -> None:

@@ -16,17 +16,21 @@ chain along that normal is homogeneous of degree two in (P, Q):
 s = S/|S| and W scaled to modulus one in the bracket, S' = S (q/Q)/(p/P) = κ + iμ, e = +1 for T and -1 for F.
 In the coordinates u ~ P - Q, v ~ P + Q that make N = u² + v² the equation is a symmetric 2 x 2 form, and nothing
 cancels as the platform levels. Derivation: `docs/theory/inverse_displacement.md`.
+
+A machine as built has no such quadratics: its six leg planes are three quadrics, all eight roots of which are found,
+and the labels of the drawn machine are carried to them, see `docs/theory/as_built.md`.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.kinematics.as_built_inverse import as_built_complex_joints, as_built_inverse, as_built_physical
 from spm_pin.kinematics.batches import (
     BRANCH_RESULTS,
     branch_states,
@@ -35,18 +39,20 @@ from spm_pin.kinematics.batches import (
     run_kernel,
     with_batch_shape,
 )
-from spm_pin.kinematics.degeneracy import find_degeneracy
-from spm_pin.mechanism.arguments import FloatArray, as_bool
-from spm_pin.mechanism.branches import BRANCHES
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, as_bool
+from spm_pin.mechanism.branches import BRANCHES, TANGENT_SIGNS
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import PoseLike
+from spm_pin.mechanism.solution_status import Degeneracy, Status
 from spm_pin.mechanism.solutions import SolutionSet
 
 ROUNDING_BOUND = 2.0**-39
 """Bound of the rounding error of a discriminant over r², divided by (1 + (|x| + |y|)/r)²: `docs/theory/proofs.md`."""
 
-_MIN_BATCH_PER_THREAD = 1 << 14
+_MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_AS_BUILT = 1 << 14, 1 << 9
+_LARGE = 5e-3
+"""Errors of a machine as built, of directions and in units of r, for which all roots are solved for at once."""
 
 
 def inverse_displacement(
@@ -61,32 +67,36 @@ def inverse_displacement(
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
         Pose of {m} in {B}, translation in metres; one, or a batch of shape (...).
     out : SolutionSet, optional
-        What an earlier call for a batch of this shape returned. Its memory is written anew, which saves what the system
-        takes to provide memory; it and everything taken from it then hold the new numbers.
+        What an earlier call with this geometry for a batch of this shape returned. Its memory is written anew, which
+        saves what the system takes to provide memory; it and everything taken from it then hold the new numbers.
     certify : bool
-        Decide the families that are not `certain` without rounding, and compute their branches with more digits, a few
-        milliseconds each; and bound the error of all joints, in `SolutionSet.radius`.
+        Bound the error of all joints, in `SolutionSet.radius`. In a drawn machine also decide the families that are not
+        `certain` without rounding, and compute their branches with more digits, a few milliseconds each.
 
     Returns
     -------
     SolutionSet
         The branches TT+, TT-, TF+, TF-, FT+, FT-, FF+, FF- along the last axis, so `.middle_joints` is
-        (..., 8, 3, 3) and `.leg_lengths` (..., 8, 6), NaN where a branch is not real. `.discriminants`
-        (..., 4), dimensionless, are those of the families' quadratics divided by r² = d²/3: the two branches
-        of a family are real where it is not negative, and meet where it is zero, at an inverse singularity.
-        `.status` (...) is `Status.OK`; `UNREACHABLE` where no branch is real; or `DEGENERATE` where some
-        family is continuous: it is left out, and `.degeneracy` describes it. For a machine as built `.leg_lengths`
-        are readings, offsets included, labels are carried from the nominal machine, `.met` (..., 8) is true where two
-        branches met on the way, and the status may be `UNSOLVED`; see `docs/theory/as_built.md`. For a `Geometry`
-        `.certain` (..., 4) says which families are proved to be real, or not; see `docs/theory/proofs.md`.
+        (..., 8, 3, 3) and `.leg_lengths` (..., 8, 6), NaN where a branch is not real. `.status` (...) is `Status.OK`;
+        `UNREACHABLE` where no branch is real; or `DEGENERATE` where some solutions are a continuous family, which is
+        left out.
+
+        Of a drawn machine `.discriminants` (..., 4), dimensionless, are those of the families' quadratics divided by
+        r² = d²/3: the two branches of a family are real where it is not negative, and meet where it is zero, at an
+        inverse singularity. `.degeneracy` describes continuous families, and `.certain` (..., 4) says which families
+        are proved to be real, or not; see `docs/theory/proofs.md`.
+
+        Of a machine as built labels are carried from the drawn machine while the errors grow. `.merged` (..., 8) is
+        true under a label whose branch met another one on the way, and under a label left over that a real root of this
+        machine took. The status may be `UNSOLVED`, where not all eight roots could be isolated; see
+        `docs/theory/as_built.md`.
 
     Raises
     ------
     PoseError
-        If `pose` is not a rigid transform of finite numbers.
+        If `pose` is not a rigid transform of finite numbers, or more than 2e5 times the machine away.
     ArgumentError
-        If `out` is no result of this function for a batch of this shape, or it or `certify` is given for an
-        machine as built.
+        If `out` is no result of this function for this geometry and a batch of this shape.
 
     Notes
     -----
@@ -110,46 +120,74 @@ def inverse_displacement(
     <SolutionSet: ok, 6 of 8 real: TT+, TT-, TF+, TF-, FF+, FF->
     """
     certified = as_bool(certify, "certify")
-    if not geometry.is_nominal:
-        if out is not None:
-            raise ArgumentError("out", "None for a machine as built", type(out).__name__)
-        if certified:
-            raise ArgumentError("certify", "False for a machine as built", certify)
-        return as_built_inverse(geometry, pose)
+    shape, rotation, position = read_pose(geometry, pose)
+    memory = None if out is None else _memory_of(out, geometry, shape)
+    solve = _drawn_branches if geometry.is_nominal else _as_built_branches
+    branches = solve(geometry, shape, rotation, position, memory)
+    if not certified:
+        return branches
+    from spm_pin.kinematics.certified_branches import certify_branches
+
+    return certify_branches(branches)
+
+
+def _memory_of(out: SolutionSet, geometry: Geometry, shape: tuple[int, ...]) -> tuple[npt.NDArray[Any], ...]:
+    expected = f"what `inverse_displacement` returned for this geometry and a batch of shape {shape}"
+    if not isinstance(out, SolutionSet):
+        raise ArgumentError("out", expected, type(out).__name__)
+    if out.memory is None or out.shape != shape or len(out.memory[0]) != math.prod(shape):
+        received = f"one of shape {out.shape}" if out.memory is not None else "one that does not own its memory"
+        raise ArgumentError("out", expected, received)
+    if out.geometry is not geometry and out.geometry != geometry:
+        raise ArgumentError("out", expected, f"one of {out.geometry!r}", "It would keep that geometry")
+    return out.memory
+
+
+def _drawn_branches(
+    geometry: Geometry,
+    shape: tuple[int, ...],
+    rotation: FloatArray,
+    position: FloatArray,
+    memory: tuple[npt.NDArray[Any], ...] | None,
+) -> SolutionSet:
+    """Solve the four quadratics of each pose."""
     from spm_pin.kinematics.kernels.branch_kernels import all_branches
 
-    shape, rotation, position = read_pose(pose)
-    results = BRANCH_RESULTS if out is None else _memory_of(out, shape)
+    results = BRANCH_RESULTS if memory is None else memory
     solved = run_kernel(all_branches, (rotation, position), radii(geometry), results, _MIN_BATCH_PER_THREAD)
-    rotation, position, _, _, discriminants, choice, status, flagged = solved
+    rotation, position, _, _, discriminants, hint, status, flagged = solved
     degeneracy = find_degeneracy(geometry, shape, rotation, position, flagged, status)
-    found = SolutionSet(
+    return SolutionSet(
         branch_states(geometry, shape, solved[:4]),
         BRANCHES,
         status.reshape(shape),
         discriminants=discriminants.reshape(*shape, 4),
         degeneracy=degeneracy,
-        choice=choice.reshape(*shape, 3),
+        physical_hint=hint.reshape(*shape, 3),
         memory=solved,
         rounding=ROUNDING_BOUND,
     )
-    if not certified:
-        return found
-    from spm_pin.kinematics.certified_branches import certify_branches
-
-    return certify_branches(found, solved)
 
 
-def _memory_of(out: SolutionSet, shape: tuple[int, ...]) -> tuple[npt.NDArray[np.generic], ...]:
-    if not isinstance(out, SolutionSet):
-        raise ArgumentError("out", "a SolutionSet", type(out).__name__)
-    if out.memory is None or out.shape != shape or len(out.memory[0]) != math.prod(shape):
-        received = f"one of shape {out.shape}" if out.memory is not None else "one that does not own its memory"
-        raise ArgumentError("out", f"what `inverse_displacement` returned for a batch of shape {shape}", received)
-    return out.memory
+def _as_built_branches(
+    geometry: Geometry,
+    shape: tuple[int, ...],
+    rotation: FloatArray,
+    position: FloatArray,
+    memory: tuple[npt.NDArray[Any], ...] | None,
+) -> SolutionSet:
+    """Find all eight common points of the three quadrics of each pose."""
+    # The poses may be the caller's memory.
+    own_pose = (np.empty_like(rotation), np.empty_like(position)) if memory is None else memory[:2]
+    own_pose[0][...], own_pose[1][...] = rotation, position
+    solved = (*own_pose, *_as_built_roots(geometry, rotation, position, None if memory is None else memory[2:]))
+    *_, carried, status, _ = solved
+    merged = (carried == 0).reshape(*shape, 8)
+    branches = branch_states(geometry, shape, solved[:4])
+    return SolutionSet(branches, BRANCHES, status.reshape(shape), merged=merged, memory=solved)
 
 
-def inverse_physical(geometry: Geometry, pose: PoseLike) -> Configuration:
+def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration | None = None) -> Configuration:
     """Find the physical configuration for a pose: the one in which the machine holds the platform there.
 
     Parameters
@@ -158,20 +196,24 @@ def inverse_physical(geometry: Geometry, pose: PoseLike) -> Configuration:
         The manipulator. Its leg limits only decide between two configurations; see `LegLimits.contains`.
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
         Pose of {m} in {B}, translation in metres; one, or a batch of shape (...).
+    near : Configuration, optional
+        Where the machine was: of two physical configurations, which are on either side of an inverse singularity, the
+        one nearer to that state is returned. See `SolutionSet.nearest`.
 
     Returns
     -------
     Configuration
-        Of shape (...): to the bit what ``inverse_displacement(geometry, pose).physical()`` returns, in less time and
-        memory. Both stages are without torsion and reached from the symmetric home without a forward
-        singularity. If TT+ and TT- both are, those within the leg limits are preferred, then the one whose stages are
-        tilted less; `SolutionSet.ambiguous` is True there. `.exists` is False, and everything NaN,
-        where there is no such configuration. Of a machine as built the same, to rounding.
+        Of shape (...): what ``inverse_displacement(geometry, pose).physical(near)`` returns, to the bit for a drawn
+        machine and to rounding for one as built, in less time and memory. Both stages are without torsion and reached
+        from the symmetric home without a forward singularity. If TT+ and TT- both are, those within the leg limits are
+        preferred, then the one nearer to `near` or, without it, the one whose stages are tilted less;
+        `SolutionSet.ambiguous` is True there. `.exists` is False, and everything NaN, where there is no such
+        configuration.
 
     Raises
     ------
     PoseError
-        If `pose` is not a rigid transform of finite numbers.
+        If `pose` is not a rigid transform of finite numbers, or more than 2e5 times the machine away.
 
     Examples
     --------
@@ -181,20 +223,69 @@ def inverse_physical(geometry: Geometry, pose: PoseLike) -> Configuration:
     >>> spm.inverse_physical(geometry, pose).leg_lengths.round(3)
     array([1.2 , 1.2 , 1.4 , 1.25, 1.2 , 1.5 ])
     """
-    from spm_pin.kinematics.kernels.branch_kernels import physical_branches
-
-    if not geometry.is_nominal:
-        return as_built_physical(geometry, pose)
-    sizes, limits = radii(geometry), geometry.limits
-    shape, rotation, position = read_pose(pose)
-    bounds = np.array([(0.0,) * 6, (np.inf,) * 6] if limits is None else [limits.minimum, limits.maximum])
-    results = (((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64), ((6,), np.float64))
-    solved = run_kernel(physical_branches, (rotation, position), (*sizes, bounds), results, _MIN_BATCH_PER_THREAD)
-    found = Configuration.from_arrays(geometry, *with_batch_shape(solved, shape))
-    if not shape and not found.exists:
+    if near is not None:
+        return inverse_displacement(geometry, pose).physical(near)
+    shape, rotation, position = read_pose(geometry, pose)
+    solve = _drawn_physical if geometry.is_nominal else _as_built_physical
+    state = solve(geometry, shape, rotation, position)
+    if not shape and not state.exists:
         # The same, with the reason why there is none.
         return inverse_displacement(geometry, pose).physical()
-    return found
+    return state
+
+
+def _drawn_physical(
+    geometry: Geometry, shape: tuple[int, ...], rotation: FloatArray, position: FloatArray
+) -> Configuration:
+    """Choose between TT+ and TT- of the family's quadratic."""
+    from spm_pin.kinematics.kernels.branch_kernels import physical_branches
+
+    results = (((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64), ((6,), np.float64))
+    constants = *radii(geometry), _length_bounds(geometry)
+    solved = run_kernel(physical_branches, (rotation, position), constants, results, _MIN_BATCH_PER_THREAD)
+    return Configuration.from_arrays(geometry, *with_batch_shape(solved, shape))
+
+
+def _length_bounds(geometry: Geometry) -> FloatArray:
+    """Return the least and largest leg lengths (2, 6) that the limits of the readings allow [m]."""
+    limits = geometry.limits
+    bounds = np.array([(-np.inf,) * 6, (np.inf,) * 6] if limits is None else [limits.minimum, limits.maximum])
+    return np.asarray(bounds - geometry.legs.offsets)
+
+
+def _as_built_physical(
+    geometry: Geometry, shape: tuple[int, ...], rotation: FloatArray, position: FloatArray
+) -> Configuration:
+    """Follow TT+ and TT- of the drawn machine to this one, and choose between them.
+
+    All branches are solved for where that leaves a doubt, see `kernels.as_built_physical_kernel`, where neither is
+    physical, and for large errors.
+    """
+    from spm_pin.kinematics.kernels.as_built_physical_kernel import certain_physical_branches
+
+    machines = _machines(geometry)
+    if np.abs(machines[1] - machines[0]).max() > _LARGE:
+        return _as_built_branches(geometry, shape, rotation, position, None).physical()
+    drawn = _followed_branches(geometry, rotation, position)
+    constants = *machines, TANGENT_SIGNS, _length_bounds(geometry), geometry.middle_radius
+    results = ((3, 3), np.float64), ((6,), np.float64), ((), np.bool_)
+    joints, lengths, certain = run_kernel(
+        certain_physical_branches,
+        (rotation, position, drawn[2]),
+        constants,
+        results,
+        _MIN_BATCH_PER_THREAD_AS_BUILT,
+    )
+    doubtful = np.flatnonzero(~certain)
+    if not shape and len(doubtful):
+        return _as_built_branches(geometry, shape, rotation, position, None).physical()
+    state = [drawn[0], drawn[1], joints, lengths]
+    if len(doubtful):
+        others = _as_built_branches(geometry, (len(doubtful),), rotation[doubtful], position[doubtful], None).physical()
+        arrays = others.rotation, others.translation, others.middle_joints, others.leg_lengths
+        for array, values in zip(state, arrays, strict=True):
+            array[doubtful] = values
+    return Configuration.from_arrays(geometry, *with_batch_shape(state, shape))
 
 
 def branch_lengths(geometry: Geometry, pose: PoseLike) -> tuple[FloatArray, npt.NDArray[np.int8]]:
@@ -212,20 +303,18 @@ def branch_lengths(geometry: Geometry, pose: PoseLike) -> tuple[FloatArray, npt.
         what `inverse_displacement` returns, to the bit, for a third of the memory.
     status : ndarray of int8, shape (...)
         `Status` of each pose.
-
-    Raises
-    ------
-    PoseError
-        If `pose` is not a rigid transform of finite numbers.
     """
     from spm_pin.kinematics.kernels import branch_kernels as kernels
 
-    shape, rotation, position = read_pose(pose)
-    results = ((8, 6), np.float64), ((), np.int8), ((), np.uint8)
-    lengths, status, flagged = run_kernel(
-        kernels.branch_lengths, (rotation, position), radii(geometry), results, _MIN_BATCH_PER_THREAD
-    )
-    find_degeneracy(geometry, shape, rotation, position, flagged, status)
+    shape, rotation, position = read_pose(geometry, pose)
+    if geometry.is_nominal:
+        results = ((8, 6), np.float64), ((), np.int8), ((), np.uint8)
+        lengths, status, flagged = run_kernel(
+            kernels.branch_lengths, (rotation, position), radii(geometry), results, _MIN_BATCH_PER_THREAD
+        )
+        find_degeneracy(geometry, shape, rotation, position, flagged, status)
+    else:
+        _, lengths, _, status, _ = _as_built_roots(geometry, rotation, position)
     leg_lengths, outcome = with_batch_shape((lengths, status), shape)
     return leg_lengths, outcome
 
@@ -242,18 +331,107 @@ def complex_middle_joints(geometry: Geometry, pose: PoseLike) -> npt.NDArray[np.
     -------
     ndarray of complex128, shape (..., 8, 3, 3)
         Rows b_1, b_2, b_3 in {B} [m]. A family with a negative discriminant holds two conjugate solutions, as
-        in the paper's Tables 1-3. NaN where a family is continuous or has no finite solution.
-
-    Raises
-    ------
-    PoseError
-        If `pose` is not a rigid transform of finite numbers.
+        in the paper's Tables 1-3. NaN where a family is continuous or has no finite solution. Of a machine as built
+        real roots stand under their labels of `inverse_displacement`, the others under those left over.
     """
+    shape, rotation, position = read_pose(geometry, pose)
+    if geometry.is_nominal:
+        joints = _drawn_complex_joints(geometry, rotation, position)
+    else:
+        results = (*_ROOT_RESULTS[:4], ((8, 3, 3), np.complex128))
+        joints = _as_built_roots(geometry, rotation, position, results)[4]
+    return np.asarray(joints.reshape(*shape, 8, 3, 3))
+
+
+def _drawn_complex_joints(geometry: Geometry, rotation: FloatArray, position: FloatArray) -> npt.NDArray[np.complex128]:
     from spm_pin.kinematics.kernels.branch_kernels import complex_branches
 
-    if not geometry.is_nominal:
-        return as_built_complex_joints(geometry, pose)
-    shape, rotation, position = read_pose(pose)
-    results = [((8, 3, 3), np.complex128)]
-    (joints,) = run_kernel(complex_branches, (rotation, position), radii(geometry)[:1], results, _MIN_BATCH_PER_THREAD)
-    return np.asarray(joints.reshape(*shape, 8, 3, 3))
+    joints: npt.NDArray[np.complex128]
+    results, size = [((8, 3, 3), np.complex128)], radii(geometry)[:1]
+    (joints,) = run_kernel(complex_branches, (rotation, position), size, results, _MIN_BATCH_PER_THREAD_AS_BUILT)
+    return joints
+
+
+def _machines(geometry: Geometry) -> list[FloatArray]:
+    """Return axes, and pivots and balls in units of the middle radius, of the drawn machine and of this one."""
+    unit = geometry.middle_radius
+    legs = geometry.nominal.legs, geometry.legs
+    return [np.stack([x.axes, x.pivots / unit, x.balls / unit]) for x in legs]
+
+
+def _followed_branches(geometry: Geometry, rotation: FloatArray, position: FloatArray) -> tuple[Any, ...]:
+    """Return the `BRANCH_RESULTS` of the drawn machine at N poses, joints that are not to be followed as NaN."""
+    from spm_pin.kinematics.kernels.branch_kernels import all_branches
+
+    poses, sizes = (rotation, position), radii(geometry)
+    branches = run_kernel(all_branches, poses, sizes, BRANCH_RESULTS, _MIN_BATCH_PER_THREAD_AS_BUILT)
+    # The branches left of a degenerate pose are not followed: what they would meet is a continuous family.
+    branches[2][(branches[6] == Status.DEGENERATE) | (branches[7] != 0)] = np.nan
+    return branches
+
+
+_ROOT_RESULTS = ((8, 3, 3), np.float64), ((8, 6), np.float64), ((8,), np.uint8), ((), np.int8)
+"""Results of the kernel `as_built_branches`: joints, lengths, labels carried and status. Complex joints if asked."""
+
+
+def _as_built_roots(
+    geometry: Geometry, rotation: FloatArray, position: FloatArray, results: Sequence[Any] | None = None
+) -> tuple[Any, ...]:
+    """Run the kernel `as_built_branches` on N poses, into `results` if they are arrays."""
+    from spm_pin.kinematics.kernels.as_built_kernels import as_built_branches
+
+    if results is None:
+        results = *_ROOT_RESULTS, np.empty((0, 8, 3, 3), np.complex128)
+    starts = _followed_branches(geometry, rotation, position)[2], _drawn_complex_joints(geometry, rotation, position)
+    constants = *_machines(geometry), geometry.middle_radius
+    inputs = rotation, position, *starts
+    return run_kernel(as_built_branches, inputs, constants, results, _MIN_BATCH_PER_THREAD_AS_BUILT)
+
+
+def find_degeneracy(
+    geometry: Geometry,
+    shape: tuple[int, ...],
+    rotation: FloatArray,
+    position: FloatArray,
+    flagged: npt.NDArray[np.uint8],
+    status: npt.NDArray[np.int8],
+) -> Degeneracy:
+    """Describe the continuous families of a batch of this shape, N poses (N, 3, 3), (N, 3); set their `status` (N,).
+
+    Only poses that a kernel has `flagged` (N,) can have any, see `kernels.branch_tiles`.
+    """
+    n = len(flagged)
+    dimension, families, legs = np.zeros(n, np.int8), np.zeros((n, 4), np.bool_), np.zeros((n, 3), np.bool_)
+    at = np.flatnonzero(flagged)
+    if len(at):
+        dimension[at], families[at], legs[at] = _describe(geometry, flagged[at], rotation[at], position[at])
+        status[dimension > 0] = Status.DEGENERATE
+    return Degeneracy(dimension.reshape(shape), families.reshape(*shape, 4), legs.reshape(*shape, 3))
+
+
+def _describe(
+    geometry: Geometry, flagged: npt.NDArray[np.uint8], rotation: FloatArray, position: FloatArray
+) -> tuple[npt.NDArray[np.int8], BoolArray, BoolArray]:
+    """Return the dimension (N,), families (N, 4) and legs (N, 3) of `Degeneracy` of flagged poses.
+
+    Where the two Z axes meet or cross, a family is continuous iff its form vanishes: (P : Q) is then free and
+    the family has one dimension. Where they are parallel, see `kernels.degeneracy_kernel`.
+    """
+    from spm_pin.kinematics.kernels.branch_tiles import VERTICAL
+    from spm_pin.kinematics.kernels.degeneracy_kernel import continuous_families
+    from spm_pin.kinematics.kernels.quadratics import ROUNDING
+
+    families = (flagged[:, None] & np.array([1, 2, 4, 8])) > 0
+    dimension = families.any(axis=-1).astype(np.int8)
+    axes = geometry.revolute_axes
+    platform_axes = axes @ np.swapaxes(rotation, -1, -2)
+    parallel = np.linalg.norm(np.cross(axes, platform_axes), axis=-1) <= ROUNDING
+    aside = np.hypot(position[:, 0], position[:, 1])
+    legs = parallel & (np.abs(position @ axes.T) <= ROUNDING * (geometry.middle_radius + aside)[:, None])
+    at = (flagged & VERTICAL) > 0
+    if at.any():
+        flat = np.empty((np.count_nonzero(at), 4), np.uint8)
+        sizes = np.empty(len(flat), np.int8)
+        continuous_families(rotation[at], position[at], geometry.middle_radius, flat, sizes)
+        families[at], dimension[at] = flat > 0, sizes
+    return dimension, families, legs & (dimension > 0)[:, None]

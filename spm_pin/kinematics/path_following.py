@@ -1,22 +1,25 @@
 """Following one solution along a path of poses or leg lengths.
 
-`path_tracker` keeps to the solution, `path_events` finds the singularities and limits that it meets.
+At every parameter all solutions are known, so there is nothing to integrate and nothing drifts: the solution nearest to
+where the last two lead is taken, and the step is halved until it is clearly the nearest. Singularities and leg limits on
+the way are zeros of functions of the solution, found by root finding on the solutions themselves.
 """
 
 from __future__ import annotations
 
+import enum
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+import scipy
 from scipy.spatial.transform import RigidTransform, Slerp
 
 from spm_pin.errors import ArgumentError
-from spm_pin.kinematics.forward_displacement import forward_displacement, forward_physical
+from spm_pin.kinematics.forward_displacement import forward_physical, modes_near
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
-from spm_pin.kinematics.path_events import Event, find_events
-from spm_pin.kinematics.path_tracker import PathSolver, Tracker
+from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import (
     BoolArray,
     FloatArray,
@@ -29,14 +32,47 @@ from spm_pin.mechanism.arguments import (
 from spm_pin.mechanism.branches import physical
 from spm_pin.mechanism.configuration import Configuration, check_configuration, compared_points
 from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.leg_limits import LEGS
 from spm_pin.mechanism.pose import as_rigid_transform, pose
 from spm_pin.mechanism.solutions import SolutionSet
 
+PathSolver = Callable[[float, Configuration | None], SolutionSet]
+"""The solutions at a parameter of the path, those that go on from a state if one is given."""
+
 LONGEST_MOVE = 0.1
 """A joint moves at most this share of d in a step, so that no turn is missed."""
-
+CLEARLY = 0.25
+"""A solution is clearly the nearest to the predicted one if its error is at most this share of the next one's."""
+SHORTEST_STEP = 1e-11
+"""Shortest step in the path's parameter; solutions that it does not separate are taken to meet."""
+MOST_UNCLEAR = 100
+"""Number of successive shortest steps after which two solutions are taken to coincide."""
+_ROUNDING = 1e-12
+"""Share of d by which rounding may move the length of a leg."""
 _MOST_EVENTS = 4
 """Events that the text of a path shows."""
+
+
+class EventKind(enum.StrEnum):
+    """Kinds of events along a path."""
+
+    INVERSE_SINGULARITY = "inverse singularity"
+    FORWARD_SINGULARITY = "forward singularity"
+    LIMIT = "leg limit"
+    SWITCH = "label changes"
+    END = "solution ends"
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happens at one parameter."""
+
+    kind: EventKind
+    """Kind of the event: a singularity, a limit, a new label, the end."""
+    parameter: float
+    """Parameter of the path at which it happens, from 0 to 1."""
+    detail: str
+    """The stage, the leg and which limit, or the labels before and after."""
 
 
 class CertifiedLimits(Protocol):
@@ -96,10 +132,11 @@ def follow(
     geometry : Geometry
         The manipulator. Where it has leg limits, crossing one is an event.
     path : callable, RigidTransform of shape (n,), or array_like of shape (n, 4, 4) or (n, 6)
-        Poses of {m} in {B}, or leg lengths [m]. A callable takes the parameter, 0 to 1. Between given poses the
-        rotation is interpolated at constant angular velocity and the position, like leg lengths, on a line.
+        Poses of {m} in {B}, or readings of the legs [m]. A callable takes the parameter, 0 to 1. Between given poses the
+        rotation is interpolated at constant angular velocity and the position, like readings, on a line.
     start : Configuration or str, optional
-        The solution at parameter 0: the one nearest to a configuration, or a label. By default the physical one.
+        The solution at parameter 0: the one nearest to a configuration, or a label. By default the physical one. Of a
+        machine as built along readings, whose assembly modes are not known: the one followed from a configuration.
     samples : int
         The path is solved in at least so many steps. Two crossings within one step of the same limit or of the
         same kind of singularity are found if the function in between has its extremum beyond zero.
@@ -122,25 +159,28 @@ def follow(
     samples = whole_number(samples, "samples", least=1, most=10**9)
     if certificate is not None and not hasattr(certificate, "covers"):
         raise ArgumentError("certificate", "a Certificate", type(certificate).__name__)
-    solve, knots, legs = _solver(geometry, path)
-    tracker = Tracker(solve, _start(solve(0.0), start), LONGEST_MOVE * geometry.middle_side, legs=legs)
+    if start is not None and not isinstance(start, str):
+        check_configuration(start, "start", single=True, existing=True)
+    solve, knots, has_legs = _solver(geometry, path)
+    solutions = solve(0.0, start if isinstance(start, Configuration) else None)
+    tracker = Tracker(solve, solutions, _start(solutions, start), has_legs=has_legs)
     stops = np.unique(np.concatenate([np.linspace(0.0, 1.0, samples + 1), knots]))
     for stop in stops[1:]:
         if not tracker.advance(float(stop)):
             break
-    found = tracker.configurations()
-    events = find_events(geometry, tracker.parameters, found, tracker.state) + tracker.events
-    covered = None if certificate is None else certificate.covers(found)
+    states = tracker.configurations()
+    events = find_events(geometry, tracker.parameters, states, tracker.state) + tracker.events
+    covered = None if certificate is None else certificate.covers(states)
     ordered = tuple(sorted(events, key=lambda e: e.parameter))
-    return FollowedPath(np.array(tracker.parameters), found, tuple(tracker.labels), ordered, covered)
+    return FollowedPath(np.array(tracker.parameters), states, tuple(tracker.labels), ordered, covered)
 
 
 def physical_mode_share(
     geometry: Geometry, start: FloatArray, ends: FloatArray, *, parts: int = 16, rounds: int = 3
 ) -> FloatArray:
-    """Return the shares of straight lines of leg lengths to which the physical mode lasts, shape (n,).
+    """Return the shares of straight lines of readings to which the physical mode lasts, shape (n,).
 
-    From lengths (6,), at which it exists, to each of `ends` (n, 6) [m]. A line is solved at the ends of `parts` parts,
+    From readings (6,), at which it exists, to each of `ends` (n, 6) [m]. A line is solved at the ends of `parts` parts,
     and each further of `rounds` divides the first part at whose end the mode is gone: a shorter gap may be missed.
     """
     low, high = np.zeros(len(ends)), np.ones(len(ends))
@@ -148,42 +188,47 @@ def physical_mode_share(
         shares = np.linspace(low, high, parts + 1)[1:]
         exists = np.asarray(forward_physical(geometry, start + shares[..., None] * (ends - start)).exists)
         count = np.where(exists.all(axis=0), parts, exists.argmin(axis=0))
-        found = np.concatenate([low[None], shares])
-        low, high = (np.take_along_axis(found, at[None], axis=0)[0] for at in (count, np.minimum(count + 1, parts)))
+        ends_of_parts, places = np.concatenate([low[None], shares]), (count, np.minimum(count + 1, parts))
+        low, high = (np.take_along_axis(ends_of_parts, place[None], axis=0)[0] for place in places)
     return low
 
 
-def last_on_line(start: Configuration, leg_lengths: FloatArray) -> tuple[Configuration, float]:
-    """Return the last configuration found on the straight line to leg lengths (6,), and its share of the line.
+def last_on_line(start: Configuration, readings: FloatArray) -> tuple[Configuration, float]:
+    """Return the last configuration found on the straight line to readings (6,), and its share of the line.
 
     The mode is that of `start`; the share is 1 if it lasts to the end.
     """
-    geometry, lengths = start.geometry, start.readings
+    geometry, first = start.geometry, start.readings
     if not physical(start):
-        path = follow(geometry, np.stack([lengths, leg_lengths]), start, samples=4)
+        path = follow(geometry, np.stack([first, readings]), start, samples=4)
         return path.configurations[-1], float(path.parameters[-1])
-    share = float(physical_mode_share(geometry, lengths, leg_lengths[None])[0])
-    return forward_physical(geometry, lengths + share * (leg_lengths - lengths)) if share else start, share
+    share = float(physical_mode_share(geometry, first, readings[None])[0])
+    return forward_physical(geometry, first + share * (readings - first)) if share else start, share
 
 
 def _solver(geometry: Geometry, path: Any) -> tuple[PathSolver, FloatArray, bool]:
     """Return all solutions as a function of the parameter, the parameters of given points, and if those are legs."""
+    at: Callable[[float], Any] = path
+    knots = np.array([0.0, 1.0])
     if callable(path):
-        if np.shape(_bare(path(0.0))) == (6,):
-            return lambda s: forward_displacement(geometry, path(s)), np.array([0.0, 1.0]), True
-        return lambda s: inverse_displacement(geometry, path(s)), np.array([0.0, 1.0]), False
-    bare = as_array(_bare(path))
-    points = len(bare) if bare is not None and bare.ndim else 0
-    if bare is None or bare.ndim not in (2, 3) or points < 2:
-        expected = "a callable, or at least two poses (n, 4, 4) or sets of leg lengths (n, 6)"
-        raise ArgumentError("path", expected, type_and_value(path) if bare is None else f"shape {bare.shape}")
-    knots = np.linspace(0.0, 1.0, points)
-    if bare.ndim == 2:
-        lengths = real_array(path, "path", (6,), "leg lengths in metres, or poses of shape (n, 4, 4)")
-        return lambda s: forward_displacement(geometry, _between(s, knots, lengths)), knots, True
-    poses = as_rigid_transform(path, "path")
-    turn, positions = Slerp(knots, poses.rotation), poses.translation
-    return lambda s: inverse_displacement(geometry, pose(_between(s, knots, positions), rotation=turn(s))), knots, False
+        has_legs = np.shape(_bare(path(0.0))) == (6,)
+    else:
+        bare = as_array(_bare(path))
+        points = len(bare) if bare is not None and bare.ndim else 0
+        if bare is None or bare.ndim not in (2, 3) or points < 2:
+            expected = "a callable, or at least two poses (n, 4, 4) or sets of readings of the legs (n, 6)"
+            raise ArgumentError("path", expected, type_and_value(path) if bare is None else f"shape {bare.shape}")
+        has_legs, knots = bare.ndim == 2, np.linspace(0.0, 1.0, points)
+        if has_legs:
+            readings = real_array(path, "path", (6,), "readings of the legs in metres, or poses of shape (n, 4, 4)")
+            at = lambda s: _between(s, knots, readings)  # noqa: E731
+        else:
+            poses = as_rigid_transform(path, "path")
+            turn, positions = Slerp(knots, poses.rotation), poses.translation
+            at = lambda s: pose(_between(s, knots, positions), rotation=turn(s))  # noqa: E731
+    if has_legs:
+        return lambda s, near: modes_near(geometry, at(s), near), knots, True
+    return lambda s, near: inverse_displacement(geometry, at(s)), knots, False
 
 
 def _between(s: float, knots: FloatArray, rows: FloatArray) -> FloatArray:
@@ -202,11 +247,175 @@ def _start(solutions: SolutionSet, start: Configuration | str | None) -> int:
             received = f"{start!r}, while real are {', '.join(real[:8]) or 'none'}{' …' * (len(real) > 8)}"
             raise ArgumentError("start", "the label of a solution that is real where the path begins", received)
         return solutions.labels.index(start)
-    if start is not None:
-        check_configuration(start, "start", single=True, existing=True)
     chosen = solutions.physical() if start is None else solutions.nearest(start)
     if not chosen.exists:
-        cause = f"{chosen.absence}. A solution that is not physical is named by its label" if start is None else ""
+        cause = (
+            f"{chosen.missing_reason}. A solution that is not physical is named by its label" if start is None else ""
+        )
         raise ArgumentError("start", "a solution that exists where the path begins", "none", cause)
     gap = np.abs(compared_points(solutions.configurations) - compared_points(chosen)).max(axis=(-1, -2))
     return int(np.where(solutions.exists, gap, np.inf).argmin())
+
+
+class Tracker:
+    """The solution followed so far."""
+
+    def __init__(self, solve: PathSolver, solutions: SolutionSet, place: int, *, has_legs: bool) -> None:
+        self.solve = solve
+        self.longest_move = LONGEST_MOVE * solutions.geometry.middle_side
+        self.has_legs = has_legs
+        self.parameters = [0.0]
+        self.states: list[Configuration] = [solutions.configurations[place]]
+        self.labels = [solutions.labels[place]]
+        self.events: list[Event] = []
+        self._step = 1e-6
+        self._unclear = 0  # shortest steps in a row that did not tell solutions apart
+
+    def configurations(self) -> Configuration:
+        """Return the states as one batch."""
+        return Configuration.from_arrays(
+            self.states[0].geometry,
+            np.stack([state.rotation for state in self.states]),
+            np.stack([state.translation for state in self.states]),
+            np.stack([state.middle_joints for state in self.states]),
+        )
+
+    def advance(self, stop: float) -> bool:
+        """Follow the solution to `stop`; False where it ends before."""
+        while self.parameters[-1] < stop:
+            here = self.parameters[-1]
+            ahead = min(stop, here + self._step)
+            # What a step of rounding would leave before the stop is not worth one.
+            ahead = stop if stop - ahead < 0.1 * SHORTEST_STEP else ahead
+            solutions = self.solve(ahead, self.states[-1])
+            place, clear = self._nearest(solutions, ahead)
+            shortest = ahead - here <= SHORTEST_STEP
+            # Two solutions that nearly meet look like two that cross, except for their labels: labels are exchanged
+            # only where the shortest step confirms it.
+            same = place is not None and solutions.labels[place] == self.labels[-1]
+            if place is not None and ((clear and same) or (shortest and self._unclear < MOST_UNCLEAR)):
+                self._unclear = 0 if clear else self._unclear + 1
+                self._accept(ahead, solutions, place)
+                self._step = 2.0 * (ahead - here)
+            elif not shortest:
+                self._step = 0.5 * (ahead - here)
+            else:
+                self._end(here)
+                return False
+        return True
+
+    def _nearest(self, solutions: SolutionSet, ahead: float) -> tuple[int | None, bool]:
+        """Return the solution nearest to the predicted one, if any is near, and whether it clearly is."""
+        here = compared_points(self.states[-1])
+        predicted = here
+        if len(self.states) > 1:
+            last = self.parameters[-1] - self.parameters[-2]
+            predicted = here + (here - compared_points(self.states[-2])) * (ahead - self.parameters[-1]) / last
+        points = compared_points(solutions.configurations)
+        error = np.linalg.norm(points - predicted, axis=-1).max(axis=-1)
+        error = np.where(solutions.exists, error, np.inf)
+        order = error.argsort()
+        nearest, others = int(order[0]), error[order[1:]].min(initial=np.inf)
+        move = float(np.linalg.norm(points[nearest] - here, axis=-1).max())
+        if not np.isfinite(error[nearest]) or move > self.longest_move:
+            return None, False
+        rounding = 1e-12 * float(np.abs(here).max())
+        return nearest, bool(error[nearest] <= CLEARLY * others + rounding and others > 4 * rounding)
+
+    def _accept(self, parameter: float, solutions: SolutionSet, place: int) -> None:
+        label = solutions.labels[place]
+        if label != self.labels[-1]:
+            self.events.append(Event(EventKind.SWITCH, parameter, f"{self.labels[-1]} becomes {label}"))
+        self.parameters.append(parameter)
+        self.states.append(solutions.configurations[place])
+        self.labels.append(label)
+
+    def _end(self, parameter: float) -> None:
+        if self._unclear >= MOST_UNCLEAR:
+            what = f"{self.labels[-1]}, which coincides with another solution"
+            self.events.append(Event(EventKind.END, parameter, what))
+            return
+        # Given leg lengths end at a forward singularity of a stage, given poses at an inverse one.
+        lower, upper, _ = np.abs(determinants(self.states[-1]))
+        meets = ("forward, lower stage" if lower < upper else "forward, upper stage") if self.has_legs else "inverse"
+        self.events.append(Event(EventKind.END, parameter, f"{self.labels[-1]}, at a singularity: {meets}"))
+
+    def state(self, parameter: float) -> Configuration:
+        """Return the followed solution anywhere between two places where it is known."""
+        k = int(np.clip(np.searchsorted(self.parameters, parameter), 1, len(self.parameters) - 1))
+        low, high = self.parameters[k - 1], self.parameters[k]
+        share = (parameter - low) / (high - low)
+        between = (1.0 - share) * compared_points(self.states[k - 1]) + share * compared_points(self.states[k])
+        solutions = self.solve(parameter, self.states[k - 1])
+        error = np.linalg.norm(compared_points(solutions.configurations) - between, axis=-1).max(axis=-1)
+        state: Configuration = solutions.configurations[int(np.where(solutions.exists, error, np.inf).argmin())]
+        return state
+
+
+def find_events(
+    geometry: Geometry, parameters: list[float], states: Configuration, state_at: Callable[[float], Configuration]
+) -> list[Event]:
+    """Find the singularities and leg limits that a followed solution meets.
+
+    `states` (n,) are the solution at the n parameters, `state_at` finds it at any parameter in between.
+    """
+    values = _monitored(geometry, states)
+    # A leg that is as long as its limit, to rounding, is within it.
+    values[:, 3:][np.abs(values[:, 3:]) <= _ROUNDING * geometry.middle_side] = 0.0
+    events = []
+    for which in range(values.shape[-1]):
+        column = values[:, which]
+
+        def value(s: float, which: int = which) -> float:
+            return float(_monitored(geometry, state_at(s))[which])
+
+        for k in range(len(parameters) - 1):
+            low, high = parameters[k], parameters[k + 1]
+            before, after = column[k : k + 2]
+            if which >= 3 and min(before, after) < 0.0 == max(before, after):
+                events.append(_event(geometry, which, high if before < 0.0 else low, after - before))
+            brackets = [(low, high)] if column[k] * column[k + 1] < 0.0 else _dip(value, parameters, column, k)
+            for left, right in brackets:
+                root = float(scipy.optimize.brentq(value, left, right, xtol=1e-13, rtol=8.9e-16))
+                events.append(_event(geometry, which, root, value(right)))
+    return events
+
+
+def _monitored(geometry: Geometry, states: Configuration) -> FloatArray:
+    """Return the functions whose zeros are events, shape (..., 3) or with limits (..., 15)."""
+    scaled = determinants(states) / geometry.middle_side**3
+    if geometry.limits is None:
+        return scaled
+    lengths = states.readings
+    return np.concatenate([scaled, lengths - geometry.limits.minimum, geometry.limits.maximum - lengths], axis=-1)
+
+
+def _event(geometry: Geometry, which: int, parameter: float, after: float) -> Event:
+    if which < 2:
+        return Event(EventKind.FORWARD_SINGULARITY, parameter, ("lower stage", "upper stage")[which])
+    if which == 2:
+        return Event(EventKind.INVERSE_SINGULARITY, parameter, "det K changes sign")
+    assert geometry.limits is not None
+    bound, values = ("minimum", geometry.limits.minimum) if which < 9 else ("maximum", geometry.limits.maximum)
+    leg = (which - 3) % 6
+    verb = "comes back within" if after > 0.0 else "goes beyond"
+    return Event(EventKind.LIMIT, parameter, f"{LEGS[leg]} {verb} its {bound}, {values[leg]:g} m")
+
+
+def _dip(
+    value: Callable[[float], float], parameters: list[float], column: FloatArray, k: int
+) -> list[tuple[float, float]]:
+    """Return two brackets where a function of one sign at both ends crosses zero twice in between."""
+    if not 0 < k < len(parameters) - 2 or column[k] == 0.0 or column[k + 1] == 0.0:
+        return []
+    sign = float(np.sign(column[k]))
+    slopes = np.diff(sign * column[k - 1 : k + 3]) / np.diff(parameters[k - 1 : k + 3])
+    low, high = parameters[k], parameters[k + 1]
+    # Tangents from both sides meet below zero only where a dip may reach it.
+    deepest = min(sign * column[k] + slopes[0] * (high - low), sign * column[k + 1] - slopes[2] * (high - low))
+    if not (slopes[0] < 0.0 < slopes[2] and deepest < 0.0):
+        return []
+    lowest = scipy.optimize.minimize_scalar(
+        lambda s: sign * value(s), bounds=(low, high), method="bounded", options={"xatol": 1e-12}
+    )
+    return [(low, float(lowest.x)), (float(lowest.x), high)] if lowest.fun < 0.0 else []

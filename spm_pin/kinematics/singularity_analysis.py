@@ -1,6 +1,6 @@
 """Singularity analysis: kind, rank, distance, lost wrench and gained twist of configurations.
 
-Three 6 x 6 matrices decide, built as in `spm_pin.kinematics.jacobians` from forces through the ball joints, at the
+Three 6 x 6 matrices decide, built as in `spm_pin.kinematics.rates_and_forces` from forces through the ball joints, at the
 middle platform's centre and with lengths in units of d, so that they are dimensionless and of order one:
 
 - J_b and J_c, the six forces of the lower and of the upper stage. Where one is singular the locked legs of that
@@ -22,12 +22,9 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, SingularConfigurationError
-from spm_pin.kinematics.as_built_jacobians import as_built_determinants, as_built_singularities
 from spm_pin.kinematics.batches import run_kernel, run_on_states
-from spm_pin.kinematics.jacobians import platform_jacobian
-from spm_pin.kinematics.stage_wrenches import SINGULAR
+from spm_pin.kinematics.rates_and_forces import SINGULAR, StageWrenches, platform_jacobian
 from spm_pin.mechanism.arguments import FloatArray, IntArray, first_offender, real_number, shaped_array
-from spm_pin.mechanism.branches import leg_plane_determinant
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 
 _MIN_BATCH_PER_THREAD = 1 << 11
@@ -143,19 +140,9 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
     """
     tolerance = real_number(tolerance, "tolerance", "a number from 0 to below 1", least=0.0, below=1.0)
     geometry = check_configuration(configuration).geometry
-    exists = configuration.exists
-    if not geometry.is_nominal:
-        described, side = as_built_singularities(configuration, tolerance), geometry.nominal.middle_side
-    else:
-        from spm_pin.kinematics.kernels.singularity_kernel import describe_singularities
-
-        side = geometry.middle_side
-        sizes = geometry.base_radius, geometry.platform_radius, side, tolerance, SINGULAR
-        three, six = ((3,), np.float64), ((6,), np.float64)
-        results = (three, three, three, ((3,), np.int8), ((2,), np.bool_), ((3, 6), np.float64), six)
-        described = run_on_states(
-            describe_singularities, configuration, sizes, results, min_batch=_MIN_BATCH_PER_THREAD
-        )
+    exists, side = configuration.exists, geometry.middle_side
+    describe = _singularities_of_drawn if geometry.is_nominal else _singularities_of_six_legs
+    described = describe(configuration, tolerance)
     dets, largest, smallest, rank, flags, twists, wrench = described
     dependent, short = flags[..., 0], flags[..., 1]
     if short.any():
@@ -231,10 +218,10 @@ def determinants(configuration: Configuration) -> FloatArray:
 
     geometry = check_configuration(configuration).geometry
     if not geometry.is_nominal:
-        return as_built_determinants(configuration)
+        return _determinants_of_six_legs(configuration)
     sizes = geometry.base_radius, geometry.platform_radius
-    (found,) = run_on_states(all_determinants, configuration, sizes, [((3,), np.float64)])
-    return np.asarray(found)
+    (dets,) = run_on_states(all_determinants, configuration, sizes, [((3,), np.float64)])
+    return np.asarray(dets)
 
 
 def determinant_gradients(configuration: Configuration) -> FloatArray:
@@ -258,27 +245,89 @@ def determinant_gradients(configuration: Configuration) -> FloatArray:
         At a forward or a constraint singularity, where the leg lengths do not determine the motion.
     """
     geometry = check_configuration(configuration).geometry
-    # Twists (v, ω) of m per unit leg rate, at the middle platform's centre.
+    # Twists (v, ω) of m per unit leg rate, at the middle platform's centre; the middle platform moves with the lower
+    # legs only.
     jacobian = np.swapaxes(platform_jacobian(configuration), -1, -2)
-    b, c, axes = configuration.middle_joints, configuration.platform_joints, configuration.platform_axes
-    centre = b.mean(axis=-2)
+    centre = configuration.middle_joints.mean(axis=-2)
     angular = jacobian[..., 3:]
     linear = jacobian[..., :3] - np.cross(angular, (configuration.translation - centre)[..., None, :])
+    with_lower_legs = np.repeat([1.0, 0.0], 3)[:, None, None]
 
-    def moved(points: FloatArray, legs: FloatArray) -> Any:
-        """Return three points after an imaginary step of each of the six `legs` that move them, (..., 6, 3, 3)."""
+    def moved(points: FloatArray, legs: Any) -> Any:
+        """Return points after an imaginary step of each of the six legs that move them, and their lever arms."""
         arms = (points - centre[..., None, :])[..., None, :, :]
         rates = linear[..., None, :] + np.cross(angular[..., None, :], arms)
-        return points[..., None, :, :] + 1j * _STEP * legs[:, None, None] * rates
+        return points[..., None, :, :] + 1j * _STEP * legs * rates
+
+    def matrix(first: Any, second: Any, points: Any) -> Any:
+        arms = (points - centre[..., None, None, :]) / geometry.middle_side
+        rows = [np.concatenate([forces, np.cross(arms, forces)], axis=-1) for forces in (first, second)]
+        return np.concatenate(np.broadcast_arrays(*rows), axis=-2)
 
     def unit(vectors: Any) -> Any:
         return vectors / np.sqrt((vectors**2).sum(axis=-1, keepdims=True))
 
-    # The middle platform moves with the lower legs only. Without subtraction, a complex step loses no digits.
+    # Without subtraction, a complex step loses no digits.
     with np.errstate(invalid="ignore"):
-        b, c = moved(b, np.repeat([1.0, 0.0], 3)), moved(c, np.ones(6))
-        turned = axes[..., None, :, :] + 1j * _STEP * np.cross(angular[..., None, :], axes[..., None, :, :])
-        lower, upper, fixed = unit(b - geometry.base_joints), unit(c - b), geometry.revolute_axes
-        pairs = (lower, fixed), (upper, turned), (fixed, turned)
-        rows = [-leg_plane_determinant(b, np.cross(*pair)).imag / _STEP for pair in pairs]
-    return np.stack(rows, axis=-2)
+        balls = moved(configuration.balls, with_lower_legs)
+        lower, upper = balls[..., :3, :], balls[..., 3:, :]
+        axes = configuration.leg_axes[..., None, :, :]
+        fixed, turning = np.broadcast_to(axes[..., :3, :], lower.shape), axes[..., 3:, :]
+        turned = turning + 1j * _STEP * np.cross(angular[..., None, :], turning)
+        below = unit(lower - configuration.leg_bases[..., None, :3, :])
+        above = unit(moved(configuration.platform_joints, 1.0) - upper)
+        structure = np.concatenate(
+            [matrix(fixed, fixed, lower)[..., :3, :], matrix(turned, turned, upper)[..., :3, :]], -2
+        )
+        matrices = matrix(below, fixed, lower), matrix(above, turned, upper), structure
+        gradients = [np.linalg.det(x).imag / _STEP * geometry.middle_side**3 for x in matrices]
+    return np.stack(gradients, axis=-2)
+
+
+def _singularities_of_drawn(configuration: Configuration, tolerance: float) -> tuple[Any, ...]:
+    """Return the results of the kernel `describe_singularities`, with the leading axes of the states."""
+    from spm_pin.kinematics.kernels.singularity_kernel import describe_singularities
+
+    sizes = *configuration.geometry.dimensions, tolerance, SINGULAR
+    three, six = ((3,), np.float64), ((6,), np.float64)
+    results = (three, three, three, ((3,), np.int8), ((2,), np.bool_), ((3, 6), np.float64), six)
+    return run_on_states(describe_singularities, configuration, sizes, results, min_batch=_MIN_BATCH_PER_THREAD)
+
+
+@np.errstate(invalid="ignore")  # states that do not exist are NaN throughout
+def _determinants_of_six_legs(configuration: Configuration) -> FloatArray:
+    """Return det J_b, det J_c, det K (..., 3) [m³]; see `determinants`."""
+    wrenches = StageWrenches.from_configuration(configuration, short_legs=True)
+    return np.asarray(np.linalg.det(_matrices(wrenches)) * wrenches.side**3)
+
+
+def _singularities_of_six_legs(configuration: Configuration, tolerance: float) -> tuple[Any, ...]:
+    """Return what `_singularities_of_drawn` does, of any machine."""
+    wrenches = StageWrenches.from_configuration(configuration)
+    exists, side, lever = wrenches.exists, wrenches.side, wrenches.lever
+    # LAPACK does not take NaN.
+    matrices = np.where(exists[..., None, None, None], _matrices(wrenches), np.eye(6))
+    absent = np.where(exists, 0.0, np.nan)[..., None]
+    left, values, right = np.linalg.svd(matrices)
+    rank = np.where(exists[..., None], (values > tolerance * values[..., :1]).sum(axis=-1), 0).astype(np.int8)
+    structure = np.linalg.svd(
+        np.where(exists[..., None, None, None], wrenches.constraints, np.eye(3, 6)), compute_uv=False
+    )
+    dependent = exists & (structure[..., 2] <= tolerance * structure[..., 0]).any(axis=-1)
+    least = right[..., 5, :]
+    angular = least[..., 3:] / side
+    linear = least[..., :3] + np.cross(angular, lever[..., None, :])
+    twists = np.concatenate([linear, angular], axis=-1) + absent[..., None]
+    carried = (left[..., 2, None, 3:, 5] @ wrenches.constraints[..., 1, :, :])[..., 0, :]
+    force = carried[..., :3]
+    moment = side * carried[..., 3:] - np.cross(lever, force)
+    size, couple = (np.linalg.norm(part, axis=-1, keepdims=True) for part in (force, moment))
+    wrench = np.concatenate([force, moment], axis=-1) / np.where(size > SINGULAR * couple / side, size, couple)
+    flags = np.stack([dependent, np.zeros_like(dependent)], axis=-1)
+    volumes = np.linalg.det(matrices) * side**3 + absent
+    return volumes, values[..., 0] + absent, values[..., 5] + absent, rank, flags, twists, wrench + absent
+
+
+def _matrices(wrenches: StageWrenches) -> FloatArray:
+    """Return J_b, J_c and K (..., 3, 6, 6)."""
+    return np.concatenate([wrenches.matrices("forward"), wrenches.matrices("inverse")], axis=-3)

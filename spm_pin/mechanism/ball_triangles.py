@@ -26,18 +26,17 @@ def triangle_sides(b: FloatArray) -> FloatArray:
 def upper_ball_weights(balls: FloatArray) -> FloatArray:
     """Return where the last three of six balls (6, 3) are, seen from the first three, as rows (3, 3).
 
-    Coordinates from b_1 along b_2 - b_1, b_3 - b_1 and their cross product.
+    Coordinates along b_2 - b_1, b_3 - b_1 and their cross product, from the first ball of the same corner; exactly zero
+    where the two coincide.
     """
-    corner, first, second = balls[0], balls[1] - balls[0], balls[2] - balls[0]
+    first, second = balls[1] - balls[0], balls[2] - balls[0]
     basis = np.stack([first, second, np.cross(first, second)], axis=-1)
-    return np.asarray(np.linalg.solve(basis, (balls[3:] - corner).T).T)
+    return np.asarray(np.linalg.solve(basis, (balls[3:] - balls[:3]).T).T)
 
 
 def all_balls(balls: FloatArray, lower: FloatArray) -> FloatArray:
     """Return the centres of balls (6, 3) in {B} [m], shape (..., 6, 3), from those of the lower legs (..., 3, 3)."""
-    if np.array_equal(balls[:3], balls[3:]):
-        return np.concatenate([lower, lower], axis=-2)
     weights = upper_ball_weights(balls)
     sides = lower[..., 1, :] - lower[..., 0, :], lower[..., 2, :] - lower[..., 0, :]
     moved = np.stack([*sides, np.cross(*sides)], axis=-2)
-    return np.concatenate([lower, lower[..., :1, :] + weights @ moved], axis=-2)
+    return np.concatenate([lower, lower + weights @ moved], axis=-2)

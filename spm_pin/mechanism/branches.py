@@ -23,6 +23,9 @@ FAMILIES = ("TT", "TF", "FT", "FF")
 BRANCHES = ("TT+", "TT-", "TF+", "TF-", "FT+", "FT-", "FF+", "FF-")
 """Canonical order of the eight branches of an inverse displacement."""
 
+TANGENT_SIGNS = np.array([1.0, -1.0, -1.0] * 2)
+"""Signs that make the legs' axes tangents of their platforms, counterclockwise about z."""
+
 NumberArray = npt.NDArray[Any]
 
 
@@ -99,7 +102,7 @@ def _product_with_conjugate(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.concatenate([vector, (a * b).sum(axis=-1, keepdims=True)], axis=-1)
 
 
-def straightness(configuration: Configuration) -> FloatArray:
+def tilt_cosine_sum(configuration: Configuration) -> FloatArray:
     """Return the sum of the cosines of the two stages' tilts, shape (...): 2 for a straight machine."""
     b1, b2, b3 = np.moveaxis(configuration.middle_joints, -2, 0)
     normal = np.cross(b1 - b3, 2.0 * b2 - b1 - b3)
@@ -132,22 +135,13 @@ def physical(configuration: Configuration) -> BoolArray:
 
 def _at_home(configuration: Configuration) -> BoolArray:
     """Return for which upright states both stages are in the home's aspect, shape (...)."""
-    geometry, legs, balls = configuration.geometry, configuration.leg_vectors, configuration.balls
-    if not geometry.is_nominal:
-        tangents = tangent_signs(geometry.nominal)[:, None] * geometry.legs.axes
-        below, above = tangents[:3], tangents[3:]
-    else:
-        below = above = np.cross([0.0, 0.0, 1.0], geometry.radial_directions)
-    lower = in_home_aspect(balls[..., :3, :], np.cross(below, legs[..., :3, :]))
-    seen = above @ np.swapaxes(configuration.rotation, -1, -2)
-    upper = in_home_aspect(balls[..., 3:, :], np.cross(seen, legs[..., 3:, :]))
-    return np.asarray(lower & upper)
-
-
-def tangent_signs(geometry: Geometry) -> FloatArray:
-    """Return the signs (6,) that make the legs' axes tangents of their platforms, counterclockwise about z."""
-    tangents = np.cross([0.0, 0.0, 1.0], geometry.radial_directions)
-    return np.tile(np.sign((tangents * geometry.revolute_axes).sum(axis=-1)), 2)
+    legs, balls = configuration.leg_vectors, configuration.balls
+    tangents = TANGENT_SIGNS[:, None] * configuration.leg_axes
+    stages = (
+        in_home_aspect(balls[..., stage, :], np.cross(tangents[..., stage, :], legs[..., stage, :]))
+        for stage in (slice(3), slice(3, 6))
+    )
+    return np.logical_and(*stages)
 
 
 def in_home_aspect(points: FloatArray, directions: FloatArray) -> BoolArray:

@@ -50,7 +50,7 @@ class Configuration:
     is by how much.
     """
 
-    absence = ""
+    missing_reason = ""
     """Why a single state does not exist, where that is known; empty otherwise."""
 
     def __init__(self, geometry: Geometry, pose: PoseLike, middle_joints: npt.ArrayLike) -> None:
@@ -113,7 +113,11 @@ class Configuration:
     def __reduce__(self) -> tuple[Any, ...]:
         # Copies and unpickled states are read-only too; what is derived is not carried along.
         state = self._geometry, self._rotation, self._translation, self._middle_joints, self.known_lengths
-        return Configuration.from_arrays, state, {"absence": self.absence} if self.absence else None
+        return (
+            Configuration.from_arrays,
+            state,
+            {"missing_reason": self.missing_reason} if self.missing_reason else None,
+        )
 
     def __getitem__(self, index: object) -> Configuration:
         """Index the batch axes as NumPy would."""
@@ -140,7 +144,7 @@ class Configuration:
         if self.shape:
             return f"<Configuration: {self.shape} states, {np.count_nonzero(self.exists)} exist>"
         if not self.exists:
-            return f"<Configuration: does not exist{self.absence and ': '}{self.absence}>"
+            return f"<Configuration: does not exist{self.missing_reason and ': '}{self.missing_reason}>"
         return f"<Configuration: leg lengths ({', '.join(f'{length:.4f}' for length in self.leg_lengths)}) m>"
 
     @property
@@ -278,7 +282,7 @@ def check_configuration(
     A `single` one is no batch, an `existing` one has no NaN.
     """
     several = hasattr(type(value), "physical")
-    cause = "Choose one of its solutions: .physical(), .nearest(seed), or a label such as ['TT+']" if several else ""
+    cause = "Choose one of its solutions: .physical(), .nearest(near), or a label such as ['TT+']" if several else ""
     configuration = check_instance(value, Configuration, argument, cause)
     if single and configuration.shape:
         cause = f"Choose one by its index: {argument}[0]"
@@ -286,6 +290,6 @@ def check_configuration(
     if existing and not configuration.exists.all():
         index = first_offender(~configuration.exists)
         where = f" at batch index {index}" if index else ""
-        cause = configuration.absence or "Not a real solution? See .status and .exists of the SolutionSet"
+        cause = configuration.missing_reason or "Not a real solution? See .status and .exists of the SolutionSet"
         raise ArgumentError(argument, "a configuration that exists", f"NaN{where}", cause)
     return configuration

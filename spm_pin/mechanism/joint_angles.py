@@ -153,7 +153,7 @@ def _values(
     r, o, b = state
     rows = [b[0:3], b[3:6], b[6:9]]
     edges = _minus(rows[0], rows[1]), _minus(rows[1], rows[2]), _minus(rows[2], rows[0])
-    upper = _upper_balls(rows[0], edges, weights) if weights else rows
+    upper = _upper_balls(rows, edges, weights) if weights else rows
     balls = [*rows, *[_turned_back(r, _minus(p, o)) for p in upper]]
     hips: list[Pair] = []
     lengths, slides, errors = [], [], []
@@ -196,12 +196,17 @@ def _scaled(v: Sequence[Any], divisor: Any) -> Vector:
     return v[0] / divisor, v[1] / divisor, v[2] / divisor
 
 
-def _upper_balls(corner: Sequence[Any], edges: Sequence[Sequence[Any]], weights: list[list[float]]) -> list[list[Any]]:
-    """Return the upper legs' balls, from b_1 and the edges b_2 b_1, b_3 b_2, b_1 b_3."""
+def _upper_balls(
+    rows: Sequence[Sequence[Any]], edges: Sequence[Sequence[Any]], weights: list[list[float]]
+) -> list[list[Any]]:
+    """Return the upper legs' balls, from the b_i and the edges b_2 b_1, b_3 b_2, b_1 b_3."""
     # b_2 - b_1 negated, and b_3 - b_1.
     p, q = edges[0], edges[2]
     across = p[2] * q[1] - p[1] * q[2], p[0] * q[2] - p[2] * q[0], p[1] * q[0] - p[0] * q[1]
-    return [[corner[k] - u * p[k] + v * q[k] + w * across[k] for k in range(3)] for u, v, w in weights]
+    return [
+        [corner[k] - u * p[k] + v * q[k] + w * across[k] for k in range(3)]
+        for corner, (u, v, w) in zip(rows, weights, strict=True)
+    ]
 
 
 def _turned_back(r: Sequence[Any], v: Sequence[Any]) -> Vector:

@@ -50,7 +50,7 @@ def html_table(solutions: Any) -> str:
     return f"<table><caption>{title}</caption><thead><tr>{top}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
 
 
-def absence_reason(solutions: Any, index: tuple[int, ...] = ()) -> str:
+def reason_for_none(solutions: Any, index: tuple[int, ...] = ()) -> str:
     """Return the reason why no solution of a problem can be chosen."""
     status, degeneracy = Status(int(np.asarray(solutions.status)[index])), solutions.degeneracy
     if status is Status.DEGENERATE:
@@ -58,7 +58,7 @@ def absence_reason(solutions: Any, index: tuple[int, ...] = ()) -> str:
             return (
                 "a level platform over the axis of the base is singular for the inverse, its solutions are a "
                 "continuous family. Give leg lengths to forward_physical instead; or tilt the pose, which makes "
-                "the solutions isolated, and choose with .nearest(seed)"
+                "the solutions isolated, and choose with .nearest(near)"
             )
         return "the pose or the leg lengths are singular, the solutions are a continuous family; see .degeneracy"
     if status is Status.OK:
@@ -70,5 +70,5 @@ def absence_reason(solutions: Any, index: tuple[int, ...] = ()) -> str:
 
 def _hint(solutions: Any, index: tuple[int, ...]) -> str:
     """Return the likely unit of an unreachable problem's lengths, as a sentence after a stop; or an empty string."""
-    hint = solutions.configurations.absence or unit_hint(solutions.geometry, solutions.translation[index][0])
+    hint = solutions.configurations.missing_reason or unit_hint(solutions.geometry, solutions.translation[index][0])
     return hint and f". {hint}"

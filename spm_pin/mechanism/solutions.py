@@ -21,13 +21,13 @@ from spm_pin.mechanism.arguments import (
     real_array,
     type_and_value,
 )
-from spm_pin.mechanism.branches import BRANCHES, in_canonical_order, physical, straightness
+from spm_pin.mechanism.branches import BRANCHES, in_canonical_order, physical, tilt_cosine_sum
 from spm_pin.mechanism.configuration import Configuration, batch_index, compared_points
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.mechanism.solution_status import Degeneracy, Status
-from spm_pin.mechanism.solution_text import absence_reason, html_table, short_text
+from spm_pin.mechanism.solution_text import html_table, reason_for_none, short_text
 
 _PARALLEL = 1e-12
 """Sine of the tilt up to which the Z axes of {B} and {m} are taken for parallel in proofs."""
@@ -49,19 +49,19 @@ class SolutionSet:
         For inverse displacement, of the families TT, TF, FT, FF: real iff not negative.
     degeneracy : Degeneracy, optional
         Which families, legs and how many dimensions, where `status` is `Status.DEGENERATE`.
-    choice : ndarray of uint8, shape (..., 3), optional
+    physical_hint : ndarray of uint8, shape (..., 3), optional
         From the solver, if it computes it: whether the first, the second solution is physical, and
         whether the second is tilted less; none of the others is physical. If left out, this is computed from the
         configurations.
     memory : tuple of ndarray, optional
         The arrays that a solver may write anew, see `inverse_displacement`; copies and selections do not own it.
-    met : ndarray of bool, shape (..., n), optional
+    merged : ndarray of bool, shape (..., n), optional
         Of a machine as built, where a label could not be carried from the nominal machine. True where the branch of
         this label met another one while the errors grew from zero to those of the machine: it has ended, or what is
         under its label now is a root left over, whose label is a name only.
     rounding : float, optional
         Bound of the rounding error of a discriminant, divided by (1 + (|x| + |y|)/r)².
-    settled : ndarray of bool, shape (..., 4), optional
+    proved : ndarray of bool, shape (..., 4), optional
         What `certain` is; computed from `rounding` if not given.
     radius : ndarray, shape (..., n), optional
         Radius [m] around each middle joint within which the exact one is, NaN where not proved; exactly one solution
@@ -80,11 +80,11 @@ class SolutionSet:
     status: Any
     discriminants: FloatArray | None = None
     degeneracy: Degeneracy | None = None
-    choice: npt.NDArray[np.uint8] | None = None
+    physical_hint: npt.NDArray[np.uint8] | None = None
     memory: tuple[npt.NDArray[Any], ...] | None = None
-    met: BoolArray | None = None
+    merged: BoolArray | None = None
     rounding: float | None = None
-    settled: BoolArray | None = None
+    proved: BoolArray | None = None
     radius: FloatArray | None = None
 
     def __post_init__(self) -> None:
@@ -200,8 +200,8 @@ class SolutionSet:
         and where the Z axes of {B} and {m} are parallel to 1e-12 rad. None for other problems than the inverse
         displacement of a `Geometry`.
         """
-        if self.settled is not None or self.rounding is None or self.discriminants is None:
-            return self.settled
+        if self.proved is not None or self.rounding is None or self.discriminants is None:
+            return self.proved
         position, rotation = self.translation[..., 0, :], self.rotation[..., 0, :, 2]
         least = np.abs(position[..., 0]) + np.abs(position[..., 1])
         least = self.rounding * (1.0 + least / self.geometry.middle_radius) ** 2
@@ -232,7 +232,7 @@ class SolutionSet:
         values: dict[str, Any] = {"status": np.asarray(self.status)[index], "memory": None}
         if self.degeneracy is not None:
             values["degeneracy"] = self.degeneracy[batch]
-        for name in ("discriminants", "choice", "met", "settled", "radius"):
+        for name in ("discriminants", "physical_hint", "merged", "proved", "radius"):
             array = getattr(self, name)
             values[name] = None if array is None else array[inner]
         return replace(self, configurations=chosen, **values)
@@ -265,7 +265,7 @@ class SolutionSet:
 
         selected = self.configurations.transformed(take)
         if not self.shape and not exists:
-            selected.absence = absence_reason(self)
+            selected.missing_reason = reason_for_none(self)
         return selected
 
     def where(self, mask: npt.ArrayLike) -> SolutionSet:
@@ -299,30 +299,30 @@ class SolutionSet:
         limits = self.geometry.limits if limits is None else check_instance(limits, LegLimits, "limits")
         return self if limits is None else self.where(limits.contains(self.readings))
 
-    def nearest(self, seed: Configuration | npt.ArrayLike) -> Configuration:
-        """Return the solution whose joints moved least from `seed`; NaN where none exists.
+    def nearest(self, near: Configuration | npt.ArrayLike) -> Configuration:
+        """Return the solution whose joints moved least from `near`; NaN where none exists.
 
         Parameters
         ----------
-        seed : Configuration, or array_like of shape (..., 3, 3)
+        near : Configuration, or array_like of shape (..., 3, 3)
             The state to be near to, or only its middle joints [m]. The largest displacement of a joint is
             compared: of the b_i and, given a `Configuration`, of the c_i.
 
         Raises
         ------
         ArgumentError
-            If `seed` is neither, does not exist, or has leading axes that do not fit.
+            If `near` is neither, does not exist, or has leading axes that do not fit.
         """
         state = self.configurations
-        if isinstance(seed, Configuration):
-            points, target = compared_points(state), compared_points(seed)
+        if isinstance(near, Configuration):
+            points, target = compared_points(state), compared_points(near)
         else:
             points = state.middle_joints
-            target = real_array(seed, "seed", (3, 3), "a Configuration, or rows b_1, b_2, b_3 in metres")
+            target = real_array(near, "near", (3, 3), "a Configuration, or rows b_1, b_2, b_3 in metres")
         absent = np.isnan(target).any(axis=(-1, -2))
         if absent.any():
-            raise ArgumentError("seed", "states that exist", f"NaN at index {first_offender(absent)}")
-        boolean_array(absent, "seed", self.shape)  # leading axes that broadcast to those of the problems
+            raise ArgumentError("near", "states that exist", f"NaN at index {first_offender(absent)}")
+        boolean_array(absent, "near", self.shape)  # leading axes that broadcast to those of the problems
         distance = np.sqrt(((points - target[..., None, :, :]) ** 2).sum(axis=-1)).max(axis=-1)
         distance = np.where(self.exists, distance, np.inf)
         return self.pick(distance.argmin(axis=-1), np.asarray(self.exists.any(axis=-1)))
@@ -334,11 +334,11 @@ class SolutionSet:
         Those reached from the symmetric home without a forward singularity. If several are, and some respect
         the limits, the others are dropped; chain ``.within().physical()`` to exclude all that do not.
         """
-        if self.choice is None:
+        if self.physical_hint is None:
             mode, most = physical(self.configurations), len(self.labels)
         else:
             mode, most = np.zeros(self.configurations.shape, dtype=np.bool_), 2
-            mode[..., :most] = self.choice[..., :most]
+            mode[..., :most] = self.physical_hint[..., :most]
             mode &= self.exists
         limits = self.geometry.limits
         if limits is None:
@@ -353,20 +353,20 @@ class SolutionSet:
         several = np.count_nonzero(self.is_physical, axis=-1) > 1
         return several if self.shape else bool(several)
 
-    def physical(self, seed: Configuration | npt.ArrayLike | None = None) -> Configuration:
+    def physical(self, near: Configuration | npt.ArrayLike | None = None) -> Configuration:
         """Return the physical solution; NaN where there is none.
 
-        Of those in `is_physical`, the nearest to `seed` if there is one. Without a seed two may be left, on
+        Of those in `is_physical`, the nearest to `near` if it is given. Without it two may be left, on
         either side of an inverse singularity: the one whose stages are tilted least, and `ambiguous` is true.
         """
         candidates = self.is_physical
-        if seed is not None:
-            return self.where(candidates).nearest(seed)
+        if near is not None:
+            return self.where(candidates).nearest(near)
         score = np.where(candidates, 0.0, -np.inf)
-        if self.choice is not None:
-            score[..., 1] += self.choice[..., 2] - 0.5
+        if self.physical_hint is not None:
+            score[..., 1] += self.physical_hint[..., 2] - 0.5
         elif np.any(np.count_nonzero(candidates, axis=-1) > 1):
-            score[candidates] = straightness(self.configurations[candidates])
+            score[candidates] = tilt_cosine_sum(self.configurations[candidates])
         return self.pick(score.argmax(axis=-1), np.asarray(candidates.any(axis=-1)))
 
     def one(self) -> Configuration:
@@ -381,5 +381,5 @@ class SolutionSet:
         if wrong.any():
             index = first_offender(wrong)
             labels = tuple(np.array(self.labels)[self.exists[index]])
-            raise NotOneSolutionError(labels, index, "" if labels else absence_reason(self, index))
+            raise NotOneSolutionError(labels, index, "" if labels else reason_for_none(self, index))
         return self.pick(self.exists.argmax(axis=-1), np.ones(self.shape, dtype=bool))

@@ -16,7 +16,6 @@ jumps, at its knots, y'' may jump too, and the limits hold on both sides.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -28,10 +27,8 @@ from scipy.special import betaincinv
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, IntArray
+from spm_pin.motion.least_time import Clock, even_grid
 from spm_pin.motion.motion_limits import LimitRows
-
-Clock = Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
-"""A function of times (m,) [s], which gives s, ṡ and s̈ there."""
 
 _EASE = [Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0]).deriv(order) for order in range(4)]
 """S and its derivatives."""
@@ -49,17 +46,6 @@ _LEFT = 1e-12
 """How far left of a point of the grid the values from the left are taken."""
 
 
-def _even_grid(knots: FloatArray, parts: int) -> FloatArray:
-    """Return even steps from 0 to 1, (parts + 1,), the nearest to each inner one of knots (k,) moved there."""
-    grid = np.linspace(0.0, 1.0, parts + 1)
-    grid[_nearest(knots, parts)] = knots[1:-1]
-    return grid
-
-
-def _nearest(knots: FloatArray, parts: int) -> IntArray:
-    return np.clip((knots[1:-1] * parts).round().astype(np.intp), 1, parts - 1)
-
-
 @dataclass(frozen=True)
 class EasedGrid:
     """Even steps of τ from 0 to 1, moved to the path's knots where these are near."""
@@ -70,10 +56,9 @@ class EasedGrid:
     """Indices in `tau` of the inner knots of the path, shape (k,)."""
 
     @classmethod
-    def over(cls, knots: FloatArray, parts: int) -> EasedGrid:
+    def from_knots(cls, knots: FloatArray, parts: int) -> EasedGrid:
         """Return a grid for a path with knots (k,) at parameters from 0 to 1."""
-        inner = betaincinv(3.0, 3.0, knots)
-        return cls(_even_grid(inner, parts), np.unique(_nearest(inner, parts)))
+        return cls(*even_grid(betaincinv(3.0, 3.0, knots), parts))
 
     @property
     def parameters(self) -> FloatArray:
@@ -83,39 +68,26 @@ class EasedGrid:
 
 def limited_jerk(
     grid: EasedGrid, rows: LimitRows, first: FloatArray, second: FloatArray, jerks: FloatArray
-) -> tuple[float, Clock]:
+) -> tuple[float, Clock, float]:
     """Return the duration [s] and the clock of the quickest motion that keeps all limits on a grid of n points.
 
     `rows` are the limits at its parameters, `first` and `second` (n, 6) the derivatives of the leg lengths by s there,
-    `jerks` (6,) the largest jerk of each leg [m/s³]. Raises `ArgumentError` if there is no such motion.
+    `jerks` (6,) the largest jerk of each leg [m/s³]. The third result is by which share of it the duration may be above
+    the least: how much longer it is with half as many polynomials. Raises `ArgumentError` if there is no such motion.
     """
-    programme = _Programme.of(grid, rows, first, second, jerks)
+    programme = _Programme.from_rows(grid, rows, first, second, jerks)
     count = len(programme.tau)
     one, none = np.ones((count, 1)), np.zeros((count, 1))
-    top = float(programme.kept_shares([one, none, none]).min())
+    top = float(programme.feasible_scale([one, none, none]).min())
     if not 0.0 < top < np.inf:
         cause = "A force limit that only just holds the machine?"
         raise ArgumentError("path", "a path that the limits let the machine go along", "no such motion", cause)
     pieces = int(np.clip(len(grid.tau) // 10, 4, _PIECES))
-    inner = grid.tau[grid.corners]
-    knots = _even_grid(np.concatenate([[0.0], inner, [1.0]]), pieces)
-    # Twice at the path's knots: there y'' may jump.
-    knots = np.sort(np.concatenate([[0.0] * 3, knots, knots[1:-1][np.isin(knots[1:-1], inner)], [1.0] * 3]))
-    chosen = np.zeros(count, dtype=bool)
-    chosen[np.linspace(0, count - 1, _POINTS * pieces + 1).round().astype(int)] = True
-    chosen[2 * grid.corners - 1] = chosen[2 * grid.corners] = True
-    y = BSpline(knots, np.full(len(knots) - 4, 0.9 * top), 3)
-    for _ in range(_ROUNDS):
-        y = programme.solve(y, top, np.flatnonzero(chosen))
-        shares = programme.kept_shares([y(programme.tau, order)[:, None] for order in range(3)])
-        if shares.min() > _ACCEPTED:
-            break
-        chosen |= shares < _ACCEPTED
-    y = BSpline(knots, float(shares.min()) * y.c, 3)
-    nodes, weights = np.polynomial.legendre.leggauss(3)
-    half = 0.5 * np.diff(grid.tau)[:, None]
-    steps = (half * weights / np.sqrt(y(grid.tau[:-1, None] + half * (1.0 + nodes)))).sum(axis=-1)
-    times = np.concatenate([[0.0], np.cumsum(steps)])
+    rough = _quickest(programme, grid, BSpline([0.0, 0.0, 1.0, 1.0], [0.9 * top] * 2, 1), top, pieces // 2)
+    fine = _quickest(programme, grid, rough, top, pieces)
+    durations = [_times(grid.tau, y)[-1] for y in (rough, fine)]
+    y = fine if durations[1] <= durations[0] else rough
+    times = _times(grid.tau, y)
     reached = BPoly.from_derivatives(times, np.stack([grid.tau, np.sqrt(y(grid.tau)), 0.5 * y(grid.tau, 1)], axis=-1))
 
     def clock(at: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -123,7 +95,38 @@ def limited_jerk(
         s, s1, s2 = (_EASE[order](tau) for order in range(3))
         return np.clip(s, 0.0, 1.0), s1 * np.sqrt(y(tau)), s2 * y(tau) + 0.5 * s1 * y(tau, 1)
 
-    return float(times[-1]), clock
+    return float(times[-1]), clock, abs(float(durations[0] / durations[1]) - 1.0)
+
+
+def _times(tau: FloatArray, y: BSpline) -> FloatArray:
+    """Return the times at the points of a grid (n,)."""
+    nodes, weights = np.polynomial.legendre.leggauss(3)
+    half = 0.5 * np.diff(tau)[:, None]
+    steps = (half * weights / np.sqrt(y(tau[:-1, None] + half * (1.0 + nodes)))).sum(axis=-1)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _quickest(programme: _Programme, grid: EasedGrid, start: BSpline, top: float, pieces: int) -> BSpline:
+    """Return the quickest y made of so many polynomials that keeps all limits; `start` keeps them."""
+    inner = grid.tau[grid.corners]
+    knots, _ = even_grid(np.concatenate([[0.0], inner, [1.0]]), pieces)
+    # Twice at the path's knots: there y'' may jump.
+    knots = np.sort(np.concatenate([[0.0] * 3, knots, knots[1:-1][np.isin(knots[1:-1], inner)], [1.0] * 3]))
+    count = len(programme.tau)
+    chosen = np.zeros(count, dtype=bool)
+    chosen[np.linspace(0, count - 1, _POINTS * pieces + 1).round().astype(int)] = True
+    chosen[2 * grid.corners - 1] = chosen[2 * grid.corners] = True
+    middle = np.array([knots[k + 1 : k + 4].mean() for k in range(len(knots) - 4)])
+    y = BSpline(knots, 0.9 * start(middle), 3)
+    for _ in range(_ROUNDS):
+        y = programme.solve(y, top, np.flatnonzero(chosen))
+        scale = programme.feasible_scale([y(programme.tau, order)[:, None] for order in range(3)])
+        if scale.min() > _ACCEPTED:
+            break
+        chosen |= scale < _ACCEPTED
+    y = BSpline(knots, float(scale.min()) * y.c, 3)
+    slowest = BSpline(knots, np.full(len(knots) - 4, top), 3)
+    return y if _times(grid.tau, y)[-1] <= _times(grid.tau, slowest)[-1] else slowest
 
 
 @dataclass(frozen=True)
@@ -139,7 +142,7 @@ class _Programme:
     jerks: FloatArray
 
     @classmethod
-    def of(
+    def from_rows(
         cls, grid: EasedGrid, rows: LimitRows, first: FloatArray, second: FloatArray, jerks: FloatArray
     ) -> _Programme:
         at = np.repeat(np.arange(len(grid.tau)), 2)[1:-1]
@@ -158,11 +161,13 @@ class _Programme:
         first, second, third = (values[at].T[..., None] for values in (self.first, self.second, self.third))
         return x, u, first * jerk + 3.0 * second * s1 * u + third * x
 
-    def kept_shares(self, y: list[FloatArray]) -> FloatArray:
-        """Return the largest share of y (m, 1) with which all limits hold, at each point."""
+    def feasible_scale(self, y: list[FloatArray]) -> FloatArray:
+        """Return the largest factor of y (m, 1) with which all limits hold, at each point."""
         x, u, jerk = self.motion(y)
         used = (np.sqrt(y[0][:, 0]) * np.abs(jerk[..., 0]) / self.jerks[:, None]).max(axis=0)
-        return np.asarray(np.minimum(self.rows.kept_shares(x[:, 0], u[:, 0]), np.maximum(used, 1e-300) ** (-2.0 / 3.0)))
+        return np.asarray(
+            np.minimum(self.rows.feasible_scale(x[:, 0], u[:, 0]), np.maximum(used, 1e-300) ** (-2.0 / 3.0))
+        )
 
     def solve(self, start: BSpline, top: float, at: IntArray) -> BSpline:
         """Return the quickest y that keeps the limits at p of the points; its unknowns are in units of `top`."""
@@ -191,8 +196,6 @@ class _Programme:
         problem = {"x": z, "f": ca.dot(weights, 1.0 / root), "g": ca.densify(ca.vertcat(*used))}
         solver = ca.nlpsol("limited_jerk", "ipopt", problem, quiet)
         bounds = {"lbg": np.concatenate([lower, -ones]), "ubg": np.concatenate([upper, ones])}
-        found = solver(x0=start.c / top, lbx=_LEAST, **bounds)
-        if not solver.stats()["success"]:
-            received = f"IPOPT: {solver.stats()['return_status']}"
-            raise ArgumentError("leg_jerks", "limits with which a motion is found", received, "On a finer grid?")
-        return BSpline(start.t, top * np.asarray(found["x"])[:, 0], 3)
+        z = np.asarray(solver(x0=start.c / top, lbx=_LEAST, **bounds)["x"])[:, 0]
+        # Where IPOPT has not converged, what it ended with is slowed down.
+        return BSpline(start.t, top * np.maximum(z, _LEAST), 3) if np.isfinite(z).all() else start

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,8 @@ from spm_pin.multibody.chain import ClosedChain
 
 _LARGEST = 1e12
 """Largest limit of a leg that is accepted, far from overflow."""
+_TOLERANCE = 1e-7
+"""Share of a limit by which it may be exceeded."""
 
 
 @dataclass(frozen=True)
@@ -35,22 +37,10 @@ class LimitRows:
     fastest: FloatArray
     """Largest x at each point of the grid, shape (n,)."""
 
-    def excess(self, speeds: FloatArray, accelerations: FloatArray) -> tuple[FloatArray, float]:
-        """Return by how much ṡ and s̈ (n,) break each row at most (m,), and the share by which x is above `fastest`."""
-        x = speeds**2
-        values = self.a * accelerations[:, None] + self.b * x[:, None] + self.c
-        over = np.maximum(values - self.upper, self.lower - values).max(axis=0)
-        return np.maximum(over, 0.0), max(float((x / self.fastest).max()) - 1.0, 0.0)
+    def feasible_scale(self, x: FloatArray, u: FloatArray, tolerance: float = 0.0) -> FloatArray:
+        """Return the largest factor of ṡ² and s̈ (n,) with which all limits hold, to a share of them, shape (n,).
 
-    def narrowed(self, over: FloatArray, faster: float) -> LimitRows:
-        """Return limits narrower by a little more than an `excess`, so that the next motion keeps these."""
-        lower, upper, fastest = self.lower + 1.2 * over, self.upper - 1.2 * over, self.fastest / (1.0 + faster)
-        return replace(self, lower=lower, upper=upper, fastest=fastest)
-
-    def kept_shares(self, x: FloatArray, u: FloatArray, tolerance: float = 0.0) -> FloatArray:
-        """Return the largest share of ṡ² and s̈ (n,) with which all limits hold, to a share of them, shape (n,).
-
-        All rows hold at rest, and therefore with every smaller share too.
+        All rows hold at rest, and therefore with every smaller factor too.
         """
         moved = self.a * u[:, None] + self.b * x[:, None]
         room = np.where(moved > 0.0, self.upper - self.c, self.c - self.lower) + tolerance * (self.upper - self.lower)
@@ -122,26 +112,20 @@ class MotionLimits:
         lower, upper = (np.concatenate([block[k] for block in blocks]) for k in (3, 4))
         return LimitRows(a, b, c, lower, upper, fastest)
 
-    def kept_share(
-        self,
-        chain: ClosedChain,
-        along: PathDynamics,
-        times: FloatArray,
-        speeds: FloatArray,
-        accelerations: FloatArray,
-        tolerance: float,
-    ) -> float:
-        """Return the largest share of ṡ² and s̈ (n,), met at times (n,), with which all limits hold to a share of them.
+    def feasible_scale(
+        self, chain: ClosedChain, along: PathDynamics, times: FloatArray, speeds: FloatArray, accelerations: FloatArray
+    ) -> FloatArray:
+        """Return the largest factor of ṡ² and s̈ (n,), at times (n,), with which all limits hold to 1e-7, shape (n,).
 
         Of a jerk it is the change of a leg's acceleration from one time to the next.
         """
-        share = float(self.rows(chain, along).kept_shares(speeds**2, accelerations, tolerance).min())
+        scale = self.rows(chain, along).feasible_scale(speeds**2, accelerations, _TOLERANCE)
         if self.leg_jerks is not None:
             first, second = along.first[:, chain.leg_indices], along.second[:, chain.leg_indices]
             changes = np.diff(first * accelerations[:, None] + second * speeds[:, None] ** 2, axis=0)
-            used = float(np.abs(changes / (np.diff(times)[:, None] * self.leg_jerks)).max())
-            share = min(share, ((1.0 + tolerance) / max(used, 1e-300)) ** (2.0 / 3.0))
-        return share
+            used = np.abs(changes / (np.diff(times)[:, None] * self.leg_jerks)).max(axis=-1)
+            scale[1:] = np.minimum(scale[1:], ((1.0 + _TOLERANCE) / np.maximum(used, 1e-300)) ** (2.0 / 3.0))
+        return scale
 
 
 def _largest(value: npt.ArrayLike | None, argument: str, unit: str) -> FloatArray | None:

@@ -14,7 +14,7 @@ from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LEGS, LegLimits
 from spm_pin.motion.leg_path import LegPath
-from spm_pin.multibody.platform_path import PlatformMotion, PlatformPath
+from spm_pin.multibody.trajectory import PlatformMotion, PlatformPath
 from spm_pin.workspace.joint_limits import JointLimits
 
 STEP = 0.005

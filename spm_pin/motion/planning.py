@@ -36,8 +36,8 @@ from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.motion.leg_path import LegPath
 from spm_pin.motion.leg_search import find_corners, smooth_path
 from spm_pin.motion.path_states import MotionPath, PathRules, least_determinant, spaced_parameters, states_along
-from spm_pin.multibody.joint_layout import require_dimensions
-from spm_pin.multibody.platform_path import PlatformPath
+from spm_pin.multibody.loading import check_same_machine
+from spm_pin.multibody.trajectory import PlatformPath
 from spm_pin.proofs import Certificate
 from spm_pin.workspace.joint_limits import JointLimits
 
@@ -197,7 +197,7 @@ def _state(geometry: Geometry, place: Place, name: str) -> Configuration:
     """Return the physical state of a configuration, a pose or leg lengths."""
     if isinstance(place, Configuration):
         check_configuration(place, name, single=True, existing=True)
-        require_dimensions(place.geometry, geometry, name, "`geometry`")
+        check_same_machine(place.geometry, geometry, name, "`geometry`")
         physical = forward_physical(geometry, place.readings)
         apart = np.abs(physical.middle_joints - place.middle_joints).max() if physical.exists else np.inf
         if not apart <= 1e-6 * geometry.nominal.middle_side:
@@ -209,7 +209,7 @@ def _state(geometry: Geometry, place: Place, name: str) -> Configuration:
         lengths = real_array(place, name, (6,), "leg lengths in metres")  # type: ignore[arg-type]
         found = forward_physical(geometry, lengths)
         if not found.exists:
-            raise ArgumentError(name, "leg lengths of the physical mode", f"{lengths.tolist()}", found.absence)
+            raise ArgumentError(name, "leg lengths of the physical mode", f"{lengths.tolist()}", found.missing_reason)
         return found
     if array is not None and array.ndim < 2 and array.dtype.kind != "O":
         received = f"shape {array.shape}" if array.dtype.kind in "iuf" else type_and_value(place)
@@ -219,13 +219,13 @@ def _state(geometry: Geometry, place: Place, name: str) -> Configuration:
     if found.shape:
         raise ArgumentError(name, "one state", f"a batch of shape {found.shape}")
     if not found.exists:
-        cause = found.absence or "Level poses are singular for the inverse: give leg lengths instead"
+        cause = found.missing_reason or "Level poses are singular for the inverse: give leg lengths instead"
         raise ArgumentError(name, "a pose with a physical branch", "one without", cause)
     return found
 
 
 def _along_poses(rules: PathRules, states: list[Configuration], certificate: Certificate | None) -> MotionPlan:
-    """Return the plan straight in poses, or why it cannot be gone along."""
+    """Return the plan straight in poses, or one without a path and with the reason."""
     geometry = rules.geometry
     poses = np.array([state.pose.as_matrix() for state in states])
     path = PlatformPath(np.linspace(0.0, 1.0, len(poses)), poses)

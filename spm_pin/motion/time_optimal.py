@@ -2,46 +2,58 @@
 
 With the quantities of `path_dynamics`, every limit is linear in u = s̈ and x = ṡ²,
 
-    lower <= a u + b x + c <= upper,    x <= limit,
+    lower <= a u + b x + c <= upper,    x <= limit.
 
-which toppra solves on a grid of parameters, u constant from each to the next. Forces jump then; with limited jerk they
-do not, see `limited_jerk`.
+`least_time` finds the motion on a grid of parameters, with u constant from each to the next. Forces jump then; with
+limited jerk they do not, see `limited_jerk`.
 """
 
 from __future__ import annotations
 
-import logging
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError, require_extra
+from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import FloatArray, check_instance, real_number, whole_number
 from spm_pin.mechanism.leg_limits import LEGS
+from spm_pin.motion.least_time import Clock, LeastTime, even_grid
 from spm_pin.motion.leg_path import LegPath
-from spm_pin.motion.limited_jerk import Clock, EasedGrid, limited_jerk
-from spm_pin.motion.motion_limits import LimitRows, MotionLimits
-from spm_pin.motion.path_dynamics import PathDynamics, path_dynamics
+from spm_pin.motion.limited_jerk import EasedGrid, limited_jerk
+from spm_pin.motion.motion_limits import MotionLimits
+from spm_pin.motion.path_dynamics import PathDynamics, Payload, path_dynamics
 from spm_pin.motion.path_states import ROUNDING, MotionPath
-from spm_pin.motion.payload import Payload
 from spm_pin.motion.planning import MotionPlan
 from spm_pin.multibody.chain import ClosedChain
-from spm_pin.multibody.joint_layout import require_dimensions
-from spm_pin.multibody.platform_path import PlatformPath
-from spm_pin.multibody.trajectory import JointTrajectory
+from spm_pin.multibody.loading import check_same_machine
+from spm_pin.multibody.trajectory import JointTrajectory, PlatformPath
 
 _LONGEST = 10**6
 """Samples that a trajectory may have."""
-_FASTEST = 1e4
-"""Largest speed of the parameter [1/s], where no limit is."""
-_CORRECTIONS = 12
-"""Motions tried at most, because limits are broken between points of the grid."""
-_NARROWED = 6
-"""The first of them, with narrower limits; the others are slower as a whole."""
+_REFINEMENTS = 4
+"""Motions found at most with limits at more parameters, where they were broken between points of the grid."""
+_BROKEN = 1e-4
+"""Share of a limit from which on it counts as broken there."""
+_SLOWDOWNS = 16
+"""Times that a motion is slowed down at most until its rows keep all limits, each time by four times as much more."""
 _KEPT = 1e-7
 """Share of a limit by which it may be exceeded."""
+
+
+@dataclass(frozen=True, repr=False)
+class TimedMotion(JointTrajectory):
+    """The motion of all joints along a path, found by `time_optimal`."""
+
+    error: float = 0.0
+    """By which share of it the duration may be above the least one: estimated from a grid half as fine, and what the
+    motion was slowed down by to keep limits between the points of the grid."""
+
+    def __repr__(self) -> str:
+        duration = f"{self.times[-1]:.4g} s, at most some {100.0 * self.error:.1g} % above the least"
+        return f"<TimedMotion: {len(self.joint_names)} joints at {self.times.size} times, {duration}>"
 
 
 def time_optimal(
@@ -56,7 +68,7 @@ def time_optimal(
     leg_jerks: npt.ArrayLike | None = None,
     grid: int = 2000,
     period: float = 2e-3,
-) -> JointTrajectory:
+) -> TimedMotion:
     """Return the fastest motion along a path, from rest to rest.
 
     Parameters
@@ -78,14 +90,14 @@ def time_optimal(
         Largest jerk of each leg [m/s³], on the average between two rows too. The motion also begins and ends without
         acceleration. Its duration approaches that without a limit where the limit is large.
     grid : int
-        Parts of the path at whose ends the limits hold; where rows in between exceed them, the motion is found again
-        with narrower limits, or slowed down. With `leg_jerks` 2000 parts suffice for some 20 points on the way.
+        Parts of the path; more where limits are broken between their ends. The duration is longer than the least by a
+        share in proportion to their length: `error` says by how much.
     period : float
         Time between the rows of the result [s], at most.
 
     Returns
     -------
-    JointTrajectory
+    TimedMotion
         From time 0; its efforts are the legs' forces with the payload. The limits hold in its rows, to 1e-6.
 
     Raises
@@ -93,15 +105,12 @@ def time_optimal(
     ArgumentError
         If an argument is malformed, the plan is one of other dimensions, no limit bounds the acceleration, the path
         leaves the physical mode or meets a singularity, with the parameter where, or the forces cannot even hold the
-        machine at rest somewhere; if every motion that is tried exceeds a limit between points of `grid`.
-    MissingExtraError
-        Without the extra "motion", which `leg_jerks` does not need.
+        machine at rest somewhere. Along any other path there is a motion, and one is returned.
 
     Notes
     -----
-    Time-optimal path parametrisation by reachability analysis: Pham and Pham, IEEE Transactions on Robotics 34 (2018),
-    as implemented by toppra. With limited jerk, a nonlinear programme in the square of the speed, as in Verscheure et
-    al., IEEE Transactions on Automatic Control 54 (2009), there without jerk; solved by IPOPT to a local optimum.
+    A convex programme in the square of the speed, as in Verscheure et al., IEEE Transactions on Automatic Control 54
+    (2009); with limited jerk a nonlinear one, of which IPOPT finds a local optimum.
     """
     check_instance(chain, ClosedChain, "chain")
     way = _path(path, chain)
@@ -110,40 +119,58 @@ def time_optimal(
     parts = whole_number(grid, "grid", "a number of parts from 10 to 100,000", least=10, most=100_000)
     step = real_number(period, "period", "a positive time in seconds", above=0.0)
     limits = MotionLimits.read(leg_rates, leg_accelerations, leg_jerks, leg_forces, twist)
-    jerks, legs = limits.leg_jerks, chain.leg_indices
-    eased = EasedGrid.over(_knots(way), parts)
-    parameters = np.linspace(0.0, 1.0, parts + 1) if jerks is None else eased.parameters
-    along = path_dynamics(chain, way, parameters, payload)
-    _refuse_events(chain, along, way, planned=isinstance(path, MotionPlan))
-    rows = limits.rows(chain, along)
-    if jerks is None:
-        duration, clock = _fastest(parameters, rows)
+    planned = isinstance(path, MotionPlan)
+
+    def dynamics(parameters: FloatArray) -> PathDynamics:
+        return path_dynamics(chain, way, parameters, payload)
+
+    def rows_at(duration: float, clock: Clock) -> tuple[FloatArray, PathDynamics, FloatArray, FloatArray, FloatArray]:
+        times = _times(duration, step)
+        s, speeds, accelerations = clock(times)
+        along = dynamics(s)
+        return times, along, speeds, accelerations, limits.feasible_scale(chain, along, times, speeds, accelerations)
+
+    if limits.leg_jerks is None:
+        points, corners = even_grid(_knots(way), parts)
+        along = dynamics(np.insert(points, range(1, len(points)), 0.5 * (points[1:] + points[:-1])))
+        _refuse_events(chain, along, way, planned=planned)
+        motion = LeastTime(points, limits.rows(chain, along), corners)
+        for _ in range(_REFINEMENTS):
+            _, along, _, _, scale = rows_at(motion.duration, motion.clock)
+            if scale.min() > 1.0 - _BROKEN:
+                break
+            broken = along.parameters[scale < 1.0 - _BROKEN]
+            motion.refine(broken, lambda parameters: limits.rows(chain, dynamics(parameters)))
+        duration, clock, error = motion.duration, motion.clock, motion.error
     else:
-        duration, clock = limited_jerk(eased, rows, along.first[:, legs], along.second[:, legs], jerks)
+        eased = EasedGrid.from_knots(_knots(way), parts)
+        along = dynamics(eased.parameters)
+        _refuse_events(chain, along, way, planned=planned)
+        legs = chain.leg_indices
+        derivatives = along.first[:, legs], along.second[:, legs]
+        duration, clock, error = limited_jerk(eased, limits.rows(chain, along), *derivatives, limits.leg_jerks)
     slower = 1.0
-    for correction in range(_CORRECTIONS):
-        times = _times(slower * duration, step)
-        at, speeds, accelerations = clock(times / slower)
-        speeds, accelerations = speeds / slower, accelerations / slower**2
-        found = path_dynamics(chain, way, at, payload)
-        share = limits.kept_share(chain, found, times, speeds, accelerations, _KEPT)
-        if share >= 1.0:
-            return _trajectory(chain, found, times, speeds, accelerations)
-        # It happens between points of the grid.
-        if jerks is None and correction < _NARROWED:
-            rows = rows.narrowed(*limits.rows(chain, found).excess(speeds, accelerations))
-            duration, clock = _fastest(parameters, rows)
-        else:
-            slower /= np.sqrt(share * (1.0 - _KEPT))
-    expected = f"a grid on which a motion that keeps every limit is found in {_CORRECTIONS} tries"
-    received = f"{parts} parts; the last motion exceeds a limit by {1.0 / share - 1.0:.1e} of what it leaves for moving"
-    cause = "A turn of the path that is sharp between two points of the grid? A finer grid, or a path with wider turns"
-    raise ArgumentError("grid", expected, received, cause)
+    for slowdown in range(_SLOWDOWNS):
+        times, along, speeds, accelerations, scale = rows_at(slower * duration, _slowed(clock, slower))
+        if scale.min() >= 1.0:
+            break
+        slower /= np.sqrt(float(scale.min())) * (1.0 - _KEPT * 4.0**slowdown)
+    return _trajectory(chain, along, times, speeds, accelerations, slower * (1.0 + error) - 1.0)
+
+
+def _slowed(clock: Clock, slower: float) -> Clock:
+    """Return the clock of a motion that takes so many times as long."""
+
+    def slowed(times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        s, speeds, accelerations = clock(times / slower)
+        return s, speeds / slower, accelerations / slower**2
+
+    return slowed
 
 
 def _path(path: Any, chain: ClosedChain) -> MotionPath:
     if isinstance(path, MotionPlan):
-        require_dimensions(path.geometry, chain.geometry, "path", "the chain")
+        check_same_machine(path.geometry, chain.geometry, "path", "the chain")
         if path.path is None:
             raise ArgumentError("path", "a plan with a path", "one without", path.reason)
         return path.path
@@ -181,45 +208,6 @@ def _refuse_events(chain: ClosedChain, along: PathDynamics, path: MotionPath, *,
         raise ArgumentError("path", "a path without singularities", received, cause)
 
 
-def _fastest(parameters: FloatArray, rows: LimitRows) -> tuple[float, Clock]:
-    """Return the duration of the time-optimal motion, and s, ṡ and s̈ as functions of time."""
-    require_extra("motion")
-    import toppra
-    from toppra.algorithm import TOPPRA
-    from toppra.constraint import DiscretizationType, LinearConstraint
-
-    class Limits(LinearConstraint):  # type: ignore[misc]
-        """The rows as toppra reads them."""
-
-        def __init__(self) -> None:
-            super().__init__()
-            self.identical = True
-            self.set_discretization_type(DiscretizationType.Interpolation)
-
-        def compute_constraint_params(self, *_: object, **__: object) -> tuple[Any, ...]:
-            eye = np.eye(len(rows.lower))
-            bounds = np.stack([np.zeros_like(rows.fastest), np.minimum(rows.fastest, _FASTEST**2)], axis=-1)
-            values = np.concatenate([rows.upper, -rows.lower])
-            return rows.a, rows.b, rows.c, np.concatenate([eye, -eye]), values, None, bounds
-
-    logging.getLogger("toppra").setLevel(logging.ERROR)
-    line = toppra.SplineInterpolator(parameters[[0, -1]], np.array([[0.0], [1.0]]))
-    solver = TOPPRA([Limits()], line, gridpoints=parameters)
-    accelerations, speeds, _ = solver.compute_parameterization(0.0, 0.0)
-    if speeds is None or not np.isfinite(speeds).all() or not (speeds[1:-1] > 0.0).all():
-        cause = "A force limit that only just holds the machine, or a turn of the path too sharp for this grid"
-        raise ArgumentError("path", "a path that the limits let the machine go along", "no such motion", cause)
-    starts = np.concatenate([[0.0], np.cumsum(2.0 * np.diff(parameters) / (speeds[:-1] + speeds[1:]))])
-
-    def clock(times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        k = np.clip(np.searchsorted(starts, times, side="right") - 1, 0, len(starts) - 2)
-        since = times - starts[k]
-        s = parameters[k] + since * (speeds[k] + 0.5 * since * accelerations[k])
-        return np.clip(s, 0.0, 1.0), np.maximum(speeds[k] + since * accelerations[k], 0.0), accelerations[k]
-
-    return float(starts[-1]), clock
-
-
 def _times(duration: float, period: float) -> FloatArray:
     count = int(np.ceil(duration / period)) + 1
     if count > _LONGEST:
@@ -228,11 +216,16 @@ def _times(duration: float, period: float) -> FloatArray:
 
 
 def _trajectory(
-    chain: ClosedChain, along: PathDynamics, times: FloatArray, speeds: FloatArray, accelerations: FloatArray
-) -> JointTrajectory:
+    chain: ClosedChain,
+    along: PathDynamics,
+    times: FloatArray,
+    speeds: FloatArray,
+    accelerations: FloatArray,
+    error: float,
+) -> TimedMotion:
     """Return all joints and forces of a path gone through on a clock."""
     rate, change = speeds[:, None], accelerations[:, None]
     efforts = np.zeros_like(along.q)
     efforts[:, chain.leg_indices] = along.inertial * change + along.centrifugal * rate**2 + along.static
     velocities, joint_accelerations = along.first * rate, along.first * change + along.second * rate**2
-    return JointTrajectory(chain.joint_names, times, along.q, velocities, joint_accelerations, efforts)
+    return TimedMotion(chain.joint_names, times, along.q, velocities, joint_accelerations, efforts, error)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -10,20 +11,37 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from spm_pin.description.closures import Closure
-from spm_pin.description.paths import description_directory
-from spm_pin.description.srdf import srdf_text
-from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable
-from spm_pin.mechanism.configuration import Configuration
+from spm_pin.description.source_files import description_directory
+from spm_pin.description.tree import ANGLES, SLIDES, Closure, read_closures, srdf_text
+from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
+from spm_pin.kinematics.forward_displacement import forward_physical
+from spm_pin.kinematics.inverse_displacement import inverse_physical
+from spm_pin.mechanism.arguments import FloatArray, IntArray, as_bool, broadcastable, first_offender, whole_number
+from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.multibody import batched_methods, chain_kinematics, simulation, trajectory
-from spm_pin.multibody.batched_states import BatchedStates
-from spm_pin.multibody.constrained_model import ConstrainedModel
-from spm_pin.multibody.constrained_state import ChainState
-from spm_pin.multibody.joint_layout import JointLayout
-from spm_pin.multibody.loading import description_closures, read_description
+from spm_pin.mechanism.joint_angles import joint_angles
+from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
+from spm_pin.multibody.chain_state import (
+    ChainState,
+    Energy,
+    NaturalFrequencies,
+    PlatformDynamics,
+    ThreadState,
+    at_index,
+)
+from spm_pin.multibody.closure_solvers import close_loops, follow_legs, follow_pose
+from spm_pin.multibody.constrained_model import (
+    AGREEMENT,
+    ConstrainedModel,
+    SingularValues,
+    TreeKinematics,
+    check_leg_lengths,
+)
+from spm_pin.multibody.loading import check_same_machine, read_description
 from spm_pin.multibody.mounting import MountedChain, mount
-from spm_pin.multibody.vector_arguments import read_vectors
+from spm_pin.multibody.simulation import ForceFunction, Simulation, run_simulation
+from spm_pin.multibody.trajectory import JointTrajectory, PlatformMotion, follow_path
+from spm_pin.multibody.vector_arguments import GainsLike, WrenchLike, read_vectors
 
 
 class ClosedChain:
@@ -36,15 +54,16 @@ class ClosedChain:
     `inverse_kinematics` without `near`, are vectorised closed forms. `state` computes several quantities of one q
     and v. For a chain by itself nq = nv = 18, and the n = 6 actuators are the legs.
 
-    The geometry may be that of a machine as built: leg lengths are then its readings, offsets included, and joint
-    values zero at the home of the nominal machine, where its loops are open by about its errors.
+    A single state that is singular or not closed raises. In a batch such members are NaN, and the others are computed:
+    `failures` of a `state` of the batch says why, as does a call for the member alone.
+
+    The machine may be one as built: joint values are zero at the home of its drawing, where its loops are open by about
+    its errors; leg lengths are distances from pivot to ball, and readings what its encoders show of them.
 
     Wrenches are (f, m) [N, N m] onto the terminal platform at o in the axes of {B}, twists (v, ω) [m/s, rad/s] of it;
     legs are in the order r_b1, r_b2, r_b3, r_c1, r_c2, r_c3, and a positive leg force pushes, to extend the leg.
     Methods that use rates or forces raise `ArgumentError` where a ball joint's middle angle is ±90°, and
-    `SingularConfigurationError` at the singularities they name; see `spm_pin.multibody.regularity.SINGULAR`.
-
-    A subclass with other constructor arguments needs its own `__reduce__`.
+    `SingularConfigurationError` at the singularities they name, where a matrix is singular to rounding.
 
     Parameters
     ----------
@@ -59,26 +78,21 @@ class ClosedChain:
     def __init__(self, urdf: str, geometry: Geometry, prefix: str = "") -> None:
         self._urdf, self._geometry, self._prefix = urdf, geometry, prefix
         self._model = pin.buildModelFromXML(urdf)
-        self._layout = JointLayout(self._model, geometry, prefix)
-        constrained = ConstrainedModel(self._model, self._layout, description_closures(geometry, prefix))
-        self._states = BatchedStates(constrained, ChainState)
+        closures = read_closures(prefix=prefix)
+        self._constrained = ConstrainedModel(self._model, closures, geometry, prefix)
+        self._order = np.argsort(self._constrained.joint_indices(*ANGLES, *SLIDES))
+        self._calls = ThreadState(ChainState, self._constrained)
 
     @classmethod
     def from_urdf(
-        cls,
-        path: str | Path | None = None,
-        geometry: Geometry | None = None,
-        *,
-        prefix: str = "",
+        cls, path: str | Path | None = None, geometry: Geometry | None = None, *, prefix: str = ""
     ) -> ClosedChain:
         """Make a chain from the package's description, or from a URDF file expanded from it.
 
-        A file at `path` has the description's tree, perhaps with other inertias, shapes and limits; the closures are
-        the description's. `geometry` is by default that of the file, without a file the paper's; that of a machine as
-        built, an AsBuiltGeometry, goes with a file that was written for it. `prefix` stands before the name of every
-        link and joint. Raises `DescriptionError` if the file cannot be read or is another tree, its
-        inertias are impossible or `prefix` cannot begin a name, and `GeometryError` if the dimensions of the file are
-        not those of `geometry`.
+        `geometry` is by default the paper's. A file at `path` has the tree of the description for this geometry,
+        perhaps with other inertias, shapes and limits; the closures are the description's. `prefix` stands before the
+        name of every link and joint. Raises `DescriptionError` if the file cannot be read or is another tree, its
+        inertias are impossible or `prefix` cannot begin a name.
         """
         return cls(*read_description(path, geometry, prefix), prefix)
 
@@ -98,11 +112,11 @@ class ClosedChain:
     @property
     def closures(self) -> tuple[Closure, ...]:
         """The closures, in the order of all results per closure."""
-        return self._states.constrained.closures
+        return self._constrained.closures
 
     @property
-    def geometry(self) -> Any:
-        """Dimensions and leg limits, a `Geometry`."""
+    def geometry(self) -> Geometry:
+        """Dimensions, legs and limits."""
         return self._geometry
 
     @property
@@ -113,16 +127,16 @@ class ClosedChain:
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints in the order of q."""
-        return self._layout.names_in_model
+        return self._constrained.names
 
     @property
     def leg_indices(self) -> IntArray:
         """Indices of the legs' prismatic joints in q, shape (6,)."""
-        return self._layout.legs.copy()
+        return self._constrained.legs.copy()
 
     def joint_indices(self, *names: str) -> IntArray:
         """Return the indices in q (n,) of joints named as in the URDF; raise `ArgumentError` for an unknown name."""
-        return self._layout.indices(*(name.removeprefix(self._prefix) for name in names))
+        return self._constrained.joint_indices(*names)
 
     @cached_property
     def visual_model(self) -> Any:
@@ -160,22 +174,42 @@ class ClosedChain:
         return mount(self, other, f"{self._prefix}{frame}", placement, carried=True)
 
     def state(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> ChainState:
-        """Return the state of joint values q (18,) and velocities v (18,), by default at rest.
+        """Return the state of joint values q (..., 18) and velocities v (..., 18), by default at rest.
 
         It has the chain's methods about rates, forces and dynamics, without q and v, and `joint_accelerations_of_legs`
-        and `platform_acceleration` besides. They share what they compute; `state.update(q, v)` moves it on. In a
-        control loop it saves reading and computing the same twice.
+        and `platform_acceleration` besides. For a single q and v they share what they compute; `state.update(q, v)`
+        moves it on. In a control loop it saves reading and computing the same twice.
         """
-        return ChainState(self._states.constrained).update(q, v)
+        return ChainState(self._constrained).update(q, v)
+
+    def _at(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> ChainState:
+        """Return the state that calls of this thread compute in, moved to q and v."""
+        state: ChainState = self._calls.state
+        return state.update(q, v)
 
     def joint_values(self, configuration: Configuration) -> FloatArray:
         """Return q (..., 18) of a configuration, in closed form and vectorised: angles in [-π, π].
 
-        Its leg limits play no part. The tree is closed to rounding, or as far as the configuration is. Raises
-        `ArgumentError` if a member does not exist or is not closed to 1e-9 of the middle platform's side, and
-        `GeometryError` if the dimensions are not the chain's, those of a machine as built with all its errors.
+        Its leg limits play no part. The tree is closed to rounding, or as far as the configuration is; members of a
+        batch that do not exist are NaN. Raises `ArgumentError` if a single configuration does not exist or one is not
+        closed to 1e-9 of the middle platform's side, and `GeometryError` if it is of another machine than the chain's.
         """
-        return self._layout.joint_values(configuration)
+        state = check_configuration(configuration)
+        if not state.shape:
+            check_configuration(configuration, existing=True)
+        if state.geometry is not self._geometry:
+            check_same_machine(state.geometry, self._geometry, "configuration", "the chain")
+            # With the chain's own limits: they set the zero of its slides.
+            state = Configuration.from_arrays(self._geometry, state.rotation, state.translation, state.middle_joints)
+        angles = joint_angles(state, corners=(0,))
+        is_open = angles.closure_residual > AGREEMENT * self._geometry.middle_side
+        if is_open.any():
+            index = first_offender(is_open)
+            where = f" at batch index {index}" if index else ""
+            received = f"a closure residual of {angles.closure_residual[index]:.1e} m{where}"
+            cause = "Rounded numbers? inverse_displacement closes the loops for a pose"
+            raise ArgumentError("configuration", "a closed mechanism", received, cause)
+        return angles.values.take(self._order, axis=-1)
 
     def configuration(self, q: npt.ArrayLike) -> Configuration:
         """Return the configuration in q (..., 18): the poses of m and of the middle platform's corners.
@@ -183,45 +217,294 @@ class ClosedChain:
         If q is not closed, neither is the configuration, and its leg lengths are those between its points, not
         those of q.
         """
-
-        def member(state: ChainState) -> tuple[FloatArray, ...]:
-            return state.kinematics.configuration_arrays()
-
-        return Configuration.from_arrays(self._geometry, *self._states.over(member, ((3, 3), (3,), (3, 3)), q))
+        return self._at(q).configuration()
 
     def leg_lengths(self, q: npt.ArrayLike) -> FloatArray:
-        """Return the leg lengths [m] of the slides in q (..., 18), shape (..., 6)."""
-        return self._layout.leg_lengths(self._states.constrained.checked(q))
+        """Return the distances from pivot to ball [m] that the slides have in q (..., 18), shape (..., 6)."""
+        return self._constrained.leg_lengths(self._constrained.read_q(q))
 
-    def with_leg_lengths(self, q: npt.ArrayLike, leg_lengths: npt.ArrayLike) -> FloatArray:
-        """Return a copy of q (..., 18) with other leg lengths (..., 6) [m], all other joints as they are.
+    def readings(self, q: npt.ArrayLike) -> FloatArray:
+        """Return what the encoders show in q (..., 18): the leg lengths and their offsets [m], shape (..., 6)."""
+        return np.asarray(self.leg_lengths(q) + self._geometry.legs.offsets)
+
+    def with_readings(self, q: npt.ArrayLike, readings: npt.ArrayLike) -> FloatArray:
+        """Return a copy of q (..., 18) with other readings (..., 6) [m], all other joints as they are.
 
         That opens the loops; `forward_kinematics` keeps them closed.
         """
-        checked = self._states.constrained.checked
-        joints, lengths = checked(q), read_vectors(leg_lengths, "leg_lengths", 6)
-        shape = broadcastable("leg_lengths", lengths.shape[:-1], "q", joints.shape[:-1])
+        constrained = self._constrained
+        joints, lengths = constrained.read_q(q), self._lengths_of_readings(readings, "readings")
+        shape = broadcastable("readings", lengths.shape[:-1], "q", joints.shape[:-1])
         changed = np.broadcast_to(joints, (*shape, joints.shape[-1])).copy()
-        changed[..., self._layout.legs] = lengths - self._layout.home
-        return checked(changed)
+        changed[..., constrained.legs] = constrained.slides(lengths)
+        return changed
 
-    # Methods that are written in the files of their subjects; their `self` is the chain.
-    project = chain_kinematics.project
-    forward_kinematics = chain_kinematics.forward_kinematics
-    inverse_kinematics = chain_kinematics.inverse_kinematics
-    closure_gap = batched_methods.closure_gap
-    constraint_jacobian = batched_methods.constraint_jacobian
-    singular_values = batched_methods.singular_values
-    inverse_jacobian = batched_methods.inverse_jacobian
-    joint_velocities = batched_methods.joint_velocities
-    joint_rates = batched_methods.joint_rates
-    joint_accelerations = batched_methods.joint_accelerations
-    leg_forces = batched_methods.leg_forces
-    cut_forces = batched_methods.cut_forces
-    forward_dynamics = batched_methods.forward_dynamics
-    inverse_dynamics = batched_methods.inverse_dynamics
-    platform_dynamics = batched_methods.platform_dynamics
-    natural_frequencies = batched_methods.natural_frequencies
-    energy = batched_methods.energy
-    joint_trajectory = trajectory.joint_trajectory
-    simulate = simulation.simulate
+    def _lengths_of_readings(self, readings: npt.ArrayLike, argument: str) -> FloatArray:
+        lengths = read_vectors(readings, argument, 6) - self._geometry.legs.offsets
+        check_leg_lengths(lengths, argument, "A leg length is the reading less the offset of its encoder")
+        return np.asarray(lengths)
+
+    def project(self, q: npt.ArrayLike, *, hold_legs: bool = False, max_iterations: int = 50) -> FloatArray:
+        """Return closed joint values (..., 18) near q, by Newton's method; angles are not reduced to one turn.
+
+        All joints move, as little as closes the loops to first order, slides measured in units of the middle platform's
+        side; with `hold_legs` the passive ones alone: forward displacement, to the assembly mode that q is near to.
+        Steps are halved where a full one does not shrink the gaps. Raises `ClosureError`, with the largest gap and the
+        number of steps, if the loops do not close to rounding in `max_iterations`.
+        """
+        most, held = (
+            whole_number(max_iterations, "max_iterations", "a number of steps"),
+            as_bool(hold_legs, "hold_legs"),
+        )
+        state = self._at(q)
+        kinematics = state.kinematics
+        return np.array(state._each(lambda: close_loops(kinematics, kinematics.q, held, most), (18,)))
+
+    def forward_kinematics(self, leg_lengths: npt.ArrayLike, near: npt.ArrayLike | None = None) -> FloatArray:
+        """Return all joints (..., 18) of leg lengths, of a machine as built readings, (..., 6) [m].
+
+        By default in the physical assembly mode of each member, in closed form and vectorised, angles in [-π, π]; see
+        `spm_pin.forward_physical`. With `near` (18,), a closed q, the mechanism goes from there to the first member by
+        changing all legs in proportion, and on to each from the one before, in C order, in the assembly mode that it
+        comes to, angles continuous and not reduced to one turn; legs that change little take one or two steps of
+        Newton's method. Closed to rounding.
+
+        Lengths that the physical mode cannot have are an `ArgumentError`, in a batch NaN. A path that does not lead to
+        a member, as one that ends at a forward or a constraint singularity, is an error for a batch as well.
+        """
+        if near is None:
+            configuration = forward_physical(self._geometry, leg_lengths)
+            if not configuration.shape and not configuration.exists:
+                received = f"{_listed(np.asarray(leg_lengths, dtype=np.float64))} m"
+                expected = "lengths that the physical assembly mode can have"
+                raise _absent("leg_lengths", expected, received, configuration.missing_reason or "A misread leg?")
+            return self.joint_values(configuration)
+        return self._follow(near, follow_legs, self._lengths_of_readings(leg_lengths, "leg_lengths"), axes=(1,))
+
+    def inverse_kinematics(self, pose: PoseLike, near: npt.ArrayLike | None = None) -> FloatArray:
+        """Return all joints (..., 18) of a pose (...) of the terminal platform, {m} in {B}.
+
+        By default in the physical branch of each member, in closed form and vectorised, angles in [-π, π]; see
+        `spm_pin.kinematics.inverse_physical`. With `near` (18,), a closed q, the platform moves and turns from there
+        to the first member in proportion, and on to each from the one before, as in `forward_kinematics`, in the branch
+        that it comes to; leg limits play no part. Closed to rounding. Errors are those of `forward_kinematics`, at
+        inverse singularities instead of forward ones.
+        """
+        transform = as_rigid_transform(pose)
+        if near is None:
+            configuration = inverse_physical(self._geometry, transform)
+            if not configuration.shape and not configuration.exists:
+                place, turn = transform.translation, transform.rotation.as_rotvec()
+                received = f"o at {_listed(place)} m, turned by the rotation vector {_listed(turn)} rad"
+                cause = configuration.missing_reason or "Level, or out of reach?"
+                raise _absent("pose", "poses that a physical branch has", received, cause)
+            return self.joint_values(configuration)
+        return self._follow(near, follow_pose, transform.rotation.as_matrix(), transform.translation, axes=(2, 1))
+
+    def _follow(
+        self, near: npt.ArrayLike, follow: Callable[..., FloatArray], *targets: FloatArray, axes: tuple[int, ...]
+    ) -> FloatArray:
+        """Return q of each target, from that of the one before; a target is of so many axes of each array."""
+        q = self._constrained.read_q(near, "near", single=True)
+        kinematics: TreeKinematics = self._at(q).kinematics
+        kinematics.check_closed()
+        shape = targets[0].shape[: targets[0].ndim - axes[0]]
+        path = np.empty((*shape, q.size))
+        for index in np.ndindex(shape):
+            try:
+                q = follow(kinematics, q, *(array[index] for array in targets))
+            except (ArgumentError, ClosureError, SingularConfigurationError) as error:
+                raise at_index(error, index) from error
+            path[index] = q
+        return path
+
+    def closure_gap(self, q: npt.ArrayLike) -> FloatArray:
+        """Return how far the closures are open: from `frame_a` to `frame_b` of each, in {B} [m], shape (..., 4, 3)."""
+        return self._at(q).closure_gap()
+
+    def constraint_jacobian(self, q: npt.ArrayLike) -> FloatArray:
+        """Return the derivative of `closure_gap` by q, shape (..., 12, 18), three rows per closure.
+
+        Its transpose maps forces in {B} onto the closures' `frame_b`, with the opposite onto `frame_a`, to
+        generalized forces. Exact at any q.
+        """
+        return self._at(q).constraint_jacobian()
+
+    def singular_values(self, q: npt.ArrayLike) -> SingularValues:
+        """Return how near q (..., 18) is to each kind of singularity, without raising `SingularConfigurationError`."""
+        return self._at(q).singular_values()
+
+    def inverse_jacobian(self, q: npt.ArrayLike) -> FloatArray:
+        """Return J_f (..., 6, 6), which maps the platform's twist to the leg rates; q is closed.
+
+        Raises at an inverse or a constraint singularity.
+        """
+        return self._at(q).inverse_jacobian()
+
+    def joint_velocities(self, q: npt.ArrayLike, twist: npt.ArrayLike) -> FloatArray:
+        """Return the velocities of all joints (..., 18) [rad/s, m/s] for a twist of m, in the order of `joint_names`.
+
+        The twist is (..., 6); else as `inverse_jacobian`.
+        """
+        return self._at(q).joint_velocities(twist)
+
+    def joint_rates(self, q: npt.ArrayLike, leg_rates: npt.ArrayLike) -> FloatArray:
+        """Return the velocities of all joints (..., 18) [rad/s, m/s] for rates of the six legs (..., 6) [m/s].
+
+        q is closed; the other way is `joint_velocities`. Raises at a forward or
+        a constraint singularity.
+        """
+        return self._at(q).joint_rates(leg_rates)
+
+    def joint_accelerations(self, q: npt.ArrayLike, v: npt.ArrayLike, acceleration: npt.ArrayLike) -> FloatArray:
+        """Return the accelerations of all joints (..., 18) for one of the terminal platform (..., 6).
+
+        That is the time derivative of the twist: of the point o [m/s²], and angular [rad/s²], in {B}. q and v (..., 18)
+        are those of a closed mechanism. Raises at an inverse or a constraint singularity.
+        """
+        return self._at(q, v).joint_accelerations(acceleration)
+
+    def leg_forces(self, q: npt.ArrayLike, wrench: npt.ArrayLike) -> FloatArray:
+        """Return the actuator forces (..., 6) [N] that hold a wrench (..., 6) applied onto the terminal platform.
+
+        Weights and friction are left out: `inverse_dynamics` has the weights. Raises at a forward or a constraint
+        singularity.
+        """
+        return self._at(q).leg_forces(wrench)
+
+    def cut_forces(self, q: npt.ArrayLike, wrench: npt.ArrayLike) -> FloatArray:
+        """Return the forces in the ball joints where the tree is cut, shape (..., 4, 3) [N] in {B}.
+
+        Per closure, what the middle platform (`frame_a`) exerts onto the tip of the leg (`frame_b`); the leg exerts
+        the opposite onto the middle platform. Arguments and errors are those of `leg_forces`.
+        """
+        return self._at(q).cut_forces(wrench)
+
+    def energy(self, q: npt.ArrayLike, v: npt.ArrayLike) -> Energy:
+        """Return the kinetic and the potential energy (...) [J] of all bodies at q and v, closed or not."""
+        return self._at(q, v).energy()
+
+    def forward_dynamics(
+        self,
+        q: npt.ArrayLike,
+        v: npt.ArrayLike,
+        forces: npt.ArrayLike,
+        wrench: WrenchLike = None,
+        *,
+        gains: GainsLike = None,
+    ) -> FloatArray:
+        """Return the accelerations of all joints (..., 18) [rad/s², m/s²] under actuators, gravity and wrenches.
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., 18)
+            Joint values, and joint velocities [rad/s, m/s].
+        forces : array_like, shape (..., 6)
+            Of the legs [N].
+        wrench : array_like, shape (..., 6), or mapping of str to such, optional
+            Onto the terminal platform; or several, each onto the link or frame of that name, at its origin.
+        gains : pair of float, optional
+            (kp, kd) [1/s², 1/s], not negative, after Baumgarte: open gaps e then obey ë + kd ė + kp e = 0, for those
+            who integrate by themselves. Without, q and v must be closed, and the accelerations keep them so.
+
+        Notes
+        -----
+        Only constraint singularities raise: inverse and forward ones are no obstacle.
+        """
+        return self._at(q, v).forward_dynamics(forces, wrench, gains=gains)
+
+    def inverse_dynamics(
+        self, q: npt.ArrayLike, v: npt.ArrayLike, a: npt.ArrayLike, wrench: WrenchLike = None
+    ) -> FloatArray:
+        """Return the forces of the legs (..., 6) [N] for a motion under gravity, inertia and wrenches.
+
+        q, v and a (..., 18) are those of a closed mechanism, `wrench` is as in `forward_dynamics`. At rest, the weights
+        of all bodies are left; `leg_forces` has the wrench alone. Raises at a forward or a constraint singularity.
+        """
+        return self._at(q, v).inverse_dynamics(a, wrench)
+
+    def platform_dynamics(self, q: npt.ArrayLike, v: npt.ArrayLike) -> PlatformDynamics:
+        """Return the equations of motion at the terminal platform, Λ ṫ + C t + G = J_fᵀ f + w, of all bodies' masses.
+
+        q, v and the errors are those of `joint_accelerations`.
+        """
+        return self._at(q, v).platform_dynamics()
+
+    def natural_frequencies(self, q: npt.ArrayLike, stiffness: npt.ArrayLike) -> NaturalFrequencies:
+        """Return the small vibrations of the platform with its motors held, on legs that are elastic.
+
+        q is closed, `stiffness` (..., 6, 6) the platform's as of `spm_pin.stiffness`; all bodies' masses take part as
+        if rigid. What weights add to the stiffness is left out: it is of the size of weight / leg length. Raises at an
+        inverse or a constraint singularity.
+        """
+        return self._at(q).natural_frequencies(stiffness)
+
+    def joint_trajectory(
+        self, path: Callable[[float], PlatformMotion], times: npt.ArrayLike, near: npt.ArrayLike
+    ) -> JointTrajectory:
+        """Return the motion of all joints for one of the platform, with the leg forces of it under gravity.
+
+        `path`, a `PlatformPath` or another callable, takes a time [s] and returns pose, twist and acceleration of the
+        terminal platform; `times` (n,) [s] increase at any rate; `near` (18,) is a closed q in the branch wanted, near
+        the path's start. Raises as `inverse_kinematics`, with the index of the time.
+        """
+        q = self._constrained.read_q(near, "near", single=True)
+        return follow_path(self.state(q), path, times, self.joint_names, self._constrained.legs)
+
+    def simulate(
+        self,
+        q0: npt.ArrayLike,
+        v0: npt.ArrayLike,
+        forces: npt.ArrayLike | ForceFunction | None,
+        times: npt.ArrayLike,
+        *,
+        wrench: WrenchLike | ForceFunction = None,
+        period: float | None = None,
+        tolerance: float = 1e-11,
+        max_step: float = np.inf,
+        progress: Callable[[float], object] | None = None,
+    ) -> Simulation:
+        """Integrate the motion under leg forces, gravity and wrenches, up to the last time or what ends it before.
+
+        By SciPy's DOP853 with projection onto the closures after each step; see the module `simulation`. The loops are
+        closed to rounding at every time. Leg limits, inverse and forward singularities are passed through. A leg of no
+        length and a constraint singularity end the run: forces in the balls have no bound there. They are looked for at
+        the ends of steps: a smaller `max_step` sees what happens and is undone within one. Errors of `forces`, `wrench`
+        or `progress` reach the caller.
+
+        Parameters
+        ----------
+        q0, v0 : array_like, shape (18,)
+            Joint values and velocities of a closed mechanism at the first time.
+        forces : array_like (6,), callable, or None
+            Of the legs [N]: constant, or a function (t, q, v) → (6,); None lets the slides move freely. A function
+            without `period` is smooth in its arguments alone: it is called several times a step, and not in order.
+        times : array_like, shape (n,)
+            When to record [s], increasing; the motion begins at the first.
+        wrench : as in `forward_dynamics`, or callable, optional
+            Applied from outside: constant, or a function (t, q, v) → (6,) for the terminal platform.
+        period : float, optional
+            Of a digital controller [s]: `forces` is called once at the start of each period, in order, and its
+            answer held. It may keep a state of its own.
+        tolerance : float
+            Of a step, relative and absolute in the units of q and v; from 1e-13 to 1e-3. The default keeps the energy
+            to about 1e-12 of itself in a second of falling.
+        max_step : float
+            Longest step [s]; not less than 1e-7 of the run.
+        progress : callable, optional
+            Called with the share done, from 0 to 1, after each step. If it returns False, the run ends there.
+        """
+        acting, steps = (forces, wrench, period), (tolerance, max_step, progress)
+        return run_simulation(self._constrained, q0, v0, times, *acting, *steps)
+
+
+def _listed(numbers: FloatArray) -> str:
+    """Return numbers (n,) as text, to nine digits."""
+    return f"[{', '.join(f'{number:.9g}' for number in numbers)}]"
+
+
+def _absent(argument: str, expected: str, received: str, reason: str) -> ArgumentError:
+    """Return the error about what has no physical solution."""
+    sentence = f"{reason[0].upper()}{reason[1:]}{'' if reason.endswith(('.', '?')) else '.'}"
+    cause = f"{sentence} Pass a closed q as near: the solution on the path from there need not be physical."
+    return ArgumentError(argument, expected, received, cause)

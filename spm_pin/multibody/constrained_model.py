@@ -1,4 +1,4 @@
-"""A spanning tree with closures: the constraints, and the kinematics of the tree at one q.
+"""A spanning tree with closures: where joints and frames are in the model, and the kinematics of the tree at one q.
 
 With Jm the Jacobian of the terminal platform m at o, Jc that of the closures and S the selection of the six legs,
 all joint velocities v of the mechanism that the closures admit solve, for a twist t of m or for leg rates ṙ,
@@ -19,70 +19,201 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
+from scipy.linalg import lapack
 
-from spm_pin.description.closures import Closure
-from spm_pin.errors import ArgumentError, SingularConfigurationError
-from spm_pin.mechanism.arguments import FloatArray, broadcastable
-from spm_pin.multibody.joint_layout import JointLayout
-from spm_pin.multibody.regularity import SINGULAR, Factors, SingularValues
-from spm_pin.multibody.vector_arguments import NO_WRENCHES, Wrenches, WrenchLike, read_vector, read_vectors
+from spm_pin.description.tree import JOINTS, SLIDES, Closure
+from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
+from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable, frozen
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.leg_frames import home_lengths
+from spm_pin.mechanism.leg_limits import LEGS
+from spm_pin.multibody.vector_arguments import Gains, WrenchLike, read_vector, read_vectors
+
+AGREEMENT = 1e-9
+"""Lengths that differ by this share of the robot's own are taken for rounded, more for another robot's."""
+
+SINGULAR = 64.0 * float(np.finfo(np.float64).eps)
+"""A matrix is singular to rounding where its smallest singular value is at most this times its largest.
+
+Ten joints lie between {B} and m, each adds a rounding or two of eps times an arm to an entry; some hundred entries
+that are not zero make a matrix off by a few hundred eps in the Frobenius norm, of a largest singular value of about
+five: a smaller singular value may as well be zero.
+"""
+
+SUSPECT = 1e-9
+"""Reciprocal condition number below which a factorisation is checked by singular values: they take longer."""
+
+BALLS = (("ball_b1_x", "ball_b1_y", "ball_b1_z"), ("ball_c1_z", "ball_c1_y", "ball_c1_x"))
+"""The joints that stand for one ball joint each."""
+
+_NO_WRENCHES = frozen(np.empty(0))
+_NO_GAINS = Gains(0.0, 0.0)
+
+
+class SingularValues(NamedTuple):
+    """Smallest singular values at a configuration, dimensionless; each is named after what its zero means.
+
+    Lengths are in units of the middle platform's side, the rates of a ball joint are its angular velocity. Arrays (...)
+    for a batch.
+    """
+
+    inverse: Any
+    """Smallest singular value of K, the twist of {m} and the closures' rates: zero where the platform's twist does not
+    determine the rates of the legs."""
+    forward: Any
+    """Smallest singular value of [S; Jc], the rates of the legs and of the closures: zero where the legs do not hold
+    the platform."""
+    constraint: Any
+    """Smallest singular value of Jc, the rates of the closures: zero where the revolute joints of a stage do not
+    constrain its platform. Then the other two are zero as well."""
+
+
+class Factors(NamedTuple):
+    """The LU factorisation of a matrix, as of LAPACK's dgetrf."""
+
+    lu: FloatArray
+    pivots: Any
+    zero_pivot: bool
+    """True if a pivot is exactly zero: `solve` has no meaning."""
+
+    @classmethod
+    def from_matrix(cls, matrix: FloatArray) -> Factors:
+        """Factorise a square matrix."""
+        lu, pivots, info = lapack.dgetrf(matrix)
+        return cls(lu, pivots, info > 0)
+
+    def is_regular(self, matrix: FloatArray) -> bool:
+        """Return whether the reciprocal condition number of the matrix that was factorised is above `SUSPECT`."""
+        if self.zero_pivot:
+            return False
+        flat, others = matrix.ravel(), len(matrix) - 1
+        square = float(flat.dot(flat))
+        # All but the smallest singular value multiply to at most (F²/(n - 1))^((n - 1)/2), F the Frobenius norm:
+        # quicker than LAPACK's estimate, and nearly always enough.
+        size = abs(math.prod(self.lu.diagonal().tolist()))
+        if size * (others / square) ** (0.5 * others) > SUSPECT * math.sqrt(square):
+            return True
+        norm = lapack.dlange("1", matrix)  # type: ignore[call-arg]
+        return bool(lapack.dgecon(self.lu, norm)[0] > SUSPECT)
+
+    def determinant(self) -> float:
+        """Return the determinant."""
+        swaps = sum(place != k for k, place in enumerate(self.pivots.tolist()))
+        return float(math.prod(self.lu.diagonal().tolist()) * (-1.0) ** swaps)
+
+    def solve(self, right_side: FloatArray) -> FloatArray:
+        """Return A⁻¹ b, for one or several columns b."""
+        if right_side.ndim > 1:
+            # One by one: for several, OpenBLAS waits for threads, which may take milliseconds.
+            return np.stack([self.solve(column) for column in right_side.T], axis=-1)
+        return np.asarray(lapack.dgetrs(self.lu, self.pivots, right_side)[0])
+
+    def solve_transposed(self, right_side: FloatArray) -> FloatArray:
+        """Return A⁻ᵀ b."""
+        return np.asarray(lapack.dgetrs(self.lu, self.pivots, right_side, trans=1)[0])
 
 
 class ConstrainedModel:
-    """A Pinocchio model that holds the mechanism's tree, perhaps with another robot, and its closures; immutable.
+    """A Pinocchio model that holds the mechanism's tree, perhaps with another robot's, and its closures; immutable.
 
-    The closures are of kind "point", their frames in the model.
+    The eighteen joints of the mechanism are counted in Pinocchio's order, which is that of a chain's own q.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        Both trees.
+    closures : iterable of Closure
+        Of kind "point", their frames in the model.
+    geometry : Geometry
+        The mechanism's, with the limits that set the zero of its joints.
+    prefix : str
+        Before the names of the mechanism's links and joints in the model.
     """
 
-    def __init__(self, model: Any, layout: JointLayout, closures: Iterable[Closure]) -> None:
-        self.model, self.layout, self.closures = model, layout, tuple(closures)
-        for closure in self.closures:
-            if closure.kind != "point":
-                raise ArgumentError("closures", "closures of kind point", repr(closure.kind))
-        pairs = [[int(model.getFrameId(name)) for name in (c.frame_a, c.frame_b)] for c in self.closures]
+    def __init__(self, model: Any, closures: Iterable[Closure], geometry: Geometry, prefix: str) -> None:
+        self.model, self.closures, self.geometry = model, tuple(closures), geometry
+        joints = {name: model.joints[model.getJointId(prefix + name)] for name in JOINTS}
+        names = sorted(JOINTS, key=lambda name: joints[name].idx_q)
+        self.names, self._prefix = tuple(prefix + name for name in names), prefix
+        # Where the eighteen are in the model's q and v, and where all other degrees of freedom are in v.
+        self.in_q = np.array([joints[name].idx_q for name in names], dtype=np.intp)
+        self.in_v = np.array([joints[name].idx_v for name in names], dtype=np.intp)
+        self.others = np.setdiff1d(np.arange(model.nv), self.in_v)
+        # Among the eighteen: the slides in the order of `LEGS`, the other joints, and those of each ball.
+        self.legs = self.joint_indices(*SLIDES)
+        self.passive = np.setdiff1d(np.arange(len(JOINTS)), self.legs)
+        self.balls = tuple(self.joint_indices(*ball) for ball in BALLS)
+        # Where the actuators are in v: all of another robot, then the six legs.
+        self.actuated = np.concatenate([self.others, self.in_v[self.legs]])
+        self._slides = self.in_q[self.legs]
+        self._home = frozen(np.repeat(home_lengths(geometry), 3))
+        # d, and the platforms' part in the length of a loop [m].
+        self.side, self._platform_sizes = geometry.middle_side, sum(geometry.dimensions)
+        # Of a step of order one in each joint: 1 rad, or d.
+        self.units = frozen(np.where(np.isin(np.arange(len(JOINTS)), self.legs), self.side, 1.0))
+        self.platform_frame = int(model.getFrameId(f"{prefix}terminal_platform"))
+        self.corner_frames = [int(model.getFrameId(f"{prefix}middle_b{i}")) for i in "123"]
         # A frame that several closures share is evaluated once.
+        pairs = [[int(model.getFrameId(name)) for name in (c.frame_a, c.frame_b)] for c in self.closures]
         self.frames = list(dict.fromkeys(frame for pair in pairs for frame in pair))
-        self.ends = np.array([[self.frames.index(frame) for frame in pair] for pair in pairs]).reshape(-1, 2)
         # A product takes a third of the time of picking rows and subtracting, and gives the same bits.
         unit = np.eye(len(self.frames))
-        self._signs = unit[self.ends[:, 1]] - unit[self.ends[:, 0]]
-        # Where the actuators are in v: all of another robot, then the six legs.
-        self.actuated = np.concatenate([layout.others, layout.v[layout.legs]])
+        self._signs = np.array([unit[self.frames.index(b)] - unit[self.frames.index(a)] for a, b in pairs])
+        self._pairs = pairs
 
-    def checked(self, q: npt.ArrayLike, argument: str = "q", *, single: bool = False) -> FloatArray:
+    def joint_indices(self, *names: str) -> IntArray:
+        """Return the indices (n,) among the eighteen of joints, with or without prefix."""
+        place = {name.removeprefix(self._prefix): k for k, name in enumerate(self.names)}
+        bare = [name.removeprefix(self._prefix) for name in names]
+        unknown = [name for name in bare if name not in place]
+        if unknown:
+            raise ArgumentError("names", f"joints: {', '.join(JOINTS)}", ", ".join(map(repr, unknown)))
+        return np.array([place[name] for name in bare], dtype=np.intp)
+
+    def leg_lengths(self, q: FloatArray) -> FloatArray:
+        """Return the distances of the balls from the pivots (..., 6) [m] in q (..., nq)."""
+        return np.asarray(self._home + q.take(self._slides, axis=-1))
+
+    def slides(self, leg_lengths: FloatArray) -> FloatArray:
+        """Return the joint values (..., 6) of the slides at leg lengths."""
+        return np.asarray(leg_lengths - self._home)
+
+    def rounding(self, q: FloatArray) -> float:
+        """Return the size of a gap that rounding explains [m]: a few eps times the length of the loops."""
+        return 32.0 * float(np.finfo(np.float64).eps) * float(self._platform_sizes + self.leg_lengths(q).sum())
+
+    def read_q(self, q: npt.ArrayLike, argument: str = "q", *, single: bool = False) -> FloatArray:
         """Return joint values (..., nq) as an array, or raise `ArgumentError`."""
         array = (read_vector if single else read_vectors)(q, argument, self.model.nq)
-        self.layout.require_distances(array, argument)
+        cause = "The value of a slide is the leg's length minus its length at home"
+        check_leg_lengths(self.leg_lengths(array), argument, cause)
         return array
 
-    def read_wrenches(self, wrench: WrenchLike, *, single: bool = False) -> Wrenches:
-        """Return wrenches that act onto frames of the model, one without a name onto m, or raise `ArgumentError`.
+    def read_wrenches(self, wrench: WrenchLike) -> tuple[FloatArray, list[int]]:
+        """Return wrenches side by side (..., 6 n) and the n frames of the model that they act onto.
 
-        `Wrenches` have been read, and are returned as they are.
+        One without a name acts onto m.
         """
         if wrench is None:
-            return NO_WRENCHES
-        if isinstance(wrench, Wrenches):
-            return wrench
-        read = read_vector if single else read_vectors
+            return _NO_WRENCHES, []
         if not isinstance(wrench, Mapping):
-            return Wrenches(read(wrench, "wrench", 6), [self.layout.platform_frame])
+            return read_vectors(wrench, "wrench", 6), [self.platform_frame]
         unknown = [name for name in wrench if not (isinstance(name, str) and self.model.existFrame(name))]
         if unknown:
             cause = "The names of links, with the prefix"
             raise ArgumentError("wrench", "frames of the model", ", ".join(map(repr, unknown)), cause)
-        arrays = [read(value, "wrench", 6) for value in wrench.values()]
+        arrays = [read_vectors(value, "wrench", 6) for value in wrench.values()]
         shape: tuple[int, ...] = ()
         for array in arrays:
             shape = broadcastable("wrench", array.shape[:-1], "the other wrenches", shape)
         spread = (np.broadcast_to(array, (*shape, 6)) for array in arrays)
         together = np.concatenate([np.empty((*shape, 0)), *spread], axis=-1)
-        return Wrenches(together, [int(self.model.getFrameId(name)) for name in wrench])
+        return together, [int(self.model.getFrameId(name)) for name in wrench]
 
     def differences(self, vectors: FloatArray) -> FloatArray:
         """Return, of vectors of `frames` side by side, that of `frame_b` less that of `frame_a` per closure, (n, 3)."""
@@ -91,14 +222,14 @@ class ConstrainedModel:
     def linear_differences(self, spatial: Sequence[FloatArray]) -> FloatArray:
         """Return `differences` of the linear part of spatial vectors (6,) or matrices (6, m), (3 n,) or (3 n, m)."""
         rows = np.concatenate(spatial)
-        found = self._signs.dot(rows.reshape(len(self.frames), -1)).reshape(-1, 6, *rows.shape[1:])
-        return np.asarray(found[:, :3].reshape(-1, *rows.shape[1:]))
+        differences = self._signs.dot(rows.reshape(len(self.frames), -1)).reshape(-1, 6, *rows.shape[1:])
+        return np.asarray(differences[:, :3].reshape(-1, *rows.shape[1:]))
 
     def rigid_constraints(self) -> Any:
         """Return the closures in the form that `pinocchio.constraintDynamics` takes; they hold gains."""
         constraints = pin.StdVec_RigidConstraintModel()
-        for pair in self.ends:
-            a, b = (self.model.frames[self.frames[k]] for k in pair)
+        for pair in self._pairs:
+            a, b = (self.model.frames[frame] for frame in pair)
             places = a.parentJoint, a.placement, b.parentJoint, b.placement
             constraints.append(pin.RigidConstraintModel(pin.ContactType.CONTACT_3D, self.model, *places, pin.LOCAL))
         return constraints
@@ -112,20 +243,21 @@ class TreeKinematics:
     """
 
     def __init__(self, constrained: ConstrainedModel) -> None:
-        self.constrained, self.layout, self.model = constrained, constrained.layout, constrained.model
+        self.constrained, self.model = constrained, constrained.model
         self.data = self.model.createData()
         self.q = np.zeros(0)
+        self.zero_velocity = frozen(np.zeros(self.model.nv))
         self._values: bytes | None = None
-        self.still = np.zeros(self.model.nv)
+        self._side = constrained.side
         # The diagonal of A.
-        self._twist_scale = np.array([1.0 / self.layout.side] * 3 + [1.0] * 3)
-        self._unit_twists = self.in_one_unit(np.eye(6), np.zeros((len(self.layout.v) - 6, 6)))
+        self._twist_scale = np.array([1.0 / self._side] * 3 + [1.0] * 3)
+        self._unit_twists = self.nondimensional(np.eye(6), np.zeros((len(JOINTS) - 6, 6)))
         # Where the balls' middle angles are in q.
-        self._middles = [int(self.layout.q[ball[1]]) for ball in self.layout.balls]
+        self._middles = [int(constrained.in_q[ball[1]]) for ball in constrained.balls]
         # Pinocchio updates these in place: no look-up at each q.
         self._points = [self.data.oMf[frame].translation for frame in constrained.frames]
         # The mechanism's own columns; without other joints there is nothing to pick.
-        self._own: Any = self.layout.v if len(self.layout.others) else slice(None)
+        self._own: Any = constrained.in_v if len(constrained.others) else slice(None)
 
     def evaluate(self, q: FloatArray) -> None:
         """Evaluate the kinematics at q (nq,), unless q is unchanged."""
@@ -152,93 +284,96 @@ class TreeKinematics:
         jacobians = [pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED) for frame in frames]
         return self.constrained.linear_differences(jacobians)
 
+    def frame_jacobian(self, frame: int) -> FloatArray:
+        """Return the Jacobian (6, nv) of a frame, at its origin in the universe's axes."""
+        return np.asarray(pin.getFrameJacobian(self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED))
+
     def widest_gap(self) -> float:
         """Return the largest distance of two frames that a closure holds together [m]."""
         return math.sqrt(max(x * x + y * y + z * z for x, y, z in self.gap.tolist()))
 
-    def gap_rate_bound(self, v: FloatArray) -> float:
-        """Return the largest rate of a gap if all that joint velocities contribute to its ends had one sign [m/s]."""
-        rates = np.abs(v)
-        bound = float(max(np.abs(self.constraint_jacobian).dot(rates).tolist()))
-        others, model, data = self.layout.others, self.model, self.data
-        if not len(others):
-            return bound
-        # Another robot moves both ends of a gap alike: what is left of the difference is rounding of their speeds.
-        ends = (pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED) for frame in self.constrained.frames)
-        return bound + max(float(np.abs(end[:3, others]).dot(rates[others]).max()) for end in ends)
-
     @cached_property
-    def chain_constraint_jacobian(self) -> FloatArray:
+    def own_constraint_jacobian(self) -> FloatArray:
         """Jc's columns of the mechanism's own joints, shape (3 n, 18)."""
         return np.asarray(self.constraint_jacobian[:, self._own])
 
     @cached_property
     def platform_jacobian(self) -> FloatArray:
         """Jm: velocities of the mechanism's joints to the twist (v, ω) of m at o, shape (6, 18)."""
-        jacobian = pin.getFrameJacobian(self.model, self.data, self.layout.platform_frame, pin.LOCAL_WORLD_ALIGNED)
-        return np.asarray(jacobian[:, self._own])
+        return np.asarray(self.frame_jacobian(self.constrained.platform_frame)[:, self._own])
 
     def terminal_pose(self) -> tuple[FloatArray, FloatArray]:
         """Return copies of the rotation (3, 3) and the translation (3,) of m."""
-        terminal = self.data.oMf[self.layout.platform_frame]
+        terminal = self.data.oMf[self.constrained.platform_frame]
         return terminal.rotation.copy(), terminal.translation.copy()
 
-    def configuration_arrays(self) -> tuple[FloatArray, ...]:
-        """Return copies of the rotation (3, 3) and the translation (3,) of m, and b_1, b_2 and b_3 as rows (3, 3)."""
-        corners = [self.data.oMf[frame].translation for frame in self.layout.corner_frames]
-        return *self.terminal_pose(), np.array(corners)
+    def corners(self) -> FloatArray:
+        """Return b_1, b_2 and b_3 as rows (3, 3)."""
+        return np.array([self.data.oMf[frame].translation for frame in self.constrained.corner_frames])
 
     @cached_property
     def velocity_scale(self) -> FloatArray:
         """C: scaled velocities u (18,) to joint velocities, shape (18, 18)."""
-        scale = np.diag(self.layout.units)
-        for ball in self.layout.balls:
+        scale = np.diag(self.constrained.units)
+        for ball in self.constrained.balls:
             scale[np.ix_(ball, ball)] = np.linalg.inv(self.platform_jacobian[3:, ball])
         return scale
 
     def inverse_matrix(self) -> FloatArray:
         """Return K̂, shape (18, 18)."""
         scale = self.velocity_scale
-        return self.in_one_unit(self.platform_jacobian @ scale, self.chain_constraint_jacobian @ scale)
+        return self.nondimensional(self.platform_jacobian @ scale, self.own_constraint_jacobian @ scale)
 
     def forward_matrix(self) -> FloatArray:
         """Return N̂, shape (18, 18)."""
-        return np.concatenate([np.eye(len(self.layout.v))[self.layout.legs], self.scaled_constraint_jacobian()])
+        return np.concatenate([np.eye(len(JOINTS))[self.constrained.legs], self.scaled_constraint_jacobian()])
 
     def scaled_constraint_jacobian(self) -> FloatArray:
         """Return Jc C / d, shape (12, 18)."""
-        return np.asarray(self.chain_constraint_jacobian @ self.velocity_scale) / self.layout.side
+        return np.asarray(self.own_constraint_jacobian @ self.velocity_scale) / self._side
 
     def singular_values(self) -> SingularValues:
         """Return the smallest singular values of K̂, N̂ and Jc C / d."""
-        self.require_ball_angles()
+        self.check_ball_angles()
         matrices = self.inverse_matrix(), self.forward_matrix(), self.scaled_constraint_jacobian()
         return SingularValues(*(float(np.linalg.svd(m, compute_uv=False)[-1]) for m in matrices))
 
     @cached_property
     def forward_factors(self) -> Factors:
         """Factors of Jc's columns of the passive joints (12, 12), regular where N is; else raises."""
-        return self._factors(self.chain_constraint_jacobian.take(self.layout.passive, axis=1), "forward")
+        return self._factors(self.own_constraint_jacobian.take(self.constrained.passive, axis=1), "forward")
 
     @cached_property
     def inverse_factors(self) -> Factors:
         """Factors of [A Jm; Jc / d] (18, 18), K with rows of one unit; raises where it is singular."""
-        return self._factors(self.in_one_unit(self.platform_jacobian, self.chain_constraint_jacobian), "inverse")
+        return self._factors(self.nondimensional(self.platform_jacobian, self.own_constraint_jacobian), "inverse")
 
-    def in_one_unit(self, platform: FloatArray, closures: FloatArray) -> FloatArray:
+    def _factors(self, matrix: FloatArray, kind: str) -> Factors:
+        self.check_ball_angles()
+        factors = Factors.from_matrix(matrix)
+        if not factors.is_regular(matrix):
+            scaled = self.forward_matrix() if kind == "forward" else self.inverse_matrix()
+            for concerned, name in ((self.scaled_constraint_jacobian(), "constraint"), (scaled, kind)):
+                values = np.linalg.svd(concerned, compute_uv=False)
+                if values[-1] <= SINGULAR * values[0] or (name == kind and factors.zero_pivot):
+                    raise SingularConfigurationError(name, float(values[-1]))
+        return factors
+
+    def nondimensional(self, platform: FloatArray, closures: FloatArray) -> FloatArray:
         """Return [A p; c / d] of rows p of the platform (6, ...) and c of the closures (3 n, ...)."""
-        return np.concatenate([(self._twist_scale * platform.T).T, closures / self.layout.side])
+        return np.concatenate([(self._twist_scale * platform.T).T, closures / self._side])
 
+    @cached_property
     def velocities_of_twists(self) -> FloatArray:
-        """Return X = K⁻¹ [I; 0]: twists of m to velocities of the mechanism's joints, shape (18, 6)."""
+        """X = K⁻¹ [I; 0]: twists of m to velocities of the mechanism's joints, shape (18, 6)."""
         return self.inverse_factors.solve(self._unit_twists)
 
     def velocities_of_legs(self, leg_rates: FloatArray, closing: FloatArray | float = 0.0) -> FloatArray:
         """Return N⁻¹ (ṙ, -c): leg rates (6,), and c (3 n,) by which gaps close, to velocities of the joints (18,)."""
-        v = np.empty(len(self.layout.v))
-        v[self.layout.legs] = leg_rates
-        opening = self.chain_constraint_jacobian[:, self.layout.legs] @ leg_rates + closing
-        v[self.layout.passive] = -self.forward_factors.solve(opening)
+        v = np.empty(len(JOINTS))
+        v[self.constrained.legs] = leg_rates
+        opening = self.own_constraint_jacobian[:, self.constrained.legs] @ leg_rates + closing
+        v[self.constrained.passive] = -self.forward_factors.solve(opening)
         return v
 
     def forward_determinant(self) -> float:
@@ -253,7 +388,25 @@ class TreeKinematics:
         """Return the determinant of what maps rates of the balls' joints to angular velocities, but for its sign."""
         return math.prod(math.cos(self.q.item(place)) for place in self._middles)
 
-    def require_constrained(self) -> None:
+    def mass_matrix(self) -> FloatArray:
+        """Return M (nv, nv); Pinocchio fills one triangle."""
+        half = np.triu(pin.crba(self.model, self.data, self.q))
+        return np.asarray(half + np.triu(half, 1).T)
+
+    def wrench_torques(self, wrenches: FloatArray, frames: list[int]) -> FloatArray:
+        """Return Σ J_kᵀ w_k (nv,) of wrenches (6 n,) at the origins of n frames, in the axes of the universe."""
+        total = np.zeros(self.model.nv)
+        if frames:
+            for frame, wrench in zip(frames, wrenches.reshape(-1, 6), strict=True):
+                total += self.frame_jacobian(frame).T @ wrench
+        return total
+
+    def energies(self, v: FloatArray) -> tuple[float, float]:
+        """Return the kinetic and the potential energy of the tree's bodies [J]."""
+        kinetic = pin.computeKineticEnergy(self.model, self.data, self.q, v)
+        return float(kinetic), float(pin.computePotentialEnergy(self.model, self.data, self.q))
+
+    def check_constrained(self) -> None:
         """Raise `SingularConfigurationError` where the closures lose rank."""
         try:
             # Regular with the legs held: of full rank. That is the case nearly everywhere, and cached.
@@ -262,25 +415,97 @@ class TreeKinematics:
             if error.kind == "constraint":
                 raise
 
-    def require_ball_angles(self) -> None:
+    def check_ball_angles(self) -> None:
         """Raise `ArgumentError` where a ball joint's middle angle is ±90°."""
-        for ball, place in zip(self.layout.balls, self._middles, strict=True):
+        for ball, place in zip(self.constrained.balls, self._middles, strict=True):
             angle = self.q.item(place)
             if abs(math.cos(angle)) <= SINGULAR:
-                expected = f"{self.layout.names[ball[1]]} away from ±90°"
+                expected = f"{self.constrained.names[ball[1]]} away from ±90°"
                 cause = "The axes of x and z coincide there, and the tree loses a rotation that the robot has"
                 raise ArgumentError("q", expected, f"{math.degrees(angle):.9g}°", cause)
 
-    def _factors(self, matrix: FloatArray, kind: str) -> Factors:
-        self.require_ball_angles()
-        factors = Factors.of(matrix)
-        if not factors.is_regular(matrix):
-            scaled = self.forward_matrix() if kind == "forward" else self.inverse_matrix()
-            for concerned, name in ((self.scaled_constraint_jacobian(), "constraint"), (scaled, kind)):
-                values = np.linalg.svd(concerned, compute_uv=False)
-                if values[-1] <= SINGULAR * values[0] or (name == kind and factors.zero_pivot):
-                    raise SingularConfigurationError(name, float(values[-1]))
-        return factors
+    def check_closed(self, v: FloatArray | None = None, argument: str = "v") -> None:
+        """Raise unless q is closed and v keeps it so, to `AGREEMENT`."""
+        gap, most = self.gap.ravel(), AGREEMENT * self._side
+        # None is wider than all of them together: quicker, and mostly enough.
+        if gap.dot(gap) > most * most and (residual := self.widest_gap()) > most:
+            raise ClosureError(residual, 0, "Rounded or guessed joint values? The method project closes the loops")
+        if v is None:
+            return
+        opening = largest(self.constraint_jacobian.dot(v))
+        # A leg's own rate is part of the speed, along one axis or more: quicker, and mostly enough.
+        rate = largest(v.take(self.constrained.actuated[-6:]))
+        if opening > 0.5 * AGREEMENT * rate and opening > AGREEMENT * self._gap_rate_bound(v):
+            expected = "joint velocities that keep the loops closed"
+            cause = "joint_velocities makes them from a twist, joint_rates from leg rates"
+            raise ArgumentError(argument, expected, f"gaps that open at {opening:.1e} m/s", cause)
+
+    def check_accelerations(self, a: FloatArray, v: FloatArray, drift: FloatArray) -> None:
+        """Raise unless the closures allow the accelerations a at v, to `AGREEMENT`; `drift` is J̇c v."""
+        opening, size = largest(self.constraint_jacobian.dot(a) + drift), largest(drift)
+        if opening <= AGREEMENT * size:
+            return
+        # The rest of the size takes longer and is rarely needed.
+        size += self._gap_rate_bound(a) + self._gap_rate_bound(v) ** 2 / self._side
+        if opening > AGREEMENT * size:
+            expected = "joint accelerations that keep the loops closed"
+            cause = "joint_accelerations makes them from the platform's, at the velocities v"
+            raise ArgumentError("a", expected, f"gaps that open at {opening:.1e} m/s²", cause)
+
+    def _gap_rate_bound(self, v: FloatArray) -> float:
+        """Return the largest rate of a gap if all that joint velocities contribute to its ends had one sign [m/s]."""
+        rates, others = np.abs(v), self.constrained.others
+        bound = float(max(np.abs(self.constraint_jacobian).dot(rates).tolist()))
+        if not len(others):
+            return bound
+        # Another robot moves both ends of a gap alike: what is left of the difference is rounding of their speeds.
+        ends = map(self.frame_jacobian, self.constrained.frames)
+        return bound + max(float(np.abs(end[:3, others]).dot(rates[others]).max()) for end in ends)
 
 
 _CACHED = {name for name, member in vars(TreeKinematics).items() if isinstance(member, cached_property)}
+
+
+class AccelerationSolver:
+    """Accelerations under forces, by `pinocchio.constraintDynamics`, and the memory it works in."""
+
+    def __init__(self, constrained: ConstrainedModel) -> None:
+        self._model, self._data = constrained.model, constrained.model.createData()
+        self._constraints = constrained.rigid_constraints()
+        self._states = pin.StdVec_RigidConstraintData()
+        for constraint in self._constraints:
+            self._states.append(constraint.createData())
+        pin.initConstraintDynamics(self._model, self._data, self._constraints, self._states)
+        # No proximal term: one step is a direct solution.
+        self._settings = pin.ProximalSettings(0.0, 0.0, 1)
+        # References into the vector, which is slow to iterate over.
+        self._each = list(self._constraints)
+        self._gains = _NO_GAINS
+
+    def accelerations(
+        self, q: FloatArray, v: FloatArray, torques: FloatArray, gains: Gains | None = None
+    ) -> FloatArray:
+        """Return the joint accelerations (nv,) under generalized forces (nv,), the closures' forces included.
+
+        The gaps e obey ë + kd ė + kp e = 0 in the universe's axes, at any q and v, closed or not; without gains, ë = 0.
+        """
+        gains = gains or _NO_GAINS
+        if gains != self._gains:
+            for constraint in self._each:
+                constraint.m_baumgarte_parameters.Kp, constraint.m_baumgarte_parameters.Kd = gains
+            self._gains = gains
+        constraints = self._constraints, self._states, self._settings
+        return np.asarray(pin.constraintDynamics(self._model, self._data, q, v, torques, *constraints).copy())
+
+
+def check_leg_lengths(leg_lengths: FloatArray, argument: str, cause: str) -> None:
+    """Raise `ArgumentError` where a leg length (..., 6) is negative."""
+    if (min(leg_lengths.tolist()) if leg_lengths.ndim == 1 else leg_lengths.min(initial=0.0)) < 0.0:
+        worst = np.unravel_index(int(leg_lengths.argmin()), leg_lengths.shape)
+        received = f"{leg_lengths[worst]:g} m in {LEGS[worst[-1]]}"
+        raise ArgumentError(argument, "legs of no negative length", received, cause)
+
+
+def largest(vector: FloatArray) -> float:
+    """Return the largest absolute value of a short vector: quicker than NumPy."""
+    return float(max(map(abs, vector.tolist())))

@@ -1,156 +1,88 @@
-"""Reading a URDF for a `ClosedChain`: its dimensions, and whether it is the description's tree at all."""
+"""Reading a URDF for a `ClosedChain`, and whether it is the tree of a machine at all."""
 
 from __future__ import annotations
 
-import contextlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from spm_pin.description.as_built_tree import as_built_closures
-from spm_pin.description.closures import Closure, read_closures
-from spm_pin.description.expand import expand
-from spm_pin.description.load_robot import manipulator
-from spm_pin.description.paths import URDF, description_directory, description_file
-from spm_pin.description.tree import JOINTS, SLIDES
-from spm_pin.description.urdf_elements import check_inertials
-from spm_pin.description.write_urdf import urdf_text
-from spm_pin.description.xml_nodes import check_prefix
+from spm_pin.description.robot import check_inertials
+from spm_pin.description.source_files import URDF, check_prefix, description_file, urdf_text
 from spm_pin.errors import DescriptionError, GeometryError
-from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path
+from spm_pin.mechanism.arguments import check_instance, file_path
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.leg_frames import home_lengths
-from spm_pin.mechanism.leg_limits import LegLimits
-from spm_pin.multibody.joint_layout import AGREEMENT, require_dimensions
-
-LINKS = (
-    *("base", "middle_platform", "terminal_platform"),
-    *(end + i for i in "123" for end in ("base_a", "middle_b", "terminal_c")),
-    *(f"leg_{leg}_tip" for leg in ("b1", "b2", "b3", "c1", "c2", "c3")),
-)
-"""The platforms, and the links that legs end at."""
-
-UPPER_BALLS = ("middle_b2_upper", "middle_b3_upper")
-"""The links at balls of upper legs that only the tree of a machine as built has."""
-
-
-def description_closures(geometry: Geometry, prefix: str) -> tuple[Closure, ...]:
-    """Return the closures of the description's tree for these dimensions."""
-    closures = read_closures(prefix=prefix)
-    return as_built_closures(closures, prefix) if not geometry.is_nominal else closures
+from spm_pin.mechanism.leg_limits import LEGS
+from spm_pin.multibody.constrained_model import AGREEMENT
 
 
 def read_description(path: str | Path | None, geometry: Geometry | None, prefix: str) -> tuple[str, Geometry]:
-    """Return the text of a URDF and its dimensions, as `ClosedChain.from_urdf` takes them, with its errors.
-
-    Without `geometry`, the dimensions of a file are measured in the tree at zero; its limits are those of the slides,
-    or none if these do not give the tree's home.
-    """
+    """Return the text of a URDF and its geometry, as `ClosedChain.from_urdf` takes them, with its errors."""
     check_prefix(prefix)
-    if geometry is not None:
-        check_instance(geometry, Geometry, "geometry")
-    if path is not None:
-        return _read_file(file_path(path), geometry, prefix)
-    paper = Geometry.paper()
-    if (geometry or paper) == paper and prefix == "":
-        return description_file(URDF).read_text(encoding="utf-8"), geometry or paper
-    return _expanded(geometry or paper, prefix), geometry or paper
-
-
-def _expanded(geometry: Geometry, prefix: str) -> str:
-    """Return the URDF of the description's tree for these dimensions."""
-    if not geometry.is_nominal:
-        return urdf_text(manipulator(geometry, prefix=prefix), folder=description_directory())
-    return expand(geometry, prefix=prefix)
-
-
-def _read_file(path: Path, geometry: Geometry | None, prefix: str) -> tuple[str, Geometry]:
+    machine = Geometry.paper() if geometry is None else check_instance(geometry, Geometry, "geometry")
+    if machine == Geometry.paper() and prefix == "":
+        expected = description_file(URDF).read_text(encoding="utf-8")
+    else:
+        expected = urdf_text(machine, prefix=prefix)
+    if path is None:
+        return expected, machine
+    file = file_path(path)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise DescriptionError(str(path), "a readable URDF file", str(error)) from error
+        raise DescriptionError(str(file), "a readable URDF file", str(error)) from error
     try:
         model = pin.buildModelFromXML(text)
     except (ValueError, RuntimeError) as error:
-        cause = "Not expanded yet? xacro writes the URDF" if path.suffix == ".xacro" else ""
-        raise DescriptionError(str(path), "a URDF", str(error), cause) from error
-    check_inertials(text, str(path))
-    names = set(model.names) - {"universe"}
-    expected = {prefix + joint for joint in JOINTS}
-    if names != expected or model.nq != len(JOINTS):
-        missing, foreign = sorted(expected - names), sorted(names - expected)
-        received = f"{', '.join(missing) or 'none'} missing, {', '.join(foreign) or 'none'} foreign, nq = {model.nq}"
-        what = f"the joints of the description, one degree of freedom each, with the prefix {prefix!r}"
-        raise DescriptionError(str(path), what, received)
-    as_built = geometry is not None and not geometry.is_nominal
-    upper = [prefix + link for link in UPPER_BALLS]
-    links = [prefix + link for link in LINKS] + upper * as_built
-    absent = [link for link in links if not model.existFrame(link, pin.FrameType.BODY)]
-    if absent:
-        cause = "The URDF of a nominal machine? spm-pin urdf --geometry writes that of a machine as built" * as_built
-        raise DescriptionError(str(path), "the links of the description", f"no {', '.join(absent)}", cause)
-    if not as_built and model.existFrame(upper[0], pin.FrameType.BODY):
-        received = f"that of a machine as built, with a link {upper[0]}"
-        cause = "Pass its geometry, with the legs as built: a URDF does not have the offsets"
-        raise DescriptionError(str(path), "the URDF of a nominal machine", received, cause)
-    if not as_built:
-        measured = _measured(model, prefix, _placements(model, pin.neutral(model), links))
-        geometry = geometry or measured
-        require_dimensions(geometry, measured, "geometry", str(path))
-    assert geometry is not None
-    side = geometry.nominal.middle_side
-    link, distance = _deviation(model, pin.buildModelFromXML(_expanded(geometry, prefix)), links, side)
-    if distance > AGREEMENT * side:
-        if as_built:
-            received = f"others: {link} is {distance:.1e} m off where all joints are turned"
-            cause = "Another machine or calibration, or other nominal leg limits, which set the zero?"
-            raise GeometryError("geometry", f"the dimensions of {path}", received, cause)
-        cause = "Another joint axis, order or zero? The zero follows from the leg limits the URDF was made for"
-        raise DescriptionError(str(path), "the tree of the description", f"{link} {distance:.1e} m off", cause)
-    return text, geometry
+        cause = "Not expanded yet? xacro writes the URDF" if file.suffix == ".xacro" else ""
+        raise DescriptionError(str(file), "a URDF", str(error), cause) from error
+    check_inertials(text, str(file))
+    _check_tree(model, pin.buildModelFromXML(expected), str(file), machine.middle_side)
+    return text, machine
 
 
-def _placements(model: Any, q: FloatArray, links: list[str]) -> dict[str, FloatArray]:
-    """Return the poses of links in {B}, (4, 4)."""
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, q)
-    return {link: data.oMf[model.getFrameId(link)].homogeneous for link in links}
+def _check_tree(model: Any, expected: Any, path: str, side: float) -> None:
+    """Raise `DescriptionError` unless both trees have the same joints, and links that move alike.
 
-
-def _measured(model: Any, prefix: str, zero: dict[str, FloatArray]) -> Geometry:
-    """Return the dimensions of a tree at zero, with the limits of its slides if they give its home, else without."""
-
-    def distance(a: str, b: str) -> float:
-        return float(np.linalg.norm(zero[prefix + a][:3, 3] - zero[prefix + b][:3, 3]))
-
-    dimensions = (
-        distance("base", "base_a1"),
-        distance("terminal_platform", "terminal_c1"),
-        distance("middle_b1", "middle_b2"),
-    )
-    home = np.repeat([distance("base_a1", "leg_b1_tip"), distance("terminal_c1", "leg_c1_tip")], 3)
-    slides = [model.joints[model.getJointId(prefix + slide)].idx_q for slide in SLIDES]
-    shortest = np.maximum(home + model.lowerPositionLimit[slides], 0.0)
-    longest = home + model.upperPositionLimit[slides]
-    with contextlib.suppress(GeometryError):
-        limited = Geometry(*dimensions, LegLimits(shortest.tolist(), longest.tolist()))
-        if np.allclose(home_lengths(limited), home[[0, 3]], rtol=AGREEMENT, atol=0.0):
-            return limited
-    return Geometry(*dimensions)
-
-
-def _deviation(model: Any, expected: Any, links: list[str], side: float) -> tuple[str, float]:
-    """Return the link whose frame in `model` is farthest from that in `expected`, and how far [m].
-
-    Of a frame, its origin is compared and the points on its axes in the distance of the middle platform's side; all at
+    Of a link, its origin is compared and the points on its axes in the distance of the middle platform's side; all at
     one q with every joint away from zero, where each placement and each axis shows.
     """
+    links = [frame.name for frame in expected.frames if frame.type == pin.FrameType.BODY]
+    joints, wanted = set(model.names), set(expected.names)
+    missing = sorted(wanted - joints) + [name for name in links if not model.existFrame(name, pin.FrameType.BODY)]
+    foreign = sorted(joints - wanted)
+    cause = "The arguments geometry and prefix are those the file was written for, by default the paper's and none"
+    if missing or foreign or model.nq != expected.nq:
+        names = (f"{', '.join(names[:3]) or 'none'}{', …' * (len(names) > 3)}" for names in (missing, foreign))
+        received = "{} missing, {} foreign, nq = {}".format(*names, model.nq)
+        raise DescriptionError(path, "the joints and links of the description", received, cause)
     values = dict(zip(expected.names[1:], np.linspace(0.2, 0.9, expected.nq), strict=True))
-    found, sought = (
-        _placements(tree, np.array([values[name] for name in tree.names[1:]]), links) for tree in (model, expected)
-    )
-    lever = np.array([side] * 3 + [1.0])
-    off = {link: float(np.abs((found[link] - sought[link]) * lever).max()) for link in links}
-    return max(off.items(), key=lambda item: item[1])
+    places = []
+    for tree in (model, expected):
+        data = tree.createData()
+        pin.framesForwardKinematics(tree, data, np.array([values[name] for name in tree.names[1:]]))
+        places.append(np.array([data.oMf[tree.getFrameId(link)].homogeneous for link in links]))
+    off = np.abs((places[0] - places[1]) * [side, side, side, 1.0]).max(axis=(-1, -2))
+    if off.max() > AGREEMENT * side:
+        received = f"{links[int(off.argmax())]} {off.max():.1e} m off where all joints are turned"
+        cause = f"Another joint axis, order or zero, which follows from the leg limits? {cause}"
+        raise DescriptionError(path, "the tree of the description for this geometry", received, cause)
+
+
+def check_same_machine(geometry: Geometry, expected: Geometry, argument: str, owner: str) -> None:
+    """Raise `GeometryError` unless both have the same dimensions and legs; limits only choose the tree's zero."""
+    for name in ("base_radius", "platform_radius", "middle_side"):
+        received, wanted = getattr(geometry, name), getattr(expected, name)
+        if abs(received - wanted) > AGREEMENT * wanted:
+            raise GeometryError(argument, f"the {name} of {owner}, {wanted:.9g} m", f"{received:.9g} m")
+    for name in ("axes", "pivots", "balls", "offsets"):
+        unit, symbol = (1.0, "rad") if name == "axes" else (expected.middle_side, "m")
+        apart = np.abs(getattr(geometry.legs, name) - getattr(expected.legs, name)).reshape(len(LEGS), -1).max(axis=-1)
+        if apart.max() > AGREEMENT * unit:
+            leg = int(apart.argmax())
+            raise GeometryError(
+                argument,
+                f"the {name} of {owner}",
+                f"a machine that differs by {apart[leg]:.1e} {symbol} in {LEGS[leg]}",
+            )

@@ -10,12 +10,9 @@ import pinocchio as pin
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable
-from spm_pin.multibody import batched_methods
-from spm_pin.multibody.batched_states import BatchedStates
+from spm_pin.multibody.chain_state import ConstrainedState, Energy, ThreadState
 from spm_pin.multibody.constrained_model import ConstrainedModel
-from spm_pin.multibody.constrained_state import ConstrainedState
-from spm_pin.multibody.joint_layout import JointLayout
-from spm_pin.multibody.vector_arguments import read_vectors
+from spm_pin.multibody.vector_arguments import GainsLike, WrenchLike, read_vectors
 
 
 class MountedChain:
@@ -25,6 +22,7 @@ class MountedChain:
     together from the other robot's and the chain's and take it apart. Leading axes broadcast. The universe is that of
     whichever robot carries the other: all that is "in {B}" for a chain alone is in its axes here. Actuators are all of
     the other robot's, then the six legs: `actuated_indices`. nq, nv and the number n of actuators are those of `model`.
+    The methods that a chain has too are described there.
 
     Attributes
     ----------
@@ -37,8 +35,8 @@ class MountedChain:
     def __init__(self, chain: Any, other: Any, model: Any, collisions: Any, visuals: Any) -> None:
         self.chain, self.model = chain, model
         self._other, self._shapes = other, (collisions, visuals)
-        layout = JointLayout(model, chain.geometry, chain.prefix)
-        self._states = BatchedStates(ConstrainedModel(model, layout, chain.closures), ConstrainedState)
+        self._constrained = ConstrainedModel(model, chain.closures, chain.geometry, chain.prefix)
+        self._calls = ThreadState(ConstrainedState, self._constrained)
         self._q, self._v = self._places(chain.model)
         self._other_q, self._other_v = self._places(other)
 
@@ -71,7 +69,7 @@ class MountedChain:
     @property
     def actuated_indices(self) -> IntArray:
         """Indices of the actuators in v: all of the other robot's, then the six legs."""
-        return self._states.constrained.actuated.copy()
+        return self._constrained.actuated.copy()
 
     def join(self, other: npt.ArrayLike, chain: npt.ArrayLike) -> FloatArray:
         """Return q (..., nq) of the model from the other robot's q and the chain's (..., 18)."""
@@ -91,15 +89,43 @@ class MountedChain:
         return pin.RobotWrapper(self.model, *self._shapes)
 
     def state(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> ConstrainedState:
-        """Return the state of joint values q (nq,) and velocities v (nv,), by default at rest."""
-        return ConstrainedState(self._states.constrained).update(q, v)
+        """Return the state of joint values q (..., nq) and velocities v (..., nv), by default at rest."""
+        return ConstrainedState(self._constrained).update(q, v)
 
-    # Methods that a chain by itself has too.
-    closure_gap = batched_methods.closure_gap
-    constraint_jacobian = batched_methods.constraint_jacobian
-    forward_dynamics = batched_methods.forward_dynamics
-    inverse_dynamics = batched_methods.inverse_dynamics
-    energy = batched_methods.energy
+    def _at(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> ConstrainedState:
+        """Return the state that calls of this thread compute in, moved to q and v."""
+        state: ConstrainedState = self._calls.state
+        return state.update(q, v)
+
+    def closure_gap(self, q: npt.ArrayLike) -> FloatArray:
+        """Return how far the closures are open, in the universe's axes [m], shape (..., 4, 3)."""
+        return self._at(q).closure_gap()
+
+    def constraint_jacobian(self, q: npt.ArrayLike) -> FloatArray:
+        """Return the derivative of `closure_gap` by q, shape (..., 12, nv)."""
+        return self._at(q).constraint_jacobian()
+
+    def forward_dynamics(
+        self,
+        q: npt.ArrayLike,
+        v: npt.ArrayLike,
+        forces: npt.ArrayLike,
+        wrench: WrenchLike = None,
+        *,
+        gains: GainsLike = None,
+    ) -> FloatArray:
+        """Return the accelerations of all joints (..., nv) under actuators (..., n), gravity and wrenches."""
+        return self._at(q, v).forward_dynamics(forces, wrench, gains=gains)
+
+    def inverse_dynamics(
+        self, q: npt.ArrayLike, v: npt.ArrayLike, a: npt.ArrayLike, wrench: WrenchLike = None
+    ) -> FloatArray:
+        """Return the forces of the actuators (..., n) [N, N m] for a motion under gravity, inertia and wrenches."""
+        return self._at(q, v).inverse_dynamics(a, wrench)
+
+    def energy(self, q: npt.ArrayLike, v: npt.ArrayLike) -> Energy:
+        """Return the kinetic and the potential energy (...) [J] of all bodies."""
+        return self._at(q, v).energy()
 
 
 def _together(other: npt.ArrayLike, other_place: IntArray, chain: npt.ArrayLike, place: IntArray) -> FloatArray:

@@ -1,36 +1,64 @@
-"""Motion of a chain in time: what acts on it, when it is recorded, what ends it, and the result."""
+"""Motion in time: an explicit method of order eight in all joint coordinates, brought back onto the closures each step.
+
+The joint accelerations keep the loops closed to second order in time, so that errors of the method would open them.
+After each step q goes to the nearest closed one, and v to the admissible one nearest in kinetic energy,
+
+    v ← v - M⁻¹ Jcᵀ (Jc M⁻¹ Jcᵀ)⁻¹ Jc v,
+
+moves as small as the error of the step. Eighteen joints rather than six coordinates: no choice of six is regular
+everywhere, and these pass through inverse and forward singularities alike. The work of all forces is integrated beside
+the state, so that energy less work is constant in every run, driven or not.
+"""
 
 from __future__ import annotations
 
+import enum
 import itertools
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.integrate import DOP853
+from scipy.optimize import brentq
 
-from spm_pin.errors import ArgumentError
+from spm_pin.errors import ClosureError
 from spm_pin.mechanism.arguments import FloatArray, real_number
-from spm_pin.multibody.batched_states import ChainLike
-from spm_pin.multibody.closure_checks import require_closed
-from spm_pin.multibody.constrained_model import TreeKinematics
-from spm_pin.multibody.integrator import Ending, ForceCallback, Integrator, SimulationEnd
-from spm_pin.multibody.platform_path import increasing_times
+from spm_pin.mechanism.leg_limits import LEGS
+from spm_pin.multibody.closure_solvers import close_loops
+from spm_pin.multibody.constrained_model import AccelerationSolver, ConstrainedModel, TreeKinematics
+from spm_pin.multibody.trajectory import increasing_times
 from spm_pin.multibody.vector_arguments import WrenchLike, read_vector
 
 ForceFunction = Callable[[float, FloatArray, FloatArray], npt.ArrayLike]
 """A function of the time, q (18,) and v (18,): leg forces (6,), or a wrench (6,)."""
+_Forces = Callable[[float, FloatArray, FloatArray], FloatArray]
+"""Forces at (t, q, v)."""
 
-STOPS = {
-    "limits": SimulationEnd.LIMIT,
-    "inverse": SimulationEnd.INVERSE_SINGULARITY,
-    "forward": SimulationEnd.FORWARD_SINGULARITY,
-}
+LEAST_CONSTRAINED = 1e-5
+"""Smallest singular value of the scaled closures at which a run ends: the forces in the balls grow as its inverse."""
+
+SHORTEST_LEG = 1e-6
+"""Length of a leg at which a run ends, in units of the middle platform's side: less has no direction."""
+
+LARGEST_RATE = 1e100
+"""Velocity, acceleration or power at which a run ends: SciPy's step control loops for ever on infinite ones."""
 
 SHORTEST_INTERVAL = 1e-7
 """Shortest period and longest step that are accepted, as a share of the run: more steps would not end."""
+
+
+class SimulationEnd(enum.StrEnum):
+    """Why a simulation ended."""
+
+    COMPLETE = "complete"
+    CONSTRAINT_SINGULARITY = "constraint singularity"
+    COLLAPSE = "leg of no length"
+    STOPPED = "stopped"
+    STALLED = "stalled"
+    """Too fast for any step, as where forces are discontinuous or have no bound."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +88,7 @@ class Simulation:
     end: SimulationEnd
     """Why it ended there."""
     detail: str
-    """Which leg and which limit; empty if there is nothing to say."""
+    """Which leg, or why no step was possible; empty if there is nothing to say."""
     steps: int
     """Steps of the integrator."""
     evaluations: int
@@ -86,112 +114,66 @@ class Simulation:
         return np.asarray(self.energy - self.energy[0] - self.work)
 
 
-def simulate(
-    self: ChainLike,
+def run_simulation(
+    constrained: ConstrainedModel,
     q0: npt.ArrayLike,
     v0: npt.ArrayLike,
-    forces: npt.ArrayLike | ForceFunction | None,
     times: npt.ArrayLike,
-    *,
-    wrench: WrenchLike | ForceFunction = None,
-    period: float | None = None,
-    stop_at: Collection[str] = (),
-    tolerance: float = 1e-11,
-    max_step: float = np.inf,
-    progress: Callable[[float], object] | None = None,
+    forces: npt.ArrayLike | ForceFunction | None,
+    wrench: WrenchLike | ForceFunction,
+    period: float | None,
+    tolerance: float,
+    max_step: float,
+    progress: Callable[[float], object] | None,
 ) -> Simulation:
-    """Integrate the motion under leg forces, gravity and wrenches, up to the last time or what ends it before.
-
-    By SciPy's DOP853 with projection onto the closures after each step; see the module `integrator`. The loops are
-    closed to rounding at every time. Errors of `forces`, `wrench` or `progress` reach the caller.
-
-    Parameters
-    ----------
-    q0, v0 : array_like, shape (18,)
-        Joint values and velocities of a closed mechanism at the first time.
-    forces : array_like (6,), callable, or None
-        Of the legs [N]: constant, or a function (t, q, v) → (6,); None lets the slides move freely. A function
-        without `period` is smooth in its arguments alone: it is called several times a step, and not in order.
-    times : array_like, shape (n,)
-        When to record [s], increasing; the motion begins at the first.
-    wrench : as in `forward_dynamics`, or callable, optional
-        Applied from outside: constant, or a function (t, q, v) → (6,) for the terminal platform.
-    period : float, optional
-        Of a digital controller [s]: `forces` is called once at the start of each period, in order, and its
-        answer held. It may keep a state of its own.
-    stop_at : collection of {"limits", "inverse", "forward"}
-        End the run at the leg limits of `geometry`, or where a singularity is crossed. By default these are passed
-        through. A leg of no length and a constraint singularity always end it: forces in the balls have no bound
-        there. Looked for at the ends of steps: a smaller `max_step` sees what happens and is undone within one.
-    tolerance : float
-        Of a step, relative and absolute in the units of q and v; from 1e-13 to 1e-3. The default keeps the energy
-        to about 1e-12 of itself in a second of falling.
-    max_step : float
-        Longest step [s]; not less than 1e-7 of the run.
-    progress : callable, optional
-        Called with the share done, from 0 to 1, after each step. If it returns False, the run ends there.
-
-    Raises
-    ------
-    ArgumentError
-        If an argument is malformed, v0 opens the loops, or a function returns something else than finite (6,).
-    ClosureError
-        If q0 is open.
-    """
-    constrained = self._states.constrained
-    q, v = constrained.checked(q0, "q0", single=True), read_vector(v0, "v0", constrained.model.nv)
+    """Integrate the motion; see `ClosedChain.simulate`."""
+    q, v = constrained.read_q(q0, "q0", single=True), read_vector(v0, "v0", constrained.model.nv)
     kinematics = TreeKinematics(constrained)
     kinematics.evaluate(q)
-    require_closed(kinematics, v, "v0")
+    kinematics.check_closed(v, "v0")
     recorded = increasing_times(times)
     begin, until = float(recorded[0]), float(recorded[-1])
     span = until - begin
     real_number(tolerance, "tolerance", "a number from 1e-13 to 1e-3", least=1e-13, most=1e-3)
-    if max_step != math.inf:
-        _interval(max_step, "max_step", span)
-    if period is not None:
-        _interval(period, "period", span)
-    if isinstance(stop_at, str) or any(stop not in STOPS for stop in stop_at):
-        raise ArgumentError("stop_at", f"a collection of {', '.join(map(repr, STOPS))}", repr(stop_at))
-    limits = constrained.layout.geometry.limits if "limits" in stop_at else None
-    if "limits" in stop_at and limits is None:
-        raise ArgumentError("stop_at", "no limits, for a geometry without leg limits", "limits")
+    for name, interval in (("max_step", None if max_step == math.inf else max_step), ("period", period)):
+        if interval is not None:
+            expected = "a time in seconds, greater than zero and not less than 1e-7 of the run"
+            real_number(interval, name, expected, above=0.0, least=SHORTEST_INTERVAL * span)
 
-    act = _callback(np.zeros(6) if forces is None else forces, "forces")
+    act = _as_function(np.zeros(6) if forces is None else forces, "forces")
     if callable(wrench):
-        wrenches, frames = _callback(wrench, "wrench"), [constrained.layout.platform_frame]
+        push, frames = _as_function(wrench, "wrench"), [constrained.platform_frame]
     else:
-        together, frames = constrained.read_wrenches(wrench, single=True)
-        wrenches = _constant(together)
-    ends = frozenset(STOPS[stop] for stop in stop_at) - {SimulationEnd.LIMIT}
-    integrator = Integrator(kinematics, frames, wrenches, limits, ends)
+        together, frames = constrained.read_wrenches(wrench)
+        push = _constant(read_vector(together, "wrench", 6 * len(frames)))
+    integrator = Integrator(kinematics, push, frames, tolerance, max_step)
 
     def proceed(time: float) -> bool:
         return progress is None or progress((time - begin) / span) is not False
 
-    now, samples = integrator.start(q, v), _samples(begin, until, period)
-    ending: Ending | None = integrator.beyond(begin, now)
-    for k, (start, end) in enumerate(itertools.pairwise(samples)):
-        applied = act if period is None else _constant(act(start, *integrator.parts(now)))
+    state = integrator.start(q, v)
+    stop = integrator.stop_event(begin, state)
+    for k, (start, end) in enumerate(itertools.pairwise(_force_times(begin, until, period))):
+        applied = act if period is None else _constant(act(start, *integrator.parts(state)))
         if k == 0:
-            integrator.record(begin, now, applied)
-        if ending is not None or span == 0.0:
+            integrator.record(begin, state, applied)
+        if stop is not None or span == 0.0:
             break
         inside = recorded[(recorded > start) & (recorded <= end)]
-        now, ending = integrator.advance(now, (start, end), inside, applied, tolerance, max_step, proceed)
-        if ending is not None:
-            integrator.record(ending.time, now, applied)
-    why, detail = (SimulationEnd.COMPLETE, "") if ending is None else ending[:2]
+        state, stop = integrator.advance(state, (start, end), inside, applied, proceed)
+        if stop is not None:
+            integrator.record(stop.time, state, applied)
+    why, detail = (SimulationEnd.COMPLETE, "") if stop is None else stop[:2]
     names = (field.name for field in fields(Simulation))
     columns: dict[str, Any] = dict(zip(names, map(np.array, zip(*integrator.rows, strict=True)), strict=False))
     return Simulation(**columns, end=why, detail=detail, steps=integrator.steps, evaluations=integrator.evaluations)
 
 
-def _constant(value: FloatArray) -> ForceCallback:
+def _constant(value: FloatArray) -> _Forces:
     return lambda t, q, v: value
 
 
-def _callback(force: Any, argument: str) -> ForceCallback:
+def _as_function(force: Any, argument: str) -> _Forces:
     """Return a function from a constant or a function; what a function returns is checked."""
     if isinstance(force, Mapping) or not callable(force):
         return _constant(read_vector(force, argument, 6))
@@ -199,15 +181,185 @@ def _callback(force: Any, argument: str) -> ForceCallback:
     return lambda t, q, v: read_vector(force(t, q.copy(), v.copy()), argument, 6)
 
 
-def _interval(value: float, argument: str, span: float) -> None:
-    expected = "a time in seconds, greater than zero and not less than 1e-7 of the run"
-    real_number(value, argument, expected, above=0.0, least=SHORTEST_INTERVAL * span)
-
-
-def _samples(begin: float, until: float, period: float | None) -> list[float]:
+def _force_times(begin: float, until: float, period: float | None) -> list[float]:
     """Return when forces change, from the start to the end of the run."""
     if period is None:
         return [begin, until]
     # Multiples rather than sums, and no last period of rounding's length.
     count = max(1, math.ceil((until - begin) / period - 1e-9))
     return [*(begin + k * period for k in range(count)), until]
+
+
+class StopEvent(NamedTuple):
+    """What ends a simulation, and when."""
+
+    end: SimulationEnd
+    detail: str
+    time: float
+
+
+class _UnboundedRateError(Exception):
+    """Velocities, accelerations or power are too large to be integrated."""
+
+
+class Integrator:
+    """Integrates the motion of a chain and records it; a state vector is q, v and the work done, shape (37,).
+
+    `kinematics` is moved; `wrenches` (6 n,) side by side act onto `frames`.
+    """
+
+    def __init__(
+        self, kinematics: TreeKinematics, wrenches: _Forces, frames: list[int], tolerance: float, max_step: float
+    ) -> None:
+        self._kinematics, self._constrained = kinematics, kinematics.constrained
+        self._solver = AccelerationSolver(self._constrained)
+        self._wrenches, self._frames = wrenches, frames
+        self._tolerance, self._max_step = tolerance, max_step
+        self._size = len(self._constrained.names)
+        self._shortest = SHORTEST_LEG * self._constrained.side
+        self.rows: list[tuple[Any, ...]] = []  # what is recorded: the first fields of `Simulation`
+        self.steps = self.evaluations = 0
+
+    def start(self, q: FloatArray, v: FloatArray) -> FloatArray:
+        """Return the state that begins at q and v."""
+        return self._closed(np.concatenate([q, v, [0.0]]))
+
+    def parts(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return q and v of a state."""
+        return state[: self._size], state[self._size : -1]
+
+    def stop_event(self, time: float, state: FloatArray) -> StopEvent | None:
+        """Return why no simulation can begin at a state."""
+        lengths = self._leg_margins(state)
+        if lengths.min() < 0.0:
+            return StopEvent(SimulationEnd.COLLAPSE, LEGS[int(lengths.argmin())], time)
+        singular = self._constraint_margin(state) < 0.0
+        return StopEvent(SimulationEnd.CONSTRAINT_SINGULARITY, "", time) if singular else None
+
+    def record(self, time: float, state: FloatArray, forces: _Forces) -> None:
+        """Record the motion at a time, unless the last record is of that time."""
+        if self.rows and self.rows[-1][0] == time:
+            return
+        q, v = self.parts(state)
+        a, force, _ = self._motion(time, q, v, forces)
+        self._kinematics.evaluate(q)
+        energies, gap = self._kinematics.energies(v), self._kinematics.widest_gap()
+        self.rows.append((time, q, v, a, self._constrained.leg_lengths(q), force, *energies, float(state[-1]), gap))
+
+    def advance(
+        self,
+        state: FloatArray,
+        span: tuple[float, float],
+        times: FloatArray,
+        forces: _Forces,
+        proceed: Callable[[float], bool],
+    ) -> tuple[FloatArray, StopEvent | None]:
+        """Integrate over a span of time, recording at `times` within; return the state there, or where it ended."""
+
+        def rate(time: float, state: FloatArray) -> FloatArray:
+            self.evaluations += 1
+            q, v = self.parts(state)
+            a, _, power = self._motion(time, q, v, forces)
+            rates = np.concatenate([v, a, [power]])
+            if not np.abs(rates).max() < LARGEST_RATE:
+                raise _UnboundedRateError
+            return rates
+
+        before, waiting, tolerance = span[0], 0, self._tolerance
+        try:
+            solver = DOP853(rate, *(span[0], state, span[1]), max_step=self._max_step, rtol=tolerance, atol=tolerance)
+            while solver.status == "running":
+                before = float(solver.t)
+                # It returns a message where its status becomes "failed".
+                if solver.step() is not None:
+                    return state, StopEvent(SimulationEnd.STALLED, "no step is short enough", before)
+                self.steps += 1
+                # Of the step as it was, before its end is moved onto the closures.
+                dense = solver.dense_output()
+                time, stop = self._collapse(dense, before, float(solver.t))
+                try:
+                    closed = self._closed(solver.y if stop is None else np.asarray(dense(time)))
+                except (ClosureError, np.linalg.LinAlgError):
+                    return state, StopEvent(SimulationEnd.STALLED, "the loops do not close any more", before)
+                within = self._within(dense, (before, state), (time, closed))
+                stop = self._singularity(within, before, time) or stop
+                last = time if stop is None else stop.time
+                while waiting < times.size and times[waiting] <= last:
+                    self.record(float(times[waiting]), within(float(times[waiting])), forces)
+                    waiting += 1
+                if stop is not None:
+                    return within(last), stop
+                state = closed
+                if not proceed(time):
+                    return state, StopEvent(SimulationEnd.STOPPED, "", time)
+                solver.y, solver.f = closed, rate(time, closed)
+        except _UnboundedRateError:
+            return state, StopEvent(SimulationEnd.STALLED, "velocities, accelerations or power above 1e100", before)
+        return state, None
+
+    def _within(
+        self, dense: Any, begin: tuple[float, FloatArray], end: tuple[float, FloatArray]
+    ) -> Callable[[float], FloatArray]:
+        """Return the closed state as a function of time in a step, at its ends the states known there."""
+
+        def state(time: float) -> FloatArray:
+            if time <= begin[0]:
+                return begin[1]
+            return end[1] if time >= end[0] else self._closed(np.asarray(dense(time)))
+
+        return state
+
+    def _collapse(self, dense: Any, before: float, end: float) -> tuple[float, StopEvent | None]:
+        """Return the time at which a step ends, with the first leg that has no length left if that ends it early."""
+        short = np.flatnonzero(self._leg_margins(dense(end)) < 0.0)
+        if not short.size:
+            return end, None
+
+        def margin(time: float, leg: int) -> float:
+            # Rounding must not take the length away before the step begins.
+            least = np.finfo(np.float64).tiny if time <= before else -np.inf
+            return float(max(self._leg_margins(dense(time))[leg], least))
+
+        times = {int(leg): float(brentq(margin, before, end, (leg,), xtol=1e-15, rtol=1e-14)) for leg in short}
+        first = min(times, key=times.__getitem__)
+        return times[first], StopEvent(SimulationEnd.COLLAPSE, LEGS[first], times[first])
+
+    def _singularity(self, state: Callable[[float], FloatArray], before: float, end: float) -> StopEvent | None:
+        """Return the constraint singularity that a step meets."""
+        if self._constraint_margin(state(end)) >= 0.0:
+            return None
+        time = float(brentq(lambda t: self._constraint_margin(state(t)), before, end, xtol=1e-15, rtol=1e-14))
+        return StopEvent(SimulationEnd.CONSTRAINT_SINGULARITY, "", time)
+
+    def _leg_margins(self, state: FloatArray) -> FloatArray:
+        """Return by how much the legs are longer than the shortest length, shape (6,)."""
+        return np.asarray(self._constrained.leg_lengths(state[: self._size]) - self._shortest)
+
+    def _constraint_margin(self, state: FloatArray) -> float:
+        """Return by how much the smallest singular value of the closures is above the least."""
+        kinematics = self._kinematics
+        kinematics.evaluate(state[: self._size])
+        kinematics.check_ball_angles()
+        values = np.linalg.svd(kinematics.scaled_constraint_jacobian(), compute_uv=False)
+        return float(values[-1]) - LEAST_CONSTRAINED
+
+    def _motion(
+        self, time: float, q: FloatArray, v: FloatArray, forces: _Forces
+    ) -> tuple[FloatArray, FloatArray, float]:
+        """Return the accelerations, the leg forces and the power of all but gravity."""
+        force = forces(time, q, v)
+        torques = np.zeros(self._size)
+        if self._frames:
+            self._kinematics.evaluate(q)
+            torques += self._kinematics.wrench_torques(self._wrenches(time, q, v), self._frames)
+        torques[self._constrained.legs] += force
+        return self._solver.accelerations(q, v, torques), force, float(torques @ v)
+
+    def _closed(self, state: FloatArray) -> FloatArray:
+        """Return the state with q closed and v admissible."""
+        q, v = self.parts(state)
+        q = close_loops(self._kinematics, q)
+        jacobian = self._kinematics.constraint_jacobian
+        across = np.linalg.solve(self._kinematics.mass_matrix(), jacobian.T)
+        v = v - across @ np.linalg.solve(jacobian @ across, jacobian @ v)
+        return np.concatenate([q, v, [state[-1]]])

@@ -1,4 +1,4 @@
-"""A motion of all joints along a path of the platform, in the formats that programs take."""
+"""Paths of the platform in time, and the motion of all joints along one, in the formats that programs take."""
 
 from __future__ import annotations
 
@@ -6,19 +6,114 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import RigidTransform, RotationSpline
 
-from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, real_array
-from spm_pin.mechanism.pose import as_rigid_transform
-from spm_pin.multibody.batched_states import LOCATED, ChainLike, located
-from spm_pin.multibody.closure_checks import require_closed
-from spm_pin.multibody.closure_solvers import ContinuationSolver
-from spm_pin.multibody.constrained_state import ChainState
-from spm_pin.multibody.platform_path import PlatformMotion, PlatformPath, increasing_times
+from spm_pin.errors import ArgumentError, ClosureError, PoseError, SingularConfigurationError
+from spm_pin.mechanism.arguments import FloatArray, IntArray, as_bool, real_array
+from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose
+from spm_pin.multibody.chain_state import ChainState, at_index
+from spm_pin.multibody.closure_solvers import follow_pose
+
+
+class PlatformMotion(NamedTuple):
+    """Motion of the terminal platform at one time or several."""
+
+    pose: RigidTransform
+    """Pose of {m} in {B}, shape (...)."""
+    twist: FloatArray
+    """(v, ω): velocity of o [m/s], angular velocity [rad/s], in {B}, shape (..., 6)."""
+    acceleration: FloatArray
+    """Time derivative of the twist [m/s², rad/s²], shape (..., 6)."""
+
+
+class PlatformPath:
+    """A twice continuously differentiable motion of the platform through given poses.
+
+    Cubic splines: of o as in SciPy's `CubicSpline`, of the rotation as in its `RotationSpline`.
+
+    Parameters
+    ----------
+    times : array_like, shape (n,)
+        Times of the poses [s], increasing, at least two.
+    poses : RigidTransform or array_like (n, 4, 4)
+        Poses of the terminal platform at these times, {m} in {B}.
+    ease : bool
+        Start from rest and end at rest, without acceleration: the path is gone through on a clock that runs from the
+        first to the last time as 10 x³ - 15 x⁴ + 6 x⁵. The poses between are then met at other times.
+    """
+
+    def __init__(self, times: npt.ArrayLike, poses: PoseLike, *, ease: bool = False) -> None:
+        knots = increasing_times(times, least=2)
+        transforms = as_rigid_transform(poses, "poses")
+        if transforms.shape != knots.shape:
+            raise PoseError("poses", f"one for each of {knots.size} times", f"shape {transforms.shape}")
+        self._times = knots
+        self._ease = as_bool(ease, "ease")
+        self._translation = CubicSpline(knots, transforms.translation)
+        self._rotation = RotationSpline(knots, transforms.rotation)
+
+    @property
+    def times(self) -> FloatArray:
+        """Times of the poses [s], shape (n,), as given, before easing; a copy."""
+        return self._times.copy()
+
+    @property
+    def start(self) -> float:
+        """First time [s]."""
+        return float(self._times[0])
+
+    @property
+    def end(self) -> float:
+        """Last time [s]."""
+        return float(self._times[-1])
+
+    @property
+    def duration(self) -> float:
+        """From the first to the last time [s]."""
+        return self.end - self.start
+
+    def __call__(self, times: npt.ArrayLike) -> PlatformMotion:
+        """Return the motion at times [s] of shape (...), none outside the path's own."""
+        t = real_array(times, "times", (), "in seconds")
+        begin, until = self.start, self.end
+        outside = (t < begin) | (t > until)
+        if outside.any():
+            raise ArgumentError("times", f"times from {begin:g} to {until:g} s", f"{t[outside].flat[0]:g}")
+        clock, rate, rate_change = t, np.ones_like(t), np.zeros_like(t)
+        if self._ease:
+            x = (t - begin) / self.duration
+            # Rounding must not run past the end.
+            clock = np.clip(begin + self.duration * x**3 * (10.0 - 15.0 * x + 6.0 * x**2), begin, until)
+            rate = 30.0 * x**2 * (1.0 - x) ** 2
+            rate_change = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / self.duration
+        flat, shape = clock.reshape(-1), t.shape
+        rotation = self._rotation(flat)
+        # SciPy's angular rates are in {m}; in {B} their derivative is that in {m}, because ω × ω = 0.
+        first, second = (
+            np.concatenate([self._translation(flat, order), rotation.apply(self._rotation(flat, order))], axis=-1)
+            for order in (1, 2)
+        )
+        speed, change = rate.reshape(-1, 1), rate_change.reshape(-1, 1)
+        place, turn = self._translation(flat).reshape(*shape, 3), rotation.as_matrix().reshape(*shape, 3, 3)
+        twist, acceleration = speed * first, speed**2 * second + change * first
+        return PlatformMotion(pose(place, rotation=turn), twist.reshape(*shape, 6), acceleration.reshape(*shape, 6))
+
+
+def increasing_times(times: npt.ArrayLike, *, least: int = 1) -> FloatArray:
+    """Read times (n,) [s], or raise `ArgumentError`."""
+    array = real_array(times, "times", (), "in seconds")
+    if array.ndim != 1 or array.size < least:
+        raise ArgumentError("times", f"times in seconds, shape (n,), at least {least}", f"shape {array.shape}")
+    backward = np.diff(array) <= 0.0
+    if backward.any():
+        first = int(np.flatnonzero(backward)[0])
+        raise ArgumentError("times", "increasing times", f"{array[first + 1]:g} after {array[first]:g}")
+    return array
 
 
 @dataclass(frozen=True)
@@ -83,55 +178,45 @@ class JointTrajectory:
         return _write("".join(",".join(row) + "\n" for row in (head, *(map(repr, row) for row in table))), path)
 
 
-def joint_trajectory(
-    self: ChainLike, path: Callable[[float], PlatformMotion], times: npt.ArrayLike, near: npt.ArrayLike
+def follow_path(
+    state: ChainState,
+    path: Callable[[float], PlatformMotion],
+    times: npt.ArrayLike,
+    names: tuple[str, ...],
+    legs: IntArray,
 ) -> JointTrajectory:
-    """Return the motion of all joints for one of the platform, with the leg forces of it under gravity.
-
-    `path`, a `PlatformPath` or another callable, takes a time [s] and returns pose, twist and acceleration of the
-    terminal platform; `times` (n,) [s] increase at any rate; `near` (18,) is a closed q in the branch wanted, near
-    the path's start. Raises as `inverse_kinematics`, with the index of the time.
-    """
-    constrained = self._states.constrained
-    q, at = constrained.checked(near, "near", single=True), increasing_times(times)
+    """Return the motion of all joints from a closed state on; see `ClosedChain.joint_trajectory`."""
+    t = increasing_times(times)
     if not callable(path):
         raise ArgumentError("path", "a PlatformPath or another function of time", type(path).__name__)
-    state = ChainState(constrained).update(q)
-    require_closed(state.kinematics)
-    rows: list[tuple[FloatArray, ...]] = []
+    state.kinematics.check_closed()
+    q, rows = state.q, []
     # All at once where that is known to be allowed.
-    motions = zip(*path(at), strict=True) if isinstance(path, PlatformPath) else map(path, at.tolist())
+    motions = zip(*path(t), strict=True) if isinstance(path, PlatformPath) else map(path, t.tolist())
     for k, motion in enumerate(motions):
         try:
-            rows.append(_moving(state, q, motion))
-        except LOCATED as error:
-            raise located(error, (k,)) from error
-        q = rows[-1][0]
-    columns = (np.array(column).reshape(at.size, -1) for column in zip(*rows, strict=True))
-    return JointTrajectory(constrained.layout.names_in_model, at, *columns)
+            target, twist, acceleration = _read_motion(motion)
+            q = follow_pose(state.kinematics, q, target.rotation.as_matrix(), target.translation)
+            v = state.update(q).joint_velocities(twist)
+            a = state.update(q, v).joint_accelerations(acceleration)
+            efforts = np.zeros(q.size)
+            efforts[legs] = state.inverse_dynamics(a)
+        except (ArgumentError, ClosureError, SingularConfigurationError) as error:
+            raise at_index(error, (k,)) from error
+        rows.append((q, v, a, efforts))
+    return JointTrajectory(names, t, *(np.array(column) for column in zip(*rows, strict=True)))
 
 
-def _moving(state: ChainState, q: FloatArray, motion: Any) -> tuple[FloatArray, ...]:
-    """Return q, v, a and the actuators' forces of what a path returned for one time."""
+def _read_motion(motion: Any) -> PlatformMotion:
+    """Return what a path returned for one time, or raise `ArgumentError`."""
     try:
-        pose, *rates = PlatformMotion(*motion)
+        place, *rates = PlatformMotion(*motion)
     except TypeError as error:
         received = f"{type(motion).__name__}, not of these three"
         raise ArgumentError("path", "a function that returns pose, twist and acceleration", received) from error
-    transform = as_rigid_transform(pose, "path")
-    twist, acceleration = (
-        real_array(value, "path", (6,), f"{name} of the platform")
-        for value, name in zip(rates, ("twist", "acceleration"), strict=True)
-    )
-    solver = ContinuationSolver(state.kinematics)
-    q = solver.to_pose(q, transform.rotation.as_matrix(), transform.translation)
-    state._set_checked(q)
-    v = state.joint_velocities(twist)
-    state._set_checked(q, v)
-    a = state.joint_accelerations(acceleration)
-    efforts = np.zeros(q.size)
-    efforts[state.kinematics.layout.legs] = state.inverse_dynamics(a)
-    return q, v, a, efforts
+    names = "twist of the platform", "acceleration of the platform"
+    twist, acceleration = (real_array(rate, "path", (6,), name) for rate, name in zip(rates, names, strict=True))
+    return PlatformMotion(as_rigid_transform(place, "path"), twist, acceleration)
 
 
 def _write(text: str, path: str | Path | None) -> str:

@@ -10,17 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, frozen, real_array, symmetric_matrices
-
-
-class Wrenches(NamedTuple):
-    """Wrenches side by side (..., 6 n), and the n frames of the model that they act onto."""
-
-    vectors: FloatArray
-    frames: list[int]
-
-
-NO_WRENCHES = Wrenches(frozen(np.empty(0)), [])
+from spm_pin.mechanism.arguments import FloatArray, real_array
 
 
 class Gains(NamedTuple):
@@ -31,7 +21,7 @@ class Gains(NamedTuple):
 
 
 WrenchLike = npt.ArrayLike | Mapping[str, npt.ArrayLike] | None
-"""A wrench (6,) on the platform, wrenches by the name of their frame, or none."""
+"""A wrench (..., 6) on the platform, wrenches by the name of their frame, or none."""
 GainsLike = tuple[float, float] | None
 """Gains of the constraint stabilisation on gap [1/s²] and gap rate [1/s], or none."""
 
@@ -42,9 +32,8 @@ MEANINGS = {
     **dict.fromkeys(("q", "q0", "near"), JOINTS),
     **dict.fromkeys(("v", "v0", "a"), RATES),
     **dict.fromkeys(("other", "chain"), "in Pinocchio's order"),
-    "leg_lengths": "of r_b1 to r_c3 in m",
+    **dict.fromkeys(("leg_lengths", "readings"), "of r_b1 to r_c3 in m"),
     "leg_rates": "of r_b1 to r_c3 in m/s",
-    "stiffness": "of the platform, row by row",
     "leg_accelerations": "of r_b1 to r_c3 in m/s²",
     "forces": "of the actuators in N and N m",
     "twist": "(v, ω) at o in {B} in m/s and rad/s",
@@ -52,8 +41,6 @@ MEANINGS = {
     "wrench": "(f, m) in N and N m in the axes of {B}",
 }
 """Meaning of each argument, for messages."""
-SINGLE = "A single {} is taken here; most methods of ClosedChain take batches"
-"""Cause of an error about a batch."""
 
 
 def read_vectors(value: npt.ArrayLike, argument: str, size: int) -> FloatArray:
@@ -73,24 +60,14 @@ def read_vector(value: npt.ArrayLike, argument: str, size: int) -> FloatArray:
     """Return one vector (size,) as float64, or raise `ArgumentError`."""
     array = read_vectors(value, argument, size)
     if array.ndim != 1:
-        expected = f"shape ({size},), {MEANINGS[argument]}"
-        raise ArgumentError(argument, expected, f"shape {array.shape}", SINGLE.format("vector"))
-    return array
-
-
-def read_stiffness(value: npt.ArrayLike, *, single: bool = False) -> FloatArray:
-    """Return symmetric matrices (..., 6, 6) of a platform's stiffness, or one (6, 6), or raise `ArgumentError`."""
-    array = symmetric_matrices(value, "stiffness", 6, "in N/m, N/rad, N and N m/rad, as of spm_pin.stiffness")
-    if single and array.ndim != 2:
-        cause = SINGLE.format("matrix")
-        raise ArgumentError("stiffness", "one matrix, shape (6, 6)", f"shape {array.shape}", cause)
+        raise ArgumentError(argument, f"shape ({size},), {MEANINGS[argument]}", f"shape {array.shape}")
     return array
 
 
 def read_gains(gains: GainsLike) -> Gains | None:
-    """Return the gains of a drift control, or raise `ArgumentError`; `Gains` are returned as they are."""
-    if gains is None or isinstance(gains, Gains):
-        return gains
+    """Return the gains of a drift control, or raise `ArgumentError`."""
+    if gains is None:
+        return None
     array = real_array(gains, "gains", (2,), "kp in 1/s² and kd in 1/s")
     if array.ndim != 1 or (array < 0.0).any():
         raise ArgumentError("gains", "a pair (kp, kd), not negative", repr(gains))

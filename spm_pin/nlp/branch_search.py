@@ -1,4 +1,8 @@
-"""Inverse displacement by multi-start: branches found from random starts, certified, and the chance of missed ones.
+"""Inverse displacement by multi-start: branches from random starts, each certified.
+
+A start is a middle platform of the right size in a random orientation, placed where it violates the six leg planes
+least. Orientations are uniform on SO(3), which is compact, and every solution is itself such a start: every branch has
+a neighbourhood of starts that lead to it, and no box has to be chosen to search in.
 
 Newton's method is the default solver. The loop equations of a pose are a square system without an objective, on which
 IPOPT takes Newton steps too, at some eighty times the cost per start; `make bench` measures both beside SciPy's
@@ -11,12 +15,15 @@ from __future__ import annotations
 import functools
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
+import casadi as ca
 import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
-from spm_pin.errors import ArgumentError
+from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.mechanism import BRANCHES, Geometry, PoseLike, SolutionSet, Status, as_rigid_transform
 from spm_pin.mechanism.arguments import (
     BoolArray,
@@ -24,16 +31,33 @@ from spm_pin.mechanism.arguments import (
     IntArray,
     check_instance,
     choice,
-    real_number,
     type_and_value,
     whole_number,
 )
-from spm_pin.nlp.batched_newton import LoopEquations
-from spm_pin.nlp.ipopt_solver import IpoptSolver
-from spm_pin.nlp.multistart import MOST_BRANCHES, Multistart
+from spm_pin.nlp import loop_equations
+from spm_pin.nlp.batched_newton import LoopEquations, RootCertificate, certify_root, isolated, newton
 
 SOLVERS = ("newton", "ipopt")
 """Names of the solvers that run from each start."""
+STARTS = 512
+"""Starts per pose."""
+MOST_BRANCHES = 8
+"""Largest number of branches of a pose: the degree of Eq. (19)."""
+
+_ITERATIONS = 60
+"""Steps of Newton's method from each start at most."""
+_BATCH = 512
+"""Starts made together at most."""
+_LEAST_SQUARES = 12
+"""Starts of the least squares where no start led to a solution."""
+_DOUBLE_ROOTS = 4
+"""Double roots of a pose at most, one in each family; more solutions that are not isolated are a continuous family."""
+_DEFAULTS: dict[str, Any] = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
+"""Options that the caller's replace: no output, and the tolerance [m]."""
+_INTERRUPTED = ("User_Requested_Stop", "NonIpopt_Exception_Thrown")
+"""Statuses after a Ctrl-C, which CasADi swallows during a solve; the functions here throw nothing else."""
+_UNUSABLE = ("Invalid_Option", "Invalid_Problem_Definition", "Insufficient_Memory", "Internal_Error")
+"""Statuses of options that IPOPT cannot meet."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +77,6 @@ class Search:
     """Starts that ended at no solution."""
     failed_residual: FloatArray
     """Smallest norm of the loop equations where a failed start ended [m]; NaN where none failed."""
-    unseen_share: FloatArray
-    """Good and Turing's estimate of the share of converging starts that lead to branches not found."""
-    unseen_probability: FloatArray
-    """Posterior probability that a branch was not found, see `spm_pin.nlp.multistart.unseen_probability`."""
-    settled: BoolArray
-    """Whether the stopping rule was met."""
     sigma: FloatArray
     """Smallest singular value of the loop equations at each branch, shape (..., 8), dimensionless; zero where two
     branches meet."""
@@ -90,7 +108,7 @@ def inverse_displacement(
     geometry: Geometry,
     pose: PoseLike,
     *,
-    starts: int | None = None,
+    starts: int = STARTS,
     seed: int = 0,
     solver: str = "newton",
     options: Mapping[str, Any] | None = None,
@@ -107,8 +125,7 @@ def search(
     geometry: Geometry,
     pose: PoseLike,
     *,
-    starts: int | None = None,
-    risk: float = 1e-3,
+    starts: int = STARTS,
     seed: int = 0,
     solver: str = "newton",
     options: Mapping[str, Any] | None = None,
@@ -118,14 +135,11 @@ def search(
     Parameters
     ----------
     geometry : Geometry
-        The manipulator; its leg limits are not applied.
+        The manipulator as drawn; its leg limits are not applied.
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
         Pose of {m} in {B}, translation in metres; one, or a batch of shape (...).
-    starts : int, optional
-        Starts per pose. If not given, starts are made until `unseen_probability` is at most `risk` and every
-        branch found was hit twice; after 4096 the pose is left unsettled.
-    risk : float
-        Probability of a branch not found that is accepted; without meaning if `starts` is given.
+    starts : int
+        Starts per pose.
     seed : int
         Seed of the random starts. A pose's result depends on the seed and the pose only, not on its batch.
     solver : str
@@ -140,22 +154,19 @@ def search(
 
     Raises
     ------
-    PoseError
-        If `pose` is not a rigid transform of finite numbers.
-    ArgumentError
-        If another argument is not what it should be, or an option is refused.
+    GeometryError
+        For a machine as built: the certificates rest on the loop equations of the drawing.
     Interrupted
         By Ctrl-C; `.partial` holds the poses that were finished.
 
     Notes
     -----
-    The rule is tested against certified counts of branches, 200 poses in leg space and 50 on all of SO(3) with ten
-    seeds each: at the default risk 0 of 2500 searches missed a branch, that is at most 0.15 % with 95 % confidence.
+    Every branch attracts some 2 % of the starts or more, so that 512 starts miss one in about one search of 30,000. It
+    is tested against certified counts of branches, 200 poses in leg space and 50 on all of SO(3) with ten seeds each.
     """
-    check_instance(geometry, Geometry, "geometry")
-    if starts is not None:
-        starts = whole_number(starts, "starts", "a positive whole number, or None for the stopping rule", least=1)
-    risk = real_number(risk, "risk", "a probability between 0 and 1", above=0.0, below=1.0)
+    if not check_instance(geometry, Geometry, "geometry").is_nominal:
+        raise GeometryError("geometry", "a machine as drawn", "one as built", "Pass its .nominal?")
+    starts = whole_number(starts, "starts", "a positive whole number", least=1)
     seed = whole_number(seed, "seed", "a whole number, not negative", most=1 << 128)
     choice(solver, "solver", SOLVERS)
     if options is not None:
@@ -164,16 +175,174 @@ def search(
     matrices = transform.as_matrix().reshape(-1, 4, 4)
     method = IpoptSolver(geometry, options) if options else _ipopt(geometry) if solver == "ipopt" else None
     equations = loop_equations_of(geometry)
-    found: list[Multistart] = []
+    runs: list[Multistart] = []
     try:
         for matrix in matrices:
-            started = Multistart(equations, matrix)
-            started.run(method, starts, risk, np.random.default_rng(seed))
-            found.append(started)
+            run = Multistart(equations, matrix)
+            run.run(method, starts, np.random.default_rng(seed))
+            runs.append(run)
     except KeyboardInterrupt:
-        found += [Multistart(equations, matrix) for matrix in matrices[len(found) :]]
-        raise Interrupted(_collect(geometry, transform, found)) from None
-    return _collect(geometry, transform, found)
+        runs += [Multistart(equations, matrix) for matrix in matrices[len(runs) :]]
+        raise Interrupted(_collect(geometry, transform, runs)) from None
+    return _collect(geometry, transform, runs)
+
+
+class IpoptSolver:
+    """The square feasibility problem: no objective, the nine loop equations as constraints.
+
+    Options that IPOPT or CasADi refuses raise `ArgumentError`, some of them only when the solver is called.
+    """
+
+    def __init__(self, geometry: Geometry, options: Mapping[str, Any] | None = None) -> None:
+        b, pose = ca.SX.sym("b", 9), ca.SX.sym("pose", 12)
+        residual = loop_equations.equations(geometry, b, ca.reshape(pose[:9], 3, 3), pose[9:])
+        self._options = dict(options or {})
+        problem = {"x": b, "p": pose, "f": ca.SX(0), "g": residual}
+        try:
+            self._solver = ca.nlpsol("inverse", "ipopt", problem, {**_DEFAULTS, **self._options})
+        except (RuntimeError, NotImplementedError) as refused:
+            reason = str(refused).strip().splitlines()[-1].split(": ", 1)[-1]
+            expected = "options of casadi.nlpsol such as {'ipopt.max_iter': 50}"
+            raise ArgumentError("options", expected, self._options, reason) from refused
+
+    def __call__(self, starts: FloatArray, matrix: FloatArray) -> tuple[FloatArray, Counter[str]]:
+        """Solve from each start (n, 9) [m] for a pose (4, 4).
+
+        Returns where each start ended (n, 9) [m], and how often IPOPT returned which status.
+        """
+        pose = np.concatenate([matrix[:3, :3].T.ravel(), matrix[:3, 3]])
+        ends = np.empty_like(starts)
+        outcomes: Counter[str] = Counter()
+        for k, start in enumerate(starts):
+            try:
+                ends[k] = np.asarray(self._solver(x0=start, p=pose, lbg=0.0, ubg=0.0)["x"]).ravel()
+            except SystemError as error:
+                # At times CasADi leaves the interrupt pending, and Python blames the next call for it.
+                if isinstance(error.__cause__, KeyboardInterrupt):
+                    raise error.__cause__ from None
+                raise
+            status = str(self._solver.stats()["return_status"])
+            if status in _INTERRUPTED:
+                raise KeyboardInterrupt
+            if status in _UNUSABLE:
+                raise ArgumentError("options", "options that this IPOPT can meet", self._options, status)
+            outcomes[status] += 1
+        return ends, outcomes
+
+
+@dataclass
+class Multistart:
+    """State of the multi-start at one pose."""
+
+    equations: LoopEquations
+    """The loop equations of the machine."""
+    matrix: FloatArray
+    """The pose of {m} in {B}, shape (4, 4)."""
+    certificates: list[RootCertificate] = field(default_factory=list)
+    """The solutions found, each with what is proved about it."""
+    hits: list[int] = field(default_factory=list)
+    """Starts that ended at each of them."""
+    starts: int = 0
+    """Starts made."""
+    failed: int = 0
+    """Starts that ended at no solution."""
+    failed_residual: float = np.nan
+    """Smallest norm of the loop equations where a failed start ended [m]; NaN where none failed."""
+    infeasibility: float = np.nan
+    """Smallest norm of the loop equations that least squares found [m]; NaN where they were not needed."""
+    outcomes: Counter[str] = field(default_factory=Counter)
+    """Starts by the solver's own verdict."""
+
+    def run(self, method: IpoptSolver | None, starts: int, rng: np.random.Generator) -> None:
+        """Make this number of starts; `method` None means Newton's method."""
+        while self.starts < starts:
+            count = min(_BATCH, starts - self.starts)
+            self._extend(method, random_starts(self.equations.geometry, self.matrix, count, rng))
+        if not self.certificates:
+            self._minimize_residual(random_starts(self.equations.geometry, self.matrix, _LEAST_SQUARES, rng))
+
+    def _extend(self, method: IpoptSolver | None, starts: FloatArray) -> None:
+        self.starts += len(starts)
+        if method is None:
+            ends, converged = newton(self.equations, starts, self.matrix, _ITERATIONS)
+            self.outcomes.update(converged=int(converged.sum()), diverged=int((~converged).sum()))
+        else:
+            ends, outcomes = method(starts, self.matrix)
+            self.outcomes.update(outcomes)
+            # IPOPT's tolerance is absolute; full accuracy is one or two Newton steps away.
+            polished, converged = newton(self.equations, ends, self.matrix, 3)
+            ends = np.where(converged[:, None], polished, ends)
+        self._count_hits(ends[converged])
+        self.failed += int((~converged).sum())
+        if not converged.all():
+            with np.errstate(over="ignore", invalid="ignore"):
+                norms = np.linalg.norm(self.equations(ends[~converged], self.matrix)[0], axis=-1)
+            self.failed_residual = float(np.fmin(self.failed_residual, np.nanmin(norms)))
+
+    def _count_hits(self, ends: FloatArray) -> None:
+        """Count each end point (n, 9) as a hit of its solution, adding solutions not seen before."""
+        for k, known in enumerate(self.certificates):
+            same = np.linalg.norm(ends - known.b, axis=-1) <= known.apart
+            self.hits[k] += int(same.sum())
+            ends = ends[~same]
+        if self.continuous and len(ends):
+            ends = ends[isolated(self.equations, ends, self.matrix)]
+        while len(ends):
+            new = certify_root(self.equations, ends[0], self.matrix)
+            same = np.linalg.norm(ends - new.b, axis=-1) <= new.apart
+            same[0] = True
+            self.certificates.append(new)
+            self.hits.append(int(same.sum()))
+            ends = ends[~same]
+
+    def _minimize_residual(self, starts: FloatArray) -> None:
+        """Minimise the residual by least squares, for the infeasibility or a solution that no start led to."""
+
+        def value(b: FloatArray) -> FloatArray:
+            return np.asarray(self.equations(b[None], self.matrix)[0][0])
+
+        def slope(b: FloatArray) -> FloatArray:
+            return np.asarray(self.equations(b[None], self.matrix)[1][0])
+
+        ends = np.array([least_squares(value, start, slope, method="lm").x for start in starts])
+        polished, converged = newton(self.equations, ends, self.matrix, 3)
+        self._count_hits(polished[converged])
+        self.infeasibility = min(float(np.linalg.norm(value(end))) for end in ends)
+
+    @property
+    def continuous(self) -> bool:
+        """True if more solutions are not isolated than there can be double roots: then they form a continuum."""
+        return sum(not certificate.isolated for certificate in self.certificates) > _DOUBLE_ROOTS
+
+    @property
+    def kept(self) -> list[int]:
+        """Indices of the solutions that are not on a continuous family."""
+        return [k for k, certificate in enumerate(self.certificates) if certificate.isolated or not self.continuous]
+
+    @property
+    def status(self) -> Status:
+        """Status of the pose."""
+        if self.continuous:
+            return Status.DEGENERATE
+        if self.certificates:
+            return Status.OK
+        rounding = float(self.equations.rounding(self.matrix[None, :3, 3], self.matrix)[0])
+        return Status.UNREACHABLE if self.infeasibility > 3.0 * rounding else Status.UNSOLVED
+
+
+def random_starts(geometry: Geometry, matrix: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
+    """Draw starts b (count, 9) [m] for a pose (4, 4)."""
+    axes = geometry.revolute_axes
+    platform_axes = axes @ matrix[:3, :3].T
+    local = geometry.middle_radius * geometry.radial_directions
+    turned = local @ np.swapaxes(Rotation.random(count, rng=rng).as_matrix(), -1, -2)
+    # Relative to the point half way between the platforms: a direction that the normals leave free keeps that value.
+    half = matrix[:3, 3] / 2.0
+    normals = np.concatenate([axes, platform_axes])
+    wanted = np.concatenate([-axes @ half, platform_axes @ half])
+    offsets = np.concatenate([(turned * axes).sum(axis=-1), (turned * platform_axes).sum(axis=-1)], axis=-1)
+    centre = half + (wanted - offsets) @ np.linalg.pinv(normals).T
+    return np.asarray((turned + centre[:, None, :]).reshape(count, 9))
 
 
 loop_equations_of = functools.lru_cache(maxsize=32)(LoopEquations)
@@ -189,48 +358,42 @@ def _options(options: Mapping[str, Any], solver: str) -> dict[str, Any]:
     return dict(options)
 
 
-def _collect(geometry: Geometry, transform: Any, found: list[Multistart]) -> Search:
+def _collect(geometry: Geometry, transform: Any, runs: list[Multistart]) -> Search:
     """Gather the searches of all poses into arrays of the batch's shape."""
     shape = transform.shape
-    joints = np.full((len(found), MOST_BRANCHES, 9), np.nan)
-    solved = [len(run.kept) <= MOST_BRANCHES and run.status is not Status.UNSOLVED for run in found]
-    for n, run in enumerate(found):
+    joints = np.full((len(runs), MOST_BRANCHES, 9), np.nan)
+    solved = [len(run.kept) <= MOST_BRANCHES and run.status is not Status.UNSOLVED for run in runs]
+    for n, run in enumerate(runs):
         for place, k in enumerate(run.kept[:MOST_BRANCHES]):
             joints[n, place] = run.certificates[k].b
     by_place = joints.reshape(*shape, MOST_BRANCHES, 3, 3)
     ordered = SolutionSet.from_unordered(geometry, transform, by_place, np.array(solved, dtype=bool).reshape(shape))
     branches = ordered.middle_joints.reshape(joints.shape)
-    hits = np.zeros((len(found), MOST_BRANCHES), dtype=int)
+    hits = np.zeros((len(runs), MOST_BRANCHES), dtype=int)
     sigma, error = np.full(hits.shape, np.nan), np.full(hits.shape, np.nan)
     isolated = np.zeros(hits.shape, dtype=bool)
-    for n, run in enumerate(found):
+    for n, run in enumerate(runs):
         for k in run.kept:
             at = n, (branches[n] == run.certificates[k].b).all(axis=-1)
             hits[at], isolated[at] = run.hits[k], run.certificates[k].isolated
             sigma[at], error[at] = run.certificates[k].sigma, run.certificates[k].error
-    continuous = np.array([run.continuous for run in found], dtype=bool).reshape(shape)
+    continuous = np.array([run.continuous for run in runs], dtype=bool).reshape(shape)
     status = np.where(continuous, Status.DEGENERATE, ordered.status)
-    outcomes: Counter[str] = sum((run.outcomes for run in found), Counter())
+    outcomes: Counter[str] = sum((run.outcomes for run in runs), Counter())
 
     def of(values: list[Any], kind: Any = np.float64) -> Any:
         return np.array(values, dtype=kind).reshape(shape)
 
-    converged = hits.sum(axis=-1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        unseen_share = np.where(converged > 0, (hits == 1).sum(axis=-1) / converged, np.nan)
     return Search(
         solutions=SolutionSet(ordered.configurations, BRANCHES, status),
-        starts=of([run.starts for run in found], int),
+        starts=of([run.starts for run in runs], int),
         hits=hits.reshape(*shape, MOST_BRANCHES),
-        continuous=of([run.starts - run.failed - sum(run.hits[k] for k in run.kept) for run in found], int),
-        failed=of([run.failed for run in found], int),
-        failed_residual=of([run.failed_residual for run in found]),
-        unseen_share=unseen_share.reshape(shape),
-        unseen_probability=of([run.unseen_probability for run in found]),
-        settled=of([run.settled for run in found], bool),
+        continuous=of([run.starts - run.failed - sum(run.hits[k] for k in run.kept) for run in runs], int),
+        failed=of([run.failed for run in runs], int),
+        failed_residual=of([run.failed_residual for run in runs]),
         sigma=sigma.reshape(*shape, MOST_BRANCHES),
         error_bound=error.reshape(*shape, MOST_BRANCHES),
         isolated=isolated.reshape(*shape, MOST_BRANCHES),
-        infeasibility=of([run.infeasibility for run in found]),
+        infeasibility=of([run.infeasibility for run in runs]),
         outcomes=dict(outcomes),
     )

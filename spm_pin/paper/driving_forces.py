@@ -1,7 +1,7 @@
 """The paper's driving forces, Eqs. (32)-(33), and both rows of its Table 5.
 
 Equation (33) inverts J_f, itself the result of a 9 x 9 solve; near an inverse singularity it loses digits that
-the problem does not: see `spm_pin.kinematics.leg_forces`.
+the problem does not: see `spm_pin.kinematics.rates_and_forces`.
 """
 
 from __future__ import annotations

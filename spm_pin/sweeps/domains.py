@@ -16,12 +16,81 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import pose
-from spm_pin.mechanism.arguments import FloatArray, choice, whole_number
-from spm_pin.sweeps.axes import AXES, Axis, AxisRange, Space
+from spm_pin.mechanism import LEGS, pose
+from spm_pin.mechanism.arguments import FloatArray, choice, real_array, whole_number
+
+AxisRange = float | Sequence[float]
+"""One value, (start, stop, count) of a grid, or (start, stop) of a sample [m or rad]."""
+Space = Literal["pose", "legs"]
+"""The coordinates of a domain: poses of the platform, or six leg lengths."""
 
 SamplingMethod = Literal["sobol", "uniform"]
 """The distribution of sampled points: a scrambled Sobol sequence, or independent uniform ones."""
+
+_LENGTHS = {k.lower(): f"{k} of o in {{B}}" for k in "XYZ"} | {leg: f"length of leg {leg}" for leg in LEGS}
+_ANGLES = {name: f"X-Y-X Euler angle {sign}" for name, sign in (("alpha", "α"), ("beta", "β"), ("lambda_", "λ"))}
+AXES: Mapping[str, tuple[str, ...]] = {"pose": ("x", "y", "z", *_ANGLES), "legs": LEGS}
+"""Names of the six coordinates of each space."""
+_MOST_VALUES = 10**8
+"""Values along one axis; they are held in memory."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One coordinate of a domain and its values."""
+
+    name: str
+    """Name of the coordinate, one of `AXES`."""
+    start: float
+    """First value [m or rad]."""
+    stop: float
+    """Last value [m or rad]."""
+    count: int
+    """Number of equally spaced values, both ends included; 1 where the coordinate is fixed, 0 where it is sampled."""
+
+    @staticmethod
+    def from_range(name: str, value: AxisRange, sampled: bool) -> Axis:
+        """Read one value, (start, stop, count), or (start, stop) where the coordinate is sampled."""
+        unit = "radians" if name in _ANGLES else "metres"
+        expected = f"one value or {'(start, stop)' if sampled else '(start, stop, count)'}, in {unit}"
+        numbers = real_array(value, name, (), expected)
+        if numbers.shape not in ((), (2 if sampled else 3,)):
+            raise ArgumentError(name, expected, f"shape {numbers.shape}")
+        start, stop = map(float, numbers[:2] if numbers.ndim else (numbers, numbers))
+        if name in _ANGLES and max(abs(start), abs(stop)) > 2.0 * math.pi:
+            raise ArgumentError(name, "angles within ±2π radians", value, "Degrees instead of radians?")
+        if name in LEGS and start <= 0.0:
+            raise ArgumentError(name, "positive lengths in metres", value)
+        if numbers.ndim == 0:
+            return Axis(name, start, stop, 1)
+        if not start < stop:
+            cause = "The ends exchanged?" if start > stop else "Give a fixed coordinate as one number."
+            raise ArgumentError(name, "start < stop", f"{start:g} and {stop:g}", cause)
+        count = 0.0 if sampled else float(numbers[2])
+        if not sampled and (not 2 <= count <= _MOST_VALUES or count != int(count)):
+            cause = "Give a fixed coordinate as one number." if count == 1 else ""
+            raise ArgumentError(name, f"an integer count of at least 2, at most {_MOST_VALUES}", f"{count:g}", cause)
+        return Axis(name, start, stop, int(count))
+
+    @property
+    def is_fixed(self) -> bool:
+        """True if the coordinate has one value only."""
+        return self.count == 1
+
+    @property
+    def values(self) -> FloatArray:
+        """All values, shape (count,)."""
+        return np.linspace(self.start, self.stop, self.count)
+
+    @property
+    def unit(self) -> str:
+        """Unit, "rad" or "m"."""
+        return "rad" if self.name in _ANGLES else "m"
+
+    @property
+    def description(self) -> str:
+        """One line that says what the coordinate is."""
+        return (_LENGTHS | _ANGLES)[self.name]
 
 
 @dataclass(frozen=True)
@@ -72,23 +141,23 @@ class Domain:
     """How points are drawn from the box of the axes; a lattice, all combinations of their values, if not given."""
 
     @staticmethod
-    def of_ranges(space: Space, ranges: Sequence[AxisRange], sample: Sample | None = None) -> Domain:
+    def from_ranges(space: Space, ranges: Sequence[AxisRange], sample: Sample | None = None) -> Domain:
         """Make a domain of the ranges of the six coordinates."""
         named = zip(AXES[space], ranges, strict=True)
-        axes = tuple(Axis.of_range(name, values, sample is not None) for name, values in named)
-        if all(axis.fixed for axis in axes):
+        axes = tuple(Axis.from_range(name, values, sample is not None) for name, values in named)
+        if all(axis.is_fixed for axis in axes):
             raise ArgumentError("ranges", "at least one coordinate that varies", "six fixed ones")
         return Domain(space, axes, sample)
 
     @property
     def dims(self) -> tuple[str, ...]:
         """Names of the dimensions of the results: those of the axes that are not fixed, or "sample"."""
-        return ("sample",) if self.sample else tuple(axis.name for axis in self.axes if not axis.fixed)
+        return ("sample",) if self.sample else tuple(axis.name for axis in self.axes if not axis.is_fixed)
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Lengths of those dimensions."""
-        return (self.sample.count,) if self.sample else tuple(axis.count for axis in self.axes if not axis.fixed)
+        return (self.sample.count,) if self.sample else tuple(axis.count for axis in self.axes if not axis.is_fixed)
 
     @property
     def size(self) -> int:
@@ -118,13 +187,13 @@ class Domain:
         region = self.region(index, chunk)
         if self.sample:
             count = region[0].stop - region[0].start
-            free = [k for k, axis in enumerate(self.axes) if not axis.fixed]
+            free = [k for k, axis in enumerate(self.axes) if not axis.is_fixed]
             start, stop = np.array([(axis.start, axis.stop) for axis in self.axes]).T
             points = np.tile(start, (count, 1))
             points[:, free] += self.sample.draw(len(free), index, count) * (stop - start)[free]
             return points
         parts = iter(region)
-        values = [axis.values if axis.fixed else axis.values[next(parts)] for axis in self.axes]
+        values = [axis.values if axis.is_fixed else axis.values[next(parts)] for axis in self.axes]
         return np.stack(np.meshgrid(*values, indexing="ij", copy=False), axis=-1).reshape(-1, 6)
 
     def definition(self) -> dict[str, Any]:
@@ -139,7 +208,7 @@ class Domain:
             start if count == 1 else (start, stop, count) if count else (start, stop)
             for start, stop, count in content["axes"].values()
         ]
-        return Domain.of_ranges(content["space"], ranges, content["sample"] and Sample(**content["sample"]))
+        return Domain.from_ranges(content["space"], ranges, content["sample"] and Sample(**content["sample"]))
 
 
 def pose_grid(
@@ -161,19 +230,13 @@ def pose_grid(
     rotation : Rotation or array_like, shape (3, 3), optional
         One orientation instead of `xyx`; it is kept as its X-Y-X angles.
 
-    Raises
-    ------
-    ArgumentError
-        If a range is reversed, empty, not finite, or of fewer than two points, if nothing varies, or if both or neither
-        of `xyx` and `rotation` are given.
-
     Examples
     --------
     >>> grid = pose_grid((-0.5, 0.5, 101), (-0.5, 0.5, 101), 2.4, xyx=[0.3, 0.5, -0.3])
     >>> grid.dims, grid.size
     (('x', 'y'), 10201)
     """
-    return Domain.of_ranges("pose", _pose_ranges(x, y, z, xyx, rotation))
+    return Domain.from_ranges("pose", _pose_ranges(x, y, z, xyx, rotation))
 
 
 def leg_grid(lower: AxisRange | Sequence[AxisRange], upper: AxisRange | Sequence[AxisRange]) -> Domain:
@@ -184,13 +247,8 @@ def leg_grid(lower: AxisRange | Sequence[AxisRange], upper: AxisRange | Sequence
     lower, upper : float, (start, stop, count), or three of these
         Lengths of the lower legs r_b1, r_b2, r_b3 and of the upper legs r_c1, r_c2, r_c3 [m]: the same for the three,
         or one after another in a list. A tuple of three numbers is a range.
-
-    Raises
-    ------
-    ArgumentError
-        As for `pose_grid`, and if a length is not positive.
     """
-    return Domain.of_ranges("legs", _leg_ranges(lower, upper))
+    return Domain.from_ranges("legs", _leg_ranges(lower, upper))
 
 
 def pose_sample(
@@ -217,13 +275,8 @@ def pose_sample(
         Scrambled Sobol sequences, one per chunk, or independent numbers; see `Sample`.
     seed : int
         Seed of the random generator.
-
-    Raises
-    ------
-    ArgumentError
-        As for `pose_grid`, or if `count`, `method` or `seed` is not as above.
     """
-    return Domain.of_ranges("pose", _pose_ranges(x, y, z, xyx, rotation), Sample(count, method, seed))
+    return Domain.from_ranges("pose", _pose_ranges(x, y, z, xyx, rotation), Sample(count, method, seed))
 
 
 def leg_sample(
@@ -244,13 +297,8 @@ def leg_sample(
         As for `leg_grid`.
     method, seed
         As for `pose_sample`.
-
-    Raises
-    ------
-    ArgumentError
-        As for `pose_sample`, and if a length is not positive.
     """
-    return Domain.of_ranges("legs", _leg_ranges(lower, upper), Sample(count, method, seed))
+    return Domain.from_ranges("legs", _leg_ranges(lower, upper), Sample(count, method, seed))
 
 
 def _pose_ranges(

@@ -22,7 +22,7 @@ from spm_pin.kinematics import (
 )
 from spm_pin.mechanism import BRANCHES, Configuration, Geometry, LegLimits, SolutionSet, Status
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
-from spm_pin.sweeps.axes import Space
+from spm_pin.sweeps.domains import Space
 
 Array = TypeVar("Array", bound=npt.NDArray[Any])
 
@@ -46,7 +46,7 @@ class Points:
     space : {"pose", "legs"}
         Kind of the coordinates.
     coordinates : ndarray, shape (N, 6)
-        x, y, z [m] and the X-Y-X angles [rad], or the leg lengths [m].
+        x, y, z [m] and the X-Y-X angles [rad], or the readings of the legs [m], their lengths in a drawn machine.
     """
 
     def __init__(self, geometry: Geometry, space: Space, coordinates: FloatArray) -> None:
@@ -71,18 +71,18 @@ class Points:
         return _locked(np.where(self.assembled.exists, Status.OK, Status.UNREACHABLE).astype(np.int8))
 
     @cached_property
-    def branch_lengths(self) -> FloatArray:
-        """Leg lengths of all branches of the pose [m], shape (N, 8, 6), NaN where one is not real."""
+    def branch_readings(self) -> FloatArray:
+        """Readings of the legs in all branches of the pose [m], shape (N, 8, 6), NaN where one is not real."""
         return self._branches[0]
 
     @cached_property
     def branches_within(self) -> BoolArray:
         """Which branches are real and within the leg limits, shape (N, 8)."""
-        lengths = self.branch_lengths
-        within = np.ones(lengths.shape[:-1], dtype=np.bool_)
+        readings = self.branch_readings
+        within = np.ones(readings.shape[:-1], dtype=np.bool_)
         # Leg by leg: NumPy takes several times as long to reduce a short last axis.
-        for k, (shortest, longest) in enumerate(zip(self.limits.minimum, self.limits.maximum, strict=True)):
-            within &= (lengths[..., k] >= shortest) & (lengths[..., k] <= longest)
+        for leg, (shortest, longest) in enumerate(zip(self.limits.minimum, self.limits.maximum, strict=True)):
+            within &= (readings[..., leg] >= shortest) & (readings[..., leg] <= longest)
         return _locked(within)
 
     @cached_property
@@ -93,26 +93,26 @@ class Points:
         """
         if self.space == "pose":
             return inverse_displacement(self.geometry, self._poses)
-        there = self.assembled.exists
-        found = inverse_displacement(self.geometry, self._poses)
-        branches = found.configurations.transformed(lambda values, _: _spread(values, there))
-        status = _spread(found.status, there, Status.UNREACHABLE).astype(np.int8)
+        exists = self.assembled.exists
+        solutions = inverse_displacement(self.geometry, self._poses)
+        branches = solutions.configurations.transformed(lambda values, _: _spread(values, exists))
+        status = _spread(solutions.status, exists, Status.UNREACHABLE).astype(np.int8)
         return SolutionSet(branches, BRANCHES, status)
 
     @cached_property
     def physical(self) -> Configuration:
         """The physical configuration, shape (N,); NaN where there is none within the leg limits."""
         if self.space == "legs":
-            there = self.limits.contains(self.coordinates) & self.assembled.exists
-            found = self.assembled[there]
+            reachable = self.limits.contains(self.coordinates) & self.assembled.exists
+            states = self.assembled[reachable]
         else:
             # Most points of a box have no branch within the limits: the others alone are solved for the joints.
-            there = np.asarray(self.branches_within.any(axis=-1))
-            poses = _Poses(self._poses.rotation[there], self._poses.translation[there])
-            found = inverse_physical(self.geometry, poses)
-            inside = self.limits.contains(found.readings)
-            there[there], found = inside, found[inside]
-        return found.transformed(lambda values, _: _spread(values, there))
+            reachable = np.asarray(self.branches_within.any(axis=-1))
+            poses = _Poses(self._poses.rotation[reachable], self._poses.translation[reachable])
+            states = inverse_physical(self.geometry, poses)
+            is_within = self.limits.contains(states.readings)
+            reachable[reachable], states = is_within, states[is_within]
+        return states.transformed(lambda values, _: _spread(values, reachable))
 
     @cached_property
     def reachable(self) -> BoolArray:
@@ -160,7 +160,7 @@ class Points:
 
     @cached_property
     def assembled(self) -> Configuration:
-        """The physical configuration with the given leg lengths, limits aside, shape (N,).
+        """The physical configuration with the given readings, limits aside, shape (N,).
 
         Only where points are leg lengths.
         """
@@ -171,16 +171,17 @@ class Points:
         """All poses; where points are leg lengths, those of the physical configurations that exist."""
         if self.space == "pose":
             return _Poses(_xyx_rotations(self.coordinates[:, 3:]), np.ascontiguousarray(self.coordinates[:, :3]))
-        there = self.assembled[self.assembled.exists]
-        return _Poses(there.rotation, there.translation)
+        assembled = self.assembled[self.assembled.exists]
+        return _Poses(assembled.rotation, assembled.translation)
 
     @cached_property
     def _branches(self) -> tuple[FloatArray, npt.NDArray[np.int8]]:
-        """Leg lengths of all branches, shape (N, 8, 6), and the status of the M `_poses`."""
+        """Readings of all branches, shape (N, 8, 6), and the status of the M `_poses`."""
         lengths, status = branch_lengths(self.geometry, self._poses)
+        readings = lengths + self.geometry.legs.offsets
         if self.space == "legs":
-            lengths = _spread(lengths, self.assembled.exists)
-        return _locked(lengths), _locked(status)
+            readings = _spread(readings, self.assembled.exists)
+        return _locked(readings), _locked(status)
 
 
 def _xyx_rotations(angles: FloatArray) -> FloatArray:
@@ -196,10 +197,10 @@ def _xyx_rotations(angles: FloatArray) -> FloatArray:
     return rotations
 
 
-def _spread(values: npt.NDArray[Any], there: BoolArray, absent: float = np.nan) -> FloatArray:
-    """Return an array with `values` (M, ...) where `there` (N,) is true, `absent` elsewhere."""
-    spread = np.full((len(there), *values.shape[1:]), absent)
-    spread[there] = values
+def _spread(values: npt.NDArray[Any], mask: BoolArray, absent: float = np.nan) -> FloatArray:
+    """Return an array with `values` (M, ...) where `mask` (N,) is true, `absent` elsewhere."""
+    spread = np.full((len(mask), *values.shape[1:]), absent)
+    spread[mask] = values
     return spread
 
 

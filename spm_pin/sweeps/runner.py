@@ -17,10 +17,17 @@ from typing import TYPE_CHECKING
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import Geometry
 from spm_pin.sweeps.domains import Domain
-from spm_pin.sweeps.metric import Metric
-from spm_pin.sweeps.metrics import METRICS, unavailable
-from spm_pin.sweeps.store import Store, completed_count, locked, read_plan, store_path
-from spm_pin.sweeps.sweep_errors import StoreError, SweepError, as_store_error
+from spm_pin.sweeps.metrics import METRICS, Metric, unavailable
+from spm_pin.sweeps.store import (
+    Store,
+    StoreError,
+    SweepError,
+    as_store_error,
+    completed_count,
+    locked,
+    read_plan,
+    store_path,
+)
 from spm_pin.sweeps.sweep_plan import SweepPlan, package_version
 from spm_pin.sweeps.workers import WorkersLostError, check_workers, complete_chunks
 
@@ -58,7 +65,7 @@ class SweepStatus:
         return self.done == self.total
 
 
-def run(
+def run_sweep(
     geometry: Geometry,
     domain: Domain,
     metrics: Iterable[str | Metric],
@@ -78,7 +85,7 @@ def run(
     domain : Domain
         Poses or leg lengths: see `pose_grid`, `leg_grid`, `pose_sample`, `leg_sample`.
     metrics : iterable of str or Metric
-        Names from `METRICS`, or metrics of your own.
+        Names from `METRICS`, or metrics of your own. Those continue a store only with a `version`.
     store : path
         Folder of the results, in Zarr v3; on a file system that all workers see. If it exists it must be of this very
         sweep: what is complete in it is verified and kept.
@@ -100,20 +107,6 @@ def run(
         The results, read from the store when used. Besides the metrics it has `status`, a `Status` for each point, and
         -128 where nothing has been computed.
 
-    Raises
-    ------
-    ArgumentError
-        If an argument is not what it should be, `store` is something else or of another sweep, or the scheduler cannot
-        be reached.
-    StoreError
-        If the store cannot be read or written.
-    StoreLockedError
-        If another process is at work on the store.
-    SweepError
-        If it stopped: on a full disk, by a worker that died again and again, by a scheduler that is gone.
-    MissingExtraError
-        Without the extra ``cluster``.
-
     Notes
     -----
     It may be killed at any moment. A chunk counts as done when its record is on the disk, which is written after all
@@ -126,7 +119,7 @@ def run(
     return _run(plan, store_path(store), scheduler, workers, progress)
 
 
-def resume(
+def resume_sweep(
     store: str | os.PathLike[str],
     *,
     scheduler: str | Client | None = None,
@@ -138,15 +131,7 @@ def resume(
     Parameters
     ----------
     store, scheduler, workers, progress
-        As for `run`.
-
-    Raises
-    ------
-    ArgumentError
-        If there is no such store, it has metrics of your own, or another version of this package made it; and as for
-        `run`.
-    StoreError, StoreLockedError, SweepError, MissingExtraError
-        As for `run`.
+        As for `run_sweep`.
     """
     path = store_path(store)
     plan, here = read_plan(path), package_version()
@@ -155,23 +140,18 @@ def resume(
         raise ArgumentError("store", f"a sweep of spm_pin {here}", f"{path}, made by {plan.version}", cause)
     unknown = [metric.name for metric in plan.metrics if metric.function is unavailable]
     if unknown:
-        cause = "A metric of your own has to be given again, to `run`, with all the rest."
+        cause = "A metric of your own has to be given again, to `run_sweep`, with all the rest."
         raise ArgumentError("metrics", f"metrics among {', '.join(METRICS)}", ", ".join(unknown), cause)
     return _run(plan, path, scheduler, workers, progress)
 
 
-def status(store: str | os.PathLike[str]) -> SweepStatus:
+def sweep_status(store: str | os.PathLike[str]) -> SweepStatus:
     """Return the progress of a sweep, without disturbing it.
 
     Parameters
     ----------
     store : path
-        The folder that `run` was given.
-
-    Raises
-    ------
-    ArgumentError, StoreError
-        If there is no such store, or it cannot be read.
+        The folder that `run_sweep` was given.
     """
     path = store_path(store)
     plan = read_plan(path)
@@ -185,25 +165,18 @@ def status(store: str | os.PathLike[str]) -> SweepStatus:
     )
 
 
-def open_store(store: str | os.PathLike[str]) -> xarray.Dataset:
+def open_sweep(store: str | os.PathLike[str]) -> xarray.Dataset:
     """Open the results of a sweep, complete or not, without disturbing it.
 
     Parameters
     ----------
     store : path
-        The folder that `run` was given.
+        The folder that `run_sweep` was given.
 
     Returns
     -------
     xarray.Dataset
-        As `run` returns it; the same as ``xarray.open_zarr(store)``, after a check of the metadata.
-
-    Raises
-    ------
-    ArgumentError, StoreError
-        If there is no such store, or it cannot be read.
-    MissingExtraError
-        Without the extra ``cluster``.
+        As `run_sweep` returns it; the same as ``xarray.open_zarr(store)``, after a check of the metadata.
     """
     path = store_path(store)
     read_plan(path)
@@ -231,7 +204,7 @@ def _run(
         try:
             with contextlib.closing(complete_chunks(plan, path, scheduler, workers)) as chunks:
                 for chunk in chunks:
-                    done += plan.points_of(chunk)
+                    done += plan.chunk_size(chunk)
                     report(done, total)
         except KeyboardInterrupt as interrupt:
             interrupt.add_note(str(SweepError(str(path), "interrupted", completed_count(path), plan.count)))
@@ -239,4 +212,4 @@ def _run(
         except (StoreError, WorkersLostError) as error:
             raise SweepError(str(path), str(error), completed_count(path), plan.count) from error
         store.remove_drafts()
-    return open_store(path)
+    return open_sweep(path)

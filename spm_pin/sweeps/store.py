@@ -24,18 +24,90 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError
+from spm_pin.errors import ArgumentError, SpmError
 from spm_pin.mechanism.arguments import file_path
-from spm_pin.sweeps.metric import DTYPES
-from spm_pin.sweeps.sweep_errors import StoreError, StoreLockedError, as_store_error
+from spm_pin.sweeps.metrics import DTYPES
 from spm_pin.sweeps.sweep_plan import FORMAT, SweepPlan, definition_differences
 
 _LOCK = "sweep/lock"
 _RECORDS = "sweep/crc32c"
 _WRITTEN = ("bytes", "zstd", "crc32c", *DTYPES)
 """Codecs and types of a store."""
+_SHOWN = 4
+"""Differences between a store and a sweep that a message spells out."""
 _CHUNK = r"c(\.\d+)*"
 _DRAFT = rf"({_CHUNK}|zarr)\.[0-9a-f]{{32}}\.partial"
+
+
+_UNREADABLE = (SpmError, LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError)
+"""Exceptions raised while damaged contents of a store are read."""
+
+
+class SweepError(SpmError):
+    """A sweep that stopped; what it had done is kept.
+
+    Attributes
+    ----------
+    store : str
+        Path of the store.
+    reason : str
+        Why it stopped.
+    done, total : int
+        Chunks that are complete, and all chunks.
+    """
+
+    def __init__(self, store: str, reason: str, done: int, total: int) -> None:
+        self.store = store
+        self.reason = reason
+        self.done = done
+        self.total = total
+        super().__init__(
+            f"{reason}. {done} of {total} chunks are complete in {store} and stay so; "
+            "the same sweep, started again, does the others"
+        )
+
+
+class StoreError(SpmError):
+    """A store that cannot be read or written.
+
+    Attributes
+    ----------
+    path : str
+        The store.
+    reason : str
+        What failed, and on which host.
+    """
+
+    def __init__(self, path: str, reason: str) -> None:
+        self.path = path
+        self.reason = reason
+        super().__init__(f"{path}: {reason}")
+
+
+class StoreLockedError(StoreError):
+    """Another process is at work on a store."""
+
+
+@contextlib.contextmanager
+def as_store_error(path: Path, reading: str = "") -> Iterator[None]:
+    """Turn an `OSError` into a `StoreError` that says where it happened.
+
+    Where something is read, `reading` says what; the errors that its damaged contents raise become a `StoreError` too.
+    """
+    try:
+        yield
+    except StoreError:
+        raise
+    except OSError as error:
+        where = f" at {error.filename}" if error.filename and str(error.filename) != str(path) else ""
+        reason = f"{(error.strerror or str(error)).lower()}{where}, on host {socket.gethostname()}"
+        raise StoreError(str(path), reason) from error
+    except _UNREADABLE as error:
+        if not reading:
+            raise
+        text = " ".join(str(error).split())[:200]
+        reason = f"its {reading} cannot be read ({type(error).__name__}: {text}). Sweep into another folder"
+        raise StoreError(str(path), reason) from error
 
 
 class Store:
@@ -52,7 +124,8 @@ class Store:
         lines = definition_differences(read_plan(path).definition(), plan.definition())
         if lines:
             expected = "a new folder, or one with a store of this very sweep"
-            raise ArgumentError("store", expected, f"{path}, where {'; '.join(lines)}")
+            more = [f"{len(lines) - _SHOWN} more differences"] if len(lines) > _SHOWN else []
+            raise ArgumentError("store", expected, f"{path}, where {'; '.join([*lines[:_SHOWN], *more])}")
         self._names = tuple(metric.name for metric in plan.variables)
         with as_store_error(path, "metadata"):
             group = zarr.open_group(path, mode="r+", zarr_format=3)
@@ -64,7 +137,11 @@ class Store:
 
     @classmethod
     def create(cls, path: Path, plan: SweepPlan) -> Store:
-        """Open the store; make it if there is none or an empty folder. It is created atomically."""
+        """Open the store; make it, atomically, if there is none or an empty folder.
+
+        A store that exists is refused to a metric without a version: its values may be those of another function.
+        """
+        is_new = False
         with as_store_error(path):
             if not path.exists() or (path.is_dir() and not any(path.iterdir())):
                 # A process that is killed leaves this hidden folder behind: no later one can find out whose it is.
@@ -75,12 +152,18 @@ class Store:
                         _synchronise(*(Path(place, name) for name in (*files, ".")))
                     try:
                         draft.rename(path)
+                        is_new = True
                     except OSError:
                         if not (path / "zarr.json").exists():
                             raise
                         # Another process has made a store in the meantime; whether it is of this sweep is seen below.
                 _synchronise(path.parent)
-        return cls(path, plan)
+        store = cls(path, plan)
+        if plan.unversioned and not is_new:
+            expected = "metrics of your own that state a version, to continue a store"
+            cause = "It may hold the values of another function: state version=..., and sweep into another folder"
+            raise ArgumentError("metrics", expected, f"{', '.join(plan.unversioned)} without one, and {path}", cause)
+        return store
 
     def is_complete(self, index: tuple[int, ...]) -> bool:
         """Return whether the chunk at `index` has been written, and is still as it was."""
@@ -237,8 +320,8 @@ def _create(path: Path, plan: SweepPlan) -> None:
         if axis.count:
             group.create_array(
                 axis.name,
-                data=np.asarray(axis.start) if axis.fixed else axis.values,
-                dimension_names=() if axis.fixed else (axis.name,),
+                data=np.asarray(axis.start) if axis.is_fixed else axis.values,
+                dimension_names=() if axis.is_fixed else (axis.name,),
                 attributes={"units": axis.unit, "long_name": axis.description},
             )
     layout: dict[str, Any] = {

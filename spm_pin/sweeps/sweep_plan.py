@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
 from typing import Any
@@ -14,15 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import Geometry, LegLimits
+from spm_pin.mechanism import Geometry, LegLimits, Legs
 from spm_pin.mechanism.arguments import check_instance
-from spm_pin.sweeps.axes import AXES
-from spm_pin.sweeps.domains import Domain
-from spm_pin.sweeps.metric import Metric
-from spm_pin.sweeps.metrics import metric_from_definition, resolve_metrics, status
+from spm_pin.sweeps.domains import AXES, Domain
+from spm_pin.sweeps.metrics import STATUS, Metric, resolve_metrics
 from spm_pin.sweeps.points import Points
 
-FORMAT = 2
+FORMAT = 3
 """Version of the layout of a store."""
 
 _BLOCK = 8192
@@ -52,9 +50,9 @@ class SweepPlan:
         check_instance(domain, Domain, "domain", "Made by pose_grid, leg_grid, pose_sample or leg_sample?")
         # By name, so that their order makes no other sweep.
         ordered = tuple(sorted(resolve_metrics(metrics), key=lambda metric: metric.name))
-        taken = [metric.name for metric in ordered if metric.name in _RESERVED]
-        if taken:
-            raise ArgumentError("metrics", "names other than those of the coordinates", ", ".join(taken))
+        reserved = [metric.name for metric in ordered if metric.name in _RESERVED]
+        if reserved:
+            raise ArgumentError("metrics", "names other than those of the coordinates", ", ".join(reserved))
         return cls(geometry, domain, ordered, domain.chunk_shape(chunk), package_version())
 
     @property
@@ -65,12 +63,17 @@ class SweepPlan:
             for k, axis in enumerate(self.domain.axes)
             if axis.count == 0
         ]
-        return (*sampled, status, *self.metrics)
+        return (*sampled, STATUS, *self.metrics)
+
+    @property
+    def unversioned(self) -> tuple[str, ...]:
+        """Names of metrics whose function may be another one than in an earlier run, without any sign of it."""
+        return tuple(m.name for m in self.metrics if not m.is_of_package and m.version is None)
 
     @property
     def chunks(self) -> tuple[int, ...]:
         """Number of chunks along each dimension."""
-        return tuple(-(-length // part) for length, part in zip(self.domain.shape, self.chunk, strict=True))
+        return tuple(-(-length // size) for length, size in zip(self.domain.shape, self.chunk, strict=True))
 
     @property
     def count(self) -> int:
@@ -81,7 +84,7 @@ class SweepPlan:
         """Iterate over the indices of the chunks, without a list of them."""
         return (tuple(map(int, np.unravel_index(number, self.chunks))) for number in range(self.count))
 
-    def points_of(self, index: tuple[int, ...]) -> int:
+    def chunk_size(self, index: tuple[int, ...]) -> int:
         """Return the number of points of the chunk at `index`."""
         return math.prod(part.stop - part.start for part in self.domain.region(index, self.chunk))
 
@@ -102,13 +105,14 @@ class SweepPlan:
 
     def definition(self) -> dict[str, Any]:
         """Return the inputs that determine the results, as JSON."""
-        geometry = asdict(self.geometry)
-        if geometry["limits"]:
-            geometry["limits"] = [[x if math.isfinite(x) else None for x in end] for end in geometry["limits"].values()]
+        geometry, limits = self.geometry, self.geometry.limits
+        sizes = {name: getattr(geometry, name) for name in ("base_radius", "platform_radius", "middle_side")}
+        ends = limits and [[x if math.isfinite(x) else None for x in end] for end in (limits.minimum, limits.maximum)]
+        legs = {name: getattr(geometry.legs, name).tolist() for name in ("axes", "pivots", "balls", "offsets")}
         return {
             "format": FORMAT,
             "spm_pin": self.version,
-            "geometry": geometry,
+            "geometry": {**sizes, "limits": ends, "legs": legs},
             "domain": self.domain.definition(),
             "metrics": [metric.definition() for metric in self.metrics],
             "chunk": list(self.chunk),
@@ -122,13 +126,13 @@ class SweepPlan:
         `SpmError`, or in one of the errors of subscripts, attributes, types and values.
         """
         sizes = dict(content["geometry"])
-        limits = sizes.pop("limits")
+        limits, legs = sizes.pop("limits"), Legs(**sizes.pop("legs"))
         if limits is not None:
             limits = LegLimits(*([math.inf if x is None else x for x in end] for end in limits))
         domain = Domain.from_definition(content["domain"])
-        metrics = tuple(map(metric_from_definition, content["metrics"]))
+        metrics = tuple(map(Metric.from_definition, content["metrics"]))
         chunk = domain.chunk_shape(math.prod(content["chunk"]))
-        plan = cls(Geometry(**sizes, limits=limits), domain, metrics, chunk, str(content["spm_pin"]))
+        plan = cls(Geometry(**sizes, limits=limits, legs=legs), domain, metrics, chunk, str(content["spm_pin"]))
         lines = definition_differences(content, plan.definition())
         if lines:
             raise ValueError(lines[0])
@@ -158,5 +162,5 @@ def definition_differences(stored: Any, requested: Any, where: str = "") -> list
             stored, requested = ([metric["name"] for metric in side] for side in (stored, requested))
     if pairs or stored == requested:
         return [line for name, *pair in pairs for line in definition_differences(pair[0], pair[1], name)]
-    there, here = (json.dumps(value, ensure_ascii=False) for value in (stored, requested))
-    return [f"{where} is {there} in the store and {here} in this sweep"]
+    old, new = (json.dumps(value, ensure_ascii=False) for value in (stored, requested))
+    return [f"{where} is {old} in the store and {new} in this sweep"]

@@ -17,10 +17,8 @@ import numpy as np
 
 from spm_pin.errors import ArgumentError, SpmError
 from spm_pin.mechanism.arguments import check_instance, whole_number
-from spm_pin.sweeps.metrics import METRICS
 from spm_pin.sweeps.points import Points
-from spm_pin.sweeps.store import Store
-from spm_pin.sweeps.sweep_errors import StoreError
+from spm_pin.sweeps.store import Store, StoreError
 from spm_pin.sweeps.sweep_plan import SweepPlan, package_version
 
 if TYPE_CHECKING:
@@ -115,7 +113,7 @@ def _compile_kernels(plan: SweepPlan) -> None:
     # Whether the point is reached does not matter: kernels are called, and so compiled, without any items too.
     points = Points(plan.geometry, plan.domain.space, np.array([[axis.start for axis in plan.domain.axes]]))
     for metric in plan.variables:
-        if metric.name == "status" or metric.name in METRICS:
+        if metric.is_of_package:
             with contextlib.suppress(SpmError):
                 metric.evaluate(points)
 

@@ -1,7 +1,4 @@
-"""The closed forms outside of Python: CasADi functions with derivatives of any order, and C99 for controllers.
-
-Both are made from the kernels' own source, see `spm_pin.kinematics.kernels`.
-"""
+"""The kinematics outside of Python: CasADi functions with derivatives of any order, and C99 for controllers."""
 
 from spm_pin.symbolic.c_export import c_sources, write_c
 from spm_pin.symbolic.functions import (
@@ -10,6 +7,7 @@ from spm_pin.symbolic.functions import (
     inverse_branch,
     inverse_jacobian,
     inverse_physical,
+    joint_values,
     leg_forces,
 )
 
@@ -20,6 +18,7 @@ __all__ = [
     "inverse_branch",
     "inverse_jacobian",
     "inverse_physical",
+    "joint_values",
     "leg_forces",
     "write_c",
 ]

@@ -1,41 +1,96 @@
-"""The closed forms in C99, for controllers: one header, one source file, a test program and a CMake file."""
+"""The kinematics in C99, for controllers: one header, one source file, a test program and a CMake file.
+
+`STATE_FUNCTIONS` is the table of what the C computes from a state. Header, source, test program, the bindings of the
+tests, the benchmark and the page's table follow from it; a recipe for one more is in CONTRIBUTING.md.
+"""
 
 from __future__ import annotations
 
 import re
 import shutil
 import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
 from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from spm_pin.description.tree import JOINTS, joint_values
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import forward_physical, inverse_displacement, inverse_jacobian, inverse_physical, leg_forces
-from spm_pin.kinematics.stage_wrenches import SINGULAR
-from spm_pin.mechanism import Geometry, LegLimits
+from spm_pin.kinematics.rates_and_forces import SINGULAR
+from spm_pin.mechanism import BRANCHES, Configuration, Geometry, LegLimits
 from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path
-from spm_pin.mechanism.pose import EXACT
-from spm_pin.symbolic.c_translation import Program
-from spm_pin.symbolic.c_types import Array, Type, literal
+from spm_pin.symbolic import functions
+from spm_pin.symbolic.functions import Drawn
+from spm_pin.symbolic.machine import FIELDS, Machine, State, all_of
+
+STATUSES = {
+    "OK": (0, "the result is whole and finite"),
+    "UNREACHABLE": (1, "no real solution, or none that is physical"),
+    "DEGENERATE": (2, "the Z axes are parallel, or a family is continuous: the pose leaves the legs undetermined"),
+    "SINGULAR": (3, "the state is singular to rounding, or the way from the state to begin from is"),
+    "NOT_FINITE": (-1, "an argument is NaN or infinite"),
+    "NOT_A_ROTATION": (-2, "an entry of R^T R - I is above 1e-6, or R is a reflection"),
+    "OUT_OF_RANGE": (-3, "a length is not positive, a place farther than 1e5 (E + C + d), or a result infinite"),
+    "BAD_GEOMETRY": (-4, "numbers that are no machine; of `all_branches` one as built"),
+    "BAD_NEAR": (-5, "the state to begin from does not close to 1e-6 d"),
+}
+"""Value and meaning of what each function returns; negative ones are errors of the caller."""
+
+
+@dataclass(frozen=True)
+class StateFunction:
+    """A function of the C that computes numbers from a state."""
+
+    name: str
+    compute: Callable[..., dict[str, Any]]  # from a `State` and the arguments
+    arguments: dict[str, FloatArray]  # values for the test program
+    result: str
+    count: int
+    singular: str  # the singularities it is refused at: "forward", "inverse" or none
+    answer: Callable[..., npt.ArrayLike]  # from a `Configuration` and the arguments
+    meaning: str
+
+
+_WRENCH = np.array([30.0, -20.0, -500.0, 4.0, -6.0, 8.0])
+
+STATE_FUNCTIONS = (
+    StateFunction(
+        *("inverse_jacobian", functions.jacobian_of, {}, "jacobian", 36, "inverse", inverse_jacobian),
+        "J_f (6 x 6, row by row), from the platform's twist (v of o, omega) in {B} to the leg rates",
+    ),
+    StateFunction(
+        *("leg_forces", functions.forces_of, {"wrench": _WRENCH}, "forces", 6, "forward", leg_forces),
+        "the leg forces that hold a wrench (force, moment at o) in {B}, applied to the platform; positive pushes",
+    ),
+    StateFunction(
+        *("joint_values", functions.values_of, {}, "values", 18, ""),
+        lambda state: [joint_values(state)[name] for name in JOINTS],
+        "the values of the description's eighteen joints [rad, m], in the order of its tree",
+    ),
+)
 
 _NAMES = "kinematics.h", "kinematics.c", "kinematics_test.c"
 _CASES = 12
 _SPREAD = 1e3
-_WRENCH = np.array([30.0, -20.0, -500.0, 4.0, -6.0, 8.0])
+MOST_STEPS, SHORTEST = 2_000, 1e-7
+"""Steps along a way at most, those tried in vain counted; and the shortest, as a part of it: before a singularity."""
 
 
 def c_sources(geometry: Geometry, *, prefix: str = "spm_") -> dict[str, str]:
-    """Return the C library of a machine: the closed forms, without memory allocation, dependent on `math.h` alone.
+    """Return the C library of a machine, without memory allocation, dependent on `math.h` alone.
 
     Parameters
     ----------
     geometry : Geometry
-        The machine that is built in. The functions take other dimensions too.
+        The machine that is built in, drawn or as built. The functions take others too.
     prefix : str
         What all names begin with.
 
@@ -43,18 +98,13 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_") -> dict[str, str]:
     -------
     dict of str
         The texts of `spm_kinematics.h`, `spm_kinematics.c`, `spm_kinematics_test.c` and `CMakeLists.txt` by their
-        names. The functions are the inverse displacement, all branches and the physical one, the forward displacement,
-        the inverse Jacobian and the leg forces.
+        names.
 
     Raises
     ------
     ArgumentError
-        If `geometry` is no `Geometry`, which one as built is not, if one of its dimensions is more than 1000 times
-        another, or `prefix` cannot begin a name in C.
+        If one of the dimensions is more than 1000 times another, or `prefix` cannot begin a name in C.
     """
-    if not geometry.is_nominal:
-        cause = "The eight roots of a machine as built take an iteration; export its .nominal"
-        raise ArgumentError("geometry", "a Geometry", "a machine as built", cause)
     check_instance(geometry, Geometry, "geometry")
     smallest, largest = min(geometry.dimensions), max(geometry.dimensions)
     if largest > _SPREAD * smallest:
@@ -63,30 +113,47 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_") -> dict[str, str]:
     if not isinstance(prefix, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", prefix, re.ASCII):
         raise ArgumentError("prefix", "letters, digits and underscores that can begin a name in C", repr(prefix))
     version = import_module("spm_pin").__version__
-    kernels, names = _translated()
-    limits = geometry.limits or LegLimits(0.0, np.inf)
     values = {
         "PREFIX": prefix,
         "PREFIX_UPPER": prefix.upper(),
         "VERSION": version,
         "ORIGIN": f"Generated by spm_pin {version} for {geometry!r}.",
-        "EXACT": literal(EXACT).code,
-        "SINGULAR": literal(SINGULAR).code,
-        "BASE_RADIUS": literal(geometry.base_radius).code,
-        "PLATFORM_RADIUS": literal(geometry.platform_radius).code,
-        "MIDDLE_SIDE": literal(geometry.middle_side).code,
-        "MINIMUM": _row(limits.minimum),
-        "MAXIMUM": _row(limits.maximum),
-        **names,
+        "SINGULAR": repr(SINGULAR),
+        "MOST_STEPS": str(MOST_STEPS),
+        "SHORTEST": repr(SHORTEST),
+        "MACHINE": ",\n".join(f"    {{{_row(numbers)}}}" for numbers in machine_fields(geometry).values()),
+        "STATUSES": "\n".join(
+            f"    @PREFIX_UPPER@{name} = {value}, /* {meaning} */" for name, (value, meaning) in STATUSES.items()
+        ).replace(", /* the state to", " /* the state to"),
+        "STATUS_NAMES": "\n".join(
+            f'    case @PREFIX_UPPER@{name}: return "{name.lower().replace("_", " ")}";' for name in STATUSES
+        ),
+        "FORMULAS": "\n".join(_c_text(function) for function in _formulas()),
         **_known_answers(geometry),
-        "KERNELS": kernels,
     }
     folder = files("spm_pin.symbolic") / "templates"
 
-    def text(template: str) -> str:
-        return re.sub(r"@(\w+)@", lambda found: values[found[1]], (folder / template).read_text(encoding="utf-8"))
+    def filled(text: str, known: dict[str, str]) -> str:
+        while "@" in text:
+            text = re.sub(r"@(\w+)@", lambda match: known[match[1]], text)
+        return text
 
-    return {f"{prefix}{name}": text(name) for name in _NAMES} | {"CMakeLists.txt": text("CMakeLists.txt")}
+    def template(name: str) -> str:
+        return (folder / name).read_text(encoding="utf-8")
+
+    snippets = [values | _snippets(function) for function in STATE_FUNCTIONS]
+    for key, of_one in (
+        ("STATE_FUNCTIONS", template("state_function.c")),
+        ("PROTOTYPES", "/* @COMMENT@. */\nint @PREFIX@@NAME@(@PARAMETERS@);\n\n"),
+        (
+            "CALLS",
+            '    expect("@NAME@", n, @PREFIX@@NAME@(@CALL@), @PREFIX_UPPER@OK);\n'
+            '    compare("@NAME@", n, numbers, @NAME@_answers[n], @COUNT@);\n',
+        ),
+    ):
+        values[key] = "".join(filled(of_one, snippet) for snippet in snippets)
+    texts = {f"{prefix}{name}": filled(template(name), values) for name in _NAMES}
+    return texts | {"CMakeLists.txt": filled(template("CMakeLists.txt"), values)}
 
 
 def write_c(geometry: Geometry, directory: str | Path, *, prefix: str = "spm_") -> list[Path]:
@@ -134,84 +201,180 @@ def write_c(geometry: Geometry, directory: str | Path, *, prefix: str = "spm_") 
     return [folder / name for name in sources]
 
 
-def _translated() -> tuple[str, dict[str, str]]:
-    """Return the kernels in C, and their names there."""
-    from spm_pin.kinematics.kernels import branch_kernels as branches
-    from spm_pin.kinematics.kernels import branch_tiles, degeneracy_kernel, singular_values
-    from spm_pin.kinematics.kernels import continuation_kernel as continuation
-    from spm_pin.kinematics.kernels import jacobian_kernels as jacobians
-    from spm_pin.kinematics.kernels import mode_kernels as modes
+def machine_fields(geometry: Geometry) -> dict[str, FloatArray]:
+    """Return the numbers of an `spm_geometry` by the names of its fields."""
+    limits = geometry.limits or LegLimits(0.0, np.inf)
+    arrays = geometry.dimensions, *geometry.legs.arrays, limits.minimum, limits.maximum
+    return {name: np.ravel(numbers).astype(float) for name, numbers in zip(FIELDS, arrays, strict=True)}
 
-    def array(*shape: int, item: str = "double") -> Array:
-        return Array(item, shape)
 
-    real, byte, small = "double", "unsigned char", "signed char"
-    flag, state = array(1, item=byte), (array(1, 1, 3, 3), array(1, 1, 3, 3), array(1, 1, 3))
-    rotation, position, joints = array(1, 3, 3), array(1, 3), array(1, 3, 3)
-    posed, sizes = (rotation, position), (real,) * 3
-    branch = array(1, 8, 3, 3), array(1, 8, 6), array(1, 4), array(1, 3, item=byte), array(1, item=small), flag
-    entries: tuple[tuple[Any, tuple[Type, ...]], ...] = (
-        (branches.are_rigid, (*posed, real)),
-        (branches.all_branches, (*posed, *sizes, *posed, *branch)),
-        (branches.physical_branches, (*posed, *sizes, array(2, 6), *posed, joints, array(1, 6))),
-        (degeneracy_kernel.continuous_families, (*posed, real, array(1, 4, item=byte), array(1, item=small))),
-        (modes.home_modes, (array(1, 6), *sizes, *posed, joints, flag)),
-        (modes.home_modes_of_all, (array(1, 6), *sizes, *posed, joints)),
-        (modes.compose_all, (array(1, 5), array(1, 5), real, *posed, joints)),
-        (continuation.stage_states, (array(2, 3, 3), real, array(2, 4), array(2, item=byte))),
-        (
-            continuation.follow_stages,
-            (array(2, 3), array(2, 3), array(2), array(2, 4), array(2, 4), array(2, item=byte)),
-        ),
-        (jacobians.inverse_jacobians, (*state, *sizes, real, array(1, 6, 6), flag)),
-        (jacobians.stage_forces, (*state, array(1, 1, 6), *sizes, real, array(1, 6), flag)),
-        (singular_values.singular_values, (array(1, 6, 6), array(1, 6))),
+def _formulas() -> list[ca.Function]:
+    """Return the functions that the C calls, of flat arrays, matrices row by row."""
+    machine = Machine.of_symbols()
+    flat, position, balls = (ca.SX.sym(name, n) for name, n in (("r", 9), ("o", 3), ("balls", 6)))
+    joints, rotation = ca.SX.sym("joints", 9), _matrix(flat)
+    state, pose = State(machine, _matrix(joints), rotation, position), [flat, position]
+    drawing = Machine.of_symbols()
+    drawing._draw(machine.base, machine.platform, machine.side)
+    drawing.is_drawn = True
+    drawn = Drawn(drawing, rotation, position)
+
+    def made(name: str, inputs: list[Any], *outputs: Any) -> ca.Function:
+        dense = [_flat(x) for x in outputs]
+        return ca.Function(name, [*inputs, *machine.inputs], dense)
+
+    made_functions = []
+    for k, name in enumerate(("lower_stage", "upper_stage")):
+        lengths = ca.SX.sym("lengths", 3)
+        error = functions.stage_equations(machine, k, balls, lengths)
+        curvature = ca.vertcat(*[0.5 / machine.side] * 3, *(2.0 / s for s in machine.sides(k)))
+        none = ca.SX.zeros(6)
+        made_functions.append(made(name, [balls, lengths], error, ca.jacobian(error, balls), curvature, none, none))
+    # Of the closure: how far terms of second order go, and how the planes of the upper legs move.
+    error = functions.closure_equations(machine, balls, rotation, position)
+    points = [machine.frames[i].point(balls[2 * i : 2 * i + 2]) for i in range(3)]
+    upper, weights = machine.all_balls(points)[3:], [[ca.fabs(x) for x in w] for w in machine.ball_weights()]
+    arms = ca.norm_2(points[1] - points[0]) + ca.norm_2(points[2] - points[0])
+    curvature = ca.vertcat(*(2.0 / s for s in machine.sides(0)), *(4.0 * w for _, _, w in weights))
+    tilt = ca.vertcat(0, 0, 0, *(1.0 + 2.0 * (u + v + w * arms) for u, v, w in weights))
+    lever = ca.vertcat(0, 0, 0, *(ca.norm_2(p - position) for p in upper))
+    made_functions.append(made("closure", [balls, *pose], error, ca.jacobian(error, balls), curvature, tilt, lever))
+    made_functions.append(made("lower_balls", [balls], ca.vertcat(*points)))
+
+    both = ca.SX.sym("lower", 6), ca.SX.sym("upper", 6)
+    placed_rotation, placed_position, placed_joints = functions.placed(machine, *both)
+    made_functions.append(made("placed_platform", list(both), placed_rotation, placed_position, placed_joints))
+    lengths = ca.SX.sym("lengths", 6)
+    levels = [functions.level_stage(machine, k, lengths[3 * k : 3 * k + 3]) for k in (0, 1)]
+    made_functions.append(made("level_stages", [lengths], *levels))
+    gap = ca.mmax(ca.fabs(functions.residual_of(state)["residual"])) / machine.side
+    made_functions.append(made("in_planes", [joints, *pose], *state.in_planes(), gap))
+    made_functions.append(made("describe", [joints, *pose], state.readings, *state.is_physical()))
+    rows = [state.force_rows(x) for x in ([v / n for v, n in functions.legs_of(state)], state.axes)]
+    made_functions.append(made("force_rows", [joints, *pose], *rows))
+
+    starts = ca.vertcat(*functions.drawn_starts(machine, drawn))
+    made_functions.append(made("drawn_branches", pose, starts, drawn.is_continuous("TT")))
+    branches = [drawn.branch(label[:2], 1.0 if label[2] == "+" else -1.0) for label in BRANCHES]
+    lengths = ca.vertcat(*(State(drawing, b, rotation, position).lengths for b in branches))
+    discriminants = ca.vertcat(*map(drawn.discriminant, Drawn.FAMILIES))
+    real = ca.vertcat(*(drawn.is_real(label[:2]) for label in BRANCHES))
+    continuous = 1.0 - all_of([ca.logic_not(drawn.is_continuous(family)) for family in Drawn.FAMILIES])
+    every = ca.vertcat(*(_flat(b) for b in branches))
+    made_functions.append(made("all_drawn_branches", pose, every, lengths, discriminants, real, continuous))
+
+    areas = []
+    for b in (machine.balls[:3], machine.balls[3:]):
+        sides = [ca.sumsqr(b[i] - b[(i + 1) % 3]) for i in range(3)]
+        areas.append(ca.norm_2(ca.cross(b[1] - b[0], b[2] - b[0])) / ca.mmax(ca.vertcat(*sides)))
+    made_functions.append(made("triangle_areas", [], ca.vertcat(*areas)))
+    size, pairs = machine.base + machine.platform + machine.side, []
+    for name, unit in (("axes", 1.0), ("pivots", size), ("balls", size)):
+        pairs += [(a - b) / unit for a, b in zip(getattr(machine, name), getattr(drawing, name), strict=True)]
+    error = ca.mmax(ca.fabs(ca.vertcat(*pairs, machine.offsets / size)))
+    made_functions.append(made("drawing_error", [], error))
+
+    for function in STATE_FUNCTIONS:
+        further = [ca.SX.sym(name, len(numbers)) for name, numbers in function.arguments.items()]
+        (result,) = function.compute(state, *further).values()
+        made_functions.append(made(f"{function.name}_of", [joints, *pose, *further], result))
+    return made_functions
+
+
+def _matrix(numbers: Any) -> Any:
+    return ca.reshape(numbers, 3, 3).T
+
+
+def _flat(matrix: Any) -> Any:
+    """Return a matrix as a column, row by row."""
+    dense = ca.densify(ca.SX(matrix))
+    return ca.vec(dense.T)
+
+
+def _c_text(function: ca.Function) -> str:
+    """Return a function in C, of arrays of arguments and of results."""
+    generator = ca.CodeGenerator("generated.c", {"with_header": False, "with_export": False, "casadi_int": "int"})
+    generator.add(function)
+    text = re.sub(r"\bcasadi_real\b", "double", generator.dump())
+    (body,) = re.findall(r"^static int casadi_f0\([^)]*\) {\n(.*?)^  return 0;\n}", text, re.MULTILINE | re.DOTALL)
+    # No argument is ever left out.
+    body = re.sub(r"(arg\[\d+\])\? (arg\[\d+\]\[\d+\]) : 0;", r"\2;", body)
+    body = re.sub(r"if \(res\[\d+\]!=0\) ", "", body).replace("casadi_inf", "INFINITY")
+    unused = "" if "arg[" in body else "  (void)arg;\n"
+    head = f"static void {function.name()}(const double *const *arg, double *const *res)"
+    return f"{head}\n{{\n{body.rstrip()}\n{unused}}}\n"
+
+
+def _snippets(function: StateFunction) -> dict[str, str]:
+    """Return what a function of the table puts in place of the marks in texts about it."""
+    constants = [f"const double {name}[{len(x)}]" for name, x in function.arguments.items()]
+    head = ["const @PREFIX@geometry *geometry", "const @PREFIX@state *state", *constants]
+    checks = "".join(
+        f"    status = status != @PREFIX_UPPER@OK ? status : check_numbers({name}, {len(x)}, DBL_MAX);\n"
+        for name, x in function.arguments.items()
     )
-    program = Program({"TILE": 1})
-    names = {kernel.py_func.__name__: program.add(kernel, kinds)[0] for kernel, kinds in entries}
-    return program.text, {**names, "VERTICAL": str(branch_tiles.VERTICAL)}
+    singular = f"is_singular(geometry, state, {int(function.singular == 'forward')})" if function.singular else "0"
+    return {
+        "NAME": function.name,
+        "COMMENT": function.meaning[0].upper() + function.meaning[1:],
+        "PARAMETERS": ", ".join([*head, f"double {function.result}[{function.count}]"]),
+        "CHECKS": checks,
+        "SINGULAR_CALL": singular,
+        "ARGUMENTS": "".join(f", {name}" for name in function.arguments),
+        "CALL": ", ".join(["machine", "&state", *(f"{function.name}_{x}" for x in function.arguments), "numbers"]),
+        "RESULT": function.result,
+        "COUNT": str(function.count),
+    }
 
 
 def _known_answers(geometry: Geometry) -> dict[str, str]:
     """Return the tables of the test program."""
-    rng = np.random.default_rng(17)
-    rise = geometry.middle_side + geometry.base_radius + geometry.platform_radius
+    rng, nominal = np.random.default_rng(17), geometry.nominal
+    rise = sum(geometry.dimensions)
     # In the home's aspect; then poses anywhere, and one out of reach.
-    aside = np.repeat([geometry.base_radius, geometry.platform_radius], 3) - geometry.middle_radius
+    aside = np.repeat([nominal.base_radius, nominal.platform_radius], 3) - nominal.middle_radius
     heights = rise * rng.uniform(0.6, 0.9, (256, 2)).repeat(3, axis=-1)
-    spread = geometry.middle_radius * rng.uniform(-0.3, 0.3, (256, 6))
+    spread = nominal.middle_radius * rng.uniform(-0.3, 0.3, (256, 6))
     held = forward_physical(geometry, np.hypot(aside, heights) + spread)
     held = held[np.flatnonzero(held.exists)[: _CASES - 4]]
     turned = Rotation.random(3, rng=rng)
     far = RigidTransform.from_components(rise * rng.uniform(-1.0, 1.0, (3, 3)), turned)
     away = RigidTransform.from_components([100.0 * rise, 0.0, 0.0], Rotation.from_euler("x", 0.3))
     pose = RigidTransform.concatenate([held.pose, far, away])
-    all_branches, physical = inverse_displacement(geometry, pose), inverse_physical(geometry, pose)
-    found = physical[physical.exists]
+    lengths = np.nan_to_num(inverse_displacement(nominal, pose).leg_lengths)
+    states = [inverse_physical(geometry, pose[n]) for n in range(len(pose))]
 
-    def padded(values: FloatArray) -> FloatArray:
-        rows = np.zeros((len(physical.exists), *values.shape[1:]))
-        rows[physical.exists] = values
-        return rows
+    def padded(compute: Callable[[Configuration], npt.ArrayLike], count: int) -> str:
+        return _table([np.ravel(compute(s)) if s.exists else np.zeros(count) for s in states])
 
+    answers = [
+        *(
+            f"static const double {f.name}_{name}[{len(x)}] = {{{_row(x)}}};"
+            for f in STATE_FUNCTIONS
+            for name, x in f.arguments.items()
+        ),
+        *(
+            f"static const double {f.name}_answers[CASES][{f.count}] = {{\n"
+            f"{padded(lambda s, f=f: f.answer(s, *f.arguments.values()), f.count)}\n}};"
+            for f in STATE_FUNCTIONS
+        ),
+    ]
     return {
-        "COUNT": str(len(pose)),
-        "HEIGHT": literal(rise).code,
-        "WRENCH": _row(_WRENCH),
-        "ROTATIONS": _table(pose.rotation.as_matrix()),
+        "CASES": str(len(pose)),
+        "HEIGHT": repr(rise),
+        "DRAWN": str(int(geometry.is_nominal)),
+        "ROTATIONS": _table(pose.rotation.as_matrix().reshape(-1, 9)),
         "POSITIONS": _table(pose.translation),
-        "BRANCH_LENGTHS": _table(np.nan_to_num(all_branches.leg_lengths), depth=3),
-        "JOINTS": _table(padded(found.middle_joints)),
-        "JACOBIANS": _table(padded(inverse_jacobian(found))),
-        "FORCES": _table(padded(leg_forces(found, _WRENCH))),
+        "BRANCH_LENGTHS": _table(lengths.reshape(len(pose), -1)),
+        "JOINTS": padded(lambda s: s.middle_joints, 9),
+        "ANSWERS": "\n".join(answers),
     }
 
 
 def _row(numbers: npt.ArrayLike) -> str:
-    return ", ".join(literal(float(x)).code.strip("()") for x in np.ravel(numbers))
+    texts = (repr(float(x)) for x in np.ravel(numbers))
+    return ", ".join(text.replace("inf", "INFINITY") for text in texts)
 
 
-def _table(values: FloatArray, depth: int = 2) -> str:
-    if depth == 3:
-        return ",\n".join(f"    {{\n{_table(part)}\n    }}" for part in values)
-    return ",\n".join(f"    {{{_row(part)}}}" for part in values)
+def _table(rows: Any) -> str:
+    return ",\n".join(f"    {{{_row(row)}}}" for row in rows)

@@ -1,118 +1,80 @@
-"""The closed forms as CasADi functions, for optimisation and optimal control, with derivatives of any order.
+"""The kinematics as CasADi functions, for optimisation and optimal control, with derivatives of any order.
 
-The argument `geometry` of all is the machine that is built in, `"symbolic"`, or None, see `inverse_physical`.
+Arguments of all: `geometry` is the machine that is built in, drawn or as built; None is the paper's machine, and
+`"symbolic"` a drawn one whose `dimensions` (3,) = E, C, d [m] are one more input. With `parameters` the 54 parameters
+of the legs, see `spm_pin.Geometry.parameters`, are one more input instead, and `geometry` is the drawing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
 
+from spm_pin.description.tree import JOINTS
 from spm_pin.errors import ArgumentError
-from spm_pin.kinematics.kernels import (
-    branch_kernels,
-    branch_tiles,
-    jacobian_kernels,
-    mode_kernels,
-    stage_equations,
-    wrench_vectors,
-)
-from spm_pin.kinematics.kernels.branch_tiles import DISCRIMINANT, PHYSICAL, STRAIGHT
-from spm_pin.kinematics.kernels.vectors import dot, minus
+from spm_pin.kinematics.formulas import branches as formulas
+from spm_pin.kinematics.formulas import joint_values as values
+from spm_pin.kinematics.formulas import wrenches
 from spm_pin.mechanism import BRANCHES, Geometry
-from spm_pin.mechanism.arguments import LARGEST, SMALLEST, choice, type_and_value
-from spm_pin.mechanism.pose import ORTHONORMALITY_TOLERANCE
-from spm_pin.symbolic.tracing import table, traced
+from spm_pin.mechanism.arguments import choice
+from spm_pin.symbolic.machine import AXES, UP, Machine, State, all_of, in_casadi, parts, sqrt
 
 Dimensions = Geometry | Literal["symbolic"] | None
-"""A machine; `"symbolic"`, for one more input `dimensions` (3,) = E, C, d [m]; or None, for the paper's machine."""
 
+_LEG_NAMES = ("b1", "b2", "b3", "c1", "c2", "c3")
 _NEWTON_STEPS = 14
 _LONGEST_STEP = 0.3
+"""Of a step of Newton's method, in units of d."""
 
 
-class _Machine:
-    """Dimensions as numbers or symbols, and the inputs that functions of them have."""
-
-    def __init__(self, geometry: Dimensions) -> None:
-        if isinstance(geometry, Geometry) and not geometry.is_nominal:
-            cause = "The roots of a machine as built have no closed form"
-            raise ArgumentError("geometry", "a Geometry", "a machine as built", cause)
-        self.limits = None
-        self.inputs: list[ca.SX] = []
-        self.base: Any
-        self.platform: Any
-        self.side: Any
-        if isinstance(geometry, str) and geometry == "symbolic":
-            self.inputs = [ca.SX.sym("dimensions", 3)]
-            self.base, self.platform, self.side = ca.vertsplit(self.inputs[0])
-        elif geometry is None or isinstance(geometry, Geometry):
-            machine = geometry or Geometry.paper()
-            self.base, self.platform, self.side = machine.dimensions
-            self.limits = machine.limits
-        else:
-            raise ArgumentError("geometry", 'a Geometry, "symbolic" or None', type_and_value(geometry))
-        self.r = self.side / np.sqrt(3.0)
-        self.sizes = self.r, self.base, self.platform
-        self.valid: Any = ca.SX(1)
-        for size in () if not self.inputs else (self.base, self.platform, self.side):
-            self.valid = ca.logic_and(self.valid, ca.logic_and(size >= SMALLEST, size <= LARGEST))
-
-    def takes(self, rotation: ca.SX, position: ca.SX) -> Any:
-        """Return 1 where the package accepts a pose and the dimensions, else 0."""
-        _, matrix, place = _state(rotation, rotation, position)
-        rigid = traced(branch_kernels.are_rigid)(matrix[0], place[0], ORTHONORMALITY_TOLERANCE)
-        return ca.logic_and(self.valid, rigid)
-
-    def function(self, name: str, inputs: list[ca.SX], outputs: dict[str, ca.SX]) -> ca.Function:
-        """Make a function; inputs are named as their symbols are."""
-        every = [*inputs, *self.inputs]
-        names = [x[0].name().rsplit("_", 1)[0] for x in every]
-        return ca.Function(name, every, list(outputs.values()), names, list(outputs))
-
-
-def inverse_physical(geometry: Dimensions = None) -> ca.Function:
+def inverse_physical(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
     """Make the inverse displacement in the physical branch.
-
-    Parameters
-    ----------
-    geometry : Geometry, "symbolic" or None
-        The machine; its leg limits decide between two physical branches, as in `spm_pin.inverse_physical`.
-        `"symbolic"` adds the input `dimensions` (3,) = E, C, d [m] and knows no limits. None is the paper's machine.
 
     Returns
     -------
     casadi.Function
-        Inputs: `rotation` (3, 3) from {m} to {B}, `position` (3,) of o in {B} [m]. Outputs: `lengths` (6,) [m],
-        `joints` (3, 3), rows b_i in {B} [m], `discriminant` (1,), dimensionless, not negative where the branches TT are
-        real, and `exists` (1,), 1 where the physical branch does and 0 where not.
+        Inputs: `rotation` (3, 3) from {m} to {B}, `position` (3,) of o in {B} [m]. Outputs: `lengths` (6,) [m], of a
+        machine as built the readings; `joints` (3, 3), rows b_i in {B} [m]; `discriminant` (1,), dimensionless, not
+        negative where the branches TT of the drawn machine are real; and `exists` (1,), 1 where the physical branch
+        does and 0 where not.
 
     Notes
     -----
-    Where no branch is physical the other outputs go on smoothly: they are those of the branch whose stages are
-    tilted less. Where `discriminant` is negative it is taken for zero, so lengths are those of a machine that does not
-    close, and their derivatives finite: constrain `discriminant` to be positive. At a level platform, where there is a
-    continuous family, they are finite and mean nothing; `exists` is 0. Nothing is NaN for finite arguments.
+    The leg limits of `geometry` decide between two physical branches, as in `spm_pin.inverse_physical`. Where no branch
+    is physical the other outputs go on smoothly: they are those of the branch whose stages are tilted less. Where
+    `discriminant` is negative it is taken for zero, so lengths are those of a machine that does not close, and their
+    derivatives finite: constrain `discriminant` to be positive. At a level platform, where there is a continuous
+    family, they are finite and mean nothing; `exists` is 0. Of a drawn machine nothing is NaN for finite arguments.
+
+    A machine as built is solved by Newton's method from the branches TT of the drawing, and then by
+    `casadi.rootfinder`, through which CasADi differentiates implicitly.
 
     `exists` is 0 as well where an argument is NaN or infinite, where an entry of RᵀR - I is above 1e-6 or R is a
     reflection, and where a dimension is not within 1e-9 to 1e9 m. A rotation is not repaired: up to there its error is
     one of the other outputs too.
     """
-    machine, rotation, position = _Machine(geometry), *_pose()
-    tiles, branches = _branches(machine, rotation, position, ("TT+", "TT-"))
-    (plus, plus_sum), (minus_, minus_sum) = (_preference(machine, tiles, *branch) for branch in enumerate(branches))
-    other = ca.logic_or(minus_ > plus, ca.logic_and(minus_ == plus, minus_sum > plus_sum))
-    chosen = [ca.if_else(other, minus_number, plus_number) for plus_number, minus_number in zip(*branches, strict=True)]
-    exists = ca.logic_and(plus + minus_ > 0.0, _is_real(machine, tiles, "TT+"))
-    outputs = _outputs(tiles, "TT+", chosen) | {"exists": ca.logic_and(exists, machine.takes(rotation, position))}
+    machine, rotation, position = Machine(geometry, parameters), *_pose()
+    if not machine.is_drawn:
+        return _as_built_inverse(machine, rotation, position)
+    drawn = Drawn(machine, rotation, position)
+    joints = [drawn.branch("TT", sign) for sign in (1.0, -1.0)]
+    states = [State(machine, b, rotation, position) for b in joints]
+    (plus, plus_tilts), (minus, minus_tilts) = (_preference(machine, state) for state in states)
+    other = ca.logic_or(minus > plus, ca.logic_and(minus == plus, minus_tilts > plus_tilts))
+    outputs = {
+        "lengths": ca.if_else(other, states[1].readings, states[0].readings),
+        "joints": ca.if_else(other, joints[1], joints[0]),
+        "discriminant": drawn.discriminant("TT"),
+        "exists": all_of([plus + minus > 0.0, drawn.is_real("TT"), machine.takes(rotation, position)]),
+    }
     return machine.function("inverse_physical", [rotation, position], outputs)
 
 
 def inverse_branch(branch: str, geometry: Dimensions = None) -> ca.Function:
-    """Make the inverse displacement in one branch.
+    """Make the inverse displacement of a drawn machine in one branch.
 
     Parameters
     ----------
@@ -127,58 +89,64 @@ def inverse_branch(branch: str, geometry: Dimensions = None) -> ca.Function:
     Raises
     ------
     ArgumentError
-        If there is no such branch.
+        If there is no such branch, or `geometry` is a machine as built.
     """
     choice(branch, "branch", BRANCHES)
-    machine, rotation, position = _Machine(geometry), *_pose()
-    tiles, (numbers,) = _branches(machine, rotation, position, (branch,))
-    exists = ca.logic_and(_is_real(machine, tiles, branch), machine.takes(rotation, position))
-    outputs = _outputs(tiles, branch, numbers) | {"exists": exists}
+    machine, rotation, position = Machine(geometry), *_pose()
+    if not machine.is_drawn:
+        cause = "The eight roots of a machine as built have no closed form; inverse_physical takes it"
+        raise ArgumentError("geometry", "a machine as drawn", "one as built", cause)
+    drawn, family = Drawn(machine, rotation, position), branch[:2]
+    joints = drawn.branch(family, 1.0 if branch[2] == "+" else -1.0)
+    outputs = {
+        "lengths": State(machine, joints, rotation, position).readings,
+        "joints": joints,
+        "discriminant": drawn.discriminant(family),
+        "exists": ca.logic_and(drawn.is_real(family), machine.takes(rotation, position)),
+    }
     return machine.function("inverse_branch", [rotation, position], outputs)
 
 
-def forward_physical(geometry: Dimensions = None) -> ca.Function:
-    """Make the forward displacement in the home's aspect, an implicit function with exact derivatives.
+def forward_physical(geometry: Dimensions = None, *, parameters: bool = False, near: bool = False) -> ca.Function:
+    """Make the forward displacement, an implicit function with exact derivatives.
+
+    Parameters
+    ----------
+    near : bool
+        Whether Newton's method begins from a state, given as three more inputs `near_joints` (3, 3), `near_rotation`
+        and `near_position`, and not from the level one; the result may then be in another aspect.
 
     Returns
     -------
     casadi.Function
-        Input: `lengths` (6,) [m]. Outputs: `rotation` (3, 3), `position` (3,) [m], `joints` (3, 3) [m], `residual`
-        (1,), the largest error of a stage's equations in units of r², below 1e-12 at a solution, and `exists` (1,), 1
-        where that is so and both stages are in the aspect of the symmetric home.
+        Input: `lengths` (6,) [m], of a machine as built the readings. Outputs: `rotation` (3, 3), `position` (3,) [m],
+        `joints` (3, 3) [m], `residual` (1,), the largest error of the stages' equations in units of d, below 1e-12 at a
+        solution, and `exists` (1,), 1 where that is so and both stages are in the aspect of the symmetric home.
 
     Notes
     -----
-    Each stage is solved by 14 steps of Newton's method from the level position, then by `casadi.rootfinder`, through
-    which CasADi differentiates implicitly. Where legs cannot be joined the outputs are where that ended, and `exists`
-    is 0, as for lengths and dimensions that are NaN, infinite or not positive.
+    14 steps of Newton's method, then `casadi.rootfinder`, through which CasADi differentiates implicitly. Where legs
+    cannot be joined the outputs are where that ended, and `exists` is 0, as for lengths and dimensions that are NaN,
+    infinite or not positive.
     """
-    machine = _Machine(geometry)
-    lengths, state = ca.SX.sym("lengths", 6), ca.SX.sym("state", 8)
-    stages = [
-        traced(stage_equations.equations)(*(lengths[k] / machine.r for k in legs), hip / machine.r)
-        for legs, hip in (((0, 1, 2), machine.base), ((3, 4, 5), machine.platform))
-    ]
-    inputs = [lengths, *machine.inputs]
-    errors = [_stage_residual(stage, ca.vertsplit(state[4 * k : 4 * k + 4])) for k, stage in enumerate(stages)]
-    equations = ca.Function("equations", [state, *inputs], [ca.vertcat(*errors)])
-    start = ca.Function("start", inputs, [ca.vertcat(*map(_newton, stages))])
-    outputs = _composed(machine, [ca.vertsplit(state[:4]), ca.vertsplit(state[4:])])
-    outputs["residual"] = ca.mmax(ca.fabs(ca.vertcat(*errors)))
-    exists = ca.logic_and(machine.valid, ca.logic_and(outputs.pop("home"), outputs["residual"] < 1e-12))
-    for length in ca.vertsplit(lengths):
-        exists = ca.logic_and(exists, ca.logic_and(length > 0.0, length < np.inf))
-    outputs["exists"] = exists
-    compose = ca.Function("compose", [state, *inputs], list(outputs.values()))
-    options = {"error_on_fail": False, "abstol": 1e-15, "max_iter": 4}
-    root = ca.rootfinder("root", "fast_newton", equations, options)
-    symbols = [ca.MX.sym("lengths", 6), *(ca.MX.sym("dimensions", 3) for _ in machine.inputs)]
-    solved = root(start(*symbols), *symbols)
-    names = ["lengths", *("dimensions" for _ in machine.inputs)]
-    return ca.Function("forward_physical", symbols, compose.call([solved, *symbols]), names, list(outputs))
+    machine, lengths = Machine(geometry, parameters), ca.SX.sym("lengths", 6)
+    distances, unknowns = lengths - machine.offsets, ca.SX.sym("unknowns", 12)
+    coordinates, legs = ca.vertsplit(unknowns, 6), ca.vertsplit(distances, 3)
+    error = ca.vertcat(*(stage_equations(machine, k, coordinates[k], legs[k]) for k in (0, 1)))
+    inputs, start = [lengths], ca.vertcat(*(level_stage(machine, k, legs[k]) for k in (0, 1)))
+    if near:
+        inputs += [ca.SX.sym("near_joints", 3, 3), ca.SX.sym("near_rotation", 3, 3), ca.SX.sym("near_position", 3)]
+        start = ca.vertcat(*State(machine, *inputs[1:]).in_planes())
+    rotation, position, joints = placed(machine, *coordinates)
+    residual, state = ca.mmax(ca.fabs(error)) / machine.side, State(machine, joints, rotation, position)
+    exists = [machine.valid, state.is_physical()[0], residual < 1e-12]
+    exists += [ca.logic_and(x > 0.0, x < np.inf) for x in ca.vertsplit(distances)]
+    outputs = {"rotation": rotation, "position": position, "joints": joints}
+    outputs |= {"residual": residual, "exists": all_of(exists)}
+    return _implicit("forward_physical", machine, inputs, (unknowns, error, outputs), [start])
 
 
-def inverse_jacobian(geometry: Dimensions = None) -> ca.Function:
+def inverse_jacobian(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
     """Make J_f, which maps the platform's twist to the leg rates.
 
     Returns
@@ -187,15 +155,10 @@ def inverse_jacobian(geometry: Dimensions = None) -> ca.Function:
         Inputs: `joints` (3, 3), rows b_i [m], `rotation`, `position`. Output: `jacobian` (6, 6), of the twist (v, ω)
         at o in {B}. It grows without bound towards an inverse singularity, and is not a number at one.
     """
-    machine, joints, (rotation, position) = _Machine(geometry), ca.SX.sym("joints", 3, 3), _pose()
-    matrices, suspect = table(1, 6, 6), table(1)
-    sizes = machine.base, machine.platform, machine.side, 0.0
-    traced(jacobian_kernels.inverse_jacobians)(*_state(joints, rotation, position), *sizes, matrices, suspect)
-    outputs = {"jacobian": _matrix(matrices[0])}
-    return machine.function("inverse_jacobian", [joints, rotation, position], outputs)
+    return _of_state("inverse_jacobian", Machine(geometry, parameters), {}, jacobian_of)
 
 
-def leg_forces(geometry: Dimensions = None) -> ca.Function:
+def leg_forces(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
     """Make the leg forces that hold a wrench on the platform.
 
     Returns
@@ -205,130 +168,279 @@ def leg_forces(geometry: Dimensions = None) -> ca.Function:
         o in {B}, applied from outside. Output: `forces` (6,) [N], positive pushes. They grow without bound towards a
         forward singularity.
     """
-    machine, joints, (rotation, position) = _Machine(geometry), ca.SX.sym("joints", 3, 3), _pose()
-    wrench, forces, suspect = ca.SX.sym("wrench", 6), table(1, 6), table(1)
-    sizes, load = (machine.base, machine.platform, machine.side, 0.0), table(1, 1, 6)
-    load[0, 0] = ca.vertsplit(wrench)
-    traced(jacobian_kernels.stage_forces)(*_state(joints, rotation, position), load, *sizes, forces, suspect)
-    outputs = {"forces": ca.vertcat(*forces[0])}
-    return machine.function("leg_forces", [joints, rotation, position, wrench], outputs)
+    return _of_state("leg_forces", Machine(geometry, parameters), {"wrench": 6}, forces_of)
 
 
-def closure_residual(geometry: Dimensions = None) -> ca.Function:
+def closure_residual(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
     """Make the nine closure equations.
 
     Returns
     -------
     casadi.Function
-        Inputs: `joints` (3, 3), rows b_i [m], `rotation`, `position`. Output: `residual` (9,) [m]: distances of the b_i
-        from the planes of their lower legs, then of their upper legs; then, for the sides 12, 23, 31, the error
-        (|b_i - b_j|² - d²)/2d, smooth everywhere.
+        Inputs: `joints` (3, 3), rows b_i [m], `rotation`, `position`. Output: `residual` (9,) [m]: distances of the
+        balls from the planes of their lower legs, then of their upper legs; then, for the sides 12, 23, 31, the error
+        (|b_i - b_j|² - s²)/2s of a side s, smooth everywhere.
     """
-    machine, joints, (rotation, position) = _Machine(geometry), ca.SX.sym("joints", 3, 3), _pose()
-    tile = table(21, 1)
-    traced(wrench_vectors.load)(*_state(joints, rotation, position), 0, 1, tile)
-    b, o = traced(wrench_vectors.joints_of)(tile, 0), traced(wrench_vectors.position_of)(tile, 0)
-    axes = traced(wrench_vectors.platform_axes)(tile, 0)
-    inner, less = traced(dot), traced(minus)
-    planes = [inner(b[i], wrench_vectors.BASE_AXES[i]) for i in range(3)]
-    planes += [inner(less(b[i], o), axes[i]) for i in range(3)]
-    sides = [less(b[i], b[(i + 1) % 3]) for i in range(3)]
-    d = machine.side
-    residual = ca.vertcat(*planes, *((inner(s, s) - d * d) / (2.0 * d) for s in sides))
-    return machine.function("closure_residual", [joints, rotation, position], {"residual": residual})
+    return _of_state("closure_residual", Machine(geometry, parameters), {}, residual_of)
 
 
-def _pose() -> tuple[ca.SX, ca.SX]:
+def joint_values(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
+    """Make the values of the description's eighteen joints.
+
+    Returns
+    -------
+    casadi.Function
+        Inputs: `joints` (3, 3), rows b_i [m], `rotation`, `position`. Output: `values` (18,), in the order of
+        `spm_pin.description.tree.JOINTS`: angles [rad], slides [m].
+    """
+    return _of_state("joint_values", Machine(geometry, parameters), {}, values_of)
+
+
+def _of_state(name: str, machine: Machine, arguments: dict[str, int], compute: Callable[..., Any]) -> ca.Function:
+    """Make a function of a state, `joints`, `rotation` and `position`, and of further arguments."""
+    joints, further = ca.SX.sym("joints", 3, 3), [ca.SX.sym(*argument) for argument in arguments.items()]
+    pose = _pose()
+    return machine.function(name, [joints, *pose, *further], compute(State(machine, joints, *pose), *further))
+
+
+def jacobian_of(state: State) -> dict[str, Any]:
+    """Return J_f of a state."""
+    b, c = ([parts(x) for x in state.balls[k : k + 3]] for k in (0, 3))
+    lower, upper = ([parts(x / n) for x, n in legs_of(state)[k : k + 3]] for k in (0, 3))
+    axes = [[parts(x) for x in state.axes[k : k + 3]] for k in (0, 3)]
+    if state.machine.is_drawn:
+        rows = in_casadi(wrenches.drawn_inverse_jacobian)(b, lower, upper, *axes, parts(state.position))
+    else:
+        rows = in_casadi(wrenches.inverse_jacobian)(b, c, lower, upper, *axes, parts(state.position))
+    return {"jacobian": ca.vertcat(*(ca.horzcat(*force, *moment) for stage in rows for force, moment in stage))}
+
+
+def forces_of(state: State, wrench: Any) -> dict[str, Any]:
+    """Return the leg forces that hold a wrench in a state."""
+    forces: list[Any] = []
+    for k in (0, 3):
+        b, f = [parts(x) for x in state.balls[k : k + 3]], [parts(x / n) for x, n in legs_of(state)[k : k + 3]]
+        axes = [parts(x) for x in state.axes[k : k + 3]]
+        twists = in_casadi(wrenches.stage_twists)(b, f, axes, parts(state.position))
+        forces += in_casadi(wrenches.stage_forces)(twists, (parts(wrench[:3]), parts(wrench[3:])))
+    return {"forces": ca.vertcat(*forces)}
+
+
+def values_of(state: State) -> dict[str, Any]:
+    """Return the values of the eighteen joints in a state."""
+    machine, turned = state.machine, state.rotation.T
+    triangle = in_casadi(values.triangle_axes)([parts(b) for b in state.joints])
+    own = ca.vertcat(*(ca.horzcat(*x) for x in in_casadi(values.triangle_axes)([parts(b) for b in machine.balls[:3]])))
+    seen = [parts(turned @ ca.vertcat(*x)) for x in triangle]
+    found: dict[str, Any] = {}
+    for k, (name, frame, axis) in enumerate(zip(_LEG_NAMES, machine.frames, (*AXES, *AXES), strict=True)):
+        radius, up = ((machine.base, 1.0), (machine.platform, -1.0))[k // 3]
+        home, offset = machine.home_lengths()[k // 3], machine.r - radius
+        axes = [parts(x) for x in (frame.x, frame.y, frame.z)]
+        pivot = parts(ca.vertcat(*(ca.dot(x, frame.pivot) for x in (frame.x, frame.y, frame.z))))
+        corner = [parts(own @ ca.SX(x)) for x in (axis, np.cross(UP, axis), UP)]
+        lean = up * sqrt((home - offset) * (home + offset)) / home, (1.0, -1.0, -1.0)[k % 3] * offset / home
+        leg = values.LegFrame(axes, pivot, corner, *lean, home)
+        ball = state.balls[k] if k < 3 else turned @ (state.balls[k] - state.position)
+        of_leg = in_casadi(values.leg_values)(parts(ball), leg)
+        found |= {f"leg_{name}_hip": ca.atan2(*of_leg.hip), f"leg_{name}_slide": of_leg.slide}
+        if k % 3 == 0:
+            angles = in_casadi(values.ball_angles)(of_leg, leg, triangle if k < 3 else seen, up)
+            found |= {f"ball_{name}_{x}": ca.atan2(*angle) for x, angle in zip("xyz", angles, strict=True)}
+    return {"values": ca.vertcat(*(found[name] for name in JOINTS))}
+
+
+def residual_of(state: State) -> dict[str, Any]:
+    """Return the closure equations of a state."""
+    rows = [ca.dot(b - a, x) for b, a, x in zip(state.balls, state.bases, state.axes, strict=True)]
+    return {"residual": ca.vertcat(*rows, *_side_errors(state.machine, 0, state.joints))}
+
+
+def legs_of(state: State) -> list[tuple[Any, Any]]:
+    return list(zip(state.vectors, ca.vertsplit(state.lengths), strict=True))
+
+
+def _pose() -> tuple[Any, Any]:
     return ca.SX.sym("rotation", 3, 3), ca.SX.sym("position", 3)
 
 
-def _state(joints: ca.SX, rotation: ca.SX, position: ca.SX) -> tuple[Any, Any, Any]:
-    """Return b, R, o as arrays of one state, as the kernels take them."""
-    arrays = table(1, 1, 3, 3), table(1, 1, 3, 3), table(1, 1, 3)
-    for i in range(3):
-        arrays[2][0, 0, i] = position[i]
-        for j in range(3):
-            arrays[0][0, 0, i, j], arrays[1][0, 0, i, j] = joints[i, j], rotation[i, j]
-    return arrays
+def _side_errors(machine: Machine, stage: int, balls: Sequence[Any]) -> list[Any]:
+    """Return (|b_i - b_j|² - s²)/2s [m] of the sides s of three balls."""
+    pairs = zip(balls, [*balls[1:], balls[0]], machine.sides(stage), strict=True)
+    return [(ca.sumsqr(a - b) - s * s) / (2.0 * s) for a, b, s in pairs]
 
 
-def _branches(
-    machine: _Machine, rotation: ca.SX, position: ca.SX, labels: tuple[str, ...]
-) -> tuple[Any, list[list[Any]]]:
-    """Return the tiles of a pose, and of each branch the nine numbers of its b_i and its six leg lengths."""
-    tiles, roots = traced(branch_tiles.allocate)(), traced(branch_tiles.allocate_roots)()
-    joints, lengths = traced(branch_tiles.allocate_joints)(), traced(branch_tiles.allocate_lengths)()
-    _, matrix, place = _state(rotation, rotation, position)
-    traced(branch_tiles.load_poses)(matrix[0], place[0], 0, 1, tiles[0])
-    traced(branch_tiles.set_up_families)(tiles, machine.r, machine.platform, False)
-    found = []
-    for branch in map(BRANCHES.index, labels):
-        traced(branch_tiles.put_roots)(branch // 2, tiles, machine.r, roots)
-        traced(branch_tiles.put_branch)(branch, tiles, roots, machine.base, joints, lengths)
-        found.append([*joints[9 * branch : 9 * branch + 9, 0], *lengths[6 * branch : 6 * branch + 6, 0]])
-    return tiles, found
+def stage_equations(machine: Machine, stage: int, coordinates: Any, lengths: Any) -> Any:
+    """Return the errors (6,) [m] of the three lengths and of the three sides of a stage.
+
+    Parameters
+    ----------
+    stage : int
+        The lower stage, 0, or the upper, 1, which is seen from {m}.
+    coordinates : casadi.SX
+        Of the balls in the planes of their legs (6,) [m].
+    lengths : casadi.SX
+        Distances from pivots to balls (3,) [m].
+    """
+    frames = machine.frames[3 * stage : 3 * stage + 3]
+    places = [coordinates[2 * i : 2 * i + 2] for i in range(3)]
+    legs = [(ca.sumsqr(x) - lengths[i] ** 2) / (2.0 * machine.side) for i, x in enumerate(places)]
+    balls = [frame.point(x) for frame, x in zip(frames, places, strict=True)]
+    return ca.vertcat(*legs, *_side_errors(machine, stage, balls))
 
 
-def _preference(machine: _Machine, tiles: Any, branch: int, numbers: list[Any]) -> tuple[Any, Any]:
-    """Return 0 where a branch TT is not physical, 1 where it is, 2 where within leg limits too; and its radii' sum."""
-    aspects, joints = traced(branch_tiles.allocate_aspects)(), traced(branch_tiles.allocate_joints)()
-    joints[9 * branch : 9 * branch + 9, 0] = numbers[:9]
-    traced(branch_tiles.put_aspect)(branch, tiles[0], machine.base, machine.platform, joints, aspects)
-    inside, limits = ca.SX(1), machine.limits
-    pairs = () if limits is None else zip(limits.minimum, limits.maximum, strict=True)
-    for length, (low, high) in zip(numbers[9:], pairs, strict=False):
-        inside = ca.logic_and(inside, ca.logic_and(length >= low, length <= high))
-    return aspects[branch, PHYSICAL, 0] * (1.0 + inside), aspects[branch, STRAIGHT, 0]
+def closure_equations(machine: Machine, coordinates: Any, rotation: Any, position: Any) -> Any:
+    """Return the errors (6,) [m] of the lower balls' sides, and of the upper balls' distances from their planes."""
+    balls = [machine.frames[i].point(coordinates[2 * i : 2 * i + 2]) for i in range(3)]
+    planes = [
+        ca.dot(rotation @ frame.x, ball - position) - ca.dot(frame.x, frame.pivot)
+        for frame, ball in zip(machine.frames[3:], machine.all_balls(balls)[3:], strict=True)
+    ]
+    return ca.vertcat(*_side_errors(machine, 0, balls), *planes)
 
 
-def _is_real(machine: _Machine, tiles: Any, label: str) -> Any:
-    """Return 1 where a branch is real, and its family not continuous, else 0."""
-    family, flags = BRANCHES.index(label) // 2, tiles[3][0]
-    continuous = ca.floor(flags / 2**family) - 2.0 * ca.floor(flags / 2 ** (family + 1))
-    regular = ca.logic_and(continuous == 0.0, flags < branch_tiles.VERTICAL)
-    return ca.logic_and(tiles[0][DISCRIMINANT + family, 0] >= 0.0, regular)
+def level_stage(machine: Machine, stage: int, lengths: Any) -> Any:
+    """Return where the drawn stage with the mean of three lengths stands level, in the planes of the legs (6,)."""
+    offset, mean = machine.r - (machine.base, machine.platform)[stage], (lengths[0] + lengths[1] + lengths[2]) / 3.0
+    height = ca.sqrt(ca.fmax(mean * mean - offset * offset, 1e-4 * machine.side**2)) * (1.0 - 2.0 * stage)
+    drawn = [machine.r * x for x in (ca.SX([0.75**0.5, -0.5]), ca.SX([0.0, 1.0]), ca.SX([-(0.75**0.5), -0.5]))]
+    frames = machine.frames[3 * stage : 3 * stage + 3]
+    return ca.vertcat(*(f.coordinates(ca.vertcat(x, height)) for f, x in zip(frames, drawn, strict=True)))
 
 
-def _outputs(tiles: Any, label: str, numbers: list[Any]) -> dict[str, ca.SX]:
-    joints = _matrix(numbers[3 * i : 3 * i + 3] for i in range(3))
-    discriminant = tiles[0][DISCRIMINANT + BRANCHES.index(label) // 2, 0]
-    return {"lengths": ca.vertcat(*numbers[9:]), "joints": joints, "discriminant": discriminant}
+def placed(machine: Machine, lower: Any, upper: Any) -> tuple[Any, Any, Any]:
+    """Return R, o and the b_i (3, 3) of two stages, the balls' coordinates in the planes of their legs (6,) each."""
+    frames, centres, joints = [], [], []
+    for stage, coordinates in enumerate((lower, upper)):
+        legs = slice(3 * stage, 3 * stage + 3)
+        b = [frame.point(coordinates[2 * i : 2 * i + 2]) for i, frame in enumerate(machine.frames[legs])]
+        own = machine.balls[legs]
+        turn = _triangle_frame(b) @ _triangle_frame(own).T
+        frames.append(turn)
+        centres.append((b[0] + b[1] + b[2]) / 3.0 - turn @ ((own[0] + own[1] + own[2]) / 3.0))
+        joints.append(b)
+    rotation = frames[0] @ frames[1].T
+    return rotation, centres[0] - rotation @ centres[1], ca.horzcat(*joints[0]).T
 
 
-def _stage_residual(stage: Any, state: Any) -> Any:
-    """Return the four equations of a stage: those of its mode, and the quaternion's norm."""
-    errors = traced(stage_equations.residual)(stage, state)
-    return ca.vertcat(*errors, state[0] * state[0] + state[1] * state[1] + state[2] * state[2] - 1.0)
+def _triangle_frame(b: Sequence[Any]) -> Any:
+    """Return the axes of a triangle as columns, as `spm_pin.mechanism.ball_triangles.triangle_frames` has them."""
+    x = b[0] - b[2]
+    x = x / ca.sqrt(ca.sumsqr(x))
+    y = 2.0 * b[1] - b[0] - b[2]
+    y = y - ca.dot(x, y) * x
+    y = y / ca.sqrt(ca.sumsqr(y))
+    return ca.horzcat(x, y, ca.cross(x, y))
 
 
-def _newton(stage: Any) -> Any:
-    """Return the state that damped steps of Newton's method reach from the level stage."""
-    level = ca.vertcat(1.0, 0.0, 0.0, ca.sqrt(ca.fmax(stage[1], 1e-4)))
-    x = ca.SX.sym("x", 4)
-    parameters = ca.SX.sym("stage", 5)
-    symbols = (*ca.vertsplit(parameters), None)
-    error = _stage_residual(symbols, ca.vertsplit(x))
-    step = -ca.solve(ca.jacobian(error, x), error)
-    step /= ca.fmax(1.0, ca.norm_inf(step) / _LONGEST_STEP)
-    damped_step = ca.Function("step", [x, parameters], [x + step])
+def lower_coordinates(machine: Machine, joints: Any) -> Any:
+    """Return where the rows of `joints` (3, 3) are in the planes of the lower legs (6,)."""
+    return ca.vertcat(*(machine.frames[i].coordinates(joints[i, :].T) for i in range(3)))
+
+
+def drawn_starts(machine: Machine, drawn: Drawn) -> list[Any]:
+    """Return TT+ and TT- of the drawn machine, and both as if they were farther apart, from where Newton's method starts.
+
+    Beside a fold of the drawing the branches of a machine as built are elsewhere, or real where those are not.
+    """
+    pairs = [(least, sign) for least in (0.0, 1e-3, 1e-1) for sign in (1.0, -1.0)]
+    return [lower_coordinates(machine, drawn.branch("TT", sign, least)) for least, sign in pairs]
+
+
+def _preference(machine: Machine, state: State) -> tuple[Any, Any]:
+    """Return 0 where a state is not physical, 1 where it is, 2 where within leg limits too; and how straight it is."""
+    is_physical, tilts = state.is_physical()
+    limits = zip(*map(ca.vertsplit, (state.readings, machine.minimum, machine.maximum)), strict=True)
+    inside = all_of([ca.logic_and(q >= low, q <= high) for q, low, high in limits])
+    return is_physical * (1.0 + inside), tilts
+
+
+class Drawn:
+    """The closed form of the drawn machine at a pose."""
+
+    FAMILIES = ("TT", "TF", "FT", "FF")
+
+    def __init__(self, machine: Machine, rotation: Any, position: Any) -> None:
+        rows = [parts(rotation[i, :]) for i in range(3)]
+        self.machine, self._position = machine, parts(position)
+        self.frame = in_casadi(formulas.pose_frame)(rows, self._position, machine.r)
+        families = in_casadi(formulas.families)(self.frame, machine.r)
+        self.families = dict(zip(self.FAMILIES, families, strict=True))
+
+    def discriminant(self, family: str) -> Any:
+        """Return uv² - uu vv over r²."""
+        return in_casadi(formulas.discriminant)(self.families[family]) / self.machine.r**2
+
+    def is_continuous(self, family: str) -> Any:
+        """Return whether a family is continuous, or the Z axes are parallel."""
+        found = in_casadi(formulas.is_continuous)(self.families[family], self.frame.noise)
+        return ca.logic_or(found, self.frame.is_vertical)
+
+    def is_real(self, family: str) -> Any:
+        """Return whether the two branches of a family are real and isolated."""
+        return ca.logic_and(self.discriminant(family) >= 0.0, ca.logic_not(self.is_continuous(family)))
+
+    def branch(self, family: str, sign: float, least: float = 0.0) -> Any:
+        """Return the b_i (3, 3) of the branch of a sign, as if the discriminant were at least `least` times r²."""
+        form = self.families[family]
+        radicand = ca.fmax(in_casadi(formulas.discriminant)(form), least * self.machine.r**2)
+        u, v, square = in_casadi(formulas.root)(form, sign, sqrt(radicand))
+        radii, heights = in_casadi(formulas.middle_joints)(
+            u, v, self.machine.r / square, form, self.frame, self._position
+        )
+        rows = in_casadi(formulas.cartesian)(radii, heights)
+        return ca.vertcat(*(ca.horzcat(*row) for row in rows))
+
+
+def _as_built_inverse(machine: Machine, rotation: Any, position: Any) -> ca.Function:
+    """Make `inverse_physical` of a machine as built, by Newton's method from the branches TT of the drawing."""
+    drawn, unknowns = Drawn(machine, rotation, position), ca.SX.sym("unknowns", 6)
+    starts = drawn_starts(machine, drawn)
+    error = closure_equations(machine, unknowns, rotation, position)
+    joints = ca.horzcat(*(machine.frames[i].point(unknowns[2 * i : 2 * i + 2]) for i in range(3))).T
+    state = State(machine, joints, rotation, position)
+    (rank, tilts), size = _preference(machine, state), machine.side + ca.norm_1(position)
+    closed = ca.mmax(ca.fabs(error)) <= 1e-13 * size
+    outputs = {"lengths": state.readings, "joints": joints, "discriminant": drawn.discriminant("TT")}
+    outputs["exists"] = all_of([rank > 0.0, closed, machine.takes(rotation, position)])
+    problem = unknowns, error, outputs
+    return _implicit("inverse_physical", machine, [rotation, position], problem, starts, (rank * closed, tilts))
+
+
+def _implicit(
+    name: str,
+    machine: Machine,
+    inputs: list[Any],
+    problem: tuple[Any, Any, dict[str, Any]],
+    starts: list[Any],
+    preference: tuple[Any, Any] | None = None,
+) -> ca.Function:
+    """Make a function of the solution of equations.
+
+    Newton's method goes `_NEWTON_STEPS` steps from each start; the end of the largest rank is taken, of several the
+    straightest. `casadi.rootfinder`, through which CasADi differentiates implicitly, goes on from there.
+    """
+    unknowns, error, outputs = problem
+    known = [*inputs, *machine.inputs]
+    names = [x[0].name().rsplit("_", 1)[0] for x in known]
+    symbols = [ca.MX.sym(name, *x.shape) for name, x in zip(names, known, strict=True)]
+    step = -ca.solve(ca.jacobian(error, unknowns), error)
+    step = step / ca.fmax(1.0, ca.norm_inf(step) / (_LONGEST_STEP * machine.side))
+    newton = ca.Function("newton", [unknowns, *known], [unknowns + step])
+    ends = ca.Function("starts", known, starts).call(symbols)
     for _ in range(_NEWTON_STEPS):
-        level = damped_step(level, ca.vertcat(*stage[:5]))
-    return level
-
-
-def _composed(machine: _Machine, states: list[Any]) -> dict[str, ca.SX]:
-    """Return the configuration of two stages in mode T, and whether both are in the aspect of their home."""
-    rotation, position, joints = table(3, 3), table(3), table(3, 3)
-    (x0, x1, x2, zeta), (y0, y1, y2, eta) = states
-    lower, upper = (x0, x1, x2, 0.0, zeta), (y0, -y1, -y2, 0.0, -eta)
-    traced(mode_kernels.compose)(lower, upper, machine.r, rotation, position, joints)
-    home = ca.SX(1)
-    for (a, b, c, height), hip in zip(states, (machine.base, machine.platform), strict=True):
-        radii, heights = traced(stage_equations.placed)(a, b, c, 0.0, height)
-        home = ca.logic_and(home, traced(stage_equations.in_home_aspect)(radii, heights, hip / machine.r))
-        home = ca.logic_and(home, ca.logic_and(height > 0.0, a > 0.0))
-    return {"rotation": _matrix(rotation), "position": ca.vertcat(*position), "joints": _matrix(joints), "home": home}
-
-
-def _matrix(rows: Iterable[Iterable[Any]]) -> Any:
-    return ca.vertcat(*(ca.horzcat(*row) for row in rows))
+        ends = [newton(end, *symbols) for end in ends]
+    best = ends[0]
+    if preference is not None:
+        rated = ca.Function("rated", [unknowns, *known], list(preference))
+        rank, tilts = rated.call([best, *symbols])
+        for end in ends[1:]:
+            other_rank, other_tilts = rated.call([end, *symbols])
+            other = ca.logic_or(other_rank > rank, ca.logic_and(other_rank == rank, other_tilts > tilts))
+            best, rank = ca.if_else(other, end, best), ca.if_else(other, other_rank, rank)
+            tilts = ca.if_else(other, other_tilts, tilts)
+    equations = ca.Function("equations", [unknowns, *known], [error])
+    options = {"error_on_fail": False, "abstol": 1e-15, "max_iter": 4}
+    solved = ca.rootfinder("root", "fast_newton", equations, options)(best, *symbols)
+    results = ca.Function("results", [unknowns, *known], list(outputs.values())).call([solved, *symbols])
+    return ca.Function(name, symbols, results, names, list(outputs))

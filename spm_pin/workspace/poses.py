@@ -25,7 +25,7 @@ from spm_pin.mechanism import (
     as_rigid_transform,
 )
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, check_instance, choice
-from spm_pin.mechanism.branches import branch_sign, family, physical, straightness
+from spm_pin.mechanism.branches import branch_sign, family, physical, tilt_cosine_sum
 from spm_pin.workspace.joint_limits import JointLimits
 from spm_pin.workspace.search import NearestPoints, nearest_states
 from spm_pin.workspace.states import free_states, states_around, states_within
@@ -71,7 +71,7 @@ class Reachability:
     @property
     def branch(self) -> IntArray:
         """Place in `BRANCHES` of the allowed branch whose stages tilt least, shape (...); -1 where there is none."""
-        score = np.where(self.allowed, straightness(self.branches.configurations), -np.inf)
+        score = np.where(self.allowed, tilt_cosine_sum(self.branches.configurations), -np.inf)
         return np.where(self.allowed.any(axis=-1), score.argmax(axis=-1), -1).astype(np.intp)
 
     @property
@@ -273,7 +273,7 @@ def _nearest_within(
     if states.in_home_aspect:
         return states.states(result.coordinates, result.readings)
     # Elsewhere the sign of a determinant does not tell one aspect from another: the way from `near` does.
-    followed = forward_physical(geometry, result.readings, near)
+    followed = forward_physical(geometry, result.readings, near=near)
     gap = np.abs(followed.middle_joints - states.states(result.coordinates).middle_joints).max(axis=(-1, -2))
     with np.errstate(invalid="ignore"):
         kept = gap <= _MODE_TOLERANCE * geometry.middle_side

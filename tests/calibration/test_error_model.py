@@ -32,7 +32,7 @@ def test_it_is_the_derivative_of_the_pose_at_constant_readings(name: str, size: 
         step = np.zeros(54)
         step[k] = 1e-6 * (1.0 if k % 9 < 2 else side)
         ahead, behind = (
-            spm.forward_physical(built.from_parameters(built.parameters + s * step), state.leg_lengths) for s in (1, -1)
+            spm.forward_physical(built.from_parameters(built.parameters + s * step), state.readings) for s in (1, -1)
         )
         turn = Rotation.from_matrix(ahead.rotation @ np.swapaxes(behind.rotation, -1, -2)).as_rotvec()
         moved = np.concatenate([(ahead.translation - behind.translation), turn * side], axis=-1) / (2.0 * step[k])

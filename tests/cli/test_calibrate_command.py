@@ -88,6 +88,23 @@ def test_wrong_measurements_end_with_a_line_on_stderr(measured: Path, tmp_path: 
     assert f"column r_c3 in {wrong}:2: expected a finite number, got nothing" in done.stderr
 
 
+def test_a_machine_that_the_measurements_do_not_fit_is_not_written(measured: Path, tmp_path: Path) -> None:
+    lines = measured.read_text(encoding="utf-8").splitlines()
+    cells = lines[6].split(",")
+    cells[9] = str(float(cells[9]) + 0.3)
+    lines[6] = ",".join(cells)
+    wrong, out = tmp_path / "outlier.csv", tmp_path / "machine.yaml"
+    wrong.write_text("\n".join(lines), encoding="utf-8")
+    done = run("calibrate", str(wrong), "--out", str(out))
+    assert done.returncode == 1
+    assert "the measurements do not fit one machine: outliers in the rows 5." in " ".join(done.stderr.split())
+    assert not out.exists()
+    forced = run("calibrate", str(wrong), "--out", str(out), "--force", "--json")
+    assert forced.returncode == 0
+    assert json.loads(forced.stdout)["status"] == "outliers"
+    assert position_errors(spm.Geometry.from_yaml(out), MACHINE).max() < 5e-5
+
+
 def test_tolerances_are_weighed() -> None:
     done = run("tolerance", "--samples", "20", "--json")
     content = json.loads(done.stdout)

@@ -21,7 +21,7 @@ import spm_pin as spm
 from spm_pin.cli import outputs
 from spm_pin.cli.application import EXIT_CODES, app
 from spm_pin.crosscheck import METHODS, ClosedForm
-from spm_pin.display.json_text import to_json
+from spm_pin.display.output_files import to_json
 from spm_pin.errors import EXTRAS, MissingExtraError
 
 EXAMPLE = ["--translation", "68.89", "49.63", "225.3", "--xyx", "-11.08", "32.97", "-12.88"]
@@ -535,7 +535,7 @@ WORK: dict[str, tuple[str, list[str]]] = {
     "reproduce": ("recompute", []),
     "singularities": ("options.solve_pose", EXAMPLE),
     "statics": ("options.solve_pose", [*EXAMPLE, *LOAD]),
-    "sweep": ("sweeps.run", ["--legs", "1.2:1.3:2", "--out", "map"]),
+    "sweep": ("sweeps.run_sweep", ["--legs", "1.2:1.3:2", "--out", "map"]),
     "tolerance": ("analyse", []),
     "urdf": ("options.read_any_geometry", []),
     "view": ("options.requested_solutions", ["--no-open"]),

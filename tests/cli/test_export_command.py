@@ -1,4 +1,4 @@
-"""`spm-pin export`: every format, another robot, and options that contradict each other."""
+"""`spm-pin export`: every format, and options that contradict each other."""
 
 from __future__ import annotations
 
@@ -12,21 +12,16 @@ import yaml
 from cli.running import run
 
 import spm_pin as spm
-from spm_pin.description import CLOSURES_PATH, MJCF_PATH, PACKAGE_PATH, SDF_PATH, SRDF_PATH, URDF_PATH
-from spm_pin.description.load_robot import manipulator
-from spm_pin.description.write_mjcf import mjcf_text
-from spm_pin.description.write_sdf import sdf_text
-from spm_pin.description.write_urdf import urdf_text
+from spm_pin.description import CLOSURES_PATH, PACKAGE_PATH, URDF_PATH, mjcf_text, sdf_text, urdf_text
 
 
 def test_every_format_is_what_the_writers_write(tmp_path: Path) -> None:
-    robot = manipulator()
     for arguments, expected in (
-        (["--format", "urdf"], urdf_text(robot)),
-        (["--format", "urdf", "--ros-constraints"], urdf_text(robot, ros_constraints=True)),
-        (["--format", "mjcf"], mjcf_text(robot)),
-        (["--format", "mjcf", "--anchors", "sites"], mjcf_text(robot, anchors="sites")),
-        (["--format", "sdf", "--loops", "drake"], sdf_text(robot, loops="drake")),
+        (["--format", "urdf"], urdf_text()),
+        (["--format", "urdf", "--ros-constraints"], urdf_text(ros_constraints=True)),
+        (["--format", "mjcf"], mjcf_text()),
+        (["--format", "mjcf", "--anchors", "sites"], mjcf_text(anchors="sites")),
+        (["--format", "sdf", "--loops", "drake"], sdf_text(loops="drake")),
     ):
         done = run("export", *arguments)
         assert done.returncode == 0, done.message
@@ -41,7 +36,7 @@ def test_another_geometry_and_a_prefix(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text("base_radius: 0.7\nplatform_radius: 0.35\nmiddle_side: 0.8\n", encoding="utf-8")
     done = run("export", "--format", "mjcf", "--geometry", str(path), "--prefix", "left_")
-    assert done.stdout == mjcf_text(manipulator(spm.Geometry(0.7, 0.35, 0.8), prefix="left_"))
+    assert done.stdout == mjcf_text(spm.Geometry(0.7, 0.35, 0.8), prefix="left_")
     srdf = ElementTree.fromstring(run("export", "--format", "srdf", "--prefix", "left_").stdout)
     assert [g.get("name") for g in srdf.findall("group_state")] == ["home"]
     assert len(srdf.findall("passive_joint")) == 12
@@ -82,13 +77,6 @@ def test_another_mesh_of_the_same_name_is_kept(tmp_path: Path) -> None:
     assert mine.read_text(encoding="utf-8") == "mine"
 
 
-def test_another_robot_from_urdf_and_closures() -> None:
-    done = run("export", "--format", "sdf", "--urdf", URDF_PATH, "--closures", CLOSURES_PATH)
-    assert done.returncode == 0, done.message
-    joints = ElementTree.fromstring(done.stdout).findall("model/joint")
-    assert next(j.get("name") for j in joints if j.get("type") == "ball") == "middle_b2Cleg_b2_tip"
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -98,13 +86,6 @@ def test_another_robot_from_urdf_and_closures() -> None:
         (["--format", "mjcf", "--ros-constraints"], "--ros-constraints: expected to be left out with --format mjcf"),
         (["--format", "urdf", "--anchors", "sites"], "--anchors: expected to be left out with --format urdf"),
         (["--format", "mjcf", "--loops", "drake"], "--loops: expected to be left out with --format mjcf"),
-        (["--format", "mjcf", "--closures", CLOSURES_PATH], "--closures: expected to be left out without --urdf"),
-        (["--format", "mjcf", "--urdf", URDF_PATH, "--prefix", "a"], "--prefix: expected to be left out with --urdf"),
-        (["--format", "srdf", "--urdf", URDF_PATH], "--urdf: expected to be left out with --format srdf"),
-        (["--format", "mjcf", "--urdf", "none.urdf"], "none.urdf: expected a readable URDF file"),
-        (["--format", "mjcf", "--urdf", MJCF_PATH], "expected <robot>, got <mujoco>"),
-        (["--format", "mjcf", "--urdf", URDF_PATH, "--closures", SRDF_PATH], "expected a mapping with the keys"),
-        (["--format", "mjcf", "--urdf", SDF_PATH], "expected <robot>, got <sdf>"),
         (["--format", "mjcf", "--out", "/nowhere/x.xml"], "--out: expected a file that can be written"),
         (["--format", "mjcf", "--prefix", "1 2"], "--prefix: expected a name"),
     ],

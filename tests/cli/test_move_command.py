@@ -12,14 +12,12 @@ from cli.running import run
 
 import spm_pin as spm
 
-pytest.importorskip("toppra", reason="toppra has wheels for Linux on x86_64 only")
-
 START, GOAL = ["120", "120", "140", "125", "120", "150"], ["140", "120", "120", "120", "150", "125"]
 ENDS = ["--from", *START, "--to", *GOAL, "--unit", "cm"]
 
 
 def test_the_csv_has_the_motion_and_the_viewer_reads_it(tmp_path: Path) -> None:
-    from spm_pin.display.viewer.recording_files import read_recording
+    from spm_pin.display import read_recording
 
     out, plot = tmp_path / "motion.csv", tmp_path / "motion.png"
     done = run("move", *ENDS, "--leg-force", "1500", "--leg-rate", "0.5", "--out", str(out), "--plot", str(plot))

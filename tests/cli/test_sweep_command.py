@@ -37,7 +37,7 @@ def test_a_grid_of_poses_is_that_of_python(tmp_path: Path) -> None:
         2.5,
         xyx=[float(np.deg2rad(1)), (float(np.deg2rad(17)), float(np.deg2rad(20)), 2), float(np.deg2rad(6))],
     )
-    expected = spm.sweeps.run(spm.Geometry.paper(), grid, ["branches"], tmp_path / "b", workers=1).load()
+    expected = spm.sweeps.run_sweep(spm.Geometry.paper(), grid, ["branches"], tmp_path / "b", workers=1).load()
     found = xarray.open_zarr(tmp_path / "a").load()
     np.testing.assert_array_equal(found.branches, expected.branches)
     np.testing.assert_allclose(found.x, expected.x, rtol=1e-15)
@@ -62,16 +62,16 @@ def test_default_metrics_are_used(tmp_path: Path) -> None:
 def test_parameters_of_metrics(tmp_path: Path) -> None:
     output(
         *[*POSES, "--out", tmp_path / "a", "--workers", 1, "--limits", 115, 145],
-        *["--metric", "payload", "--metric", "payload_down", "--metric", "stiffness", "--metric", "conditioning"],
+        *["--metric", "payload", "--metric", "payload_down", "--metric", "least_stiffness", "--metric", "conditioning"],
         *["--leg-force", 900, "--leg-stiffness", 2e7, "--length", 50],
     )
     stored = xarray.open_zarr(tmp_path / "a")
     definition = json.loads(stored.attrs["spm_pin_sweep"])
     expected = [
         METRICS["conditioning"](length=0.5),
+        METRICS["least_stiffness"](leg_stiffness=2e7),
         METRICS["payload"](push=900.0),
         METRICS["payload_down"](push=900.0),
-        METRICS["stiffness"](leg=2e7),
     ]
     assert definition["metrics"] == [metric.definition() for metric in expected]
     assert definition["geometry"]["limits"] == [[1.15] * 6, [1.45] * 6]

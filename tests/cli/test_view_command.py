@@ -7,6 +7,7 @@ import subprocess
 import sys
 import urllib.request
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,9 +16,10 @@ from cli.running import run
 from PIL import Image
 
 import spm_pin as spm
+from spm_pin.display import Viewer
 from spm_pin.display.plots import save_gallery
-from spm_pin.display.viewer.event_queue import EventQueue
-from spm_pin.display.viewer.viser_server import free_port
+from spm_pin.display.viewer.playback import EventQueue
+from spm_pin.display.viewer.server import free_port
 
 EQUAL_LEGS = ["--legs", "1.3", "1.3", "1.3", "1.3", "1.3", "1.3"]
 COMMAND = [sys.executable, "-c", "from spm_pin.cli import main; main()"]
@@ -70,8 +72,6 @@ def test_a_taken_port_is_named_and_another_used_until_ctrl_c() -> None:
         (["--legs", "1", "1", "1", "1", "1", "1", "--translation", "1", "2", "3", "--xyx", "1", "2", "3"], "both"),
         (["--legs", "9", "0.1", "9", "1", "1", "1"], "can be assembled"),
         (["--translation", "0", "0", "2", "--xyx", "0", "0", "0"], "a pose with a real branch"),
-        (["--snapshot", "page.png"], "ending in .html"),
-        (["--snapshot", "/nowhere/page.html"], "a file that can be written"),
     ],
 )
 def test_view_refuses(arguments: list[str], words: str) -> None:
@@ -79,17 +79,6 @@ def test_view_refuses(arguments: list[str], words: str) -> None:
     assert done.returncode == 2
     assert words in done.message
     assert "Traceback" not in done.stderr
-
-
-def test_a_snapshot_is_one_file(tmp_path: Path) -> None:
-    path = tmp_path / "page.html"
-    done = run("view", "--snapshot", str(path), "--branch", "FF+", "--dark")
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == ""
-    text = path.read_text(encoding="utf-8")
-    assert 'data-spm="branch">FF+<' in text
-    assert "spm-pin inverse --translation" in text
-    assert path.stat().st_size < 2_000_000
 
 
 def test_draw_one_branch_or_all(tmp_path: Path) -> None:
@@ -186,3 +175,22 @@ def test_event_queue_replaces_pending_events_of_a_kind_and_stops_when_closed() -
 
     asyncio.run(scenario())
     assert done == ["drag 4", "select"]
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"port": "x"}, "port: expected a port"),
+        ({"port": True}, "port: expected a port"),
+        ({"port": 80.5}, "port: expected a port"),
+        ({"host": b"127.0.0.1"}, "host: expected an address"),
+        ({"host": ""}, "host: expected an address"),
+        ({"host": None}, "host: expected an address"),
+        ({"host": "a\0b"}, "host: expected an address"),
+        ({"host": "x" * 70}, "host: expected an address"),
+        ({"start": 3}, "start: expected a Configuration"),
+    ],
+)
+def test_a_viewer_refuses(options: dict[str, Any], says: str) -> None:
+    with pytest.raises(spm.ArgumentError, match=says):
+        Viewer(**options)

@@ -9,7 +9,7 @@ import pytest
 from problems import in_leg_space
 
 import spm_pin as spm
-from spm_pin.crosscheck import METHODS, make_methods
+from spm_pin.crosscheck import METHODS, compare_methods, make_methods
 from spm_pin.crosscheck import methods as methods_module
 
 GEOMETRY = spm.Geometry.paper()
@@ -52,6 +52,16 @@ def test_closure_residuals_stay_within_the_stated_rounding(name: str) -> None:
     states = solutions.configurations[solutions.exists]
     assert len(states) > 150
     assert (states.closure_residual <= method.rounding(states)).all()
+
+
+def test_machines_as_built_are_compared_by_the_methods_that_take_them() -> None:
+    built = GEOMETRY.perturbed(2, length=1e-3, angle=1e-3)
+    report = compare_methods(built, poses=10)
+    assert report.agrees
+    assert [score.name for score in report.scores] == ["closed form", "pinocchio"]
+    assert report.states > 10
+    with pytest.raises(spm.GeometryError, match="a machine as drawn"):
+        compare_methods(built, methods=["paper"])
 
 
 def test_a_singular_member_is_nan_and_the_others_are_solved() -> None:

@@ -37,6 +37,14 @@ def test_norm_of_the_inverse_agrees_with_the_inverse_jacobian() -> None:
     np.testing.assert_allclose(Conditioning.of(sample).inverse, expected, rtol=1e-6)
 
 
+def test_norm_of_the_inverse_agrees_with_that_of_a_machine_as_built() -> None:
+    built = GEOMETRY.perturbed(1, length=1e-2, angle=1e-2)
+    sample = spm.forward_physical(built, np.random.default_rng(0).uniform(1.15, 1.45, (20, 6)))
+    rates = spm.inverse_jacobian(sample) / np.repeat([1.0, GEOMETRY.middle_side], 3)
+    expected = 1.0 / np.linalg.svd(rates, compute_uv=False)[..., -1]
+    np.testing.assert_allclose(Conditioning.of(sample).inverse, expected, rtol=1e-9)
+
+
 @pytest.mark.parametrize("size", [1e-9, 1e-7])
 def test_position_bound_holds_for_perturbed_closures(size: float) -> None:
     """The equations are shifted by a residual as large as stated, and solved again by Newton's method."""

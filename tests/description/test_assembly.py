@@ -10,10 +10,9 @@ from description.kinematic_tree import KinematicTree, named_states
 from problems import GEOMETRIES, in_leg_space, random_branches
 
 import spm_pin as spm
-from spm_pin.description.closures import read_closures
-from spm_pin.description.expand import expand
-from spm_pin.description.paths import SRDF, URDF, description_file
-from spm_pin.description.tree import JOINTS, SLIDES, joint_values
+from spm_pin.description import urdf_text
+from spm_pin.description.source_files import SRDF, URDF, description_file
+from spm_pin.description.tree import JOINTS, SLIDES, joint_values, read_closures
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.leg_frames import home_lengths
 
@@ -39,7 +38,7 @@ ALL = GEOMETRIES | LIMITED
 
 @pytest.fixture(scope="module")
 def trees() -> dict[str, KinematicTree]:
-    return {name: KinematicTree(expand(geometry)) for name, geometry in ALL.items()}
+    return {name: KinematicTree(urdf_text(geometry)) for name, geometry in ALL.items()}
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -135,7 +134,7 @@ def test_joint_values_of_what_a_machine_does_are_small(trees: dict[str, Kinemati
 def test_ball_joint_values_at_a_gimbal_singularity() -> None:
     """Middle angle ±90°: the outer two are not determined, yet the rotation is."""
     geometry = spm.Geometry(0.7, 0.7, 0.7 * 3**0.5)
-    tree = KinematicTree(expand(geometry))
+    tree = KinematicTree(urdf_text(geometry))
     corner = tree.frames({})["base_a1"][:3, :3]
     along_y = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
     for turn in (along_y, along_y.T):

@@ -1,79 +1,53 @@
-"""Reading closures, and errors that name the line."""
+"""The closures, and the Extended-URDF file of them as the format's own loader reads it."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
-from text_files import assert_refused, written
+import yaml
+from description.kinematic_tree import named_states
 
-from spm_pin.description.closures import Closure, read_closures
-from spm_pin.errors import DescriptionError
-
-GOOD = """# a comment
-closures:
-  - {name: one, kind: point, frame_a: left, frame_b: right}
-  - name: two
-    kind: point
-    frame_a: up
-    frame_b: down
-"""
+from spm_pin.description import CLOSURES_PATH, SLIDES, SRDF_PATH, URDF_PATH, Closure, read_closures
 
 
-def test_the_four_balls() -> None:
-    assert read_closures() == (
-        Closure("closure_b2", "point", "middle_b2", "leg_b2_tip"),
-        Closure("closure_b3", "point", "middle_b3", "leg_b3_tip"),
-        Closure("closure_c2", "point", "middle_b2", "leg_c2_tip"),
-        Closure("closure_c3", "point", "middle_b3", "leg_c3_tip"),
+@pytest.mark.parametrize("prefix", ["", "p_"])
+def test_the_four_balls(prefix: str) -> None:
+    pairs = [("middle_b2", "leg_b2_tip"), ("middle_b3", "leg_b3_tip")]
+    pairs += [("middle_b2_upper", "leg_c2_tip"), ("middle_b3_upper", "leg_c3_tip")]
+    names = ("b2", "b3", "c2", "c3")
+    assert read_closures(prefix=prefix) == tuple(
+        Closure(f"{prefix}closure_{name}", prefix + a, prefix + b) for name, (a, b) in zip(names, pairs, strict=True)
     )
 
 
-def test_reading_another_file(tmp_path: Path) -> None:
-    path = written(tmp_path / "closures.yaml", GOOD)
-    one, two = read_closures(str(path), prefix="p_")
-    assert one == Closure("p_one", "point", "p_left", "p_right")
-    assert two == Closure("p_two", "point", "p_up", "p_down")
+def loaded_as_its_own_loader_does(urdf: str, extended: str) -> tuple[Any, list[Any], list[int]]:
+    """Repeat, step by step, what `completeRobotLoader` of example-parallel-robots makes of the keys."""
+    pin = pytest.importorskip("pinocchio")
+    model = pin.buildModelFromUrdf(urdf)
+    content = yaml.safe_load(Path(extended).read_text(encoding="utf-8"))
+    assert content.keys() == {"closed_loop", "type", "name_mot", "joint_name", "joint_type"}
+    assert content["joint_name"] == content["joint_type"] == []
+    constraints = []
+    for pair, kind in zip(content["closed_loop"], content["type"], strict=True):
+        assert isinstance(pair, list)
+        a, b = (model.frames[model.getFrameId(name)] for name in pair)
+        contact = pin.ContactType.CONTACT_3D if kind in ("3d", "3D") else pin.ContactType.CONTACT_6D
+        ends = (a.parentJoint, a.placement, b.parentJoint, b.placement)
+        constraints.append(pin.RigidConstraintModel(contact, model, *ends, pin.ReferenceFrame.LOCAL))
+    return model, constraints, [list(model.names).index(name) for name in content["name_mot"]]
 
 
-@pytest.mark.parametrize(
-    ("text", "line", "said"),
-    [
-        ("", None, "the key closures, got an empty file"),
-        ("- a\n- b\n", 1, "a mapping with the keys closures, got a sequence"),
-        ("clousures: []\n", 1, "got the key 'clousures'. Misspelt?"),
-        ("closures: 3\n", 1, "a list under the key closures, got '3'"),
-        (GOOD.replace("kind: point, ", "", 1), 3, "no key kind"),
-        (GOOD.replace("frame_a: up", "frame_c: up"), 6, "the key 'frame_c'"),
-        (GOOD.replace("frame_a: up", "kind: point"), 6, "the key 'kind' twice"),
-        (GOOD.replace("frame_a: up", "frame_a: 7"), 6, "a name under the key frame_a, got '7'"),
-        (GOOD.replace("frame_a: up", "frame_a: [up]"), 6, "a name under the key frame_a, got a sequence"),
-        (GOOD.replace("frame_a: up", "frame_a:"), 6, "a name under the key frame_a"),
-        (GOOD.replace("frame_a: up", "frame_a: ''"), 4, "a name under the key frame_a"),
-        (GOOD.replace("kind: point\n", "kind: glue\n"), 4, "one of point, weld under the key kind, got 'glue'"),
-        (GOOD.replace("frame_a: up", "frame_a: right").replace("down", "left"), 4, "right and left, as in one"),
-        ("closures: [{[a]: b}]\n", 1, "the key a sequence"),
-        (GOOD.replace("frame_b: down", "frame_b: up"), 4, "another frame than frame_a under the key frame_b"),
-        (GOOD.replace("name: two", "name: one"), 4, "a name of its own under the key name, got 'one'"),
-        ("closures: [\n", None, "a YAML file"),
-    ],
-)
-def test_malformed_files(tmp_path: Path, text: str, line: int | None, said: str) -> None:
-    assert_refused(read_closures, written(tmp_path / "closures.yaml", text), line, said)
-
-
-def test_files_that_cannot_be_read(tmp_path: Path) -> None:
-    with pytest.raises(DescriptionError, match="No such file"):
-        read_closures(tmp_path / "none.yaml")
-    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\xfa")
-    with pytest.raises(DescriptionError, match="a YAML file"):
-        read_closures(tmp_path / "binary.yaml")
-
-
-def test_closures_validate_themselves() -> None:
-    with pytest.raises(DescriptionError, match="kind"):
-        Closure("a", "glue", "b", "c")
-    with pytest.raises(DescriptionError, match="frame_b"):
-        Closure("a", "point", "b", "b")
-    with pytest.raises(DescriptionError, match="name"):
-        Closure("", "point", "b", "c")
+def test_the_public_loader_gets_a_closed_robot() -> None:
+    pin = pytest.importorskip("pinocchio")
+    model, constraints, motors = loaded_as_its_own_loader_does(URDF_PATH, CLOSURES_PATH)
+    assert [model.names[motor] for motor in motors] == list(SLIDES)
+    assert [constraint.type for constraint in constraints] == [pin.ContactType.CONTACT_3D] * 4
+    data = model.createData()
+    for state in named_states(Path(SRDF_PATH).read_text(encoding="utf-8")).values():
+        pin.forwardKinematics(model, data, np.array([state[name] for name in list(model.names)[1:]]))
+        for c in constraints:
+            ends = (data.oMi[c.joint1_id] * c.joint1_placement, data.oMi[c.joint2_id] * c.joint2_placement)
+            np.testing.assert_allclose(ends[0].translation, ends[1].translation, atol=1e-12)

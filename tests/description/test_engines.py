@@ -19,10 +19,9 @@ import trimesh
 from description.kinematic_tree import Array, KinematicTree, inertia, named_states, origin, vector
 from problems import GEOMETRIES
 
-from spm_pin.description.closures import read_closures
-from spm_pin.description.expand import expand
-from spm_pin.description.paths import MJCF, SRDF, URDF, description_directory, description_file
-from spm_pin.description.tree import SLIDES
+from spm_pin.description import urdf_text
+from spm_pin.description.source_files import MJCF, SRDF, URDF, description_directory, description_file
+from spm_pin.description.tree import SLIDES, read_closures
 
 TOLERANCE = 1e-12
 TEXT = description_file(URDF).read_text(encoding="utf-8")
@@ -46,7 +45,7 @@ def assert_same_frames(frames: Callable[[Mapping[str, float]], Frames], tree: Ki
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_pinocchio(name: str) -> None:
     pin = pytest.importorskip("pinocchio")
-    text = expand(GEOMETRIES[name])
+    text = urdf_text(GEOMETRIES[name])
     model = pin.buildModelFromXML(text)
     assert (model.nq, model.nv, model.njoints) == (18, 18, 19)
     data = model.createData()
@@ -130,7 +129,7 @@ def test_drake(looped: bool, tmp_path: Path) -> None:
     plant, _ = AddMultibodyPlantSceneGraph(builder, 1e-3)
     plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)  # ball constraints need SAP
     path = tmp_path / "spm.urdf"  # in a text without a file, Drake takes no paths of meshes
-    path.write_text(expand() if looped else without_constraints(expand()), encoding="utf-8")
+    path.write_text(urdf_text() if looped else without_constraints(urdf_text()), encoding="utf-8")
     Parser(plant).AddModels(str(path))
     plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base"))
     plant.Finalize()
@@ -173,7 +172,7 @@ def test_check_urdf(name: str, tmp_path: Path) -> None:
     if not binaries:
         pytest.skip("check_urdf is not installed (Debian: liburdfdom-tools)")
     urdf = tmp_path / "spm.urdf"
-    urdf.write_text(expand(GEOMETRIES[name], prefix="left_"), encoding="utf-8")
+    urdf.write_text(urdf_text(GEOMETRIES[name], prefix="left_"), encoding="utf-8")
     for binary in binaries:
         answer = subprocess.run([str(binary), str(urdf)], capture_output=True, text=True, check=False)
         assert answer.returncode == 0, answer.stdout + answer.stderr

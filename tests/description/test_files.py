@@ -17,11 +17,8 @@ from description.kinematic_tree import KinematicTree, named_states
 from problems import in_leg_space, random_branches
 
 import spm_pin as spm
-from spm_pin.description.closures import read_closures
-from spm_pin.description.expand import expand
-from spm_pin.description.extended_urdf import extended_urdf_text
-from spm_pin.description.load_robot import manipulator
-from spm_pin.description.paths import (
+from spm_pin.description import extended_urdf_text, urdf_text
+from spm_pin.description.source_files import (
     ENTRY,
     EXTENDED_URDF,
     MESHES,
@@ -32,8 +29,7 @@ from spm_pin.description.paths import (
     description_directory,
     description_file,
 )
-from spm_pin.description.srdf import srdf_text
-from spm_pin.description.tree import JOINTS, PASSIVE, SLIDES
+from spm_pin.description.tree import JOINTS, PASSIVE, SLIDES, read_closures, srdf_text
 from spm_pin.description.visuals import read_obj
 from spm_pin.errors import ArgumentError, DescriptionError
 from spm_pin.mechanism.geometry_files import as_data
@@ -79,7 +75,7 @@ def test_the_xacro_command_gives_the_same_tree(prefix: str, tmp_path: Path) -> N
     # From another folder: what the sources name, they find beside themselves.
     by_hand = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
     assert by_hand.stderr == ""
-    ours = expand(prefix=prefix, meshes=MESHES)
+    ours = urdf_text(prefix=prefix, meshes=MESHES)
     assert ElementTree.canonicalize(by_hand.stdout, strip_text=True) == ElementTree.canonicalize(ours, strip_text=True)
     if not prefix:
         values = KinematicTree(ours).random_values(np.random.default_rng(0))
@@ -95,12 +91,12 @@ def test_arguments_of_the_xacro_command(tmp_path: Path) -> None:
     assert spm.Geometry.from_yaml(path) == geometry
     command = [str(Path(sysconfig.get_path("scripts")) / "xacro"), str(description_file(ENTRY)), f"geometry:={path}"]
     by_hand = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    ours = ElementTree.canonicalize(expand(geometry, meshes=MESHES), strip_text=True)
+    ours = ElementTree.canonicalize(urdf_text(geometry, meshes=MESHES), strip_text=True)
     assert ElementTree.canonicalize(by_hand, strip_text=True) == ours
 
 
 def test_written_files_contain_no_local_path() -> None:
-    for text in (expand(meshes=MESHES), *map(shipped, (URDF, SRDF, MJCF, SDF, EXTENDED_URDF))):
+    for text in (urdf_text(meshes=MESHES), *map(shipped, (URDF, SRDF, MJCF, SDF, EXTENDED_URDF))):
         assert str(description_directory()) not in text
         assert str(Path.home()) not in text
 
@@ -128,31 +124,30 @@ def test_limits_leave_room_for_the_paper_s_forces() -> None:
 
 def test_numbers_survive_the_text() -> None:
     geometry = spm.Geometry(1.0 / 3.0, 0.1 + 0.2, 2.0 / 7.0)
-    tree = KinematicTree(expand(geometry))
+    tree = KinematicTree(urdf_text(geometry))
     assert tree.joints["base_a2_mount"].placement[1, 3] == geometry.base_radius
     assert tree.joints["terminal_c2_mount"].placement[1, 3] == geometry.platform_radius
 
 
 def test_prefix_is_on_every_name() -> None:
-    bare, prefixed = expand(), expand(prefix="left_")
+    bare, prefixed = urdf_text(), urdf_text(prefix="left_")
     named = re.compile(r'<(link|joint|transmission|actuator|material|parent|child)\b[^>]*?(?:name|link)="([^"]*)"')
     assert [(tag, f"left_{name}") for tag, name in named.findall(bare)] == named.findall(prefixed)
     constraint = re.compile(r'<drake:ball_constraint_body_[AB] name="([^"]*)"')
     assert [f"left_{name}" for name in constraint.findall(bare)] == constraint.findall(prefixed)
     assert prefixed.replace("left_", "") == bare
     for ours, theirs in zip(read_closures(), read_closures(prefix="left_"), strict=True):
-        assert theirs == ours.prefixed("left_")
-        assert theirs.name == f"left_{ours.name}"
+        assert [*vars(theirs).values()] == [f"left_{name}" for name in vars(ours).values()]
     srdf = srdf_text({}, prefix="left_")
     assert all(name.startswith("left_") for name in re.findall(r'(?:<(?:passive_)?joint name|link\d)="([^"]*)"', srdf))
-    extended = yaml.safe_load(extended_urdf_text(manipulator(prefix="left_")))
+    extended = yaml.safe_load(extended_urdf_text(prefix="left_"))
     assert extended["name_mot"] == [f"left_{name}" for name in SLIDES]
 
 
 @pytest.mark.parametrize("prefix", ["1", "1.5", "two words", 'a"b', "a<", "$(arg", "left_\n", "true", "NaN", "/", None])
 def test_prefixes_that_cannot_begin_a_name(prefix: str) -> None:
     with pytest.raises(DescriptionError, match="prefix: expected a name"):
-        expand(prefix=prefix)
+        urdf_text(prefix=prefix)
     with pytest.raises(DescriptionError, match="prefix: expected a name"):
         srdf_text({}, prefix=prefix)
     with pytest.raises(ArgumentError):
@@ -161,7 +156,7 @@ def test_prefixes_that_cannot_begin_a_name(prefix: str) -> None:
 
 @pytest.mark.parametrize("prefix", ["a", "_", "left-", "robot/", "r2.d2.", "e1_", "yes", "off"])
 def test_prefixes_come_out_as_they_went_in(prefix: str) -> None:
-    assert KinematicTree(expand(prefix=prefix)).base == f"{prefix}base"
+    assert KinematicTree(urdf_text(prefix=prefix)).base == f"{prefix}base"
 
 
 def test_extended_urdf_equals_the_closures() -> None:

@@ -18,7 +18,7 @@ from description.kinematic_tree import KinematicTree, named_states
 
 import spm_pin as spm
 from spm_pin import description
-from spm_pin.description.expand import expand
+from spm_pin.description import urdf_text
 
 PACKAGE = Path(description.PACKAGE_PATH)
 ROOT = Path(__file__).parents[2]
@@ -34,7 +34,7 @@ def test_constants_are_paths_of_what_they_name() -> None:
         "SDF_PATH": ".sdf",
         "CLOSURES_PATH": ".yaml",
     }
-    assert {*suffixes, "PACKAGE_PATH"} == set(description.__all__)
+    assert {*suffixes, "PACKAGE_PATH"} == {name for name in description.__all__ if name.endswith("_PATH")}
     for name, suffix in suffixes.items():
         path = Path(getattr(description, name))
         assert path.is_file()
@@ -91,7 +91,7 @@ def test_the_wheel_holds_it_once_where_ament_looks_below_the_package() -> None:
 def test_rviz_shows_the_robot_in_its_base() -> None:
     content = yaml.safe_load((PACKAGE / "rviz" / "spm.rviz").read_text(encoding="utf-8"))
     manager = content["Visualization Manager"]
-    assert manager["Global Options"]["Fixed Frame"] == KinematicTree(expand()).base
+    assert manager["Global Options"]["Fixed Frame"] == KinematicTree(urdf_text()).base
     (robot,) = [each for each in manager["Displays"] if each["Class"].endswith("/RobotModel")]
     assert robot["Description Topic"]["Value"] == "/robot_description"
     assert robot["Description Topic"]["Durability Policy"] == "Transient Local"  # as its publisher sends it
@@ -137,7 +137,7 @@ def test_launch(prefix: str, state: str) -> None:
     text = publisher.parameters[0]["robot_description"]
     same = (
         ElementTree.canonicalize(each, strip_text=True)
-        for each in (text, expand(prefix=prefix, meshes="package://spm_description/meshes"))
+        for each in (text, urdf_text(prefix=prefix, meshes="package://spm_description/meshes"))
     )
     assert len(set(same)) == 1
     assert joints.package == "joint_state_publisher"

@@ -12,10 +12,9 @@ from description.kinematic_tree import KinematicTree, inertia, named_states
 from problems import in_leg_space
 
 import spm_pin as spm
-from spm_pin.description.closures import read_closures
-from spm_pin.description.expand import expand
-from spm_pin.description.paths import EXTENDED_URDF, SRDF, URDF, description_file
-from spm_pin.description.tree import joint_values
+from spm_pin.description import urdf_text
+from spm_pin.description.source_files import EXTENDED_URDF, SRDF, URDF, description_file
+from spm_pin.description.tree import joint_values, read_closures
 
 pin = pytest.importorskip("pinocchio")
 
@@ -90,7 +89,7 @@ def test_no_collision_where_a_machine_can_be(model: Any) -> None:
 def test_mounted_on_an_arm() -> None:
     loaders = pytest.importorskip("example_robot_data")
     arm = loaders.load("ur5").model
-    robot = pin.buildModelFromXML(expand(prefix="spm_"))
+    robot = pin.buildModelFromXML(urdf_text(prefix="spm_"))
     tool = arm.getFrameId("tool0")
     mounting = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.2, 0.1), np.array([0.0, 0.02, 0.1]))
     model = pin.appendModel(arm, robot, tool, mounting)
@@ -114,10 +113,10 @@ def test_mounted_on_an_arm() -> None:
 
 
 def test_two_robots_need_prefixes() -> None:
-    bare = pin.buildModelFromXML(expand())
+    bare = pin.buildModelFromXML(urdf_text())
     with pytest.raises(ValueError, match="conflicting frame names"):
         pin.appendModel(bare, bare, 0, pin.SE3.Identity())
-    left, right = (pin.buildModelFromXML(expand(prefix=prefix)) for prefix in ("left_", "right_"))
+    left, right = (pin.buildModelFromXML(urdf_text(prefix=prefix)) for prefix in ("left_", "right_"))
     both = pin.appendModel(left, right, 0, pin.SE3(np.eye(3), np.array([3.0, 0.0, 0.0])))
     for prefix in ("left_", "right_"):
         assert closure_gap(both, pin.neutral(both), prefix) < 1e-12

@@ -1,4 +1,4 @@
-"""PyBullet reads the URDF; its closures are made from the Extended-URDF's pairs, at the centres of mass.
+"""PyBullet reads the URDF; its closures are made from the description's pairs, at the centres of mass.
 
 It hands poses over in single precision, at 2.6 m: what the other engines hold to 1e-12 is known to 1e-6 here.
 """
@@ -14,14 +14,13 @@ import numpy as np
 import pytest
 from description.kinematic_tree import Array, KinematicTree, inertia, named_states
 
-from spm_pin.description import CLOSURES_PATH, SRDF_PATH, URDF_PATH
-from spm_pin.description.extended_urdf import read_extended_urdf
+from spm_pin.description import SRDF_PATH, URDF_PATH, read_closures
 
 pybullet = pytest.importorskip("pybullet")
 
 TREE = KinematicTree(Path(URDF_PATH).read_text(encoding="utf-8"))
 STATES = named_states(Path(SRDF_PATH).read_text(encoding="utf-8"))
-CLOSURES = read_extended_urdf(CLOSURES_PATH).closures
+CLOSURES = read_closures()
 SINGLE = 1e-6
 
 

@@ -9,7 +9,7 @@ import trimesh
 from description.kinematic_tree import KinematicTree, origin, vector
 
 import spm_pin as spm
-from spm_pin.description.expand import expand
+from spm_pin.description import urdf_text
 from spm_pin.description.tree import joint_values
 from spm_pin.description.visuals import part_placements, visual_parts
 from spm_pin.display.scene import AXIS_COLOURS, TRIAD, scene
@@ -56,7 +56,7 @@ def test_every_machine_in_every_family_makes_closed_solids(name, family):
 @pytest.mark.parametrize("name", problems.GEOMETRIES)
 def test_solids_are_those_of_the_urdf_where_its_joints_put_them(name):
     geometry = problems.GEOMETRIES[name]
-    tree = KinematicTree(expand(geometry))
+    tree = KinematicTree(urdf_text(geometry))
     colours = {m.get("name"): vector(m.find("color").get("rgba"))[:3] for m in tree.root.findall("material")}
     state = problems.random_branches(geometry, "TT", 1, seed=2).configuration[0]
     frames, found = tree.frames(joint_values(state)), solids(state, frames=False)

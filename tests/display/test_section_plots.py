@@ -10,8 +10,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import spm_pin as spm
-from spm_pin.display.section_plots import Plane, draw_section, sections_figure
-from spm_pin.display.shell_plots import FAMILY_COLOURS
+from spm_pin.display.shell_plots import FAMILY_COLOURS, Plane, draw_section, sections_figure
 from spm_pin.errors import ArgumentError
 from spm_pin.workspace.paper_shell import workspace_shell
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import spm_pin as spm
-from spm_pin.display.figure_files import save_figure
+from spm_pin.display.output_files import save_figure
 from spm_pin.display.rendering import camera_axes
 from spm_pin.display.shell_plots import FAMILY_COLOURS, MESH_FORMATS, VIEWS, draw_shell, save_mesh, shell_figure
 from spm_pin.errors import ArgumentError, MissingExtraError

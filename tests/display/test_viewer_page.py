@@ -13,10 +13,9 @@ from browser import chromium, drained, pixel, until, watched
 from PIL import Image
 
 import spm_pin as spm
-from spm_pin.display.viewer import Viewer, save_snapshot
-from spm_pin.display.viewer.camera import VIEWS, robot_points
-from spm_pin.display.viewer.recording import Recording
-from spm_pin.display.viewer.state import Drive
+from spm_pin.display.viewer import Recording, Viewer
+from spm_pin.display.viewer.model import InputMode
+from spm_pin.display.viewer.robot_scene import VIEWS, robot_points
 
 pytestmark = pytest.mark.slow  # a browser without a graphics card
 
@@ -101,8 +100,8 @@ def send(session, name, value=None):
 
 
 def reset(page, session):
-    session.state_machine.hold_limits = True
-    session.state_machine.load(np.zeros(6))
+    session.model.hold_limits = True
+    session.model.load(np.zeros(6))
     send(session, "reset")
     page.wait_for_timeout(300)
 
@@ -264,7 +263,7 @@ def test_a_drag_out_of_reach_warns_and_shows_the_nearest(client):
     page.wait_for_selector('[data-spm="warning"]')
     page.wait_for_timeout(300)
     assert "out of reach" in page.inner_text('[data-spm="warning"] >> nth=0')
-    assert session.state_machine.within_limits(session.state.shown)
+    assert session.model.within_limits(session.state.shown)
     assert session.scene._wanted.visible
     picture(page, "viewer_out_of_reach.png")
     # The way back stands right below the warning.
@@ -308,18 +307,18 @@ def test_legs_load_and_path_move_the_shown_robot(client):
 
     session.panel.force.value = (0.0, 0.0, -500.0)
     send(session, "load")
-    send(session, "drive", Drive.LEGS)
+    send(session, "mode", InputMode.LEGS)
     send(session, "leg", (0, 1.25))
     assert session.state.shown.leg_lengths[0] == pytest.approx(1.25)
     expected = spm.leg_forces(session.state.shown, [0, 0, -500, 0, 0, 0])
-    np.testing.assert_allclose(session.state.readings.forces, expected)
+    np.testing.assert_allclose(session.state.measures.forces, expected)
     assert session.scene._arrows["push"].visible or session.scene._arrows["pull"].visible
     send(session, "play")
     until(lambda: session.player.playing, "time to run")
     until(lambda: session.player.time == 1.0 and not session.player.playing, "the end of the path", page=page)
     until(lambda: abs(session.state.shown.leg_lengths[1] - 1.25) < 1e-9, "its last point", page=page)
     assert not session.gizmo.visible
-    send(session, "drive", Drive.POSE)
+    send(session, "mode", InputMode.POSE)
     assert not errors
 
 
@@ -385,23 +384,3 @@ def test_the_demo_moves_until_it_is_touched(browser):
         assert not errors
     with Viewer(viewer._config.start, port=0) as viewer:
         assert viewer._config.demo is None
-
-
-def test_the_snapshot_needs_neither_server_nor_network(browser, tmp_path):
-    path = save_snapshot(
-        spm.forward_physical(spm.Geometry.paper(), [1.2, 1.2, 1.4, 1.25, 1.2, 1.5]), tmp_path / "a.html"
-    )
-    context = browser.new_context(viewport={"width": 1280, "height": 720}, offline=True)
-    page = context.new_page()
-    page.set_default_timeout(90_000)
-    errors, requests = watched(page), []
-    page.on("request", lambda request: requests.append(request.url))
-    page.goto(path.as_uri())
-    page.wait_for_selector("canvas")
-    assert page.inner_text('#spm-card [data-spm="branch"]') == "TT+"
-    assert "spm-pin inverse" in page.inner_text("#spm-card code")
-    page.wait_for_timeout(3000)
-    picture(page, "viewer_snapshot.png")
-    context.close()
-    assert not errors
-    assert [url for url in requests if not url.startswith(("file:", "blob:", "data:"))] == []

@@ -15,17 +15,13 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.display.json_text import fixed, to_json
-from spm_pin.display.viewer.camera import FIELD_OF_VIEW, VIEWS, fit_camera, robot_points
-from spm_pin.display.viewer.readings import Readings
-from spm_pin.display.viewer.recording import demo_motion
-from spm_pin.display.viewer.robot_meshes import RobotMeshes
-from spm_pin.display.viewer.slider_ranges import leg_ranges, pose_coordinates, pose_ranges
-from spm_pin.display.viewer.state import Drive, StateMachine
-from spm_pin.display.viewer.state_export import command_line, content
-from spm_pin.display.viewer.state_markup import forces_table, instruments, status
-from spm_pin.display.viewer.workspace_layer import WorkspaceLayer
-from spm_pin.kinematics.starting_configuration import starting_configuration
+from spm_pin.display.output_files import fixed, to_json
+from spm_pin.display.viewer.model import InputMode, Measures, ViewerModel, command_line, pose_coordinates, state_data
+from spm_pin.display.viewer.panel import forces_table, instruments, status
+from spm_pin.display.viewer.playback import demo_motion
+from spm_pin.display.viewer.robot_scene import FIELD_OF_VIEW, VIEWS, RobotMeshes, fit_camera, robot_points
+from spm_pin.display.viewer.workspace_layer import WorkspaceLayer, leg_ranges, pose_ranges
+from spm_pin.kinematics.forward_displacement import starting_configuration
 
 PAPER = spm.Geometry.paper()
 FREE = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)
@@ -42,10 +38,10 @@ def texts(state, level="warning"):
 
 def test_viewer_starts_with_the_paper_s_solution_3():
     np.testing.assert_allclose(START.leg_lengths, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5], atol=1e-12)
-    state = StateMachine(START).state
+    state = ViewerModel(START).state
     assert state.label == "TT+"
     assert state.labels == ("TT+", "TT-", "TF+", "TF-", "FF+", "FF-")
-    assert state.readings.physical
+    assert state.measures.physical
     assert not state.notices
 
 
@@ -53,52 +49,52 @@ def test_viewer_starts_with_the_paper_s_solution_3():
 def test_every_machine_has_a_start(name):
     state = starting_configuration(problems.GEOMETRIES[name])
     assert state.exists
-    assert Readings(state, np.zeros(6)).physical
+    assert Measures(state, np.zeros(6)).physical
 
 
 def test_a_dragged_platform_is_followed_on_its_branch():
-    state_machine = StateMachine(START)
-    state_machine.hold_limits = False
+    model = ViewerModel(START)
+    model.hold_limits = False
     for k in range(1, 6):
         target = moved(START.pose, shift=(0.0, 0.0, -0.01 * k), turn=(0.0, -0.01 * k, 0.0))
-        state = state_machine.drag(target)
+        state = model.drag(target)
         assert state.label == "TT+"
         assert state.distance == 0.0
         np.testing.assert_allclose(state.shown.pose.as_matrix(), target.as_matrix(), atol=1e-15)
 
 
 def test_selecting_a_branch_keeps_the_pose_and_says_what_is_wrong_with_it():
-    state_machine = StateMachine(START)
-    state = state_machine.select("FF+")
+    model = ViewerModel(START)
+    state = model.select("FF+")
     assert state.label == "FF+"
     np.testing.assert_allclose(state.shown.pose.as_matrix(), START.pose.as_matrix(), atol=1e-15)
     assert "Beyond the leg limits: r_b1 by 370.2 mm" in texts(state)
     assert "without a forward singularity" in texts(state, "info")
-    assert state_machine.select("TT+").notices == ()
+    assert model.select("TT+").notices == ()
     with pytest.raises(spm.ArgumentError, match="one of TT\\+, TT-"):
-        state_machine.select("FT+")
+        model.select("FT+")
 
 
 def test_limits_are_held_once_the_machine_is_inside_them_and_only_then():
-    state_machine = StateMachine(START)
+    model = ViewerModel(START)
     target = moved(START.pose, shift=(0.0, 0.0, 0.3))
-    state = state_machine.drag(target)
+    state = model.drag(target)
     assert "out of reach: beyond the leg limits" in texts(state)
-    assert state_machine.within_limits(state.shown)
+    assert model.within_limits(state.shown)
     assert state.distance == pytest.approx(spm.workspace.pose_distance(PAPER, state.shown.pose, target))
     np.testing.assert_array_equal(state.target.as_matrix(), target.as_matrix())
-    state_machine.hold_limits = False
-    state = state_machine.drag(target)
+    model.hold_limits = False
+    state = model.drag(target)
     assert state.distance == 0.0
     assert "Beyond the leg limits" in texts(state)
-    state_machine.hold_limits = True
-    assert state_machine.drag(moved(target, shift=(0.0, 0.0, 0.01))).distance == 0.0
+    model.hold_limits = True
+    assert model.drag(moved(target, shift=(0.0, 0.0, 0.01))).distance == 0.0
 
 
 def test_a_level_platform_is_out_of_reach_and_its_nearest_pose_is_hardly_tilted():
-    state_machine = StateMachine(spm.inverse_displacement(FREE, START.pose).physical())
+    model = ViewerModel(spm.inverse_displacement(FREE, START.pose).physical())
     for shift in ((0.0, 0.0), (0.2, 0.1)):
-        state = state_machine.drag(spm.pose([*shift, 2.2], rotation=np.eye(3)))
+        state = model.drag(spm.pose([*shift, 2.2], rotation=np.eye(3)))
         assert "out of reach" in texts(state)
         assert 0.0 < state.distance < 2.0 * np.deg2rad(0.1)
     assert state.label.startswith("TT")
@@ -111,8 +107,8 @@ def test_a_branch_that_does_not_reach_a_pose_names_those_that_do():
     absent = [label for label in spm.mechanism.BRANCHES if not solutions[label].exists]
     absent.sort(key=lambda label: not beginning[label].exists)
     assert 0 < solutions.count < 8, "the example has lost its point"
-    state_machine = StateMachine(spm.inverse_displacement(FREE, START.pose)[absent[0]])
-    said = texts(state_machine.drag(target))
+    model = ViewerModel(spm.inverse_displacement(FREE, START.pose)[absent[0]])
+    said = texts(model.drag(target))
     assert f"{absent[0]} does not reach it" in said
     assert (
         f"Other branches there: {', '.join(label for label in spm.mechanism.BRANCHES if label not in absent)}." in said
@@ -120,39 +116,39 @@ def test_a_branch_that_does_not_reach_a_pose_names_those_that_do():
 
 
 def test_legs_drive_the_platform_and_stop_before_a_singularity():
-    state_machine = StateMachine(START)
+    model = ViewerModel(START)
     lengths = np.array([1.25, 1.2, 1.35, 1.3, 1.2, 1.45])
-    state = state_machine.set_legs(lengths)
-    assert state.drive is Drive.LEGS
+    state = model.set_readings(lengths)
+    assert state.mode is InputMode.LEGS
     np.testing.assert_allclose(state.shown.leg_lengths, lengths, atol=1e-12)
-    state = state_machine.set_legs([0.2, 3.0, 0.2, 1.3, 1.3, 1.31])
+    state = model.set_readings([0.2, 3.0, 0.2, 1.3, 1.3, 1.31])
     assert "not reached: a forward singularity is in the way" in texts(state)
     way = np.array([0.2, 3.0, 0.2, 1.3, 1.3, 1.31]) - lengths
     share = ((state.shown.leg_lengths - lengths) / np.where(way == 0.0, np.nan, way))[way != 0.0]
     np.testing.assert_allclose(share, share[0], atol=1e-9)
     assert 0.05 < share[0] < 1.0
     with pytest.raises(spm.ArgumentError, match="positive"):
-        state_machine.set_legs([0.0, 1.2, 1.2, 1.2, 1.2, 1.2])
+        model.set_readings([0.0, 1.2, 1.2, 1.2, 1.2, 1.2])
 
 
 def test_equal_legs_have_no_isolated_branch_and_are_left_again():
-    state_machine = StateMachine(START)
-    state = state_machine.set_legs([1.3] * 6)
+    model = ViewerModel(START)
+    state = model.set_readings([1.3] * 6)
     assert state.label == ""
     assert state.labels == ()
     assert "continuous family" in texts(state, "info")
     assert "inverse" in texts(state)
-    assert state_machine.drag(START.pose).label == "TT+"
+    assert model.drag(START.pose).label == "TT+"
 
 
 def test_a_crossing_is_named():
-    state_machine = StateMachine(START)
-    before = state_machine.state.label
-    signs = {np.sign(state_machine.state.readings.singularities.scaled_determinants[2])}
+    model = ViewerModel(START)
+    before = model.state.label
+    signs = {np.sign(model.state.measures.singularities.scaled_determinants[2])}
     messages = ""
     for k in range(1, 30):
-        state = state_machine.set_legs(START.leg_lengths + 0.01 * k * np.array([0, 0, -1, 0, 0, -1]))
-        signs.add(np.sign(state.readings.singularities.scaled_determinants[2]))
+        state = model.set_readings(START.leg_lengths + 0.01 * k * np.array([0, 0, -1, 0, 0, -1]))
+        signs.add(np.sign(state.measures.singularities.scaled_determinants[2]))
         messages += texts(state)
         if len(signs) > 1:
             break
@@ -160,16 +156,16 @@ def test_a_crossing_is_named():
     assert "Singularity ahead (inverse)" in messages
 
 
-def test_readings_are_those_of_the_library():
+def test_measures_are_those_of_the_library():
     wrench = [10.0, 20.0, -500.0, 5.0, 0.0, 1.0]
-    readings = StateMachine(START).load(wrench).readings
-    np.testing.assert_array_equal(readings.forces, spm.leg_forces(START, wrench))
+    measures = ViewerModel(START).load(wrench).measures
+    np.testing.assert_array_equal(measures.forces, spm.leg_forces(START, wrench))
     found = spm.singularities(START)
-    np.testing.assert_array_equal(readings.singularities.sigma, found.sigma)
+    np.testing.assert_array_equal(measures.singularities.sigma, found.sigma)
     # The travel predicts where a determinant vanishes: go there along its gradient.
     gradient = spm.kinematics.determinant_gradients(START)[2]
     way = -gradient / np.linalg.norm(gradient) * np.sign(found.determinants[2])
-    there = spm.forward_physical(PAPER, START.leg_lengths + readings.travel[2] * way)
+    there = spm.forward_physical(PAPER, START.leg_lengths + measures.travel[2] * way)
     assert abs(spm.singularities(there).determinants[2]) < 0.1 * abs(found.determinants[2])
 
 
@@ -214,9 +210,9 @@ def test_a_leg_is_one_leg_whatever_its_length():
 
 def test_numbers_have_no_negative_zero_and_long_lengths_a_unit_that_fits():
     assert [fixed(x, 1) for x in (-0.04, -0.0, 0.04, -0.06)] == ["0.0", "0.0", "0.0", "-0.1"]
-    assert "-0.0" not in forces_table(StateMachine(START).load([0.0, 0.0, -1e-9, 0.0, 0.0, 0.0]))
-    far = StateMachine(START).state
-    far.readings.travel = np.array([56.999, 0.02, np.nan])
+    assert "-0.0" not in forces_table(ViewerModel(START).load([0.0, 0.0, -1e-9, 0.0, 0.0, 0.0]))
+    far = ViewerModel(START).state
+    far.measures.travel = np.array([56.999, 0.02, np.nan])
     assert "57.0 m<" in instruments(far)
     assert "56999" not in instruments(far)
 
@@ -269,7 +265,7 @@ def test_a_fitted_camera_shows_all_of_the_robot_and_little_else(view, aspect, co
 
 
 def test_the_exported_command_finds_the_state_again():
-    state = StateMachine(START).state
+    state = ViewerModel(START).state
     words = shlex.split(command_line(state.shown))
     assert words[:2] == ["spm-pin", "inverse"]
     code = "from spm_pin.cli import main; main()"
@@ -282,8 +278,8 @@ def test_the_exported_command_finds_the_state_again():
 
 def test_the_exported_json_holds_the_state():
     chain = spm.ClosedChain.from_urdf()
-    state = StateMachine(START).load([0.0, 0.0, -500.0, 0.0, 0.0, 0.0])
-    found = json.loads(to_json(content(state, chain)))
+    state = ViewerModel(START).load([0.0, 0.0, -500.0, 0.0, 0.0, 0.0])
+    found = json.loads(to_json(state_data(state, chain)))
     pose = np.array(found["pose"])
     np.testing.assert_array_equal(pose, START.pose.as_matrix())
     np.testing.assert_allclose(
@@ -293,19 +289,19 @@ def test_the_exported_json_holds_the_state():
     assert np.abs(spm.ClosedChain.from_urdf().closure_gap(q)).max() < 1e-12
     assert found["branch"] == "TT+"
     assert found["leg_forces"]["r_b1"] == pytest.approx(spm.leg_forces(START, [0, 0, -500, 0, 0, 0])[0])
-    json.loads(to_json(content(StateMachine(START).set_legs([1.3] * 6), chain)))  # singular, yet JSON
+    json.loads(to_json(state_data(ViewerModel(START).set_readings([1.3] * 6), chain)))  # singular, yet JSON
 
 
 def test_markup_of_a_state_is_escaped():
-    state_machine = StateMachine(START)
-    calm = status(state_machine.state) + instruments(state_machine.state)
+    model = ViewerModel(START)
+    calm = status(model.state) + instruments(model.state)
     assert "⚠" not in calm
-    state = state_machine.drag(moved(START.pose, shift=(0.0, 0.0, 0.3)))
+    state = model.drag(moved(START.pose, shift=(0.0, 0.0, 0.3)))
     assert 'data-spm="warning"' in status(state)
     assert "⚠ Pose out of reach" in status(state)
-    beyond = instruments(StateMachine(START).select("FF+"))
+    beyond = instruments(ViewerModel(START).select("FF+"))
     assert "⚠ +370 mm" in beyond
     assert "nan" not in beyond
-    assert "limits" not in status(StateMachine(starting_configuration(FREE)).state)
-    table = forces_table(state_machine.load([0.0, 0.0, -500.0, 0.0, 0.0, 0.0]))
+    assert "limits" not in status(ViewerModel(starting_configuration(FREE)).state)
+    table = forces_table(model.load([0.0, 0.0, -500.0, 0.0, 0.0, 0.0]))
     assert "▲" in table or "▼" in table

@@ -69,8 +69,8 @@ def test_without_errors_the_answers_are_those_of_the_nominal_machine(name: str) 
         np.testing.assert_array_equal(built.status, nominal.status)
         np.testing.assert_array_equal(built.is_physical, nominal.is_physical)
         np.testing.assert_allclose(built.configurations.leg_lengths, nominal.leg_lengths, rtol=1e-14)
-        assert built.met is not None
-        assert not built.met.any()
+        assert built.merged is not None
+        assert not built.merged.any()
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
@@ -88,8 +88,8 @@ def test_vanishing_errors_lead_to_the_nominal_branches_under_their_labels(name: 
     for size in (1e-11, 1e-9):
         built = spm.inverse_displacement(as_built(geometry, size, seed=9), pose)
         np.testing.assert_array_equal(built.exists[clear], nominal.exists[clear])
-        assert built.met is not None
-        assert not built.met[clear].any()
+        assert built.merged is not None
+        assert not built.merged[clear].any()
         moved = np.abs(built.middle_joints - nominal.middle_joints)[clear][nominal.exists[clear]]
         errors.append(np.median(moved.max(axis=(-1, -2))) / geometry.middle_side)
     # In proportion to the errors.
@@ -127,15 +127,15 @@ def test_labels_are_continuous_in_the_errors_until_branches_meet() -> None:
     lost = np.zeros(before.exists.shape, dtype=bool)
     for size in np.linspace(0.0, 2e-4, 201)[1:]:
         now = spm.inverse_displacement(along(float(size)), pose)
-        assert now.met is not None
-        assert not (lost & ~now.met).any(), "a label that was lost came back as if nothing had been"
-        kept = before.exists & ~lost & now.exists & ~now.met
+        assert now.merged is not None
+        assert not (lost & ~now.merged).any(), "a label that was lost came back as if nothing had been"
+        kept = before.exists & ~lost & now.exists & ~now.merged
         distance = np.abs(before.middle_joints[:, :, None] - now.middle_joints[:, None]).max(axis=(-1, -2))
         nearest = np.where(np.isnan(distance), np.inf, distance).argmin(axis=-1)
         step = np.take_along_axis(distance, nearest[..., None], -1)[..., 0]
         clear = kept & (step < 1e-3)
         np.testing.assert_array_equal(nearest[clear], np.broadcast_to(np.arange(8), nearest.shape)[clear])
-        newly = before.exists & ~lost & now.met
+        newly = before.exists & ~lost & now.merged
         for problem in np.flatnonzero(newly.any(axis=-1)):
             # Whoever is lost has met another one that is lost with it; the two were near each other.
             members = np.flatnonzero(newly[problem])
@@ -143,7 +143,7 @@ def test_labels_are_continuous_in_the_errors_until_branches_meet() -> None:
             joints = before.middle_joints[problem, members]
             gaps = np.abs(joints[:, None] - joints[None]).max(axis=(-1, -2)) + np.diag(np.full(len(members), np.inf))
             assert (gaps.min(axis=-1) < 0.35).all(), (size, problem, members)
-        lost |= now.met
+        lost |= now.merged
         before = now
     assert lost.any()
 
@@ -163,8 +163,8 @@ def test_two_branches_of_the_papers_example_end_where_they_meet() -> None:
     assert len(gone) == 2
     joints = before.middle_joints[gone]
     assert np.abs(joints[0] - joints[1]).max() < 1e-4
-    assert after.met is not None
-    np.testing.assert_array_equal(np.flatnonzero(after.met), gone)
+    assert after.merged is not None
+    np.testing.assert_array_equal(np.flatnonzero(after.merged), gone)
     np.testing.assert_allclose(after.middle_joints[after.exists], before.middle_joints[after.exists], atol=1e-8)
 
 
@@ -180,7 +180,7 @@ def test_a_batch_is_solved_like_its_members(shape: tuple[int, ...]) -> None:
         alone = spm.inverse_displacement(built, poses[index])
         np.testing.assert_array_equal(alone.middle_joints, solutions.middle_joints[index])
         np.testing.assert_array_equal(alone.leg_lengths, solutions.leg_lengths[index])
-        np.testing.assert_array_equal(alone.met, np.asarray(solutions.met)[index])
+        np.testing.assert_array_equal(alone.merged, np.asarray(solutions.merged)[index])
         np.testing.assert_array_equal(complex_middle_joints(built, poses[index]), roots[index])
         np.testing.assert_allclose(
             spm.inverse_physical(built, poses[index]).leg_lengths, alone.physical().leg_lengths, rtol=1e-13
@@ -253,7 +253,7 @@ STATE = spm.inverse_physical(as_built(PAPER, 1e-4, seed=7), EXAMPLE)
     "call",
     [
         spm.kinematics.determinant_gradients,
-        lambda state: spm.forward_physical(PAPER, state.leg_lengths, seed=state),
+        lambda state: spm.forward_physical(PAPER, state.leg_lengths, near=state),
         lambda state: spm.follow(PAPER, np.stack([state.pose.as_matrix()] * 2), start=state),
         lambda state: spm.workspace.nearest_reachable_pose(PAPER, state.pose, near=state),
         lambda state: certify_inverse(state.geometry, PAPER.limits),

@@ -78,18 +78,18 @@ def test_without_errors_the_answers_are_those_of_the_nominal_machine(name: str) 
 def test_a_seed_is_followed_from_its_readings_to_others() -> None:
     built = as_built(PAPER, 1e-3)
     state = states(count=40)
-    found = spm.forward_physical(built, state.leg_lengths[1:], seed=state[:-1])
+    found = spm.forward_physical(built, state.leg_lengths[1:], near=state[:-1])
     assert found.exists.mean() > 0.95
     error = np.abs(found.translation - state.translation[1:]).max(axis=-1)
     assert np.nanmax(error) < 1e-12
     # A mode that no machine gets into by itself stays that mode.
     turned = spm.inverse_displacement(built, in_leg_space(PAPER, 20, seed=9).pose)["FF+"]
     turned = turned[turned.exists]
-    near = spm.forward_physical(built, turned.leg_lengths + 1e-4, seed=turned)
+    near = spm.forward_physical(built, turned.leg_lengths + 1e-4, near=turned)
     moved = np.abs(near.translation - turned.translation).max(axis=-1)
     assert (np.isnan(moved) | (moved < 0.05)).all()
     assert near.exists.mean() > 0.7
-    alone = spm.forward_physical(built, state.leg_lengths[5], seed=state[4])
+    alone = spm.forward_physical(built, state.leg_lengths[5], near=state[4])
     np.testing.assert_array_equal(alone.middle_joints, found.middle_joints[4])
 
 
@@ -241,10 +241,10 @@ def test_rates_of_states_that_do_not_exist_are_nan(size: float) -> None:
         (lambda built, state: spm.forward_physical(built, np.full(5, 1.3)), "leg_lengths"),
         (lambda built, state: spm.forward_physical(built, np.full(6, -1.0)), "leg_lengths.*exceed their offset.*r_b1"),
         (lambda built, state: spm.forward_physical(built, np.full(6, 1e9)), "leg_lengths.*another unit"),
-        (lambda built, state: spm.forward_physical(PAPER, np.full(6, 1.3), seed=state), "seed.*of this geometry"),
+        (lambda built, state: spm.forward_physical(PAPER, np.full(6, 1.3), near=state), "seed.*of this geometry"),
         (lambda built, state: spm.forward_physical(built, np.full(6, 1.3), seed=built), "seed.*Configuration"),
         (
-            lambda built, state: spm.forward_physical(as_built(PAPER, 2e-3), np.full(6, 1.3), seed=state),
+            lambda built, state: spm.forward_physical(as_built(PAPER, 2e-3), np.full(6, 1.3), near=state),
             "seed.*of this geometry",
         ),
         (

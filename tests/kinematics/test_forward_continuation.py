@@ -19,10 +19,10 @@ def test_a_path_through_a_half_turn_ends_there() -> None:
     end = [1.1288651, 1.9396405, 1.4737952, 0.8767962, 1.3590058, 1.0512802]
     seed = spm.forward_displacement(PAPER, start)["F1+/F1+"]
     assert seed.exists
-    assert not spm.forward_physical(PAPER, end, seed=seed).exists
+    assert not spm.forward_physical(PAPER, end, near=seed).exists
     assert not follow_adaptively(seed, np.array(end))[1]
     # The way that stays on this side of the singularity is followed.
-    assert spm.forward_physical(PAPER, 0.95 * np.array(start) + 0.05 * np.array(end), seed=seed).exists
+    assert spm.forward_physical(PAPER, 0.95 * np.array(start) + 0.05 * np.array(end), near=seed).exists
 
 
 @pytest.mark.parametrize(
@@ -38,7 +38,7 @@ def test_the_solution_stays_on_its_path(count: int, draw: int) -> None:
     place = np.where(modes.exists[some], rng.random((len(some), 256)), -1.0).argmax(axis=-1)
     seeds = modes.configurations[some, place]
     ends = seeds.leg_lengths * rng.uniform(0.75, 1.3, (len(some), 6))
-    found = spm.forward_physical(PAPER, ends, seed=seeds)
+    found = spm.forward_physical(PAPER, ends, near=seeds)
     assert 0.2 < found.exists.mean() < 0.9
     joints, regular = follow_finely(seeds, ends, 2000)
     # Equal steps jump over what happens beside a singularity: there the steps follow the error.

@@ -113,10 +113,10 @@ def test_physical_configurations_are_among_all_modes_and_so_named() -> None:
 def test_a_seed_is_followed_in_its_own_mode() -> None:
     solutions = forward_displacement(PAPER, LEGS)
     every = solutions.configurations[solutions.exists]
-    here = forward_physical(PAPER, LEGS, seed=every)
+    here = forward_physical(PAPER, LEGS, near=every)
     assert distance(here, every).max() < 1e-13
-    ahead = forward_physical(PAPER, LEGS + 1e-4, seed=every)
-    back = forward_physical(PAPER, LEGS, seed=ahead)
+    ahead = forward_physical(PAPER, LEGS + 1e-4, near=every)
+    back = forward_physical(PAPER, LEGS, near=ahead)
     assert ahead.exists.all()
     assert distance(back, every).max() < 1e-11
     np.testing.assert_allclose(ahead.leg_lengths, np.broadcast_to(LEGS + 1e-4, (144, 6)), atol=1e-14)
@@ -128,7 +128,7 @@ def test_a_seed_far_away_gives_the_physical_mode_again() -> None:
     rng = np.random.default_rng(8)
     lengths = rng.uniform(1.1, 1.5, (2, 500, 6))
     start = forward_physical(PAPER, lengths[0])
-    end = forward_physical(PAPER, lengths[1], seed=start)
+    end = forward_physical(PAPER, lengths[1], near=start)
     np.testing.assert_allclose(end.translation, forward_physical(PAPER, lengths[1]).translation, atol=1e-12)
 
 
@@ -138,7 +138,7 @@ def test_continuation_from_a_seed_ends_at_a_singularity() -> None:
     assert seed.exists
     beyond = [0.6, 0.6, 1.9, 1.2, 1.2, 1.2]
     assert forward_displacement(PAPER, beyond).status is spm.Status.UNREACHABLE
-    end = forward_physical(PAPER, [start, beyond, start], seed=seed)
+    end = forward_physical(PAPER, [start, beyond, start], near=seed)
     np.testing.assert_array_equal(end.exists, [True, False, True])
     assert np.isnan(end.rotation[1]).all()
 
@@ -146,7 +146,7 @@ def test_continuation_from_a_seed_ends_at_a_singularity() -> None:
 def test_where_modes_vanish_their_seeds_end_and_no_two_end_in_one_mode() -> None:
     every = forward_displacement(PAPER, [1.20, 1.21, 1.22, 1.23, 1.24, 1.25]).configurations
     target = forward_displacement(PAPER, LEGS)
-    end = forward_physical(PAPER, LEGS, seed=every)
+    end = forward_physical(PAPER, LEGS, near=every)
     alive = end[end.exists]
     assert 100 < len(alive) <= target.count < len(every)
     apart = distance(target.configurations[None], alive[:, None])
@@ -200,4 +200,4 @@ def test_invalid_seeds_are_refused() -> None:
         (batch, "broadcast"),
     ):
         with pytest.raises(spm.ArgumentError, match=words):
-            forward_physical(PAPER, np.array([LEGS] * 2), seed=seed)  # type: ignore[arg-type]
+            forward_physical(PAPER, np.array([LEGS] * 2), near=seed)  # type: ignore[arg-type]

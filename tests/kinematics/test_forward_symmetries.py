@@ -53,13 +53,13 @@ def test_a_batch_of_seeds_is_its_members(shape: tuple[int, ...]) -> None:
     lengths = np.random.default_rng(2).uniform(1.1, 1.5, (*shape, 6))
     start = forward_physical(PAPER, lengths)
     target = lengths[..., ::-1]
-    end = forward_physical(PAPER, target, seed=start)
+    end = forward_physical(PAPER, target, near=start)
     assert end.shape == shape
     for index in np.ndindex(shape):
-        alone = forward_physical(PAPER, target[index], seed=start[index] if shape else start)
+        alone = forward_physical(PAPER, target[index], near=start[index] if shape else start)
         np.testing.assert_allclose(alone.middle_joints, end.middle_joints[index], rtol=0, atol=1e-15)
     home = forward_physical(PAPER, [1.3] * 6)
-    assert forward_physical(PAPER, target, seed=home).shape == shape
+    assert forward_physical(PAPER, target, near=home).shape == shape
 
 
 def test_a_large_batch_is_its_parts() -> None:

@@ -194,7 +194,7 @@ def test_physical_chooses_the_branch_tilted_less() -> None:
     solutions = spm.inverse_displacement(PAPER, in_leg_space(PAPER, 20_000, seed=13).pose)
     both = solutions[np.flatnonzero(solutions.ambiguous)]
     assert len(both.ambiguous) > 10
-    less = branches.straightness(both.configurations[:, :2]).argmax(axis=-1)
+    less = branches.tilt_cosine_sum(both.configurations[:, :2]).argmax(axis=-1)
     np.testing.assert_array_equal(both.physical().middle_joints, both.middle_joints[np.arange(len(less)), less])
 
 

@@ -10,10 +10,10 @@ import pytest
 from problems import GEOMETRIES, in_leg_space, random_branches
 
 import spm_pin as spm
+from spm_pin.kinematics.batches import threads
 from spm_pin.kinematics.inverse_displacement import branch_lengths
+from spm_pin.kinematics.rates_and_forces import StageWrenches
 from spm_pin.kinematics.singularity_analysis import determinants
-from spm_pin.kinematics.stage_wrenches import StageWrenches
-from spm_pin.kinematics.threads import threads
 
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()
@@ -25,7 +25,7 @@ def test_the_three_equations_solve_the_six(name: str, modes: str) -> None:
     """Solutions from determinants of three equations solve the 6 x 6 systems of all forces."""
     problem = random_branches(GEOMETRIES[name], modes, 500, seed=1)
     state = problem.configuration
-    wrenches = StageWrenches.of(state)
+    wrenches = StageWrenches.from_configuration(state)
     stages, (structure,) = wrenches.matrices("forward"), np.moveaxis(wrenches.matrices("inverse"), -3, 0)
     d = problem.geometry.middle_side
 
@@ -53,7 +53,7 @@ def test_the_three_equations_solve_the_six(name: str, modes: str) -> None:
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_determinants_are_those_of_the_matrices(name: str) -> None:
     state = random_branches(GEOMETRIES[name], "TT", 500, seed=3).configuration
-    wrenches = StageWrenches.of(state)
+    wrenches = StageWrenches.from_configuration(state)
     matrices = np.concatenate([wrenches.matrices("forward"), wrenches.matrices("inverse")], axis=-3)
     found = determinants(state)
     d = state.geometry.middle_side

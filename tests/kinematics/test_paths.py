@@ -12,9 +12,14 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
 import spm_pin as spm
-from spm_pin.kinematics.path_events import EventKind
-from spm_pin.kinematics.path_following import FollowedPath, follow, last_on_line, physical_mode_share
-from spm_pin.kinematics.path_tracker import Tracker
+from spm_pin.kinematics.path_following import (
+    EventKind,
+    FollowedPath,
+    Tracker,
+    follow,
+    last_on_line,
+    physical_mode_share,
+)
 
 PAPER = spm.Geometry.paper()
 FREE = replace(PAPER, limits=None)

@@ -31,7 +31,7 @@ def test_compliance_is_the_displacement_under_load(name: str, column: int) -> No
 
     def moved(load: np.ndarray) -> np.ndarray:
         shortened = LENGTHS - spm.leg_forces(state, load) / LEGS
-        return displacement(state, spm.forward_physical(state.geometry, shortened, seed=state))
+        return displacement(state, spm.forward_physical(state.geometry, shortened, near=state))
 
     found = (moved(20.0 * wrench) - moved(-20.0 * wrench)) / 40.0
     expected = compliance(state, LEGS)[:, column]

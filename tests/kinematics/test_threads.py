@@ -13,9 +13,9 @@ import pytest
 from problems import in_leg_space
 
 import spm_pin as spm
+from spm_pin.kinematics.batches import parallel_for, set_threads, threads
 from spm_pin.kinematics.inverse_displacement import branch_lengths
 from spm_pin.kinematics.singularity_analysis import determinants
-from spm_pin.kinematics.threads import parallel_for, set_threads, threads
 
 PAPER = spm.Geometry.paper()
 
@@ -124,7 +124,7 @@ def test_the_answer_does_not_depend_on_the_number_of_threads() -> None:
 FORK = """
 import os, numpy as np, spm_pin as spm
 from spm_pin.kinematics.inverse_displacement import branch_lengths
-from spm_pin.kinematics.threads import set_threads
+from spm_pin.kinematics.batches import set_threads
 set_threads(2)
 pose = np.repeat(spm.pose([0.6889, 0.4963, 2.253], xyx=[-0.19, 0.57, -0.22]).as_matrix()[None], 40000, axis=0)
 before = branch_lengths(spm.Geometry.paper(), pose)[0]

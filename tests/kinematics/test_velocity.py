@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.errors import ArgumentError, SingularConfigurationError, SpmError
-from spm_pin.kinematics.jacobians import inverse_jacobian, leg_rates, platform_jacobian
+from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_rates, platform_jacobian
 
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()

@@ -12,7 +12,7 @@ from problems import in_leg_space, random_branches
 
 import spm_pin as spm
 from spm_pin.errors import SelectionError
-from spm_pin.mechanism.branches import straightness
+from spm_pin.mechanism.branches import tilt_cosine_sum
 from spm_pin.mechanism.configuration import check_configuration
 
 PAPER = spm.Geometry.paper()
@@ -135,7 +135,7 @@ def test_nearest_finds_every_branch_again(batch: spm.SolutionSet) -> None:
 def test_nearest_refuses_a_seed_that_does_not_exist(branches: spm.SolutionSet) -> None:
     with pytest.raises(spm.ArgumentError, match="seed: expected states that exist"):
         branches.nearest(branches["FT+"])
-    with pytest.raises(spm.ArgumentError, match="seed"):
+    with pytest.raises(spm.ArgumentError, match="near"):
         branches.nearest(np.zeros((2, 2)))
 
 
@@ -170,10 +170,10 @@ def test_the_physical_branch_is_the_one_the_pose_was_made_from() -> None:
     assert (left.is_physical.sum(axis=-1) == 2).all()
     assert left.is_physical[:, :2].all()
     seed = problem.configuration[np.flatnonzero(solutions.ambiguous)]
-    seeded = left.physical(seed=seed)
+    seeded = left.physical(near=seed)
     np.testing.assert_allclose(seeded.middle_joints, seed.middle_joints, atol=1e-6)
-    tilts = straightness(left.configurations)[:, :2]
-    np.testing.assert_allclose(straightness(left.physical()), tilts.max(axis=-1))
+    tilts = tilt_cosine_sum(left.configurations)[:, :2]
+    np.testing.assert_allclose(tilt_cosine_sum(left.physical()), tilts.max(axis=-1))
 
 
 def test_signs_at_home_are_positive() -> None:
@@ -250,7 +250,7 @@ def test_the_error_of_a_level_pose_says_why_and_what_to_do() -> None:
     assert re.search(f"does not exist: a {words}", repr(absent))
     with pytest.raises(spm.ArgumentError, match=f"^configuration: expected a configuration that exists, .*{words}"):
         check_configuration(absent, existing=True)
-    assert pickle.loads(pickle.dumps(absent)).absence == absent.absence
+    assert pickle.loads(pickle.dumps(absent)).missing_reason == absent.missing_reason
     pair = spm.inverse_displacement(PAPER, np.stack([LEVEL.as_matrix(), LEVEL.as_matrix()]))
     with pytest.raises(spm.NotOneSolutionError, match=rf"index \(0,\): a {words}"):
         pair.one()
@@ -316,10 +316,10 @@ def test_what_does_not_hold_in_another_unit_hints_at_it(length: float) -> None:
         (lambda s: s.within(0), "limits"),
         (lambda s: s.within("x"), "limits"),
         (lambda s: s.within((1.1, 1.5)), "limits"),
-        (lambda s: s.nearest("x"), "seed"),
-        (lambda s: s.nearest(np.zeros((2, 3, 3))), "seed"),
-        (lambda s: s.nearest(s), "seed"),
-        (lambda s: s.physical(seed=0), "seed"),
+        (lambda s: s.nearest("x"), "near"),
+        (lambda s: s.nearest(np.zeros((2, 3, 3))), "near"),
+        (lambda s: s.nearest(s), "near"),
+        (lambda s: s.physical(near=0), "near"),
         (lambda s: spm.SolutionSet(s, ["a"], 0), "configurations"),
         (lambda s: spm.SolutionSet.from_unordered("x", POSE, np.zeros((1, 3, 3))), "geometry"),
         (lambda s: spm.SolutionSet.from_unordered(PAPER, POSE, np.zeros((3, 3))), "middle_joints"),

@@ -15,8 +15,8 @@ def check(found: MotionPlan, limits: spm.LegLimits, start: object, goal: object,
     """Samples of a plan keep the limits, move little from one to the next, and never cross a singularity."""
     states = found.configurations(samples)
     assert states.exists.all()
-    assert (limits.margin(states.leg_lengths) > -1e-9).all()
-    np.testing.assert_allclose(states.leg_lengths[[0, -1]], [start, goal], atol=1e-12)
+    assert (limits.margin(states.readings) > -1e-9).all()
+    np.testing.assert_allclose(states.readings[[0, -1]], [start, goal], atol=1e-12)
     signs = np.sign(spm.determinants(states)[:, :2])
     assert (signs == signs[0]).all()
     moves = np.abs(np.diff(states.middle_joints, axis=0)).max()
@@ -71,7 +71,7 @@ def test_configurations_poses_and_lengths_are_places() -> None:
     start, goal = (spm.forward_physical(PAPER, lengths) for lengths in (START, GOAL))
     for first, last in ((start, goal), (start.pose, goal.pose), (START, goal)):
         found = spm.plan(PAPER, first, last)
-        np.testing.assert_allclose(found.configurations(2).leg_lengths, [START, GOAL], atol=1e-9)
+        np.testing.assert_allclose(found.configurations(2).readings, [START, GOAL], atol=1e-9)
 
 
 def test_states_and_certificates_of_the_machine_with_other_limits_are_of_the_same_machine() -> None:
@@ -266,6 +266,6 @@ def test_random_pairs_have_a_plan_or_a_reason(geometry: spm.Geometry, count: int
         assert found.exists or "%" in found.reason
         if found.exists:
             planned += 1
-            check(found, limits, start.leg_lengths, goal.leg_lengths)
+            check(found, limits, start.readings, goal.readings)
             assert found.margin > 0.05 - 1e-9
     assert planned >= 0.95 * eligible > 0

@@ -13,8 +13,8 @@ from typing import Any, Protocol
 import numpy as np
 from multibody.chains import Array
 
-from spm_pin.description.expand import expand
-from spm_pin.description.paths import URDF, description_file
+from spm_pin.description import urdf_text
+from spm_pin.description.source_files import URDF, description_file
 from spm_pin.description.tree import SLIDES
 
 Forces = Callable[[float, Array, Array], Array]
@@ -137,7 +137,7 @@ class Drake:
         from pydrake.multibody.parsing import Parser
         from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
 
-        text = urdf.read_text(encoding="utf-8") if urdf else expand()
+        text = urdf.read_text(encoding="utf-8") if urdf else urdf_text()
         if step == 0.0:  # a continuous plant has no constraints
             start, end = text.index("<drake:ball_constraint>"), text.rindex("</drake:ball_constraint>")
             text = text[:start] + text[end + len("</drake:ball_constraint>") :]

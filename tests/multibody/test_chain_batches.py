@@ -16,7 +16,7 @@ pytest.importorskip("pinocchio")
 METHODS: dict[str, Callable[[Any, Array, Array, Array], Any]] = {
     "joint_values": lambda robot, q, v, w: robot.joint_values(robot.configuration(q)),
     "leg_lengths": lambda robot, q, v, w: robot.leg_lengths(q),
-    "with_leg_lengths": lambda robot, q, v, w: robot.with_leg_lengths(q, 1.0 + 0.1 * w),
+    "with_readings": lambda robot, q, v, w: robot.with_readings(q, 1.0 + 0.1 * w),
     "closure_gap": lambda robot, q, v, w: robot.closure_gap(q + 0.01),
     "constraint_jacobian": lambda robot, q, v, w: robot.constraint_jacobian(q),
     "project": lambda robot, q, v, w: robot.project(q + 1e-3),
@@ -51,7 +51,8 @@ def test_members(method: str, shape: tuple[int, ...]) -> None:
 def test_state_and_chain_return_the_same() -> None:
     robot, rng = chain(), np.random.default_rng(305)
     one = robot.state(np.zeros(18))
-    for _, q in placed("paper", 2, seed=306):
+    states = [q for _, q in placed("paper", 2, seed=306)]
+    for q in [*states, np.array(states[:4]).reshape(2, 2, 18)]:
         w = rng.normal(size=6)
         v = robot.joint_velocities(q, 0.1 * w)
         one.update(q, v)
@@ -69,16 +70,14 @@ def test_state_and_chain_return_the_same() -> None:
             (one.cut_forces(w), robot.cut_forces(q, w)),
             (one.leg_lengths(), robot.leg_lengths(q)),
             (one.closure_gap(), robot.closure_gap(q)),
+            (one.q, q),
             (one.v, v),
+            (one.energy().total, robot.energy(q, v).total),
+            (one.singular_values().forward, robot.singular_values(q).forward),
+            (one.configuration().middle_joints, robot.configuration(q).middle_joints),
         ]
         for found, expected in pairs:
             assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max() + 1e-15
-        assert one.energy() == robot.energy(q, v)
-        assert one.singular_values() == robot.singular_values(q)
-    with pytest.raises(ArgumentError, match=r"^q: expected shape \(18,\)"):
-        one.update([q, q])
-    with pytest.raises(ArgumentError, match=r"^wrench: expected"):
-        one.leg_forces(np.zeros((2, 6)))
 
 
 def test_joint_values_that_change_in_place_are_computed_anew() -> None:
@@ -104,21 +103,35 @@ def test_axes_broadcast() -> None:
         robot.leg_forces(q, wrenches[:, 0])
 
 
-@pytest.mark.parametrize("wrench", [np.ones((2, 6)), {"terminal_platform": np.ones((2, 6))}])
-def test_a_state_takes_one_wrench(wrench: Any) -> None:
-    state = chain().state(placed("paper", 1, seed=304)[0][1])
-    for method in (state.forward_dynamics, state.inverse_dynamics):
-        with pytest.raises(ArgumentError, match=r"^wrench: expected shape \(6,\)"):
-            method(np.zeros(6 if method == state.forward_dynamics else 18), wrench)
+def test_members_that_are_singular_or_open_are_nan_and_named() -> None:
+    robot, home = chain(), np.zeros(18)
+    q = placed("paper", 1, seed=304)[0][1]
+    with pytest.raises(SingularConfigurationError):
+        robot.inverse_jacobian(home)
+    jacobians = robot.inverse_jacobian([[q, q], [q, home]])
+    assert np.array_equal(np.isnan(jacobians).all(axis=(-1, -2)), [[False, False], [False, True]])
+    assert np.array_equal(jacobians[1, 0], robot.inverse_jacobian(q))
+    state = robot.state([q, home, q + 0.1])
+    dynamics = state.platform_dynamics()
+    for array in dynamics:
+        assert np.isfinite(array[0]).all()
+        assert np.isnan(array[1:]).all()
+    assert {index: type(error) for index, error in state.failures.items()} == {
+        (1,): SingularConfigurationError,
+        (2,): ClosureError,
+    }
+    assert "inverse singularity" in str(state.failures[1,])
+    # Forces and gaps exist at all of them, or fail elsewhere; the next call has failures of its own.
+    assert np.isfinite(state.leg_forces(np.ones(6))[1]).all()
+    assert state.failures == {}
+    projected = robot.project([q + 1e-3, q + 1e-3], max_iterations=0)
+    assert np.isnan(projected).all()
 
 
-def test_errors_name_the_member() -> None:
-    robot = chain()
-    q, rest = placed("paper", 1, seed=304)[0][1], np.zeros(18)
-    with pytest.raises(SingularConfigurationError) as singular:
-        robot.inverse_jacobian([[q, q], [q, rest]])
-    assert singular.value.index == (1, 1)
-    with pytest.raises(ClosureError, match=r"At batch index \(1,\)"):
-        robot.inverse_dynamics([q, q + 0.1, q], rest, rest)
+def test_wrong_arguments_name_the_member() -> None:
+    robot, rest = chain(), np.zeros(18)
+    q = placed("paper", 1, seed=304)[0][1]
     with pytest.raises(ArgumentError, match=r"^v: expected joint velocities .* at batch index \(2,\)"):
         robot.inverse_dynamics(q, [rest, rest, rest + 1.0], rest)
+    with pytest.raises(ArgumentError, match=r"^v: expected leading axes that broadcast"):
+        robot.state([q, q], [rest, rest, rest])

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import problems
 import pytest
 from multibody.chains import EPS, chain, closure_jacobian, placed, random_q
 
-from spm_pin.description.closures import KINDS, Closure
-from spm_pin.errors import ArgumentError
-
 pinocchio = pytest.importorskip("pinocchio")
 
 from spm_pin.multibody.constrained_model import ConstrainedModel, TreeKinematics  # noqa: E402
-from spm_pin.multibody.joint_layout import JointLayout  # noqa: E402
 
 NAMES = list(problems.GEOMETRIES)
 
@@ -84,21 +78,11 @@ def test_gaps_are_those_of_the_frames() -> None:
         assert np.allclose(gap, b - a, atol=16 * EPS * 10)
 
 
-def constrained(robot: Any, closures: Any) -> ConstrainedModel:
-    return ConstrainedModel(robot.model, JointLayout(robot.model, robot.geometry, ""), closures)
-
-
 def test_the_order_of_the_closures_is_kept() -> None:
     robot = chain()
     q = random_q(robot, np.random.default_rng(87))
-    backwards = TreeKinematics(constrained(robot, robot.closures[::-1]))
+    backwards = TreeKinematics(ConstrainedModel(robot.model, robot.closures[::-1], robot.geometry, ""))
     backwards.evaluate(q)
     assert np.array_equal(backwards.gap, robot.closure_gap(q)[::-1])
     found = robot.constraint_jacobian(q).reshape(4, 3, 18)[::-1]
     assert np.array_equal(backwards.constraint_jacobian.reshape(4, 3, 18), found)
-
-
-def test_other_kinds_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(KINDS, "frame", "6d")
-    with pytest.raises(ArgumentError, match="closures of kind point, got 'frame'"):
-        constrained(chain(), [Closure("weld", "frame", "middle_b2", "leg_b2_tip")])

@@ -23,7 +23,7 @@ from spm_pin.errors import ArgumentError, SingularConfigurationError
 
 pinocchio = pytest.importorskip("pinocchio")
 
-from spm_pin.multibody.regularity import SINGULAR  # noqa: E402
+from spm_pin.multibody.constrained_model import SINGULAR  # noqa: E402
 
 HOME = np.zeros(18)
 

@@ -19,7 +19,7 @@ from multibody.chains import (
 )
 
 import spm_pin as spm
-from spm_pin.description.paths import URDF, description_file
+from spm_pin.description.source_files import URDF, description_file
 from spm_pin.paper import driving_forces as paper
 
 pinocchio = pytest.importorskip("pinocchio")

@@ -56,11 +56,3 @@ def test_wrong_matrices_are_named() -> None:
             CHAIN.natural_frequencies(q, wrong)  # type: ignore[arg-type]
     with pytest.raises(spm.ClosureError):
         CHAIN.natural_frequencies(q + 0.01, np.eye(6))
-
-
-def test_a_state_refuses_a_batch_of_matrices() -> None:
-    state = CHAIN.state(CHAIN.joint_values(spm.forward_physical(PAPER, LENGTHS)))
-    for batch, shape in (((2,), r"\(2, 6, 6\)"), ((1,), r"\(1, 6, 6\)"), ((0,), r"\(0, 6, 6\)")):
-        message = rf"^stiffness: expected one matrix, shape \(6, 6\), got shape {shape}\. A single matrix is taken here"
-        with pytest.raises(spm.ArgumentError, match=message):
-            state.natural_frequencies(np.broadcast_to(np.eye(6), (*batch, 6, 6)))

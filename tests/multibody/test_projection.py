@@ -83,7 +83,7 @@ def test_forward_displacement(start: str) -> None:
         state = next(s for s in problems.in_leg_space(PAPER, 1, seed=135).configuration)
         q = robot.joint_values(state)
     for state in problems.in_leg_space(PAPER, 150, seed=136).configuration:
-        changed = robot.with_leg_lengths(q, state.leg_lengths)
+        changed = robot.with_readings(q, state.leg_lengths)
         found = robot.project(changed, hold_legs=True)
         assert np.array_equal(found[robot.leg_indices], changed[robot.leg_indices])
         forward = robot.singular_values(found).forward
@@ -101,7 +101,7 @@ def test_forward_displacement(start: str) -> None:
 def test_lengths_without_an_assembly_mode(lengths: list[float]) -> None:
     robot = chain()
     with pytest.raises(ClosureError, match=r"m open after \d+ iterations\. No assembly mode of these") as caught:
-        robot.project(robot.with_leg_lengths(np.zeros(18), lengths), hold_legs=True)
+        robot.project(robot.with_readings(np.zeros(18), lengths), hold_legs=True)
     assert caught.value.residual > 1e-3
     assert 0 < caught.value.iterations < 50
 

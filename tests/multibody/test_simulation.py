@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import problems
 import pytest
-from multibody.chains import Array, chain
+from multibody.chains import PAPER, Array, chain
 from multibody.engine_dynamics import Drake, Mujoco, accelerations, rk4
 
 import spm_pin as spm
 from spm_pin.errors import ArgumentError, ClosureError
-from spm_pin.multibody.integrator import LEAST_CONSTRAINED, SimulationEnd
+from spm_pin.multibody.simulation import LEAST_CONSTRAINED, SimulationEnd
 
 pytest.importorskip("pinocchio")
 
@@ -217,32 +217,15 @@ def test_controller_is_called_once_per_period() -> None:
     assert np.array_equal(run.leg_forces[0], run.leg_forces[4])
 
 
-def test_limits_end_a_run() -> None:
-    robot, q = chain(), chain().forward_kinematics([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
-    run = robot.simulate(q, np.zeros(18), None, np.linspace(0.0, 1.0, 11), stop_at=["limits"])
-    assert run.end is SimulationEnd.LIMIT
-    assert run.detail == "r_b2, minimum"
-    assert run.leg_lengths[-1, 1] == pytest.approx(1.1, abs=1e-12)
-    assert 0.1 < run.times[-1] < 0.2
-    assert run.times.size == 3
-    beyond = robot.simulate(
-        robot.forward_kinematics([1.2, 1.2, 1.4, 1.25, 1.2, 1.51]), np.zeros(18), None, [0.0, 1.0], stop_at=("limits",)
-    )
-    assert (beyond.end, beyond.detail, beyond.times.size) == (SimulationEnd.LIMIT, "r_c3, maximum", 1)
-    with pytest.raises(ArgumentError, match="without leg limits"):
-        chain("wide base").simulate(np.zeros(18), np.zeros(18), None, [0.0, 1.0], stop_at=["limits"])
-
-
 @pytest.mark.parametrize("kind", ["inverse", "forward"])
-def test_singularities_end_a_run_or_are_passed_through(kind: str) -> None:
+def test_limits_and_singularities_are_passed_through(kind: str) -> None:
     robot, q = chain(), chain().forward_kinematics([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
-    times = np.linspace(0.0, 1.5, 16)
-    run = robot.simulate(q, np.zeros(18), None, times, stop_at=[kind])
-    assert run.end is SimulationEnd(f"{kind} singularity")
-    assert getattr(robot.singular_values(run.q[-1]), kind) <= 1e-10
-    through = robot.simulate(q, np.zeros(18), None, np.append(times[times < run.times[-1]], run.times[-1] + 0.01))
-    assert through.complete
-    assert np.abs(through.energy_error).max() <= 1e-9 * through.energy[0]
+    run = robot.simulate(q, np.zeros(18), None, np.linspace(0.0, 1.5, 151))
+    assert (run.leg_lengths < PAPER.limits.minimum).any()
+    values = [getattr(robot.state(place).kinematics, f"{kind}_determinant")() for place in run.q]
+    crossed = int(np.flatnonzero(np.diff(np.sign(values)))[0])
+    assert run.times.size > crossed + 2
+    assert np.abs(run.energy_error).max() <= 1e-9 * run.energy[0]
 
 
 def test_a_constraint_singularity_ends_a_run() -> None:
@@ -336,8 +319,6 @@ BAD: dict[str, tuple[Callable[[Array], dict[str, Any]], str]] = {
     "least step": (lambda q: {"max_step": 1e-300}, "^max_step: expected a time .* not less than 1e-7 of the run"),
     "least period": (lambda q: {"period": 1e-300}, "^period: expected a time .* not less than 1e-7 of the run"),
     "period": (lambda q: {"period": -1.0}, "^period: "),
-    "stop": (lambda q: {"stop_at": ["limit"]}, "^stop_at: "),
-    "word": (lambda q: {"stop_at": "limits"}, "^stop_at: "),
     "batch of wrenches": (lambda q: {"wrench": np.zeros((2, 6))}, "^wrench: "),
 }
 

@@ -14,7 +14,7 @@ from spm_pin.crosscheck import in_leg_space, on_all_rotations
 from spm_pin.mechanism.solution_status import Status
 
 GEOMETRY = spm.Geometry.paper()
-RISK = 1e-3
+MISS_RATE = 1e-3
 
 
 def poses(inside: int, anywhere: int, seed: int) -> RigidTransform:
@@ -35,7 +35,7 @@ def compare(sample: RigidTransform, truth: np.ndarray, seeds: range) -> tuple[in
     np.testing.assert_array_equal(closed.count, truth)
     missed = 0
     for seed in seeds:
-        found = nlp.search(GEOMETRY, sample, risk=RISK, seed=seed)
+        found = nlp.search(GEOMETRY, sample, seed=seed)
         assert not (found.solutions.exists & ~closed.exists).any(), "a branch is invented"
         difference = np.linalg.norm((found.solutions.middle_joints - closed.middle_joints).reshape(-1, 8, 9), axis=-1)
         assert np.nanmax(difference / found.error_bound) < 1.0
@@ -56,13 +56,13 @@ def test_no_branch_is_missed_or_invented() -> None:
 
 
 @pytest.mark.slow
-def test_the_miss_rate_is_at_most_the_stated_risk() -> None:
+def test_the_miss_rate_is_at_most_what_is_stated() -> None:
     sample = poses(200, 50, 1)
     searches, missed = compare(sample, certified(sample), range(10))
     interval = binomtest(missed, searches).proportion_ci(0.95, "exact")
     print(f"missed {missed} of {searches}: at most {interval.high:.1e} with 95 % confidence")
-    # If the stated risk is right, more misses than these occur once in ten thousand such sweeps.
-    assert missed <= binom.isf(1e-4, searches, RISK)
+    # If the stated rate is right, more misses than these occur once in ten thousand such sweeps.
+    assert missed <= binom.isf(1e-4, searches, MISS_RATE)
 
 
 @pytest.mark.slow
@@ -71,5 +71,5 @@ def test_ipopt_misses_no_more_branches_than_newton_is_allowed() -> None:
     truth = certified(sample)
     found = nlp.inverse_displacement(GEOMETRY, sample, solver="ipopt")
     assert (found.count <= truth).all()
-    assert np.count_nonzero(found.count < truth) <= binom.isf(1e-4, len(truth), RISK)
+    assert np.count_nonzero(found.count < truth) <= binom.isf(1e-4, len(truth), MISS_RATE)
     np.testing.assert_array_equal(found.status[truth == 0], Status.UNREACHABLE)

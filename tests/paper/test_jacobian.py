@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.errors import ArgumentError, SingularConfigurationError
-from spm_pin.kinematics.jacobians import inverse_jacobian
-from spm_pin.kinematics.leg_forces import leg_forces
+from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_forces
 from spm_pin.paper import jacobian
 from spm_pin.paper.driving_forces import f_r, load
 

@@ -34,13 +34,13 @@ from spm_pin.sweeps import (
     SweepError,
     leg_grid,
     leg_sample,
+    open_sweep,
     pose_grid,
     pose_sample,
-    resume,
-    run,
-    status,
+    resume_sweep,
+    run_sweep,
+    sweep_status,
 )
-from spm_pin.sweeps.runner import open_store
 from spm_pin.sweeps.store import locked
 from spm_pin.sweeps.sweep_plan import SweepPlan
 
@@ -118,19 +118,19 @@ def test_values_not_computed_differ_from_absent_ones(undisturbed: Path, store: P
     assert (found.branches.values[missing] == -128).all()
     assert found.conditioning.isnull().values[missing].all()
     xarray.testing.assert_identical(found.where(~missing), whole.where(~missing))
-    assert status(store).done == 6
+    assert sweep_status(store).done == 6
 
 
 def test_a_sample_of_leg_lengths_keeps_its_points(tmp_path: Path) -> None:
     domain = leg_sample(700, (1.1, 1.5), [1.2, (1.1, 1.5), 1.3], seed=4)
-    found = run(GEOMETRY, domain, ["o_x", "o_y", "o_z", "branches"], tmp_path / "a", workers=1, chunk=256).load()
+    found = run_sweep(GEOMETRY, domain, ["o_x", "o_y", "o_z", "branches"], tmp_path / "a", workers=1, chunk=256).load()
     assert dict(found.sizes) == {"sample": 700}
     legs = np.stack([np.broadcast_to(found[leg], 700) for leg in spm.mechanism.LEGS], axis=-1)
     state = spm.forward_physical(GEOMETRY, legs)
     np.testing.assert_array_equal(np.stack([found[f"o_{k}"] for k in "xyz"], axis=-1), state.translation)
     assert found.r_b1.attrs["units"] == "m"
     assert set(found.coords) == set(spm.mechanism.LEGS)
-    poses = run(
+    poses = run_sweep(
         GEOMETRY, pose_sample(50, (-1, 1), 0, 2, xyx=[0.1, (0.2, 0.5), 0]), ["branches"], tmp_path / "b", workers=1
     )
     assert {"x", "beta"} <= set(poses.coords)
@@ -144,7 +144,7 @@ def test_chunks_do_not_change_values(undisturbed: Path, tmp_path: Path) -> None:
 
 
 def test_a_lattice_of_leg_lengths_beyond_the_limits(tmp_path: Path) -> None:
-    found = run(GEOMETRY, leg_grid((1.0, 1.6, 3), (1.2, 1.4, 2)), "reachable", tmp_path / "map", workers=1).load()
+    found = run_sweep(GEOMETRY, leg_grid((1.0, 1.6, 3), (1.2, 1.4, 2)), "reachable", tmp_path / "map", workers=1).load()
     inside = (found.r_b1 == 1.3) & (found.r_b2 == 1.3) & (found.r_b3 == 1.3)
     assert ((found.reachable == 1) == inside).all()
 
@@ -153,7 +153,7 @@ def test_progress_counts_points(tmp_path: Path) -> None:
     counted: list[tuple[int, int]] = []
     small(tmp_path / "map.zarr", progress=lambda done, total: counted.append((done, total)))
     assert counted == [(90 * k, 630) for k in range(8)]
-    assert status(tmp_path / "map.zarr").complete
+    assert sweep_status(tmp_path / "map.zarr").complete
 
 
 # Going on
@@ -161,7 +161,7 @@ def test_progress_counts_points(tmp_path: Path) -> None:
 
 def test_nothing_is_computed_twice(store: Path, undisturbed: Path, computed: list[tuple[int, ...]]) -> None:
     small(store)
-    resume(store, workers=1)
+    resume_sweep(store, workers=1)
     # The order of metrics makes no other sweep, nor does a metric in place of its name.
     small(store, metrics=[payload(push=1.0), *reversed(METRICS[:3])])
     assert computed == []
@@ -208,7 +208,7 @@ def test_damaged_chunks_are_computed_again(
 def test_a_damaged_chunk_is_not_read_as_if_it_were_good(store: Path) -> None:
     flip_bit(store / "conditioning" / PLACE)
     with pytest.raises((RuntimeError, ValueError), match=r"(?i)checksum"):
-        open_store(store).conditioning.load()
+        open_sweep(store).conditioning.load()
 
 
 def test_drafts_of_files_of_killed_processes_are_removed(store: Path, undisturbed: Path) -> None:
@@ -232,7 +232,7 @@ def test_nothing_that_a_sweep_did_not_make_is_removed(tmp_path: Path) -> None:
     (path / "mine.partial").mkdir()
     before = contents(tmp_path)
     small(path)
-    resume(path, workers=1)
+    resume_sweep(path, workers=1)
     assert contents(tmp_path) == before
     assert (path / "mine.partial").is_dir()
 
@@ -253,9 +253,9 @@ def test_an_error_in_a_metric_leaves_what_was_done(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError) as error:
         small(tmp_path / "map.zarr", metrics=[Metric("fragile", "m", "", fragile)])
     assert error.value.__notes__ == ["while evaluating the metric 'fragile'"]
-    assert status(tmp_path / "map.zarr").done == 4
+    assert sweep_status(tmp_path / "map.zarr").done == 4
     with pytest.raises(spm.ArgumentError, match="of your own"):
-        resume(tmp_path / "map.zarr", workers=1)
+        resume_sweep(tmp_path / "map.zarr", workers=1)
 
 
 def test_the_note_of_an_interrupt_says_what_is_complete(tmp_path: Path, undisturbed: Path) -> None:
@@ -267,14 +267,29 @@ def test_the_note_of_an_interrupt_says_what_is_complete(tmp_path: Path, undistur
     with pytest.raises(KeyboardInterrupt) as error:
         small(path, progress=interrupt)
     assert "3 of 7 chunks are complete" in error.value.__notes__[0]
-    resume(path, workers=1)
+    resume_sweep(path, workers=1)
     assert contents(path) == contents(undisturbed)
+
+
+def test_a_sweep_of_a_machine_as_built_is_resumed_from_its_store(tmp_path: Path) -> None:
+    path, built = tmp_path / "map.zarr", GEOMETRY.perturbed(1, length=1e-3)
+    small(path, geometry=built)
+    whole = contents(path)
+    for record in records(path)[3:]:
+        record.unlink()
+    resume_sweep(path, workers=1)
+    assert contents(path) == whole
+    assert (open_sweep(path).reachable == 1).any()
 
 
 # What is refused
 
 OTHERS: dict[str, tuple[dict[str, Any], str]] = {
     "geometry": ({"geometry": dataclasses.replace(GEOMETRY, base_radius=0.7)}, r"geometry.base_radius is 0.69.* 0.7 "),
+    "legs": (
+        {"geometry": GEOMETRY.perturbed(1)},
+        r"geometry.legs.axes\[0\]\[0\] is 0.5 in the store and 0.49.* in this sweep; .*56 more differences",
+    ),
     "limits": (
         {"geometry": dataclasses.replace(GEOMETRY, limits=spm.LegLimits(1.1, 1.45))},
         r"geometry.limits\[1\]\[0\] is 1.5 in the store and 1.45 in this sweep",
@@ -295,11 +310,11 @@ OTHERS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "type": (
         {"metrics": [*METRICS[:3], dataclasses.replace(payload, dtype="float32")]},
-        'dtype is "float64" in the store and "float32" in this sweep',
+        r'metrics\[2\].dtype is "float64" in the store and "float32" in this sweep',
     ),
     "function": (
         {"metrics": [*METRICS[:3], dataclasses.replace(payload, function=lambda points: np.zeros(len(points)))]},
-        "function is .*payload.* in the store and .*code",
+        "is_of_package is true in the store and false in this sweep",
     ),
     "chunk": ({"chunk": 300}, r"chunk\[0\] is 1 in the store and"),
 }
@@ -318,7 +333,7 @@ def test_a_store_of_another_version_is_refused(store: Path, monkeypatch: pytest.
     with pytest.raises(spm.ArgumentError, match=r'spm_pin is "0\..*" in the store and "9.9" in this sweep'):
         small(store)
     with pytest.raises(spm.ArgumentError, match=r"of spm_pin 9.9, got .* made by 0\."):
-        resume(store)
+        resume_sweep(store)
 
 
 @pytest.mark.parametrize("kind", ["file", "folder", "other results"])
@@ -334,13 +349,13 @@ def test_other_files_are_refused_and_not_changed(kind: str, tmp_path: Path) -> N
             warnings.simplefilter("ignore")
             xarray.Dataset({"a": ("x", [1.0])}).to_zarr(path, zarr_format=3)
     before = contents(tmp_path)
-    for act in (small, resume, status, open_store):
+    for act in (small, resume_sweep, sweep_status, open_sweep):
         with pytest.raises(spm.ArgumentError, match="folder of a sweep"):
             act(path)
     assert contents(tmp_path) == before
 
 
-@pytest.mark.parametrize("act", [resume, status, open_store])
+@pytest.mark.parametrize("act", [resume_sweep, sweep_status, open_sweep])
 def test_a_store_that_is_not_there(act: Callable[[Path], object], tmp_path: Path) -> None:
     with pytest.raises(spm.ArgumentError, match="does not exist"):
         act(tmp_path / "map.zarr")
@@ -388,7 +403,7 @@ def test_bad_arguments_are_refused_before_anything_is_written(
 
 
 @pytest.mark.parametrize("store", [None, 3, b"map.zarr", "a\0b", "", "/", ["map.zarr"]])
-@pytest.mark.parametrize("act", [small, resume, status, open_store])
+@pytest.mark.parametrize("act", [small, resume_sweep, sweep_status, open_sweep])
 def test_what_is_no_path_is_refused(act: Callable[..., object], store: Any) -> None:
     with pytest.raises(spm.SpmError, match=r"store|sweep"):
         act(store)
@@ -426,6 +441,8 @@ DAMAGES: dict[str, Callable[[dict[str, Any]], Any]] = {
     "no geometry": lambda definition: definition.update(geometry=None),
     "dimension": lambda definition: definition["geometry"].update(base_radius="wide"),
     "no limits": lambda definition: definition["geometry"].pop("limits"),
+    "no legs": lambda definition: definition["geometry"].pop("legs"),
+    "short axes": lambda definition: definition["geometry"]["legs"].update(axes=[[0.0, 0.0, 0.5]] * 6),
     "parameters": lambda definition: definition["metrics"][1].update(parameters=[]),
     "no parameters": lambda definition: definition["metrics"][1].pop("parameters"),
     "another key": lambda definition: definition.update(points=630),
@@ -436,7 +453,7 @@ DAMAGES: dict[str, Callable[[dict[str, Any]], Any]] = {
 def test_a_damaged_definition_is_a_store_error(damage: str, store: Path) -> None:
     change_definition(store, DAMAGES[damage])
     before = contents(store)
-    for act in (small, resume, status, open_store):
+    for act in (small, resume_sweep, sweep_status, open_sweep):
         with pytest.raises(StoreError, match=r"cannot be read|format 99"):
             act(store)
     assert contents(store) == before
@@ -445,7 +462,7 @@ def test_a_damaged_definition_is_a_store_error(damage: str, store: Path) -> None
 @pytest.mark.parametrize("text", ["", "{", "[]", "3", '{"attributes": 3}', "\ud800", "[" * 100_000])
 def test_damaged_metadata_are_a_store_error(text: str, store: Path) -> None:
     (store / "zarr.json").write_bytes(text.encode("utf-8", "surrogatepass"))
-    for act in (small, resume, status, open_store):
+    for act in (small, resume_sweep, sweep_status, open_sweep):
         with pytest.raises(StoreError, match="cannot be read"):
             act(store)
 
@@ -460,9 +477,9 @@ def test_pipe_in_place_of_a_file_is_refused_and_not_changed(name: str, store: Pa
     with pytest.raises(spm.SpmError, match="not a regular file"):
         small(store)
     with pytest.raises(spm.SpmError, match="not a regular file"):
-        resume(store, workers=1)
+        resume_sweep(store, workers=1)
     with pytest.raises(spm.SpmError, match="not a regular file"):
-        open_store(store).load()
+        open_sweep(store).load()
     assert (store / name).is_fifo()
 
 
@@ -480,7 +497,7 @@ def test_codecs_and_types_that_no_sweep_writes_are_not_read(change: str, consoli
     content = json.loads(place.read_text())
     (content["consolidated_metadata"]["metadata"]["status"] if consolidated else content).update(STRANGE[change])
     place.write_text(json.dumps(content))
-    for act in (small, resume, status, open_store):
+    for act in (small, resume_sweep, sweep_status, open_sweep):
         with pytest.raises(StoreError, match="which no sweep writes"):
             act(store)
 
@@ -523,7 +540,7 @@ def test_one_store_by_two_paths_is_locked_once(store: Path, tmp_path: Path) -> N
     (tmp_path / "alias").symlink_to(store)
     with locked(store), pytest.raises(StoreLockedError):
         small(tmp_path / "alias")
-    assert status(tmp_path / "alias").complete
+    assert sweep_status(tmp_path / "alias").complete
 
 
 # Disks that fail
@@ -552,7 +569,7 @@ def test_a_full_disk_leaves_what_was_done(
     monkeypatch.undo()
     kept = {record.name: record.stat().st_mtime_ns for record in records(path)}
     assert len(kept) == 3
-    resume(path, workers=1)
+    resume_sweep(path, workers=1)
     assert contents(path) == contents(undisturbed)
     assert kept.items() <= {record.name: record.stat().st_mtime_ns for record in records(path)}.items()
 
@@ -562,12 +579,12 @@ def test_a_limit_of_file_sizes_ends_a_sweep_that_resumes_later(tmp_path: Path) -
     code = (
         "import pathlib, resource, signal, sys\n"
         "import stores\n"
-        "from spm_pin.sweeps import SweepError, leg_sample, run\n"
+        "from spm_pin.sweeps import SweepError, leg_sample, run_sweep\n"
         "stores.small(pathlib.Path(sys.argv[1] + '.first'))\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (16_384, 16_384))\n"
         "try:\n"
-        "    run(stores.GEOMETRY, leg_sample(9000, (1.1, 1.5), 1.3), ['o_x'], sys.argv[1], chunk=4096, workers=1)\n"
+        "    run_sweep(stores.GEOMETRY, leg_sample(9000, (1.1, 1.5), 1.3), 'o_x', sys.argv[1], chunk=4096, workers=1)\n"
         "except SweepError as error:\n"
         "    print(error)\n"
     )
@@ -581,7 +598,7 @@ def test_a_limit_of_file_sizes_ends_a_sweep_that_resumes_later(tmp_path: Path) -
     )
     assert "file too large" in answer.stdout
     assert "0 of 3 chunks are complete" in answer.stdout
-    found = resume(tmp_path / "map", workers=1)
+    found = resume_sweep(tmp_path / "map", workers=1)
     assert int(found.o_x.notnull().sum()) == 9000
 
 
@@ -624,7 +641,7 @@ def test_memory_does_not_grow_with_the_number_of_points(tmp_path: Path) -> None:
         domain = leg_sample(4096 * chunks, (1.1, 1.5), 1.3)
         tracemalloc.start()
         try:
-            run(GEOMETRY, domain, ["o_x", "conditioning"], tmp_path / str(chunks), chunk=4096, workers=1).close()
+            run_sweep(GEOMETRY, domain, ["o_x", "conditioning"], tmp_path / str(chunks), chunk=4096, workers=1).close()
             return tracemalloc.get_traced_memory()[1]
         finally:
             tracemalloc.stop()
@@ -643,6 +660,7 @@ def test_errors_can_be_pickled() -> None:
 
 def test_a_plan_is_made_again_from_its_definition() -> None:
     geometry = dataclasses.replace(GEOMETRY, limits=spm.LegLimits(0.0, [1.5] * 5 + [math.inf]))
-    plan = SweepPlan.make(geometry, GRID, (payload(push=3.0),), CHUNK)
-    again = SweepPlan.from_definition(json.loads(plan.text))
-    assert (again.text, again.geometry, again.domain) == (plan.text, geometry, GRID)
+    for machine in (geometry, geometry.perturbed(1)):
+        plan = SweepPlan.make(machine, GRID, (payload(push=3.0),), CHUNK)
+        again = SweepPlan.from_definition(json.loads(plan.text))
+        assert (again.text, again.geometry, again.domain) == (plan.text, machine, GRID)

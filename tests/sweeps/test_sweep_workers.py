@@ -22,7 +22,18 @@ from distributed import Client, LocalCluster
 from stores import contents, records, small
 
 import spm_pin as spm
-from spm_pin.sweeps import METRICS, Metric, Points, StoreError, SweepError, pose_grid, resume, run, status, workers
+from spm_pin.sweeps import (
+    METRICS,
+    Metric,
+    Points,
+    StoreError,
+    SweepError,
+    pose_grid,
+    resume_sweep,
+    run_sweep,
+    sweep_status,
+    workers,
+)
 
 EVERYTHING = tuple(name for name in METRICS if name != "assembly_modes")
 
@@ -30,7 +41,7 @@ EVERYTHING = tuple(name for name in METRICS if name != "assembly_modes")
 def run_long(path: Path, workers: int, slices: int = 60, chunk: int = 2000) -> Any:
     """Run a sweep of `slices` chunks with many metrics."""
     domain = pose_grid((0.3, 0.5, slices), (-0.2, -0.1, 20), (2.4, 2.6, 20), xyx=[0.01, (0.28, 0.36, 5), 0.1])
-    return run(stores.GEOMETRY, domain, EVERYTHING, path, workers=workers, chunk=chunk)
+    return run_sweep(stores.GEOMETRY, domain, EVERYTHING, path, workers=workers, chunk=chunk)
 
 
 def local_cluster(count: int) -> LocalCluster:
@@ -87,8 +98,8 @@ def test_a_sweep_killed_at_once_goes_on_without_loss(tmp_path: Path) -> None:
         os.killpg(process.pid, signal.SIGKILL)
     kept = {record.name: record.stat().st_mtime_ns for record in records(killed)}
     assert 2 <= len(kept) < 12
-    assert status(killed).done == len(kept)
-    resume(killed, workers=1)
+    assert sweep_status(killed).done == len(kept)
+    resume_sweep(killed, workers=1)
     assert {name: when for name, when in _times(killed).items() if name in kept} == kept
     assert contents(killed) == contents(whole)
 
@@ -217,7 +228,7 @@ def test_a_scheduler_that_is_gone(tmp_path: Path, undisturbed: Path) -> None:
 
         with pytest.raises(SweepError, match="the scheduler is gone"):
             small(path, workers=None, scheduler=cluster.scheduler_address, progress=close)
-    resume(path, workers=1)
+    resume_sweep(path, workers=1)
     assert contents(path) == contents(undisturbed)
 
 

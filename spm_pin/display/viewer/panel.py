@@ -1,19 +1,20 @@
-"""The control panel of a page: its widgets, their events, and what they show."""
+"""The control panel of a page: its widgets, their events, and the state as HTML.
+
+Status, instruments and forces speak never by colour alone, and in the page's own light or dark colours.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Coroutine
+from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from spm_pin.display.viewer.camera import VIEWS
-from spm_pin.display.viewer.robot_scene import assign
-from spm_pin.display.viewer.slider_ranges import pose_coordinates
-from spm_pin.display.viewer.state import Drive, State
-from spm_pin.display.viewer.state_export import command_line
-from spm_pin.display.viewer.state_markup import forces_table, instruments, note, status
+from spm_pin.display.output_files import fixed
+from spm_pin.display.viewer.model import NEAR, InputMode, State, command_line, pose_coordinates
+from spm_pin.display.viewer.robot_scene import PULL, PUSH, VIEWS, WARN, assign
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LEGS
@@ -24,13 +25,12 @@ _LAYERS = {
     "Leg names": ("names", True),
     "Trail of o": ("trail", True),
     "Gizmo": ("gizmo", True),
-    "Workspace shell": ("shell", False),
+    "The paper's shell": ("shell", False),
     "Points reached": ("points", False),
 }
 """Layers of the scene by their labels: name of the layer, and whether it is shown at first."""
 _EXPORTS = {
     "Save picture (PNG)": ("png", "photo"),
-    "Save this view as a page (HTML)": ("snapshot", "file-code"),
     "Save state (JSON)": ("json", "download"),
 }
 """Files to save: names of the events, and icons."""
@@ -38,6 +38,13 @@ _NONE = "–"
 
 # viser makes the colour of its buttons from these: light ones on a dark page, and white text on both.
 _BRAND = {False: (0, 54, 84), True: (0, 114, 178)}
+
+_CALM, _UPPER = "#009E73", "#E69F00"
+_BOX = "padding:0.35em 1em 0.35em 0.6em;font-size:0.8rem;line-height:1.4;font-variant-numeric:tabular-nums"
+# One grid for all rows: a column is as wide as its widest text, and the bars take what is left.
+_GRID = "display:grid;grid-template-columns:{columns};gap:0.15em 0.6em;align-items:center;white-space:nowrap"
+_TRACK = "position:relative;height:0.62em;border-radius:0.3em;background:rgba(128,128,128,0.28);overflow:hidden"
+_RIGHT = "text-align:right"
 
 Report = Callable[[str, Any], Coroutine[Any, Any, None]]
 
@@ -78,7 +85,7 @@ class Panel:
         with tabs.add_tab("Move"):
             self._add_motion(geometry, demo)
         if narrow:
-            with tabs.add_tab("Readings"):
+            with tabs.add_tab("Instruments"):
                 self.instruments = gui.add_html("")
         with tabs.add_tab("Load"):
             zero = (0.0, 0.0, 0.0)
@@ -86,9 +93,10 @@ class Panel:
             self.moment = self._add("vector3", "load", "Moment [N m]", zero, step=10.0, hint="Onto m, in {B}")
             self.forces = gui.add_html("")
         with tabs.add_tab("Show"):
-            limited = geometry.limits is not None and bool(np.isfinite(geometry.limits.maximum).all())
+            limits = geometry.limits
+            has_shell = geometry.is_nominal and limits is not None and bool(np.isfinite(limits.maximum).all())
             for label, (layer, shown) in _LAYERS.items():
-                self._add("checkbox", "layer", label, shown, key=layer, visible=limited or layer != "shell")
+                self._add("checkbox", "layer", label, shown, key=layer, visible=has_shell or layer != "shell")
             self._add("checkbox", "dark", "Dark page", dark)
         if duration is not None:
             with tabs.add_tab("Path"):
@@ -111,7 +119,7 @@ class Panel:
         """Add a widget of a kind, whose events are reported under a name, with its value or with `key` and value."""
         widget = getattr(self.gui, f"add_{kind}")(label, *arguments, **options)
 
-        async def happened(message: Any) -> None:
+        async def on_event(message: Any) -> None:
             # What the server assigns comes back as an event of no client.
             if message.client_id is not None:
                 value = message.target.value
@@ -120,11 +128,11 @@ class Panel:
                 await self._report(event, value if key is None else (key, value))
 
         register = widget.on_click if kind.startswith("button") else widget.on_update
-        register(happened)
+        register(on_event)
         return widget
 
     def _add_motion(self, geometry: Geometry, demo: bool) -> None:
-        self.drive = self._add("dropdown", "drive", "Drive", tuple(map(str, Drive)))
+        self.mode = self._add("dropdown", "mode", "Move", tuple(map(str, InputMode)))
         self.pose_folder = self.gui.add_folder(None)
         with self.pose_folder:
             self.pose_sliders = [self._add_slider(name, "coordinate", k) for k, name in enumerate(_COORDINATES)]
@@ -157,14 +165,14 @@ class Panel:
         self.status.content = status(state)
         self.instruments.content = instruments(state)
         self.forces.content = forces_table(state)
-        assign(self.back, "visible", state.distance > 0.0 and state.drive is Drive.POSE)
+        assign(self.back, "visible", state.distance > 0.0 and state.mode is InputMode.POSE)
         labels = state.labels or (_NONE,)
         if tuple(self.branch.options) != labels:
             self.branch.options = labels
         assign(self.branch, "value", state.label or labels[0])
         # At X-Y-X angles that are not unique, those of the state that is shown.
         pose = pose_coordinates(state.target if state.distance > 0.0 else state.shown.pose)
-        kinds = (("coordinate", self.pose_sliders, pose), ("leg", self.leg_sliders, state.shown.leg_lengths))
+        kinds = (("coordinate", self.pose_sliders, pose), ("leg", self.leg_sliders, state.shown.readings))
         for (kind, sliders, values), ends in zip(kinds, ranges, strict=True):
             for k, (slider, value, (low, high)) in enumerate(zip(sliders, values, ends, strict=True)):
                 if (kind, k) != moved:
@@ -177,11 +185,11 @@ class Panel:
         """Show lines of text below the path's controls."""
         self.path_note.content = note(*lines)
 
-    def show_drive(self, drive: Drive) -> None:
+    def show_mode(self, mode: InputMode) -> None:
         """Show the sliders of what is driven."""
-        self.pose_folder.visible = drive is Drive.POSE
-        self.leg_folder.visible = drive is Drive.LEGS
-        self.drive.value = str(drive)
+        self.pose_folder.visible = mode is InputMode.POSE
+        self.leg_folder.visible = mode is InputMode.LEGS
+        self.mode.value = str(mode)
 
     @property
     def wrench(self) -> FloatArray:
@@ -196,3 +204,126 @@ def _set_slider(slider: Any, value: float, low: float, high: float) -> None:
     assign(slider, "min", round(np.floor(low / step + 1e-6) * step, digits) + 0.0)
     assign(slider, "max", round(max(np.ceil(high / step - 1e-6) * step, low + step), digits) + 0.0)
     assign(slider, "value", round(value, digits) + 0.0)
+
+
+def _length(value: float) -> str:
+    """Return a length in mm, or in m from ten metres on."""
+    return f"{fixed(1e3 * value, 0)} mm" if abs(value) < 9.9995 else f"{fixed(value, 1)} m"
+
+
+def _signed_length(value: float) -> str:
+    return ("+" if value > 0.0 else "−") + _length(abs(value))
+
+
+def status(state: State) -> str:
+    """Return the branch, the position and the notices."""
+    values = pose_coordinates(state.shown.pose)
+    o, angles = (", ".join(fixed(x, digits) for x in part) for part, digits in ((values[:3], 3), (values[3:], 1)))
+    name = escape(state.label) or "no isolated branch"
+    tags = ["physical" if state.measures.physical else "not physical"]
+    if state.shown.geometry.limits is not None:
+        tags.append("within limits" if not state.measures.limit_excess.any() else "beyond limits")
+    lines = [
+        f'<div style="font-size:0.95rem"><b data-spm="branch">{name}</b> &nbsp;{escape(", ".join(tags))}</div>',
+        f'<div data-spm="pose" style="opacity:0.75">o = ({o}) m, X-Y-X = ({angles})\u2060°</div>',
+    ]
+    for notice in state.notices:
+        warning = notice.level == "warning"
+        sign, colour = ("⚠", WARN) if warning else ("ℹ", "#808080")
+        lines.append(
+            f'<div data-spm="{notice.level}" role="{"alert" if warning else "note"}" '
+            f'style="border-left:3px solid {colour};padding:0.1em 0 0.1em 0.5em;margin-top:0.3em">'
+            f"{sign} {escape(notice.text)}</div>"
+        )
+    return f'<div style="{_BOX}">{"".join(lines)}</div>'
+
+
+def instruments(state: State) -> str:
+    """Return the legs against their limits, and the distances from singularities."""
+    return f'<div style="{_BOX}">{_legs(state)}{_singularities(state)}</div>'
+
+
+def note(*lines: str) -> str:
+    """Return lines of plain text."""
+    text = "<br>".join(escape(line) for line in lines)
+    return f'<div data-spm="note" style="{_BOX}">{text}</div>'
+
+
+def _grid(columns: str, cells: list[str]) -> str:
+    return f'<div style="{_GRID.format(columns=columns)}">{"".join(cells)}</div>'
+
+
+def _cell(text: str, style: str = "", name: str = "") -> str:
+    tag = f' data-spm="{name}"' if name else ""
+    return f'<span{tag} style="{style}">{text}</span>'
+
+
+def _bar(share: float, colour: str, ticks: tuple[float, ...] = (), side: str = "left", start: float = 0.0) -> str:
+    """Return a track with a bar of a share of it, from its start on a side, and ticks at shares."""
+    marks = "".join(
+        f'<div style="position:absolute;top:0;bottom:0;left:{100.0 * at:.1f}%;width:2px;background:currentColor"></div>'
+        for at in ticks
+    )
+    filled = f"position:absolute;top:0;bottom:0;{side}:{100.0 * start:.1f}%;width:{100.0 * share:.1f}%"
+    return f'<div style="{_TRACK}"><div style="{filled};background:{colour};opacity:0.85"></div>{marks}</div>'
+
+
+def _legs(state: State) -> str:
+    measures, lengths, limits = state.measures, state.shown.readings, state.shown.geometry.limits
+    cells = []
+    for k, leg in enumerate(LEGS):
+        length, beyond = float(lengths[k]), float(measures.limit_excess[k])
+        # The track is the range allowed with a tenth on either side, so that a leg beyond it is seen to be.
+        low, high = (limits.minimum[k], limits.maximum[k]) if limits is not None else (0.0, np.inf)
+        ticks = tuple(at for at, limit in ((0.1, low), (0.9, high)) if 0.0 < limit < np.inf)
+        if not np.isfinite(high):
+            high = low + 1.25 * float(lengths.max())
+        share = float(np.clip(0.1 + 0.8 * (length - low) / max(high - low, 1e-12), 0.0, 1.0))
+        colour = WARN if beyond else (PUSH if k < 3 else _UPPER)
+        mark = f"⚠ {_signed_length(beyond)}" if beyond else ""
+        value = _cell(fixed(length, 3), _RIGHT, leg)
+        cells += [_cell(leg), _bar(share, colour, ticks), value, _cell(mark, f"color:{WARN};font-weight:600")]
+    name = "Encoder readings" if state.shown.geometry.legs.offsets.any() else "Leg lengths"
+    unit = "in m" + (", between limits" if limits is not None else "")
+    columns = "max-content minmax(3em,1fr) max-content max-content"
+    return f"<div><b>{name}</b> {unit}</div>{_grid(columns, cells)}"
+
+
+def _singularities(state: State) -> str:
+    measures, side = state.measures, state.shown.geometry.middle_side
+    near, singular = measures.near, measures.singularities
+    cells = [_cell(text, f"opacity:0.7;{_RIGHT}") for text in ("", "", "away", "σ", "cond")]
+    for k, name in enumerate(("forward, lower", "forward, upper", "inverse")):
+        travel, condition = float(measures.travel[k]), float(singular.condition[k])
+        finite = np.isfinite(travel)
+        share = min(travel / (10.0 * NEAR * side), 1.0) if finite else 0.0
+        cells += [
+            _cell(f"{'⚠ ' if near[k] else ''}{name}"),
+            _bar(max(share, 0.02), WARN if near[k] else _CALM),
+            _cell(_length(travel) if finite else "–", _RIGHT),
+            _cell(fixed(singular.sigma[k], 3), _RIGHT),
+            _cell(f"{condition:.3g}" if np.isfinite(condition) and condition < 1e5 else "&gt;10⁵", _RIGHT),
+        ]
+    columns = "max-content minmax(2em,1fr) max-content max-content max-content"
+    heading = '<div style="margin-top:0.4em"><b>Singularities</b>, in leg travel</div>'
+    return heading + _grid(columns, cells)
+
+
+def forces_table(state: State) -> str:
+    """Return the leg forces that hold the load, as bars from the middle."""
+    forces = state.measures.forces
+    if forces is None:
+        return note("⚠ The legs cannot hold every load here.")
+    largest = float(np.abs(forces).max())
+    cells = []
+    for leg, force in zip(LEGS, forces, strict=True):
+        share = 0.5 * abs(force) / largest if largest > 0.0 else 0.0
+        pushes = force >= 0.0
+        bar = _bar(share, PUSH if pushes else PULL, side="left" if pushes else "right", start=0.5)
+        sign = "" if abs(force) < 5e-4 else ("▲" if pushes else "▼")
+        shown = fixed(force, 1) if abs(force) < 1e6 else f"{force:.3g}"
+        cells += [_cell(leg), bar, _cell(shown, _RIGHT, f"force {leg}"), _cell(sign)]
+    columns = "max-content minmax(3em,1fr) max-content 1em"
+    soft = f"<div>Softest direction of o: {state.measures.min_stiffness:.2g} × the stiffness of a leg</div>"
+    heading = "<div><b>Leg forces</b> in N: ▲ pushes, ▼ pulls</div>"
+    return f'<div style="{_BOX}">{heading}{_grid(columns, cells)}{soft}</div>'

@@ -3,16 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Coroutine, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
-from spm_pin.description.visuals import section_size
-from spm_pin.display.viewer.robot_meshes import MovingMesh, RobotMeshes
-from spm_pin.display.viewer.state import State
-from spm_pin.display.viewer.state_markup import LOAD, PULL, PUSH, WARN
-from spm_pin.mechanism import BRANCHES, LEGS
+from spm_pin.description.visuals import VisualPart, part_placements, section_size, visual_parts
+from spm_pin.display.rendering import camera_axes
+from spm_pin.display.viewer.model import State
+from spm_pin.mechanism import BRANCHES, LEGS, Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
+
+WARN, PUSH, PULL, LOAD = "#C8102E", "#0072B2", "#D55E00", "#7A4FB5"
+"""After Okabe and Ito's palette, distinct with any colour vision; limits and warnings have a red of their own, darker
+than all colours of the robot."""
+
+VIEWS = {"Home": (15.0, 25.0), "Front": (0.0, 4.0), "Side": (90.0, 4.0), "Top": (0.0, 89.0)}
+"""Azimuth and elevation of the viewer in {B} [degrees]; the first is that of the pictures."""
+
+FIELD_OF_VIEW = np.deg2rad(28.0)
+"""Vertical [rad]: narrow, as the pictures are parallel projections."""
+_STRETCHED = ("tube", "gland")
+"""Meshes of a leg with placements of their own, which depend on its length."""
 
 OnClick = Callable[[str], Coroutine[Any, Any, None]]
 Colour = tuple[int, int, int]
@@ -21,6 +35,73 @@ _GHOST_OPACITY = 0.16
 _PATH, _TRAIL = (204, 121, 167), (123, 79, 181)
 _TRAIL_POINTS = 300
 _TRAIL_STEP = 2e-3  # of the base radius
+
+
+@dataclass(frozen=True, eq=False)
+class MovingMesh:
+    """A mesh of one colour that moves as one."""
+
+    name: str
+    """Name of the first of its parts, see `VisualPart`."""
+    leg: int | None
+    """Index in `LEGS` of the leg that it belongs to; None for the platforms."""
+    colour: tuple[int, int, int]
+    """Red, green and blue in sRGB, from 0 to 255."""
+    vertices: npt.NDArray[np.float32]
+    """Vertices in the frame of its body [m], shape (n, 3)."""
+    faces: npt.NDArray[np.uint32]
+    """Triangles, shape (m, 3)."""
+    part: int
+    """Index of the part whose placement it has."""
+
+
+@dataclass(frozen=True)
+class Placements:
+    """Placements of meshes in {B}."""
+
+    positions: FloatArray
+    """Origins in {B} [m], shape (..., 3)."""
+    quaternions: FloatArray
+    """Unit quaternions, scalar first, shape (..., 4)."""
+    scales: FloatArray
+    """Scales along the axes of the mesh, shape (..., 3)."""
+
+
+class RobotMeshes:
+    """The meshes of a manipulator; read-only, so any number of sessions may share them."""
+
+    def __init__(self, geometry: Geometry) -> None:
+        self.geometry = geometry
+        groups: dict[tuple[str, tuple[int, int, int], str], list[tuple[int, VisualPart]]] = {}
+        for k, part in enumerate(visual_parts(geometry)):
+            red, green, blue = (round(255.0 * x) for x in part.colour)
+            separate = part.name if part.mesh in _STRETCHED else ""
+            groups.setdefault((part.body, (red, green, blue), separate), []).append((k, part))
+        self.meshes = tuple(_joined(colour, body, members) for (body, colour, _), members in groups.items())
+        self._parts = [mesh.part for mesh in self.meshes]
+
+    def placements(self, configuration: Configuration) -> Placements:
+        """Return positions, rotations and scales of the meshes in configurations (...): arrays of shape (..., n, k)."""
+        matrices = part_placements(configuration)[..., self._parts, :, :]
+        scales = np.linalg.norm(matrices[..., :3, :3], axis=-2)
+        rotations = matrices[..., :3, :3] / scales[..., None, :]
+        turns = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat(scalar_first=True)
+        return Placements(matrices[..., :3, 3], turns.reshape(*rotations.shape[:-2], 4), scales)
+
+
+def _joined(colour: tuple[int, int, int], body: str, members: list[tuple[int, VisualPart]]) -> MovingMesh:
+    starts = np.cumsum([0, *(len(part.vertices) for _, part in members)])
+    vertices = np.concatenate([part.vertices for _, part in members])
+    faces = np.concatenate([part.faces + start for (_, part), start in zip(members, starts, strict=False)])
+    leg = f"r_{body.partition('_')[2][:2]}"
+    return MovingMesh(
+        name=members[0][1].name.replace(" ", "_"),
+        leg=LEGS.index(leg) if leg in LEGS else None,
+        colour=colour,
+        vertices=np.asarray(vertices, np.float32),
+        faces=np.asarray(faces, np.uint32),
+        part=members[0][0],
+    )
 
 
 def _rgb(code: str) -> Colour:
@@ -137,7 +218,7 @@ class RobotScene:
         for k, (handle, mesh) in enumerate(zip(self._robot, self.robot.meshes, strict=True)):
             handle.position, handle.wxyz = placements.positions[k], placements.quaternions[k]
             handle.scale = tuple(float(x) for x in placements.scales[k])
-            beyond = mesh.leg is not None and state.readings.beyond[mesh.leg] != 0.0
+            beyond = mesh.leg is not None and state.measures.limit_excess[mesh.leg] != 0.0
             colour = _rgb(WARN) if beyond else mesh.colour
             if colour != self._colours[k]:
                 handle.color = self._colours[k] = colour
@@ -200,13 +281,13 @@ class RobotScene:
         # A moment has two heads.
         axis = _onto(o, moment, length) if moment.any() else None
         self._point("moment", [axis, np.stack([o, o + 0.82 * (axis[1] - o)])] if axis is not None else [])
-        forces = np.zeros(6) if state.readings.forces is None else state.readings.forces
+        forces = np.zeros(6) if state.measures.forces is None else state.measures.forces
         shares = forces / max(float(np.abs(forces).max()), 1e-300)
-        hips, balls = state.shown.leg_bases, state.shown.balls
+        bases, balls = state.shown.leg_bases, state.shown.balls
         # Beside the leg, on its side away from the robot's axis.
-        middles = (hips + balls) / 2.0
+        middles = (bases + balls) / 2.0
         middles = middles + 0.2 * self.size * _unit(middles - 0.5 * o)
-        half = 0.45 * (balls - hips) * np.abs(shares)[:, None]
+        half = 0.45 * (balls - bases) * np.abs(shares)[:, None]
         # Away from the actuator's middle where it pushes, towards it where it pulls; at both ends.
         outward = np.stack([[middles, middles + half], [middles, middles - half]]).transpose(2, 0, 1, 3)
         self._point("push", outward[shares > 0.02].reshape(-1, 2, 3))
@@ -261,3 +342,35 @@ def _unit(vectors: FloatArray) -> FloatArray:
 def _onto(point: FloatArray, vector: FloatArray, length: float) -> FloatArray:
     """Return the ends of an arrow of a length from a point along a vector."""
     return np.stack([point, point + length * _unit(vector)])
+
+
+def robot_points(configuration: Configuration, margin: float) -> FloatArray:
+    """Return corners (n, 3) of boxes of half a side `margin` around the joints and o [m]; a picture shows them all."""
+    joints = [configuration.leg_bases, configuration.middle_joints, configuration.translation[None]]
+    corners = margin * (2.0 * np.indices((2, 2, 2)).reshape(3, -1).T - 1.0)
+    return np.asarray((np.concatenate(joints)[:, None] + corners).reshape(-1, 3))
+
+
+def fit_camera(
+    points: FloatArray, view: tuple[float, float], aspect: float, covered: float = 0.0, border: float = 0.06
+) -> tuple[FloatArray, FloatArray]:
+    """Return the position of a camera and the point that it looks at [m], for points (n, 3) to fill its picture.
+
+    `view` is the azimuth and elevation of the viewer [degrees], `aspect` width over height of the whole picture. From
+    below something covers the share `covered` of it; a `border`, in shares of its height, stays empty at every edge.
+    """
+    azimuth, elevation = np.deg2rad(view)
+    axes = camera_axes((float(azimuth), float(elevation)))
+    half = np.tan(0.5 * FIELD_OF_VIEW)
+    # Tangents of the viewing angles at the edges of the free part.
+    high = half * np.array([aspect - 2.0 * border, 1.0 - 2.0 * border])
+    low = np.array([-high[0], half * (2.0 * covered - 1.0 + 2.0 * border)])
+    local = points @ axes.T
+    centre, distance = local.mean(axis=0), 4.0 * float(np.ptp(local, axis=0).max())
+    for _ in range(30):
+        offset = local - centre
+        tangents = offset[:, :2] / (distance - offset[:, 2:])
+        least, most = tangents.min(axis=0), tangents.max(axis=0)
+        centre[:2] += 0.5 * (least + most - low - high) * distance
+        distance *= float(((most - least) / (high - low)).max())
+    return (centre + np.array([0.0, 0.0, distance])) @ axes, centre @ axes

@@ -3,22 +3,31 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import errno
+import os
+import socket
 import threading
-from collections.abc import Collection
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from spm_pin.display.viewer import viser_server
-from spm_pin.display.viewer.recording import Recording, demo_motion
-from spm_pin.display.viewer.robot_meshes import RobotMeshes
+import rich
+
+from spm_pin.display.viewer.model import ViewerModel
+from spm_pin.display.viewer.playback import Recording, demo_motion
+from spm_pin.display.viewer.robot_scene import RobotMeshes
 from spm_pin.display.viewer.session import Session, SessionConfig
-from spm_pin.display.viewer.state import StateMachine
 from spm_pin.display.viewer.workspace_layer import WorkspaceLayer
-from spm_pin.errors import ArgumentError
-from spm_pin.kinematics.starting_configuration import starting_configuration
+from spm_pin.errors import ArgumentError, require_extra
+from spm_pin.kinematics.forward_displacement import starting_configuration
 from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.configuration import check_configuration
 from spm_pin.multibody.chain import ClosedChain
+
+_TRIES = 100
+_NOT_HERE = (errno.EADDRNOTAVAIL, errno.EACCES)
+_CONSOLE = threading.Lock()
 
 
 class Viewer:
@@ -30,7 +39,8 @@ class Viewer:
         What the page shows at first: a single configuration that exists; or the manipulator, in a regular
         configuration near its home. By default the paper's.
     host : str
-        Address to listen at. By default only this machine can reach it.
+        Address to listen at. By default only this machine can reach it; there is no password, and whoever reaches the
+        port can use the page.
     port : int
         First port to try; the next free one is taken, 0 lets the system choose.
     recording : Recording, optional
@@ -42,9 +52,6 @@ class Viewer:
     demo : bool, optional
         Whether a page moves from the beginning, until it is touched; by default where no configuration and no path is
         given.
-    allowed_origins : collection of str
-        Other sites whose pages may connect, such as ``https://robots.example`` where a proxy serves the viewer. By
-        default a browser's page connects to the server it came from and to no other.
 
     Raises
     ------
@@ -67,21 +74,17 @@ class Viewer:
         dark: bool = False,
         geometry_file: Path | None = None,
         demo: bool | None = None,
-        allowed_origins: Collection[str] = (),
     ) -> None:
         if start is None or isinstance(start, Geometry):
             configuration = starting_configuration(start or Geometry.paper())
         else:
             configuration = check_configuration(start, "start", single=True, existing=True)
-        free = viser_server.free_port(host, port)
-        if isinstance(allowed_origins, str) or not all(isinstance(origin, str) for origin in allowed_origins):
-            raise ArgumentError("allowed_origins", "origins such as ['https://robots.example']", repr(allowed_origins))
-        origins = tuple(origin.rstrip("/").lower() for origin in allowed_origins)
+        free = free_port(host, port)
         geometry = configuration.geometry
         chain = ClosedChain.from_urdf(geometry=geometry)
         chain.joint_values(configuration)  # raises where its loops do not close
         # Kernels are compiled when first called: now, so that no client waits for it.
-        StateMachine(configuration).set_legs(configuration.leg_lengths)
+        ViewerModel(configuration).set_readings(configuration.readings)
         if demo is None:
             demo = not isinstance(start, Configuration) and recording is None
         self._config = SessionConfig(
@@ -98,7 +101,11 @@ class Viewer:
         self._lock = threading.Lock()
         self._stopped = threading.Event()
         self.host = host
-        self.server = viser_server.start(host, free, origins)
+        require_extra("viewer", "viser")
+        import viser
+
+        with _silence():
+            self.server = viser.ViserServer(host=host, port=free, verbose=False)
         self.server.gui.set_panel_label("3RPS-3SPR")
         self.server.on_client_connect(self._connected)
         self.server.on_client_disconnect(self._disconnected)
@@ -146,10 +153,51 @@ class Viewer:
         """Stop serving; what runs comes to its end."""
         if not self._stopped.is_set():
             self._stopped.set()
-            viser_server.stop(self.server)
+            with _silence():
+                self.server.stop()
 
     def __enter__(self) -> Viewer:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.stop()
+
+
+def free_port(host: str, port: int) -> int:
+    """Return the first port from `port` on that is free on `host`; 0 stays 0, which lets the system choose.
+
+    `ArgumentError` is raised if the host is no address of this machine, the port no port, or none is free.
+    """
+    if not isinstance(port, int) or isinstance(port, bool) or not 0 <= port <= 65535:
+        raise ArgumentError("port", "a port from 0 to 65535", repr(port))
+    expected = "an address of this machine"
+    if not isinstance(host, str) or not host:
+        raise ArgumentError("host", f"{expected}, such as '127.0.0.1'", repr(host))
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    except (OSError, ValueError) as error:
+        raise ArgumentError("host", expected, repr(host), str(getattr(error, "strerror", error))) from error
+    cause = ""
+    for candidate in range(port, min(port + _TRIES, 65536)):
+        try:
+            # As the server itself does it: a port whose last connection is winding down is free.
+            socket.create_server((address[0], candidate, *address[2:]), family=family).close()
+        except OSError as error:
+            cause = os.strerror(error.errno or 0)
+            if error.errno in _NOT_HERE:
+                raise ArgumentError("host", expected, repr(host), cause) from None
+        else:
+            return candidate
+    raise ArgumentError("port", f"a free port among the {_TRIES} from it on", port, cause)
+
+
+@contextlib.contextmanager
+def _silence() -> Iterator[None]:
+    # viser announces itself, and its end, through rich's global console, whatever its `verbose` says.
+    console = rich.get_console()
+    with _CONSOLE:
+        before, console.quiet = console.quiet, True
+        try:
+            yield
+        finally:
+            console.quiet = before

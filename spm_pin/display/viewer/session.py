@@ -13,18 +13,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from spm_pin.display.json_text import to_json
-from spm_pin.display.viewer.camera import FIELD_OF_VIEW, VIEWS, fit_camera, robot_points
-from spm_pin.display.viewer.event_queue import EventQueue
+from spm_pin.display.output_files import to_json
+from spm_pin.display.viewer.model import InputMode, State, ViewerModel, pose_coordinates, state_data
 from spm_pin.display.viewer.panel import Panel
-from spm_pin.display.viewer.recording import Playback, Player, Recording
-from spm_pin.display.viewer.robot_meshes import RobotMeshes
-from spm_pin.display.viewer.robot_scene import RobotScene
-from spm_pin.display.viewer.slider_ranges import leg_ranges, pose_coordinates, pose_ranges
-from spm_pin.display.viewer.state import Drive, State, StateMachine
-from spm_pin.display.viewer.state_export import content, snapshot_html
-from spm_pin.display.viewer.viser_server import PHONE_ASPECT, PHONE_PANEL
-from spm_pin.display.viewer.workspace_layer import WorkspaceLayer
+from spm_pin.display.viewer.playback import EventQueue, Playback, Player, Recording
+from spm_pin.display.viewer.robot_scene import FIELD_OF_VIEW, VIEWS, RobotMeshes, RobotScene, fit_camera, robot_points
+from spm_pin.display.viewer.workspace_layer import WorkspaceLayer, leg_ranges, pose_ranges
 from spm_pin.errors import ArgumentError, SpmError
 from spm_pin.mechanism import Configuration
 from spm_pin.mechanism import pose as make_pose
@@ -32,8 +26,13 @@ from spm_pin.multibody.chain import ClosedChain
 
 _log = logging.getLogger(__name__)
 
-_MOTIONS = ("gizmo", "coordinate", "leg", "branch", "drive", "reset", "back", "time")
+_MOTIONS = ("gizmo", "coordinate", "leg", "branch", "mode", "reset", "back", "time")
 """Events that move the robot."""
+
+PHONE_ASPECT = 0.9
+"""A picture narrower than this share of its height is a phone's."""
+PHONE_PANEL = 0.46
+"""The share of a phone's page that the panel covers at its lower edge."""
 
 _FARTHEST = 10.0
 """Largest distance from {B} at which the gizmo is followed, over the machine's size."""
@@ -68,16 +67,16 @@ class Session:
         self.client = client
         self.config = config
         self._loop = loop
-        self.state_machine = StateMachine(config.start)
+        self.model = ViewerModel(config.start)
         self.queue = EventQueue(self._failed)
         self._coordinates = pose_coordinates(config.start.pose)
-        self._legs = np.array(self.state.shown.leg_lengths)
+        self._legs = np.array(self.state.shown.readings)
         self._narrow = client.camera.image_width < PHONE_ASPECT * client.camera.image_height
         demo, duration = config.demo, None if config.recording is None else float(config.recording.times[-1])
         self.scene = RobotScene(client.scene, config.robot, partial(self.report, "branch"))
         self.panel = Panel(
             client.gui,
-            self.state_machine.geometry,
+            self.model.geometry,
             self.report,
             dark=config.dark,
             duration=duration,
@@ -98,7 +97,7 @@ class Session:
     @property
     def state(self) -> State:
         """The state that is shown."""
-        return self.state_machine.state
+        return self.model.state
 
     def begin(self) -> None:
         """Play the recorded path from its start, or else the demo motion; on the event loop."""
@@ -161,7 +160,7 @@ class Session:
         self.client.send_file_download(name, content, save_immediately=True)
 
     def show(self, moved: tuple[str, int] = ("", 0)) -> None:
-        """Bring the page up to date; `moved` is the gizmo or the slider that is in the user's hands."""
+        """Bring the page up to date; `moved` is the gizmo or the slider that the user holds, and is left alone."""
         state, config = self.state, self.config
         ranges = pose_ranges(config.workspace.states, state.shown.pose), leg_ranges(state.shown)
         with self.client.atomic():
@@ -173,44 +172,44 @@ class Session:
         if moved[0] != "coordinate":
             self._coordinates = pose_coordinates(state.target)
         if moved[0] != "leg":
-            self._legs = np.array(state.shown.leg_lengths)
+            self._legs = np.array(state.shown.readings)
 
     # One method per event, named after it; they run in the session's worker.
 
     def _on_gizmo(self, _: None) -> None:
         farthest = _FARTHEST * (self.scene.size + float(self.config.start.translation[2]))
         position = np.clip(self.gizmo.position, -farthest, farthest)
-        self.state_machine.drag(make_pose(position, rotation=Rotation.from_quat(self.gizmo.wxyz, scalar_first=True)))
+        self.model.drag(make_pose(position, rotation=Rotation.from_quat(self.gizmo.wxyz, scalar_first=True)))
         self.show(("gizmo", 0))
 
     def _on_coordinate(self, value: tuple[int, float]) -> None:
         self._coordinates[value[0]] = value[1]
-        self.state_machine.drag(make_pose(self._coordinates[:3], xyx=np.deg2rad(self._coordinates[3:])))
+        self.model.drag(make_pose(self._coordinates[:3], xyx=np.deg2rad(self._coordinates[3:])))
         self.show(("coordinate", value[0]))
 
     def _on_leg(self, value: tuple[int, float]) -> None:
         self._legs[value[0]] = value[1]
-        self.state_machine.set_legs(self._legs)
+        self.model.set_readings(self._legs)
         self.show(("leg", value[0]))
 
     def _on_branch(self, label: str) -> None:
         if label in self.state.labels and label != self.state.label:
-            self.state_machine.select(label)
+            self.model.select(label)
             self.scene.clear_trail()
             self.show()
 
-    def _on_drive(self, name: str) -> None:
-        drive = Drive.LEGS if name == Drive.LEGS else Drive.POSE
-        self.panel.show_drive(drive)
-        self.gizmo.visible = drive is Drive.POSE
-        if drive is Drive.LEGS:
-            self.state_machine.set_legs(self.state.shown.leg_lengths)
+    def _on_mode(self, name: str) -> None:
+        mode = InputMode.LEGS if name == InputMode.LEGS else InputMode.POSE
+        self.panel.show_mode(mode)
+        self.gizmo.visible = mode is InputMode.POSE
+        if mode is InputMode.LEGS:
+            self.model.set_readings(self.state.shown.readings)
         self.show()
 
     def _on_hold(self, hold: bool) -> None:
-        self.state_machine.hold_limits = hold
-        if self.state.drive is Drive.POSE:
-            self.state_machine.drag(self.state.target)
+        self.model.hold_limits = hold
+        if self.state.mode is InputMode.POSE:
+            self.model.drag(self.state.target)
         self.show()
 
     def _on_back(self, _: None) -> None:
@@ -221,7 +220,7 @@ class Session:
         self._place(self.config.start)
 
     def _place(self, configuration: Configuration) -> None:
-        self.state_machine.place(configuration)
+        self.model.place(configuration)
         self.show()
 
     def _on_view(self, view: str) -> None:
@@ -229,7 +228,7 @@ class Session:
             self.look(view)
 
     def _on_load(self, _: Any) -> None:
-        self.state_machine.load(self.panel.wrench)
+        self.model.load(self.panel.wrench)
         self.show()
 
     def _on_layer(self, value: tuple[str, bool]) -> None:
@@ -270,9 +269,9 @@ class Session:
         start = self.state.shown if isinstance(recording.points, np.ndarray) else (self.state.label or None)
         try:
             try:
-                self.playback = recording.follow(self.state_machine.geometry, start)
+                self.playback = recording.follow(self.model.geometry, start)
             except ArgumentError:
-                self.playback = recording.follow(self.state_machine.geometry)
+                self.playback = recording.follow(self.model.geometry)
         except SpmError as error:
             panel.show_path(f"⚠ {error}")
             raise
@@ -282,7 +281,7 @@ class Session:
     def _show_frame(self, time: float, moved: bool = False) -> None:
         if self.playback is None:
             return
-        self._place(self.playback.at(time)[0])
+        self._place(self.playback.state_at(time)[0])
         if not moved:
             self.panel.time.value = time
         self.panel.show_path(*self.playback.report(time))
@@ -290,7 +289,7 @@ class Session:
     def _show_demo(self, time: float) -> None:
         assert self.config.demo is not None
         if self.demo is not None and self.demo.playing:
-            self._place(self.config.demo.at(time)[0])
+            self._place(self.config.demo.state_at(time)[0])
 
     def _on_png(self, _: None) -> None:
         import imageio.v3 as imageio
@@ -308,10 +307,5 @@ class Session:
         self._download("spm_pin.png", file.getvalue())
 
     def _on_json(self, _: None) -> None:
-        text = to_json(content(self.state, self.config.chain, self.config.geometry_file))
+        text = to_json(state_data(self.state, self.config.chain, self.config.geometry_file))
         self._download("spm_pin_state.json", f"{text}\n".encode())
-
-    def _on_snapshot(self, _: None) -> None:
-        ghosts = self.scene.layers["ghosts"]
-        page = snapshot_html(self.state, self.config.robot, geometry_file=self.config.geometry_file, ghosts=ghosts)
-        self._download("spm_pin.html", page.encode())

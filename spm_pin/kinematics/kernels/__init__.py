@@ -1,10 +1,10 @@
-"""Compiled kernels: the formulas of the closed form, written once, over scalars.
+"""Compiled kernels: loops over batches that run `spm_pin.kinematics.formulas`, and the iterations beside them.
 
-A formula is a small function of plain numbers marked `jit_inline`. A kernel is a loop over a batch that calls them, and
-the only thing that is compiled on its own. Where the formula is straight-line arithmetic the loop goes over tiles of
-`TILE` problems: their numbers are put into rows of a small array, so that the compiler takes several problems into
-one vector register, and a single problem is computed exactly like a million. Tiles on the stack (`tile_memory`) save
-the second version of every loop that the compiler makes for arrays that may overlap.
+A kernel is a loop over a batch, and the only thing that is compiled on its own. Where a formula is straight-line
+arithmetic the loop goes over tiles of `TILE` problems: their numbers are put into the rows of one small array, and the
+results into other rows of it, so that the compiler takes several problems into one vector register, and a single
+problem is computed exactly like a million. With several arrays in a loop the compiler cannot know that they do not
+overlap, and takes one problem after another.
 
 Nothing here checks an argument; the public functions do. Importing this package imports Numba, so they do it when
 called.

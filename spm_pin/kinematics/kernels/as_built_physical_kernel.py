@@ -13,18 +13,21 @@ import numpy.typing as npt
 
 from spm_pin.kinematics.kernels.as_built_kernels import (
     PART,
-    SHORTEST_AT_FIRST,
     allocate_path,
     begin,
     follow,
     put_planes,
 )
 from spm_pin.kinematics.kernels.compilation import jit, kernel, readonly_array
-from spm_pin.kinematics.kernels.quadric_newton import part
+from spm_pin.kinematics.kernels.quadric_newton import part, point
+from spm_pin.kinematics.kernels.quadric_roots import is_same_point
 from spm_pin.kinematics.kernels.three_quadrics import allocate_planes, image, put_quadrics, put_quaternion
 from spm_pin.mechanism.arguments import FloatArray
 
 _COS_30 = math.sqrt(0.75)
+
+_FIRST = 0.02
+_MOVED = 1e9
 _DOUBT = 0.05
 """A branch of the nominal machine whose margin is below the negative of this is not physical in this machine either."""
 
@@ -47,7 +50,7 @@ def _margin(
     lengths: FloatArray,
     legs: FloatArray,
 ) -> tuple[float, float]:
-    """Return a number that is positive where a state is physical, see `physical`, and its straightness.
+    """Return a number that is positive where a state is physical, see `physical`, and its tilt_cosine_sum.
 
     `balls` (6, 3), `axes` (6, 3), the upper ones along y of a leg's own azimuth as the lower ones, and `pivots` (6, 3)
     are in {B}, in units of r; `lengths` (6,) and the unit vectors along the `legs` (6, 3) are written.
@@ -177,13 +180,15 @@ def certain_physical_branches(
                 for j in range(3):
                     found[side, i, j] = found[side, 3 + i, j] = nominal_joints[n, side, i, j] / unit
             margin, _ = _margin(found[side], rotation[n], place, axes, pivots, reach[side], legs)
-            possible[side] = margin >= -_DOUBT
+            possible[side] = True
             if possible[side]:
                 put_quaternion(nominal_joints[n, side], x)
                 begin(path, side, x)
-        follow(rotation[n], place, nominal, built, path, SHORTEST_AT_FIRST)
+        follow(rotation[n], place, nominal, built, path, _FIRST)
         best, best_score, best_straight, sure = -1, 0, 0.0, True
         _put_frame(built, signs, rotation[n], place, axes, pivots)
+        if is_same_point(point(roots, 0), point(roots, 1), 1e-6):
+            sure = False
         for side in range(2):
             if not possible[side]:
                 continue
@@ -191,6 +196,10 @@ def certain_physical_branches(
                 sure = False
                 break
             image(part(roots, 0, side), planes, found[side])
+            for i in range(3):
+                for j in range(3):
+                    if abs(found[side, i, j] - nominal_joints[n, side, i, j] / unit) > _MOVED:
+                        sure = False
             margin, straight = _margin(found[side], rotation[n], place, axes, pivots, reach[side], legs)
             if margin <= 0.0:
                 continue

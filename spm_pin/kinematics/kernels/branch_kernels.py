@@ -1,47 +1,46 @@
 """Inverse displacement of a batch of poses: all branches with their leg lengths, one branch, or the complex roots.
 
-A tile of poses goes through loops without branches: its axes, the quadratics of its families, their roots, then branch
-by branch the joints and leg lengths, which are moved to the results while the next branch is computed.
+A tile is an array (`_ROWS`, `TILE`): its last axis counts poses side by side, its rows are the quantities of a pose.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.kinematics.kernels.branch_tiles import (
-    COSINE,
-    NI,
-    PHYSICAL,
-    REAL,
-    SINE,
-    STRAIGHT,
-    UU,
-    UV,
-    VV,
-    ByteArray,
-    N,
-    allocate,
-    allocate_aspects,
-    allocate_joints,
-    allocate_lengths,
-    allocate_records,
-    allocate_roots,
-    joints_of_root,
-    load_poses,
-    put_aspect,
-    put_branch,
-    put_roots,
-    put_status,
-    set_up_families,
-    solve_families,
+from spm_pin.kinematics.formulas.branches import (
+    ROUNDING,
+    Family,
+    PoseFrame,
+    discriminant,
+    families,
+    is_continuous,
+    is_other_preferred,
+    leg_lengths,
+    middle_joints,
+    platform_corners,
+    pose_frame,
+    product,
+    root,
+    stands_at_home,
 )
-from spm_pin.kinematics.kernels.compilation import TILE, kernel, readonly_array
-from spm_pin.kinematics.kernels.quadratics import COS_30, ROOT_SIGN, root_of, where
-from spm_pin.kinematics.kernels.tile_results import store_joints, store_lengths, store_pose, store_poses
-from spm_pin.kinematics.kernels.vectors import cross, dot
+from spm_pin.kinematics.formulas.stages import cartesian
+from spm_pin.kinematics.formulas.vectors import Rows, Vector, cross, dot
+from spm_pin.kinematics.kernels.compilation import TILE, jit_inline, kernel, readonly_array
 from spm_pin.mechanism.arguments import FloatArray
 
+VERTICAL = 16
+"""Flag of a pose, besides bit k for a continuous family k: the two Z axes are parallel, without a common normal."""
+
+ByteArray = npt.NDArray[np.uint8]
+"""An array of bytes: flags that compiled loops write."""
+
+# Rows of a tile: R, o, the discriminants over r²; b_i and leg lengths, branch by branch; 1 if a branch is real; flags;
+# of TT+ and TT-, 1 if physical, 2 if within the leg limits too, and the sum of its radii.
+_POSITION, _DISCRIMINANTS, _JOINTS, _LENGTHS = 9, 12, 16, 88
+_REAL, _FLAGS, _RANK, _TILTS, _ROWS = 136, 137, 138, 140, 142
 _POSES = f"{readonly_array(3)}, {readonly_array(2)}"
 
 
@@ -58,6 +57,116 @@ def are_rigid(rotation: FloatArray, position: FloatArray, exact: float) -> bool:
         good &= (size <= exact) & (skew <= exact) & (dot(x, cross(y, z)) > 0.0)
         good &= abs(position[n, 0]) + abs(position[n, 1]) + abs(position[n, 2]) < np.inf
     return good
+
+
+@jit_inline
+def _load(rotation: FloatArray, position: FloatArray, start: int, width: int, tile: FloatArray) -> None:
+    """Put poses into a tile; the places beyond `width` keep what they hold."""
+    for k in range(width):
+        for i in range(3):
+            for j in range(3):
+                tile[3 * i + j, k] = rotation[start + k, i, j]
+            tile[_POSITION + i, k] = position[start + k, i]
+
+
+@jit_inline
+def _pose(tile: FloatArray, k: int) -> tuple[Rows, Vector]:
+    first, second = (tile[0, k], tile[1, k], tile[2, k]), (tile[3, k], tile[4, k], tile[5, k])
+    return (first, second, (tile[6, k], tile[7, k], tile[8, k])), (tile[9, k], tile[10, k], tile[11, k])
+
+
+@jit_inline
+def _radicand(family: Family, frame: PoseFrame) -> float:
+    """Return the discriminant of a family, NaN where it has no isolated branches."""
+    regular = not (frame.is_vertical | is_continuous(family, frame.noise))
+    return discriminant(family) if regular else np.nan
+
+
+@jit_inline
+def _put_branch(
+    tile: FloatArray,
+    k: int,
+    branch: int,
+    radicand: float,
+    family: Family,
+    frame: PoseFrame,
+    corners: Rows,
+    sizes: Vector,
+) -> None:
+    """Write the b_i and the leg lengths of a branch of the pose in place k."""
+    r, base_radius, _ = sizes
+    position = tile[9, k], tile[10, k], tile[11, k]
+    sign = 1.0 if branch % 2 == 0 else -1.0
+    u, v, square = root(family, sign, np.sqrt(radicand))
+    radii, heights = middle_joints(u, v, r / square, family, frame, position)
+    b, lengths = cartesian(radii, heights), leg_lengths(radii, heights, corners, base_radius)
+    for i in range(3):
+        for j in range(3):
+            tile[_JOINTS + 9 * branch + 3 * i + j, k] = b[i][j]
+    for i in range(6):
+        tile[_LENGTHS + 6 * branch + i, k] = lengths[i]
+
+
+@jit_inline
+def _put_homes(tile: FloatArray, base_radius: float, platform_radius: float) -> None:
+    """Write whether TT+ and TT- are physical, leg limits aside, and the sums of their radii."""
+    for branch in range(2):
+        row = _JOINTS + 9 * branch
+        for k in range(TILE):
+            rotation, position = _pose(tile, k)
+            radii = -2.0 * tile[row + 1, k], tile[row + 4, k], -2.0 * tile[row + 7, k]
+            heights = tile[row + 2, k], tile[row + 5, k], tile[row + 8, k]
+            home, tilts = stands_at_home(radii, heights, rotation, position, base_radius, platform_radius)
+            tile[_RANK + branch, k], tile[_TILTS + branch, k] = (1.0 if home else 0.0), tilts
+
+
+@jit_inline
+def _put_family(
+    tile: FloatArray, k: int, number: int, family: Family, frame: PoseFrame, corners: Rows, sizes: Vector
+) -> None:
+    """Write both branches of a family, its discriminant and flag, and count it if it is real."""
+    radicand, unit = _radicand(family, frame), 1.0 / (sizes[0] * sizes[0])
+    tile[_DISCRIMINANTS + number, k] = np.nan if frame.is_vertical else discriminant(family) * unit
+    tile[_REAL, k] += 1.0 if radicand >= 0.0 else 0.0
+    tile[_FLAGS, k] += 1.0 * 2**number if is_continuous(family, frame.noise) & (not frame.is_vertical) else 0.0
+    _put_branch(tile, k, 2 * number, radicand, family, frame, corners, sizes)
+    _put_branch(tile, k, 2 * number + 1, radicand, family, frame, corners, sizes)
+
+
+@jit_inline
+def _solve(tile: FloatArray, r: float, base_radius: float, platform_radius: float) -> None:
+    """Write all branches of a tile of poses."""
+    sizes = r, base_radius, platform_radius
+    for k in range(TILE):
+        rotation, position = _pose(tile, k)
+        frame, corners = pose_frame(rotation, position, r), platform_corners(rotation, position, platform_radius)
+        tt, tf, ft, ff = families(frame, r)
+        tile[_REAL, k], tile[_FLAGS, k] = 0.0, (1.0 * VERTICAL if frame.is_vertical else 0.0)
+        _put_family(tile, k, 0, tt, frame, corners, sizes)
+        _put_family(tile, k, 1, tf, frame, corners, sizes)
+        _put_family(tile, k, 2, ft, frame, corners, sizes)
+        _put_family(tile, k, 3, ff, frame, corners, sizes)
+
+
+@jit_inline
+def _store(tile: FloatArray, row: int, start: int, width: int, out: FloatArray) -> None:
+    """Copy rows of a tile to results (N, numbers)."""
+    # A loop of constant length is unrolled, and most tiles are full.
+    if width == TILE:
+        for k in range(TILE):
+            for i in range(out.shape[1]):
+                out[start + k, i] = tile[row + i, k]
+    else:
+        for k in range(width):
+            for i in range(out.shape[1]):
+                out[start + k, i] = tile[row + i, k]
+
+
+@jit_inline
+def _store_status(tile: FloatArray, start: int, width: int, status: npt.NDArray[np.int8], flagged: ByteArray) -> None:
+    for k in range(width):
+        status[start + k] = 0 if tile[_REAL, k] > 0.0 else 1
+        flagged[start + k] = np.uint8(tile[_FLAGS, k])
 
 
 @kernel(
@@ -97,23 +206,24 @@ def all_branches(
         0 or 1, the first two of `Status`, continuous families not counted; and bit k for a continuous family k,
         `VERTICAL`.
     """
-    tiles, roots, joint_tile, length_tile = allocate(), allocate_roots(), allocate_joints(), allocate_lengths()
-    aspects, records, poses = allocate_aspects(), allocate_records(), tiles[0]
-    for start in range(0, len(position), TILE):
-        width = min(TILE, len(position) - start)
-        solve_families(rotation, position, start, width, r, platform_radius, tiles, roots)
-        for branch in range(8):
-            put_branch(branch, tiles, roots, base_radius, joint_tile, length_tile)
-            store_joints(width, start, branch, joint_tile, joints)
-            store_lengths(width, start, branch, length_tile, lengths)
-        for branch in range(2):
-            put_aspect(branch, poses, base_radius, platform_radius, joint_tile, aspects)
-        store_poses(width, start, poses, records, rotation_copy, position_copy, discriminants)
-        put_status(tiles, start, width, status, flagged)
+    count, tile = len(position), np.ones((_ROWS, TILE))
+    for start in range(0, count, TILE):
+        width = min(TILE, count - start)
+        _load(rotation, position, start, width, tile)
+        for k in range(start, start + width):
+            for i in range(3):
+                for j in range(3):
+                    rotation_copy[k, i, j] = rotation[k, i, j]
+                position_copy[k, i] = position[k, i]
+        _solve(tile, r, base_radius, platform_radius)
+        _put_homes(tile, base_radius, platform_radius)
+        _store(tile, _JOINTS, start, width, joints.reshape(count, 72))
+        _store(tile, _LENGTHS, start, width, lengths.reshape(count, 48))
+        _store(tile, _DISCRIMINANTS, start, width, discriminants)
+        _store_status(tile, start, width, status, flagged)
         for k in range(width):
-            choice[start + k, 0] = np.uint8(aspects[0, PHYSICAL, k])
-            choice[start + k, 1] = np.uint8(aspects[1, PHYSICAL, k])
-            choice[start + k, 2] = 1 if aspects[1, STRAIGHT, k] > aspects[0, STRAIGHT, k] else 0
+            choice[start + k, 0], choice[start + k, 1] = np.uint8(tile[_RANK, k]), np.uint8(tile[_RANK + 1, k])
+            choice[start + k, 2] = 1 if tile[_TILTS + 1, k] > tile[_TILTS, k] else 0
 
 
 @kernel(f"void({_POSES}, f8, f8, f8, {readonly_array(2)}, f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1])")
@@ -134,34 +244,35 @@ def physical_branches(
     Arguments as for `all_branches`, and the least and largest leg lengths (2, 6) [m], which decide between two; then
     the smaller tilt does. Poses, joints (N, 3, 3) and lengths (N, 6) are NaN where there is no such branch.
     """
-    tiles, roots, joint_tile, length_tile = allocate(), allocate_roots(), allocate_joints(), allocate_lengths()
-    aspects, poses = allocate_aspects(), tiles[0]
+    tile, sizes = np.ones((_ROWS, TILE)), (r, base_radius, platform_radius)
     for start in range(0, len(position), TILE):
         width = min(TILE, len(position) - start)
-        load_poses(rotation, position, start, width, poses)
-        set_up_families(tiles, r, platform_radius, True)
-        put_roots(0, tiles, r, roots)
-        put_branch(0, tiles, roots, base_radius, joint_tile, length_tile)
-        put_branch(1, tiles, roots, base_radius, joint_tile, length_tile)
-        for branch in range(2):
-            put_aspect(branch, poses, base_radius, platform_radius, joint_tile, aspects)
-            for k in range(TILE):
+        _load(rotation, position, start, width, tile)
+        for k in range(TILE):
+            matrix, o = _pose(tile, k)
+            frame, corners = pose_frame(matrix, o, r), platform_corners(matrix, o, platform_radius)
+            family = families(frame, r)[0]
+            radicand = _radicand(family, frame)
+            _put_branch(tile, k, 0, radicand, family, frame, corners, sizes)
+            _put_branch(tile, k, 1, radicand, family, frame, corners, sizes)
+        _put_homes(tile, base_radius, platform_radius)
+        for k in range(width):
+            for branch in range(2):
                 inside = True
                 for i in range(6):
-                    length = length_tile[6 * branch + i, k]
+                    length = tile[_LENGTHS + 6 * branch + i, k]
                     inside = inside & (length >= limits[0, i]) & (length <= limits[1, i])
-                aspects[branch, PHYSICAL, k] *= where(inside, 2.0, 1.0)
-        for k in range(width):
-            plus, minus = aspects[0, PHYSICAL, k], aspects[1, PHYSICAL, k]
-            straighter = aspects[1, STRAIGHT, k] > aspects[0, STRAIGHT, k]
-            side = 1 if (minus > plus) | ((minus == plus) & straighter) else 0
+                tile[_RANK + branch, k] *= 2.0 if inside else 1.0
+            plus, minus = tile[_RANK, k], tile[_RANK + 1, k]
+            side = 1 if is_other_preferred(plus, tile[_TILTS, k], minus, tile[_TILTS + 1, k]) else 0
             factor = 1.0 if plus + minus > 0.0 else np.nan
-            store_pose(poses, k, factor, rotation_copy[start + k], position_copy[start + k])
             for i in range(3):
                 for j in range(3):
-                    joints[start + k, i, j] = factor * joint_tile[9 * side + 3 * i + j, k]
+                    rotation_copy[start + k, i, j] = factor * tile[3 * i + j, k]
+                    joints[start + k, i, j] = factor * tile[_JOINTS + 9 * side + 3 * i + j, k]
+                position_copy[start + k, i] = factor * tile[_POSITION + i, k]
             for i in range(6):
-                lengths[start + k, i] = factor * length_tile[6 * side + i, k]
+                lengths[start + k, i] = factor * tile[_LENGTHS + 6 * side + i, k]
 
 
 @kernel(f"void({_POSES}, f8, f8, f8, f8[:,:,::1], i1[::1], u1[::1])")
@@ -176,54 +287,118 @@ def branch_lengths(
     flagged: ByteArray,
 ) -> None:
     """Solve N poses for the leg lengths alone; arguments as for `all_branches`."""
-    tiles, roots, joint_tile, length_tile = allocate(), allocate_roots(), allocate_joints(), allocate_lengths()
-    for start in range(0, len(position), TILE):
-        width = min(TILE, len(position) - start)
-        solve_families(rotation, position, start, width, r, platform_radius, tiles, roots)
-        for branch in range(8):
-            put_branch(branch, tiles, roots, base_radius, joint_tile, length_tile)
-            store_lengths(width, start, branch, length_tile, lengths)
-        put_status(tiles, start, width, status, flagged)
+    count, tile = len(position), np.ones((_ROWS, TILE))
+    for start in range(0, count, TILE):
+        width = min(TILE, count - start)
+        _load(rotation, position, start, width, tile)
+        _solve(tile, r, base_radius, platform_radius)
+        _store(tile, _LENGTHS, start, width, lengths.reshape(count, 48))
+        _store_status(tile, start, width, status, flagged)
 
 
 @kernel(f"void({_POSES}, f8, c16[:,:,:,::1])")
 def complex_branches(rotation: FloatArray, position: FloatArray, r: float, joints: npt.NDArray[np.complex128]) -> None:
     """Solve N poses for all roots (N, 8, 3, 3), real or complex; arguments as for `all_branches`."""
-    tiles = allocate()
-    forms = tiles[2]
-    for start in range(0, len(position), TILE):
-        width = min(TILE, len(position) - start)
-        load_poses(rotation, position, start, width, tiles[0])
-        set_up_families(tiles, r, 0.0, False)
-        for k in range(width):
-            for branch in range(8):
-                uu, uv, vv = forms[branch // 2, UU, k], forms[branch // 2, UV, k], forms[branch // 2, VV, k]
-                root = ROOT_SIGN[branch] * np.sqrt(complex(forms[branch // 2, REAL, k], 0.0))
-                u, v, _ = root_of(uu, uv, vv, root)
-                size = np.sqrt(u * u + v * v)
-                # Not a division, which raises an error where the root is at infinity.
-                scale = size.conjugate() * (1.0 / (size.real * size.real + size.imag * size.imag))
-                (p1, p2, p3), (z1, z2, z3) = joints_of_root(branch, k, u * scale, v * scale, r, tiles)
-                b = joints[start + k, branch]
-                b[0, 0], b[0, 1], b[0, 2] = COS_30 * p1, -0.5 * p1, z1
-                b[1, 0], b[1, 1], b[1, 2] = 0.0 * p2, p2, z2
-                b[2, 0], b[2, 1], b[2, 2] = -COS_30 * p3, -0.5 * p3, z3
+    tile = np.ones((_ROWS, 1))
+    for n in range(len(position)):
+        _load(rotation, position, n, 1, tile)
+        matrix, o = _pose(tile, 0)
+        frame = pose_frame(matrix, o, r)
+        every = families(frame, r)
+        for branch in range(8):
+            family = every[branch // 2]
+            signed = (family.plus if branch % 2 == 0 else -family.plus) * np.sqrt(
+                complex(_radicand(family, frame), 0.0)
+            )
+            # Both pairs solve the form; the longer one is free of cancellation.
+            u, v, other = signed - family.uv, complex(family.uu, 0.0), -signed - family.uv
+            if _square(u) + _square(v) < _square(other) + family.vv * family.vv:
+                u, v = complex(family.vv, 0.0), other
+            size = u * u + v * v
+            # Not a division, which raises an error where the root is at infinity.
+            scale = r * size.conjugate() * (1.0 / _square(size))
+            radii, heights = middle_joints(u, v, scale, family, frame, o)
+            b = cartesian(radii, heights)
+            for i in range(3):
+                for j in range(3):
+                    joints[n, branch, i, j] = b[i][j]
 
 
-@kernel(f"void({_POSES}, f8, f8[:,::1], f8[:,:,::1])")
-def family_forms(
-    rotation: FloatArray, position: FloatArray, r: float, shared: FloatArray, quadratics: FloatArray
+@jit_inline
+def _square(z: complex) -> float:
+    return z.real * z.real + z.imag * z.imag
+
+
+@jit_inline
+def _is_mixed(family: int) -> bool:
+    """Return whether a family of TT, TF, FT, FF has different modes."""
+    return (family == 1) | (family == 2)
+
+
+@jit_inline
+def _half_angle(cosine: float, sine: float) -> tuple[float, float]:
+    """Return cosine and sine of half an angle within a half turn."""
+    if cosine >= 0.0:
+        half = math.sqrt(0.5 * (1.0 + cosine))
+        return half, 0.5 * sine / half
+    half = math.sqrt(0.5 * (1.0 - cosine))
+    return 0.5 * abs(sine) / half, -half if sine < 0.0 else half
+
+
+@jit_inline
+def _is_continuous_upside_down(
+    family: int, cosine: float, sine: float, x: float, y: float, tolerance: float
+) -> tuple[bool, bool]:
+    """Return whether a family is continuous with the platform turned over, and whether it has two dimensions.
+
+    R maps 1 to W², of this cosine and sine; W is defined up to a sign that does not matter. x + iy is o / r.
+    """
+    axis, axis_i = _half_angle(cosine, sine)
+    cubed, cubed_i = product(product((axis, axis_i), (axis, axis_i)), (axis, axis_i))
+    turned, turned_i = product((-y, x), (axis, -axis_i))
+    mixed = _is_mixed(family)
+    fixed = (1.0 if family < 2 else -1.0) * (cubed_i if mixed else cubed)
+    extent = abs(cubed if mixed else cubed_i)
+    across, along = (turned_i if mixed else turned), (turned if mixed else turned_i)
+    is_continuous = (abs(across - fixed) <= tolerance) & (abs(along) <= extent + tolerance)
+    return is_continuous, is_continuous & (extent <= tolerance)
+
+
+@kernel(f"void({readonly_array(3)}, {readonly_array(2)}, f8, u1[:,::1], i1[::1])")
+def continuous_families(
+    rotation: FloatArray,
+    position: FloatArray,
+    r: float,
+    families: npt.NDArray[np.uint8],
+    dimension: npt.NDArray[np.int8],
 ) -> None:
-    """Write c, s and the common normal (N, 4), and the families' forms uu, uv, vv less h (N, 4, 3)."""
-    tiles = allocate()
-    shared_tile, forms = tiles[1], tiles[2]
-    for start in range(0, len(position), TILE):
-        width = min(TILE, len(position) - start)
-        load_poses(rotation, position, start, width, tiles[0])
-        set_up_families(tiles, r, 0.0, False)
-        for k in range(width):
-            shared[start + k, 0], shared[start + k, 1] = shared_tile[COSINE, k], shared_tile[SINE, k]
-            shared[start + k, 2], shared[start + k, 3] = shared_tile[N, k], shared_tile[NI, k]
-            for family in range(4):
-                for i in range(3):
-                    quadratics[start + k, family, i] = forms[family, i, k]
+    """Write which of TT, TF, FT, FF (N, 4) are continuous at poses with parallel Z axes, and their dimension (N,).
+
+    All legs' planes are vertical then, so a solution can move along Z: there are none, or a continuous family.
+
+    - Platform level, turned by 0 or a half turn: planes in pairs parallel. On the axis they coincide and the middle
+      platform moves with three degrees of freedom, in equal or in opposite modes; off it, nothing.
+    - Platform level, turned by another angle τ: lines vertical. The middle platform stands upside down in both stages,
+      which takes |o| = 2 r |sin τ| in the horizontal.
+    - Platform upside down, turned over about the horizontal axis W: y = i o / r must be on the segment from e_p W⁴ to
+      e_q conj(W²); where that shrinks to a point, (P : Q) is free as well.
+    """
+    for n in range(len(dimension)):
+        x, y = position[n, 0] / r, position[n, 1] / r
+        cosine, sine = rotation[n, 0, 0], rotation[n, 1, 0]
+        aside = math.hypot(x, y)
+        tolerance = ROUNDING * (1.0 + aside)
+        level = rotation[n, 2, 2] > 0.0
+        straight = level & (abs(sine) <= tolerance)
+        dimension[n] = 0
+        for family in range(4):
+            mixed, size = _is_mixed(family), 0
+            if straight:
+                size = 3 if (aside <= tolerance) & (mixed == (cosine <= 0.0)) else 0
+            elif level:
+                size = 1 if abs(aside - 2.0 * abs(sine)) <= tolerance else 0
+            else:
+                is_line, is_plane = _is_continuous_upside_down(family, cosine, sine, x, y, tolerance)
+                size = (2 if is_plane else 1) if is_line else 0
+            families[n, family] = 1 if size > 0 else 0
+            dimension[n] = max(dimension[n], size)

@@ -1,18 +1,23 @@
-"""Typed wrapper around Numba: inlined formulas, and kernels compiled when first called and kept on disk."""
+"""Formulas and loops given to Numba, and kernels compiled when first called and kept on disk."""
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import hashlib
+import inspect
 import logging
+import pkgutil
 import threading
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Generic, ParamSpec, TypeVar
 
 import numba
-from numba.core import caching, runtime
+from numba.core import event
+from numba.extending import register_jitable
+
+from spm_pin.kinematics import formulas
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -20,26 +25,34 @@ R = TypeVar("R")
 TILE = 16
 """Problems computed side by side: two or more registers' worth on every processor, and small enough for its cache."""
 
-_OPTIONS = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
 # Numba's own annotations are partial.
 _njit: Any = numba.njit
-_numba_cache: Any = caching.FunctionCache
 _config: Any = numba.config
-_runtime: Any = runtime
-_types: Any = numba.types
+_register: Any = register_jitable
+_event: Any = event
 _LOG = logging.getLogger("spm_pin")
-# What one kernel is made of is spread over these files, and Numba's cache looks at the kernel's own alone.
-_SOURCES = hashlib.sha256(b"".join(p.read_bytes() for p in sorted(Path(__file__).parent.glob("*.py")))).hexdigest()
+# Numba's cache looks at a kernel's own file alone, but a kernel is made of formulas from many files. So the name under
+# which a kernel is kept ends with a digest of all of them: when one changes, no kernel that was kept before is found.
+_FOLDERS = Path(__file__).parent, Path(__file__).parent.parent / "formulas"
+_SOURCES = hashlib.sha256(b"".join(p.read_bytes() for folder in _FOLDERS for p in sorted(folder.glob("*.py"))))
 
 
-def jit_inline(function: Callable[P, R]) -> Formula[P, R]:
-    """Mark a formula that kernels call; it becomes part of their loops."""
-    return Formula(function, inline=True)
+def jit_inline(function: Callable[P, R]) -> Callable[P, R]:
+    """Let kernels call a function, which becomes part of their loops."""
+    _register(error_model="numpy", forceinline=True)(function)
+    return function
 
 
-def jit(function: Callable[P, R]) -> Formula[P, R]:
-    """Mark a function that kernels call as such, for it is too long to be copied to every place it is called from."""
-    return Formula(function, inline=False)
+def jit(function: Callable[P, R]) -> Callable[P, R]:
+    """Let kernels call a function that is too long to be copied to every place it is called from."""
+    _register(error_model="numpy")(function)
+    return function
+
+
+for _module in pkgutil.iter_modules(formulas.__path__, f"{formulas.__name__}."):
+    for _formula in vars(import_module(_module.name)).values():
+        if inspect.isfunction(_formula) and _formula.__module__ == _module.name:
+            jit_inline(_formula)
 
 
 def kernel(signature: str) -> Callable[[Callable[P, R]], Kernel[P, R]]:
@@ -50,29 +63,6 @@ def kernel(signature: str) -> Callable[[Callable[P, R]], Kernel[P, R]]:
 def readonly_array(axes: int) -> str:
     """Return the signature of an array of floats that is only read: of any strides."""
     return f"Array(f8, {axes}, 'A', True)"
-
-
-class Formula(Generic[P, R]):
-    """A function that kernels call: compiled as part of them, interpreted where Python calls it, on any numbers."""
-
-    def __init__(self, function: Callable[P, R], inline: bool) -> None:
-        functools.update_wrapper(self, function)
-        self.py_func = function
-        self._inline = inline
-
-    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
-        """Run the function as Python does."""
-        return self.py_func(*args, **kwargs)
-
-    @functools.cached_property
-    def _numba_type_(self) -> Any:
-        """The type of this function in the source of a kernel."""
-        dispatcher = _njit(forceinline=self._inline, no_cpython_wrapper=True, **_OPTIONS)(self.py_func)
-        of_literals = dispatcher.get_call_template
-        # Compiled once for all values of a whole number, not for each that some call contains.
-        dispatcher.get_call_template = lambda args, kws: of_literals(tuple(map(_types.unliteral, args)), kws)
-        self._dispatcher = dispatcher  # its type refers to it weakly
-        return _types.Dispatcher(dispatcher)
 
 
 class Kernel(Generic[P, R]):
@@ -95,58 +85,39 @@ class Kernel(Generic[P, R]):
     def compile(self) -> Callable[P, R]:
         """Return the compiled function, loaded from the cache if it is there."""
         with self._lock:
-            if self._compiled is None and _config.DISABLE_JIT:
-                self._compiled = self.py_func
-            elif self._compiled is None:
-                dispatcher = _njit(**_OPTIONS)(self.py_func)
-                try:
-                    dispatcher._cache = _Cache(self.py_func)
-                except RuntimeError:  # no place for a cache
-                    _announce("at every start, for no cache can be written, see NUMBA_CACHE_DIR")
-                dispatcher.compile(self._signature)
-                dispatcher.disable_compile()
-                self._compiled = dispatcher
+            if self._compiled is None:
+                self._compiled = self.py_func if _config.DISABLE_JIT else self._compile()
             return self._compiled
+
+    def _compile(self) -> Callable[P, R]:
+        function = self.py_func
+        function.__qualname__ = f"{function.__name__}_{_SOURCES.hexdigest()[:16]}"
+        try:
+            with _event.install_listener("numba:compile", _Announcement()):
+                return self._dispatcher(cache=True)
+        except Exception as error:  # nowhere to keep it, or a damaged file, which may raise anything
+            _LOG.warning("spm_pin: Numba's cache cannot be used, see NUMBA_CACHE_DIR: %r", error)
+            _announce("at every start")
+            return self._dispatcher(cache=False)
+
+    def _dispatcher(self, cache: bool) -> Callable[P, R]:
+        compiled: Callable[P, R] = _njit(self._signature, error_model="numpy", nogil=True, cache=cache)(self.py_func)
+        return compiled
 
     def assembly(self) -> str:
         """Compile anew, and return the machine code as assembly language."""
-        dispatcher = _njit(**_OPTIONS)(self.py_func)
-        dispatcher.compile(self._signature)
-        return "".join(dispatcher.inspect_asm().values())
+        compiled: Any = self._dispatcher(cache=False)
+        return "".join(compiled.inspect_asm().values())
 
 
-class _Cache:
-    """Numba's cache on disk, keyed by all sources of the kernels, that no file system can turn into an error."""
+class _Announcement(event.Listener):  # type: ignore[misc]  # untyped
+    """What Numba tells when it begins to compile, and not when it loads what is kept."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._inner = _numba_cache(function)
-        own_key = self._inner._index_key
-        self._inner._index_key = lambda sig, codegen: (*own_key(sig, codegen), _SOURCES)
+    def on_start(self, event: Any) -> None:
+        _announce("for this machine, once")
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._inner, name)
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        found = None
-        try:
-            # Not Numba's own `load_overload`: that imports, for a third of a first call, all that compiling needs.
-            _runtime.rtsys.initialize(target_context)
-            with self._inner._guard_against_spurious_io_errors():
-                found = self._inner._load_overload(sig, target_context)
-        except Exception as error:  # a damaged file may raise anything
-            _LOG.info("spm_pin: the cache of compiled kernels cannot be read, and is emptied: %r", error)
-            found = None
-            with contextlib.suppress(OSError):
-                self._inner.flush()
-        if found is None:
-            _announce("for this machine, once")
-        return found
-
-    def save_overload(self, sig: Any, data: Any) -> None:
-        try:
-            self._inner.save_overload(sig, data)
-        except OSError as error:
-            _LOG.warning("spm_pin: the compiled kernel cannot be kept, see NUMBA_CACHE_DIR: %s", error)
+    def on_end(self, event: Any) -> None:
+        pass
 
 
 @functools.cache

@@ -11,11 +11,13 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from spm_pin.kinematics.formulas.operations import COS_30
+from spm_pin.kinematics.formulas.stages import StageEquations, State, derivatives, residual, stage_equations
+from spm_pin.kinematics.formulas.vectors import Vector
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array
-from spm_pin.kinematics.kernels.quadratics import COS_30
-from spm_pin.kinematics.kernels.stage_equations import Equations, State, derivatives, equations, polished, residual
+from spm_pin.kinematics.kernels.elimination import reduce_rows
+from spm_pin.kinematics.kernels.stage_modes import polished
 from spm_pin.kinematics.kernels.three_quadrics import put_quaternion
-from spm_pin.kinematics.kernels.vectors import Vector, reduce_rows
 from spm_pin.mechanism.arguments import FloatArray
 
 _MARGIN = 0.2
@@ -31,14 +33,14 @@ _MOST_STEPS = 250_000
 
 
 @jit_inline
-def _value(stage: Equations, state: State) -> State:
+def _value(stage: StageEquations, state: State) -> State:
     """Return F."""
     real, imag, height = residual(stage, state)
     return real, imag, height, state[0] * state[0] + state[1] * state[1] + state[2] * state[2] - 1.0
 
 
 @jit
-def _invert(stage: Equations, state: State, work: FloatArray, inverse: FloatArray) -> None:
+def _invert(stage: StageEquations, state: State, work: FloatArray, inverse: FloatArray) -> None:
     """Write the inverse (4, 4) of F' by Gauss and Jordan with `work` (4, 8); not finite where F' is singular."""
     real, imag, height = derivatives(stage, state)
     for j in range(4):
@@ -86,9 +88,9 @@ def _curvature(epsilon: float, zeta: float) -> float:
 
 
 @jit_inline
-def _at(start: Vector, change: Vector, done: float, epsilon: float) -> Equations:
+def _at(start: Vector, change: Vector, done: float, epsilon: float) -> StageEquations:
     first, second = start[0] + done * change[0], start[1] + done * change[1]
-    return equations(first, second, start[2] + done * change[2], epsilon)
+    return stage_equations(first, second, start[2] + done * change[2], epsilon)
 
 
 @jit_inline
@@ -174,7 +176,7 @@ def follow_stages(
 def stage_states(corners: FloatArray, r: float, states: FloatArray, half_turned: npt.NDArray[np.bool_]) -> None:
     """Write the states (M, 4) of stages whose triangles have these corners (M, 3, 3) [m], and which are in mode F (M,).
 
-    In mode F the coordinates are those of the mode, see `stage_equations`. `r` is the triangles' circumradius [m].
+    In mode F the coordinates are those of the mode, see `formulas.stages`. `r` is the triangles' circumradius [m].
     """
     x = np.empty(4)
     for k in range(len(states)):

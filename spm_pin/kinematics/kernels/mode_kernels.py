@@ -7,17 +7,17 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from spm_pin.kinematics.formulas.stages import State, compose, stage_equations
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array
-from spm_pin.kinematics.kernels.quadratics import COS_30
-from spm_pin.kinematics.kernels.stage_equations import SAME, State, equations, placed
 from spm_pin.kinematics.kernels.stage_modes import (
     PLACES,
-    Workspace,
-    home_mode,
-    home_mode_of_all,
-    is_continuous,
+    SAME,
+    Scratch,
+    allocate_scratch,
+    has_continuous_family,
+    home_state,
+    home_state_of_all,
     solve_mode,
-    workspace,
 )
 from spm_pin.mechanism.arguments import FloatArray
 
@@ -27,50 +27,40 @@ STAGE = 4 * PLACES
 
 
 @jit
-def compose(
+def _put_composed(
     lower: Stage, upper: Stage, r: float, rotation: FloatArray, translation: FloatArray, joints: FloatArray
 ) -> None:
-    """Join two stages at their middle platform, and write R (3, 3), o [m] and the b_i (3, 3) [m].
-
-    `lower` and `upper` hold x0, x1, x2, x3, ζ of the middle platform: of the lower stage in {B}, of the upper in {m}.
-    """
-    (a0, a1, a2, a3, zeta), (b0, b1, b2, b3, zeta_m) = lower, upper
-    # The middle platform's rotation in {B} times the inverse of that in {m}.
-    w, x = a0 * b0 + a1 * b1 + a2 * b2 + a3 * b3, a1 * b0 - a0 * b1 - a2 * b3 + a3 * b2
-    y, z = a2 * b0 - a0 * b2 - a3 * b1 + a1 * b3, a3 * b0 - a0 * b3 - a1 * b2 + a2 * b1
-    rotation[0, 0], rotation[0, 1] = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z)
-    rotation[0, 2], rotation[1, 0] = 2.0 * (x * z + w * y), 2.0 * (x * y + w * z)
-    rotation[1, 1], rotation[1, 2] = 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)
-    rotation[2, 0], rotation[2, 1] = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x)
-    rotation[2, 2] = 1.0 - 2.0 * (x * x + y * y)
-    # The centre in {B} less the centre in {m}, turned.
-    c0, c1, c2 = -2.0 * b1 * b2, b2 * b2 - b1 * b1, zeta_m
-    centre = -2.0 * a1 * a2, a2 * a2 - a1 * a1, zeta
+    """Write R (3, 3), o [m] and the b_i (3, 3) [m] of two stages joined at their middle platform, NaN if one is."""
+    if math.isnan(lower[0]) or math.isnan(upper[0]):
+        for i in range(3):
+            translation[i] = np.nan
+            for j in range(3):
+                rotation[i, j], joints[i, j] = np.nan, np.nan
+        return
+    composed = compose(lower, upper)
     for i in range(3):
-        translation[i] = r * (centre[i] - (rotation[i, 0] * c0 + rotation[i, 1] * c1 + rotation[i, 2] * c2))
-    radii, heights = placed(a0, a1, a2, a3, zeta)
-    joints[0, 0], joints[0, 1], joints[0, 2] = r * radii[0] * COS_30, -0.5 * r * radii[0], r * heights[0]
-    joints[1, 0], joints[1, 1], joints[1, 2] = 0.0, r * radii[1], r * heights[1]
-    joints[2, 0], joints[2, 1], joints[2, 2] = -r * radii[2] * COS_30, -0.5 * r * radii[2], r * heights[2]
+        translation[i] = r * composed.position[i]
+        for j in range(3):
+            rotation[i, j], joints[i, j] = composed.rotation[i][j], r * composed.b[i][j]
 
 
 @jit
 def _sheets(
-    first: float, second: float, third: float, epsilon: float, above: float, work: Workspace, modes: FloatArray
+    first: float, second: float, third: float, epsilon: float, above: float, scratch: Scratch, modes: FloatArray
 ) -> tuple[bool, bool]:
     """Write the sixteen assembly modes of a stage (16, 5), NaN where there is none; tell which of T, F is continuous.
 
     The sheet + is above the hips, or below, by the sign of `above`; the other is mirrored at their plane, where a
     rotation keeps its part about the normal.
     """
-    kept = work[3]
+    kept = scratch.kept
     for k in range(STAGE):
         modes[k, 0] = np.nan
-    straight = is_continuous(first, second, third, epsilon, False)
-    half_turned = is_continuous(first, second, third, epsilon, True)
+    straight = has_continuous_family(first, second, third, epsilon, False)
+    half_turned = has_continuous_family(first, second, third, epsilon, True)
     for m in range(2):
-        stage = equations(first, second, third, epsilon if m == 0 else -epsilon)
-        for k in range(solve_mode(stage, m == 1, straight if m == 0 else half_turned, work)):
+        stage = stage_equations(first, second, third, epsilon if m == 0 else -epsilon)
+        for k in range(solve_mode(stage, m == 1, straight if m == 0 else half_turned, scratch)):
             flat = max(abs(kept[k, 8]), abs(kept[k, 9]), abs(kept[k, 10])) <= SAME
             for sheet in range(1 if flat else 2):
                 sign = above if sheet == 0 else -above
@@ -78,14 +68,6 @@ def _sheets(
                 row[0], row[1], row[2] = kept[k, 0], sign * kept[k, 1], sign * kept[k, 2]
                 row[3], row[4] = kept[k, 3], sign * kept[k, 4]
     return straight, half_turned
-
-
-@jit_inline
-def _put_nan(rotation: FloatArray, translation: FloatArray, joints: FloatArray) -> None:
-    for i in range(3):
-        translation[i] = np.nan
-        for j in range(3):
-            rotation[i, j], joints[i, j] = np.nan, np.nan
 
 
 @jit_inline
@@ -129,20 +111,20 @@ def all_modes(
     status : ndarray of int8, shape (N,), written
         0 or 1, the first two of `Status`, continuous families not counted.
     """
-    work = workspace()
+    scratch = allocate_scratch()
     below, above = np.empty((STAGE, 5)), np.empty((STAGE, 5))
     for n in range(len(lengths)):
         q = lengths[n]
-        lower = _sheets(q[0] / r, q[1] / r, q[2] / r, base_radius / r, 1.0, work, below)
-        upper = _sheets(q[3] / r, q[4] / r, q[5] / r, platform_radius / r, -1.0, work, above)
+        lower = _sheets(q[0] / r, q[1] / r, q[2] / r, base_radius / r, 1.0, scratch, below)
+        upper = _sheets(q[3] / r, q[4] / r, q[5] / r, platform_radius / r, -1.0, scratch, above)
         status[n] = 1
         for i in range(STAGE):
             for j in range(STAGE):
-                at = i * STAGE + j
-                if math.isnan(below[i, 0]) or math.isnan(above[j, 0]):
-                    _put_nan(rotation[n, at], translation[n, at], joints[n, at])
-                else:
-                    compose(_stage(below, i), _stage(above, j), r, rotation[n, at], translation[n, at], joints[n, at])
+                mode = i * STAGE + j
+                _put_composed(
+                    _stage(below, i), _stage(above, j), r, rotation[n, mode], translation[n, mode], joints[n, mode]
+                )
+                if not math.isnan(rotation[n, mode, 0, 0]):
                     status[n] = 0
         for i in range(2):
             for j in range(2):
@@ -156,12 +138,9 @@ def _put_home(
     lower: State, upper: State, r: float, n: int, rotation: FloatArray, translation: FloatArray, joints: FloatArray
 ) -> None:
     """Write the configuration of two solutions of mode T above their hips, NaN where one of them is."""
-    if math.isnan(lower[0]) or math.isnan(upper[0]):
-        _put_nan(rotation[n], translation[n], joints[n])
-        return
     # The upper stage hangs below its hips.
     below = lower[0], lower[1], lower[2], 0.0, lower[3]
-    compose(below, (upper[0], -upper[1], -upper[2], 0.0, -upper[3]), r, rotation[n], translation[n], joints[n])
+    _put_composed(below, (upper[0], -upper[1], -upper[2], 0.0, -upper[3]), r, rotation[n], translation[n], joints[n])
 
 
 @kernel(f"void({readonly_array(2)}, f8, f8, f8, f8[:,:,::1], f8[:,::1], f8[:,:,::1], b1[::1])")
@@ -173,15 +152,15 @@ def home_modes(
     rotation: FloatArray,
     translation: FloatArray,
     joints: FloatArray,
-    found: npt.NDArray[np.bool_],
+    is_solved: npt.NDArray[np.bool_],
 ) -> None:
-    """Write R, o and the b_i in the home's aspect, and where they are found (N,); arguments as for `all_modes`."""
+    """Write R, o and the b_i in the home's aspect, and where they are solved (N,); arguments as for `all_modes`."""
     for n in range(len(lengths)):
         q = lengths[n]
-        lower, lower_found = home_mode(q[0] / r, q[1] / r, q[2] / r, base_radius / r)
-        upper, upper_found = home_mode(q[3] / r, q[4] / r, q[5] / r, platform_radius / r)
+        lower, lower_solved = home_state(q[0] / r, q[1] / r, q[2] / r, base_radius / r)
+        upper, upper_solved = home_state(q[3] / r, q[4] / r, q[5] / r, platform_radius / r)
         _put_home(lower, upper, r, n, rotation, translation, joints)
-        found[n] = lower_found and upper_found
+        is_solved[n] = lower_solved and upper_solved
 
 
 @kernel(f"void({readonly_array(2)}, f8, f8, f8, f8[:,:,::1], f8[:,::1], f8[:,:,::1])")
@@ -195,11 +174,11 @@ def home_modes_of_all(
     joints: FloatArray,
 ) -> None:
     """Write what `home_modes` does, chosen from all solutions: NaN proves that there is none in the home's aspect."""
-    work = workspace()
+    scratch = allocate_scratch()
     for n in range(len(lengths)):
         q = lengths[n]
-        lower = home_mode_of_all(q[0] / r, q[1] / r, q[2] / r, base_radius / r, work)
-        upper = home_mode_of_all(q[3] / r, q[4] / r, q[5] / r, platform_radius / r, work)
+        lower = home_state_of_all(q[0] / r, q[1] / r, q[2] / r, base_radius / r, scratch)
+        upper = home_state_of_all(q[3] / r, q[4] / r, q[5] / r, platform_radius / r, scratch)
         _put_home(lower, upper, r, n, rotation, translation, joints)
 
 
@@ -209,7 +188,4 @@ def compose_all(
 ) -> None:
     """Compose N pairs of stages (N, 5), NaN where either is."""
     for n in range(len(lower)):
-        if math.isnan(lower[n, 0]) or math.isnan(upper[n, 0]):
-            _put_nan(rotation[n], translation[n], joints[n])
-        else:
-            compose(_stage(lower, n), _stage(upper, n), r, rotation[n], translation[n], joints[n])
+        _put_composed(_stage(lower, n), _stage(upper, n), r, rotation[n], translation[n], joints[n])

@@ -12,8 +12,10 @@ import math
 
 import numpy as np
 
+from spm_pin.kinematics.formulas.operations import where
+from spm_pin.kinematics.formulas.vectors import cross
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline
-from spm_pin.kinematics.kernels.quadratics import where
+from spm_pin.kinematics.kernels.elimination import reduce_rows
 from spm_pin.kinematics.kernels.quadric_newton import (
     PENDING,
     POINTS,
@@ -24,7 +26,6 @@ from spm_pin.kinematics.kernels.quadric_newton import (
     symmetric,
     symmetric_product,
 )
-from spm_pin.kinematics.kernels.vectors import cross, reduce_rows
 from spm_pin.mechanism.arguments import FloatArray
 
 Elimination = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]

@@ -1,4 +1,4 @@
-"""Approximate solutions of one 3RPS stage and mode, over scalars. Notation: `stage_equations`.
+"""Approximate solutions of one 3RPS stage and mode, over scalars. Notation: `formulas.stages`.
 
 Multiplied by e^{iψ}, ψ the azimuth of w, the equation for λ has the parts
 
@@ -24,8 +24,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from spm_pin.kinematics.formulas.stages import StageEquations, quartic, tilt_quadratic
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline
-from spm_pin.kinematics.kernels.stage_equations import Equations
 from spm_pin.mechanism.arguments import FloatArray
 
 ComplexArray = npt.NDArray[np.complex128]
@@ -38,30 +38,13 @@ _MOST_STEPS = 60
 
 
 @jit_inline
-def quartic_coefficients(stage: Equations, size: float, x: float, y: float, omega: float, gain: float) -> Quartic:
-    """Return the coefficients of tan^j γ, j = 0..4, divided by |λ|, for μ = x + iy and gain = ω/κ."""
-    c = stage[1]
-    g = (2.0 * stage[0] + 1.0) ** 2 + 4.0 * c
-    w2, k2 = omega * omega, gain * gain
-    second = (4.0 * size * x - g) * size * k2 + 12.0 * c * gain * omega * x - 3.0 * w2 * size * (x * x - y * y)
-    fourth = (4.0 * size * size * k2 - 4.0 * size * w2 * x - g * w2) * size * k2
-    return (
-        -size * y * y,
-        (4.0 * omega * size * x - 4.0 * gain * c) * y,
-        second,
-        (8.0 * size * size * k2 * omega + 12.0 * c * gain * w2 - 4.0 * w2 * omega * size * x) * y,
-        fourth - 4.0 * c * gain * w2 * omega * x + w2 * w2 * size * x * x,
-    )
-
-
-@jit_inline
-def _turned_quartic(quartic: Quartic) -> tuple[Quartic, complex]:
+def _turned_quartic(coefficients: Quartic) -> tuple[Quartic, complex]:
     """Return the monic quartic of tan(γ - β), from its constant up, and e^{iβ}.
 
     As a function of γ the quartic is a mean and two harmonics of 2γ. β is taken where it is large a quarter turn
     away, so that no root is near infinity.
     """
-    c0, c1, c2, c3, c4 = quartic
+    c0, c1, c2, c3, c4 = coefficients
     mean = 0.375 * (c0 + c4) + 0.125 * c2
     first = complex(0.5 * (c0 - c4), -0.25 * (c1 + c3))
     second = complex(0.125 * (c0 - c2 + c4), -0.125 * (c1 - c3))
@@ -82,9 +65,9 @@ def _turned_quartic(quartic: Quartic) -> tuple[Quartic, complex]:
 
 
 @jit
-def _roots(quartic: Quartic, roots: ComplexArray) -> None:
+def _roots(coefficients: Quartic, roots: ComplexArray) -> None:
     """Find the four roots of a monic quartic at once, by Aberth's method."""
-    a0, a1, a2, a3, _ = quartic
+    a0, a1, a2, a3, _ = coefficients
     centre = -0.25 * a3
     # Taylor's coefficients at the roots' mean give their size.
     b2 = a2 + centre * (3.0 * a3 + 6.0 * centre)
@@ -114,13 +97,12 @@ def _roots(quartic: Quartic, roots: ComplexArray) -> None:
 
 
 @jit
-def approximate_solutions(stage: Equations, family: bool, roots: ComplexArray, starts: FloatArray) -> int:
-    """Write x0, x1, x2, ζ of approximate solutions that deserve a Newton iteration, at most eight, and count them.
+def approximate_solutions(stage: StageEquations, is_continuous: bool, roots: ComplexArray, starts: FloatArray) -> int:
+    """Write x0, x1, x2, ζ of where Newton's method begins, at most eight states, and count them.
 
-    `family` says that the quartic vanishes; `roots` (4,) is overwritten.
+    `is_continuous` says that the quartic vanishes; `roots` (4,) is overwritten.
     """
-    epsilon, _, real, imag, _, _ = stage
-    kappa = 2.0 * epsilon - 1.0
+    real, imag, kappa = stage.real, stage.imag, 2.0 * stage.epsilon - 1.0
     size = math.hypot(real, imag)
     # Without λ there is no direction to count from, and any will do.
     nu = complex(real / size, imag / size) if size > 0.0 else complex(0.6, 0.8)
@@ -129,12 +111,12 @@ def approximate_solutions(stage: Equations, family: bool, roots: ComplexArray, s
     span = span if span > 0.0 else 1.0
     omega, gain = abs(kappa) / span, (-1.0 if kappa < 0.0 else 1.0) / span
     lead = complex(1.0, 0.0)
-    if not family:
-        turned, lead = _turned_quartic(quartic_coefficients(stage, size, mu.real, mu.imag, omega, gain))
+    if not is_continuous:
+        turned, lead = _turned_quartic(quartic(stage, size, mu.real, mu.imag, omega, gain))
         _roots(turned, roots)
     count = 0
     for k in range(4):
-        if family:
+        if is_continuous:
             # What is isolated is level or tilted in the plane of a leg.
             turn, a = _SYMMETRIC[k], 0.0
         else:
@@ -147,22 +129,20 @@ def approximate_solutions(stage: Equations, family: bool, roots: ComplexArray, s
             length = abs(delta)
             a = size * gain * gamma.imag / length
             turn = complex(delta.real / length, delta.imag / length) * nu.conjugate()
-        count = _tilts(stage, kappa, turn, a, starts, count)
+        count = _tilts(stage, turn, a, starts, count)
     return count
 
 
 @jit
-def _tilts(stage: Equations, kappa: float, turn: complex, a: float, starts: FloatArray, count: int) -> int:
+def _tilts(stage: StageEquations, turn: complex, a: float, starts: FloatArray, count: int) -> int:
     """Append the solutions of one azimuth: A = p sin 3ψ, and the rest is quadratic in the tilt p.
 
     Both of its roots are tried: legs symmetric about a plane have two solutions of one azimuth, where sin 3ψ = 0.
     """
-    epsilon, level, real, imag, _, _ = stage
-    b = real * turn.real - imag * turn.imag
+    epsilon, level, kappa = stage.epsilon, stage.level, 2.0 * stage.epsilon - 1.0
+    b = stage.real * turn.real - stage.imag * turn.imag
     cubed = turn * turn * turn
-    square = 4.0 * (a * a + b * cubed.real) - 4.0 * (2.0 * epsilon + level) - kappa * kappa
-    linear = 4.0 * kappa * a * a + 4.0 * level + 2.0 * kappa * b * cubed.real
-    constant = (kappa * a) ** 2 - b * b
+    square, linear, constant = tilt_quadratic(stage, a, b, cubed.real)
     root = math.sqrt(max(linear * linear - 4.0 * square * constant, 0.0))
     larger = -0.5 * (linear + (-root if linear < 0.0 else root))
     for which in range(2):

@@ -18,8 +18,6 @@ from spm_pin.mechanism.arguments import FloatArray
 
 LANES = 64
 """Matrices in a tile: more than elsewhere, for the loops are many and short."""
-LANES = 64
-"""Matrices in a tile: more than elsewhere, for the loops are many and short."""
 WIDTH = 6
 """Columns of the matrices; narrower ones are filled up with zeros."""
 _ORTHOGONAL = 16.0 * EPS * EPS

@@ -1,6 +1,6 @@
 """The forces of the legs on the middle platform, and the motions they allow, over scalars.
 
-Notation: `spm_pin.kinematics.jacobians`. A stage has three forces f_i through the ball joints b_i that hold, and
+Notation: `spm_pin.kinematics.rates_and_forces`. A stage has three forces f_i through the ball joints b_i that hold, and
 three, a_i, that constrain. A motion of the platform moves b_i by
 
     v_i = q_i n_i + λ_i w_i,    w_i = f_i x a_i,    n_i = a_i x w_i / |w_i|²,

@@ -2,101 +2,47 @@
 
    @ORIGIN@
 
-   The functions at the end check arguments and call those before, which were translated from the Python kernels of
-   spm_pin operation by operation: where the compiler contracts no products and sums, the bits of the results are the
-   same. Each says which function it was. A tile of problems is one problem wide here. */
+   First come formulas, written by the code generator of CasADi; from `read_pose` on what checks arguments, iterates and
+   decides. A ball lies in the plane of its leg, normal to the leg's axis: its two coordinates there are unknowns, and
+   six equations in six of them, all quadratic, hold a stage of given leg lengths, or the machine in a given pose. */
 
 #include "@PREFIX@kinematics.h"
 
+#include <float.h>
 #include <math.h>
 
-typedef struct { double re, im; } complex_number;
+#ifdef __FAST_MATH__
+#error "-ffast-math breaks the checks for NaN and infinity: compile without it"
+#endif
 
-static complex_number complex_of(double re, double im)
-{
-    complex_number z;
-    z.re = re;
-    z.im = im;
-    return z;
-}
-
-static complex_number complex_sum(complex_number a, complex_number b)
-{
-    return complex_of(a.re + b.re, a.im + b.im);
-}
-
-static complex_number complex_difference(complex_number a, complex_number b)
-{
-    return complex_of(a.re - b.re, a.im - b.im);
-}
-
-static complex_number complex_product(complex_number a, complex_number b)
-{
-    return complex_of(a.re * b.re - a.im * b.im, a.re * b.im + a.im * b.re);
-}
-
-static complex_number complex_ratio(complex_number a, complex_number b)
-{
-    double ratio, denominator;
-    if (fabs(b.re) >= fabs(b.im)) {
-        ratio = b.im / b.re;
-        denominator = b.re + b.im * ratio;
-        return complex_of((a.re + a.im * ratio) / denominator, (a.im - a.re * ratio) / denominator);
-    }
-    ratio = b.re / b.im;
-    denominator = b.re * ratio + b.im;
-    return complex_of((a.re * ratio + a.im) / denominator, (a.im * ratio - a.re) / denominator);
-}
-
-static int complex_differ(complex_number a, complex_number b)
-{
-    return a.re != b.re || a.im != b.im;
-}
-
-static double number_square(double x)
+static double casadi_sq(double x)
 {
     return x * x;
 }
 
-static double number_maximum(double a, double b)
+static double casadi_fmax(double x, double y)
 {
-    return b > a ? b : a;
+    return x > y ? x : y;
 }
 
-static double number_minimum(double a, double b)
+static double casadi_fmin(double x, double y)
 {
-    return b < a ? b : a;
+    return x < y ? x : y;
 }
 
-/* As Python has it: of the sign of b. */
-static double number_modulo(double a, double b)
+static double casadi_fabs(double x)
 {
-    double rest = fmod(a, b);
-    return rest != 0.0 && (rest < 0.0) != (b < 0.0) ? rest + b : rest;
+    return fabs(x);
 }
 
-static int index_maximum(int a, int b)
-{
-    return b > a ? b : a;
-}
-
-static int index_minimum(int a, int b)
-{
-    return b < a ? b : a;
-}
-
-@KERNELS@
-#define EXACT @EXACT@
+@FORMULAS@
+#define ROUNDED 1e-6            /* largest error of R^T R, and of a state to begin from in units of d */
+#define FARTHEST 1e5            /* largest length in units of E + C + d */
 #define SINGULAR_RATIO @SINGULAR@
-#define ROUNDED 1e-6
-#define OPEN_SEED 1e-6
-#define LARGEST_LENGTH 1e5
-#define VERTICAL @VERTICAL@
+#define LEGS(g) (g)->dimensions, (g)->axes, (g)->pivots, (g)->balls, (g)->offsets, (g)->minimum, (g)->maximum
 
 const @PREFIX@geometry @PREFIX@machine = {
-    @BASE_RADIUS@, @PLATFORM_RADIUS@, @MIDDLE_SIDE@,
-    {@MINIMUM@},
-    {@MAXIMUM@}
+@MACHINE@
 };
 
 const char *const @PREFIX@branch_names[8] = {"TT+", "TT-", "TF+", "TF-", "FT+", "FT-", "FF+", "FF-"};
@@ -104,16 +50,7 @@ const char *const @PREFIX@branch_names[8] = {"TT+", "TT-", "TF+", "TF-", "FT+", 
 const char *@PREFIX@status_name(int status)
 {
     switch (status) {
-    case @PREFIX_UPPER@OK: return "ok";
-    case @PREFIX_UPPER@UNREACHABLE: return "unreachable";
-    case @PREFIX_UPPER@DEGENERATE: return "degenerate";
-    case @PREFIX_UPPER@NOT_PHYSICAL: return "not physical";
-    case @PREFIX_UPPER@SINGULAR: return "singular";
-    case @PREFIX_UPPER@NOT_FINITE: return "not finite";
-    case @PREFIX_UPPER@NOT_A_ROTATION: return "not a rotation";
-    case @PREFIX_UPPER@BAD_LENGTH: return "bad length";
-    case @PREFIX_UPPER@BAD_GEOMETRY: return "bad geometry";
-    case @PREFIX_UPPER@BAD_SEED: return "bad seed";
+@STATUS_NAMES@
     default: return "unknown status";
     }
 }
@@ -134,38 +71,70 @@ static void put_nan(double *to, int count)
     }
 }
 
-static int are_finite(const double *numbers, int count)
+/* Return whether numbers are within a bound; NaN is not. */
+static int are_within(const double *numbers, int count, double most)
 {
     int i;
     for (i = 0; i < count; ++i) {
-        if (!isfinite(numbers[i])) {
+        if (!(fabs(numbers[i]) <= most)) {
             return 0;
         }
     }
     return 1;
 }
 
-static int is_dimension(double length)
+static double farthest(const @PREFIX@geometry *g)
 {
-    return length >= 1e-9 && length <= 1e9;
+    return FARTHEST * (g->dimensions[0] + g->dimensions[1] + g->dimensions[2]);
 }
 
-static int check_geometry(const @PREFIX@geometry *geometry)
+static int check_numbers(const double *numbers, int count, double most)
 {
+    return !are_within(numbers, count, DBL_MAX) ? @PREFIX_UPPER@NOT_FINITE
+            : !are_within(numbers, count, most) ? @PREFIX_UPPER@OUT_OF_RANGE : @PREFIX_UPPER@OK;
+}
+
+static int check_geometry(const @PREFIX@geometry *g)
+{
+    double areas[2];
+    const double *const in[] = {LEGS(g)};
+    double *const out[] = {areas};
     int i;
-    for (i = 0; i < 6; ++i) {
-        if (!(geometry->minimum[i] >= 0.0 && geometry->minimum[i] < geometry->maximum[i])) {
+    for (i = 0; i < 3; ++i) {
+        if (!(g->dimensions[i] >= 1e-9 && g->dimensions[i] <= 1e9)) {
             return @PREFIX_UPPER@BAD_GEOMETRY;
         }
     }
-    return is_dimension(geometry->base_radius) && is_dimension(geometry->platform_radius)
-            && is_dimension(geometry->middle_side) ? @PREFIX_UPPER@OK : @PREFIX_UPPER@BAD_GEOMETRY;
+    for (i = 0; i < 6; ++i) {
+        const double *axis = g->axes + 3 * i;
+        if (!(g->minimum[i] >= 0.0 && g->minimum[i] < g->maximum[i]) || !(fabs(axis[2]) <= 0.9)
+                || !(fabs(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2] - 1.0) <= 2e-6)) {
+            return @PREFIX_UPPER@BAD_GEOMETRY;
+        }
+    }
+    if (!are_within(g->pivots, 18, 1e9) || !are_within(g->balls, 18, 1e9) || !are_within(g->offsets, 6, 1e9)) {
+        return @PREFIX_UPPER@BAD_GEOMETRY;
+    }
+    triangle_areas(in, out);
+    return areas[0] > 1e-6 && areas[1] > 1e-6 ? @PREFIX_UPPER@OK : @PREFIX_UPPER@BAD_GEOMETRY;
 }
 
-/* The circumradius of the middle platform. */
-static double middle_radius(const @PREFIX@geometry *geometry)
+/* Return whether the legs are those of the drawing, to rounding. */
+static int is_drawn(const @PREFIX@geometry *g)
 {
-    return geometry->middle_side / sqrt(3.0);
+    double error;
+    const double *const in[] = {LEGS(g)};
+    double *const out[] = {&error};
+    drawing_error(in, out);
+    return error <= 64.0 * DBL_EPSILON;
+}
+
+static int check_state(const @PREFIX@geometry *g, const @PREFIX@state *s)
+{
+    int status = check_geometry(g);
+    status = status != @PREFIX_UPPER@OK ? status : check_numbers(s->rotation, 9, 2.0);
+    status = status != @PREFIX_UPPER@OK ? status : check_numbers(s->position, 3, farthest(g));
+    return status != @PREFIX_UPPER@OK ? status : check_numbers(s->joints, 9, farthest(g));
 }
 
 /* Write R^T R and return the largest entry of R^T R - I. */
@@ -184,22 +153,25 @@ static double products_of_columns(const double *r, double *products)
     return largest;
 }
 
-static int read_pose(const double *rotation, const double *position, double *r, double *o)
+/* Check a pose, and take the nearest rotation where one is rounded, to second order and twice. */
+static int read_pose(const @PREFIX@geometry *g, const double *rotation, const double *position, double *r, double *o)
 {
-    int turn;
-    if (!are_finite(rotation, 9) || !are_finite(position, 3)) {
-        return @PREFIX_UPPER@NOT_FINITE;
+    double products[9], from[9], error;
+    int turn, i, j, status = check_geometry(g);
+    status = status != @PREFIX_UPPER@OK ? status : check_numbers(rotation, 9, DBL_MAX);
+    status = status != @PREFIX_UPPER@OK ? status : check_numbers(position, 3, farthest(g));
+    if (status != @PREFIX_UPPER@OK) {
+        return status;
     }
     copy(rotation, r, 9);
     copy(position, o, 3);
-    if (@are_rigid@(r, o, EXACT)) {
-        return @PREFIX_UPPER@OK;
-    }
     for (turn = 0; turn < 2; ++turn) {
-        double products[9], from[9], error = products_of_columns(r, products);
-        int i, j;
+        error = products_of_columns(r, products);
         if (!(error <= ROUNDED)) {
             return @PREFIX_UPPER@NOT_A_ROTATION;
+        }
+        if (error <= 16.0 * DBL_EPSILON) {
+            break;
         }
         copy(r, from, 9);
         for (i = 0; i < 3; ++i) {
@@ -213,44 +185,235 @@ static int read_pose(const double *rotation, const double *position, double *r, 
             > 0.0 ? @PREFIX_UPPER@OK : @PREFIX_UPPER@NOT_A_ROTATION;
 }
 
-static int solve_branches(const @PREFIX@geometry *geometry, double *r, double *o, @PREFIX@branches *branches)
+/* Solve (6, 6) equations by Gauss and Jordan, the largest pivot of a column first. A row of `rows` is one of the matrix
+   and of the right sides; these become the solutions. Returns 0 where the matrix is singular. */
+static int eliminate(double *rows, int columns)
 {
-    double rotation[9], position[3];
-    unsigned char choice[3], flagged;
-    signed char status;
-    int branch;
-    @all_branches@(r, o, middle_radius(geometry), geometry->base_radius, geometry->platform_radius, rotation, position,
-            branches->joints[0], branches->lengths[0], branches->discriminants, choice, &status, &flagged);
-    for (branch = 0; branch < 8; ++branch) {
-        branches->real[branch] = !isnan(branches->joints[branch][0]);
+    int i, j, k;
+    for (k = 0; k < 6; ++k) {
+        double *row = rows + columns * k, *best = row, scale;
+        for (i = k + 1; i < 6; ++i) {
+            double *other = rows + columns * i;
+            best = fabs(other[k]) > fabs(best[k]) ? other : best;
+        }
+        if (!(fabs(best[k]) > 0.0)) {
+            return 0;
+        }
+        scale = 1.0 / best[k];
+        for (j = k; j < columns; ++j) {
+            double moved = best[j];
+            best[j] = row[j];
+            row[j] = moved * scale;
+        }
+        for (i = 0; i < 6; ++i) {
+            double *other = rows + columns * i, factor = other[k];
+            for (j = k; j < columns && i != k; ++j) {
+                other[j] -= factor * row[j];
+            }
+        }
     }
-    if (flagged & VERTICAL) {
-        unsigned char families[4];
-        signed char dimension;
-        @continuous_families@(r, o, middle_radius(geometry), families, &dimension);
-        return dimension > 0 ? @PREFIX_UPPER@DEGENERATE : @PREFIX_UPPER@UNREACHABLE;
-    }
-    return flagged ? @PREFIX_UPPER@DEGENERATE : status;
+    return 1;
 }
 
-int @PREFIX@inverse(const @PREFIX@geometry *geometry, const double rotation[9], const double position[3],
-        @PREFIX@branches *branches)
+/* Write the inverse of a matrix (6, 6); return whether there is one. */
+static int invert(const double *matrix, double *inverse)
 {
-    double r[9], o[3];
-    int branch, status = check_geometry(geometry);
-    if (status == @PREFIX_UPPER@OK) {
-        status = read_pose(rotation, position, r, o);
+    double rows[72];
+    int i, j;
+    for (i = 0; i < 6; ++i) {
+        for (j = 0; j < 6; ++j) {
+            rows[12 * i + j] = matrix[6 * i + j];
+            rows[12 * i + 6 + j] = i == j ? 1.0 : 0.0;
+        }
     }
-    if (status == @PREFIX_UPPER@OK) {
-        return solve_branches(geometry, r, o, branches);
+    if (!eliminate(rows, 12)) {
+        return 0;
     }
-    for (branch = 0; branch < 8; ++branch) {
-        put_nan(branches->joints[branch], 9);
-        put_nan(branches->lengths[branch], 6);
-        branches->real[branch] = 0;
+    for (i = 0; i < 36; ++i) {
+        inverse[i] = rows[12 * (i / 6) + 6 + i % 6];
     }
-    put_nan(branches->discriminants, 4);
-    return status;
+    return are_within(inverse, 36, DBL_MAX);
+}
+
+/* Return the length of the longest of three vectors in the planes of the legs. */
+static double longest(const double *vectors)
+{
+    double most = 0.0;
+    int i;
+    for (i = 0; i < 6; i += 2) {
+        double square = vectors[i] * vectors[i] + vectors[i + 1] * vectors[i + 1];
+        most = square > most ? square : most;
+    }
+    return sqrt(most);
+}
+
+/* What G makes of errors, and at most makes of errors of these sizes. */
+static double image(const double *inverse, const double *errors, int are_sizes)
+{
+    double vectors[6];
+    int i, j;
+    for (i = 0; i < 6; ++i) {
+        vectors[i] = 0.0;
+        for (j = 0; j < 6; ++j) {
+            vectors[i] += (are_sizes ? fabs(inverse[6 * i + j]) : inverse[6 * i + j]) * errors[j];
+        }
+    }
+    return longest(vectors);
+}
+
+/* Six equations for the balls of a stage, 0 or 1, whose legs change, or with CLOSURE of the lower balls in a machine
+   whose platform moves; from t = 0 to t = 1. */
+enum { CLOSURE = 2 };
+
+typedef struct {
+    const @PREFIX@geometry *geometry;
+    int kind;
+    double lengths[3], change[3];                       /* of a stage's legs, and all along the way */
+    double rotation[9], position[3], turn[3], shift[3]; /* of the platform; the turn as a vector */
+    double end[9], angle;                               /* R at t = 1 */
+    double gap[6];                                      /* errors at t = 0, which vanish along the way */
+} way;
+
+typedef struct {
+    double errors[6], jacobian[36];
+    double curvature[6]; /* bounds of the second-order terms, for changes of length 1 */
+    double tilt[6];      /* bounds of the change of `jacobian` per radian */
+    double lever[6];     /* distances of the balls from o where planes move, else 0 */
+} equations;
+
+static void turned(const way *w, double t, double *r)
+{
+    double a = w->angle * t, s = sin(a), c = 1.0 - cos(a), u[3], m[9];
+    int i, j;
+    if (t >= 1.0 || !(w->angle > 0.0)) {
+        copy(t >= 1.0 ? w->end : w->rotation, r, 9);
+        return;
+    }
+    for (i = 0; i < 3; ++i) {
+        u[i] = w->turn[i] / w->angle;
+    }
+    m[0] = 1.0 - c * (u[1] * u[1] + u[2] * u[2]), m[1] = c * u[0] * u[1] - s * u[2], m[2] = c * u[0] * u[2] + s * u[1];
+    m[3] = c * u[0] * u[1] + s * u[2], m[4] = 1.0 - c * (u[0] * u[0] + u[2] * u[2]), m[5] = c * u[1] * u[2] - s * u[0];
+    m[6] = c * u[0] * u[2] - s * u[1], m[7] = c * u[1] * u[2] + s * u[0], m[8] = 1.0 - c * (u[0] * u[0] + u[1] * u[1]);
+    for (i = 0; i < 3; ++i) {
+        for (j = 0; j < 3; ++j) {
+            r[3 * i + j] = m[3 * i] * w->rotation[j] + m[3 * i + 1] * w->rotation[3 + j]
+                    + m[3 * i + 2] * w->rotation[6 + j];
+        }
+    }
+}
+
+static void evaluate(const way *w, double t, const double *balls, equations *e)
+{
+    double r[9], o[3], lengths[3];
+    double *const out[] = {e->errors, e->jacobian, e->curvature, e->tilt, e->lever};
+    int i;
+    for (i = 0; i < 3; ++i) {
+        o[i] = w->position[i] + t * w->shift[i];
+        lengths[i] = w->lengths[i] + t * w->change[i];
+    }
+    if (w->kind == CLOSURE) {
+        const double *const in[] = {balls, r, o, LEGS(w->geometry)};
+        turned(w, t, r);
+        closure(in, out);
+    } else {
+        const double *const in[] = {balls, lengths, LEGS(w->geometry)};
+        (w->kind == 0 ? lower_stage : upper_stage)(in, out);
+    }
+    for (i = 0; i < 6; ++i) {
+        e->errors[i] -= (1.0 - t) * w->gap[i];
+    }
+}
+
+/* Newton's method at t, with steps of at most `most`; returns whether it converged. */
+static int solve(const way *w, double t, double most, double *balls)
+{
+    equations e;
+    double rows[42], step[6], last = DBL_MAX, size = w->geometry->dimensions[2] + longest(balls);
+    int turn, i, j;
+    for (turn = 0; turn < 40; ++turn) {
+        double length, scale;
+        evaluate(w, t, balls, &e);
+        for (i = 0; i < 6; ++i) {
+            for (j = 0; j < 6; ++j) {
+                rows[7 * i + j] = e.jacobian[6 * i + j];
+            }
+            rows[7 * i + 6] = -e.errors[i];
+        }
+        if (!eliminate(rows, 7)) {
+            return 0;
+        }
+        for (i = 0; i < 6; ++i) {
+            step[i] = rows[7 * i + 6];
+        }
+        length = longest(step);
+        scale = length > most ? most / length : 1.0;
+        for (i = 0; i < 6; ++i) {
+            balls[i] += scale * step[i];
+        }
+        if (length <= 2.0 * DBL_EPSILON * size || (length < 1e-9 * size && length >= 0.5 * last)) {
+            return 1;
+        }
+        if (!(length < DBL_MAX)) {
+            return 0;
+        }
+        last = length;
+    }
+    return last < 1e-9 * size;
+}
+
+/* Return the product of Newton and Kantorovich from t to t + step, at most 1/2 where one solution is near all the way.
+
+   G is the inverse of the derivative at t. The first steps of Newton's method in between are bounded by those at both
+   ends, and by how far lengths and planes depart from changing in proportion. */
+static double kantorovich(const way *w, const equations *e, const double *inverse, const double *balls, double t,
+        double step)
+{
+    equations next;
+    double bend[6], tilt[6], angle = w->angle * step, first, change, length = 0.0;
+    int i;
+    evaluate(w, t + step >= 1.0 ? 1.0 : t + step, balls, &next);
+    for (i = 0; i < 3; ++i) {
+        length += w->shift[i] * w->shift[i] * step * step;
+    }
+    length = sqrt(length);
+    for (i = 0; i < 6; ++i) {
+        tilt[i] = angle * e->tilt[i];
+        bend[i] = e->lever[i] > 0.0 ? (angle * angle * (e->lever[i] + length) + 2.0 * angle * length) / 8.0 : 0.0;
+        if (w->kind != CLOSURE && i < 3) {
+            bend[i] = w->change[i] * w->change[i] * step * step / (8.0 * w->geometry->dimensions[2]);
+        }
+    }
+    change = image(inverse, tilt, 1);
+    first = image(inverse, next.errors, 0) + image(inverse, e->errors, 0) + image(inverse, bend, 1);
+    return change <= 0.25 ? 2.0 * image(inverse, e->curvature, 1) * first / ((1.0 - change) * (1.0 - change)) : 1.0;
+}
+
+/* Follow the solution that `balls` are at t = 0 to t = 1; returns 0 at a singularity. */
+static int follow(way *w, double *balls)
+{
+    equations e;
+    double inverse[36], t = 0.0, step = 1.0;
+    int left = @MOST_STEPS@;
+    put_nan(w->gap, 0);
+    evaluate(w, 0.0, balls, &e);
+    for (; t < 1.0; t = t + step >= 1.0 ? 1.0 : t + step, step *= 2.0) {
+        evaluate(w, t, balls, &e);
+        if (!invert(e.jacobian, inverse)) {
+            return 0;
+        }
+        step = step < 1.0 - t ? step : 1.0 - t;
+        while (!(kantorovich(w, &e, inverse, balls, t, step) <= 0.25)) {
+            step *= 0.5;
+            if (--left < 0 || step < @SHORTEST@) {
+                return 0;
+            }
+        }
+        if (--left < 0 || !solve(w, t + step >= 1.0 ? 1.0 : t + step, INFINITY, balls)) {
+            return 0;
+        }
+    }
+    return 1;
 }
 
 static void put_state_nan(@PREFIX@state *state)
@@ -258,259 +421,240 @@ static void put_state_nan(@PREFIX@state *state)
     put_nan(state->rotation, 9);
     put_nan(state->position, 3);
     put_nan(state->joints, 9);
-    put_nan(state->lengths, 6);
+    put_nan(state->readings, 6);
 }
 
-int @PREFIX@inverse_physical(const @PREFIX@geometry *geometry, const double rotation[9], const double position[3],
-        @PREFIX@state *state)
+/* Write the readings of a state; return 0 where it is not physical, 1 where it is, 2 where within the limits too. */
+static int complete(const @PREFIX@geometry *g, @PREFIX@state *s, double *tilts)
 {
-    double r[9], o[3], limits[12];
-    int status = check_geometry(geometry);
+    double is_physical;
+    const double *const in[] = {s->joints, s->rotation, s->position, LEGS(g)};
+    double *const out[] = {s->readings, &is_physical, tilts};
+    int i, rank = 2;
+    describe(in, out);
+    for (i = 0; i < 6; ++i) {
+        rank = s->readings[i] >= g->minimum[i] && s->readings[i] <= g->maximum[i] ? rank : 1;
+    }
+    return is_physical > 0.0 ? rank : 0;
+}
+
+/* Write where the balls of a state are in the planes of their legs. */
+static int read_near(const @PREFIX@geometry *g, const @PREFIX@state *near, double *lower, double *upper)
+{
+    double gap;
+    const double *const in[] = {near->joints, near->rotation, near->position, LEGS(g)};
+    double *const out[] = {lower, upper, &gap};
+    int status = check_state(g, near);
     if (status == @PREFIX_UPPER@OK) {
-        status = read_pose(rotation, position, r, o);
+        in_planes(in, out);
+        status = gap <= ROUNDED ? @PREFIX_UPPER@OK : @PREFIX_UPPER@BAD_NEAR;
     }
-    if (status != @PREFIX_UPPER@OK) {
-        put_state_nan(state);
-        return status;
-    }
-    copy(geometry->minimum, limits, 6);
-    copy(geometry->maximum, limits + 6, 6);
-    @physical_branches@(r, o, middle_radius(geometry), geometry->base_radius, geometry->platform_radius, limits,
-            state->rotation, state->position, state->joints, state->lengths);
-    if (isnan(state->joints[0])) {
-        @PREFIX@branches branches;
-        status = solve_branches(geometry, r, o, &branches);
-        return status == @PREFIX_UPPER@OK ? @PREFIX_UPPER@NOT_PHYSICAL : status;
-    }
-    return @PREFIX_UPPER@OK;
+    return status;
 }
 
-/* Write the revolute joints of a stage, in the plane of the platform they are on. */
-static void put_revolute_joints(double radius, double joints[9])
+static void put_lower_balls(const @PREFIX@geometry *g, const double *balls, double *joints)
 {
-    double x = sqrt(0.75) * radius, y = -0.5 * radius;
-    joints[0] = x, joints[1] = y, joints[2] = 0.0;
-    joints[3] = 0.0, joints[4] = radius, joints[5] = 0.0;
-    joints[6] = -x, joints[7] = y, joints[8] = 0.0;
+    const double *const in[] = {balls, LEGS(g)};
+    double *const out[] = {joints};
+    lower_balls(in, out);
 }
 
-/* Write the leg vectors, a_i to b_i and then b_i to c_i, and return the length of the shortest. */
-static void put_legs(const @PREFIX@geometry *geometry, const @PREFIX@state *state, double legs[18], double lengths[6])
+/* The physical branch by the rule: Newton's method from what the drawing has at this pose and beside it. */
+static int begin_inverse(const way *w, @PREFIX@state *state)
 {
-    double base[9], platform[9];
-    const double *r = state->rotation;
-    int i, j;
-    put_revolute_joints(geometry->base_radius, base);
-    put_revolute_joints(geometry->platform_radius, platform);
-    for (i = 0; i < 3; ++i) {
-        for (j = 0; j < 3; ++j) {
-            double b = state->joints[3 * i + j];
-            legs[3 * i + j] = b - base[3 * i + j];
-            legs[9 + 3 * i + j] = state->position[j] + r[3 * j] * platform[3 * i] + r[3 * j + 1] * platform[3 * i + 1] - b;
+    const @PREFIX@geometry *g = w->geometry;
+    double starts[36], is_degenerate, best_tilts = 0.0;
+    const double *const in[] = {w->end, w->position, LEGS(g)};
+    double *const out[] = {starts, &is_degenerate};
+    int k, best = 0, drawn = is_drawn(g);
+    put_state_nan(state);
+    drawn_branches(in, out);
+    if (drawn && is_degenerate > 0.0) {
+        return @PREFIX_UPPER@DEGENERATE;
+    }
+    for (k = 0; k < (drawn ? 2 : 6); ++k) {
+        @PREFIX@state tried;
+        double tilts;
+        int rank;
+        if (!solve(w, 1.0, 0.3 * g->dimensions[2], starts + 6 * k)) {
+            continue;
+        }
+        copy(w->end, tried.rotation, 9);
+        copy(w->position, tried.position, 3);
+        put_lower_balls(g, starts + 6 * k, tried.joints);
+        rank = complete(g, &tried, &tilts);
+        if (rank > best || (rank > 0 && rank == best && tilts > best_tilts)) {
+            *state = tried;
+            best = rank;
+            best_tilts = tilts;
         }
     }
-    for (i = 0; i < 6; ++i) {
-        const double *leg = legs + 3 * i;
-        lengths[i] = sqrt(leg[0] * leg[0] + leg[1] * leg[1] + leg[2] * leg[2]);
-    }
+    return best > 0 ? @PREFIX_UPPER@OK : is_degenerate > 0.0 ? @PREFIX_UPPER@DEGENERATE : @PREFIX_UPPER@UNREACHABLE;
 }
 
-/* Write the axes of the revolute joints, of the lower legs and then of the upper. */
-static void put_axes(const double *r, double axes[18])
+/* Write the way from the pose of a state to the end, turning about a fixed axis. */
+static int set_out(way *w, const @PREFIX@state *near, const double *position)
 {
-    const double x[3] = {0.5, 1.0, -0.5}, y[3] = {sqrt(0.75), 0.0, sqrt(0.75)};
+    double m[9], sine, cosine;
     int i, j;
     for (i = 0; i < 3; ++i) {
-        axes[3 * i] = x[i], axes[3 * i + 1] = y[i], axes[3 * i + 2] = 0.0;
         for (j = 0; j < 3; ++j) {
-            axes[9 + 3 * i + j] = r[3 * j] * x[i] + r[3 * j + 1] * y[i];
+            m[3 * i + j] = w->end[3 * i] * near->rotation[3 * j] + w->end[3 * i + 1] * near->rotation[3 * j + 1]
+                    + w->end[3 * i + 2] * near->rotation[3 * j + 2];
         }
     }
-}
-
-static int is_state_finite(const @PREFIX@state *state)
-{
-    return are_finite(state->rotation, 9) && are_finite(state->position, 3) && are_finite(state->joints, 9);
-}
-
-/* Return whether the ball joints are in the planes of all legs, and d apart. */
-static int closes(const @PREFIX@geometry *geometry, const @PREFIX@state *state)
-{
-    double axes[18], legs[18], lengths[6], largest = 0.0;
-    int i;
-    put_axes(state->rotation, axes);
-    put_legs(geometry, state, legs, lengths);
-    for (i = 0; i < 6; ++i) {
-        const double *a = axes + 3 * i, *leg = legs + 3 * i;
-        largest = fmax(largest, fabs(a[0] * leg[0] + a[1] * leg[1] + a[2] * leg[2]));
-    }
+    w->turn[0] = 0.5 * (m[7] - m[5]), w->turn[1] = 0.5 * (m[2] - m[6]), w->turn[2] = 0.5 * (m[3] - m[1]);
+    sine = sqrt(w->turn[0] * w->turn[0] + w->turn[1] * w->turn[1] + w->turn[2] * w->turn[2]);
+    cosine = 0.5 * (m[0] + m[4] + m[8] - 1.0);
+    w->angle = atan2(sine, cosine);
     for (i = 0; i < 3; ++i) {
-        const double *b = state->joints + 3 * i, *next = state->joints + 3 * ((i + 1) % 3);
-        double x = b[0] - next[0], y = b[1] - next[1], z = b[2] - next[2];
-        largest = fmax(largest, fabs(sqrt(x * x + y * y + z * z) - geometry->middle_side));
+        w->turn[i] *= sine > 0.0 ? w->angle / sine : 0.0;
+        w->position[i] = near->position[i];
+        w->shift[i] = position[i] - near->position[i];
     }
-    return largest <= OPEN_SEED * geometry->middle_side;
+    copy(near->rotation, w->rotation, 9);
+    return w->angle <= 3.0;
 }
 
-/* Follow both stages of a seed to leg lengths; return whether both arrived. */
-static int follow(const @PREFIX@geometry *geometry, double *lengths, const @PREFIX@state *seed, @PREFIX@state *state)
+int @PREFIX@inverse(const @PREFIX@geometry *geometry, const double rotation[9], const double position[3],
+        const @PREFIX@state *near, @PREFIX@state *state)
 {
-    const double *rotation = seed->rotation;
-    double size = middle_radius(geometry), start[6], end[6], corners[18], legs[18], seeds[8], ends[8], stages[2][5];
-    double epsilon[2];
-    unsigned char half_turned[2], arrived[2];
-    int i, j;
-    put_legs(geometry, seed, legs, start);
-    for (i = 0; i < 6; ++i) {
-        start[i] /= size;
-        end[i] = lengths[i] / size;
+    way w = {0};
+    double o[3], lower[6], upper[6], tilts;
+    int status = read_pose(geometry, rotation, position, w.end, o);
+    w.geometry = geometry;
+    w.kind = CLOSURE;
+    copy(o, w.position, 3);
+    if (status == @PREFIX_UPPER@OK && !near) {
+        return begin_inverse(&w, state);
     }
-    for (i = 0; i < 3; ++i) {
-        const double *b = seed->joints + 3 * i, *o = seed->position;
-        for (j = 0; j < 3; ++j) {
-            corners[3 * i + j] = b[j];
-            corners[9 + 3 * i + j] = (b[0] - o[0]) * rotation[j] + (b[1] - o[1]) * rotation[3 + j]
-                    + (b[2] - o[2]) * rotation[6 + j];
-        }
+    status = status != @PREFIX_UPPER@OK ? status : read_near(geometry, near, lower, upper);
+    if (status == @PREFIX_UPPER@OK) {
+        status = set_out(&w, near, o) && follow(&w, lower) ? @PREFIX_UPPER@OK : @PREFIX_UPPER@SINGULAR;
     }
-    @stage_states@(corners, size, seeds, half_turned);
-    epsilon[0] = (half_turned[0] ? -1.0 : 1.0) * geometry->base_radius / size;
-    epsilon[1] = (half_turned[1] ? -1.0 : 1.0) * geometry->platform_radius / size;
-    @follow_stages@(start, end, epsilon, seeds, ends, arrived);
-    for (i = 0; i < 2; ++i) {
-        const double *x = ends + 4 * i;
-        stages[i][0] = half_turned[i] ? 0.0 : x[0];
-        stages[i][1] = half_turned[i] ? x[2] : x[1];
-        stages[i][2] = half_turned[i] ? -x[1] : x[2];
-        stages[i][3] = half_turned[i] ? x[0] : 0.0;
-        stages[i][4] = half_turned[i] ? -x[3] : x[3];
+    put_state_nan(state);
+    if (status == @PREFIX_UPPER@OK) {
+        copy(w.end, state->rotation, 9);
+        copy(o, state->position, 3);
+        put_lower_balls(geometry, lower, state->joints);
+        (void)complete(geometry, state, &tilts);
     }
-    @compose_all@(stages[0], stages[1], size, state->rotation, state->position, state->joints);
-    return arrived[0] && arrived[1];
+    return status;
 }
 
-int @PREFIX@forward_physical(const @PREFIX@geometry *geometry, const double lengths[6], const @PREFIX@state *seed,
+/* Write the state of two stages, and what `complete` returns. */
+static int join(const @PREFIX@geometry *g, const double *lower, const double *upper, @PREFIX@state *state)
+{
+    double tilts;
+    const double *const in[] = {lower, upper, LEGS(g)};
+    double *const out[] = {state->rotation, state->position, state->joints};
+    placed_platform(in, out);
+    return complete(g, state, &tilts);
+}
+
+int @PREFIX@forward(const @PREFIX@geometry *geometry, const double readings[6], const @PREFIX@state *near,
         @PREFIX@state *state)
 {
-    double largest = LARGEST_LENGTH * (geometry->base_radius + geometry->platform_radius + geometry->middle_side);
-    double q[6], legs[18];
-    int i, status = check_geometry(geometry);
-    copy(lengths, q, 6);
+    way ways[2] = {{0}, {0}};
+    double lengths[6], levels[2][6], balls[2][6];
+    int i, k, converged = 1, status = check_geometry(geometry);
+    status = status != @PREFIX_UPPER@OK ? status : check_numbers(readings, 6, farthest(geometry));
     for (i = 0; i < 6 && status == @PREFIX_UPPER@OK; ++i) {
-        if (!isfinite(q[i])) {
-            status = @PREFIX_UPPER@NOT_FINITE;
-        } else if (!(q[i] > 0.0 && q[i] <= largest)) {
-            status = @PREFIX_UPPER@BAD_LENGTH;
-        }
+        lengths[i] = readings[i] - geometry->offsets[i];
+        status = lengths[i] > 0.0 ? @PREFIX_UPPER@OK : @PREFIX_UPPER@OUT_OF_RANGE;
     }
-    if (status == @PREFIX_UPPER@OK && seed) {
-        @PREFIX@state from = *seed;
-        status = !is_state_finite(&from) ? @PREFIX_UPPER@NOT_FINITE
-                : !closes(geometry, &from) ? @PREFIX_UPPER@BAD_SEED
-                : follow(geometry, q, &from, state) ? @PREFIX_UPPER@OK : @PREFIX_UPPER@SINGULAR;
-    } else if (status == @PREFIX_UPPER@OK) {
-        double r = middle_radius(geometry);
-        unsigned char found;
-        @home_modes@(q, r, geometry->base_radius, geometry->platform_radius, state->rotation, state->position,
-                state->joints, &found);
-        if (!found) {
-            @home_modes_of_all@(q, r, geometry->base_radius, geometry->platform_radius, state->rotation,
-                    state->position, state->joints);
-        }
-        status = isnan(state->joints[0]) ? @PREFIX_UPPER@UNREACHABLE : @PREFIX_UPPER@OK;
-    }
+    status = status != @PREFIX_UPPER@OK || !near ? status : read_near(geometry, near, balls[0], balls[1]);
     if (status != @PREFIX_UPPER@OK) {
         put_state_nan(state);
         return status;
     }
-    put_legs(geometry, state, legs, state->lengths);
-    return @PREFIX_UPPER@OK;
-}
-
-/* Return whether six forces through the ball joints are dependent to rounding; arms in units of d. */
-static int are_dependent(const @PREFIX@geometry *geometry, const @PREFIX@state *state, const double *first,
-        const double *second)
-{
-    double rows[36], values[6];
-    int i;
-    for (i = 0; i < 6; ++i) {
-        const double *f = i < 3 ? first + 3 * i : second + 3 * (i - 3), *b = state->joints;
-        double arm[3], *row = rows + 6 * i;
-        int j;
-        for (j = 0; j < 3; ++j) {
-            arm[j] = (b[3 * (i % 3) + j] - (b[j] + b[3 + j] + b[6 + j]) / 3.0) / geometry->middle_side;
-            row[j] = f[j];
-        }
-        row[3] = arm[1] * f[2] - arm[2] * f[1];
-        row[4] = arm[2] * f[0] - arm[0] * f[2];
-        row[5] = arm[0] * f[1] - arm[1] * f[0];
+    for (k = 0; k < 2; ++k) {
+        ways[k].geometry = geometry;
+        ways[k].kind = k;
+        copy(lengths + 3 * k, ways[k].lengths, 3);
     }
-    @singular_values@(rows, values);
-    return values[5] <= SINGULAR_RATIO * values[0];
+    if (!near) {
+        const double *const in[] = {lengths, LEGS(geometry)};
+        double *const out[] = {levels[0], levels[1]};
+        level_stages(in, out);
+        copy(levels[0], balls[0], 6);
+        copy(levels[1], balls[1], 6);
+        for (k = 0; k < 2; ++k) {
+            converged = solve(&ways[k], 1.0, 0.3 * geometry->dimensions[2], balls[k]) && converged;
+        }
+        if (converged && join(geometry, balls[0], balls[1], state) > 0) {
+            return @PREFIX_UPPER@OK;
+        }
+        copy(levels[0], balls[0], 6);
+        copy(levels[1], balls[1], 6);
+    }
+    /* Legs change in proportion from what they are at the start. */
+    for (k = 0, converged = 1; k < 2; ++k) {
+        for (i = 0; i < 3; ++i) {
+            double x = balls[k][2 * i], y = balls[k][2 * i + 1];
+            ways[k].lengths[i] = sqrt(x * x + y * y);
+            ways[k].change[i] = lengths[3 * k + i] - ways[k].lengths[i];
+        }
+        converged = follow(&ways[k], balls[k]) && converged;
+    }
+    if (converged && (join(geometry, balls[0], balls[1], state) > 0 || near)) {
+        return @PREFIX_UPPER@OK;
+    }
+    put_state_nan(state);
+    return near ? @PREFIX_UPPER@SINGULAR : @PREFIX_UPPER@UNREACHABLE;
 }
 
-/* Decide about a state that may be singular. */
-static int is_singular(const @PREFIX@geometry *geometry, const @PREFIX@state *state, int forward)
+int @PREFIX@all_branches(const @PREFIX@geometry *geometry, const double rotation[9], const double position[3],
+        @PREFIX@branches *branches)
 {
-    double axes[18], legs[18], lengths[6];
-    int i, j;
-    put_axes(state->rotation, axes);
-    put_legs(geometry, state, legs, lengths);
-    for (i = 0; i < 6; ++i) {
-        if (!(lengths[i] > 0.0)) {
+    double r[9], o[3], real[8], is_degenerate = 0.0;
+    const double *const in[] = {r, o, LEGS(geometry)};
+    double *const out[] = {branches->joints[0], branches->lengths[0], branches->discriminants, real, &is_degenerate};
+    int k, count = 0, status = read_pose(geometry, rotation, position, r, o);
+    if (status == @PREFIX_UPPER@OK && !is_drawn(geometry)) {
+        status = @PREFIX_UPPER@BAD_GEOMETRY;
+    }
+    if (status == @PREFIX_UPPER@OK) {
+        all_drawn_branches(in, out);
+    } else {
+        put_nan(branches->discriminants, 4);
+    }
+    for (k = 0; k < 8; ++k) {
+        branches->real[k] = status == @PREFIX_UPPER@OK && real[k] > 0.0;
+        count += branches->real[k];
+        if (!branches->real[k]) {
+            put_nan(branches->joints[k], 9);
+            put_nan(branches->lengths[k], 6);
+        }
+    }
+    return status != @PREFIX_UPPER@OK ? status : is_degenerate > 0.0 ? @PREFIX_UPPER@DEGENERATE
+            : count > 0 ? @PREFIX_UPPER@OK : @PREFIX_UPPER@UNREACHABLE;
+}
+
+/* Return whether a state is singular to rounding: with `forward` three legs and three axes of a stage, and else the six
+   axes, hold nothing against one motion. */
+static int is_singular(const @PREFIX@geometry *g, const @PREFIX@state *s, int forward)
+{
+    double rows[2][2][18], matrix[36], inverse[36];
+    const double *const in[] = {s->joints, s->rotation, s->position, LEGS(g)};
+    double *const out[] = {rows[0][0], rows[1][0]};
+    int stage, i;
+    force_rows(in, out);
+    for (stage = 0; stage < (forward ? 2 : 1); ++stage) {
+        double size = 0.0, inverse_size = 0.0;
+        copy(rows[forward ? 0 : 1][stage], matrix, 18);
+        copy(rows[1][forward ? stage : 1], matrix + 18, 18);
+        if (!invert(matrix, inverse)) {
             return 1;
         }
-        for (j = 0; j < 3; ++j) {
-            legs[3 * i + j] /= lengths[i];
+        for (i = 0; i < 36; ++i) {
+            size += matrix[i] * matrix[i];
+            inverse_size += inverse[i] * inverse[i];
+        }
+        if (!(SINGULAR_RATIO * sqrt(size) * sqrt(inverse_size) < 1.0)) {
+            return 1;
         }
     }
-    if (!forward) {
-        return are_dependent(geometry, state, axes, axes + 9);
-    }
-    return are_dependent(geometry, state, legs, axes) || are_dependent(geometry, state, legs + 9, axes + 9);
+    return 0;
 }
-
-int @PREFIX@inverse_jacobian(const @PREFIX@geometry *geometry, const @PREFIX@state *state, double jacobian[36])
-{
-    @PREFIX@state s = *state;
-    unsigned char suspect;
-    int status = check_geometry(geometry);
-    if (status == @PREFIX_UPPER@OK && !is_state_finite(&s)) {
-        status = @PREFIX_UPPER@NOT_FINITE;
-    }
-    if (status == @PREFIX_UPPER@OK) {
-        @inverse_jacobians@(s.joints, s.rotation, s.position, geometry->base_radius, geometry->platform_radius,
-                geometry->middle_side, SINGULAR_RATIO, jacobian, &suspect);
-        if (suspect && is_singular(geometry, &s, 0)) {
-            status = @PREFIX_UPPER@SINGULAR;
-        }
-    }
-    if (status != @PREFIX_UPPER@OK) {
-        put_nan(jacobian, 36);
-    }
-    return status;
-}
-
-int @PREFIX@leg_forces(const @PREFIX@geometry *geometry, const @PREFIX@state *state, const double wrench[6],
-        double forces[6])
-{
-    @PREFIX@state s = *state;
-    double load[6];
-    unsigned char suspect;
-    int status = check_geometry(geometry);
-    copy(wrench, load, 6);
-    if (status == @PREFIX_UPPER@OK && !(is_state_finite(&s) && are_finite(load, 6))) {
-        status = @PREFIX_UPPER@NOT_FINITE;
-    }
-    if (status == @PREFIX_UPPER@OK) {
-        @stage_forces@(s.joints, s.rotation, s.position, load, geometry->base_radius, geometry->platform_radius,
-                geometry->middle_side, SINGULAR_RATIO, forces, &suspect);
-        if (suspect && is_singular(geometry, &s, 1)) {
-            status = @PREFIX_UPPER@SINGULAR;
-        }
-    }
-    if (status != @PREFIX_UPPER@OK) {
-        put_nan(forces, 6);
-    }
-    return status;
-}
+@STATE_FUNCTIONS@

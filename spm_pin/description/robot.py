@@ -1,0 +1,260 @@
+"""The robot's links, joints and closures as data, read from the URDF that xacro makes, for writers and pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from spm_pin.description.source_files import urdf_text
+from spm_pin.description.tree import Closure, read_closures
+from spm_pin.errors import DescriptionError
+from spm_pin.mechanism import Geometry
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.pose import homogeneous
+
+ASSEMBLED = 1e-9
+"""Largest gap [m] of a closure at which a robot counts as assembled."""
+_LARGEST = 1e12
+"""Largest mass [kg], moment of inertia [kg m²] and distance of a centre of mass [m] accepted."""
+_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+
+Numbers = tuple[float, ...]
+
+
+class Placement(NamedTuple):
+    """Placement of a frame in another: origin [m]; roll, pitch and yaw about the fixed x, y and z axes [rad]."""
+
+    xyz: Numbers = (0.0, 0.0, 0.0)
+    rpy: Numbers = (0.0, 0.0, 0.0)
+
+    @property
+    def matrix(self) -> FloatArray:
+        """The homogeneous transform, shape (4, 4)."""
+        return homogeneous(Rotation.from_euler("xyz", self.rpy).as_matrix(), np.array(self.xyz))
+
+    @property
+    def quaternion(self) -> FloatArray:
+        """The orientation as w, x, y, z."""
+        return Rotation.from_euler("xyz", self.rpy).as_quat(scalar_first=True)
+
+
+class Shape(NamedTuple):
+    """A shape that is seen, which has a material, or one that collides."""
+
+    kind: str
+    """"box", "cylinder", "sphere" or "mesh"."""
+    size: Numbers
+    """Sides of a box, radius and length of a cylinder about z, radius of a sphere [m]; scales of a mesh."""
+    placement: Placement
+    """Placement of the centre, or of the mesh's origin, in the link."""
+    mesh: str
+    """The file of a mesh, as the URDF names it; empty for the others."""
+    material: str
+    """Name of the colour."""
+
+
+class Link(NamedTuple):
+    """A body; its moments of inertia (ixx, iyy, izz) are principal ones, in the inertial frame."""
+
+    mass: float
+    moments: Numbers
+    inertial: Placement
+    visuals: tuple[Shape, ...]
+    collisions: tuple[Shape, ...]
+
+
+class Joint(NamedTuple):
+    """A joint: "fixed", "revolute" or "prismatic"; limits lower, upper [rad or m], effort, velocity."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    placement: Placement
+    axis: Numbers
+    limits: dict[str, float]
+
+    @property
+    def moves(self) -> bool:
+        """True if it has a degree of freedom."""
+        return self.kind != "fixed"
+
+    def motion(self, value: float) -> FloatArray:
+        """Return the pose (4, 4) of the child in the joint's frame at a value [rad or m]."""
+        step = value * np.array(self.axis)
+        if self.kind == "prismatic":
+            return homogeneous(np.eye(3), step)
+        return homogeneous(Rotation.from_rotvec(step).as_matrix(), np.zeros(3))
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A spanning tree, and what closes and drives it."""
+
+    name: str
+    links: dict[str, Link]
+    joints: dict[str, Joint]
+    closures: tuple[Closure, ...]
+    motors: dict[str, str]
+    """Names of the actuators by those of the joints that they drive, in the order of the legs."""
+    materials: dict[str, Numbers]
+    """Red, green, blue and opacity, from 0 to 1, by name."""
+
+    @cached_property
+    def joint_to(self) -> dict[str, Joint]:
+        """The joint that carries a link, by the link's name; none for the base."""
+        return {joint.child: joint for joint in self.joints.values()}
+
+    @cached_property
+    def base(self) -> str:
+        """Name of the root link."""
+        (root,) = self.links.keys() - self.joint_to.keys()
+        return root
+
+    @cached_property
+    def order(self) -> tuple[Joint, ...]:
+        """The joints depth first, those that leave one link by name: Pinocchio's order when it reads a URDF."""
+        ordered: list[Joint] = []
+
+        def visit(link: str) -> None:
+            for joint in sorted(self.joints.values()):
+                if joint.parent == link:
+                    ordered.append(joint)
+                    visit(joint.child)
+
+        visit(self.base)
+        return tuple(ordered)
+
+    @property
+    def moving(self) -> tuple[Joint, ...]:
+        """The joints with a degree of freedom, in the order of `order`: q of the exports."""
+        return tuple(joint for joint in self.order if joint.moves)
+
+    def frames(self, values: Mapping[str, float] | None = None) -> dict[str, FloatArray]:
+        """Return the pose (4, 4) of each link in the base, at joint values by name; a joint not named is at zero."""
+        values = values or {}
+        frames = {self.base: np.eye(4)}
+        for joint in self.order:
+            motion = joint.motion(values.get(joint.name, 0.0)) if joint.moves else np.eye(4)
+            frames[joint.child] = frames[joint.parent] @ joint.placement.matrix @ motion
+        return frames
+
+    def carrier(self, link: str) -> tuple[str, FloatArray]:
+        """Return the link that moves a link, itself or the one it is fixed to in the end, and its pose (4, 4) there."""
+        pose = np.eye(4)
+        while link in self.joint_to and not self.joint_to[link].moves:
+            pose = self.joint_to[link].placement.matrix @ pose
+            link = self.joint_to[link].parent
+        return link, pose
+
+    def is_assembled(self) -> bool:
+        """Return whether all loops are closed at zero, as those of the drawing are."""
+        frames = self.frames()
+        gaps = [frames[c.frame_a][:3, 3] - frames[c.frame_b][:3, 3] for c in self.closures]
+        return float(np.linalg.norm(gaps, axis=-1).max()) <= ASSEMBLED
+
+
+def read_robot(geometry: Geometry | None = None, *, prefix: str = "", meshes: str | None = None) -> Robot:
+    """Return the manipulator of a geometry as data; arguments are those of `urdf_text`."""
+    root = ElementTree.fromstring(urdf_text(geometry, prefix=prefix, meshes=meshes))
+    return Robot(
+        "spm",
+        {_name(node): _link(node) for node in root.iter("link")},
+        {joint.name: joint for joint in map(_joint, root.findall("joint"))},
+        read_closures(prefix=prefix),
+        {_name(node.find("joint")): _name(node.find("actuator")) for node in root.iter("transmission")},
+        {_name(node): _numbers(node.find("color"), "rgba") for node in root.findall("material")},
+    )
+
+
+def _name(node: Any, key: str = "name") -> str:
+    return str(node.get(key))
+
+
+def _numbers(node: Any, key: str, default: str = "") -> Numbers:
+    return tuple(map(float, node.get(key, default).split()))
+
+
+def _placement(node: Element) -> Placement:
+    origin = node.find("origin")
+    return Placement() if origin is None else Placement(_numbers(origin, "xyz"), _numbers(origin, "rpy"))
+
+
+def _link(node: Element) -> Link:
+    inertial = node.find("inertial")
+    assert inertial is not None, "every link of the description has a mass"
+    (mass,) = _numbers(inertial.find("mass"), "value")
+    moments = tuple(_numbers(inertial.find("inertia"), key)[0] for key in ("ixx", "iyy", "izz"))
+    visuals, collisions = (tuple(map(_shape, node.findall(tag))) for tag in ("visual", "collision"))
+    return Link(mass, moments, _placement(inertial), visuals, collisions)
+
+
+def _shape(node: Element) -> Shape:
+    geometry, material = node.find("geometry"), node.find("material")
+    assert geometry is not None
+    (solid,) = geometry
+    keys = {"mesh": ("scale",), "box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}[solid.tag]
+    size = tuple(number for key in keys for number in _numbers(solid, key))
+    return Shape(
+        solid.tag, size, _placement(node), solid.get("filename", ""), "" if material is None else _name(material)
+    )
+
+
+def _joint(node: Element) -> Joint:
+    parent, child = (_name(node.find(end), "link") for end in ("parent", "child"))
+    axis, limit = node.find("axis"), node.find("limit")
+    return Joint(
+        _name(node),
+        _name(node, "type"),
+        parent,
+        child,
+        _placement(node),
+        () if axis is None else _numbers(axis, "xyz"),
+        {} if limit is None else {key: float(value) for key, value in limit.items()},
+    )
+
+
+def check_inertials(urdf: str, source: str) -> None:
+    """Check masses and moments of inertia of a URDF's text, and that no joint has the name of a link.
+
+    For readers that take what else is in the file from another library. Pinocchio keeps both kinds of names in one
+    list, and takes a mass of NaN for none. Errors call the text `source`.
+    """
+    root = ElementTree.fromstring(urdf)
+    links = {_name(link) for link in root.iter("link")}
+    for joint in root.findall("joint"):
+        if _name(joint) in links:
+            cause = "Pinocchio keeps both in one list"
+            raise DescriptionError(source, "names of joints that no link has", repr(_name(joint)), cause)
+    for link in root.iter("link"):
+        inertial = link.find("inertial")
+        if inertial is not None:
+            _check_inertial(inertial, f"{source}, link {_name(link)}")
+
+
+def _check_inertial(inertial: Element, place: str) -> None:
+    mass, inertia, origin = (inertial.find(tag) for tag in ("mass", "inertia", "origin"))
+    try:
+        (value,) = _numbers(mass, "value")
+        xx, xy, xz, yy, yz, zz = (_numbers(inertia, key)[0] for key in _MOMENTS)
+        centre = () if origin is None else _numbers(origin, "xyz", "0 0 0")
+    except (AttributeError, ValueError, IndexError) as error:
+        raise DescriptionError(place, "a <mass> and an <inertia> of numbers", str(error)) from error
+    moments = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if not 0.0 <= value <= _LARGEST:
+        raise DescriptionError(place, f"a mass from 0 to {_LARGEST:g} kg", f"{value:g}")
+    if not np.all(np.abs(np.array([*centre, *moments.ravel()])) <= _LARGEST):
+        expected = f"moments of inertia [kg m²] and a centre of mass [m] of at most {_LARGEST:g}"
+        raise DescriptionError(place, expected, f"{moments.tolist()} and {centre}")
+    least, largest = np.linalg.eigvalsh(moments)[[0, -1]]
+    # A negligible violation comes from the digits of an exporter.
+    if least < -1e-9 * largest or largest < 0.0:
+        cause = "Products of inertia with the wrong sign, or not about the centre of mass?"
+        raise DescriptionError(place, "moments of inertia of which none is negative", f"principal {least:g}", cause)

@@ -1,0 +1,280 @@
+"""The closed robot in the formats of other engines: MJCF, its loops closed by equality constraints, and SDFormat."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import PurePosixPath
+from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from spm_pin.description.robot import Joint, Link, Placement, Robot, Shape, read_robot
+from spm_pin.description.tree import Closure, state_values
+from spm_pin.errors import DescriptionError
+from spm_pin.mechanism import Configuration, Geometry
+from spm_pin.mechanism.arguments import FloatArray, choice
+
+Value = str | float | Iterable[float]
+
+
+def mjcf_text(
+    geometry: Geometry | None = None,
+    *,
+    prefix: str = "",
+    states: Mapping[str, Configuration] | None = None,
+    anchors: str | None = None,
+    meshes: str | None = None,
+) -> str:
+    """Return the manipulator as an MJCF file.
+
+    Parameters
+    ----------
+    geometry, prefix, meshes
+        As for `urdf_text`.
+    states : mapping of str to Configuration, optional
+        Named states of this geometry, which become keyframes after `home`, all joints at zero.
+    anchors : str, optional
+        How a closure is written. "bodies": by a body and a point in it, which MuJoCo, Drake and Pinocchio take
+        alike; the other body's point follows from the pose at zero, so that the robot must stand assembled there, as
+        that of a drawing does. "sites": by two sites, which MuJoCo and Pinocchio take. By default bodies where that
+        is possible.
+
+    Notes
+    -----
+    The base is welded to the world. Joints are in the order in which Pinocchio has them when it reads the URDF, so that
+    q is the same vector in all of them. Links are bodies, fixed ones without a joint; the base, closures' frames and
+    links fixed to others have sites too, whose names end in _site. Constraints and sites are placed in the bodies that
+    joints move, and in the base: Pinocchio misplaces them in others. Every transmission is a motor of force. Velocity
+    limits, for which MJCF has no place, are the numeric `velocity_limit`, in the order of the joints.
+    """
+    robot = read_robot(geometry, prefix=prefix, meshes=meshes)
+    for name, state in (states or {}).items():
+        if state.geometry != (Geometry.paper() if geometry is None else geometry):
+            raise DescriptionError("states", "the robot's geometry in all states", f"another one in {name}")
+    assembled = robot.is_assembled()
+    anchors = choice(anchors or ("bodies" if assembled else "sites"), "anchors", ("bodies", "sites"))
+    if anchors == "bodies" and not assembled:
+        expected = "sites for a machine whose loops are open at zero"
+        raise DescriptionError("anchors", expected, "bodies", "Those of a machine as built are")
+    names, assets = _mesh_assets(robot)
+    assets += [_element("material", name=name, rgba=rgba) for name, rgba in robot.materials.items()]
+    motors = []
+    for joint, motor in robot.motors.items():
+        effort = robot.joints[joint].limits["effort"]
+        motors.append(_element("motor", name=motor, joint=joint, ctrllimited="true", ctrlrange=(-effort, effort)))
+    keys = [
+        _element("key", name=name, qpos=[values[joint.name] for joint in robot.moving])
+        for name, values in state_values(states or {}, prefix).items()
+    ]
+    velocities = [joint.limits["velocity"] for joint in robot.moving]
+    closures = [_connection(robot, closure, anchors == "sites") for closure in robot.closures]
+    root = _element(
+        "mujoco",
+        _element("compiler", angle="radian", autolimits="true"),
+        # Rigid closures: steps that resolve the constraints' time constant, and no softening under load.
+        _element("option", timestep="0.001", integrator="implicitfast"),
+        _element("default", _element("equality", solref="0.002 1", solimp="0.9999 0.9999 0.001 0.5 2")),
+        _element(
+            "visual",
+            _element("headlight", ambient="0.4 0.4 0.4", diffuse="0.6 0.6 0.6"),
+            _element("global", offwidth="1280", offheight="960"),
+        ),
+        _element("asset", *assets),
+        _element("worldbody", _body(robot, robot.base, None, _sites(robot), names)),
+        _element("equality", *closures),
+        _element("actuator", *motors),
+        _element("custom", _element("numeric", name="velocity_limit", data=velocities)),
+        _element("keyframe", *keys),
+        model=robot.name,
+    )
+    return _document(root)
+
+
+def _mesh_assets(robot: Robot) -> tuple[dict[tuple[str, tuple[float, ...]], str], list[Element]]:
+    """Return the names of scaled meshes, and their elements: each scale of a file is a mesh of its own."""
+    names: dict[tuple[str, tuple[float, ...]], str] = {}
+    for shape in (shape for link in robot.links.values() for shape in link.visuals):
+        stem = PurePosixPath(shape.mesh).stem
+        count = sum(PurePosixPath(file).stem == stem for file, _ in names)
+        names.setdefault((shape.mesh, shape.size), f"{stem}_{count + 1}" if count else stem)
+    return names, [_element("mesh", name=name, file=file, scale=size) for (file, size), name in names.items()]
+
+
+def _sites(robot: Robot) -> dict[str, dict[str, FloatArray]]:
+    """Return the frames to be marked, by the body that moves them, and their poses (4, 4) in it."""
+    sites: dict[str, dict[str, FloatArray]] = {}
+    ends = {frame for closure in robot.closures for frame in (closure.frame_a, closure.frame_b)}
+    for link in robot.links:
+        carrier, pose = robot.carrier(link)
+        if link in ends or link == robot.base or carrier != link:
+            sites.setdefault(carrier, {})[link] = pose
+    return sites
+
+
+def _body(
+    robot: Robot,
+    name: str,
+    joint: Joint | None,
+    sites: Mapping[str, Mapping[str, FloatArray]],
+    meshes: Mapping[tuple[str, tuple[float, ...]], str],
+) -> Element:
+    """Return the body of a link, with those of the links that it carries inside."""
+    link = robot.links[name]
+    parts = []
+    if joint is not None and joint.moves:
+        limits, effort = joint.limits, joint.limits["effort"]
+        kind = {"prismatic": "slide", "revolute": "hinge"}[joint.kind]
+        values: dict[str, Value] = {"type": kind, "axis": joint.axis, "limited": "true"}
+        values["range"] = (limits["lower"], limits["upper"])
+        if effort > 0.0:
+            values |= {"actuatorfrclimited": "true", "actuatorfrcrange": (-effort, effort)}
+        parts.append(_element("joint", name=joint.name, **values))
+    parts.append(_element("inertial", mass=link.mass, diaginertia=link.moments, **_place(link.inertial)))
+    for group, shapes in (("2", link.visuals), ("3", link.collisions)):
+        for shape in shapes:
+            # MuJoCo takes half the sides of a box, and half the length of a cylinder.
+            halves = {"box": 0.5, "cylinder": np.array([1.0, 0.5]), "sphere": 1.0}
+            solid: dict[str, Value] = {"type": shape.kind, "group": group, **_place(shape.placement)}
+            if shape.kind == "mesh":
+                solid["mesh"] = meshes[shape.mesh, shape.size]
+            else:
+                solid["size"] = halves[shape.kind] * np.array(shape.size)
+            if group == "2":
+                solid |= {"material": shape.material, "contype": "0", "conaffinity": "0"}
+            parts.append(_element("geom", **solid))
+    for frame, pose in sites.get(name, {}).items():
+        turn = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)
+        parts.append(_element("site", name=f"{frame}_site", size="0.005", pos=pose[:3, 3], quat=turn))
+    parts += [_body(robot, each.child, each, sites, meshes) for each in robot.order if each.parent == name]
+    return _element("body", *parts, name=name, **({} if joint is None else _place(joint.placement)))
+
+
+def _connection(robot: Robot, closure: Closure, by_sites: bool) -> Element:
+    if by_sites:
+        sites = {"site1": f"{closure.frame_a}_site", "site2": f"{closure.frame_b}_site"}
+        return _element("connect", name=closure.name, **sites)
+    (body_a, pose), (body_b, _) = (robot.carrier(end) for end in (closure.frame_a, closure.frame_b))
+    return _element("connect", name=closure.name, body1=body_a, body2=body_b, anchor=pose[:3, 3])
+
+
+def _place(placement: Placement) -> dict[str, Value]:
+    return {"pos": placement.xyz, "quat": placement.quaternion}
+
+
+def sdf_text(
+    geometry: Geometry | None = None, *, prefix: str = "", loops: str | None = None, meshes: str | None = None
+) -> str:
+    """Return the manipulator as an SDFormat model, its base fixed to the world.
+
+    Parameters
+    ----------
+    geometry, prefix, meshes
+        As for `urdf_text`.
+    loops : str, optional
+        "joints": a ball joint between the two frames of each closure, as the format's graph of links has it; it is
+        placed where the robot stands at zero, which must be assembled, as that of a drawing is. "drake": Drake's ball
+        constraints, for Drake takes no loops of joints. By default joints where that is possible.
+
+    Notes
+    -----
+    http://sdformat.org/spec, version 1.9. Every joint is placed in its parent link and every link in its joint. A joint
+    is driven if its limit of effort is not zero. The names of actuators have no place in the format.
+    """
+    robot = read_robot(geometry, prefix=prefix, meshes=meshes)
+    assembled = robot.is_assembled()
+    loops = choice(loops or ("joints" if assembled else "drake"), "loops", ("joints", "drake"))
+    if loops == "joints" and not assembled:
+        raise DescriptionError("loops", "drake for a machine whose loops are open at zero", "joints")
+    ends = {"parent": "world", "child": robot.base}
+    model = _element(
+        "model",
+        _element("joint", *_texts(**ends), name=f"{robot.base}_to_world", type="fixed"),
+        *(_sdf_link(robot, name, link) for name, link in robot.links.items()),
+        *map(_sdf_joint, robot.joints.values()),
+        *(_sdf_closure(closure, loops) for closure in robot.closures),
+        name=robot.name,
+    )
+    return _document(_element("sdf", model, **{"version": "1.9", "xmlns:drake": "http://drake.mit.edu"}))
+
+
+def _pose(placement: Placement, **relative: str) -> Element:
+    return _element("pose", text=(*placement.xyz, *placement.rpy), **relative)
+
+
+def _sdf_link(robot: Robot, name: str, link: Link) -> Element:
+    inertia = _element(
+        "inertia", *_texts(**dict(zip(("ixx", "iyy", "izz"), link.moments, strict=True)), ixy=0.0, ixz=0.0, iyz=0.0)
+    )
+    carrier = robot.joint_to.get(name)
+    shapes = [("visual", i, shape) for i, shape in enumerate(link.visuals, start=1)]
+    shapes += [("collision", i, shape) for i, shape in enumerate(link.collisions, start=1)]
+    return _element(
+        "link",
+        None if carrier is None else _pose(Placement(), relative_to=carrier.name),
+        _element("inertial", _pose(link.inertial), *_texts(mass=link.mass), inertia),
+        *(_sdf_shape(robot, tag, f"{name}_{tag}_{i}", shape) for tag, i, shape in shapes),
+        name=name,
+    )
+
+
+def _sdf_shape(robot: Robot, tag: str, name: str, shape: Shape) -> Element:
+    if shape.kind == "mesh":
+        solid = _texts(uri=shape.mesh, scale=shape.size)
+    elif shape.kind == "box":
+        solid = _texts(size=shape.size)
+    else:
+        solid = _texts(**dict(zip(("radius", "length"), shape.size, strict=False)))
+    material = None
+    if shape.material:
+        material = _element(
+            "material", *_texts(**dict.fromkeys(("ambient", "diffuse"), robot.materials[shape.material]))
+        )
+    return _element(
+        tag, _pose(shape.placement), _element("geometry", _element(shape.kind, *solid)), material, name=name
+    )
+
+
+def _sdf_joint(joint: Joint) -> Element:
+    axis = (
+        _element("axis", *_texts(xyz=joint.axis), _element("limit", *_texts(**joint.limits))) if joint.moves else None
+    )
+    pose = _pose(joint.placement, relative_to=joint.parent)
+    return _element(
+        "joint", pose, *_texts(parent=joint.parent, child=joint.child), axis, name=joint.name, type=joint.kind
+    )
+
+
+def _sdf_closure(closure: Closure, loops: str) -> Element:
+    if loops == "joints":
+        return _element("joint", *_texts(parent=closure.frame_a, child=closure.frame_b), name=closure.name, type="ball")
+    ends = {"body_A": closure.frame_a, "p_AP": "0 0 0", "body_B": closure.frame_b, "p_BQ": "0 0 0"}
+    tag = "drake:ball_constraint"
+    return _element(tag, *_texts(**{f"{tag}_{key}": end for key, end in ends.items()}))
+
+
+def _written(value: Any) -> str:
+    """Return a text, or numbers with all their digits."""
+    return value if isinstance(value, str) else " ".join(repr(float(x) + 0.0) for x in np.atleast_1d(value))
+
+
+def _element(tag: str, *children: Element | None, text: Any = None, **attributes: Value) -> Element:
+    """Return an element with its text and attributes; children may be None."""
+    made = ElementTree.Element(tag, {name: _written(value) for name, value in attributes.items()})
+    made.text = None if text is None else _written(text)
+    made.extend(child for child in children if child is not None)
+    return made
+
+
+def _texts(**values: Value) -> list[Element]:
+    """Return an element for each value, which is its text."""
+    return [_element(tag, text=value) for tag, value in values.items()]
+
+
+def _document(root: Element) -> str:
+    """Return the text of an XML file, with a comment above its root that says where it comes from."""
+    ElementTree.indent(root)
+    body = ElementTree.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0"?>\n<!-- Written by spm_pin, which is the place for changes. -->\n{body}\n'

@@ -1,0 +1,280 @@
+"""The four quadratics of a pose and the branches of the inverse displacement: `docs/theory/inverse_displacement.md`.
+
+Complex numbers are pairs of reals, horizontal vectors and quaternion halves alike, so that the roots u, v may be
+complex in their own right. The families come in two groups, equal modes (TT, FF) and mixed ones (TF, FT). Within a
+group κ, μ and the weights of u and v are the same, and the forms differ in the sign of all but h.
+
+    pose -> pose_frame -> families -> root -> middle_joints -> leg_lengths, stands_at_home
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from spm_pin.kinematics.formulas.operations import COS_30, both, either, sqrt, where
+from spm_pin.kinematics.formulas.stages import cartesian, in_home_aspect
+from spm_pin.kinematics.formulas.vectors import Rows, Vector, combined, dot, magnitude, minus, scaled
+
+Complex = tuple[float, float]
+
+ROUNDING = 2.0**-46
+"""Rounding of a pose relative to its size: what is smaller is taken for zero when a family is degenerate."""
+
+
+class PoseFrame(NamedTuple):
+    """What the families of a pose share."""
+
+    is_vertical: bool  # the Z axes are parallel and have no common normal: all else is finite and means nothing
+    x0: float
+    x3: float
+    cosine: float  # c = |S|
+    sine: float  # s = |W|
+    s: Complex  # S / c
+    w: Complex  # W / s
+    normal: Complex  # the stages' common normal n, in {B}
+    normal_m: Complex  # in {m}
+    half_cosecant: float  # 1 / 2cs
+    h: float
+    noise: float  # of the coefficients of the forms
+
+
+class Family(NamedTuple):
+    """The quadratic uu u² + 2 uv uv + vv v² = 0 of a family, and the weights of u and v in w_a, conj(w_b) and P."""
+
+    uu: float
+    uv: float
+    vv: float
+    a_u: Complex
+    a_v: Complex
+    b_u: Complex
+    b_v: Complex
+    p_u: float
+    p_v: float
+    lower: float  # e of the lower stage: +1 in mode T, -1 in mode F
+    plus: float  # sign of the discriminant's root in the branch +
+
+
+class GroupWeights(NamedTuple):
+    """Weights F and G of u and v in the quaternions of a and b; (P - Q) / 2su and (P + Q) / 2sv."""
+
+    f: Complex
+    g: Complex
+    scale_u: float
+    scale_v: float
+
+
+def product(a: Complex, b: Complex) -> Complex:
+    """Multiply two pairs as complex numbers."""
+    return a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]
+
+
+def quaternion(rotation: Rows) -> tuple[float, float, float, float]:
+    """Return x0, x1, x2, x3 of a rotation matrix, from its largest component."""
+    (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = rotation
+    trace = r00 + r11 + r22
+    x0, x1, x2, x3, largest = 1.0 + trace, r21 - r12, r02 - r20, r10 - r01, trace
+    larger = r22 > largest
+    x0, x1, x2 = where(larger, r10 - r01, x0), where(larger, r20 + r02, x1), where(larger, r21 + r12, x2)
+    x3, largest = where(larger, 1.0 - trace + 2.0 * r22, x3), where(larger, r22, largest)
+    larger = r11 > largest
+    x0, x1, x3 = where(larger, r02 - r20, x0), where(larger, r10 + r01, x1), where(larger, r21 + r12, x3)
+    x2, largest = where(larger, 1.0 - trace + 2.0 * r11, x2), where(larger, r11, largest)
+    larger = r00 > largest
+    x0, x2, x3 = where(larger, r21 - r12, x0), where(larger, r10 + r01, x2), where(larger, r20 + r02, x3)
+    x1 = where(larger, 1.0 - trace + 2.0 * r00, x1)
+    scale = 1.0 / sqrt(x0 * x0 + x1 * x1 + x2 * x2 + x3 * x3)
+    return x0 * scale, x1 * scale, x2 * scale, x3 * scale
+
+
+def pose_frame(rotation: Rows, position: Vector, r: float) -> PoseFrame:
+    """Return the quaternion's halves, both stages' tilt axes and their common normal, and h."""
+    x0, x1, x2, x3 = quaternion(rotation)
+    cosine, sine = sqrt(x0 * x0 + x3 * x3), sqrt(x1 * x1 + x2 * x2)
+    vertical = cosine * sine <= ROUNDING
+    cosine, sine = where(vertical, 1.0, cosine), where(vertical, 1.0, sine)
+    over_cosine, over_sine = 1.0 / cosine, 1.0 / sine
+    s, w = (x0 * over_cosine, x3 * over_cosine), (x1 * over_sine, x2 * over_sine)
+    normal, half_cosecant = product(s, w), 0.5 * (over_cosine * over_sine)
+    h = normal[0] * position[0] + normal[1] * position[1]
+    # No larger power of the position, which may be any number.
+    noise = ROUNDING * (r + (magnitude(position[0]) + magnitude(position[1])) * (2.0 * half_cosecant))
+    normal_m = product((s[0], -s[1]), w)
+    return PoseFrame(vertical, x0, x3, cosine, sine, s, w, normal, normal_m, half_cosecant, h, noise)
+
+
+def group_weights(kappa: float, mu: float, sine: float) -> GroupWeights:
+    """Return the weights of u and v in a group of families; for κ >= 0."""
+    # 1 - κ without cancellation, from |S'|² + |W|² = 1.
+    over_plus = 1.0 / (1.0 + kappa)
+    one_minus = (sine * sine + mu * mu) * over_plus
+    scale_u, scale_v = sqrt(0.5 * over_plus), sqrt(0.5 / one_minus)
+    f, g = ((1.0 + kappa) * scale_u, mu * scale_u), (one_minus * scale_v, -mu * scale_v)
+    return GroupWeights(f, g, scale_u, scale_v)
+
+
+def quadratic_form(even: Complex, odd: Complex, f: Complex, g: Complex) -> Vector:
+    """Return Re(even F²), Re(odd F G), Re(even G²)."""
+    return product(even, product(f, f))[0], product(odd, product(f, g))[0], product(even, product(g, g))[0]
+
+
+def families(frame: PoseFrame, r: float) -> tuple[Family, Family, Family, Family]:
+    """Return the quadratics TT, TF, FT, FF of a pose."""
+    # i s r [W³ ± conj(W)³], the brackets of families whose e are equal; in mixed ones they change places.
+    cubed, s, x0, x3 = product(product(frame.w, frame.w), frame.w), frame.s, frame.x0, frame.x3
+    plus = -2.0 * r * cubed[0] * s[1], 2.0 * r * cubed[0] * s[0]
+    minus_ = 2.0 * r * cubed[1] * s[0], 2.0 * r * cubed[1] * s[1]
+    # Per group the sign of the quaternion is the one with κ >= 0: κ does not change sign on any path along which a
+    # family stays real, so labels do not either.
+    lift = where(x0 < 0.0, -1.0, 1.0)
+    weights = group_weights(magnitude(x0), lift * x3, frame.sine)
+    form = quadratic_form(plus, minus_, weights.f, weights.g)
+    a, b = lift * frame.w[0], lift * frame.w[1]
+    tt = _family(1.0, form, frame, weights, (a, b), (a, -b), 1.0, 1.0)
+    ff = _family(-1.0, form, frame, weights, (b, -a), (b, a), -1.0, 1.0)
+    lift = where(x3 < 0.0, -1.0, 1.0)
+    weights = group_weights(magnitude(x3), -lift * x0, frame.sine)
+    form = quadratic_form(minus_, plus, weights.f, weights.g)
+    a, b = lift * frame.w[0], lift * frame.w[1]
+    tf = _family(1.0, form, frame, weights, (-b, a), (-a, b), 1.0, -1.0)
+    return tt, tf, _family(-1.0, form, frame, weights, (a, b), (b, a), -1.0, -1.0), ff
+
+
+def _family(
+    sign: float,
+    form: Vector,
+    frame: PoseFrame,
+    weights: GroupWeights,
+    lower_axis: Complex,
+    upper_axis: Complex,
+    lower: float,
+    plus: float,
+) -> Family:
+    """Return a family of a group; the axes are those of w_a and conj(w_b)."""
+    f, g, scale_u, scale_v = weights
+    return Family(
+        sign * form[0] - frame.h,
+        sign * form[1],
+        sign * form[2] - frame.h,
+        product(lower_axis, (-f[0], -f[1])),
+        product(lower_axis, g),
+        product(upper_axis, f),
+        product(upper_axis, g),
+        frame.sine * scale_u,
+        frame.sine * scale_v,
+        lower,
+        plus,
+    )
+
+
+def discriminant(family: Family) -> float:
+    """Return uv² - uu vv: the branches of a family are real where it is not negative."""
+    return family.uv * family.uv - family.uu * family.vv
+
+
+def is_continuous(family: Family, noise: float) -> bool:
+    """Return whether the quadratic vanishes, and its solutions with it are a continuous family."""
+    first, second = magnitude(family.uu) <= noise, magnitude(family.uv) <= noise
+    return both(both(first, second), magnitude(family.vv) <= noise)
+
+
+def root(family: Family, sign: float, discriminant_root: float) -> Vector:
+    """Return u, v of the branch + or - of a family, of any length, and u² + v²."""
+    signed = sign * family.plus * discriminant_root
+    u1, v1, u2, v2 = signed - family.uv, family.uu, family.vv, -signed - family.uv
+    # Both pairs solve the form; the longer one is free of cancellation.
+    first, second = u1 * u1 + v1 * v1, u2 * u2 + v2 * v2
+    longer = first >= second
+    return where(longer, u1, u2), where(longer, v1, v2), where(longer, first, second)
+
+
+def middle_joints(
+    u: Any, v: Any, size: Any, family: Family, frame: PoseFrame, position: Vector
+) -> tuple[Vector, Vector]:
+    """Return the middle joints' radii ρ_i in the planes of their lower legs, and heights z_i, of a root u, v.
+
+    `size` is r / (u² + v²). The three may be complex.
+    """
+    p = family.p_u * u + family.p_v * v
+    # w_a and conj(w_b).
+    a1, a2 = family.a_v[0] * v + family.a_u[0] * u, family.a_v[1] * v + family.a_u[1] * u
+    b1, b2 = family.b_v[0] * v + family.b_u[0] * u, family.b_v[1] * v + family.b_u[1] * u
+    # The centre's horizontal position in {B} and in {m}; only its part along the tilt is needed: with the common
+    # normal n, that direction is -i n.
+    twice, n, m = 2.0 * size, frame.normal, frame.normal_m
+    x, y = -twice * (a1 * a2), size * (a2 * a2 - a1 * a1)
+    x_m, y_m = twice * (b1 * b2), size * (b2 * b2 - b1 * b1)
+    along, along_m = n[1] * (x - position[0]) - n[0] * (y - position[1]), m[1] * x_m - m[0] * y_m
+    cos_tilt = frame.cosine * frame.cosine - frame.sine * frame.sine
+    z = position[2] + (cos_tilt * along - along_m) * frame.half_cosecant
+    square, across = family.lower * size * (p * p), 2.0 * COS_30 * x
+    # Mode F is turned half round its normal.
+    turned = family.lower < 0.0
+    c, s = where(turned, a1, -a2), where(turned, a2, a1)
+    c, s = COS_30 * twice * (p * c), size * (p * s)
+    return (square + across - y, square + 2.0 * y, square - across - y), (z + c - s, z + 2.0 * s, z - c - s)
+
+
+def platform_corners(rotation: Rows, position: Vector, platform_radius: float) -> Rows:
+    """Return c_1, c_2, c_3 in {B}."""
+    first = rotation[0][0], rotation[1][0], rotation[2][0]
+    second = rotation[0][1], rotation[1][1], rotation[2][1]
+    side = scaled(COS_30 * platform_radius, first)
+    back = combined(position, -0.5 * platform_radius, second)
+    return combined(back, 1.0, side), combined(position, platform_radius, second), combined(back, -1.0, side)
+
+
+def _length(x: float, y: float, z: float) -> float:
+    return sqrt(x * x + y * y + z * z)
+
+
+def leg_lengths(
+    radii: Vector, heights: Vector, corners: Rows, base_radius: float
+) -> tuple[float, float, float, float, float, float]:
+    """Return r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 from the middle joints and the corners c_i."""
+    (p1, p2, p3), (z1, z2, z3), (c1, c2, c3) = radii, heights, corners
+    return (
+        _length(p1 - base_radius, 0.0, z1),
+        _length(p2 - base_radius, 0.0, z2),
+        _length(p3 - base_radius, 0.0, z3),
+        _length(c1[0] - COS_30 * p1, c1[1] + 0.5 * p1, c1[2] - z1),
+        _length(c2[0], c2[1] - p2, c2[2] - z2),
+        _length(c3[0] + COS_30 * p3, c3[1] + 0.5 * p3, c3[2] - z3),
+    )
+
+
+def seen_from_platform(b: Rows, rotation: Rows, position: Vector) -> tuple[Vector, Vector]:
+    """Return the radii of the middle joints in the planes of their upper legs, and their distances below {m}."""
+    (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = rotation
+    x, y, z = (r00, r10, r20), (r01, r11, r21), (r02, r12, r22)
+    first, second, third = minus(b[0], position), minus(b[1], position), minus(b[2], position)
+    left, right = COS_30 * dot(first, x) - 0.5 * dot(first, y), -COS_30 * dot(third, x) - 0.5 * dot(third, y)
+    return (left, dot(second, y), right), (-dot(first, z), -dot(second, z), -dot(third, z))
+
+
+def stands_at_home(
+    radii: Vector,
+    heights: Vector,
+    rotation: Rows,
+    position: Vector,
+    base_radius: float,
+    platform_radius: float,
+) -> tuple[bool, float]:
+    """Return whether a branch TT is physical, leg limits aside, and the sum of its radii in both stages.
+
+    Both stages stand upright and are in their home's aspect. The sum is larger where their tilts are smaller.
+    """
+    upper, below = seen_from_platform(cartesian(radii, heights), rotation, position)
+    lower_sum, upper_sum = radii[0] + radii[1] + radii[2], upper[0] + upper[1] + upper[2]
+    upright = both(lower_sum > 0.0, upper_sum > 0.0)
+    upright = both(upright, heights[0] + heights[1] + heights[2] > 0.0)
+    upright = both(upright, below[0] + below[1] + below[2] > 0.0)
+    aspects = both(in_home_aspect(radii, heights, base_radius), in_home_aspect(upper, below, platform_radius))
+    return both(upright, aspects), lower_sum + upper_sum
+
+
+def is_other_preferred(rank: float, tilts: float, other_rank: float, other_tilts: float) -> bool:
+    """Return whether the other of two branches is taken: of the higher rank, or of the larger sum of radii if equal.
+
+    The rank is 0 where a branch is not physical, 1 where it is, 2 where it is within the leg limits too.
+    """
+    return either(other_rank > rank, both(other_rank == rank, other_tilts > tilts))

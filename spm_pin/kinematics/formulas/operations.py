@@ -1,0 +1,59 @@
+"""What formulas are made of besides + - * / and comparisons, for floats, and how a runner puts its own in place."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+COS_30 = float(np.sqrt(0.75))
+"""The cosine of 30°. Where floats are not exact enough, a runner binds another number to this name."""
+
+sqrt: Callable[[float], float] = np.sqrt
+"""The square root, not a number of a negative one."""
+
+
+def where(condition: bool, yes: float, no: float) -> float:
+    """Select one of two numbers, both of which are computed."""
+    return yes if condition else no
+
+
+def both(a: bool, b: bool) -> bool:
+    """Return whether both conditions hold."""
+    return a & b
+
+
+def either(a: bool, b: bool) -> bool:
+    """Return whether one of two conditions holds."""
+    return a | b
+
+
+def bind(formula: F, **operations: Any) -> F:
+    """Return a copy of a formula, and of all formulas that it calls, with other operations.
+
+    Parameters
+    ----------
+    formula : callable
+        A function of `spm_pin.kinematics.formulas`.
+    **operations
+        What stands for `sqrt`, `where`, `both`, `either`, and perhaps `COS_30`, in the copies. What is not given stays
+        that of floats.
+    """
+    copy: F = _copied(formula, operations, {})
+    return copy
+
+
+def _copied(formula: Any, operations: dict[str, Any], copies: dict[Any, Any]) -> Any:
+    if formula not in copies:
+        own = dict(formula.__globals__)
+        for name in formula.__code__.co_names:
+            if name in operations:
+                own[name] = operations[name]
+            elif isinstance(own.get(name), types.FunctionType) and own[name].__module__.startswith(__package__):
+                own[name] = _copied(own[name], operations, copies)
+        copies[formula] = types.FunctionType(formula.__code__, own, formula.__name__)
+    return copies[formula]

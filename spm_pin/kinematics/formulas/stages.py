@@ -1,0 +1,275 @@
+"""The equations of one 3RPS stage: `docs/theory/forward_displacement.md`.
+
+A stage is three legs of given lengths from hips at radius E, each in the vertical plane of its hip, to a triangle of
+circumradius r. In units of r, with ε = E/r, the height ζ of the triangle's centre and its quaternion (x0, w),
+w = x1 + i x2, the squared leg lengths of mode T have the mean m and the first harmonic λ,
+
+    m = (x0² - ε)² + 2 |w|² + ζ²,      λ = (2ε - x0²) w² + conj(w)⁴ + 2 ζ x0 conj(w),
+
+over the three azimuths. Mode F is the same with -r for r, x3 for x0 and i w for w. It follows that
+Im(λ w) = κ Im(w³), κ = 2ε - 1: the tilt |w|² is a ratio of sines of the azimuth ψ of w. Put into the rest, all high
+harmonics cancel and a trigonometric polynomial of degree two in 2ψ is left: at most four solutions per mode, each
+with its mirror image below the hips.
+
+A state (x0, x1, x2, ζ) has the coordinates of its mode: in mode F, where r, ε and ζ are negative, x0 stands for the
+quaternion's x3, and x1 + i x2 for i w.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from spm_pin.kinematics.formulas.operations import COS_30, both, sqrt, where
+from spm_pin.kinematics.formulas.vectors import (
+    Rows,
+    Vector,
+    combined,
+    cross,
+    dot,
+    larger,
+    largest,
+    magnitude,
+    minus,
+    scaled,
+    times,
+)
+
+State = tuple[float, float, float, float]
+Pairs = tuple[float, float, float, float, float, float]
+"""Quantities of the pairs of legs 12, 23, 31, 21, 32, 13."""
+
+EPS = 2.0**-52
+"""The distance from 1 to the next larger double."""
+
+
+class StageEquations(NamedTuple):
+    """The right sides of f = 0."""
+
+    epsilon: float  # E/r, negative in mode F
+    level: float  # c = m - (1 - ε)², ζ² of the level triangle
+    real: float  # λ
+    imag: float
+    scale: float  # the largest terms' size
+    lengths: Vector
+
+
+def stage_equations(first: float, second: float, third: float, epsilon: float) -> StageEquations:
+    """Set up f = 0 for leg lengths and a signed hip radius in units of r."""
+    # Differences of squares as products: exact where legs are equal.
+    real, imag = _harmonic(
+        (second - first) * (second + first), (second - third) * (second + third), (first - third) * (first + third)
+    )
+    mean = (first * first + second * second + third * third) / 3.0
+    size = 1.0 + magnitude(epsilon)
+    level = mean - (1.0 - epsilon) * (1.0 - epsilon)
+    return StageEquations(epsilon, level, real, imag, mean + size * size, (first, second, third))
+
+
+def _harmonic(second_first: float, second_third: float, first_third: float) -> tuple[float, float]:
+    """Return the first harmonic of three numbers over the azimuths, from their differences."""
+    return (second_first + second_third) / 6.0, first_third * (COS_30 / 3.0)
+
+
+def residual(stage: StageEquations, state: State) -> Vector:
+    """Return f: the parts of the equation for λ, and the one for ζ²."""
+    x0, x1, x2, zeta = state
+    a, b, p = x1 * x1 - x2 * x2, 2.0 * x1 * x2, x1 * x1 + x2 * x2
+    h, lift = 2.0 * stage.epsilon - x0 * x0, 2.0 * zeta * x0
+    real = h * a + (a * a - b * b) + lift * x1 - stage.real
+    imag = h * b - 2.0 * a * b - lift * x2 - stage.imag
+    return real, imag, zeta * zeta + (2.0 * stage.epsilon + p) * p - stage.level
+
+
+def residual_by_legs(stage: StageEquations, state: State) -> Vector:
+    """Return f from the error of each leg's own square, which rounds no more than that square."""
+    radii, heights = corners(state[0], state[1], state[2], 0.0, state[3])
+    first = _error_of_square(radii[0] - stage.epsilon, heights[0], stage.lengths[0])
+    second = _error_of_square(radii[1] - stage.epsilon, heights[1], stage.lengths[1])
+    third = _error_of_square(radii[2] - stage.epsilon, heights[2], stage.lengths[2])
+    real, imag = _harmonic(second - first, second - third, first - third)
+    return real, imag, (first + second + third) / 3.0
+
+
+def _error_of_square(x: float, z: float, length: float) -> float:
+    return x * x + (z * z - length * length)
+
+
+def derivatives(stage: StageEquations, state: State) -> tuple[State, State, State]:
+    """Return the derivatives of f with respect to x0, x1, x2, ζ."""
+    x0, x1, x2, zeta = state
+    a, b = x1 * x1 - x2 * x2, 2.0 * x1 * x2
+    h, lift = 2.0 * stage.epsilon - x0 * x0, 2.0 * zeta * x0
+    u, v = 2.0 * (a * x1 - b * x2), 2.0 * (a * x2 + b * x1)
+    slope = 4.0 * (stage.epsilon + x1 * x1 + x2 * x2)
+    real = 2.0 * (zeta * x1 - x0 * a), 2.0 * (h * x1 + u) + lift, -2.0 * (h * x2 + v), 2.0 * x0 * x1
+    imag = -2.0 * (zeta * x2 + x0 * b), 2.0 * (h * x2 - v), 2.0 * (h * x1 - u) - lift, -2.0 * x0 * x2
+    return real, imag, (0.0, slope * x1, slope * x2, 2.0 * zeta)
+
+
+def _tangents(state: State) -> tuple[Vector, Vector]:
+    """Return two orthonormal tangents of the sphere of quaternions, smooth for x0 >= 0."""
+    x0, x1, x2, _ = state
+    q = 1.0 / (1.0 + x0)
+    return (-x1, 1.0 - q * x1 * x1, -q * x1 * x2), (-x2, -q * x1 * x2, 1.0 - q * x2 * x2)
+
+
+def _along(row: State, first: Vector, second: Vector) -> Vector:
+    slope = row[0], row[1], row[2]
+    return dot(slope, first), dot(slope, second), row[3]
+
+
+def jacobian(stage: StageEquations, state: State) -> Rows:
+    """Return J, the derivatives of f along both tangents of the sphere of quaternions and along ζ."""
+    first, second = _tangents(state)
+    real, imag, height = derivatives(stage, state)
+    return _along(real, first, second), _along(imag, first, second), _along(height, first, second)
+
+
+def moved(state: State, step: Vector) -> State:
+    """Move a state by a step along the tangents and ζ, back onto the sphere, with x0 >= 0."""
+    first, second = _tangents(state)
+    x = combined(combined((state[0], state[1], state[2]), step[0], first), step[1], second)
+    length = sqrt(dot(x, x))
+    # Both signs of a quaternion are one rotation.
+    x = scaled(where(x[0] < 0.0, -1.0, 1.0) / length, x)
+    return x[0], x[1], x[2], state[3] + step[2]
+
+
+def inverse(rows: Rows) -> tuple[Rows, bool]:
+    """Return the columns of the inverse of J by cofactors, finite even if it is singular, and whether it is."""
+    first, second, third = cross(rows[1], rows[2]), cross(rows[2], rows[0]), cross(rows[0], rows[1])
+    determinant = dot(rows[0], first)
+    size = larger(larger(1.0, largest(rows[0])), larger(largest(rows[1]), largest(rows[2])))
+    least = EPS * EPS * size * size * size
+    singular = magnitude(determinant) < least
+    scale = 1.0 / where(singular, least, determinant)
+    return (scaled(scale, first), scaled(scale, second), scaled(scale, third)), singular
+
+
+def damped(step: Vector, longest: float) -> Vector:
+    """Return a step whose turns are no longer than `longest`, and whose change of ζ is at most 1."""
+    excess = larger(larger(1.0, magnitude(step[0]) / longest), larger(magnitude(step[1]) / longest, magnitude(step[2])))
+    return scaled(1.0 / excess, step)
+
+
+def quartic(
+    stage: StageEquations, size: float, x: float, y: float, omega: float, gain: float
+) -> tuple[float, float, float, float, float]:
+    """Return the coefficients of tan^j γ, j = 0..4, of the azimuths of the tilt, divided by |λ|.
+
+    `size` is |λ|, x + iy is μ = e^{3i arg λ}, and gain = ω/κ; see `spm_pin.kinematics.kernels.quartic`.
+    """
+    c, weight = stage.level, 2.0 * stage.epsilon + 1.0
+    g = weight * weight + 4.0 * c
+    w2, k2 = omega * omega, gain * gain
+    second = (4.0 * size * x - g) * size * k2 + 12.0 * c * gain * omega * x - 3.0 * w2 * size * (x * x - y * y)
+    fourth = (4.0 * size * size * k2 - 4.0 * size * w2 * x - g * w2) * size * k2
+    return (
+        -size * y * y,
+        (4.0 * omega * size * x - 4.0 * gain * c) * y,
+        second,
+        (8.0 * size * size * k2 * omega + 12.0 * c * gain * w2 - 4.0 * w2 * omega * size * x) * y,
+        fourth - 4.0 * c * gain * w2 * omega * x + w2 * w2 * size * x * x,
+    )
+
+
+def tilt_quadratic(stage: StageEquations, a: float, b: float, cos_three: float) -> Vector:
+    """Return the coefficients of p², p, 1 for the tilt p = |w|² of one azimuth ψ.
+
+    a = p sin 3ψ, b = Re(λ e^{iψ}), and `cos_three` is cos 3ψ.
+    """
+    kappa = 2.0 * stage.epsilon - 1.0
+    square = 4.0 * (a * a + b * cos_three) - 4.0 * (2.0 * stage.epsilon + stage.level) - kappa * kappa
+    linear = 4.0 * kappa * a * a + 4.0 * stage.level + 2.0 * kappa * b * cos_three
+    return square, linear, kappa * a * (kappa * a) - b * b
+
+
+def corners(x0: float, x1: float, x2: float, x3: float, zeta: float) -> tuple[Vector, Vector]:
+    """Return radii and heights of the triangle's corners in the vertical planes of the legs, in units of r.
+
+    The quaternion is that of mode T or F itself, ζ the height of the centre.
+    """
+    square_c, square_s = 2.0 * COS_30 * (2.0 * x1 * x2), x1 * x1 - x2 * x2
+    radius = x0 * x0 - x3 * x3
+    c, s = 2.0 * COS_30 * (x3 * x1 - x0 * x2), x0 * x1 + x3 * x2
+    radii = radius - square_c + square_s, radius - 2.0 * square_s, radius + square_c + square_s
+    return radii, (zeta + c - s, zeta + 2.0 * s, zeta - c - s)
+
+
+def stage_pairs(radii: Vector, heights: Vector, hips: float) -> Pairs:
+    """Return c_ij = (b_i - b_j)·w_i of a drawn stage, w_i = z_i u_i - (ρ_i - E) Z normal to leg i and to its axis.
+
+    The same as `wrenches.pairs`, from u_i·u_j = -1/2, where δ is not divided by its length.
+    """
+    (p1, p2, p3), (z1, z2, z3) = radii, heights
+    return (
+        z1 * (p1 + 0.5 * p2) - (p1 - hips) * (z1 - z2),
+        z2 * (p2 + 0.5 * p3) - (p2 - hips) * (z2 - z3),
+        z3 * (p3 + 0.5 * p1) - (p3 - hips) * (z3 - z1),
+        z2 * (p2 + 0.5 * p1) - (p2 - hips) * (z2 - z1),
+        z3 * (p3 + 0.5 * p2) - (p3 - hips) * (z3 - z2),
+        z1 * (p1 + 0.5 * p3) - (p1 - hips) * (z1 - z3),
+    )
+
+
+def pair_determinant(c: Pairs) -> float:
+    """Return D = c12 c23 c31 + c21 c32 c13, minus the determinant of the six forces of a stage."""
+    return c[0] * c[1] * c[2] + c[3] * c[4] * c[5]
+
+
+def is_home_aspect(c: Pairs) -> bool:
+    """Return whether a stage is reached from equal legs without a forward singularity.
+
+    det J_b is D up to a positive factor, and all six c_ij are positive at equal legs. Where D is positive, none, one,
+    three or four of them are negative, never two: its sign alone does not tell the aspect, but together with this it
+    does.
+    """
+    negative = _sign_bit(c[0]) + _sign_bit(c[1]) + _sign_bit(c[2]) + _sign_bit(c[3]) + _sign_bit(c[4]) + _sign_bit(c[5])
+    return both(pair_determinant(c) > 0.0, negative <= 1.0)
+
+
+def in_home_aspect(radii: Vector, heights: Vector, hips: float) -> bool:
+    """Return whether a drawn stage is in the aspect of its home."""
+    return is_home_aspect(stage_pairs(radii, heights, hips))
+
+
+def _sign_bit(x: float) -> float:
+    return where(x < 0.0, 1.0, 0.0)
+
+
+class Composed(NamedTuple):
+    """The manipulator's configuration of two stages, in units of r."""
+
+    rotation: Rows
+    position: Vector
+    b: Rows
+
+
+def compose(
+    lower: tuple[float, float, float, float, float], upper: tuple[float, float, float, float, float]
+) -> Composed:
+    """Join two stages at their middle platform.
+
+    Each is x0, x1, x2, x3, ζ of the middle platform: of the lower stage in {B}, of the upper in {m}.
+    """
+    (a0, a1, a2, a3, zeta), (b0, b1, b2, b3, zeta_m) = lower, upper
+    # The middle platform's rotation in {B} times the inverse of that in {m}.
+    w, x = a0 * b0 + a1 * b1 + a2 * b2 + a3 * b3, a1 * b0 - a0 * b1 - a2 * b3 + a3 * b2
+    y, z = a2 * b0 - a0 * b2 - a3 * b1 + a1 * b3, a3 * b0 - a0 * b3 - a1 * b2 + a2 * b1
+    rotation = (
+        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
+        (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
+        (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
+    )
+    # The centre in {B} less the centre in {m}, turned.
+    turned = times(rotation, (-2.0 * b1 * b2, b2 * b2 - b1 * b1, zeta_m))
+    position = minus((-2.0 * a1 * a2, a2 * a2 - a1 * a1, zeta), turned)
+    radii, heights = corners(a0, a1, a2, a3, zeta)
+    return Composed(rotation, position, cartesian(radii, heights))
+
+
+def cartesian(radii: Vector, heights: Vector) -> Rows:
+    """Return points in the vertical planes of the legs by their coordinates in {B}."""
+    p1, p2, p3 = radii
+    first, second = (COS_30 * p1, -0.5 * p1, heights[0]), (0.0 * p2, p2, heights[1])
+    return first, second, (-COS_30 * p3, -0.5 * p3, heights[2])

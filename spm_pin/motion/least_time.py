@@ -1,0 +1,194 @@
+"""The least time along a path under limits that are linear in u = s̈ and x = ṡ², as a convex programme.
+
+On a grid of parameters x is linear from each point to the next, so that u = (x_{k+1} - x_k) / (2 h) is constant there
+and every limit at a parameter in between is a half-plane of the two values,
+
+    g · (x_k, x_{k+1}) <= 1,
+
+which rest, x = 0, keeps. Hence a motion that is slow enough keeps all limits of any path. Only the half-planes on the
+convex hull of the g of a part matter. The duration, Σ 2 h / (√x_k + √x_{k+1}), is convex: IPOPT finds its least value.
+A pass from one end to the other, as that of TOPP-RA, does not where a limit does not depend on u: at such a point the
+largest x_k may be one from which there is no way but to stop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from spm_pin.mechanism.arguments import FloatArray, IntArray
+from spm_pin.motion.motion_limits import LimitRows
+
+Clock = Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
+"""A function of times (m,) [s], which gives s, ṡ and s̈ there."""
+
+_FASTEST = 1e16
+"""Largest x where no limit is, in units of that of a motion which keeps all limits."""
+_LEAST = 1e-3
+"""Smallest x, in units of the same."""
+_BETWEEN = (np.arange(8) + 0.5) / 8
+"""Shares of a part at which its limits hold too, once they were broken there."""
+
+
+def even_grid(knots: FloatArray, parts: int) -> tuple[FloatArray, IntArray]:
+    """Return even steps from 0 to 1, (n,), the nearest to each inner knot (k,) moved there, and the knots' indices."""
+    parts = max(parts, 2 * len(knots))
+    nearest = np.clip((knots[1:-1] * parts).round().astype(np.intp), 1, parts - 1)
+    grid = np.linspace(0.0, 1.0, parts + 1)
+    grid[nearest] = knots[1:-1]
+    # Knots nearer to each other than a step.
+    grid = np.unique(np.concatenate([grid, knots]))
+    return grid, np.searchsorted(grid, knots[1:-1])
+
+
+@dataclass
+class _HalfPlanes:
+    """Limits g · (x_k, x_{k+1}) <= 1 of parts k of a grid."""
+
+    parts: IntArray
+    """Indices of the parts, shape (m,)."""
+    slopes: FloatArray
+    """The g, shape (m, 2)."""
+
+    @classmethod
+    def from_rows(cls, parts: IntArray, steps: FloatArray, shares: FloatArray, rows: LimitRows) -> _HalfPlanes:
+        """Return those that matter of limits at p shares, (n, p), of n parts with these steps (n,)."""
+        count, points = shares.shape
+        a, b, c = (values.reshape(count, points, -1) for values in (rows.a, rows.b, rows.c))
+        span = rows.upper - rows.lower
+        # In terms of u and of x in the middle of the part: x there is so many times u away from it.
+        arm = ((2.0 * shares - 1.0) * steps[:, None])[..., None]
+        a = a + arm * b
+        rooms = [np.maximum(room, 1e-12 * span) for room in (rows.upper - c, c - rows.lower)]
+        fastest = 1.0 / rows.fastest.reshape(count, points, 1)
+        change = np.concatenate(
+            [a / rooms[0], -a / rooms[1], (2.0 * shares - 1.0)[..., None] * steps[:, None, None] * fastest], -1
+        )
+        level = np.concatenate([b / rooms[0], -b / rooms[1], fastest], -1)
+        normals = np.stack([change, level], axis=-1).reshape(count, -1, 2)
+        kept = [_hull(points_) for points_ in normals]
+        part = np.repeat(np.arange(count), [len(k) for k in kept])
+        u, x = normals[part, np.concatenate(kept)].T
+        half = 0.5 * u / steps[part]
+        return cls(parts[part], np.stack([0.5 * x - half, 0.5 * x + half], axis=-1))
+
+    def used(self, x: FloatArray) -> FloatArray:
+        """Return which share of each limit values x (n,) at the points of the grid use, shape (m,)."""
+        return np.asarray(self.slopes[:, 0] * x[self.parts] + self.slopes[:, 1] * x[self.parts + 1])
+
+    def joined(self, other: _HalfPlanes) -> _HalfPlanes:
+        return _HalfPlanes(np.concatenate([self.parts, other.parts]), np.concatenate([self.slopes, other.slopes]))
+
+
+def _hull(normals: FloatArray) -> IntArray:
+    """Return the indices of the normals (p, 2) of half-planes n · v <= 1 that are not implied by others."""
+    size = np.abs(normals).max(axis=0)
+    size[size == 0.0] = 1.0
+    # x < 0 is not looked at.
+    points = np.concatenate([normals / size, [[0.0, -1e-6], [1e-6, 0.0], [-1e-6, 0.0]]])
+    try:
+        vertices = ConvexHull(points).vertices
+    except QhullError:
+        return np.arange(len(normals))
+    return np.asarray(vertices[vertices < len(normals)])
+
+
+class LeastTime:
+    """The fastest motion over a grid of parameters; `refine` makes it keep limits between them too."""
+
+    def __init__(self, grid: FloatArray, rows: LimitRows, corners: IntArray) -> None:
+        """`rows` are the limits at the points of the grid and in the middle of its parts, `corners` knots of it."""
+        self.grid, self._steps = grid, np.diff(grid)
+        points = np.arange(2 * len(grid) - 1)
+        fine = np.empty(len(points))
+        fine[::2], fine[1::2] = grid, 0.5 * (grid[1:] + grid[:-1])
+        self._planes = _half_planes(fine, rows, points[::2])
+        self.x = _solved(self._steps, self._planes, None)
+        # The same with half as many points: the error of such a scheme is proportional to its step.
+        coarse = np.unique(np.concatenate([points[::4], 2 * corners, points[-1:]]))
+        steps = np.diff(fine[coarse])
+        slower = _solved(steps, _half_planes(fine, rows, coarse), None)
+        self.error = abs(_durations(steps, slower).sum() / self.duration - 1.0)
+        """By which share of it the duration is expected to be above the least, because of the grid."""
+
+    @property
+    def duration(self) -> float:
+        """Duration [s]."""
+        return float(_durations(self._steps, self.x).sum())
+
+    def refine(self, parameters: FloatArray, rows_at: Callable[[FloatArray], LimitRows]) -> None:
+        """Find the motion again, with limits at more points of the parts that hold parameters (m,), and beside them."""
+        part = np.clip(np.searchsorted(self.grid, parameters, side="right") - 1, 0, len(self._steps) - 1)
+        parts = np.unique(np.clip([part - 1, part, part + 1], 0, len(self._steps) - 1))
+        shares = np.broadcast_to(_BETWEEN, (len(parts), len(_BETWEEN)))
+        rows = rows_at((self.grid[parts, None] + shares * self._steps[parts, None]).ravel())
+        self._planes = self._planes.joined(_HalfPlanes.from_rows(parts, self._steps[parts], shares, rows))
+        self.x = _solved(self._steps, self._planes, self.x)
+
+    def clock(self, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return s, ṡ and s̈ at times (m,) [s]."""
+        grid, speeds, changes = self.grid, np.sqrt(self.x), 0.5 * np.diff(self.x) / self._steps
+        starts = np.concatenate([[0.0], np.cumsum(_durations(self._steps, self.x))])
+        k = np.clip(np.searchsorted(starts, times, side="right") - 1, 0, len(self._steps) - 1)
+        since = times - starts[k]
+        s = grid[k] + since * (speeds[k] + 0.5 * since * changes[k])
+        return np.clip(s, 0.0, 1.0), np.maximum(speeds[k] + since * changes[k], 0.0), changes[k]
+
+
+def _half_planes(points: FloatArray, rows: LimitRows, nodes: IntArray) -> _HalfPlanes:
+    """Return the limits of a grid whose points are some of those at which limits are known, `nodes` (n,) of them."""
+    index = np.stack([nodes[:-1], (nodes[:-1] + nodes[1:]) // 2, nodes[1:]], axis=-1)
+    steps = np.diff(points[nodes])
+    shares = (points[index] - points[nodes[:-1], None]) / steps[:, None]
+    return _HalfPlanes.from_rows(np.arange(len(steps)), steps, shares, rows[index.ravel()])
+
+
+def _durations(steps: FloatArray, x: FloatArray) -> FloatArray:
+    roots = np.sqrt(x)
+    return np.asarray(2.0 * steps / (roots[1:] + roots[:-1]))
+
+
+def _solved(steps: FloatArray, planes: _HalfPlanes, start: FloatArray | None) -> FloatArray:
+    """Return the x at the points of a grid with which the motion is fastest, zero at both ends."""
+    import casadi as ca
+    from scipy.sparse import csr_matrix
+
+    count = len(steps) + 1
+    place = np.concatenate([[0.0], np.cumsum(steps)])
+    slow = np.minimum(place, place[-1] - place)
+    slow = slow / max(float(planes.used(slow).max()), 1e-300)
+    unit = slow.max()
+    sizes = unit * np.linalg.norm(planes.slopes, axis=-1)
+    rows = np.arange(len(sizes))
+    entries = unit * planes.slopes / sizes[:, None]
+    matrix = csr_matrix(
+        (entries.T.ravel(), (np.tile(rows, 2), np.concatenate([planes.parts, planes.parts + 1]))), (len(rows), count)
+    )
+    z = ca.MX.sym("z", count - 2)
+    roots = ca.vertcat(0.0, ca.sqrt(z), 0.0)
+    problem = {
+        "x": z,
+        "f": ca.dot(2.0 * steps, 1.0 / (roots[1:] + roots[:-1])),
+        "g": ca.mtimes(ca.DM(matrix[:, 1:-1]), z),
+    }
+    quiet: Any = {
+        "print_time": False,
+        "show_eval_warnings": False,
+        "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 300, "tol": 1e-8},
+    }
+    first = 0.5 * slow if start is None else 0.9 * start
+    bounds = {"lbx": _LEAST * slow[1:-1] / unit, "ubx": _FASTEST, "lbg": -np.inf, "ubg": 1.0 / sizes}
+    solution = ca.nlpsol("least_time", "ipopt", problem, quiet)(x0=first[1:-1] / unit, **bounds)
+    x = np.concatenate([[0.0], unit * np.asarray(solution["x"])[:, 0], [0.0]])
+    # Whether or not IPOPT has converged: the larger of what it found and of a slow motion, made to keep the limits.
+    used = planes.used(x) if np.isfinite(x).all() and (x[1:-1] > 0.0).all() else np.array([np.inf])
+    found = x / max(float(used.max()), 1.0)
+    return found if _faster(steps, found, slow) else slow
+
+
+def _faster(steps: FloatArray, x: FloatArray, other: FloatArray) -> bool:
+    return bool(x.any() and _durations(steps, x).sum() <= _durations(steps, other).sum())

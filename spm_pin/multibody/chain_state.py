@@ -1,0 +1,400 @@
+"""The state of a chain: joint values and velocities, one or a batch, and all that is computed from them.
+
+With the tree's mass matrix M, its nonlinear effects h, and S, Jm and Jc as in the module `constrained_model`, leg
+forces f, wrenches w_k at frames with Jacobians J_k and the forces λ in the cut balls,
+
+    M a + h = Sᵀ f + Σ J_kᵀ w_k + Jcᵀ λ,    Jc a + J̇c v = 0;
+
+`docs/theory/dynamics.md` says which unknowns each method solves for, and where that is regular.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+from scipy.linalg import LinAlgError, eigh
+
+from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError, SpmError
+from spm_pin.mechanism.arguments import FloatArray, broadcastable, symmetric_matrices
+from spm_pin.mechanism.configuration import Configuration
+from spm_pin.multibody.constrained_model import AccelerationSolver, ConstrainedModel, SingularValues, TreeKinematics
+from spm_pin.multibody.vector_arguments import GainsLike, WrenchLike, read_gains, read_vectors
+
+
+class Energy(NamedTuple):
+    """Energy of all moving bodies [J], floats or arrays (...)."""
+
+    kinetic: Any
+    """Kinetic energy [J]."""
+    potential: Any
+    """Potential energy of gravity [J], zero at the height of the universe's origin."""
+
+    @property
+    def total(self) -> Any:
+        """Kinetic and potential energy together."""
+        return self.kinetic + self.potential
+
+
+class PlatformDynamics(NamedTuple):
+    """The mechanism's equations of motion at its terminal platform, Λ ṫ + C t + G = J_fᵀ f + w.
+
+    t = (v, ω) is the twist of m at o, ṫ its time derivative: the acceleration of the point o and the angular
+    acceleration; f are the leg forces, w is the wrench applied onto m, all in {B}. The masses of all bodies are in it.
+    """
+
+    mass: FloatArray
+    """Λ, reflected at o, shape (..., 6, 6); symmetric and positive definite."""
+    coriolis: FloatArray
+    """C, shape (..., 6, 6), of the factorization for which Λ̇ - 2 C is skew."""
+    bias: FloatArray
+    """C t [N, N m], shape (..., 6)."""
+    gravity: FloatArray
+    """G, shape (..., 6): minus the wrench that the weights of all bodies exert at o."""
+
+
+class NaturalFrequencies(NamedTuple):
+    """Vibrations of the platform on elastic legs, slowest first."""
+
+    frequencies: FloatArray
+    """[Hz], shape (..., 6)."""
+    modes: FloatArray
+    """Small displacements (of o [m], rotation [rad]) in {B} as rows, shape (..., 6, 6), in the order of the
+    frequencies; Mᵀ Λ M = 1 of the columns."""
+
+
+class _Placement(NamedTuple):
+    """Rotation and translation of m, and the middle platform's corners as rows."""
+
+    rotation: Any
+    translation: Any
+    corners: Any
+
+
+class ConstrainedState:
+    """Joint values q and velocities v of a model with closures, and what is computed from them.
+
+    Made by the method `state` of `ClosedChain` and of `MountedChain`, and moved on by `update`, without new memory. Of
+    one q and v, kinematics, constraint Jacobian and factorisations are computed once and kept for later calls. Of a
+    batch each call computes them anew, member by member. Arguments broadcast with the batch. A state is for one thread
+    at a time. Its methods are those of the chain, without q and v.
+
+    A single q and v that is open or singular raises. Such a member of a batch is NaN in the result, and `failures` of
+    the last call has its error.
+
+    Attributes
+    ----------
+    kinematics : TreeKinematics
+        Pinocchio's data, Jacobians and factorisations at a single q; do not change it.
+    failures : dict of tuple of int to SpmError
+        Of the last call for a batch: the `SingularConfigurationError` or `ClosureError` of each member that is NaN, by
+        its index.
+    """
+
+    def __init__(self, constrained: ConstrainedModel) -> None:
+        self._constrained = constrained
+        self.kinematics = TreeKinematics(constrained)
+        self.failures: dict[tuple[int, ...], SpmError] = {}
+        self._solver: AccelerationSolver | None = None
+        self._batch: tuple[int, ...] = ()
+        self._q, self._v = self.kinematics.q, self.kinematics.zero_velocity
+
+    def __repr__(self) -> str:
+        several = f" of a batch of shape {self._batch}" if self._batch else ""
+        return f"<{type(self).__name__}{several}: {self._constrained.model.nv} degrees of freedom of the tree>"
+
+    @property
+    def q(self) -> FloatArray:
+        """Joint values, shape (..., nq); a copy."""
+        return self._q.copy()
+
+    @property
+    def v(self) -> FloatArray:
+        """Joint velocities, shape (..., nv); a copy."""
+        return self._v.copy()
+
+    def update(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> Self:
+        """Move to other joint values (..., nq) and velocities (..., nv), zero by default; return this state."""
+        joints, rates = self._constrained.read_q(q), self.kinematics.zero_velocity
+        if v is not None:
+            rates = read_vectors(v, "v", rates.size).copy()
+        self._q, self._v = joints.copy(), rates
+        self._batch = ()
+        if joints.ndim == rates.ndim == 1:
+            self._move(self._q, rates)
+        else:
+            self._batch = broadcastable("v", rates.shape[:-1], "q", joints.shape[:-1])
+            self._q = np.broadcast_to(self._q, (*self._batch, joints.shape[-1]))
+            self._v = np.broadcast_to(rates, (*self._batch, rates.shape[-1]))
+        return self
+
+    def _move(self, q: FloatArray, v: FloatArray) -> None:
+        """Make (nq,) and (nv,) the q and v that the functions of `_each` are about."""
+        self.kinematics.evaluate(q)
+        self._rates = v
+        self._drift: tuple[FloatArray, FloatArray] | None = None
+        self._closed = False
+
+    def _each(self, function: Callable[..., Any], shape: Any, **arrays: FloatArray) -> Any:
+        """Return the results of a function of one q and v, and of one member of each array, for all members.
+
+        `shape` is that of a result, or a NamedTuple of shapes if the function returns several. For a single state and
+        single arguments, the function's own result is returned.
+        """
+        values, batch = arrays.values(), self._batch
+        if not batch:
+            # A loop is quicker than a generator.
+            for array in values:
+                if array.ndim > 1:
+                    break
+            else:
+                return function(*values)
+        for name, array in arrays.items():
+            batch = broadcastable(name, array.shape[:-1], "the other arguments", batch)
+        members = [np.broadcast_to(array, (*batch, array.shape[-1])) for array in (self._q, self._v, *values)]
+        several = hasattr(shape, "_fields")
+        results = [np.full((*batch, *one), np.nan) for one in (shape if several else (shape,))]
+        self.failures = {}
+        for index in np.ndindex(batch):
+            q, v, *arguments = (array[index] for array in members)
+            if self._batch:
+                self._move(q, v)
+            try:
+                result = function(*arguments)
+            except (SingularConfigurationError, ClosureError) as error:
+                self.failures[index] = error
+                continue
+            except ArgumentError as error:
+                raise at_index(error, index) from error
+            for array, value in zip(results, result if several else (result,), strict=True):
+                array[index] = value
+        return type(shape)(*results) if several else results[0]
+
+    def closure_gap(self) -> FloatArray:
+        """Return how far the closures are open, shape (..., 4, 3) [m]."""
+        return np.asarray(self._each(lambda: self.kinematics.gap.copy(), (len(self._constrained.closures), 3)))
+
+    def constraint_jacobian(self) -> FloatArray:
+        """Return the derivative of `closure_gap` by q, shape (..., 12, nv)."""
+        shape = 3 * len(self._constrained.closures), self._constrained.model.nv
+        return np.asarray(self._each(lambda: self.kinematics.constraint_jacobian.copy(), shape))
+
+    def energy(self) -> Energy:
+        """Return the kinetic and the potential energy (...) [J] of all bodies, closed or not."""
+        return Energy(*self._each(lambda: Energy(*self.kinematics.energies(self._rates)), Energy((), ())))
+
+    def forward_dynamics(
+        self, forces: npt.ArrayLike, wrench: WrenchLike = None, *, gains: GainsLike = None
+    ) -> FloatArray:
+        """Return the accelerations of all joints (..., nv) under the forces of all actuators, gravity and wrenches."""
+        constrained, kinematics = self._constrained, self.kinematics
+        stabilisation, (wrenches, frames) = read_gains(gains), constrained.read_wrenches(wrench)
+        actuators = read_vectors(forces, "forces", constrained.actuated.size)
+        if self._solver is None:
+            self._solver = AccelerationSolver(constrained)
+        solver = self._solver
+
+        def member(force: FloatArray, load: FloatArray) -> FloatArray:
+            kinematics.check_constrained()
+            if stabilisation is None:
+                self._check_closed()
+            torques = kinematics.wrench_torques(load, frames)
+            torques[constrained.actuated] += force
+            return solver.accelerations(kinematics.q, self._rates, torques, stabilisation)
+
+        return np.asarray(self._each(member, (kinematics.model.nv,), forces=actuators, wrench=wrenches))
+
+    def inverse_dynamics(self, a: npt.ArrayLike, wrench: WrenchLike = None) -> FloatArray:
+        """Return the forces of all actuators (..., n) for joint accelerations (..., nv), gravity and wrenches."""
+        constrained, kinematics = self._constrained, self.kinematics
+        model, data = kinematics.model, kinematics.data
+        wrenches, frames = constrained.read_wrenches(wrench)
+
+        def member(a: FloatArray, load: FloatArray) -> FloatArray:
+            self._check_closed()
+            kinematics.check_accelerations(a, self._rates, self._bias()[0])
+            torques = pin.rnea(model, data, kinematics.q, self._rates, a) - kinematics.wrench_torques(load, frames)
+            # Forces in the balls do no work on another robot: its actuators carry the tree's torques.
+            return np.concatenate([torques[constrained.others], self._balance(torques[constrained.in_v])[0]])
+
+        accelerations = read_vectors(a, "a", model.nv)
+        return np.asarray(self._each(member, (constrained.actuated.size,), a=accelerations, wrench=wrenches))
+
+    def _balance(self, torques: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return leg forces (6,) and forces in the cut balls (3 n,) that give the tree's generalized forces (18,)."""
+        legs, kinematics = self._constrained.legs, self.kinematics
+        # The actuators do not act on the passive joints: these give λ, and the legs what is left.
+        cuts = kinematics.forward_factors.solve_transposed(torques.take(self._constrained.passive))
+        return torques.take(legs) - cuts.dot(kinematics.own_constraint_jacobian).take(legs), cuts
+
+    def _bias(self) -> tuple[FloatArray, FloatArray]:
+        """Return the accelerations where no joint accelerates: of the gaps, J̇c v (3 n,), and of m (6,)."""
+        if self._drift is None:
+            kinematics, constrained = self.kinematics, self._constrained
+            model, data = kinematics.model, kinematics.data
+            pin.forwardKinematics(model, data, kinematics.q, self._rates, kinematics.zero_velocity)
+            *points, platform = (
+                pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED).vector
+                for frame in (*constrained.frames, constrained.platform_frame)
+            )
+            self._drift = constrained.linear_differences(points), platform
+        return self._drift
+
+    def _check_closed(self) -> None:
+        """Raise unless q is closed and v keeps it so; looked at once for each q and v."""
+        if not self._closed:
+            self.kinematics.check_closed(self._rates)
+            self._closed = True
+
+
+class ChainState(ConstrainedState):
+    """The state of a `ClosedChain`: a `ConstrainedState` with the methods that a mounted chain has not.
+
+    Beside the chain's own methods these are `joint_accelerations_of_legs` and `platform_acceleration`.
+    """
+
+    def configuration(self) -> Configuration:
+        """Return the poses of m and of the middle platform's corners."""
+
+        def member() -> _Placement:
+            return _Placement(*self.kinematics.terminal_pose(), self.kinematics.corners())
+
+        placement = self._each(member, _Placement((3, 3), (3,), (3, 3)))
+        return Configuration.from_arrays(self._constrained.geometry, *placement)
+
+    def leg_lengths(self) -> FloatArray:
+        """Return the leg lengths (..., 6) [m]."""
+        return self._constrained.leg_lengths(self._q)
+
+    def inverse_jacobian(self) -> FloatArray:
+        """Return J_f, which maps the platform's twist to the leg rates, shape (..., 6, 6)."""
+        return np.asarray(self._each(lambda: self.kinematics.velocities_of_twists[self._constrained.legs], (6, 6)))
+
+    def joint_velocities(self, twist: npt.ArrayLike) -> FloatArray:
+        """Return the velocities of all joints (..., 18) for a twist (..., 6) of m."""
+
+        def member(twist: FloatArray) -> FloatArray:
+            return self.kinematics.velocities_of_twists @ twist
+
+        return np.asarray(self._each(member, (18,), twist=read_vectors(twist, "twist", 6)))
+
+    def joint_rates(self, leg_rates: npt.ArrayLike) -> FloatArray:
+        """Return the velocities of all joints (..., 18) for rates of the six legs (..., 6)."""
+        rates = read_vectors(leg_rates, "leg_rates", 6)
+        return np.asarray(self._each(self.kinematics.velocities_of_legs, (18,), leg_rates=rates))
+
+    def leg_forces(self, wrench: npt.ArrayLike) -> FloatArray:
+        """Return the actuator forces (..., 6) that hold a wrench (..., 6) applied onto the terminal platform."""
+        return np.asarray(
+            self._each(lambda load: self._holding(load)[0], (6,), wrench=read_vectors(wrench, "wrench", 6))
+        )
+
+    def cut_forces(self, wrench: npt.ArrayLike) -> FloatArray:
+        """Return the forces in the cut ball joints, shape (..., 4, 3)."""
+        loads = read_vectors(wrench, "wrench", 6)
+        return np.asarray(self._each(lambda load: self._holding(load)[1].reshape(4, 3), (4, 3), wrench=loads))
+
+    def _holding(self, wrench: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return self._balance(-(self.kinematics.platform_jacobian.T @ wrench))
+
+    def singular_values(self) -> SingularValues:
+        """Return how near q is to each kind of singularity."""
+        return SingularValues(*self._each(self.kinematics.singular_values, SingularValues((), (), ())))
+
+    def joint_accelerations(self, acceleration: npt.ArrayLike) -> FloatArray:
+        """Return the accelerations of all joints (..., 18) for one of the terminal platform (..., 6)."""
+
+        def member(acceleration: FloatArray) -> FloatArray:
+            self._check_closed()
+            gaps, platform = self._bias()
+            kinematics = self.kinematics
+            return kinematics.inverse_factors.solve(kinematics.nondimensional(acceleration - platform, -gaps))
+
+        wanted = read_vectors(acceleration, "acceleration", 6)
+        return np.asarray(self._each(member, (18,), acceleration=wanted))
+
+    def joint_accelerations_of_legs(self, leg_accelerations: npt.ArrayLike) -> FloatArray:
+        """Return the accelerations of all joints (..., 18) for those of the legs (..., 6) [m/s²]."""
+
+        def member(accelerations: FloatArray) -> FloatArray:
+            self._check_closed()
+            return self.kinematics.velocities_of_legs(accelerations, self._bias()[0])
+
+        wanted = read_vectors(leg_accelerations, "leg_accelerations", 6)
+        return np.asarray(self._each(member, (18,), leg_accelerations=wanted))
+
+    def platform_acceleration(self, a: npt.ArrayLike) -> FloatArray:
+        """Return the time derivative of the twist of m (..., 6) [m/s², rad/s²] for joint accelerations (..., nv)."""
+
+        def member(a: FloatArray) -> FloatArray:
+            return self.kinematics.platform_jacobian @ a + self._bias()[1]
+
+        return np.asarray(self._each(member, (6,), a=read_vectors(a, "a", self._constrained.model.nv)))
+
+    def platform_dynamics(self) -> PlatformDynamics:
+        """Return the equations of motion at the terminal platform."""
+        shape = PlatformDynamics((6, 6), (6, 6), (6,), (6,))  # type: ignore[arg-type]
+        return PlatformDynamics(*self._each(self._platform_dynamics, shape))
+
+    def _platform_dynamics(self) -> PlatformDynamics:
+        self._check_closed()
+        kinematics, constrained, v = self.kinematics, self._constrained, self._rates
+        model, data, q, x = kinematics.model, kinematics.data, kinematics.q, kinematics.velocities_of_twists
+        pin.computeJointJacobiansTimeVariation(model, data, q, v)
+        *points, platform = (
+            pin.getFrameJacobianTimeVariation(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+            for frame in (*constrained.frames, constrained.platform_frame)
+        )
+        # K Ẋ = -K̇ X.
+        rates = kinematics.nondimensional(platform, constrained.linear_differences(points))
+        x_rate = -kinematics.inverse_factors.solve(rates @ x)
+        mass = kinematics.mass_matrix()
+        coriolis = x.T @ (mass @ x_rate + pin.computeCoriolisMatrix(model, data, q, v) @ x)
+        reflected = x.T @ mass @ x
+        gravity = x.T @ pin.computeGeneralizedGravity(model, data, q)
+        bias = coriolis @ (kinematics.platform_jacobian @ v)
+        return PlatformDynamics(0.5 * (reflected + reflected.T), coriolis, bias, gravity)
+
+    def natural_frequencies(self, stiffness: npt.ArrayLike) -> NaturalFrequencies:
+        """Return the vibrations Λ ẍ + K x = 0 on elastic legs, of stiffnesses K (..., 6, 6)."""
+        matrices = symmetric_matrices(
+            stiffness, "stiffness", 6, "in N/m, N/rad, N and N m/rad, as of spm_pin.stiffness"
+        )
+        flat = matrices.reshape(*matrices.shape[:-2], 36)
+        shape = NaturalFrequencies((6,), (6, 6))  # type: ignore[arg-type]
+        return NaturalFrequencies(*self._each(self._vibrations, shape, stiffness=flat))
+
+    def _vibrations(self, stiffness: FloatArray) -> NaturalFrequencies:
+        self.kinematics.check_closed()
+        x, expected = self.kinematics.velocities_of_twists, "a symmetric matrix, positive definite"
+        try:
+            squares, modes = eigh(stiffness.reshape(6, 6), x.T @ self.kinematics.mass_matrix() @ x)
+        except LinAlgError as error:
+            raise ArgumentError("stiffness", expected, str(error)) from error
+        if squares[0] <= 0.0:
+            raise ArgumentError("stiffness", expected, f"a least ω² of {squares[0]:g} 1/s²")
+        return NaturalFrequencies(np.sqrt(squares) / (2.0 * math.pi), modes.T)
+
+
+class ThreadState(threading.local):
+    """The state that a thread's calls about q and v compute in: its memory is kept between them."""
+
+    def __init__(self, kind: type[ConstrainedState], constrained: ConstrainedModel) -> None:
+        self.state: Any = kind(constrained)
+
+
+def at_index(error: SpmError, index: tuple[int, ...]) -> SpmError:
+    """Return an error that says as well which member of a batch it is about; `()` for a single member."""
+    if not index:
+        return error
+    if isinstance(error, SingularConfigurationError):
+        return SingularConfigurationError(error.kind, error.sigma_min, index)
+    if isinstance(error, ClosureError):
+        return ClosureError(error.residual, error.iterations, f"At batch index {index}. {error.cause}")
+    assert isinstance(error, ArgumentError)
+    return type(error)(error.argument, error.expected, f"{error.received} at batch index {index}", error.cause)

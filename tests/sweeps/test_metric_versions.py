@@ -1,0 +1,152 @@
+"""Versions of metrics: the values of one function are never taken for those of another."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import pickle
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cloudpickle
+import numpy as np
+import pytest
+import stores
+
+import spm_pin as spm
+from spm_pin.sweeps import METRICS, Metric, Points, metric
+from spm_pin.sweeps.metrics import unavailable
+
+FACTORS = {"factor": 1.0}
+
+
+def from_an_import(points: Points) -> Any:
+    import own_numbers  # type: ignore[import-not-found]
+
+    return own_numbers.FACTOR * points.coordinates[:, 0]
+
+
+def from_a_global(points: Points) -> Any:
+    return FACTORS["factor"] * points.coordinates[:, 0]
+
+
+def from_a_file(points: Points) -> Any:
+    return float(Path("factor.txt").read_text()) * points.coordinates[:, 0]
+
+
+def by_name(points: Points) -> Any:
+    return getattr(sys.modules[__name__], "FACTORS")["factor"] * points.coordinates[:, 0]  # noqa: B009
+
+
+@functools.cache
+def cached_factor() -> float:
+    return FACTORS["factor"]
+
+
+def from_a_cache(points: Points) -> Any:
+    return cached_factor() * points.coordinates[:, 0]
+
+
+def set_factor(value: float) -> None:
+    Path("own_numbers.py").write_text(f"FACTOR = {value}  # {'.' * int(value)}\n")
+    Path("factor.txt").write_text(str(value))
+    FACTORS["factor"] = value
+    cached_factor.cache_clear()
+    sys.modules.pop("own_numbers", None)
+
+
+@pytest.fixture
+def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    return tmp_path
+
+
+@pytest.mark.parametrize("function", [from_an_import, from_a_global, from_a_file, by_name, from_a_cache])
+def test_values_of_another_function_are_never_returned(function: Callable[..., Any], own_folder: Path) -> None:
+    store = own_folder / "map.zarr"
+
+    def swept(version: int | None) -> np.ndarray:
+        mine = Metric("mine", "m", "x scaled", function, version=version)
+        results = stores.small(store, metrics=[mine]).load()
+        return np.asarray((results.mine / results.x).mean())
+
+    set_factor(2.0)
+    assert swept(None) == pytest.approx(2.0)
+    before = stores.contents(store)
+    set_factor(3.0)
+    # Nothing tells the two functions apart: only a stated version may continue a store, complete or not.
+    for version in (None, 1):
+        with pytest.raises(spm.ArgumentError, match=r"mine without one.*version=|version is null in the store and 1"):
+            swept(version)
+    stores.records(store)[0].unlink()
+    with pytest.raises(spm.ArgumentError, match="mine without one"):
+        swept(None)
+    assert stores.contents(store).keys() == before.keys() - {"sweep/crc32c/c.0.0.0.0"}
+
+
+def test_a_stated_version_continues_its_store_and_no_other(own_folder: Path) -> None:
+    store = own_folder / "map.zarr"
+
+    def swept(version: int | str | None) -> Any:
+        return stores.small(store, metrics=[Metric("mine", "m", "", from_a_global, version=version)]).mine.values
+
+    set_factor(2.0)
+    first = swept(1)
+    stores.records(store)[2].unlink()
+    before = stores.contents(store)
+    set_factor(3.0)
+    for version in (2, "1", None, ""):
+        with pytest.raises(spm.ArgumentError, match=r"version is 1 in the store and .* in this sweep"):
+            swept(version)
+    assert stores.contents(store) == before
+    set_factor(2.0)
+    np.testing.assert_array_equal(swept(1), first)
+    assert len(stores.records(store)) == 7
+
+
+def test_a_changed_copy_of_a_package_metric_is_a_metric_of_ones_own(tmp_path: Path) -> None:
+    payload = METRICS["payload"]
+    assert payload.is_of_package
+    assert payload(push=2.0).is_of_package
+    for changes in ({"function": from_a_global}, {"dtype": "float32"}, {"name": "other"}):
+        assert not dataclasses.replace(payload, **changes).is_of_package  # type: ignore[arg-type]
+    store = tmp_path / "map.zarr"
+    stores.small(store, metrics=[payload])
+    with pytest.raises(spm.ArgumentError, match="is_of_package is true in the store and false in this sweep"):
+        stores.small(store, metrics=[dataclasses.replace(payload, function=from_a_global)])
+
+
+def test_metrics_keep_their_identity_on_the_way_to_workers() -> None:
+    mine = Metric("mine", "m", "", from_a_global, parameters={"a": 1}, version=3)
+    for made in (METRICS["conditioning"](length=0.3), METRICS["o_x"], mine):
+        for again in (pickle.loads(pickle.dumps(made)), cloudpickle.loads(cloudpickle.dumps(made))):
+            assert again.definition() == made.definition()
+            assert again == made
+
+
+def test_definitions_of_metrics_of_ones_own_cannot_be_computed() -> None:
+    mine = Metric("mine", "m", "", from_a_global, version=3)
+    again = Metric.from_definition(mine.definition())
+    assert again.definition() == mine.definition()
+    assert again.function is unavailable
+
+
+@metric("m", "x of the point, shifted and scaled", version=1)
+def shifted(points: Points, *, shift: float = 1.0, names: Any = ("a", "b")) -> Any:
+    return points.coordinates[:, 0] + shift
+
+
+def test_a_decorated_function_is_a_metric_with_parameters(tmp_path: Path) -> None:
+    assert (shifted.name, shifted.unit, shifted.version) == ("shifted", "m", 1)
+    assert dict(shifted.parameters) == {"shift": 1.0, "names": ["a", "b"]}
+    other = shifted(shift=3.0)
+    assert (other.parameters["shift"], other.version) == (3.0, 1)
+    results = stores.small(tmp_path / "map.zarr", metrics=[other])
+    np.testing.assert_array_equal(results.shifted, np.broadcast_to(results.x + 3.0, results.shifted.T.shape).T)
+    assert results.shifted.attrs["shift"] == 3.0
+    with pytest.raises(spm.ArgumentError, match=r"parameters.shift is 3.0 in the store and 1.0 in this sweep"):
+        stores.small(tmp_path / "map.zarr", metrics=[shifted])
