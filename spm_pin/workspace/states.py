@@ -20,7 +20,7 @@ from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import LEGS, Configuration, Geometry, LegLimits
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, check_instance, first_offender
-from spm_pin.mechanism.branches import FAMILIES, family, physical, tangent_signs
+from spm_pin.mechanism.branches import FAMILIES, TANGENT_SIGNS, family, physical
 
 CENTRE = np.zeros((1, 3))
 """The platform's centre o in {m}."""
@@ -93,7 +93,7 @@ class StateSet:
     def legs(self) -> FloatArray:
         """Axis, pivot, ball and offset of the legs of both stages, (2, 3, 10); axes are tangents of the platforms."""
         legs = self.geometry.legs
-        axes = tangent_signs(self.geometry)[:, None] * legs.axes
+        axes = TANGENT_SIGNS[:, None] * legs.axes
         balls = legs.balls * np.repeat(self._turns, 3, axis=0)
         return np.concatenate([axes, legs.pivots, balls, legs.offsets[:, None]], axis=-1).reshape(2, 3, 10)
 
@@ -287,7 +287,7 @@ class StateSet:
 
     @cached_property
     def _known_readings(self) -> FloatArray:
-        return self.readings(self.sample[:1])[0]
+        return np.asarray(self.readings(self.sample[:1])[0])
 
     @cached_property
     def sample(self) -> FloatArray:

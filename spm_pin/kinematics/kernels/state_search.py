@@ -17,6 +17,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from spm_pin.kinematics.formulas.stages import pair_determinant
+from spm_pin.kinematics.formulas.vectors import Rows
+from spm_pin.kinematics.formulas.wrenches import pairs
 from spm_pin.kinematics.kernels.compilation import jit, kernel
 from spm_pin.mechanism.arguments import FloatArray
 
@@ -214,51 +217,42 @@ def evaluate_stage(
 
 
 @jit
+def _rows(matrix: FloatArray) -> Rows:
+    return (
+        (matrix[0, 0], matrix[0, 1], matrix[0, 2]),
+        (matrix[1, 0], matrix[1, 1], matrix[1, 2]),
+        (matrix[2, 0], matrix[2, 1], matrix[2, 2]),
+    )
+
+
+@jit
 def _put_determinant(
     radius: float, aspect: float, height: float, values: FloatArray, slopes: FloatArray, work: FloatArray
 ) -> int:
-    """Write D = c12 c23 c31 + c21 c32 c13, c_ij = (b_i - b_j)·w_i, over its size at home; return where the stage is."""
-    balls, normals, ball_slopes, normal_slopes = work[3], work[4], work[5:8], work[8:11]
+    """Write D of the balls and the normals w_i in `work`, over its size at home; return where the stage is."""
+    b, w = _rows(work[3]), _rows(work[4])
+    # At home all six c_ij are 3/2 r times the sine of the legs' slope.
     unit = 1.0 / (6.75 * radius * radius * radius)
-    values[DETERMINANT] = 0.0
-    negative = 0
+    if aspect == 1.0 or aspect == -1.0:
+        unit *= aspect
+    c = pairs(b, w)
+    values[DETERMINANT] = unit * pair_determinant(c)
     for k in range(3):
-        slopes[DETERMINANT, k] = 0.0
-    for way in range(1, 3):
-        factors, changes = work[11, 0], work[11, 1:]
-        product = unit
-        for i in range(3):
-            other = (i + way) % 3
-            factor = 0.0
-            for j in range(3):
-                factor += (balls[i, j] - balls[other, j]) * normals[i, j]
-            factors[i] = factor
-            product *= factor
-            if factor < 0.0:
-                negative += 1
-        values[DETERMINANT] += product
-        for k in range(3):
-            for i in range(3):
-                other = (i + way) % 3
-                change = 0.0
-                for j in range(3):
-                    change += (ball_slopes[k, i, j] - ball_slopes[k, other, j]) * normals[i, j]
-                    change += (balls[i, j] - balls[other, j]) * normal_slopes[k, i, j]
-                changes[0, i] = change
-            slopes[DETERMINANT, k] += unit * (
-                changes[0, 0] * factors[1] * factors[2]
-                + factors[0] * changes[0, 1] * factors[2]
-                + factors[0] * factors[1] * changes[0, 2]
-            )
+        by_balls, by_normals = pairs(_rows(work[5 + k]), w), pairs(b, _rows(work[8 + k]))
+        slope = 0.0
+        for i in range(6):
+            first = 3 * (i // 3)
+            others = c[first + (i + 1) % 3] * c[first + (i + 2) % 3]
+            slope += (by_balls[i] + by_normals[i]) * others
+        slopes[DETERMINANT, k] = unit * slope
+    negative = 0
+    for i in range(6):
+        if c[i] < 0.0:
+            negative += 1
     if aspect == ANY_ASPECT:
         return INSIDE
-    if aspect == HOME_ASPECT:
-        if not (height > 0.0 and negative <= 1):
-            return OTHER_ASPECT
-    else:
-        values[DETERMINANT] *= aspect
-        for k in range(3):
-            slopes[DETERMINANT, k] *= aspect
+    if aspect == HOME_ASPECT and not (height > 0.0 and negative <= 1):
+        return OTHER_ASPECT
     if values[DETERMINANT] > 0.0:
         return INSIDE
     return BEYOND if values[DETERMINANT] > _BEYOND else OTHER_ASPECT
@@ -446,15 +440,11 @@ def _put_curvature(
                 place[:] = coordinates[stage]
                 place[k] += sign * _DIFFERENCE
                 upward = 1.0 - 2.0 * stage
-                found = evaluate_stage(
-                    place, legs[stage], radius, upward, ANY_ASPECT, other_values[stage], other_slopes[stage], work
+                where = evaluate_stage(
+                    place, legs[stage], radius, upward, aspects[stage], other_values[stage], other_slopes[stage], work
                 )
-                if found == NO_STATE:
+                if where == NO_STATE:
                     return False
-                if aspects[stage] == -1.0:
-                    other_values[stage, DETERMINANT] *= -1.0
-                    for j in range(3):
-                        other_slopes[stage, DETERMINANT, j] *= -1.0
                 _put_points(other_values, other_slopes, body, between, points, other_jacobian)
                 _put_limits(
                     other_values,
@@ -691,8 +681,8 @@ def search_nearest(
     """Search for the states within the limits that put the points of the body nearest to the `targets` (N, 3K).
 
     From all `starts` (N, M, 2, 3) by the Gauss-Newton method, limits penalised; from the best by Newton's method and
-    updates of the multipliers, `most` steps at most. A result that is not within the limits and in the wanted aspect is
-    replaced by the first of the starts, which has to be.
+    updates of the multipliers, `most` steps at most. A result that is not within the limits and in the wanted aspect,
+    or is farther than the first of the starts, is replaced by this, which has to be.
 
     Writes the states (N, 2, 3), their readings (N, 6), the multipliers of the readings' limits (N, 6), the
     distance [m] and the gradient of half its square (N, 2), infinite where the start has been taken.
@@ -702,7 +692,7 @@ def search_nearest(
     state, trial, work = _new_state(rows), _new_state(rows), np.empty((14, 3, 3))
     shifts, place, best, old = np.zeros(8), np.empty((2, 3)), np.empty((2, 3)), np.empty(8)
     for n in range(len(targets)):
-        target, least = targets[n], np.inf
+        target, least, first = targets[n], np.inf, np.inf
         shifts[:] = 0.0
         best[:] = starts[n, 0]
         for m in range(starts.shape[1]):
@@ -710,7 +700,10 @@ def search_nearest(
             weight = 1.0
             if _evaluate(machine, place, target, 1.0, shifts, state, work) < BEYOND:
                 continue
-            weight = math.sqrt(max(1.0, _REMOTE_PENALTY * _norm(state[2][:rows]) / size))
+            weight = _norm(state[2][:rows])
+            if m == 0:
+                first = weight
+            weight = math.sqrt(max(1.0, _REMOTE_PENALTY * weight / size))
             state[2][rows:] *= weight
             state[3][rows:] *= weight
             _minimise(machine, place, target, weight, shifts, GAUSS_NEWTON, _STEPS[GAUSS_NEWTON], state, trial, work)
@@ -742,7 +735,8 @@ def search_nearest(
             multipliers[n, row] = weight * weight * shifts[row]
         quality[n, 1] = _put_gradient(state[3], state[2], work[12].reshape(9))
         coordinates[n] = place
-        if not _snap(machine, coordinates[n], target, shifts, state, _SAME_STATE * size, readings[n], work):
+        kept = _snap(machine, coordinates[n], target, shifts, state, _SAME_STATE * size, readings[n], work)
+        if not kept or _norm(state[2][:rows]) > first + RESOLUTION * size:
             coordinates[n], shifts[:] = starts[n, 0], 0.0
             _snap(machine, coordinates[n], target, shifts, state, np.inf, readings[n], work)
             quality[n, 1], multipliers[n] = np.inf, 0.0
