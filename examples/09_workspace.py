@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import spm_pin as spm
-from spm_pin.display.shell_plots import shell_figure
+from spm_pin.display import shell_figure
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 geometry = spm.Geometry.paper()

@@ -59,11 +59,6 @@ def draw_shell(
 
     Parameters are those of `spm_pin.display.plots.draw`, with the shell for the configuration; `labels` names the
     patches that are seen well enough.
-
-    Raises
-    ------
-    ArgumentError
-        If `shell` is no Shell, `ax` is three-dimensional, or `view` is not two angles.
     """
     check_instance(shell, Shell, "shell", "Make one with workspace.workspace_shell(geometry)")
     camera = camera_axes(view)
@@ -141,13 +136,6 @@ def save_mesh(shell: Shell, path: str | Path) -> Path:
 
     STL and OBJ hold one closed mesh, PLY the same with the colours of the families. GLB holds each patch as a mesh of
     its own, named and coloured, and has its y axis upward, as that format requires.
-
-    Raises
-    ------
-    ArgumentError
-        If the name does not end in one of `MESH_FORMATS`, or the file cannot be written.
-    MissingExtraError
-        If trimesh is not installed.
     """
     path = file_path(path, suffixes=MESH_FORMATS)
     require_extra("plots", "trimesh")
@@ -191,16 +179,11 @@ def _patchwork(shell: Shell) -> bytes:
 class Plane:
     """A plane to cut with, given by a point of it in {B} [m], and orthogonal unit vectors in {B}."""
 
-    name: str
-    """Title of its picture."""
-    origin: tuple[float, float, float]
-    """Point of the plane in {B} [m]; the origin of the picture."""
-    across: tuple[float, float, float]
-    """Unit vector in {B}, to the right in the picture."""
-    up: tuple[float, float, float]
-    """Unit vector in {B}, upwards in the picture."""
-    labels: tuple[str, str]
-    """Labels of the two axes of the picture."""
+    name: str  # title of its picture
+    origin: tuple[float, float, float]  # point of the plane in {B} [m]; the origin of the picture
+    across: tuple[float, float, float]  # unit vector in {B}, to the right in the picture
+    up: tuple[float, float, float]  # unit vector in {B}, upwards in the picture
+    labels: tuple[str, str]  # labels of the two axes of the picture
 
     @classmethod
     def level(cls, height: float) -> Plane:
