@@ -39,7 +39,7 @@ from spm_pin.motion.path_states import MotionPath, PathRules, least_determinant,
 from spm_pin.multibody.loading import check_same_machine
 from spm_pin.multibody.trajectory import PlatformPath
 from spm_pin.proofs import Certificate
-from spm_pin.workspace.reachability.joint_limits import JointLimits
+from spm_pin.workspace.joint_limits import JointLimits
 
 Place = Configuration | PoseLike | npt.ArrayLike
 
