@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.kinematics.batches import run_kernel
+from spm_pin.kinematics.formulas.stages import corners, stage_equations
 from spm_pin.kinematics.kernels.compilation import kernel, readonly_array
-from spm_pin.kinematics.kernels.stage_equations import SAME, equations, placed
-from spm_pin.kinematics.kernels.stage_modes import PLACES, is_continuous, solve_mode, workspace
+from spm_pin.kinematics.kernels.stage_modes import PLACES, SAME, allocate_scratch, has_continuous_family, solve_mode
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 
 __all__ = ["MODES", "StageModes", "placement", "solve_stage"]
@@ -99,7 +99,7 @@ def placement(quaternion: FloatArray, height: FloatArray) -> tuple[FloatArray, F
         Position of the centre, and of the corners in the vertical planes of the legs, in units of r.
     """
     x1, x2, x3, x0 = np.moveaxis(quaternion, -1, 0)
-    radii, heights = placed(x0, x1, x2, x3, height)
+    radii, heights = corners(x0, x1, x2, x3, height)
     centre = np.stack([-2.0 * x1 * x2, x2 * x2 - x1 * x1, height], axis=-1)
     return centre, np.stack(radii, axis=-1), np.stack(heights, axis=-1)
 
@@ -115,14 +115,14 @@ def stage_modes(
     continuous: BoolArray,
 ) -> None:
     """Solve N stages in some modes; see `StageModes` for what is written."""
-    work = workspace()
-    kept = work[3]
+    scratch = allocate_scratch()
+    kept = scratch.kept
     for n in range(len(lengths)):
         for m in range(len(half_turned)):
             e, turned = epsilon[n], half_turned[m]
-            stage = equations(lengths[n, 0], lengths[n, 1], lengths[n, 2], -e if turned else e)
-            continuous[n, m] = is_continuous(lengths[n, 0], lengths[n, 1], lengths[n, 2], e, turned)
-            count = solve_mode(stage, turned, continuous[n, m], work)
+            stage = stage_equations(lengths[n, 0], lengths[n, 1], lengths[n, 2], -e if turned else e)
+            continuous[n, m] = has_continuous_family(lengths[n, 0], lengths[n, 1], lengths[n, 2], e, turned)
+            count = solve_mode(stage, turned, continuous[n, m], scratch)
             for k in range(PLACES):
                 there = k < count
                 for i in range(4):

@@ -150,8 +150,6 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "pose": lambda: STATE.pose,
     "position": lambda: STATE.translation,
     "q": lambda: q(),
-    "readings": lambda: STATE.readings,
-    "risk": lambda: 0.5,
     "rng": lambda: 0,
     "samples": lambda: 20,
     "second": lambda: STATE.pose,

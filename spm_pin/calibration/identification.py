@@ -266,11 +266,18 @@ def _minimize(
     evaluations: int = _EVALUATIONS,
 ) -> tuple[FloatArray, bool]:
     """Return the unknowns that least squares or a robust loss find from a first guess, and whether it converged."""
+
+    def flat(unknown: FloatArray) -> FloatArray:
+        return whitened(unknown).ravel()
+
+    def slopes(unknown: FloatArray) -> FloatArray:
+        return np.concatenate(jacobian(unknown))
+
     tolerances: Any = dict.fromkeys(("xtol", "ftol", "gtol"), _CONVERGED)
     result = scipy.optimize.least_squares(
-        lambda unknown: whitened(unknown).ravel(),
+        flat,
         first,
-        jac=lambda unknown: np.concatenate(jacobian(unknown)),
+        jac=slopes,
         loss=loss,  # type: ignore[arg-type]
         f_scale=scale,
         max_nfev=evaluations,

@@ -117,11 +117,6 @@ def tolerance(
     rng : numpy.random.Generator, seed, or None
         Source of states and samples.
 
-    Raises
-    ------
-    ArgumentError
-        If a name is unknown, a tolerance negative or not finite, or `states` do not exist or belong to another machine.
-
     Examples
     --------
     >>> import spm_pin as spm

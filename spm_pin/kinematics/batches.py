@@ -112,7 +112,7 @@ def run_kernel(
 def run_on_states(
     kernel: Callable[..., object],
     configuration: Configuration,
-    constants: Sequence[float],
+    constants: Sequence[Any],
     results: Sequence[Result],
     *,
     load: FloatArray | None = None,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -41,7 +42,8 @@ class FamilyForms:
     def of(cls, geometry: Geometry, quaternion: FloatArray, position: FloatArray) -> FamilyForms:
         """Set up the four forms for quaternions (N, 4), scalar last, and positions (N, 3) [m]."""
         matrices = np.moveaxis(Rotation.from_quat(quaternion).as_matrix(), 0, -1)
-        run = functools.partial(bind, where=np.where, both=np.logical_and)
+        # Arrays stand for numbers.
+        run: Any = functools.partial(bind, where=np.where, both=np.logical_and)
         frame = run(pose_frame)(tuple(map(tuple, matrices)), tuple(position.T), geometry.middle_radius)
         forms = [np.array(family[:3]) for family in run(families)(frame, geometry.middle_radius)]
         normal = np.where(frame.is_vertical, np.nan, frame.normal[0] + 1j * frame.normal[1])

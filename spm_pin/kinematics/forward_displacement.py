@@ -1,7 +1,7 @@
 """Forward displacement: every assembly mode of six leg lengths, the physical one, and the one near a state.
 
 The upper stage seen from {m} is a 3RPS stage like the lower one, so the two are solved independently, see
-`spm_pin.kinematics.kernels.stage_equations`, and every solution of one goes with every solution of the other.
+`spm_pin.kinematics.formulas.stages`, and every solution of one goes with every solution of the other.
 
 From a state, one mode is followed while the leg lengths change, in steps that are proved not to leave it: by the
 theorem of Newton and Kantorovich, if the inverse of the derivative times its Lipschitz constant times Newton's first

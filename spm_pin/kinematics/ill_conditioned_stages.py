@@ -16,8 +16,16 @@ import mpmath
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from spm_pin.kinematics.kernels import stage_equations
-from spm_pin.kinematics.kernels.quartic import quartic_coefficients
+from spm_pin.kinematics.formulas.operations import bind
+from spm_pin.kinematics.formulas.stages import (
+    StageEquations,
+    corners,
+    derivatives,
+    quartic,
+    residual,
+    stage_equations,
+    tilt_quadratic,
+)
 from spm_pin.kinematics.kernels.stage_modes import PLACES
 from spm_pin.mechanism.arguments import FloatArray
 
@@ -36,11 +44,11 @@ def solve_stage_with_more_digits(lengths: FloatArray, hip_radius: float, side: f
         legs = [mpmath.mpf(float(x)) / r for x in lengths]
         epsilon = mpmath.mpf(float(hip_radius)) / r
         for mode, signed in enumerate((epsilon, -epsilon)):
-            stage = _equations(legs, signed)
+            stage = bind(stage_equations, COS_30=mpmath.sqrt(3) / 2)(legs[0], legs[1], legs[2], signed)
             for place, state in enumerate(_in_order(_solutions(stage), mode == 1)[:PLACES]):
                 x0, x1, x2, zeta = (float(x) for x in state)
                 plain = (0.0, -x2, x1, x0, zeta) if mode else (x0, x1, x2, 0.0, zeta)
-                _, heights = stage_equations.placed(*plain)
+                _, heights = corners(*plain)
                 flat = max(abs(h) for h in heights) <= _SAME
                 for sheet in range(1 if flat else 2):
                     sign = above if sheet == 0 else -above
@@ -49,21 +57,15 @@ def solve_stage_with_more_digits(lengths: FloatArray, hip_radius: float, side: f
     return modes
 
 
-def _equations(legs: list[Any], epsilon: Any) -> tuple[Any, ...]:
-    a, b, c = (x * x for x in legs)
-    imag, real, mean = (a - c) * mpmath.sqrt(3) / 6, (2 * b - a - c) / 6, (a + b + c) / 3
-    return epsilon, mean - (1 - epsilon) ** 2, real, imag, mean + (1 + abs(epsilon)) ** 2, tuple(legs)
-
-
-def _solutions(stage: tuple[Any, ...]) -> list[list[Any]]:
+def _solutions(stage: StageEquations) -> list[list[Any]]:
     """Return all distinct solutions x0, x1, x2, ζ of one mode, ζ not negative."""
-    epsilon, _, real, imag = stage[:4]
-    kappa, size = 2 * epsilon - 1, mpmath.hypot(real, imag)
+    real, imag = stage.real, stage.imag
+    kappa, size = 2 * stage.epsilon - 1, mpmath.hypot(real, imag)
     nu = mpmath.mpc(real, imag) / size if size > 0 else mpmath.mpc(0.6, 0.8)
     mu, span = nu**3, mpmath.hypot(kappa, size) or mpmath.mpf(1)
     omega, gain = abs(kappa) / span, (-1 if kappa < 0 else 1) / span
     # Turned by an angle that no root shares, so that none is at infinity.
-    coefficients = quartic_coefficients(stage, size, mu.real, mu.imag, omega, gain)
+    coefficients = quartic(stage, size, mu.real, mu.imag, omega, gain)
     turn = mpmath.tan(mpmath.mpf("0.777"))
     polynomial = _substituted(coefficients, turn)
     found: list[list[Any]] = []
@@ -75,7 +77,7 @@ def _solutions(stage: tuple[Any, ...]) -> list[list[Any]]:
         gamma /= abs(gamma)
         delta = mpmath.mpc(gamma.real, omega * gamma.imag)
         a = size * gain * gamma.imag / abs(delta)
-        for start in _tilts(stage, kappa, delta / abs(delta) * mpmath.conj(nu), a):
+        for start in _tilts(stage, delta / abs(delta) * mpmath.conj(nu), a):
             state = _newton(stage, start)
             if state is not None and all(max(abs(x - y) for x, y in zip(state, s, strict=True)) > _SAME for s in found):
                 found.append(state)
@@ -89,14 +91,12 @@ def _substituted(coefficients: tuple[Any, ...], turn: Any) -> list[Any]:
     return list(reduce(operator.add, terms).coef)
 
 
-def _tilts(stage: tuple[Any, ...], kappa: Any, turn: Any, a: Any) -> list[list[Any]]:
+def _tilts(stage: StageEquations, turn: Any, a: Any) -> list[list[Any]]:
     """Return approximate solutions of one azimuth, see `kernels.quartic`."""
-    epsilon, level, real, imag = stage[:4]
-    b = real * turn.real - imag * turn.imag
+    epsilon, level, kappa = stage.epsilon, stage.level, 2 * stage.epsilon - 1
+    b = stage.real * turn.real - stage.imag * turn.imag
     cubed = turn**3
-    square = 4 * (a * a + b * cubed.real) - 4 * (2 * epsilon + level) - kappa * kappa
-    linear = 4 * kappa * a * a + 4 * level + 2 * kappa * b * cubed.real
-    constant = (kappa * a) ** 2 - b * b
+    square, linear, constant = tilt_quadratic(stage, a, b, cubed.real)
     root = mpmath.sqrt(max(linear * linear - 4 * square * constant, 0))
     larger = -(linear + (-root if linear < 0 else root)) / 2
     starts = []
@@ -110,14 +110,13 @@ def _tilts(stage: tuple[Any, ...], kappa: Any, turn: Any, a: Any) -> list[list[A
     return starts
 
 
-def _newton(stage: tuple[Any, ...], start: list[Any]) -> list[Any] | None:
+def _newton(stage: StageEquations, start: list[Any]) -> list[Any] | None:
     """Return the solution beside an approximate one, None if that is none."""
-    residual, derivatives = stage_equations.residual, stage_equations.derivatives
     x = mpmath.matrix(start)
     for _ in range(60):
         state = tuple(x)
         value = [*residual(stage, state), (state[0] ** 2 + state[1] ** 2 + state[2] ** 2 - 1) / 2]
-        if max(abs(v) for v in value) <= _SOLVED * stage[4]:
+        if max(abs(v) for v in value) <= _SOLVED * stage.scale:
             break
         rows = [list(row) for row in derivatives(stage, state)] + [[state[0], state[1], state[2], 0]]
         try:

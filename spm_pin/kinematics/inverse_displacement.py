@@ -41,7 +41,7 @@ from spm_pin.kinematics.batches import (
 )
 from spm_pin.kinematics.formulas.branches import ROUNDING
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, as_bool
-from spm_pin.mechanism.branches import BRANCHES, TANGENT_SIGNS
+from spm_pin.mechanism.branches import BRANCHES
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import PoseLike
@@ -265,10 +265,11 @@ def _as_built_physical(
     from spm_pin.kinematics.kernels.as_built_physical_kernel import certain_physical_branches
 
     machines = _machines(geometry)
-    if np.abs(machines[1] - machines[0]).max() > _LARGE:
+    error = float(np.abs(machines[1] - machines[0]).max())
+    if error > _LARGE:
         return _as_built_branches(geometry, shape, rotation, position, None).physical()
     drawn = _followed_branches(geometry, rotation, position)
-    constants = *machines, TANGENT_SIGNS, _length_bounds(geometry), geometry.middle_radius
+    constants = *machines, _length_bounds(geometry), error, geometry.middle_radius
     results = ((3, 3), np.float64), ((6,), np.float64), ((), np.bool_)
     joints, lengths, certain = run_kernel(
         certain_physical_branches,
@@ -399,7 +400,7 @@ def find_degeneracy(
 ) -> Degeneracy:
     """Describe the continuous families of a batch of this shape, N poses (N, 3, 3), (N, 3); set their `status` (N,).
 
-    Only poses that a kernel has `flagged` (N,) can have any, see `kernels.branch_tiles`.
+    Only poses that a kernel has `flagged` (N,) can have any, see `kernels.branch_kernels`.
     """
     n = len(flagged)
     dimension, families, legs = np.zeros(n, np.int8), np.zeros((n, 4), np.bool_), np.zeros((n, 3), np.bool_)
@@ -416,7 +417,7 @@ def _describe(
     """Return the dimension (N,), families (N, 4) and legs (N, 3) of `Degeneracy` of flagged poses.
 
     Where the two Z axes meet or cross, a family is continuous iff its form vanishes: (P : Q) is then free and
-    the family has one dimension. Where they are parallel, see `kernels.degeneracy_kernel`.
+    the family has one dimension. Where they are parallel, see `kernels.branch_kernels.continuous_families`.
     """
     from spm_pin.kinematics.kernels.branch_kernels import VERTICAL, continuous_families
 

@@ -1,8 +1,8 @@
 """Stiffness of the platform from that of the legs: along each leg, and across it where its structure gives way.
 
-With the forces of a stage as rows of J_b = [A_b; K_b] and J_c = [A_c; K_c], see `spm_pin.kinematics.rates_and_forces`, three
-along the legs and three along their revolute axes, both stages carry the whole load (they are in series), so that their
-compliances add:
+With the forces of a stage as rows of J_b = [A_b; K_b] and J_c = [A_c; K_c], see
+`spm_pin.kinematics.rates_and_forces`, three along the legs and three along their revolute axes, both stages carry the
+whole load (they are in series), so that their compliances add:
 
     C = J_b⁻¹ D_b J_b⁻ᵀ + J_c⁻¹ D_c J_c⁻ᵀ,    D = diag(1 / stiffness) of the six forces.
 

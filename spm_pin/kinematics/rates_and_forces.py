@@ -16,13 +16,13 @@ zeros alone read K t_L = (0, K_c t), thus t_L = X t with X = K⁻¹ [0; K_c], an
 Taking t_L out of the twelve equations by a Schur complement gives det J_f = det J_b det J_c / det K.
 
 Cut at the balls, either platform of a stage is held by its six forces, which balance the load wherever it is cut, so
-both stages carry the same: J_bᵀ (x_b, y_b) = -w and J_cᵀ (x_c, y_c) = -w with x along the legs, which is f = -Gᵀ w. K is
-not in it: forces stay finite and accurate at an inverse singularity, where J_f is infinite and -J_f⁻ᵀ w loses its digits.
+both stages carry the same: J_bᵀ (x_b, y_b) = -w and J_cᵀ (x_c, y_c) = -w with x along the legs, which is f = -Gᵀ w. K
+is not in it: forces stay finite and accurate at an inverse singularity, where J_f is infinite and -J_f⁻ᵀ w loses its
+digits.
 
-In a drawn machine the two balls at a corner coincide, and nothing of this takes a 6 x 6 decomposition: three equations
-in how far each joint moves along the one direction that its two forces leave open are enough, with determinants instead
-of pivots, see `spm_pin.kinematics.kernels.wrench_vectors`. Singular values decide about the few states that may be
-singular.
+Nothing of this takes a 6 x 6 decomposition: three equations in how far each ball moves along the one direction that
+its two forces leave open are enough, with determinants instead of pivots, see `spm_pin.kinematics.formulas.wrenches`.
+Singular values decide about the few states that may be singular.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ import numpy.typing as npt
 from spm_pin.errors import SingularConfigurationError
 from spm_pin.kinematics.batches import run_on_states
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, broadcastable, first_offender, real_array
+from spm_pin.mechanism.ball_triangles import upper_ball_weights
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 
@@ -77,9 +78,7 @@ def inverse_jacobian(configuration: Configuration) -> FloatArray:
     """
     from spm_pin.kinematics.kernels.jacobian_kernels import inverse_jacobians
 
-    if check_configuration(configuration).geometry.is_nominal:
-        return _matrices(configuration, inverse_jacobians, "inverse")
-    return _inverse_jacobian_of_six_legs(configuration)
+    return _matrices(configuration, inverse_jacobians, "inverse")
 
 
 def platform_jacobian(configuration: Configuration) -> FloatArray:
@@ -109,16 +108,14 @@ def platform_jacobian(configuration: Configuration) -> FloatArray:
     """
     from spm_pin.kinematics.kernels.jacobian_kernels import platform_jacobians
 
-    if check_configuration(configuration).geometry.is_nominal:
-        return _matrices(configuration, platform_jacobians, "forward")
-    inverses = stage_inverses(configuration)
-    return np.concatenate([inverses[..., 0, :, :3], inverses[..., 1, :, :3]], axis=-1)
+    return _matrices(configuration, platform_jacobians, "forward")
 
 
 def _matrices(configuration: Configuration, kernel: Callable[..., object], kind: str) -> FloatArray:
     """Return the matrices of `kernel`, shape (..., 6, 6), or raise at a singularity of this kind."""
-    results = ((6, 6), np.float64), ((), np.uint8)
-    matrices, suspect = run_on_states(kernel, configuration, singular_sizes(configuration.geometry), results)
+    geometry, results = check_configuration(configuration).geometry, (((6, 6), np.float64), ((), np.uint8))
+    constants = leg_constants(geometry), geometry.middle_side, SINGULAR
+    matrices, suspect = run_on_states(kernel, configuration, constants, results)
     refuse_singular(configuration, suspect.reshape(-1), kind)
     return np.asarray(matrices)
 
@@ -189,12 +186,9 @@ def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArra
     from spm_pin.kinematics.kernels.jacobian_kernels import stage_forces
 
     load = broadcast_argument(wrench, "wrench", "(f, m) at o in {B} in N and N m", configuration)
-    if not configuration.geometry.is_nominal:
-        jacobian = platform_jacobian(configuration)
-        return np.asarray(-(np.swapaxes(jacobian, -1, -2) @ load[..., None])[..., 0])
-    results = ((6,), np.float64), ((), np.uint8)
-    sizes = singular_sizes(configuration.geometry)
-    forces, doubtful = run_on_states(stage_forces, configuration, sizes, results, load=load)
+    geometry, results = configuration.geometry, (((6,), np.float64), ((), np.uint8))
+    constants = leg_constants(geometry), geometry.middle_side, SINGULAR
+    forces, doubtful = run_on_states(stage_forces, configuration, constants, results, load=load)
     if doubtful.any():
         # A state is as singular under any wrench: raises where one is.
         platform_jacobian(configuration)
@@ -252,9 +246,10 @@ class StageWrenches:
         return self.constraints.reshape(*self.exists.shape, 1, 6, 6)
 
 
-def singular_sizes(geometry: Geometry) -> tuple[float, float, float, float]:
-    """Return E, C, d [m], and `SINGULAR`, as the kernels that look for singular states take them."""
-    return *geometry.dimensions, SINGULAR
+def leg_constants(geometry: Geometry) -> FloatArray:
+    """Return axes and pivots of the six legs and `upper_ball_weights` (15, 3), as the kernels take a machine."""
+    legs = geometry.legs
+    return np.concatenate([legs.axes, legs.pivots, upper_ball_weights(legs.balls)])
 
 
 def refuse_singular(configuration: Configuration, suspect: npt.NDArray[np.uint8], kind: str) -> None:
@@ -319,20 +314,3 @@ def stage_inverses(configuration: Configuration) -> FloatArray:
 
 def _index(places: tuple[IntArray, ...], which: int) -> tuple[int, ...]:
     return tuple(int(axis[which]) for axis in places)
-
-
-@np.errstate(invalid="ignore")
-def _inverse_jacobian_of_six_legs(configuration: Configuration) -> FloatArray:
-    """Return J_f (..., 6, 6) of any machine, by an inverse of K."""
-    wrenches = regular_wrenches(configuration, "inverse")
-    lower, upper = wrenches.constraints[..., 0, :, :], wrenches.constraints[..., 1, :, :]
-    structure = np.concatenate([lower, upper], axis=-2)
-    # X = K⁻¹ [0; K_c], the twist of the middle platform for that of the terminal one.
-    middle = np.linalg.inv(structure)[..., 3:] @ upper
-    legs = wrenches.legs[..., 0, :, :] @ middle, wrenches.legs[..., 1, :, :] @ (np.eye(6) - middle)
-    rows = np.concatenate(legs, axis=-2)
-    # Rows that take (v, dω) at the middle platform's centre p, as rows that take (v, ω) at o:
-    # f · (ω x (p - o)) = ω · ((p - o) x f)
-    linear = rows[..., :3]
-    moments = wrenches.side * rows[..., 3:] + np.cross(-wrenches.lever[..., None, :], linear)
-    return np.concatenate([linear, moments], axis=-1)

@@ -1,7 +1,7 @@
 """Singularity analysis: kind, rank, distance, lost wrench and gained twist of configurations.
 
-Three 6 x 6 matrices decide, built as in `spm_pin.kinematics.rates_and_forces` from forces through the ball joints, at the
-middle platform's centre and with lengths in units of d, so that they are dimensionless and of order one:
+Three 6 x 6 matrices decide, built as in `spm_pin.kinematics.rates_and_forces` from forces through the ball joints, at
+the middle platform's centre and with lengths in units of d, so that they are dimensionless and of order one:
 
 - J_b and J_c, the six forces of the lower and of the upper stage. Where one is singular the locked legs of that
   stage let its platform move: a **forward** singularity (type 2, parallel).
@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.kinematics.batches import run_kernel, run_on_states
-from spm_pin.kinematics.rates_and_forces import SINGULAR, StageWrenches, platform_jacobian
+from spm_pin.kinematics.rates_and_forces import SINGULAR, leg_constants, platform_jacobian
 from spm_pin.mechanism.arguments import FloatArray, IntArray, first_offender, real_number, shaped_array
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 
@@ -138,11 +138,17 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
     .. [3] A. Nayak, S. Caro, P. Wenger, "Kinematic Analysis of the 3-RPS-3-SPR Series-Parallel Manipulator", Robotica
        37 (2019).
     """
+    from spm_pin.kinematics.kernels.singularity_kernel import describe_singularities
+
     tolerance = real_number(tolerance, "tolerance", "a number from 0 to below 1", least=0.0, below=1.0)
     geometry = check_configuration(configuration).geometry
     exists, side = configuration.exists, geometry.middle_side
-    describe = _singularities_of_drawn if geometry.is_nominal else _singularities_of_six_legs
-    described = describe(configuration, tolerance)
+    three, six = ((3,), np.float64), ((6,), np.float64)
+    results = (three, three, three, ((3,), np.int8), ((2,), np.bool_), ((3, 6), np.float64), six)
+    constants = leg_constants(geometry), side, tolerance, SINGULAR
+    described = run_on_states(
+        describe_singularities, configuration, constants, results, min_batch=_MIN_BATCH_PER_THREAD
+    )
     dets, largest, smallest, rank, flags, twists, wrench = described
     dependent, short = flags[..., 0], flags[..., 1]
     if short.any():
@@ -217,10 +223,7 @@ def determinants(configuration: Configuration) -> FloatArray:
     from spm_pin.kinematics.kernels.jacobian_kernels import all_determinants
 
     geometry = check_configuration(configuration).geometry
-    if not geometry.is_nominal:
-        return _determinants_of_six_legs(configuration)
-    sizes = geometry.base_radius, geometry.platform_radius
-    (dets,) = run_on_states(all_determinants, configuration, sizes, [((3,), np.float64)])
+    (dets,) = run_on_states(all_determinants, configuration, [leg_constants(geometry)], [((3,), np.float64)])
     return np.asarray(dets)
 
 
@@ -282,52 +285,3 @@ def determinant_gradients(configuration: Configuration) -> FloatArray:
         matrices = matrix(below, fixed, lower), matrix(above, turned, upper), structure
         gradients = [np.linalg.det(x).imag / _STEP * geometry.middle_side**3 for x in matrices]
     return np.stack(gradients, axis=-2)
-
-
-def _singularities_of_drawn(configuration: Configuration, tolerance: float) -> tuple[Any, ...]:
-    """Return the results of the kernel `describe_singularities`, with the leading axes of the states."""
-    from spm_pin.kinematics.kernels.singularity_kernel import describe_singularities
-
-    sizes = *configuration.geometry.dimensions, tolerance, SINGULAR
-    three, six = ((3,), np.float64), ((6,), np.float64)
-    results = (three, three, three, ((3,), np.int8), ((2,), np.bool_), ((3, 6), np.float64), six)
-    return run_on_states(describe_singularities, configuration, sizes, results, min_batch=_MIN_BATCH_PER_THREAD)
-
-
-@np.errstate(invalid="ignore")  # states that do not exist are NaN throughout
-def _determinants_of_six_legs(configuration: Configuration) -> FloatArray:
-    """Return det J_b, det J_c, det K (..., 3) [m³]; see `determinants`."""
-    wrenches = StageWrenches.from_configuration(configuration, short_legs=True)
-    return np.asarray(np.linalg.det(_matrices(wrenches)) * wrenches.side**3)
-
-
-def _singularities_of_six_legs(configuration: Configuration, tolerance: float) -> tuple[Any, ...]:
-    """Return what `_singularities_of_drawn` does, of any machine."""
-    wrenches = StageWrenches.from_configuration(configuration)
-    exists, side, lever = wrenches.exists, wrenches.side, wrenches.lever
-    # LAPACK does not take NaN.
-    matrices = np.where(exists[..., None, None, None], _matrices(wrenches), np.eye(6))
-    absent = np.where(exists, 0.0, np.nan)[..., None]
-    left, values, right = np.linalg.svd(matrices)
-    rank = np.where(exists[..., None], (values > tolerance * values[..., :1]).sum(axis=-1), 0).astype(np.int8)
-    structure = np.linalg.svd(
-        np.where(exists[..., None, None, None], wrenches.constraints, np.eye(3, 6)), compute_uv=False
-    )
-    dependent = exists & (structure[..., 2] <= tolerance * structure[..., 0]).any(axis=-1)
-    least = right[..., 5, :]
-    angular = least[..., 3:] / side
-    linear = least[..., :3] + np.cross(angular, lever[..., None, :])
-    twists = np.concatenate([linear, angular], axis=-1) + absent[..., None]
-    carried = (left[..., 2, None, 3:, 5] @ wrenches.constraints[..., 1, :, :])[..., 0, :]
-    force = carried[..., :3]
-    moment = side * carried[..., 3:] - np.cross(lever, force)
-    size, couple = (np.linalg.norm(part, axis=-1, keepdims=True) for part in (force, moment))
-    wrench = np.concatenate([force, moment], axis=-1) / np.where(size > SINGULAR * couple / side, size, couple)
-    flags = np.stack([dependent, np.zeros_like(dependent)], axis=-1)
-    volumes = np.linalg.det(matrices) * side**3 + absent
-    return volumes, values[..., 0] + absent, values[..., 5] + absent, rank, flags, twists, wrench + absent
-
-
-def _matrices(wrenches: StageWrenches) -> FloatArray:
-    """Return J_b, J_c and K (..., 3, 6, 6)."""
-    return np.concatenate([wrenches.matrices("forward"), wrenches.matrices("inverse")], axis=-3)

@@ -1,4 +1,4 @@
-"""The forces of the legs on the middle platform, and the motions they allow: `docs/theory/velocity.md`.
+"""The forces of the legs on the middle platform, and what they allow: `docs/theory/rates_forces_singularities.md`.
 
 A stage has three forces f_i through the ball joints b_i that hold, and three, a_i, that constrain. A motion of the
 platform moves b_i by
@@ -227,20 +227,49 @@ def _sum_of_products(f1: Rows, m1: Rows, f2: Rows, m2: Rows) -> float:
     return first + second + dot(times(m1, f1[2]), times(m2, f2[2]))
 
 
+def arms(balls: Rows, p: Vector, side: float) -> Rows:
+    """Return the lever arms of three balls about p in units of the middle platform's side."""
+    unit = 1.0 / side
+    return scaled(unit, minus(balls[0], p)), scaled(unit, minus(balls[1], p)), scaled(unit, minus(balls[2], p))
+
+
 def may_be_singular(b: Rows, f: Rows, a: Rows, side: float, singular: float) -> bool:
-    """Return whether the smallest singular value of the forces may be `singular` times the largest or less; NaN is not.
+    """Return whether the forces of a stage may be dependent: see `_is_suspect`."""
+    about = arms(b, mean(b), side)
+    size = _squared_size(about, f) + _squared_size(about, a)
+    return _is_suspect(pair_determinant(pairs(about, normals(f, a))), size, singular)
+
+
+def may_structure_be_singular(b: Rows, c: Rows, a: Rows, a_m: Rows, side: float, singular: float) -> bool:
+    """Return whether the six constraints K may be dependent where the upper legs' balls are not the lower ones'."""
+    lower, upper = arms(b, mean(b), side), arms(c, mean(b), side)
+    size = _squared_size(lower, a) + _squared_size(upper, a_m)
+    return _is_suspect(mixed_determinant(_rows(a, lower), _rows(a_m, upper)), size, singular)
+
+
+def _rows(forces: Rows, about: Rows) -> Matrix:
+    first, second = (forces[0], cross(about[0], forces[0])), (forces[1], cross(about[1], forces[1]))
+    return first, second, (forces[2], cross(about[2], forces[2]))
+
+
+def structure_determinant(b: Rows, c: Rows, a: Rows, a_m: Rows) -> float:
+    """Return det K of any machine."""
+    return mixed_determinant(_rows(a, b), _rows(a_m, c))
+
+
+def _is_suspect(determinant: float, squared_size: float, singular: float) -> bool:
+    """Return whether the smallest singular value of six forces may be `singular` times the largest or less; NaN is not.
 
     The five larger singular values multiply to at most (F²/5)^(5/2), F the Frobenius norm, so most matrices are known
     to be regular without a decomposition. The factor covers the determinant's rounding.
     """
-    p, unit = mean(b), 1.0 / side
-    arms = scaled(unit, minus(b[0], p)), scaled(unit, minus(b[1], p)), scaled(unit, minus(b[2], p))
-    square = _square(arms[0], f[0], a[0]) + _square(arms[1], f[1], a[1]) + _square(arms[2], f[2], a[2])
-    ratio = 5.0 / square
-    at_least = magnitude(pair_determinant(pairs(arms, normals(f, a)))) * (ratio * ratio * sqrt(ratio))
-    return at_least <= 1e3 * singular * sqrt(square)
+    ratio = 5.0 / squared_size
+    at_least = magnitude(determinant) * (ratio * ratio * sqrt(ratio))
+    return at_least <= 1e3 * singular * sqrt(squared_size)
 
 
-def _square(arm: Vector, f: Vector, a: Vector) -> float:
-    m, n = cross(arm, f), cross(arm, a)
-    return dot(f, f) + dot(a, a) + dot(m, m) + dot(n, n)
+def _squared_size(about: Rows, forces: Rows) -> float:
+    """Return the sum of the squares of three rows (f, arm x f)."""
+    x, y, z = cross(about[0], forces[0]), cross(about[1], forces[1]), cross(about[2], forces[2])
+    own = dot(forces[0], forces[0]) + dot(forces[1], forces[1]) + dot(forces[2], forces[2])
+    return own + dot(x, x) + dot(y, y) + dot(z, z)

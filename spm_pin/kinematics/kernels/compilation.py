@@ -110,7 +110,7 @@ class Kernel(Generic[P, R]):
         return "".join(compiled.inspect_asm().values())
 
 
-class _Announcement(event.Listener):  # type: ignore[misc]  # untyped
+class _Announcement(event.Listener):
     """What Numba tells when it begins to compile, and not when it loads what is kept."""
 
     def on_start(self, event: Any) -> None:

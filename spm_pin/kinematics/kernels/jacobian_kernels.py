@@ -1,214 +1,264 @@
-"""J_f, its inverse, leg forces and determinants of a batch of states, from forces through the ball joints.
+"""J_f, its inverse, leg forces and determinants of a batch of states, from forces through the balls of six legs.
 
 States are arrays of two batch axes, (outer, inner), of any strides: what all branches of a pose share need not be
-copied. Results are packed.
+copied. Results are packed. A machine is an array (15, 3): the axes and the pivots of the six legs, then the
+`upper_ball_weights`. Where these are zero the balls coincide in pairs, and K and J_f have a shorter form that keeps
+more digits near an inverse singularity.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.kinematics.kernels.compilation import TILE, jit_inline, kernel, readonly_array
-from spm_pin.kinematics.kernels.vectors import Vector, combined, cross, dot, minus, scaled
-from spm_pin.kinematics.kernels.wrench_vectors import (
-    BASE_AXES,
-    Three,
-    is_short,
-    is_suspect,
-    joints_of,
-    load,
-    lower_legs,
-    mean,
-    normals,
-    plane_determinant,
-    platform_axes,
-    position_of,
-    slides,
-    twist,
-    unit_rates,
-    upper_legs,
-    velocities,
+from spm_pin.kinematics.formulas.legs import StageLegs, carried, upper_balls
+from spm_pin.kinematics.formulas.vectors import Rows, Vector, direction, minus
+from spm_pin.kinematics.formulas.wrenches import (
+    Matrix,
+    determinant,
+    drawn_inverse_jacobian,
+    inverse_jacobian,
+    may_be_singular,
+    may_structure_be_singular,
+    stage_twists,
+    structure_determinant,
 )
+from spm_pin.kinematics.formulas.wrenches import stage_forces as forces_of_stage
+from spm_pin.kinematics.kernels.compilation import TILE, jit, jit_inline, kernel, readonly_array
 from spm_pin.mechanism.arguments import FloatArray
 
 ByteArray = npt.NDArray[np.uint8]
-_STATES = f"{readonly_array(4)}, {readonly_array(4)}, {readonly_array(3)}"
-_Six = tuple[float, float, float, float, float, float]
+STATES = f"{readonly_array(4)}, {readonly_array(4)}, {readonly_array(3)}"
+MACHINE = "f8[:,::1]"
+# Rows of a tile: b_1 to b_3, R, o; then the load of a state, and its results, the last of which is a flag.
+INPUTS = 21
+_LOAD, _RESULTS, _FLAG, _ROWS = 21, 27, 63, 64
 
-_UNIT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+class Machine(NamedTuple):
+    """The legs of a machine as numbers."""
+
+    lower: StageLegs
+    upper: StageLegs
+    weights: Rows
+    is_paired: bool  # the balls coincide in pairs
+
+
+class StateForces(NamedTuple):
+    """The forces of the legs of one state, in {B}."""
+
+    b: Rows
+    c: Rows  # balls of the upper legs
+    lower: Rows  # directions from pivot to ball
+    upper: Rows  # directions from ball to pivot
+    a: Rows
+    a_m: Rows  # axes of the upper legs
+    o: Vector
+    is_short: bool  # a leg has no length, hence a direction that is NaN, in a state that exists
 
 
 @jit_inline
-def _row(f: Vector, b: Vector, o: Vector) -> _Six:
-    """Return the force f through b as a row (f, (b - o) x f)."""
-    m = cross(minus(b, o), f)
-    return f[0], f[1], f[2], m[0], m[1], m[2]
+def rows_at(array: FloatArray, first: int) -> Rows:
+    """Return three rows of an array of vectors."""
+    x, y, z = array[first], array[first + 1], array[first + 2]
+    return (x[0], x[1], x[2]), (y[0], y[1], y[2]), (z[0], z[1], z[2])
 
 
 @jit_inline
-def _weighted(weights: Vector, first: _Six, second: _Six, third: _Six, j: int) -> float:
-    return weights[0] * first[j] + weights[1] * second[j] + weights[2] * third[j]
+def read_machine(machine: FloatArray) -> Machine:
+    """Return the legs of an array (15, 3) as numbers, so that a loop over a tile reads no second array."""
+    is_paired = True
+    for i in range(12, 15):
+        for j in range(3):
+            is_paired = is_paired and machine[i, j] == 0.0
+    lower = StageLegs(rows_at(machine, 0), rows_at(machine, 6))
+    return Machine(lower, StageLegs(rows_at(machine, 3), rows_at(machine, 9)), rows_at(machine, 12), is_paired)
 
 
 @jit_inline
-def _put_matrices(
-    out: FloatArray, flags: FloatArray, start: int, width: int, matrices: FloatArray, suspect: ByteArray
+def load(
+    joints: FloatArray, rotation: FloatArray, position: FloatArray, first: int, width: int, tile: FloatArray
 ) -> None:
+    """Fill rows b, R, o of a tile with states of arrays (outer, inner, ...), counted through both axes."""
+    inner = joints.shape[1]
     for k in range(width):
-        suspect[start + k] = np.uint8(flags[k])
-        for i in range(6):
-            row, j = matrices[start + k, i], 6 * i
-            row[0], row[1], row[2] = out[j, k], out[j + 1, k], out[j + 2, k]
-            row[3], row[4], row[5] = out[j + 3, k], out[j + 4, k], out[j + 5, k]
+        m, n = divmod(first + k, inner)
+        for i in range(3):
+            for j in range(3):
+                tile[3 * i + j, k] = joints[m, n, i, j]
+                tile[9 + 3 * i + j, k] = rotation[m, n, i, j]
+            tile[18 + i, k] = position[m, n, i]
 
 
-@kernel(f"void({_STATES}, f8, f8, f8, f8, f8[:,:,::1], u1[::1])")
+@jit_inline
+def _matrix(tile: FloatArray, first: int, k: int) -> Rows:
+    return (
+        (tile[first, k], tile[first + 1, k], tile[first + 2, k]),
+        (tile[first + 3, k], tile[first + 4, k], tile[first + 5, k]),
+        (tile[first + 6, k], tile[first + 7, k], tile[first + 8, k]),
+    )
+
+
+@jit_inline
+def state_forces(tile: FloatArray, k: int, machine: Machine) -> StateForces:
+    """Return the forces of the state in place k of a tile."""
+    b, o = _matrix(tile, 0, k), (tile[18, k], tile[19, k], tile[20, k])
+    c, above = upper_balls(b, machine.weights), carried(machine.upper, _matrix(tile, 9, k), o)
+    a, p = machine.lower.pivots, above.pivots
+    lower = direction(minus(b[0], a[0])), direction(minus(b[1], a[1])), direction(minus(b[2], a[2]))
+    upper = direction(minus(p[0], c[0])), direction(minus(p[1], c[1])), direction(minus(p[2], c[2]))
+    total = lower[0][0] + lower[1][0] + lower[2][0] + upper[0][0] + upper[1][0] + upper[2][0]
+    is_short = (b[0][0] == b[0][0]) & (total != total)
+    return StateForces(b, c, lower, upper, machine.lower.axes, above.axes, o, is_short)
+
+
+@jit_inline
+def _put_rows(tile: FloatArray, first: int, k: int, rows: Matrix) -> None:
+    for i in range(3):
+        for j in range(3):
+            tile[first + 6 * i + j, k], tile[first + 6 * i + 3 + j, k] = rows[i][0][j], rows[i][1][j]
+
+
+@jit_inline
+def _put_columns(tile: FloatArray, first: int, k: int, columns: Matrix) -> None:
+    for i in range(3):
+        for j in range(3):
+            tile[first + 6 * j + i, k], tile[first + 6 * (j + 3) + i, k] = columns[i][0][j], columns[i][1][j]
+
+
+@jit_inline
+def _store(tile: FloatArray, start: int, width: int, results: FloatArray, suspect: ByteArray) -> None:
+    for k in range(width):
+        suspect[start + k] = np.uint8(tile[_FLAG, k])
+        for i in range(results.shape[1]):
+            results[start + k, i] = tile[_RESULTS + i, k]
+
+
+@kernel(f"void({STATES}, {MACHINE}, f8, f8, f8[:,:,::1], u1[::1])")
 def inverse_jacobians(
     joints: FloatArray,
     rotation: FloatArray,
     position: FloatArray,
-    base_radius: float,
-    platform_radius: float,
+    machine: FloatArray,
     side: float,
     singular: float,
     matrices: FloatArray,
     suspect: ByteArray,
 ) -> None:
     """Write J_f (S, 6, 6), and where K may be singular (S,)."""
-    tile, out, flags = np.ones((21, TILE)), np.empty((36, TILE)), np.empty(TILE)
-    for start in range(0, len(suspect), TILE):
-        width = min(TILE, len(suspect) - start)
+    count, tile, legs = len(suspect), np.ones((_ROWS, TILE)), read_machine(machine)
+    for start in range(0, count, TILE):
+        width = min(TILE, count - start)
         load(joints, rotation, position, start, width, tile)
-        for k in range(TILE):
-            b, o, axes = joints_of(tile, k), position_of(tile, k), platform_axes(tile, k)
-            w = normals(axes, BASE_AXES)
-            n = unit_rates(BASE_AXES, w)
-            slide = slides(b, w, n)
-            # As seen from {B}, a motion of the platform carries the upper legs' planes, hence the b_i, along the R_i2.
-            first, second, third = _row(axes[0], b[0], o), _row(axes[1], b[1], o), _row(axes[2], b[2], o)
-            lower, upper = lower_legs(b, base_radius), upper_legs(b, tile, k, platform_radius)
-            doubtful = is_suspect(b, axes, BASE_AXES, w, side, singular) | is_short(b, lower) | is_short(b, upper)
-            flags[k] = 1.0 if doubtful else 0.0
-            for i in range(3):
-                fixed = _row(upper[i], b[i], o)
-                share = combined(scaled(dot(lower[i], w[i]), slide[i]), dot(lower[i], n[i]), _UNIT[i])
-                rest = combined(scaled(dot(upper[i], w[i]), slide[i]), dot(upper[i], n[i]), _UNIT[i])
-                for j in range(6):
-                    out[6 * i + j, k] = _weighted(share, first, second, third, j)
-                    out[6 * (i + 3) + j, k] = fixed[j] - _weighted(rest, first, second, third, j)
-        _put_matrices(out, flags, start, width, matrices, suspect)
+        if legs.is_paired:
+            for k in range(TILE):
+                s = state_forces(tile, k, legs)
+                lower, upper = drawn_inverse_jacobian(s.b, s.lower, s.upper, s.a, s.a_m, s.o)
+                tile[_FLAG, k] = 1.0 if s.is_short | may_be_singular(s.b, s.a_m, s.a, side, singular) else 0.0
+                _put_rows(tile, _RESULTS, k, lower)
+                _put_rows(tile, _RESULTS + 18, k, upper)
+        else:
+            for k in range(TILE):
+                s = state_forces(tile, k, legs)
+                lower, upper = inverse_jacobian(s.b, s.c, s.lower, s.upper, s.a, s.a_m, s.o)
+                doubtful = s.is_short | may_structure_be_singular(s.b, s.c, s.a, s.a_m, side, singular)
+                tile[_FLAG, k] = 1.0 if doubtful else 0.0
+                _put_rows(tile, _RESULTS, k, lower)
+                _put_rows(tile, _RESULTS + 18, k, upper)
+        _store(tile, start, width, matrices.reshape(count, 36), suspect)
 
 
 @jit_inline
-def _stage(
-    b: Three, tile: FloatArray, k: int, stage: int, base_radius: float, platform_radius: float
-) -> tuple[Three, Three]:
-    """Return the holding and the constraining forces of the lower stage, 0, or of the upper, 1."""
-    if stage == 0:
-        return lower_legs(b, base_radius), BASE_AXES
-    return upper_legs(b, tile, k, platform_radius), platform_axes(tile, k)
+def _both_twists(s: StateForces, side: float, singular: float) -> tuple[Matrix, Matrix, bool]:
+    """Return the twists of unit rates of the lower and of the upper legs, and whether J_b or J_c may be singular."""
+    doubtful = s.is_short | may_be_singular(s.b, s.lower, s.a, side, singular)
+    doubtful = doubtful | may_be_singular(s.c, s.upper, s.a_m, side, singular)
+    return stage_twists(s.b, s.lower, s.a, s.o), stage_twists(s.c, s.upper, s.a_m, s.o), doubtful
 
 
-@kernel(f"void({_STATES}, f8, f8, f8, f8, f8[:,:,::1], u1[::1])")
+@kernel(f"void({STATES}, {MACHINE}, f8, f8, f8[:,:,::1], u1[::1])")
 def platform_jacobians(
     joints: FloatArray,
     rotation: FloatArray,
     position: FloatArray,
-    base_radius: float,
-    platform_radius: float,
+    machine: FloatArray,
     side: float,
     singular: float,
     matrices: FloatArray,
     suspect: ByteArray,
 ) -> None:
     """Write G (S, 6, 6), and where J_b or J_c may be singular (S,)."""
-    tile, out, flags = np.ones((21, TILE)), np.empty((36, TILE)), np.empty(TILE)
-    for start in range(0, len(suspect), TILE):
-        width = min(TILE, len(suspect) - start)
+    count, tile, legs = len(suspect), np.ones((_ROWS, TILE)), read_machine(machine)
+    for start in range(0, count, TILE):
+        width = min(TILE, count - start)
         load(joints, rotation, position, start, width, tile)
-        flags[:] = 0.0
-        for stage in range(2):
-            for k in range(TILE):
-                b = joints_of(tile, k)
-                f, a = _stage(b, tile, k, stage, base_radius, platform_radius)
-                w = normals(f, a)
-                n = unit_rates(a, w)
-                slide = slides(b, w, n)
-                flags[k] += 1.0 if is_suspect(b, f, a, w, side, singular) | is_short(b, f) else 0.0
-                lever = minus(position_of(tile, k), mean(b))
-                for j in range(3):
-                    linear, angular = twist(b, velocities(w, n, slide, j))
-                    linear = combined(linear, 1.0, cross(angular, lever))
-                    column = 3 * stage + j
-                    for i in range(3):
-                        out[6 * i + column, k] = linear[i]
-                        out[6 * (i + 3) + column, k] = angular[i]
-        _put_matrices(out, flags, start, width, matrices, suspect)
+        for k in range(TILE):
+            lower, upper, doubtful = _both_twists(state_forces(tile, k, legs), side, singular)
+            tile[_FLAG, k] = 1.0 if doubtful else 0.0
+            _put_columns(tile, _RESULTS, k, lower)
+            _put_columns(tile, _RESULTS + 3, k, upper)
+        _store(tile, start, width, matrices.reshape(count, 36), suspect)
 
 
-@kernel(f"void({_STATES}, {readonly_array(3)}, f8, f8, f8, f8, f8[:,::1], u1[::1])")
+@kernel(f"void({STATES}, {readonly_array(3)}, {MACHINE}, f8, f8, f8[:,::1], u1[::1])")
 def stage_forces(
     joints: FloatArray,
     rotation: FloatArray,
     position: FloatArray,
     wrench: FloatArray,
-    base_radius: float,
-    platform_radius: float,
+    machine: FloatArray,
     side: float,
     singular: float,
     forces: FloatArray,
     suspect: ByteArray,
 ) -> None:
     """Write the leg forces (S, 6) that hold wrenches (outer, inner, 6), and where J_b or J_c may be singular (S,)."""
-    tile, out, flags, loads = np.ones((21, TILE)), np.empty((6, TILE)), np.empty(TILE), np.ones((6, TILE))
+    count, tile, legs = len(suspect), np.ones((_ROWS, TILE)), read_machine(machine)
     inner = joints.shape[1]
-    for start in range(0, len(suspect), TILE):
-        width = min(TILE, len(suspect) - start)
+    for start in range(0, count, TILE):
+        width = min(TILE, count - start)
         load(joints, rotation, position, start, width, tile)
         for k in range(width):
             m, n = divmod(start + k, inner)
             for i in range(6):
-                loads[i, k] = wrench[m, n, i]
-        flags[:] = 0.0
-        for stage in range(2):
-            for k in range(TILE):
-                b = joints_of(tile, k)
-                f, a = _stage(b, tile, k, stage, base_radius, platform_radius)
-                w = normals(f, a)
-                rates = unit_rates(a, w)
-                slide = slides(b, w, rates)
-                flags[k] += 1.0 if is_suspect(b, f, a, w, side, singular) | is_short(b, f) else 0.0
-                force, moment = (loads[0, k], loads[1, k], loads[2, k]), (loads[3, k], loads[4, k], loads[5, k])
-                moment = combined(moment, 1.0, cross(minus(position_of(tile, k), mean(b)), force))
-                for j in range(3):
-                    linear, angular = twist(b, velocities(w, rates, slide, j))
-                    out[3 * stage + j, k] = -dot(linear, force) - dot(angular, moment)
-        for k in range(width):
-            suspect[start + k] = np.uint8(flags[k])
-            for i in range(6):
-                forces[start + k, i] = out[i, k]
+                tile[_LOAD + i, k] = wrench[m, n, i]
+        for k in range(TILE):
+            lower, upper, doubtful = _both_twists(state_forces(tile, k, legs), side, singular)
+            tile[_FLAG, k] = 1.0 if doubtful else 0.0
+            force = tile[_LOAD, k], tile[_LOAD + 1, k], tile[_LOAD + 2, k]
+            moment = tile[_LOAD + 3, k], tile[_LOAD + 4, k], tile[_LOAD + 5, k]
+            below, above = forces_of_stage(lower, (force, moment)), forces_of_stage(upper, (force, moment))
+            for i in range(3):
+                tile[_RESULTS + i, k], tile[_RESULTS + 3 + i, k] = below[i], above[i]
+        _store(tile, start, width, forces, suspect)
 
 
-@kernel(f"void({_STATES}, f8, f8, f8[:,::1])")
+@jit
+def put_determinants(s: StateForces, is_paired: bool, tile: FloatArray, row: int, k: int) -> None:
+    """Write det J_b, det J_c, det K into three rows of a tile."""
+    tile[row, k] = determinant(s.b, s.lower, s.a)
+    tile[row + 1, k] = determinant(s.c, s.upper, s.a_m)
+    paired, mixed = determinant(s.b, s.a, s.a_m), structure_determinant(s.b, s.c, s.a, s.a_m)
+    tile[row + 2, k] = paired if is_paired else mixed
+
+
+@kernel(f"void({STATES}, {MACHINE}, f8[:,::1])")
 def all_determinants(
     joints: FloatArray,
     rotation: FloatArray,
     position: FloatArray,
-    base_radius: float,
-    platform_radius: float,
+    machine: FloatArray,
     determinants: FloatArray,
 ) -> None:
     """Write det J_b, det J_c, det K (S, 3)."""
-    tile, out = np.ones((21, TILE)), np.empty((3, TILE))
+    tile, legs = np.ones((_ROWS, TILE)), read_machine(machine)
     for start in range(0, len(determinants), TILE):
         width = min(TILE, len(determinants) - start)
         load(joints, rotation, position, start, width, tile)
         for k in range(TILE):
-            b, axes = joints_of(tile, k), platform_axes(tile, k)
-            out[0, k] = -plane_determinant(b, normals(lower_legs(b, base_radius), BASE_AXES))
-            out[1, k] = -plane_determinant(b, normals(upper_legs(b, tile, k, platform_radius), axes))
-            out[2, k] = -plane_determinant(b, normals(BASE_AXES, axes))
+            put_determinants(state_forces(tile, k, legs), legs.is_paired, tile, _RESULTS, k)
         for k in range(width):
             for i in range(3):
-                determinants[start + k, i] = out[i, k]
+                determinants[start + k, i] = tile[_RESULTS + i, k]

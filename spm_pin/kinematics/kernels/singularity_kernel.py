@@ -5,7 +5,19 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array
+from spm_pin.kinematics.formulas.vectors import Rows, Vector, combined, cross, dot, minus, scaled
+from spm_pin.kinematics.formulas.wrenches import arms, mean
+from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel
+from spm_pin.kinematics.kernels.jacobian_kernels import (
+    INPUTS,
+    MACHINE,
+    STATES,
+    Machine,
+    load,
+    put_determinants,
+    read_machine,
+    state_forces,
+)
 from spm_pin.kinematics.kernels.singular_values import (
     LANES,
     WIDTH,
@@ -15,27 +27,11 @@ from spm_pin.kinematics.kernels.singular_values import (
     put_smallest_last,
     triangularize,
 )
-from spm_pin.kinematics.kernels.vectors import Vector, combined, cross, dot, minus, scaled
-from spm_pin.kinematics.kernels.wrench_vectors import (
-    BASE_AXES,
-    Three,
-    is_short,
-    joints_of,
-    load,
-    lower_legs,
-    mean,
-    normals,
-    plane_determinant,
-    platform_axes,
-    position_of,
-    upper_legs,
-)
 from spm_pin.mechanism.arguments import FloatArray
 
-ByteArray = npt.NDArray[np.uint8]
-_STATES = f"{readonly_array(4)}, {readonly_array(4)}, {readonly_array(3)}"
 # Blocks of three rows of a tile: the forces of the lower and of the upper legs, and their revolute axes.
 _LOWER, _UPPER, _LOWER_AXES, _UPPER_AXES = range(4)
+_LEVER = 6
 # The blocks of J_b, J_c and K.
 _FIRST, _SECOND = (_LOWER, _UPPER, _LOWER_AXES), (_LOWER_AXES, _UPPER_AXES, _UPPER_AXES)
 
@@ -55,47 +51,37 @@ def _put_six(row: FloatArray, first: Vector, second: Vector) -> None:
 
 
 @jit_inline
-def _put_block(blocks: FloatArray, block: int, k: int, forces: Three, arms: Three) -> None:
+def _put_block(blocks: FloatArray, block: int, k: int, forces: Rows, about: Rows) -> None:
     for i in range(3):
-        _put_row(blocks, block, i, k, forces[i], arms[i])
-
-
-@jit_inline
-def _lever(tile: FloatArray, k: int) -> Vector:
-    """Return o - p."""
-    return minus(position_of(tile, k), mean(joints_of(tile, k)))
+        _put_row(blocks, block, i, k, forces[i], about[i])
 
 
 @jit
 def _set_up(
-    tile: FloatArray,
-    k: int,
-    base_radius: float,
-    platform_radius: float,
-    side: float,
-    tolerance: float,
-    blocks: FloatArray,
-    out: FloatArray,
+    tile: FloatArray, k: int, legs: Machine, side: float, tolerance: float, blocks: FloatArray, out: FloatArray
 ) -> None:
     """Write the forces of one state into its blocks, and what follows from them alone into `out`.
 
-    That is the determinants, 1 if a leg is short, and for both stages 1 if the constraints may be dependent. Not part
-    of the loop over the states, which would take seconds to compile.
+    That is the determinants, 1 if a leg is short, and for both stages 1 if the constraints may be dependent; then o
+    less the lower balls' centre. Not part of the loop over the states, which would take seconds to compile.
     """
-    b, axes = joints_of(tile, k), platform_axes(tile, k)
-    lower, upper = lower_legs(b, base_radius), upper_legs(b, tile, k, platform_radius)
-    p, unit = mean(b), 1.0 / side
-    arms = scaled(unit, minus(b[0], p)), scaled(unit, minus(b[1], p)), scaled(unit, minus(b[2], p))
-    out[0, k] = -plane_determinant(b, normals(lower, BASE_AXES))
-    out[1, k] = -plane_determinant(b, normals(upper, axes))
-    out[2, k] = -plane_determinant(b, normals(BASE_AXES, axes))
-    out[3, k] = 1.0 if is_short(b, lower) | is_short(b, upper) else 0.0
-    _put_block(blocks, _LOWER, k, lower, arms)
-    _put_block(blocks, _UPPER, k, upper, arms)
-    _put_block(blocks, _LOWER_AXES, k, BASE_AXES, arms)
-    _put_block(blocks, _UPPER_AXES, k, axes, arms)
+    s = state_forces(tile, k, legs)
+    p = mean(s.b)
+    lower, upper, lever = arms(s.b, p, side), arms(s.c, p, side), minus(s.o, p)
+    put_determinants(s, legs.is_paired, out, 0, k)
+    out[3, k] = 1.0 if s.is_short else 0.0
+    _put_block(blocks, _LOWER, k, s.lower, lower)
+    _put_block(blocks, _UPPER, k, s.upper, upper)
+    _put_block(blocks, _LOWER_AXES, k, s.a, lower)
+    _put_block(blocks, _UPPER_AXES, k, s.a_m, upper)
     for stage in range(2):
         out[4 + stage, k] = 0.0 if _are_independent(blocks[_LOWER_AXES + stage], k, tolerance) else 1.0
+    out[_LEVER, k], out[_LEVER + 1, k], out[_LEVER + 2, k] = lever
+
+
+@jit_inline
+def _lever(out: FloatArray, k: int) -> Vector:
+    return out[_LEVER, k], out[_LEVER + 1, k], out[_LEVER + 2, k]
 
 
 @jit_inline
@@ -152,10 +138,10 @@ def _count(norms: FloatArray, k: int, tolerance: float) -> tuple[float, int]:
 
 
 @jit
-def _store_twist(vector: FloatArray, tile: FloatArray, k: int, side: float, twist: FloatArray) -> None:
+def _store_twist(vector: FloatArray, out: FloatArray, k: int, side: float, twist: FloatArray) -> None:
     """Write the twist (6,) of a right singular vector."""
     angular = scaled(1.0 / side, (vector[4, k], vector[5, k], vector[3, k]))
-    linear = combined((vector[0, k], vector[1, k], vector[2, k]), 1.0, cross(angular, _lever(tile, k)))
+    linear = combined((vector[0, k], vector[1, k], vector[2, k]), 1.0, cross(angular, _lever(out, k)))
     _put_six(twist, linear, angular)
 
 
@@ -163,7 +149,7 @@ def _store_twist(vector: FloatArray, tile: FloatArray, k: int, side: float, twis
 def _store_wrench(
     rows: FloatArray,
     weights: FloatArray,
-    tile: FloatArray,
+    out: FloatArray,
     k: int,
     side: float,
     couple_only: float,
@@ -173,7 +159,7 @@ def _store_wrench(
     for c in range(WIDTH):
         wrench[c] = weights[0, k] * rows[0, c, k] + weights[1, k] * rows[1, c, k] + weights[2, k] * rows[2, c, k]
     force, moment = (wrench[0], wrench[1], wrench[2]), scaled(side, (wrench[4], wrench[5], wrench[3]))
-    moment = combined(moment, -1.0, cross(_lever(tile, k), force))
+    moment = combined(moment, -1.0, cross(_lever(out, k), force))
     size, couple = np.sqrt(dot(force, force)), np.sqrt(dot(moment, moment))
     scale = 1.0 / (size if size > couple_only * couple / side else couple)
     _put_six(wrench, scaled(scale, force), scaled(scale, moment))
@@ -192,15 +178,14 @@ def _multiply(matrix: FloatArray, vector: FloatArray, image: FloatArray) -> None
 
 
 @kernel(
-    f"void({_STATES}, f8, f8, f8, f8, f8, f8[:,::1], f8[:,::1], f8[:,::1], i1[:,::1], b1[:,::1], f8[:,:,::1], "
+    f"void({STATES}, {MACHINE}, f8, f8, f8, f8[:,::1], f8[:,::1], f8[:,::1], i1[:,::1], b1[:,::1], f8[:,:,::1], "
     "f8[:,::1])"
 )
 def describe_singularities(
     joints: FloatArray,
     rotation: FloatArray,
     position: FloatArray,
-    base_radius: float,
-    platform_radius: float,
+    machine: FloatArray,
     side: float,
     tolerance: float,
     couple_only: float,
@@ -218,8 +203,10 @@ def describe_singularities(
     ----------
     joints, rotation, position : ndarray, shapes (outer, inner, 3, 3), (outer, inner, 3, 3), (outer, inner, 3)
         b_i, R, o [m].
-    base_radius, platform_radius, side : float
-        E, C, d [m].
+    machine : ndarray, shape (15, 3)
+        The legs, see `jacobian_kernels`.
+    side : float
+        d [m].
     tolerance : float
         A singular value counts that is larger than this times the largest.
     couple_only : float
@@ -235,16 +222,16 @@ def describe_singularities(
         Sum of the upper constraints at o, weighted by the left singular vector of K, of |f| = 1, or |m| = 1.
     """
     lanes = min(LANES, len(determinants))
-    tile, blocks = np.ones((21, lanes)), np.empty((4, 3, WIDTH, lanes))
+    tile, blocks, legs = np.ones((INPUTS, lanes)), np.empty((4, 3, WIDTH, lanes)), read_machine(machine)
     rows, images = np.ones((WIDTH, WIDTH, lanes)), np.zeros((WIDTH, WIDTH, lanes))
-    norms, work, out = np.empty((WIDTH, lanes)), np.empty((WIDTH, lanes)), np.empty((6, lanes))
+    norms, work, out = np.empty((WIDTH, lanes)), np.empty((WIDTH, lanes)), np.empty((9, lanes))
     right, left = np.empty((WIDTH, lanes)), np.empty((WIDTH, lanes))
     for start in range(0, len(determinants), LANES):
         width = min(LANES, len(determinants) - start)
         load(joints, rotation, position, start, width, tile)
         doubtful = False
         for k in range(lanes):
-            _set_up(tile, k, base_radius, platform_radius, side, tolerance, blocks, out)
+            _set_up(tile, k, legs, side, tolerance, blocks, out)
             doubtful = doubtful | (out[4, k] + out[5, k] > 0.0)
         for k in range(width):
             flags[start + k, 0], flags[start + k, 1] = False, out[3, k] > 0.0
@@ -273,6 +260,6 @@ def describe_singularities(
             for k in range(width):
                 largest[start + k, which], rank[start + k, which] = _count(norms, k, tolerance)
                 smallest[start + k, which] = norms[WIDTH - 1, k]
-                _store_twist(right, tile, k, side, twists[start + k, which])
+                _store_twist(right, out, k, side, twists[start + k, which])
         for k in range(width):
-            _store_wrench(blocks[_UPPER_AXES], left[3:], tile, k, side, couple_only, wrench[start + k])
+            _store_wrench(blocks[_UPPER_AXES], left[3:], out, k, side, couple_only, wrench[start + k])

@@ -196,8 +196,8 @@ def _distance(first: FloatArray, second: FloatArray) -> float:
 def solve_mode(stage: StageEquations, half_turned: bool, is_continuous: bool, scratch: Scratch) -> int:
     """Find the solutions of one mode, and count them.
 
-    They are put into the first rows of `scratch.kept`, by falling mean radius of the corners; where nine digits of it agree,
-    by the azimuth of the tilt axis.
+    They are put into the first rows of `scratch.kept`, by falling mean radius of the corners; where nine digits of it
+    agree, by the azimuth of the tilt axis.
     """
     roots, starts, ends, kept = scratch
     solutions = 0
