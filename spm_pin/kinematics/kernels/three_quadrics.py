@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from spm_pin.kinematics.formulas.quadrics import StagePlanes, quadric, rotation
-from spm_pin.kinematics.formulas.vectors import dot
+from spm_pin.kinematics.formulas.vectors import Rows
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline
 from spm_pin.mechanism.arguments import FloatArray
 
@@ -23,22 +23,16 @@ _FLAT = 1e-13
 
 
 @jit_inline
+def rows_at(array: FloatArray, first: int) -> Rows:
+    """Return three rows of an array of vectors."""
+    x, y, z = array[first], array[first + 1], array[first + 2]
+    return (x[0], x[1], x[2]), (y[0], y[1], y[2]), (z[0], z[1], z[2])
+
+
+@jit_inline
 def allocate_planes() -> Planes:
     """Allocate the arrays of six planes."""
     return np.empty((6, 3)), np.empty(6), np.empty((6, 3)), np.empty((6, 9))
-
-
-@jit_inline
-def _rows(array, i):  # type: ignore[no-untyped-def]
-    """Return three rows of an array (n, 3) as scalars, row i the first."""
-    first, second = (array[i, 0], array[i, 1], array[i, 2]), (array[i + 1, 0], array[i + 1, 1], array[i + 1, 2])
-    return first, second, (array[i + 2, 0], array[i + 2, 1], array[i + 2, 2])
-
-
-@jit_inline
-def _stage_planes(planes, i):  # type: ignore[no-untyped-def]
-    normals, heights, balls, _ = planes
-    return StagePlanes(_rows(normals, i), (heights[i], heights[i + 1], heights[i + 2]), _rows(balls, i))
 
 
 @jit
@@ -57,7 +51,7 @@ def put_quadrics(planes: Planes, forms: FloatArray) -> bool:
     bool
         Whether the normals span space; if not, t is not determined by the rotation.
     """
-    normals, _, _, factors = planes
+    normals, heights, balls, factors = planes
     # Householder reflections of (normals | identity), the identity's last three rows being the null space.
     for i in range(6):
         for j in range(3):
@@ -85,22 +79,24 @@ def put_quadrics(planes: Planes, forms: FloatArray) -> bool:
             factors[j, k] -= total * pivot
             for i in range(j + 1, 6):
                 factors[i, k] -= total * column[i]
-    lower, upper = _stage_planes(planes, 0), _stage_planes(planes, 3)
+    lower = StagePlanes(rows_at(normals, 0), (heights[0], heights[1], heights[2]), rows_at(balls, 0))
+    upper = StagePlanes(rows_at(normals, 3), (heights[3], heights[4], heights[5]), rows_at(balls, 3))
     for k in range(3):
-        weights = factors[3 + k, 3:]
-        q = quadric((weights[0], weights[1], weights[2]), (weights[3], weights[4], weights[5]), lower, upper)
-        square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
-        square += 2.0 * (q[4] * q[4] + q[5] * q[5] + q[6] * q[6] + q[7] * q[7] + q[8] * q[8] + q[9] * q[9])
-        scale = 1.0 / math.sqrt(square) if square > 0.0 else 0.0
-        form = forms[k]
+        weights, form = factors[3 + k, 3:], forms[k]
+        numbers = quadric((weights[0], weights[1], weights[2]), (weights[3], weights[4], weights[5]), lower, upper)
+        form[0, 0], form[1, 1], form[2, 2], form[3, 3] = numbers[0], numbers[1], numbers[2], numbers[3]
+        form[0, 1], form[0, 2], form[1, 2] = numbers[4], numbers[5], numbers[6]
+        form[0, 3], form[1, 3], form[2, 3] = numbers[7], numbers[8], numbers[9]
+        square = 0.0
         for i in range(4):
-            form[i, i] = scale * q[i]
-        form[0, 1] = form[1, 0] = scale * q[4]
-        form[0, 2] = form[2, 0] = scale * q[5]
-        form[1, 2] = form[2, 1] = scale * q[6]
-        form[0, 3] = form[3, 0] = scale * q[7]
-        form[1, 3] = form[3, 1] = scale * q[8]
-        form[2, 3] = form[3, 2] = scale * q[9]
+            for j in range(i):
+                form[i, j] = form[j, i]
+                square += 2.0 * form[i, j] * form[i, j]
+            square += form[i, i] * form[i, i]
+        scale = 1.0 / math.sqrt(square) if square > 0.0 else 0.0
+        for i in range(4):
+            for j in range(4):
+                form[i, j] *= scale
     return spans
 
 
@@ -136,11 +132,12 @@ def put_quaternion(b: FloatArray, x: FloatArray) -> None:
 def image(x, planes, joints):  # type: ignore[no-untyped-def]
     """Write the six ball centres (6, 3) in {B} of a root, four numbers, for planes as `put_quadrics` left them."""
     normals, heights, balls, factors = planes
-    first, second, third = rotation(x[0], x[1], x[2], x[3])
-    s0 = s1 = s2 = 0.0 * first[0]
+    a, b, c, d = x[0], x[1], x[2], x[3]
+    (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = rotation(a, b, c, d)
+    s0 = s1 = s2 = 0.0 * r00
     for i in range(6):
-        ball = balls[i, 0], balls[i, 1], balls[i, 2]
-        y0, y1, y2 = dot(first, ball), dot(second, ball), dot(third, ball)
+        p0, p1, p2 = balls[i, 0], balls[i, 1], balls[i, 2]
+        y0, y1, y2 = r00 * p0 + r01 * p1 + r02 * p2, r10 * p0 + r11 * p1 + r12 * p2, r20 * p0 + r21 * p1 + r22 * p2
         joints[i, 0], joints[i, 1], joints[i, 2] = y0, y1, y2
         gap = heights[i] - (normals[i, 0] * y0 + normals[i, 1] * y1 + normals[i, 2] * y2)
         s0 += factors[0, 3 + i] * gap
