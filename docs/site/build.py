@@ -39,7 +39,7 @@ PUBLIC = {
     "spm_pin.nlp": "the loop equations in CasADi, and the branches found from them by multi-start",
     "spm_pin.symbolic": "the closed forms as CasADi functions, and in C for controllers",
     "spm_pin.crosscheck": "methods compared on random poses, and the paper's tables recomputed",
-    "spm_pin.description": "the robot's files, and its text in URDF, MJCF, SDFormat, SRDF and Extended-URDF for any geometry",
+    "spm_pin.description": "the robot's files, and its text in URDF, MJCF, SDFormat, SRDF and Extended-URDF",
     "spm_pin.display": "pictures, figures of results, mesh files and the viewer",
     "spm_pin.errors": "what is raised, and what it carries",
 }

@@ -32,8 +32,7 @@ from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_frames import home_lengths
 from spm_pin.mechanism.leg_limits import LEGS
-from spm_pin.mechanism.solution_status import Degeneracy, Status
-from spm_pin.mechanism.solutions import SolutionSet
+from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
 from spm_pin.mechanism.units import unit_hint
 
 STAGE_MODES = tuple(f"{mode}{place + 1}{sheet}" for mode in "TF" for place in range(4) for sheet in "+-")
