@@ -42,46 +42,32 @@ public:
 
   controller_interface::return_type update(const rclcpp::Time &, const rclcpp::Duration &) override
   {
-    std::array<double, 6> lengths{};
+    std::array<double, 6> readings{};
     for (std::size_t i = 0; i < LEGS.size(); ++i) {
-      lengths[i] = state_interfaces_[i].get_value();
+      readings[i] = state_interfaces_[i].get_value();
     }
     // From where it was, so that the assembly mode never changes unnoticed; anew where that is not known.
-    const spm_state * seed = measured_status == SPM_OK ? &measured : nullptr;
-    measured_status = spm_forward_physical(&spm_machine, lengths.data(), seed, &measured);
+    const spm_state * near = measured_status == SPM_OK ? &measured : nullptr;
+    measured_status = spm_forward(&spm_machine, readings.data(), near, &measured);
 
     if (has_reference) {
-      spm_branches branches;
-      status = spm_inverse(&spm_machine, reference.rotation.data(), reference.position.data(), &branches);
-      if (status == SPM_OK && !branches.real[0]) {
-        status = SPM_NOT_PHYSICAL;
-      }
-      // A pose may be held in both TT+ and TT-; the machine stays in the one that it is in.
-      const bool other = distance(branches.lengths[1], lengths) < distance(branches.lengths[0], lengths);
-      const double * wanted = branches.lengths[other ? 1 : 0];
+      // On the branch that the machine is in: a pose may be held in two, and a jump from one to the other breaks it.
+      spm_state wanted{};
+      near = measured_status == SPM_OK ? &measured : nullptr;
+      status = spm_inverse(&spm_machine, reference.rotation.data(), reference.position.data(), near, &wanted);
       for (std::size_t i = 0; i < LEGS.size() && status == SPM_OK; ++i) {
-        if (wanted[i] < spm_machine.minimum[i] || wanted[i] > spm_machine.maximum[i]) {
+        if (wanted.readings[i] < spm_machine.minimum[i] || wanted.readings[i] > spm_machine.maximum[i]) {
           status = SPM_UNREACHABLE;
         }
       }
       for (std::size_t i = 0; i < LEGS.size() && status == SPM_OK; ++i) {
-        (void)command_interfaces_[i].set_value(wanted[i]);
+        (void)command_interfaces_[i].set_value(wanted.readings[i]);
       }
     }
     return measured_status == SPM_OK ? controller_interface::return_type::OK : controller_interface::return_type::ERROR;
   }
 
 private:
-  // The largest change of a leg.
-  static double distance(const double * lengths, const std::array<double, 6> & from)
-  {
-    double largest = 0.0;
-    for (std::size_t i = 0; i < LEGS.size(); ++i) {
-      largest = std::fmax(largest, std::fabs(lengths[i] - from[i]));
-    }
-    return largest;
-  }
-
   static controller_interface::InterfaceConfiguration interfaces()
   {
     controller_interface::InterfaceConfiguration found{

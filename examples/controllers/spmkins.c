@@ -2,16 +2,19 @@
  *
  * SPDX-License-Identifier: GPL-2.0-or-later
  *
- * Joints 0 to 5 are the leg lengths r_b1, r_b2, r_b3, r_c1, r_c2, r_c3; X Y Z is the centre o of the platform in {B}; A, B, C
+ * Joints 0 to 5 are the readings of the legs r_b1, r_b2, r_b3, r_c1, r_c2, r_c3; X Y Z is the centre o of the platform in {B}; A, B, C
  * are roll, pitch and yaw in degrees: R = Rz(C) Ry(B) Rx(A). Lengths are in machine units, UNITS_PER_METRE to a metre.
  *
  * Install: spm-pin export c --out DIR; then halcompile --install spmkins.c with spm_kinematics.c and .h beside it.
+ * loadrt spmkins machine=FILE takes the spm_machine.txt of another export, after a calibration, without compiling again.
  *
- * A level platform cannot be commanded, for there the pose leaves the legs undetermined: both functions then return -1, and
+ * A level platform cannot be commanded, for there the pose leaves the legs undetermined: the inverse then returns -1, and
  * LinuxCNC stops. The machine is homed in joint mode, and leaves the level position there.
  */
 
 #include "spm_kinematics.h"
+
+#include <stdio.h>
 
 #include <hal.h>
 #include <kinematics.h>
@@ -24,35 +27,53 @@
 #endif
 #define DEGREE (3.14159265358979323846 / 180.0)
 
-/* Where the machine was last; the forward displacement goes on from there, so that it never changes the assembly mode. */
+static spm_geometry geometry;
+
+/* Where the machine was last; both displacements go on from there, so that no branch and no mode ever changes. */
 static spm_state last;
 static int is_known;
 
-/* The largest change of a leg from where the machine was. */
-static double distance(const double *lengths)
+static char *machine = "";
+RTAPI_MP_STRING(machine, "file with the numbers of the machine, spm_machine.txt of an export");
+
+/* Read a file of lines that begin with a name; returns whether it describes a machine. */
+static int read_machine(const char *path)
 {
-    double largest = 0.0;
-    int i;
-    for (i = 0; i < 6; ++i) {
-        double change = fabs(lengths[i] - last.lengths[i]);
-        largest = change > largest ? change : largest;
+    double *const fields[7] = {
+        geometry.dimensions, geometry.axes, geometry.pivots, geometry.balls, geometry.offsets, geometry.minimum,
+        geometry.maximum
+    };
+    const int counts[7] = {3, 18, 18, 18, 6, 6, 6};
+    const double level[9] = {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}, origin[3] = {0.0, 0.0, 0.0};
+    FILE *file = fopen(path, "r");
+    spm_state found;
+    char name[16];
+    int k, i, is_whole = file != NULL;
+    for (k = 0; k < 7 && is_whole; ++k) {
+        is_whole = fscanf(file, "%15s", name) == 1;
+        for (i = 0; i < counts[k] && is_whole; ++i) {
+            is_whole = fscanf(file, "%lf", fields[k] + i) == 1;
+        }
     }
-    return largest;
+    if (file) {
+        fclose(file);
+    }
+    return is_whole && spm_inverse(&geometry, level, origin, NULL, &found) != SPM_BAD_GEOMETRY;
 }
 
 int kinematicsForward(const double *joint, EmcPose *world, const KINEMATICS_FORWARD_FLAGS *fflags,
         KINEMATICS_INVERSE_FLAGS *iflags)
 {
-    double lengths[6];
+    double readings[6];
     spm_state found;
     const double *r = found.rotation;
     int i;
     (void)fflags;
     (void)iflags;
     for (i = 0; i < 6; ++i) {
-        lengths[i] = joint[i] / UNITS_PER_METRE;
+        readings[i] = joint[i] / UNITS_PER_METRE;
     }
-    if (spm_forward_physical(&spm_machine, lengths, is_known ? &last : 0, &found) != SPM_OK) {
+    if (spm_forward(&geometry, readings, is_known ? &last : NULL, &found) != SPM_OK) {
         return -1;
     }
     last = found;
@@ -79,17 +100,15 @@ int kinematicsInverse(const EmcPose *world, double *joint, const KINEMATICS_INVE
     const double position[3] = {
         world->tran.x / UNITS_PER_METRE, world->tran.y / UNITS_PER_METRE, world->tran.z / UNITS_PER_METRE
     };
-    spm_branches found;
-    int i, branch;
+    spm_state found;
+    int i;
     (void)iflags;
     (void)fflags;
-    if (spm_inverse(&spm_machine, rotation, position, &found) != SPM_OK || !found.real[0]) {
+    if (spm_inverse(&geometry, rotation, position, is_known ? &last : NULL, &found) != SPM_OK) {
         return -1;
     }
-    /* A pose may be held in both TT+ and TT-; the machine stays in the one that it is in. */
-    branch = is_known && distance(found.lengths[1]) < distance(found.lengths[0]) ? 1 : 0;
     for (i = 0; i < 6; ++i) {
-        joint[i] = found.lengths[branch][i] * UNITS_PER_METRE;
+        joint[i] = found.readings[i] * UNITS_PER_METRE;
     }
     return 0;
 }
@@ -109,6 +128,11 @@ static int component;
 
 int rtapi_app_main(void)
 {
+    geometry = spm_machine;
+    if (machine[0] && !read_machine(machine)) {
+        rtapi_print_msg(RTAPI_MSG_ERR, "spmkins: %s describes no machine\n", machine);
+        return -1;
+    }
     component = hal_init("spmkins");
     if (component < 0) {
         return component;

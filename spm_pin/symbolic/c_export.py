@@ -98,7 +98,8 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_") -> dict[str, str]:
     -------
     dict of str
         The texts of `spm_kinematics.h`, `spm_kinematics.c`, `spm_kinematics_test.c` and `CMakeLists.txt` by their
-        names.
+        names, and `spm_machine.txt`: the numbers of the machine, a line for each field of `spm_geometry`, for a program
+        that takes them at run time.
 
     Raises
     ------
@@ -153,7 +154,8 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_") -> dict[str, str]:
     ):
         values[key] = "".join(filled(of_one, snippet) for snippet in snippets)
     texts = {f"{prefix}{name}": filled(template(name), values) for name in _NAMES}
-    return texts | {"CMakeLists.txt": filled(template("CMakeLists.txt"), values)}
+    numbers = "".join(f"{name} {' '.join(map(repr, x.tolist()))}\n" for name, x in machine_fields(geometry).items())
+    return texts | {"CMakeLists.txt": filled(template("CMakeLists.txt"), values), f"{prefix}machine.txt": numbers}
 
 
 def write_c(geometry: Geometry, directory: str | Path, *, prefix: str = "spm_") -> list[Path]:

@@ -234,9 +234,7 @@ def test_offsets_change_readings_and_nothing_else() -> None:
     np.testing.assert_array_equal(shifted.leg_lengths(q), plain.leg_lengths(q))
     np.testing.assert_allclose(shifted.forward_kinematics(plain.readings(q) + shift), q, atol=1e-12)
     np.testing.assert_allclose(shifted.with_readings(q, plain.readings(q) + shift), q, atol=1e-15)
-    with pytest.raises(
-        ArgumentError, match=r"readings: expected legs of no negative length, got -0\.4\d+ m in r_b1"
-    ):
+    with pytest.raises(ArgumentError, match=r"readings: expected legs of no negative length, got -0\.4\d+ m in r_b1"):
         shifted.forward_kinematics([0.05, 1.3, 1.3, 1.3, 1.3, 1.3], near=q[0])
 
 

@@ -15,9 +15,9 @@ EXAMPLES = Path(__file__).parents[2] / "examples/controllers"
 STAND_INS = Path(__file__).parent / "stand_ins"
 
 
-def worst_error(program: Path) -> float:
+def worst_error(program: Path, *arguments: Path) -> float:
     """Run a driver; return the largest difference it found."""
-    done = subprocess.run([program], capture_output=True, text=True, check=False)
+    done = subprocess.run([program, *arguments], capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"exit code {done.returncode} says which check failed"
     return float(done.stdout)
 
@@ -29,6 +29,9 @@ def test_the_module_for_linuxcnc_comes_back_to_the_leg_lengths(tmp_path: Path) -
     for compiler in compilers():
         compile_c(compiler, *STRICT, "-O2", *include, *sources, "-lm", "-o", tmp_path / "program")
         assert worst_error(tmp_path / "program") < 1e-6  # mm
+        # The calibrated machine at load time, without compiling again.
+        spm.symbolic.write_c(spm.Geometry.paper().perturbed(1, length=1e-3, angle=1e-3), tmp_path / "calibrated")
+        assert worst_error(tmp_path / "program", tmp_path / "calibrated/spm_machine.txt") < 1e-6
 
 
 def test_the_controller_for_ros2_control_comes_back_and_keeps_its_commands_out_of_reach(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""CasADi functions traced from the kernels: values, derivatives, what they are out of reach, and their own C."""
+"""CasADi functions of any geometry: values, derivatives, what they are out of reach, and their own C."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ import casadi as ca
 import mpmath
 import numpy as np
 import pytest
-from problems import GEOMETRIES, conditioning, random_branches
+from problems import GEOMETRIES, as_built, conditioning, random_branches
 from symbolic.c_library import compile_c, compilers
 from symbolic.c_poses import hard_poses, held_states, possible_lengths, spread_poses
 
 import spm_pin as spm
+from spm_pin.description.tree import joint_values
 from spm_pin.errors import ArgumentError
 
 PAPER = GEOMETRIES["paper"]
@@ -319,5 +320,54 @@ def test_bad_arguments_are_clear_errors() -> None:
         spm.symbolic.inverse_branch("TX")
     with pytest.raises(ArgumentError, match='geometry: expected a Geometry, "symbolic" or None'):
         spm.symbolic.leg_forces(3)  # type: ignore[arg-type]
-    with pytest.raises(ArgumentError, match="geometry: expected a Geometry, got a machine as built"):
-        spm.symbolic.inverse_physical(PAPER.perturbed(1))
+    with pytest.raises(ArgumentError, match="geometry: expected a machine as drawn, got one as built"):
+        spm.symbolic.inverse_branch("TT+", PAPER.perturbed(1))
+
+
+@pytest.mark.parametrize("size", [1e-5, 1e-3])
+def test_functions_of_a_machine_as_built_are_those_of_the_package(size: float) -> None:
+    """Its numbers built in, and as 54 parameters."""
+    geometry = as_built(PAPER, size, 4)
+    state = spm.forward_physical(geometry, np.random.default_rng(1).uniform(1.1, 1.5, (100, 6)))
+    expected, wrench = spm.inverse_physical(geometry, state.pose), np.ones((100, 6))
+    values = np.array([list(joint_values(one).values()) for one in state])
+    near = state.middle_joints, state.rotation, state.translation
+    for parameters in (False, True):
+        further = [np.tile(geometry.parameters, (100, 1))] if parameters else []
+        machine = PAPER if parameters else geometry
+
+        def of(name: str, *arguments: np.ndarray, machine=machine, further=further, **options: bool) -> list:
+            function = getattr(spm.symbolic, name)(machine, parameters=bool(further), **options)
+            return called(function, *arguments, *further)
+
+        rotation, position, joints, _, exists = of("forward_physical", state.readings)
+        assert exists.all()
+        np.testing.assert_allclose(position, state.translation, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(rotation, state.rotation, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(joints, state.middle_joints, rtol=0, atol=1e-12)
+        again = of("forward_physical", state.readings + 1e-3, *near, near=True)
+        np.testing.assert_allclose(
+            again[1], spm.forward_physical(geometry, state.readings + 1e-3).translation, rtol=0, atol=1e-12
+        )
+        lengths, joints, _, exists = of("inverse_physical", state.rotation, state.translation)
+        assert exists.all()
+        error = np.abs(lengths - expected.readings).max(axis=-1)
+        assert (error <= 1e-12 + 64.0 * EPS * conditioning(expected)).all()
+        np.testing.assert_allclose(of("joint_values", *near)[0], values, rtol=0, atol=1e-12)
+        jacobians = spm.inverse_jacobian(state)
+        scale = np.abs(jacobians).max(axis=(-1, -2))
+        assert (np.abs(of("inverse_jacobian", *near)[0] - jacobians).max(axis=(-1, -2)) <= 1e-13 * scale**2).all()
+        np.testing.assert_allclose(of("leg_forces", *near, wrench)[0], spm.leg_forces(state, wrench), rtol=1e-9)
+        np.testing.assert_allclose(of("closure_residual", *near)[0], 0.0, rtol=0, atol=1e-14)
+
+
+def test_derivatives_by_the_54_parameters_are_differences() -> None:
+    geometry = as_built(PAPER, 1e-3, 4)
+    state, parameters = spm.forward_physical(geometry, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5]), ca.MX.sym("p", 54)
+    inverse = spm.symbolic.inverse_physical(PAPER, parameters=True)
+    readings = inverse(state.rotation, state.translation, parameters)[0]
+    slope = ca.Function("slope", [parameters], [ca.jacobian(readings, parameters)])
+    here, found = geometry.parameters, np.asarray(slope(geometry.parameters))
+    for k, step in enumerate(1e-6 * np.eye(54)):
+        ends = [spm.inverse_physical(PAPER.from_parameters(here + s), state.pose).readings for s in (step, -step)]
+        np.testing.assert_allclose(found[:, k], (ends[0] - ends[1]) / 2e-6, rtol=1e-5, atol=1e-6)

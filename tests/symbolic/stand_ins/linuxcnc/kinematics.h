@@ -17,6 +17,10 @@ int kinematicsSwitch(int type);
     int kinematicsSwitchable(void) { return 0; } \
     int kinematicsSwitch(int type) { (void)type; return 0; }
 #define EXPORT_SYMBOL(name) extern int exported_##name
+#define RTAPI_MP_STRING(name, text) char **const parameter_##name = &name
+#define RTAPI_MSG_ERR 1
+void rtapi_print_msg(int level, const char *format, ...);
+extern char **const parameter_machine;
 #define MODULE_LICENSE(text) extern const char license_of_module[sizeof text]
 int hal_init(const char *name);
 int hal_ready(int component);
