@@ -83,7 +83,7 @@ def boundary() -> Any:
 
 @functools.cache
 def shell() -> Any:
-    return spm.workspace.shell(PAPER, resolution=4)
+    return spm.workspace.workspace_shell(PAPER, resolution=4)
 
 
 def store() -> str:
@@ -267,6 +267,7 @@ UNCHECKED = (
     "display.sections_figure",
     "display.save_mesh",
     "display.save_figure",
+    "display.motion_figure",
 )
 """Callables left out."""
 
@@ -319,13 +320,11 @@ SLOW = (
     *(
         "Boundary",
         "Shell",
-        "compare_with_shell",
         "largest_certified_limits",
         "orientation_workspace",
-        "pose_volume",
         "reachable_boundary",
     ),
-    *("reachable_position", "reachable_volume", "sample_reachable", "shell"),
+    *("reachable_position", "reachable_volume", "sample_reachable", "workspace_shell"),
 )
 """Callables of which an accepted call takes long."""
 

@@ -15,8 +15,7 @@ from spm_pin.display.output_files import FORMATS, save_figure
 from spm_pin.display.shell_plots import MESH_FORMATS, save_mesh, shell_figure
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LEGS, LegLimits
-from spm_pin.workspace.paper_shell.shell import Patch, Shell, workspace_shell
-from spm_pin.workspace.paper_shell.sub_workspaces import ERRATA
+from spm_pin.workspace.paper_shell import ERRATA, Patch, Shell, workspace_shell
 
 
 @outputs.name_options(path="--out")
@@ -86,7 +85,7 @@ def _write(shell: Shell, out: Path, samples: int | None) -> None:
         save_figure(shell_figure(shell), out)
     else:
         from spm_pin.display.shell_plots import sections_figure
-        from spm_pin.workspace.reachability.reachable_samples import sample_positions_near_limits
+        from spm_pin.workspace.sampling import sample_positions_near_limits
 
         with outputs.stderr.status("drawing leg lengths"):
             reached, aspect = sample_positions_near_limits(shell.geometry, shell.limits, count=samples)

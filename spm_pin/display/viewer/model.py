@@ -35,7 +35,7 @@ from spm_pin.mechanism.arguments import BoolArray, FloatArray, real_array
 from spm_pin.mechanism.branches import family, physical
 from spm_pin.mechanism.geometry_files import as_data
 from spm_pin.multibody.chain import ClosedChain
-from spm_pin.workspace.reachability.nearest_pose import nearest_reachable_pose, pose_distance
+from spm_pin.workspace.poses import nearest_reachable_pose, pose_distance
 
 SINGULARITIES = ("forward, lower stage", "forward, upper stage", "inverse")
 """The singularities that J_b, J_c and K have, in this order."""

@@ -5,7 +5,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.workspace.reachability.reachable_samples import sample_positions_near_limits
+from spm_pin.workspace.sampling import sample_positions_near_limits
 
 PAPER = spm.Geometry.paper()
 LIMITS = spm.LegLimits(1.1, 1.5)

@@ -1,12 +1,16 @@
 """The paper's workspace: 24 surfaces that enclose where the terminal platform can be, by Table 6 and its steps 1 to 5.
 
-Each surface is where o goes while two legs vary and four stay at limits. CAD moved a simulation mechanism there; here
-forward displacement does. Surfaces with a common edge have its leg lengths in common, and so the same vertices there:
-the shell is closed by construction. It is not the whole boundary of what can be reached, see docs/theory/workspace.md.
+Where the legs are limited to [min, max], their six lengths fill a box. A sub-workspace fixes four of them at limits and
+lets two vary: it is one of the 240 square faces of that box. Neighbours share an edge, where a single leg varies, and
+this is combinatorics, settled before any position is computed. Each surface is where o goes while two legs vary. CAD
+moved a simulation mechanism there; here forward displacement does. Surfaces with a common edge have its leg lengths in
+common, and so the same vertices there: the shell is closed by construction. It is not the whole boundary of what can be
+reached, see docs/theory/workspace.md.
 """
 
 from __future__ import annotations
 
+import enum
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -24,11 +28,102 @@ from spm_pin.mechanism.arguments import (
     type_and_value,
     whole_number,
 )
+from spm_pin.paper import published
 from spm_pin.workspace.closed_mesh import ClosedMesh, Convergence, enclosed_volume
-from spm_pin.workspace.paper_shell.sub_workspaces import SubWorkspace, orientations, sub_workspaces
 
 FINEST = 2000
 """Increments of a varying leg, at most: 24 surfaces of four million vertices."""
+
+Corner = tuple[int, ...]
+
+ERRATA = {("St3", "r_b1"): "mmax", ("Sm3", "r_b3"): "min", ("Sm5", "r_b3"): "bmin~mmax"}
+"""Misprinted cells of Table 6, by surface and leg, as printed. The stage's letter is missing or another; the column
+has it. A missing "~" needs no mention: two limits in one cell can mean nothing else."""
+
+
+class LegSetting(enum.Enum):
+    """LegSetting of a leg in Table 6; the value is the text of the table."""
+
+    MINIMUM = "min"
+    MAXIMUM = "max"
+    VARIES = "min~max"
+
+
+@dataclass(frozen=True)
+class SubWorkspace:
+    """A row of Table 6."""
+
+    name: str
+    """The paper's name: St1 to St3, Sc1 to Sc9, Sm1 to Sm9, Sl1 to Sl3."""
+    settings: tuple[LegSetting, ...]
+    """The setting of each leg, in the order of `LEGS`; two legs vary."""
+
+    @property
+    def family(self) -> str:
+        """The name without its number: St, Sc, Sm or Sl."""
+        return self.name.rstrip("0123456789")
+
+    @property
+    def varying(self) -> tuple[int, int]:
+        """The two legs that vary, counted as in `LEGS`."""
+        first, second = (leg for leg, setting in enumerate(self.settings) if setting is LegSetting.VARIES)
+        return first, second
+
+    def increments(self, resolution: int) -> IntArray:
+        """Return the increments of the six legs above their minima, (resolution + 1, resolution + 1, 6).
+
+        The first varying leg changes along the first axis, the other along the second.
+        """
+        fixed = {LegSetting.MINIMUM: 0, LegSetting.MAXIMUM: resolution, LegSetting.VARIES: 0}
+        steps = np.empty((resolution + 1, resolution + 1, 6), dtype=np.intp)
+        steps[:] = [fixed[setting] for setting in self.settings]
+        first, second = self.varying
+        steps[..., first] = np.arange(resolution + 1)[:, None]
+        steps[..., second] = np.arange(resolution + 1)
+        return steps
+
+    @property
+    def corners(self) -> tuple[Corner, ...]:
+        """The four corners, 0 at a minimum and 1 at a maximum, going round: first leg out, second out, both back."""
+        square = self.increments(1)
+        return tuple(tuple(int(x) for x in square[at]) for at in ((0, 0), (1, 0), (1, 1), (0, 1)))
+
+    @property
+    def sides(self) -> tuple[tuple[Corner, Corner], ...]:
+        """The four edges in the same sense, each from one corner to the next."""
+        ring = self.corners
+        return tuple(zip(ring, (*ring[1:], ring[0]), strict=True))
+
+
+def sub_workspaces() -> tuple[SubWorkspace, ...]:
+    """Return the rows of Table 6."""
+    return tuple(SubWorkspace(name, tuple(map(_setting, cells))) for name, *cells in published.TABLE_6)
+
+
+def _setting(cell: str) -> LegSetting:
+    """Return the setting in a cell of the table: the limit is legible, whatever letter stands before it."""
+    first, *last = cell.replace("~", " ").split()
+    return LegSetting.VARIES if last else LegSetting(first[-3:])
+
+
+def orientations(rows: Sequence[SubWorkspace]) -> tuple[int, ...]:
+    """Return for each row 1 or -1, such that neighbours run along their common edge in opposite senses.
+
+    The rows join to a closed surface: every edge is shared by exactly two. The first row has 1. All of them times -1 is
+    the other possibility; which one points outwards is for the positions to say.
+    """
+    shared: dict[frozenset[Corner], list[tuple[int, int]]] = {}
+    for k, row in enumerate(rows):
+        for start, end in row.sides:
+            shared.setdefault(frozenset((start, end)), []).append((k, 1 if start < end else -1))
+    sense = {0: 1}
+    for _ in rows:
+        for (i, along), (j, across) in shared.values():
+            if i in sense:
+                sense.setdefault(j, -along * across * sense[i])
+            elif j in sense:
+                sense[i] = -along * across * sense[j]
+    return tuple(sense[k] for k in range(len(rows)))
 
 
 @dataclass(frozen=True)
@@ -46,7 +141,7 @@ class Patch(SubWorkspace):
 
 @dataclass(frozen=True)
 class Shell(ClosedMesh):
-    """The 24 surfaces of Table 6, joined to a mesh in {B}; made by `spm.workspace.shell`. Faces lie patch by patch."""
+    """The 24 surfaces of Table 6, joined to a mesh in {B}; made by `workspace_shell`. Faces lie patch by patch."""
 
     geometry: Geometry
     """The manipulator."""
@@ -112,28 +207,28 @@ def workspace_shell(geometry: Geometry, limits: LegLimits | None = None, *, reso
     Notes
     -----
     Section "Workspace analysis" and Table 6 of the paper, whose misprints are named in
-    `spm_pin.workspace.paper_shell.sub_workspaces.ERRATA`. It takes the physical configuration throughout, the one of
+    `ERRATA`. It takes the physical configuration throughout, the one of
     `forward_physical`.
 
     Examples
     --------
     >>> import spm_pin as spm
-    >>> shell = spm.workspace.shell(spm.Geometry.paper())
+    >>> shell = spm.workspace.workspace_shell(spm.Geometry.paper())
     >>> len(shell.patches), shell.euler_characteristic, round(shell.volume, 3)
     (24, 2, 1.653)
     """
     if not check_instance(geometry, Geometry, "geometry").is_nominal:
         cause = "The paper's 24 surfaces are those of the drawing: pass its .nominal?"
         raise GeometryError("geometry", "a machine as drawn", "one as built", cause)
-    box = _read_limits(geometry, limits)
+    limits = _read_limits(geometry, limits)
     n = whole_number(resolution, "resolution", "a whole number of increments, at least 2", least=2, most=FINEST)
     rows = sub_workspaces()
     signs = orientations(rows)
     coarser = sorted({-(-n // 4), -(-n // 2)})
     volumes = []
     for m in (*coarser, n):
-        lengths, grids = _joined(rows, box, m)
-        states = _assembled(geometry, box, lengths)
+        lengths, grids = _joined(rows, limits, m)
+        states = _assembled(geometry, limits, lengths)
         faces = np.concatenate([_lofted(grid, sign) for grid, sign in zip(grids, signs, strict=True)])
         volumes.append(enclosed_volume(states.translation, faces))
     outward = 1 if volumes[-1] > 0.0 else -1
@@ -145,7 +240,7 @@ def workspace_shell(geometry: Geometry, limits: LegLimits | None = None, *, reso
         for row, grid, area, number in zip(rows, grids, areas, numbers, strict=True)
     )
     convergence = Convergence((*coarser, n), tuple(outward * volume for volume in volumes))
-    return Shell(vertices, faces, geometry, box, n, patches, states, convergence)
+    return Shell(vertices, faces, geometry, limits, n, patches, states, convergence)
 
 
 def _joined(rows: Sequence[SubWorkspace], limits: LegLimits, n: int) -> tuple[FloatArray, IntArray]:

@@ -14,7 +14,7 @@ from scipy.stats import binomtest
 import spm_pin as spm
 from spm_pin.errors import SelectionError
 from spm_pin.paper import published
-from spm_pin.workspace.paper_shell.shell import Shell, workspace_shell
+from spm_pin.workspace.paper_shell import Shell, workspace_shell
 
 PAPER = spm.Geometry.paper()
 SHELL = workspace_shell(PAPER, resolution=16)

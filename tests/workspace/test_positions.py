@@ -8,40 +8,19 @@ from problems import GEOMETRIES
 from scipy.optimize import least_squares
 
 import spm_pin as spm
-from spm_pin.workspace.reachability.leg_length_box import leg_length_box
-from spm_pin.workspace.reachability.nearest_points import nearest_in_box
-from spm_pin.workspace.reachability.position_map import PositionMap
-from spm_pin.workspace.reachability.reachable_positions import reachable_position
+from spm_pin.workspace.positions import reachable_position
+from spm_pin.workspace.search import nearest_points, start_table
+from spm_pin.workspace.states import states_within
 
 PAPER = GEOMETRIES["paper"]
-
-
-@pytest.mark.parametrize(
-    ("name", "limits"), [("paper", spm.LegLimits(1.1, 1.5)), ("equal triangles", spm.LegLimits(1.0, 1.4))]
-)
-def test_the_map_is_forward_displacement_and_its_derivatives_those_of_the_platform(
-    name: str, limits: spm.LegLimits
-) -> None:
-    geometry = GEOMETRIES[name]
-    rng = np.random.default_rng(1)
-    legs = rng.uniform(limits.minimum, limits.maximum, (500, 6))
-    states = spm.forward_physical(geometry, legs)
-    assert states.exists.all()
-    mapping = PositionMap(geometry)
-    coordinates = mapping.coordinates(states)
-    position, derivatives = mapping.points(coordinates)
-    inverse = np.linalg.inv(mapping.legs(coordinates)[1])
-    jacobian = np.concatenate([derivatives[..., :3] @ inverse[:, 0], derivatives[..., 3:] @ inverse[:, 1]], axis=-1)
-    np.testing.assert_allclose(mapping.lengths(coordinates), legs, atol=1e-12)
-    np.testing.assert_allclose(position, states.translation, atol=1e-12)
-    np.testing.assert_allclose(jacobian, spm.kinematics.platform_jacobian(states)[:, :3], atol=1e-10)
 
 
 def test_upper_legs_that_reach_a_point_are_found_from_the_lower_ones() -> None:
     legs = np.random.default_rng(2).uniform(1.1, 1.5, (2000, 6))
     states = spm.forward_physical(PAPER, legs)
-    coordinates = PositionMap(PAPER).coordinates(states)
-    upper = PositionMap(PAPER).upper_for(coordinates[:, 0], states.translation)
+    within = states_within(PAPER)
+    coordinates = within.coordinates(states)
+    upper = within.upper_for(coordinates[:, 0], states.translation)
     # The only ones within the limits: no two upper stages see o in the same place there.
     np.testing.assert_allclose(upper, coordinates[:, 1], atol=1e-10)
 
@@ -56,8 +35,8 @@ def test_poses_of_leg_lengths_within_limits_are_reachable() -> None:
     answer = reachable_position(PAPER, position)
     assert answer.reachable.all()
     assert (answer.distance == 0.0).all()
-    assert spm.LegLimits(1.1, 1.5).contains(answer.leg_lengths).all()
-    again = spm.forward_physical(PAPER, answer.leg_lengths).translation
+    assert spm.LegLimits(1.1, 1.5).contains(answer.readings).all()
+    again = spm.forward_physical(PAPER, answer.readings).translation
     assert np.abs(again - position).max() <= answer.tolerance
 
 
@@ -73,8 +52,8 @@ def test_far_points_are_not_reachable_and_have_a_distance() -> None:
 
 def test_distances_are_those_a_bounded_least_squares_solver_finds() -> None:
     rng = np.random.default_rng(4)
-    box = leg_length_box(PAPER)
-    points = rng.uniform(box.coarse.extent[0] - 0.1, box.coarse.extent[1] + 0.1, (6, 3))
+    extent = start_table(states_within(PAPER)).extent
+    points = rng.uniform(extent[0] - 0.1, extent[1] + 0.1, (6, 3))
     answer = reachable_position(PAPER, points)
     for k, point in enumerate(points):
 
@@ -93,17 +72,16 @@ def test_distances_are_those_a_bounded_least_squares_solver_finds() -> None:
 def test_no_set_of_lower_legs_reaches_a_point_said_to_be_out_of_reach() -> None:
     """On a grid of 16³ lower stages, each with the upper legs that then put o there."""
     rng = np.random.default_rng(5)
-    box = leg_length_box(PAPER)
-    points = rng.uniform(*box.coarse.extent, (20, 3))
+    extent = start_table(states_within(PAPER)).extent
+    points = rng.uniform(*extent, (20, 3))
     answer = reachable_position(PAPER, points)
     assert 3 <= answer.reachable.sum() <= 17
     grid = np.stack(np.meshgrid(*[np.linspace(1.1, 1.5, 16)] * 3), axis=-1).reshape(-1, 3)
-    lower = PositionMap(PAPER).coordinates(
-        spm.forward_physical(PAPER, np.concatenate([grid, np.full_like(grid, 1.3)], axis=-1))
-    )
+    within = states_within(PAPER)
+    lower = within.coordinates(spm.forward_physical(PAPER, np.concatenate([grid, np.full_like(grid, 1.3)], axis=-1)))
     for k in range(20):
-        upper = PositionMap(PAPER).upper_for(lower[:, 0], np.broadcast_to(points[k], (len(grid), 3)))
-        legs = PositionMap(PAPER).lengths(np.stack([lower[:, 0], upper], axis=1))[:, 3:]
+        upper = within.upper_for(lower[:, 0], np.broadcast_to(points[k], (len(grid), 3)))
+        legs = within.readings(np.stack([lower[:, 0], upper], axis=1))[:, 3:]
         with np.errstate(invalid="ignore"):
             hit = ((legs >= 1.1) & (legs <= 1.5)).all(axis=-1).any()
             # Between two lower stages of the grid the upper legs change by 0.1 m at most: else nothing was missed.
@@ -117,7 +95,7 @@ def test_shapes(shape: tuple[int, ...]) -> None:
     answer = reachable_position(PAPER, np.full((*shape, 3), [0.1, 0.2, 2.4]))
     assert answer.reachable.shape == answer.distance.shape == answer.optimality.shape == shape
     assert answer.nearest.shape == (*shape, 3)
-    assert answer.leg_lengths.shape == (*shape, 6)
+    assert answer.readings.shape == (*shape, 6)
     assert answer.reachable.all()
 
 
@@ -131,21 +109,19 @@ def test_where_the_machine_cannot_be_assembled_everywhere_in_the_limits_the_rest
 
 
 def test_states_with_the_optimality_conditions_are_nearest_among_many() -> None:
-    box = leg_length_box(PAPER)
+    extent = start_table(states_within(PAPER)).extent
     rng = np.random.default_rng(7)
-    points = rng.uniform(box.coarse.extent[0] - 0.2, box.coarse.extent[1] + 0.2, (200, 3))
-    found = nearest_in_box(box, points)
+    points = rng.uniform(extent[0] - 0.2, extent[1] + 0.2, (200, 3))
+    nearest = nearest_points(states_within(PAPER), points)
     sample = spm.forward_physical(PAPER, 1.1 + 0.4 * rng.beta(0.3, 0.3, (20_000, 6))).translation
     least = np.array([np.sqrt(((sample - point) ** 2).sum(axis=-1)).min() for point in points])
-    assert (found.distance <= least + 1e-9).all()
-    assert (found.optimality < 1e-6).all()
-    assert np.median(least - found.distance) < 0.1
+    assert (nearest.distance <= least + 1e-9).all()
+    assert (nearest.optimality < 1e-6).all()
+    assert np.median(least - nearest.distance) < 0.1
 
 
 def test_bad_input_is_refused() -> None:
     for words, call in (
-        ("finite", lambda: reachable_position(PAPER, [0.0, 0.0, np.nan])),
-        ("shape", lambda: reachable_position(PAPER, [0.0, 0.0])),
         ("assembled", lambda: reachable_position(PAPER, [0.0, 0.0, 2.0], spm.LegLimits(0.01, 0.02))),
         ("none of its own", lambda: reachable_position(spm.Geometry(0.7, 0.35, 0.8), [0.0, 0.0, 2.0])),
         ("LegLimits", lambda: reachable_position(PAPER, [0.0, 0.0, 2.0], (1.1, 1.5))),  # type: ignore[arg-type]

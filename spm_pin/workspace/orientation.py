@@ -22,9 +22,8 @@ import numpy.typing as npt
 
 from spm_pin.mechanism import Configuration, Geometry, LegLimits
 from spm_pin.mechanism.arguments import FloatArray, generator, real_array, whole_number
-from spm_pin.workspace.reachability.confidence_intervals import Estimate, check_confidence, from_hits, from_mean
-from spm_pin.workspace.reachability.leg_length_box import leg_length_box
-from spm_pin.workspace.reachability.reachable_samples import pose_multiplicity
+from spm_pin.workspace.positions import Estimate, check_confidence
+from spm_pin.workspace.states import pose_densities, states_within
 
 ROTATIONS = 8.0 * np.pi**2
 """Measure of all rotations [rad³]."""
@@ -105,8 +104,7 @@ def orientation_workspace(
     Raises
     ------
     ArgumentError
-        If `position` is not three finite numbers, another argument is not as above, there are no limits, one is
-        infinite, or no lengths within them belong to a configuration.
+        If there are no limits, one is infinite, or no readings within them belong to a configuration.
 
     Notes
     -----
@@ -117,22 +115,24 @@ def orientation_workspace(
     if len(point) != 1:
         real_array(position, "position", (3, 0), "one position in metres")
     count, confidence = whole_number(samples, "samples", least=2), check_confidence(confidence)
-    box, rng = leg_length_box(geometry, limits), generator(rng)
-    lower, region = box.stages[0].draw(count, rng)
-    upper = box.map.upper_for(lower, point)
-    index = np.flatnonzero(box.stages[1].contains(upper))
+    states, rng = states_within(geometry, limits), generator(rng)
+    lower, region = states.draw_stages(0, count, rng)
+    upper = states.upper_for(lower, point)
+    index = np.flatnonzero(states.contains(1, upper))
     coordinates = np.stack([lower[index], upper[index]], axis=1)
-    states = box.map.states(coordinates)
-    across = np.abs(np.linalg.det(box.map.points(coordinates)[1][:, :, 3:]))
+    across = np.abs(np.linalg.det(states.jacobians(coordinates)[:, :3, 3:]))
     values = np.zeros(count)
-    values[index] = box.map.pose_densities(coordinates) / (across * pose_multiplicity(states, box.limits))
+    values[index] = pose_densities(states, coordinates) / across
     method = "change of variables from the lower stage's coordinates"
     if len(index):
-        volume = from_mean(values, region, confidence, method, "rad³", 1.0 / count)
+        volume = Estimate.from_mean(values, region, confidence, method, "rad³", 1.0 / count)
     else:
-        volume = from_hits(0, count, ROTATIONS, confidence, method, "rad³")
-    azimuth, tilt, torsion = tilt_torsion(states.rotation)
-    return OrientationWorkspace(point[0], states, values[index] * region / count, azimuth, tilt, torsion, volume)
+        volume = Estimate.from_hits(0, count, ROTATIONS, confidence, method, "rad³")
+    configurations = states.states(coordinates)
+    azimuth, tilt, torsion = tilt_torsion(configurations.rotation)
+    return OrientationWorkspace(
+        point[0], configurations, values[index] * region / count, azimuth, tilt, torsion, volume
+    )
 
 
 def tilt_torsion(rotation: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

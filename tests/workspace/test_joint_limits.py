@@ -7,7 +7,7 @@ from scipy.optimize import minimize
 
 import spm_pin as spm
 from spm_pin.mechanism import joint_angles
-from spm_pin.workspace.reachability.joint_limits import JointLimits, leg_clearance
+from spm_pin.workspace.joint_limits import JointLimits, leg_clearance
 
 PAPER = GEOMETRIES["paper"]
 

@@ -9,14 +9,14 @@ import pytest
 
 import spm_pin as spm
 from spm_pin.paper import published
-from spm_pin.workspace.paper_shell.sub_workspaces import ERRATA, Setting, SubWorkspace, orientations, sub_workspaces
+from spm_pin.workspace.paper_shell import ERRATA, LegSetting, SubWorkspace, orientations, sub_workspaces
 
 ROWS = sub_workspaces()
 CYCLE = (1, 2, 0, 4, 5, 3)  # leg 1 takes the settings of leg 2, and so on
 MIRROR = (2, 1, 0, 5, 4, 3)
 
 
-def relabelled(rows: tuple[SubWorkspace, ...], order: tuple[int, ...]) -> set[tuple[Setting, ...]]:
+def relabelled(rows: tuple[SubWorkspace, ...], order: tuple[int, ...]) -> set[tuple[LegSetting, ...]]:
     return {tuple(row.settings[leg] for leg in order) for row in rows}
 
 
@@ -26,13 +26,13 @@ def shared_edges(rows: Sequence[SubWorkspace]) -> Counter[frozenset[tuple[int, .
 
 def test_every_row_has_four_legs_at_limits_and_two_that_vary() -> None:
     assert len(ROWS) == len({row.settings for row in ROWS}) == 24
-    assert all(row.settings.count(Setting.VARIES) == 2 for row in ROWS)
+    assert all(row.settings.count(LegSetting.VARIES) == 2 for row in ROWS)
     assert Counter(row.family for row in ROWS) == {"St": 3, "Sc": 9, "Sm": 9, "Sl": 3}
 
 
 def test_the_surface_that_the_text_describes() -> None:
     # Step 1: r_b3 = r_bmax and all r_c = r_cmax; steps 2 and 3: r_b1 and r_b2 vary.
-    high, varies = Setting.MAXIMUM, Setting.VARIES
+    high, varies = LegSetting.MAXIMUM, LegSetting.VARIES
     assert ROWS[0].name == "St1"
     assert ROWS[0].settings == (varies, varies, high, high, high, high)
     steps = ROWS[0].increments(5)
@@ -73,10 +73,14 @@ def test_only_the_misprints_named_are_misprints() -> None:
 
 
 def test_other_corrections_of_a_misprint_open_the_surface() -> None:
-    other = {Setting.MINIMUM: Setting.MAXIMUM, Setting.MAXIMUM: Setting.MINIMUM, Setting.VARIES: Setting.MINIMUM}
+    other = {
+        LegSetting.MINIMUM: LegSetting.MAXIMUM,
+        LegSetting.MAXIMUM: LegSetting.MINIMUM,
+        LegSetting.VARIES: LegSetting.MINIMUM,
+    }
     for name, leg in ERRATA:
         (k,) = [k for k, row in enumerate(ROWS) if row.name == name]
         settings = list(ROWS[k].settings)
         settings[spm.mechanism.LEGS.index(leg)] = other[settings[spm.mechanism.LEGS.index(leg)]]
-        if settings.count(Setting.VARIES) == 2:
+        if settings.count(LegSetting.VARIES) == 2:
             assert set(shared_edges([*ROWS[:k], SubWorkspace(name, tuple(settings)), *ROWS[k + 1 :]]).values()) != {2}

@@ -9,9 +9,10 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.mechanism.branches import physical
-from spm_pin.workspace.reachability.joint_limits import JointLimits
-from spm_pin.workspace.reachability.reachable_poses import Reachability, reachable
-from spm_pin.workspace.reachability.reachable_samples import pose_multiplicity, sample_reachable
+from spm_pin.workspace.joint_limits import JointLimits
+from spm_pin.workspace.poses import Reachability, reachable
+from spm_pin.workspace.sampling import sample_reachable
+from spm_pin.workspace.states import pose_multiplicity, states_within
 
 PAPER = GEOMETRIES["paper"]
 LIMITS = spm.LegLimits(1.1, 1.5)
@@ -142,10 +143,10 @@ def test_a_sample_in_leg_space_is_uniform_there_and_repeatable() -> None:
 def test_a_sample_of_poses_is_uniform_in_pose_space() -> None:
     """As often in each of two boxes of poses as uniform poses that are reachable by the inverse displacement."""
     steps: list[int] = []
-    states = sample_reachable(PAPER, 4000, space="poses", rng=9, progress=lambda what, done, of: steps.append(done))
-    assert steps[-1] == 4000
+    states = sample_reachable(PAPER, 16_000, space="poses", rng=9, progress=lambda what, done, of: steps.append(done))
+    assert steps[-1] == 16_000
     determinant = np.linalg.det(spm.kinematics.platform_jacobian(states))
-    weight = np.abs(determinant) / pose_multiplicity(states, LIMITS)
+    weight = np.abs(determinant) / pose_multiplicity(states_within(PAPER), states)
     # Weighted back, leg lengths are uniform, but that pairs of states with one pose count one half each.
     share = (states.leg_lengths - 1.1) / 0.4
     mean = (share / weight[:, None]).sum(axis=0) / (1.0 / weight).sum()
