@@ -302,6 +302,10 @@ def _c_text(function: ca.Function) -> str:
     # No argument is ever left out.
     body = re.sub(r"(arg\[\d+\])\? (arg\[\d+\]\[\d+\]) : 0;", r"\2;", body)
     body = re.sub(r"if \(res\[\d+\]!=0\) ", "", body).replace("casadi_inf", "INFINITY")
+    # Numbers that stand for conditions are compared, as clang asks for.
+    body = re.sub(r"\((a\d+)(?=\?)", r"(\1!=0.0", body)
+    body = re.sub(r"(a\d+)(&&|\|\|)(a\d+)", r"\1!=0.0\2\3!=0.0", body)
+    body = re.sub(r"!(a\d+)", r"\1==0.0", body)
     unused = "" if "arg[" in body else "  (void)arg;\n"
     head = f"static void {function.name()}(const double *const *arg, double *const *res)"
     return f"{head}\n{{\n{body.rstrip()}\n{unused}}}\n"

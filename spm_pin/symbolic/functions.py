@@ -252,7 +252,11 @@ def values_of(state: State) -> dict[str, Any]:
 
 def residual_of(state: State) -> dict[str, Any]:
     """Return the closure equations of a state."""
-    rows = [ca.dot(b - a, x) for b, a, x in zip(state.balls, state.bases, state.axes, strict=True)]
+    origins = [0.0] * 3 + [state.position] * 3
+    rows = [
+        ca.dot(ball - origin, axis) - ca.dot(frame.x, frame.pivot)
+        for ball, origin, axis, frame in zip(state.balls, origins, state.axes, state.machine.frames, strict=True)
+    ]
     return {"residual": ca.vertcat(*rows, *_side_errors(state.machine, 0, state.joints))}
 
 
