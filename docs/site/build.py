@@ -37,7 +37,7 @@ PUBLIC = {
     "spm_pin.multibody": "the robot in Pinocchio: states, dynamics, simulation, mounting on another robot",
     "spm_pin.motion": "paths from one state to another, and the fastest motion along them",
     "spm_pin.nlp": "the loop equations in CasADi, and the branches found from them by multi-start",
-    "spm_pin.symbolic": "the closed forms as CasADi functions, and in C for controllers",
+    "spm_pin.symbolic": "the kinematics as CasADi functions, and in C for controllers",
     "spm_pin.crosscheck": "methods compared on random poses, and the paper's tables recomputed",
     "spm_pin.errors": "what is raised, and what it carries",
 }
@@ -53,7 +53,7 @@ INTERNAL = {
     "workspace": "the shell of Table 6, and the reachable set",
     "calibration": "the error model, identification, the choice of poses",
     "sweeps": "domains, metrics, store and runs",
-    "symbolic": "the kernels traced and translated",
+    "symbolic": "the formulas in CasADi, and its code in C",
     "crosscheck": "methods, comparison, tolerances, report",
     "proofs": "leg limits and poses without singularities, proved by interval arithmetic",
     "motion": "planning, and time-optimal motion",

@@ -17,7 +17,7 @@ from spm_pin.description.tree import JOINTS
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.formulas import branches as formulas
 from spm_pin.kinematics.formulas import joint_values as values
-from spm_pin.kinematics.formulas import wrenches
+from spm_pin.kinematics.formulas import stages, wrenches
 from spm_pin.mechanism import BRANCHES, Geometry
 from spm_pin.mechanism.arguments import choice
 from spm_pin.symbolic.machine import AXES, UP, Machine, State, all_of, in_casadi, parts, sqrt
@@ -240,7 +240,7 @@ def values_of(state: State) -> dict[str, Any]:
         pivot = parts(ca.vertcat(*(ca.dot(x, frame.pivot) for x in (frame.x, frame.y, frame.z))))
         corner = [parts(own @ ca.SX(x)) for x in (axis, np.cross(UP, axis), UP)]
         lean = up * sqrt((home - offset) * (home + offset)) / home, (1.0, -1.0, -1.0)[k % 3] * offset / home
-        leg = values.LegFrame(axes, pivot, corner, *lean, home)
+        leg = values.LegFrame((axes[0], axes[1], axes[2]), pivot, (corner[0], corner[1], corner[2]), *lean, home)
         ball = state.balls[k] if k < 3 else turned @ (state.balls[k] - state.position)
         of_leg = in_casadi(values.leg_values)(parts(ball), leg)
         found |= {f"leg_{name}_hip": ca.atan2(*of_leg.hip), f"leg_{name}_slide": of_leg.slide}
@@ -261,6 +261,7 @@ def residual_of(state: State) -> dict[str, Any]:
 
 
 def legs_of(state: State) -> list[tuple[Any, Any]]:
+    """Return the vectors of the legs and their lengths."""
     return list(zip(state.vectors, ca.vertsplit(state.lengths), strict=True))
 
 
@@ -343,7 +344,7 @@ def lower_coordinates(machine: Machine, joints: Any) -> Any:
 
 
 def drawn_starts(machine: Machine, drawn: Drawn) -> list[Any]:
-    """Return TT+ and TT- of the drawn machine, and both as if they were farther apart, from where Newton's method starts.
+    """Return from where Newton's method starts: TT+ and TT- of the drawing, and both as if they were farther apart.
 
     Beside a fold of the drawing the branches of a machine as built are elsewhere, or real where those are not.
     """
@@ -392,7 +393,7 @@ class Drawn:
         radii, heights = in_casadi(formulas.middle_joints)(
             u, v, self.machine.r / square, form, self.frame, self._position
         )
-        rows = in_casadi(formulas.cartesian)(radii, heights)
+        rows = in_casadi(stages.cartesian)(radii, heights)
         return ca.vertcat(*(ca.horzcat(*row) for row in rows))
 
 
