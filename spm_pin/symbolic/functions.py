@@ -19,7 +19,7 @@ from spm_pin.kinematics.formulas import branches as formulas
 from spm_pin.kinematics.formulas import joint_values as values
 from spm_pin.kinematics.formulas import stages, wrenches
 from spm_pin.mechanism import BRANCHES, Geometry
-from spm_pin.mechanism.arguments import choice
+from spm_pin.mechanism.arguments import as_bool, choice
 from spm_pin.symbolic.machine import AXES, UP, Machine, State, all_of, in_casadi, parts, sqrt
 
 Dimensions = Geometry | Literal["symbolic"] | None
@@ -134,7 +134,7 @@ def forward_physical(geometry: Dimensions = None, *, parameters: bool = False, n
     coordinates, legs = ca.vertsplit(unknowns, 6), ca.vertsplit(distances, 3)
     error = ca.vertcat(*(stage_equations(machine, k, coordinates[k], legs[k]) for k in (0, 1)))
     inputs, start = [lengths], ca.vertcat(*(level_stage(machine, k, legs[k]) for k in (0, 1)))
-    if near:
+    if as_bool(near, "near"):
         inputs += [ca.SX.sym("near_joints", 3, 3), ca.SX.sym("near_rotation", 3, 3), ca.SX.sym("near_position", 3)]
         start = ca.vertcat(*State(machine, *inputs[1:]).in_planes())
     rotation, position, joints = placed(machine, *coordinates)

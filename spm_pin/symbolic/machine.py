@@ -16,7 +16,7 @@ from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.formulas import legs, stages, wrenches
 from spm_pin.kinematics.formulas.operations import COS_30, bind
 from spm_pin.mechanism import Geometry
-from spm_pin.mechanism.arguments import LARGEST, SMALLEST, type_and_value
+from spm_pin.mechanism.arguments import LARGEST, SMALLEST, as_bool, type_and_value
 from spm_pin.mechanism.pose import ORTHONORMALITY_TOLERANCE
 
 FLOOR = 1e-40
@@ -90,6 +90,7 @@ class Machine:
 
     def __init__(self, geometry: Geometry | Literal["symbolic"] | None = None, parameters: bool = False) -> None:
         self.inputs: list[Any] = []
+        parameters = as_bool(parameters, "parameters")
         self.is_drawn = not parameters
         self.minimum, self.maximum = ca.SX.zeros(6), ca.SX(6 * [np.inf])
         if isinstance(geometry, str) and geometry == "symbolic" and not parameters:
