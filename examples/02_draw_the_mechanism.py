@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import spm_pin as spm
-from spm_pin.display.plots import draw
+from spm_pin.display import draw
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 import spm_pin as spm
-from spm_pin.display.shell_plots import shell_figure
+from spm_pin.display import shell_figure
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 geometry = spm.Geometry.paper()
-shell = spm.workspace.shell(geometry, resolution=20)
+shell = spm.workspace.workspace_shell(geometry, resolution=20)
 print(f"{len(shell.patches)} surfaces, closed: {shell.mesh.is_watertight}, V - E + F = {shell.euler_characteristic}")
 print(f"volume {shell.volume:.6f} m³, to {shell.volume_error:.0e} m³")
 

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 import spm_pin as spm
 from spm_pin.description import MJCF_PATH
-from spm_pin.display.plots import draw
+from spm_pin.display import draw
 
 AZIMUTH, ELEVATION = 40.0, 15.0
 """Where both pictures are looked at from, in degrees."""

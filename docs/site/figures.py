@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import spm_pin as spm
-from spm_pin.display.plots import draw
+from spm_pin.display import draw
 
 IMAGES = Path(__file__).parents[1] / "images"
 GEOMETRY = spm.Geometry.paper()

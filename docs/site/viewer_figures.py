@@ -9,7 +9,7 @@ from figures import GEOMETRY, IMAGES
 from PIL import Image
 
 import spm_pin as spm
-from spm_pin.display.viewer import Viewer
+from spm_pin.display import Viewer
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 from browser import chromium, until

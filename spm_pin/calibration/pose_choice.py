@@ -1,4 +1,4 @@
-"""Poses whose measurement identifies a machine best: exchange of a D- or A-optimal design."""
+"""Poses whose measurement identifies a machine best: exchange of a D-optimal design."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from spm_pin.calibration.measurements import pose_covariances
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.mechanism import PARAMETERS, Configuration, Geometry
-from spm_pin.mechanism.arguments import FloatArray, as_bool, check_instance, choice, generator, whole_number
+from spm_pin.mechanism.arguments import FloatArray, as_bool, check_instance, generator, whole_number
 from spm_pin.mechanism.configuration import check_configuration
 
 _SWEEPS = 20
@@ -30,13 +30,12 @@ def choose_poses(
     *,
     candidates: int | Configuration = 500,
     parameters: Collection[str] | str | None = None,
-    criterion: str = "D",
     positions_only: bool = False,
     pose_noise: npt.ArrayLike = (1e-5, 1e-5),
     length_noise: npt.ArrayLike = 1e-6,
     rng: object = None,
 ) -> Configuration:
-    """Choose the poses whose measurement identifies a machine best.
+    """Choose the poses whose measurement identifies a machine best: with the smallest ellipsoid of uncertainty.
 
     Parameters
     ----------
@@ -48,9 +47,6 @@ def choose_poses(
         What to choose from: states of shape (M,), or the number of states drawn uniformly within the leg limits.
     parameters, pose_noise, length_noise
         As for `identify`.
-    criterion : {"D", "A"}
-        D: the largest determinant of the information, hence the smallest ellipsoid of uncertainty. A: the smallest mean
-        variance of the parameters, in radians and in sides of the middle platform.
     positions_only : bool
         Positions of o will be measured, no orientations.
     rng : numpy.random.Generator, seed, or None
@@ -60,15 +56,9 @@ def choose_poses(
     -------
     Configuration
         States of shape (count,), the most informative first; each candidate at most once.
-
-    Raises
-    ------
-    ArgumentError
-        If there are fewer candidates than poses, too few poses for the parameters, or no leg limits to draw from.
     """
     machine = check_instance(geometry, Geometry, "geometry")
     wanted = selected(PARAMETERS if parameters is None else parameters, "parameters")
-    choice(criterion, "criterion", ("D", "A"))
     basis, _ = visible_basis(machine, wanted, as_bool(positions_only, "positions_only"))
     components = 3 if positions_only else 6
     few = -(-basis.shape[1] // components)
@@ -82,7 +72,7 @@ def choose_poses(
     total = pose_covariances(states, components, pose_noise, length_noise)
     rows = error_jacobian(states)[:, :components] @ (parameter_scale(machine)[:, None] * basis)
     rows = np.linalg.solve(np.linalg.cholesky(total), rows)
-    return states[np.array(_exchanged(rows, count, criterion))]
+    return states[np.array(_exchanged(rows, count))]
 
 
 def random_states(geometry: Geometry, count: int, rng: object) -> Configuration:
@@ -90,33 +80,27 @@ def random_states(geometry: Geometry, count: int, rng: object) -> Configuration:
     if geometry.limits is None or not np.isfinite(geometry.limits.maximum).all():
         cause = "Give the limits to the Geometry, or the states to choose from"
         raise ArgumentError("geometry", "a machine with leg limits to draw states from", "none", cause)
-    random, found, wanted = generator(rng), [], count
+    random, readings, wanted = generator(rng), [], count
     for _ in range(100):
         low, high = np.array(geometry.limits.minimum), np.array(geometry.limits.maximum)
         states = forward_physical(geometry, random.uniform(low, high, (2 * wanted, 6)))
-        found.append(states.readings[states.exists][:wanted])
-        wanted -= len(found[-1])
+        readings.append(states.readings[states.exists][:wanted])
+        wanted -= len(readings[-1])
         if not wanted:
-            return forward_physical(geometry, np.concatenate(found))
+            return forward_physical(geometry, np.concatenate(readings))
     raise ArgumentError("geometry", "leg limits within which the machine has states", repr(geometry.limits))
 
 
-def _exchanged(rows: FloatArray, count: int, criterion: str) -> list[int]:
+def _exchanged(rows: FloatArray, count: int) -> list[int]:
     """Choose `count` of M whitened Jacobians (M, c, n): one after the other, then by exchange."""
     information = np.swapaxes(rows, -1, -2) @ rows
     total = _RIDGE * np.trace(information, axis1=-2, axis2=-1).mean() * np.eye(rows.shape[-1])
     chosen: list[int] = []
 
     def best(base: FloatArray) -> tuple[int, FloatArray]:
-        """Return the candidate that adds most to this information, and what each candidate adds."""
-        inverse = np.linalg.inv(base)
-        carried = rows @ inverse
-        inner = np.eye(rows.shape[1]) + carried @ np.swapaxes(rows, -1, -2)
-        if criterion == "D":
-            gains = np.linalg.slogdet(inner)[1]
-        else:
-            gains = np.trace(np.linalg.solve(inner, carried @ np.swapaxes(carried, -1, -2)), axis1=-2, axis2=-1)
-            gains = gains / np.trace(inverse)
+        """Return the candidate that adds most to the determinant of this information, and what each candidate adds."""
+        inner = np.eye(rows.shape[1]) + rows @ np.linalg.inv(base) @ np.swapaxes(rows, -1, -2)
+        gains = np.linalg.slogdet(inner)[1]
         free = np.where(np.isin(np.arange(len(rows)), chosen), -np.inf, gains)
         return int(free.argmax()), gains
 

@@ -17,8 +17,8 @@ from spm_pin.errors import SpmError
 EXIT_CODES = """Exit codes: 0 done. 1 a comparison or a proof failed: methods disagree, a printed number is unexplained,
 leg limits hold a singularity. 2 the command cannot be carried out as typed: an option, a file, a missing extra.
 3 unreachable: no real solution. 4 degenerate: a continuous family of solutions; isolated solutions beside it are shown.
-70 a defect of spm-pin. 74 input or output failed, as on a full device. 130 Ctrl-C, which ends every command, also view; crosscheck reports the poses done, and a sweep
-goes on when started again."""
+70 a defect of spm-pin. 74 input or output failed, as on a full device. 130 Ctrl-C, which ends every command, also view;
+crosscheck reports the poses done, and a sweep goes on when started again."""
 
 
 class _WithoutBool:
@@ -57,29 +57,29 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-_COMMANDS = (
-    "demo",
-    "inverse",
-    "forward",
-    "reproduce",
-    "crosscheck",
-    "singularities",
-    "certify",
-    "calibrate",
-    "tolerance",
-    "move",
-    "statics",
-    "urdf",
-    "draw",
-    "view",
-    "export",
-    "workspace",
-    "sweep",
-)
-"""The names of the commands, their files and their functions, in the order of the help."""
+_COMMANDS = {
+    "demo": "crosscheck",
+    "inverse": "pose_commands",
+    "forward": "forward",
+    "reproduce": "reproduce",
+    "crosscheck": "crosscheck",
+    "singularities": "pose_commands",
+    "certify": "certify",
+    "calibrate": "calibrate",
+    "tolerance": "calibrate",
+    "move": "move",
+    "statics": "pose_commands",
+    "urdf": "export",
+    "draw": "draw",
+    "view": "draw",
+    "export": "export",
+    "workspace": "workspace",
+    "sweep": "sweep",
+}
+"""The commands, which are functions of these names, and their files, in the order of the help."""
 
-for _name in _COMMANDS:
-    app.command(cls=_Command)(getattr(import_module(f"spm_pin.cli.{_name}"), _name))
+for _name, _file in _COMMANDS.items():
+    app.command(cls=_Command)(getattr(import_module(f"spm_pin.cli.{_file}"), _name))
 
 
 def _show_version(requested: bool) -> None:

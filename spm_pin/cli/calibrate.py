@@ -1,4 +1,4 @@
-"""`spm-pin calibrate`: the machine as built from measured poses and leg readings."""
+"""`spm-pin calibrate`, the machine as built from measured poses and leg readings, and `tolerance`, what errors cost."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 import typer
 
 from spm_pin.calibration import Calibration, identify, read_measurements
+from spm_pin.calibration import tolerance as analyse
 from spm_pin.calibration.error_model import parameter_scale
 from spm_pin.cli import options, outputs
 from spm_pin.display.result_plots import calibration_figure
@@ -39,7 +40,7 @@ def calibrate(
     loss: Annotated[
         str, typer.Option(help="linear refuses outliers; soft_l1, huber, cauchy give them less weight.")
     ] = "linear",
-    geometry: options.AnyGeometryFile = None,
+    geometry: options.GeometryFile = None,
     force: Annotated[bool, typer.Option("--force", help="Write --out even where the measurements do not fit.")] = False,
     json: options.AsJson = False,
 ) -> None:
@@ -53,7 +54,7 @@ def calibrate(
     The exit code is 1, and no machine is written without --force, if a row does not belong to the others or residuals
     exceed three times what the noise explains.
     """
-    dimensions = options.read_any_geometry(geometry)
+    dimensions = options.read_geometry(geometry)
     poses, readings = read_measurements(measurements)
     found = identify(
         dimensions,
@@ -109,8 +110,9 @@ def _report(found: Calibration) -> None:
     nominal = found.fitted.nominal
     changes = (found.fitted.parameters - nominal.parameters).reshape(6, 9)
     names = [name.split(".")[1] for name in PARAMETERS[:9]]
-    table = [[leg, *(outputs.significant(1e3 * x, 3) for x in row)] for leg, row in zip(LEGS, changes, strict=True)]
-    outputs.print_table("Differences from the nominal machine [mm, mrad]", ["leg", *names], table)
+    numbers = {name: lambda leg, k=k: outputs.significant(1e3 * changes[leg, k], 3) for k, name in enumerate(names)}
+    columns = {"leg": lambda leg: LEGS[leg], **numbers}
+    outputs.print_table("Differences from the nominal machine [mm, mrad]", columns, range(6))
 
 
 def _content(found: Calibration) -> dict[str, Any]:
@@ -125,3 +127,43 @@ def _content(found: Calibration) -> dict[str, Any]:
         "parameters": dict(zip(PARAMETERS, found.fitted.parameters, strict=True)),
         "standard_deviations": dict(zip(PARAMETERS, np.sqrt(np.diagonal(found.covariance)), strict=True)),
     }
+
+
+Deviation = Annotated[float, typer.Option(min=0.0, metavar="SIGMA", help="Standard deviation, in metres or radians.")]
+
+
+@outputs.name_options(rng="--seed")
+def tolerance(
+    direction: Deviation = 1e-4,
+    pivot: Deviation = 1e-4,
+    ball: Deviation = 1e-4,
+    offset: Deviation = 1e-4,
+    by: Annotated[str, typer.Option(help="What to rank: parameter, component, kind or leg.")] = "component",
+    states: Annotated[int, typer.Option(min=1, help="States to draw within the leg limits.")] = 60,
+    samples: Annotated[int, typer.Option(min=0, help="Random machines; 0 for first order alone.")] = 200,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of states and machines.")] = 0,
+    geometry: options.GeometryFile = None,
+    json: options.AsJson = False,
+) -> None:
+    """Predict how far the platform is off if its dimensions are, and which tolerance pays.
+
+    Example: spm-pin tolerance --direction 1e-4 --pivot 5e-5 --ball 5e-5 --offset 1e-5
+    """
+    table = {"direction": direction, "pivot": pivot, "ball": ball, "offset": offset}
+    found = analyse(options.read_geometry(geometry), table, states, samples=samples, rng=seed)
+    ranking = found.ranking(by)
+    if json:
+        linear, sampled = (dict(zip(("position", "angle"), x, strict=True)) for x in (found.rms, found.sampled_rms))
+        outputs.write_json({"tolerances": table, "rms": linear, "sampled_rms": sampled, "shares": dict(ranking)})
+        return
+    lines = [f"RMS error of the platform at {states} states, to first order: {_text(found.rms)}"]
+    if samples:
+        usual, most = _text(found.sampled_rms), _text(found.percentile())
+        lines.append(f"of {samples} random machines: {usual}; 95 % within {most}")
+    outputs.print_lines(lines)
+    columns = {by: lambda row: str(row[0]), "share": lambda row: f"{row[1]:.1%}"}
+    outputs.print_table("Shares of the variance of the position", columns, ranking[:20])
+
+
+def _text(sizes: tuple[float, float]) -> str:
+    return f"{1e3 * sizes[0]:.3g} mm and {1e3 * sizes[1]:.3g} mrad"

@@ -32,7 +32,7 @@ def certify(
     ] = False,
     out: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the boxes to write.")] = None,
     unit: options.Unit = LengthUnit.M,
-    geometry: options.AnyGeometryFile = None,
+    geometry: options.GeometryFile = None,
     json: options.AsJson = False,
 ) -> None:
     """Prove that leg limits hold no forward singularity, so that six lengths mean one configuration.
@@ -43,7 +43,7 @@ def certify(
     configuration was found or boxes were left undecided. --out needs the extra "plots". For the file of a machine as
     built it is proved for all machines that are as near to the nominal one.
     """
-    dimensions = options.read_any_geometry(geometry)
+    dimensions = options.read_geometry(geometry)
     if (minimum is None) != (maximum is None):
         raise GeometryError("--min and --max", "both or neither", "one of them")
     if inverse and (length_error or angle_error or not dimensions.is_nominal):

@@ -1,18 +1,26 @@
-"""`spm-pin crosscheck`: independent methods compared on random poses."""
+"""`spm-pin crosscheck`, independent methods compared on random poses, and `demo`, a first look at the package."""
 
 from __future__ import annotations
 
+import shutil
+import sys
 from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from spm_pin.cli import options, outputs
+from spm_pin.cli.reproduce import print_summary, summary_line
 from spm_pin.crosscheck import METHODS, PairDifference, Report, compare_in_batches
+from spm_pin.crosscheck import reproduce as recompute
+from spm_pin.display.plots import save_gallery
 from spm_pin.display.result_plots import agreement_figure
-from spm_pin.mechanism import Geometry
+from spm_pin.kinematics.inverse_displacement import inverse_displacement
+from spm_pin.mechanism import Geometry, pose
+from spm_pin.paper import published
 
 
 @outputs.name_options(methods="--method", path="--figure")
@@ -47,9 +55,14 @@ def crosscheck(
     if out is not None:
         outputs.write_json(_content(report, file), out)
     outputs.write_figure(figure, agreement_figure, report)
-    if len(report.xyx) < poses:
+    _end(report)
+
+
+def _end(report: Report, failed: bool = False) -> None:
+    """Raise the exit code of a comparison, which Ctrl-C may have ended before its last pose."""
+    if len(report.xyx) < report.requested:
         raise typer.Exit(130)
-    if not report.agrees:
+    if failed or not report.agrees:
         raise typer.Exit(1)
 
 
@@ -92,33 +105,45 @@ def verdict_line(report: Report) -> str:
 
 def print_report(report: Report, *, pairs: bool = False) -> None:
     """Print the scores of the methods, and the differences of all pairs or the largest of each quantity."""
-    rows, styles = [], {}
-    for k, score in enumerate(report.scores):
-        if score.solved:
-            counts = (score.solved, score.branches, score.invented, score.missed)
-            rows.append([score.name, *map(str, counts), f"{100 * score.allowed:g} %"])
-        else:
-            rows.append([score.name, *["-"] * 5])
-        if score.invented or score.misses_too_often:
-            styles[k] = "red"
-    headings = ["method", "poses solved", "branches", "false", "poses with one lost", "known rate"]
-    outputs.print_table("Inverse displacement by each method", headings, rows, styles=styles)
+    counts = {
+        heading: lambda score, name=name: str(getattr(score, name)) if score.solved else "-"
+        for heading, name in (
+            ("poses solved", "solved"),
+            ("branches", "branches"),
+            ("false", "invented"),
+            ("poses with one lost", "missed"),
+        )
+    }
+    outputs.print_table(
+        "Inverse displacement by each method",
+        {
+            "method": lambda score: score.name,
+            **counts,
+            "known rate": lambda score: f"{100 * score.allowed:g} %" if score.solved else "-",
+        },
+        report.scores,
+        style=lambda score: "red" if score.invented or score.misses_too_often else None,
+    )
     shown: list[PairDifference] = []
-    rules = []
     for _, group in groupby(report.differences, key=lambda pair: pair.quantity):
         of_quantity = list(group)
-        rules.append(len(shown))
         shown += of_quantity if pairs else [max(of_quantity, key=lambda pair: pair.ratio)]
-    rows = []
-    for pair in shown:
-        names, largest = f"{pair.first} - {pair.second}", f"{pair.worst:.0e} {pair.quantity.unit}".strip()
-        numbers = str(pair.compared), str(pair.disagreements), largest, f"{pair.ratio:.0e}"
-        rows.append([pair.quantity, names, *numbers])
-    styles = {k: "red" for k, pair in enumerate(shown) if pair.disagreements}
     which = "Differences of all pairs" if pairs else "Largest difference in each quantity"
-    title = f"{which}, and its share of the tolerance"
-    headings = ["quantity", "methods", "states", "differ", "largest", "share"]
-    outputs.print_table(title, headings, rows, left=["methods"], rules=rules[1:] if pairs else (), styles=styles)
+    outputs.print_table(
+        f"{which}, and its share of the tolerance",
+        {
+            "quantity": lambda pair: str(pair.quantity),
+            "methods": lambda pair: f"{pair.first} - {pair.second}",
+            "states": lambda pair: str(pair.compared),
+            "differ": lambda pair: str(pair.disagreements),
+            "largest": lambda pair: f"{pair.worst:.0e} {pair.quantity.unit}".strip(),
+            "share": lambda pair: f"{pair.ratio:.0e}",
+        },
+        shown,
+        left=["methods"],
+        group=lambda pair: pair.quantity if pairs else None,
+        style=lambda pair: "red" if pair.disagreements else None,
+    )
 
 
 def _remarks(report: Report, all_methods: bool, file: str | None) -> list[str]:
@@ -167,3 +192,43 @@ def _content(report: Report, file: str | None) -> dict[str, Any]:
             for pair in report.differences
         ],
     }
+
+
+_NEXT = (
+    ("inverse --help", "all branches of a pose; the paper's as example"),
+    ("forward --help", "the pose of six leg lengths"),
+    ("view", 'drag the platform in a browser (extra "viewer")'),
+    ("reproduce", "the cause of each difference from the paper"),
+    ("--help", "all commands"),
+)
+
+
+def demo(
+    out: Annotated[Path | None, outputs.picture_option("Picture of the example's branches: .png, .svg, .pdf.")] = None,
+    poses: Annotated[int, typer.Option(min=1, help="Random poses of the comparison.")] = 100,
+) -> None:
+    """Reproduce the paper, compare all methods, and draw the example.
+
+    Exits with 1 if a printed number is unexplained or the methods disagree. --out needs the extra "plots".
+    """
+    reproduction = recompute()
+    report = compare_with_progress(Geometry.paper(), poses, 0, None)
+    style = "bold red" if reproduction.unexplained else "bold green"
+    outputs.print_lines([f"The paper:   {summary_line(reproduction)}"], style)
+    outputs.print_lines([f"The methods: {verdict_line(report)}"], "bold green" if report.agrees else "bold red")
+    outputs.stdout.print()
+    print_summary(reproduction)
+    outputs.print_lines(["The cause of each difference is in the numbers: spm-pin reproduce names it."])
+    outputs.stdout.print()
+    print_report(report)
+    if out is not None:
+        example = pose(np.array(published.POSITION) / 100.0, xyx=np.deg2rad(published.XYX_DEGREES))
+        solutions = inverse_displacement(Geometry.paper(), example)
+        save_gallery(options.titled_branches(solutions, options.selected_labels(solutions, None)), out)
+        outputs.stdout.print(f"Picture of the six real branches of the paper's pose: {out}", soft_wrap=True)
+    outputs.stdout.print("Try next:")
+    program = "spm-pin" if shutil.which("spm-pin") else sys.argv[0]
+    width = max(len(arguments) for arguments, _ in _NEXT)
+    for arguments, what in _NEXT:
+        outputs.stdout.print(f"  {program} {arguments:{width}}  {what}", soft_wrap=True)
+    _end(report, failed=bool(reproduction.unexplained))

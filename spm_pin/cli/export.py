@@ -1,4 +1,4 @@
-"""`spm-pin export`: the robot with its loops closed, in the format of another engine, or its kinematics in C."""
+"""`spm-pin export` and `urdf`: the robot in the format of another engine, or its kinematics in C."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def export(
         typer.Option(metavar="FILE", parser=outputs.file_name, help="Where to write; standard output if not given."),
     ] = None,
     prefix: Annotated[str | None, options.PREFIX] = None,
-    geometry: options.AnyGeometryFile = None,
+    geometry: options.GeometryFile = None,
     ros_constraints: Annotated[
         bool, typer.Option("--ros-constraints", help="urdf: add the <constraint> elements proposed for ROS.")
     ] = False,
@@ -40,7 +40,6 @@ def export(
     c: inverse and forward displacement, J_f, leg forces and joint values in C99 for controllers, with a test program.
     """
     from spm_pin import description
-    from spm_pin.symbolic import write_c
 
     if (format_ is None) == (option is None):
         received = "none" if format_ is None else "two"
@@ -56,12 +55,14 @@ def export(
     if format_ == "c":
         if out is None:
             raise ArgumentError("--out", "the directory to write into", "none")
-        for path in write_c(options.read_any_geometry(geometry), out, prefix="spm_" if prefix is None else prefix):
+        from spm_pin.symbolic import write_c
+
+        for path in write_c(options.read_geometry(geometry), out, prefix="spm_" if prefix is None else prefix):
             outputs.note(f"wrote {path}")
         return
     if out is not None:
         outputs.check_output(out)
-    prefix, machine = prefix or "", options.read_any_geometry(geometry)
+    prefix, machine = prefix or "", options.read_geometry(geometry)
     # Beside a file go its meshes; a text on standard output has whole paths.
     meshes = "meshes" if out is not None else None
     match format_:
@@ -76,3 +77,22 @@ def export(
         case _:
             text = description.extended_urdf_text(prefix=prefix)
     (outputs.write_model if format_ in ("urdf", "mjcf", "sdf") else outputs.write_text)(text, out)
+
+
+@outputs.name_options()
+def urdf(
+    out: Annotated[Path | None, outputs.file_option("Where to write; standard output if not given.")] = None,
+    prefix: Annotated[str, options.PREFIX] = "",
+    geometry: options.GeometryFile = None,
+) -> None:
+    """Write the URDF: an open tree of eighteen joints, its four loops closed by Drake's tags.
+
+    Other loaders pass over those tags; `spm-pin export` writes the closed robot for them. At zero the tree of a drawing
+    is assembled. With --out, the meshes are put beside the file, into a folder `meshes`, and named relative to it;
+    Pinocchio finds them if it is told the file's folder, package_dirs=".". A URDF on standard output names them by
+    their whole paths.
+    """
+    from spm_pin.description import urdf_text
+
+    text = urdf_text(options.read_geometry(geometry), prefix=prefix, meshes="meshes" if out else None)
+    outputs.write_model(text, out)

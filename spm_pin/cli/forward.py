@@ -10,17 +10,16 @@ import typer
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit, SixLegs, leg_option
 from spm_pin.display.output_files import fixed
-from spm_pin.errors import GeometryError
 from spm_pin.kinematics.forward_displacement import forward_displacement, forward_physical
 from spm_pin.mechanism import Configuration, SolutionSet, Status
 
 
-@outputs.name_options(leg_lengths="--legs")
+@outputs.name_options(leg_lengths="--legs", readings="--legs")
 def forward(
     legs: Annotated[SixLegs, leg_option("--legs", "Leg lengths r_b1 to r_b3 and r_c1 to r_c3, in --unit.")],
     every: Annotated[bool, typer.Option("--all", help="Show every assembly mode, not only the physical one.")] = False,
     unit: options.Unit = LengthUnit.M,
-    geometry: options.AnyGeometryFile = None,
+    geometry: options.GeometryFile = None,
     json: options.AsJson = False,
 ) -> None:
     """Find the pose of the platform from the leg lengths.
@@ -28,14 +27,10 @@ def forward(
     Example, the paper's: spm-pin forward --legs 120 120 140 125 120 150 --unit cm
     """
     lengths = np.array(legs) / unit.per_metre
-    dimensions = options.read_any_geometry(geometry)
+    dimensions = options.read_geometry(geometry)
     physical = forward_physical(dimensions, lengths)
-    if not dimensions.is_nominal:
-        if every:
-            raise GeometryError("--geometry", "nominal dimensions for --all", "a machine as built", "Leave out --all")
-        modes = _alone(physical)
-    else:
-        modes = forward_displacement(dimensions, lengths)
+    # All modes are those of a machine as drawn; for one as built --all is refused.
+    modes = forward_displacement(dimensions, lengths) if every or dimensions.is_nominal else _alone(physical)
     shown = {modes.labels[0]: physical} if physical.exists else {}
     if every:
         shown = {modes.labels[k]: modes.configurations[k] for k in np.flatnonzero(modes.exists)}
@@ -61,15 +56,16 @@ def _angles(state: Configuration) -> list[float]:
 
 
 def _print_states(states: dict[str, Configuration], physical: str, unit: LengthUnit, title: str) -> None:
-    rows = []
-    for label, state in states.items():
-        # One digit more where there is room for it in 80 columns.
-        finer = int(len(states) == 1)
-        position = [unit.text(x, finer) for x in state.translation]
-        angles = [fixed(angle, 3 + finer) for angle in _angles(state)]
-        rows.append([label, *position, *angles, "physical" if label == physical else ""])
-    headings = ["mode", "X", "Y", "Z", "alpha", "beta", "lambda", ""]
-    outputs.print_table(f"{title}: o in {unit}, X-Y-X in degrees", headings, rows, left=[""])
+    # One digit more where there is room for it in 80 columns.
+    finer = int(len(states) == 1)
+    position = {name: lambda label, k=k: unit.text(states[label].translation[k], finer) for k, name in enumerate("XYZ")}
+    angles = {
+        name: lambda label, k=k: fixed(_angles(states[label])[k], 3 + finer)
+        for k, name in enumerate(("alpha", "beta", "lambda"))
+    }
+    physical_column = {"": lambda label: "physical" if label == physical else ""}
+    columns = {"mode": lambda label: label, **position, **angles, **physical_column}
+    outputs.print_table(f"{title}: o in {unit}, X-Y-X in degrees", columns, states, left=[""])
 
 
 def _remarks(modes: SolutionSet, physical: Configuration, hint: str) -> list[str]:
@@ -84,12 +80,11 @@ def _remarks(modes: SolutionSet, physical: Configuration, hint: str) -> list[str
 
 
 def _content(modes: SolutionSet, shown: dict[str, Configuration], physical: str, unit: LengthUnit) -> dict[str, Any]:
-    degeneracy = modes.degeneracy
     return {
         "unit": unit,
         "status": str(modes.status),
         "count": modes.count,
-        "degeneracy": degeneracy and {"dimension": degeneracy.dimension, "families": degeneracy.families},
+        "degeneracy": options.degeneracy_content(modes),
         "modes": [
             {
                 "label": label,

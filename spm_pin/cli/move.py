@@ -88,7 +88,7 @@ def move(
     out: Annotated[Path | None, outputs.file_option("CSV of the legs to write.", (".csv",))] = None,
     plot: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) to write.")] = None,
     unit: options.Unit = LengthUnit.M,
-    geometry: options.AnyGeometryFile = None,
+    geometry: options.GeometryFile = None,
     json: options.AsJson = False,
 ) -> None:
     """Plan the fastest motion from one state to another, at rest at both ends.
@@ -103,7 +103,7 @@ def move(
     from spm_pin.motion import Payload, plan, time_optimal
     from spm_pin.multibody.chain import ClosedChain
 
-    dimensions = options.read_any_geometry(geometry)
+    dimensions = options.read_geometry(geometry)
     first, last = _end_state(start, start_pose, "--from", unit), _end_state(goal, goal_pose, "--to", unit)
     allowed = dimensions.limits
     if limits is not None:
@@ -176,15 +176,9 @@ def _columns(chain: ClosedChain, motion: JointTrajectory, lengths: FloatArray) -
 def _report(planned: MotionPlan, table: dict[str, FloatArray], unit: LengthUnit) -> None:
     proved = ", proved to be free of forward singularities" if planned.certified else ""
     outputs.print_lines([f"{table['t'][-1]:.4g} s, {planned.method}{proved}"])
-    digits = {"rate": 3, "acceleration": 2, "force": 1}
-    rows = [
-        [
-            leg,
-            *(unit.text(length) for length in table[leg][[0, -1]]),
-            *(fixed(np.abs(table[f"{leg}.{kind}"]).max(), count) for kind, count in digits.items()),
-        ]
-        for leg in LEGS
-    ]
-    outputs.print_table(
-        "Legs", ["leg", f"from [{unit}]", f"to [{unit}]", "rate [m/s]", "acc. [m/s²]", "force [N]"], rows
-    )
+    largest = {
+        f"{kind} [{si}]": lambda leg, kind=kind, digits=digits: fixed(np.abs(table[f"{leg}.{kind}"]).max(), digits)
+        for kind, si, digits in (("rate", "m/s", 3), ("acceleration", "m/s²", 2), ("force", "N", 1))
+    }
+    ends = {f"{name} [{unit}]": lambda leg, k=k: unit.text(table[leg][k]) for name, k in (("from", 0), ("to", -1))}
+    outputs.print_table("Legs", {"leg": str, **ends, **largest}, LEGS)

@@ -57,10 +57,6 @@ AnyLegs = Annotated[SixLegs | None, leg_option("--legs", "Leg lengths in --unit,
 Unit = Annotated[LengthUnit, typer.Option(help="Unit of lengths, in and out.")]
 GeometryFile = Annotated[
     Path | None,
-    typer.Option("--geometry", metavar="FILE", help="YAML file of dimensions in metres; the paper's if not given."),
-]
-AnyGeometryFile = Annotated[
-    Path | None,
     typer.Option(
         "--geometry", metavar="FILE", help="YAML file of dimensions, or of a machine as built; the paper's if not."
     ),
@@ -79,16 +75,7 @@ Branches = Annotated[
 
 
 def read_geometry(path: Path | None) -> Geometry:
-    """Return the geometry of `--geometry`, or the paper's, as `read_any_geometry`; a machine as built is an error."""
-    found = read_any_geometry(path)
-    if not found.is_nominal:
-        cause = "This command is for the nominal machine: give the dimensions under the key nominal"
-        raise GeometryError("--geometry", "nominal dimensions", f"{path}, a machine as built", cause)
-    return found
-
-
-def read_any_geometry(path: Path | None) -> Geometry:
-    """Return the geometry of `--geometry`, of a nominal machine or of one as built; by default the paper's.
+    """Return the geometry of `--geometry`, drawn or as built; by default the paper's.
 
     Warnings about the file are notes on stderr; a file that describes no manipulator is a `GeometryError`.
     """
@@ -154,6 +141,13 @@ def pose_remarks(solutions: SolutionSet) -> list[str]:
             "branches, but far beyond usual leg limits."
         )
     return remarks
+
+
+def degeneracy_content(solutions: SolutionSet) -> dict[str, Any] | None:
+    """Return what `--json` says of a continuous family; None if there is none."""
+    degeneracy = solutions.degeneracy
+    names = ("dimension", "families", "legs")
+    return None if degeneracy is None else {name: getattr(degeneracy, name) for name in names}
 
 
 def status_line(solutions: SolutionSet, what: str) -> str:
@@ -237,7 +231,7 @@ def solve_pose(
     geometry: Path | None, translation: Triple, xyx: Triple, unit: LengthUnit
 ) -> tuple[SolutionSet, list[str]]:
     """Return the branches of `--translation` and `--xyx`, and remarks on a pose that has none or too many."""
-    dimensions = read_any_geometry(geometry)
+    dimensions = read_geometry(geometry)
     solutions = inverse_displacement(dimensions, read_pose(translation, xyx, unit))
     hint = unit_hint("--translation", translation, unit, dimensions)
     remarks = [hint] if hint else pose_remarks(solutions)

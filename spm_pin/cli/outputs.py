@@ -33,6 +33,7 @@ _ROUNDING = 1e-12
 
 P = ParamSpec("P")
 R = TypeVar("R")
+Row = TypeVar("Row")
 
 
 _ASCII = {"─": "-", "│": "|", "²": "^2", "³": "^3", "°": " deg", "σ": "s", "ω": "w", "Δ": "d", "±": "+-", "·": "*"}
@@ -61,7 +62,7 @@ def flush() -> None:
         sys.stdout.flush()
     except OSError:
         # Python writes the rest when it ends, and would fail again.
-        with open(os.devnull, "wb") as nowhere:
+        with Path(os.devnull).open("wb") as nowhere:
             os.dup2(nowhere.fileno(), sys.stdout.fileno())
         raise
 
@@ -80,20 +81,21 @@ def note(text: str, style: str | None = None) -> None:
 
 def print_table(
     title: str,
-    headings: Sequence[str],
-    rows: Iterable[Sequence[str]],
+    columns: Mapping[str, Callable[[Row], str]],
+    rows: Iterable[Row],
     *,
     left: Collection[str] = (),
-    rules: Collection[int] = (),
-    styles: Mapping[int, str] | None = None,
+    group: Callable[[Row], object] = lambda row: None,
+    style: Callable[[Row], str | None] = lambda row: None,
 ) -> None:
-    """Print a table on stdout whose cells are never cut.
+    """Print a table on stdout whose cells are never cut: `columns` are headings and the text of each for a row.
 
     In a pipe a line is as long as it needs to be. On a screen, columns that do not fit follow in further blocks below,
     each beginning with the first column. That column is aligned to the left, and so are those with headings in `left`;
-    an empty line is put above the rows numbered in `rules`; `styles` are those of rows, by their number.
+    an empty line separates rows of another `group`.
     """
-    cells = [[str(cell) for cell in row] for row in rows]
+    rows, headings = list(rows), list(columns)
+    cells = [[text(row) for text in columns.values()] for row in rows]
     widths = [max(cell_len(cell) for cell in column) for column in zip(headings, *cells, strict=True)]
     screen = stdout.width if stdout.is_terminal else math.inf
     blocks = [[0]]
@@ -102,11 +104,11 @@ def print_table(
             blocks.append([0])
         blocks[-1].append(k)
 
-    def line(row: Sequence[str], block: list[int], style: str | None = None) -> None:
+    def line(texts: Sequence[str], block: list[int], style: str | None = None) -> None:
         padded = []
         for k in block:
-            space = " " * (widths[k] - cell_len(row[k]))
-            padded.append(row[k] + space if k == 0 or headings[k] in left else space + row[k])
+            space = " " * (widths[k] - cell_len(texts[k]))
+            padded.append(texts[k] + space if k == 0 or headings[k] in left else space + texts[k])
         stdout.print(" " + "  ".join(padded).rstrip(), style=style, soft_wrap=True)
 
     stdout.print(title, style="bold", soft_wrap=True)
@@ -114,10 +116,10 @@ def print_table(
         stdout.print()
         line(headings, block, "bold")
         stdout.print(" " + "─" * (sum(widths[k] + 2 for k in block) - 2), soft_wrap=True)
-        for number, row in enumerate(cells):
-            if number in rules:
+        for number, (row, texts) in enumerate(zip(rows, cells, strict=True)):
+            if number and group(row) != group(rows[number - 1]):
                 stdout.print()
-            line(row, block, (styles or {}).get(number))
+            line(texts, block, style(row))
     stdout.print()
 
 

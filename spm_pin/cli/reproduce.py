@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import astuple
 from itertools import groupby
 from operator import attrgetter
@@ -11,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from spm_pin.cli import options, outputs
-from spm_pin.crosscheck import POSE, TABLES, Reproduction, Verdict
+from spm_pin.crosscheck import POSE, TABLES, Cell, Reproduction, Verdict
 from spm_pin.crosscheck import reproduce as recompute
 from spm_pin.display.output_files import fixed
 
@@ -79,14 +80,21 @@ def summary_line(found: Reproduction) -> str:
 
 def print_summary(found: Reproduction) -> None:
     """Print how many cells of each table agree."""
-    rows, styles = [], {}
-    for k, (number, group) in enumerate(groupby(sorted(found.cells, key=_TABLE), key=_TABLE)):
-        verdicts = [cell.verdict for cell in group]
-        counts = [sum(verdict is each for verdict in verdicts) for each in Verdict]
-        rows.append([_TITLES[number].partition(" (")[0], str(len(verdicts)), *map(str, counts)])
-        if Verdict.UNEXPLAINED in verdicts:
-            styles[k] = "red"
-    outputs.print_table("The paper's numbers, recomputed", ["", "cells", *Verdict], rows, styles=styles)
+    verdicts = {
+        number: [cell.verdict for cell in group]
+        for number, group in groupby(sorted(found.cells, key=_TABLE), key=_TABLE)
+    }
+    counts = {str(each): lambda number, each=each: str(verdicts[number].count(each)) for each in Verdict}
+    columns = {
+        "": lambda number: _TITLES[number].partition(" (")[0],
+        "cells": lambda number: str(len(verdicts[number])),
+    }
+    outputs.print_table(
+        "The paper's numbers, recomputed",
+        columns | counts,
+        verdicts,
+        style=lambda number: "red" if Verdict.UNEXPLAINED in verdicts[number] else None,
+    )
 
 
 def _number(value: complex, like: str | None = None) -> str:
@@ -99,32 +107,48 @@ def _number(value: complex, like: str | None = None) -> str:
 
 
 def _print_cells(found: Reproduction) -> None:
+    columns: dict[str, Callable[[Cell], str]] = {
+        "": lambda cell: cell.row,
+        "solution": lambda cell: cell.column,
+        "published": lambda cell: cell.published or "",
+        "recomputed": lambda cell: _number(cell.recomputed, cell.published),
+        "difference": lambda cell: "" if cell.difference is None else f"{cell.difference:.0e}",
+        "verdict": lambda cell: cell.verdict,
+    }
     for number, group in groupby(found.cells, key=_TABLE):
-        cells = list(group)
-        rows = []
-        for cell in cells:
-            difference = "" if cell.difference is None else f"{cell.difference:.0e}"
-            recomputed = _number(cell.recomputed, cell.published)
-            rows.append([cell.row, cell.column, cell.published or "", recomputed, difference, cell.verdict])
-        styles = {k: _STYLES[cell.verdict] for k, cell in enumerate(cells) if cell.verdict in _STYLES}
-        rules = [k for k in range(1, len(cells)) if number and number < 5 and cells[k].row != cells[k - 1].row]
-        headings = ["", "solution", "published", "recomputed", "difference", "verdict"]
-        outputs.print_table(_TITLES[number], headings, rows, left=["verdict"], rules=rules, styles=styles)
+        outputs.print_table(
+            *(_TITLES[number], columns, group),
+            left=["verdict"],
+            group=lambda cell: cell.row if 0 < cell.table < 5 else None,
+            style=lambda cell: _STYLES.get(cell.verdict),
+        )
     if any(cell.table < 5 for cell in found.cells):
-        rows = []
-        for each in found.solutions:
-            values = (_number(value, "0.000") for value in (each.paper, each.closed_form))
-            rows.append([str(each.solution), each.label, *values, f"{each.difference:.0e}"])
-        headings = ["solution", "branch", "paper: |U| = 0", "four quadratics", "difference"]
-        title = "The same solutions by two methods: b_2Y (cm), and the largest difference"
-        outputs.print_table(title, headings, rows, left=["branch"])
+        outputs.print_table(
+            "The same solutions by two methods: b_2Y (cm), and the largest difference",
+            {
+                "solution": lambda each: str(each.solution),
+                "branch": lambda each: each.label,
+                "paper: |U| = 0": lambda each: _number(each.paper, "0.000"),
+                "four quadratics": lambda each: _number(each.closed_form, "0.000"),
+                "difference": lambda each: f"{each.difference:.0e}",
+            },
+            found.solutions,
+            left=["branch"],
+        )
     if found.true_values:
-        rows = []
-        for true in found.true_values:
-            name, *numbers = astuple(true)
-            rows.append([name, *(fixed(x, 6) for x in numbers), f"{max(numbers) - min(numbers):.0e}"])
-        headings = ["", "paper: 9 × 9", "wrench form", "Pinocchio", "difference"]
-        outputs.print_table("The true numbers of Table 5 by three methods", headings, rows)
+        by_method = {
+            heading: lambda numbers, k=k: fixed(numbers[k], 6)
+            for k, heading in enumerate(("paper: 9 × 9", "wrench form", "Pinocchio"), start=1)
+        }
+        outputs.print_table(
+            "The true numbers of Table 5 by three methods",
+            {
+                "": lambda numbers: numbers[0],
+                **by_method,
+                "difference": lambda numbers: f"{max(numbers[1:]) - min(numbers[1:]):.0e}",
+            },
+            [astuple(true) for true in found.true_values],
+        )
 
 
 def _findings(found: Reproduction) -> list[str]:

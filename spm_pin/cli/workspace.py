@@ -15,8 +15,7 @@ from spm_pin.display.output_files import FORMATS, save_figure
 from spm_pin.display.shell_plots import MESH_FORMATS, save_mesh, shell_figure
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LEGS, LegLimits
-from spm_pin.workspace.paper_shell.shell import Patch, Shell, workspace_shell
-from spm_pin.workspace.paper_shell.sub_workspaces import ERRATA
+from spm_pin.workspace.paper_shell import ERRATA, Patch, Shell, workspace_shell
 
 
 @outputs.name_options(path="--out")
@@ -86,7 +85,7 @@ def _write(shell: Shell, out: Path, samples: int | None) -> None:
         save_figure(shell_figure(shell), out)
     else:
         from spm_pin.display.shell_plots import sections_figure
-        from spm_pin.workspace.reachability.reachable_samples import sample_positions_near_limits
+        from spm_pin.workspace.sampling import sample_positions_near_limits
 
         with outputs.stderr.status("drawing leg lengths"):
             reached, aspect = sample_positions_near_limits(shell.geometry, shell.limits, count=samples)
@@ -95,25 +94,24 @@ def _write(shell: Shell, out: Path, samples: int | None) -> None:
 
 
 def _print_patches(patches: tuple[Patch, ...], unit: LengthUnit) -> None:
-    scale = unit.per_metre**2
-    rows = [
-        [patch.name, *(setting.value for setting in patch.settings), outputs.significant(patch.area * scale)]
-        for patch in patches
-    ]
-    rules = [k for k in range(1, len(patches)) if patches[k].family != patches[k - 1].family]
+    settings = {leg: lambda patch, k=k: patch.settings[k].value for k, leg in enumerate(LEGS)}
+    area = {"area": lambda patch: outputs.significant(patch.area * unit.per_metre**2)}
+    columns = {"patch": lambda patch: patch.name, **settings, **area}
     title = f"The surfaces: leg settings, area in {unit}²"
-    outputs.print_table(title, ["patch", *LEGS, "area"], rows, left=LEGS, rules=rules)
+    outputs.print_table(title, columns, patches, left=LEGS, group=lambda patch: patch.family)
 
 
 def _print_convergence(shell: Shell, unit: LengthUnit) -> None:
-    scale = unit.per_metre**3
-    convergence = shell.convergence
-    rows = []
-    for n, volume in zip(convergence.resolutions, convergence.volumes, strict=True):
-        short = (convergence.limit - volume) * scale
-        rows.append([str(n), outputs.significant(volume * scale, digits=8), outputs.significant(short, digits=2)])
-    title = f"The volume as the mesh gets finer, in {unit}³"
-    outputs.print_table(title, ["increments", "volume", "short of the limit by"], rows)
+    scale, convergence = unit.per_metre**3, shell.convergence
+    outputs.print_table(
+        f"The volume as the mesh gets finer, in {unit}³",
+        {
+            "increments": lambda row: str(row[0]),
+            "volume": lambda row: outputs.significant(row[1] * scale, digits=8),
+            "short of the limit by": lambda row: outputs.significant((convergence.limit - row[1]) * scale, digits=2),
+        },
+        zip(convergence.resolutions, convergence.volumes, strict=True),
+    )
 
 
 def _remarks(shell: Shell, unit: LengthUnit) -> list[str]:

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism import Geometry
-from spm_pin.mechanism.arguments import writing
+from spm_pin.mechanism.arguments import as_bool, check_instance, writing
 from spm_pin.mechanism.geometry import config_directory
 
 # Names of files; `spm_pin.description` says what each is.
@@ -98,9 +98,13 @@ def urdf_text(
     import xacro
 
     check_prefix(prefix)
+    as_bool(ros_constraints, "ros_constraints")
+    if meshes is not None and (not isinstance(meshes, str) or not meshes.isprintable()):
+        raise DescriptionError("meshes", "the folder of the meshes as text, or None", repr(meshes))
+    machine = Geometry.paper() if geometry is None else check_instance(geometry, Geometry, "geometry")
     with tempfile.TemporaryDirectory() as folder, _XACRO:
         path = Path(folder) / "geometry.yaml"
-        (Geometry.paper() if geometry is None else geometry).to_yaml(path)
+        machine.to_yaml(path)
         folder_of_meshes = (description_directory() / MESHES).as_posix() if meshes is None else meshes
         mappings = {"prefix": prefix, "geometry": str(path), "meshes": folder_of_meshes}
         expanded = xacro.process_file(str(description_file(ENTRY)), mappings=mappings)

@@ -82,10 +82,12 @@ def joint_values(configuration: Configuration) -> dict[str, float]:
 
 def state_values(states: Mapping[str, Configuration], prefix: str) -> dict[str, dict[str, float]]:
     """Return the values of the joints, named with the prefix, in `home` and in named states of one geometry."""
+    if not isinstance(states, Mapping):
+        raise DescriptionError("states", "a mapping of names to configurations", type(states).__name__)
     values = {HOME: dict.fromkeys((prefix + joint for joint in JOINTS), 0.0)}
     for name, configuration in states.items():
-        if name == HOME:
-            raise DescriptionError("states", "other names than home, which is all joints at zero", name)
+        if not isinstance(name, str) or name == HOME:
+            raise DescriptionError("states", "names other than home, which is all joints at zero", repr(name))
         values[name] = {prefix + joint: value for joint, value in joint_values(configuration).items()}
         if configuration.geometry != next(iter(states.values())).geometry:
             raise DescriptionError("states", "one geometry in all states", f"another one in {name}")
@@ -103,7 +105,7 @@ def srdf_text(states: Mapping[str, Configuration] | None = None, *, prefix: str 
         As for `urdf_text`.
     """
     check_prefix(prefix)
-    states = states or {}
+    states = {} if states is None else states
     lines = ['<?xml version="1.0" ?>', '<robot name="spm">']
     for group, joints in (("legs", SLIDES), ("mechanism", JOINTS)):
         lines.append(f'  <group name="{group}">')

@@ -51,11 +51,12 @@ def mjcf_text(
     limits, for which MJCF has no place, are the numeric `velocity_limit`, in the order of the joints.
     """
     robot = read_robot(geometry, prefix=prefix, meshes=meshes)
-    for name, state in (states or {}).items():
-        if state.geometry != (Geometry.paper() if geometry is None else geometry):
-            raise DescriptionError("states", "the robot's geometry in all states", f"another one in {name}")
+    values_by_state = state_values({} if states is None else states, prefix)
+    if states and next(iter(states.values())).geometry != (Geometry.paper() if geometry is None else geometry):
+        raise DescriptionError("states", "the robot's geometry in all states", "another one")
     assembled = robot.is_assembled()
-    anchors = choice(anchors or ("bodies" if assembled else "sites"), "anchors", ("bodies", "sites"))
+    default = "bodies" if assembled else "sites"
+    anchors = choice(default if anchors is None else anchors, "anchors", ("bodies", "sites"))
     if anchors == "bodies" and not assembled:
         expected = "sites for a machine whose loops are open at zero"
         raise DescriptionError("anchors", expected, "bodies", "Those of a machine as built are")
@@ -67,7 +68,7 @@ def mjcf_text(
         motors.append(_element("motor", name=motor, joint=joint, ctrllimited="true", ctrlrange=(-effort, effort)))
     keys = [
         _element("key", name=name, qpos=[values[joint.name] for joint in robot.moving])
-        for name, values in state_values(states or {}, prefix).items()
+        for name, values in values_by_state.items()
     ]
     velocities = [joint.limits["velocity"] for joint in robot.moving]
     closures = [_connection(robot, closure, anchors == "sites") for closure in robot.closures]
@@ -185,7 +186,8 @@ def sdf_text(
     """
     robot = read_robot(geometry, prefix=prefix, meshes=meshes)
     assembled = robot.is_assembled()
-    loops = choice(loops or ("joints" if assembled else "drake"), "loops", ("joints", "drake"))
+    default = "joints" if assembled else "drake"
+    loops = choice(default if loops is None else loops, "loops", ("joints", "drake"))
     if loops == "joints" and not assembled:
         raise DescriptionError("loops", "drake for a machine whose loops are open at zero", "joints")
     ends = {"parent": "world", "child": robot.base}

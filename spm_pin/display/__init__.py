@@ -12,9 +12,10 @@ if TYPE_CHECKING:
     from spm_pin.display.plots import draw, save_gallery, save_picture
     from spm_pin.display.result_plots import agreement_figure, calibration_figure, certificate_figure, motion_figure
     from spm_pin.display.shell_plots import draw_shell, save_mesh, sections_figure, shell_figure
-    from spm_pin.display.viewer import Recording, Viewer, read_recording
+    from spm_pin.display.viewer import Playback, Recording, Viewer, read_recording
 
 __all__ = [
+    "Playback",
     "Recording",
     "Viewer",
     "agreement_figure",
@@ -38,7 +39,7 @@ _HOMES = {
     "plots": ("draw", "save_gallery", "save_picture"),
     "result_plots": ("agreement_figure", "calibration_figure", "certificate_figure", "motion_figure"),
     "shell_plots": ("draw_shell", "save_mesh", "sections_figure", "shell_figure"),
-    "viewer": ("Recording", "Viewer", "read_recording"),
+    "viewer": ("Playback", "Recording", "Viewer", "read_recording"),
 }
 
 

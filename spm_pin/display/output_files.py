@@ -45,13 +45,7 @@ def check_appearance(width: int, narrowest: int, background: str) -> None:
 
 
 def save_figure(figure: Figure, path: str | Path, *, dpi: float = 150.0, background: str = "white") -> Path:
-    """Save a figure, by the end of the file's name one of `FORMATS`; a file that exists is replaced.
-
-    Raises
-    ------
-    ArgumentError
-        If the name ends otherwise, or the file cannot be written.
-    """
+    """Save a figure, by the end of the file's name one of `FORMATS`; a file that exists is replaced."""
     path = file_path(path, suffixes=FORMATS)
     from matplotlib import rc_context
 

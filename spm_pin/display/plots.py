@@ -86,11 +86,6 @@ def draw(
     -------
     matplotlib.axes.Axes
         `ax`, or the new one.
-
-    Raises
-    ------
-    ArgumentError
-        If the configuration is a batch or does not exist, `ax` is three-dimensional, or `view` is not two angles.
     """
     solids, camera = scene(configuration, frames=labels), camera_axes(view)
     margins = _MARGINS if labels else (0.014, 0.01)
@@ -128,12 +123,6 @@ def save_picture(
         Width of the picture in pixels; the height follows from the view.
     background : str
         Any colour of matplotlib, or ``"none"``.
-
-    Raises
-    ------
-    ArgumentError
-        If the suffix is another, the file cannot be written, `width` is less than 100, or 200 with labels, or more
-        than `WIDEST`, the colour is unknown, or `draw` would raise it.
     """
     path = file_path(path, suffixes=FORMATS)
     check_appearance(width, NARROWEST[labels], background)
@@ -161,11 +150,6 @@ def save_gallery(
         As for `save_picture`.
     width : int
         Width of the whole picture in pixels: 100 for each column at least, 260 with labels.
-
-    Raises
-    ------
-    ArgumentError
-        If there is none, `width` is less, or `save_picture` would raise it.
     """
     path = file_path(path, suffixes=FORMATS)
     if not configurations:
@@ -188,16 +172,11 @@ def save_gallery(
 class _LabelPlacer:
     """Places labels where they are clear of edges, dark colours and one another, as far as there is room."""
 
-    ax: Axes
-    """Where the labels are written."""
-    darkness: Image
-    """How much is in the way at each pixel, from 0 to 1, shape (height, width)."""
-    extent: Extent
-    """Place of `darkness` in the picture [m]."""
-    height: float
-    """Height of the font [m]."""
-    points: float
-    """Height of the font in points."""
+    ax: Axes  # where the labels are written
+    darkness: Image  # how much is in the way at each pixel, from 0 to 1, shape (height, width)
+    extent: Extent  # place of `darkness` in the picture [m]
+    height: float  # height of the font [m]
+    points: float  # height of the font in points
     taken: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
     """Centres and half sizes of the labels written [m], each of shape (2,)."""
 

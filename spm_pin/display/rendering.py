@@ -34,12 +34,9 @@ _CREASE = math.radians(50.0)  # a sharper turn between two faces is an edge
 class Rendering(NamedTuple):
     """An image of a scene, transparent around it, its place, and which of the solids each pixel shows, -1 for none."""
 
-    image: Image
-    """The pixels."""
-    extent: Extent
-    """Place of the image in the picture plane [m]."""
-    solid: IntArray
-    """Index of the solid that each pixel shows, -1 for none, shape (height, width)."""
+    image: Image  # the pixels
+    extent: Extent  # place of the image in the picture plane [m]
+    solid: IntArray  # index of the solid that each pixel shows, -1 for none, shape (height, width)
 
 
 def camera_axes(view: tuple[float, float]) -> FloatArray:

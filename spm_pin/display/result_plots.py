@@ -31,7 +31,7 @@ _TILTS = (30, 60, 90, 120)
 
 def agreement_figure(report: Report) -> Figure:
     """Draw the largest difference of every pair of methods as a share of its tolerance, on a logarithmic axis."""
-    pairs = report.differences
+    pairs = check_instance(report, Report, "report", "compare_methods returns one").differences
     figure = new_figure(8.0, 1.6 + 0.24 * len(pairs), layout="constrained")
     ax = figure.add_subplot()
     rows = range(len(pairs))

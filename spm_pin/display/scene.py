@@ -29,38 +29,26 @@ _SIDES = 24  # of an arrow
 class Solid:
     """One closed surface of a scene."""
 
-    name: str
-    """The link and the mesh, "base_a1 clevis", or the frame and the axis, "{B} x"; unique in its scene."""
+    name: str  # the link and the mesh, "base_a1 clevis", or the frame and the axis, "{B} x"; unique in its scene
     kind: Literal["robot", "frame"]
     """Part of the machine, or arrow of a frame."""
-    colour: Colour
-    """Red, green and blue in sRGB, from 0 to 1."""
-    vertices: FloatArray
-    """Vertices in {B} [m], shape (n, 3)."""
-    faces: npt.NDArray[np.signedinteger]
-    """Triangles, counter-clockwise seen from outside, shape (m, 3)."""
+    colour: Colour  # red, green and blue in sRGB, from 0 to 1
+    vertices: FloatArray  # vertices in {B} [m], shape (n, 3)
+    faces: npt.NDArray[np.signedinteger]  # triangles, counter-clockwise seen from outside, shape (m, 3)
 
 
 @dataclass(frozen=True)
 class Scene:
     """The solids of one picture."""
 
-    solids: tuple[Solid, ...]
-    """The surfaces, those of the machine before the frames."""
-    size: float
-    """Length that the cross-sections of the robot are in proportion to [m]."""
+    solids: tuple[Solid, ...]  # the surfaces, those of the machine before the frames
+    size: float  # length that the cross-sections of the robot are in proportion to [m]
 
 
 def scene(configuration: Configuration, *, frames: bool = True) -> Scene:
     """Return the solids of a configuration, those of the URDF; see `spm_pin.description.visuals`.
 
     With `frames` also arrows for the axes of {B} and {m}: ``"{B} x"`` and so on.
-
-    Raises
-    ------
-    ArgumentError
-        If the configuration is a batch, does not exist, has a leg of no length, or its three middle joints
-        lie on one line.
     """
     check_configuration(configuration, single=True, existing=True)
     if not (configuration.leg_lengths > 0.0).all():

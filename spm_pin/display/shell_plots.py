@@ -17,7 +17,7 @@ from spm_pin.display.rendering import VIEW, Rendering, camera_axes
 from spm_pin.display.scene import Colour, Scene, Solid
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path, writing
-from spm_pin.workspace.paper_shell.shell import Patch, Shell
+from spm_pin.workspace.paper_shell import Patch, Shell
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -59,13 +59,8 @@ def draw_shell(
 
     Parameters are those of `spm_pin.display.plots.draw`, with the shell for the configuration; `labels` names the
     patches that are seen well enough.
-
-    Raises
-    ------
-    ArgumentError
-        If `shell` is no Shell, `ax` is three-dimensional, or `view` is not two angles.
     """
-    check_instance(shell, Shell, "shell", "Make one with workspace.shell(geometry)")
+    check_instance(shell, Shell, "shell", "Make one with workspace.workspace_shell(geometry)")
     camera = camera_axes(view)
     solids = [
         # The renderer shows what faces the viewer, and that is all one sees of a closed shell.
@@ -141,13 +136,6 @@ def save_mesh(shell: Shell, path: str | Path) -> Path:
 
     STL and OBJ hold one closed mesh, PLY the same with the colours of the families. GLB holds each patch as a mesh of
     its own, named and coloured, and has its y axis upward, as that format requires.
-
-    Raises
-    ------
-    ArgumentError
-        If the name does not end in one of `MESH_FORMATS`, or the file cannot be written.
-    MissingExtraError
-        If trimesh is not installed.
     """
     path = file_path(path, suffixes=MESH_FORMATS)
     require_extra("plots", "trimesh")
@@ -191,16 +179,11 @@ def _patchwork(shell: Shell) -> bytes:
 class Plane:
     """A plane to cut with, given by a point of it in {B} [m], and orthogonal unit vectors in {B}."""
 
-    name: str
-    """Title of its picture."""
-    origin: tuple[float, float, float]
-    """Point of the plane in {B} [m]; the origin of the picture."""
-    across: tuple[float, float, float]
-    """Unit vector in {B}, to the right in the picture."""
-    up: tuple[float, float, float]
-    """Unit vector in {B}, upwards in the picture."""
-    labels: tuple[str, str]
-    """Labels of the two axes of the picture."""
+    name: str  # title of its picture
+    origin: tuple[float, float, float]  # point of the plane in {B} [m]; the origin of the picture
+    across: tuple[float, float, float]  # unit vector in {B}, to the right in the picture
+    up: tuple[float, float, float]  # unit vector in {B}, upwards in the picture
+    labels: tuple[str, str]  # labels of the two axes of the picture
 
     @classmethod
     def level(cls, height: float) -> Plane:
@@ -231,7 +214,7 @@ def draw_section(
     """Draw a section of a shell into axes, in the colours of its families, and of what is reached.
 
     `reached` are positions of o (N, 3) [m], `aspect` the sign of det K in each state (N,), see
-    `spm_pin.workspace.reachability.reachable_samples`. Cells of the plane of the size `cell` [m] are filled that have a
+    `spm_pin.workspace.sampling`. Cells of the plane of the size `cell` [m] are filled that have a
     position nearer than half of it; those that are reached on both sides of an inverse singularity are darker. A plane
     that meets nothing is an `ArgumentError`.
     """
@@ -288,7 +271,7 @@ def sections_figure(shell: Shell, reached: FloatArray, aspect: npt.NDArray[np.in
 
     `reached` and `aspect` are those of `draw_section`.
     """
-    check_instance(shell, Shell, "shell", "Make one with workspace.shell(geometry)")
+    check_instance(shell, Shell, "shell", "Make one with workspace.workspace_shell(geometry)")
     bottom, top = float(shell.vertices[:, 2].min()), float(shell.vertices[:, 2].max())
     heights = [float(f"{bottom + share * (top - bottom):.2g}") for share in (0.21, 0.36, 0.65)]
     planes = [*map(Plane.level, heights), Plane.upright(0.0), Plane.upright(0.5 * math.pi)]

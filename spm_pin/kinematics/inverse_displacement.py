@@ -41,12 +41,11 @@ from spm_pin.kinematics.batches import (
 )
 from spm_pin.kinematics.formulas.branches import ROUNDING
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, as_bool
-from spm_pin.mechanism.branches import BRANCHES, TANGENT_SIGNS
+from spm_pin.mechanism.branches import BRANCHES
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import PoseLike
-from spm_pin.mechanism.solution_status import Degeneracy, Status
-from spm_pin.mechanism.solutions import SolutionSet
+from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
 
 ROUNDING_BOUND = 2.0**-39
 """Bound of the rounding error of a discriminant over r², divided by (1 + (|x| + |y|)/r)²: `docs/theory/proofs.md`."""
@@ -265,10 +264,11 @@ def _as_built_physical(
     from spm_pin.kinematics.kernels.as_built_physical_kernel import certain_physical_branches
 
     machines = _machines(geometry)
-    if np.abs(machines[1] - machines[0]).max() > _LARGE:
+    error = float(np.abs(machines[1] - machines[0]).max())
+    if error > _LARGE:
         return _as_built_branches(geometry, shape, rotation, position, None).physical()
     drawn = _followed_branches(geometry, rotation, position)
-    constants = *machines, TANGENT_SIGNS, _length_bounds(geometry), geometry.middle_radius
+    constants = *machines, _length_bounds(geometry), error, geometry.middle_radius
     results = ((3, 3), np.float64), ((6,), np.float64), ((), np.bool_)
     joints, lengths, certain = run_kernel(
         certain_physical_branches,

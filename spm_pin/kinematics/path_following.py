@@ -1,8 +1,8 @@
 """Following one solution along a path of poses or leg lengths.
 
-At every parameter all solutions are known, so there is nothing to integrate and nothing drifts: the solution nearest to
-where the last two lead is taken, and the step is halved until it is clearly the nearest. Singularities and leg limits on
-the way are zeros of functions of the solution, found by root finding on the solutions themselves.
+At every parameter all solutions are known, so there is nothing to integrate and nothing drifts: the solution nearest
+to where the last two lead is taken, and the step is halved until it is clearly the nearest. Singularities and leg
+limits on the way are zeros of functions of the solution, found by root finding on the solutions themselves.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ def follow(
     geometry : Geometry
         The manipulator. Where it has leg limits, crossing one is an event.
     path : callable, RigidTransform of shape (n,), or array_like of shape (n, 4, 4) or (n, 6)
-        Poses of {m} in {B}, or readings of the legs [m]. A callable takes the parameter, 0 to 1. Between given poses the
+        Poses of {m} in {B}, or readings of the legs [m]. A callable takes the parameter, 0 to 1. Between poses the
         rotation is interpolated at constant angular velocity and the position, like readings, on a line.
     start : Configuration or str, optional
         The solution at parameter 0: the one nearest to a configuration, or a label. By default the physical one. Of a
@@ -150,8 +150,6 @@ def follow(
 
     Raises
     ------
-    ArgumentError
-        If the path is neither, has fewer than two points, or no solution like `start` exists at its beginning.
     PoseError
         If it contains what is no pose.
     """

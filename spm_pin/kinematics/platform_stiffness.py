@@ -1,8 +1,8 @@
 """Stiffness of the platform from that of the legs: along each leg, and across it where its structure gives way.
 
-With the forces of a stage as rows of J_b = [A_b; K_b] and J_c = [A_c; K_c], see `spm_pin.kinematics.rates_and_forces`, three
-along the legs and three along their revolute axes, both stages carry the whole load (they are in series), so that their
-compliances add:
+With the forces of a stage as rows of J_b = [A_b; K_b] and J_c = [A_c; K_c], see
+`spm_pin.kinematics.rates_and_forces`, three along the legs and three along their revolute axes, both stages carry the
+whole load (they are in series), so that their compliances add:
 
     C = J_b⁻¹ D_b J_b⁻ᵀ + J_c⁻¹ D_c J_c⁻ᵀ,    D = diag(1 / stiffness) of the six forces.
 
@@ -60,8 +60,6 @@ def compliance(configuration: Configuration, legs: npt.ArrayLike, structure: npt
 
     Raises
     ------
-    ArgumentError
-        If a stiffness is not a positive number.
     SingularConfigurationError
         At a forward or a constraint singularity, where the legs do not hold the platform.
     """
@@ -91,8 +89,6 @@ def stiffness(configuration: Configuration, legs: npt.ArrayLike, structure: npt.
 
     Raises
     ------
-    ArgumentError
-        If a stiffness is not a positive number.
     SingularConfigurationError
         At a forward or a constraint singularity; with a rigid structure at an inverse one as well, where the legs'
         lengths do not show some motion of the platform: its stiffness is infinite there, `compliance` is not.

@@ -16,8 +16,9 @@ zeros alone read K t_L = (0, K_c t), thus t_L = X t with X = K⁻¹ [0; K_c], an
 Taking t_L out of the twelve equations by a Schur complement gives det J_f = det J_b det J_c / det K.
 
 Cut at the balls, either platform of a stage is held by its six forces, which balance the load wherever it is cut, so
-both stages carry the same: J_bᵀ (x_b, y_b) = -w and J_cᵀ (x_c, y_c) = -w with x along the legs, which is f = -Gᵀ w. K is
-not in it: forces stay finite and accurate at an inverse singularity, where J_f is infinite and -J_f⁻ᵀ w loses its digits.
+both stages carry the same: J_bᵀ (x_b, y_b) = -w and J_cᵀ (x_c, y_c) = -w with x along the legs, which is f = -Gᵀ w. K
+is not in it: forces stay finite and accurate at an inverse singularity, where J_f is infinite and -J_f⁻ᵀ w loses its
+digits.
 
 Nothing of this takes a 6 x 6 decomposition: three equations in how far each ball moves along the one direction that
 its two forces leave open are enough, with determinants instead of pivots, see `spm_pin.kinematics.formulas.wrenches`.
@@ -136,8 +137,6 @@ def leg_rates(configuration: Configuration, twist: npt.ArrayLike) -> FloatArray:
 
     Raises
     ------
-    ArgumentError
-        If `twist` has another shape or is not finite.
     SingularConfigurationError
         As for `inverse_jacobian`.
     """
@@ -172,8 +171,6 @@ def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArra
 
     Raises
     ------
-    ArgumentError
-        If `wrench` has another shape or is not finite.
     SingularConfigurationError
         At a forward or a constraint singularity, where the legs cannot hold every wrench; see
         `spm_pin.kinematics.rates_and_forces.SINGULAR`.

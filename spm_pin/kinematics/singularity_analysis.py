@@ -1,7 +1,7 @@
 """Singularity analysis: kind, rank, distance, lost wrench and gained twist of configurations.
 
-Three 6 x 6 matrices decide, built as in `spm_pin.kinematics.rates_and_forces` from forces through the ball joints, at the
-middle platform's centre and with lengths in units of d, so that they are dimensionless and of order one:
+Three 6 x 6 matrices decide, built as in `spm_pin.kinematics.rates_and_forces` from forces through the ball joints, at
+the middle platform's centre and with lengths in units of d, so that they are dimensionless and of order one:
 
 - J_b and J_c, the six forces of the lower and of the upper stage. Where one is singular the locked legs of that
   stage let its platform move: a **forward** singularity (type 2, parallel).
@@ -119,8 +119,6 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
 
     Raises
     ------
-    ArgumentError
-        If `tolerance` is not between 0 and 1.
     SingularConfigurationError
         Where a leg has no length, hence no direction.
 

@@ -5,7 +5,7 @@ The middle platform's quaternion against the base is (x0, x, y, 0) with x0 > 0, 
 terminal platform and mirrored at its plane, so that Z is positive at home in both. See
 `docs/theory/inverse_displacement.md`.
 
-`spm_pin.workspace.reachability.position_map` does not mirror the upper stage, and divides heights by r: its coordinates
+`spm_pin.workspace.states` does not mirror the upper stage, and divides heights by r: its coordinates of drawn machines
 are (x, y, Z/r) of the lower stage and (-x, -y, -Z/r) of the upper one.
 """
 

@@ -34,11 +34,6 @@ class LegPath:
     ----------
     lengths : array_like, shape (n, 6)
         Where it passes [m], in order, at least two and no two in succession the same.
-
-    Raises
-    ------
-    ArgumentError
-        If `lengths` is malformed, not positive, or has a part of no length.
     """
 
     def __init__(self, lengths: npt.ArrayLike) -> None:

@@ -5,7 +5,6 @@ RRT-Connect: Kuffner and LaValle, IEEE International Conference on Robotics and 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -38,11 +37,11 @@ class _Tree:
 
     def way(self, node: int) -> list[FloatArray]:
         """Return the points from the root to a node."""
-        found = []
+        points = []
         while node >= 0:
-            found.append(self.points[node])
+            points.append(self.points[node])
             node = self.parents[node]
-        return found[::-1]
+        return points[::-1]
 
 
 def find_corners(
@@ -51,7 +50,6 @@ def find_corners(
     goal: FloatArray,
     tries: int,
     rng: np.random.Generator,
-    progress: Callable[[float], object] | None,
 ) -> tuple[list[FloatArray] | None, str]:
     """Return the corners of a way from start to goal, None if none was found; and what is wrong with the line."""
     reason = rules.explain_line(line_states(rules.geometry, start, goal))
@@ -62,8 +60,6 @@ def find_corners(
     if rules.limits is not None:
         low, high = np.array(rules.limits.minimum), np.array(rules.limits.maximum)
     for k in range(tries):
-        if progress is not None and k % 50 == 0 and progress(k / tries) is False:
-            return None, f"{reason}; the search was stopped after {k} steps"
         new = _grow(rules, trees[0], rng.uniform(low, high))
         if new is not None:
             target = trees[0].points[new]

@@ -196,6 +196,6 @@ class _Programme:
         problem = {"x": z, "f": ca.dot(weights, 1.0 / root), "g": ca.densify(ca.vertcat(*used))}
         solver = ca.nlpsol("limited_jerk", "ipopt", problem, quiet)
         bounds = {"lbg": np.concatenate([lower, -ones]), "ubg": np.concatenate([upper, ones])}
-        z = np.asarray(solver(x0=start.c / top, lbx=_LEAST, **bounds)["x"])[:, 0]
+        found = np.asarray(solver(x0=start.c / top, lbx=_LEAST, **bounds)["x"])[:, 0]
         # Where IPOPT has not converged, what it ended with is slowed down.
-        return BSpline(start.t, top * np.maximum(z, _LEAST), 3) if np.isfinite(z).all() else start
+        return BSpline(start.t, top * np.maximum(found, _LEAST), 3) if np.isfinite(found).all() else start

@@ -35,11 +35,6 @@ class Payload:
         Its centre of mass in {m} [m].
     inertia : array_like, shape (3, 3), optional
         About its centre of mass in the axes of {m} [kg m²]; a point mass by default.
-
-    Raises
-    ------
-    ArgumentError
-        If the mass is negative, or no rigid body has this inertia.
     """
 
     mass: float

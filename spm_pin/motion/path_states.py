@@ -15,7 +15,7 @@ from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LEGS, LegLimits
 from spm_pin.motion.leg_path import LegPath
 from spm_pin.multibody.trajectory import PlatformMotion, PlatformPath
-from spm_pin.workspace.reachability.joint_limits import JointLimits
+from spm_pin.workspace.joint_limits import JointLimits
 
 STEP = 0.005
 """Largest distance of two samples of a path in the leg lengths, in units of d."""

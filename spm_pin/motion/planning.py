@@ -8,7 +8,7 @@ planned in the six leg lengths: a straight line first; where that breaks a rule,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,7 +39,7 @@ from spm_pin.motion.path_states import MotionPath, PathRules, least_determinant,
 from spm_pin.multibody.loading import check_same_machine
 from spm_pin.multibody.trajectory import PlatformPath
 from spm_pin.proofs import Certificate
-from spm_pin.workspace.reachability.joint_limits import JointLimits
+from spm_pin.workspace.joint_limits import JointLimits
 
 Place = Configuration | PoseLike | npt.ArrayLike
 
@@ -73,13 +73,7 @@ class MotionPlan:
         return self.path is not None
 
     def configurations(self, samples: int = 200) -> Configuration:
-        """Return states along the path, shape (samples,), evenly spaced in its parameter.
-
-        Raises
-        ------
-        ArgumentError
-            If there is no path.
-        """
+        """Return states along the path, shape (samples,), evenly spaced in its parameter."""
         count = whole_number(samples, "samples", "at least two samples", least=2, most=10**8)
         if self.path is None:
             raise ArgumentError("plan", "a plan with a path", "one without", self.reason)
@@ -99,7 +93,6 @@ def plan(
     certificate: Certificate | None = None,
     tries: int = 3000,
     rng: Any = 0,
-    progress: Callable[[float], object] | None = None,
 ) -> MotionPlan:
     """Plan a path between two states of the machine in its physical mode.
 
@@ -127,19 +120,11 @@ def plan(
         Steps of the search for a way around, between any two states.
     rng : int, Generator or None
         Seed of the search.
-    progress : callable, optional
-        Called with the share of the tries done, from 0 to 1, every 50 steps. If it returns False, the search ends.
 
     Returns
     -------
     MotionPlan
         With a path, or with the reason why there is none.
-
-    Raises
-    ------
-    ArgumentError
-        If an argument is malformed, or a given state is out of reach, in another mode or breaks a rule: with its name
-        and which rule.
 
     Examples
     --------
@@ -155,8 +140,6 @@ def plan(
     choice(line, "line", ("legs", "poses"))
     most = whole_number(tries, "tries", "a number of steps", most=10**7)
     random = generator(rng)
-    if progress is not None and not callable(progress):
-        raise ArgumentError("progress", "a function of the share of the tries done", type_and_value(progress))
     if certificate is not None:
         check_instance(certificate, Certificate, "certificate")
         if not certificate.concerns(geometry):
@@ -180,7 +163,7 @@ def plan(
         places = [np.clip(lengths, allowed.minimum, allowed.maximum) for lengths in places]
     points, reason = places[:1], ""
     for place in places[1:]:
-        part, why = find_corners(rules, points[-1], place, most, random, progress)
+        part, why = find_corners(rules, points[-1], place, most, random)
         reason = reason or why
         if part is None:
             return _no_plan(geometry, why)
@@ -207,21 +190,21 @@ def _state(geometry: Geometry, place: Place, name: str) -> Configuration:
     array = as_array(place)
     if array is not None and array.shape == (6,):
         lengths = real_array(place, name, (6,), "leg lengths in metres")  # type: ignore[arg-type]
-        found = forward_physical(geometry, lengths)
-        if not found.exists:
-            raise ArgumentError(name, "leg lengths of the physical mode", f"{lengths.tolist()}", found.missing_reason)
-        return found
+        state = forward_physical(geometry, lengths)
+        if not state.exists:
+            raise ArgumentError(name, "leg lengths of the physical mode", f"{lengths.tolist()}", state.missing_reason)
+        return state
     if array is not None and array.ndim < 2 and array.dtype.kind != "O":
         received = f"shape {array.shape}" if array.dtype.kind in "iuf" else type_and_value(place)
         cause = "via is a list of states" if name.startswith("via") else ""
         raise ArgumentError(name, "a Configuration, a pose or six leg lengths", received, cause)
-    found = inverse_physical(geometry, as_rigid_transform(place, name))
-    if found.shape:
-        raise ArgumentError(name, "one state", f"a batch of shape {found.shape}")
-    if not found.exists:
-        cause = found.missing_reason or "Level poses are singular for the inverse: give leg lengths instead"
+    state = inverse_physical(geometry, as_rigid_transform(place, name))
+    if state.shape:
+        raise ArgumentError(name, "one state", f"a batch of shape {state.shape}")
+    if not state.exists:
+        cause = state.missing_reason or "Level poses are singular for the inverse: give leg lengths instead"
         raise ArgumentError(name, "a pose with a physical branch", "one without", cause)
-    return found
+    return state
 
 
 def _along_poses(rules: PathRules, states: list[Configuration], certificate: Certificate | None) -> MotionPlan:
@@ -256,7 +239,7 @@ def _finished(
     if certificate is not None and isinstance(path, LegPath):
         # Lengths within a certificate have one configuration, the physical one.
         lengths = path(np.linspace(0.0, 1.0, len(states))).lengths
-        certified = certificate.holds and bool(certificate.limits.contains(lengths).all())
+        certified = certificate.holds and bool(certificate.admits(lengths).all())
     elif certificate is not None:
         certified = bool(certificate.covers(states).all())
     least = float(least_determinant(states).min())

@@ -141,7 +141,8 @@ def time_optimal(
                 break
             broken = along.parameters[scale < 1.0 - _BROKEN]
             motion.refine(broken, lambda parameters: limits.rows(chain, dynamics(parameters)))
-        duration, clock, error = motion.duration, motion.clock, motion.error
+        clock: Clock = motion.clock
+        duration, error = motion.duration, motion.error
     else:
         eased = EasedGrid.from_knots(_knots(way), parts)
         along = dynamics(eased.parameters)

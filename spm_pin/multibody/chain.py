@@ -233,15 +233,15 @@ class ClosedChain:
         That opens the loops; `forward_kinematics` keeps them closed.
         """
         constrained = self._constrained
-        joints, lengths = constrained.read_q(q), self._lengths_of_readings(readings, "readings")
+        joints, lengths = constrained.read_q(q), self._lengths_of_readings(readings)
         shape = broadcastable("readings", lengths.shape[:-1], "q", joints.shape[:-1])
         changed = np.broadcast_to(joints, (*shape, joints.shape[-1])).copy()
         changed[..., constrained.legs] = constrained.slides(lengths)
         return changed
 
-    def _lengths_of_readings(self, readings: npt.ArrayLike, argument: str) -> FloatArray:
-        lengths = read_vectors(readings, argument, 6) - self._geometry.legs.offsets
-        check_leg_lengths(lengths, argument, "A leg length is the reading less the offset of its encoder")
+    def _lengths_of_readings(self, readings: npt.ArrayLike) -> FloatArray:
+        lengths = read_vectors(readings, "readings", 6) - self._geometry.legs.offsets
+        check_leg_lengths(lengths, "readings", "A leg length is the reading less the offset of its encoder")
         return np.asarray(lengths)
 
     def project(self, q: npt.ArrayLike, *, hold_legs: bool = False, max_iterations: int = 50) -> FloatArray:
@@ -260,8 +260,8 @@ class ClosedChain:
         kinematics = state.kinematics
         return np.array(state._each(lambda: close_loops(kinematics, kinematics.q, held, most), (18,)))
 
-    def forward_kinematics(self, leg_lengths: npt.ArrayLike, near: npt.ArrayLike | None = None) -> FloatArray:
-        """Return all joints (..., 18) of leg lengths, of a machine as built readings, (..., 6) [m].
+    def forward_kinematics(self, readings: npt.ArrayLike, near: npt.ArrayLike | None = None) -> FloatArray:
+        """Return all joints (..., 18) of readings (..., 6) [m], of a drawn machine the leg lengths.
 
         By default in the physical assembly mode of each member, in closed form and vectorised, angles in [-π, π]; see
         `spm_pin.forward_physical`. With `near` (18,), a closed q, the mechanism goes from there to the first member by
@@ -273,13 +273,13 @@ class ClosedChain:
         a member, as one that ends at a forward or a constraint singularity, is an error for a batch as well.
         """
         if near is None:
-            configuration = forward_physical(self._geometry, leg_lengths)
+            configuration = forward_physical(self._geometry, readings)
             if not configuration.shape and not configuration.exists:
-                received = f"{_listed(np.asarray(leg_lengths, dtype=np.float64))} m"
+                received = f"{_listed(np.asarray(readings, dtype=np.float64))} m"
                 expected = "lengths that the physical assembly mode can have"
-                raise _absent("leg_lengths", expected, received, configuration.missing_reason or "A misread leg?")
+                raise _absent("readings", expected, received, configuration.missing_reason or "A misread leg?")
             return self.joint_values(configuration)
-        return self._follow(near, follow_legs, self._lengths_of_readings(leg_lengths, "leg_lengths"), axes=(1,))
+        return self._follow(near, follow_legs, self._lengths_of_readings(readings), axes=(1,))
 
     def inverse_kinematics(self, pose: PoseLike, near: npt.ArrayLike | None = None) -> FloatArray:
         """Return all joints (..., 18) of a pose (...) of the terminal platform, {m} in {B}.
@@ -462,15 +462,14 @@ class ClosedChain:
         period: float | None = None,
         tolerance: float = 1e-11,
         max_step: float = np.inf,
-        progress: Callable[[float], object] | None = None,
     ) -> Simulation:
         """Integrate the motion under leg forces, gravity and wrenches, up to the last time or what ends it before.
 
         By SciPy's DOP853 with projection onto the closures after each step; see the module `simulation`. The loops are
         closed to rounding at every time. Leg limits, inverse and forward singularities are passed through. A leg of no
         length and a constraint singularity end the run: forces in the balls have no bound there. They are looked for at
-        the ends of steps: a smaller `max_step` sees what happens and is undone within one. Errors of `forces`, `wrench`
-        or `progress` reach the caller.
+        the ends of steps: a smaller `max_step` sees what happens and is undone within one. Errors of `forces` and
+        `wrench` reach the caller, and so end a run before its time.
 
         Parameters
         ----------
@@ -491,11 +490,9 @@ class ClosedChain:
             to about 1e-12 of itself in a second of falling.
         max_step : float
             Longest step [s]; not less than 1e-7 of the run.
-        progress : callable, optional
-            Called with the share done, from 0 to 1, after each step. If it returns False, the run ends there.
         """
-        acting, steps = (forces, wrench, period), (tolerance, max_step, progress)
-        return run_simulation(self._constrained, q0, v0, times, *acting, *steps)
+        acting = forces, wrench, period
+        return run_simulation(self._constrained, q0, v0, times, *acting, tolerance, max_step)
 
 
 def _listed(numbers: FloatArray) -> str:

@@ -72,17 +72,15 @@ def _check_tree(model: Any, expected: Any, path: str, side: float) -> None:
 
 def check_same_machine(geometry: Geometry, expected: Geometry, argument: str, owner: str) -> None:
     """Raise `GeometryError` unless both have the same dimensions and legs; limits only choose the tree's zero."""
-    for name in ("base_radius", "platform_radius", "middle_side"):
-        received, wanted = getattr(geometry, name), getattr(expected, name)
-        if abs(received - wanted) > AGREEMENT * wanted:
-            raise GeometryError(argument, f"the {name} of {owner}, {wanted:.9g} m", f"{received:.9g} m")
-    for name in ("axes", "pivots", "balls", "offsets"):
-        unit, symbol = (1.0, "rad") if name == "axes" else (expected.middle_side, "m")
-        apart = np.abs(getattr(geometry.legs, name) - getattr(expected.legs, name)).reshape(len(LEGS), -1).max(axis=-1)
-        if apart.max() > AGREEMENT * unit:
-            leg = int(apart.argmax())
-            raise GeometryError(
-                argument,
-                f"the {name} of {owner}",
-                f"a machine that differs by {apart[leg]:.1e} {symbol} in {LEGS[leg]}",
-            )
+    dimensions, legs = ("base_radius", "platform_radius", "middle_side"), ("axes", "pivots", "balls", "offsets")
+    for name in (*dimensions, *legs):
+        received, wanted = (
+            np.asarray(getattr(g if name in dimensions else g.legs, name)) for g in (geometry, expected)
+        )
+        apart, unit = np.abs(received - wanted), "rad" if name == "axes" else "m"
+        if apart.max() > AGREEMENT * (1.0 if name == "axes" else expected.middle_side):
+            if not apart.ndim:
+                raise GeometryError(argument, f"the {name} of {owner}, {wanted:.9g} m", f"{received:.9g} m")
+            leg = LEGS[int(apart.argmax()) * len(LEGS) // apart.size]
+            difference = f"a machine that differs by {apart.max():.1e} {unit} in {leg}"
+            raise GeometryError(argument, f"the {name} of {owner}", difference)

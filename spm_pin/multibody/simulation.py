@@ -56,7 +56,6 @@ class SimulationEnd(enum.StrEnum):
     COMPLETE = "complete"
     CONSTRAINT_SINGULARITY = "constraint singularity"
     COLLAPSE = "leg of no length"
-    STOPPED = "stopped"
     STALLED = "stalled"
     """Too fast for any step, as where forces are discontinuous or have no bound."""
 
@@ -124,7 +123,6 @@ def run_simulation(
     period: float | None,
     tolerance: float,
     max_step: float,
-    progress: Callable[[float], object] | None,
 ) -> Simulation:
     """Integrate the motion; see `ClosedChain.simulate`."""
     q, v = constrained.read_q(q0, "q0", single=True), read_vector(v0, "v0", constrained.model.nv)
@@ -148,9 +146,6 @@ def run_simulation(
         push = _constant(read_vector(together, "wrench", 6 * len(frames)))
     integrator = Integrator(kinematics, push, frames, tolerance, max_step)
 
-    def proceed(time: float) -> bool:
-        return progress is None or progress((time - begin) / span) is not False
-
     state = integrator.start(q, v)
     stop = integrator.stop_event(begin, state)
     for k, (start, end) in enumerate(itertools.pairwise(_force_times(begin, until, period))):
@@ -160,7 +155,7 @@ def run_simulation(
         if stop is not None or span == 0.0:
             break
         inside = recorded[(recorded > start) & (recorded <= end)]
-        state, stop = integrator.advance(state, (start, end), inside, applied, proceed)
+        state, stop = integrator.advance(state, (start, end), inside, applied)
         if stop is not None:
             integrator.record(stop.time, state, applied)
     why, detail = (SimulationEnd.COMPLETE, "") if stop is None else stop[:2]
@@ -247,12 +242,7 @@ class Integrator:
         self.rows.append((time, q, v, a, self._constrained.leg_lengths(q), force, *energies, float(state[-1]), gap))
 
     def advance(
-        self,
-        state: FloatArray,
-        span: tuple[float, float],
-        times: FloatArray,
-        forces: _Forces,
-        proceed: Callable[[float], bool],
+        self, state: FloatArray, span: tuple[float, float], times: FloatArray, forces: _Forces
     ) -> tuple[FloatArray, StopEvent | None]:
         """Integrate over a span of time, recording at `times` within; return the state there, or where it ended."""
 
@@ -290,8 +280,6 @@ class Integrator:
                 if stop is not None:
                     return within(last), stop
                 state = closed
-                if not proceed(time):
-                    return state, StopEvent(SimulationEnd.STOPPED, "", time)
                 solver.y, solver.f = closed, rate(time, closed)
         except _UnboundedRateError:
             return state, StopEvent(SimulationEnd.STALLED, "velocities, accelerations or power above 1e100", before)

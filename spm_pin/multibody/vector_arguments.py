@@ -32,7 +32,7 @@ MEANINGS = {
     **dict.fromkeys(("q", "q0", "near"), JOINTS),
     **dict.fromkeys(("v", "v0", "a"), RATES),
     **dict.fromkeys(("other", "chain"), "in Pinocchio's order"),
-    **dict.fromkeys(("leg_lengths", "readings"), "of r_b1 to r_c3 in m"),
+    "readings": "of r_b1 to r_c3 in m",
     "leg_rates": "of r_b1 to r_c3 in m/s",
     "leg_accelerations": "of r_b1 to r_c3 in m/s²",
     "forces": "of the actuators in N and N m",

@@ -1,8 +1,7 @@
-"""Proofs by interval arithmetic: leg limits and poses without singularities."""
+"""Proofs by interval arithmetic: leg limits without singularities."""
 
 from spm_pin.proofs.certificate import Certificate, certify, largest_certified_limits
 from spm_pin.proofs.inverse_certificate import InverseCertificate, certify_inverse
-from spm_pin.proofs.pose_certificate import certify_poses
 from spm_pin.proofs.stage_proof import StageProof
 
 __all__ = [
@@ -11,6 +10,5 @@ __all__ = [
     "StageProof",
     "certify",
     "certify_inverse",
-    "certify_poses",
     "largest_certified_limits",
 ]

@@ -21,6 +21,10 @@ STAGES = ("lower", "upper")
 LONGEST = 1e3
 """Leg lengths, and distances of poses, that are worth a proof, at most, in units of the machine's size."""
 
+MARGIN = 1e-12
+"""By how much lengths may be outside the limits of a certificate, by rounding, in units of the machine's size and the
+longest leg: what is proved is proved for limits wider by this."""
+
 _ROUNDING = 1e-15
 """Rounding of a parameter of a machine, in metres per metre of its size, and in radians."""
 
@@ -64,26 +68,24 @@ class Certificate:
 
     def concerns(self, geometry: Geometry) -> bool:
         """Return whether a machine, its limits aside, is one of those it was proved for, or looked for."""
-        errors, most = (
-            _deviation(check_instance(geometry, Geometry, "geometry"), self.geometry),
-            _widened(self.geometry, self.errors),
-        )
+        errors = _deviation(check_instance(geometry, Geometry, "geometry"), self.geometry)
+        most = _widened(self.geometry, self.errors)
         return errors[0] <= most[0] and errors[1] <= most[1]
+
+    def admits(self, readings: npt.ArrayLike) -> BoolArray:
+        """Return which readings (..., 6) [m] are within the limits, or outside by rounding only, shape (...)."""
+        return np.asarray(self.limits.margin(readings) >= -_margin(self.geometry, self.limits))
 
     def covers(self, configuration: Configuration) -> BoolArray:
         """Return which configurations (...) are proved to be the only one of their leg lengths, shape (...).
 
-        They respect the limits, and both stages lie in boxes of the proof. Nothing is covered if it does not hold.
-
-        Raises
-        ------
-        ArgumentError
-            If they are not states of the certificate's geometry, nor of a machine within its errors.
+        They respect the limits, as `admits` says, and both stages lie in boxes of the proof. Nothing is covered if it
+        does not hold.
         """
         check_configuration(configuration)
         if not self.concerns(configuration.geometry):
             raise ArgumentError("configuration", "a state of the certificate's geometry", "one of another")
-        inside = self.limits.contains(configuration.readings)
+        inside = self.admits(configuration.readings)
         if not self.holds:
             return np.zeros_like(inside)
         states = stage_coordinates(configuration)
@@ -152,7 +154,7 @@ def certify(
     boxes : int
         Boxes to look at in each stage, at most.
     length_error : float
-        Prove it for every `AsBuiltGeometry` of which no coordinate of a pivot or a ball, and no offset of a reading,
+        Prove it for every machine of which no coordinate of a pivot or a ball, and no offset of a reading,
         differs by more than this from that of `geometry` [m]. E, C and d are among these, with the same error.
     angle_error : float
         The same of each axis, of the turn about either direction perpendicular to it [rad].
@@ -161,11 +163,6 @@ def certify(
     -------
     Certificate
         It may not hold: then it has a singular configuration, if there is one, and the boxes left undecided.
-
-    Raises
-    ------
-    ArgumentError, GeometryError
-        If there are no limits, one is infinite, or the errors exceed a quarter of the smallest dimension or 0.2 rad.
 
     References
     ----------
@@ -232,11 +229,6 @@ def largest_certified_limits(
     -------
     Certificate
         It holds; its `limits` are the answer.
-
-    Raises
-    ------
-    ArgumentError
-        If no limits around `centre` certify, or the centre cannot be assembled.
     """
     check_instance(geometry, Geometry, "geometry")
     real_number(tolerance, "tolerance", "a relative width between 1e-6 and 1", least=1e-6, below=1.0)
@@ -258,11 +250,9 @@ def largest_certified_limits(
     while wide - narrow > tolerance * wide:
         half = 0.5 * (narrow + wide)
         limits = LegLimits(tuple(lengths - half), tuple(lengths + half))
-        found = certify(geometry, limits, boxes=boxes, length_error=length_error, angle_error=angle_error)
-        if found.holds:
-            best, narrow = found, half
-        elif found.witness is not None:
-            wide = min(half, float(np.abs(found.witness.readings - lengths).max()))
+        certificate = certify(geometry, limits, boxes=boxes, length_error=length_error, angle_error=angle_error)
+        if certificate.holds:
+            best, narrow = certificate, half
         else:
             wide = half
         if best is None and wide < 1e-6 * float(lengths.min()):
@@ -276,7 +266,12 @@ def stage_regions(geometry: Geometry, limits: LegLimits, errors: tuple[float, fl
     radii = geometry.base_radius, geometry.platform_radius
     low, high = np.array(limits.minimum).reshape(2, 3), np.array(limits.maximum).reshape(2, 3)
     length, angle = _widened(geometry, errors)
-    return [StageRegion(radii[k], geometry.middle_side, low[k], high[k], length, angle) for k in range(2)]
+    margin = _margin(geometry, limits)
+    return [StageRegion(radii[k], geometry.middle_side, low[k], high[k], length, angle, margin) for k in range(2)]
+
+
+def _margin(geometry: Geometry, limits: LegLimits) -> float:
+    return MARGIN * (sum(geometry.dimensions) + max(limits.maximum))
 
 
 def _widened(geometry: Geometry, errors: tuple[float, float]) -> tuple[float, float]:

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from spm_pin.errors import ArgumentError
+from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.intervals import SQRT_3, Interval
 from spm_pin.kinematics.singularity_analysis import determinants
@@ -55,16 +55,15 @@ class InverseCertificate:
     geometry: Geometry
     """Dimensions of the manipulator."""
     region: str
-    """Which limits or poses were searched, in words."""
+    """Which limits were searched, in words."""
     bound: float
     """Proved lower bound of |det K| / d³; 0 where something is undecided, infinity if the region holds no state."""
     least: float
     """Smallest |det K| / d³ of states sampled in the region: the minimum lies between `bound` and this."""
     undecided: FloatArray
-    """Boxes in which det K may be zero, low and high ends, shape (N, 4, 2) or (N, 6, 2).
+    """Boxes in which det K may be zero, low and high ends, shape (N, 4, 2).
 
-    Of x and y of the lower and the upper stage; or of the vector part of the platform's turn against the given pose,
-    seen from {B}, of x and y of o [m], and of φ.
+    Of x and y of the lower and the upper stage.
     """
     witness: Configuration | None
     """A configuration of the region with det K = 0 to rounding, where one was found."""
@@ -109,13 +108,10 @@ def certify_inverse(
     -------
     InverseCertificate
         With a witness for limits in which det K changes its sign, as between 1.1 and 1.5 m of the paper's machine.
-
-    Raises
-    ------
-    ArgumentError, GeometryError
-        As for `spm_pin.certify`, or if `forward` is a certificate of other dimensions or limits, or of errors.
     """
     check_instance(geometry, Geometry, "geometry")
+    if not geometry.is_nominal:
+        raise GeometryError("geometry", "a drawn machine", "a machine as built", "Its .nominal is one")
     whole_number(boxes, "boxes", least=1)
     if forward is None:
         forward = certify(geometry, limits, boxes=boxes)
@@ -171,11 +167,11 @@ class _StageCells:
         region, (x, y) = self._region, _ends(level, position)
         radii, rises = region.corners(x, y, Interval.of(0.0))
         lowest, highest = np.full(len(position), -np.inf), np.full(len(position), np.inf)
-        for radius, rise, least, most in zip(radii, rises, region.minimum, region.maximum, strict=True):
+        for radius, rise, length in zip(radii, rises, region.lengths, strict=True):
             across = (radius - region.hips).square()
-            room = Interval.of(most).square() - across
+            room = Interval.of(length.high).square() - across
             top = np.where(room.high < 0.0, -np.inf, room.root().high)
-            bottom = (Interval.of(least).square() - across).root().low if self._upward else -top
+            bottom = (Interval.of(length.low).square() - across).root().low if self._upward else -top
             heights = Interval(bottom, np.maximum(top, bottom)) - rise
             lowest = np.maximum(lowest, heights.low)
             highest = np.minimum(highest, np.where(top < bottom, -np.inf, heights.high))
@@ -200,10 +196,10 @@ def _axes(cells: Cells, upward: float) -> list[tuple[Interval, Interval, Interva
     across = 0.5 * SQRT_3
     side, half = across * x, 0.5 * y
     lift, back = across * y, 0.5 * x
-    found = []
+    axes = []
     for xi, eta in ((side - half, back + lift), (y, -x), (-(side + half), back - lift)):
-        found.append((2.0 * (xi * eta), 1.0 - 2.0 * xi.square(), upward * (x0 * xi)))
-    return found
+        axes.append((2.0 * (xi * eta), 1.0 - 2.0 * xi.square(), upward * (x0 * xi)))
+    return axes
 
 
 def structure_determinant(lower: Cells, upper: Cells) -> Interval:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import product
 
@@ -20,7 +20,6 @@ from scipy.sparse.csgraph import connected_components
 
 from spm_pin.kinematics.intervals import Interval
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
-from spm_pin.proofs.singular_states import singular_state
 from spm_pin.proofs.stage_region import StageRegion
 from spm_pin.proofs.unique_state import has_one_state
 
@@ -35,6 +34,9 @@ SEARCH = 30_000
 ROUNDING = 1e-9
 """Uncertainty of the start, in units of the cube's edges."""
 
+_STARTS, _STEPS = 2_000, 60
+"""Boxes in which Newton's method towards a singular state starts, and its steps."""
+
 
 @dataclass(frozen=True)
 class StageProof:
@@ -43,7 +45,8 @@ class StageProof:
     bound: float
     """Proved lower bound of |det J| [m³] over the component of the start; 0 where something is undecided."""
     least: float
-    """Smallest |det J| [m³] at the centre of a box, within the limits: the minimum lies between `bound` and this."""
+    """Smallest |det J| [m³] at the start and at centres of boxes with lengths within the limits: the minimum over the
+    component lies between `bound` and this, if each of the boxes meets the component."""
     undecided: FloatArray
     """Boxes of (x, y, Z) [-, -, m] joined to the start in which D may be zero: low and high ends, (N, 3, 2)."""
     proved: FloatArray
@@ -55,8 +58,9 @@ class StageProof:
 
 
 Boxes = npt.NDArray[np.void]
-_BOX = np.dtype([("level", np.int64), ("position", np.int64, 3), ("bound", np.float64)])
-"""A dyadic box of the cube: its level of division, its integer position and a lower bound of |det J|."""
+_BOX = np.dtype([("level", np.int64), ("position", np.int64, 3), ("bound", np.float64), ("centre", np.float64)])
+"""A dyadic box of the cube: its level of division, its integer position, a lower bound of |det J|, and |det J| at its
+centre, infinity where that has no lengths within the limits."""
 
 _CORNERS = np.array(list(product((0, 1), repeat=3)))
 _NEIGHBOURS = np.array(list(product((-1, 0, 1), repeat=3)))
@@ -73,24 +77,24 @@ def prove_stage(region: StageRegion, start: FloatArray, *, most: int = 300_000, 
     cells = np.zeros(len(side) ** 3, _BOX)
     cells["level"] = FIRST_LEVEL
     cells["position"] = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)
-    kept, least = _examine(region, scale, cells)
+    kept, at_start = _examine(region, scale, cells), float(_value(region, [Interval.of(x) for x in start]))
     seen, singular, search_at = len(cells), None, SEARCH
     while True:
         kept = kept[_joined(scale, kept, start)]
         # A proved box is divided again while its bound is far below the least value met: a bound is to be of use.
-        unfinished = kept["bound"] <= (0.5 * least if np.isfinite(least) else 0.0)
-        unfinished &= kept["level"] < deepest
+        least = float(kept["centre"][kept["bound"] > 0.0].min(initial=at_start))
+        unfinished = (kept["bound"] <= 0.5 * least) & (kept["level"] < deepest)
         count = int(unfinished.sum())
         if seen >= search_at or not count or seen + 8 * count > most:
-            singular = singular_state(region, _ends(scale, kept[kept["bound"] <= 0.0]))
+            singular = _singular_state(region, _ends(scale, kept[kept["bound"] <= 0.0]))
             search_at = 4 * seen
         if singular is not None or not count or seen + 8 * count > most:
             break
         halves = np.repeat(kept[unfinished], 8)
         halves["level"] += 1
         halves["position"] = 2 * halves["position"] + np.tile(_CORNERS, (count, 1))
-        halves, smallest = _examine(region, scale, halves)
-        kept, least, seen = np.concatenate([kept[~unfinished], halves]), min(least, smallest), seen + 8 * count
+        kept = np.concatenate([kept[~unfinished], _examine(region, scale, halves)])
+        seen += 8 * count
     positive = kept["bound"] > 0.0
     proved = _ends(scale, kept[positive])
     complete = len(proved) > 0 and bool(positive.all()) and has_one_state(region, proved)
@@ -110,8 +114,8 @@ def _ends(scale: FloatArray, boxes: Boxes) -> FloatArray:
     return np.stack([(position * size - 1.0) * scale, ((position + 1) * size - 1.0) * scale], axis=-1)
 
 
-def _examine(region: StageRegion, scale: FloatArray, boxes: Boxes) -> tuple[Boxes, float]:
-    """Return the boxes that may hold lengths within the limits, and the smallest |det J| met at a centre of one."""
+def _examine(region: StageRegion, scale: FloatArray, boxes: Boxes) -> Boxes:
+    """Return the boxes that may hold lengths within the limits, with what is known of |det J| in them."""
     ends = _ends(scale, boxes)
     x, y, z = (Interval(ends[:, i, 0], ends[:, i, 1]) for i in range(3))
     tilt = x.square() + y.square()
@@ -121,17 +125,25 @@ def _examine(region: StageRegion, scale: FloatArray, boxes: Boxes) -> tuple[Boxe
     for square, limit in zip(squares, limits, strict=True):
         outside |= square.misses(limit)
     # |det J| is |D| over the product of the lengths, and these do not exceed their limits.
-    longest = _product([Interval.of(length.high) for length in region.lengths]).high
+    longest = [np.minimum(square.high, limit.high) for square, limit in zip(squares, limits, strict=True)]
+    product_of_lengths = _product([Interval.of(square).root() for square in longest]).high
     # Where x0² + x3² exceeds twice the bound of |x0 x3|, x0² and x3² differ.
-    straight = (1.0 - tilt).low > 2.0 * region.spread.torsion
-    boxes["bound"] = np.maximum(np.where(straight, np.nextafter(determinant.low / longest, -np.inf), 0.0), 0.0)
-    boxes = boxes[~outside]
+    straight = (1.0 - tilt).low > 2.0 * region.error_bounds.torsion
+    boxes["bound"] = np.maximum(
+        np.where(straight, np.nextafter(determinant.low / product_of_lengths, -np.inf), 0.0), 0.0
+    )
+    boxes, ends = boxes[~outside], ends[~outside]
+    boxes["centre"] = _value(region, [Interval.of(0.5 * ends[:, i].sum(axis=-1)) for i in range(3)])
+    return boxes
 
-    centre = [Interval.of(0.5 * ends[~outside, i].sum(axis=-1)) for i in range(3)]
-    squares, determinant = region.evaluate(*centre)
-    within = np.all([~square.misses(limit) for square, limit in zip(squares, limits, strict=True)], axis=0)
-    values = np.maximum(determinant.low, 0.0) / np.sqrt(_product(squares).high)
-    return boxes, float(values[within & (boxes["bound"] > 0.0)].min(initial=np.inf))
+
+def _value(region: StageRegion, state: Sequence[Interval]) -> FloatArray:
+    """Return |det J| of states of one number each, infinity where they have no lengths within the limits."""
+    squares, determinant = region.evaluate(*state)
+    within = [~square.misses(length.square()) for square, length in zip(squares, region.lengths, strict=True)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        values = np.maximum(determinant.low, 0.0) / np.sqrt(_product(squares).high)
+    return np.where(np.all(within, axis=0), values, np.inf)
 
 
 def _product(factors: Sequence[Interval]) -> Interval:
@@ -153,7 +165,7 @@ def _joined(scale: FloatArray, boxes: Boxes, start: FloatArray) -> BoolArray:
 
 def _touching(boxes: Boxes) -> Int64Array:
     """Return the pairs of boxes that have a point in common, shape (N, 2)."""
-    found = [np.empty((0, 2), dtype=np.int64)]
+    pairs = [np.empty((0, 2), dtype=np.int64)]
     level, position = boxes["level"], np.ascontiguousarray(boxes["position"])
     levels = np.unique(level)
     ordered = {}
@@ -172,9 +184,57 @@ def _touching(boxes: Boxes) -> Int64Array:
             wanted = _keys(around[inside] >> int(fine - coarse), coarse)
             place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
             hit = keys[place] == wanted
-            found.append(np.stack([sources[hit], targets[place[hit]]], axis=-1))
-    return np.concatenate(found)
+            pairs.append(np.stack([sources[hit], targets[place[hit]]], axis=-1))
+    return np.concatenate(pairs)
 
 
 def _keys(position: Int64Array, level: int) -> Int64Array:
     return np.asarray((position[..., 0] << 2 * int(level)) + (position[..., 1] << int(level)) + position[..., 2])
+
+
+def _singular_state(region: StageRegion, boxes: FloatArray) -> FloatArray | None:
+    """Find a state (x, y, Z) with D = 0 in one of the boxes (N, 3, 2), with all leg lengths within the limits.
+
+    Newton's method towards D = 0 along its gradient, started in up to 2,000 boxes. Of the states the one whose lengths
+    are farthest inside is returned; None if there is none, which proves nothing.
+    """
+    if not len(boxes):
+        return None
+    region = replace(region, length_error=0.0, angle_error=0.0, margin=0.0)
+    chosen = boxes[np.linspace(0, len(boxes) - 1, min(len(boxes), _STARTS)).astype(np.intp)]
+    states = chosen.mean(axis=-1)
+    states = states[(states[:, :2] ** 2).sum(axis=1) < 1.0]
+    for _ in range(_STEPS):
+        value, gradient = _determinant(region, states)
+        slope = (gradient**2).sum(axis=1)
+        step = np.where(slope > 0.0, value / np.where(slope > 0.0, slope, 1.0), 0.0)[:, None] * gradient
+        size = np.linalg.norm(step, axis=1, keepdims=True)
+        states = states - step * np.minimum(1.0, 0.1 / np.maximum(size, 0.1))
+        tilt = np.sqrt((states[:, :2] ** 2).sum(axis=1, keepdims=True))
+        states[:, :2] /= np.maximum(1.0, tilt / 0.999)
+    value, gradient = _determinant(region, states)
+    arrived = np.abs(value) <= 1e-12 * np.linalg.norm(gradient, axis=1)
+    lengths = np.sqrt(_evaluate(region, states)[0])
+    inside = np.minimum(lengths - region.minimum, region.maximum - lengths).min(axis=1)
+    inside[~arrived] = -np.inf
+    # Those in other boxes are not joined to the start.
+    for best in np.argsort(-inside):
+        if not inside[best] >= 0.0:
+            break
+        state = states[best]
+        if ((boxes[..., 0] <= state) & (state <= boxes[..., 1])).all(axis=-1).any():
+            return np.asarray(state)
+    return None
+
+
+def _evaluate(region: StageRegion, states: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the squared leg lengths (N, 3) and D (N,)."""
+    squares, determinant = region.evaluate(*map(Interval.of, states.T))
+    *lengths, value = (0.5 * (x.low + x.high) for x in (*squares, determinant))
+    return np.stack(lengths, axis=1), value
+
+
+def _determinant(region: StageRegion, states: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return D (N,) and its gradient (N, 3) by central differences."""
+    ends = ((_evaluate(region, states + h)[1], _evaluate(region, states - h)[1]) for h in 1e-6 * np.eye(3))
+    return _evaluate(region, states)[1], np.stack([(after - before) / 2e-6 for after, before in ends], axis=1)

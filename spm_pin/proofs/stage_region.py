@@ -31,7 +31,7 @@ _UP = 1.0 + 1e-12
 
 
 @dataclass(frozen=True)
-class _Spread:
+class ErrorBounds:
     """Bounds of the changes that errors of a machine make in one stage, see `docs/theory/proofs.md`."""
 
     length: Interval
@@ -67,19 +67,21 @@ class StageRegion:
     """Largest error of each coordinate of a pivot and of a ball, and of a reading [m]."""
     angle_error: float = 0.0
     """Largest turn of a revolute axis about either direction perpendicular to it [rad]."""
+    margin: float = 0.0
+    """By how much a length may be outside its limits, by rounding [m]."""
 
     @cached_property
     def lengths(self) -> list[Interval]:
         """Distances from pivot to ball of legs whose readings are within the limits [m]."""
-        all_legs = Interval(self.minimum, self.maximum)
+        all_legs = Interval(self.minimum - self.margin, self.maximum + self.margin)
         if self.length_error:
-            all_legs = all_legs + self.spread.length
+            all_legs = all_legs + self.error_bounds.length
         return [Interval(np.array(max(a, 0.0)), np.array(b)) for a, b in zip(all_legs.low, all_legs.high, strict=True)]
 
     @cached_property
     def longest(self) -> float:
         """Bound of the distance from pivot to ball [m]."""
-        return float(self.maximum.max() + self.length_error) * _UP
+        return float(self.maximum.max() + self.margin + self.length_error) * _UP
 
     @property
     def height(self) -> float:
@@ -87,12 +89,12 @@ class StageRegion:
         return (self.longest + 3.0 * self.length_error) * _UP
 
     @cached_property
-    def spread(self) -> _Spread:
+    def error_bounds(self) -> ErrorBounds:
         """Bounds of all that the errors change."""
         pivot, ball = np.sqrt([2.0, 3.0]) * self.length_error * _UP
         leaning = np.sqrt(2.0) * self.angle_error * self.longest * _UP
         corner = (leaning + pivot + ball) * _UP
-        return _Spread(
+        return ErrorBounds(
             length=Interval.within(self.length_error),
             pivot=Interval.within(pivot),
             leaning=Interval.within(leaning),
@@ -110,7 +112,7 @@ class StageRegion:
         mixed = 2.0 * SQRT_3 * (x * y)
         rest = 1.0 - (x_2 + y_2)
         # x0² + x3² is `rest`, of which x3² is at most half, and |x0 x3| is bounded.
-        most = 2.0 * self.spread.torsion**2 * _UP / np.maximum(rest.low, 1e-300)
+        most = 2.0 * self.error_bounds.torsion**2 * _UP / np.maximum(rest.low, 1e-300)
         twist = Interval(np.zeros_like(most), np.clip(most, 0.0, np.maximum(0.5 * rest.high, 0.0)))
         common = 1.0 - 2.0 * twist
         radii = [common - 2.0 * y_2 - mixed, common - 3.0 * x_2 + y_2, common - 2.0 * y_2 + mixed]
@@ -121,18 +123,20 @@ class StageRegion:
             z + 2.0 * (lever * x) + 2.0 * (turned * y),
             z - lever * (x - cross) - turned * (SQRT_3 * x + y),
         ]
-        return [r * radius + self.spread.radius for radius in radii], [h + self.spread.height for h in heights]
+        return [r * radius + self.error_bounds.radius for radius in radii], [
+            h + self.error_bounds.height for h in heights
+        ]
 
     def evaluate(self, x: Interval, y: Interval, z: Interval) -> tuple[list[Interval], Interval]:
         """Return the squares of the distances from pivots to balls [m²] and D [m⁶]."""
-        spread = self.spread
+        bounds = self.error_bounds
         radii, heights = self.corners(x, y, z)
-        hips = Interval.of(self.hips) + spread.pivot
-        slopes, rises = [radius - hips for radius in radii], [height + spread.length for height in heights]
-        squares = [s.square() + h.square() + spread.leaning.square() for s, h in zip(slopes, rises, strict=True)]
+        hips = Interval.of(self.hips) + bounds.pivot
+        slopes, rises = [radius - hips for radius in radii], [height + bounds.length for height in heights]
+        squares = [s.square() + h.square() + bounds.leaning.square() for s, h in zip(slopes, rises, strict=True)]
 
         def m(i: int, j: int) -> Interval:
-            upward = rises[i] * (hips + 0.5 * radii[j] + spread.sideways)
-            return upward + (heights[j] + spread.length) * slopes[i] + spread.factor
+            upward = rises[i] * (hips + 0.5 * radii[j] + bounds.sideways)
+            return upward + (heights[j] + bounds.length) * slopes[i] + bounds.factor
 
         return squares, m(0, 1) * m(1, 2) * m(2, 0) + m(1, 0) * m(2, 1) * m(0, 2)

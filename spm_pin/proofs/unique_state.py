@@ -25,7 +25,7 @@ def has_one_state(region: StageRegion, boxes: FloatArray) -> bool:
     none or several, or if the subdivision ends before; errors of the machine are left aside.
     """
     lengths = 0.5 * (region.minimum + region.maximum)
-    region = replace(region, minimum=lengths, maximum=lengths, length_error=0.0, angle_error=0.0)
+    region = replace(region, minimum=lengths, maximum=lengths, length_error=0.0, angle_error=0.0, margin=0.0)
     for _ in range(_ROUNDS):
         squares, _ = region.evaluate(*_columns(boxes))
         missed = [square.misses(length.square()) for square, length in zip(squares, region.lengths, strict=True)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import signal
 import sys
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
@@ -34,9 +35,12 @@ def run(*arguments: object) -> Done:
     """Run `spm-pin` with arguments."""
     out, err = io.StringIO(), io.StringIO()
     code = 0
+    handler = signal.getsignal(signal.SIGINT)
     with patch.object(sys, "argv", ["spm-pin", *map(str, arguments)]), redirect_stdout(out), redirect_stderr(err):
         try:
             main()
         except SystemExit as end:
             code = int(end.code or 0)
+        finally:
+            signal.signal(signal.SIGINT, handler)
     return Done(code, out.getvalue(), err.getvalue())

@@ -60,11 +60,11 @@ def test_a_machine_is_identified_and_written(measured: Path, tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("command", "message"),
     [
-        (["forward", "--all", *LEGS], "--geometry: expected nominal dimensions for --all"),
-        (["workspace"], "a machine as built. This command is for the nominal machine:"),
+        (["forward", "--all", *LEGS], "--geometry: expected a machine as drawn"),
+        (["workspace"], "--geometry: expected a machine as drawn, got one as built"),
     ],
 )
-def test_commands_for_the_nominal_machine_refuse_a_machine_as_built(
+def test_what_is_of_the_drawing_alone_refuses_a_machine_as_built(
     command: list[str], message: str, tmp_path: Path
 ) -> None:
     file = tmp_path / "machine.yaml"

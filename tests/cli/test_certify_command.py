@@ -31,7 +31,7 @@ def test_errors_of_the_machine_are_in_the_unit_and_in_radians() -> None:
 
 def test_the_file_of_a_machine_as_built(tmp_path: Path) -> None:
     file = tmp_path / "machine.yaml"
-    nominal = spm.spm.Geometry.paper().nominal
+    nominal = spm.Geometry.paper().nominal
     nominal.perturbed(0, length=1e-4, angle=1e-4).to_yaml(file)
     done = run("certify", *LIMITS, "--geometry", str(file))
     assert done.returncode == 0, done.stderr

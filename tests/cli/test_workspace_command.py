@@ -12,7 +12,7 @@ from cli.running import run
 from PIL import Image
 
 import spm_pin as spm
-from spm_pin.workspace.paper_shell.shell import workspace_shell
+from spm_pin.workspace.paper_shell import workspace_shell
 
 FEW = ["workspace", "--resolution", "6"]
 

@@ -187,7 +187,7 @@ def test_srdf_of_other_states() -> None:
     state = in_leg_space(PAPER, 1, seed=0).configuration[0]
     text = srdf_text({"mine": state})
     assert list(named_states(text)) == ["home", "mine"]
-    with pytest.raises(DescriptionError, match="other names than home"):
+    with pytest.raises(DescriptionError, match="names other than home"):
         srdf_text({"home": state})
     other = random_branches(spm.Geometry(0.7, 0.35, 0.8), "TT", 1, seed=0).configuration[0]
     with pytest.raises(DescriptionError, match="one geometry"):

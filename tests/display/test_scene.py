@@ -34,9 +34,9 @@ def along(vertices, start, end):
 
 
 def ends(state):
-    """The hip and the ball of each leg."""
-    hips = np.concatenate([state.geometry.base_joints, state.platform_joints])
-    return zip(spm.mechanism.LEGS, hips, np.tile(state.middle_joints, (2, 1)), strict=True)
+    """The base and the ball of each leg."""
+    bases = np.concatenate([state.geometry.base_joints, state.platform_joints])
+    return zip(spm.mechanism.LEGS, bases, np.tile(state.middle_joints, (2, 1)), strict=True)
 
 
 @pytest.mark.parametrize("name", problems.GEOMETRIES)
@@ -53,12 +53,15 @@ def test_every_machine_in_every_family_makes_closed_solids(name, family):
             assert mesh.volume > 0.0, solid.name
 
 
-@pytest.mark.parametrize("name", problems.GEOMETRIES)
+@pytest.mark.parametrize("name", [*problems.GEOMETRIES, "as built"])
 def test_solids_are_those_of_the_urdf_where_its_joints_put_them(name):
-    geometry = problems.GEOMETRIES[name]
+    geometry = problems.GEOMETRIES.get(name, problems.as_built(PAPER, 5e-2))
     tree = KinematicTree(urdf_text(geometry))
     colours = {m.get("name"): vector(m.find("color").get("rgba"))[:3] for m in tree.root.findall("material")}
-    state = problems.random_branches(geometry, "TT", 1, seed=2).configuration[0]
+    if geometry.is_nominal:
+        state = problems.random_branches(geometry, "TT", 1, seed=2).configuration[0]
+    else:
+        state = spm.forward_physical(geometry, [1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
     frames, found = tree.frames(joint_values(state)), solids(state, frames=False)
     count = 0
     for link, element in tree.links.items():
@@ -117,20 +120,29 @@ def test_placements_of_a_batch_are_those_of_its_members():
             assert np.isnan(together[i]).any()
 
 
-def test_pins_lie_on_the_revolute_axes_and_balls_around_their_centres():
-    built = solids(STATE)
-    for i in range(3):
-        for link, points, axes in (
-            ("base_a", PAPER.base_joints, PAPER.revolute_axes),
-            ("terminal_c", STATE.platform_joints, STATE.platform_axes),
-        ):
-            low, high, radius = along(built[f"{link}{i + 1} pin"].vertices, points[i], points[i] + axes[i])
-            assert low == pytest.approx(-high)
-            assert high > 2.0 * radius
-        for leg in "bc":
-            ball = built[f"leg_{leg}{i + 1}_tip ball"].vertices
-            radii = np.linalg.norm(ball - STATE.middle_joints[i], axis=-1)
-            np.testing.assert_allclose(radii, radii[0], rtol=1e-4)
+@pytest.mark.parametrize("size", [0.0, 1e-3, 5e-2])
+def test_pins_lie_on_the_revolute_axes_and_legs_go_from_pivots_to_balls(size):
+    """The legs are as long as the distance of pivot and ball, whatever the offsets of the encoders."""
+    machine = problems.as_built(PAPER, size)
+    assert (np.abs(machine.legs.offsets).max() > 0.5 * size) == (size > 0.0)
+    state = spm.forward_physical(machine, [1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
+    built = solids(state)
+    place = state.pose.as_matrix()
+    for k, leg in enumerate(spm.mechanism.LEGS):
+        pivot, axis = machine.legs.pivots[k], machine.legs.axes[k]
+        if k >= 3:
+            pivot, axis = place[:3, :3] @ pivot + place[:3, 3], place[:3, :3] @ axis
+        link = f"{'base_a' if k < 3 else 'terminal_c'}{k % 3 + 1}"
+        low, high, radius = along(built[f"{link} pin"].vertices, pivot, pivot + axis)
+        assert low == pytest.approx(-high)
+        assert high > 2.0 * radius
+        ball = built[f"leg_{leg[2:]}_tip ball"].vertices
+        radii = np.linalg.norm(ball - state.balls[k], axis=-1)
+        np.testing.assert_allclose(radii, radii[0], rtol=1e-4)
+        start, _, _ = along(built[f"leg_{leg[2:]}_cylinder tube"].vertices, pivot, state.balls[k])
+        _, end, _ = along(built[f"leg_{leg[2:]}_rod tube"].vertices, pivot, state.balls[k])
+        assert start == pytest.approx(0.0, abs=1e-9)
+        assert end == pytest.approx(state.readings[k] - machine.legs.offsets[k], abs=1e-9)
 
 
 def test_frames_are_arrows_along_their_axes_and_can_be_left_out():

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 import spm_pin as spm
 from spm_pin.display.shell_plots import FAMILY_COLOURS, Plane, draw_section, sections_figure
 from spm_pin.errors import ArgumentError
-from spm_pin.workspace.paper_shell.shell import workspace_shell
+from spm_pin.workspace.paper_shell import workspace_shell
 
 SHELL = workspace_shell(spm.Geometry.paper(), resolution=12)
 LEVEL = Plane.level(2.1)

@@ -15,7 +15,7 @@ from spm_pin.display.output_files import save_figure
 from spm_pin.display.rendering import camera_axes
 from spm_pin.display.shell_plots import FAMILY_COLOURS, MESH_FORMATS, VIEWS, draw_shell, save_mesh, shell_figure
 from spm_pin.errors import ArgumentError, MissingExtraError
-from spm_pin.workspace.paper_shell.shell import workspace_shell
+from spm_pin.workspace.paper_shell import workspace_shell
 
 SHELL = workspace_shell(spm.Geometry.paper(), resolution=8)
 NAMES = [patch.name for patch in SHELL.patches]

@@ -11,8 +11,10 @@ from problems import GEOMETRIES, as_built, in_leg_space, random_branches
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
+from spm_pin.kinematics import EventKind
 
 PAPER = spm.Geometry.paper()
+EXAMPLE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 SIZES = (1e-6, 1e-4, 1e-3, 1e-2)
 
 
@@ -33,7 +35,7 @@ def test_forward_finds_the_states_whose_readings_they_are(name: str, size: float
         problem = in_leg_space(geometry, 300, seed=2)
     state = spm.inverse_physical(built, problem.pose)
     state = state[state.exists]
-    found = spm.forward_physical(built, state.leg_lengths)
+    found = spm.forward_physical(built, state.readings)
     exists = found.exists
     # Within the errors of a forward singularity of the nominal machine a state may not be found.
     assert exists.mean() >= 0.95
@@ -45,51 +47,21 @@ def test_forward_finds_the_states_whose_readings_they_are(name: str, size: float
     assert found.closure_residual[exists].max() <= 1e-13 * side
 
 
-@pytest.mark.parametrize("name", GEOMETRIES)
-def test_without_errors_the_answers_are_those_of_the_nominal_machine(name: str) -> None:
-    geometry = GEOMETRIES[name]
-    built = geometry
-    nominal = random_branches(geometry, "TT", 300, seed=5).configuration
-    same = spm.Configuration(built, nominal.pose, nominal.middle_joints)
-    legs = nominal.leg_lengths
-    forward = spm.forward_physical(geometry, legs)
-    np.testing.assert_array_equal(spm.forward_physical(built, legs).middle_joints, forward.middle_joints)
-    load = np.random.default_rng(0).standard_normal((300, 6))
-    for function in (spm.inverse_jacobian, spm.kinematics.platform_jacobian, spm.determinants):
-        expected, found = function(nominal), function(same)
-        scale = np.abs(expected).max(axis=tuple(range(1, expected.ndim)), keepdims=True)
-        # Errors of the 6 x 6 solution grow with the condition.
-        assert np.median(np.abs(found - expected) / scale) < 1e-14
-        assert (np.abs(found - expected) / scale).max() < 1e-8
-    np.testing.assert_allclose(spm.leg_forces(same, load), spm.leg_forces(nominal, load), rtol=1e-6, atol=1e-7)
-    first, second = spm.singularities(nominal), spm.singularities(same)
-    np.testing.assert_allclose(second.sigma, first.sigma, atol=1e-13)
-    np.testing.assert_allclose(second.scaled_determinants, first.scaled_determinants, atol=1e-11)
-    for name in ("rank", "kind", "mobility"):
-        np.testing.assert_array_equal(getattr(second, name), getattr(first, name))
-    clear = (first.sigma > 1e-2).all(axis=-1)
-    for name in ("gained_twist", "inner_twist", "lost_wrench"):
-        expected_screw, found_screw = (getattr(s, name)[clear].reshape(clear.sum(), -1, 6) for s in (first, second))
-        sign = np.sign((expected_screw * found_screw).sum(axis=-1, keepdims=True))
-        scale = np.abs(expected_screw).max(axis=-1, keepdims=True)
-        assert np.median(np.abs(sign * found_screw - expected_screw) / scale) < 1e-12
-
-
-def test_a_seed_is_followed_from_its_readings_to_others() -> None:
+def test_a_state_is_followed_from_its_readings_to_others() -> None:
     built = as_built(PAPER, 1e-3)
     state = states(count=40)
-    found = spm.forward_physical(built, state.leg_lengths[1:], near=state[:-1])
+    found = spm.forward_physical(built, state.readings[1:], near=state[:-1])
     assert found.exists.mean() > 0.95
     error = np.abs(found.translation - state.translation[1:]).max(axis=-1)
     assert np.nanmax(error) < 1e-12
     # A mode that no machine gets into by itself stays that mode.
     turned = spm.inverse_displacement(built, in_leg_space(PAPER, 20, seed=9).pose)["FF+"]
     turned = turned[turned.exists]
-    near = spm.forward_physical(built, turned.leg_lengths + 1e-4, near=turned)
+    near = spm.forward_physical(built, turned.readings + 1e-4, near=turned)
     moved = np.abs(near.translation - turned.translation).max(axis=-1)
     assert (np.isnan(moved) | (moved < 0.05)).all()
     assert near.exists.mean() > 0.7
-    alone = spm.forward_physical(built, state.leg_lengths[5], near=state[4])
+    alone = spm.forward_physical(built, state.readings[5], near=state[4])
     np.testing.assert_array_equal(alone.middle_joints, found.middle_joints[4])
 
 
@@ -238,20 +210,20 @@ def test_rates_of_states_that_do_not_exist_are_nan(size: float) -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda built, state: spm.forward_physical(built, np.full(5, 1.3)), "leg_lengths"),
-        (lambda built, state: spm.forward_physical(built, np.full(6, -1.0)), "leg_lengths.*exceed their offset.*r_b1"),
-        (lambda built, state: spm.forward_physical(built, np.full(6, 1e9)), "leg_lengths.*another unit"),
-        (lambda built, state: spm.forward_physical(PAPER, np.full(6, 1.3), near=state), "seed.*of this geometry"),
-        (lambda built, state: spm.forward_physical(built, np.full(6, 1.3), seed=built), "seed.*Configuration"),
+        (lambda built, state: spm.forward_physical(built, np.full(5, 1.3)), "readings"),
+        (lambda built, state: spm.forward_physical(built, np.full(6, -1.0)), "readings.*exceed their offset.*r_b1"),
+        (lambda built, state: spm.forward_physical(built, np.full(6, 1e9)), "readings.*another unit"),
+        (lambda built, state: spm.forward_physical(PAPER, np.full(6, 1.3), near=state), "near.*of this geometry"),
+        (lambda built, state: spm.forward_physical(built, np.full(6, 1.3), near=built), "near.*Configuration"),
         (
             lambda built, state: spm.forward_physical(as_built(PAPER, 2e-3), np.full(6, 1.3), near=state),
-            "seed.*of this geometry",
+            "near.*of this geometry",
         ),
         (
             lambda built, state: spm.forward_physical(
-                built, np.full(6, 1.3), seed=spm.Configuration(built, state.pose, state.middle_joints + 0.01)
+                built, np.full(6, 1.3), near=spm.Configuration(built, state.pose, state.middle_joints + 0.01)
             ),
-            "seed.*closes",
+            "near.*closes",
         ),
         (lambda built, state: spm.leg_rates(state, np.zeros(5)), "twist"),
         (lambda built, state: spm.leg_forces(state, np.full(6, np.nan)), "wrench"),
@@ -263,3 +235,54 @@ def test_bad_arguments_are_named(call: Callable[[object, object], object], messa
     state = spm.forward_physical(built, np.full(6, 1.3))
     with pytest.raises(spm.ArgumentError, match=message):
         call(built, state)
+
+
+def test_rounding_errors_change_nothing() -> None:
+    """Six legs that differ from the drawing by rounding have its rates, forces and singularities."""
+    drawn = spm.forward_physical(PAPER, np.random.default_rng(3).uniform(1.1, 1.5, (200, 6)))
+    drawn = drawn[drawn.exists]
+    drawn = drawn[spm.singularities(drawn).sigma.min(axis=-1) > 1e-2]
+    built = spm.Configuration(as_built(PAPER, 1e-14), drawn.pose, drawn.middle_joints)
+    assert not built.geometry.is_nominal
+    functions = (
+        spm.inverse_jacobian,
+        spm.kinematics.platform_jacobian,
+        spm.determinants,
+        spm.kinematics.determinant_gradients,
+        lambda state: spm.singularities(state).sigma,
+        lambda state: spm.leg_forces(state, [10.0, -20.0, 30.0, 1.0, 2.0, -3.0]),
+    )
+    for function in functions:
+        expected, value = function(drawn), function(built)
+        np.testing.assert_allclose(value, expected, atol=1e-9 * np.abs(expected).max())
+
+
+def test_gradients_of_determinants_are_differences() -> None:
+    state, step = states(count=20), 1e-5
+    gradients = spm.kinematics.determinant_gradients(state)
+    for leg in range(6):
+        change = step * np.eye(6)[leg]
+        ends = [spm.forward_physical(state.geometry, state.readings + s * change, near=state) for s in (1.0, -1.0)]
+        expected = (spm.determinants(ends[0]) - spm.determinants(ends[1])) / (2.0 * step)
+        np.testing.assert_allclose(gradients[..., leg], expected, atol=1e-6)
+
+
+def test_a_path_of_a_machine_as_built_is_followed() -> None:
+    built = as_built(PAPER, 1e-3)
+    ends = np.array([[1.2, 1.2, 1.4, 1.25, 1.2, 1.5], [1.3, 1.25, 1.2, 1.2, 1.4, 1.6]])
+    by_legs = spm.follow(built, ends, samples=20)
+    assert by_legs.complete
+    assert [event.kind for event in by_legs.events if "LIMIT" in event.kind.name] == [EventKind.LIMIT]
+    lines = ends[0] + by_legs.parameters[:, None] * (ends[1] - ends[0])
+    np.testing.assert_allclose(by_legs.configurations.readings, lines, atol=1e-12)
+    # The same states along their poses, where the branches are known with their labels.
+    poses = by_legs.configurations.pose
+    by_poses = spm.follow(built, poses, start=by_legs.configurations[0], samples=20)
+    assert by_poses.complete
+    np.testing.assert_allclose(by_poses.configurations[-1].readings, ends[1], atol=1e-9)
+    # A state of another mode is followed too.
+    turned = spm.inverse_displacement(built, EXAMPLE)["FF+"]
+    other = spm.follow(built, np.stack([turned.readings, turned.readings + 0.01]), start=turned, samples=5)
+    np.testing.assert_allclose(other.configurations[0].middle_joints, turned.middle_joints, atol=1e-12)
+    with pytest.raises(spm.GeometryError, match="a machine as drawn"):
+        spm.forward_displacement(built, ends)

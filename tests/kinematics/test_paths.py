@@ -230,7 +230,7 @@ POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88])
         (stacked(POSE), None, "path: expected a callable, or at least two poses"),
         (np.zeros((4, 5)), None, "path: expected real numbers of shape .* leg lengths in metres, or poses"),
         (np.zeros(6), None, "path: expected a callable, or at least two poses"),
-        (np.full((2, 6), -1.0), None, "leg_lengths"),
+        (np.full((2, 6), -1.0), None, "readings"),
         (np.full((2, 6), np.nan), None, "path: expected finite real numbers of shape .* got nan at index"),
         (stacked(spm.pose([9, 9, 9], rotation=POSE.rotation), POSE), None, "start: expected a solution that exists"),
         (np.stack([np.eye(4), 2 * np.eye(4)]), None, "path"),

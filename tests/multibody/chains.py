@@ -16,6 +16,8 @@ Array = npt.NDArray[np.float64]
 EPS = float(np.finfo(float).eps)
 PAPER = spm.Geometry.paper()
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
+MACHINES = {**problems.GEOMETRIES, "as built": problems.as_built(PAPER, 1e-2)}
+NAMES = list(MACHINES)
 BALL_ANGLES = ("ball_b1_y", "ball_c1_y")
 
 
@@ -23,7 +25,7 @@ BALL_ANGLES = ("ball_b1_y", "ball_c1_y")
 def chain(name: str = "paper") -> Any:
     from spm_pin.multibody.chain import ClosedChain
 
-    return ClosedChain.from_urdf(geometry=problems.GEOMETRIES[name])
+    return ClosedChain.from_urdf(geometry=MACHINES[name])
 
 
 def six_branches() -> list[spm.Configuration]:
@@ -31,8 +33,14 @@ def six_branches() -> list[spm.Configuration]:
 
 
 def placed(name: str, count: int, seed: int) -> list[tuple[spm.Configuration, Array]]:
-    """Random branches of every family, `count` each, with their q: no ball's middle angle beyond 85 degrees."""
-    found = []
+    """Random branches of every family, `count` each, with their q: no ball's middle angle beyond 85 degrees.
+
+    Of a machine as built, physical states.
+    """
+    found, geometry = [], MACHINES[name]
+    if not geometry.is_nominal:
+        readings = geometry.legs.offsets + np.random.default_rng(seed).uniform(1.15, 1.45, (3 * count, 6))
+        return [(state, chain(name).joint_values(state)) for state in spm.forward_physical(geometry, readings)]
     for family in spm.mechanism.FAMILIES:
         for state in problems.random_branches(problems.GEOMETRIES[name], family, count, seed).configuration:
             q = chain(name).joint_values(state)
@@ -68,13 +76,11 @@ def random_q(owner: Any, rng: np.random.Generator) -> Array:
 
 def wrench_conditions(state: spm.Configuration) -> tuple[float, float]:
     """Smallest singular values of the closed form's J_b or J_c, and of its K; lengths in units of d."""
-    b = state.middle_joints
-    arms = (b - b.mean(axis=0)) / state.geometry.middle_side
+    arms = (state.balls - state.middle_joints.mean(axis=0)) / state.geometry.middle_side
     legs = state.leg_vectors / state.leg_lengths[:, None]
-    axes = state.geometry.revolute_axes, state.platform_axes
+    along, across = (np.concatenate([f, np.cross(arms, f)], axis=-1) for f in (legs, state.leg_axes))
 
-    def smallest(*forces: Array) -> float:
-        rows = [np.concatenate([f, np.cross(arms, f)], axis=-1) for f in forces]
+    def smallest(*rows: Array) -> float:
         return float(np.linalg.svd(np.concatenate(rows), compute_uv=False)[-1])
 
-    return min(smallest(legs[:3], axes[0]), smallest(legs[3:], axes[1])), smallest(*axes)
+    return min(smallest(along[:3], across[:3]), smallest(along[3:], across[3:])), smallest(across)

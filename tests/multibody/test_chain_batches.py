@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -135,3 +136,12 @@ def test_wrong_arguments_name_the_member() -> None:
         robot.inverse_dynamics(q, [rest, rest, rest + 1.0], rest)
     with pytest.raises(ArgumentError, match=r"^v: expected leading axes that broadcast"):
         robot.state([q, q], [rest, rest, rest])
+
+
+def test_threads_compute_at_the_same_time() -> None:
+    robot, rest, forces = chain(), np.zeros(18), np.ones(6)
+    states = [q for _, q in placed("paper", 2, seed=310)[:4]]
+    expected = [robot.forward_dynamics(q, rest, forces) for q in states]
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda k: robot.forward_dynamics(states[k % 4], rest, forces), range(200)))
+    assert all(np.array_equal(a, expected[k % 4]) for k, a in enumerate(found))

@@ -129,7 +129,7 @@ def test_unreachable_targets() -> None:
         robot.forward_kinematics(np.full(6, 1.3), q + 1e-2)
     with pytest.raises(ArgumentError, match=r"^near: expected shape"):
         robot.forward_kinematics(np.full(6, 1.3), [q, q])
-    with pytest.raises(ArgumentError, match=r"^leg_lengths: expected legs of no negative length, got -1 m in r_c3"):
+    with pytest.raises(ArgumentError, match=r"^readings: expected legs of no negative length, got -1 m in r_c3"):
         robot.forward_kinematics([1.2, 1.2, 1.4, 1.25, 1.2, -1.0], q)
     with pytest.raises(PoseError):
         robot.inverse_kinematics(np.eye(3), q)

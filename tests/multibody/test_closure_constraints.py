@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import problems
 import pytest
-from multibody.chains import EPS, chain, closure_jacobian, placed, random_q
+from multibody.chains import EPS, NAMES, chain, closure_jacobian, placed, random_q
 
 pinocchio = pytest.importorskip("pinocchio")
 
 from spm_pin.multibody.constrained_model import ConstrainedModel, TreeKinematics  # noqa: E402
-
-NAMES = list(problems.GEOMETRIES)
 
 
 def test_one_state_moved_has_the_jacobian_of_each_q_in_turn() -> None:

@@ -96,7 +96,7 @@ def test_the_physical_mode_of_a_batch_is_that_of_its_members() -> None:
 
 def test_lengths_that_the_physical_mode_cannot_have_are_refused_or_nan() -> None:
     robot, far = chain(), [1.2, 1.2, 1.2, 1.2, 1.2, 9.0]
-    begin = "leg_lengths: expected lengths that the physical assembly mode can have, got [1.2, 1.2, 1.2, 1.2, 1.2, 9] m"
+    begin = "readings: expected lengths that the physical assembly mode can have, got [1.2, 1.2, 1.2, 1.2, 1.2, 9] m"
     reason = "With these leg lengths no configuration is reached from the home without a forward singularity."
     with pytest.raises(ArgumentError) as caught:
         robot.forward_kinematics(far)

@@ -9,15 +9,13 @@ from typing import Any
 import numpy as np
 import problems
 import pytest
-from multibody.chains import Array, chain, closure_jacobian, frame_jacobian, placed, six_branches
+from multibody.chains import NAMES, Array, chain, closure_jacobian, frame_jacobian, placed, six_branches
 from multibody.engine_dynamics import Drake, Mujoco, accelerations
 
 import spm_pin as spm
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 
 pinocchio = pytest.importorskip("pinocchio")
-
-NAMES = list(problems.GEOMETRIES)
 
 
 def states(name: str, count: int, seed: int) -> list[tuple[Array, Array]]:

@@ -9,6 +9,7 @@ import problems
 import pytest
 from multibody.chains import (
     EPS,
+    NAMES,
     Array,
     chain,
     closure_jacobian,
@@ -24,7 +25,6 @@ from spm_pin.paper import driving_forces as paper
 
 pinocchio = pytest.importorskip("pinocchio")
 
-NAMES = list(problems.GEOMETRIES)
 WRENCHES = [*np.eye(6), np.concatenate(paper.load())]
 
 

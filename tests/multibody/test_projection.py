@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 import problems
 import pytest
-from multibody.chains import EPS, PAPER, Array, chain, placed, random_q, six_branches
+from multibody.chains import EPS, NAMES, PAPER, Array, chain, placed, random_q, six_branches
 
 from spm_pin.errors import ArgumentError, ClosureError, SpmError
 
 pinocchio = pytest.importorskip("pinocchio")
-
-NAMES = list(problems.GEOMETRIES)
 
 
 def rounding(robot: Any, q: Array) -> float:

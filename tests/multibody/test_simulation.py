@@ -245,24 +245,6 @@ def test_a_leg_of_no_length_ends_a_run() -> None:
     assert run.leg_lengths[-1].min() == pytest.approx(1e-6 * robot.geometry.middle_side, rel=1e-6)
 
 
-def test_progress_may_stop_it() -> None:
-    shares: list[float] = []
-
-    def progress(share: float) -> bool:
-        shares.append(share)
-        return share < 0.5
-
-    run = chain().simulate(reference(), np.zeros(18), None, np.linspace(1.0, 1.4, 41), progress=progress)
-    assert run.end is SimulationEnd.STOPPED
-    assert not run.complete
-    assert shares == sorted(shares)
-    assert run.times[-1] == pytest.approx(1.0 + 0.4 * shares[-1])
-    assert str(run).endswith("stopped>")
-    all_of_it = chain().simulate(reference(), np.zeros(18), None, [0.0, 0.1], progress=shares.append)
-    assert all_of_it.complete
-    assert shares[-1] == 1.0
-
-
 def test_errors_of_callables_reach_the_caller() -> None:
     class Broken(Exception):
         pass

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import spm_pin as spm
+from spm_pin.kinematics.formulas import stages
 from spm_pin.kinematics.intervals import Interval
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.stage_coordinates import configuration_of_stages, stage_coordinates
@@ -229,6 +230,52 @@ def test_limits_certify_until_shortly_before_the_first_singularity(hips: float, 
     assert spm.certify(geometry, spm.LegLimits(middle - 0.9 * fold, middle + 0.9 * fold)).holds
     assert not spm.certify(geometry, spm.LegLimits(middle - 1.01 * fold, middle + 1.01 * fold), boxes=60_000).holds
     assert spm.certify(geometry, spm.LegLimits(middle - 1.1 * fold, middle + 1.1 * fold)).witness is not None
+
+
+@pytest.mark.parametrize("half", [0.1, 0.02, 1e-4])
+def test_bounds_of_narrow_limits_are_within_a_factor_of_two(half: float) -> None:
+    """Of the least of a sample, which is not below the minimum. The bounds of narrower limits are not smaller."""
+    found = spm.certify(PAPER, spm.LegLimits(1.3 - half, 1.3 + half))
+    lengths = np.random.default_rng(0).uniform(1.3 - half, 1.3 + half, (5_000, 6))
+    values = np.abs(spm.determinants(spm.forward_physical(PAPER, lengths))[:, :2]) / PAPER.middle_side**3
+    assert (values.min(axis=0) >= found.bounds).all()
+    assert (values.min(axis=0) < 2.0 * np.array(found.bounds)).all()
+    assert (np.array(found.bounds) > [0.30, 0.48]).all()
+
+
+def test_states_at_the_limits_are_covered(certificate: spm.Certificate) -> None:
+    """The limits are closed, and lengths of a state differ from those given by rounding."""
+    corners = np.array(list(product((1.1, 1.5), repeat=6)))
+    states = spm.forward_physical(PAPER, corners)
+    assert not certificate.limits.contains(states.readings).all()
+    assert certificate.covers(states).all()
+    assert certificate.admits(corners).all()
+    outside = np.full(6, 1.5 + 1e-10)
+    assert not certificate.admits(outside)
+    assert not certificate.covers(spm.forward_physical(PAPER, outside))
+
+
+def test_a_singular_state_that_is_not_joined_to_the_home_does_not_narrow_the_widest_limits() -> None:
+    geometry = spm.Geometry(1.0, 1.0, 3.0)
+    found = spm.largest_certified_limits(geometry, 3.6, tolerance=0.2, boxes=60_000)
+    assert found.limits.maximum[0] - 3.6 > 0.85
+
+
+def test_the_determinant_is_that_of_the_formulas() -> None:
+    """`StageRegion` has other expressions of it and of the corners, which are tighter and have room for errors."""
+    states = np.random.default_rng(5).uniform([-0.6, -0.6, 0.5], [0.6, 0.6, 2.0], (50, 3))
+    side, hips = 0.8, 0.7
+    region = StageRegion(hips, side, np.zeros(3), np.full(3, 3.0))
+    squares, determinant = region.evaluate(*map(Interval.of, states.T))
+    r = side / np.sqrt(3.0)
+    x, y, z = states.T
+    radii, heights = stages.corners(np.sqrt(1.0 - x * x - y * y), x, y, 0.0, z / r)
+    expected = stages.pair_determinant(stages.stage_pairs(radii, heights, hips / r)) * r**6
+    np.testing.assert_allclose(0.5 * (determinant.low + determinant.high), expected, atol=1e-13)
+    assert ((determinant.low <= expected + 1e-13) & (expected - 1e-13 <= determinant.high)).all()
+    for k in range(3):
+        length = (radii[k] * r - hips) ** 2 + (heights[k] * r) ** 2
+        np.testing.assert_allclose(0.5 * (squares[k].low + squares[k].high), length, atol=1e-13)
 
 
 def test_the_widest_limits_hold() -> None:

@@ -94,7 +94,7 @@ def test_enclosures_contain_what_machines_within_errors_have(length: float, angl
                     contained(name, found[i], exact[:, i])
             contained("determinant", determinant, determinants[:, k] * distances[:, 3 * k : 3 * k + 3].prod(axis=-1))
             quaternion = turns[k].as_quat()
-            contained("torsion", Interval.within(region.spread.torsion), quaternion[:, 2] * quaternion[:, 3])
+            contained("torsion", Interval.within(region.error_bounds.torsion), quaternion[:, 2] * quaternion[:, 3])
     # The bounds are not far from what some machines have: a forgotten error would exceed them.
     least = {"square": 0.2, "radius": 0.3, "height": 0.3 if length else 0.0, "torsion": 0.4, "determinant": 0.02}
     assert all(used[name] > share for name, share in least.items()), used

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import spm_pin as spm
-from spm_pin.workspace.winding_numbers import WindingNumbers
+from spm_pin.workspace.closed_mesh import WindingNumbers
 
 Array = npt.NDArray[np.float64]
 
@@ -115,7 +115,7 @@ def test_any_leading_axes(shape: tuple[int, ...]) -> None:
 def test_large_batches_are_taken_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     points = np.random.default_rng(5).uniform(-1.2, 1.2, (5000, 3))
     whole = surface(SPHERE).at(points)
-    monkeypatch.setattr("spm_pin.workspace.winding_numbers._PAIRS", 97)
+    monkeypatch.setattr("spm_pin.workspace.closed_mesh._PAIRS", 97)
     np.testing.assert_array_equal(surface(SPHERE).at(points), whole)
 
 

@@ -5,7 +5,7 @@
 clients.
 """
 
-from spm_pin.display.viewer.playback import Recording, read_recording
+from spm_pin.display.viewer.playback import Playback, Recording, read_recording
 from spm_pin.display.viewer.server import Viewer
 
-__all__ = ["Recording", "Viewer", "read_recording"]
+__all__ = ["Playback", "Recording", "Viewer", "read_recording"]

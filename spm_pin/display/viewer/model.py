@@ -35,7 +35,7 @@ from spm_pin.mechanism.arguments import BoolArray, FloatArray, real_array
 from spm_pin.mechanism.branches import family, physical
 from spm_pin.mechanism.geometry_files import as_data
 from spm_pin.multibody.chain import ClosedChain
-from spm_pin.workspace.reachability.nearest_pose import nearest_reachable_pose, pose_distance
+from spm_pin.workspace.poses import nearest_reachable_pose, pose_distance
 
 SINGULARITIES = ("forward, lower stage", "forward, upper stage", "inverse")
 """The singularities that J_b, J_c and K have, in this order."""
@@ -117,32 +117,22 @@ class Notice:
 
     level: Literal["info", "warning"]
     """How urgent it is."""
-    text: str
-    """The sentence."""
+    text: str  # the sentence
 
 
 @dataclass(frozen=True)
 class State:
     """State of a session: the configuration shown and the pose requested, its branches, measures, load and notices."""
 
-    mode: InputMode
-    """What was moved last."""
-    target: RigidTransform
-    """The requested pose of {m} in {B}; that of `shown` where legs were moved."""
-    shown: Configuration
-    """The state of the manipulator."""
-    label: str
-    """Branch of `shown`; empty where its pose has none, because its solutions form a continuous family."""
-    solutions: SolutionSet
-    """All branches of the pose of `shown`."""
-    distance: float
-    """Root mean square distance of the c_i from where they should be [m]; 0 where the pose is reached."""
-    measures: Measures
-    """Instruments of `shown`."""
-    wrench: FloatArray
-    """The load (f, m) on the platform at o in {B}, shape (6,) [N, N m]."""
-    notices: tuple[Notice, ...]
-    """Sentences for the user, most important first."""
+    mode: InputMode  # what was moved last
+    target: RigidTransform  # the requested pose of {m} in {B}; that of `shown` where legs were moved
+    shown: Configuration  # the state of the manipulator
+    label: str  # branch of `shown`; empty where its pose has none, because its solutions form a continuous family
+    solutions: SolutionSet  # all branches of the pose of `shown`
+    distance: float  # root mean square distance of the c_i from where they should be [m]; 0 where the pose is reached
+    measures: Measures  # instruments of `shown`
+    wrench: FloatArray  # the load (f, m) on the platform at o in {B}, shape (6,) [N, N m]
+    notices: tuple[Notice, ...]  # sentences for the user, most important first
 
     @property
     def labels(self) -> tuple[str, ...]:

@@ -132,7 +132,7 @@ class Panel:
         return widget
 
     def _add_motion(self, geometry: Geometry, demo: bool) -> None:
-        self.mode = self._add("dropdown", "mode", "Move", tuple(map(str, InputMode)))
+        self.mode = self._add("dropdown", "mode", "Input", tuple(map(str, InputMode)))
         self.pose_folder = self.gui.add_folder(None)
         with self.pose_folder:
             self.pose_sliders = [self._add_slider(name, "coordinate", k) for k, name in enumerate(_COORDINATES)]

@@ -41,30 +41,21 @@ _TRAIL_STEP = 2e-3  # of the base radius
 class MovingMesh:
     """A mesh of one colour that moves as one."""
 
-    name: str
-    """Name of the first of its parts, see `VisualPart`."""
-    leg: int | None
-    """Index in `LEGS` of the leg that it belongs to; None for the platforms."""
-    colour: tuple[int, int, int]
-    """Red, green and blue in sRGB, from 0 to 255."""
-    vertices: npt.NDArray[np.float32]
-    """Vertices in the frame of its body [m], shape (n, 3)."""
-    faces: npt.NDArray[np.uint32]
-    """Triangles, shape (m, 3)."""
-    part: int
-    """Index of the part whose placement it has."""
+    name: str  # name of the first of its parts, see `VisualPart`
+    leg: int | None  # index in `LEGS` of the leg that it belongs to; None for the platforms
+    colour: tuple[int, int, int]  # red, green and blue in sRGB, from 0 to 255
+    vertices: npt.NDArray[np.float32]  # vertices in the frame of its body [m], shape (n, 3)
+    faces: npt.NDArray[np.uint32]  # triangles, shape (m, 3)
+    part: int  # index of the part whose placement it has
 
 
 @dataclass(frozen=True)
 class Placements:
     """Placements of meshes in {B}."""
 
-    positions: FloatArray
-    """Origins in {B} [m], shape (..., 3)."""
-    quaternions: FloatArray
-    """Unit quaternions, scalar first, shape (..., 4)."""
-    scales: FloatArray
-    """Scales along the axes of the mesh, shape (..., 3)."""
+    positions: FloatArray  # origins in {B} [m], shape (..., 3)
+    quaternions: FloatArray  # unit quaternions, scalar first, shape (..., 4)
+    scales: FloatArray  # scales along the axes of the mesh, shape (..., 3)
 
 
 class RobotMeshes:

@@ -53,11 +53,6 @@ class Viewer:
         Whether a page moves from the beginning, until it is touched; by default where no configuration and no path is
         given.
 
-    Raises
-    ------
-    ArgumentError
-        If `start` is something else, the host is no address of this machine, or no port is free.
-
     Notes
     -----
     Every client has a session of its own, which ends with its connection. A session's work is done in one worker
@@ -122,7 +117,7 @@ class Viewer:
         return f"http://{host}:{self.port}"
 
     @property
-    def sessions(self) -> tuple[Session, ...]:
+    def sessions(self) -> tuple[Any, ...]:
         """The sessions of the clients that are connected, oldest first."""
         with self._lock:
             return tuple(self._sessions[key] for key in sorted(self._sessions))

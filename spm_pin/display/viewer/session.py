@@ -42,22 +42,15 @@ _FARTHEST = 10.0
 class SessionConfig:
     """The data that all sessions of a viewer share; read-only. Options are those of `Viewer`."""
 
-    chain: ClosedChain
-    """The manipulator in Pinocchio, for its joint values."""
-    robot: RobotMeshes
-    """The meshes of the manipulator."""
-    start: Configuration
-    """The state at first."""
-    workspace: WorkspaceLayer
-    """The workspace, computed when it is first shown."""
-    recording: Recording | None = None
-    """The recorded path that can be played; None without one."""
-    demo: Playback | None = None
-    """The motion that a page begins with."""
+    chain: ClosedChain  # the manipulator in Pinocchio, for its joint values
+    robot: RobotMeshes  # the meshes of the manipulator
+    start: Configuration  # the state at first
+    workspace: WorkspaceLayer  # the workspace, computed when it is first shown
+    recording: Recording | None = None  # the recorded path that can be played; None without one
+    demo: Playback | None = None  # the motion that a page begins with
     geometry_file: Path | None = None
     """The file that the geometry was read from, for the commands shown; None for the paper's."""
-    dark: bool = False
-    """True for a page in dark colours."""
+    dark: bool = False  # true for a page in dark colours
 
 
 class Session:

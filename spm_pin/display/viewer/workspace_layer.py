@@ -18,7 +18,7 @@ from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.branches import physical
 from spm_pin.mechanism.leg_frames import home_lengths
-from spm_pin.workspace.paper_shell.shell import workspace_shell
+from spm_pin.workspace.paper_shell import workspace_shell
 
 _NEIGHBOURS = 400
 """Sampled states, those nearest to the one shown, whose coordinates a slider spans."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from spm_pin.kinematics.formulas.operations import sqrt
 from spm_pin.kinematics.formulas.stages import is_home_aspect
-from spm_pin.kinematics.formulas.vectors import Rows, Vector, combined, cross, direction, dot, minus, times
+from spm_pin.kinematics.formulas.vectors import Rows, Vector, combined, cross, dot, minus, times
 from spm_pin.kinematics.formulas.wrenches import normals, pairs
 
 
@@ -51,12 +51,6 @@ def _beside(corner: Vector, weights: Vector, p: Vector, q: Vector, n: Vector) ->
 def leg_vectors(balls: Rows, pivots: Rows) -> Rows:
     """Return the vectors from pivot to ball of a stage."""
     return minus(balls[0], pivots[0]), minus(balls[1], pivots[1]), minus(balls[2], pivots[2])
-
-
-def leg_directions(balls: Rows, pivots: Rows) -> Rows:
-    """Return δ_i from pivot to ball, not a number where a leg has no length."""
-    first, second, third = leg_vectors(balls, pivots)
-    return direction(first), direction(second), direction(third)
 
 
 def leg_lengths(balls: Rows, pivots: Rows) -> Vector:

@@ -1,4 +1,4 @@
-"""The forces of the legs on the middle platform, and the motions they allow: `docs/theory/velocity.md`.
+"""The forces of the legs on the middle platform, and what they allow: `docs/theory/rates_forces_singularities.md`.
 
 A stage has three forces f_i through the ball joints b_i that hold, and three, a_i, that constrain. A motion of the
 platform moves b_i by

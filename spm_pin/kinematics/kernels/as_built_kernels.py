@@ -21,17 +21,17 @@ from spm_pin.kinematics.kernels.quadric_newton import (
     POINTS,
     ROWS,
     STATE,
-    part,
     point,
     polish,
-    put_part,
+    put_real_part,
+    real_part,
 )
-from spm_pin.kinematics.kernels.quadric_roots import eight_roots, is_real, is_same_point
+from spm_pin.kinematics.kernels.quadric_roots import SAME_ROOT, eight_roots, is_real, is_same_point
 from spm_pin.kinematics.kernels.three_quadrics import Planes, allocate_planes, image, put_quadrics, put_quaternion
 from spm_pin.mechanism.arguments import FloatArray
 
 ComplexArray = npt.NDArray[np.complex128]
-RootPath = tuple[FloatArray, FloatArray, FloatArray, FloatArray, Planes]
+HomotopyScratch = tuple[FloatArray, FloatArray, FloatArray, FloatArray, Planes]
 """Roots that are followed side by side, flat as in `polish`, and how they are moved on trial; targets, as parts of the
 errors, and the quadrics there, `forms`, the first of the machine as built; planes on the way."""
 
@@ -42,10 +42,9 @@ SHORTEST_AT_FIRST = 0.02
 """The same while it is not known yet whether any real root will be left for such a branch."""
 _LEVELS = 25
 """Halvings of the way, no fewer than lead to the shortest step."""
-_SAME = 1e-6
 _DISPUTED = -2
 """Label of a root at which two branches seem to have arrived."""
-PART = 8 * POINTS
+FRACTION_ROW = 8 * POINTS
 """Where the row of the shares of the errors begins at which the roots are."""
 
 
@@ -83,24 +82,29 @@ def put_planes(
 
 
 @jit_inline
-def allocate_path() -> RootPath:
+def allocate_path() -> HomotopyScratch:
     """Allocate the arrays that `follow` works in, with no root in them."""
-    roots = np.zeros((PART // POINTS + 1) * POINTS)
-    roots[PART:] = 1.0
+    roots = np.zeros((FRACTION_ROW // POINTS + 1) * POINTS)
+    roots[FRACTION_ROW:] = 1.0
     return roots, np.empty(ROWS * POINTS), np.empty(_LEVELS), np.empty((_LEVELS, 3, 4, 4)), allocate_planes()
 
 
 @jit
-def begin(path: RootPath, k: int, x: FloatArray) -> None:
+def begin(path: HomotopyScratch, k: int, x: FloatArray) -> None:
     """Set the unit vector x (4,) as the start from which root k is followed."""
     roots = path[0]
-    put_part(roots, 0, k, (x[0], x[1], x[2], x[3]))
-    roots[PART + k] = 0.0
+    put_real_part(roots, k, (x[0], x[1], x[2], x[3]))
+    roots[FRACTION_ROW + k] = 0.0
 
 
 @jit
 def follow(
-    rotation: FloatArray, place: FloatArray, nominal: FloatArray, built: FloatArray, path: RootPath, shortest: float
+    rotation: FloatArray,
+    place: FloatArray,
+    nominal: FloatArray,
+    built: FloatArray,
+    path: HomotopyScratch,
+    shortest: float,
 ) -> None:
     """Follow real roots while the errors grow from zero to those of the machine.
 
@@ -110,7 +114,7 @@ def follow(
         The pose, its position in units of the middle platform's radius.
     nominal, built : ndarray, shape (3, 6, 3)
         Axes, pivots and balls of the nominal machine and of the one as built.
-    path : RootPath, changed
+    path : HomotopyScratch, changed
         The first of `forms` are the quadrics of the machine as built. Roots that `begin` put into `roots` are followed;
         those that arrived have parts of 1 in the end.
     shortest : float
@@ -123,18 +127,18 @@ def follow(
     while level >= 0:
         waiting = False
         for k in range(POINTS):
-            tried = roots[PART + k] == done
+            tried = roots[FRACTION_ROW + k] == done
             waiting |= tried
             trial[STATE + k] = PENDING if tried else FAILED
-            put_part(trial, 0, k, part(roots, 0, k))
+            put_real_part(trial, k, real_part(roots, k))
         if waiting:
             polish(forms[level], trial, False, True, 10)
             waiting = False
             for k in range(POINTS):
                 if trial[STATE + k] == CONVERGED:
-                    roots[PART + k] = targets[level]
-                    put_part(roots, 0, k, part(trial, 0, k))
-                elif roots[PART + k] == done:
+                    roots[FRACTION_ROW + k] = targets[level]
+                    put_real_part(roots, k, real_part(trial, k))
+                elif roots[FRACTION_ROW + k] == done:
                     waiting = True
         if waiting and 0.5 * (targets[level] - done) >= shortest:
             level += 1
@@ -223,7 +227,7 @@ def as_built_branches(
             for k in range(8):
                 label_of[k] = max(label_of[k], -1)
                 image(point(roots, k), planes, found[k])
-            _assign_rest(nominal_complex_joints[n], found, unit, label_of, root_of)
+            _assign_left_over(nominal_complex_joints[n], found, unit, label_of, root_of)
         status[n] = UNREACHABLE
         for label in range(8):
             k = root_of[label]
@@ -234,7 +238,7 @@ def as_built_branches(
             if k >= 0 and is_real(roots, k):
                 status[n] = OK
                 carried[n, label] = carried[n, label] % 2
-                image(part(roots, 0, k), planes, own)
+                image(real_part(roots, k), planes, own)
                 for i in range(6):
                     square = 0.0
                     for j in range(3):
@@ -260,11 +264,11 @@ def _claim(
     """Give labels to the real roots at which branches arrived; return how many more roots have one."""
     claimed = 0
     for label in range(8):
-        if carried[label] != 0 or reached[PART + label] != 1.0:
+        if carried[label] != 0 or reached[FRACTION_ROW + label] != 1.0:
             continue
         x = point(reached, label)
         for k in range(8):
-            if is_real(roots, k) and is_same_point(x, point(roots, k), _SAME):
+            if is_real(roots, k) and is_same_point(x, point(roots, k), SAME_ROOT):
                 # Two that arrive at one root: neither label is certain.
                 if label_of[k] >= 0:
                     carried[label_of[k]], root_of[label_of[k]], label_of[k] = 0, -1, _DISPUTED
@@ -277,7 +281,7 @@ def _claim(
 
 
 @jit
-def _assign_rest(
+def _assign_left_over(
     nominal_joints: ComplexArray,
     found: ComplexArray,
     unit: float,

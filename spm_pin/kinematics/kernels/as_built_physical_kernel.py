@@ -1,7 +1,8 @@
-"""The physical branch of an imperfect machine: Newton's method from that of the nominal machine, on three quadrics.
+"""The physical branch of a machine as built: TT+ and TT- of the drawn machine are followed, and one of them is chosen.
 
-For errors well below `_DOUBT`. A pose at which a branch in question cannot be followed is left to the complete
-solution.
+Both are followed whatever they are like: near a level pose a branch moves by far more than the errors, so that one far
+from physical can become the physical one. A pose is left to the solution for all roots where one of the two cannot be
+followed, or both lead to one root, and where some other root may have become physical.
 """
 
 from __future__ import annotations
@@ -12,119 +13,108 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.kinematics.kernels.as_built_kernels import (
-    PART,
+    FRACTION_ROW,
+    SHORTEST_AT_FIRST,
     allocate_path,
     begin,
     follow,
     put_planes,
 )
 from spm_pin.kinematics.kernels.compilation import jit, kernel, readonly_array
-from spm_pin.kinematics.kernels.quadric_newton import part, point
-from spm_pin.kinematics.kernels.quadric_roots import is_same_point
+from spm_pin.kinematics.kernels.quadric_newton import point, real_part
+from spm_pin.kinematics.kernels.quadric_roots import SAME_ROOT, is_same_point
 from spm_pin.kinematics.kernels.three_quadrics import allocate_planes, image, put_quadrics, put_quaternion
 from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.branches import TANGENT_SIGNS
 
 _COS_30 = math.sqrt(0.75)
-
-_FIRST = 0.02
-_MOVED = 1e9
-_DOUBT = 0.05
-"""A branch of the nominal machine whose margin is below the negative of this is not physical in this machine either."""
+_LEVEL = 0.25
+"""Largest error of a leg's plane, in units of r, over the sine of the platform's tilt, at which roots of other families
+stay far from physical: towards a level pose the equations shrink with the tilt, and the errors do not."""
 
 
 @jit
-def _across(balls: FloatArray, i: int, j: int, axis: FloatArray, leg: FloatArray) -> float:
-    """Return (b_i - b_j) · (axis x leg)."""
-    g0, g1, g2 = balls[i, 0] - balls[j, 0], balls[i, 1] - balls[j, 1], balls[i, 2] - balls[j, 2]
-    w0, w1 = axis[1] * leg[2] - axis[2] * leg[1], axis[2] * leg[0] - axis[0] * leg[2]
-    return float(g0 * w0 + g1 * w1 + g2 * (axis[0] * leg[1] - axis[1] * leg[0]))
-
-
-@jit
-def _margin(
-    balls: FloatArray,
-    rotation: FloatArray,
-    place: FloatArray,
-    axes: FloatArray,
-    pivots: FloatArray,
-    lengths: FloatArray,
-    legs: FloatArray,
-) -> tuple[float, float]:
-    """Return a number that is positive where a state is physical, see `physical`, and its tilt_cosine_sum.
-
-    `balls` (6, 3), `axes` (6, 3), the upper ones along y of a leg's own azimuth as the lower ones, and `pivots` (6, 3)
-    are in {B}, in units of r; `lengths` (6,) and the unit vectors along the `legs` (6, 3) are written.
-    """
-    for i in range(6):
-        sign = 1.0 if i < 3 else -1.0
-        square = 0.0
-        for j in range(3):
-            legs[i, j] = sign * (balls[i, j] - pivots[i, j])
-            square += legs[i, j] * legs[i, j]
-        lengths[i] = math.sqrt(square)
-        for j in range(3):
-            legs[i, j] /= lengths[i]
-    b = balls
+def _upright(b: FloatArray, rotation: FloatArray, place: FloatArray) -> float:
+    """Return the least of both stages' heights and mean radii, positive for a physical state; b (3, 3) or more rows."""
+    r = rotation
     c0, c1 = (b[0, 0] + b[1, 0] + b[2, 0]) / 3.0, (b[0, 1] + b[1, 1] + b[2, 1]) / 3.0
     c2 = (b[0, 2] + b[1, 2] + b[2, 2]) / 3.0
-    r = rotation
     height = r[0, 2] * (place[0] - c0) + r[1, 2] * (place[1] - c1) + r[2, 2] * (place[2] - c2)
-    margin = min(c2, height)
     lower = _COS_30 * (b[0, 0] - b[2, 0]) - 0.5 * (b[0, 1] + b[2, 1]) + b[1, 1]
     upper = 0.0
     for j in range(3):
         upper += r[j, 0] * _COS_30 * (b[0, j] - b[2, j]) + r[j, 1] * (b[1, j] - 0.5 * (b[0, j] + b[2, j]))
-    margin = min(margin, lower / 3.0, upper / 3.0)
-    for stage in range(2):
-        s = 3 * stage
-        least, second = np.inf, np.inf
-        total = 0.0
-        for turn in range(2):
-            product = 1.0
-            for i in range(3):
-                # (0, 1), (1, 2), (2, 0), then (1, 0), (2, 1), (0, 2)
-                first, other = (i, (i + 1) % 3) if turn == 0 else ((i + 1) % 3, i)
-                value = _across(balls[s : s + 3], first, other, axes[s + first], legs[s + first])
-                product *= value
-                if value < least:
-                    least, second = value, least
-                elif value < second:
-                    second = value
-            total += product
-        margin = min(margin, second, total)
+    return float(min(c2, height, lower / 3.0, upper / 3.0))
+
+
+@jit
+def _is_at_home(b: FloatArray, axes: FloatArray, legs: FloatArray) -> bool:
+    """Return whether a stage is in the aspect of its home, see `in_home_aspect`; rows of three legs."""
+    total, negative = 0.0, 0
+    for turn in range(2):
+        product = 1.0
+        for i in range(3):
+            # (0, 1), (1, 2), (2, 0), then (1, 0), (2, 1), (0, 2)
+            k, m = (i, (i + 1) % 3) if turn == 0 else ((i + 1) % 3, i)
+            w0, w1 = (
+                axes[k, 1] * legs[k, 2] - axes[k, 2] * legs[k, 1],
+                axes[k, 2] * legs[k, 0] - axes[k, 0] * legs[k, 2],
+            )
+            w2 = axes[k, 0] * legs[k, 1] - axes[k, 1] * legs[k, 0]
+            value = (b[k, 0] - b[m, 0]) * w0 + (b[k, 1] - b[m, 1]) * w1 + (b[k, 2] - b[m, 2]) * w2
+            product *= value
+            negative += 1 if value < 0.0 else 0
+        total += product
+    return total > 0.0 and negative <= 1
+
+
+@jit
+def _tilt_cosine_sum(b: FloatArray, rotation: FloatArray) -> float:
+    """Return the sum of the cosines of the stages' tilts."""
     u0, u1, u2 = b[0, 0] - b[2, 0], b[0, 1] - b[2, 1], b[0, 2] - b[2, 2]
     v0, v1 = 2.0 * b[1, 0] - b[0, 0] - b[2, 0], 2.0 * b[1, 1] - b[0, 1] - b[2, 1]
     v2 = 2.0 * b[1, 2] - b[0, 2] - b[2, 2]
     n0, n1, n2 = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
-    along = n2 + n0 * r[0, 2] + n1 * r[1, 2] + n2 * r[2, 2]
-    return margin, along / math.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+    along = n2 + n0 * rotation[0, 2] + n1 * rotation[1, 2] + n2 * rotation[2, 2]
+    return float(along / math.sqrt(n0 * n0 + n1 * n1 + n2 * n2))
+
+
+@jit
+def _put_legs(balls: FloatArray, pivots: FloatArray, legs: FloatArray, lengths: FloatArray) -> None:
+    """Write the vectors of the legs (6, 3), from pivot to ball or from ball to pivot, and their lengths (6,)."""
+    for i in range(6):
+        square = 0.0
+        for j in range(3):
+            legs[i, j] = balls[i, j] - pivots[i, j] if i < 3 else pivots[i, j] - balls[i, j]
+            square += legs[i, j] * legs[i, j]
+        lengths[i] = math.sqrt(square)
 
 
 @jit
 def _put_frame(
     machine: FloatArray,
-    signs: FloatArray,
     rotation: FloatArray,
     place: FloatArray,
     axes: FloatArray,
     pivots: FloatArray,
 ) -> None:
-    """Write the axes of a machine (3, 6, 3), with these signs, and its pivots in {B}."""
+    """Write the axes of a machine (3, 6, 3), as tangents of their platforms, and its pivots in {B}."""
     for i in range(6):
+        sign = TANGENT_SIGNS[i]
         for j in range(3):
             if i < 3:
-                axes[i, j], pivots[i, j] = signs[i] * machine[0, i, j], machine[1, i, j]
+                axes[i, j], pivots[i, j] = sign * machine[0, i, j], machine[1, i, j]
             else:
                 axis, pivot = 0.0, place[j]
                 for m in range(3):
                     axis += rotation[j, m] * machine[0, i, m]
                     pivot += rotation[j, m] * machine[1, i, m]
-                axes[i, j], pivots[i, j] = signs[i] * axis, pivot
+                axes[i, j], pivots[i, j] = sign * axis, pivot
 
 
 @kernel(
     f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(4)}, {readonly_array(3)}, {readonly_array(3)}, "
-    f"{readonly_array(1)}, {readonly_array(2)}, f8, f8[:,:,::1], f8[:,::1], b1[::1])"
+    f"{readonly_array(2)}, f8, f8, f8[:,:,::1], f8[:,::1], b1[::1])"
 )
 def certain_physical_branches(
     rotation: FloatArray,
@@ -132,8 +122,8 @@ def certain_physical_branches(
     nominal_joints: FloatArray,
     nominal: FloatArray,
     built: FloatArray,
-    signs: FloatArray,
     limits: FloatArray,
+    error: float,
     unit: float,
     joints: FloatArray,
     lengths: FloatArray,
@@ -149,10 +139,10 @@ def certain_physical_branches(
         b_i of the nominal machine's branches [m], NaN where one is not real.
     nominal, built : ndarray, shape (3, 6, 3)
         Axes, pivots and balls of the nominal machine and of the one as built, in units of `unit`.
-    signs : ndarray, shape (6,)
-        Signs that make the axes tangents of their platforms.
     limits : ndarray, shape (2, 6)
         Least and largest lengths of the legs [m], without offsets.
+    error : float
+        Largest error of an axis' component, or of a pivot's or ball's coordinate in units of `unit`.
     unit : float
         The middle platform's radius [m].
     joints, lengths : ndarray, shapes (N, 3, 3) and (N, 6), written
@@ -163,58 +153,52 @@ def certain_physical_branches(
     path, planes = allocate_path(), allocate_planes()
     roots, forms = path[0], path[3]
     axes, pivots, legs = np.empty((6, 3)), np.empty((6, 3)), np.empty((6, 3))
-    place, x, found, reach = np.empty(3), np.empty(4), np.empty((2, 6, 3)), np.empty((2, 6))
-    possible = np.empty(2, np.bool_)
+    place, x, balls, reach = np.empty(3), np.empty(4), np.empty((2, 6, 3)), np.empty((2, 6))
     for n in range(len(position)):
         joints[n], lengths[n], certain[n] = np.nan, np.nan, False
         if np.isnan(nominal_joints[n, 0, 0, 0]) or np.isnan(nominal_joints[n, 1, 0, 0]):
             continue
+        distance = 0.0
         for j in range(3):
             place[j] = position[n, j] / unit
+            distance += abs(place[j])
+        if not error * (1.0 + distance) <= _LEVEL * math.hypot(rotation[n, 0, 2], rotation[n, 1, 2]):
+            continue
         put_planes(rotation[n], place, nominal, built, 1.0, planes)
         if not put_quadrics(planes, forms[0]):
             continue
-        _put_frame(nominal, signs, rotation[n], place, axes, pivots)
         for side in range(2):
-            for i in range(3):
-                for j in range(3):
-                    found[side, i, j] = found[side, 3 + i, j] = nominal_joints[n, side, i, j] / unit
-            margin, _ = _margin(found[side], rotation[n], place, axes, pivots, reach[side], legs)
-            possible[side] = True
-            if possible[side]:
-                put_quaternion(nominal_joints[n, side], x)
-                begin(path, side, x)
-        follow(rotation[n], place, nominal, built, path, _FIRST)
-        best, best_score, best_straight, sure = -1, 0, 0.0, True
-        _put_frame(built, signs, rotation[n], place, axes, pivots)
-        if is_same_point(point(roots, 0), point(roots, 1), 1e-6):
-            sure = False
+            put_quaternion(nominal_joints[n, side], x)
+            begin(path, side, x)
+        follow(rotation[n], place, nominal, built, path, SHORTEST_AT_FIRST)
+        if roots[FRACTION_ROW] != 1.0 or roots[FRACTION_ROW + 1] != 1.0:
+            continue
+        if is_same_point(point(roots, 0), point(roots, 1), SAME_ROOT):
+            continue
+        best, best_score, best_cosines = -1, 0, 0.0
+        _put_frame(built, rotation[n], place, axes, pivots)
         for side in range(2):
-            if not possible[side]:
+            image(real_part(roots, side), planes, balls[side])
+            _put_legs(balls[side], pivots, legs, reach[side])
+            if not _upright(balls[side], rotation[n], place) > 0.0:
                 continue
-            if roots[PART + side] != 1.0:
-                sure = False
-                break
-            image(part(roots, 0, side), planes, found[side])
-            for i in range(3):
-                for j in range(3):
-                    if abs(found[side, i, j] - nominal_joints[n, side, i, j] / unit) > _MOVED:
-                        sure = False
-            margin, straight = _margin(found[side], rotation[n], place, axes, pivots, reach[side], legs)
-            if margin <= 0.0:
+            if not (
+                _is_at_home(balls[side, :3], axes[:3], legs[:3]) and _is_at_home(balls[side, 3:], axes[3:], legs[3:])
+            ):
                 continue
             inside = True
             for i in range(6):
                 length = reach[side, i] * unit
                 inside = inside and limits[0, i] <= length <= limits[1, i]
             score = 2 if inside else 1
-            if score > best_score or (score == best_score and straight > best_straight):
-                best, best_score, best_straight = side, score, straight
-        if not sure or best < 0:
+            cosines = _tilt_cosine_sum(balls[side], rotation[n])
+            if score > best_score or (score == best_score and cosines > best_cosines):
+                best, best_score, best_cosines = side, score, cosines
+        if best < 0:
             continue
         certain[n] = True
         for i in range(3):
             for j in range(3):
-                joints[n, i, j] = found[best, i, j] * unit
+                joints[n, i, j] = balls[best, i, j] * unit
         for i in range(6):
             lengths[n, i] = reach[best, i] * unit

@@ -22,7 +22,8 @@ from spm_pin.kinematics.kernels.quadric_newton import (
     ROWS,
     STATE,
     product,
-    put_part,
+    put_imaginary_part,
+    put_real_part,
     symmetric,
     symmetric_product,
 )
@@ -244,9 +245,9 @@ def _put_vectors(rest: FloatArray, turn: FloatArray, points: FloatArray) -> None
         re, im = (y0.real, y1.real, y2.real, y3.real), (y0.imag, y1.imag, y2.imag, y3.imag)
         scale = 1.0 / math.sqrt(product(re, re) + product(im, im))
         x0, x1, x2, x3 = product(t0, re), product(t1, re), product(t2, re), product(t3, re)
-        put_part(points, 0, k, (scale * x0, scale * x1, scale * x2, scale * x3))
+        put_real_part(points, k, (scale * x0, scale * x1, scale * x2, scale * x3))
         x0, x1, x2, x3 = product(t0, im), product(t1, im), product(t2, im), product(t3, im)
-        put_part(points, 4, k, (scale * x0, scale * x1, scale * x2, scale * x3))
+        put_imaginary_part(points, k, (scale * x0, scale * x1, scale * x2, scale * x3))
         points[STATE + k] = PENDING
 
 

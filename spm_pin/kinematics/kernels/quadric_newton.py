@@ -81,10 +81,10 @@ def _real_step(forms: FloatArray, points: FloatArray) -> None:
     """Move the pending points, all of which are real, by a step."""
     p, q, r = symmetric(forms, 0), symmetric(forms, 1), symmetric(forms, 2)
     for k in range(POINTS):
-        x = part(points, 0, k)
+        x = real_part(points, k)
         y, size = _improved(symmetric_product(p, x), symmetric_product(q, x), symmetric_product(r, x), x)
         points[_SIZE + k] = size
-        put_part(points, 0, k, _chosen(points[STATE + k] == PENDING, y, x))
+        put_real_part(points, k, _chosen(points[STATE + k] == PENDING, y, x))
 
 
 @jit
@@ -92,7 +92,7 @@ def _complex_step(forms: FloatArray, points: FloatArray) -> None:
     """Move the pending points by a step; real ones stay real."""
     p, q, r = symmetric(forms, 0), symmetric(forms, 1), symmetric(forms, 2)
     for k in range(POINTS):
-        x, y = part(points, 0, k), part(points, 4, k)
+        x, y = real_part(points, k), imaginary_part(points, k)
         a, b, c = (
             _joined(symmetric_product(p, x), symmetric_product(p, y)),
             _joined(symmetric_product(q, x), symmetric_product(q, y)),
@@ -101,22 +101,32 @@ def _complex_step(forms: FloatArray, points: FloatArray) -> None:
         z, size = _improved(a, b, c, _joined(x, y))
         moves = points[STATE + k] == PENDING
         points[_SIZE + k] = size
-        put_part(points, 0, k, _chosen(moves, (z[0].real, z[1].real, z[2].real, z[3].real), x))
-        put_part(points, 4, k, _chosen(moves, (z[0].imag, z[1].imag, z[2].imag, z[3].imag), y))
+        put_real_part(points, k, _chosen(moves, (z[0].real, z[1].real, z[2].real, z[3].real), x))
+        put_imaginary_part(points, k, _chosen(moves, (z[0].imag, z[1].imag, z[2].imag, z[3].imag), y))
 
 
 @jit_inline
-def part(points, row, k):  # type: ignore[no-untyped-def]
-    """Return the real or the imaginary parts of point k, from row 0 or row 4 on."""
-    at = row * POINTS + k
-    return points[at], points[at + POINTS], points[at + 2 * POINTS], points[at + 3 * POINTS]
+def real_part(points, k):  # type: ignore[no-untyped-def]
+    """Return the real parts of point k."""
+    return points[k], points[k + POINTS], points[k + 2 * POINTS], points[k + 3 * POINTS]
 
 
 @jit_inline
-def put_part(points, row, k, x):  # type: ignore[no-untyped-def]
-    """Write the real or the imaginary parts of point k."""
-    at = row * POINTS + k
-    points[at], points[at + POINTS], points[at + 2 * POINTS], points[at + 3 * POINTS] = x
+def imaginary_part(points, k):  # type: ignore[no-untyped-def]
+    """Return the imaginary parts of point k."""
+    return real_part(points, k + 4 * POINTS)
+
+
+@jit_inline
+def put_real_part(points, k, x):  # type: ignore[no-untyped-def]
+    """Write the real parts of point k."""
+    points[k], points[k + POINTS], points[k + 2 * POINTS], points[k + 3 * POINTS] = x
+
+
+@jit_inline
+def put_imaginary_part(points, k, x):  # type: ignore[no-untyped-def]
+    """Write the imaginary parts of point k."""
+    put_real_part(points, k + 4 * POINTS, x)
 
 
 @jit_inline
@@ -191,7 +201,7 @@ def product(a, b):  # type: ignore[no-untyped-def]
 @jit_inline
 def point(points: FloatArray, k: int):  # type: ignore[no-untyped-def]
     """Return point k as four complex numbers."""
-    return _joined(part(points, 0, k), part(points, 4, k))
+    return _joined(real_part(points, k), imaginary_part(points, k))
 
 
 @jit_inline

@@ -18,11 +18,13 @@ from spm_pin.kinematics.kernels.quadric_newton import (
     PENDING,
     POINTS,
     STATE,
-    part,
+    imaginary_part,
     point,
     polish,
     product,
-    put_part,
+    put_imaginary_part,
+    put_real_part,
+    real_part,
     solve_bordered,
     squared,
     symmetric,
@@ -30,6 +32,8 @@ from spm_pin.kinematics.kernels.quadric_newton import (
 )
 from spm_pin.mechanism.arguments import FloatArray
 
+SAME_ROOT = 1e-6
+"""Projective distance up to which a branch that was followed has arrived at a root."""
 _SEPARATE = 1e-8
 """Projective distance above which two roots differ: rounding moves both members of a pair by less than their distance
 as long as that is above the square root of the precision."""
@@ -38,7 +42,7 @@ as long as that is above the square root of the precision."""
 @jit_inline
 def is_real(points, k):  # type: ignore[no-untyped-def]
     """Return whether point k is a real vector."""
-    return product(part(points, 4, k), part(points, 4, k)) == 0.0
+    return product(imaginary_part(points, k), imaginary_part(points, k)) == 0.0
 
 
 @jit_inline
@@ -69,8 +73,8 @@ def _put_partner(forms: FloatArray, found: FloatArray, points: FloatArray, k: in
         below += abs(square) ** 2
     step = -above * (1.0 / below) if below > 0.0 else 0.0 * half
     y = _unit((x[0] + step * y[0], x[1] + step * y[1], x[2] + step * y[2], x[3] + step * y[3]))
-    put_part(points, 0, k, (y[0].real, y[1].real, y[2].real, y[3].real))
-    put_part(points, 4, k, (y[0].imag, y[1].imag, y[2].imag, y[3].imag))
+    put_real_part(points, k, (y[0].real, y[1].real, y[2].real, y[3].real))
+    put_imaginary_part(points, k, (y[0].imag, y[1].imag, y[2].imag, y[3].imag))
     points[STATE + k] = PENDING
 
 
@@ -89,23 +93,23 @@ def _made_real(points: FloatArray, k: int) -> bool:
         if re * re + im * im > most:
             largest, most = i, re * re + im * im
     c, s = points[largest * POINTS + k], -points[(4 + largest) * POINTS + k]
-    x, y = part(points, 0, k), part(points, 4, k)
+    x, y = real_part(points, k), imaginary_part(points, k)
     im = x[0] * s + y[0] * c, x[1] * s + y[1] * c, x[2] * s + y[2] * c, x[3] * s + y[3] * c
     if not 4.0 * product(im, im) < most * _SEPARATE * _SEPARATE:
         return False
     re = x[0] * c - y[0] * s, x[1] * c - y[1] * s, x[2] * c - y[2] * s, x[3] * c - y[3] * s
     scale = 1.0 / math.sqrt(most)
-    put_part(points, 0, k, (re[0] * scale, re[1] * scale, re[2] * scale, re[3] * scale))
-    put_part(points, 4, k, (0.0, 0.0, 0.0, 0.0))
+    put_real_part(points, k, (re[0] * scale, re[1] * scale, re[2] * scale, re[3] * scale))
+    put_imaginary_part(points, k, (0.0, 0.0, 0.0, 0.0))
     return True
 
 
 @jit
 def _add(found: FloatArray, count: int, points: FloatArray, k: int, sign: float) -> int:
     """Append point k, its imaginary part times a sign, if it is none of the roots found; return their number."""
-    y = part(points, 4, k)
-    put_part(found, 0, count, part(points, 0, k))
-    put_part(found, 4, count, (sign * y[0], sign * y[1], sign * y[2], sign * y[3]))
+    y = imaginary_part(points, k)
+    put_real_part(found, count, real_part(points, k))
+    put_imaginary_part(found, count, (sign * y[0], sign * y[1], sign * y[2], sign * y[3]))
     for j in range(count):
         if is_same_point(point(found, count), point(found, j), _SEPARATE):
             return count

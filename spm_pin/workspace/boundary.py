@@ -1,0 +1,304 @@
+"""The boundary of the reachable positions, as a closed mesh whose vertices lie on it.
+
+Marching cubes need only the reachability of the nodes of a grid: it determines which edges the boundary crosses; where
+is found by halving the edges. What bounds the set is derived in `docs/theory/reachable_set.md`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import KDTree
+
+from spm_pin.errors import ArgumentError, require_extra
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, Progress, generator, real_number, whole_number
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.leg_limits import LegLimits
+from spm_pin.workspace.closed_mesh import ClosedMesh
+from spm_pin.workspace.search import (
+    RESOLUTION,
+    SINGULARITY_MARGIN,
+    NearestPoints,
+    in_chunks,
+    nearest_points,
+    search_states,
+    start_table,
+)
+from spm_pin.workspace.states import StateSet, states_within
+
+_STRIDES = (8, 4, 2, 1)
+"""Spacings of the grids searched one after the other, in units of the final spacing."""
+_MOST_NODES = 5_000_000
+"""Nodes of the grid at most."""
+_HALVINGS = 25
+"""Halvings of an edge, down to 3e-8 of it."""
+_CHECK_DISTANCE = 1e-4
+"""Distance beyond the place found, as a share of the edge, at which nothing must be reachable."""
+_BESIDE = 0.05
+"""Share of the way from a point found nearest to the given one, where nothing may be nearer."""
+
+
+@dataclass(frozen=True)
+class BoundaryPoints:
+    """Points of the boundary, each nearest to a point just outside; arrays over n."""
+
+    position: FloatArray
+    """In {B} [m], shape (n, 3)."""
+    normal: FloatArray
+    """Outward unit normals, shape (n, 3); at an edge, one of those between its two sides."""
+    readings: FloatArray
+    """Readings r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], shape (n, 6); a leg at a limit has it to the last bit."""
+    at_limit: npt.NDArray[np.int8]
+    """-1 for a leg at its minimum, 1 at its maximum, 0 for one that is free, shape (n, 6)."""
+    gradient: FloatArray
+    """How fast o moves along the normal with each leg, shape (n, 6): zero for those free, else of the sign of
+    `at_limit`, or zero. At a forward singularity, where that is infinite, the multipliers of the limits."""
+    violation: FloatArray
+    """By how much normal and `gradient` miss the conditions of a nearest point, shape (n,); rounding."""
+
+
+@dataclass(frozen=True)
+class Boundary(ClosedMesh):
+    """The boundary of the reachable positions, a mesh in {B}; made by `reachable_boundary`."""
+
+    geometry: Geometry
+    """The manipulator."""
+    limits: LegLimits
+    """The leg limits."""
+    spacing: float
+    """Spacing of the grid that the mesh was made on [m]."""
+    readings: FloatArray
+    """Readings that put o at the vertices [m], shape (V, 6)."""
+
+    def __repr__(self) -> str:
+        return f"<Boundary: {len(self.vertices)} vertices, {len(self.faces)} faces, {self.volume:.4f} m³>"
+
+    def sample(self, count: int, rng: np.random.Generator | int | None = None) -> BoundaryPoints:
+        """Draw points of the boundary, about uniformly over its area.
+
+        Parameters
+        ----------
+        count : int
+            How many.
+        rng : Generator or int, optional
+            Source of randomness, or its seed.
+
+        Notes
+        -----
+        Drawn on the mesh, lifted off it until out of reach, and moved to the nearest reachable point.
+        """
+        rng, count = generator(rng, "rng"), whole_number(count, "count", least=1)
+        doubled = self._doubled_normals
+        double_area = np.linalg.norm(doubled, axis=-1)
+        face = rng.choice(len(self.faces), count, p=double_area / double_area.sum())
+        share = np.sort(rng.uniform(size=(count, 2)), axis=-1)
+        weights = np.stack([share[:, 0], share[:, 1] - share[:, 0], 1.0 - share[:, 1]], axis=-1)
+        on_mesh = (self.vertices[self.faces[face]] * weights[..., None]).sum(axis=1)
+        outwards = doubled[face] / double_area[face, None]
+        states = states_within(self.geometry, self.limits)
+        left, lift = np.arange(count), 0.1 * self.spacing
+        points = on_mesh + lift * outwards
+        result = _globally_nearest(states, points)
+        while len(left := left[result.distance[left] <= 0.01 * self.spacing]):
+            lift *= 2.0
+            points[left] = on_mesh[left] + lift * outwards[left]
+            result.update(left, _globally_nearest(states, points[left]))
+        position, readings = states.positions(result.coordinates), result.readings
+        normal = (points - position) / np.maximum(result.distance, np.finfo(float).tiny)[:, None]
+        at_limit = (readings >= states.maximum).astype(np.int8) - (readings <= states.minimum).astype(np.int8)
+        return BoundaryPoints(position, normal, readings, at_limit, result.gradient, result.optimality)
+
+
+def _globally_nearest(states: StateSet, points: FloatArray) -> NearestPoints:
+    """Return the states nearest to `points` (N, 3) outside, searched again from just beside them."""
+    result = nearest_points(states, points)
+    tolerance = RESOLUTION * states.size
+    left = np.flatnonzero(result.distance > tolerance)
+    while len(left):
+        # Nothing is reachable inside the sphere around `points`; if something is, it is a better beginning.
+        here, distance = states.positions(result.coordinates[left]), result.distance[left]
+        beside = nearest_points(states, here + _BESIDE * (points[left] - here))
+        nearer = np.flatnonzero(beside.distance < (1.0 - 1e-6) * _BESIDE * distance)
+        left = left[nearer]
+        better = nearest_points(states, points[left], beside.coordinates[nearer])
+        nearer = np.flatnonzero(better.distance < (1.0 - 1e-9) * result.distance[left])
+        left = left[nearer]
+        result.update(left, better, nearer)
+        left = left[result.distance[left] > tolerance]
+    return result
+
+
+class _Grid:
+    """A grid wide enough to begin and to end outside the reachable set, and which of its nodes are in it."""
+
+    def __init__(self, states: StateSet, spacing: float, progress: Progress | None) -> None:
+        self.set, self.progress = states, progress
+        self.spacing = spacing = real_number(spacing, "spacing", "a positive length in metres", above=0.0)
+        low, high = start_table(states).extent
+        pad = 0.02 * (high - low) + 1.5 * spacing
+        with np.errstate(over="ignore"):
+            numbers = np.ceil((high - low + 2.0 * pad) / spacing) + 1.0
+        if numbers.prod() > _MOST_NODES:
+            expected = f"a spacing in metres that makes at most {_MOST_NODES:.0e} nodes"
+            received = f"{spacing:g}, which makes {numbers.prod():.0e}"
+            raise ArgumentError("spacing", expected, received, "In millimetres?")
+        self.origin = 0.5 * (low + high - (numbers - 1.0) * spacing)
+        self.inside, self.states = self._classified(tuple(numbers.astype(int)))
+
+    def _classified(self, shape: tuple[int, ...]) -> tuple[BoolArray, FloatArray]:
+        """Return which nodes are reachable, shape `shape`, and states there, shape `shape` + (2, 3).
+
+        The farther away, the coarser the grid that is searched.
+        """
+        index = np.indices(shape).reshape(3, -1).T
+        nodes = self._place(index)
+        inside, known = np.zeros(len(nodes), dtype=bool), np.zeros(len(nodes), dtype=bool)
+        states = np.full((len(nodes), 2, 3), np.nan)
+
+        def search(what: str, chosen: IntArray, starts: FloatArray | None) -> FloatArray:
+            member = search_states(self.set, nodes[chosen], starts, what=what, progress=self.progress)
+            states[chosen] = member.coordinates
+            known[chosen] = True
+            inside[chosen] |= member.reached
+            return member.distance
+
+        for stride in _STRIDES:
+            chosen = np.flatnonzero(~known & (index % stride == 0).all(axis=-1))
+            what = f"reachable nodes, every {stride * self.spacing:g} m"
+            distance = search(what, chosen, None) - start_table(self.set).margin
+            # Nothing within that distance is reachable.
+            remote = distance > self.spacing
+            if remote.any() and not known.all():
+                unknown = np.flatnonzero(~known)
+                around = KDTree(nodes[unknown]).query_ball_point(nodes[chosen[remote]], (1.0 - 1e-9) * distance[remote])
+                for members in around:
+                    known[unknown[members]] = True
+        # What a search has overlooked beside a reachable node is found from there.
+        steps = [way * stride for stride in (1, shape[2], shape[1] * shape[2]) for way in (1, -1)]
+        fresh = np.flatnonzero(inside)
+        while len(fresh):
+            before = inside.copy()
+            for step in steps:
+                # No reachable node is at the end of a row: around the set there is room.
+                beside = fresh[~inside[fresh + step]] + step
+                search("nodes beside reachable ones", beside, states[beside - step])
+            fresh = np.flatnonzero(inside & ~before)
+        return inside.reshape(shape), states.reshape(*shape, 2, 3)
+
+    def _place(self, index: npt.NDArray[Any]) -> FloatArray:
+        """Return the positions [m] of points in units of the grid."""
+        return np.asarray(self.origin + self.spacing * index)
+
+    def crossings(self, corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Move vertices of marching cubes (V, 3), in units of the grid, to the boundary [m]; and readings there."""
+        first, last = np.floor(corners).astype(int), np.ceil(corners).astype(int)
+        a, b = self.inside[tuple(first.T)], self.inside[tuple(last.T)]
+        nodes = np.where(a[:, None], first, last)
+        inner, outer = nodes.astype(np.float64), np.where(a[:, None], last, first).astype(np.float64)
+        known = self.states[tuple(nodes.T)]
+        # A vertex in the middle of a cube, which some ambiguous ones have, is on no edge.
+        for k in np.flatnonzero((a == b) | ((last - first).sum(axis=-1) != 1)):
+            cube = np.floor(corners[k]).astype(int) + np.indices((2, 2, 2)).reshape(3, -1).T
+            reached = self.inside[tuple(cube.T)]
+            centre = search_states(self.set, self._place(corners[k : k + 1]))
+            if centre.reached[0]:
+                inner[k], outer[k], known[k] = corners[k], cube[~reached][0], centre.coordinates[0]
+            else:
+                inner[k], outer[k], known[k] = cube[reached][0], corners[k], self.states[tuple(cube[reached][0])]
+        arrays = self._place(inner), self._place(outer), known
+        vertices, readings = in_chunks(partial(_crossings, self.set), "vertices", self.progress, *arrays)
+        return vertices, readings
+
+
+def _crossings(states: StateSet, inner: FloatArray, outer: FloatArray, within: FloatArray) -> tuple[FloatArray, ...]:
+    """Return the points (N, 3) [m] at which segments leave the reachable set, and readings (N, 6) [m] there.
+
+    They go from reachable points `inner` to unreachable ones `outer`, (N, 3) [m]; `within` (N, 2, 3) put o at `inner`.
+    Each is halved, the search always continued from the last state within.
+    """
+    along, within, outermost = outer - inner, within.copy(), within.copy()
+    low, high, left = np.zeros(len(along)), np.ones(len(along)), np.arange(len(along))
+    while len(left):
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low[left] + high[left])
+            points = inner[left] + middle[:, None] * along[left]
+            member = search_states(states, points, within[left], margin=SINGULARITY_MARGIN)
+            good = member.reached
+            within[left[good]], outermost[left[~good]] = member.coordinates[good], member.coordinates[~good]
+            low[left], high[left] = np.where(good, middle, low[left]), np.where(good, high[left], middle)
+        # Going outwards from one state, another may be overlooked: just outside nothing must be reachable.
+        beyond = np.minimum(high[left] + _CHECK_DISTANCE, 1.0)
+        member = search_states(states, inner[left] + beyond[:, None] * along[left])
+        farther = np.flatnonzero(member.reached & (beyond < 1.0))
+        left = left[farther]
+        within[left], low[left], high[left] = member.coordinates[farther], beyond[farther], 1.0
+    # In the outermost state, legs are beyond their limits by what is left of the residual.
+    readings = np.clip(states.readings(outermost), states.minimum, states.maximum)
+    return inner + low[:, None] * along, readings
+
+
+def reachable_boundary(
+    geometry: Geometry,
+    limits: LegLimits | None = None,
+    *,
+    spacing: float = 0.1,
+    progress: Progress | None = None,
+) -> Boundary:
+    """Find the boundary of the positions that o can reach in the physical mode.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The manipulator.
+    limits : LegLimits, optional
+        Leg limits; the geometry's own if not given.
+    spacing : float
+        Of the grid [m]. What is smaller may be missed; the vertices lie on the boundary whatever it is. Half the
+        spacing takes eight times as long.
+    progress : callable, optional
+        Called with what is being done, how many points are done, and of how many. What it raises ends the work.
+
+    Returns
+    -------
+    Boundary
+        A closed mesh in {B} [m], outward.
+
+    Raises
+    ------
+    ArgumentError
+        If there are no limits, one is infinite, no readings within them belong to a configuration, or the spacing is
+        not positive, or so small or so large that there would be no grid.
+    MissingExtraError
+        If scikit-image is not installed.
+
+    Notes
+    -----
+    The grid is not searched where a coarser one has shown that nothing reachable is near.
+
+    Examples
+    --------
+    >>> import spm_pin as spm
+    >>> boundary = spm.workspace.reachable_boundary(spm.Geometry.paper(), spacing=0.2)
+    >>> 1.7 < boundary.volume < 1.9
+    True
+    """
+    require_extra("workspace", "skimage")
+    measure: Any = import_module("skimage.measure")
+    states = states_within(geometry, limits)
+    grid = _Grid(states, spacing, progress)
+    if not grid.inside.any():
+        low, high = start_table(states).extent
+        smallest = float((high - low).min())
+        cause = f"No node of the grid is reachable; the reachable set is about {smallest:.2g} m"
+        raise ArgumentError("spacing", "a spacing much smaller than the reachable set, in metres", spacing, cause)
+    corners, faces, _, _ = measure.marching_cubes(np.where(grid.inside, 1.0, -1.0), 0.0)
+    vertices, readings = grid.crossings(corners.astype(np.float64))
+    bounds = geometry.limits if limits is None else limits
+    assert bounds is not None
+    boundary = Boundary(vertices, faces.astype(np.intp), geometry, bounds, grid.spacing, readings)
+    return boundary if boundary.volume > 0.0 else replace(boundary, faces=boundary.faces[:, ::-1])

@@ -1,0 +1,314 @@
+"""Which poses are reachable, and the reachable poses nearest to the others.
+
+Distance is measured where the platform is held: the root of the mean squared displacement of c_1, c_2, c_3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.forward_displacement import forward_physical
+from spm_pin.kinematics.inverse_displacement import inverse_displacement
+from spm_pin.mechanism import (
+    BRANCHES,
+    FAMILIES,
+    Configuration,
+    Geometry,
+    LegLimits,
+    PoseLike,
+    SolutionSet,
+    Status,
+    as_rigid_transform,
+)
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, check_instance, choice
+from spm_pin.mechanism.branches import branch_sign, family, physical, tilt_cosine_sum
+from spm_pin.workspace.joint_limits import JointLimits
+from spm_pin.workspace.search import NearestPoints, nearest_states
+from spm_pin.workspace.states import free_states, states_around, states_within
+
+_STARTS = 8
+"""Starts of a search: the states of a sample whose platform joints are nearest to the target's."""
+_MODE_TOLERANCE = 1e-7
+"""Distance of balls, over d, from those of the readings in the mode of `near`, above which a search has left it."""
+_FREE_SAMPLE, _SEED = 4096, 20_140_131
+"""States looked through for a start without leg limits, and their seed."""
+_OFF_THE_EDGE = 1e-5
+"""Step in the coordinates away from where two branches meet: there rounding decides whether they are real."""
+
+
+@dataclass(frozen=True)
+class Reachability:
+    """Which poses of shape (...) can be reached, and by how much."""
+
+    branches: SolutionSet
+    """All eight branches of each pose, limits not applied, shape (...)."""
+    allowed: BoolArray
+    """Which of them count and respect all limits, shape (..., 8)."""
+    leg_margin: FloatArray
+    """How far the worst leg of a branch is inside its limits [m], shape (..., 8); negative outside, infinite without
+    limits, NaN where the branch is not real."""
+    angle_margin: FloatArray
+    """How far the worst passive joint of a branch is inside its limits [rad], shape (..., 8)."""
+    clearance_margin: FloatArray
+    """By how much the nearest legs of a branch are farther apart than they must [m], shape (..., 8)."""
+
+    @property
+    def reachable(self) -> Any:
+        """True if a branch is allowed, shape (...); a bool for one pose."""
+        any_branch = np.asarray(self.allowed.any(axis=-1))
+        return any_branch if self.branches.shape else bool(any_branch)
+
+    @property
+    def undecided(self) -> Any:
+        """True if no branch is allowed but a continuous family, which has no list of branches, may hold one."""
+        undecided = ~self.allowed.any(axis=-1) & (np.asarray(self.branches.status) == Status.DEGENERATE)
+        return undecided if self.branches.shape else bool(undecided)
+
+    @property
+    def branch(self) -> IntArray:
+        """Place in `BRANCHES` of the allowed branch whose stages tilt least, shape (...); -1 where there is none."""
+        score = np.where(self.allowed, tilt_cosine_sum(self.branches.configurations), -np.inf)
+        return np.where(self.allowed.any(axis=-1), score.argmax(axis=-1), -1).astype(np.intp)
+
+    @property
+    def configuration(self) -> Configuration:
+        """The state of that branch, shape (...); NaN where there is none."""
+        return self.branches.pick(np.maximum(self.branch, 0), np.asarray(self.allowed.any(axis=-1)))
+
+
+@dataclass(frozen=True)
+class NearestPose:
+    """A reachable state near an unreachable pose; arrays over the given poses, of shape (...)."""
+
+    configuration: Configuration
+    """The nearest state found."""
+    distance: Any
+    """Distance from the given pose, see `pose_distance` [m]; a float for one pose."""
+
+
+def reachable(
+    geometry: Geometry,
+    pose: PoseLike,
+    limits: LegLimits | None = None,
+    *,
+    joints: JointLimits | None = None,
+    branch: str = "physical",
+) -> Reachability:
+    """Find which branches of poses respect limits, and by how much.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The manipulator.
+    pose : pose of shape (...)
+        Of {m} in {B}, translation in metres.
+    limits : LegLimits, optional
+        Leg limits; the geometry's own if not given; without either, legs are not limited.
+    joints : JointLimits, optional
+        Limits of the passive joints' angles, and of the distance between legs.
+    branch : str
+        Which branches count: "physical", those in the physical mode; "any"; or one of `BRANCHES`.
+
+    Returns
+    -------
+    Reachability
+        Of shape (...), with all branches and their margins. A pose out of reach is no error.
+
+    Examples
+    --------
+    >>> import numpy as np, spm_pin as spm
+    >>> pose = spm.pose([0.614, 0.451, 2.298], xyx=np.deg2rad([-9.72, 29.12, -11.76]))
+    >>> answer = spm.workspace.reachable(spm.Geometry.paper(), pose)
+    >>> answer.reachable, spm.mechanism.BRANCHES[answer.branch], float(answer.leg_margin[answer.branch].round(2))
+    (True, 'TT+', 0.05)
+    """
+    check_instance(geometry, Geometry, "geometry")
+    choice(branch, "branch", ("physical", "any", *BRANCHES))
+    limits = limits if limits is None else check_instance(limits, LegLimits, "limits")
+    joints = JointLimits() if joints is None else check_instance(joints, JointLimits, "joints")
+    branches = inverse_displacement(geometry, pose)
+    states = branches.configurations
+    limits = limits or geometry.limits
+    leg_margin = np.where(states.exists, np.inf, np.nan) if limits is None else limits.margin(states.readings)
+    angle_margin, clearance_margin = joints.angle_margin(states), joints.clearance_margin(states)
+    with np.errstate(invalid="ignore"):
+        allowed = (leg_margin >= 0.0) & (angle_margin >= 0.0) & (clearance_margin >= 0.0)
+    if branch == "physical":
+        allowed &= physical(states)
+    elif branch != "any":
+        allowed &= np.array([label == branch for label in BRANCHES])
+    return Reachability(branches, allowed, leg_margin, angle_margin, clearance_margin)
+
+
+def pose_distance(geometry: Geometry, first: PoseLike, second: PoseLike) -> Any:
+    """Return the root mean square displacement of c_1, c_2, c_3 between poses [m].
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The manipulator.
+    first, second : poses of shape (...)
+        Of {m} in {B}; their shapes broadcast.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        A float for two single poses.
+    """
+    check_instance(geometry, Geometry, "geometry")
+    matrices = [as_rigid_transform(pose, name).as_matrix() for pose, name in ((first, "first"), (second, "second"))]
+    distance = _joint_distance(geometry, matrices[0] - matrices[1])
+    return distance if distance.shape else float(distance)
+
+
+def _joint_distance(geometry: Geometry, difference: FloatArray) -> FloatArray:
+    """Return the root mean square displacement (...) [m] for differences of matrices (..., 4, 4)."""
+    moved = difference[..., None, :3, 3] + geometry.platform_joints @ np.swapaxes(difference[..., :3, :3], -1, -2)
+    return np.asarray(np.sqrt((moved**2).sum(axis=-1).mean(axis=-1)))
+
+
+def nearest_reachable_pose(
+    geometry: Geometry,
+    pose: PoseLike,
+    limits: LegLimits | None = None,
+    *,
+    branch: str | None = None,
+    near: Configuration | None = None,
+) -> NearestPose:
+    """Find the reachable pose nearest to one that may be out of reach.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The manipulator.
+    pose : pose of shape (...)
+        Of {m} in {B}, translation in metres.
+    limits : LegLimits, optional
+        Leg limits; the geometry's own if not given. With `LegLimits(0.0, inf)`, or without either, legs are not
+        limited.
+    branch : str, optional
+        Without leg limits, the branch that has to be real, one of `BRANCHES`; if not given that of `near`, or "TT+".
+        Within leg limits it must not be given: legs carry a configuration from one branch to another.
+    near : Configuration, optional
+        A single state to continue from, such as the last one while a platform is dragged; a step then takes less than a
+        millisecond. Within leg limits its assembly mode is kept, and the result is not farther from `pose` than `near`
+        is; without `near` it is the physical mode, and the search begins at the nearest of a sample of states.
+
+    Returns
+    -------
+    NearestPose
+        The pose itself where it is reachable. A local minimum of the distance in any case.
+
+    Raises
+    ------
+    ArgumentError
+        If `near` does not exist, is outside the limits or of another geometry, or no lengths within the limits belong
+        to a configuration.
+
+    Examples
+    --------
+    >>> import spm_pin as spm
+    >>> geometry = spm.Geometry.paper()
+    >>> nearest = spm.workspace.nearest_reachable_pose(geometry, spm.pose([0.3, 0.1, 3.0], xyx=[0.1, 0.3, -0.1]))
+    >>> bool(geometry.limits.contains(nearest.configuration.readings)), round(nearest.distance, 3)
+    (True, 0.141)
+    """
+    check_instance(geometry, Geometry, "geometry")
+    limits = limits if limits is None else check_instance(limits, LegLimits, "limits")
+    target = as_rigid_transform(pose)
+    limits = limits or geometry.limits or LegLimits(0.0, np.inf)
+    limited = max(limits.minimum) > 0.0 or min(limits.maximum) < np.inf
+    if near is not None:
+        _check_near(geometry, near, limits)
+    if branch is not None:
+        if limited:
+            raise ArgumentError("branch", "None where legs are limited", repr(branch))
+        choice(branch, "branch", BRANCHES)
+    matrices = target.as_matrix().reshape(-1, 4, 4)
+    if limited:
+        states = _nearest_within(geometry, matrices, limits, near)
+    else:
+        states = _nearest_real(geometry, matrices, branch or _own_branch(near), near)
+    difference = states.pose.as_matrix() - matrices
+    distance = _joint_distance(geometry, difference).reshape(target.shape)
+    states = states.transformed(lambda array, inner: array.reshape(*target.shape, *array.shape[array.ndim - inner :]))
+    return NearestPose(states, distance if target.shape else float(distance))
+
+
+def _own_branch(near: Configuration | None) -> str:
+    return "TT+" if near is None else FAMILIES[int(family(near))] + ("+" if branch_sign(near) >= 0.0 else "-")
+
+
+def _check_near(geometry: Geometry, near: Configuration, limits: LegLimits) -> None:
+    if check_instance(near, Configuration, "near").shape or not near.exists:
+        raise ArgumentError("near", "a single Configuration that exists", repr(near))
+    if not geometry.is_same_machine(near.geometry):
+        raise ArgumentError("near", "a configuration of the same geometry", repr(near.geometry))
+    if not limits.margin(near.readings) >= -1e-9 * geometry.middle_side:
+        raise ArgumentError("near", "a configuration within the leg limits", repr(near))
+
+
+def _joint_positions(geometry: Geometry, matrices: FloatArray) -> FloatArray:
+    """Return the positions of c_1, c_2, c_3 in poses (N, 4, 4), shape (N, 9) [m]."""
+    moved = geometry.platform_joints @ np.swapaxes(matrices[:, :3, :3], -1, -2)
+    return (matrices[:, None, :3, 3] + moved).reshape(-1, 9)
+
+
+def _nearest_within(
+    geometry: Geometry, matrices: FloatArray, limits: LegLimits, near: Configuration | None
+) -> Configuration:
+    """Return the states (N,) within leg limits nearest to poses (N, 4, 4)."""
+    joints, targets = geometry.platform_joints, _joint_positions(geometry, matrices)
+    if near is None:
+        states = states_within(geometry, limits)
+        starts = states.sample[states.joints_tree.query(targets, _STARTS)[1]]
+        result = nearest_states(states, targets, starts, joints)
+        return states.states(result.coordinates, result.readings)
+    states, start = states_around(near, limits)
+    result = nearest_states(states, targets, np.broadcast_to(start, (len(targets), 1, 2, 3)), joints)
+    if states.in_home_aspect:
+        return states.states(result.coordinates, result.readings)
+    # Elsewhere the sign of a determinant does not tell one aspect from another: the way from `near` does.
+    followed = forward_physical(geometry, result.readings, near=near)
+    gap = np.abs(followed.middle_joints - states.states(result.coordinates).middle_joints).max(axis=(-1, -2))
+    with np.errstate(invalid="ignore"):
+        kept = gap <= _MODE_TOLERANCE * geometry.middle_side
+    return states.states(np.where(kept[:, None, None], result.coordinates, start))
+
+
+def _nearest_real(geometry: Geometry, matrices: FloatArray, branch: str, near: Configuration | None) -> Configuration:
+    """Return the states (N,) nearest to poses (N, 4, 4) in which a branch is real, whatever the lengths of the legs."""
+    solved = inverse_displacement(geometry, as_rigid_transform(matrices))[branch]
+    left = np.flatnonzero(~solved.exists)
+    if not len(left):
+        return solved
+    states, joints = free_states(geometry, branch[:2]), geometry.platform_joints
+    targets, rng = _joint_positions(geometry, matrices[left]), np.random.default_rng(_SEED)
+    sample = np.empty((_FREE_SAMPLE, 2, 3))
+    radius, angle = np.sqrt(rng.uniform(0.0, 0.9, sample.shape[:2])), rng.uniform(0.0, 2.0 * np.pi, sample.shape[:2])
+    sample[..., 0], sample[..., 1] = radius * np.cos(angle), radius * np.sin(angle)
+    heights = rng.uniform(-1.0, 1.0, sample.shape[:2]) / states.radius
+    nearest = []
+    for target in targets:
+        sample[..., 2] = heights * (np.abs(target).max() + geometry.middle_side)
+        distance = ((states.positions(sample, joints) - target) ** 2).sum(axis=-1)
+        nearest.append(sample[np.argpartition(distance, _STARTS)[:_STARTS]])
+    starts = np.array(nearest)
+    if near is not None and FAMILIES[int(family(near))] == branch[:2]:
+        last = states.coordinates(Configuration(geometry, near.pose.as_matrix()[None], near.middle_joints[None]))
+        starts = np.concatenate([np.broadcast_to(last, (len(left), 1, 2, 3)), starts], axis=1)
+    result: NearestPoints = nearest_states(states, targets, starts, joints)
+    # Where the branch begins to be real it meets another: a step along what keeps the pose there tells them apart.
+    step = _OFF_THE_EDGE * np.linalg.svd(states.jacobians(result.coordinates))[2][:, -1].reshape(-1, 2, 3)
+    sides = [states.states(result.coordinates + sign * step) for sign in (1.0, -1.0)]
+    wanted = branch_sign(sides[0]) * (1.0 if branch[2] == "+" else -1.0) > 0.0
+
+    arrays = [np.array(getattr(solved, name)) for name in ("rotation", "translation", "middle_joints")]
+    for array, name in zip(arrays, ("rotation", "translation", "middle_joints"), strict=True):
+        first, second = (getattr(side, name) for side in sides)
+        array[left] = np.where(wanted.reshape(-1, *(1,) * (first.ndim - 1)), first, second)
+    return Configuration.from_arrays(geometry, *arrays)

@@ -1,1 +1,0 @@
-"""The reachable set itself: which poses and positions, its boundary, its sizes."""

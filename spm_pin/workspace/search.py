@@ -1,0 +1,286 @@
+"""Searches for states: with o at given points, or with points of the platform as near to given ones as they can be.
+
+Damped least squares over the coordinates of both stages: the errors of the points and the violations of the limits are
+to vanish, or the errors to be as small as they can without violations; see `docs/theory/reachable_set.md`. No step
+leaves the home's aspect, so what a search returns is physical.
+
+The searches begin at states of a sample. The two stages are independent: the reachable positions are what the lower
+stage makes of one fixed set S, where o is seen from the middle platform in all states of the upper stage, its Eq. (2).
+S has three dimensions, and the distance from it is a table. Every point is looked up in it from each lower stage of the
+sample, so no local minimum is overlooked.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import ConvexHull
+
+from spm_pin.kinematics.batches import run_kernel
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, Progress
+from spm_pin.workspace.states import CENTRE, StateSet
+
+RESOLUTION = 1e-9
+"""Distances are found to this share of the machine's size."""
+SINGULARITY_MARGIN = 1e-6
+"""Least determinant of a stage, about 1 at home, in searches for the boundary: nearer to a forward singularity,
+rounding of the readings moves o farther than `RESOLUTION`."""
+_LEAST_DETERMINANT = 1e-8
+"""The same in searches for a state with o at a point."""
+_LEVELS, _GROUP, _UPPER, _SEED = 5, 64, 200_000, 20_140_131
+"""Lower stages of the sample: 2^5 groups of 64 alike; upper stages of it, and its seed."""
+_VOXELS, _PAD = 64, 0.15
+"""Cells of the distance table along the longest side of S and its margin, and that margin over the size of S."""
+_CELLS = 20
+"""Cells along each axis of the grid that covers the reachable positions."""
+_NEAREST_STARTS, _REMOTE_STARTS = 4, 3
+"""Starts of a search for the nearest point, beside the state in which that for the point itself has ended: the best of
+the groups, and the states of the sample whose positions are nearest."""
+_MOST_STEPS = 400
+"""Newton steps of a search for the nearest point."""
+_CHUNK, _MIN_BATCH = 4096, 256
+"""Points worked on together, and those that are worth a thread."""
+
+
+class Membership(NamedTuple):
+    """Which of N points are reachable."""
+
+    reached: BoolArray
+    """Points with a state, which proves it, (N,)."""
+    undecided: BoolArray
+    """Points (N,) without one whose search ended beyond a forward singularity or stalled just short of a state."""
+    coordinates: FloatArray
+    """The states (N, 2, 3); where there is none, those found with the smallest residual norm."""
+    readings: FloatArray
+    """Their readings (N, 6), within the limits; NaN where there is no state."""
+    errors: FloatArray
+    """Error of o (N, 3) [m] in the state with the smallest residual."""
+    distance: FloatArray
+    """How far the reachable set is, to about two cells of the table (N,) [m]; zero where reached."""
+
+
+class NearestPoints(NamedTuple):
+    """States nearest to N targets."""
+
+    coordinates: FloatArray
+    """The states (N, 2, 3)."""
+    readings: FloatArray
+    """Their readings (N, 6), within the limits; a leg at a limit has that limit to the last bit."""
+    distance: FloatArray
+    """Root mean square distance from the targets (N,) [m]."""
+    gradient: FloatArray
+    """The q_i of Eq. (1) of the page, (N, 6), the direction being that to the target; zero where that is reachable."""
+    optimality: FloatArray
+    """By how much the conditions of a nearest point are missed, (N,); infinite where the state is the start."""
+
+    def update(self, index: IntArray, other: NearestPoints, chosen: IntArray | slice = slice(None)) -> None:
+        """Put those states of `other` that are `chosen` in the places `index`."""
+        for array, values in zip(self, other, strict=True):
+            array[index] = values[chosen]
+
+
+class StartTable:
+    """Coarse distances from the reachable positions, and states near them, by samples of both stages.
+
+    Attributes
+    ----------
+    spacing : float
+        Resolution of the table [m], about the error of the distances.
+    margin : float
+        Farther than this nothing is reachable by the distances [m]: 1.42 spacings were observed.
+    extent : tuple of two ndarrays
+        Corners of a box, (3,) each [m], that holds the reachable positions of the samples, and a margin.
+    """
+
+    def __init__(self, states: StateSet) -> None:
+        rng = np.random.default_rng(_SEED)
+        lower, _ = states.draw_stages(0, _GROUP << _LEVELS, rng)
+        for level in range(_LEVELS):
+            lower = np.concatenate([_halved(block) for block in np.split(lower, 1 << level)])
+        self._lower, self._upper = lower, states.draw_stages(1, _UPPER, rng)[0]
+        stages = states.stages(1, self._upper)
+        between = np.diag(np.prod(states._turns, axis=0))
+        seen = -(between @ np.swapaxes(stages.rotation, -1, -2) @ stages.centre[..., None])[..., 0]
+        low, high = seen.min(axis=0), seen.max(axis=0)
+        longest = float((high - low).max())
+        pad = _PAD * longest
+        self.spacing = (longest + 2.0 * pad) / _VOXELS
+        self.margin = 2.5 * self.spacing
+        origin = low - pad
+        shape = tuple(np.ceil((high - low + 2.0 * pad) / self.spacing).astype(int) + 1)
+        member = np.full(shape, -1)
+        member[tuple(((seen - origin) / self.spacing).astype(int).T)] = np.arange(len(seen))
+        # The nearest upper stage of every cell, and the distance less how deep inside S it is.
+        outside, nearest = distance_transform_edt(member < 0, return_indices=True)
+        self._member = member[tuple(nearest)].ravel()
+        self._table = (outside - distance_transform_edt(member >= 0)) * self.spacing
+        stages = states.stages(0, lower)
+        self._rotation, centre = np.ascontiguousarray(stages.rotation), stages.centre
+        self._offset = ((np.swapaxes(self._rotation, -1, -2) @ centre[..., None])[..., 0] + origin) / self.spacing
+        # Where o is along each axis of {B}, for every lower stage and every place at which o is seen.
+        hull = seen[ConvexHull(seen).vertices]
+        along = [(centre[:, k, None] + self._rotation[:, k] @ hull.T) for k in range(3)]
+        pad = 2.0 * self.spacing
+        self.extent = np.array([x.min() for x in along]) - pad, np.array([x.max() for x in along]) + pad
+
+    def nearby(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return how far points (N, 3) [m] are from the reachable set, (N, 32) [m], and states near them (N, 32, 2, 3).
+
+        One of each group of lower stages, the best first. Distances are negative well inside, and meaningless, but
+        large, far away.
+        """
+        from spm_pin.kinematics.kernels.state_search import nearby_stages
+
+        groups = 1 << _LEVELS
+        inputs = [np.clip(points, *self.extent)]
+        results = ((groups,), np.int64), ((groups,), np.int64), ((groups,), np.float64)
+        constants = self._rotation, self._offset, self._table, self.spacing
+        stages, cells, distances = run_kernel(nearby_stages, inputs, constants, results, _MIN_BATCH)
+        order = distances.argsort(axis=1)
+        stages, cells, distances = (np.take_along_axis(array, order, axis=1) for array in (stages, cells, distances))
+        return distances, np.stack([self._lower[stages], self._upper[self._member[cells]]], axis=2)
+
+    @cached_property
+    def _cells(self) -> tuple[FloatArray, FloatArray]:
+        """Lower corners (n, 3) and sides (3,) of cells [m] that together hold the reachable positions.
+
+        Cells of a grid whose centre is not farther from the set than their own corners are.
+        """
+        low, high = self.extent
+        size = (high - low) / _CELLS
+        corners = low + size * np.indices((_CELLS,) * 3).reshape(3, -1).T
+        distance = self.nearby(corners + 0.5 * size)[0][:, 0]
+        return corners[distance <= 0.5 * np.linalg.norm(size) + self.margin], size
+
+    def draw_around(self, count: int, rng: np.random.Generator) -> tuple[FloatArray, float]:
+        """Draw points (count, 3) [m] uniformly from a region that holds the reachable set; and its volume [m³]."""
+        corners, size = self._cells
+        points = corners[rng.integers(len(corners), size=count)] + size * rng.uniform(size=(count, 3))
+        return points, float(len(corners) * size.prod())
+
+
+def _halved(coordinates: FloatArray) -> FloatArray:
+    """Sort coordinates (n, 3) along the one that differs most: alike ones are in one half."""
+    return coordinates[coordinates[:, np.ptp(coordinates, axis=0).argmax()].argsort()]
+
+
+_TABLES: weakref.WeakKeyDictionary[StateSet, StartTable] = weakref.WeakKeyDictionary()
+
+
+def start_table(states: StateSet) -> StartTable:
+    """Return the table of a set of states, made when first asked for."""
+    if states not in _TABLES:
+        _TABLES[states] = StartTable(states)
+    return _TABLES[states]
+
+
+def search_states(
+    states: StateSet,
+    points: FloatArray,
+    starts: FloatArray | None = None,
+    *,
+    margin: float = _LEAST_DETERMINANT,
+    what: str = "",
+    progress: Progress | None = None,
+) -> Membership:
+    """Search for states within the limits that put o at `points` (N, 3), in {B} [m].
+
+    With `starts` (N, 2, 3) the search begins at one state for each point, instead of those of `StartTable.nearby`.
+    Determinants are larger than `margin`. `what` says what is being done, for `progress`.
+    """
+    machine = states.machine(margin=margin)
+
+    def search(points: FloatArray, starts: FloatArray | None = None) -> Membership:
+        from spm_pin.kinematics.kernels.state_search import search_points
+
+        if starts is None:
+            table = start_table(states)
+            distances, several = table.nearby(points)
+            nearest = distances[:, 0]
+            # Near the rim states that seem farther may be the only ones that lead there: all are tried, or none.
+            distances = np.where(nearest[:, None] <= table.margin, distances, np.inf)
+        else:
+            several = starts[:, None]
+            distances = np.zeros((len(points), 1))
+            nearest = np.linalg.norm(states.positions(starts) - points, axis=-1)
+        inputs = [np.require(array, requirements=("C", "W")) for array in (points, several, distances)]
+        results = ((2, 3), np.float64), ((6,), np.float64), ((), np.int64), ((4,), np.float64)
+        coordinates, readings, outcome, errors = run_kernel(search_points, inputs, machine, results, _MIN_BATCH)
+        distance = np.where(outcome == 1, 0.0, np.maximum(nearest, 0.0))
+        return Membership(outcome == 1, outcome == -1, coordinates, readings, errors[:, :3], distance)
+
+    arrays = (points,) if starts is None else (points, starts)
+    return Membership(*in_chunks(search, what, progress, *arrays))
+
+
+def nearest_states(
+    states: StateSet, targets: FloatArray, starts: FloatArray, body: FloatArray = CENTRE, most: int = _MOST_STEPS
+) -> NearestPoints:
+    """Search for the states within the limits with the points of `body` (K, 3) nearest to `targets` (N, 3K) [m].
+
+    From all `starts` (N, M, 2, 3) by the Gauss-Newton method, limits penalised; from the best of the M by Newton's
+    method and updates of the multipliers, `most` steps at most. The first of the starts has to be within the limits,
+    and is the result where the search ends elsewhere.
+    """
+    from spm_pin.kinematics.kernels.state_search import search_nearest
+
+    inputs = [np.require(array, requirements=("C", "W")) for array in (targets / np.sqrt(len(body)), starts)]
+    constants = *states.machine(body, SINGULARITY_MARGIN), most
+    results = ((2, 3), np.float64), ((6,), np.float64), ((6,), np.float64), ((2,), np.float64)
+    coordinates, readings, gradient, quality = run_kernel(search_nearest, inputs, constants, results, 16)
+    distance, slope = quality.T
+    scale = np.where(distance > RESOLUTION * states.size, distance, np.inf)
+    optimality = np.where(np.isinf(slope), np.inf, slope / scale)
+    return NearestPoints(coordinates, readings, distance, gradient / scale[:, None], optimality)
+
+
+def nearest_points(states: StateSet, points: FloatArray, starts: FloatArray | None = None) -> NearestPoints:
+    """Return the states with o nearest to `points` (N, 3) [m].
+
+    The search begins at `starts` (N, 2, 3). If not given, `search_states` says which points are reachable, and the
+    others begin at the best states of `StartTable.nearby`.
+    """
+
+    def search(points: FloatArray, starts: FloatArray | None = None) -> NearestPoints:
+        if starts is not None:
+            return nearest_states(states, points, starts[:, None])
+        table = start_table(states)
+        member = search_states(states, points)
+        zeros = np.zeros(len(points))
+        result = NearestPoints(member.coordinates, member.readings, zeros.copy(), np.zeros_like(member.readings), zeros)
+        left = np.flatnonzero(~member.reached)
+        if len(left):
+            # A sample's state is within the limits; that with the smallest residual may not be, or not be the nearest.
+            remote = states.sample[states.tree.query(points[left], _REMOTE_STARTS)[1]]
+            near = table.nearby(points[left])[1][:, :_NEAREST_STARTS]
+            several = np.concatenate([remote, near, member.coordinates[left, None]], axis=1)
+            result.update(left, nearest_states(states, points[left], several))
+        return result
+
+    arrays = (points,) if starts is None else (points, starts)
+    return NearestPoints(*in_chunks(search, "nearest points", None, *arrays))
+
+
+def in_chunks(
+    function: Callable[..., tuple[Any, ...]], what: str, progress: Progress | None, *arrays: FloatArray
+) -> Iterator[Any]:
+    """Call `function` with a chunk of the rows of the arrays at a time; return each of its results, concatenated."""
+    parts = [
+        function(*(array[rows] for array in arrays)) for rows in chunk_slices(len(arrays[0]), _CHUNK, what, progress)
+    ]
+    return map(np.concatenate, zip(*parts, strict=True))
+
+
+def chunk_slices(count: int, most: int, what: str, progress: Progress | None) -> Iterator[slice]:
+    """Give slices of `most` rows that together are `count` rows, and report the progress; without rows an empty one."""
+    for begin in range(0, max(count, 1), most):
+        if progress is not None:
+            progress(what, begin, count)
+        yield slice(begin, min(begin + most, count))
+    if progress is not None:
+        progress(what, count, count)

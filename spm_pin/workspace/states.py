@@ -1,0 +1,378 @@
+"""The states of a machine within its leg limits, by the coordinates of both stages, and samples of them.
+
+Leg lengths determine a state only where the stages can be assembled, and badly near forward singularities. The
+coordinates (x, y, Z/r) of each stage, see `spm_pin.kinematics.kernels.state_search`, have neither defect: every state
+is a point, and poses and readings are smooth functions of it. They give any machine's states, as drawn or as built.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.batches import run_kernel
+from spm_pin.kinematics.forward_displacement import forward_physical
+from spm_pin.kinematics.inverse_displacement import inverse_displacement
+from spm_pin.mechanism import LEGS, Configuration, Geometry, LegLimits
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, check_instance, first_offender
+from spm_pin.mechanism.branches import FAMILIES, TANGENT_SIGNS, family, physical
+
+CENTRE = np.zeros((1, 3))
+"""The platform's centre o in {m}."""
+_HALF_TURN = np.array([-1.0, -1.0, 1.0])
+"""Diagonal of the half turn about Z."""
+_UPWARD = np.array([1.0, -1.0])
+"""Sign of Z at home of each stage."""
+_INSIDE, _HOME_ASPECT, _ANY_ASPECT = 3, 2.0, 0.0
+_SAMPLE, _SEED = 20_000, 20_140_131
+"""Number of states in `StateSet.sample`, and the seed of the samples, fixed so that results repeat."""
+_MIN_BATCH = 4096
+"""Stages that are worth a thread."""
+_BOXES, _HALVINGS = 20_000, 12
+"""Boxes of a stage's cover with which its refinement ends, and refinements at most; each halves the boxes' sides."""
+_RESERVE = 1.2
+"""Growth of the bound on how far balls move in a box, for a machine as built has a little torsion."""
+_DRAWN_TOGETHER, _LEAST_TRIED = 50_000, 1_000_000
+"""Stages drawn together at most, and tried at least before a set is taken for one that is too small to be hit."""
+
+
+@dataclass(frozen=True)
+class Stages:
+    """Stages at N coordinates; NaN beyond the unit circle."""
+
+    rotation: FloatArray  # of the middle platform, turned by half a turn in mode F, (N, 3, 3)
+    centre: FloatArray  # its origin [m], (N, 3)
+    readings: FloatArray  # [m], (N, 3)
+    determinant: FloatArray  # about 1 at home, 0 at forward singularities, (N,)
+    in_aspect: BoolArray  # (N,)
+    rotation_slopes: FloatArray  # derivatives by the three coordinates, (N, 3, 3, 3), the coordinate last
+    centre_slopes: FloatArray  # (N, 3, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class StateSet:
+    """The states of a machine of one family and one aspect, and which of them are within limits."""
+
+    geometry: Geometry
+    minimum: FloatArray
+    """Least readings (6,) [m]."""
+    maximum: FloatArray
+    """Largest readings (6,) [m]."""
+    family: str = "TT"
+    """The modes of the stages."""
+    aspects: tuple[float, float] = (_HOME_ASPECT, _HOME_ASPECT)
+    """The aspects of the stages: 2 for the home's, 1 and -1 for those with this sign of the determinant, 0 for any."""
+
+    @property
+    def radius(self) -> float:
+        """The middle platform's radius r [m], the unit of heights."""
+        return self.geometry.middle_radius
+
+    @cached_property
+    def size(self) -> float:
+        """E + C + d + the longest legs [m]: what lengths are compared with."""
+        g, longest = self.geometry, float(self.maximum.max())
+        return float(g.base_radius + g.platform_radius + g.middle_side + (longest if np.isfinite(longest) else 0.0))
+
+    @property
+    def in_home_aspect(self) -> bool:
+        """Whether all states are physical."""
+        return self.aspects == (_HOME_ASPECT, _HOME_ASPECT)
+
+    @cached_property
+    def _turns(self) -> FloatArray:
+        """Diagonals (2, 3) of the turns that take each stage to mode T."""
+        return np.array([np.ones(3) if mode == "T" else _HALF_TURN for mode in self.family])
+
+    @cached_property
+    def legs(self) -> FloatArray:
+        """Axis, pivot, ball and offset of the legs of both stages, (2, 3, 10); axes are tangents of the platforms."""
+        legs = self.geometry.legs
+        axes = TANGENT_SIGNS[:, None] * legs.axes
+        balls = legs.balls * np.repeat(self._turns, 3, axis=0)
+        return np.concatenate([axes, legs.pivots, balls, legs.offsets[:, None]], axis=-1).reshape(2, 3, 10)
+
+    def machine(self, body: FloatArray = CENTRE, margin: float = 0.0) -> tuple[object, ...]:
+        """Return the constants of the searches of `state_search`, for points `body` (K, 3) of {m} [m].
+
+        Determinants are to be larger than `margin`, where the aspect matters.
+        """
+        aspects = np.array(self.aspects)
+        least = np.where(aspects == _ANY_ASPECT, -np.inf, margin * self.size)
+        limits = np.array([[*self.minimum, *least], [*self.maximum, np.inf, np.inf]])
+        between = self._turns[0] * self._turns[1]
+        return self.legs, self.radius, self.size, aspects, np.require(body, requirements=("C", "W")), between, limits
+
+    def stages(self, stage: int, coordinates: FloatArray) -> Stages:
+        """Return the lower (0) or upper (1) stage at coordinates (N, 3), seen from {B} or {m}."""
+        from spm_pin.kinematics.kernels.state_search import stage_states
+
+        constants = self.legs[stage], self.radius, float(_UPWARD[stage]), self.aspects[stage]
+        results = ((16,), np.float64), ((16, 3), np.float64), ((), np.int64)
+        inputs = [np.require(coordinates, requirements=("C", "W"))]
+        values, slopes, places = run_kernel(stage_states, inputs, constants, results, _MIN_BATCH)
+        return Stages(
+            values[:, :9].reshape(-1, 3, 3),
+            values[:, 9:12],
+            values[:, 12:15],
+            values[:, 15],
+            places == _INSIDE,
+            slopes[:, :9].reshape(-1, 3, 3, 3),
+            slopes[:, 9:12],
+        )
+
+    def readings(self, coordinates: FloatArray) -> FloatArray:
+        """Return the readings (N, 6) [m] at coordinates (N, 2, 3)."""
+        return np.concatenate([self.stages(k, coordinates[:, k]).readings for k in range(2)], axis=-1)
+
+    def coordinates(self, states: Configuration) -> FloatArray:
+        """Return the coordinates (N, 2, 3) of states (N,) of this family."""
+        middle, from_m = states.middle_pose.as_matrix(), np.swapaxes(states.rotation, -1, -2)
+        seen = (from_m @ (middle[:, :3, 3] - states.translation)[..., None])[..., 0]
+        turns = middle[:, :3, :3] * self._turns[0], from_m @ middle[:, :3, :3] * self._turns[1]
+        coordinates = np.empty((len(middle), 2, 3))
+        for stage, (turn, centre) in enumerate(zip(turns, (middle[:, :3, 3], seen), strict=True)):
+            quaternion = Rotation.from_matrix(turn).as_quat(canonical=True)
+            coordinates[:, stage, :2], coordinates[:, stage, 2] = quaternion[:, :2], centre[:, 2] / self.radius
+        return coordinates
+
+    def states(self, coordinates: FloatArray, readings: FloatArray | None = None) -> Configuration:
+        """Return the configurations (N,) at coordinates (N, 2, 3), with their readings (N, 6) if these are known."""
+        lower, upper = (self.stages(k, coordinates[:, k]) for k in range(2))
+        rotation = lower.rotation * (self._turns[0] * self._turns[1]) @ np.swapaxes(upper.rotation, -1, -2)
+        translation = lower.centre - (rotation @ upper.centre[..., None])[..., 0]
+        balls = self.legs[0, :, 6:9] @ np.swapaxes(lower.rotation, -1, -2) + lower.centre[:, None]
+        lengths = None if readings is None else readings - self.geometry.legs.offsets
+        return Configuration.from_arrays(self.geometry, rotation, translation, balls, lengths)
+
+    def positions(self, coordinates: FloatArray, body: FloatArray = CENTRE) -> FloatArray:
+        """Return the positions of points `body` (K, 3) of the platform in {B} [m], (N, 3K)."""
+        states = self.states(coordinates)
+        moved = states.translation[:, None] + body @ np.swapaxes(states.rotation, -1, -2)
+        return moved.reshape(len(coordinates), 3 * len(body))
+
+    def jacobians(self, coordinates: FloatArray) -> FloatArray:
+        """Return the derivatives of o and of the rotation by the coordinates, (N, 6, 6) [m, rad]."""
+        lower, upper = (self.stages(k, coordinates[:, k]) for k in range(2))
+        between = self._turns[0] * self._turns[1]
+        back = np.swapaxes(upper.rotation, -1, -2)
+        seen = -between * (back @ upper.centre[..., None])[..., 0]
+        matrix = np.empty((len(coordinates), 6, 6))
+        matrix[:, :3, :3] = lower.centre_slopes + np.einsum("nijk,nj->nik", lower.rotation_slopes, seen)
+        moved = np.einsum("njik,nj->nik", upper.rotation_slopes, upper.centre) + back @ upper.centre_slopes
+        matrix[:, :3, 3:] = -lower.rotation @ (between[:, None] * moved)
+        turned = np.einsum("niak,nja->nijk", lower.rotation_slopes, lower.rotation)
+        matrix[:, 3:, :3] = _rotation_vector(turned)
+        # The rotation is R_a times the opposite turn of R_b.
+        turned = np.einsum("naik,naj->nijk", upper.rotation_slopes, upper.rotation)
+        matrix[:, 3:, 3:] = lower.rotation @ (between[:, None] * _rotation_vector(turned))
+        return matrix
+
+    def upper_for(self, lower: FloatArray, points: FloatArray) -> FloatArray:
+        """Return coordinates of upper stages (N, 3) that put o at `points` (N, 3) [m], given those of the lower stages.
+
+        By Newton's method, from the middle platform's normal turned towards o; NaN where that does not arrive. For the
+        home's aspect only.
+        """
+        stage = self.stages(0, lower)
+        target = (np.swapaxes(stage.rotation, -1, -2) @ (points - stage.centre)[..., None])[..., 0]
+        distance, across = np.linalg.norm(target, axis=-1), np.hypot(target[:, 0], target[:, 1])
+        half = 0.5 * np.arctan2(across, target[:, 2])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            axis = np.where(across > 0.0, np.stack([target[:, 1], -target[:, 0]]) / across, 0.0)
+        upper = np.stack([np.sin(half) * axis[0], np.sin(half) * axis[1], -distance / self.radius], axis=-1)
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            for _ in range(24):
+                stage = self.stages(1, upper)
+                back = np.swapaxes(stage.rotation, -1, -2)
+                gap = target + (back @ stage.centre[..., None])[..., 0]
+                slopes = np.einsum("njik,nj->nik", stage.rotation_slopes, stage.centre) + back @ stage.centre_slopes
+                regular = np.isfinite(slopes).all(axis=(-1, -2)) & (np.abs(np.linalg.det(slopes)) > 0.0)
+                slopes = np.where(regular[:, None, None], slopes, np.eye(3))
+                step = np.linalg.solve(slopes, np.where(regular[:, None], gap, np.nan)[..., None])[..., 0]
+                upper = upper - step
+            error = np.abs(gap).max(axis=-1, initial=0.0)
+        return np.where((error <= 1e-11 * (1.0 + distance))[:, None], upper, np.nan)
+
+    def contains(self, stage: int, coordinates: FloatArray) -> BoolArray:
+        """Test which coordinates (N, 3) of one stage are states of the set."""
+        stages, legs = self.stages(stage, coordinates), slice(3 * stage, 3 * stage + 3)
+        with np.errstate(invalid="ignore"):
+            within = (stages.readings >= self.minimum[legs]) & (stages.readings <= self.maximum[legs])
+        return np.asarray(stages.in_aspect & within.all(axis=-1))
+
+    @cached_property
+    def _covers(self) -> tuple[tuple[FloatArray, FloatArray], ...]:
+        return self._cover(0), self._cover(1)
+
+    def _cover(self, stage: int) -> tuple[FloatArray, FloatArray]:
+        """Return the centres (n, 3) of equal boxes that cover the states of a stage, and their half sides (3,)."""
+        # Z is the mean height of the balls, none of which is higher than its leg is long; pivots are nearly level.
+        legs = self.legs[stage]
+        top = (self.maximum[3 * stage : 3 * stage + 3] - legs[:, 9]).max() + np.abs(legs[:, 5]).max()
+        top = (top + np.abs(legs[:, 8]).max()) / self.radius
+        half, centres = np.array([1.0, 1.0, 0.5 * top]), np.array([[0.0, 0.0, 0.5 * _UPWARD[stage] * top]])
+        corners = 2.0 * np.indices((2, 2, 2)).reshape(3, -1).T - 1.0
+        for _ in range(_HALVINGS):
+            half = 0.5 * half
+            centres = self._near(stage, (centres[:, None] + half * corners).reshape(-1, 3), half)
+            if not 0 < len(centres) < _BOXES:
+                break
+        return centres, half
+
+    def _near(self, stage: int, centres: FloatArray, half: FloatArray) -> FloatArray:
+        """Return the centres of those boxes (n, 3) in which readings within the limits cannot be excluded."""
+        r, legs = self.radius, slice(3 * stage, 3 * stage + 3)
+        across = np.abs(centres[:, :2])
+        centres = centres[(np.maximum(across - half[:2], 0.0) ** 2).sum(axis=-1) < 1.0]
+        across = np.abs(centres[:, :2])
+        nearest, farthest = ((np.maximum(across + way * half[:2], 0.0) ** 2).sum(axis=-1) for way in (-1.0, 1.0))
+        # Beyond the unit circle there are no states; readings are taken at a point inside.
+        radius = np.hypot(across[:, 0], across[:, 1])
+        inner = np.minimum(radius, 1.0 - 1e-9)
+        point = centres.copy()
+        point[:, :2] *= (inner / np.maximum(radius, 1e-300))[:, None]
+        shift = np.hypot(half[0], half[1]) + radius - inner
+        x0 = np.sqrt(1.0 - inner * inner)
+        ends = np.sqrt(1.0 - nearest), np.sqrt(1.0 - np.minimum(farthest, 1.0))
+        chord = np.sqrt(shift**2 + np.maximum(ends[0] - x0, x0 - ends[1]) ** 2)
+        # Quaternions q and q' turn a point at the distance r to places at most 2r |q - q'| apart.
+        bound = 2.0 * r * np.minimum(chord, 1.0) + r * shift * (2.0 * inner + shift) + r * half[2]
+        readings = self.stages(stage, point).readings
+        outside = np.maximum(self.minimum[legs] - readings, readings - self.maximum[legs]).max(axis=-1)
+        return np.asarray(centres[~(outside > _RESERVE * bound + 1e-12)])
+
+    def draw_stages(self, stage: int, count: int, rng: np.random.Generator) -> tuple[FloatArray, float]:
+        """Draw `count` states of a stage uniformly: coordinates (count, 3), and an estimate of the set's volume.
+
+        Fewer, or none, where the set is empty or too small to be hit. The estimate has no bias, and a relative variance
+        of at most 1/count.
+        """
+        centres, half = self._covers[stage]
+        parts, drawn, tried = [np.empty((0, 3))], 0, 0
+        while drawn < count and len(centres) and tried < max(_LEAST_TRIED, 1000 * count):
+            number = min(_DRAWN_TOGETHER, 8 * count + 100)
+            points = centres[rng.integers(len(centres), size=number)] + half * rng.uniform(-1.0, 1.0, (number, 3))
+            place = np.flatnonzero(self.contains(stage, points))[: count - drawn]
+            parts.append(points[place])
+            drawn += len(place)
+            # Counted up to the last that is needed: that makes the estimate of the share unbiased.
+            tried += int(place[-1]) + 1 if drawn == count else number
+        share = (drawn - 1) / (tried - 1) if drawn == count > 1 else drawn / max(tried, 1)
+        return np.concatenate(parts), share * float(len(centres) * (2.0 * half).prod())
+
+    def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """Draw states uniformly in the coordinates of both stages, (count, 2, 3)."""
+        return np.stack([self.draw_stages(stage, count, rng)[0] for stage in range(2)], axis=1)
+
+    def draw_in_readings(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """Draw `count` sets of readings uniformly; return the coordinates of the states among them, (n, 2, 3).
+
+        The legs of one stage say nothing about the other stage's: each stage is drawn by itself.
+        """
+        readings = rng.uniform(self.minimum, self.maximum, (count, 6))
+        halves = []
+        for stage in range(2):
+            legs = np.tile(self._known_readings, (count, 1))
+            legs[:, 3 * stage : 3 * stage + 3] = readings[:, 3 * stage : 3 * stage + 3]
+            states = forward_physical(self.geometry, legs)
+            halves.append(self.coordinates(states[states.exists])[:, stage])
+        number = min(map(len, halves))
+        return np.stack([half[:number] for half in halves], axis=1)
+
+    @cached_property
+    def _known_readings(self) -> FloatArray:
+        return np.asarray(self.readings(self.sample[:1])[0])
+
+    @cached_property
+    def sample(self) -> FloatArray:
+        """States within the limits, (n, 2, 3), always the same."""
+        return self.draw(_SAMPLE, np.random.default_rng(_SEED))
+
+    @cached_property
+    def tree(self) -> KDTree:
+        """Search tree of the positions of o at the samples."""
+        return KDTree(self.positions(self.sample))
+
+    @cached_property
+    def joints_tree(self) -> KDTree:
+        """Search tree of the positions of the platform's joints at the samples."""
+        return KDTree(self.positions(self.sample, self.geometry.platform_joints))
+
+
+def _rotation_vector(skew: FloatArray) -> FloatArray:
+    """Return the vectors (N, 3, 3) of skew matrices (N, 3, 3, 3) whose last axis counts them."""
+    return np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
+
+
+def pose_densities(states: StateSet, coordinates: FloatArray) -> FloatArray:
+    """Return the volume of poses per volume of `coordinates` (N, 2, 3), each pose counted once, (N,) [m³ rad³]."""
+    densities = np.abs(np.linalg.det(states.jacobians(coordinates)))
+    return np.asarray(densities / pose_multiplicity(states, states.states(coordinates)))
+
+
+def pose_multiplicity(states: StateSet, configurations: Configuration) -> IntArray:
+    """Return how many physical states within the limits have the pose of each of `configurations` (N,), (N,)."""
+    branches = inverse_displacement(states.geometry, configurations.pose).configurations
+    with np.errstate(invalid="ignore"):
+        within = ((branches.readings >= states.minimum) & (branches.readings <= states.maximum)).all(axis=-1)
+    # A state at a limit may miss it by rounding: it counts itself at least.
+    same = (physical(branches) & within).sum(axis=-1)
+    return np.asarray(np.maximum(same, 1), dtype=np.intp)
+
+
+def states_within(geometry: Geometry, limits: LegLimits | None = None) -> StateSet:
+    """Return the physical states within `limits`, or within those of `geometry`.
+
+    Raises
+    ------
+    ArgumentError
+        If there are no limits or one is infinite, or no readings within them belong to a configuration.
+    """
+    check_instance(geometry, Geometry, "geometry")
+    limits = geometry.limits if limits is None else limits
+    if not isinstance(limits, LegLimits):
+        cause = "The geometry has none of its own" if limits is None else ""
+        raise ArgumentError("limits", "LegLimits(minimum, maximum) in metres", repr(limits), cause)
+    if not np.isfinite(limits.maximum).all():
+        leg = LEGS[first_offender(~np.isfinite(limits.maximum))[0]]
+        expected = "a finite maximum for every leg"
+        raise ArgumentError("limits", expected, f"infinity for {leg}", "The set has no end then")
+    return _checked(geometry, limits)
+
+
+@lru_cache(maxsize=8)
+def _checked(geometry: Geometry, limits: LegLimits) -> StateSet:
+    # A leg of no length has no direction.
+    maximum = np.array(limits.maximum)
+    states = StateSet(geometry, np.maximum(limits.minimum, 1e-6 * maximum), maximum)
+    if not all(len(states.draw_stages(stage, 1, np.random.default_rng(_SEED))[0]) for stage in range(2)):
+        received = f"limits from {min(limits.minimum):g} to {max(limits.maximum):g} m, which reach no pose"
+        cause = "Too short to join the platforms, too different from each other, or in another unit?"
+        raise ArgumentError("limits", "leg limits within which the machine can be assembled", received, cause)
+    return states
+
+
+def states_around(near: Configuration, limits: LegLimits) -> tuple[StateSet, FloatArray]:
+    """Return the states within limits on the side of forward singularities of `near`, and its coordinates (1, 2, 3)."""
+    geometry: Geometry = near.geometry
+    bounds = np.array(limits.minimum), np.array(limits.maximum)
+    batch = Configuration(geometry, near.pose.as_matrix()[None], near.middle_joints[None])
+    if physical(near):
+        states = StateSet(geometry, *bounds)
+        return states, states.coordinates(batch)
+    modes = FAMILIES[int(family(near))]
+    free = StateSet(geometry, *bounds, modes, (1.0, 1.0))
+    start = free.coordinates(batch)
+    lower, upper = (float(np.sign(free.stages(stage, start[:, stage]).determinant[0])) for stage in range(2))
+    return StateSet(geometry, *bounds, modes, (lower, upper)), start
+
+
+def free_states(geometry: Geometry, modes: str) -> StateSet:
+    """Return all states of a family, whatever the readings, on all sides of forward singularities."""
+    return StateSet(geometry, np.full(6, -np.inf), np.full(6, np.inf), modes, (_ANY_ASPECT, _ANY_ASPECT))

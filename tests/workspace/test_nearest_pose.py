@@ -1,0 +1,115 @@
+"""The reachable pose nearest to one out of reach: against random poses, and against its own definition."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import spm_pin as spm
+from spm_pin.workspace import nearest_reachable_pose, pose_distance
+
+PAPER = spm.Geometry.paper()
+FREE = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)
+START = spm.forward_physical(PAPER, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5])
+
+
+def moved(pose, shift, turn):
+    return spm.pose(pose.translation + np.array(shift), rotation=Rotation.from_rotvec(turn) * pose.rotation)
+
+
+def random_targets(count, seed=3):
+    rng = np.random.default_rng(seed)
+    return [moved(START.pose, rng.normal(0.0, 0.3, 3), rng.normal(0.0, 0.3, 3)) for _ in range(count)]
+
+
+@pytest.mark.parametrize("near", [START, None], ids=["from a state", "from the sample"])
+def test_nothing_within_the_limits_is_nearer(near):
+    rng = np.random.default_rng(3)
+    nearer = []
+    for target in random_targets(6):
+        found = nearest_reachable_pose(PAPER, target, near=near)
+        lengths = found.configuration.leg_lengths
+        assert PAPER.limits.margin(lengths) >= -1e-12
+        # The same mode all over the box: any lengths will do, near to the result and far away.
+        steps = rng.normal(0.0, 1.0, (500, 6)) * np.geomspace(1e-4, 0.3, 500)[:, None]
+        others = spm.forward_physical(PAPER, np.clip(lengths + steps, 1.1, 1.5))
+        assert others.exists.all()
+        nearer.append(found.distance - pose_distance(PAPER, others.pose, target).min())
+    assert max(nearer) < 2e-5
+
+
+@pytest.mark.parametrize("family", spm.mechanism.FAMILIES)
+def test_without_limits_the_branch_is_real_and_nothing_found_at_random_is_nearer(family):
+    rng = np.random.default_rng(spm.mechanism.FAMILIES.index(family))
+    place = 2 * spm.mechanism.FAMILIES.index(family)
+    tried = 0
+    while tried < 4:
+        target = spm.pose(rng.normal([0.0, 0.0, 2.2], [0.9, 0.9, 0.3]), xyx=rng.normal(0.0, 0.6, 3))
+        if spm.inverse_displacement(FREE, target).exists[place]:
+            continue
+        tried += 1
+        found = nearest_reachable_pose(FREE, target, branch=f"{family}+")
+        nearest = found.configuration.pose
+        assert spm.inverse_displacement(FREE, nearest).exists[place]
+        assert found.distance == pytest.approx(pose_distance(FREE, nearest, target))
+        # Poses around the result and around the target, of every size of step.
+        for centre in (nearest, target):
+            size = np.geomspace(1e-4, 1.0, 3000)[:, None] * found.distance
+            shifts, turns = rng.normal(0.0, 1.0, (2, 3000, 3)) * size
+            rotation = Rotation.from_rotvec(turns / FREE.platform_radius) * centre.rotation
+            poses = spm.pose(centre.translation + shifts, rotation=rotation)
+            real = spm.inverse_displacement(FREE, poses).exists[:, place]
+            assert pose_distance(FREE, poses[real], target).min(initial=np.inf) > found.distance - 1e-4
+
+
+def test_for_a_fixed_orientation_the_edge_is_where_the_discriminant_vanishes():
+    # Twice the same projection: by the slab, and by bisection along its normal.
+    target = spm.pose([1.5, 0.4, 2.2], xyx=np.deg2rad([20.0, 30.0, -15.0]))
+    found = nearest_reachable_pose(FREE, target).configuration
+    index = spm.inverse_displacement(FREE, found.pose).discriminants[0]
+    assert 0.0 <= index < 1e-6
+    assert spm.singularities(found).sigma[2] < 1e-3
+
+
+@pytest.mark.parametrize("limits", [None, spm.LegLimits(0.0, np.inf)], ids=["limited", "unlimited"])
+def test_a_reachable_pose_is_its_own_nearest(limits):
+    assert nearest_reachable_pose(PAPER, START.pose, limits).distance < 1e-8
+
+
+def test_a_batch_has_the_results_of_its_members():
+    targets = spm.pose(
+        [target.translation for target in random_targets(4)],
+        rotation=Rotation.from_matrix([target.rotation.as_matrix() for target in random_targets(4)]),
+    )
+    batch = nearest_reachable_pose(PAPER, targets)
+    assert batch.configuration.shape == batch.distance.shape == (4,)
+    for k in range(4):
+        single = nearest_reachable_pose(PAPER, targets[k])
+        assert single.distance == batch.distance[k]
+        np.testing.assert_array_equal(single.configuration.middle_joints, batch.configuration.middle_joints[k])
+
+
+def test_distance_is_that_of_the_platform_joints():
+    first, second = START.pose, random_targets(1)[0]
+    c = PAPER.platform_joints
+    expected = np.sqrt(((first.apply(c) - second.apply(c)) ** 2).sum(axis=-1).mean())
+    assert pose_distance(PAPER, first, second) == pytest.approx(expected, rel=1e-14)
+    assert pose_distance(PAPER, first, first) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ({"geometry": 3}, "geometry"),
+        ({"limits": 3}, "limits"),
+        ({"limits": spm.LegLimits(0.0, np.inf), "branch": "TX+"}, "branch"),
+        ({"branch": "TT+"}, "branch"),
+        ({"near": START.pose}, "near"),
+        ({"near": spm.forward_physical(PAPER, [1.0] * 6)}, "near"),
+        ({"near": spm.forward_physical(spm.Geometry(0.5, 0.5, 0.5), [1.2] * 6)}, "near"),
+    ],
+)
+def test_wrong_arguments_are_named(arguments, named):
+    with pytest.raises(spm.ArgumentError, match=named):
+        nearest_reachable_pose(**{"geometry": PAPER, "pose": START.pose, **arguments})

@@ -1,0 +1,277 @@
+"""The shell: closed, oriented, symmetric, of the known volume, and smaller than the reachable set."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from scipy.stats import binomtest
+
+import spm_pin as spm
+from spm_pin.errors import SelectionError
+from spm_pin.paper import published
+from spm_pin.workspace.paper_shell import Shell, workspace_shell
+
+PAPER = spm.Geometry.paper()
+SHELL = workspace_shell(PAPER, resolution=16)
+TURN = Rotation.from_euler("z", 120, degrees=True)
+
+
+def uniform(shell: Shell, count: int, seed: int = 0) -> np.ndarray:
+    low, high = shell.vertices.min(axis=0) - 0.05, shell.vertices.max(axis=0) + 0.05
+    return np.random.default_rng(seed).uniform(low, high, (count, 3))
+
+
+def flux(shell: Shell, nodes: int = 12) -> float:
+    """The volume by the divergence theorem: ∫ o·(∂o/∂u × ∂o/∂v) / 3 over each patch, by Gauss and Legendre.
+
+    No mesh takes part; the derivatives are columns of the platform's Jacobian. A patch's sense is that of its first
+    face.
+    """
+    x, w = np.polynomial.legendre.leggauss(nodes)
+    total = 0.0
+    for patch in shell.patches:
+        first, second = patch.varying
+        corners = patch.increments(1)[[0, 1], [0, 1]]
+        low, high = np.where(corners, shell.limits.maximum, shell.limits.minimum)
+        legs = np.broadcast_to(low, (nodes, nodes, 6)).copy()
+        half = (high - low) / 2.0
+        legs[..., first] = (low + half)[first] + half[first] * x[:, None]
+        legs[..., second] = (low + half)[second] + half[second] * x
+        state = spm.forward_physical(shell.geometry, legs)
+        columns = spm.kinematics.platform_jacobian(state)[..., :3, :]
+        normal = np.cross(columns[..., first], columns[..., second])
+        corner = [int(patch.grid[at]) for at in ((0, 0), (1, 0), (1, 1))]
+        face = [int(k) for k in shell.faces[patch.faces[0]]]
+        sense = 1.0 if face in [corner[k:] + corner[:k] for k in range(3)] else -1.0
+        integrand = (state.translation * normal).sum(axis=-1) * w[:, None] * w
+        total += sense * float(integrand.sum() * half[first] * half[second] / 3.0)
+    return total
+
+
+def test_the_mesh_is_a_closed_outward_sphere() -> None:
+    mesh = SHELL.mesh
+    assert len(SHELL.vertices) == 24 * 16**2 + 2
+    assert SHELL.euler_characteristic == mesh.euler_number == 2
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert mesh.volume > 0.0
+    edges = np.sort(SHELL.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    _, shared = np.unique(edges, axis=0, return_counts=True)
+    assert set(shared) == {2}
+    # Vertices are apart, so nothing was left for a merge of nearly equal numbers to join.
+    assert len(np.unique(SHELL.vertices.round(9), axis=0)) == len(SHELL.vertices)
+
+
+def test_every_border_of_a_patch_is_shared_with_exactly_one_other() -> None:
+    borders: dict[frozenset[int], list[str]] = {}
+    for patch in SHELL.patches:
+        grid = patch.grid
+        for side in (grid[0], grid[-1], grid[:, 0], grid[:, -1]):
+            borders.setdefault(frozenset(side.tolist()), []).append(patch.name)
+    assert len(borders) == 48
+    assert all(len(set(names)) == 2 for names in borders.values())
+    inner = [patch.grid[1:-1, 1:-1].ravel() for patch in SHELL.patches]
+    assert len(np.unique(np.concatenate(inner))) == 24 * 15**2
+
+
+def test_patches_are_forward_displacement_of_their_legs() -> None:
+    assert [patch.name for patch in SHELL.patches] == [name for name, *_ in published.TABLE_6]
+    assert SHELL.configuration.closure_residual.max() < 1e-14
+    for patch in SHELL.patches:
+        first, second = patch.varying
+        legs = SHELL.configuration.leg_lengths[patch.grid]
+        expected = np.broadcast_to(np.where(patch.increments(1)[0, 0], 1.5, 1.1), legs.shape).copy()
+        expected[..., first] = np.linspace(1.1, 1.5, 17)[:, None]
+        expected[..., second] = np.linspace(1.1, 1.5, 17)
+        np.testing.assert_allclose(legs, expected, rtol=0.0, atol=1e-14)
+        assert set(np.unique(SHELL.faces[patch.faces])) == set(patch.grid.ravel())
+    assert SHELL.area == pytest.approx(SHELL.mesh.area, rel=1e-12)
+    assert SHELL["Sm5"].varying == (0, 2)
+    with pytest.raises(SelectionError, match=r"name: expected a patch: St1, .*, got str 'Sx1'"):
+        SHELL["Sx1"]
+
+
+def test_every_face_has_the_inside_behind_it_and_nothing_in_front() -> None:
+    """Hence the shell does not meet itself either, to a hundredth of a millimetre."""
+    mesh = SHELL.mesh
+    np.testing.assert_array_equal(SHELL.winding_number(mesh.triangles_center + 1e-5 * mesh.face_normals), 0)
+    np.testing.assert_array_equal(SHELL.winding_number(mesh.triangles_center - 1e-5 * mesh.face_normals), 1)
+
+
+def test_the_papers_volume_and_its_convergence() -> None:
+    shell = workspace_shell(PAPER)
+    assert shell.volume == pytest.approx(1.653, rel=1e-3)
+    assert shell.mesh.volume == pytest.approx(shell.convergence.volumes[-1], rel=1e-12)
+    assert shell.mesh.volume == pytest.approx(1.653, rel=1e-3)
+    assert shell.convergence.resolutions == (10, 20, 40)
+    assert shell.convergence.order == pytest.approx(2.0, abs=1e-3)
+    exact = flux(shell)
+    assert abs(shell.volume - exact) < shell.volume_error < 1e-6
+    assert abs(shell.mesh.volume - exact) > 100.0 * shell.volume_error
+
+
+@pytest.mark.parametrize("resolution", [3, 5, 9, 16])
+def test_the_error_estimate_covers_the_error(resolution: int) -> None:
+    shell = workspace_shell(PAPER, resolution=resolution)
+    assert abs(shell.volume - flux(SHELL)) < shell.volume_error
+
+
+@settings(max_examples=12)
+@given(
+    st.floats(0.4, 0.9),
+    st.floats(0.3, 0.9),
+    st.floats(0.7, 1.0),
+    st.lists(st.tuples(st.floats(1.2, 1.26), st.floats(1.3, 1.36)), min_size=6, max_size=6),
+    st.floats(1e-3, 1e3),
+)
+def test_scaled_machines_have_scaled_shells(
+    base: float, platform: float, side: float, ends: list[tuple[float, float]], scale: float
+) -> None:
+    low, high = zip(*ends, strict=True)
+    shell = workspace_shell(spm.Geometry(base, platform, side), spm.LegLimits(low, high), resolution=4)
+    limits = spm.LegLimits([scale * x for x in low], [scale * x for x in high])
+    scaled = workspace_shell(spm.Geometry(scale * base, scale * platform, scale * side, limits), resolution=4)
+    assert scaled.volume == pytest.approx(scale**3 * shell.volume, rel=1e-9)
+    assert scaled.area == pytest.approx(scale**2 * shell.area, rel=1e-9)
+    np.testing.assert_allclose(scaled.vertices, scale * shell.vertices, rtol=0.0, atol=1e-11 * scale)
+    assert shell.volume > 0.0
+    assert shell.euler_characteristic == 2
+
+
+def test_three_fold_symmetry() -> None:
+    turned = SHELL.vertices @ TURN.as_matrix().T
+    order = [1, 2, 0, 4, 5, 3]
+    keys = {tuple(legs): k for k, legs in enumerate(SHELL.configuration.leg_lengths.round(9))}
+    # A turn by 120 degrees is a change of the legs' numbers, of the vertices and of the faces alike.
+    back = np.argsort(order)
+    image = np.array([keys[tuple(legs[back])] for legs in SHELL.configuration.leg_lengths.round(9)])
+    np.testing.assert_allclose(turned, SHELL.vertices[image], rtol=0.0, atol=1e-13)
+
+    def cyclic(faces: np.ndarray) -> set[tuple[int, ...]]:
+        first = faces.argmin(axis=1)
+        return {tuple(np.roll(face, -k)) for face, k in zip(faces.tolist(), first, strict=True)}
+
+    assert cyclic(image[SHELL.faces]) == cyclic(SHELL.faces)
+    points = uniform(SHELL, 20_000)
+    np.testing.assert_array_equal(SHELL.contains(TURN.apply(points)), SHELL.contains(points))
+    thirds = [sum(SHELL[name].area for name in names) for names in (("St1", "Sl1"), ("St2", "Sl2"), ("St3", "Sl3"))]
+    np.testing.assert_allclose(thirds, thirds[0], rtol=1e-12)
+
+
+def test_contains_agrees_with_rays_and_with_the_volume() -> None:
+    points = uniform(SHELL, 40_000)
+    inside = SHELL.contains(points)
+    np.testing.assert_array_equal(inside, SHELL.mesh.contains(points))
+    box = float(np.prod(np.ptp(SHELL.vertices, axis=0) + 0.1))
+    interval = binomtest(int(inside.sum()), len(points)).proportion_ci(0.999, "exact")
+    assert interval.low * box < SHELL.mesh.volume < interval.high * box
+    assert interval.high - interval.low < 0.02
+
+
+def test_distance_is_that_to_the_nearest_point_of_the_mesh() -> None:
+    points = uniform(SHELL, 200)
+    distance = SHELL.distance(points)
+    triangles = SHELL.mesh.triangles
+    from trimesh.triangles import closest_point
+
+    nearest = [
+        np.linalg.norm(closest_point(triangles, np.tile(p, (len(triangles), 1))) - p, axis=1).min() for p in points
+    ]
+    np.testing.assert_allclose(np.abs(distance), nearest, rtol=0.0, atol=1e-12)
+    np.testing.assert_array_equal(distance > 0.0, SHELL.contains(points))
+    mesh = SHELL.mesh
+    np.testing.assert_allclose(
+        SHELL.distance(mesh.triangles_center[::50] - 1e-4 * mesh.face_normals[::50]), 1e-4, rtol=1e-6
+    )
+    assert SHELL.distance(np.zeros((2, 0, 3))).shape == (2, 0)
+
+
+def outside(count: int, resolution: int) -> tuple[float, float]:
+    legs = np.random.default_rng(6).uniform(1.1, 1.5, (count, 6))
+    positions = spm.forward_physical(PAPER, legs).translation
+    beyond = int(np.count_nonzero(~workspace_shell(PAPER, resolution=resolution).contains(positions)))
+    interval = binomtest(beyond, count).proportion_ci(0.999, "exact")
+    return interval.low, interval.high
+
+
+def test_some_reachable_points_lie_outside_the_shell() -> None:
+    """Table 6 is not the whole boundary."""
+    low, high = outside(20_000, 24)
+    assert 0.0 < low < 0.0014 < high < 0.004
+
+
+@pytest.mark.slow
+def test_share_of_reachable_points_outside_the_shell() -> None:
+    low, high = outside(1_000_000, 80)
+    assert 0.0014 < low < high < 0.0019
+
+
+def test_limits_may_differ_from_leg_to_leg() -> None:
+    limits = spm.LegLimits([1.1, 1.15, 1.2, 1.1, 1.1, 1.2], [1.5, 1.4, 1.5, 1.5, 1.45, 1.5])
+    shell = workspace_shell(PAPER, limits, resolution=16)
+    assert shell.limits == limits
+    assert shell.mesh.is_watertight
+    assert abs(shell.volume - flux(shell)) < shell.volume_error
+    lengths = shell.configuration.leg_lengths[shell["St1"].grid]
+    np.testing.assert_allclose(lengths[0, 0], (1.1, 1.15, 1.5, 1.5, 1.45, 1.5), atol=1e-14)
+    np.testing.assert_allclose(lengths[-1, -1], (1.5, 1.4, 1.5, 1.5, 1.45, 1.5), atol=1e-14)
+    assert SHELL.contains(shell.mesh.triangles_center).mean() > 0.9
+
+
+def test_arrays_are_read_only_and_the_shell_says_what_it_is() -> None:
+    for array in (SHELL.vertices, SHELL.faces, SHELL.patches[0].grid, SHELL.patches[0].faces):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+    assert repr(SHELL) == "<Shell: 24 patches, 6146 vertices, 12288 faces, 1.6529 m³>"
+
+
+@pytest.mark.parametrize("resolution", [1, 0, -4, 2.0, 2.5, True, "40", None])
+def test_invalid_resolutions_are_refused(resolution: object) -> None:
+    with pytest.raises(spm.ArgumentError, match="resolution: expected a whole number of increments, at least 2"):
+        workspace_shell(PAPER, resolution=resolution)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("geometry", "limits", "says"),
+    [
+        (spm.Geometry(0.7, 0.35, 0.8), None, "the geometry has none"),
+        (PAPER, spm.LegLimits(0.0, 1.5), r"got \[0, 1.5\] for r_b1"),
+        (PAPER, spm.LegLimits(1.1, np.inf), r"got \[1.1, inf\] for r_b1"),
+        (PAPER, (1.1, 1.5), "Use LegLimits"),
+        (PAPER, spm.LegLimits(0.05, 0.1), "lower legs of at most 0.1 m to span 0.23094 m. .* no symmetric home"),
+        (spm.Geometry(3.0, 0.3, 0.8), spm.LegLimits(1.1, 1.5), "no symmetric home"),
+        (spm.Geometry(0.3, 3.0, 0.8), spm.LegLimits(1.1, 1.5), "upper legs of at most 1.5 m"),
+        (PAPER, spm.LegLimits(0.3, 4.0), "vertices without a physical configuration, as at r_b1 = 0.3"),
+        ("paper", None, "a Geometry, got str"),
+    ],
+)
+def test_limits_and_geometries_without_a_shell(geometry: object, limits: object, says: str) -> None:
+    with pytest.raises(spm.ArgumentError, match=says):
+        workspace_shell(geometry, limits, resolution=4)  # type: ignore[arg-type]
+
+
+def test_reversed_limits_are_refused_by_leg_limits() -> None:
+    with pytest.raises(spm.GeometryError, match="exchanged"):
+        spm.LegLimits(1.5, 1.1)
+
+
+@pytest.mark.parametrize("points", [[0.0, 0.0], [np.nan, 0.0, 0.0], "here"])
+def test_invalid_points_are_refused(points: object) -> None:
+    for ask in (SHELL.contains, SHELL.distance, SHELL.winding_number):
+        with pytest.raises(spm.ArgumentError, match="points: expected"):
+            ask(points)  # type: ignore[arg-type]
+
+
+def test_without_trimesh_all_but_the_mesh_works(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    shell = workspace_shell(PAPER, resolution=4)
+    assert shell.contains([0.0, 0.0, 2.5])
+    with pytest.raises(spm.errors.MissingExtraError, match="workspace"):
+        _ = shell.mesh
+    with pytest.raises(spm.errors.MissingExtraError, match="workspace"):
+        shell.distance([0.0, 0.0, 2.5])

@@ -1,0 +1,131 @@
+"""Positions in some orientation: the map from legs to positions, and membership against searches of other kinds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from problems import GEOMETRIES
+from scipy.optimize import least_squares
+
+import spm_pin as spm
+from spm_pin.workspace.positions import reachable_position
+from spm_pin.workspace.search import nearest_points, start_table
+from spm_pin.workspace.states import states_within
+
+PAPER = GEOMETRIES["paper"]
+
+
+def test_upper_legs_that_reach_a_point_are_found_from_the_lower_ones() -> None:
+    legs = np.random.default_rng(2).uniform(1.1, 1.5, (2000, 6))
+    states = spm.forward_physical(PAPER, legs)
+    within = states_within(PAPER)
+    coordinates = within.coordinates(states)
+    upper = within.upper_for(coordinates[:, 0], states.translation)
+    # The only ones within the limits: no two upper stages see o in the same place there.
+    np.testing.assert_allclose(upper, coordinates[:, 1], atol=1e-10)
+
+
+def test_poses_of_leg_lengths_within_limits_are_reachable() -> None:
+    rng = np.random.default_rng(3)
+    share = rng.uniform(size=(400, 6))
+    # A quarter of them with legs at limits, hence on or near the boundary.
+    share[:100] = np.where(rng.uniform(size=(100, 6)) < 0.5, np.round(share[:100]), share[:100])
+    legs = 1.1 + 0.4 * share
+    position = spm.forward_physical(PAPER, legs).translation
+    answer = reachable_position(PAPER, position)
+    assert answer.reachable.all()
+    assert (answer.distance == 0.0).all()
+    assert spm.LegLimits(1.1, 1.5).contains(answer.readings).all()
+    again = spm.forward_physical(PAPER, answer.readings).translation
+    assert np.abs(again - position).max() <= answer.tolerance
+
+
+def test_far_points_are_not_reachable_and_have_a_distance() -> None:
+    points = [[5.0, 0.0, 2.0], [0.0, 0.0, 0.0], [0.0, 0.0, 40.0]]
+    answer = reachable_position(PAPER, points)
+    assert not answer.reachable.any()
+    np.testing.assert_allclose(np.linalg.norm(answer.nearest - points, axis=-1), answer.distance)
+    # Straight above, all legs at their longest are nearest.
+    height = spm.forward_physical(PAPER, [1.5] * 6).translation[2]
+    assert answer.distance[2] == pytest.approx(40.0 - height, abs=1e-9)
+
+
+def test_distances_are_those_a_bounded_least_squares_solver_finds() -> None:
+    rng = np.random.default_rng(4)
+    extent = start_table(states_within(PAPER)).extent
+    points = rng.uniform(extent[0] - 0.1, extent[1] + 0.1, (6, 3))
+    answer = reachable_position(PAPER, points)
+    for k, point in enumerate(points):
+
+        def error(legs: np.ndarray, point: np.ndarray = point) -> np.ndarray:
+            return spm.forward_physical(PAPER, legs).translation - point
+
+        best = min(
+            2.0 * least_squares(error, rng.uniform(1.15, 1.45, 6), bounds=(1.1, 1.5), xtol=1e-12, ftol=1e-12).cost
+            for _ in range(3)
+        )
+        # The other search goes from three random starts, and may end farther away, but never nearer.
+        assert answer.distance[k] <= np.sqrt(best) + 1e-6
+        assert answer.reachable[k] == (answer.distance[k] == 0.0)
+
+
+def test_no_set_of_lower_legs_reaches_a_point_said_to_be_out_of_reach() -> None:
+    """On a grid of 16³ lower stages, each with the upper legs that then put o there."""
+    rng = np.random.default_rng(5)
+    extent = start_table(states_within(PAPER)).extent
+    points = rng.uniform(*extent, (20, 3))
+    answer = reachable_position(PAPER, points)
+    assert 3 <= answer.reachable.sum() <= 17
+    grid = np.stack(np.meshgrid(*[np.linspace(1.1, 1.5, 16)] * 3), axis=-1).reshape(-1, 3)
+    within = states_within(PAPER)
+    lower = within.coordinates(spm.forward_physical(PAPER, np.concatenate([grid, np.full_like(grid, 1.3)], axis=-1)))
+    for k in range(20):
+        upper = within.upper_for(lower[:, 0], np.broadcast_to(points[k], (len(grid), 3)))
+        legs = within.readings(np.stack([lower[:, 0], upper], axis=1))[:, 3:]
+        with np.errstate(invalid="ignore"):
+            hit = ((legs >= 1.1) & (legs <= 1.5)).all(axis=-1).any()
+            # Between two lower stages of the grid the upper legs change by 0.1 m at most: else nothing was missed.
+            near = ((legs >= 1.0) & (legs <= 1.6)).all(axis=-1).any()
+        assert not (hit and not answer.reachable[k])
+        assert not (answer.reachable[k] and not near)
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (3, 1, 2), (0,)])
+def test_shapes(shape: tuple[int, ...]) -> None:
+    answer = reachable_position(PAPER, np.full((*shape, 3), [0.1, 0.2, 2.4]))
+    assert answer.reachable.shape == answer.distance.shape == answer.optimality.shape == shape
+    assert answer.nearest.shape == (*shape, 3)
+    assert answer.readings.shape == (*shape, 6)
+    assert answer.reachable.all()
+
+
+def test_where_the_machine_cannot_be_assembled_everywhere_in_the_limits_the_rest_still_counts() -> None:
+    limits = spm.LegLimits(1.0, 1.6)
+    legs = np.random.default_rng(6).uniform(1.0, 1.6, (400, 6))
+    states = spm.forward_physical(PAPER, legs)
+    assert 0.5 < states.exists.mean() < 1.0
+    answer = reachable_position(PAPER, states.translation[states.exists], limits)
+    assert answer.reachable.all()
+
+
+def test_states_with_the_optimality_conditions_are_nearest_among_many() -> None:
+    extent = start_table(states_within(PAPER)).extent
+    rng = np.random.default_rng(7)
+    points = rng.uniform(extent[0] - 0.2, extent[1] + 0.2, (200, 3))
+    nearest = nearest_points(states_within(PAPER), points)
+    sample = spm.forward_physical(PAPER, 1.1 + 0.4 * rng.beta(0.3, 0.3, (20_000, 6))).translation
+    least = np.array([np.sqrt(((sample - point) ** 2).sum(axis=-1)).min() for point in points])
+    assert (nearest.distance <= least + 1e-9).all()
+    assert (nearest.optimality < 1e-6).all()
+    assert np.median(least - nearest.distance) < 0.1
+
+
+def test_bad_input_is_refused() -> None:
+    for words, call in (
+        ("assembled", lambda: reachable_position(PAPER, [0.0, 0.0, 2.0], spm.LegLimits(0.01, 0.02))),
+        ("none of its own", lambda: reachable_position(spm.Geometry(0.7, 0.35, 0.8), [0.0, 0.0, 2.0])),
+        ("LegLimits", lambda: reachable_position(PAPER, [0.0, 0.0, 2.0], (1.1, 1.5))),  # type: ignore[arg-type]
+        ("Geometry", lambda: reachable_position(None, [0.0, 0.0, 2.0])),  # type: ignore[arg-type]
+    ):
+        with pytest.raises(spm.ArgumentError, match=words):
+            call()

@@ -1,0 +1,187 @@
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+from problems import GEOMETRIES, in_leg_space, random_branches
+from scipy.spatial.transform import Rotation
+
+import spm_pin as spm
+from spm_pin.mechanism.branches import physical
+from spm_pin.workspace.joint_limits import JointLimits
+from spm_pin.workspace.poses import Reachability, reachable
+from spm_pin.workspace.sampling import sample_reachable
+from spm_pin.workspace.states import pose_multiplicity, states_within
+
+PAPER = GEOMETRIES["paper"]
+LIMITS = spm.LegLimits(1.1, 1.5)
+TIGHT = spm.LegLimits([1.15, 1.1, 1.1, 1.2, 1.1, 1.1], [1.5, 1.4, 1.5, 1.5, 1.3, 1.5])
+
+
+def test_poses_made_from_legs_within_the_limits_are_reachable() -> None:
+    problem = in_leg_space(PAPER, 300, 1)
+    answer = reachable(PAPER, problem.pose)
+    assert answer.reachable.all()
+    assert LIMITS.contains(answer.configuration.leg_lengths).all()
+    margins = np.take_along_axis(answer.leg_margin, answer.branch[:, None], -1)[:, 0]
+    inside = np.minimum(answer.configuration.leg_lengths - 1.1, 1.5 - answer.configuration.leg_lengths).min(axis=-1)
+    assert margins == pytest.approx(inside, abs=1e-12)
+    # The state the pose was made from is among those allowed.
+    legs = problem.configuration.leg_lengths
+    gap = np.abs(answer.branches.leg_lengths - legs[:, None]).max(axis=-1)
+    assert (np.where(answer.allowed, gap, np.inf).min(axis=-1) < 1e-9).all()
+
+
+def test_narrower_limits_of_single_legs_are_those_that_count() -> None:
+    problem = in_leg_space(PAPER, 500, 2)
+    answer = reachable(PAPER, problem.pose, TIGHT)
+    modes = spm.inverse_displacement(PAPER, problem.pose)
+    low, high = np.array(TIGHT.minimum), np.array(TIGHT.maximum)
+    with np.errstate(invalid="ignore"):
+        inside = ((modes.leg_lengths >= low) & (modes.leg_lengths <= high)).all(axis=-1)
+    expected = (inside & physical(modes.configurations)).any(axis=-1)
+    assert 0.05 < expected.mean() < 0.95
+    np.testing.assert_array_equal(answer.reachable, expected)
+    np.testing.assert_array_equal(answer.branch >= 0, expected)
+    np.testing.assert_array_equal(answer.configuration.exists, expected)
+
+
+def test_any_branch_reaches_more_than_the_physical_one() -> None:
+    # Legs long enough for branches with a torsion of half a turn.
+    wide = spm.LegLimits(0.3, 2.5)
+    problem = random_branches(PAPER, "FT", 300, 3)
+    physical, every = (reachable(PAPER, problem.pose, wide, branch=which) for which in ("physical", "any"))
+    assert (every.allowed >= physical.allowed).all()
+    assert every.reachable.sum() > physical.reachable.sum() + 30
+    named = [reachable(PAPER, problem.pose, wide, branch=label).allowed for label in spm.mechanism.BRANCHES]
+    np.testing.assert_array_equal(np.any(named, axis=0), every.allowed)
+    for place, allowed in enumerate(named):
+        assert not np.delete(allowed, place, axis=-1).any()
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (3, 1, 2)])
+def test_shapes(shape: tuple[int, ...]) -> None:
+    problem = in_leg_space(PAPER, int(np.prod(shape)), 4)
+    matrix = problem.pose.as_matrix().reshape(*shape, 4, 4)
+    answer = reachable(PAPER, matrix, joints=JointLimits(hip=(-1.0, 1.0), clearance=0.05))
+    for array in (answer.allowed, answer.leg_margin, answer.angle_margin, answer.clearance_margin):
+        assert array.shape == (*shape, 8)
+    assert np.shape(answer.reachable) == answer.branch.shape == answer.configuration.shape == shape
+    assert isinstance(answer.reachable, bool) == (shape == ())
+
+
+def test_without_limits_every_real_branch_that_counts_is_allowed() -> None:
+    geometry = spm.Geometry(0.7, 0.35, 0.8)
+    problem = random_branches(geometry, "TT", 50, 5)
+    answer = reachable(geometry, problem.pose, branch="any")
+    np.testing.assert_array_equal(answer.allowed, answer.branches.exists)
+    assert np.isposinf(answer.leg_margin[answer.branches.exists]).all()
+    assert np.isnan(answer.leg_margin[~answer.branches.exists]).all()
+
+
+def test_out_of_reach_is_data_and_a_continuous_family_is_said_to_be_undecided() -> None:
+    far = reachable(PAPER, spm.pose([9.0, 0.0, 2.0], xyx=[0.1, 0.2, 0.3]))
+    assert far.reachable is False
+    assert far.undecided is False
+    assert far.branch == -1
+    assert not far.configuration.exists
+    home = reachable(PAPER, spm.pose([0.0, 0.0, 2.6], rotation=np.eye(3)))
+    assert home.branches.status == spm.Status.DEGENERATE
+    assert home.undecided is True
+
+
+def test_joint_limits_exclude_what_violates_them() -> None:
+    problem = in_leg_space(PAPER, 200, 6)
+    free = reachable(PAPER, problem.pose)
+    for joints, margin in (
+        (JointLimits(hip=(-0.03, 0.03)), "angle_margin"),
+        (JointLimits(ball_y=(-0.25, 0.3)), "angle_margin"),
+        (JointLimits(ball_x=(-0.5, 0.4), ball_z=(-0.03, 0.03)), "angle_margin"),
+    ):
+        answer = reachable(PAPER, problem.pose, joints=joints)
+        with np.errstate(invalid="ignore"):
+            np.testing.assert_array_equal(answer.allowed, free.allowed & (getattr(answer, margin) >= 0.0))
+        assert 0 < answer.reachable.sum() < 200
+    # The upper legs stand 0.6 m apart, and here no two come nearer.
+    assert reachable(PAPER, problem.pose, joints=JointLimits(clearance=0.599)).reachable.all()
+    assert not reachable(PAPER, problem.pose, joints=JointLimits(clearance=0.601)).reachable.any()
+
+
+def test_bad_input_is_refused() -> None:
+    pose = in_leg_space(PAPER, 1, 7).pose
+    for words, call in (
+        ("branch", lambda: reachable(PAPER, pose, branch="TT")),
+        ("limits", lambda: reachable(PAPER, pose, (1.1, 1.5))),  # type: ignore[arg-type]
+        ("joints", lambda: reachable(PAPER, pose, joints={"hip": (0, 1)})),  # type: ignore[arg-type]
+        ("geometry", lambda: reachable("paper", pose)),  # type: ignore[arg-type]
+        ("exchanged", lambda: reachable(PAPER, pose, spm.LegLimits(1.5, 1.1))),
+        ("finite", lambda: reachable(PAPER, np.full((4, 4), np.nan))),
+        ("count", lambda: sample_reachable(PAPER, -1)),
+        ("count", lambda: sample_reachable(PAPER, 1.5)),  # type: ignore[arg-type]
+        ("space", lambda: sample_reachable(PAPER, 1, space="joints")),  # type: ignore[arg-type]
+        ("infinity for r_b1", lambda: sample_reachable(PAPER, 1, spm.LegLimits(1.0, np.inf))),
+        ("none of its own", lambda: sample_reachable(spm.Geometry(0.7, 0.35, 0.8), 1)),
+        ("assembled", lambda: sample_reachable(PAPER, 1, spm.LegLimits(0.01, 0.02))),
+    ):
+        with pytest.raises(spm.ArgumentError, match=words):
+            call()
+
+
+def test_a_sample_in_leg_space_is_uniform_there_and_repeatable() -> None:
+    states = sample_reachable(PAPER, 4000, rng=8)
+    assert states.shape == (4000,)
+    assert physical(states).all()
+    share = (states.leg_lengths - 1.1) / 0.4
+    # Mean 1/2 and variance 1/12, to four standard errors.
+    assert share.mean(axis=0) == pytest.approx(0.5, abs=4 * np.sqrt(1 / 12 / 4000))
+    assert (share**2).mean(axis=0) == pytest.approx(1 / 3, abs=4 * np.sqrt(4 / 45 / 4000))
+    np.testing.assert_array_equal(states.translation, sample_reachable(PAPER, 4000, rng=8).translation)
+    assert sample_reachable(PAPER, 0).shape == (0,)
+
+
+def test_a_sample_of_poses_is_uniform_in_pose_space() -> None:
+    """As often in each of two boxes of poses as uniform poses that are reachable by the inverse displacement."""
+    steps: list[int] = []
+    states = sample_reachable(PAPER, 16_000, space="poses", rng=9, progress=lambda what, done, of: steps.append(done))
+    assert steps[-1] == 16_000
+    determinant = np.linalg.det(spm.kinematics.platform_jacobian(states))
+    weight = np.abs(determinant) / pose_multiplicity(states_within(PAPER), states)
+    # Weighted back, leg lengths are uniform, but that pairs of states with one pose count one half each.
+    share = (states.leg_lengths - 1.1) / 0.4
+    mean = (share / weight[:, None]).sum(axis=0) / (1.0 / weight).sum()
+    assert mean == pytest.approx(0.5, abs=0.05)
+
+    rng = np.random.default_rng(10)
+    vectors = states.pose.rotation.as_rotvec()
+    hits, uniform = [], []
+    for centre in (np.array([0.3, 0.1, 2.5]), np.array([-0.1, -0.3, 2.35])):
+        box = 0.3
+        inside = (np.abs(states.translation - centre) < box).all(axis=-1)
+        centre_turn, half = np.median(vectors[inside], axis=0), np.array([0.2, 0.2, 0.03])
+        hits.append((inside & (np.abs(vectors - centre_turn) < half).all(axis=-1)).sum())
+        n = 20_000
+        position = centre + rng.uniform(-box, box, (n, 3))
+        turn = centre_turn + half * rng.uniform(-1.0, 1.0, (n, 3))
+        rotation = spm.pose(position, rotation=Rotation.from_rotvec(turn))
+        angle = np.linalg.norm(turn, axis=-1)
+        # Rotation vectors carry the uniform measure of rotations times this.
+        density = (2.0 * np.sin(0.5 * angle) / angle) ** 2
+        uniform.append((reachable(PAPER, rotation).reachable * density).sum())
+    assert min(hits) > 60
+    expected = np.array(uniform) / np.sum(uniform)
+    error = np.sqrt(expected.prod() * (1.0 / np.sum(hits) + 1.0 / np.sum(uniform)))
+    assert hits[0] / np.sum(hits) == pytest.approx(expected[0], abs=4.0 * error)
+
+
+def test_errors_travel_between_processes() -> None:
+    with pytest.raises(spm.ArgumentError) as caught:
+        sample_reachable(PAPER, 1, spm.LegLimits(0.01, 0.02))
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
+
+
+def test_result_is_frozen() -> None:
+    answer = reachable(PAPER, in_leg_space(PAPER, 1, 11).pose)
+    assert isinstance(answer, Reachability)
+    with pytest.raises(AttributeError):
+        answer.allowed = np.zeros(8, dtype=bool)  # type: ignore[misc]

@@ -1,0 +1,121 @@
+"""The coordinates of the stages: states that close, derivatives against differences, machines as drawn and as built."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from problems import GEOMETRIES
+
+import spm_pin as spm
+from spm_pin.mechanism.branches import FAMILIES, family, physical
+from spm_pin.workspace.states import StateSet, free_states, states_within
+
+PAPER = GEOMETRIES["paper"]
+BUILT = PAPER.perturbed(1, length=5e-3, angle=5e-3)
+
+
+@pytest.mark.parametrize("geometry", [PAPER, GEOMETRIES["equal triangles"], BUILT], ids=["paper", "equal", "as built"])
+def test_states_are_those_of_the_forward_displacement(geometry: spm.Geometry) -> None:
+    readings = np.random.default_rng(1).uniform(1.15, 1.45, (300, 6))
+    states = spm.forward_physical(geometry, readings)
+    assert states.exists.all()
+    within = states_within(geometry, spm.LegLimits(1.1, 1.5))
+    coordinates = within.coordinates(states)
+    again = within.states(coordinates)
+    np.testing.assert_allclose(within.readings(coordinates), readings, atol=1e-12)
+    np.testing.assert_allclose(again.translation, states.translation, atol=1e-12)
+    np.testing.assert_allclose(again.rotation, states.rotation, atol=1e-12)
+    np.testing.assert_allclose(again.balls, states.balls, atol=1e-12)
+    joints = within.positions(coordinates, geometry.platform_joints).reshape(-1, 3, 3)
+    for k, joint in enumerate(geometry.platform_joints):
+        np.testing.assert_allclose(joints[:, k], states.pose.apply(joint), atol=1e-12)
+    # By the legs: ∂(o, R)/∂l times ∂l/∂c.
+    legs = np.zeros((300, 6, 6))
+    for stage in range(2):
+        block = slice(3 * stage, 3 * stage + 3)
+        for k in range(3):
+            step = np.zeros((2, 3))
+            step[stage, k] = 1e-6
+            change = within.readings(coordinates + step) - within.readings(coordinates - step)
+            legs[:, block, 3 * stage + k] = change[:, block] / 2e-6
+    expected = spm.kinematics.platform_jacobian(states) @ legs
+    np.testing.assert_allclose(within.jacobians(coordinates), expected, atol=1e-7)
+
+
+@pytest.mark.parametrize("geometry", [PAPER, BUILT], ids=["as drawn", "as built"])
+@pytest.mark.parametrize("modes", FAMILIES)
+def test_all_coordinates_in_the_unit_circle_are_states_of_their_family(geometry: spm.Geometry, modes: str) -> None:
+    rng = np.random.default_rng(2)
+    coordinates = rng.uniform([-0.5, -0.5, 2.0], [0.5, 0.5, 3.0], (200, 2, 3))
+    coordinates[:, 1, 2] *= -1.0
+    within = free_states(geometry, modes)
+    states = within.states(coordinates)
+    assert states.closure_residual.max() < 1e-14
+    np.testing.assert_array_equal(family(states), FAMILIES.index(modes))
+    np.testing.assert_allclose(within.coordinates(states), coordinates, atol=1e-12)
+    np.testing.assert_allclose(within.readings(coordinates), states.readings, atol=1e-13)
+    # Derivatives of the pose, of the modes too.
+    h = 1e-6
+    for k in range(6):
+        step = (h * np.eye(6)[k]).reshape(2, 3)
+        ahead, behind = within.states(coordinates + step), within.states(coordinates - step)
+        turn = (ahead.pose.rotation * behind.pose.rotation.inv()).as_rotvec() / (2.0 * h)
+        shift = (ahead.translation - behind.translation) / (2.0 * h)
+        np.testing.assert_allclose(within.jacobians(coordinates)[:, :, k], np.hstack([shift, turn]), atol=1e-7)
+    coordinates[:, 0, 0] = 1.0
+    assert np.isnan(within.readings(coordinates)[:, :3]).all()
+
+
+@pytest.mark.parametrize("geometry", [PAPER, BUILT], ids=["as drawn", "as built"])
+def test_the_aspect_is_that_of_physical_states_and_the_determinant_vanishes_at_its_end(geometry: spm.Geometry) -> None:
+    rng = np.random.default_rng(3)
+    coordinates = rng.uniform(-0.8, 0.8, (3000, 2, 3)) * [1.0, 1.0, 2.0] + [[0.0, 0.0, 1.5], [0.0, 0.0, -1.5]]
+    coordinates = coordinates[(np.hypot(coordinates[..., 0], coordinates[..., 1]) < 0.99).all(axis=-1)]
+    within = StateSet(geometry, np.zeros(6), np.full(6, 9.0))
+    stages = [within.stages(stage, coordinates[:, stage]) for stage in range(2)]
+    inside = stages[0].in_aspect & stages[1].in_aspect
+    assert 0.1 < inside.mean() < 0.9
+    np.testing.assert_array_equal(inside, physical(within.states(coordinates)))
+    # Zero where det J_b or det J_c is: signs agree over all coordinates, up to that of the aspect.
+    determinants = spm.singularities(within.states(coordinates)).determinants[:, :2]
+    for stage in range(2):
+        sign = np.sign(determinants[:, stage] * stages[stage].determinant)
+        assert len(set(sign)) == 1
+
+
+def test_derivatives_of_readings_and_determinants_are_those_by_differences() -> None:
+    from spm_pin.kinematics.kernels.state_search import stage_states
+
+    rng = np.random.default_rng(4)
+    for geometry in (PAPER, BUILT):
+        for stage, upward in ((0, 1.0), (1, -1.0)):
+            within = states_within(geometry, spm.LegLimits(1.1, 1.5))
+            coordinates = within.sample[:100, stage] + rng.normal(0.0, 0.1, (100, 3))
+
+            def run(c: np.ndarray, within=within, stage=stage, upward=upward) -> tuple[np.ndarray, np.ndarray]:
+                values, slopes, places = np.empty((100, 16)), np.empty((100, 16, 3)), np.empty(100, dtype=np.int64)
+                stage_states(c, within.legs[stage], within.radius, upward, 2.0, values, slopes, places)
+                return values, slopes
+
+            for k in range(3):
+                step = 1e-6 * np.eye(3)[k]
+                change = (run(coordinates + step)[0] - run(coordinates - step)[0]) / 2e-6
+                np.testing.assert_allclose(run(coordinates)[1][..., k], change, atol=1e-8)
+
+
+def test_uniform_states_of_a_stage_are_within_the_limits_and_their_volume_is_that_by_the_legs() -> None:
+    limits, rng = spm.LegLimits(1.1, 1.5), np.random.default_rng(5)
+    for geometry in (PAPER, BUILT):
+        within = states_within(geometry, limits)
+        for stage in range(2):
+            drawn, volume = within.draw_stages(stage, 20_000, rng)
+            assert within.contains(stage, drawn).all()
+            # ∫ dc = ∫ |det ∂c/∂l| dl.
+            coordinates = within.coordinates(spm.forward_physical(geometry, rng.uniform(1.1, 1.5, (20_000, 6))))
+            slopes = np.empty((len(coordinates), 3, 3))
+            for k in range(3):
+                step = 1e-6 * np.eye(3)[k]
+                ahead, behind = (within.stages(stage, coordinates[:, stage] + s * step).readings for s in (1, -1))
+                slopes[..., k] = (ahead - behind) / 2e-6
+            density = 0.4**3 / np.abs(np.linalg.det(slopes))
+            assert volume == pytest.approx(density.mean(), rel=4.0 * density.std() / density.mean() / 141 + 0.03)
