@@ -204,8 +204,8 @@ def read_pose(geometry: Geometry, pose: PoseLike) -> tuple[tuple[int, ...], Floa
     check_instance(geometry, Geometry, "geometry")
     size = sum(geometry.dimensions)
     farthest = 2.0 * (LARGEST_RATIO + 1.0) * size
-    # The sum of all squares is enough but for very large batches, and takes no time.
-    if not np.vdot(places, places) <= farthest * farthest:
+    # The sum of all squares is enough but for very large batches. Not by BLAS, which takes threads of its own to it.
+    if not np.einsum("ni,ni->", places, places) <= farthest * farthest:
         beyond = np.abs(position).max(axis=-1) > farthest
         if beyond.any():
             index = first_offender(beyond)
