@@ -63,6 +63,26 @@ def test_a_dragged_platform_is_followed_on_its_branch():
         np.testing.assert_allclose(state.shown.pose.as_matrix(), target.as_matrix(), atol=1e-15)
 
 
+@pytest.mark.parametrize("size", [1e-3, 2e-2])
+def test_a_machine_as_built_is_dragged_on_its_branch_and_stays_within_its_limits(size):
+    machine = problems.as_built(PAPER, size)
+    start = spm.forward_physical(machine, [1.25, 1.2, 1.35, 1.3, 1.2, 1.4])
+    model = ViewerModel(start)
+    here = moved(start.pose, shift=(0.004, -0.003, 0.005), turn=(0.0, 0.003, 0.0))
+    state = model.drag(here)
+    assert state.distance == 0.0
+    again = spm.forward_physical(machine, state.shown.readings)
+    np.testing.assert_allclose(again.pose.as_matrix(), here.as_matrix(), atol=1e-9)
+    state = model.drag(moved(here, shift=(0.0, 0.0, 0.8)))
+    assert state.shown.geometry == machine
+    assert machine.limits.margin(state.shown.readings) >= -1e-9
+    assert 0.1 < state.distance < 0.8
+    assert "beyond the leg limits" in texts(state) or "does not reach it" in texts(state)
+    bars = instruments(state)
+    assert "Encoder readings" in bars
+    assert fixed(float(state.shown.readings[0]), 3) in bars
+
+
 def test_selecting_a_branch_keeps_the_pose_and_says_what_is_wrong_with_it():
     model = ViewerModel(START)
     state = model.select("FF+")
