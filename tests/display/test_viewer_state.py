@@ -111,13 +111,11 @@ def test_limits_are_held_once_the_machine_is_inside_them_and_only_then():
     assert model.drag(moved(target, shift=(0.0, 0.0, 0.01))).distance == 0.0
 
 
-def test_a_level_platform_is_out_of_reach_and_its_nearest_pose_is_hardly_tilted():
+def test_without_limits_a_level_platform_is_all_but_reached():
     model = ViewerModel(spm.inverse_displacement(FREE, START.pose).physical())
     for shift in ((0.0, 0.0), (0.2, 0.1)):
         state = model.drag(spm.pose([*shift, 2.2], rotation=np.eye(3)))
-        assert "out of reach" in texts(state)
-        assert 0.0 < state.distance < 2.0 * np.deg2rad(0.1)
-    assert state.label.startswith("TT")
+        assert state.distance < 2.0 * np.deg2rad(0.1)
 
 
 def test_a_branch_that_does_not_reach_a_pose_names_those_that_do():
