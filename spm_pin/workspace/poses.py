@@ -305,7 +305,8 @@ def _nearest_real(geometry: Geometry, matrices: FloatArray, branch: str, near: C
     # Where the branch begins to be real it meets another: a step along what keeps the pose there tells them apart.
     step = _OFF_THE_EDGE * np.linalg.svd(states.jacobians(result.coordinates))[2][:, -1].reshape(-1, 2, 3)
     sides = [states.states(result.coordinates + sign * step) for sign in (1.0, -1.0)]
-    wanted = branch_sign(sides[0]) * (1.0 if branch[2] == "+" else -1.0) > 0.0
+    with np.errstate(invalid="ignore"):  # a step off the edge that leads nowhere is NaN
+        wanted = branch_sign(sides[0]) * (1.0 if branch[2] == "+" else -1.0) > 0.0
 
     arrays = [np.array(getattr(solved, name)) for name in ("rotation", "translation", "middle_joints")]
     for array, name in zip(arrays, ("rotation", "translation", "middle_joints"), strict=True):
