@@ -38,11 +38,11 @@ _VOXELS, _PAD = 64, 0.15
 """Cells of the distance table along the longest side of S and its margin, and that margin over the size of S."""
 _CELLS = 20
 """Cells along each axis of the grid that covers the reachable positions."""
-_NEAREST_STARTS, _REMOTE_STARTS = 4, 3
-"""Starts of a search for the nearest point, beside the state in which that for the point itself has ended: the best of
-the groups, and the states of the sample whose positions are nearest."""
-_MOST_STEPS = 400
-"""Newton steps of a search for the nearest point."""
+_NEAR_STARTS, _REMOTE_STARTS, _MORE_STARTS = 6, 3, 8
+"""Starts of each search for a nearest point: the best of the groups, and the states of the sample whose positions are
+nearest; and those of the sample with which a point is searched again that the groups have not led to."""
+_MOST_STEPS, _PATIENT = 400, 1500
+"""Newton steps of a search for the nearest state at most: while a platform is dragged, and for the nearest point."""
 _CHUNK, _MIN_BATCH = 4096, 256
 """Points worked on together, and those that are worth a thread."""
 
@@ -58,8 +58,6 @@ class Membership(NamedTuple):
     """The states (N, 2, 3); where there is none, those found with the smallest residual norm."""
     readings: FloatArray
     """Their readings (N, 6), within the limits; NaN where there is no state."""
-    errors: FloatArray
-    """Error of o (N, 3) [m] in the state with the smallest residual."""
     distance: FloatArray
     """How far the reachable set is, to about two cells of the table (N,) [m]; zero where reached."""
 
@@ -198,21 +196,29 @@ def search_states(
     def search(points: FloatArray, starts: FloatArray | None = None) -> Membership:
         from spm_pin.kinematics.kernels.state_search import search_points
 
+        def run(points: FloatArray, starts: FloatArray, distances: FloatArray) -> tuple[Any, ...]:
+            inputs = [np.require(array, requirements=("C", "W")) for array in (points, starts, distances)]
+            results = ((2, 3), np.float64), ((6,), np.float64), ((), np.int64), ((4,), np.float64)
+            return run_kernel(search_points, inputs, machine, results, _MIN_BATCH)
+
         if starts is None:
             table = start_table(states)
             distances, several = table.nearby(points)
             nearest = distances[:, 0]
             # Near the rim states that seem farther may be the only ones that lead there: all are tried, or none.
-            distances = np.where(nearest[:, None] <= table.margin, distances, np.inf)
+            near = nearest <= table.margin
+            result = run(points, several, np.where(near[:, None], distances, np.inf))
+            left = np.flatnonzero(near & (result[2] != 1))
+            again = run(points[left], states.sample[states.tree.query(points[left], _MORE_STARTS)[1]], distances[left])
+            better = again[2] == 1
+            for array, values in zip(result, again, strict=True):
+                array[left[better]] = values[better]
         else:
-            several = starts[:, None]
-            distances = np.zeros((len(points), 1))
             nearest = np.linalg.norm(states.positions(starts) - points, axis=-1)
-        inputs = [np.require(array, requirements=("C", "W")) for array in (points, several, distances)]
-        results = ((2, 3), np.float64), ((6,), np.float64), ((), np.int64), ((4,), np.float64)
-        coordinates, readings, outcome, errors = run_kernel(search_points, inputs, machine, results, _MIN_BATCH)
+            result = run(points, starts[:, None], np.zeros((len(points), 1)))
+        coordinates, readings, outcome, _ = result
         distance = np.where(outcome == 1, 0.0, np.maximum(nearest, 0.0))
-        return Membership(outcome == 1, outcome == -1, coordinates, readings, errors[:, :3], distance)
+        return Membership(outcome == 1, outcome == -1, coordinates, readings, distance)
 
     arrays = (points,) if starts is None else (points, starts)
     return Membership(*in_chunks(search, what, progress, *arrays))
@@ -256,10 +262,15 @@ def nearest_points(states: StateSet, points: FloatArray, starts: FloatArray | No
         left = np.flatnonzero(~member.reached)
         if len(left):
             # A sample's state is within the limits; that with the smallest residual may not be, or not be the nearest.
-            remote = states.sample[states.tree.query(points[left], _REMOTE_STARTS)[1]]
-            near = table.nearby(points[left])[1][:, :_NEAREST_STARTS]
-            several = np.concatenate([remote, near, member.coordinates[left, None]], axis=1)
-            result.update(left, nearest_states(states, points[left], several))
+            remote = states.sample[states.tree.query(points[left], 2 * _REMOTE_STARTS)[1]]
+            near = table.nearby(points[left])[1]
+            first = remote[:, :_REMOTE_STARTS], near[:, :_NEAR_STARTS], member.coordinates[left, None]
+            result.update(left, nearest_states(states, points[left], np.concatenate(first, axis=1), most=_PATIENT))
+            # From other starts the search may end nearer.
+            second = remote[:, _REMOTE_STARTS:], near[:, _NEAR_STARTS : 3 * _NEAR_STARTS]
+            other = nearest_states(states, points[left], np.concatenate(second, axis=1), most=_PATIENT)
+            nearer = np.flatnonzero(other.distance < result.distance[left])
+            result.update(left[nearer], other, nearer)
         return result
 
     arrays = (points,) if starts is None else (points, starts)
