@@ -146,3 +146,26 @@ def _proved(
         if inside:
             return box
     return None
+
+
+def distance_to_root(
+    geometry: spm.Geometry,
+    rotation: npt.NDArray[np.float64],
+    position: npt.NDArray[np.float64],
+    joints: npt.NDArray[np.float64],
+) -> float:
+    """Return the largest distance [m] of a joint from that of the root that Newton's method with 160 bits leads to."""
+    ctx.prec = 160
+    planes, weights = _planes(geometry, rotation, position), _weights(geometry)
+    sides = [_squared(geometry.legs.balls[i], geometry.legs.balls[(i + 1) % 3]) for i in range(3)]
+    start = [acb(float(x)) for x in joints.reshape(9)]
+    x, size = start, 1.0
+    for _ in range(8):
+        values, rows = _equations(x, planes, weights, sides)
+        inverse = acb_mat(9, 9, [entry for row in rows for entry in row]).inv()
+        step = inverse * acb_mat(9, 1, values)
+        size = max(float(abs(step[i, 0]).mid()) for i in range(9))
+        x = [acb((x[i] - step[i, 0]).real.mid()) for i in range(9)]
+    assert size < 1e-30, "Newton's method has not converged"
+    gaps = [float((a - b).real.mid()) for a, b in zip(x, start, strict=True)]
+    return float(np.linalg.norm(np.reshape(gaps, (3, 3)), axis=-1).max())

@@ -267,6 +267,7 @@ UNCHECKED = (
     "display.sections_figure",
     "display.save_mesh",
     "display.save_figure",
+    "display.motion_figure",
 )
 """Callables left out."""
 

@@ -13,20 +13,26 @@ from benchmarks.peers.compiled import address, folder, shared_object
 from benchmarks.peers.peer import FloatArray, Prepared
 from spm_pin import Configuration, Geometry
 from spm_pin.symbolic import write_c
+from spm_pin.symbolic.c_export import STATE_FUNCTIONS
 
 __all__ = ["CALLS", "answered", "call_times"]
 
 CALLS = (
     "the clock alone",
-    "`spm_inverse`",
-    "`spm_inverse_physical`",
-    "`spm_forward_physical`",
-    "`spm_forward_physical`, seed",
-    "`spm_inverse_jacobian`",
-    "`spm_leg_forces`",
+    *(f"`spm_{name}" for name in ("all_branches`", "inverse`", "inverse`, near", "forward`", "forward`, near")),
+    *(f"`spm_{function.name}`" for function in STATE_FUNCTIONS),
 )
 """Names of the calls that `call_times` times, in its order."""
 
+_CASES = "".join(
+    f"    case {6 + k}: return spm_{f.name}(&spm_machine, at, {''.join(f'{f.name}_{x}, ' for x in f.arguments)}out);\n"
+    for k, f in enumerate(STATE_FUNCTIONS)
+)
+_ARGUMENTS = "".join(
+    f"static const double {f.name}_{name}[] = {{{', '.join(map(repr, x.tolist()))}}};\n"
+    for f in STATE_FUNCTIONS
+    for name, x in f.arguments.items()
+)
 _LOOP = """
 #define _POSIX_C_SOURCE 199309L
 #include <time.h>
@@ -40,26 +46,25 @@ void inverse_of_all(long count, const double *poses, double *joints, double *len
         const double rotation[9] = {pose[0], pose[1], pose[2], pose[4], pose[5], pose[6], pose[8], pose[9], pose[10]};
         const double position[3] = {pose[3], pose[7], pose[11]};
         spm_branches found;
-        status[n] = (signed char)spm_inverse(&spm_machine, rotation, position, &found);
+        status[n] = (signed char)spm_all_branches(&spm_machine, rotation, position, &found);
         for (i = 0; i < 8; ++i) {
             for (j = 0; j < 9; ++j) joints[72 * n + 9 * i + j] = found.joints[i][j];
             for (j = 0; j < 6; ++j) lengths[48 * n + 6 * i + j] = found.lengths[i][j];
         }
     }
 }
+@ARGUMENTS@
 static int called(int which, const spm_state *at, const double *moved, double *out)
 {
     static spm_branches branches;
     static spm_state state;
-    const double wrench[6] = {0.0, 0.0, -500.0, 5.0, 5.0, 5.0};
     switch (which) {
-    case 1: return spm_inverse(&spm_machine, at->rotation, at->position, &branches);
-    case 2: return spm_inverse_physical(&spm_machine, at->rotation, at->position, &state);
-    case 3: return spm_forward_physical(&spm_machine, at->lengths, 0, &state);
-    case 4: return spm_forward_physical(&spm_machine, moved, at, &state);
-    case 5: return spm_inverse_jacobian(&spm_machine, at, out);
-    case 6: return spm_leg_forces(&spm_machine, at, wrench, out);
-    default: return 0;
+    case 1: return spm_all_branches(&spm_machine, at->rotation, at->position, &branches);
+    case 2: return spm_inverse(&spm_machine, at->rotation, at->position, 0, &state);
+    case 3: return spm_inverse(&spm_machine, at->rotation, moved + 6, at, &state);
+    case 4: return spm_forward(&spm_machine, at->readings, 0, &state);
+    case 5: return spm_forward(&spm_machine, moved, at, &state);
+@CASES@    default: return 0;
     }
 }
 long time_calls(int which, long calls, long count, const spm_state *states, const double *moved, double *seconds)
@@ -70,7 +75,7 @@ long time_calls(int which, long calls, long count, const spm_state *states, cons
     for (n = 0; n < calls; ++n) {
         long k = n % count;
         clock_gettime(CLOCK_MONOTONIC, &begin);
-        failed += called(which, states + k, moved + 6 * k, out) != SPM_OK;
+        failed += called(which, states + k, moved + 9 * k, out) != SPM_OK;
         clock_gettime(CLOCK_MONOTONIC, &end);
         seconds[n] = (double)(end.tv_sec - begin.tv_sec) + 1e-9 * (double)(end.tv_nsec - begin.tv_nsec);
     }
@@ -83,7 +88,8 @@ long time_calls(int which, long calls, long count, const spm_state *states, cons
 def _library(geometry: Geometry) -> ctypes.CDLL:
     place = folder() / "exported"
     write_c(geometry, place)
-    (place / "loop.c").write_text(_LOOP, encoding="utf-8")
+    loop = _LOOP.replace("@ARGUMENTS@", _ARGUMENTS).replace("@CASES@", _CASES)
+    (place / "loop.c").write_text(loop, encoding="utf-8")
     return ctypes.CDLL(str(shared_object(place / "loop.c", ("-std=c99", "-O2"))))
 
 
@@ -103,12 +109,13 @@ def answered(problem: tuple[Geometry, RigidTransform]) -> Prepared:
 def call_times(states: Configuration, change: float, calls: int) -> tuple[FloatArray, list[int]]:
     """Return the time of every call [s], (`CALLS`, calls), on the states in turns, and how many calls found nothing.
 
-    A seed's leg lengths are changed by up to `change` [m].
+    From a state to begin with, legs and position are changed by up to `change` [m].
     """
     loaded = _library(states.geometry)
-    parts = states.rotation, states.translation, states.middle_joints, states.leg_lengths
+    parts = states.rotation, states.translation, states.middle_joints, states.readings
     rows = np.concatenate([part.reshape(len(part), -1) for part in parts], axis=-1)
-    moved = states.leg_lengths + np.random.default_rng(0).uniform(-change, change, states.leg_lengths.shape)
+    at = np.concatenate([states.readings, states.translation], axis=-1)
+    moved = at + np.random.default_rng(0).uniform(-change, change, at.shape)
     seconds, failed = np.empty((len(CALLS), calls)), []
     for which, times in enumerate(seconds):
         count = ctypes.c_long(calls), ctypes.c_long(len(rows))

@@ -32,9 +32,9 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
         return section
     section.add(
         f"`spm-pin export c`, `cc -std=c99 -O2`, {count(calls)} calls of each function on states of leg lengths drawn "
-        f"uniformly from the limits, each between two readings of the clock; a seed is up to {1e3 * _CHANGE:g} mm a "
-        "leg away. The worst calls are those that the system interrupted, as the row of the clock shows; the slowest "
-        "state is the one whose calls have the largest median."
+        "uniformly from the limits, each between two readings of the clock; a state `near` is up to "
+        f"{1e3 * _CHANGE:g} mm a leg, or in each direction, away. The worst calls are those that the system "
+        "interrupted, as the row of the clock shows; the slowest state is the one whose calls have the largest median."
     )
     rows = []
     for name, seconds_of_calls, none in zip(CALLS, times, failed, strict=True):

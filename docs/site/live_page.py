@@ -28,7 +28,7 @@ SITE = Path(__file__).parent
 GEOMETRY = spm.Geometry.paper()
 FLAGS = "--target=wasm32 -std=c99 -O2 -ffp-contract=off -fno-math-errno -ffreestanding -nostdlib -mbulk-memory"
 LINKED = "--no-entry --allow-undefined --strip-all --initial-memory=131072 --export=__heap_base"
-EXPORTED = ("spm_machine", "spm_inverse", "spm_inverse_physical", "spm_forward_physical")
+EXPORTED = ("spm_machine", "spm_all_branches", "spm_inverse", "spm_forward")
 VERTEX = np.dtype([("position", "<i2", 3), ("normal", "i1", 3), ("region", "u1")])
 
 

@@ -100,16 +100,16 @@ def gauge_directions(geometry: Geometry, positions_only: bool) -> FloatArray:
 
     Six move the frame {n} and with it the coordinates of all balls; the other three turn the frame {m} about o.
     """
-    found = np.zeros((6, 9, 9 if positions_only else 6))
+    directions = np.zeros((6, 9, 9 if positions_only else 6))
     first = np.linalg.pinv(geometry.axis_derivatives)
     for k in range(3):
         axis = np.eye(3)[k]
-        found[:, 5 + k, k] = 1.0
-        found[:, 5:8, 3 + k] = np.cross(axis, geometry.legs.balls)
+        directions[:, 5 + k, k] = 1.0
+        directions[:, 5:8, 3 + k] = np.cross(axis, geometry.legs.balls)
         if positions_only:
-            found[3:, 2:5, 6 + k] = np.cross(axis, geometry.legs.pivots[3:])
-            found[3:, :2, 6 + k] = (first[3:] @ np.cross(axis, geometry.legs.axes[3:])[..., None])[..., 0]
-    return found.reshape(54, -1)
+            directions[3:, 2:5, 6 + k] = np.cross(axis, geometry.legs.pivots[3:])
+            directions[3:, :2, 6 + k] = (first[3:] @ np.cross(axis, geometry.legs.axes[3:])[..., None])[..., 0]
+    return directions.reshape(54, -1)
 
 
 def parameter_scale(geometry: Geometry) -> FloatArray:

@@ -184,9 +184,9 @@ def identify(
     used = ~fit.outliers if fit.outliers.sum() * components + len(first) <= count * components else fit.outliers
     _, values, right = np.linalg.svd(np.concatenate(jacobian(fit.unknown)[used]), full_matrices=False)
     spread = scaled @ (right.T / values)
-    found = machine(fit.unknown)
+    fitted = machine(fit.unknown)
     return Calibration(
-        fitted=found,
+        fitted=fitted,
         status=fit.status,
         reason=fit.reason,
         chi_square=fit.chi_square,
@@ -195,7 +195,7 @@ def identify(
         deviations=1.0 / values,
         unidentifiable=invisible,
         before=data.errors(start),
-        residuals=data.errors(found),
+        residuals=data.errors(fitted),
         misfit=np.sqrt((whitened(fit.unknown) ** 2).mean(axis=-1)),
         outliers=fit.outliers,
     )

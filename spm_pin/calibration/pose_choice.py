@@ -80,14 +80,14 @@ def random_states(geometry: Geometry, count: int, rng: object) -> Configuration:
     if geometry.limits is None or not np.isfinite(geometry.limits.maximum).all():
         cause = "Give the limits to the Geometry, or the states to choose from"
         raise ArgumentError("geometry", "a machine with leg limits to draw states from", "none", cause)
-    random, found, wanted = generator(rng), [], count
+    random, readings, wanted = generator(rng), [], count
     for _ in range(100):
         low, high = np.array(geometry.limits.minimum), np.array(geometry.limits.maximum)
         states = forward_physical(geometry, random.uniform(low, high, (2 * wanted, 6)))
-        found.append(states.readings[states.exists][:wanted])
-        wanted -= len(found[-1])
+        readings.append(states.readings[states.exists][:wanted])
+        wanted -= len(readings[-1])
         if not wanted:
-            return forward_physical(geometry, np.concatenate(found))
+            return forward_physical(geometry, np.concatenate(readings))
     raise ArgumentError("geometry", "leg limits within which the machine has states", repr(geometry.limits))
 
 

@@ -152,12 +152,13 @@ def tolerance(
 def _deviations(tolerances: Mapping[str, float] | npt.ArrayLike) -> FloatArray:
     """Return the standard deviations (54,) of the parameters."""
     if isinstance(tolerances, Mapping):
-        found = np.zeros(54)
+        deviations = np.zeros(54)
         for name, value in tolerances.items():
             expected = "a standard deviation in metres or radians, not negative"
-            found[selected([name], "tolerances")] = real_number(value, f"tolerances[{name!r}]", expected, least=0.0)
-        return found
-    found = real_array(tolerances, "tolerances", (54,), "standard deviations of the parameters")
-    if found.shape != (54,) or (found < 0.0).any():
+            deviation = real_number(value, f"tolerances[{name!r}]", expected, least=0.0)
+            deviations[selected([name], "tolerances")] = deviation
+        return deviations
+    deviations = real_array(tolerances, "tolerances", (54,), "standard deviations of the parameters")
+    if deviations.shape != (54,) or (deviations < 0.0).any():
         raise ArgumentError("tolerances", "54 standard deviations, or a mapping of names to them", "others")
-    return found
+    return deviations

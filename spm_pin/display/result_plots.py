@@ -31,7 +31,7 @@ _TILTS = (30, 60, 90, 120)
 
 def agreement_figure(report: Report) -> Figure:
     """Draw the largest difference of every pair of methods as a share of its tolerance, on a logarithmic axis."""
-    pairs = report.differences
+    pairs = check_instance(report, Report, "report", "compare_methods returns one").differences
     figure = new_figure(8.0, 1.6 + 0.24 * len(pairs), layout="constrained")
     ax = figure.add_subplot()
     rows = range(len(pairs))
@@ -122,7 +122,7 @@ def _draw_boxes(ax: Axes, boxes: np.ndarray, colour: str, label: str) -> None:
 
 def motion_figure(
     motion: JointTrajectory,
-    leg_lengths: FloatArray,
+    readings: FloatArray,
     limits: LegLimits | None = None,
     largest: dict[str, Any] | None = None,
 ) -> Figure:
@@ -132,7 +132,7 @@ def motion_figure(
     ----------
     motion : JointTrajectory
         Times, rates, accelerations and forces.
-    leg_lengths : ndarray, shape (n, 6)
+    readings : ndarray, shape (n, 6)
         At its times [m], of `ClosedChain.readings`.
     limits : LegLimits, optional
         Drawn as lines.
@@ -148,7 +148,7 @@ def motion_figure(
     slides = [next(k for k, name in enumerate(motion.joint_names) if name.endswith(slide)) for slide in SLIDES]
     figure = new_figure(8.0, 8.4, layout="constrained")
     rows = (
-        ("length [m]", leg_lengths, None),
+        ("reading [m]", readings, None),
         ("rate [m/s]", motion.velocities[:, slides], "leg_rates"),
         ("acceleration [m/s²]", motion.accelerations[:, slides], "leg_accelerations"),
         ("force [N]", motion.efforts[:, slides], "leg_forces"),

@@ -6,6 +6,11 @@ distances of the joints are three quadratic equations f + J t + q(t) = 0 in thei
 the computed ones. By the theorem of Newton and Kantorovich they have a solution with |t| <= 2η, and no other one with
 |t| <= 1/(8β), if 16 β η <= 1, where η bounds |J⁻¹ f| and β bounds |J⁻¹|: |q(t)| <= 4 |t|² for lines in unit steps.
 All bounds are computed with outward rounding. See `docs/theory/proofs.md`.
+
+In a machine as built the coordinates x of the lower legs' three balls are unknown, and the equations, of degree two,
+are their three distances and the six leg planes, the upper legs' balls being combinations of the lower ones. With A an
+approximate inverse of the Jacobian J, the map δ -> δ - A F(x + δ) contracts a cube into itself if the bounds of |A F|,
+of |1 - A J| and of the quadratic part allow it, and has then one fixed point there, the only solution.
 """
 
 from __future__ import annotations
@@ -40,8 +45,9 @@ def certify_branches(branches: SolutionSet) -> SolutionSet:
     from spm_pin.kinematics.kernels.branch_kernels import VERTICAL
 
     assert branches.memory is not None
+    if branches.degeneracy is None:  # of a machine as built, which has no families
+        return replace(branches, radius=_radii_of_six_legs(branches))
     rotation, position, joints, _, _, _, status, flagged = branches.memory
-    assert branches.degeneracy is not None
     certain, shape, geometry = np.asarray(branches.certain).reshape(-1, 4), branches.shape, branches.geometry
     vertical = (flagged & VERTICAL) > 0
     undecided = ~certain & ~branches.degeneracy.families.reshape(-1, 4) & ~vertical[:, None]
@@ -189,3 +195,121 @@ def _least(x: Any) -> Any:
 
 
 _EXTREMES = ((np.maximum.reduce, _most), (np.minimum.reduce, _least))
+
+
+Vector = list[Interval]
+
+
+def _radii_of_six_legs(branches: SolutionSet) -> FloatArray:
+    """Return what `_existence_radii` does of any machine, shape (..., 8): numbers of pose and legs taken as exact."""
+    states, legs = branches.configurations, branches.geometry.legs
+    shape, unit = states.shape, branches.geometry.middle_side
+    joints = states.middle_joints.reshape(-1, 3, 3)
+    exists = ~np.isnan(joints[:, 0, 0])
+    radius = np.full(len(joints), np.nan)
+    if not exists.any():
+        return radius.reshape(shape)
+    b = [_point(joints[exists, i]) for i in range(3)]
+    rows = [_point(states.rotation.reshape(-1, 3, 3)[exists, i]) for i in range(3)]
+    o = _point(states.translation.reshape(-1, 3)[exists])
+    p, q = _minus(b[1], b[0]), _minus(b[2], b[0])
+    n, weights = _cross(p, q), _ball_weights(legs.balls)
+    errors: Vector = []
+    slopes = [[Interval.of(np.zeros(len(o[0].low))) for _ in range(9)] for _ in range(9)]
+    quadratic = np.zeros((len(o[0].low), 9))
+
+    def add(equation: int, ball: int, direction: Vector) -> None:
+        for k in range(3):
+            slopes[equation][3 * ball + k] = slopes[equation][3 * ball + k] + direction[k]
+
+    for i in range(6):
+        axis, pivot = _point(legs.axes[i]), _point(legs.pivots[i])
+        ball, corner = b[i % 3], i % 3
+        if i >= 3:
+            axis, pivot = [_dot(row, axis) for row in rows], _plus([_dot(row, pivot) for row in rows], o)
+            u, v, w = weights[corner]
+            ball = _plus(ball, _plus(_plus(_scaled(u, p), _scaled(v, q)), _scaled(w, n)))
+            along_p = _plus(_scaled(u, axis), _scaled(w, _cross(q, axis)))
+            along_q = _plus(_scaled(v, axis), _scaled(w, _cross(axis, p)))
+            for other, direction in ((1, along_p), (2, along_q)):
+                add(i, other, direction)
+                add(i, 0, [-x for x in direction])
+            # |δp| and |δq| are at most √12 in units of the cube's half edge, and the axis is a unit vector to 1e-6.
+            quadratic[:, i] = 12.1 * _most(w)
+        add(i, corner, axis)
+        errors.append(_dot(axis, _minus(ball, pivot)))
+    for k, (i, j) in enumerate(((0, 1), (1, 2), (2, 0))):
+        edge, drawn = _minus(b[i], b[j]), _minus(_point(legs.balls[i]), _point(legs.balls[j]))
+        errors.append((_dot(edge, edge) - _dot(drawn, drawn)) * (1.0 / unit))
+        twice = [2.0 / unit * x for x in edge]
+        add(6 + k, i, twice)
+        add(6 + k, j, [-x for x in twice])
+        quadratic[:, 6 + k] = 12.1 / unit
+    with np.errstate(all="ignore"):
+        radius[exists] = _contraction_radii(errors, slopes, quadratic)
+    return radius.reshape(shape)
+
+
+def _contraction_radii(errors: Vector, slopes: list[Vector], quadratic: FloatArray) -> FloatArray:
+    """Return radii around points at which nine equations have these errors, slopes and bounds of their second order."""
+    count = len(quadratic)
+    low, high = (
+        np.stack([np.broadcast_to(end(x), count) for row in slopes for x in row], axis=-1).reshape(count, 9, 9)
+        for end in (lambda x: x.low, lambda x: x.high)
+    )
+    middle = 0.5 * (low + high)
+    regular = np.isfinite(middle).all(axis=(-1, -2)) & (np.linalg.matrix_rank(np.nan_to_num(middle)) == 9)
+    inverse = np.linalg.inv(np.where(regular[:, None, None], middle, np.eye(9)))
+    size, spread = np.abs(inverse), np.maximum(high - middle, middle - low) * _SAFE
+    # A sum of nine products is off by less than 10 eps of the sum of their magnitudes.
+    rounding = 1e-14
+    lengths = np.stack([_most(x) for x in errors], axis=-1)
+    value = np.stack([0.5 * (x.low + x.high) for x in errors], axis=-1)
+    width = np.stack([np.maximum(x.high - x.low, 0.0) for x in errors], axis=-1)
+    shift = np.abs((inverse @ value[..., None])[..., 0]) + (size @ (rounding * lengths + width)[..., None])[..., 0]
+    eta = shift.max(axis=-1) * _SAFE
+    defect = np.abs(np.eye(9) - inverse @ middle) + size @ (rounding * np.abs(middle) + spread)
+    kappa = defect.sum(axis=-1).max(axis=-1) * _SAFE
+    beta = (size @ quadratic[..., None])[..., 0].max(axis=-1) * _SAFE
+    half_edge = 2.0 * eta / (1.0 - kappa) * _SAFE
+    radius = np.sqrt(3.0) * half_edge * _SAFE
+    # Into itself the cube is mapped if 4 β η <= (1 - κ)²; unique is the solution in the cube around the radius too.
+    proved = regular & (kappa < 0.5) & (kappa + 2.0 * beta * radius < 0.99)
+    return np.where(proved, radius, np.nan)
+
+
+def _ball_weights(balls: FloatArray) -> list[tuple[Interval, Interval, Interval]]:
+    """Return enclosures of `upper_ball_weights`."""
+    corners = [_point(ball) for ball in balls]
+    p, q = _minus(corners[1], corners[0]), _minus(corners[2], corners[0])
+    n = _cross(p, q)
+    square, weights = _dot(n, n), []
+    for i in range(3):
+        apart = _minus(corners[3 + i], corners[i])
+        parts = _dot(_cross(apart, q), n), _dot(_cross(p, apart), n), _dot(apart, n)
+        weights.append((parts[0] / square, parts[1] / square, parts[2] / square))
+    return weights
+
+
+def _point(array: FloatArray) -> Vector:
+    return [Interval.of(array[..., k]) for k in range(3)]
+
+
+def _plus(a: Vector, b: Vector) -> Vector:
+    return [x + y for x, y in zip(a, b, strict=True)]
+
+
+def _minus(a: Vector, b: Vector) -> Vector:
+    return [x - y for x, y in zip(a, b, strict=True)]
+
+
+def _scaled(factor: Interval, a: Vector) -> Vector:
+    return [factor * x for x in a]
+
+
+def _dot(a: Vector, b: Vector) -> Interval:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]

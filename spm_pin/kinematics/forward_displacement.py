@@ -32,8 +32,7 @@ from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_frames import home_lengths
 from spm_pin.mechanism.leg_limits import LEGS
-from spm_pin.mechanism.solution_status import Degeneracy, Status
-from spm_pin.mechanism.solutions import SolutionSet
+from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
 from spm_pin.mechanism.units import unit_hint
 
 STAGE_MODES = tuple(f"{mode}{place + 1}{sheet}" for mode in "TF" for place in range(4) for sheet in "+-")
@@ -353,8 +352,10 @@ def _composed(geometry: Geometry, balls: FloatArray) -> tuple[FloatArray, ...]:
 
 def _solve_drawn(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, ...]:
     """Return R, o and the b_i (N, ...) of the physical state of a drawn machine with leg lengths (N, 6)."""
+    from spm_pin.kinematics.kernels.mode_kernels import home_modes
+
     results = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64)
-    return run_kernel(_solve_physical, (lengths,), radii(geometry), results, _MIN_BATCH_PER_THREAD_PHYSICAL)
+    return run_kernel(home_modes, (lengths,), radii(geometry), results, _MIN_BATCH_PER_THREAD_PHYSICAL)
 
 
 def _solve_ill_conditioned(geometry: Geometry, lengths: FloatArray, solved: tuple[Any, ...]) -> None:
@@ -391,20 +392,3 @@ def _is_ill_conditioned(lengths: FloatArray, epsilon: float) -> BoolArray:
     equal = np.ptp(squares, axis=-1) <= _NEAR * scale
     near_half = equal & (abs(2.0 * epsilon - 1.0) <= _NEAR)
     return np.asarray(near | near_half | (lengths.min(axis=-1) < _SHORT))
-
-
-def _solve_physical(
-    lengths: FloatArray, r: float, base_radius: float, platform_radius: float, *state: FloatArray
-) -> None:
-    """Write R, o and the b_i of the modes in the home's aspect; all modes are solved where Newton's method fails."""
-    from spm_pin.kinematics.kernels.mode_kernels import home_modes, home_modes_of_all
-
-    sizes, (rotation, translation, joints) = (r, base_radius, platform_radius), state
-    found = np.empty(len(lengths), dtype=np.bool_)
-    home_modes(lengths, *sizes, rotation, translation, joints, found)
-    if not found.all():
-        rest = np.flatnonzero(~found)
-        solved = [np.empty((len(rest), *array.shape[1:])) for array in state]
-        home_modes_of_all(lengths[rest], *sizes, *solved)
-        for array, part in zip(state, solved, strict=True):
-            array[rest] = part

@@ -45,8 +45,7 @@ from spm_pin.mechanism.branches import BRANCHES
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import PoseLike
-from spm_pin.mechanism.solution_status import Degeneracy, Status
-from spm_pin.mechanism.solutions import SolutionSet
+from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
 
 ROUNDING_BOUND = 2.0**-39
 """Bound of the rounding error of a discriminant over r², divided by (1 + (|x| + |y|)/r)²: `docs/theory/proofs.md`."""

@@ -150,8 +150,6 @@ def follow(
 
     Raises
     ------
-    ArgumentError
-        If the path is neither, has fewer than two points, or no solution like `start` exists at its beginning.
     PoseError
         If it contains what is no pose.
     """

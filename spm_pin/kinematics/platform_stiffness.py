@@ -60,8 +60,6 @@ def compliance(configuration: Configuration, legs: npt.ArrayLike, structure: npt
 
     Raises
     ------
-    ArgumentError
-        If a stiffness is not a positive number.
     SingularConfigurationError
         At a forward or a constraint singularity, where the legs do not hold the platform.
     """
@@ -91,8 +89,6 @@ def stiffness(configuration: Configuration, legs: npt.ArrayLike, structure: npt.
 
     Raises
     ------
-    ArgumentError
-        If a stiffness is not a positive number.
     SingularConfigurationError
         At a forward or a constraint singularity; with a rigid structure at an inverse one as well, where the legs'
         lengths do not show some motion of the platform: its stiffness is infinite there, `compliance` is not.

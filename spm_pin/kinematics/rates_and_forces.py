@@ -137,8 +137,6 @@ def leg_rates(configuration: Configuration, twist: npt.ArrayLike) -> FloatArray:
 
     Raises
     ------
-    ArgumentError
-        If `twist` has another shape or is not finite.
     SingularConfigurationError
         As for `inverse_jacobian`.
     """
@@ -173,8 +171,6 @@ def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArra
 
     Raises
     ------
-    ArgumentError
-        If `wrench` has another shape or is not finite.
     SingularConfigurationError
         At a forward or a constraint singularity, where the legs cannot hold every wrench; see
         `spm_pin.kinematics.rates_and_forces.SINGULAR`.

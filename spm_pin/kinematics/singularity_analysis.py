@@ -119,8 +119,6 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
 
     Raises
     ------
-    ArgumentError
-        If `tolerance` is not between 0 and 1.
     SingularConfigurationError
         Where a leg has no length, hence no direction.
 

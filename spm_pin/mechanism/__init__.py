@@ -6,8 +6,7 @@ from spm_pin.mechanism.geometry import PARAMETERS, Geometry, Legs
 from spm_pin.mechanism.joint_angles import JointAngles, joint_angles
 from spm_pin.mechanism.leg_limits import LEGS, LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose
-from spm_pin.mechanism.solution_status import Degeneracy, Status
-from spm_pin.mechanism.solutions import SolutionSet
+from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
 
 __all__ = [
     "BRANCHES",

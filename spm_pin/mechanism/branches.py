@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.solution_status import Status
 
 FAMILIES = ("TT", "TF", "FT", "FF")
 """The four families of branches: the mode, T or F, of the lower stage and of the upper."""
@@ -152,29 +151,3 @@ def in_home_aspect(points: FloatArray, directions: FloatArray) -> BoolArray:
     """
     cycles = _cycles(points, directions)
     return np.asarray((cycles.prod(axis=-1).sum(axis=-1) > 0.0) & ((cycles < 0.0).sum(axis=(-1, -2)) <= 1))
-
-
-def in_canonical_order(
-    geometry: Geometry, pose: RigidTransform, joints: FloatArray, solved: BoolArray
-) -> tuple[Configuration, npt.NDArray[np.int8]]:
-    """Return branches (..., 8) in the order of `BRANCHES` and the status (...), see `SolutionSet.from_unordered`."""
-    matrix = pose.as_matrix()[..., None, :, :]
-    found = Configuration(geometry, matrix, joints)
-    families, signs = family(found), branch_sign(found)
-    ordered = np.full((*found.shape[:-1], len(BRANCHES), 3, 3), np.nan)
-    counts = np.stack([(families == index).sum(axis=-1) for index in range(len(FAMILIES))], axis=-1)
-    good = solved & (counts <= 2).all(axis=-1)
-    for index in range(len(FAMILIES)):
-        member = families == index
-        count = np.where(good, counts[..., index], 0)
-        top = np.where(member, signs, -np.inf).argmax(axis=-1)[..., None]
-        bottom = np.where(member, signs, np.inf).argmin(axis=-1)[..., None]
-        # Two members are distinguished by their order, which is right also where rounding hides a sign.
-        plus = (count == 2) | ((count == 1) & (np.take_along_axis(signs, top, -1)[..., 0] >= 0.0))
-        minus = (count == 2) | ((count == 1) & ~plus)
-        for place, chosen, present in ((2 * index, top, plus), (2 * index + 1, bottom, minus)):
-            joint = np.take_along_axis(found.middle_joints, chosen[..., None, None], -3)[..., 0, :, :]
-            ordered[..., place, :, :] = np.where(present[..., None, None], joint, np.nan)
-    branches = Configuration(geometry, matrix, ordered)
-    reached = np.where(branches.exists.any(axis=-1), Status.OK, Status.UNREACHABLE)
-    return branches, np.where(good, reached, Status.UNSOLVED)

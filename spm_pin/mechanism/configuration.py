@@ -59,10 +59,10 @@ class Configuration:
         joints = real_array(
             middle_joints, "middle_joints", (3, 3), "rows b_1, b_2, b_3 in {B} in metres", allow_nan=True
         )
-        torn = np.isnan(joints).any(axis=(-1, -2)) & ~np.isnan(joints).all(axis=(-1, -2))
-        if torn.any():
+        incomplete = np.isnan(joints).any(axis=(-1, -2)) & ~np.isnan(joints).all(axis=(-1, -2))
+        if incomplete.any():
             expected = "all nine coordinates finite, or all NaN for a member that does not exist"
-            raise ArgumentError("middle_joints", expected, f"some NaN at index {first_offender(torn)}")
+            raise ArgumentError("middle_joints", expected, f"some NaN at index {first_offender(incomplete)}")
         matrix = transform.as_matrix()
         shape = broadcastable("middle_joints", joints.shape[:-2], "the pose", transform.shape)
         self._set(

@@ -117,19 +117,18 @@ def joint_angles(configuration: Configuration, corners: tuple[int, ...] = (0, 1,
 
 
 Constants = tuple[tuple[LegFrame, ...], tuple[float, ...], list[list[float]]]
-Pair = tuple[Any, Any]
+Angle = tuple[Any, Any]
+"""Multiples of the sine and the cosine of an angle, by one positive factor."""
 
 
 @functools.lru_cache(maxsize=16)
 def _constants(geometry: Geometry) -> Constants:
     """Return the constants of the six legs, and of the middle platform.
 
-    These are its sides b_1 b_2, b_2 b_3 and b_3 b_1 and, where the upper legs' balls differ, `upper_ball_weights`.
+    These are its sides b_1 b_2, b_2 b_3 and b_3 b_1, and `upper_ball_weights`.
     """
-    if not geometry.is_nominal:
-        sides = triangle_sides(geometry.legs.balls[:3])
-        return leg_frames(geometry), tuple(sides.tolist()), upper_ball_weights(geometry.legs.balls).tolist()
-    return leg_frames(geometry), (float(geometry.middle_side),) * 3, []
+    balls = geometry.legs.balls
+    return leg_frames(geometry), tuple(triangle_sides(balls[:3]).tolist()), upper_ball_weights(balls).tolist()
 
 
 def _single(state: list[FloatArray], constants: Constants, corners: tuple[int, ...]) -> JointAngles:
@@ -143,7 +142,7 @@ def _single(state: list[FloatArray], constants: Constants, corners: tuple[int, .
 
 def _values(
     state: Sequence[Sequence[Any]], constants: Constants, corners: tuple[int, ...], sqrt: Callable[[Any], Any]
-) -> tuple[list[Pair], list[Any], list[Any]]:
+) -> tuple[list[Angle], list[Any], list[Any]]:
     """Return joint angles as multiples of (sine, cosine), slides, and closure errors: of numbers, or of arrays (n,).
 
     The angles are the six hips', then the balls' x, y and z. `state` has the components of R, o and the rows b_i;
@@ -155,7 +154,7 @@ def _values(
     edges = _minus(rows[0], rows[1]), _minus(rows[1], rows[2]), _minus(rows[2], rows[0])
     upper = _upper_balls(rows, edges, weights) if weights else rows
     balls = [*rows, *[_turned_back(r, _minus(p, o)) for p in upper]]
-    hips: list[Pair] = []
+    hips: list[Angle] = []
     lengths, slides, errors = [], [], []
     for ball, leg in zip(balls, legs, strict=True):
         along, across, up = leg.place(ball)
@@ -198,14 +197,16 @@ def _scaled(v: Sequence[Any], divisor: Any) -> Vector:
 
 def _upper_balls(
     rows: Sequence[Sequence[Any]], edges: Sequence[Sequence[Any]], weights: list[list[float]]
-) -> list[list[Any]]:
-    """Return the upper legs' balls, from the b_i and the edges b_2 b_1, b_3 b_2, b_1 b_3."""
+) -> list[Sequence[Any]]:
+    """Return the upper legs' balls, from the lower ones and their edges b_2 b_1, b_3 b_2, b_1 b_3."""
+    if not any(map(any, weights)):
+        return list(rows)
     # b_2 - b_1 negated, and b_3 - b_1.
     p, q = edges[0], edges[2]
     across = p[2] * q[1] - p[1] * q[2], p[0] * q[2] - p[2] * q[0], p[1] * q[0] - p[0] * q[1]
     return [
-        [corner[k] - u * p[k] + v * q[k] + w * across[k] for k in range(3)]
-        for corner, (u, v, w) in zip(rows, weights, strict=True)
+        [row[k] - u * p[k] + v * q[k] + w * across[k] for k in range(3)]
+        for row, (u, v, w) in zip(rows, weights, strict=True)
     ]
 
 
@@ -215,15 +216,15 @@ def _turned_back(r: Sequence[Any], v: Sequence[Any]) -> Vector:
     return r[0] * a + r[3] * b + r[6] * c, r[1] * a + r[4] * b + r[7] * c, r[2] * a + r[5] * b + r[8] * c
 
 
-def _direction(sine: Any, cosine: Any, length: Any) -> Pair:
+def _direction(sine: Any, cosine: Any, length: Any) -> Angle:
     """Return sine and cosine over their length, (0, 1) where that is zero."""
     zero = length == 0.0
     return sine / (length + zero), (cosine + zero) / (length + zero)
 
 
 def _ball_angles(
-    rod: Pair, leg: LegFrame, axes: Sequence[Sequence[Any]], sign: float, sqrt: Callable[[Any], Any]
-) -> tuple[Pair, Pair, Pair]:
+    rod: Angle, leg: LegFrame, axes: Sequence[Sequence[Any]], sign: float, sqrt: Callable[[Any], Any]
+) -> tuple[Angle, Angle, Angle]:
     """Return the angles of the rotation Rx Ry Rz from the rod to the middle platform, times `sign`.
 
     `axes` are those of the lower balls' triangle, seen from the platform that the leg stands on; `rod` has sine and

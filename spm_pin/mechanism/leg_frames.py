@@ -71,30 +71,29 @@ def leg_placements(geometry: Geometry) -> FloatArray:
 
 def ball_placements(geometry: Geometry) -> FloatArray:
     """Return the frames (6, 4, 4) at the balls in {n}."""
-    return homogeneous(_corner_turns(geometry), geometry.legs.balls)
+    return homogeneous(_corner_turns(), geometry.legs.balls)
 
 
 @dataclass(frozen=True)
-class _Home:
-    """Cosine and sine of a leg's direction at home, and its length there [m]."""
+class LegFrame:
+    """Constants of a leg."""
 
     lean_cos: float
+    """Cosine and sine of the leg's direction at home."""
     lean_sin: float
     length: float
-
-
-@dataclass(frozen=True)
-class _LevelLegFrame(_Home):
-    """A leg of the nominal machine, its revolute axis (cos, sin, 0)."""
-
-    cos: float
-    sin: float
-    hip: float  # where it is along the second axis of its frame
+    """Length at home [m]."""
+    rows: tuple[tuple[float, ...], ...]
+    """Axes of the frame, in {B} or {m}."""
+    shifts: tuple[float, ...]
+    """The pivot, in these axes [m]."""
+    columns: tuple[tuple[float, ...], ...]
+    """Axes of the frame at the ball, in those of the lower balls' triangle."""
 
     def place(self, p: Sequence[Any]) -> Vector:
         """Return the coordinates of a point of {B} or {m} in the leg's frame."""
-        c, s = self.cos, self.sin
-        return c * p[0] + s * p[1], c * p[1] - s * p[0] - self.hip, p[2]
+        (x, y, z), (a, b, c) = self.rows, self.shifts
+        return dot(x, p) - a, dot(y, p) - b, dot(z, p) - c
 
     def corner(self, x: Sequence[Any], y: Sequence[Any], z: Sequence[Any]) -> tuple[Any, Vector, Vector]:
         """Return the axes of the frame at the leg's ball, seen from the leg's frame.
@@ -102,61 +101,28 @@ class _LevelLegFrame(_Home):
         Of the last one the component along the revolute axis; the second components and the third ones of all three. x,
         y and z are the axes of the lower balls' triangle, see `triangle_frames`, in {B} or {m}.
         """
-        c, s = self.cos, self.sin
-        first = c * x[0] + s * y[0], c * x[1] + s * y[1], c * x[2] + s * y[2]
-        second = c * y[0] - s * x[0], c * y[1] - s * x[1], c * y[2] - s * x[2]
-        across = c * first[1] - s * first[0], c * second[1] - s * second[0], c * z[1] - s * z[0]
-        return c * z[0] + s * z[1], across, (first[2], second[2], z[2])
-
-
-@dataclass(frozen=True)
-class _TiltedLegFrame(_Home):
-    """A leg as built: `rows` and `shifts` take a point into its frame.
-
-    `columns` are the axes of the frame at the ball in those of the lower balls' triangle.
-    """
-
-    rows: tuple[tuple[float, ...], ...]
-    shifts: tuple[float, ...]
-    columns: tuple[tuple[float, ...], ...]
-
-    def place(self, p: Sequence[Any]) -> Vector:
-        along, across, up = (dot(row, p) - shift for row, shift in zip(self.rows, self.shifts, strict=True))
-        return along, across, up
-
-    def corner(self, x: Sequence[Any], y: Sequence[Any], z: Sequence[Any]) -> tuple[Any, Vector, Vector]:
-        first, second, third = [[dot(column, v) for v in zip(x, y, z, strict=True)] for column in self.columns]
-        along, across, up = self.rows
+        p, q, r = self.columns
+        across, up = self.rows[1:]
+        along = weighted(r, x, y, z)
+        first, second = weighted(p, x, y, z), weighted(q, x, y, z)
         return (
-            dot(along, third),
-            (dot(across, first), dot(across, second), dot(across, third)),
-            (dot(up, first), dot(up, second), dot(up, third)),
+            dot(self.rows[0], along),
+            (dot(across, first), dot(across, second), dot(across, along)),
+            (dot(up, first), dot(up, second), dot(up, along)),
         )
-
-
-LegFrame = _LevelLegFrame | _TiltedLegFrame
-"""Constants of a leg."""
 
 
 def leg_frames(geometry: Geometry) -> tuple[LegFrame, ...]:
     """Return the constants of the six legs."""
-    nominal = geometry.nominal
     homes = [
         (math.cos(lean), math.sin(lean), float(length))
-        for lean, length in zip(home_leans(nominal), np.repeat(home_lengths(nominal), 3), strict=True)
+        for lean, length in zip(home_leans(geometry), np.repeat(home_lengths(geometry), 3), strict=True)
     ]
-    axes = nominal.revolute_axes.tolist() * 2
-    if geometry.is_nominal:
-        hips = np.concatenate([geometry.base_joints, geometry.platform_joints]).tolist()
-        return tuple(
-            _LevelLegFrame(*home, a[0], a[1], h[1] * a[0] - h[0] * a[1])
-            for home, a, h in zip(homes, axes, hips, strict=True)
-        )
     turns = np.swapaxes(leg_placements(geometry)[:, :3, :3], -1, -2)
     shifts = (turns @ geometry.legs.pivots[..., None])[..., 0]
-    columns = np.swapaxes(triangle_frames(geometry.legs.balls[:3]).T @ _corner_turns(geometry), -1, -2)
+    columns = np.swapaxes(triangle_frames(geometry.legs.balls[:3]).T @ _corner_turns(), -1, -2)
     return tuple(
-        _TiltedLegFrame(*home, _tuples(rows), tuple(shift), _tuples(corner))
+        LegFrame(*home, _tuples(rows), tuple(shift), _tuples(corner))
         for home, rows, shift, corner in zip(homes, turns, shifts.tolist(), columns, strict=True)
     )
 
@@ -165,7 +131,7 @@ def _tuples(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
     return tuple(map(tuple, matrix.tolist()))
 
 
-def _corner_turns(geometry: Geometry) -> FloatArray:
+def _corner_turns() -> FloatArray:
     """Return the axes of the frames at the balls in {n} as columns, shape (6, 3, 3)."""
     return np.stack(axis_directions(), axis=-1)
 
@@ -173,3 +139,9 @@ def _corner_turns(geometry: Geometry) -> FloatArray:
 def dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
     """Return the inner product of two vectors of numbers, or of arrays."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def weighted(weights: Sequence[float], x: Sequence[Any], y: Sequence[Any], z: Sequence[Any]) -> Vector:
+    """Return a combination of three vectors."""
+    a, b, c = weights
+    return a * x[0] + b * y[0] + c * z[0], a * x[1] + b * y[1] + c * z[1], a * x[2] + b * y[2] + c * z[2]

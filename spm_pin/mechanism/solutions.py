@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import enum
+import html
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, overload
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError, NotOneSolutionError, SelectionError
 from spm_pin.mechanism.arguments import (
@@ -21,16 +24,49 @@ from spm_pin.mechanism.arguments import (
     real_array,
     type_and_value,
 )
-from spm_pin.mechanism.branches import BRANCHES, in_canonical_order, physical, tilt_cosine_sum
+from spm_pin.mechanism.branches import BRANCHES, FAMILIES, branch_sign, family, physical, tilt_cosine_sum
 from spm_pin.mechanism.configuration import Configuration, batch_index, compared_points
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.leg_limits import LegLimits
+from spm_pin.mechanism.leg_limits import LEGS, LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
-from spm_pin.mechanism.solution_status import Degeneracy, Status
-from spm_pin.mechanism.solution_text import html_table, reason_for_none, short_text
+from spm_pin.mechanism.units import unit_hint
 
+_MOST_ROWS = 16
+"""Solutions that a table shows."""
 _PARALLEL = 1e-12
 """Sine of the tilt up to which the Z axes of {B} and {m} are taken for parallel in proofs."""
+
+
+class Status(enum.IntEnum):
+    """Outcome of one problem."""
+
+    OK = 0
+    """At least one real solution, and all solutions are isolated."""
+    UNREACHABLE = 1
+    """No real solution."""
+    DEGENERATE = 2
+    """Some solutions form a continuous family, of which none is picked; those of the other families are kept."""
+    UNSOLVED = 3
+    """The method failed: nothing is known about the problem."""
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+@dataclass(frozen=True)
+class Degeneracy:
+    """Description of the continuous families of solutions, where there are any."""
+
+    dimension: npt.NDArray[np.int8]
+    """Dimension of the family, shape (...); 0 where all solutions are isolated."""
+    families: BoolArray
+    """Which of TT, TF, FT, FF are continuous, shape (..., 4)."""
+    legs: BoolArray
+    """Legs whose lower and upper plane coincide, so that b_i is bound to no line, shape (..., 3)."""
+
+    def __getitem__(self, batch: tuple[Any, ...]) -> Degeneracy:
+        inner = (*batch, slice(None))
+        return Degeneracy(self.dimension[batch], self.families[inner], self.legs[inner])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -117,12 +153,6 @@ class SolutionSet:
         solved : array_like of bool, shape (...)
             False where the method failed. More than two solutions of one family, which no mechanism of this kind
             has, count as a failure too. There the status is `Status.UNSOLVED` and nothing exists.
-
-        Raises
-        ------
-        PoseError, ArgumentError
-            If an argument has the wrong kind or shape, or leading axes that do not fit, or the three ball joints
-            of a solution lie in a line.
         """
         check_instance(geometry, Geometry, "geometry")
         transform = as_rigid_transform(pose)
@@ -139,7 +169,7 @@ class SolutionSet:
             cause = f"They are the corners of the middle platform, {geometry.middle_side:g} m from each other."
             received = f"{joints[index].tolist()} at index {index}"
             raise ArgumentError("middle_joints", "three points that are not in a line", received, cause)
-        branches, status = in_canonical_order(geometry, transform, joints, good)
+        branches, status = _in_canonical_order(geometry, transform, joints, good)
         return cls(branches, BRANCHES, status)
 
     @property
@@ -243,10 +273,10 @@ class SolutionSet:
         return (self.configurations[int(i)] for i in np.flatnonzero(self.exists))
 
     def __repr__(self) -> str:
-        return short_text(self)
+        return _short_text(self)
 
     def _repr_html_(self) -> str:
-        return html_table(self)
+        return _html_table(self)
 
     def pick(self, index: IntArray, exists: BoolArray) -> Configuration:
         """Return the solution of each problem at `index` (...); NaN, the pose too, where `exists` (...) is False.
@@ -255,27 +285,21 @@ class SolutionSet:
         """
         everywhere = bool(exists.all())
         # For a single problem a slice, so that nothing shares memory with the others.
-        at = (*np.indices(index.shape, sparse=True), index) if self.shape else (slice(index, index + 1),)
+        places = (*np.indices(index.shape, sparse=True), index) if self.shape else (slice(index, index + 1),)
 
         def take(array: FloatArray, inner: int) -> FloatArray:
-            taken = array[at].reshape(*self.shape, *array.shape[-inner:])
+            values = array[places].reshape(*self.shape, *array.shape[-inner:])
             if everywhere and self.shape:
-                return taken
-            return np.where(exists.reshape(*self.shape, *(1,) * inner), taken, np.nan)
+                return values
+            return np.where(exists.reshape(*self.shape, *(1,) * inner), values, np.nan)
 
         selected = self.configurations.transformed(take)
         if not self.shape and not exists:
-            selected.missing_reason = reason_for_none(self)
+            selected.missing_reason = _reason_for_none(self)
         return selected
 
     def where(self, mask: npt.ArrayLike) -> SolutionSet:
-        """Keep the solutions where the booleans `mask` (..., n) are true; the others become NaN.
-
-        Raises
-        ------
-        ArgumentError
-            If `mask` is not boolean or does not broadcast to the shape of `exists`.
-        """
+        """Keep the solutions where the booleans `mask` (..., n) are true; the others become NaN."""
         state, kept = self.configurations, boolean_array(mask, "mask", self.exists.shape)[..., None]
         joints = np.where(kept[..., None], state.middle_joints, np.nan)
         lengths = None if state.known_lengths is None else np.where(kept, state.known_lengths, np.nan)
@@ -290,11 +314,6 @@ class SolutionSet:
         ----------
         limits : LegLimits, optional
             The geometry's own if not given; without either, everything is kept.
-
-        Raises
-        ------
-        ArgumentError
-            If `limits` are of another kind.
         """
         limits = self.geometry.limits if limits is None else check_instance(limits, LegLimits, "limits")
         return self if limits is None else self.where(limits.contains(self.readings))
@@ -307,11 +326,6 @@ class SolutionSet:
         near : Configuration, or array_like of shape (..., 3, 3)
             The state to be near to, or only its middle joints [m]. The largest displacement of a joint is
             compared: of the b_i and, given a `Configuration`, of the c_i.
-
-        Raises
-        ------
-        ArgumentError
-            If `near` is neither, does not exist, or has leading axes that do not fit.
         """
         state = self.configurations
         if isinstance(near, Configuration):
@@ -381,5 +395,86 @@ class SolutionSet:
         if wrong.any():
             index = first_offender(wrong)
             labels = tuple(np.array(self.labels)[self.exists[index]])
-            raise NotOneSolutionError(labels, index, "" if labels else reason_for_none(self, index))
+            raise NotOneSolutionError(labels, index, "" if labels else _reason_for_none(self, index))
         return self.pick(self.exists.argmax(axis=-1), np.ones(self.shape, dtype=bool))
+
+
+def _short_text(solutions: SolutionSet) -> str:
+    """Return a line: the solutions that are real of a single problem, or the outcomes of a batch."""
+    if solutions.shape:
+        tally = ", ".join(f"{np.count_nonzero(solutions.status == s)} {s}" for s in Status)
+        return f"<SolutionSet: {solutions.shape} problems ({tally}), {len(solutions.labels)} solutions each>"
+    real = [label for label, real in zip(solutions.labels, solutions.exists, strict=True) if real]
+    shown = (", ".join(real[:8]) + ", …" * (len(real) > 8)) or "none"
+    hint = _hint(solutions, ()) if solutions.status is Status.UNREACHABLE else ""
+    return f"<SolutionSet: {solutions.status}, {solutions.count} of {len(solutions.labels)} real: {shown}{hint}>"
+
+
+def _html_table(solutions: SolutionSet) -> str:
+    """Return a small table: the solutions of a single problem, or the outcomes of a batch."""
+    if solutions.shape:
+        header = ["status", "problems", "solutions"]
+        at = [(status, solutions.status == status) for status in Status]
+        rows = [[str(s), f"{np.count_nonzero(m)}", f"{np.count_nonzero(solutions.exists[m])}"] for s, m in at]
+    else:
+        header = ["", *(f"{leg} [m]" for leg in LEGS), "physical"]
+        shown = np.flatnonzero(solutions.exists)[:_MOST_ROWS]
+        marks = np.where(solutions.is_physical, "✓", "")
+        lengths = solutions.leg_lengths
+        rows = [[solutions.labels[i], *(f"{r:.4f}" for r in lengths[i]), str(marks[i])] for i in shown]
+        if solutions.count > len(shown):
+            rows.append([f"… {solutions.count - len(shown)} more", *[""] * 7])
+    lines = [f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>" for row in rows]
+    top = "".join(f"<th>{html.escape(name)}</th>" for name in header)
+    title = html.escape(repr(solutions))
+    return f"<table><caption>{title}</caption><thead><tr>{top}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
+
+
+def _reason_for_none(solutions: SolutionSet, index: tuple[int, ...] = ()) -> str:
+    """Return the reason why no solution of a problem can be chosen."""
+    status, degeneracy = Status(int(np.asarray(solutions.status)[index])), solutions.degeneracy
+    if status is Status.DEGENERATE:
+        if solutions.labels == BRANCHES and degeneracy is not None and degeneracy.legs[index].all():
+            return (
+                "a level platform over the axis of the base is singular for the inverse, its solutions are a "
+                "continuous family. Give leg lengths to forward_physical instead; or tilt the pose, which makes "
+                "the solutions isolated, and choose with .nearest(near)"
+            )
+        return "the pose or the leg lengths are singular, the solutions are a continuous family; see .degeneracy"
+    if status is Status.OK:
+        return "none of the solutions is physical, or .within(limits) and .where(mask) excluded them"
+    if status is Status.UNREACHABLE:
+        return f"out of reach: no solution is real{_hint(solutions, index)}"
+    return "the method failed here"
+
+
+def _hint(solutions: SolutionSet, index: tuple[int, ...]) -> str:
+    """Return the likely unit of an unreachable problem's lengths, as a sentence after a stop; or an empty string."""
+    hint = solutions.configurations.missing_reason or unit_hint(solutions.geometry, solutions.translation[index][0])
+    return hint and f". {hint}"
+
+
+def _in_canonical_order(
+    geometry: Geometry, pose: RigidTransform, joints: FloatArray, solved: BoolArray
+) -> tuple[Configuration, npt.NDArray[np.int8]]:
+    """Return branches (..., 8) in the order of `BRANCHES` and the status (...), see `SolutionSet.from_unordered`."""
+    matrix = pose.as_matrix()[..., None, :, :]
+    found = Configuration(geometry, matrix, joints)
+    families, signs = family(found), branch_sign(found)
+    ordered = np.full((*found.shape[:-1], len(BRANCHES), 3, 3), np.nan)
+    counts = np.stack([(families == index).sum(axis=-1) for index in range(len(FAMILIES))], axis=-1)
+    good = solved & (counts <= 2).all(axis=-1)
+    for index in range(len(FAMILIES)):
+        member = families == index
+        count = np.where(good, counts[..., index], 0)
+        top = np.where(member, signs, -np.inf).argmax(axis=-1)[..., None]
+        bottom = np.where(member, signs, np.inf).argmin(axis=-1)[..., None]
+        # Two members are distinguished by their order, which is right also where rounding hides a sign.
+        plus = (count == 2) | ((count == 1) & (np.take_along_axis(signs, top, -1)[..., 0] >= 0.0))
+        minus = (count == 2) | ((count == 1) & ~plus)
+        for place, chosen, present in ((2 * index, top, plus), (2 * index + 1, bottom, minus)):
+            joint = np.take_along_axis(found.middle_joints, chosen[..., None, None], -3)[..., 0, :, :]
+            ordered[..., place, :, :] = np.where(present[..., None, None], joint, np.nan)
+    branches = Configuration(geometry, matrix, ordered)
+    reached = np.where(branches.exists.any(axis=-1), Status.OK, Status.UNREACHABLE)
+    return branches, np.where(good, reached, Status.UNSOLVED)

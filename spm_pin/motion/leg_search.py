@@ -37,11 +37,11 @@ class _Tree:
 
     def way(self, node: int) -> list[FloatArray]:
         """Return the points from the root to a node."""
-        found = []
+        points = []
         while node >= 0:
-            found.append(self.points[node])
+            points.append(self.points[node])
             node = self.parents[node]
-        return found[::-1]
+        return points[::-1]
 
 
 def find_corners(

@@ -72,17 +72,17 @@ class MotionLimits:
     @classmethod
     def read(cls, leg_rates: Any, leg_accelerations: Any, leg_jerks: Any, leg_forces: Any, twist: Any) -> MotionLimits:
         """Read the limits of `time_optimal`; raises `ArgumentError`."""
-        found = cls(
+        limits = cls(
             _largest(leg_rates, "leg_rates", "m/s"),
             _largest(leg_accelerations, "leg_accelerations", "m/s²"),
             _largest(leg_jerks, "leg_jerks", "m/s³"),
             _forces(leg_forces),
             _speeds(twist),
         )
-        if found.leg_forces is None and found.leg_accelerations is None:
+        if limits.leg_forces is None and limits.leg_accelerations is None:
             expected = "limits of the legs' forces, or leg_accelerations"
             raise ArgumentError("leg_forces", expected, "neither", "Without them the motion would start with a jump")
-        return found
+        return limits
 
     def rows(self, chain: ClosedChain, along: PathDynamics) -> LimitRows:
         """Return all limits on the grid; raises `ArgumentError` where the forces do not hold the machine at rest."""

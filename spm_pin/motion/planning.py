@@ -190,21 +190,21 @@ def _state(geometry: Geometry, place: Place, name: str) -> Configuration:
     array = as_array(place)
     if array is not None and array.shape == (6,):
         lengths = real_array(place, name, (6,), "leg lengths in metres")  # type: ignore[arg-type]
-        found = forward_physical(geometry, lengths)
-        if not found.exists:
-            raise ArgumentError(name, "leg lengths of the physical mode", f"{lengths.tolist()}", found.missing_reason)
-        return found
+        state = forward_physical(geometry, lengths)
+        if not state.exists:
+            raise ArgumentError(name, "leg lengths of the physical mode", f"{lengths.tolist()}", state.missing_reason)
+        return state
     if array is not None and array.ndim < 2 and array.dtype.kind != "O":
         received = f"shape {array.shape}" if array.dtype.kind in "iuf" else type_and_value(place)
         cause = "via is a list of states" if name.startswith("via") else ""
         raise ArgumentError(name, "a Configuration, a pose or six leg lengths", received, cause)
-    found = inverse_physical(geometry, as_rigid_transform(place, name))
-    if found.shape:
-        raise ArgumentError(name, "one state", f"a batch of shape {found.shape}")
-    if not found.exists:
-        cause = found.missing_reason or "Level poses are singular for the inverse: give leg lengths instead"
+    state = inverse_physical(geometry, as_rigid_transform(place, name))
+    if state.shape:
+        raise ArgumentError(name, "one state", f"a batch of shape {state.shape}")
+    if not state.exists:
+        cause = state.missing_reason or "Level poses are singular for the inverse: give leg lengths instead"
         raise ArgumentError(name, "a pose with a physical branch", "one without", cause)
-    return found
+    return state
 
 
 def _along_poses(rules: PathRules, states: list[Configuration], certificate: Certificate | None) -> MotionPlan:

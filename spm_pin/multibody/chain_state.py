@@ -123,14 +123,13 @@ class ConstrainedState:
         joints, rates = self._constrained.read_q(q), self.kinematics.zero_velocity
         if v is not None:
             rates = read_vectors(v, "v", rates.size).copy()
-        self._q, self._v = joints.copy(), rates
-        self._batch = ()
         if joints.ndim == rates.ndim == 1:
+            self._batch, self._q, self._v = (), joints.copy(), rates
             self._move(self._q, rates)
         else:
             self._batch = broadcastable("v", rates.shape[:-1], "q", joints.shape[:-1])
-            self._q = np.broadcast_to(self._q, (*self._batch, joints.shape[-1]))
-            self._v = np.broadcast_to(rates, (*self._batch, rates.shape[-1]))
+            self._q = np.broadcast_to(joints, (*self._batch, joints.shape[-1])).copy()
+            self._v = np.broadcast_to(rates, (*self._batch, rates.shape[-1])).copy()
         return self
 
     def _move(self, q: FloatArray, v: FloatArray) -> None:

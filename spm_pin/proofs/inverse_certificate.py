@@ -196,10 +196,10 @@ def _axes(cells: Cells, upward: float) -> list[tuple[Interval, Interval, Interva
     across = 0.5 * SQRT_3
     side, half = across * x, 0.5 * y
     lift, back = across * y, 0.5 * x
-    found = []
+    axes = []
     for xi, eta in ((side - half, back + lift), (y, -x), (-(side + half), back - lift)):
-        found.append((2.0 * (xi * eta), 1.0 - 2.0 * xi.square(), upward * (x0 * xi)))
-    return found
+        axes.append((2.0 * (xi * eta), 1.0 - 2.0 * xi.square(), upward * (x0 * xi)))
+    return axes
 
 
 def structure_determinant(lower: Cells, upper: Cells) -> Interval:

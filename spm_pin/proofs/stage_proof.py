@@ -165,7 +165,7 @@ def _joined(scale: FloatArray, boxes: Boxes, start: FloatArray) -> BoolArray:
 
 def _touching(boxes: Boxes) -> Int64Array:
     """Return the pairs of boxes that have a point in common, shape (N, 2)."""
-    found = [np.empty((0, 2), dtype=np.int64)]
+    pairs = [np.empty((0, 2), dtype=np.int64)]
     level, position = boxes["level"], np.ascontiguousarray(boxes["position"])
     levels = np.unique(level)
     ordered = {}
@@ -184,8 +184,8 @@ def _touching(boxes: Boxes) -> Int64Array:
             wanted = _keys(around[inside] >> int(fine - coarse), coarse)
             place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
             hit = keys[place] == wanted
-            found.append(np.stack([sources[hit], targets[place[hit]]], axis=-1))
-    return np.concatenate(found)
+            pairs.append(np.stack([sources[hit], targets[place[hit]]], axis=-1))
+    return np.concatenate(pairs)
 
 
 def _keys(position: Int64Array, level: int) -> Int64Array:

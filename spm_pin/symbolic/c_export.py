@@ -25,7 +25,7 @@ from spm_pin.description.tree import JOINTS, joint_values
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import forward_physical, inverse_displacement, inverse_jacobian, inverse_physical, leg_forces
 from spm_pin.kinematics.rates_and_forces import SINGULAR
-from spm_pin.mechanism import BRANCHES, Configuration, Geometry, LegLimits
+from spm_pin.mechanism import BRANCHES, Geometry, LegLimits
 from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path
 from spm_pin.symbolic import functions
 from spm_pin.symbolic.functions import Drawn
@@ -206,8 +206,8 @@ def write_c(geometry: Geometry, directory: str | Path, *, prefix: str = "spm_") 
 def machine_fields(geometry: Geometry) -> dict[str, FloatArray]:
     """Return the numbers of an `spm_geometry` by the names of its fields."""
     limits = geometry.limits or LegLimits(0.0, np.inf)
-    arrays = geometry.dimensions, *geometry.legs.arrays, limits.minimum, limits.maximum
-    return {name: np.ravel(numbers).astype(float) for name, numbers in zip(FIELDS, arrays, strict=True)}
+    arrays: tuple[npt.ArrayLike, ...] = geometry.dimensions, *geometry.legs.arrays, limits.minimum, limits.maximum
+    return {name: np.asarray(x, dtype=float).ravel() for name, x in zip(FIELDS, arrays, strict=True)}
 
 
 def _formulas() -> list[ca.Function]:
@@ -302,6 +302,10 @@ def _c_text(function: ca.Function) -> str:
     # No argument is ever left out.
     body = re.sub(r"(arg\[\d+\])\? (arg\[\d+\]\[\d+\]) : 0;", r"\2;", body)
     body = re.sub(r"if \(res\[\d+\]!=0\) ", "", body).replace("casadi_inf", "INFINITY")
+    # Numbers that stand for conditions are compared, as clang asks for.
+    body = re.sub(r"\((a\d+)(?=\?)", r"(\1!=0.0", body)
+    body = re.sub(r"(a\d+)(&&|\|\|)(a\d+)", r"\1!=0.0\2\3!=0.0", body)
+    body = re.sub(r"!(a\d+)", r"\1==0.0", body)
     unused = "" if "arg[" in body else "  (void)arg;\n"
     head = f"static void {function.name()}(const double *const *arg, double *const *res)"
     return f"{head}\n{{\n{body.rstrip()}\n{unused}}}\n"
@@ -346,8 +350,8 @@ def _known_answers(geometry: Geometry) -> dict[str, str]:
     lengths = np.nan_to_num(inverse_displacement(nominal, pose).leg_lengths)
     states = [inverse_physical(geometry, pose[n]) for n in range(len(pose))]
 
-    def padded(compute: Callable[[Configuration], npt.ArrayLike], count: int) -> str:
-        return _table([np.ravel(compute(s)) if s.exists else np.zeros(count) for s in states])
+    def padded(count: int, compute: Callable[..., npt.ArrayLike], *arguments: FloatArray) -> str:
+        return _table([np.ravel(compute(s, *arguments)) if s.exists else np.zeros(count) for s in states])
 
     answers = [
         *(
@@ -357,7 +361,7 @@ def _known_answers(geometry: Geometry) -> dict[str, str]:
         ),
         *(
             f"static const double {f.name}_answers[CASES][{f.count}] = {{\n"
-            f"{padded(lambda s, f=f: f.answer(s, *f.arguments.values()), f.count)}\n}};"
+            f"{padded(f.count, f.answer, *f.arguments.values())}\n}};"
             for f in STATE_FUNCTIONS
         ),
     ]
@@ -368,7 +372,7 @@ def _known_answers(geometry: Geometry) -> dict[str, str]:
         "ROTATIONS": _table(pose.rotation.as_matrix().reshape(-1, 9)),
         "POSITIONS": _table(pose.translation),
         "BRANCH_LENGTHS": _table(lengths.reshape(len(pose), -1)),
-        "JOINTS": padded(lambda s: s.middle_joints, 9),
+        "JOINTS": padded(9, lambda state: state.middle_joints),
         "ANSWERS": "\n".join(answers),
     }
 

@@ -17,9 +17,9 @@ from spm_pin.description.tree import JOINTS
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.formulas import branches as formulas
 from spm_pin.kinematics.formulas import joint_values as values
-from spm_pin.kinematics.formulas import wrenches
+from spm_pin.kinematics.formulas import stages, wrenches
 from spm_pin.mechanism import BRANCHES, Geometry
-from spm_pin.mechanism.arguments import choice
+from spm_pin.mechanism.arguments import as_bool, choice
 from spm_pin.symbolic.machine import AXES, UP, Machine, State, all_of, in_casadi, parts, sqrt
 
 Dimensions = Geometry | Literal["symbolic"] | None
@@ -134,7 +134,7 @@ def forward_physical(geometry: Dimensions = None, *, parameters: bool = False, n
     coordinates, legs = ca.vertsplit(unknowns, 6), ca.vertsplit(distances, 3)
     error = ca.vertcat(*(stage_equations(machine, k, coordinates[k], legs[k]) for k in (0, 1)))
     inputs, start = [lengths], ca.vertcat(*(level_stage(machine, k, legs[k]) for k in (0, 1)))
-    if near:
+    if as_bool(near, "near"):
         inputs += [ca.SX.sym("near_joints", 3, 3), ca.SX.sym("near_rotation", 3, 3), ca.SX.sym("near_position", 3)]
         start = ca.vertcat(*State(machine, *inputs[1:]).in_planes())
     rotation, position, joints = placed(machine, *coordinates)
@@ -240,7 +240,7 @@ def values_of(state: State) -> dict[str, Any]:
         pivot = parts(ca.vertcat(*(ca.dot(x, frame.pivot) for x in (frame.x, frame.y, frame.z))))
         corner = [parts(own @ ca.SX(x)) for x in (axis, np.cross(UP, axis), UP)]
         lean = up * sqrt((home - offset) * (home + offset)) / home, (1.0, -1.0, -1.0)[k % 3] * offset / home
-        leg = values.LegFrame(axes, pivot, corner, *lean, home)
+        leg = values.LegFrame((axes[0], axes[1], axes[2]), pivot, (corner[0], corner[1], corner[2]), *lean, home)
         ball = state.balls[k] if k < 3 else turned @ (state.balls[k] - state.position)
         of_leg = in_casadi(values.leg_values)(parts(ball), leg)
         found |= {f"leg_{name}_hip": ca.atan2(*of_leg.hip), f"leg_{name}_slide": of_leg.slide}
@@ -252,11 +252,16 @@ def values_of(state: State) -> dict[str, Any]:
 
 def residual_of(state: State) -> dict[str, Any]:
     """Return the closure equations of a state."""
-    rows = [ca.dot(b - a, x) for b, a, x in zip(state.balls, state.bases, state.axes, strict=True)]
+    origins = [0.0] * 3 + [state.position] * 3
+    rows = [
+        ca.dot(ball - origin, axis) - ca.dot(frame.x, frame.pivot)
+        for ball, origin, axis, frame in zip(state.balls, origins, state.axes, state.machine.frames, strict=True)
+    ]
     return {"residual": ca.vertcat(*rows, *_side_errors(state.machine, 0, state.joints))}
 
 
 def legs_of(state: State) -> list[tuple[Any, Any]]:
+    """Return the vectors of the legs and their lengths."""
     return list(zip(state.vectors, ca.vertsplit(state.lengths), strict=True))
 
 
@@ -339,7 +344,7 @@ def lower_coordinates(machine: Machine, joints: Any) -> Any:
 
 
 def drawn_starts(machine: Machine, drawn: Drawn) -> list[Any]:
-    """Return TT+ and TT- of the drawn machine, and both as if they were farther apart, from where Newton's method starts.
+    """Return from where Newton's method starts: TT+ and TT- of the drawing, and both as if they were farther apart.
 
     Beside a fold of the drawing the branches of a machine as built are elsewhere, or real where those are not.
     """
@@ -388,7 +393,7 @@ class Drawn:
         radii, heights = in_casadi(formulas.middle_joints)(
             u, v, self.machine.r / square, form, self.frame, self._position
         )
-        rows = in_casadi(formulas.cartesian)(radii, heights)
+        rows = in_casadi(stages.cartesian)(radii, heights)
         return ca.vertcat(*(ca.horzcat(*row) for row in rows))
 
 

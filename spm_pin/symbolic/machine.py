@@ -16,7 +16,7 @@ from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.formulas import legs, stages, wrenches
 from spm_pin.kinematics.formulas.operations import COS_30, bind
 from spm_pin.mechanism import Geometry
-from spm_pin.mechanism.arguments import LARGEST, SMALLEST, type_and_value
+from spm_pin.mechanism.arguments import LARGEST, SMALLEST, as_bool, type_and_value
 from spm_pin.mechanism.pose import ORTHONORMALITY_TOLERANCE
 
 FLOOR = 1e-40
@@ -90,6 +90,7 @@ class Machine:
 
     def __init__(self, geometry: Geometry | Literal["symbolic"] | None = None, parameters: bool = False) -> None:
         self.inputs: list[Any] = []
+        parameters = as_bool(parameters, "parameters")
         self.is_drawn = not parameters
         self.minimum, self.maximum = ca.SX.zeros(6), ca.SX(6 * [np.inf])
         if isinstance(geometry, str) and geometry == "symbolic" and not parameters:
@@ -107,12 +108,12 @@ class Machine:
             self._set_legs(*_legs_of_parameters(self.inputs[0]))
         elif not machine.is_nominal:
             self.is_drawn = False
-            axes, pivots, balls, offsets = machine.legs.arrays
-            self._set_legs(*([ca.SX(v) for v in array] for array in (axes, pivots, balls)), ca.SX(offsets))
+            axes, pivots, balls = ([ca.SX(v) for v in array] for array in machine.legs.arrays[:3])
+            self._set_legs(axes, pivots, balls, ca.SX(machine.legs.offsets))
 
     @classmethod
     def of_symbols(cls) -> Machine:
-        """Return a machine whose `FIELDS` are the inputs, vectors leg by leg; axes may be off unit length by rounding."""
+        """Return a machine whose `FIELDS` are the inputs, vectors leg by leg; axes may be off unit length."""
         machine, fields = cls(), {name: ca.SX.sym(name, count) for name, count in FIELDS.items()}
         machine.inputs, machine.is_drawn = list(fields.values()), False
         machine._draw(*ca.vertsplit(fields["dimensions"]))
@@ -225,10 +226,10 @@ class State:
         """Return whether the state is physical, leg limits aside, and the sum of the cosines of both stages' tilts."""
         up, seen = self.rotation[:, 2], [self.rotation @ ca.SX(v) for v in _RADIAL]
         conditions = [ca.dot(UP, self.centre) > 0.0, ca.dot(self.position - self.centre, up) > 0.0]
-        for radial in ([ca.SX(v) for v in _RADIAL], seen):
-            conditions.append(sum(ca.dot(v, b) for v, b in zip(radial, self.joints, strict=True)) > 0.0)
-        for stage in (slice(3), slice(3, 6)):
-            conditions.append(is_at_home(self.axes[stage], self.vectors[stage], self.balls[stage]))
+        for k, radial in ((0, [ca.SX(v) for v in _RADIAL]), (3, seen)):
+            outwards = sum(ca.dot(v, b) for v, b in zip(radial, self.joints, strict=True))
+            at_home = is_at_home(self.axes[k : k + 3], self.vectors[k : k + 3], self.balls[k : k + 3])
+            conditions += [outwards > 0.0, at_home]
         b1, b2, b3 = self.joints
         normal = direction(ca.cross(b1 - b3, 2.0 * b2 - b1 - b3))
         return all_of(conditions), normal[2] + ca.dot(normal, up)

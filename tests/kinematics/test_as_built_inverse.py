@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from as_built_oracle import certified_real_branches
+from as_built_oracle import certified_real_branches, distance_to_root
 from problems import GEOMETRIES, as_built, in_leg_space, random_branches
 from scipy.spatial.transform import Rotation
 
@@ -317,3 +317,37 @@ def test_results_are_written_into_memory_of_the_same_machine_only() -> None:
         for other in (spm.Geometry(0.7, 0.35, 0.8), as_built(PAPER, 1e-4, seed=3), replace(PAPER, limits=None)):
             with pytest.raises(spm.ArgumentError, match="out: expected what `inverse_displacement` returned for this"):
                 spm.inverse_displacement(other, poses[20:], out=first)
+
+
+@pytest.mark.parametrize("size", [1e-6, 1e-4, 1e-2])
+def test_certified_radii_hold_the_roots_of_ball_arithmetic(size: float) -> None:
+    built, pose = as_built(PAPER, size, seed=11), in_leg_space(PAPER, 12, seed=11).pose
+    plain, certified = spm.inverse_displacement(built, pose), spm.inverse_displacement(built, pose, certify=True)
+    assert plain.radius is None
+    assert certified.radius is not None
+    np.testing.assert_array_equal(certified.middle_joints, plain.middle_joints)
+    assert certified.certain is None
+    proved = np.isfinite(certified.radius)
+    assert not (proved & ~certified.exists).any()
+    assert proved[certified.exists].mean() > 0.95
+    assert np.median(certified.radius[proved]) < 1e-9
+    for problem, branch in np.argwhere(proved):
+        matrix, joints = pose[int(problem)].as_matrix(), certified.middle_joints[problem, branch]
+        distance = distance_to_root(built, matrix[:3, :3], matrix[:3, 3], joints)
+        assert distance <= certified.radius[problem, branch]
+
+
+def test_near_a_double_root_the_radius_holds_or_is_missing() -> None:
+    low, high = 1e-6, 1e-4
+    while high / low - 1.0 > 1e-13:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if spm.inverse_displacement(along(middle), EXAMPLE).count == 6 else (low, middle)
+    matrix = EXAMPLE.as_matrix()
+    for size in low * (1.0 - np.array([1e-3, 1e-6, 1e-9, 1e-12, 0.0])):
+        built = along(float(size))
+        branches = spm.inverse_displacement(built, EXAMPLE, certify=True)
+        assert branches.radius is not None
+        for joints, radius in zip(branches.middle_joints, branches.radius, strict=True):
+            if np.isfinite(radius):
+                assert distance_to_root(built, matrix[:3, :3], matrix[:3, 3], joints) <= radius
+    assert np.isnan(branches.radius[branches.exists]).sum() <= 2

@@ -210,20 +210,20 @@ def test_rates_of_states_that_do_not_exist_are_nan(size: float) -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda built, state: spm.forward_physical(built, np.full(5, 1.3)), "leg_lengths"),
-        (lambda built, state: spm.forward_physical(built, np.full(6, -1.0)), "leg_lengths.*exceed their offset.*r_b1"),
-        (lambda built, state: spm.forward_physical(built, np.full(6, 1e9)), "leg_lengths.*another unit"),
-        (lambda built, state: spm.forward_physical(PAPER, np.full(6, 1.3), near=state), "seed.*of this geometry"),
-        (lambda built, state: spm.forward_physical(built, np.full(6, 1.3), seed=built), "seed.*Configuration"),
+        (lambda built, state: spm.forward_physical(built, np.full(5, 1.3)), "readings"),
+        (lambda built, state: spm.forward_physical(built, np.full(6, -1.0)), "readings.*exceed their offset.*r_b1"),
+        (lambda built, state: spm.forward_physical(built, np.full(6, 1e9)), "readings.*another unit"),
+        (lambda built, state: spm.forward_physical(PAPER, np.full(6, 1.3), near=state), "near.*of this geometry"),
+        (lambda built, state: spm.forward_physical(built, np.full(6, 1.3), near=built), "near.*Configuration"),
         (
             lambda built, state: spm.forward_physical(as_built(PAPER, 2e-3), np.full(6, 1.3), near=state),
-            "seed.*of this geometry",
+            "near.*of this geometry",
         ),
         (
             lambda built, state: spm.forward_physical(
-                built, np.full(6, 1.3), seed=spm.Configuration(built, state.pose, state.middle_joints + 0.01)
+                built, np.full(6, 1.3), near=spm.Configuration(built, state.pose, state.middle_joints + 0.01)
             ),
-            "seed.*closes",
+            "near.*closes",
         ),
         (lambda built, state: spm.leg_rates(state, np.zeros(5)), "twist"),
         (lambda built, state: spm.leg_forces(state, np.full(6, np.nan)), "wrench"),

@@ -193,7 +193,7 @@ def test_stages_that_move_with_their_legs_locked_are_degenerate() -> None:
 @pytest.mark.parametrize(
     ("legs", "words"),
     [
-        ([1.2] * 3, "leg_lengths: expected real numbers of shape (..., 6), r_b1"),
+        ([1.2] * 3, "readings: expected real numbers of shape (..., 6), r_b1"),
         ([1.2] * 5 + [np.nan], "finite"),
         ([1.2] * 5 + [np.inf], "finite"),
         ([1.2] * 5 + ["long"], "dtype"),
@@ -207,7 +207,7 @@ def test_invalid_lengths_are_refused(legs: list[float], words: str) -> None:
         with pytest.raises(spm.ArgumentError) as caught:
             function(PAPER, legs)
         assert words in str(caught.value)
-        assert caught.value.argument == "leg_lengths"
+        assert caught.value.argument == "readings"
 
 
 def test_names() -> None:

@@ -199,11 +199,11 @@ def test_two_solutions_that_coincide_are_not_followed_forever() -> None:
     twice = spm.Configuration(FREE, np.stack([state.pose.as_matrix()] * 2), np.stack([state.middle_joints] * 2))
     parameters = []
 
-    def solve(s: float) -> spm.SolutionSet:
+    def solve(s: float, near: spm.Configuration | None) -> spm.SolutionSet:
         parameters.append(s)
         return spm.SolutionSet(twice, ("one", "other"), spm.Status.OK)
 
-    tracker = Tracker(solve, 0, 0.1, legs=False)
+    tracker = Tracker(solve, solve(0.0, None), 0, has_legs=False)
     assert not tracker.advance(1.0)
     assert "coincides with another" in tracker.events[-1].detail
     assert len(parameters) < 1_000
@@ -230,7 +230,7 @@ POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88])
         (stacked(POSE), None, "path: expected a callable, or at least two poses"),
         (np.zeros((4, 5)), None, "path: expected real numbers of shape .* leg lengths in metres, or poses"),
         (np.zeros(6), None, "path: expected a callable, or at least two poses"),
-        (np.full((2, 6), -1.0), None, "leg_lengths"),
+        (np.full((2, 6), -1.0), None, "readings"),
         (np.full((2, 6), np.nan), None, "path: expected finite real numbers of shape .* got nan at index"),
         (stacked(spm.pose([9, 9, 9], rotation=POSE.rotation), POSE), None, "start: expected a solution that exists"),
         (np.stack([np.eye(4), 2 * np.eye(4)]), None, "path"),

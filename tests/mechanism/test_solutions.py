@@ -132,8 +132,8 @@ def test_nearest_finds_every_branch_again(batch: spm.SolutionSet) -> None:
         np.testing.assert_array_equal(batch[have].nearest(state).middle_joints, state.middle_joints)
 
 
-def test_nearest_refuses_a_seed_that_does_not_exist(branches: spm.SolutionSet) -> None:
-    with pytest.raises(spm.ArgumentError, match="seed: expected states that exist"):
+def test_nearest_refuses_a_state_that_does_not_exist(branches: spm.SolutionSet) -> None:
+    with pytest.raises(spm.ArgumentError, match="near: expected states that exist"):
         branches.nearest(branches["FT+"])
     with pytest.raises(spm.ArgumentError, match="near"):
         branches.nearest(np.zeros((2, 2)))

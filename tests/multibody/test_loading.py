@@ -127,7 +127,7 @@ def test_other_trees_are_refused(old: str, new: str, message: str, tmp_path: Pat
     ("old", "new", "message"),
     [
         (r'<mass value="[^"]*"', '<mass value="-5"', "a mass from 0 to 1e[+]12 kg, got -5"),
-        (r'<mass value="[^"]*"', '<mass value="1e300"', "a mass from 0 to 1e[+]12 kg, got 1e300"),
+        (r'<mass value="[^"]*"', '<mass value="1e300"', "a mass from 0 to 1e[+]12 kg, got 1e[+]300"),
         (r'<mass value="[^"]*"', '<mass value="nan"', "a mass from 0 to 1e[+]12 kg, got nan"),
         (r'<mass value="[^"]*"', '<mass value="inf"', "a mass from 0 to 1e[+]12 kg, got inf"),
         ('ixx="', 'ixx="-', "moments of inertia of which none is negative"),
@@ -139,7 +139,7 @@ def test_impossible_inertias_and_names(old: str, new: str, message: str, tmp_pat
     text, count = re.subn(old, new, SHIPPED.read_text(encoding="utf-8"), count=1)
     assert count == 1
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(DescriptionError, match=rf"robot\.urdf:\d+: expected {message}"):
+    with pytest.raises(DescriptionError, match=rf"robot\.urdf(, link base)?: expected {message}"):
         ClosedChain.from_urdf(path)
 
 

@@ -10,7 +10,7 @@ from problems import in_leg_space
 
 import spm_pin as spm
 from spm_pin import nlp
-from spm_pin.mechanism.solution_status import Status
+from spm_pin.mechanism.solutions import Status
 
 GEOMETRY = spm.Geometry.paper()
 EXAMPLE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))

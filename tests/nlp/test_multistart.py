@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform
 import spm_pin as spm
 from spm_pin import nlp
 from spm_pin.crosscheck import Conditioning
-from spm_pin.mechanism.solution_status import Status
+from spm_pin.mechanism.solutions import Status
 from spm_pin.nlp import branch_search
 from spm_pin.nlp.branch_search import random_starts
 

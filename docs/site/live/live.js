@@ -31,8 +31,7 @@ async function unpacked(text) {
 }
 
 async function loadKinematics() {
-  const { atan2, hypot, pow } = Math;
-  const env = { atan2, hypot, pow, fmod: (x, y) => x % y };
+  const { atan2, cos, sin } = Math, env = { atan2, cos, sin };
   const { exports: c } = (await WebAssembly.instantiate(await unpacked(data.module), { env })).instance;
   const numbers = (at, count) => new Float64Array(c.memory.buffer, at, count);
   const machine = c.spm_machine.value;
@@ -44,9 +43,9 @@ async function loadKinematics() {
   const physical = (rotation, position) => {
     argument.set(rotation);
     argument.set(position, 9);
-    return c.spm_inverse_physical(machine, given, given + 72, state) === 0;
+    return c.spm_inverse(machine, given, given + 72, 0, state) === 0;
   };
-  const inverse = () => c.spm_inverse(machine, given, given + 72, branches);
+  const inverse = () => c.spm_all_branches(machine, given, given + 72, branches);
   const within = () => single.subarray(21).every((length, k) => length >= LEAST[k] && length <= MOST[k]);
   return {
     // 2 where a pose has a physical branch, 1 where its legs are too short or too long for it, 0 elsewhere.
@@ -64,7 +63,7 @@ async function loadKinematics() {
     // The state that six leg lengths hold, null where they hold none.
     forward(legs) {
       argument.set(legs);
-      if (c.spm_forward_physical(machine, given, 0, state) !== 0) return null;
+      if (c.spm_forward(machine, given, 0, state) !== 0) return null;
       const part = (...ends) => Array.from(single.subarray(...ends));
       return { rotation: part(0, 9), position: part(9, 12), joints: part(12, 21), lengths: part(21) };
     },
@@ -308,7 +307,7 @@ function words(found, state) {
   if (found.status === 2) {
     const beside = count ? `, with ${count} isolated ${count > 1 ? "branches" : "branch"} beside it` : "";
     const more = state ? "Drawn is the one of these leg lengths." : "Change the tilt, or set leg lengths.";
-    return [`Degenerate${beside}`, `A continuous family of states holds this pose: branches are not isolated. ${more}`];
+    return [`Degenerate${beside}`, `This pose leaves the legs undetermined: branches are not isolated. ${more}`];
   }
   if (found.status !== 0) return ["Out of reach", "None of the eight branches of this pose is real."];
   return [`${count} of 8 branches are real${found.physical < 0 ? ", none of them physical" : ""}`, ""];

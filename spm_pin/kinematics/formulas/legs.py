@@ -1,4 +1,4 @@
-"""Six general legs between two plates and a middle triangle: their balls, vectors and closure, of any machine.
+"""Six general legs between two plates and a middle triangle, of any machine: where they are in {B}.
 
 Axes and pivots of lower legs are in {B}, of upper legs in {m}. A leg's line starts at its pivot, is perpendicular to
 its axis, and ends at the centre of a ball of the middle platform.
@@ -8,10 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from spm_pin.kinematics.formulas.operations import sqrt
-from spm_pin.kinematics.formulas.stages import is_home_aspect
-from spm_pin.kinematics.formulas.vectors import Rows, Vector, combined, cross, direction, dot, minus, times
-from spm_pin.kinematics.formulas.wrenches import normals, pairs
+from spm_pin.kinematics.formulas.vectors import Rows, Vector, combined, cross, minus, times
 
 
 class StageLegs(NamedTuple):
@@ -46,49 +43,3 @@ def upper_balls(b: Rows, weights: Rows) -> Rows:
 
 def _beside(corner: Vector, weights: Vector, p: Vector, q: Vector, n: Vector) -> Vector:
     return combined(combined(combined(corner, weights[0], p), weights[1], q), weights[2], n)
-
-
-def leg_vectors(balls: Rows, pivots: Rows) -> Rows:
-    """Return the vectors from pivot to ball of a stage."""
-    return minus(balls[0], pivots[0]), minus(balls[1], pivots[1]), minus(balls[2], pivots[2])
-
-
-def leg_directions(balls: Rows, pivots: Rows) -> Rows:
-    """Return δ_i from pivot to ball, not a number where a leg has no length."""
-    first, second, third = leg_vectors(balls, pivots)
-    return direction(first), direction(second), direction(third)
-
-
-def leg_lengths(balls: Rows, pivots: Rows) -> Vector:
-    """Return the true lengths of the legs of a stage."""
-    first, second, third = leg_vectors(balls, pivots)
-    return sqrt(dot(first, first)), sqrt(dot(second, second)), sqrt(dot(third, third))
-
-
-def plane_distances(balls: Rows, legs: StageLegs) -> Vector:
-    """Return the distances of the balls of a stage from the planes of their legs."""
-    first, second, third = leg_vectors(balls, legs.pivots)
-    return dot(first, legs.axes[0]), dot(second, legs.axes[1]), dot(third, legs.axes[2])
-
-
-def side_errors(balls: Rows, sides: Vector) -> Vector:
-    """Return (s² - d²) / 2d for the sides 12, 23, 31 of a triangle, smooth everywhere."""
-    return (
-        _side_error(minus(balls[0], balls[1]), sides[0]),
-        _side_error(minus(balls[1], balls[2]), sides[1]),
-        _side_error(minus(balls[2], balls[0]), sides[2]),
-    )
-
-
-def _side_error(side: Vector, d: float) -> float:
-    return (dot(side, side) - d * d) / (2.0 * d)
-
-
-def is_in_home_aspect(balls: Rows, legs: StageLegs, up: float) -> bool:
-    """Return whether a stage is in the aspect of its home; `up` is 1 for the lower stage and -1 for the upper one.
-
-    The axis of leg 1 has the opposite sense of the others about the platform's normal.
-    """
-    vectors = leg_vectors(balls, legs.pivots)
-    c12, c23, c31, c21, c32, c13 = pairs(balls, normals(vectors, legs.axes))
-    return is_home_aspect((-up * c12, up * c23, up * c31, up * c21, up * c32, -up * c13))

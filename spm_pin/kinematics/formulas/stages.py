@@ -220,9 +220,9 @@ def pair_determinant(c: Pairs) -> float:
 def is_home_aspect(c: Pairs) -> bool:
     """Return whether a stage is reached from equal legs without a forward singularity.
 
-    det J_b is D up to a positive factor, and all six c_ij are positive at equal legs. Where D is positive, none, one,
-    three or four of them are negative, never two: its sign alone does not tell the aspect, but together with this it
-    does.
+    The senses of the axes are such that all tangents of the drawn stage point the same way round. det J_b is D up to a
+    positive factor, and all six c_ij are positive at equal legs. Where D is positive, none, one, three or four of them
+    are negative, never two: its sign alone does not tell the aspect, but together with this it does.
     """
     negative = _sign_bit(c[0]) + _sign_bit(c[1]) + _sign_bit(c[2]) + _sign_bit(c[3]) + _sign_bit(c[4]) + _sign_bit(c[5])
     return both(pair_determinant(c) > 0.0, negative <= 1.0)

@@ -12,6 +12,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from spm_pin.kinematics.formulas.stages import is_home_aspect
+from spm_pin.kinematics.formulas.wrenches import normals, pairs
 from spm_pin.kinematics.kernels.as_built_kernels import (
     FRACTION_ROW,
     SHORTEST_AT_FIRST,
@@ -23,7 +25,7 @@ from spm_pin.kinematics.kernels.as_built_kernels import (
 from spm_pin.kinematics.kernels.compilation import jit, kernel, readonly_array
 from spm_pin.kinematics.kernels.quadric_newton import point, real_part
 from spm_pin.kinematics.kernels.quadric_roots import SAME_ROOT, is_same_point
-from spm_pin.kinematics.kernels.three_quadrics import allocate_planes, image, put_quadrics, put_quaternion
+from spm_pin.kinematics.kernels.three_quadrics import allocate_planes, image, put_quadrics, put_quaternion, rows_at
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.branches import TANGENT_SIGNS
 
@@ -49,23 +51,8 @@ def _upright(b: FloatArray, rotation: FloatArray, place: FloatArray) -> float:
 
 @jit
 def _is_at_home(b: FloatArray, axes: FloatArray, legs: FloatArray) -> bool:
-    """Return whether a stage is in the aspect of its home, see `in_home_aspect`; rows of three legs."""
-    total, negative = 0.0, 0
-    for turn in range(2):
-        product = 1.0
-        for i in range(3):
-            # (0, 1), (1, 2), (2, 0), then (1, 0), (2, 1), (0, 2)
-            k, m = (i, (i + 1) % 3) if turn == 0 else ((i + 1) % 3, i)
-            w0, w1 = (
-                axes[k, 1] * legs[k, 2] - axes[k, 2] * legs[k, 1],
-                axes[k, 2] * legs[k, 0] - axes[k, 0] * legs[k, 2],
-            )
-            w2 = axes[k, 0] * legs[k, 1] - axes[k, 1] * legs[k, 0]
-            value = (b[k, 0] - b[m, 0]) * w0 + (b[k, 1] - b[m, 1]) * w1 + (b[k, 2] - b[m, 2]) * w2
-            product *= value
-            negative += 1 if value < 0.0 else 0
-        total += product
-    return total > 0.0 and negative <= 1
+    """Return whether a stage is in the aspect of its home, see `is_home_aspect`; rows of three legs."""
+    return is_home_aspect(pairs(rows_at(b, 0), normals(rows_at(axes, 0), rows_at(legs, 0))))
 
 
 @jit

@@ -27,6 +27,7 @@ from spm_pin.kinematics.formulas.wrenches import (
 )
 from spm_pin.kinematics.formulas.wrenches import stage_forces as forces_of_stage
 from spm_pin.kinematics.kernels.compilation import TILE, jit, jit_inline, kernel, readonly_array
+from spm_pin.kinematics.kernels.three_quadrics import rows_at
 from spm_pin.mechanism.arguments import FloatArray
 
 ByteArray = npt.NDArray[np.uint8]
@@ -57,13 +58,6 @@ class StateForces(NamedTuple):
     a_m: Rows  # axes of the upper legs
     o: Vector
     is_short: bool  # a leg has no length, hence a direction that is NaN, in a state that exists
-
-
-@jit_inline
-def rows_at(array: FloatArray, first: int) -> Rows:
-    """Return three rows of an array of vectors."""
-    x, y, z = array[first], array[first + 1], array[first + 2]
-    return (x[0], x[1], x[2]), (y[0], y[1], y[2]), (z[0], z[1], z[2])
 
 
 @jit_inline

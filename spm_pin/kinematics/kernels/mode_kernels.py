@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.kinematics.formulas.stages import State, compose, stage_equations
+from spm_pin.kinematics.formulas.stages import compose, stage_equations
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array
 from spm_pin.kinematics.kernels.stage_modes import (
     PLACES,
@@ -16,7 +16,6 @@ from spm_pin.kinematics.kernels.stage_modes import (
     allocate_scratch,
     has_continuous_family,
     home_state,
-    home_state_of_all,
     solve_mode,
 )
 from spm_pin.mechanism.arguments import FloatArray
@@ -133,17 +132,7 @@ def all_modes(
                 dimension[n, 2 * i + j] = free if below_exists and above_exists else 0
 
 
-@jit_inline
-def _put_home(
-    lower: State, upper: State, r: float, n: int, rotation: FloatArray, translation: FloatArray, joints: FloatArray
-) -> None:
-    """Write the configuration of two solutions of mode T above their hips, NaN where one of them is."""
-    # The upper stage hangs below its hips.
-    below = lower[0], lower[1], lower[2], 0.0, lower[3]
-    _put_composed(below, (upper[0], -upper[1], -upper[2], 0.0, -upper[3]), r, rotation[n], translation[n], joints[n])
-
-
-@kernel(f"void({readonly_array(2)}, f8, f8, f8, f8[:,:,::1], f8[:,::1], f8[:,:,::1], b1[::1])")
+@kernel(f"void({readonly_array(2)}, f8, f8, f8, f8[:,:,::1], f8[:,::1], f8[:,:,::1])")
 def home_modes(
     lengths: FloatArray,
     r: float,
@@ -152,34 +141,17 @@ def home_modes(
     rotation: FloatArray,
     translation: FloatArray,
     joints: FloatArray,
-    is_solved: npt.NDArray[np.bool_],
 ) -> None:
-    """Write R, o and the b_i in the home's aspect, and where they are solved (N,); arguments as for `all_modes`."""
-    for n in range(len(lengths)):
-        q = lengths[n]
-        lower, lower_solved = home_state(q[0] / r, q[1] / r, q[2] / r, base_radius / r)
-        upper, upper_solved = home_state(q[3] / r, q[4] / r, q[5] / r, platform_radius / r)
-        _put_home(lower, upper, r, n, rotation, translation, joints)
-        is_solved[n] = lower_solved and upper_solved
-
-
-@kernel(f"void({readonly_array(2)}, f8, f8, f8, f8[:,:,::1], f8[:,::1], f8[:,:,::1])")
-def home_modes_of_all(
-    lengths: FloatArray,
-    r: float,
-    base_radius: float,
-    platform_radius: float,
-    rotation: FloatArray,
-    translation: FloatArray,
-    joints: FloatArray,
-) -> None:
-    """Write what `home_modes` does, chosen from all solutions: NaN proves that there is none in the home's aspect."""
+    """Write R, o and the b_i in the home's aspect; NaN proves that there is none. Arguments as for `all_modes`."""
     scratch = allocate_scratch()
     for n in range(len(lengths)):
         q = lengths[n]
-        lower = home_state_of_all(q[0] / r, q[1] / r, q[2] / r, base_radius / r, scratch)
-        upper = home_state_of_all(q[3] / r, q[4] / r, q[5] / r, platform_radius / r, scratch)
-        _put_home(lower, upper, r, n, rotation, translation, joints)
+        lower = home_state(q[0] / r, q[1] / r, q[2] / r, base_radius / r, scratch)
+        upper = home_state(q[3] / r, q[4] / r, q[5] / r, platform_radius / r, scratch)
+        # The upper stage hangs below its hips.
+        below = lower[0], lower[1], lower[2], 0.0, lower[3]
+        above = upper[0], -upper[1], -upper[2], 0.0, -upper[3]
+        _put_composed(below, above, r, rotation[n], translation[n], joints[n])
 
 
 @kernel(f"void({readonly_array(2)}, {readonly_array(2)}, f8, f8[:,:,::1], f8[:,::1], f8[:,:,::1])")

@@ -252,27 +252,22 @@ def solve_mode(stage: StageEquations, half_turned: bool, is_continuous: bool, sc
 
 
 @jit
-def home_state(first: float, second: float, third: float, epsilon: float) -> tuple[State, bool]:
-    """Return the solution of mode T in the home's aspect, and whether Newton's method from the level position found it.
+def home_state(first: float, second: float, third: float, epsilon: float, scratch: Scratch) -> State:
+    """Return the solution of mode T in the home's aspect, NaN if there is none.
 
-    There is one at most, so whatever way led into that aspect led to it.
+    There is one at most, so whatever way leads into that aspect leads to it: Newton's method from the level position,
+    and where that does not, a search through all solutions.
     """
     stage = stage_equations(first, second, third, epsilon)
-    if stage.level > 0.0 and not has_continuous_family(first, second, third, epsilon, False):
+    is_continuous = has_continuous_family(first, second, third, epsilon, False)
+    if stage.level > 0.0 and not is_continuous:
         state, gain, arrived = polished(stage, (1.0, 0.0, 0.0, math.sqrt(stage.level)))
         if arrived and gain <= _NEAR_FOLD:
             radii, heights = corners(state[0], state[1], state[2], 0.0, state[3])
             if in_home_aspect(radii, heights, epsilon):
-                return state, True
-    return (np.nan, np.nan, np.nan, np.nan), False
-
-
-@jit
-def home_state_of_all(first: float, second: float, third: float, epsilon: float, scratch: Scratch) -> State:
-    """Return the solution of mode T in the home's aspect, NaN if none of all is."""
-    is_continuous = has_continuous_family(first, second, third, epsilon, False)
+                return state
     kept = scratch.kept
-    for k in range(solve_mode(stage_equations(first, second, third, epsilon), False, is_continuous, scratch)):
+    for k in range(solve_mode(stage, False, is_continuous, scratch)):
         radii, heights = (kept[k, 5], kept[k, 6], kept[k, 7]), (kept[k, 8], kept[k, 9], kept[k, 10])
         if in_home_aspect(radii, heights, epsilon):
             return kept[k, 0], kept[k, 1], kept[k, 2], kept[k, 4]

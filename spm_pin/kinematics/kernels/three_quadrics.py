@@ -11,6 +11,8 @@ import math
 
 import numpy as np
 
+from spm_pin.kinematics.formulas.quadrics import StagePlanes, quadric, rotation
+from spm_pin.kinematics.formulas.vectors import Rows
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline
 from spm_pin.mechanism.arguments import FloatArray
 
@@ -18,6 +20,13 @@ Planes = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """Normals (6, 3) and heights (6,) of planes in {B}, the balls (6, 3) in {n} that lie in them, and the factors (6, 9) of
 the normals N = Qᵀ R: R in factors[:3, :3], and Q, whose last three rows are the null space, in factors[:, 3:]."""
 _FLAT = 1e-13
+
+
+@jit_inline
+def rows_at(array: FloatArray, first: int) -> Rows:
+    """Return three rows of an array of vectors."""
+    x, y, z = array[first], array[first + 1], array[first + 2]
+    return (x[0], x[1], x[2]), (y[0], y[1], y[2]), (z[0], z[1], z[2])
 
 
 @jit_inline
@@ -70,28 +79,14 @@ def put_quadrics(planes: Planes, forms: FloatArray) -> bool:
             factors[j, k] -= total * pivot
             for i in range(j + 1, 6):
                 factors[i, k] -= total * column[i]
+    lower = StagePlanes(rows_at(normals, 0), (heights[0], heights[1], heights[2]), rows_at(balls, 0))
+    upper = StagePlanes(rows_at(normals, 3), (heights[3], heights[4], heights[5]), rows_at(balls, 3))
     for k in range(3):
-        c = 0.0
-        m00 = m01 = m02 = m10 = m11 = m12 = m20 = m21 = m22 = 0.0
-        for i in range(6):
-            weight = factors[3 + k, 3 + i]
-            c += weight * heights[i]
-            a0, a1, a2 = weight * normals[i, 0], weight * normals[i, 1], weight * normals[i, 2]
-            p0, p1, p2 = balls[i, 0], balls[i, 1], balls[i, 2]
-            m00 += a0 * p0
-            m01 += a0 * p1
-            m02 += a0 * p2
-            m10 += a1 * p0
-            m11 += a1 * p1
-            m12 += a1 * p2
-            m20 += a2 * p0
-            m21 += a2 * p1
-            m22 += a2 * p2
-        form = forms[k]
-        form[0, 0], form[1, 1] = m00 - m11 - m22 - c, m11 - m00 - m22 - c
-        form[2, 2], form[3, 3] = m22 - m00 - m11 - c, m00 + m11 + m22 - c
-        form[0, 1], form[0, 2], form[1, 2] = m01 + m10, m02 + m20, m12 + m21
-        form[0, 3], form[1, 3], form[2, 3] = m21 - m12, m02 - m20, m10 - m01
+        weights, form = factors[3 + k, 3:], forms[k]
+        numbers = quadric((weights[0], weights[1], weights[2]), (weights[3], weights[4], weights[5]), lower, upper)
+        form[0, 0], form[1, 1], form[2, 2], form[3, 3] = numbers[0], numbers[1], numbers[2], numbers[3]
+        form[0, 1], form[0, 2], form[1, 2] = numbers[4], numbers[5], numbers[6]
+        form[0, 3], form[1, 3], form[2, 3] = numbers[7], numbers[8], numbers[9]
         square = 0.0
         for i in range(4):
             for j in range(i):
@@ -138,13 +133,8 @@ def image(x, planes, joints):  # type: ignore[no-untyped-def]
     """Write the six ball centres (6, 3) in {B} of a root, four numbers, for planes as `put_quadrics` left them."""
     normals, heights, balls, factors = planes
     a, b, c, d = x[0], x[1], x[2], x[3]
-    scale = 1.0 / (a * a + b * b + c * c + d * d)
-    r00, r11 = (a * a - b * b - c * c + d * d) * scale, (b * b - a * a - c * c + d * d) * scale
-    r22 = (c * c - a * a - b * b + d * d) * scale
-    r01, r10 = 2.0 * (a * b - c * d) * scale, 2.0 * (a * b + c * d) * scale
-    r02, r20 = 2.0 * (a * c + b * d) * scale, 2.0 * (a * c - b * d) * scale
-    r12, r21 = 2.0 * (b * c - a * d) * scale, 2.0 * (b * c + a * d) * scale
-    s0 = s1 = s2 = 0.0 * scale
+    (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = rotation(a, b, c, d)
+    s0 = s1 = s2 = 0.0 * r00
     for i in range(6):
         p0, p1, p2 = balls[i, 0], balls[i, 1], balls[i, 2]
         y0, y1, y2 = r00 * p0 + r01 * p1 + r02 * p2, r10 * p0 + r11 * p1 + r12 * p2, r20 * p0 + r21 * p1 + r22 * p2
