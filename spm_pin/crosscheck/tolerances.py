@@ -10,7 +10,7 @@ their Jacobian F_b has the smallest singular value s; then
   ε (1 + |l_b|/s)(1 + |F_b⁻¹ F_x|) to first order, each norm over nine rows or columns;
 - forces f = -J_f⁻ᵀ w are then wrong by |J_f⁻¹| |ΔJ_f| |f|.
 
-In a machine as built the upper legs' balls are u_i = b_1 + α p + β q + γ p x q with p = b_2 - b_1, q = b_3 - b_1 and
+In a machine as built the upper legs' balls are u_i = b_i + α p + β q + γ p x q with p = b_2 - b_1, q = b_3 - b_1 and
 fixed α, β, γ: the equations stay quadratic, and q grows by (3/2) Σ|γ|.
 
 Lengths stand for angles times d, so that norms mean something.
@@ -113,7 +113,9 @@ def _derivatives(configuration: Configuration) -> tuple[FloatArray, ...]:
         alpha, beta, gamma = (weight[:, None] for weight in weights.T)
         second = alpha * along + gamma * np.cross(q, along)
         third = beta * along + gamma * np.cross(along, p)
-        return np.stack([along - second - third, second, third], axis=-2)
+        rows = np.stack([-second - third, second, third], axis=-2)
+        rows[:, i, i] += along
+        return rows
 
     # For each kind of equation the three legs, and in the derivatives by b the three b_i.
     closure_b, closure_x = np.zeros((count, 3, 3, 3, 3)), np.zeros((count, 3, 3, 6))

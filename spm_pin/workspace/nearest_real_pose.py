@@ -3,19 +3,22 @@
 Distances are those of `spm_pin.workspace.poses.pose_distance`; c_1, c_2, c_3 are symmetric about o,
 hence d² = |Δo|² + (the same mean for the rotation alone), and shifts and turns separate.
 
-For a fixed orientation a family is real where its quadratic form S, see `spm_pin.kinematics.family_forms`, allows for
-the distance h = n·o of the two Z axes: λ_min(S) <= h <= λ_max(S). That is a slab between two planes normal to n, so the
+For a fixed orientation a family is real where its quadratic form S, see `spm_pin.kinematics.inverse_displacement`,
+allows for the distance h = n·o of the two Z axes: λ_min(S) <= h <= λ_max(S). That is a slab between two planes normal to n, so the
 nearest position is a projection onto one of them and exact. What is left is a search over three angles, for which
 there is no such formula: a grid of turns, then BFGS from the best of them.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from spm_pin.kinematics.family_forms import FamilyForms
+from spm_pin.kinematics.formulas.branches import families, pose_frame
+from spm_pin.kinematics.formulas.operations import bind
 from spm_pin.mechanism import FAMILIES, Geometry
 from spm_pin.mechanism import pose as make_pose
 from spm_pin.mechanism.arguments import FloatArray
@@ -28,6 +31,9 @@ _EXCLUDED = 1e6
 """Squared displacement, over C², given to turns whose tilt is too small: larger than any other."""
 _INSIDE = 1e-9
 """Distance of results from the edge of the slab, over d: at the edge, rounding decides whether the branch is real."""
+# Arrays stand for numbers in the formulas.
+_pose_frame: Any = bind(pose_frame, where=np.where, both=np.logical_and)
+_families: Any = bind(families, where=np.where, both=np.logical_and)
 
 
 def nearest_real_pose(
@@ -81,16 +87,17 @@ class _Search:
         """Return orientations, the shifts (n, 2) of o in the plane that reach the slab, and whose tilt is too small."""
         rotation = Rotation.from_rotvec(turns) * self.rotation
         position = np.broadcast_to(self.position, turns.shape)
-        forms = FamilyForms.of(self.geometry, rotation.as_quat(), position)
-        uu, uv, vv = (form[:, self.family] for form in (forms.form_uu, forms.form_uv, forms.form_vv))
+        rows = np.moveaxis(rotation.as_matrix(), 0, -1)
+        frame = _pose_frame(tuple(map(tuple, rows)), tuple(position.T), self.geometry.middle_radius)
+        uu, uv, vv = _families(frame, self.geometry.middle_radius)[self.family][:3]
         # Eigenvalues of the form, from which h is subtracted already.
         middle, spread = (uu + vv) / 2.0, np.hypot((uu - vv) / 2.0, uv)
         inset = _INSIDE * self.geometry.middle_side
         low, high = middle - spread + inset, middle + spread - inset
         shift = np.where(low > 0.0, low, np.where(high < 0.0, high, 0.0))
-        normal = np.stack([forms.normal.real, forms.normal.imag], axis=-1)
+        normal = np.where(frame.is_vertical, np.nan, frame.normal[:2]).T
         # The tilt is twice the angle with this sine and cosine.
-        too_level = 2.0 * forms.sine * forms.cosine < np.sin(LEAST_TILT)
+        too_level = 2.0 * frame.sine * frame.cosine < np.sin(LEAST_TILT)
         return rotation, shift[:, None] * normal, too_level | ~np.isfinite(shift)
 
     def squares(self, turns: FloatArray) -> FloatArray:
