@@ -25,7 +25,7 @@ __all__ = [
 EXTRAS = {
     "cluster": ("zarr", "xarray", "dask", "distributed", "filelock", "google_crc32c"),
     "plots": ("matplotlib", "trimesh"),
-    "viewer": ("viser", "websockets", "trimesh"),
+    "viewer": ("viser", "trimesh"),
     "workspace": ("trimesh", "skimage"),
 }
 """Packages looked for, of those that the optional extras bring, by the names under which they are imported."""

@@ -253,9 +253,10 @@ def _radii_of_six_legs(branches: SolutionSet) -> FloatArray:
 def _contraction_radii(errors: Vector, slopes: list[Vector], quadratic: FloatArray) -> FloatArray:
     """Return radii around points at which nine equations have these errors, slopes and bounds of their second order."""
     count = len(quadratic)
+    entries = [x for row in slopes for x in row]
     low, high = (
-        np.stack([np.broadcast_to(end(x), count) for row in slopes for x in row], axis=-1).reshape(count, 9, 9)
-        for end in (lambda x: x.low, lambda x: x.high)
+        np.stack([np.broadcast_to(x, count) for x in ends], axis=-1).reshape(count, 9, 9)
+        for ends in ([x.low for x in entries], [x.high for x in entries])
     )
     middle = 0.5 * (low + high)
     regular = np.isfinite(middle).all(axis=(-1, -2)) & (np.linalg.matrix_rank(np.nan_to_num(middle)) == 9)

@@ -282,4 +282,4 @@ def determinant_gradients(configuration: Configuration) -> FloatArray:
         )
         matrices = matrix(below, fixed, lower), matrix(above, turned, upper), structure
         gradients = [np.linalg.det(x).imag / _STEP * geometry.middle_side**3 for x in matrices]
-    return np.stack(gradients, axis=-2)
+    return np.where(configuration.exists[..., None, None], np.stack(gradients, axis=-2), np.nan)

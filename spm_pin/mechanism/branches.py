@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry
 
 FAMILIES = ("TT", "TF", "FT", "FF")
 """The four families of branches: the mode, T or F, of the lower stage and of the upper."""
@@ -54,9 +53,9 @@ def _structure_determinant(configuration: Configuration) -> FloatArray:
     return -leg_plane_determinant(configuration.middle_joints, across)
 
 
-def _mean_radii(configuration: Configuration, geometry: Geometry | None = None) -> tuple[FloatArray, FloatArray]:
-    """Return the means of b_i along the radial directions of {B} and of {m} [m]; of a `geometry` if that is given."""
-    radial = (geometry or configuration.geometry).radial_directions
+def _mean_radii(configuration: Configuration) -> tuple[FloatArray, FloatArray]:
+    """Return the means of b_i along the drawn radial directions of {B} and of {m} [m]."""
+    radial = configuration.geometry.radial_directions
     # The radial directions add up to zero, so b_i may stand for b_i - o.
     moments = np.swapaxes(configuration.middle_joints, -1, -2) @ radial
     lower = moments[..., 0, 0] + moments[..., 1, 1] + moments[..., 2, 2]
@@ -118,11 +117,10 @@ def physical(configuration: Configuration) -> BoolArray:
     home's aspect at most one of them is negative; see `docs/theory/forward_displacement.md`. Of a machine as built, the
     nominal directions determine the mode, and the machine's own axes the aspect.
     """
-    geometry = configuration.geometry
     centre = configuration.middle_joints.mean(axis=-2)
     upward = configuration.rotation[..., :, 2]
     heights = centre[..., 2], np.einsum("...i,...i->...", configuration.translation - centre, upward)
-    radii = _mean_radii(configuration, geometry.nominal)
+    radii = _mean_radii(configuration)
     upright = np.logical_and.reduce([value > 0.0 for value in (*radii, *heights)])
     if not configuration.shape:
         return np.asarray(upright & _at_home(configuration))

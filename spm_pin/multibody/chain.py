@@ -201,7 +201,11 @@ class ClosedChain:
             check_same_machine(state.geometry, self._geometry, "configuration", "the chain")
             # With the chain's own limits: they set the zero of its slides.
             state = Configuration.from_arrays(self._geometry, state.rotation, state.translation, state.middle_joints)
-        angles = joint_angles(state, corners=(0,))
+        return self._values_of(state)
+
+    def _values_of(self, configuration: Configuration) -> FloatArray:
+        """Return `joint_values` of a configuration of the chain's own machine."""
+        angles = joint_angles(configuration, corners=(0,))
         is_open = angles.closure_residual > AGREEMENT * self._geometry.middle_side
         if is_open.any():
             index = first_offender(is_open)
@@ -278,7 +282,7 @@ class ClosedChain:
                 received = f"{_listed(np.asarray(readings, dtype=np.float64))} m"
                 expected = "lengths that the physical assembly mode can have"
                 raise _absent("readings", expected, received, configuration.missing_reason or "A misread leg?")
-            return self.joint_values(configuration)
+            return self._values_of(configuration)
         return self._follow(near, follow_legs, self._lengths_of_readings(readings), axes=(1,))
 
     def inverse_kinematics(self, pose: PoseLike, near: npt.ArrayLike | None = None) -> FloatArray:
@@ -298,7 +302,7 @@ class ClosedChain:
                 received = f"o at {_listed(place)} m, turned by the rotation vector {_listed(turn)} rad"
                 cause = configuration.missing_reason or "Level, or out of reach?"
                 raise _absent("pose", "poses that a physical branch has", received, cause)
-            return self.joint_values(configuration)
+            return self._values_of(configuration)
         return self._follow(near, follow_pose, transform.rotation.as_matrix(), transform.translation, axes=(2, 1))
 
     def _follow(

@@ -135,7 +135,7 @@ class StartTable:
         from spm_pin.kinematics.kernels.state_search import nearby_stages
 
         groups = 1 << _LEVELS
-        inputs = [np.clip(points, *self.extent)]
+        inputs = [np.require(np.clip(points, *self.extent), requirements=("C", "W"))]
         results = ((groups,), np.int64), ((groups,), np.int64), ((groups,), np.float64)
         constants = self._rotation, self._offset, self._table, self.spacing
         stages, cells, distances = run_kernel(nearby_stages, inputs, constants, results, _MIN_BATCH)

@@ -12,7 +12,6 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.spatial import KDTree
-from scipy.spatial.transform import Rotation
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.batches import run_kernel
@@ -137,8 +136,11 @@ class StateSet:
         turns = middle[:, :3, :3] * self._turns[0], from_m @ middle[:, :3, :3] * self._turns[1]
         coordinates = np.empty((len(middle), 2, 3))
         for stage, (turn, centre) in enumerate(zip(turns, (middle[:, :3, 3], seen), strict=True)):
-            quaternion = Rotation.from_matrix(turn).as_quat(canonical=True)
-            coordinates[:, stage, :2], coordinates[:, stage, 2] = quaternion[:, :2], centre[:, 2] / self.radius
+            # In its own mode a stage is turned by less than half a turn: x0 is positive.
+            x0 = 0.5 * np.sqrt(np.maximum(1.0 + np.trace(turn, axis1=-2, axis2=-1), np.finfo(float).tiny))
+            coordinates[:, stage, 0] = (turn[:, 2, 1] - turn[:, 1, 2]) / (4.0 * x0)
+            coordinates[:, stage, 1] = (turn[:, 0, 2] - turn[:, 2, 0]) / (4.0 * x0)
+            coordinates[:, stage, 2] = centre[:, 2] / self.radius
         return coordinates
 
     def states(self, coordinates: FloatArray, readings: FloatArray | None = None) -> Configuration:
@@ -360,17 +362,25 @@ def _checked(geometry: Geometry, limits: LegLimits) -> StateSet:
 
 def states_around(near: Configuration, limits: LegLimits) -> tuple[StateSet, FloatArray]:
     """Return the states within limits on the side of forward singularities of `near`, and its coordinates (1, 2, 3)."""
-    geometry: Geometry = near.geometry
-    bounds = np.array(limits.minimum), np.array(limits.maximum)
-    batch = Configuration(geometry, near.pose.as_matrix()[None], near.middle_joints[None])
-    if physical(near):
-        states = StateSet(geometry, *bounds)
-        return states, states.coordinates(batch)
+    geometry, joints = near.geometry, near.middle_joints[None]
+    batch = Configuration.from_arrays(geometry, near.rotation[None], near.translation[None], joints)
+    states = _home_states(geometry, limits)
+    start = states.coordinates(batch)
+    stages = [states.stages(stage, start[:, stage]) for stage in range(2)]
+    readings = np.concatenate([stage.readings[0] for stage in stages])
+    # Of a state in another mode these coordinates are not.
+    if all(stage.in_aspect[0] for stage in stages) and np.abs(readings - near.readings).max() <= 1e-6 * states.radius:
+        return states, start
     modes = FAMILIES[int(family(near))]
-    free = StateSet(geometry, *bounds, modes, (1.0, 1.0))
+    free = StateSet(geometry, states.minimum, states.maximum, modes, (1.0, 1.0))
     start = free.coordinates(batch)
     lower, upper = (float(np.sign(free.stages(stage, start[:, stage]).determinant[0])) for stage in range(2))
-    return StateSet(geometry, *bounds, modes, (lower, upper)), start
+    return StateSet(geometry, states.minimum, states.maximum, modes, (lower, upper)), start
+
+
+@lru_cache(maxsize=8)
+def _home_states(geometry: Geometry, limits: LegLimits) -> StateSet:
+    return StateSet(geometry, np.array(limits.minimum), np.array(limits.maximum))
 
 
 def free_states(geometry: Geometry, modes: str) -> StateSet:

@@ -38,7 +38,7 @@ def test_the_csv_has_the_motion_and_the_viewer_reads_it(tmp_path: Path) -> None:
 
 def test_a_machine_as_built_moves_between_its_readings(tmp_path: Path) -> None:
     file = tmp_path / "machine.yaml"
-    spm.spm.Geometry.paper().nominal.perturbed(1, length=1e-4, angle=1e-4).to_yaml(file)
+    spm.Geometry.paper().perturbed(1, length=1e-4, angle=1e-4).to_yaml(file)
     done = run("move", *ENDS, "--leg-force", "1500", "--period", "0.02", "--geometry", str(file), "--json")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)

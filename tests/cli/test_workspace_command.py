@@ -85,7 +85,9 @@ def test_limits_from_the_geometrys_file(tmp_path: Path) -> None:
     done = run(*FEW, "--geometry", str(path))
     assert done.returncode == 2
     assert "the geometry has none" in done.message
-    path.write_text(text + "leg_limits: {lower: [1.1, 1.5], upper: [1.2, 1.4]}\n", encoding="utf-8")
+    pairs = {leg: "[1.1, 1.5]" if leg.startswith("r_b") else "[1.2, 1.4]" for leg in spm.mechanism.LEGS}
+    limits = ", ".join(f"{leg}: {pair}" for leg, pair in pairs.items())
+    path.write_text(f"{text}leg_limits: {{{limits}}}\n", encoding="utf-8")
     assert "legs from 1.1, 1.1, 1.1, 1.2, 1.2, 1.2 to 1.5, 1.5, 1.5, 1.4, 1.4, 1.4 m" in run(
         *FEW, "--geometry", str(path)
     ).stdout.replace("\n", " ")

@@ -223,15 +223,6 @@ def test_proofs_are_kept_by_parts_and_copies() -> None:
     assert spm.inverse_displacement(PAPER, pose).radius is None
 
 
-def test_a_machine_as_built_has_no_such_proof() -> None:
-    machine = PAPER
-    pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
-    assert spm.inverse_displacement(machine, pose).certain is None
-    with pytest.raises(spm.ArgumentError) as caught:
-        spm.inverse_displacement(machine, pose, certify=True)
-    assert caught.value.argument == "certify"
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(10))
 def test_no_false_proof_at_a_hundred_thousand_poses(seed: int) -> None:

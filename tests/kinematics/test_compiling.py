@@ -79,7 +79,7 @@ import numpy as np, spm_pin as spm
 from spm_pin.kinematics.batches import read_pose
 from spm_pin.kinematics.singularity_analysis import determinants
 geometry = spm.Geometry(0.7, 0.35, 0.8)
-read_pose(np.eye(4))
+read_pose(geometry, np.eye(4))
 print(determinants(spm.Configuration(geometry, np.eye(4), np.arange(9.0).reshape(3, 3) ** 2)).tolist())
 """
 ANSWER = determinants(

@@ -7,6 +7,9 @@ either, ball arithmetic does.
 
 from __future__ import annotations
 
+import functools
+from typing import Any
+
 import numpy as np
 import pytest
 from oracle import certified_count
@@ -14,7 +17,8 @@ from problems import GEOMETRIES, in_leg_space, random_branches
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.kinematics.family_forms import FamilyForms
+from spm_pin.kinematics.formulas.branches import families, pose_frame
+from spm_pin.kinematics.formulas.operations import bind
 
 PAPER = spm.Geometry.paper()
 DIGITS = 64.0 * float(np.finfo(np.longdouble).eps)
@@ -62,13 +66,16 @@ def level(rng: np.random.Generator, count: int) -> np.ndarray:
 def folds(rng: np.random.Generator, count: int) -> np.ndarray:
     """Poses shifted along the common normal to 1e-11 to 1e-2 m of where two branches of some family meet."""
     pose = random_branches(PAPER, "TT", count, seed=int(rng.integers(1 << 31))).pose
-    forms = FamilyForms.of(PAPER, pose.rotation.as_quat(), pose.translation)
-    family, every = rng.integers(4, size=count), np.arange(count)
-    uu, uv, vv = (form[every, family] for form in (forms.form_uu, forms.form_uv, forms.form_vv))
+    rows = np.moveaxis(pose.rotation.as_matrix(), 0, -1)
+    # Arrays stand for numbers.
+    run: Any = functools.partial(bind, where=np.where, both=np.logical_and)
+    frame = run(pose_frame)(tuple(map(tuple, rows)), tuple(pose.translation.T), PAPER.middle_radius)
+    forms = np.array([form[:3] for form in run(families)(frame, PAPER.middle_radius)])
+    uu, uv, vv = forms[rng.integers(4, size=count), :, np.arange(count)].T
     spread = np.hypot((uu - vv) / 2, uv) * rng.choice([-1.0, 1.0], count)
     beyond = 10.0 ** rng.uniform(-11.0, -2.0, count) * rng.choice([-1.0, 1.0], count)
     shift = ((uu + vv) / 2 + spread + beyond)[:, None]
-    normal = np.stack([forms.normal.real, forms.normal.imag, np.zeros(count)], axis=-1)
+    normal = np.stack([*frame.normal[:2], np.zeros(count)], axis=-1)
     return spm.pose(pose.translation + shift * normal, rotation=pose.rotation).as_matrix()
 
 

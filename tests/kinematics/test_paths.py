@@ -228,7 +228,7 @@ POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88])
         (stacked(POSE, POSE), "FT+", "start: expected the label of a solution that is real"),
         (stacked(POSE, POSE), "XX", "start: expected the label"),
         (stacked(POSE), None, "path: expected a callable, or at least two poses"),
-        (np.zeros((4, 5)), None, "path: expected real numbers of shape .* leg lengths in metres, or poses"),
+        (np.zeros((4, 5)), None, "path: expected real numbers of shape .* readings of the legs in metres, or poses"),
         (np.zeros(6), None, "path: expected a callable, or at least two poses"),
         (np.full((2, 6), -1.0), None, "readings"),
         (np.full((2, 6), np.nan), None, "path: expected finite real numbers of shape .* got nan at index"),

@@ -21,7 +21,7 @@ from spm_pin.display.viewer.session import Session, SessionConfig
 from spm_pin.display.viewer.workspace_layer import WorkspaceLayer
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.kinematics.forward_displacement import starting_configuration
-from spm_pin.mechanism import Configuration, Geometry
+from spm_pin.mechanism import Configuration, Geometry, pose
 from spm_pin.mechanism.configuration import check_configuration
 from spm_pin.multibody.chain import ClosedChain
 
@@ -79,7 +79,9 @@ class Viewer:
         chain = ClosedChain.from_urdf(geometry=geometry)
         chain.joint_values(configuration)  # raises where its loops do not close
         # Kernels are compiled when first called: now, so that no client waits for it.
-        ViewerModel(configuration).set_readings(configuration.readings)
+        model = ViewerModel(configuration)
+        model.set_readings(configuration.readings)
+        model.drag(pose(2.0 * configuration.translation, rotation=configuration.pose.rotation))  # out of reach
         if demo is None:
             demo = not isinstance(start, Configuration) and recording is None
         self._config = SessionConfig(
