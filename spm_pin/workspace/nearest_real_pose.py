@@ -4,9 +4,9 @@ Distances are those of `spm_pin.workspace.poses.pose_distance`; c_1, c_2, c_3 ar
 hence d² = |Δo|² + (the same mean for the rotation alone), and shifts and turns separate.
 
 For a fixed orientation a family is real where its quadratic form S, see `spm_pin.kinematics.inverse_displacement`,
-allows for the distance h = n·o of the two Z axes: λ_min(S) <= h <= λ_max(S). That is a slab between two planes normal to n, so the
-nearest position is a projection onto one of them and exact. What is left is a search over three angles, for which
-there is no such formula: a grid of turns, then BFGS from the best of them.
+allows for the distance h = n·o of the two Z axes: λ_min(S) <= h <= λ_max(S). That is a slab between two planes normal
+to n, so the nearest position is a projection onto one of them and exact. What is left is a search over three angles,
+for which there is no such formula: a grid of turns, then BFGS from the best of them.
 """
 
 from __future__ import annotations
