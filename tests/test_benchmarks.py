@@ -22,7 +22,7 @@ from benchmarks.peers.lines import coordinates
 from benchmarks.peers.operations import count_operations
 from benchmarks.peers.package import kernel, lengths_only
 from benchmarks.peers.peer import Peer, Prepared, Unavailable, required
-from benchmarks.poses import GEOMETRY, KINDS, leg_space, mixture, tiled
+from benchmarks.poses import GEOMETRY, KINDS, as_built, leg_space, mixture, tiled
 from benchmarks.report import Facts, count, seconds, size, table, three_digits, write
 from benchmarks.sections.completeness import tally
 from benchmarks.sections.preparation import prepare_peers
@@ -111,7 +111,7 @@ def test_branches_of_peers_satisfy_the_loop_equations(peer: Peer) -> None:
 
 @pytest.mark.parametrize("size", [1e-4, 1e-3])
 def test_peers_find_the_branches_of_a_machine_as_built(size: float) -> None:
-    machine = size
+    machine = as_built(size)
     ours = spm.inverse_displacement(machine, POSES)
     all_branches, physical_branch, gp3p = peers_by_task.AS_BUILT
     branches, physical = (answer(package.prepare((machine, POSES))) for package in (all_branches, physical_branch))

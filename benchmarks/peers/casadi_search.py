@@ -25,7 +25,7 @@ ITERATIONS = 60
 def ipopt(problem: tuple[Geometry, RigidTransform]) -> Prepared:
     """Prepare IPOPT on the feasibility problem, start by start."""
     required("casadi", "casadi")
-    from spm_pin.nlp.ipopt_solver import IpoptSolver
+    from spm_pin.nlp.branch_search import IpoptSolver
 
     solver = IpoptSolver(problem[0], {"ipopt.tol": 1e-12})
     return search(problem, lambda starts, matrix: solver(starts, matrix)[0])

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from benchmarks.peers.peer import FloatArray, Prepared
 from spm_pin import Geometry
-from spm_pin.nlp.multistart import random_starts
+from spm_pin.nlp.branch_search import random_starts
 
 __all__ = ["STARTS", "branches", "residuals", "search", "starts"]
 

@@ -216,12 +216,12 @@ def _methods() -> set[str]:
 @functools.cache
 def _constants() -> dict[int, str]:
     """Return where each public constant is assigned, as module.name, by its identity."""
+    public = {name for module in PUBLIC for name in importlib.import_module(module).__all__}
     return {
         id(vars(importlib.import_module(module))[name]): f"{module}.{name}"
         for folder in ("errors", *INTERNAL)
-        for module in _modules(folder)
-        for name in _assigned(module)
-        if name in importlib.import_module(module).__all__
+        for module in (f"spm_pin.{folder}", *_modules(folder))
+        for name in public.intersection(_assigned(module))
     }
 
 
@@ -267,7 +267,9 @@ def _folder(folder: str, described: set[str]) -> str:
     for module in _modules(folder):
         short = module.removeprefix(f"spm_pin.{folder}").removeprefix(".")
         homes = described | _methods()
-        known = sorted(name for name in importlib.import_module(module).__all__ if f"{module}.{name}" in homes)
+        members = vars(importlib.import_module(module)).items()
+        foreign = {name for name, value in members if callable(value) and getattr(value, "__module__", "") != module}
+        known = sorted(foreign | {name for name, _ in members if f"{module}.{name}" in homes})
         lines += ["", f"## {short or folder}", "", f"```{{eval-rst}}\n.. automodule:: {module}"]
         lines += [f"   :exclude-members: {', '.join(known)}"] if known else []
         # A function named as its module has the module's name as its address: only one of the two can be indexed.
@@ -285,7 +287,8 @@ def _modules(folder: str) -> list[str]:
 
 def _publishes(path: Path) -> bool:
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    return any(isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__" for node in tree.body)
+    kinds = ast.FunctionDef, ast.ClassDef
+    return any(isinstance(node, kinds) and not node.name.startswith("_") for node in tree.body)
 
 
 def _scripts() -> str:

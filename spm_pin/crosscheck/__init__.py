@@ -16,7 +16,6 @@ from spm_pin.crosscheck.paper_tables import (
     SolvedTwice,
     TrueValue,
     Verdict,
-    matches,
     reproduce,
 )
 from spm_pin.crosscheck.random_poses import in_leg_space, on_all_rotations
@@ -52,7 +51,6 @@ __all__ = [
     "compare_methods",
     "in_leg_space",
     "make_methods",
-    "matches",
     "on_all_rotations",
     "reproduce",
 ]

@@ -21,7 +21,7 @@ from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import complex_middle_joints
 from spm_pin.kinematics.rates_and_forces import leg_forces, leg_rates
 from spm_pin.mechanism import BRANCHES, LEGS, Configuration, Geometry, pose
-from spm_pin.mechanism.arguments import FloatArray, IntArray
+from spm_pin.mechanism.arguments import FloatArray, IntArray, type_and_value
 from spm_pin.paper import published, resultant
 from spm_pin.paper.driving_forces import load, table_5
 from spm_pin.paper.jacobian import Table5Mistakes
@@ -177,9 +177,11 @@ def reproduce(tables: Sequence[int] = TABLES) -> Reproduction:
     ArgumentError
         If a table is none of those that can be reproduced.
     """
+    if isinstance(tables, str) or not isinstance(tables, Sequence):
+        raise ArgumentError("tables", f"a sequence of numbers out of {TABLES}", type_and_value(tables))
     unknown = [table for table in tables if table not in TABLES]
     if unknown:
-        raise ArgumentError("tables", f"numbers of {TABLES}", unknown)
+        raise ArgumentError("tables", f"numbers out of {TABLES}", unknown)
     geometry = Geometry.paper()
     example = pose(np.array(published.POSITION) / _CM, xyx=np.deg2rad(published.XYX_DEGREES))
     closed = complex_middle_joints(geometry, example) * _CM

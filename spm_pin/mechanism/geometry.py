@@ -23,6 +23,7 @@ from spm_pin.mechanism.arguments import (
     LARGEST,
     SMALLEST,
     FloatArray,
+    check_instance,
     dimension,
     generator,
     real_array,
@@ -241,7 +242,11 @@ class Geometry:
         GeometryError
             If the file cannot be written.
         """
-        geometry_files.write(path, geometry_files.as_data(self))
+        geometry_files.write(path, self.as_data())
+
+    def as_data(self) -> dict[str, Any]:
+        """Return what `to_yaml` writes."""
+        return geometry_files.as_data(self.dimensions, self.limits, None if self.is_nominal else self.legs.arrays)
 
     @property
     def is_nominal(self) -> bool:
@@ -260,6 +265,7 @@ class Geometry:
 
     def is_same_machine(self, other: Geometry) -> bool:
         """Return True if the dimensions and legs are equal; the limits may differ."""
+        check_instance(other, Geometry, "other")
         return self.dimensions == other.dimensions and self.legs == other.legs
 
     @property

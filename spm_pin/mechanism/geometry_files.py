@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -14,9 +14,6 @@ from spm_pin.errors import GeometryError
 from spm_pin.mechanism.arguments import FloatArray, dimension, file_path, writing
 from spm_pin.mechanism.leg_limits import LEGS, ORDERED, LegLimits
 from spm_pin.mechanism.yaml_node import YamlNode
-
-if TYPE_CHECKING:
-    from spm_pin.mechanism.geometry import Geometry
 
 _IMPLAUSIBLE = 20.0
 """A file with a larger dimension [m] is suspected to be in another unit."""
@@ -69,14 +66,16 @@ def read(path: str | Path) -> GeometryData:
     return data
 
 
-def as_data(geometry: Geometry) -> dict[str, Any]:
-    """Return a geometry as the data of a YAML file that `read` reads."""
-    data: dict[str, Any] = {name: getattr(geometry, name) for name in ("base_radius", "platform_radius", "middle_side")}
-    if geometry.limits is not None:
-        pairs = [list(pair) for pair in zip(geometry.limits.minimum, geometry.limits.maximum, strict=True)]
+def as_data(
+    dimensions: tuple[float, float, float], limits: LegLimits | None, legs: tuple[FloatArray, ...] | None
+) -> dict[str, Any]:
+    """Return E, C and d [m], limits, and legs of a machine as built, as the data of a file that `read` reads."""
+    data: dict[str, Any] = dict(zip(("base_radius", "platform_radius", "middle_side"), dimensions, strict=True))
+    if limits is not None:
+        pairs = [list(pair) for pair in zip(limits.minimum, limits.maximum, strict=True)]
         data["leg_limits"] = pairs[0] if pairs.count(pairs[0]) == 6 else dict(zip(LEGS, pairs, strict=True))
-    if not geometry.is_nominal:
-        rows = (zip(_LEG_KEYS, leg, strict=True) for leg in zip(*geometry.legs.arrays, strict=True))
+    if legs is not None:
+        rows = (zip(_LEG_KEYS, leg, strict=True) for leg in zip(*legs, strict=True))
         data["legs"] = {leg: {key: entry.tolist() for key, entry in row} for leg, row in zip(LEGS, rows, strict=True)}
     return data
 

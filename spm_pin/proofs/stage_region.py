@@ -31,7 +31,7 @@ _UP = 1.0 + 1e-12
 
 
 @dataclass(frozen=True)
-class ErrorBounds:
+class _ErrorBounds:
     """Bounds of the changes that errors of a machine make in one stage, see `docs/theory/proofs.md`."""
 
     length: Interval
@@ -43,8 +43,9 @@ class ErrorBounds:
     sideways: Interval
     """√3/2 times a ball's distance from the nominal plane of its leg through the centre [m]."""
     radius: Interval
+    """A ball's radius without torsion [m]."""
     height: Interval
-    """A ball's radius, and its height without torsion [m]."""
+    """A ball's height without torsion [m]."""
     factor: Interval
     """m_ij, by the direction of the axis [m²]."""
     torsion: float
@@ -89,12 +90,12 @@ class StageRegion:
         return (self.longest + 3.0 * self.length_error) * _UP
 
     @cached_property
-    def error_bounds(self) -> ErrorBounds:
+    def error_bounds(self) -> _ErrorBounds:
         """Bounds of all that the errors change."""
         pivot, ball = np.sqrt([2.0, 3.0]) * self.length_error * _UP
         leaning = np.sqrt(2.0) * self.angle_error * self.longest * _UP
         corner = (leaning + pivot + ball) * _UP
-        return ErrorBounds(
+        return _ErrorBounds(
             length=Interval.within(self.length_error),
             pivot=Interval.within(pivot),
             leaning=Interval.within(leaning),

@@ -98,7 +98,7 @@ class _Search:
         normal = np.where(frame.is_vertical, np.nan, frame.normal[:2]).T
         # The tilt is twice the angle with this sine and cosine.
         too_level = 2.0 * frame.sine * frame.cosine < np.sin(LEAST_TILT)
-        return rotation, shift[:, None] * normal, too_level | ~np.isfinite(shift)
+        return rotation, shift[:, None] * normal, too_level | frame.is_vertical | ~np.isfinite(shift)
 
     def squares(self, turns: FloatArray) -> FloatArray:
         """Return the squared displacements (n,), over C²; very large where the tilt is too small."""

@@ -384,8 +384,6 @@ def test_sdf_elements_follow_the_format() -> None:
 
 
 def test_states_and_geometry_must_agree() -> None:
-    state = spm.inverse_displacement(
-        spm.Geometry(0.7, 0.35, 0.8), spm.pose([0.05, 0.05, 2.2], xyx=[0.2, 0.3, -0.1])
-    ).physical()
+    state = spm.forward_physical(spm.Geometry(0.7, 0.35, 0.8), [1.2, 1.2, 1.4, 1.25, 1.2, 1.5])
     with pytest.raises(spm.errors.DescriptionError, match="the robot's geometry in all states"):
         mjcf_text(states={"other": state})

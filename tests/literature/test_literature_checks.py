@@ -85,7 +85,7 @@ def test_a_self_motion_passes_from_mode_t_to_mode_f() -> None:
 
 def test_assembly_modes_of_equal_lengths_are_joined_without_a_singularity() -> None:
     found = nonsingular_changes(literature.GEOMETRY)
-    hips = {mode: {round(row.leg_bases, 9) for row in found if row.stage.endswith(mode)} for mode in ("T", "F")}
+    hips = {mode: {round(row.hips, 9) for row in found if row.stage.endswith(mode)} for mode in ("T", "F")}
     assert hips["T"] >= {0.1, 0.233, 0.4, 0.6, 0.75, 1.0, 1.5, 3.0}
     assert hips["F"] >= {0.1, 0.5, 0.75, 1.0, 1.5}
     for row in found:

@@ -56,7 +56,7 @@ def test_a_machine_as_built_is_planned_for_by_its_readings() -> None:
     with pytest.raises(spm.ArgumentError, match="certificate: expected a certificate of `geometry`, got one of other"):
         spm.plan(machine, START, GOAL, certificate=certificate)
     state = spm.forward_physical(PAPER, START)
-    with pytest.raises(spm.GeometryError, match="start: expected the axes of `geometry`, a machine as built"):
+    with pytest.raises(spm.GeometryError, match="start: expected the axes of `geometry`, got a machine that differs"):
         spm.plan(machine, state, GOAL)
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import spm_pin as spm
-from spm_pin.crosscheck import MisprintedEquation, Reproduction, Verdict, matches, reproduce
+from spm_pin.crosscheck import MisprintedEquation, Reproduction, Verdict, reproduce
+from spm_pin.crosscheck.paper_tables import matches
 from spm_pin.paper import published, resultant
 
 EXAMPLE = spm.pose(np.array(published.POSITION) / 100, xyx=np.deg2rad(published.XYX_DEGREES))

@@ -259,7 +259,8 @@ def _rows(function: object) -> list[np.ndarray]:
 @pytest.mark.parametrize(
     ("field", "value"),
     [
-        *((place, value) for place in (67, 73) for value in (np.nan, -0.1, np.inf)),
+        *((67, value) for value in (np.nan, -0.1, np.inf)),
+        *((73, value) for value in (np.nan, -0.1)),  # an upper limit may be infinite
         *((place, value) for place in (0, 2) for value in (0.0, -1.0, np.inf, np.nan, 1e10)),
         *((place, value) for place in (3, 25, 40, 57) for value in (np.nan, 1e10)),
     ],
@@ -267,8 +268,6 @@ def _rows(function: object) -> list[np.ndarray]:
 def test_numbers_that_are_no_machine_are_refused(library: CLibrary, field: int, value: float) -> None:
     state, machine = held_states(PAPER, 3, 1), library.machine.copy()
     machine[field] = value
-    if field == 73 and value == np.inf:
-        pytest.skip("an upper limit may be infinite")
     own, states = CLibrary(library.library, machine), as_states(state)
     for result, status in (
         own.inverse(state.rotation, state.translation),
