@@ -96,6 +96,12 @@ def as_built_file() -> str:
     return "machine.yaml"
 
 
+def recording_file() -> str:
+    """Write a recorded path into the folder of the test."""
+    Path("path.csv").write_text("r_b1,r_b2,r_b3,r_c1,r_c2,r_c3\n" + 2 * "1.3,1.3,1.3,1.3,1.3,1.3\n", encoding="utf-8")
+    return "path.csv"
+
+
 def measurements_file() -> str:
     Path("measured.csv").write_text("x,y,z,r_b1,r_b2,r_b3,r_c1,r_c2,r_c3\n0,0,2,1,1,1,1,1,1\n")
     return "measured.csv"
@@ -188,6 +194,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "Geometry.is_same_machine.other": lambda: PAPER,
     "calibration.identify.poses": lambda: MEASURED.pose,
     "calibration.read_measurements.path": measurements_file,
+    "display.read_recording.path": recording_file,
     "calibration.tolerance.states": lambda: 3,
     "calibration.tolerance.tolerances": lambda: {"ball": 1e-4},
     "ChainState.joint_accelerations_of_legs.leg_accelerations": lambda: np.zeros(6),
@@ -260,7 +267,10 @@ UNCHECKED = (
     "make_methods",
     "compare_methods",
     "compare_in_batches",  # as compare_methods
-    "display.draw",  # a picture takes a second; tests of pictures have wrong arguments
+    "display.agreement_figure",  # a picture takes a second; tests of pictures have wrong arguments
+    "display.calibration_figure",
+    "display.certificate_figure",
+    "display.draw",
     "display.save_picture",
     "display.save_gallery",
     "display.draw_shell",
