@@ -16,6 +16,7 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from spm_pin.errors import ArgumentError, require_extra
+from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, Progress, generator, real_number, whole_number
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LegLimits
@@ -37,6 +38,8 @@ _MOST_NODES = 5_000_000
 """Nodes of the grid at most."""
 _HALVINGS = 25
 """Halvings of an edge, down to 3e-8 of it."""
+_CONVERGED = 1e-7
+"""Largest violation of the conditions of a nearest point that counts as rounding."""
 _CHECK_DISTANCE = 1e-4
 """Distance beyond the place found, as a share of the edge, at which nothing must be reachable."""
 _BESIDE = 0.05
@@ -93,6 +96,15 @@ class Boundary(ClosedMesh):
         Drawn on the mesh, lifted off it until out of reach, and moved to the nearest reachable point.
         """
         rng, count = generator(rng, "rng"), whole_number(count, "count", least=1)
+        points = self._drawn(count, rng)
+        # Where the search has not converged, at the rim between two pieces of the boundary, another point is drawn.
+        while len(left := np.flatnonzero(points.violation > _CONVERGED)):
+            again = self._drawn(len(left), rng)
+            for array, values in zip(vars(points).values(), vars(again).values(), strict=True):
+                array[left] = values
+        return points
+
+    def _drawn(self, count: int, rng: np.random.Generator) -> BoundaryPoints:
         doubled = self._doubled_normals
         double_area = np.linalg.norm(doubled, axis=-1)
         face = rng.choice(len(self.faces), count, p=double_area / double_area.sum())
@@ -221,7 +233,7 @@ def _crossings(states: StateSet, inner: FloatArray, outer: FloatArray, within: F
     They go from reachable points `inner` to unreachable ones `outer`, (N, 3) [m]; `within` (N, 2, 3) put o at `inner`.
     Each is halved, the search always continued from the last state within.
     """
-    along, within, outermost = outer - inner, within.copy(), within.copy()
+    along, within = outer - inner, within.copy()
     low, high, left = np.zeros(len(along)), np.ones(len(along)), np.arange(len(along))
     while len(left):
         for _ in range(_HALVINGS):
@@ -229,7 +241,7 @@ def _crossings(states: StateSet, inner: FloatArray, outer: FloatArray, within: F
             points = inner[left] + middle[:, None] * along[left]
             member = search_states(states, points, within[left], margin=SINGULARITY_MARGIN)
             good = member.reached
-            within[left[good]], outermost[left[~good]] = member.coordinates[good], member.coordinates[~good]
+            within[left[good]] = member.coordinates[good]
             low[left], high[left] = np.where(good, middle, low[left]), np.where(good, high[left], middle)
         # Going outwards from one state, another may be overlooked: just outside nothing must be reachable.
         beyond = np.minimum(high[left] + _CHECK_DISTANCE, 1.0)
@@ -237,9 +249,13 @@ def _crossings(states: StateSet, inner: FloatArray, outer: FloatArray, within: F
         farther = np.flatnonzero(member.reached & (beyond < 1.0))
         left = left[farther]
         within[left], low[left], high[left] = member.coordinates[farther], beyond[farther], 1.0
-    # In the outermost state, legs are beyond their limits by what is left of the residual.
-    readings = np.clip(states.readings(outermost), states.minimum, states.maximum)
-    return inner + low[:, None] * along, readings
+    vertices, readings = inner + low[:, None] * along, np.clip(states.readings(within), states.minimum, states.maximum)
+    # Beside a forward singularity the readings may not lead back to the state: there another one is searched.
+    known = forward_physical(states.geometry, readings)
+    lost = np.flatnonzero(~(np.abs(known.translation - vertices).max(axis=-1) < 1e-6 * states.size))
+    member = search_states(states, vertices[lost], margin=SINGULARITY_MARGIN)
+    readings[lost[member.reached]] = member.readings[member.reached]
+    return vertices, readings
 
 
 def reachable_boundary(
