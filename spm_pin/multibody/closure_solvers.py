@@ -24,8 +24,8 @@ SHORTEST_NEWTON_SHARE = 2.0**-10
 LONGEST_STEP = 0.25
 """Largest step of the continuation in any joint: angles [rad], slides in units of the middle platform's side."""
 CORRECTION = 0.25
-"""Largest correction, as a share of the step it corrects."""
-DETERMINANT_CHANGE = 2.0
+"""Largest sum of corrections, as a share of the step they correct."""
+DETERMINANT_CHANGE = 1.5
 """Largest ratio of the determinants of the equations at both ends of a step, either way; the sign must be the same."""
 SHORTEST_SHARE = 2.0**-22
 """Share of the path below which the continuation ends."""
@@ -168,26 +168,32 @@ def _step(
     And the change of the determinant as a share of what is allowed, and the size of the step.
     """
     constrained = kinematics.constrained
-    residual, step = equations(start)
-    if largest(residual) <= constrained.rounding(start):
-        return start, 0.0, 0.0
-    move = step()
-    size = largest(move / constrained.units)
-    predicted = start + move
-    if size > LONGEST_STEP or (constrained.leg_lengths(predicted) < 0.0).any():
-        return None, math.inf, size
-    begin = determinant()
-    try:
-        q = _newton(kinematics, predicted, equations, MOST_CORRECTIONS, 1.0)
-    except ClosureError:
-        return None, math.inf, size
-    # A step of rounding's size corrects nothing but rounding.
-    if largest((q - predicted) / constrained.units) > max(CORRECTION * size, 1e-9):
-        return None, math.inf, size
-    # Two factors that change their sign together, as at a constraint singularity, show in the middle.
-    change = 0.0
-    for place in (q, 0.5 * (start + q)):
-        kinematics.evaluate(place)
-        ratio = determinant() / begin
-        change = max(change, abs(math.log(ratio)) / math.log(DETERMINANT_CHANGE) if ratio > 0.0 else math.inf)
-    return (q if change <= 1.0 else None), change, size
+    q, allowed, begin, first = start, math.inf, 0.0, math.inf
+    for iteration in range(MOST_CORRECTIONS + 1):
+        residual, step = equations(q)
+        if largest(residual) <= 2.0 * constrained.rounding(start):
+            if iteration == 0:
+                return start, 0.0, 0.0
+            # Two factors that change their sign together, as at a constraint singularity, show in the middle.
+            change = _change(determinant() / begin)
+            kinematics.evaluate(0.5 * (start + q))
+            change = max(change, _change(determinant() / begin))
+            return (q if change <= 1.0 else None), change, first
+        move = step()
+        size = largest(move / constrained.units)
+        if iteration == 0:
+            if size > LONGEST_STEP:
+                break
+            # A step of rounding's size corrects nothing but rounding.
+            begin, first, allowed = determinant(), size, max(CORRECTION * size, 1e-9)
+        else:
+            allowed -= size
+        q = q + move
+        if allowed < 0.0 or (constrained.leg_lengths(q) < 0.0).any():
+            break
+    return None, math.inf, first
+
+
+def _change(ratio: float) -> float:
+    """Return the ratio of two determinants as a share of the change allowed."""
+    return abs(math.log(ratio)) / math.log(DETERMINANT_CHANGE) if ratio > 0.0 else math.inf

@@ -249,12 +249,17 @@ def _crossings(states: StateSet, inner: FloatArray, outer: FloatArray, within: F
         farther = np.flatnonzero(member.reached & (beyond < 1.0))
         left = left[farther]
         within[left], low[left], high[left] = member.coordinates[farther], beyond[farther], 1.0
-    vertices, readings = inner + low[:, None] * along, np.clip(states.readings(within), states.minimum, states.maximum)
-    # Beside a forward singularity the readings may not lead back to the state: there another one is searched.
-    known = forward_physical(states.geometry, readings)
-    lost = np.flatnonzero(~(np.abs(known.translation - vertices).max(axis=-1) < 1e-6 * states.size))
-    member = search_states(states, vertices[lost], margin=SINGULARITY_MARGIN)
-    readings[lost[member.reached]] = member.readings[member.reached]
+    readings = np.clip(states.readings(within), states.minimum, states.maximum)
+    # Beside a forward singularity the readings may not lead back to the state: there another one is searched, if need
+    # be a little inwards.
+    for back in (0.0, 1e-4, 5e-4):
+        vertices = inner + low[:, None] * along
+        known = forward_physical(states.geometry, readings)
+        lost = np.flatnonzero(~(np.abs(known.translation - vertices).max(axis=-1) < 1e-6 * states.size))
+        low[lost] = np.maximum(low[lost] - back, 0.0)
+        vertices[lost] = inner[lost] + low[lost, None] * along[lost]
+        member = search_states(states, vertices[lost], margin=SINGULARITY_MARGIN)
+        readings[lost[member.reached]] = member.readings[member.reached]
     return vertices, readings
 
 

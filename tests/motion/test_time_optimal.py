@@ -239,7 +239,9 @@ def test_every_plan_has_a_fastest_motion_and_a_finer_grid_or_no_limit_of_jerk_ta
         assert planned.exists
         coarse, fine = (spm.time_optimal(CHAIN, planned, grid=n, period=5e-3, **limits) for n in (100, 200))
         assert shares(fine, limits).max() < 1.0 + 1e-6
-        assert coarse.times[-1] / (1.0 + 2.0 * coarse.error) < fine.times[-1] < 1.002 * coarse.times[-1]
+        # Where the grid adds nothing, both are the same number, to what IPOPT leaves.
+        least = coarse.times[-1] / (1.0 + 2.0 * coarse.error)
+        assert least * (1.0 - 1e-9) < fine.times[-1] < 1.002 * coarse.times[-1]
         if k % 10 == 0:
             smooth = spm.time_optimal(CHAIN, planned, grid=200, period=5e-3, leg_jerks=1e4, **limits)
             assert fine.times[-1] < (1.0 + 2.0 * fine.error) * smooth.times[-1]
