@@ -233,7 +233,7 @@ def _crossings(states: StateSet, inner: FloatArray, outer: FloatArray, within: F
     They go from reachable points `inner` to unreachable ones `outer`, (N, 3) [m]; `within` (N, 2, 3) put o at `inner`.
     Each is halved, the search always continued from the last state within.
     """
-    along, within = outer - inner, within.copy()
+    along, within, outermost = outer - inner, within.copy(), within.copy()
     low, high, left = np.zeros(len(along)), np.ones(len(along)), np.arange(len(along))
     while len(left):
         for _ in range(_HALVINGS):
@@ -241,7 +241,7 @@ def _crossings(states: StateSet, inner: FloatArray, outer: FloatArray, within: F
             points = inner[left] + middle[:, None] * along[left]
             member = search_states(states, points, within[left], margin=SINGULARITY_MARGIN)
             good = member.reached
-            within[left[good]] = member.coordinates[good]
+            within[left[good]], outermost[left[~good]] = member.coordinates[good], member.coordinates[~good]
             low[left], high[left] = np.where(good, middle, low[left]), np.where(good, high[left], middle)
         # Going outwards from one state, another may be overlooked: just outside nothing must be reachable.
         beyond = np.minimum(high[left] + _CHECK_DISTANCE, 1.0)
@@ -249,13 +249,17 @@ def _crossings(states: StateSet, inner: FloatArray, outer: FloatArray, within: F
         farther = np.flatnonzero(member.reached & (beyond < 1.0))
         left = left[farther]
         within[left], low[left], high[left] = member.coordinates[farther], beyond[farther], 1.0
-    readings = np.clip(states.readings(within), states.minimum, states.maximum)
-    # Beside a forward singularity the readings may not lead back to the state: there another one is searched, if need
-    # be a little inwards.
-    for back in (0.0, 1e-4, 5e-4):
+    # In the outermost state, legs are beyond their limits by what is left of the residual.
+    readings = np.clip(states.readings(outermost), states.minimum, states.maximum)
+    # Beside a forward singularity readings may not lead to the vertex: those of the last state within then serve, or of
+    # another state, if need be a little inwards.
+    for back in (None, 0.0, 1e-4, 5e-4):
         vertices = inner + low[:, None] * along
         known = forward_physical(states.geometry, readings)
         lost = np.flatnonzero(~(np.abs(known.translation - vertices).max(axis=-1) < 1e-6 * states.size))
+        if back is None:
+            readings[lost] = np.clip(states.readings(within[lost]), states.minimum, states.maximum)
+            continue
         low[lost] = np.maximum(low[lost] - back, 0.0)
         vertices[lost] = inner[lost] + low[lost, None] * along[lost]
         member = search_states(states, vertices[lost], margin=SINGULARITY_MARGIN)
