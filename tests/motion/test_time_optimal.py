@@ -224,7 +224,7 @@ def test_a_tiny_line_is_a_motion_too(length: float) -> None:
     assert spm.time_optimal(CHAIN, line, leg_forces=1500.0, leg_jerks=40.0, grid=100).times[-1] < 0.1
 
 
-@pytest.mark.parametrize("count", [4, pytest.param(120, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [4])
 def test_every_plan_has_a_fastest_motion_and_a_finer_grid_or_no_limit_of_jerk_takes_no_longer(count: int) -> None:
     rng = np.random.default_rng(count)
     kinds = [
