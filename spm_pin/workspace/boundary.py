@@ -93,12 +93,16 @@ class Boundary(ClosedMesh):
 
         Notes
         -----
-        Drawn on the mesh, lifted off it until out of reach, and moved to the nearest reachable point.
+        Drawn on the mesh, lifted off it until out of reach, and moved to the nearest reachable point. Points whose
+        search has not converged are drawn anew, up to ten times; `violation` tells those that are left.
         """
         rng, count = generator(rng, "rng"), whole_number(count, "count", least=1)
         points = self._drawn(count, rng)
         # Where the search has not converged, at the rim between two pieces of the boundary, another point is drawn.
-        while len(left := np.flatnonzero(points.violation > _CONVERGED)):
+        for _ in range(10):
+            left = np.flatnonzero(points.violation > _CONVERGED)
+            if not len(left):
+                break
             again = self._drawn(len(left), rng)
             for array, values in zip(vars(points).values(), vars(again).values(), strict=True):
                 array[left] = values
