@@ -50,7 +50,7 @@ def test_reproduce_fails_on_a_difference_nothing_explains(monkeypatch: pytest.Mo
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["reproduce", "--table", "7"], "--table: expected numbers of (1, 2, 3, 4, 5)"),
+        (["reproduce", "--table", "7"], "--table: expected numbers out of (1, 2, 3, 4, 5)"),
         (["reproduce", "--out", "/nowhere/x.json"], "--out: expected a file that can be written"),
         (["inverse", *EXAMPLE[:-4], "nan", "0", "--unit", "cm"], "--xyx: expected finite"),
         (["inverse", "--translation", "nan", "0", "2", "--xyx", "1", "2", "3"], "--translation: expected finite"),
