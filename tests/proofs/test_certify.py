@@ -17,9 +17,8 @@ from spm_pin.kinematics.formulas import stages
 from spm_pin.kinematics.intervals import Interval
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.stage_coordinates import configuration_of_stages, stage_coordinates
-from spm_pin.proofs.stage_proof import StageProof
+from spm_pin.proofs.stage_proof import StageProof, has_one_state
 from spm_pin.proofs.stage_region import StageRegion
-from spm_pin.proofs.unique_state import has_one_state
 
 PAPER = spm.Geometry.paper()
 LIMITS = spm.LegLimits(1.1, 1.5)
@@ -266,7 +265,7 @@ def test_the_determinant_is_that_of_the_formulas() -> None:
     states = np.random.default_rng(5).uniform([-0.6, -0.6, 0.5], [0.6, 0.6, 2.0], (50, 3))
     side, hips = 0.8, 0.7
     region = StageRegion(hips, side, np.zeros(3), np.full(3, 3.0))
-    squares, determinant = region.evaluate(*map(Interval.of, states.T))
+    squares, determinant = region.evaluate(*map(Interval.from_numbers, states.T))
     r = side / np.sqrt(3.0)
     x, y, z = states.T
     radii, heights = stages.corners(np.sqrt(1.0 - x * x - y * y), x, y, 0.0, z / r)

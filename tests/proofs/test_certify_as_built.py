@@ -84,7 +84,7 @@ def test_enclosures_contain_what_machines_within_errors_have(length: float, angl
         distances, determinants = np.linalg.norm(state.leg_vectors, axis=-1), np.abs(spm.determinants(state))
         turns = state.middle_pose.rotation, state.pose.rotation.inv() * state.middle_pose.rotation
         for k, region in enumerate(regions):
-            unknowns = [Interval.of(column) for column in stage_coordinates(state)[:, k].T]
+            unknowns = [Interval.from_numbers(column) for column in stage_coordinates(state)[:, k].T]
             squares, determinant = region.evaluate(*unknowns)
             for i in range(3):
                 contained("square", squares[i], distances[:, 3 * k + i] ** 2)
