@@ -97,7 +97,11 @@ def _radii(states: Configuration) -> FloatArray:
     from a matrix; pose and legs of a machine as built are taken as the exact numbers that they are stored as.
     """
     geometry = states.geometry
-    arrays = states.middle_joints.reshape(-1, 3, 3), states.rotation.reshape(-1, 3, 3), states.translation.reshape(-1, 3)
+    arrays = (
+        states.middle_joints.reshape(-1, 3, 3),
+        states.rotation.reshape(-1, 3, 3),
+        states.translation.reshape(-1, 3),
+    )
     radius = np.full(len(arrays[0]), np.nan)
     machine = _drawn_legs(geometry) if geometry.is_nominal else _legs(geometry)
     existing = np.flatnonzero(states.exists)
@@ -113,7 +117,9 @@ def _radii(states: Configuration) -> FloatArray:
 
 def _legs(geometry: Geometry) -> tuple[list[Vector], list[Vector], list[Vector], Vector]:
     """Return axes and pivots of the six legs, enclosures of `upper_ball_weights`, and the squared distances."""
-    axes, pivots, balls = ([_point(row) for row in array] for array in (geometry.legs.axes, geometry.legs.pivots, geometry.legs.balls))
+    axes, pivots, balls = (
+        [_point(row) for row in array] for array in (geometry.legs.axes, geometry.legs.pivots, geometry.legs.balls)
+    )
     p, q = _minus(balls[1], balls[0]), _minus(balls[2], balls[0])
     n = _cross(p, q)
     square, weights = _dot(n, n), []
@@ -127,7 +133,12 @@ def _legs(geometry: Geometry) -> tuple[list[Vector], list[Vector], list[Vector],
 
 def _drawn_legs(geometry: Geometry) -> tuple[list[Vector], list[Vector], list[Vector], Vector]:
     """Return what `_legs` does of a drawn machine, exactly: all leg planes contain the Z axis of their platform."""
-    half, root, one, zero = Interval.from_numbers(0.5), 0.5 * SQRT_3, Interval.from_numbers(1.0), Interval.from_numbers(0.0)
+    half, root, one, zero = (
+        Interval.from_numbers(0.5),
+        0.5 * SQRT_3,
+        Interval.from_numbers(1.0),
+        Interval.from_numbers(0.0),
+    )
     axes = [[half, root, zero], [one, zero, zero], [-half, root, zero]]
     nothing, side = [zero] * 3, Interval.from_numbers(geometry.middle_side)
     return 2 * axes, 6 * [nothing], 3 * [nothing], 3 * [side.square()]
@@ -145,7 +156,11 @@ def _enclosed_rows(rotation: FloatArray) -> list[Vector]:
 
 
 def _radii_of_equations(
-    machine: tuple[list[Vector], list[Vector], list[Vector], Vector], unit: float, b: list[Vector], rows: list[Vector], o: Vector
+    machine: tuple[list[Vector], list[Vector], list[Vector], Vector],
+    unit: float,
+    b: list[Vector],
+    rows: list[Vector],
+    o: Vector,
 ) -> FloatArray:
     """Return the radii around balls `b` of poses with these rows of R, or of a multiple, and positions."""
     axes, pivots, weights, squares = machine

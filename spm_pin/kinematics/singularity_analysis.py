@@ -267,5 +267,5 @@ def determinant_gradients(configuration: Configuration) -> FloatArray:
 
 
 def _rows(array: Any) -> Any:
-    """Return three rows of three numbers, as formulas take them, each number an array (...), of an array (..., 3, 3)."""
+    """Return an array (..., 3, 3) as formulas take it: three rows of three numbers, each an array (...)."""
     return tuple(tuple(array[..., i, j] for j in range(3)) for i in range(3))

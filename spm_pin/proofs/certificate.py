@@ -111,7 +111,10 @@ class Certificate:
             ]
         elif self.witness is not None:
             lengths = ", ".join(f"{length:.6f}" for length in self.witness.readings)
-            lines += ["Does not hold: a configuration within the limits is forward singular, with legs", f"({lengths}) m."]
+            lines += [
+                "Does not hold: a configuration within the limits is forward singular, with legs",
+                f"({lengths}) m.",
+            ]
         else:
             lines.append("Undecided: no singular configuration was found, and none was excluded.")
         for name, boxes in zip(("lower", "upper"), self.undecided, strict=True):

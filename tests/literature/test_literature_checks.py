@@ -143,7 +143,8 @@ def test_the_determinant_on_the_path_is_that_of_the_stage() -> None:
         np.testing.assert_allclose(6.75 * lever * middle(found), middle(expected), atol=1e-13)
         if shape[0] == shape[1]:
             ends = [
-                middle(determinant_on_curve(Interval.from_numbers(epsilon), Interval.from_numbers(u + h), shape)) for h in (1e-6, -1e-6)
+                middle(determinant_on_curve(Interval.from_numbers(epsilon), Interval.from_numbers(u + h), shape))
+                for h in (1e-6, -1e-6)
             ]
             slope = -middle(falling_on_curve(Interval.from_numbers(epsilon), Interval.from_numbers(u), shape))
             np.testing.assert_allclose(slope, (ends[0] - ends[1]) / 2e-6, atol=1e-8)

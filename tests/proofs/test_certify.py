@@ -301,37 +301,6 @@ def test_too_few_boxes_leave_it_undecided() -> None:
     assert not found.covers(spm.forward_physical(PAPER, np.full(6, 1.3)))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        ((PAPER, spm.LegLimits(1.0, np.inf)), "limits"),
-        ((spm.Geometry(0.6, 0.4, 0.5),), "limits"),
-        (("paper",), "geometry"),
-        ((PAPER, (1.1, 1.5)), "limits"),
-        ((PAPER, spm.LegLimits(1e-3, 2e-3)), "limits"),
-    ],
-)
-def test_invalid_arguments_are_refused(arguments: tuple[object, ...], named: str) -> None:
-    with pytest.raises(spm.ArgumentError) as caught:
-        spm.certify(*arguments)  # type: ignore[arg-type]
-    assert caught.value.argument == named
-
-
-@pytest.mark.parametrize(
-    ("keywords", "named"),
-    [
-        ({"centre": -1.0}, "centre"),
-        ({"centre": 1.3, "tolerance": 2.0}, "tolerance"),
-        ({"centre": [1, 2]}, "centre"),
-        ({"centre": 1e300}, "centre"),
-    ],
-)
-def test_arguments_of_the_widest_limits(keywords: dict[str, object], named: str) -> None:
-    with pytest.raises(spm.ArgumentError) as caught:
-        spm.largest_certified_limits(PAPER, **keywords)  # type: ignore[arg-type]
-    assert caught.value.argument == named
-
-
 def test_states_of_a_path_in_certified_limits(certificate: spm.Certificate) -> None:
     inside, outside = [1.2, 1.2, 1.4, 1.25, 1.2, 1.45], [1.2, 1.2, 1.4, 1.25, 1.2, 1.6]
     straight = spm.follow(PAPER, np.array([inside, [1.3] * 6]), samples=20, certificate=certificate)

@@ -146,22 +146,6 @@ def test_the_widest_limits_for_machines_with_errors() -> None:
     assert found.errors == (1e-3, 1e-3)
 
 
-@pytest.mark.parametrize(
-    ("keywords", "named"),
-    [
-        ({"length_error": -1e-4}, "length_error"),
-        ({"length_error": 0.2}, "length_error"),
-        ({"length_error": "0.1 mm"}, "length_error"),
-        ({"angle_error": np.nan}, "angle_error"),
-        ({"angle_error": 0.5}, "angle_error"),
-    ],
-)
-def test_invalid_errors_are_refused(keywords: dict[str, object], named: str) -> None:
-    with pytest.raises(spm.ArgumentError) as caught:
-        spm.certify(PAPER, LIMITS, **keywords)  # type: ignore[arg-type]
-    assert caught.value.argument == named
-
-
 def test_the_inverse_certificate_takes_a_certificate_of_the_same_limits(certificate: spm.Certificate) -> None:
     limits = spm.LegLimits(1.29, 1.3)
     forward = spm.certify(PAPER, limits)

@@ -240,8 +240,12 @@ def test_the_factors_are_those_of_the_package() -> None:
         size, theta = np.hypot(height, reach), np.arctan2(reach, height)
         point = [np.array([value]) for value in (p, psi, theta, ratio)]
         none = np.zeros(1)
-        found, slopes = factors(Interval.from_numbers(point[0]), (point[1], none), (point[2], none), Interval.from_numbers(point[3]))
-        nearby, _ = factors(Interval.from_numbers(point[0]), (point[1] + 1e-6, none), (point[2], none), Interval.from_numbers(point[3]))
+        found, slopes = factors(
+            Interval.from_numbers(point[0]), (point[1], none), (point[2], none), Interval.from_numbers(point[3])
+        )
+        nearby, _ = factors(
+            Interval.from_numbers(point[0]), (point[1] + 1e-6, none), (point[2], none), Interval.from_numbers(point[3])
+        )
         for i, j in PAIRS:
             value = heights[i] * (ratio + radii[j] / 2.0) + heights[j] * (radii[i] - ratio)
             assert size * found[i, j].low[0] <= value + 1e-12
