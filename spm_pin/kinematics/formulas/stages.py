@@ -30,6 +30,7 @@ from spm_pin.kinematics.formulas.vectors import (
     largest,
     magnitude,
     minus,
+    rotation_of,
     scaled,
     times,
 )
@@ -217,6 +218,14 @@ def pair_determinant(c: Pairs) -> float:
     return c[0] * c[1] * c[2] + c[3] * c[4] * c[5]
 
 
+def pair_inverse(c: Pairs) -> Rows:
+    """Return the columns of the inverse of the matrix with the rows (c12, c21, 0), (0, c23, c32), (c13, 0, c31)."""
+    c12, c23, c31, c21, c32, c13 = c
+    s = 1.0 / pair_determinant(c)
+    first, second = (c23 * c31, c32 * c13, -(c23 * c13)), (-(c21 * c31), c12 * c31, c21 * c13)
+    return scaled(s, first), scaled(s, second), scaled(s, (c21 * c32, -(c12 * c32), c12 * c23))
+
+
 def is_home_aspect(c: Pairs) -> bool:
     """Return whether a stage is reached from equal legs without a forward singularity.
 
@@ -256,11 +265,7 @@ def compose(
     # The middle platform's rotation in {B} times the inverse of that in {m}.
     w, x = a0 * b0 + a1 * b1 + a2 * b2 + a3 * b3, a1 * b0 - a0 * b1 - a2 * b3 + a3 * b2
     y, z = a2 * b0 - a0 * b2 - a3 * b1 + a1 * b3, a3 * b0 - a0 * b3 - a1 * b2 + a2 * b1
-    rotation = (
-        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
-        (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
-        (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
-    )
+    rotation = rotation_of(x, y, z, w)
     # The centre in {B} less the centre in {m}, turned.
     turned = times(rotation, (-2.0 * b1 * b2, b2 * b2 - b1 * b1, zeta_m))
     position = minus((-2.0 * a1 * a2, a2 * a2 - a1 * a1, zeta), turned)
