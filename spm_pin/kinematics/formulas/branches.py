@@ -22,7 +22,7 @@ ROUNDING = 2.0**-46
 
 
 class PoseFrame(NamedTuple):
-    """What the families of a pose share."""
+    """Quantities that the families of a pose share."""
 
     is_vertical: bool  # the Z axes are parallel and have no common normal: all else is finite and means nothing
     x0: float

@@ -1,15 +1,8 @@
 """The equations of one 3RPS stage: `docs/theory/forward_displacement.md`.
 
 A stage is three legs of given lengths from hips at radius E, each in the vertical plane of its hip, to a triangle of
-circumradius r. In units of r, with ε = E/r, the height ζ of the triangle's centre and its quaternion (x0, w),
-w = x1 + i x2, the squared leg lengths of mode T have the mean m and the first harmonic λ,
-
-    m = (x0² - ε)² + 2 |w|² + ζ²,      λ = (2ε - x0²) w² + conj(w)⁴ + 2 ζ x0 conj(w),
-
-over the three azimuths. Mode F is the same with -r for r, x3 for x0 and i w for w. It follows that
-Im(λ w) = κ Im(w³), κ = 2ε - 1: the tilt |w|² is a ratio of sines of the azimuth ψ of w. Put into the rest, all high
-harmonics cancel and a trigonometric polynomial of degree two in 2ψ is left: at most four solutions per mode, each
-with its mirror image below the hips.
+circumradius r. Units are r: ε = E/r, ζ the height of the triangle's centre, w = x1 + i x2 of its quaternion, and of the
+squared leg lengths over the three azimuths m the mean and λ the first harmonic, κ = 2ε - 1.
 
 A state (x0, x1, x2, ζ) has the coordinates of its mode: in mode F, where r, ε and ζ are negative, x0 stands for the
 quaternion's x3, and x1 + i x2 for i w.

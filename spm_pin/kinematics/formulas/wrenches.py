@@ -41,7 +41,7 @@ Matrix = tuple[Twist, Twist, Twist]
 
 
 class StageRates(NamedTuple):
-    """What a unit rate along each of three forces f_i does, none along the constraints a_i."""
+    """Velocities of the b_i for unit rates along three forces f_i, with none along the constraints a_i."""
 
     w: Rows
     n: Rows

@@ -2,8 +2,7 @@
 
 A leg of known length holds its ball on a circle about its revolute axis. Three angles are unknown, and the three
 distances between the balls are the equations. A step is taken if the theorem of Newton and Kantorovich holds at its
-start, with a margin of four, for the machines in its middle and at its end: there is one solution near, and Newton's
-method finds it.
+start for all lengths along it: there is one solution near, and Newton's method finds it.
 """
 
 from __future__ import annotations
@@ -39,8 +38,11 @@ from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, read
 from spm_pin.kinematics.kernels.quadric_newton import has_converged
 from spm_pin.mechanism.arguments import FloatArray
 
-_KANTOROVICH = 0.125
-"""Largest product of the inverse's norm, the Lipschitz constant and Newton's first step; the theorem asks for 1/2."""
+_KANTOROVICH, _DRIFT = 0.125, 0.25
+"""Largest products of the inverse's norm at the end of a step with the Lipschitz constant times Newton's first step and
+with the change of the derivative on the way. At constant angles the errors are quadratic in the lengths, so all along
+the step they are at most 5/4 of those in the middle and at the end, and the norm is at most 4/3 of that at the end: the
+first product stays below (4/3)² 5/4 · 1/8 < 0.28; the theorem asks for 1/2."""
 _SHORTEST = 1e-9
 """A step shorter than this part of the way stands before a singularity."""
 _MOST_STEPS = 250_000
@@ -110,40 +112,47 @@ def _balls(stage: Circles, towards: Rows) -> Rows:
 
 
 @jit_inline
-def _newton_step(stage: Circles, towards: Rows, balls: Rows) -> tuple[Vector, float, Rows]:
-    """Return Newton's step of the angles [rad], the norm of the inverse, and the directions in which the balls move."""
-    across, r, sides = crosses(stage.axes, towards), stage.radii, stage.sides
-    w = scaled(r[0], across[0]), scaled(r[1], across[1]), scaled(r[2], across[2])
-    # The squares of the distances have twice the derivatives c_ij.
-    first, second, third = pair_inverse(pairs(balls, w))
+def _errors(stage: Circles, balls: Rows) -> Vector:
+    """Return half the errors of the squared distances."""
     e12, e23, e31 = minus(balls[0], balls[1]), minus(balls[1], balls[2]), minus(balls[2], balls[0])
-    errors = (
-        dot(e12, e12) - sides[0] * sides[0],
-        dot(e23, e23) - sides[1] * sides[1],
-        dot(e31, e31) - sides[2] * sides[2],
-    )
+    d12, d23, d31 = stage.sides
+    return 0.5 * (dot(e12, e12) - d12 * d12), 0.5 * (dot(e23, e23) - d23 * d23), 0.5 * (dot(e31, e31) - d31 * d31)
+
+
+@jit_inline
+def _inverse(stage: Circles, across: Rows, balls: Rows) -> Rows:
+    """Return the columns of the inverse of the errors' derivative by the angles, whose entries are the c_ij."""
+    r = stage.radii
+    return pair_inverse(pairs(balls, (scaled(r[0], across[0]), scaled(r[1], across[1]), scaled(r[2], across[2]))))
+
+
+@jit_inline
+def _bounds(stage: Circles, change: float) -> tuple[float, float]:
+    """Return bounds of the change of the derivative's rows, per radian and as all radii change by at most `change`."""
+    gaps, (a, b, c), d = _sides(stage.pivots), stage.radii, stage.sides
+    first, second = gaps[0] * (a + b) + 4.0 * a * b, gaps[1] * (b + c) + 4.0 * b * c
+    lipschitz = larger(larger(first, second), gaps[2] * (c + a) + 4.0 * c * a)
+    longest = larger(larger(a + b + d[0], b + c + d[1]), c + a + d[2])
+    return lipschitz, 2.0 * change * (longest + 2.0 * change)
+
+
+@jit
+def _is_near(middle: Circles, end: Circles, balls: Rows, change: float) -> bool:
+    """Return whether a solution at the start of a step is next to those all along it, as radii change by `change`."""
+    towards = _directions(end, balls)
+    moved = _balls(end, towards)
+    first, second, third = _inverse(end, crosses(end.axes, towards), moved)
+    at_end = weighted(_errors(end, moved), (first, second, third))
+    at_middle = weighted(_errors(middle, _balls(middle, towards)), (first, second, third))
     sums = (
         magnitude(first[0]) + magnitude(second[0]) + magnitude(third[0]),
         magnitude(first[1]) + magnitude(second[1]) + magnitude(third[1]),
         magnitude(first[2]) + magnitude(second[2]) + magnitude(third[2]),
     )
-    return scaled(-0.5, weighted(errors, (first, second, third))), 0.5 * largest(sums), across
-
-
-@jit_inline
-def _lipschitz(stage: Circles) -> float:
-    """Return a bound of the change of the derivative's rows per radian, in the norm of the largest angle."""
-    gaps, (a, b, c) = _sides(stage.pivots), stage.radii
-    first, second = gaps[0] * (a + b) + 4.0 * a * b, gaps[1] * (b + c) + 4.0 * b * c
-    return 2.0 * larger(larger(first, second), gaps[2] * (c + a) + 4.0 * c * a)
-
-
-@jit
-def _is_near(stage: Circles, balls: Rows) -> bool:
-    """Return whether the theorem promises a solution near these balls; not where there is no inverse."""
-    towards = _directions(stage, balls)
-    step, norm, _ = _newton_step(stage, towards, _balls(stage, towards))
-    return norm * _lipschitz(stage) * largest(step) <= _KANTOROVICH
+    norm, (lipschitz, drift) = largest(sums), _bounds(end, change)
+    # Not a number where there is no inverse.
+    is_regular = norm * drift <= _DRIFT
+    return is_regular and norm * lipschitz * larger(largest(at_middle), largest(at_end)) <= _KANTOROVICH
 
 
 @jit
@@ -151,9 +160,10 @@ def _solution(stage: Circles, balls: Rows) -> tuple[Rows, bool]:
     """Return the solution near these balls, and whether Newton's method arrived."""
     towards, last = _directions(stage, balls), np.nan
     for _ in range(_ITERATIONS):
-        step, _, across = _newton_step(stage, towards, _balls(stage, towards))
+        across, here = crosses(stage.axes, towards), _balls(stage, towards)
+        step = weighted(_errors(stage, here), _inverse(stage, across, here))
         (a, b, c), (x, y, z) = towards, across
-        towards = directions((combined(a, step[0], x), combined(b, step[1], y), combined(c, step[2], z)))
+        towards = directions((combined(a, -step[0], x), combined(b, -step[1], y), combined(c, -step[2], z)))
         size = largest(step)
         if has_converged(size, last):
             return _balls(stage, towards), True
@@ -165,10 +175,11 @@ def _solution(stage: Circles, balls: Rows) -> tuple[Rows, bool]:
 def _followed(start: Circles, end: Circles, seed: Rows) -> tuple[Rows, bool]:
     """Return where balls at the start are led, and whether that is the end."""
     balls, share, length = seed, 0.0, 1.0
+    change = largest(minus(end.radii, start.radii))
     for _ in range(_MOST_STEPS):
         target = min(share + length, 1.0)
-        stage = _between(start, end, target)
-        if _is_near(stage, balls) and _is_near(_between(start, end, 0.5 * (share + target)), balls):
+        stage, middle = _between(start, end, target), _between(start, end, 0.5 * (share + target))
+        if _is_near(middle, stage, balls, change * (target - share)):
             moved, arrived = _solution(stage, balls)
             if arrived:
                 balls, share, length = moved, target, 2.0 * length

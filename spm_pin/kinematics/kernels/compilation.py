@@ -120,7 +120,7 @@ class Kernel(Generic[P, R]):
 
 
 class _Announcement(event.Listener):
-    """What Numba tells when it begins to compile, and not when it loads what is kept."""
+    """Log that Numba begins to compile, not that it loads what is kept."""
 
     def on_start(self, event: Any) -> None:
         _announce("for this machine, once")

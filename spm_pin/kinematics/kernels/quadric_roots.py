@@ -43,8 +43,6 @@ Elimination = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """Arrays to compute in: a matrix in turned coordinates (4, 4), the equations (3, 10), the polynomial (9,), and the
 points, with the polynomial's roots in two more rows."""
 
-_ATTEMPTS = 4
-"""Systems of coordinates to eliminate in."""
 _LONGEST = 60
 """Iterations for the polynomial; 8 to 12 are usual."""
 _RE, _IM = ROWS * POINTS, (ROWS + 1) * POINTS
@@ -52,25 +50,9 @@ _RE, _IM = ROWS * POINTS, (ROWS + 1) * POINTS
 _VALUE, _VALUE_I, _MOVED = 0, POINTS, 2 * POINTS
 """Rows of the points that hold other things before."""
 
-
-def _coordinates() -> FloatArray:
-    """Return orthogonal matrices, one for each attempt: products of a left and a right unit quaternion."""
-    pairs = (
-        ((3.0, 1.0, -2.0, 5.0), (2.0, -3.0, 1.0, 4.0)),
-        ((1.0, 4.0, 2.0, -3.0), (5.0, 2.0, 3.0, 1.0)),
-        ((-2.0, 3.0, 6.0, 1.0), (1.0, 5.0, -2.0, 2.0)),
-        ((7.0, -2.0, 3.0, 4.0), (-3.0, 1.0, 4.0, 6.0)),
-    )
-    found = np.empty((_ATTEMPTS, 4, 4))
-    for k, ((a, b, c, d), (e, f, g, h)) in enumerate(pairs):
-        left = np.array([[a, -b, -c, -d], [b, a, -d, c], [c, d, a, -b], [d, -c, b, a]])
-        right = np.array([[e, -f, -g, -h], [f, e, h, -g], [g, -h, e, f], [h, g, -f, e]])
-        product = left @ right
-        found[k] = product / math.sqrt((product[0] ** 2).sum())
-    return found
-
-
-_COORDINATES = _coordinates()
+_NORMALS = np.array([[3.0, 1.0, -2.0, 5.0], [1.0, 4.0, 2.0, -3.0], [-2.0, 3.0, 6.0, 1.0], [7.0, -2.0, 3.0, 4.0]])
+_COORDINATES = np.eye(4) - 2.0 * _NORMALS[:, :, None] * _NORMALS[:, None] / (_NORMALS**2).sum(axis=-1)[:, None, None]
+"""Orthogonal matrices, one for each attempt: reflections."""
 _SEPARATE = 1e-8
 """Projective distance above which two roots differ: rounding moves both members of a pair by less than their distance
 as long as that is above the square root of the precision."""
@@ -387,7 +369,7 @@ def eight_roots(forms: FloatArray, work: Elimination, found: FloatArray) -> int:
     Eight is all; real ones have imaginary parts of exactly zero. Fewer are found where some are not isolated.
     """
     points, count = work[3], 0
-    for attempt in range(_ATTEMPTS):
+    for attempt in range(len(_COORDINATES)):
         if count == 8 or not _put_starts(forms, attempt, work):
             continue
         count = _collect(forms, points, found, count)
