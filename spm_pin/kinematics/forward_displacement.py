@@ -1,12 +1,9 @@
 """Forward displacement: every assembly mode of six leg lengths, the physical one, and the one near a state.
 
-The upper stage seen from {m} is a 3RPS stage like the lower one, so the two are solved independently, see
-`spm_pin.kinematics.formulas.stages`, and every solution of one goes with every solution of the other.
-
-From a state, one mode is followed while the leg lengths change, in steps that are proved not to leave it: by the
-theorem of Newton and Kantorovich, if the inverse of the derivative times its Lipschitz constant times Newton's first
-step is at most 1/2, Newton's method converges to the only solution nearby. Steps are so short that this holds with a
-margin. A machine as built is followed in the same way from the drawn machine, while the dimensions change.
+The upper stage seen from {m} is a 3RPS stage like the lower one, so the two are solved independently, and every
+solution of one goes with every solution of the other. From a state, one mode is followed while the leg lengths change,
+in steps so short that Newton's method provably does not leave it; a machine as built is followed in the same way from
+the drawn machine, while the dimensions change. See `docs/theory/forward_displacement.md`.
 """
 
 from __future__ import annotations
@@ -72,9 +69,8 @@ def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> Solutio
 
     Raises
     ------
-    ArgumentError
-        If a length is not a positive number, or too large for the machine to be resolved beside it, or the machine is
-        one as built: its assembly modes are not known, see `forward_physical`.
+    GeometryError
+        If the machine is one as built: its assembly modes are not known, see `forward_physical`.
 
     Notes
     -----
@@ -104,13 +100,7 @@ def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> Solutio
         cause = "forward_physical finds the physical mode of a machine as built; all modes are those of its .nominal"
         raise GeometryError("geometry", "a machine as drawn", "one as built", cause)
     shape, lengths, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
-    results = (
-        ((n, 3, 3), np.float64),
-        ((n, 3), np.float64),
-        ((n, 3, 3), np.float64),
-        ((4,), np.int8),
-        ((), np.int8),
-    )
+    results = (*((shape, np.float64) for shape in ((n, 3, 3), (n, 3), (n, 3, 3))), ((4,), np.int8), ((), np.int8))
     solved = run_kernel(all_modes, (lengths,), radii(geometry), results, _MIN_BATCH_PER_THREAD)
     _solve_ill_conditioned(geometry, lengths, solved)
     *state, families, status = with_batch_shape(solved, shape)
@@ -150,16 +140,14 @@ def forward_physical(geometry: Geometry, readings: npt.ArrayLike, near: Configur
     Raises
     ------
     ArgumentError
-        If a length is not a positive number or too large for the machine to be resolved beside it, or `near` does
-        not exist, does not close, belongs to another machine or has another shape.
+        If a length is too large for the machine to be resolved beside it, or `near` does not close or belongs to
+        another machine.
 
     Notes
     -----
-    The home's aspect holds one configuration at most, so what Newton's method finds from level stages is taken if it is
-    in there; if not, all solutions of mode T are found and looked at. It is T1+/T1+ unless E or C is less than
-    a twentieth of d. With `near` each step is so short that Newton's method provably stays on the path, see the module;
-    so that state may be far. A machine as built is followed from the drawn machine, or from `near`; see
-    `docs/theory/as_built.md`.
+    The home's aspect holds one configuration at most. It is T1+/T1+ unless E or C is less than a twentieth of d. The
+    state `near` may be far, for each step of the path is so short that Newton's method provably stays on it. A machine
+    as built is followed from the drawn machine, or from `near`; see `docs/theory/as_built.md`.
 
     Examples
     --------
@@ -186,15 +174,7 @@ def forward_physical(geometry: Geometry, readings: npt.ArrayLike, near: Configur
 
 
 def starting_configuration(geometry: Geometry) -> Configuration:
-    """Return a regular configuration of the manipulator: the paper's solution 3, in proportion.
-
-    Its leg lengths are the paper's 120, 120, 140, 125, 120 and 150 cm over 130 cm, times the home lengths.
-
-    Raises
-    ------
-    ArgumentError
-        If the manipulator has no such configuration.
-    """
+    """Return a regular configuration of the manipulator: the paper's solution 3, in proportion to the home lengths."""
     home = np.repeat(home_lengths(geometry), 3)
     for share in (1.0, 0.5, 0.2, 0.05):
         state = forward_physical(geometry, home * (1.0 + share * (_START - 1.0)) + geometry.legs.offsets)

@@ -1,24 +1,8 @@
 """Inverse displacement in closed form: four quadratics, one per family, no iteration, no data-dependent branching.
 
-Write the horizontal vector (x, y) as the complex number x + iy and a unit quaternion as the pair
-s = x0 + i x3, w = x1 + i x2. With q_R = (S, W) the platform's rotation, a = (p, w_a) and b = (q, w_b) the
-middle platform's seen from {B} and from {m}, a = q_R b reads
-
-    W conj(w_b) = S q - p,        conj(W) w_a = conj(q) - S conj(p).
-
-The lower leg planes all contain the Z axis of {B}; this alone forces p to be real (mode T: p = P) or imaginary
-(mode F: p = iP) and puts the middle platform's centre at the horizontal position -i r conj(w_a²). The same
-holds for q, w_b, Q in {m}. With h the signed distance of the two Z axes along their common normal, closing the
-chain along that normal is homogeneous of degree two in (P, Q):
-
-    r Re(i s [W³ e_q (Q - S'P)² + conj(W)³ e_p (S'Q - P)²]) = h N,    N = P² + Q² - 2 κ PQ = |W|²,
-
-s = S/|S| and W scaled to modulus one in the bracket, S' = S (q/Q)/(p/P) = κ + iμ, e = +1 for T and -1 for F.
-In the coordinates u ~ P - Q, v ~ P + Q that make N = u² + v² the equation is a symmetric 2 x 2 form, and nothing
-cancels as the platform levels. Derivation: `docs/theory/inverse_displacement.md`.
-
-A machine as built has no such quadratics: its six leg planes are three quadrics, all eight roots of which are found,
-and the labels of the drawn machine are carried to them, see `docs/theory/as_built.md`.
+Derivation: `docs/theory/inverse_displacement.md`. A machine as built has no such quadratics: its six leg planes are
+three quadrics, all eight roots of which are found, and the labels of the drawn machine are carried to them, see
+`docs/theory/as_built.md`.
 """
 
 from __future__ import annotations
@@ -40,7 +24,7 @@ from spm_pin.kinematics.batches import (
     with_batch_shape,
 )
 from spm_pin.kinematics.formulas.branches import ROUNDING
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, as_bool
+from spm_pin.mechanism.arguments import FloatArray, as_bool
 from spm_pin.mechanism.branches import BRANCHES
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
@@ -88,13 +72,6 @@ def inverse_displacement(
         true under a label whose branch met another one on the way, and under a label left over that a real root of this
         machine took. The status may be `UNSOLVED`, where not all eight roots could be isolated; see
         `docs/theory/as_built.md`.
-
-    Raises
-    ------
-    PoseError
-        If `pose` is not a rigid transform of finite numbers, or more than 2e5 times the machine away.
-    ArgumentError
-        If `out` is no result of this function for this geometry and a batch of this shape.
 
     Notes
     -----
@@ -154,7 +131,7 @@ def _drawn_branches(
     results = BRANCH_RESULTS if memory is None else memory
     solved = run_kernel(all_branches, (rotation, position), radii(geometry), results, _MIN_BATCH_PER_THREAD)
     rotation, position, _, _, discriminants, hint, status, flagged = solved
-    degeneracy = find_degeneracy(geometry, shape, rotation, position, flagged, status)
+    degeneracy = _find_degeneracy(geometry, shape, rotation, position, flagged, status)
     return SolutionSet(
         branch_states(geometry, shape, solved[:4]),
         BRANCHES,
@@ -193,7 +170,7 @@ def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration 
     geometry : Geometry
         The manipulator. Its leg limits only decide between two configurations; see `LegLimits.contains`.
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
-        Pose of {m} in {B}, translation in metres; one, or a batch of shape (...).
+        As for `inverse_displacement`, one or a batch of shape (...).
     near : Configuration, optional
         Where the machine was: of two physical configurations, which are on either side of an inverse singularity, the
         one nearer to that state is returned. See `SolutionSet.nearest`.
@@ -207,11 +184,6 @@ def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration 
         preferred, then the one nearer to `near` or, without it, the one whose stages are tilted less;
         `SolutionSet.ambiguous` is True there. `.exists` is False, and everything NaN, where there is no such
         configuration.
-
-    Raises
-    ------
-    PoseError
-        If `pose` is not a rigid transform of finite numbers, or more than 2e5 times the machine away.
 
     Examples
     --------
@@ -275,7 +247,7 @@ def branch_lengths(geometry: Geometry, pose: PoseLike) -> tuple[FloatArray, npt.
         lengths, status, flagged = run_kernel(
             kernels.branch_lengths, (rotation, position), radii(geometry), results, _MIN_BATCH_PER_THREAD
         )
-        find_degeneracy(geometry, shape, rotation, position, flagged, status)
+        _find_degeneracy(geometry, shape, rotation, position, flagged, status)
     else:
         _, lengths, _, status, _ = _as_built_roots(geometry, rotation, position)
     leg_lengths, outcome = with_batch_shape((lengths, status), shape)
@@ -338,7 +310,7 @@ def _as_built_roots(
     return run_kernel(as_built_branches, (rotation, position), constants, results, _MIN_BATCH_PER_THREAD_AS_BUILT)
 
 
-def find_degeneracy(
+def _find_degeneracy(
     geometry: Geometry,
     shape: tuple[int, ...],
     rotation: FloatArray,
@@ -348,38 +320,25 @@ def find_degeneracy(
 ) -> Degeneracy:
     """Describe the continuous families of a batch of this shape, N poses (N, 3, 3), (N, 3); set their `status` (N,).
 
-    Only poses that a kernel has `flagged` (N,) can have any, see `kernels.branch_kernels`.
-    """
-    n = len(flagged)
-    dimension, families, legs = np.zeros(n, np.int8), np.zeros((n, 4), np.bool_), np.zeros((n, 3), np.bool_)
-    at = np.flatnonzero(flagged)
-    if len(at):
-        dimension[at], families[at], legs[at] = _describe(geometry, flagged[at], rotation[at], position[at])
-        status[dimension > 0] = Status.DEGENERATE
-    return Degeneracy(dimension.reshape(shape), families.reshape(*shape, 4), legs.reshape(*shape, 3))
-
-
-def _describe(
-    geometry: Geometry, flagged: npt.NDArray[np.uint8], rotation: FloatArray, position: FloatArray
-) -> tuple[npt.NDArray[np.int8], BoolArray, BoolArray]:
-    """Return the dimension (N,), families (N, 4) and legs (N, 3) of `Degeneracy` of flagged poses.
-
-    Where the two Z axes meet or cross, a family is continuous iff its form vanishes: (P : Q) is then free and
-    the family has one dimension. Where they are parallel, see `kernels.branch_kernels.continuous_families`.
+    Only poses that a kernel has `flagged` (N,) can have any. Where the two Z axes meet or cross, a family is continuous
+    iff its form vanishes: (P : Q) is then free and the family has one dimension. Where they are parallel, see
+    `kernels.branch_kernels.continuous_families`.
     """
     from spm_pin.kinematics.kernels.branch_kernels import VERTICAL, continuous_families
 
     families = (flagged[:, None] & np.array([1, 2, 4, 8])) > 0
-    dimension = families.any(axis=-1).astype(np.int8)
-    axes = geometry.revolute_axes
-    platform_axes = axes @ np.swapaxes(rotation, -1, -2)
-    parallel = np.linalg.norm(np.cross(axes, platform_axes), axis=-1) <= ROUNDING
-    aside = np.hypot(position[:, 0], position[:, 1])
-    legs = parallel & (np.abs(position @ axes.T) <= ROUNDING * (geometry.middle_radius + aside)[:, None])
-    at = (flagged & VERTICAL) > 0
-    if at.any():
-        flat = np.empty((np.count_nonzero(at), 4), np.uint8)
-        sizes = np.empty(len(flat), np.int8)
-        continuous_families(rotation[at], position[at], geometry.middle_radius, flat, sizes)
-        families[at], dimension[at] = flat > 0, sizes
-    return dimension, families, legs & (dimension > 0)[:, None]
+    dimension, legs = families.any(axis=-1).astype(np.int8), np.zeros((len(flagged), 3), np.bool_)
+    vertical = np.flatnonzero(flagged & VERTICAL)
+    if len(vertical):
+        flat, sizes = np.empty((len(vertical), 4), np.uint8), np.empty(len(vertical), np.int8)
+        continuous_families(rotation[vertical], position[vertical], geometry.middle_radius, flat, sizes)
+        families[vertical], dimension[vertical] = flat > 0, sizes
+    moving = np.flatnonzero(dimension)
+    if len(moving):
+        status[moving] = Status.DEGENERATE
+        axes, places = geometry.revolute_axes, position[moving]
+        parallel = np.linalg.norm(np.cross(axes, axes @ np.swapaxes(rotation[moving], -1, -2)), axis=-1) <= ROUNDING
+        aside = np.hypot(places[:, 0], places[:, 1])
+        in_plane = np.abs(places @ axes.T) <= ROUNDING * (geometry.middle_radius + aside)[:, None]
+        legs[moving] = parallel & in_plane
+    return Degeneracy(dimension.reshape(shape), families.reshape(*shape, 4), legs.reshape(*shape, 3))

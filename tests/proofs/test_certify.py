@@ -17,9 +17,8 @@ from spm_pin.kinematics.formulas import stages
 from spm_pin.kinematics.intervals import Interval
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.stage_coordinates import configuration_of_stages, stage_coordinates
-from spm_pin.proofs.stage_proof import StageProof
+from spm_pin.proofs.stage_proof import StageProof, has_one_state
 from spm_pin.proofs.stage_region import StageRegion
-from spm_pin.proofs.unique_state import has_one_state
 
 PAPER = spm.Geometry.paper()
 LIMITS = spm.LegLimits(1.1, 1.5)
@@ -266,7 +265,7 @@ def test_the_determinant_is_that_of_the_formulas() -> None:
     states = np.random.default_rng(5).uniform([-0.6, -0.6, 0.5], [0.6, 0.6, 2.0], (50, 3))
     side, hips = 0.8, 0.7
     region = StageRegion(hips, side, np.zeros(3), np.full(3, 3.0))
-    squares, determinant = region.evaluate(*map(Interval.of, states.T))
+    squares, determinant = region.evaluate(*map(Interval.from_numbers, states.T))
     r = side / np.sqrt(3.0)
     x, y, z = states.T
     radii, heights = stages.corners(np.sqrt(1.0 - x * x - y * y), x, y, 0.0, z / r)
@@ -300,37 +299,6 @@ def test_too_few_boxes_leave_it_undecided() -> None:
     assert found.bounds == (0.0, 0.0) or 0.0 in found.bounds
     assert any(len(boxes) for boxes in found.undecided)
     assert not found.covers(spm.forward_physical(PAPER, np.full(6, 1.3)))
-
-
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        ((PAPER, spm.LegLimits(1.0, np.inf)), "limits"),
-        ((spm.Geometry(0.6, 0.4, 0.5),), "limits"),
-        (("paper",), "geometry"),
-        ((PAPER, (1.1, 1.5)), "limits"),
-        ((PAPER, spm.LegLimits(1e-3, 2e-3)), "limits"),
-    ],
-)
-def test_invalid_arguments_are_refused(arguments: tuple[object, ...], named: str) -> None:
-    with pytest.raises(spm.ArgumentError) as caught:
-        spm.certify(*arguments)  # type: ignore[arg-type]
-    assert caught.value.argument == named
-
-
-@pytest.mark.parametrize(
-    ("keywords", "named"),
-    [
-        ({"centre": -1.0}, "centre"),
-        ({"centre": 1.3, "tolerance": 2.0}, "tolerance"),
-        ({"centre": [1, 2]}, "centre"),
-        ({"centre": 1e300}, "centre"),
-    ],
-)
-def test_arguments_of_the_widest_limits(keywords: dict[str, object], named: str) -> None:
-    with pytest.raises(spm.ArgumentError) as caught:
-        spm.largest_certified_limits(PAPER, **keywords)  # type: ignore[arg-type]
-    assert caught.value.argument == named
 
 
 def test_states_of_a_path_in_certified_limits(certificate: spm.Certificate) -> None:
