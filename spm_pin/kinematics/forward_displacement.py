@@ -23,7 +23,6 @@ from spm_pin.mechanism.arguments import (
     first_offender,
     real_array,
 )
-from spm_pin.mechanism.ball_triangles import triangle_frames, triangle_sides
 from spm_pin.mechanism.branches import physical
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
@@ -45,6 +44,8 @@ _OPEN = 1e-6
 """Closure residual of a state, relative to d, from which on it is no configuration."""
 _START = np.array([1.20, 1.20, 1.40, 1.25, 1.20, 1.50]) / 1.30
 """Leg lengths of the paper's solution 3, over its home lengths."""
+_STATE = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64)
+"""Results of kernels: R, o and the b_i."""
 _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_FOLLOWED, _MIN_BATCH_PER_THREAD_PHYSICAL = 1 << 8, 1 << 10, 1 << 12
 
 
@@ -158,8 +159,11 @@ def forward_physical(geometry: Geometry, readings: npt.ArrayLike, near: Configur
     checked = _read_lengths(geometry, readings)
     if near is not None:
         _check_near(geometry, checked, near)
-        follow = _follow_drawn if geometry.is_nominal else _follow_as_built
-        return follow(geometry, checked, near)
+        shape = np.broadcast_shapes(checked.shape[:-1], near.shape)
+        start = [(near.rotation, 2), (near.translation, 1), (near.middle_joints, 2), (checked, 1)]
+        *flat, ends = [flat_batch(x, shape, inner) for x, inner in start]
+        followed = _follow(geometry, tuple(flat), geometry, ends)
+        return Configuration.from_arrays(geometry, *with_batch_shape(followed, shape))
     shape, lengths = checked.shape[:-1], checked.reshape(-1, 6)
     solve = _solve_drawn if geometry.is_nominal else _solve_as_built
     state = Configuration.from_arrays(geometry, *with_batch_shape(solve(geometry, lengths), shape))
@@ -225,46 +229,12 @@ def _check_near(geometry: Geometry, lengths: FloatArray, near: Configuration) ->
         raise ArgumentError("near", "a configuration that closes", f"a closure residual of {residual:.1e} m")
 
 
-def _follow_drawn(geometry: Geometry, lengths: FloatArray, near: Configuration) -> Configuration:
-    """Follow `near` to leg lengths (..., 6), each stage by itself; NaN where a stage meets a singularity."""
-    from spm_pin.kinematics.kernels.continuation_kernel import follow_stages, stage_states
-    from spm_pin.kinematics.kernels.mode_kernels import compose_all
+def _follow(start: Geometry, state: tuple[FloatArray, ...], end: Geometry, lengths: FloatArray) -> tuple[Any, ...]:
+    """Follow states R, o, b_i (N, ...) to another machine and its lengths (N, 6); NaN where they meet a singularity."""
+    from spm_pin.kinematics.kernels.ball_circles import follow_states
 
-    shape = np.broadcast_shapes(lengths.shape[:-1], near.shape)
-    r, count = geometry.middle_radius, int(np.prod(shape))
-    legs = [flat_batch(x, shape, 1) / r for x in (near.leg_lengths, lengths)]
-    # The lower stages, then the upper ones as they are seen from {m}.
-    start, end = (np.concatenate([x[:, :3], x[:, 3:]]) for x in legs)
-    corners = np.concatenate([flat_batch(balls, shape, 2) for balls in _balls_of_stages(near)])
-    hips = np.repeat([geometry.base_radius / r, geometry.platform_radius / r], count)
-    stage = ((4,), np.float64), ((), np.bool_)
-    starts, half_turned = run_kernel(stage_states, (corners,), (r,), stage, _MIN_BATCH_PER_THREAD_FOLLOWED)
-    inputs = start, end, np.where(half_turned, -hips, hips), starts
-    states, arrived = run_kernel(follow_stages, inputs, (), stage, _MIN_BATCH_PER_THREAD_FOLLOWED)
-    states[~arrived] = np.nan
-    x0, x1, x2, zeta = states.T
-    zero = 0.0 * x0  # NaN where a stage has not arrived
-    plain, turned = np.stack([x0, x1, x2, zero, zeta], -1), np.stack([zero, x2, -x1, x0, -zeta], -1)
-    stages = np.where(half_turned[:, None], turned, plain)
-    results = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64)
-    halves = stages[:count], stages[count:]
-    composed = run_kernel(compose_all, halves, (r,), results, _MIN_BATCH_PER_THREAD_FOLLOWED)
-    return Configuration.from_arrays(geometry, *with_batch_shape(composed, shape))
-
-
-def _follow_as_built(geometry: Geometry, lengths: FloatArray, near: Configuration) -> Configuration:
-    """Follow `near` to leg lengths (..., 6) as `_follow_drawn` does."""
-    shape = np.broadcast_shapes(lengths.shape[:-1], near.shape)
-    balls = np.concatenate(_balls_of_stages(near), axis=-2)
-    legs = [flat_batch(x, shape, 1) for x in (near.leg_lengths, lengths)]
-    followed = _follow_circles(geometry, geometry, flat_batch(balls, shape, 2), *legs)
-    return Configuration.from_arrays(geometry, *with_batch_shape(_composed(geometry, followed), shape))
-
-
-def _balls_of_stages(state: Configuration) -> tuple[FloatArray, FloatArray]:
-    """Return the balls (..., 3, 3) of the lower legs in {B} and of the upper legs in {m} [m]."""
-    upper = state.balls[..., 3:, :] - state.translation[..., None, :]
-    return state.balls[..., :3, :], (upper[..., None, :] @ state.rotation[..., None, :, :])[..., 0, :]
+    machines = [np.stack([x.axes, x.pivots, x.balls]) for x in (start.legs, end.legs)]
+    return run_kernel(follow_states, (*state, lengths), machines, _STATE, _MIN_BATCH_PER_THREAD_FOLLOWED)
 
 
 def _solve_as_built(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, ...]:
@@ -274,14 +244,10 @@ def _solve_as_built(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray
     to those of this machine, or, where that gives none, the level state with equal legs is followed to the given legs.
     """
     drawn = geometry.nominal
-    start = Configuration.from_arrays(drawn, *_solve_drawn(drawn, lengths))
-    balls = np.concatenate(_balls_of_stages(start), axis=-2)
-    balls = _follow_circles(drawn, geometry, balls, lengths, lengths)
-    state = _composed(geometry, balls)
-    is_physical = physical(Configuration.from_arrays(geometry, *state))
-    missing = np.flatnonzero(~is_physical)
+    state = _follow(drawn, _solve_drawn(drawn, lengths), geometry, lengths)
+    missing = np.flatnonzero(~physical(Configuration.from_arrays(geometry, *state)))
     if len(missing):
-        others = _composed(geometry, _follow_from_home(geometry, lengths[missing]))
+        others = _follow_from_home(geometry, lengths[missing])
         wrong = ~physical(Configuration.from_arrays(geometry, *others))
         for array, values in zip(state, others, strict=True):
             values[wrong] = np.nan
@@ -289,53 +255,24 @@ def _solve_as_built(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray
     return state
 
 
-def _follow_from_home(geometry: Geometry, lengths: FloatArray) -> FloatArray:
-    """Follow the level state with equal legs to legs (N, 6); return its balls as `_follow_circles` does."""
-    drawn, r = geometry.nominal, geometry.middle_radius
+def _follow_from_home(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, ...]:
+    """Follow the level state with equal legs of the drawn machine to this machine, and then to legs (N, 6)."""
+    drawn, r, n = geometry.nominal, geometry.middle_radius, len(lengths)
     offsets = np.array([geometry.base_radius, geometry.platform_radius]) - r
     # Legs at least so long that the level stage is well away from flat.
     equal = np.maximum(lengths.reshape(-1, 2, 3).mean(axis=-1), np.hypot(1.0, 0.5) * np.abs(offsets))
     height = np.sqrt(np.maximum(equal**2 - offsets**2, 0.0))
-    balls = np.concatenate([np.broadcast_to(r * geometry.radial_directions, (len(lengths), 3, 3))] * 2, axis=1)
-    balls[..., 2] = np.repeat(height * [1.0, -1.0], 3, axis=-1)
-    legs = np.repeat(equal, 3, axis=-1)
-    return _follow_circles(geometry, geometry, _follow_circles(drawn, geometry, balls, legs, legs), legs, lengths)
-
-
-def _follow_circles(
-    start: Geometry, end: Geometry, balls: FloatArray, start_lengths: FloatArray, end_lengths: FloatArray
-) -> FloatArray:
-    """Follow states to other dimensions and lengths (N, 6); balls (N, 6, 3), the lower in {B}, the upper in {m}."""
-    from spm_pin.kinematics.kernels.ball_circles import follow_circles
-
-    unit, moved = end.middle_radius, np.empty_like(balls)
-    for stage in (slice(3), slice(3, 6)):
-        machines = [np.stack([g.legs.axes[stage], g.legs.pivots[stage] / unit]) for g in (start, end)]
-        sides = [triangle_sides(g.legs.balls[stage]) / unit for g in (start, end)]
-        inputs = balls[:, stage] / unit, start_lengths[:, stage] / unit, end_lengths[:, stage] / unit
-        results = ((3, 3), np.float64), ((), np.bool_)
-        reached, _ = run_kernel(follow_circles, inputs, (*machines, *sides), results, _MIN_BATCH_PER_THREAD_FOLLOWED)
-        moved[:, stage] = reached * unit
-    moved[np.isnan(moved).any(axis=(-1, -2))] = np.nan
-    return moved
-
-
-def _composed(geometry: Geometry, balls: FloatArray) -> tuple[FloatArray, ...]:
-    """Return R, o and the b_i of the states in which {n} is where balls (N, 6, 3) are, seen from {B} and from {m}."""
-    local, placed = geometry.legs.balls.reshape(2, 3, 3), balls.reshape(-1, 2, 3, 3)
-    turns = triangle_frames(placed) @ np.swapaxes(triangle_frames(local), -1, -2)
-    places = placed.mean(axis=-2) - (turns @ local.mean(axis=-2)[..., None])[..., 0]
-    rotation = turns[:, 0] @ np.swapaxes(turns[:, 1], -1, -2)
-    translation = places[:, 0] - (rotation @ places[:, 1, :, None])[..., 0]
-    return rotation, translation, np.ascontiguousarray(balls[:, :3])
+    translation, joints = np.zeros((n, 3)), np.tile(r * geometry.radial_directions, (n, 1, 1))
+    translation[:, 2], joints[..., 2] = height.sum(axis=-1), height[:, :1]
+    level = np.broadcast_to(np.eye(3), (n, 3, 3)), translation, joints
+    return _follow(geometry, _follow(drawn, level, geometry, np.repeat(equal, 3, axis=-1)), geometry, lengths)
 
 
 def _solve_drawn(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, ...]:
     """Return R, o and the b_i (N, ...) of the physical state of a drawn machine with leg lengths (N, 6)."""
     from spm_pin.kinematics.kernels.mode_kernels import home_modes
 
-    results = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64)
-    return run_kernel(home_modes, (lengths,), radii(geometry), results, _MIN_BATCH_PER_THREAD_PHYSICAL)
+    return run_kernel(home_modes, (lengths,), radii(geometry), _STATE, _MIN_BATCH_PER_THREAD_PHYSICAL)
 
 
 def _solve_ill_conditioned(geometry: Geometry, lengths: FloatArray, solved: tuple[Any, ...]) -> None:

@@ -26,7 +26,7 @@ from spm_pin.kinematics.formulas.stages import (
     stage_equations,
     tilt_quadratic,
 )
-from spm_pin.kinematics.kernels.stage_modes import PLACES
+from spm_pin.kinematics.kernels.mode_kernels import PLACES
 from spm_pin.mechanism.arguments import FloatArray
 
 _DIGITS = 60

@@ -8,7 +8,7 @@ three quadrics, all eight roots of which are found, and the labels of the drawn 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -35,8 +35,6 @@ ROUNDING_BOUND = 2.0**-39
 """Bound of the rounding error of a discriminant over r², divided by (1 + (|x| + |y|)/r)²: `docs/theory/proofs.md`."""
 
 _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_AS_BUILT = 1 << 14, 1 << 9
-_LARGE = 5e-3
-"""Errors of a machine as built, of directions and in units of r, for which all roots are solved for at once."""
 
 
 def inverse_displacement(
@@ -198,24 +196,24 @@ def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration 
     if near is not None:
         return inverse_displacement(geometry, pose).physical(near)
     shape, rotation, position = read_pose(geometry, pose)
-    solve = _drawn_physical if geometry.is_nominal else _as_built_physical
-    state = solve(geometry, shape, rotation, position)
+    results = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64), ((6,), np.float64)
+    kernel: Callable[..., None]
+    constants: tuple[Any, ...]
+    if geometry.is_nominal:
+        from spm_pin.kinematics.kernels.branch_kernels import physical_branches
+
+        kernel, constants, min_batch = physical_branches, radii(geometry), _MIN_BATCH_PER_THREAD
+    else:
+        from spm_pin.kinematics.kernels.as_built_kernels import as_built_physical_branches
+
+        constants = _machines(geometry), geometry.middle_radius
+        kernel, min_batch = as_built_physical_branches, _MIN_BATCH_PER_THREAD_AS_BUILT
+    solved = run_kernel(kernel, (rotation, position), (*constants, _length_bounds(geometry)), results, min_batch)
+    state = Configuration.from_arrays(geometry, *with_batch_shape(solved, shape))
     if not shape and not state.exists:
         # The same, with the reason why there is none.
         return inverse_displacement(geometry, pose).physical()
     return state
-
-
-def _drawn_physical(
-    geometry: Geometry, shape: tuple[int, ...], rotation: FloatArray, position: FloatArray
-) -> Configuration:
-    """Choose between TT+ and TT- of the family's quadratic."""
-    from spm_pin.kinematics.kernels.branch_kernels import physical_branches
-
-    results = (((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64), ((6,), np.float64))
-    constants = *radii(geometry), _length_bounds(geometry)
-    solved = run_kernel(physical_branches, (rotation, position), constants, results, _MIN_BATCH_PER_THREAD)
-    return Configuration.from_arrays(geometry, *with_batch_shape(solved, shape))
 
 
 def _length_bounds(geometry: Geometry) -> FloatArray:
@@ -223,42 +221,6 @@ def _length_bounds(geometry: Geometry) -> FloatArray:
     limits = geometry.limits
     bounds = np.array([(-np.inf,) * 6, (np.inf,) * 6] if limits is None else [limits.minimum, limits.maximum])
     return np.asarray(bounds - geometry.legs.offsets)
-
-
-def _as_built_physical(
-    geometry: Geometry, shape: tuple[int, ...], rotation: FloatArray, position: FloatArray
-) -> Configuration:
-    """Follow TT+ and TT- of the drawn machine to this one, and choose between them.
-
-    All branches are solved for where that leaves a doubt, see `kernels.as_built_physical_kernel`, where neither is
-    physical, and for large errors.
-    """
-    from spm_pin.kinematics.kernels.as_built_physical_kernel import certain_physical_branches
-
-    machines = _machines(geometry)
-    error = float(np.abs(machines[1] - machines[0]).max())
-    if error > _LARGE:
-        return _as_built_branches(geometry, shape, rotation, position, None).physical()
-    drawn = _followed_branches(geometry, rotation, position)
-    constants = *machines, _length_bounds(geometry), error, geometry.middle_radius
-    results = ((3, 3), np.float64), ((6,), np.float64), ((), np.bool_)
-    joints, lengths, certain = run_kernel(
-        certain_physical_branches,
-        (rotation, position, drawn[2]),
-        constants,
-        results,
-        _MIN_BATCH_PER_THREAD_AS_BUILT,
-    )
-    doubtful = np.flatnonzero(~certain)
-    if not shape and len(doubtful):
-        return _as_built_branches(geometry, shape, rotation, position, None).physical()
-    state = [drawn[0], drawn[1], joints, lengths]
-    if len(doubtful):
-        others = _as_built_branches(geometry, (len(doubtful),), rotation[doubtful], position[doubtful], None).physical()
-        arrays = others.rotation, others.translation, others.middle_joints, others.leg_lengths
-        for array, values in zip(state, arrays, strict=True):
-            array[doubtful] = values
-    return Configuration.from_arrays(geometry, *with_batch_shape(state, shape))
 
 
 def branch_lengths(geometry: Geometry, pose: PoseLike) -> tuple[FloatArray, npt.NDArray[np.int8]]:
@@ -325,22 +287,11 @@ def _drawn_complex_joints(geometry: Geometry, rotation: FloatArray, position: Fl
     return joints
 
 
-def _machines(geometry: Geometry) -> list[FloatArray]:
+def _machines(geometry: Geometry) -> FloatArray:
     """Return axes, and pivots and balls in units of the middle radius, of the drawn machine and of this one."""
     unit = geometry.middle_radius
     legs = geometry.nominal.legs, geometry.legs
-    return [np.stack([x.axes, x.pivots / unit, x.balls / unit]) for x in legs]
-
-
-def _followed_branches(geometry: Geometry, rotation: FloatArray, position: FloatArray) -> tuple[Any, ...]:
-    """Return the `BRANCH_RESULTS` of the drawn machine at N poses, joints that are not to be followed as NaN."""
-    from spm_pin.kinematics.kernels.branch_kernels import all_branches
-
-    poses, sizes = (rotation, position), radii(geometry)
-    branches = run_kernel(all_branches, poses, sizes, BRANCH_RESULTS, _MIN_BATCH_PER_THREAD_AS_BUILT)
-    # The branches left of a degenerate pose are not followed: what they would meet is a continuous family.
-    branches[2][(branches[6] == Status.DEGENERATE) | (branches[7] != 0)] = np.nan
-    return branches
+    return np.stack([(x.axes, x.pivots / unit, x.balls / unit) for x in legs])
 
 
 _ROOT_RESULTS = ((8, 3, 3), np.float64), ((8, 6), np.float64), ((8,), np.uint8), ((), np.int8)
@@ -355,10 +306,8 @@ def _as_built_roots(
 
     if results is None:
         results = *_ROOT_RESULTS, np.empty((0, 8, 3, 3), np.complex128)
-    starts = _followed_branches(geometry, rotation, position)[2], _drawn_complex_joints(geometry, rotation, position)
-    constants = *_machines(geometry), geometry.middle_radius
-    inputs = rotation, position, *starts
-    return run_kernel(as_built_branches, inputs, constants, results, _MIN_BATCH_PER_THREAD_AS_BUILT)
+    constants = _machines(geometry), geometry.middle_radius
+    return run_kernel(as_built_branches, (rotation, position), constants, results, _MIN_BATCH_PER_THREAD_AS_BUILT)
 
 
 def _find_degeneracy(
