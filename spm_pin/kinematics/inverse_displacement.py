@@ -49,8 +49,8 @@ def inverse_displacement(
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
         Pose of {m} in {B}, translation in metres; one, or a batch of shape (...).
     out : SolutionSet, optional
-        What an earlier call with this geometry for a batch of this shape returned. Its memory is written anew, which
-        saves what the system takes to provide memory; it and everything taken from it then hold the new numbers.
+        What an earlier call with this geometry for a batch of this shape returned. Its memory is written anew: it and
+        everything taken from it then hold the new numbers.
     certify : bool
         Bound the error of all joints, in `SolutionSet.radius`. In a drawn machine also decide the families that are not
         `certain` without rounding, and compute their branches with more digits, a few milliseconds each.
@@ -75,16 +75,7 @@ def inverse_displacement(
 
     Notes
     -----
-    Hu, Lu, Yu, Zhuang [1]_ obtain the same branches from a resultant of degree eight, Eqs. (5)-(20); that route is
-    `spm_pin.paper.resultant`. This one has no denominator that a regular pose can make zero. As far as we remember,
-    four quadratic factors are in [2]_ as well.
-
-    References
-    ----------
-    .. [1] B. Hu, Y. Lu, J. J. Yu, S. Zhuang, "Analyses of Inverse Kinematics, Statics and Workspace of a Novel
-       3RPS-3SPR Serial-Parallel Manipulator".
-    .. [2] A. Nayak, S. Caro, P. Wenger, "Kinematic Analysis of the 3-RPS-3-SPR Series-Parallel Manipulator", Robotica
-       37 (2019). More in docs/related_work.md.
+    The paper obtains the same branches from a resultant of degree eight, Eqs. (5)-(20), see `spm_pin.paper.resultant`.
 
     Examples
     --------
@@ -165,12 +156,10 @@ def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration 
     Returns
     -------
     Configuration
-        Of shape (...): what ``inverse_displacement(geometry, pose).physical(near)`` returns, to the bit for a drawn
-        machine and to rounding for one as built, in less time and memory. Both stages are without torsion and reached
-        from the symmetric home without a forward singularity. If TT+ and TT- both are, those within the leg limits are
-        preferred, then the one nearer to `near` or, without it, the one whose stages are tilted less;
-        `SolutionSet.ambiguous` is True there. `.exists` is False, and everything NaN, where there is no such
-        configuration.
+        Of shape (...): what ``inverse_displacement(geometry, pose).physical(near)`` returns, in less time and memory.
+        Both stages are without torsion and reached from the symmetric home without a forward singularity. If TT+ and
+        TT- both are, those within the leg limits are preferred, then the one nearer to `near` or, without it, the one
+        whose stages are tilted less. `.exists` is False, and everything NaN, where there is no such configuration.
 
     Examples
     --------

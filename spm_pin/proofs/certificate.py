@@ -139,10 +139,10 @@ def certify(
 ) -> Certificate:
     """Prove that leg limits exclude forward singularities.
 
-    Each stage is searched by interval branch and bound [1]_ with outward rounding, over all orientations without
-    torsion and all heights. What is joined, within the limits, to the physical configuration at the middle of the
-    limits is proved free of forward singularities. It follows that six leg lengths within the limits have exactly one
-    configuration there, and that no straight line in leg space meets a singularity; see `docs/theory/proofs.md`.
+    What is joined, within the limits, to the physical configuration at their middle is proved free of forward
+    singularities, by interval branch and bound over all orientations without torsion and all heights. It follows that
+    six leg lengths within the limits have exactly one configuration there, and that no straight line in leg space meets
+    a singularity; see `docs/theory/proofs.md`.
 
     Parameters
     ----------
@@ -161,12 +161,7 @@ def certify(
     Returns
     -------
     Certificate
-        It may not hold: then it has a singular configuration, if there is one, and the boxes left undecided.
-
-    References
-    ----------
-    .. [1] J.-P. Merlet, "Interval Analysis for Certified Numerical Solution of Problems in Robotics", International
-       Journal of Applied Mathematics and Computer Science 19 (2009).
+        It may not hold: then it has a singular configuration, if one was found, and the boxes left undecided.
     """
     nominal = check_instance(geometry, Geometry, "geometry").nominal
     limits = nominal.limits if limits is None else check_instance(limits, LegLimits, "limits")
