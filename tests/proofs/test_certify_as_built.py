@@ -171,7 +171,7 @@ def test_a_machine_with_larger_errors_has_a_singular_configuration() -> None:
         """Return distances from the legs' planes, readings, and D."""
         x, y, x3 = pose[:3]
         turn = Rotation.from_quat([x, y, x3, np.sqrt(1.0 - x * x - y * y - x3 * x3)])
-        b = turn.apply(balls) + pose[3:]
+        b = balls @ turn.as_matrix().T + pose[3:]
         legs = b - pivots
         swings = np.cross(axes, legs)
         c = (b[:, None] - b[None]) @ swings[:, :, None]
@@ -191,6 +191,6 @@ def test_a_machine_with_larger_errors_has_a_singular_configuration() -> None:
     assert np.abs(equations(pose)).max() < 1e-12
     readings = state(pose)[1]
     assert ((readings > 1.1) & (readings < 1.5)).all()
-    ahead, behind = (state(pose + [0.0, 0.0, 0.0, 0.0, 0.0, h])[2] for h in (1e-6, -1e-6))
+    ahead, behind = (state(pose + h * np.eye(6)[5])[2] for h in (1e-6, -1e-6))
     assert ahead * behind < 0.0, "D changes its sign there"
     assert not spm.certify(PAPER, LIMITS, length_error=error, angle_error=error, boxes=20_000).holds
