@@ -18,7 +18,7 @@ from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.rates_and_forces import platform_jacobian
 from spm_pin.mechanism import LEGS, Configuration, Geometry, as_rigid_transform
 from spm_pin.mechanism.arguments import LARGEST, FloatArray, as_array, file_path, first_offender, real_array
-from spm_pin.mechanism.units import unit_hint
+from spm_pin.mechanism.geometry import unit_hint
 
 _POSITION, _QUATERNION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
 _UNIT_TOLERANCE = 1e-3

@@ -1,4 +1,4 @@
-"""The dimensions of a manipulator and the legs of one machine, as drawn or as built.
+"""The dimensions of a manipulator, the legs of one machine, as drawn or as built, and triangles of their balls.
 
 Frames (Fig. 1 and Eq. (1) of the paper): {B} at the centre O of the base triangle, Z up; {m} at the centre o of the
 terminal platform, z up; {n} at the centre of the middle platform's triangle, x along b_3 b_1 and z normal to it. Legs
@@ -18,7 +18,6 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import GeometryError
-from spm_pin.mechanism import geometry_files
 from spm_pin.mechanism.arguments import (
     LARGEST,
     SMALLEST,
@@ -29,7 +28,6 @@ from spm_pin.mechanism.arguments import (
     real_array,
     real_number,
 )
-from spm_pin.mechanism.ball_triangles import triangle_sides
 from spm_pin.mechanism.leg_limits import LEGS, LegLimits
 
 _COMPONENTS = ("direction_1", "direction_2", *(f"{p}_{x}" for p in ("pivot", "ball") for x in "xyz"), "offset")
@@ -47,6 +45,11 @@ _FLAT = 1e-6
 """Smallest height of the triangle of three balls, in units of its longest side."""
 _MOST_LENGTH, _MOST_ANGLE = 1e7, 0.2
 """Largest standard deviations of random errors: normal numbers then do not leave the ranges accepted."""
+
+PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
+"""Units of length, and how many of them are a metre."""
+_PROPORTION = 10.0
+"""Lengths this many times the machine's size, or less than its inverse, are read as a wrong unit."""
 
 
 def config_directory() -> Path:
@@ -74,11 +77,8 @@ class Legs:
     offsets : array_like, shape (6,)
         What each reading exceeds the length of its leg by [m].
 
-    Raises
-    ------
-    GeometryError
-        If a number is beyond 1e9 m, if an axis is no unit vector, or if the balls of the lower or of the upper legs
-        are on one line.
+    A `GeometryError` is raised for a number beyond 1e9 m, an axis that is no unit vector, and balls of the lower or of
+    the upper legs that are on one line.
     """
 
     axes: FloatArray
@@ -154,15 +154,10 @@ class Geometry:
         The legs of a machine as built; branches are named after those of the drawn machine. Drawn from the three
         dimensions if not given.
 
-    Raises
-    ------
-    GeometryError
-        If a dimension is not a number from 1e-9 to 1e9 m. Within that range no product of lengths in this package
-        over- or underflows.
-
     Notes
     -----
-    Six of the 54 parameters of the legs are the choice of {n} and change no reading.
+    A dimension is a number from 1e-9 to 1e9 m: then no product of lengths in this package over- or underflows. Six of
+    the 54 parameters of the legs are the choice of {n} and change no reading.
     """
 
     base_radius: float
@@ -214,39 +209,18 @@ class Geometry:
     def from_yaml(cls, path: str | Path) -> Geometry:
         """Read a geometry from a YAML file, all lengths in metres; `docs/howto/geometry_files.md` describes it.
 
-        The keys are `base_side` or `base_radius`, `platform_side` or `platform_radius`, `middle_side`, and optionally
-        `leg_limits`, a pair for all legs or a mapping of `r_b1` to `r_c3` to a pair each, and `legs`, a mapping of the
-        six legs to `axis`, `pivot`, `ball` (three numbers each) and `offset`. A warning is given for dimensions above
-        20 m, which are often centimetres or millimetres.
-
-        Raises
-        ------
-        GeometryError
-            If the file cannot be read, is no mapping, has a key missing, unknown or given twice, or numbers that
-            describe no manipulator. The error names the line and the key.
+        A `GeometryError` names the line and the key of what describes no manipulator. A warning is given for dimensions
+        above 20 m, which are often centimetres or millimetres.
         """
-        data = geometry_files.read(path)
-        if data.legs is None:
-            return cls(*data.dimensions, data.limits)
-        try:
-            return cls(*data.dimensions, data.limits, Legs(*data.legs))
-        except GeometryError as wrong:
-            place = f"{wrong.argument} in {data.legs_place}"
-            raise GeometryError(place, wrong.expected, wrong.received, wrong.cause) from None
+        from spm_pin.mechanism import geometry_files
+
+        return geometry_files.read(path)
 
     def to_yaml(self, path: str | Path) -> None:
-        """Write the geometry to a YAML file that `from_yaml` reads, every number with all its digits.
+        """Write the geometry to a YAML file that `from_yaml` reads, every number with all its digits."""
+        from spm_pin.mechanism import geometry_files
 
-        Raises
-        ------
-        GeometryError
-            If the file cannot be written.
-        """
-        geometry_files.write(path, self.as_data())
-
-    def as_data(self) -> dict[str, Any]:
-        """Return what `to_yaml` writes."""
-        return geometry_files.as_data(self.dimensions, self.limits, None if self.is_nominal else self.legs.arrays)
+        geometry_files.write(path, self)
 
     @property
     def is_nominal(self) -> bool:
@@ -310,13 +284,7 @@ class Geometry:
         return np.concatenate([turn, pivots, balls, offsets[:, None]], axis=-1).reshape(54)
 
     def from_parameters(self, parameters: npt.ArrayLike) -> Geometry:
-        """Return the machine of the same dimensions and limits whose legs have these 54 `parameters`.
-
-        Raises
-        ------
-        GeometryError
-            If they are those of no machine.
-        """
+        """Return the machine of the same dimensions and limits whose legs have these 54 `parameters`."""
         values = _array(parameters, "parameters", (54,), "radians and metres, see PARAMETERS").reshape(6, 9)
         drawn, first, second = axis_directions()
         angle = np.sqrt((values[:, :2] ** 2).sum(axis=-1))
@@ -369,6 +337,59 @@ def axis_directions() -> tuple[FloatArray, FloatArray, FloatArray]:
     axes = np.tile(_AXES, (2, 1))
     up = np.broadcast_to([0.0, 0.0, 1.0], (6, 3))
     return axes, np.cross(up, axes), up
+
+
+def triangle_frames(b: FloatArray) -> FloatArray:
+    """Return the axes (..., 3, 3) of triangles b_1, b_2, b_3: x along b_3 b_1, y towards b_2, z normal, as columns."""
+    x = b[..., 0, :] - b[..., 2, :]
+    y = 2.0 * b[..., 1, :] - b[..., 0, :] - b[..., 2, :]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        x = x / np.linalg.norm(x, axis=-1, keepdims=True)
+        y = y - (x * y).sum(axis=-1, keepdims=True) * x
+        y = y / np.linalg.norm(y, axis=-1, keepdims=True)
+    return np.stack([x, y, np.cross(x, y)], axis=-1)
+
+
+def triangle_sides(b: FloatArray) -> FloatArray:
+    """Return the sides b_1 b_2, b_2 b_3 and b_3 b_1 (..., 3) of triangles (..., 3, 3)."""
+    return np.asarray(np.sqrt(((b - np.roll(b, -1, axis=-2)) ** 2).sum(axis=-1)))
+
+
+def upper_ball_weights(balls: FloatArray) -> FloatArray:
+    """Return where the last three of six balls (6, 3) are, seen from the first three, as rows (3, 3).
+
+    Coordinates along b_2 - b_1, b_3 - b_1 and their cross product, from the first ball of the same corner; exactly zero
+    where the two coincide.
+    """
+    first, second = balls[1] - balls[0], balls[2] - balls[0]
+    basis = np.stack([first, second, np.cross(first, second)], axis=-1)
+    return np.asarray(np.linalg.solve(basis, (balls[3:] - balls[:3]).T).T)
+
+
+def machine_size(geometry: Geometry) -> float:
+    """Return E + C + 2 d [m], about the height of a machine."""
+    return geometry.base_radius + geometry.platform_radius + 2.0 * geometry.middle_side
+
+
+def likely_unit(geometry: Geometry, length: float, unit: str = "m") -> str | None:
+    """Return the unit in which a length [m], if it was typed in `unit`, would be in proportion; None if it is."""
+
+    def disproportion(tried: str) -> float:
+        return abs(math.log(length * PER_METRE[unit] / PER_METRE[tried] / machine_size(geometry)))
+
+    if not (np.isfinite(length) and length > 0.0) or disproportion(unit) < math.log(_PROPORTION):
+        return None
+    better = min(PER_METRE, key=disproportion)
+    return better if better != unit else None
+
+
+def unit_hint(geometry: Geometry, lengths: npt.ArrayLike) -> str:
+    """Return a sentence on the unit that the largest of these lengths [m] may be in; empty if in proportion."""
+    length = float(np.abs(lengths).max())
+    unit = likely_unit(geometry, length)
+    if unit is None:
+        return ""
+    return f"Lengths are in metres, and {length:g} m are out of proportion to this machine; is it {length:g} {unit}?"
 
 
 @functools.lru_cache(maxsize=64)

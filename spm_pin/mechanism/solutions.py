@@ -26,10 +26,9 @@ from spm_pin.mechanism.arguments import (
 )
 from spm_pin.mechanism.branches import BRANCHES, FAMILIES, branch_sign, family, physical, tilt_cosine_sum
 from spm_pin.mechanism.configuration import Configuration, batch_index, compared_points
-from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.geometry import Geometry, unit_hint
 from spm_pin.mechanism.leg_limits import LEGS, LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
-from spm_pin.mechanism.units import unit_hint
 
 _MOST_ROWS = 16
 """Solutions that a table shows."""

@@ -20,12 +20,10 @@ from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import FloatArray, check_instance, real_number, whole_number
 from spm_pin.mechanism.leg_limits import LEGS
-from spm_pin.motion.least_time import Clock, LeastTime, even_grid
-from spm_pin.motion.leg_path import LegPath
+from spm_pin.motion.least_time import Clock, LeastTime
 from spm_pin.motion.limited_jerk import EasedGrid, limited_jerk
-from spm_pin.motion.motion_limits import MotionLimits
-from spm_pin.motion.path_dynamics import PathDynamics, Payload, path_dynamics
-from spm_pin.motion.path_states import ROUNDING, MotionPath
+from spm_pin.motion.path_dynamics import LimitRows, MotionLimits, PathDynamics, Payload, path_dynamics
+from spm_pin.motion.paths import ROUNDING, LegPath, MotionPath
 from spm_pin.motion.planning import MotionPlan
 from spm_pin.multibody.chain import ClosedChain
 from spm_pin.multibody.loading import check_same_machine
@@ -33,14 +31,10 @@ from spm_pin.multibody.trajectory import JointTrajectory, PlatformPath
 
 _LONGEST = 10**6
 """Samples that a trajectory may have."""
-_REFINEMENTS = 4
-"""Motions found at most with limits at more parameters, where they were broken between points of the grid."""
-_BROKEN = 1e-4
-"""Share of a limit from which on it counts as broken there."""
 _SLOWDOWNS = 16
 """Times that a motion is slowed down at most until its rows keep all limits, each time by four times as much more."""
-_KEPT = 1e-7
-"""Share of a limit by which it may be exceeded."""
+_ROUNDING, _RESERVE = 1e-10, 1e-9
+"""Share of a limit by which it may be exceeded, and by how much more than that a motion is slowed down at first."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -48,8 +42,8 @@ class TimedMotion(JointTrajectory):
     """The motion of all joints along a path, found by `time_optimal`."""
 
     error: float = 0.0
-    """By which share of it the duration may be above the least one: estimated from a grid half as fine, and what the
-    motion was slowed down by to keep limits between the points of the grid."""
+    """By which share of it the duration may be above the least one: that by which it grows on half as fine a grid, and
+    that by which the motion was slowed down to keep limits between the points of the grid."""
 
     def __repr__(self) -> str:
         duration = f"{self.times[-1]:.4g} s, at most some {100.0 * self.error:.1g} % above the least"
@@ -90,15 +84,15 @@ def time_optimal(
         Largest jerk of each leg [m/s³], on the average between two rows too. The motion also begins and ends without
         acceleration. Its duration approaches that without a limit where the limit is large.
     grid : int
-        Parts of the path; more where limits are broken between their ends. The duration is longer than the least by a
-        share in proportion to their length: `error` says by how much.
+        Parts of the path at least; where a limit bends over a part it is split. The duration is longer than the least
+        one by about `error` of the result.
     period : float
         Time between the rows of the result [s], at most.
 
     Returns
     -------
     TimedMotion
-        From time 0; its efforts are the legs' forces with the payload. The limits hold in its rows, to 1e-6.
+        From time 0; its efforts are the legs' forces with the payload. The limits hold in its rows, to 1e-9 of them.
 
     Raises
     ------
@@ -130,17 +124,13 @@ def time_optimal(
         along = dynamics(s)
         return times, along, speeds, accelerations, limits.feasible_scale(chain, along, times, speeds, accelerations)
 
-    if limits.leg_jerks is None:
-        points, corners = even_grid(_knots(way), parts)
-        along = dynamics(np.insert(points, range(1, len(points)), 0.5 * (points[1:] + points[:-1])))
+    def checked_rows(parameters: FloatArray) -> LimitRows:
+        along = dynamics(parameters)
         _refuse_events(chain, along, way, planned=planned)
-        motion = LeastTime(points, limits.rows(chain, along), corners)
-        for _ in range(_REFINEMENTS):
-            _, along, _, _, scale = rows_at(motion.duration, motion.clock)
-            if scale.min() > 1.0 - _BROKEN:
-                break
-            broken = along.parameters[scale < 1.0 - _BROKEN]
-            motion.refine(broken, lambda parameters: limits.rows(chain, dynamics(parameters)))
+        return limits.rows(chain, along)
+
+    if limits.leg_jerks is None:
+        motion = LeastTime(_knots(way), parts, checked_rows)
         clock: Clock = motion.clock
         duration, error = motion.duration, motion.error
     else:
@@ -153,9 +143,9 @@ def time_optimal(
     slower = 1.0
     for slowdown in range(_SLOWDOWNS):
         times, along, speeds, accelerations, scale = rows_at(slower * duration, _slowed(clock, slower))
-        if scale.min() >= 1.0:
+        if scale.min() >= 1.0 - _ROUNDING:
             break
-        slower /= np.sqrt(float(scale.min())) * (1.0 - _KEPT * 4.0**slowdown)
+        slower /= np.sqrt(float(scale.min())) * (1.0 - _RESERVE * 4.0**slowdown)
     return _trajectory(chain, along, times, speeds, accelerations, slower * (1.0 + error) - 1.0)
 
 

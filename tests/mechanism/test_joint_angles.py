@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.mechanism import FAMILIES, joint_angles
-from spm_pin.mechanism.leg_frames import home_leans, home_lengths
+from spm_pin.mechanism.joint_angles import home_leans, home_lengths
 
 PAPER = GEOMETRIES["paper"]
 NAMES = ("hip", "slide", "ball_x", "ball_y", "ball_z", "closure_residual")

@@ -224,8 +224,8 @@ def test_a_tiny_line_is_a_motion_too(length: float) -> None:
     assert spm.time_optimal(CHAIN, line, leg_forces=1500.0, leg_jerks=40.0, grid=100).times[-1] < 0.1
 
 
-@pytest.mark.parametrize("count", [4])
-def test_every_plan_has_a_fastest_motion_and_a_finer_grid_or_no_limit_of_jerk_takes_no_longer(count: int) -> None:
+@pytest.mark.parametrize("count", [4, pytest.param(120, marks=pytest.mark.slow)])
+def test_every_plan_has_a_fastest_motion_within_its_limits_and_its_error(count: int) -> None:
     rng = np.random.default_rng(count)
     kinds = [
         {"leg_accelerations": 0.5},
@@ -238,10 +238,12 @@ def test_every_plan_has_a_fastest_motion_and_a_finer_grid_or_no_limit_of_jerk_ta
         planned, limits = spm.plan(PAPER, points[0], points[-1], via=list(points[1:-1])), kinds[k % 4]
         assert planned.exists
         coarse, fine = (spm.time_optimal(CHAIN, planned, grid=n, period=5e-3, **limits) for n in (100, 200))
-        assert shares(fine, limits).max() < 1.0 + 1e-6
-        # Where the grid adds nothing, both are the same number, to what IPOPT leaves.
-        least = coarse.times[-1] / (1.0 + 2.0 * coarse.error)
-        assert least * (1.0 - 1e-9) < fine.times[-1] < 1.002 * coarse.times[-1]
+        for motion in (coarse, fine):
+            assert shares(motion, limits).max() < 1.0 + 1e-9
+            assert motion.error < 0.02
+        # Neither is longer than the least one by more than it says, to what IPOPT leaves where the grid adds nothing.
+        assert fine.times[-1] < (1.0 + fine.error + 1e-9) * coarse.times[-1]
+        assert coarse.times[-1] < (1.0 + 2.0 * coarse.error + 1e-9) * fine.times[-1]
         if k % 10 == 0:
             smooth = spm.time_optimal(CHAIN, planned, grid=200, period=5e-3, leg_jerks=1e4, **limits)
             assert fine.times[-1] < (1.0 + 2.0 * fine.error) * smooth.times[-1]
