@@ -48,12 +48,11 @@ def read(path: str | Path) -> Geometry:
             expected = f"exactly one of the keys {triangle}_side and {triangle}_radius"
             raise GeometryError(str(root.path), expected, " and ".join(keys) or "neither")
         radii.append(lengths[keys[0]] / (math.sqrt(3.0) if keys[0].endswith("_side") else 1.0))
-    geometry = Geometry(
-        *radii,
-        lengths["middle_side"],
-        None if limits is None else _limits(limits),
-        None if legs is None else _legs(legs),
-    )
+    read_limits = None if limits is None else _limits(limits)
+    if legs is None:
+        geometry = Geometry(radii[0], radii[1], lengths["middle_side"], read_limits)
+    else:
+        geometry = Geometry(radii[0], radii[1], lengths["middle_side"], read_limits, _legs(legs))
     longest = max(lengths, key=lambda key: lengths[key])
     if lengths[longest] > _IMPLAUSIBLE:
         text = f"{root.path}: {longest} is {lengths[longest]:g} m. Lengths are read as metres"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import enum
-import html
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, overload
@@ -27,11 +26,9 @@ from spm_pin.mechanism.arguments import (
 from spm_pin.mechanism.branches import BRANCHES, FAMILIES, branch_sign, family, physical, tilt_cosine_sum
 from spm_pin.mechanism.configuration import Configuration, batch_index, compared_points
 from spm_pin.mechanism.geometry import Geometry, unit_hint
-from spm_pin.mechanism.leg_limits import LEGS, LegLimits
+from spm_pin.mechanism.leg_limits import LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 
-_MOST_ROWS = 16
-"""Solutions that a table shows."""
 _PARALLEL = 1e-12
 """Sine of the tilt up to which the Z axes of {B} and {m} are taken for parallel in proofs."""
 
@@ -85,15 +82,13 @@ class SolutionSet:
     degeneracy : Degeneracy, optional
         Which families, legs and how many dimensions, where `status` is `Status.DEGENERATE`.
     physical_hint : ndarray of uint8, shape (..., 3), optional
-        From the solver, if it computes it: whether the first, the second solution is physical, and
-        whether the second is tilted less; none of the others is physical. If left out, this is computed from the
-        configurations.
+        Whether the first, the second solution is physical, and whether the second is tilted less; none of the others
+        is physical. Computed from the configurations if not given.
     memory : tuple of ndarray, optional
         The arrays that a solver may write anew, see `inverse_displacement`; copies and selections do not own it.
     merged : ndarray of bool, shape (..., n), optional
-        Of a machine as built, where a label could not be carried from the nominal machine. True where the branch of
-        this label met another one while the errors grew from zero to those of the machine: it has ended, or what is
-        under its label now is a root left over, whose label is a name only.
+        For a machine as built: True where the branch of this label met another one while the errors grew from zero to
+        those of the machine. It has ended, or is a root left over, whose label is a name only.
     rounding : float, optional
         Bound of the rounding error of a discriminant, divided by (1 + (|x| + |y|)/r)².
     proved : ndarray of bool, shape (..., 4), optional
@@ -104,10 +99,10 @@ class SolutionSet:
 
     Notes
     -----
-    A single problem is indexed by its solutions: ``solutions[0]``, ``solutions["TT+"]``. A batch is indexed as
-    NumPy would index its batch axes: ``solutions[i]`` is the `SolutionSet` of problem i; a label picks that
-    solution of every problem. What selects nothing is a `SelectionError`, which is a `LookupError`. Iterating over a
-    single problem yields the solutions that exist; the problems of a batch are taken by their index.
+    A single problem is indexed by its solutions: ``solutions[0]``, ``solutions["TT+"]``. A batch is indexed as NumPy
+    would index its batch axes: ``solutions[i]`` is the `SolutionSet` of problem i; a label picks that solution of every
+    problem. What selects nothing is a `SelectionError`. Iterating over a single problem yields the solutions that
+    exist.
     """
 
     configurations: Configuration
@@ -139,7 +134,7 @@ class SolutionSet:
     def from_unordered(
         cls, geometry: Geometry, pose: PoseLike, middle_joints: npt.ArrayLike, solved: npt.ArrayLike = True
     ) -> SolutionSet:
-        """Make a set of real branches that were found in any order, under the canonical labels.
+        """Make a set of real branches, in any order, under the canonical labels.
 
         Parameters
         ----------
@@ -150,8 +145,8 @@ class SolutionSet:
         middle_joints : array_like, shape (..., n, 3, 3)
             Up to eight distinct solutions each [m] in {B}, NaN in places not used.
         solved : array_like of bool, shape (...)
-            False where the method failed. More than two solutions of one family, which no mechanism of this kind
-            has, count as a failure too. There the status is `Status.UNSOLVED` and nothing exists.
+            False where the method failed. There, and where a family has more than two solutions, the status is
+            `Status.UNSOLVED` and nothing exists.
         """
         check_instance(geometry, Geometry, "geometry")
         transform = as_rigid_transform(pose)
@@ -213,12 +208,12 @@ class SolutionSet:
 
     @property
     def readings(self) -> FloatArray:
-        """What the encoders of the legs show [m], shape (..., n, 6); see `Configuration.readings`."""
+        """What the encoders of the legs show [m], shape (..., n, 6)."""
         return self.configurations.readings
 
     @property
     def residual(self) -> FloatArray:
-        """Closure residual of each solution [m], shape (..., n). See `Configuration.closure_residual`."""
+        """Closure residual of each solution [m], shape (..., n)."""
         return self.configurations.closure_residual
 
     @property
@@ -227,7 +222,7 @@ class SolutionSet:
 
         True where the discriminant is larger than all that rounding can have changed. False for a continuous family,
         and where the Z axes of {B} and {m} are parallel to 1e-12 rad. None for other problems than the inverse
-        displacement of a `Geometry`.
+        displacement.
         """
         if self.proved is not None or self.rounding is None or self.discriminants is None:
             return self.proved
@@ -272,16 +267,16 @@ class SolutionSet:
         return (self.configurations[int(i)] for i in np.flatnonzero(self.exists))
 
     def __repr__(self) -> str:
-        return _short_text(self)
-
-    def _repr_html_(self) -> str:
-        return _html_table(self)
+        if self.shape:
+            tally = ", ".join(f"{np.count_nonzero(self.status == s)} {s}" for s in Status)
+            return f"<SolutionSet: {self.shape} problems ({tally}), {len(self.labels)} solutions each>"
+        real = [label for label, real in zip(self.labels, self.exists, strict=True) if real]
+        shown = (", ".join(real[:8]) + ", …" * (len(real) > 8)) or "none"
+        hint = _hint(self, ()) if self.status is Status.UNREACHABLE else ""
+        return f"<SolutionSet: {self.status}, {self.count} of {len(self.labels)} real: {shown}{hint}>"
 
     def pick(self, index: IntArray, exists: BoolArray) -> Configuration:
-        """Return the solution of each problem at `index` (...); NaN, the pose too, where `exists` (...) is False.
-
-        For solvers, without checks.
-        """
+        """Return the solution of each problem at `index` (...); NaN, the pose too, where `exists` (...) is False."""
         everywhere = bool(exists.all())
         # For a single problem a slice, so that nothing shares memory with the others.
         places = (*np.indices(index.shape, sparse=True), index) if self.shape else (slice(index, index + 1),)
@@ -307,24 +302,15 @@ class SolutionSet:
         return replace(self, configurations=left, memory=None, radius=radius)
 
     def within(self, limits: LegLimits | None = None) -> SolutionSet:
-        """Keep the solutions inside leg limits; `status` stays that of the problem without limits.
-
-        Parameters
-        ----------
-        limits : LegLimits, optional
-            The geometry's own if not given; without either, everything is kept.
-        """
+        """Keep the solutions inside leg limits, by default the geometry's own; `status` stays as it is."""
         limits = self.geometry.limits if limits is None else check_instance(limits, LegLimits, "limits")
         return self if limits is None else self.where(limits.contains(self.readings))
 
     def nearest(self, near: Configuration | npt.ArrayLike) -> Configuration:
-        """Return the solution whose joints moved least from `near`; NaN where none exists.
+        """Return the solution whose joints are nearest to those of `near`; NaN where none exists.
 
-        Parameters
-        ----------
-        near : Configuration, or array_like of shape (..., 3, 3)
-            The state to be near to, or only its middle joints [m]. The largest displacement of a joint is
-            compared: of the b_i and, given a `Configuration`, of the c_i.
+        The largest displacement of a joint is compared: of the b_i and the c_i of a `Configuration`, or of the b_i if
+        only these are given, as rows (..., 3, 3) [m].
         """
         state = self.configurations
         if isinstance(near, Configuration):
@@ -342,10 +328,10 @@ class SolutionSet:
 
     @property
     def is_physical(self) -> BoolArray:
-        """Which solutions are physical, shape (..., n); the geometry's limits narrow a choice only.
+        """Which solutions are physical, reached from the symmetric home without a forward singularity, shape (..., n).
 
-        Those reached from the symmetric home without a forward singularity. If several are, and some respect
-        the limits, the others are dropped; chain ``.within().physical()`` to exclude all that do not.
+        If several are, and some respect the geometry's limits, the others are dropped; chain ``.within().physical()``
+        to exclude all that do not.
         """
         if self.physical_hint is None:
             mode, most = physical(self.configurations), len(self.labels)
@@ -398,37 +384,6 @@ class SolutionSet:
         return self.pick(self.exists.argmax(axis=-1), np.ones(self.shape, dtype=bool))
 
 
-def _short_text(solutions: SolutionSet) -> str:
-    """Return a line: the solutions that are real of a single problem, or the outcomes of a batch."""
-    if solutions.shape:
-        tally = ", ".join(f"{np.count_nonzero(solutions.status == s)} {s}" for s in Status)
-        return f"<SolutionSet: {solutions.shape} problems ({tally}), {len(solutions.labels)} solutions each>"
-    real = [label for label, real in zip(solutions.labels, solutions.exists, strict=True) if real]
-    shown = (", ".join(real[:8]) + ", …" * (len(real) > 8)) or "none"
-    hint = _hint(solutions, ()) if solutions.status is Status.UNREACHABLE else ""
-    return f"<SolutionSet: {solutions.status}, {solutions.count} of {len(solutions.labels)} real: {shown}{hint}>"
-
-
-def _html_table(solutions: SolutionSet) -> str:
-    """Return a small table: the solutions of a single problem, or the outcomes of a batch."""
-    if solutions.shape:
-        header = ["status", "problems", "solutions"]
-        at = [(status, solutions.status == status) for status in Status]
-        rows = [[str(s), f"{np.count_nonzero(m)}", f"{np.count_nonzero(solutions.exists[m])}"] for s, m in at]
-    else:
-        header = ["", *(f"{leg} [m]" for leg in LEGS), "physical"]
-        shown = np.flatnonzero(solutions.exists)[:_MOST_ROWS]
-        marks = np.where(solutions.is_physical, "✓", "")
-        lengths = solutions.leg_lengths
-        rows = [[solutions.labels[i], *(f"{r:.4f}" for r in lengths[i]), str(marks[i])] for i in shown]
-        if solutions.count > len(shown):
-            rows.append([f"… {solutions.count - len(shown)} more", *[""] * 7])
-    lines = [f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>" for row in rows]
-    top = "".join(f"<th>{html.escape(name)}</th>" for name in header)
-    title = html.escape(repr(solutions))
-    return f"<table><caption>{title}</caption><thead><tr>{top}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
-
-
 def _reason_for_none(solutions: SolutionSet, index: tuple[int, ...] = ()) -> str:
     """Return the reason why no solution of a problem can be chosen."""
     status, degeneracy = Status(int(np.asarray(solutions.status)[index])), solutions.degeneracy
@@ -448,7 +403,7 @@ def _reason_for_none(solutions: SolutionSet, index: tuple[int, ...] = ()) -> str
 
 
 def _hint(solutions: SolutionSet, index: tuple[int, ...]) -> str:
-    """Return the likely unit of an unreachable problem's lengths, as a sentence after a stop; or an empty string."""
+    """Return the likely unit of an unreachable problem's lengths, as a sentence after a stop; empty if none."""
     hint = solutions.configurations.missing_reason or unit_hint(solutions.geometry, solutions.translation[index][0])
     return hint and f". {hint}"
 
@@ -456,11 +411,11 @@ def _hint(solutions: SolutionSet, index: tuple[int, ...]) -> str:
 def _in_canonical_order(
     geometry: Geometry, pose: RigidTransform, joints: FloatArray, solved: BoolArray
 ) -> tuple[Configuration, npt.NDArray[np.int8]]:
-    """Return branches (..., 8) in the order of `BRANCHES` and the status (...), see `SolutionSet.from_unordered`."""
+    """Return branches (..., 8) in the order of `BRANCHES`, and the status (...)."""
     matrix = pose.as_matrix()[..., None, :, :]
-    found = Configuration(geometry, matrix, joints)
-    families, signs = family(found), branch_sign(found)
-    ordered = np.full((*found.shape[:-1], len(BRANCHES), 3, 3), np.nan)
+    unordered = Configuration(geometry, matrix, joints)
+    families, signs = family(unordered), branch_sign(unordered)
+    ordered = np.full((*unordered.shape[:-1], len(BRANCHES), 3, 3), np.nan)
     counts = np.stack([(families == index).sum(axis=-1) for index in range(len(FAMILIES))], axis=-1)
     good = solved & (counts <= 2).all(axis=-1)
     for index in range(len(FAMILIES)):
@@ -472,7 +427,7 @@ def _in_canonical_order(
         plus = (count == 2) | ((count == 1) & (np.take_along_axis(signs, top, -1)[..., 0] >= 0.0))
         minus = (count == 2) | ((count == 1) & ~plus)
         for place, chosen, present in ((2 * index, top, plus), (2 * index + 1, bottom, minus)):
-            joint = np.take_along_axis(found.middle_joints, chosen[..., None, None], -3)[..., 0, :, :]
+            joint = np.take_along_axis(unordered.middle_joints, chosen[..., None, None], -3)[..., 0, :, :]
             ordered[..., place, :, :] = np.where(present[..., None, None], joint, np.nan)
     branches = Configuration(geometry, matrix, ordered)
     reached = np.where(branches.exists.any(axis=-1), Status.OK, Status.UNREACHABLE)

@@ -4,7 +4,6 @@ import pickle
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -221,20 +220,6 @@ def test_representations_are_summaries(branches: spm.SolutionSet, batch: spm.Sol
     assert repr(branches) == "<SolutionSet: ok, 6 of 8 real: TT+, TT-, TF+, TF-, FF+, FF->"
     assert "(500,) problems (500 ok, 0 unreachable" in repr(batch)
     assert repr(branches["TT+"]).startswith("<Configuration: leg lengths (1.1998, 1.2000")
-
-
-def test_a_notebook_shows_a_table_of_the_solutions(branches: spm.SolutionSet, batch: spm.SolutionSet) -> None:
-    table = ElementTree.fromstring(branches._repr_html_())
-    rows = [[cell.text or "" for cell in row] for row in table.iter("tr")]
-    assert rows[0] == ["", *(f"{leg} [m]" for leg in spm.mechanism.LEGS), "physical"]
-    assert [row[0] for row in rows[1:]] == ["TT+", "TT-", "TF+", "TF-", "FF+", "FF-"]
-    for row, state in zip(rows[1:], branches, strict=True):
-        np.testing.assert_allclose(np.array(row[1:7], dtype=float), state.leg_lengths, atol=5.1e-5)
-    assert [row[7] for row in rows[1:]].count("✓") == 1
-    many = ElementTree.fromstring(spm.forward_displacement(PAPER, [1.3] * 6)._repr_html_())
-    assert len(list(many.iter("tr"))) == 18
-    outcomes = ElementTree.fromstring(batch._repr_html_())
-    assert [cell.text for cell in list(outcomes.iter("tr"))[1]] == ["ok", "500", str(batch.count.sum())]
 
 
 LEVEL = spm.pose([0.0, 0.0, 2.2], rotation=np.eye(3))

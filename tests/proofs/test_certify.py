@@ -16,7 +16,7 @@ import spm_pin as spm
 from spm_pin.kinematics.formulas import stages
 from spm_pin.kinematics.intervals import Interval
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.stage_coordinates import configuration_of_stages, stage_coordinates
+from spm_pin.mechanism.branches import configuration_of_stages, stage_coordinates
 from spm_pin.proofs.stage_proof import StageProof
 from spm_pin.proofs.stage_region import StageRegion
 from spm_pin.proofs.unique_state import has_one_state
