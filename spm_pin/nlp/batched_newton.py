@@ -69,10 +69,7 @@ class LoopEquations:
 def newton(
     equations: LoopEquations, starts: FloatArray, matrix: FloatArray, iterations: int
 ) -> tuple[FloatArray, BoolArray]:
-    """Iterate Newton's method from each of the starts b (n, 9) [m], for a pose (4, 4).
-
-    Returns where each start ended (n, 9) [m], and whether all equations hold there to rounding (n,).
-    """
+    """Return the ends (n, 9) [m] of Newton's method from starts for a pose (4, 4), and whether all equations hold."""
     b = starts.copy()
     converged = np.zeros(len(b), dtype=bool)
     active = np.arange(len(b))

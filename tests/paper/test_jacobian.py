@@ -12,7 +12,7 @@ import spm_pin as spm
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_forces
 from spm_pin.paper import jacobian
-from spm_pin.paper.driving_forces import f_r, load
+from spm_pin.paper.jacobian import f_r, load
 
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()

@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.paper import published
-from spm_pin.paper.driving_forces import load, table_5
-from spm_pin.paper.jacobian import CORRECT, PUBLISHED, J_alpha, J_f, J_lambda, Table5Mistakes
+from spm_pin.paper.jacobian import CORRECT, PUBLISHED, J_alpha, J_f, J_lambda, Table5Mistakes, load, table_5
 
 SWITCHES = ("printed_lever_arm", "missing_entry", "other_load")
 NEEDED = ({"printed_lever_arm", "missing_entry"}, set(SWITCHES))  # by the row of rates, and by that of forces
