@@ -37,7 +37,8 @@ from spm_pin.errors import SingularConfigurationError
 from spm_pin.kinematics.batches import run_on_states
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, broadcastable, first_offender, real_array
 from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import Geometry, upper_ball_weights
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.legs import upper_ball_weights
 
 _EPS = float(np.finfo(np.float64).eps)
 SINGULAR = 64.0 * _EPS

@@ -21,7 +21,8 @@ from spm_pin.mechanism.arguments import (
     real_array,
     type_and_value,
 )
-from spm_pin.mechanism.geometry import Geometry, triangle_frames, triangle_sides, upper_ball_weights
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.legs import triangle_frames, triangle_sides, upper_ball_weights
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, unchecked_transform
 
 

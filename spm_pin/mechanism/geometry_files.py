@@ -19,8 +19,8 @@ import yaml
 
 from spm_pin.errors import GeometryError
 from spm_pin.mechanism.arguments import dimension, file_path, writing
-from spm_pin.mechanism.geometry import Geometry, Legs
 from spm_pin.mechanism.leg_limits import LEGS, ORDERED, LegLimits
+from spm_pin.mechanism.legs import Legs
 
 _LARGEST_FILE = 1 << 20
 """Characters of a file that are read; a larger one is refused."""
@@ -31,8 +31,12 @@ _HEADING = "# A 3RPS-3SPR manipulator, lengths in metres: see Geometry of spm_pi
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?\.(inf|Inf|INF)", re.ASCII)
 
 
-def read(path: str | Path) -> Geometry:
-    """Read a geometry from a file, as `Geometry.from_yaml` says."""
+Dimensions = tuple[float, float, float]
+"""E, C and d [m]."""
+
+
+def read(path: str | Path) -> tuple[Dimensions, LegLimits | None, Legs | None]:
+    """Read a file, as `Geometry.from_yaml` says."""
     root = _root(file_path(path, error=GeometryError))
     sizes = {f"{triangle}_{size}" for triangle in ("base", "platform") for size in ("side", "radius")}
     nodes = root.mapping({"middle_side"}, sizes | {"leg_limits", "legs"})
@@ -48,35 +52,35 @@ def read(path: str | Path) -> Geometry:
             expected = f"exactly one of the keys {triangle}_side and {triangle}_radius"
             raise GeometryError(str(root.path), expected, " and ".join(keys) or "neither")
         radii.append(lengths[keys[0]] / (math.sqrt(3.0) if keys[0].endswith("_side") else 1.0))
-    read_limits = None if limits is None else _limits(limits)
-    if legs is None:
-        geometry = Geometry(radii[0], radii[1], lengths["middle_side"], read_limits)
-    else:
-        geometry = Geometry(radii[0], radii[1], lengths["middle_side"], read_limits, _legs(legs))
+    data = (
+        (radii[0], radii[1], lengths["middle_side"]),
+        None if limits is None else _limits(limits),
+        None if legs is None else _legs(legs),
+    )
     longest = max(lengths, key=lambda key: lengths[key])
     if lengths[longest] > _IMPLAUSIBLE:
         text = f"{root.path}: {longest} is {lengths[longest]:g} m. Lengths are read as metres"
         warnings.warn(f"{text}; are these in another unit?", stacklevel=3)
-    return geometry
+    return data
 
 
-def write(path: str | Path, geometry: Geometry) -> None:
-    """Write a file that `read` reads, every number with all its digits."""
+def write(path: str | Path, data: dict[str, Any]) -> None:
+    """Write the data of a geometry, every number with all its digits."""
     path = file_path(path, error=GeometryError)
-    text = yaml.safe_dump(as_data(geometry), sort_keys=False, default_flow_style=None, width=120)
+    text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120)
     with writing(path, error=GeometryError):
         path.write_text(_HEADING + text, encoding="utf-8")
 
 
-def as_data(geometry: Geometry) -> dict[str, Any]:
-    """Return the data of a file."""
+def as_data(dimensions: Dimensions, limits: LegLimits | None, legs: Legs) -> dict[str, Any]:
+    """Return the data of a file that `read` reads."""
     names = ("base_radius", "platform_radius", "middle_side")
-    data: dict[str, Any] = dict(zip(names, geometry.dimensions, strict=True))
-    if geometry.limits is not None:
-        pairs = [list(pair) for pair in zip(geometry.limits.minimum, geometry.limits.maximum, strict=True)]
+    data: dict[str, Any] = dict(zip(names, dimensions, strict=True))
+    if limits is not None:
+        pairs = [list(pair) for pair in zip(limits.minimum, limits.maximum, strict=True)]
         data["leg_limits"] = pairs[0] if pairs.count(pairs[0]) == 6 else dict(zip(LEGS, pairs, strict=True))
-    if not geometry.legs.is_drawn:
-        rows = (zip(_LEG_KEYS, leg, strict=True) for leg in zip(*geometry.legs.arrays, strict=True))
+    if not legs.is_drawn:
+        rows = (zip(_LEG_KEYS, leg, strict=True) for leg in zip(*legs.arrays, strict=True))
         data["legs"] = {leg: {key: entry.tolist() for key, entry in row} for leg, row in zip(LEGS, rows, strict=True)}
     return data
 

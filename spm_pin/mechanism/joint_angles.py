@@ -21,7 +21,8 @@ import numpy as np
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, type_and_value, whole_number
 from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import Geometry, axis_directions, triangle_frames, triangle_sides, upper_ball_weights
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.legs import axis_directions, triangle_frames, triangle_sides, upper_ball_weights
 from spm_pin.mechanism.pose import homogeneous
 
 Vector = tuple[Any, Any, Any]

@@ -32,7 +32,6 @@ from spm_pin.description.source_files import (
 from spm_pin.description.tree import JOINTS, PASSIVE, SLIDES, read_closures, srdf_text
 from spm_pin.description.visuals import read_obj
 from spm_pin.errors import ArgumentError, DescriptionError
-from spm_pin.mechanism import geometry_files
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 PAPER = spm.Geometry.paper()
@@ -87,7 +86,7 @@ def test_the_xacro_command_gives_the_same_tree(prefix: str, tmp_path: Path) -> N
 def test_arguments_of_the_xacro_command(tmp_path: Path) -> None:
     geometry = spm.Geometry(1.5, 0.25, 0.5)
     path = tmp_path / "geometry.yaml"
-    path.write_text(yaml.safe_dump(geometry_files.as_data(geometry)), encoding="utf-8")
+    path.write_text(yaml.safe_dump(geometry.as_data()), encoding="utf-8")
     assert spm.Geometry.from_yaml(path) == geometry
     command = [str(Path(sysconfig.get_path("scripts")) / "xacro"), str(description_file(ENTRY)), f"geometry:={path}"]
     by_hand = subprocess.run(command, capture_output=True, text=True, check=True).stdout

@@ -30,7 +30,6 @@ from spm_pin.mechanism import (
     SolutionSet,
     Status,
     as_rigid_transform,
-    geometry_files,
 )
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, real_array
 from spm_pin.mechanism.branches import family, physical
@@ -310,7 +309,7 @@ def state_data(state: State, chain: ClosedChain, geometry_file: Path | None = No
     values = {name: getattr(kind, name) for name in ("sigma", "condition", "scaled_determinants")}
     values["leg_travel"] = measures.travel
     return {
-        "geometry": {"leg_limits": None, **geometry_files.as_data(shown.geometry)},
+        "geometry": {"leg_limits": None, **shown.geometry.as_data()},
         "branch": state.label or None,
         "pose": shown.pose.as_matrix(),
         "translation": shown.translation,
