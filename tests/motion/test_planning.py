@@ -227,17 +227,6 @@ def test_one_state_instead_of_a_list_to_pass_is_named() -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    [{"margin": -1.0}, {"line": "curved"}, {"tries": -1}, {"limits": 1.5}, {"joint_limits": 3}, {"rng": "x"},
-     {"certificate": True}],
-)  # fmt: skip
-def test_wrong_arguments_of_a_plan_are_named(wrong: dict[str, object]) -> None:
-    with pytest.raises(spm.ArgumentError) as caught:
-        spm.plan(PAPER, START, GOAL, **wrong)  # type: ignore[arg-type]
-    assert caught.value.argument in wrong
-
-
-@pytest.mark.parametrize(
     "geometry",
     [PAPER, spm.Geometry(0.5, 0.5, 0.6), pytest.param(spm.Geometry(0.9, 0.3, 1.0), marks=pytest.mark.slow)],
 )
