@@ -48,7 +48,7 @@ class Calibration:
     status: str
     """"fits"; or "outliers", "misfit" or "not converged": then `geometry` raises an error."""
     reason: str
-    """What is wrong, and its likely cause; empty if the measurements fit."""
+    """The reason why the measurements do not fit, with the likely cause; empty if they fit."""
     chi_square: float
     """Reduced χ² of all measurements but outliers: about 1 where the noise explains the residuals, above 9 a misfit."""
     covariance: FloatArray
@@ -56,7 +56,7 @@ class Calibration:
     identifiable: FloatArray
     """Combinations of parameters [rad, sides of the middle platform] that are determined, (n, 54), the best first."""
     deviations: FloatArray
-    """Their standard deviations, shape (n,)."""
+    """Standard deviations of these combinations, shape (n,)."""
     unidentifiable: FloatArray
     """Combinations that change no measurement of this kind, such as a shift of {n}, (k, 54), and are not changed."""
     before: FloatArray

@@ -39,14 +39,10 @@ class MeasurementError(ArgumentError):
 class Measurements:
     """N poses and readings, checked."""
 
-    rotation: FloatArray
-    """Measured rotations from {m} to {B}, (N, 3, 3); identities if only positions were measured."""
-    position: FloatArray
-    """Measured positions of o in {B}, (N, 3) [m]."""
-    readings: FloatArray
-    """Readings of the legs, (N, 6) [m]."""
-    components: int
-    """6 for poses, 3 for positions alone."""
+    rotation: FloatArray  # measured rotations from {m} to {B}, (N, 3, 3); identities if only positions were measured
+    position: FloatArray  # measured positions of o in {B}, (N, 3) [m]
+    readings: FloatArray  # readings of the legs, (N, 6) [m]
+    components: int  # 6 for poses, 3 for positions alone
 
     @classmethod
     def check(cls, geometry: Geometry, poses: Any, readings: npt.ArrayLike) -> Measurements:

@@ -217,7 +217,7 @@ class Configuration:
 
     @cached_property
     def readings(self) -> FloatArray:
-        """What the encoders of the legs show [m], shape (..., 6): `leg_lengths` and the offsets of the machine."""
+        """Readings of the legs' encoders [m], shape (..., 6): `leg_lengths` plus the offsets of the machine."""
         return frozen(self.leg_lengths + self._geometry.legs.offsets)
 
     @cached_property

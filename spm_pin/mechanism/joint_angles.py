@@ -188,7 +188,7 @@ def joint_angles(configuration: Configuration, corners: tuple[int, ...] = (0, 1,
         return _single(state, constants, corners)
     arrays = [a.reshape(-1, n) for a, n in zip(state, (9, 3, 9), strict=True)]
     size = len(arrays[0])
-    found, residual = np.empty((size, count)), np.empty(size)
+    values, residual = np.empty((size, count)), np.empty(size)
     rows = np.empty((count, min(size, _BLOCK)))
     with np.errstate(invalid="ignore", divide="ignore"):
         for begin in range(0, size, _BLOCK):
@@ -200,9 +200,9 @@ def joint_angles(configuration: Configuration, corners: tuple[int, ...] = (0, 1,
             for row, (sine, cosine) in zip(rows, angles, strict=False):
                 np.arctan2(sine, cosine, out=row)
             rows[-6:] = slides
-            found[block] = rows.T
+            values[block] = rows.T
             residual[block] = functools.reduce(np.maximum, errors)
-    return JointAngles(found.reshape(*shape, count), residual.reshape(shape))
+    return JointAngles(values.reshape(*shape, count), residual.reshape(shape))
 
 
 def _single(state: list[FloatArray], constants: _Constants, corners: tuple[int, ...]) -> JointAngles:

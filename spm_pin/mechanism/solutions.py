@@ -56,7 +56,7 @@ class Degeneracy:
     dimension: npt.NDArray[np.int8]
     """Dimension of the family, shape (...); 0 where all solutions are isolated."""
     families: BoolArray
-    """Which of TT, TF, FT, FF are continuous, shape (..., 4)."""
+    """True for those of TT, TF, FT, FF that are continuous, shape (..., 4)."""
     legs: BoolArray
     """Legs whose lower and upper plane coincide, so that b_i is bound to no line, shape (..., 3)."""
 
@@ -178,7 +178,7 @@ class SolutionSet:
 
     @property
     def exists(self) -> BoolArray:
-        """Which solutions are real, shape (..., n)."""
+        """True for the solutions that are real, shape (..., n)."""
         return self.configurations.exists
 
     @property
@@ -208,7 +208,7 @@ class SolutionSet:
 
     @property
     def readings(self) -> FloatArray:
-        """What the encoders of the legs show [m], shape (..., n, 6)."""
+        """Readings of the legs' encoders [m], shape (..., n, 6)."""
         return self.configurations.readings
 
     @property
@@ -218,9 +218,9 @@ class SolutionSet:
 
     @property
     def certain(self) -> BoolArray | None:
-        """Which families TT, TF, FT, FF are proved to be real, or not to be, as `exists` says, shape (..., 4).
+        """True for the families TT, TF, FT, FF that are proved to be real, or not, as `exists` says, shape (..., 4).
 
-        True where the discriminant is larger than all that rounding can have changed. False for a continuous family,
+        It is where the discriminant is larger than all that rounding can have changed. False for a continuous family,
         and where the Z axes of {B} and {m} are parallel to 1e-12 rad. None for other problems than the inverse
         displacement.
         """
@@ -328,7 +328,7 @@ class SolutionSet:
 
     @property
     def is_physical(self) -> BoolArray:
-        """Which solutions are physical, reached from the symmetric home without a forward singularity, shape (..., n).
+        """True for solutions reached from the symmetric home without a forward singularity, shape (..., n).
 
         If several are, and some respect the geometry's limits, the others are dropped; chain ``.within().physical()``
         to exclude all that do not.

@@ -52,10 +52,8 @@ def even_grid(knots: FloatArray, parts: int) -> tuple[FloatArray, IntArray]:
 class _HalfPlanes:
     """Limits g · (x_k, x_{k+1}) <= 1 of parts k of a grid."""
 
-    parts: IntArray
-    """Indices of the parts, shape (m,)."""
-    slopes: FloatArray
-    """The g, shape (m, 2)."""
+    parts: IntArray  # indices of the parts, shape (m,)
+    slopes: FloatArray  # the g, shape (m, 2)
 
     @classmethod
     def from_rows(cls, parts: IntArray, steps: FloatArray, shares: FloatArray, rows: LimitRows) -> _HalfPlanes:
@@ -125,7 +123,7 @@ class LeastTime:
         steps = np.diff(points[coarse])
         slower = _solved(steps, _half_planes(points, rows, coarse), None)
         self.error = abs(float(_durations(steps, slower).sum()) / self.duration - 1.0)
-        """By which share of it the duration is expected to be above the least, because of the grid."""
+        """Share of the duration by which it is expected to be above the least one because of the grid."""
 
     def _curved_parts(self, rows: LimitRows) -> BoolArray:
         """Return the parts (n,) between whose points, ends and middle, a limit is probably broken."""
@@ -199,11 +197,7 @@ def _solved(steps: FloatArray, planes: _HalfPlanes, start: FloatArray | None) ->
     bounds = {"lbx": _LEAST * slow[1:-1] / unit, "ubx": _FASTEST, "lbg": -np.inf, "ubg": 1.0 / sizes}
     solution = ca.nlpsol("least_time", "ipopt", problem, quiet)(x0=first[1:-1] / unit, **bounds)
     x = np.concatenate([[0.0], unit * np.asarray(solution["x"])[:, 0], [0.0]])
-    # Whether or not IPOPT has converged: the larger of what it found and of a slow motion, made to keep the limits.
+    # Whether or not IPOPT has converged: the larger of its result and of a slow motion, made to keep the limits.
     used = planes.used(x) if np.isfinite(x).all() and (x[1:-1] > 0.0).all() else np.array([np.inf])
-    found = x / max(float(used.max()), 1.0)
-    return found if _faster(steps, found, slow) else slow
-
-
-def _faster(steps: FloatArray, x: FloatArray, other: FloatArray) -> bool:
-    return bool(x.any() and _durations(steps, x).sum() <= _durations(steps, other).sum())
+    x = x / max(float(used.max()), 1.0)
+    return x if x.any() and _durations(steps, x).sum() <= _durations(steps, slow).sum() else slow

@@ -50,10 +50,8 @@ _LEFT = 1e-12
 class EasedGrid:
     """Even steps of τ from 0 to 1, moved to the path's knots where these are near."""
 
-    tau: FloatArray
-    """The grid, shape (n,)."""
-    corners: IntArray
-    """Indices in `tau` of the inner knots of the path, shape (k,)."""
+    tau: FloatArray  # the grid, shape (n,)
+    corners: IntArray  # indices in `tau` of the inner knots of the path, shape (k,)
 
     @classmethod
     def from_knots(cls, knots: FloatArray, parts: int) -> EasedGrid:
@@ -137,8 +135,7 @@ class _Programme:
     rows: LimitRows
     first: FloatArray
     second: FloatArray
-    third: FloatArray
-    """First and second derivatives by s, and the derivative of the second one by τ."""
+    third: FloatArray  # first and second derivatives by s, and the derivative of the second one by τ
     jerks: FloatArray
 
     @classmethod

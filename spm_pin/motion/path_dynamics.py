@@ -89,24 +89,15 @@ class Payload:
 class PathDynamics:
     """The mechanism at n parameters of a path; see the module."""
 
-    parameters: FloatArray
-    """Parameters from 0 to 1, shape (n,)."""
-    states: Configuration
-    """States in the physical mode, shape (n,)."""
-    q: FloatArray
-    """Joint values [rad or m], continuous along the path, shape (n, 18)."""
-    first: FloatArray
-    """q', first derivatives of `q` by the parameter, shape (n, 18)."""
-    second: FloatArray
-    """q'', second derivatives of `q` by the parameter, shape (n, 18)."""
-    twist: FloatArray
-    """Twist (v, ω) of the terminal platform at o in {B} per unit of ṡ [m, rad], shape (n, 6)."""
-    inertial: FloatArray
-    """f_a [N s²], shape (n, 6)."""
-    centrifugal: FloatArray
-    """f_b [N s²], shape (n, 6)."""
-    static: FloatArray
-    """f_c [N], shape (n, 6)."""
+    parameters: FloatArray  # parameters from 0 to 1, shape (n,)
+    states: Configuration  # states in the physical mode, shape (n,)
+    q: FloatArray  # joint values [rad or m], continuous along the path, shape (n, 18)
+    first: FloatArray  # q', first derivatives of `q` by the parameter, shape (n, 18)
+    second: FloatArray  # q'', second derivatives of `q` by the parameter, shape (n, 18)
+    twist: FloatArray  # twist (v, ω) of the terminal platform at o in {B} per unit of ṡ [m, rad], shape (n, 6)
+    inertial: FloatArray  # f_a [N s²], shape (n, 6)
+    centrifugal: FloatArray  # f_b [N s²], shape (n, 6)
+    static: FloatArray  # f_c [N], shape (n, 6)
 
 
 def path_dynamics(
@@ -165,18 +156,12 @@ def _forces(state: ChainState, a: FloatArray, twist: FloatArray, payload: Payloa
 class LimitRows:
     """Limits on a grid: lower <= a u + b x + c <= upper of (n, m) rows, and x <= fastest (n,)."""
 
-    a: FloatArray
-    """Coefficients of u, shape (n, m)."""
-    b: FloatArray
-    """Coefficients of x, shape (n, m)."""
-    c: FloatArray
-    """Constants, shape (n, m)."""
-    lower: FloatArray
-    """Least values of the rows, shape (m,)."""
-    upper: FloatArray
-    """Largest values of the rows, shape (m,)."""
-    fastest: FloatArray
-    """Largest x at each point of the grid, shape (n,)."""
+    a: FloatArray  # coefficients of u, shape (n, m)
+    b: FloatArray  # coefficients of x, shape (n, m)
+    c: FloatArray  # constants, shape (n, m)
+    lower: FloatArray  # least values of the rows, shape (m,)
+    upper: FloatArray  # largest values of the rows, shape (m,)
+    fastest: FloatArray  # largest x at each point of the grid, shape (n,)
 
     def feasible_scale(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the largest factor of ṡ² and s̈ (n,) with which all limits hold, shape (n,).
@@ -205,16 +190,11 @@ class LimitRows:
 class MotionLimits:
     """Limits of a motion; None where there is none."""
 
-    leg_rates: FloatArray | None
-    """Largest leg rates [m/s], shape (6,)."""
-    leg_accelerations: FloatArray | None
-    """Largest leg accelerations [m/s²], shape (6,)."""
-    leg_jerks: FloatArray | None
-    """Largest leg jerks [m/s³], shape (6,)."""
-    leg_forces: tuple[FloatArray, FloatArray] | None
-    """Least and largest leg forces [N], each of shape (6,)."""
-    twist: tuple[float, float] | None
-    """Largest speed of o [m/s] and of turning [rad/s]."""
+    leg_rates: FloatArray | None  # largest leg rates [m/s], shape (6,)
+    leg_accelerations: FloatArray | None  # largest leg accelerations [m/s²], shape (6,)
+    leg_jerks: FloatArray | None  # largest leg jerks [m/s³], shape (6,)
+    leg_forces: tuple[FloatArray, FloatArray] | None  # least and largest leg forces [N], each of shape (6,)
+    twist: tuple[float, float] | None  # largest speed of o [m/s] and of turning [rad/s]
 
     @classmethod
     def read(cls, leg_rates: Any, leg_accelerations: Any, leg_jerks: Any, leg_forces: Any, twist: Any) -> MotionLimits:

@@ -42,8 +42,8 @@ class TimedMotion(JointTrajectory):
     """The motion of all joints along a path, found by `time_optimal`."""
 
     error: float = 0.0
-    """By which share of it the duration may be above the least one: that by which it grows on half as fine a grid, and
-    that by which the motion was slowed down to keep limits between the points of the grid."""
+    """Share of the duration by which it may be above the least one: the growth on half as fine a grid, and the
+    slowing down that keeps limits between the points of the grid."""
 
     def __repr__(self) -> str:
         duration = f"{self.times[-1]:.4g} s, at most some {100.0 * self.error:.1g} % above the least"
@@ -118,12 +118,6 @@ def time_optimal(
     def dynamics(parameters: FloatArray) -> PathDynamics:
         return path_dynamics(chain, way, parameters, payload)
 
-    def rows_at(duration: float, clock: Clock) -> tuple[FloatArray, PathDynamics, FloatArray, FloatArray, FloatArray]:
-        times = _times(duration, step)
-        s, speeds, accelerations = clock(times)
-        along = dynamics(s)
-        return times, along, speeds, accelerations, limits.feasible_scale(chain, along, times, speeds, accelerations)
-
     def checked_rows(parameters: FloatArray) -> LimitRows:
         along = dynamics(parameters)
         _refuse_events(chain, along, way, planned=planned)
@@ -142,21 +136,19 @@ def time_optimal(
         duration, clock, error = limited_jerk(eased, limits.rows(chain, along), *derivatives, limits.leg_jerks)
     slower = 1.0
     for slowdown in range(_SLOWDOWNS):
-        times, along, speeds, accelerations, scale = rows_at(slower * duration, _slowed(clock, slower))
+        times = _times(slower * duration, step)
+        s, speeds, accelerations = (values / slower**order for order, values in enumerate(clock(times / slower)))
+        along = dynamics(s)
+        scale = limits.feasible_scale(chain, along, times, speeds, accelerations)
         if scale.min() >= 1.0 - _ROUNDING:
             break
         slower /= np.sqrt(float(scale.min())) * (1.0 - _RESERVE * 4.0**slowdown)
-    return _trajectory(chain, along, times, speeds, accelerations, slower * (1.0 + error) - 1.0)
-
-
-def _slowed(clock: Clock, slower: float) -> Clock:
-    """Return the clock of a motion that takes so many times as long."""
-
-    def slowed(times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        s, speeds, accelerations = clock(times / slower)
-        return s, speeds / slower, accelerations / slower**2
-
-    return slowed
+    rate, change = speeds[:, None], accelerations[:, None]
+    efforts = np.zeros_like(along.q)
+    efforts[:, chain.leg_indices] = along.inertial * change + along.centrifugal * rate**2 + along.static
+    velocities, joint_accelerations = along.first * rate, along.first * change + along.second * rate**2
+    above = slower * (1.0 + error) - 1.0
+    return TimedMotion(chain.joint_names, times, along.q, velocities, joint_accelerations, efforts, above)
 
 
 def _path(path: Any, chain: ClosedChain) -> MotionPath:
@@ -204,19 +196,3 @@ def _times(duration: float, period: float) -> FloatArray:
     if count > _LONGEST:
         raise ArgumentError("period", f"at most {_LONGEST:,} rows", f"{count:,} of a motion of {duration:.4g} s")
     return np.linspace(0.0, duration, max(count, 2))
-
-
-def _trajectory(
-    chain: ClosedChain,
-    along: PathDynamics,
-    times: FloatArray,
-    speeds: FloatArray,
-    accelerations: FloatArray,
-    error: float,
-) -> TimedMotion:
-    """Return all joints and forces of a path gone through on a clock."""
-    rate, change = speeds[:, None], accelerations[:, None]
-    efforts = np.zeros_like(along.q)
-    efforts[:, chain.leg_indices] = along.inertial * change + along.centrifugal * rate**2 + along.static
-    velocities, joint_accelerations = along.first * rate, along.first * change + along.second * rate**2
-    return TimedMotion(chain.joint_names, times, along.q, velocities, joint_accelerations, efforts, error)

@@ -102,16 +102,12 @@ def _solve(jacobian: FloatArray, residual: FloatArray) -> FloatArray:
 class RootCertificate:
     """A bound on the distance from a point to a solution, proved up to the rounding of its own evaluation."""
 
-    b: FloatArray
-    """The point (9,) after a last Newton step where that helps [m]."""
+    b: FloatArray  # the point (9,) after a last Newton step where that helps [m]
     sigma: float
     """Smallest singular value of the loop equations' Jacobian, dimensionless: zero at inverse singularities."""
-    error: float
-    """Largest distance to a solution [m], in the norm of all nine coordinates."""
-    isolated: bool
-    """Whether that bound is proved. If not, `error` is that of a double root."""
-    apart: float
-    """Points closer than this are the same solution [m]."""
+    error: float  # largest distance to a solution [m], in the norm of all nine coordinates
+    isolated: bool  # whether that bound is proved. If not, `error` is that of a double root
+    apart: float  # points closer than this are the same solution [m]
 
 
 def certify_root(equations: LoopEquations, b: FloatArray, matrix: FloatArray) -> RootCertificate:

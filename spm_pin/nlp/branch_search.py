@@ -82,7 +82,7 @@ class Search:
     error_bound: FloatArray
     """A true branch is proved to be this near [m], in the norm of all nine coordinates, shape (..., 8)."""
     isolated: BoolArray
-    """Whether it is proved to be the only one there, shape (..., 8)."""
+    """True where it is proved to be the only one there, shape (..., 8)."""
     infeasibility: FloatArray
     """Where no branch was found: the smallest norm of the loop equations that least squares reach [m]."""
     outcomes: Mapping[str, int]
@@ -216,21 +216,17 @@ class Multistart:
     """State of the multi-start at one pose."""
 
     equations: LoopEquations
-    matrix: FloatArray
-    """The pose of {m} in {B}, shape (4, 4)."""
+    matrix: FloatArray  # the pose of {m} in {B}, shape (4, 4)
     certificates: list[RootCertificate] = field(default_factory=list)
     """The solutions, each with what is proved about it."""
-    hits: list[int] = field(default_factory=list)
-    """Starts that ended at each of them."""
+    hits: list[int] = field(default_factory=list)  # starts that ended at each of them
     starts: int = 0
-    failed: int = 0
-    """Starts that ended at no solution."""
+    failed: int = 0  # starts that ended at no solution
     failed_residual: float = np.nan
     """Smallest norm of the loop equations where a failed start ended [m]; NaN where none failed."""
     infeasibility: float = np.nan
     """Smallest norm of the loop equations that least squares reach [m]; NaN where they were not needed."""
-    outcomes: Counter[str] = field(default_factory=Counter)
-    """Starts by the status of the solver."""
+    outcomes: Counter[str] = field(default_factory=Counter)  # starts by the status of the solver
 
     def run(self, method: IpoptSolver | None, starts: int, rng: np.random.Generator) -> None:
         """Make this number of starts; `method` None means Newton's method."""
