@@ -74,8 +74,6 @@ class Search:
     """Starts that ended on a continuous family of solutions."""
     failed: IntArray
     """Starts that ended at no solution."""
-    failed_residual: FloatArray
-    """Smallest norm of the loop equations where a failed start ended [m]; NaN where none failed."""
     sigma: FloatArray
     """Smallest singular value of the loop equations at each branch, shape (..., 8), dimensionless; zero where two
     branches meet."""
@@ -95,19 +93,6 @@ class Interrupted(KeyboardInterrupt):
     def __init__(self, partial: Search) -> None:
         self.partial = partial
         super().__init__("interrupted; .partial holds the poses finished before")
-
-
-def inverse_displacement(
-    geometry: Geometry,
-    pose: PoseLike,
-    *,
-    starts: int = STARTS,
-    seed: int = 0,
-    solver: str = "newton",
-    options: Mapping[str, Any] | None = None,
-) -> SolutionSet:
-    """Find the configurations that hold the platform in a pose numerically: the solutions of `search`."""
-    return search(geometry, pose, starts=starts, seed=seed, solver=solver, options=options).solutions
 
 
 def search(
@@ -222,8 +207,6 @@ class Multistart:
     hits: list[int] = field(default_factory=list)  # starts that ended at each of them
     starts: int = 0
     failed: int = 0  # starts that ended at no solution
-    failed_residual: float = np.nan
-    """Smallest norm of the loop equations where a failed start ended [m]; NaN where none failed."""
     infeasibility: float = np.nan
     """Smallest norm of the loop equations that least squares reach [m]; NaN where they were not needed."""
     outcomes: Counter[str] = field(default_factory=Counter)  # starts by the status of the solver
@@ -249,10 +232,6 @@ class Multistart:
             ends = np.where(converged[:, None], polished, ends)
         self._count_hits(ends[converged])
         self.failed += int((~converged).sum())
-        if not converged.all():
-            with np.errstate(over="ignore", invalid="ignore"):
-                norms = np.linalg.norm(self.equations(ends[~converged], self.matrix)[0], axis=-1)
-            self.failed_residual = float(np.fmin(self.failed_residual, np.nanmin(norms)))
 
     def _count_hits(self, ends: FloatArray) -> None:
         """Count each end point (n, 9) as a hit of its solution, adding solutions not seen before."""
@@ -359,19 +338,18 @@ def _collect(geometry: Geometry, transform: Any, runs: list[Multistart]) -> Sear
     status = np.where(continuous, Status.DEGENERATE, ordered.status)
     outcomes: Counter[str] = sum((run.outcomes for run in runs), Counter())
 
-    def of(values: list[Any], kind: Any = np.float64) -> Any:
+    def of(values: list[Any], kind: type = int) -> Any:
         return np.array(values, dtype=kind).reshape(shape)
 
     return Search(
         solutions=SolutionSet(ordered.configurations, BRANCHES, status),
-        starts=of([run.starts for run in runs], int),
+        starts=of([run.starts for run in runs]),
         hits=hits.astype(int),
-        continuous=of([run.starts - run.failed - sum(run.hits[k] for k in run.kept) for run in runs], int),
-        failed=of([run.failed for run in runs], int),
-        failed_residual=of([run.failed_residual for run in runs]),
+        continuous=of([run.starts - run.failed - sum(run.hits[k] for k in run.kept) for run in runs]),
+        failed=of([run.failed for run in runs]),
         sigma=sigma,
         error_bound=error,
         isolated=isolated.astype(bool),
-        infeasibility=of([run.infeasibility for run in runs]),
+        infeasibility=of([run.infeasibility for run in runs], float),
         outcomes=dict(outcomes),
     )
