@@ -19,13 +19,7 @@ import numpy.typing as npt
 
 from spm_pin.errors import GeometryError
 from spm_pin.mechanism import geometry_files
-from spm_pin.mechanism.arguments import (
-    FloatArray,
-    check_instance,
-    dimension,
-    generator,
-    real_number,
-)
+from spm_pin.mechanism.arguments import FloatArray, check_instance, dimension, generator, real_number
 from spm_pin.mechanism.leg_limits import LEGS, LegLimits
 from spm_pin.mechanism.legs import AXES, RADIAL, Legs, axis_directions, bounded_array, drawn_legs
 

@@ -78,24 +78,19 @@ class SolutionSet:
     status : array_like of Status, shape (...)
         Outcome of each problem; `Status` of a single problem, an int8 array of them for a batch.
     discriminants : ndarray, shape (..., 4), optional
-        For inverse displacement, of the families TT, TF, FT, FF: real iff not negative.
+        Of the families TT, TF, FT, FF, for inverse displacement: real iff not negative.
     degeneracy : Degeneracy, optional
         Which families, legs and how many dimensions, where `status` is `Status.DEGENERATE`.
-    physical_hint : ndarray of uint8, shape (..., 3), optional
-        Whether the first, the second solution is physical, and whether the second is tilted less; none of the others
-        is physical. Computed from the configurations if not given.
-    memory : tuple of ndarray, optional
-        The arrays that a solver may write anew, see `inverse_displacement`; copies and selections do not own it.
     merged : ndarray of bool, shape (..., n), optional
         For a machine as built: True where the branch of this label met another one while the errors grew from zero to
         those of the machine. It has ended, or is a root left over, whose label is a name only.
-    rounding : float, optional
-        Bound of the rounding error of a discriminant, divided by (1 + (|x| + |y|)/r)².
-    proved : ndarray of bool, shape (..., 4), optional
-        What `certain` is; computed from `rounding` if not given.
     radius : ndarray, shape (..., n), optional
         Radius [m] around each middle joint within which the exact one is, NaN where not proved; exactly one solution
         has all three joints within it. Given if the solver was asked to certify.
+    physical_hint, memory, rounding, proved : optional
+        From the solver: whether the first and the second solution are physical and the second is tilted less, uint8
+        (..., 3); arrays that it may write anew; the bound of a discriminant's rounding over (1 + (|x| + |y|)/r)²;
+        what `certain` is, where that does not follow from `rounding`.
 
     Notes
     -----

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from calibration.measured import NOMINAL, PAPER, elsewhere, measure, plan, position_errors
+from calibration.measured import PAPER, elsewhere, measure, plan, position_errors
 from scipy.stats import chi2, kstest
 
 import spm_pin as spm
@@ -21,10 +21,10 @@ from spm_pin.mechanism import PARAMETERS
 def test_the_platform_is_placed_to_micrometres_afterwards(positions_only: bool) -> None:
     before, after = [], []
     for seed in range(5):
-        machine = NOMINAL.perturbed(seed)
+        machine = PAPER.perturbed(seed)
         poses, readings = measure(machine, seed)
         found = identify(PAPER, poses[:, :3, 3] if positions_only else poses, readings)
-        before.append(position_errors(NOMINAL, machine))
+        before.append(position_errors(PAPER, machine))
         after.append(position_errors(found.geometry, machine))
         assert not found.outliers.any()
         assert len(found.deviations) == (45 if positions_only else 48)
@@ -37,7 +37,7 @@ def test_the_platform_is_placed_to_micrometres_afterwards(positions_only: bool) 
 
 
 def test_exact_measurements_give_the_machine_up_to_the_choice_of_the_middle_frame() -> None:
-    machine = NOMINAL.perturbed(1)
+    machine = PAPER.perturbed(1)
     found = identify(PAPER, *measure(machine, 0, noise=0.0))
     assert position_errors(found.geometry, machine).max() < 1e-11
     assert np.abs(found.residuals).max() < 1e-12
@@ -45,17 +45,17 @@ def test_exact_measurements_give_the_machine_up_to_the_choice_of_the_middle_fram
     difference = (found.geometry.parameters - machine.parameters) / scale
     # What is not identified has been left as it was, all else is right.
     np.testing.assert_allclose(found.identifiable @ difference, 0.0, atol=1e-6)
-    moved = (found.geometry.parameters - NOMINAL.parameters) / scale
+    moved = (found.geometry.parameters - PAPER.parameters) / scale
     np.testing.assert_allclose(found.unidentifiable @ moved, 0.0, atol=1e-12)
     np.testing.assert_allclose(found.identifiable @ found.identifiable.T, np.eye(48), atol=1e-12)
     np.testing.assert_allclose(found.identifiable @ found.unidentifiable.T, 0.0, atol=1e-12)
 
 
 def test_parameters_not_asked_for_keep_their_values() -> None:
-    nominal = NOMINAL.parameters
+    nominal = PAPER.parameters
     wanted = np.array([name.split(".")[1] == "offset" or "pivot_z" in name for name in PARAMETERS])
     errors = np.where(wanted, 2e-4 * np.random.default_rng(3).standard_normal(54), 0.0)
-    machine = NOMINAL.from_parameters(nominal + errors)
+    machine = PAPER.from_parameters(nominal + errors)
     found = identify(PAPER, *measure(machine, 1), parameters=["offset", "pivot_z"])
     changed = found.geometry.parameters - nominal
     np.testing.assert_array_equal(changed[~wanted], 0.0)
@@ -71,7 +71,7 @@ def test_parameters_not_asked_for_keep_their_values() -> None:
 
 @pytest.mark.slow
 def test_weights_are_those_of_the_noise() -> None:
-    machine = NOMINAL.perturbed(2)
+    machine = PAPER.perturbed(2)
     poses, readings = measure(machine, 3)
     pair = identify(PAPER, poses, readings, pose_noise=(1e-5, 1e-5), length_noise=1e-6)
     pose = np.broadcast_to(1e-10 * np.eye(6), (40, 6, 6))
@@ -88,7 +88,7 @@ def test_the_covariance_covers_the_errors_as_often_as_it_says() -> None:
     squares, inside = [], []
     states = elsewhere()[:5]
     for seed in range(200):
-        machine = NOMINAL.perturbed(seed)
+        machine = PAPER.perturbed(seed)
         found = identify(PAPER, *measure(machine, 1000 + seed))
         legs = states.leg_lengths
         true, predicted = (spm.forward_physical(m, legs) for m in (machine, found.geometry))
@@ -168,14 +168,14 @@ def not_finite(poses: Any, readings: Any) -> tuple[Any, Any]:
 )
 def test_wrong_measurements_are_named_and_not_fitted(change: Callable[..., Any], message: str) -> None:
     with pytest.raises(spm.ArgumentError, match=message):
-        identify(PAPER, *change(*measure(NOMINAL.perturbed(4), 5)))
+        identify(PAPER, *change(*measure(PAPER.perturbed(4), 5)))
 
 
 @pytest.mark.parametrize("loss", ["linear", "soft_l1", pytest.param("cauchy", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("shift", [0.01, -0.02, pytest.param(0.02, marks=pytest.mark.slow)])
 def test_encoders_that_all_begin_elsewhere_are_identified(shift: float, loss: str) -> None:
     """A thousand times the noise: a robust loss alone ends far from the machine, with good rows for outliers."""
-    machine = NOMINAL.perturbed(1)
+    machine = PAPER.perturbed(1)
     poses, readings = measure(machine, 0, noise=0.0)
     found = identify(PAPER, poses, readings + shift, loss=loss)
     assert (found.status, found.outliers.any()) == ("fits", False)
@@ -196,7 +196,7 @@ def with_two_errors(poses: Any, readings: Any) -> tuple[Any, Any]:
 )
 @pytest.mark.parametrize("loss", ["linear", "soft_l1", pytest.param("cauchy", marks=pytest.mark.slow)])
 def test_a_wrong_row_alone_is_named(change: Callable[..., Any], row: int, loss: str) -> None:
-    machine = NOMINAL.perturbed(4)
+    machine = PAPER.perturbed(4)
     poses, readings = change(*measure(machine, 5))
     found = identify(PAPER, poses, readings, loss=loss)
     assert np.flatnonzero(found.outliers).tolist() == [row]
@@ -214,7 +214,7 @@ def test_a_wrong_row_alone_is_named(change: Callable[..., Any], row: int, loss: 
 
 def test_measurements_that_fit_no_machine_are_not_used() -> None:
     """Beyond a reduced χ² of 9; noise two and a half times the given is still within."""
-    machine = NOMINAL.perturbed(1)
+    machine = PAPER.perturbed(1)
     within = identify(PAPER, *measure(machine, 0, noise=2.5))
     assert within.status == "fits"
     assert 4.0 < within.chi_square < 9.0
@@ -234,7 +234,7 @@ def test_measurements_that_fit_no_machine_are_not_used() -> None:
 
 @pytest.mark.parametrize("factors", [(1.05, 1.0, 1.0), (1.0, 0.9, 1.0), (1.1, 1.1, 1.1)])
 def test_another_nominal_machine_to_begin_from_leads_to_the_same(factors: tuple[float, float, float]) -> None:
-    machine = NOMINAL.perturbed(1)
+    machine = PAPER.perturbed(1)
     start = spm.Geometry(*(np.array(PAPER.dimensions) * factors))
     assert position_errors(identify(start, *measure(machine, 0)).geometry, machine).max() < 5e-5
 
@@ -242,7 +242,7 @@ def test_another_nominal_machine_to_begin_from_leads_to_the_same(factors: tuple[
 @pytest.mark.slow
 def test_chosen_poses_identify_better_than_random_ones() -> None:
     random = elsewhere()[:40]
-    machine = NOMINAL.perturbed(6)
+    machine = PAPER.perturbed(6)
     chosen, others = (identify(PAPER, *measure(machine, 7, states=states)) for states in (plan(), random))
     # D: the volume of the ellipsoid of uncertainty, here as a mean deviation.
     assert np.log(chosen.deviations).mean() < np.log(others.deviations).mean() - 0.1
@@ -286,7 +286,7 @@ ROW = "0.1,0.2,2.2,0,0,0,1,1.2,1.3,1.4,1.2,1.3,1.4"
 
 
 def test_a_file_of_measurements_is_read_in_any_order_of_columns(tmp_path: Path) -> None:
-    poses, readings = measure(NOMINAL, 1)
+    poses, readings = measure(PAPER, 1)
     rotation = spm.mechanism.as_rigid_transform(poses).rotation
     columns = dict(
         zip(HEADING.split(","), np.concatenate([poses[:, :3, 3], rotation.as_quat(), readings], 1).T, strict=True)

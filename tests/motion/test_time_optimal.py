@@ -59,15 +59,12 @@ def test_the_rows_keep_the_limits_and_some_limit_is_always_used(name: str) -> No
 
 
 def test_a_machine_as_built_moves_within_its_limits() -> None:
-    exact = PAPER
     limits = {"leg_forces": 1500.0, "leg_rates": 0.4}
-    nominal = spm.time_optimal(CHAIN, LINE, grid=500, **limits)
-    same = spm.time_optimal(spm.ClosedChain.from_urdf(geometry=exact), LINE, grid=500, **limits)
-    assert same.times[-1] == pytest.approx(nominal.times[-1], rel=1e-9)
-    machine = exact.perturbed(1, length=5e-3, angle=5e-3)
+    nominal = spm.time_optimal(CHAIN, LINE, grid=200, **limits)
+    machine = PAPER.perturbed(1, length=5e-3, angle=5e-3)
     chain = spm.ClosedChain.from_urdf(geometry=machine)
     planned = spm.plan(machine, START, GOAL)
-    motion = spm.time_optimal(chain, planned, grid=500, **limits)
+    motion = spm.time_optimal(chain, planned, grid=200, **limits)
     assert shares(motion, limits).max() < 1.0 + 1e-6
     assert np.abs(chain.closure_gap(motion.positions)).max() < 1e-9
     np.testing.assert_allclose(chain.readings(motion.positions)[[0, -1]], [START, GOAL], atol=1e-9)
