@@ -260,12 +260,14 @@ def _minimize(
     """Return the unknowns that least squares or a robust loss find from a first guess, and whether it converged."""
     options: Any = dict.fromkeys(("xtol", "ftol", "gtol"), _CONVERGED)
     options |= {"loss": loss, "f_scale": scale, "max_nfev": evaluations}
-    result = scipy.optimize.least_squares(
-        lambda unknown: whitened(unknown).ravel(),
-        first,
-        jac=lambda unknown: np.concatenate(jacobian(unknown)),
-        **options,
-    )
+
+    def flat(unknown: FloatArray) -> FloatArray:
+        return whitened(unknown).ravel()
+
+    def slopes(unknown: FloatArray) -> FloatArray:
+        return np.concatenate(jacobian(unknown))
+
+    result = scipy.optimize.least_squares(flat, first, jac=slopes, **options)
     return np.asarray(result.x), result.status > 0
 
 

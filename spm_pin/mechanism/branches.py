@@ -154,7 +154,7 @@ def physical(configuration: Configuration) -> BoolArray:
     upright = np.logical_and.reduce([value > 0.0 for value in (*radii, *heights)])
     if configuration.shape:
         # Few are upright, and the aspect takes longer.
-        at_home = upright.copy()
+        at_home: BoolArray = upright.copy()
         at_home[upright] = _in_home_aspects(configuration[upright])
         return at_home
     return np.asarray(upright & _in_home_aspects(configuration))
@@ -162,10 +162,9 @@ def physical(configuration: Configuration) -> BoolArray:
 
 def _in_home_aspects(configuration: Configuration) -> BoolArray:
     """Return for which states both stages are in the home's aspect, shape (...)."""
-    balls = configuration.balls
+    shape = (*configuration.shape, 2, 3, 3)
     normals = np.cross(TANGENT_SIGNS[:, None] * configuration.leg_axes, configuration.leg_vectors)
-    stages = (in_home_aspect(balls[..., legs, :], normals[..., legs, :]) for legs in (slice(3), slice(3, 6)))
-    return np.asarray(np.logical_and(*stages))
+    return np.asarray(in_home_aspect(configuration.balls.reshape(shape), normals.reshape(shape)).all(axis=-1))
 
 
 def in_home_aspect(points: FloatArray, directions: FloatArray) -> BoolArray:
