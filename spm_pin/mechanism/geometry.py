@@ -49,17 +49,14 @@ class Geometry:
 
     Parameters
     ----------
-    base_radius : float
-        E, from the base's centre O to a lower revolute joint a_i [m].
-    platform_radius : float
-        C, from the terminal platform's centre o to an upper revolute joint c_i [m].
+    base_radius, platform_radius : float
+        E and C, from the centres O and o of base and terminal platform to their revolute joints a_i and c_i [m].
     middle_side : float
         d, side of the middle platform's triangle b_1 b_2 b_3 [m].
     limits : LegLimits, optional
         Limits of the encoders' readings, which in a drawn machine are the leg lengths. None means unlimited.
     legs : Legs, optional
-        The legs of a machine as built; branches are named after those of the drawn machine. Drawn from the three
-        dimensions if not given.
+        The legs of a machine as built; branches are named after those of the drawn machine.
 
     Notes
     -----
@@ -208,19 +205,12 @@ class Geometry:
     def perturbed(self, rng: Any = None, *, length: float = 1e-4, angle: float = 1e-4) -> Geometry:
         """Return a machine with independent normal errors added to all parameters of the legs.
 
-        Parameters
-        ----------
-        rng : numpy.random.Generator, seed, or None
-            Source of the errors.
-        length : float
-            Standard deviation of each coordinate of the pivots and balls and of the offsets [m], up to 1e7.
-        angle : float
-            Standard deviation of the turn of each axis about either direction perpendicular to it [rad], up to 0.2.
+        Their standard deviations are `length`, of each coordinate of pivots and balls and of the offsets [m], up to
+        1e7, and `angle`, of the turn of each axis about either direction perpendicular to it [rad], up to 0.2.
         """
         random = generator(rng)
-        spread = real_number(
-            length, "length", f"a standard deviation from 0 to {_MOST_LENGTH:g} m", least=0.0, most=_MOST_LENGTH
-        )
+        expected = f"a standard deviation from 0 to {_MOST_LENGTH:g} m"
+        spread = real_number(length, "length", expected, least=0.0, most=_MOST_LENGTH)
         expected = f"a standard deviation from 0 to {_MOST_ANGLE} rad"
         turn = real_number(angle, "angle", expected, least=0.0, most=_MOST_ANGLE, cause="Given in degrees?")
         scale = np.tile(np.repeat([turn, spread], [2, 7]), 6)

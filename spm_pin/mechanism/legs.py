@@ -52,7 +52,7 @@ class Legs:
     balls: FloatArray
     offsets: FloatArray
     is_drawn: bool = field(default=False, init=False)
-    """True for the legs that a `Geometry` has drawn from its dimensions."""
+    """True for legs that a `Geometry` has drawn from its dimensions."""
 
     def __post_init__(self) -> None:
         axes = bounded_array(self.axes, "axes", (6, 3), "unit vectors along the revolute axes")

@@ -37,15 +37,14 @@ _BROKEN = 5e-4
 """Share of a limit by which it may be broken between three points of a part before the part is split."""
 
 
-def even_grid(knots: FloatArray, parts: int) -> tuple[FloatArray, IntArray]:
-    """Return even steps from 0 to 1, (n,), the nearest to each inner knot (k,) moved there, and the knots' indices."""
+def even_grid(knots: FloatArray, parts: int) -> FloatArray:
+    """Return even steps from 0 to 1, (n,), the nearest to each inner knot (k,) moved there."""
     parts = max(parts, 2 * len(knots))
     nearest = np.clip((knots[1:-1] * parts).round().astype(np.intp), 1, parts - 1)
     grid = np.linspace(0.0, 1.0, parts + 1)
     grid[nearest] = knots[1:-1]
     # Knots nearer to each other than a step.
-    grid = np.unique(np.concatenate([grid, knots]))
-    return grid, np.searchsorted(grid, knots[1:-1])
+    return np.unique(np.concatenate([grid, knots]))
 
 
 @dataclass
@@ -102,7 +101,7 @@ class LeastTime:
     """
 
     def __init__(self, knots: FloatArray, parts: int, rows_at: Callable[[FloatArray], LimitRows]) -> None:
-        grid, _ = even_grid(knots, parts)
+        grid = even_grid(knots, parts)
         points = np.sort(np.concatenate([grid, 0.5 * (grid[1:] + grid[:-1])]))
         rows, start = rows_at(points), None
         for split in range(_SPLITS + 1):

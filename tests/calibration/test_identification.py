@@ -102,20 +102,22 @@ def test_the_covariance_covers_the_errors_as_often_as_it_says() -> None:
     assert kstest(squares, chi2(3).cdf).pvalue > 1e-3
 
 
+Change = Callable[[Any, Any], tuple[Any, Any]]
+
+
+def with_reading(row: int, leg: int, change: Callable[[float], float]) -> Change:
+    """Return a change of measurements that alters one reading."""
+
+    def changed(poses: Any, readings: Any) -> tuple[Any, Any]:
+        wrong = readings.copy()
+        wrong[row, leg] = change(wrong[row, leg])
+        return poses, wrong
+
+    return changed
+
+
 def swapped(poses: Any, readings: Any) -> tuple[Any, Any]:
     return poses, readings[:, [0, 4, 2, 3, 1, 5]]
-
-
-def with_an_outlier(poses: Any, readings: Any) -> tuple[Any, Any]:
-    wrong = readings.copy()
-    wrong[17, 2] += 1e-3
-    return poses, wrong
-
-
-def with_a_gross_outlier(poses: Any, readings: Any) -> tuple[Any, Any]:
-    wrong = readings.copy()
-    wrong[5, 2] += 0.3
-    return poses, wrong
 
 
 def in_millimetres(poses: Any, readings: Any) -> tuple[Any, Any]:
@@ -130,18 +132,6 @@ def transposed(poses: Any, readings: Any) -> tuple[Any, Any]:
     return wrong, readings
 
 
-def mistyped(poses: Any, readings: Any) -> tuple[Any, Any]:
-    wrong = readings.copy()
-    wrong[5, 3] = 0.13
-    return poses, wrong
-
-
-def not_finite(poses: Any, readings: Any) -> tuple[Any, Any]:
-    wrong = readings.copy()
-    wrong[5, 3] = np.nan
-    return poses, wrong
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -152,8 +142,8 @@ def not_finite(poses: Any, readings: Any) -> tuple[Any, Any]:
         (transposed, "poses: expected rotations from {m} to {B}.*Transposed they agree to"),
         (lambda p, r: (p, np.roll(r, 1, axis=0)), "poses.*order of the readings, got readings shifted by 1 rows"),
         (lambda p, r: (p[:, :3, 3], np.roll(r, -3, axis=0)), "poses.*order.*got readings shifted by -3 rows"),
-        (mistyped, r"readings.*row 5 with.*0\.13.*mistyped"),
-        (not_finite, r"readings: expected finite.*index \(5, 3\)"),
+        (with_reading(5, 3, lambda _: 0.13), r"readings.*row 5 with.*0\.13.*mistyped"),
+        (with_reading(5, 3, lambda _: np.nan), r"readings: expected finite.*index \(5, 3\)"),
         (lambda poses, readings: (poses[:7], readings[:7]), "poses: expected at least 8 measurements for 48.*got 7"),
         (lambda p, r: (p[:14, :3, 3], r[:14]), "poses: expected at least 15 measurements for 45.*got 14"),
         (
@@ -184,15 +174,13 @@ def test_encoders_that_all_begin_elsewhere_are_identified(shift: float, loss: st
     np.testing.assert_allclose(places[0].translation, places[1].translation, atol=1e-9)
 
 
-def with_two_errors(poses: Any, readings: Any) -> tuple[Any, Any]:
-    wrong = readings + 0.01
-    wrong[5, 2] += 0.3
-    return poses, wrong
-
-
 @pytest.mark.parametrize(
     ("change", "row"),
-    [(with_an_outlier, 17), (with_a_gross_outlier, 5), pytest.param(with_two_errors, 5, marks=pytest.mark.slow)],
+    [
+        (with_reading(17, 2, lambda length: length + 1e-3), 17),
+        (with_reading(5, 2, lambda length: length + 0.3), 5),
+        pytest.param(lambda p, r: with_reading(5, 2, lambda x: x + 0.3)(p, r + 0.01), 5, marks=pytest.mark.slow),
+    ],
 )
 @pytest.mark.parametrize("loss", ["linear", "soft_l1", pytest.param("cauchy", marks=pytest.mark.slow)])
 def test_a_wrong_row_alone_is_named(change: Callable[..., Any], row: int, loss: str) -> None:
