@@ -121,6 +121,7 @@ def _content(found: Calibration) -> dict[str, Any]:
         "identified": len(found.deviations),
         "rms": {name: {"unit": unit, "before": a, "after": b} for name, unit, a, b in _sizes(found)},
         "status": found.status,
+        "reason": found.reason,
         "chi_square": found.chi_square,
         "misfit": found.misfit,
         "outliers": np.flatnonzero(found.outliers),

@@ -30,7 +30,7 @@ from spm_pin.description.tree import JOINTS, SLIDES, Closure
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable, frozen
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.leg_frames import home_lengths
+from spm_pin.mechanism.joint_angles import home_lengths
 from spm_pin.mechanism.leg_limits import LEGS
 from spm_pin.multibody.vector_arguments import Gains, WrenchLike, read_vector, read_vectors
 

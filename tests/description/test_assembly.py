@@ -14,7 +14,7 @@ from spm_pin.description import urdf_text
 from spm_pin.description.source_files import SRDF, URDF, description_file
 from spm_pin.description.tree import JOINTS, SLIDES, joint_values, read_closures
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.leg_frames import home_lengths
+from spm_pin.mechanism.joint_angles import home_lengths
 
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()

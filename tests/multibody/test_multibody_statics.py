@@ -21,7 +21,7 @@ from multibody.chains import (
 
 import spm_pin as spm
 from spm_pin.description.source_files import URDF, description_file
-from spm_pin.paper import driving_forces as paper
+from spm_pin.paper import jacobian as paper
 
 pinocchio = pytest.importorskip("pinocchio")
 

@@ -17,7 +17,7 @@ from spm_pin.kinematics.path_following import physical_mode_share
 from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.branches import physical
-from spm_pin.mechanism.leg_frames import home_lengths
+from spm_pin.mechanism.joint_angles import home_lengths
 from spm_pin.workspace.paper_shell import workspace_shell
 
 _NEIGHBOURS = 400
