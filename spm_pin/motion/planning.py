@@ -36,7 +36,7 @@ from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.motion.leg_path import LegPath
 from spm_pin.motion.leg_search import find_corners, smooth_path
 from spm_pin.motion.path_states import MotionPath, PathRules, least_determinant, spaced_parameters, states_along
-from spm_pin.multibody.loading import check_same_machine
+from spm_pin.multibody.chain import check_same_machine
 from spm_pin.multibody.trajectory import PlatformPath
 from spm_pin.proofs import Certificate
 from spm_pin.workspace.joint_limits import JointLimits

@@ -27,8 +27,7 @@ from spm_pin.motion.motion_limits import MotionLimits
 from spm_pin.motion.path_dynamics import PathDynamics, Payload, path_dynamics
 from spm_pin.motion.path_states import ROUNDING, MotionPath
 from spm_pin.motion.planning import MotionPlan
-from spm_pin.multibody.chain import ClosedChain
-from spm_pin.multibody.loading import check_same_machine
+from spm_pin.multibody.chain import ClosedChain, check_same_machine
 from spm_pin.multibody.trajectory import JointTrajectory, PlatformPath
 
 _LONGEST = 10**6
