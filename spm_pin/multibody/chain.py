@@ -51,10 +51,9 @@ class ClosedChain(ConstrainedChain[ChainState]):
     """The spanning tree of the description in Pinocchio, and the closures that make it the mechanism; read-only.
 
     Made by `from_urdf`. {B} is the link `base` and Pinocchio's universe. Methods take q, joint values [rad, m] in the
-    order of `joint_names`, of one state or of a batch (..., 18), and raise `ArgumentError` if it has another shape, is
-    not finite, or gives a leg a negative length. Leading axes of several arguments broadcast. Pinocchio answers one
-    state at a time, so that a batch takes as long as its members; `joint_values`, and `forward_kinematics` and
-    `inverse_kinematics` without `near`, are vectorised closed forms. `state` computes several quantities of one q
+    order of `joint_names`, of one state or of a batch (..., 18). Leading axes of several arguments broadcast. Pinocchio
+    answers one state at a time, so that a batch takes as long as its members; `joint_values`, and `forward_kinematics`
+    and `inverse_kinematics` without `near`, are vectorised closed forms. `state` computes several quantities of one q
     and v. nq = nv = 18, and the n = 6 actuators are the legs.
 
     A single state that is singular or not closed raises. In a batch such members are NaN, and the others are computed:
@@ -68,17 +67,12 @@ class ClosedChain(ConstrainedChain[ChainState]):
     Methods that use rates or forces raise `ArgumentError` where a ball joint's middle angle is ±90°, and
     `SingularConfigurationError` at the singularities they name, where a matrix is singular to rounding.
 
-    Parameters
-    ----------
-    urdf : str
-        Text of the description expanded for `geometry` and `prefix`; not checked here.
-    geometry : Geometry
-        Its dimensions, and the limits that set its zero.
-    prefix : str
-        Before the name of every link and joint.
-
     Attributes
     ----------
+    geometry : Geometry
+        Dimensions, legs, and the limits that set the zero of the tree.
+    prefix : str
+        Before the name of every link and joint.
     model : pinocchio.Model
         The spanning tree; do not change it.
     closures : tuple of Closure
@@ -105,8 +99,7 @@ class ClosedChain(ConstrainedChain[ChainState]):
 
         `geometry` is by default the paper's. A file at `path` has the tree of the description for this geometry,
         perhaps with other inertias, shapes and limits; the closures are the description's. `prefix` stands before the
-        name of every link and joint. Raises `DescriptionError` if the file cannot be read or is another tree, its
-        inertias are impossible or `prefix` cannot begin a name.
+        name of every link and joint. Raises `DescriptionError` for another tree, and for impossible inertias.
         """
         check_prefix(prefix)
         machine = Geometry.paper() if geometry is None else check_instance(geometry, Geometry, "geometry")
@@ -151,9 +144,8 @@ class ClosedChain(ConstrainedChain[ChainState]):
         """Return this chain carried by another robot, as an arm carries a tool, in one model with its loops closed.
 
         `other` is a pinocchio.Model or pinocchio.RobotWrapper whose base stays where it is, `frame` one of its frames
-        such as `tool0`, `placement` the pinocchio.SE3 of {B} in it, by default the identity. Raises `ArgumentError` if
-        one of them is malformed, or both robots have a link, joint or frame of the same name: `from_urdf` takes a
-        prefix.
+        such as `tool0`, `placement` the pinocchio.SE3 of {B} in it, by default the identity. No link, joint or frame
+        of both robots may have the same name: `from_urdf` takes a prefix.
         """
         return mount(self, other, frame, placement, carried=False)
 
@@ -167,9 +159,8 @@ class ClosedChain(ConstrainedChain[ChainState]):
     def joint_values(self, configuration: Configuration) -> FloatArray:
         """Return q (..., 18) of a configuration, in closed form and vectorised: angles in [-π, π].
 
-        Its leg limits play no part. The tree is closed to rounding, or as far as the configuration is; members of a
-        batch that do not exist are NaN. Raises `ArgumentError` if a single configuration does not exist or one is not
-        closed to 1e-9 of the middle platform's side, and `GeometryError` if it is of another machine than the chain's.
+        It is of the chain's machine, its leg limits play no part. The tree is closed to rounding, or as far as the
+        configuration is, to 1e-9 of the middle platform's side at least; members of a batch that do not exist are NaN.
         """
         state = check_configuration(configuration)
         if not state.shape:
@@ -240,11 +231,10 @@ class ClosedChain(ConstrainedChain[ChainState]):
     def forward_kinematics(self, readings: npt.ArrayLike, near: npt.ArrayLike | None = None) -> FloatArray:
         """Return all joints (..., 18) of readings (..., 6) [m], of a drawn machine the leg lengths.
 
-        By default in the physical assembly mode of each member, in closed form and vectorised, angles in [-π, π]; see
+        By default in the physical assembly mode of each member, in closed form, angles in [-π, π]; see
         `spm_pin.forward_physical`. With `near` (18,), a closed q, the mechanism goes from there to the first member by
         changing all legs in proportion, and on to each from the one before, in C order, in the assembly mode that it
-        comes to, angles continuous and not reduced to one turn; legs that change little take one or two steps of
-        Newton's method. Closed to rounding.
+        comes to, angles continuous and not reduced to one turn. Closed to rounding.
 
         Lengths that the physical mode cannot have are an `ArgumentError`, in a batch NaN. A path that does not lead to
         a member, as one that ends at a forward or a constraint singularity, is an error for a batch as well.
@@ -253,15 +243,14 @@ class ClosedChain(ConstrainedChain[ChainState]):
             configuration = forward_physical(self.geometry, readings)
             if not configuration.shape and not configuration.exists:
                 received = f"{_listed(np.asarray(readings, dtype=np.float64))} m"
-                expected = "lengths that the physical assembly mode can have"
-                raise _absent("readings", expected, received, configuration.missing_reason or "A misread leg?")
+                raise _absent("readings", "lengths that the physical assembly mode can have", received, configuration)
             return self._values_of(configuration)
         return self._follow(near, follow_legs, self._lengths_of_readings(readings), axes=(1,))
 
     def inverse_kinematics(self, pose: PoseLike, near: npt.ArrayLike | None = None) -> FloatArray:
         """Return all joints (..., 18) of a pose (...) of the terminal platform, {m} in {B}.
 
-        By default in the physical branch of each member, in closed form and vectorised, angles in [-π, π]; see
+        By default in the physical branch of each member, in closed form, angles in [-π, π]; see
         `spm_pin.kinematics.inverse_physical`. With `near` (18,), a closed q, the platform moves and turns from there
         to the first member in proportion, and on to each from the one before, as in `forward_kinematics`, in the branch
         that it comes to; leg limits play no part. Closed to rounding. Errors are those of `forward_kinematics`, at
@@ -273,8 +262,7 @@ class ClosedChain(ConstrainedChain[ChainState]):
             if not configuration.shape and not configuration.exists:
                 place, turn = transform.translation, transform.rotation.as_rotvec()
                 received = f"o at {_listed(place)} m, turned by the rotation vector {_listed(turn)} rad"
-                cause = configuration.missing_reason or "Level, or out of reach?"
-                raise _absent("pose", "poses that a physical branch has", received, cause)
+                raise _absent("pose", "poses that a physical branch has", received, configuration)
             return self._values_of(configuration)
         return self._follow(near, follow_pose, transform.rotation.as_matrix(), transform.translation, axes=(2, 1))
 
@@ -354,9 +342,8 @@ class ClosedChain(ConstrainedChain[ChainState]):
     def natural_frequencies(self, q: npt.ArrayLike, stiffness: npt.ArrayLike) -> NaturalFrequencies:
         """Return the small vibrations of the platform with its motors held, on legs that are elastic.
 
-        q is closed, `stiffness` (..., 6, 6) the platform's as of `spm_pin.stiffness`; all bodies' masses take part as
-        if rigid. What weights add to the stiffness is left out: it is of the size of weight / leg length. Raises at an
-        inverse or a constraint singularity.
+        q is closed, `stiffness` (..., 6, 6) the platform's as of `spm_pin.stiffness`; what weights add to it is left
+        out. Raises at an inverse or a constraint singularity.
         """
         return self._at(q).natural_frequencies(stiffness)
 
@@ -385,10 +372,9 @@ class ClosedChain(ConstrainedChain[ChainState]):
     ) -> Simulation:
         """Integrate the motion under leg forces, gravity and a wrench, up to the last time or what ends it before.
 
-        By SciPy's DOP853 with projection onto the closures after each step; see the module `simulation`. The loops are
-        closed to rounding at every time. Leg limits, inverse and forward singularities are passed through. A leg of no
-        length and a constraint singularity end the run: forces in the balls have no bound there. They are looked for at
-        the ends of steps. Errors of `forces` and `wrench` reach the caller, and so end a run before its time.
+        By SciPy's DOP853 with projection onto the closures after each step. Leg limits, inverse and forward
+        singularities are passed through. A leg of no length and a constraint singularity end the run: forces in the
+        balls have no bound there. They are looked for at the ends of steps.
 
         Parameters
         ----------
@@ -416,8 +402,9 @@ def _listed(numbers: FloatArray) -> str:
     return f"[{', '.join(f'{number:.9g}' for number in numbers)}]"
 
 
-def _absent(argument: str, expected: str, received: str, reason: str) -> ArgumentError:
+def _absent(argument: str, expected: str, received: str, configuration: Configuration) -> ArgumentError:
     """Return the error about what has no physical solution."""
+    reason = configuration.missing_reason or "Out of reach, or a misread number?"
     sentence = f"{reason[0].upper()}{reason[1:]}{'' if reason.endswith(('.', '?')) else '.'}"
     cause = f"{sentence} Pass a closed q as near: the solution on the path from there need not be physical."
     return ArgumentError(argument, expected, received, cause)

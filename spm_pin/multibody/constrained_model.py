@@ -39,9 +39,8 @@ AGREEMENT = 1e-9
 SINGULAR = 64.0 * float(np.finfo(np.float64).eps)
 """A matrix is singular to rounding where its smallest singular value is at most this times its largest.
 
-Ten joints lie between {B} and m, each adds a rounding or two of eps times an arm to an entry; some hundred entries
-that are not zero make a matrix off by a few hundred eps in the Frobenius norm, of a largest singular value of about
-five: a smaller singular value may as well be zero.
+Each of the ten joints between {B} and m adds a rounding or two to an entry: matrices are off by a few hundred eps, of a
+largest singular value of about five.
 """
 
 SUSPECT = 1e-9
@@ -190,7 +189,6 @@ class ConstrainedModel:
         # A frame that several closures share is evaluated once.
         self.pairs = [[int(model.getFrameId(name)) for name in (c.frame_a, c.frame_b)] for c in closures]
         self.frames = list(dict.fromkeys(frame for pair in self.pairs for frame in pair))
-        # A product takes a third of the time of picking rows and subtracting, and gives the same bits.
         unit = np.eye(len(self.frames))
         self.signs = np.array([unit[self.frames.index(b)] - unit[self.frames.index(a)] for a, b in self.pairs])
 

@@ -137,7 +137,7 @@ def run_simulation(
     integrator = _Integrator(kinematics, None if wrench is None else _as_function(wrench, "wrench"), tolerance)
 
     state = integrator.closed(np.concatenate([q, v, [0.0]]))
-    stop = integrator.stop_event(begin, state)
+    stop = integrator.stop_event(state, begin)
     for k, (start, end) in enumerate(itertools.pairwise(_force_times(begin, until, period))):
         applied = act if period is None else _constant(act(start, *integrator.parts(state)))
         if k == 0:
@@ -232,13 +232,32 @@ class _Integrator:
         energies, gap = self._kinematics.energies(v), self._kinematics.widest_gap()
         self.rows.append((time, q, v, a, self._constrained.leg_lengths(q), force, *energies, float(state[-1]), gap))
 
-    def stop_event(self, time: float, state: FloatArray) -> StopEvent | None:
-        """Return why no simulation can begin at a state."""
-        margins = self._leg_margins(state)
-        if margins.min() < 0.0:
-            return StopEvent(SimulationEnd.COLLAPSE, LEGS[int(margins.argmin())], time)
-        singular = self._constraint_margin(state) < 0.0
-        return StopEvent(SimulationEnd.CONSTRAINT_SINGULARITY, "", time) if singular else None
+    def _margins(self, state: FloatArray) -> FloatArray:
+        """Return how far a state is from ending a run, shape (7,): leg lengths [m], and σ of the closures."""
+        kinematics, q = self._kinematics, state[: self._size]
+        kinematics.evaluate(q)
+        kinematics.check_ball_angles()
+        sigma = np.linalg.svd(kinematics.scaled_constraint_jacobian(), compute_uv=False)[-1]
+        lengths = self._constrained.leg_lengths(q) - SHORTEST_LEG * self._constrained.side
+        return np.append(lengths, sigma - LEAST_CONSTRAINED)
+
+    def stop_event(
+        self, state: FloatArray, time: float, until: float | None = None, dense: Any = None
+    ) -> StopEvent | None:
+        """Return why no run can begin at a state, or what ends it first in the step that `dense` interpolates."""
+        margins = self._margins(state if until is None else dense(until))
+        events = []
+        for which in np.flatnonzero(margins < 0.0).tolist():
+
+            def margin(t: float, which: int = which) -> float:
+                # Rounding must not have it end before the step begins.
+                return float(self._margins(dense(t))[which]) if t > time else float(np.finfo(np.float64).tiny)
+
+            when = time if until is None else float(brentq(margin, time, until, xtol=1e-15, rtol=1e-14))
+            is_leg = which < len(LEGS)
+            reason = SimulationEnd.COLLAPSE if is_leg else SimulationEnd.CONSTRAINT_SINGULARITY
+            events.append(StopEvent(reason, LEGS[which] if is_leg else "", when))
+        return min(events, key=lambda event: event.time, default=None)
 
     def advance(
         self, state: FloatArray, span: tuple[float, float], times: FloatArray, forces: _Forces
@@ -265,67 +284,20 @@ class _Integrator:
                 self.steps += 1
                 # Of the step as it was, before its end is moved onto the closures.
                 dense = solver.dense_output()
-                time, stop = self._collapse(dense, before, float(solver.t))
+                stop = self.stop_event(state, before, float(solver.t), dense)
+                time, end = (float(solver.t), solver.y) if stop is None else (stop.time, dense(stop.time))
                 try:
-                    closed = self.closed(solver.y if stop is None else np.asarray(dense(time)))
+                    closed = self.closed(end)
                 except (ClosureError, np.linalg.LinAlgError):
                     return state, StopEvent(SimulationEnd.STALLED, "the loops do not close any more", before)
-                within = self._within(dense, (before, state), (time, closed))
-                stop = self._singularity(within, before, time) or stop
-                last = time if stop is None else stop.time
-                while waiting < times.size and times[waiting] <= last:
-                    self.record(float(times[waiting]), within(float(times[waiting])), forces)
+                while waiting < times.size and times[waiting] <= time:
+                    moment = float(times[waiting])
+                    self.record(moment, closed if moment == time else self.closed(dense(moment)), forces)
                     waiting += 1
                 if stop is not None:
-                    return within(last), stop
+                    return closed, stop
                 state = closed
                 solver.y, solver.f = closed, rate(time, closed)
         except _UnboundedRateError:
             return state, StopEvent(SimulationEnd.STALLED, "velocities, accelerations or power above 1e100", before)
         return state, None
-
-    def _within(
-        self, dense: Any, begin: tuple[float, FloatArray], end: tuple[float, FloatArray]
-    ) -> Callable[[float], FloatArray]:
-        """Return the closed state as a function of time in a step, at its ends the states known there."""
-
-        def state(time: float) -> FloatArray:
-            if time <= begin[0]:
-                return begin[1]
-            return end[1] if time >= end[0] else self.closed(np.asarray(dense(time)))
-
-        return state
-
-    def _collapse(self, dense: Any, before: float, end: float) -> tuple[float, StopEvent | None]:
-        """Return the time at which a step ends, with the first leg that has no length left if that ends it early."""
-        short = np.flatnonzero(self._leg_margins(dense(end)) < 0.0)
-        if not short.size:
-            return end, None
-
-        def margin(time: float, leg: int) -> float:
-            # Rounding must not take the length away before the step begins.
-            least = np.finfo(np.float64).tiny if time <= before else -np.inf
-            return float(max(self._leg_margins(dense(time))[leg], least))
-
-        times = {int(leg): float(brentq(margin, before, end, (leg,), xtol=1e-15, rtol=1e-14)) for leg in short}
-        first = min(times, key=times.__getitem__)
-        return times[first], StopEvent(SimulationEnd.COLLAPSE, LEGS[first], times[first])
-
-    def _singularity(self, state: Callable[[float], FloatArray], before: float, end: float) -> StopEvent | None:
-        """Return the constraint singularity that a step meets."""
-        if self._constraint_margin(state(end)) >= 0.0:
-            return None
-        time = float(brentq(lambda t: self._constraint_margin(state(t)), before, end, xtol=1e-15, rtol=1e-14))
-        return StopEvent(SimulationEnd.CONSTRAINT_SINGULARITY, "", time)
-
-    def _leg_margins(self, state: FloatArray) -> FloatArray:
-        """Return by how much the legs are longer than the shortest length, shape (6,)."""
-        return np.asarray(self._constrained.leg_lengths(state[: self._size]) - SHORTEST_LEG * self._constrained.side)
-
-    def _constraint_margin(self, state: FloatArray) -> float:
-        """Return by how much the smallest singular value of the closures is above the least."""
-        kinematics = self._kinematics
-        kinematics.evaluate(state[: self._size])
-        kinematics.check_ball_angles()
-        values = np.linalg.svd(kinematics.scaled_constraint_jacobian(), compute_uv=False)
-        return float(values[-1]) - LEAST_CONSTRAINED

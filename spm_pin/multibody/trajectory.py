@@ -32,9 +32,7 @@ class PlatformMotion(NamedTuple):
 
 
 class PlatformPath:
-    """A twice continuously differentiable motion of the platform through given poses.
-
-    Cubic splines: of o as in SciPy's `CubicSpline`, of the rotation as in its `RotationSpline`.
+    """A twice continuously differentiable motion of the platform through given poses, by SciPy's cubic splines.
 
     Parameters
     ----------
