@@ -226,7 +226,7 @@ class ClosedChain(ConstrainedChain[ChainState]):
         most = whole_number(max_iterations, "max_iterations", "a number of steps")
         hold_legs, state = as_bool(hold_legs, "hold_legs"), self._at(q)
         kinematics = state.kinematics
-        return np.array(state.each_member(lambda: close_loops(kinematics, kinematics.q, hold_legs, most), (18,)))
+        return np.array(state._each_member(lambda: close_loops(kinematics, kinematics.q, hold_legs, most), (18,)))
 
     def forward_kinematics(self, readings: npt.ArrayLike, near: npt.ArrayLike | None = None) -> FloatArray:
         """Return all joints (..., 18) of readings (..., 6) [m], of a drawn machine the leg lengths.

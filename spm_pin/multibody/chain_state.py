@@ -137,13 +137,13 @@ class ConstrainedState:
         return self
 
     def _move(self, q: FloatArray, v: FloatArray) -> None:
-        """Make (nq,) and (nv,) the q and v that the functions of `each_member` are about."""
+        """Make (nq,) and (nv,) the q and v that the functions of `_each_member` are about."""
         self.kinematics.evaluate(q)
         self._rates = v
         self._drift: tuple[FloatArray, FloatArray] | None = None
         self._closed = False
 
-    def each_member(self, function: Callable[..., Any], shape: Any, **arrays: FloatArray) -> Any:
+    def _each_member(self, function: Callable[..., Any], shape: Any, **arrays: FloatArray) -> Any:
         """Return the results of a function of one q and v, and of one member of each array, for all members.
 
         `shape` is that of a result, or a NamedTuple of shapes if the function returns several. For a single state and
@@ -176,16 +176,16 @@ class ConstrainedState:
 
     def closure_gap(self) -> FloatArray:
         """Return how far the closures are open, shape (..., 4, 3) [m]."""
-        return np.asarray(self.each_member(lambda: self.kinematics.gap.copy(), (len(self._constrained.closures), 3)))
+        return np.asarray(self._each_member(lambda: self.kinematics.gap.copy(), (len(self._constrained.closures), 3)))
 
     def constraint_jacobian(self) -> FloatArray:
         """Return the derivative of `closure_gap` by q, shape (..., 12, nv)."""
         shape = 3 * len(self._constrained.closures), self._constrained.model.nv
-        return np.asarray(self.each_member(lambda: self.kinematics.constraint_jacobian.copy(), shape))
+        return np.asarray(self._each_member(lambda: self.kinematics.constraint_jacobian.copy(), shape))
 
     def energy(self) -> Energy:
         """Return the kinetic and the potential energy (...) [J] of all bodies, closed or not."""
-        return Energy(*self.each_member(lambda: Energy(*self.kinematics.energies(self._rates)), Energy((), ())))
+        return Energy(*self._each_member(lambda: Energy(*self.kinematics.energies(self._rates)), Energy((), ())))
 
     def forward_dynamics(self, forces: npt.ArrayLike, wrench: npt.ArrayLike | None = None) -> FloatArray:
         """Return the accelerations of all joints (..., nv) under actuators (..., n), gravity and a wrench (..., 6)."""
@@ -202,7 +202,7 @@ class ConstrainedState:
             torques[constrained.actuated] += force
             return solver.accelerations(kinematics.q, self._rates, torques)
 
-        return np.asarray(self.each_member(member, (kinematics.model.nv,), **arrays))
+        return np.asarray(self._each_member(member, (kinematics.model.nv,), **arrays))
 
     def inverse_dynamics(self, a: npt.ArrayLike, wrench: npt.ArrayLike | None = None) -> FloatArray:
         """Return the actuators' forces (..., n) for joint accelerations (..., nv), gravity and a wrench (..., 6)."""
@@ -219,7 +219,7 @@ class ConstrainedState:
             # Forces in the balls do no work on another robot: its actuators carry the tree's torques.
             return np.concatenate([torques[constrained.others], self._balance(torques[constrained.in_v])[0]])
 
-        return np.asarray(self.each_member(member, (constrained.actuated.size,), **arrays))
+        return np.asarray(self._each_member(member, (constrained.actuated.size,), **arrays))
 
     def _balance(self, torques: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return leg forces (6,) and forces in the cut balls (3 n,) that give the tree's generalized forces (18,)."""
@@ -262,7 +262,7 @@ class ChainState(ConstrainedState):
             corners = np.array([kinematics.data.oMf[frame].translation for frame in constrained.corner_frames])
             return _Placement(*kinematics.terminal_pose(), corners)
 
-        placement = self.each_member(member, _Placement((3, 3), (3,), (3, 3)))
+        placement = self._each_member(member, _Placement((3, 3), (3,), (3, 3)))
         return Configuration.from_arrays(constrained.geometry, *placement)
 
     def leg_lengths(self) -> FloatArray:
@@ -272,7 +272,7 @@ class ChainState(ConstrainedState):
     def inverse_jacobian(self) -> FloatArray:
         """Return J_f, which maps the platform's twist to the leg rates, shape (..., 6, 6)."""
         legs = self._constrained.legs
-        return np.asarray(self.each_member(lambda: self.kinematics.velocities_of_twists[legs], (6, 6)))
+        return np.asarray(self._each_member(lambda: self.kinematics.velocities_of_twists[legs], (6, 6)))
 
     def joint_velocities(self, twist: npt.ArrayLike) -> FloatArray:
         """Return the velocities of all joints (..., 18) for a twist (..., 6) of m."""
@@ -280,29 +280,29 @@ class ChainState(ConstrainedState):
         def member(twist: FloatArray) -> FloatArray:
             return self.kinematics.velocities_of_twists @ twist
 
-        return np.asarray(self.each_member(member, (18,), twist=read_vectors(twist, "twist", 6)))
+        return np.asarray(self._each_member(member, (18,), twist=read_vectors(twist, "twist", 6)))
 
     def joint_rates(self, leg_rates: npt.ArrayLike) -> FloatArray:
         """Return the velocities of all joints (..., 18) for rates of the six legs (..., 6)."""
         rates = read_vectors(leg_rates, "leg_rates", 6)
-        return np.asarray(self.each_member(self.kinematics.velocities_of_legs, (18,), leg_rates=rates))
+        return np.asarray(self._each_member(self.kinematics.velocities_of_legs, (18,), leg_rates=rates))
 
     def leg_forces(self, wrench: npt.ArrayLike) -> FloatArray:
         """Return the actuator forces (..., 6) that hold a wrench (..., 6) applied onto the terminal platform."""
         loads = read_vectors(wrench, "wrench", 6)
-        return np.asarray(self.each_member(lambda load: self._holding(load)[0], (6,), wrench=loads))
+        return np.asarray(self._each_member(lambda load: self._holding(load)[0], (6,), wrench=loads))
 
     def cut_forces(self, wrench: npt.ArrayLike) -> FloatArray:
         """Return the forces in the cut ball joints, shape (..., 4, 3)."""
         loads = read_vectors(wrench, "wrench", 6)
-        return np.asarray(self.each_member(lambda load: self._holding(load)[1].reshape(4, 3), (4, 3), wrench=loads))
+        return np.asarray(self._each_member(lambda load: self._holding(load)[1].reshape(4, 3), (4, 3), wrench=loads))
 
     def _holding(self, wrench: FloatArray) -> tuple[FloatArray, FloatArray]:
         return self._balance(-(self.kinematics.platform_jacobian.T @ wrench))
 
     def singular_values(self) -> SingularValues:
         """Return how near q is to each kind of singularity."""
-        return SingularValues(*self.each_member(self.kinematics.singular_values, SingularValues((), (), ())))
+        return SingularValues(*self._each_member(self.kinematics.singular_values, SingularValues((), (), ())))
 
     def joint_accelerations(self, acceleration: npt.ArrayLike) -> FloatArray:
         """Return the accelerations of all joints (..., 18) for one of the terminal platform (..., 6)."""
@@ -314,7 +314,7 @@ class ChainState(ConstrainedState):
             return kinematics.inverse_factors.solve(kinematics.nondimensional(acceleration - platform, -gaps))
 
         wanted = read_vectors(acceleration, "acceleration", 6)
-        return np.asarray(self.each_member(member, (18,), acceleration=wanted))
+        return np.asarray(self._each_member(member, (18,), acceleration=wanted))
 
     def joint_accelerations_of_legs(self, leg_accelerations: npt.ArrayLike) -> FloatArray:
         """Return the accelerations of all joints (..., 18) for those of the legs (..., 6) [m/s²]."""
@@ -324,7 +324,7 @@ class ChainState(ConstrainedState):
             return self.kinematics.velocities_of_legs(accelerations, self._bias()[0])
 
         wanted = read_vectors(leg_accelerations, "leg_accelerations", 6)
-        return np.asarray(self.each_member(member, (18,), leg_accelerations=wanted))
+        return np.asarray(self._each_member(member, (18,), leg_accelerations=wanted))
 
     def platform_acceleration(self, a: npt.ArrayLike) -> FloatArray:
         """Return the time derivative of the twist of m (..., 6) [m/s², rad/s²] for joint accelerations (..., nv)."""
@@ -332,12 +332,12 @@ class ChainState(ConstrainedState):
         def member(a: FloatArray) -> FloatArray:
             return self.kinematics.platform_jacobian @ a + self._bias()[1]
 
-        return np.asarray(self.each_member(member, (6,), a=read_vectors(a, "a", 18)))
+        return np.asarray(self._each_member(member, (6,), a=read_vectors(a, "a", 18)))
 
     def platform_dynamics(self) -> PlatformDynamics:
         """Return the equations of motion at the terminal platform."""
         shape = PlatformDynamics((6, 6), (6, 6), (6,), (6,))  # type: ignore[arg-type]
-        return PlatformDynamics(*self.each_member(self._platform_dynamics, shape))
+        return PlatformDynamics(*self._each_member(self._platform_dynamics, shape))
 
     def _platform_dynamics(self) -> PlatformDynamics:
         self._check_closed()
@@ -364,7 +364,7 @@ class ChainState(ConstrainedState):
         matrices = symmetric_matrices(stiffness, "stiffness", 6, meaning)
         flat = matrices.reshape(*matrices.shape[:-2], 36)
         shape = NaturalFrequencies((6,), (6, 6))  # type: ignore[arg-type]
-        return NaturalFrequencies(*self.each_member(self._vibrations, shape, stiffness=flat))
+        return NaturalFrequencies(*self._each_member(self._vibrations, shape, stiffness=flat))
 
     def _vibrations(self, stiffness: FloatArray) -> NaturalFrequencies:
         self.kinematics.check_closed()
@@ -453,7 +453,7 @@ class ConstrainedChain(Generic[State]):
 
 
 def _wrench(wrench: npt.ArrayLike | None) -> dict[str, FloatArray]:
-    """Return a wrench (..., 6) as an argument of `each_member`, if there is one."""
+    """Return a wrench (..., 6) as an argument of `_each_member`, if there is one."""
     return {} if wrench is None else {"wrench": read_vectors(wrench, "wrench", 6)}
 
 
