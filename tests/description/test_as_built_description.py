@@ -47,13 +47,6 @@ def test_loops_close_to_rounding_at_the_joint_values_of_a_state(name: str, prefi
             assert values[prefix + slide] == pytest.approx(reading - offset - 1.3, abs=1e-14)
 
 
-def test_the_mass_is_that_of_the_nominal_robot() -> None:
-    masses = [
-        sum(link.mass for link in read_robot(geometry).links.values()) for geometry in (PAPER, MACHINES["a millimetre"])
-    ]
-    assert masses[1] == pytest.approx(masses[0], rel=1e-12)
-
-
 def test_a_state_named_in_the_description_is_of_its_machine() -> None:
     machine = MACHINES["a millimetre"]
     state = states(machine)[0]

@@ -16,12 +16,10 @@ from problems import GEOMETRIES
 
 from spm_pin.description import urdf_text
 from spm_pin.description.source_files import MJCF, SRDF, URDF, description_directory, description_file
-from spm_pin.description.tree import read_closures
 
 TEXT = description_file(URDF).read_text(encoding="utf-8")
 TREE = KinematicTree(TEXT)
 STATES = named_states(description_file(SRDF).read_text(encoding="utf-8"))
-CLOSURES = read_closures()
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
