@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import pytest
 import trimesh
@@ -11,10 +9,10 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import spm_pin as spm
-from spm_pin.display.output_files import save_figure
+from spm_pin.display.figures import save_figure
 from spm_pin.display.rendering import camera_axes
 from spm_pin.display.shell_plots import FAMILY_COLOURS, MESH_FORMATS, VIEWS, draw_shell, save_mesh, shell_figure
-from spm_pin.errors import ArgumentError, MissingExtraError
+from spm_pin.errors import ArgumentError
 from spm_pin.workspace.paper_shell import workspace_shell
 
 SHELL = workspace_shell(spm.Geometry.paper(), resolution=8)
@@ -33,7 +31,7 @@ def first_hits(view: tuple[float, float], points: np.ndarray) -> np.ndarray:
     return np.where(faces >= 0, owners()[faces], -1)
 
 
-@pytest.mark.parametrize("name", list(VIEWS))
+@pytest.mark.parametrize("name", ["isometric", "bottom"])
 def test_every_pixel_shows_the_nearest_patch_in_its_familys_colour(name: str) -> None:
     view = VIEWS[name]
     picture = draw_shell(SHELL, view=view, labels=False, dpi=60).images[0]
@@ -91,16 +89,6 @@ def test_the_figure_has_four_views_and_a_legend(tmp_path) -> None:
     path = save_figure(figure, tmp_path / "fig2.png", dpi=50)
     with Image.open(path) as picture:
         assert picture.size == (450, 370)
-    assert not shell_figure(SHELL, labels=False, dpi=20).axes[0].texts
-
-
-@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf", ".PNG"])
-def test_figures_are_written_the_same_each_time(tmp_path, suffix: str) -> None:
-    first, second = (
-        save_figure(draw_shell(SHELL, dpi=30).figure, tmp_path / f"{k}{suffix}", dpi=30).read_bytes() for k in (1, 2)
-    )
-    assert first == second
-    assert first[:5] in (b"\x89PNG\r", b"<?xml", b"%PDF-")
 
 
 @pytest.mark.parametrize("suffix", [".stl", ".ply", ".obj"])
@@ -143,22 +131,8 @@ def test_a_directory_is_no_file(tmp_path) -> None:
             save_figure(Figure(), folder) if suffix == ".png" else save_mesh(SHELL, folder)
 
 
-@pytest.mark.parametrize(("name", "says"), [("fig.jpg", "ending in .png, .svg, .pdf"), ("no/where.png", "No such")])
-def test_figures_that_cannot_be_written(tmp_path, name: str, says: str) -> None:
-    with pytest.raises(ArgumentError, match=says):
-        save_figure(Figure(), tmp_path / name)
-
-
 def test_arguments_that_are_no_shell_or_axes_are_refused() -> None:
     with pytest.raises(ArgumentError, match="a Shell, got Trimesh"):
         draw_shell(SHELL.mesh)  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="two-dimensional"):
         draw_shell(SHELL, ax=Figure().add_subplot(projection="3d"))
-    with pytest.raises(ArgumentError, match="azimuth and elevation in radians"):
-        draw_shell(SHELL, view=(20.0, 20.0))
-
-
-def test_without_matplotlib_the_error_tells_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(MissingExtraError, match="this needs matplotlib"):
-        shell_figure(SHELL)
