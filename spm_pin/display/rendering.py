@@ -13,8 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from spm_pin.description.visuals import part_placements, section_size, visual_parts
 from spm_pin.errors import ArgumentError
@@ -164,17 +162,11 @@ def render(solids: Sequence[Solid], camera: FloatArray, resolution: float, edge:
 
 def _normals_and_regions(vertices: FloatArray, faces: npt.NDArray[np.signedinteger]) -> tuple[FloatArray, IntArray]:
     """Return the unit normals (m, 3) of faces, and numbers (m,) that faces joined without a crease share."""
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    normals = np.cross(b - a, c - a)
-    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-300)
-    # On a closed surface each edge has two faces.
-    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=-1)
-    order = np.lexsort(edges.T)
-    twins = np.flatnonzero((edges[order[1:]] == edges[order[:-1]]).all(axis=-1))
-    first, second = order[twins] // 3, order[twins + 1] // 3
-    smooth = (normals[first] * normals[second]).sum(axis=-1) > math.cos(_CREASE)
-    joined = coo_array((np.ones(smooth.sum()), (first[smooth], second[smooth])), shape=(len(faces), len(faces)))
-    return normals, np.asarray(connected_components(joined, directed=False)[1], dtype=np.intp)
+    import trimesh
+
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    smooth = mesh.face_adjacency[mesh.face_adjacency_angles < _CREASE]
+    return mesh.face_normals, trimesh.graph.connected_component_labels(smooth, node_count=len(faces))
 
 
 def _shade(colour: Colour, normals: FloatArray) -> FloatArray:

@@ -92,7 +92,6 @@ def pixel(ax, point):
         (np.pi / 2, 0.12, "terminal_platform"),
         (-np.pi / 2, 0.25, "base"),
         (np.pi / 2, 0.17, "middle_platform"),
-        (np.pi / 2, 0.25, "base"),
     ],
 )
 def test_plates_hide_one_another_from_above_and_below(elevation, radius, name):
@@ -103,15 +102,6 @@ def test_plates_hide_one_another_from_above_and_below(elevation, radius, name):
     plates = {body: COLOURS[f"{body} {mesh}_plate"] for body, mesh in PLATES}
     assert min(plates, key=lambda plate: off_shade(colour, plates[plate])) == name
     assert off_shade(colour, plates[name]) < 1.0 / 255.0
-
-
-@pytest.mark.parametrize(("elevation", "colour"), [(0.45, "middle_platform middle_plate"), (-0.45, "leg_b3_rod tube")])
-def test_a_rod_behind_the_middle_platform_is_hidden_and_before_it_is_not(elevation, colour):
-    view = (0.3, elevation)
-    right, up, _ = looking(view)
-    point = STATE.middle_joints[2] - 0.3 * STATE.leg_vectors[2]
-    found = pixel(draw(STATE, view=view, labels=False), (point @ right, point @ up))
-    assert off_shade(found, COLOURS[colour]) < 1.0 / 255.0
 
 
 def test_labels_name_all_joints_legs_and_frames_within_the_picture():

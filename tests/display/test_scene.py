@@ -33,12 +33,6 @@ def along(vertices, start, end):
     return lengths.min(), lengths.max(), np.linalg.norm(across, axis=-1).max()
 
 
-def ends(state):
-    """The base and the ball of each leg."""
-    bases = np.concatenate([state.geometry.base_joints, state.platform_joints])
-    return zip(spm.mechanism.LEGS, bases, np.tile(state.middle_joints, (2, 1)), strict=True)
-
-
 @pytest.mark.parametrize("name", problems.GEOMETRIES)
 def test_every_machine_in_every_family_makes_closed_solids(name):
     for family in spm.mechanism.FAMILIES:
@@ -86,7 +80,7 @@ def test_a_leg_is_one_leg_whatever_its_length(label, limits):
     geometry = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side, limits)
     state = SOLUTIONS[label]
     built = solids(spm.Configuration(geometry, state.pose, state.middle_joints))
-    for leg, hip, ball in ends(state):
+    for leg, hip, ball in zip(spm.mechanism.LEGS, state.leg_bases, state.balls, strict=True):
         length = np.linalg.norm(ball - hip)
         start, joint, barrel_radius = along(built[f"leg_{leg[2:]}_cylinder tube"].vertices, hip, ball)
         rod_start, end, rod_radius = along(built[f"leg_{leg[2:]}_rod tube"].vertices, hip, ball)

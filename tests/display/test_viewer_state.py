@@ -17,7 +17,6 @@ from spm_pin.description.visuals import visual_parts
 from spm_pin.display.figures import fixed, to_json
 from spm_pin.display.rendering import robot_solids
 from spm_pin.display.viewer.model import (
-    InputMode,
     ViewerModel,
     command_line,
     leg_ranges,
@@ -140,7 +139,7 @@ def test_legs_drive_the_platform_and_stop_before_a_singularity():
     model = ViewerModel(START)
     lengths = np.array([1.25, 1.2, 1.35, 1.3, 1.2, 1.45])
     state = model.set_readings(lengths)
-    assert state.mode is InputMode.LEGS
+    np.testing.assert_array_equal(state.target.as_matrix(), state.shown.pose.as_matrix())
     np.testing.assert_allclose(state.shown.leg_lengths, lengths, atol=1e-12)
     state = model.set_readings([0.2, 3.0, 0.2, 1.3, 1.3, 1.31])
     assert "not reached: a forward singularity is in the way" in texts(state)

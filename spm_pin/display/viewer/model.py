@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import enum
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -55,13 +54,6 @@ _SAMPLES, _NEIGHBOURS = 4000, 400  # states drawn once, and how many of them spa
 _STEPS = 48  # along a leg, to see how far the assembly mode lasts
 
 
-class InputMode(enum.StrEnum):
-    """What the user moves, as the page names it."""
-
-    POSE = "platform pose"
-    LEGS = "leg lengths"
-
-
 class Notice(NamedTuple):
     """A sentence for the user."""
 
@@ -85,7 +77,6 @@ class Measures:
 class State:
     """The configuration shown and the pose requested, with branches, measures, load and notices."""
 
-    mode: InputMode  # what was moved last
     target: RigidTransform  # the requested pose of {m} in {B}; that of `shown` where legs were moved
     shown: Configuration
     label: str  # branch of `shown`; empty where its pose has none, because its solutions form a continuous family
@@ -109,7 +100,7 @@ class ViewerModel:
     def __init__(self, start: Configuration) -> None:
         self.geometry = start.geometry
         self.hold_limits = True  # whether a machine that is within its leg limits stays there
-        self._show(InputMode.POSE, start.pose, start)
+        self._show(start.pose, start)
 
     def drag(self, pose: PoseLike) -> State:
         """Move to a pose on the branch, or to the nearest reachable one."""
@@ -120,7 +111,7 @@ class ViewerModel:
         wanted = solutions[label]
         limited = self.hold_limits and self.geometry.limits is not None and self.within_limits(before)
         if wanted.exists and (not limited or self.within_limits(wanted)):
-            return self._show(InputMode.POSE, target, wanted, solutions)
+            return self._show(target, wanted, solutions)
         if limited:
             nearest = nearest_reachable_pose(self.geometry, target, near=before)
         else:
@@ -129,9 +120,9 @@ class ViewerModel:
         if not shown.exists:  # at the edge rounding may decide; what is shown is reachable in any case
             shown, distance = before, pose_distance(self.geometry, before.pose, target)
         if distance <= _REACHED * self.geometry.middle_side:
-            return self._show(InputMode.POSE, target, shown)
+            return self._show(target, shown)
         notice = _out_of_reach(solutions, label, distance)
-        return self._show(InputMode.POSE, target, shown, distance=distance, remarks=[notice])
+        return self._show(target, shown, distance=distance, remarks=[notice])
 
     def set_readings(self, readings: npt.ArrayLike) -> State:
         """Move to encoder readings (6,) [m] in the assembly mode, as far as it lasts."""
@@ -145,7 +136,7 @@ class ViewerModel:
             if share < 1.0:
                 text = "These leg lengths are not reached: a forward singularity is in the way."
                 remarks = [Notice(True, f"{text} Shown: the last on the way, at {100 * share:.0f} %.")]
-        return self._show(InputMode.LEGS, shown.pose, shown, remarks=remarks)
+        return self._show(shown.pose, shown, remarks=remarks)
 
     def select(self, label: str) -> State:
         """Take another branch of the shown pose; raises `ArgumentError` if it has no such branch."""
@@ -153,8 +144,8 @@ class ViewerModel:
             raise ArgumentError("label", f"one of {', '.join(self.state.labels) or 'no branches'}", repr(label))
         before = self.state
         chosen = before.solutions[label]
-        state = self._show(before.mode, chosen.pose, chosen, before.solutions, jump=True)
-        return state if before.mode is InputMode.LEGS else self.drag(before.target)
+        self._show(chosen.pose, chosen, before.solutions, jump=True)
+        return self.drag(before.target)
 
     def load(self, wrench: npt.ArrayLike) -> State:
         """Put a wrench (f, m) on the platform at o in {B} [N, N m]."""
@@ -164,7 +155,7 @@ class ViewerModel:
 
     def place(self, configuration: Configuration) -> State:
         """Show a configuration, as it is."""
-        return self._show(InputMode.POSE, configuration.pose, configuration, jump=True)
+        return self._show(configuration.pose, configuration, jump=True)
 
     def within_limits(self, configuration: Configuration) -> bool:
         """Return whether a configuration respects its leg limits, up to rounding."""
@@ -172,7 +163,6 @@ class ViewerModel:
 
     def _show(
         self,
-        mode: InputMode,
         target: RigidTransform,
         shown: Configuration,
         solutions: SolutionSet | None = None,
@@ -192,7 +182,7 @@ class ViewerModel:
         if before is not None and not jump:
             notices += _crossings(before, measures, label)
         notices += _warnings(measures, label)
-        self.state = State(mode, target, shown, label, solutions, distance, measures, wrench, tuple(notices))
+        self.state = State(target, shown, label, solutions, distance, measures, wrench, tuple(notices))
         return self.state
 
 

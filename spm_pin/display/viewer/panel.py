@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from spm_pin.display.figures import fixed
-from spm_pin.display.viewer.model import NEAR, SINGULARITIES, InputMode, State, command_line, pose_coordinates
+from spm_pin.display.viewer.model import NEAR, SINGULARITIES, State, command_line, pose_coordinates
 from spm_pin.display.viewer.robot_scene import PULL, PUSH, VIEWS, WARN
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import Geometry
@@ -72,8 +72,15 @@ class Panel:
         if not narrow:
             self.instruments = gui.add_html("")
         tabs = gui.add_tab_group()
-        with tabs.add_tab("Move"):
-            self._add_motion(geometry, demo)
+        with tabs.add_tab("Pose"):
+            self.pose_sliders = [self._add_slider(name, "coordinate", k) for k, name in enumerate(_COORDINATES)]
+            hint = "A leg within its limits is kept within them"
+            self._add("checkbox", "hold", "Hold leg limits", True, visible=geometry.limits is not None, hint=hint)
+            self._add("button", "reset", "Start pose", icon="home")
+            if demo:
+                self._add("button", "play", "Demo motion", icon="player-play")
+        with tabs.add_tab("Legs"):
+            self.leg_sliders = [self._add_slider(f"{leg} [m]", "leg", k) for k, leg in enumerate(LEGS)]
         if narrow:
             with tabs.add_tab("Instruments"):
                 self.instruments = gui.add_html("")
@@ -121,21 +128,6 @@ class Panel:
         register(on_event)
         return widget
 
-    def _add_motion(self, geometry: Geometry, demo: bool) -> None:
-        self.mode = self._add("dropdown", "mode", "Input", tuple(map(str, InputMode)))
-        self.pose_folder = self.gui.add_folder(None)
-        with self.pose_folder:
-            self.pose_sliders = [self._add_slider(name, "coordinate", k) for k, name in enumerate(_COORDINATES)]
-        self.leg_folder = self.gui.add_folder(None, visible=False)
-        with self.leg_folder:
-            self.leg_sliders = [self._add_slider(f"{leg} [m]", "leg", k) for k, leg in enumerate(LEGS)]
-        limited = geometry.limits is not None
-        hint = "A leg within its limits is kept within them"
-        self._add("checkbox", "hold", "Hold leg limits", True, visible=limited, hint=hint)
-        self._add("button", "reset", "Start pose", icon="home")
-        if demo:
-            self._add("button", "play", "Demo motion", icon="player-play")
-
     def _add_slider(self, label: str, event: str, index: int) -> Any:
         return self._add("slider", event, label, 0.0, 1.0, 0.1 if "°" in label else 0.001, 0.0, key=index)
 
@@ -155,7 +147,7 @@ class Panel:
         self.status.content = status(state)
         self.instruments.content = instruments(state)
         self.forces.content = forces_table(state)
-        self.back.visible = state.distance > 0.0 and state.mode is InputMode.POSE
+        self.back.visible = state.distance > 0.0
         labels = state.labels or (_NONE,)
         if tuple(self.branch.options) != labels:
             self.branch.options = labels
@@ -174,12 +166,6 @@ class Panel:
     def show_path(self, *lines: str) -> None:
         """Show lines of text below the path's controls."""
         self.path_note.content = note(*lines)
-
-    def show_mode(self, mode: InputMode) -> None:
-        """Show the sliders of what is driven."""
-        self.pose_folder.visible = mode is InputMode.POSE
-        self.leg_folder.visible = mode is InputMode.LEGS
-        self.mode.value = str(mode)
 
     @property
     def wrench(self) -> FloatArray:

@@ -22,7 +22,6 @@ from spm_pin.mechanism.configuration import check_configuration
 from spm_pin.multibody.chain import ClosedChain
 
 _TRIES = 100
-_CONSOLE = threading.Lock()
 
 
 class Viewer:
@@ -77,7 +76,6 @@ class Viewer:
         motion = demo_motion(configuration) if demo and recording is None else None
         self._config = SessionConfig(chain, configuration, recording, motion, geometry_file, dark)
         self._sessions: dict[int, Session] = {}
-        self._lock = threading.Lock()
         self._stopped = threading.Event()
         self.host = host
         require_extra("viewer", "viser")
@@ -103,22 +101,19 @@ class Viewer:
     @property
     def sessions(self) -> tuple[Any, ...]:
         """The sessions of the clients that are connected, oldest first."""
-        with self._lock:
-            return tuple(self._sessions[key] for key in sorted(self._sessions))
+        return tuple(self._sessions.values())
 
     async def _connected(self, client: Any) -> None:
         session = await asyncio.to_thread(Session, client, self._config, asyncio.get_running_loop())
         # The client may have disconnected while its page was made.
         if client.client_id in self.server.get_clients():
-            with self._lock:
-                self._sessions[client.client_id] = session
+            self._sessions[client.client_id] = session
             session.begin()
         else:
             session.close()
 
     async def _disconnected(self, client: Any) -> None:
-        with self._lock:
-            session = self._sessions.pop(client.client_id, None)
+        session = self._sessions.pop(client.client_id, None)
         if session is not None:
             session.close()
 
@@ -168,9 +163,8 @@ def free_port(host: str, port: int) -> int:
 def _silence() -> Iterator[None]:
     # viser announces itself, and its end, through rich's global console, whatever its `verbose` says.
     console = rich.get_console()
-    with _CONSOLE:
-        before, console.quiet = console.quiet, True
-        try:
-            yield
-        finally:
-            console.quiet = before
+    console.quiet = True
+    try:
+        yield
+    finally:
+        console.quiet = False

@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.display.figures import to_json
 from spm_pin.display.viewer.model import (
-    InputMode,
     State,
     ViewerModel,
     leg_ranges,
@@ -34,12 +33,9 @@ from spm_pin.multibody.chain import ClosedChain
 
 _log = logging.getLogger(__name__)
 
-_MOTIONS = ("gizmo", "coordinate", "leg", "branch", "mode", "reset", "back", "time")
-"""Events that move the robot, and stop a path that is played."""
-PHONE_ASPECT = 0.9
-"""A picture narrower than this share of its height is a phone's."""
-PHONE_PANEL = 0.6
-"""The share of a phone's page that viser's panel covers at its lower edge."""
+_MOTIONS = ("gizmo", "coordinate", "leg", "branch", "reset", "back", "time")  # events that stop a path that is played
+_PHONE_ASPECT = 0.9  # a picture narrower than this share of its height is a phone's
+_PHONE_PANEL = 0.6  # share of a phone's page that viser's panel covers at its lower edge
 _FARTHEST = 10.0  # distance from {B} over the machine's size, beyond which the gizmo is not followed
 _INTERVAL = 1.0 / 25.0  # between two moments of a path that is played [s]
 
@@ -151,7 +147,7 @@ class Session:
         self.queue = EventQueue(self._failed)
         self._coordinates = pose_coordinates(config.start.pose)
         self._legs = np.array(self.state.shown.readings)
-        self._narrow = client.camera.image_width < PHONE_ASPECT * client.camera.image_height
+        self._narrow = client.camera.image_width < _PHONE_ASPECT * client.camera.image_height
         self.playback = config.demo
         duration = None if config.recording is None else float(config.recording.times[-1])
         self.player: Player | None = None
@@ -192,7 +188,7 @@ class Session:
         camera = self.client.camera
         size = camera.image_width, camera.image_height
         points = robot_points(self.state.shown, 0.3 * self.scene.size)
-        covered = PHONE_PANEL if self._narrow else 0.0
+        covered = _PHONE_PANEL if self._narrow else 0.0
         position, look_at = fit_camera(points, VIEWS[view], size[0] / size[1], covered)
         self._fitted = view, size, position
         with self.client.atomic():
@@ -274,19 +270,11 @@ class Session:
             self.scene.clear_trail()
             self.show()
 
-    def _on_mode(self, name: str) -> None:
-        mode = InputMode(name)
-        self.panel.show_mode(mode)
-        self.gizmo.visible = mode is InputMode.POSE
-        if mode is InputMode.LEGS:
-            self.model.set_readings(self.state.shown.readings)
-        self.show()
-
     def _on_hold(self, hold: bool) -> None:
         self.model.hold_limits = hold
-        if self.state.mode is InputMode.POSE:
+        if self.state.distance > 0.0:
             self.model.drag(self.state.target)
-        self.show()
+            self.show()
 
     def _on_back(self, _: None) -> None:
         self._place(self.state.shown)
