@@ -35,7 +35,7 @@ _log = logging.getLogger(__name__)
 
 _MOTIONS = ("gizmo", "coordinate", "leg", "branch", "reset", "back", "time")  # events that stop a path that is played
 _PHONE_ASPECT = 0.9  # a picture narrower than this share of its height is a phone's
-_PHONE_PANEL = 0.6  # share of a phone's page that viser's panel covers at its lower edge
+_PHONE_PANEL = 0.55  # share of a phone's page that viser's panel covers at its lower edge; at most it is 0.6
 _FARTHEST = 10.0  # distance from {B} over the machine's size, beyond which the gizmo is not followed
 _INTERVAL = 1.0 / 25.0  # between two moments of a path that is played [s]
 
