@@ -60,9 +60,18 @@ def opened(browser, viewer, **options):
 
 
 @pytest.fixture(scope="module")
-def client(browser, viewer):
+def shared(browser, viewer):
     with opened(browser, viewer) as opened_client:
         yield opened_client
+
+
+@pytest.fixture
+def client(shared):
+    """Have a page at the start pose without a load, and its session; the test must leave no error on it."""
+    page, session, errors = shared
+    reset(page, session)
+    yield page, session
+    assert not errors
 
 
 def drawn(page, frames):
@@ -138,7 +147,7 @@ def picture(page, name):
 
 
 def test_the_page_shows_the_robot_and_its_instruments(client):
-    page, session, errors = client
+    page, session = client
     assert page.inner_text('[data-spm="branch"]') == "TT+"
     assert page.inner_text('[data-spm="r_b3"]') == "1.400"
     assert page.query_selector('[data-spm="warning"]') is None
@@ -150,7 +159,6 @@ def test_the_page_shows_the_robot_and_its_instruments(client):
     assert ((seen > 0.0) & (seen < size)).all()
     assert np.ptp(seen[:, 1]) > 0.65 * size[1]
     assert not any(handle.visible for handle in session.scene._ghosts.values())
-    assert not errors
 
 
 def test_the_robot_fills_a_window_of_another_size_until_the_user_moves_the_camera(browser, viewer):
@@ -181,8 +189,7 @@ def test_the_robot_fills_a_window_of_another_size_until_the_user_moves_the_camer
 
 
 def test_a_dragged_gizmo_moves_the_robot(client, viewer):
-    page, session, errors = client
-    reset(page, session)
+    page, session = client
     chain = spm.ClosedChain.from_urdf()
     before = session.state.shown.translation.copy()
     drag_gizmo(page, session, 2, -0.06)
@@ -199,12 +206,10 @@ def test_a_dragged_gizmo_moves_the_robot(client, viewer):
     assert session.scene._trail.visible
     assert session.panel.pose_sliders[2].min < shown.translation[2] < session.panel.pose_sliders[2].max
     until(lambda: f"{shown.translation[0]:.3f}" in page.inner_text('[data-spm="pose"]'), "its numbers", page=page)
-    assert not errors
 
 
 def test_a_clicked_ghost_is_selected(client):
-    page, session, errors = client
-    reset(page, session)
+    page, session = client
     send(session, "layer", ("ghosts", True))
     page.wait_for_timeout(1000)
     picture(page, "viewer_ghosts.png")
@@ -226,12 +231,10 @@ def test_a_clicked_ghost_is_selected(client):
     page.locator(f'input[role=combobox][value="{session.state.label}"]').click()
     page.get_by_role("option", name="TT+").click()
     until(lambda: session.state.label == "TT+", "the branch chosen from the list", page=page)
-    assert not errors
 
 
 def test_legs_beyond_their_limits_are_red(client):
-    page, session, errors = client
-    reset(page, session)
+    page, session = client
     send(session, "branch", "FF+")
     page.wait_for_timeout(1000)
     picture(page, "viewer_beyond_limits.png")
@@ -248,12 +251,10 @@ def test_legs_beyond_their_limits_are_red(client):
         assert ends[0]["x"] + ends[0]["width"] <= SIZE["width"]
     reset(page, session)
     assert {tuple(handle.color) for handle in legs} != {(0xC8, 0x10, 0x2E)}
-    assert not errors
 
 
 def test_a_drag_out_of_reach_warns_and_shows_the_nearest(client):
-    page, session, errors = client
-    reset(page, session)
+    page, session = client
     drag_gizmo(page, session, 2, 0.35)
     until(lambda: session.state.distance > 0.01, "a pose out of reach", page=page)
     page.wait_for_selector('[data-spm="warning"]')
@@ -269,12 +270,10 @@ def test_a_drag_out_of_reach_warns_and_shows_the_nearest(client):
     until(lambda: session.state.distance == 0.0, "the target where the platform is", page=page)
     until(lambda: not back.is_visible(), "no way back where none is needed", page=page)
     assert not session.scene._wanted.visible
-    assert not errors
 
 
 def test_camera_presets_and_a_picture(client):
-    page, session, errors = client
-    reset(page, session)
+    page, session = client
     for name, view in VIEWS.items():
         page.get_by_role("button", name=name, exact=True).click()
         azimuth, elevation = np.deg2rad(view)
@@ -294,12 +293,10 @@ def test_camera_presets_and_a_picture(client):
         assert image.format == "PNG"
         assert np.asarray(image.convert("RGBA"))[..., 3].mean() > 5.0
     page.get_by_role("tab", name="Pose").click()
-    assert not errors
 
 
 def test_legs_load_and_path_move_the_shown_robot(client):
-    page, session, errors = client
-    reset(page, session)
+    page, session = client
 
     session.panel.force.value = (0.0, 0.0, -500.0)
     send(session, "load")
@@ -313,12 +310,10 @@ def test_legs_load_and_path_move_the_shown_robot(client):
     until(lambda: session.player.time == 1.0 and not session.player.playing, "the end of the path", page=page)
     until(lambda: abs(session.state.shown.leg_lengths[1] - 1.25) < 1e-9, "its last point", page=page)
     np.testing.assert_allclose(session.gizmo.position, session.state.shown.translation, atol=1e-9)
-    assert not errors
 
 
 def test_two_clients_at_once_and_one_that_goes(browser, viewer, client):
-    page, session, errors = client
-    reset(page, session)
+    page, session = client
     loop = viewer.server._event_loop
 
     def running():
@@ -339,7 +334,6 @@ def test_two_clients_at_once_and_one_that_goes(browser, viewer, client):
         until(lambda: not running(), "no task of it left", page=page)
         assert not other.player.playing
         assert threading.active_count() <= threads
-        assert not errors
         assert not other_errors
 
 
