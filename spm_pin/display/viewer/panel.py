@@ -11,7 +11,7 @@ import numpy as np
 
 from spm_pin.display.figures import fixed
 from spm_pin.display.viewer.model import NEAR, SINGULARITIES, State, command_line, pose_coordinates
-from spm_pin.display.viewer.robot_scene import PULL, PUSH, VIEWS, WARN
+from spm_pin.display.viewer.robot_scene import PULL, PUSH, VIEWS, WARN, Colour
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LEGS
@@ -29,7 +29,7 @@ _LAYERS = {
 _NONE = "–"
 # viser makes the colour of its buttons from these: light ones on a dark page, and white text on both.
 _BRAND = {False: (0, 54, 84), True: (0, 114, 178)}
-_CALM, _UPPER = "#009E73", "#E69F00"
+_CALM, _UPPER, _GREY = (0, 158, 115), (230, 159, 0), (128, 128, 128)
 _BOX = "padding:0.35em 1em 0.35em 0.6em;font-size:0.8rem;line-height:1.4;font-variant-numeric:tabular-nums"
 # One grid for all rows: a column is as wide as its widest text, and the bars take what is left.
 _GRID = "display:grid;grid-template-columns:{columns};gap:0.15em 0.6em;align-items:center;white-space:nowrap"
@@ -204,8 +204,8 @@ def status(state: State) -> str:
         f'<div data-spm="pose" style="opacity:0.75">o = ({o}) m, X-Y-X = ({angles})\u2060°</div>',
     ]
     for notice in state.notices:
-        kind, sign, colour = ("warning", "⚠", WARN) if notice.is_warning else ("info", "ℹ", "#808080")
-        style = f"border-left:3px solid {colour};padding:0.1em 0 0.1em 0.5em;margin-top:0.3em"
+        kind, sign, colour = ("warning", "⚠", WARN) if notice.is_warning else ("info", "ℹ", _GREY)
+        style = f"border-left:3px solid rgb{colour};padding:0.1em 0 0.1em 0.5em;margin-top:0.3em"
         lines.append(f'<div data-spm="{kind}" style="{style}">{sign} {escape(notice.text)}</div>')
     return f'<div style="{_BOX}">{"".join(lines)}</div>'
 
@@ -230,14 +230,14 @@ def _cell(text: str, style: str = "", name: str = "") -> str:
     return f'<span{tag} style="{style}">{text}</span>'
 
 
-def _bar(share: float, colour: str, ticks: tuple[float, ...] = (), side: str = "left", start: float = 0.0) -> str:
+def _bar(share: float, colour: Colour, ticks: tuple[float, ...] = (), side: str = "left", start: float = 0.0) -> str:
     """Return a track with a bar of a share of it, from its start on a side, and ticks at shares."""
     marks = "".join(
         f'<div style="position:absolute;top:0;bottom:0;left:{100.0 * at:.1f}%;width:2px;background:currentColor"></div>'
         for at in ticks
     )
     filled = f"position:absolute;top:0;bottom:0;{side}:{100.0 * start:.1f}%;width:{100.0 * share:.1f}%"
-    return f'<div style="{_TRACK}"><div style="{filled};background:{colour};opacity:0.85"></div>{marks}</div>'
+    return f'<div style="{_TRACK}"><div style="{filled};background:rgb{colour};opacity:0.85"></div>{marks}</div>'
 
 
 def _legs(state: State) -> str:
@@ -254,7 +254,7 @@ def _legs(state: State) -> str:
         colour = WARN if beyond else (PUSH if k < 3 else _UPPER)
         mark = f"⚠ {_signed_length(beyond)}" if beyond else ""
         value = _cell(fixed(length, 3), _RIGHT, leg)
-        cells += [_cell(leg), _bar(share, colour, ticks), value, _cell(mark, f"color:{WARN};font-weight:600")]
+        cells += [_cell(leg), _bar(share, colour, ticks), value, _cell(mark, f"color:rgb{WARN};font-weight:600")]
     name = "Encoder readings" if state.shown.geometry.legs.offsets.any() else "Leg lengths"
     unit = "in m" + (", between limits" if limits is not None else "")
     columns = "max-content minmax(3em,1fr) max-content max-content"

@@ -17,7 +17,7 @@ from spm_pin.mechanism import BRANCHES, LEGS, Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.workspace.paper_shell import workspace_shell
 
-WARN, PUSH, PULL, LOAD = "#C8102E", "#0072B2", "#D55E00", "#7A4FB5"
+WARN, PUSH, PULL, LOAD = (200, 16, 46), (0, 114, 178), (213, 94, 0), (122, 79, 181)
 """After Okabe and Ito's palette, distinct with any colour vision; limits and warnings have a red of their own, darker
 than all colours of the robot."""
 VIEWS = {"Home": (15.0, 25.0), "Front": (0.0, 4.0), "Side": (90.0, 4.0), "Top": (0.0, 89.0)}
@@ -65,15 +65,10 @@ def _eight_bits(colour: tuple[float, float, float]) -> Colour:
     return red, green, blue
 
 
-def _rgb(code: str) -> Colour:
-    red, green, blue = bytes.fromhex(code.removeprefix("#"))
-    return red, green, blue
-
-
 def _linear(colour: Colour) -> Colour:
     """Return a colour for many instances at once, which viser takes for linear intensities instead of sRGB."""
-    red, green, blue = colour
-    return _eight_bits(((red / 255.0) ** 2.2, (green / 255.0) ** 2.2, (blue / 255.0) ** 2.2))
+    red, green, blue = (round(255.0 * (channel / 255.0) ** 2.2) for channel in colour)
+    return red, green, blue
 
 
 class RobotScene:
@@ -109,14 +104,14 @@ class RobotScene:
         self._wanted = scene.add_frame("/wanted", show_axes=False, visible=False)
         for k, part in enumerate(self._parts):
             if part.body == "terminal_platform":
-                self._mesh(f"/wanted/{k}", part, color=_rgb(WARN), opacity=0.45)
-        self._gap = self._lines("/wanted_gap", _rgb(WARN))
+                self._mesh(f"/wanted/{k}", part, color=WARN, opacity=0.45)
+        self._gap = self._lines("/wanted_gap", WARN)
         self._trail = self._lines("/trail", _TRAIL)
         self._trail_points: list[FloatArray] = []
         self._names = [self._label(f"/names/{leg}", leg) for leg in LEGS]
         self._branches = {label: self._label(f"/branches/{label}", label) for label in BRANCHES}
-        thicknesses = {"force": (LOAD, 0.05), "moment": (LOAD, 0.03), "push": (PUSH, 0.05), "pull": (PULL, 0.05)}
-        self._arrows = {name: self._arrow(name, _rgb(code), share) for name, (code, share) in thicknesses.items()}
+        looks = {"force": (LOAD, 0.05), "moment": (LOAD, 0.03), "push": (PUSH, 0.05), "pull": (PULL, 0.05)}
+        self._arrows = {name: self._arrow(name, *look) for name, look in looks.items()}
 
     def _mesh(self, name: str, part: VisualPart, **options: Any) -> Any:
         options = {"color": _eight_bits(part.colour), **_SOLID, **options}
@@ -171,7 +166,7 @@ class RobotScene:
         placements = solid_placements(state.shown)
         for handle, part, position, quaternion, scale in zip(self._robot, self._parts, *placements, strict=True):
             handle.position, handle.wxyz, handle.scale = position, quaternion, tuple(scale.tolist())
-            handle.color = _rgb(WARN) if part.body[:6] in beyond else _eight_bits(part.colour)
+            handle.color = WARN if part.body[:6] in beyond else _eight_bits(part.colour)
         self._show_ghosts(state)
         self._show_names(state)
         self._show_wanted(state)
