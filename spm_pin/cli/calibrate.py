@@ -12,7 +12,7 @@ from spm_pin.calibration import Calibration, identify, read_measurements
 from spm_pin.calibration import tolerance as analyse
 from spm_pin.calibration.error_model import parameter_scale
 from spm_pin.cli import options, outputs
-from spm_pin.display.result_plots import calibration_figure
+from spm_pin.display.figures import calibration_figure
 from spm_pin.mechanism import LEGS, PARAMETERS
 
 
