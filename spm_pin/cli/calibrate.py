@@ -12,7 +12,7 @@ from spm_pin.calibration import Calibration, identify, read_measurements
 from spm_pin.calibration import tolerance as analyse
 from spm_pin.calibration.error_model import parameter_scale
 from spm_pin.cli import options, outputs
-from spm_pin.display.result_plots import calibration_figure
+from spm_pin.display.figures import calibration_figure
 from spm_pin.mechanism import LEGS, PARAMETERS
 
 
@@ -121,6 +121,7 @@ def _content(found: Calibration) -> dict[str, Any]:
         "identified": len(found.deviations),
         "rms": {name: {"unit": unit, "before": a, "after": b} for name, unit, a, b in _sizes(found)},
         "status": found.status,
+        "reason": found.reason,
         "chi_square": found.chi_square,
         "misfit": found.misfit,
         "outliers": np.flatnonzero(found.outliers),

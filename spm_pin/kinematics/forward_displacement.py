@@ -25,11 +25,10 @@ from spm_pin.mechanism.arguments import (
 )
 from spm_pin.mechanism.branches import physical
 from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.leg_frames import home_lengths
+from spm_pin.mechanism.geometry import Geometry, unit_hint
+from spm_pin.mechanism.joint_angles import home_lengths
 from spm_pin.mechanism.leg_limits import LEGS
 from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
-from spm_pin.mechanism.units import unit_hint
 
 STAGE_MODES = tuple(f"{mode}{place + 1}{sheet}" for mode in "TF" for place in range(4) for sheet in "+-")
 """Canonical order of the sixteen assembly modes of a stage: T1+, T1-, T2+ … F4-."""

@@ -1,4 +1,4 @@
-"""The branch of a configuration: its family, its sign and place, and whether it is physical.
+"""The branch of a configuration: its family, its sign, whether it is physical, and the coordinates of its two stages.
 
 Each stage's middle platform has either no torsion (mode T) or is turned half round (mode F) against the other
 end of that stage; a family names the lower stage's mode, then the upper's. A family holds at most two branches
@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.geometry import Geometry
 
 FAMILIES = ("TT", "TF", "FT", "FF")
 """The four families of branches: the mode, T or F, of the lower stage and of the upper."""
@@ -25,6 +26,11 @@ TANGENT_SIGNS = np.array([1.0, -1.0, -1.0] * 2)
 """Signs that make the legs' axes tangents of their platforms, counterclockwise about z."""
 
 NumberArray = npt.NDArray[Any]
+
+_MIRROR = np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]])
+"""Signs of the coordinates x, y, Z of each stage against those of the frame that it is seen from."""
+_TORSION = 1e-9
+"""Component x3 of the quaternion from which on a stage of a drawn machine has torsion."""
 
 
 def leg_plane_determinant(points: NumberArray, directions: NumberArray) -> NumberArray:
@@ -45,12 +51,6 @@ def _cycles(points: NumberArray, directions: NumberArray) -> NumberArray:
 
     pairs = (((0, 1), (1, 2), (2, 0)), ((1, 0), (2, 1), (0, 2)))
     return np.stack([np.stack([c(i, j) for i, j in cycle], axis=-1) for cycle in pairs], axis=-2)
-
-
-def _structure_determinant(configuration: Configuration) -> FloatArray:
-    """Return det K [m³], shape (...)."""
-    across = np.cross(configuration.geometry.revolute_axes, configuration.platform_axes)
-    return -leg_plane_determinant(configuration.middle_joints, across)
 
 
 def _mean_radii(configuration: Configuration) -> tuple[FloatArray, FloatArray]:
@@ -77,27 +77,57 @@ def branch_sign(configuration: Configuration) -> FloatArray:
     quaternions of the middle platform seen from {B} and from {m}, their nonzero component in the mode's
     coordinate taken positive, it is det K times the sign of that component of a b*.
     """
-    exists = configuration.exists
     index = family(configuration)
-    middle = np.where(exists[..., None, None], configuration.middle_pose.as_matrix()[..., :3, :3], np.eye(3))
-    lower = _positive(Rotation.from_matrix(middle), index >= 2)
-    upper = _positive(Rotation.from_matrix(np.swapaxes(configuration.rotation, -1, -2) @ middle), index % 2 == 1)
-    platform = _product_with_conjugate(lower, upper)
-    # The coordinate of a b* that cannot vanish in this family: the scalar part, in mixed families the z part.
-    kappa = np.select([index == 1, index == 2], [-platform[..., 2], platform[..., 2]], platform[..., 3])
-    return np.where(exists, _structure_determinant(configuration) * np.sign(kappa), np.nan)
+    a, b = _stage_quaternions(configuration)
+    a = a * np.where(np.where(index >= 2, a[..., 2], a[..., 3]) < 0.0, -1.0, 1.0)[..., None]
+    b = b * np.where(np.where(index % 2 == 1, b[..., 2], b[..., 3]) < 0.0, -1.0, 1.0)[..., None]
+    # The component of a b* that cannot vanish in this family: the scalar part, in mixed families the z part.
+    z = b[..., 3] * a[..., 2] - a[..., 3] * b[..., 2] - a[..., 0] * b[..., 1] + a[..., 1] * b[..., 0]
+    kappa = np.select([index == 1, index == 2], [-z, z], (a * b).sum(axis=-1))
+    across = np.cross(configuration.geometry.revolute_axes, configuration.platform_axes)
+    det_k = -leg_plane_determinant(configuration.middle_joints, across)
+    return np.where(configuration.exists, det_k * np.sign(kappa), np.nan)
 
 
-def _positive(rotation: Rotation, half_turned: BoolArray) -> FloatArray:
-    quaternion = np.asarray(rotation.as_quat())
-    component = np.where(half_turned, quaternion[..., 2], quaternion[..., 3])
-    return quaternion * np.where(component < 0.0, -1.0, 1.0)[..., None]
+def _stage_quaternions(configuration: Configuration) -> tuple[FloatArray, FloatArray]:
+    """Return the unit quaternions (..., 4) of the middle platform against {B} and {m}, of any sign, scalar last."""
+    exists = configuration.exists[..., None, None]
+    middle = np.where(exists, configuration.middle_pose.as_matrix()[..., :3, :3], np.eye(3))
+    from_platform = np.where(exists, np.swapaxes(configuration.rotation, -1, -2), np.eye(3))
+    return Rotation.from_matrix(middle).as_quat(), Rotation.from_matrix(from_platform @ middle).as_quat()
 
 
-def _product_with_conjugate(a: FloatArray, b: FloatArray) -> FloatArray:
-    # Rotation's own product may change the sign, which is what is wanted here.
-    vector = b[..., 3:] * a[..., :3] - a[..., 3:] * b[..., :3] - np.cross(a[..., :3], b[..., :3])
-    return np.concatenate([vector, (a * b).sum(axis=-1, keepdims=True)], axis=-1)
+def stage_coordinates(configuration: Configuration) -> FloatArray:
+    """Return (x, y, Z [m]) of the lower and upper stage, shape (..., 2, 3); NaN where there is none or in mode F.
+
+    The middle platform's quaternion against the base is (x0, x, y, 0) with x0 > 0, and its centre is at
+    (-2r xy, r (y² - x²), Z) over the base's centre, r = d/√3. The upper stage is the same stage upside down, seen from
+    the terminal platform and mirrored at its plane, so that Z is positive at home in both. The stages of a machine as
+    built have torsion; they are not in mode F as long as it is less than half a turn.
+    """
+    most = _TORSION if configuration.geometry.legs.is_drawn else np.inf
+    centre = configuration.middle_pose.as_matrix()[..., :3, 3]
+    seen = (np.swapaxes(configuration.rotation, -1, -2) @ (centre - configuration.translation)[..., None])[..., 0]
+    states = []
+    for sign, quaternion, position in zip(_MIRROR, _stage_quaternions(configuration), (centre, seen), strict=True):
+        x, y, x3, x0 = np.moveaxis(np.where(quaternion[..., 3:] < 0.0, -quaternion, quaternion), -1, 0)
+        straight = configuration.exists & (np.abs(x3) <= most) & (x0 > np.abs(x3) + _TORSION)
+        states.append(np.where(straight[..., None], sign * np.stack([x, y, position[..., 2]], axis=-1), np.nan))
+    return np.stack(states, axis=-2)
+
+
+def configuration_of_stages(geometry: Geometry, states: FloatArray) -> Configuration:
+    """Return the configurations (...) of stage coordinates (..., 2, 3), as `stage_coordinates` returns them."""
+    r = geometry.middle_radius
+    poses = []
+    for k, sign in enumerate(_MIRROR):
+        x, y, z = np.moveaxis(sign * states[..., k, :], -1, 0)
+        quaternion = np.stack([x, y, np.zeros_like(x), np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))], axis=-1)
+        centre = np.stack([-2.0 * r * x * y, r * (y * y - x * x), z], axis=-1)
+        poses.append(RigidTransform.from_components(centre, Rotation.from_quat(quaternion)))
+    corners = r * geometry.radial_directions
+    joints = corners @ np.swapaxes(poses[0].rotation.as_matrix(), -1, -2) + poses[0].translation[..., None, :]
+    return Configuration(geometry, poses[0] * poses[1].inv(), joints)
 
 
 def tilt_cosine_sum(configuration: Configuration) -> FloatArray:
@@ -122,23 +152,19 @@ def physical(configuration: Configuration) -> BoolArray:
     heights = centre[..., 2], np.einsum("...i,...i->...", configuration.translation - centre, upward)
     radii = _mean_radii(configuration)
     upright = np.logical_and.reduce([value > 0.0 for value in (*radii, *heights)])
-    if not configuration.shape:
-        return np.asarray(upright & _at_home(configuration))
-    # Few are upright, and the rest is the longer part.
-    found = np.zeros(configuration.shape, dtype=bool)
-    found[upright] = _at_home(configuration[upright])
-    return found
+    if configuration.shape:
+        # Few are upright, and the aspect takes longer.
+        at_home: BoolArray = upright.copy()
+        at_home[upright] = _in_home_aspects(configuration[upright])
+        return at_home
+    return np.asarray(upright & _in_home_aspects(configuration))
 
 
-def _at_home(configuration: Configuration) -> BoolArray:
-    """Return for which upright states both stages are in the home's aspect, shape (...)."""
-    legs, balls = configuration.leg_vectors, configuration.balls
-    tangents = TANGENT_SIGNS[:, None] * configuration.leg_axes
-    stages = (
-        in_home_aspect(balls[..., stage, :], np.cross(tangents[..., stage, :], legs[..., stage, :]))
-        for stage in (slice(3), slice(3, 6))
-    )
-    return np.logical_and(*stages)
+def _in_home_aspects(configuration: Configuration) -> BoolArray:
+    """Return for which states both stages are in the home's aspect, shape (...)."""
+    shape = (*configuration.shape, 2, 3, 3)
+    normals = np.cross(TANGENT_SIGNS[:, None] * configuration.leg_axes, configuration.leg_vectors)
+    return np.asarray(in_home_aspect(configuration.balls.reshape(shape), normals.reshape(shape)).all(axis=-1))
 
 
 def in_home_aspect(points: FloatArray, directions: FloatArray) -> BoolArray:

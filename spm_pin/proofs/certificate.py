@@ -12,10 +12,10 @@ from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.path_following import physical_mode_share
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, real_array, real_number, whole_number
+from spm_pin.mechanism.branches import configuration_of_stages, stage_coordinates
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LegLimits
-from spm_pin.mechanism.stage_coordinates import configuration_of_stages, stage_coordinates
 from spm_pin.proofs.stage_proof import StageProof, prove_stage
 from spm_pin.proofs.stage_region import StageRegion
 

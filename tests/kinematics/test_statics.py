@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import spm_pin as spm
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_forces, platform_jacobian
-from spm_pin.paper import driving_forces as paper
+from spm_pin.paper import jacobian as paper
 
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()

@@ -17,7 +17,7 @@ from spm_pin.kinematics.formulas import stages
 from spm_pin.kinematics.intervals import Interval
 from spm_pin.kinematics.path_following import physical_mode_share
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.stage_coordinates import configuration_of_stages, stage_coordinates
+from spm_pin.mechanism.branches import configuration_of_stages, stage_coordinates
 from spm_pin.proofs.stage_proof import StageProof, has_one_state
 from spm_pin.proofs.stage_region import StageRegion
 

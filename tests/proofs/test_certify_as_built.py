@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.kinematics.intervals import Interval
-from spm_pin.mechanism.stage_coordinates import stage_coordinates
+from spm_pin.mechanism.branches import stage_coordinates
 from spm_pin.proofs import certify_inverse
 from spm_pin.proofs.certificate import stage_regions
 

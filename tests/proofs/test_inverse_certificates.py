@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import spm_pin as spm
 from spm_pin.kinematics.intervals import Interval
-from spm_pin.mechanism.stage_coordinates import stage_coordinates
+from spm_pin.mechanism.branches import stage_coordinates
 from spm_pin.proofs import certify_inverse
 from spm_pin.proofs.inverse_certificate import structure_determinant
 
