@@ -215,7 +215,6 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "SolutionSet.from_unordered.middle_joints": lambda: STATE.middle_joints[None],
     "inverse_physical.near": lambda: STATE,
     "forward_physical.near": lambda: STATE,
-    "sweeps.open_sweep.store": store,
     "sweeps.resume_sweep.store": store,
     "sweeps.sweep_status.store": store,
     "leg_grid.lower": lambda: (1.2, 1.3, 2),
