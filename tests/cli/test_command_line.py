@@ -426,8 +426,8 @@ def test_all_exit_codes_are_documented() -> None:
     assert {int(code) for code in re.findall(r"(?<!\d)(\d+) (?!more)", EXIT_CODES)} == codes
     shown = " ".join(run("--help").stdout.replace("│", " ").split())
     assert " ".join(EXIT_CODES.split()) in shown
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert {int(code) for code in re.findall(r"^\| (\d+) \|", readme, flags=re.MULTILINE)} == codes
+    page = (ROOT / "docs/howto/command_line.md").read_text(encoding="utf-8")
+    assert {int(code) for code in re.findall(r"^\| (\d+) \|", page, flags=re.MULTILINE)} == codes
 
 
 # Outputs of any kind
