@@ -20,7 +20,7 @@ from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import complex_middle_joints
 from spm_pin.kinematics.rates_and_forces import leg_forces, leg_rates
 from spm_pin.mechanism import BRANCHES, LEGS, Configuration, Geometry, pose
-from spm_pin.mechanism.arguments import FloatArray, IntArray, type_and_value
+from spm_pin.mechanism.arguments import FloatArray, IntArray
 from spm_pin.paper import published, resultant
 from spm_pin.paper.driving_forces import load, table_5
 from spm_pin.paper.jacobian import Table5Mistakes
@@ -166,7 +166,7 @@ class Reproduction:
 def reproduce(tables: Sequence[int] = TABLES) -> Reproduction:
     """Recompute tables of the paper, by their numbers out of `TABLES`, from its example."""
     if isinstance(tables, str) or not isinstance(tables, Sequence) or any(table not in TABLES for table in tables):
-        raise ArgumentError("tables", f"numbers out of {TABLES}", type_and_value(tables))
+        raise ArgumentError("tables", f"numbers out of {TABLES}", tables)
     geometry = Geometry.paper()
     example = pose(np.array(published.POSITION) / _CM, xyx=np.deg2rad(published.XYX_DEGREES))
     closed = complex_middle_joints(geometry, example) * _CM
