@@ -23,9 +23,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.description.tree import JOINTS, joint_values
 from spm_pin.errors import ArgumentError
-from spm_pin.kinematics import forward_physical, inverse_displacement, inverse_jacobian, inverse_physical, leg_forces
+from spm_pin.kinematics import forward_physical, inverse_displacement, inverse_jacobian, inverse_physical, leg_forces, leg_rates
 from spm_pin.kinematics.rates_and_forces import SINGULAR
-from spm_pin.mechanism import BRANCHES, Geometry, LegLimits
+from spm_pin.mechanism import BRANCHES, Configuration, Geometry, LegLimits
 from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path
 from spm_pin.symbolic import functions
 from spm_pin.symbolic.functions import Drawn
@@ -60,6 +60,18 @@ class StateFunction:
 
 
 _WRENCH = np.array([30.0, -20.0, -500.0, 4.0, -6.0, 8.0])
+_TWIST = np.array([0.1, -0.2, 0.3, 0.2, -0.3, 0.1])
+_WEIGHTS = {
+    "bodies": np.linspace(0.3, 0.9, 32),
+    "payload": np.array([2.0, 0.1, -0.2, 0.3]),
+    "acceleration": np.array([0.5, -1.0, -9.7]),
+}
+
+
+def _weight_forces(state: Configuration, *weights: FloatArray) -> FloatArray:
+    forces = functions.gravity(state.geometry)(state.middle_joints, state.rotation, state.translation, *weights)
+    return np.asarray(forces)[:, 0]
+
 
 STATE_FUNCTIONS = (
     StateFunction(
@@ -69,6 +81,14 @@ STATE_FUNCTIONS = (
     StateFunction(
         *("leg_forces", functions.forces_of, {"wrench": _WRENCH}, "forces", 6, "forward", leg_forces),
         "the leg forces that hold a wrench (force, moment at o) in {B}, applied to the platform; positive pushes",
+    ),
+    StateFunction(
+        *("leg_rates", functions.rates_of, {"twist": _TWIST}, "rates", 6, "inverse", leg_rates),
+        "the leg rates of the platform's twist (v of o, omega) in {B}",
+    ),
+    StateFunction(
+        *("gravity", functions.gravity_of, _WEIGHTS, "forces", 6, "forward", _weight_forces),
+        "the leg forces that hold the weights of `bodies` and of a payload (kg, centre in {m}) at rest; positive pushes",
     ),
     StateFunction(
         *("joint_values", functions.values_of, {}, "values", 18, ""),
@@ -82,6 +102,8 @@ _CASES = 12
 _SPREAD = 1e3
 MOST_STEPS, SHORTEST = 2_000, 1e-7
 """Steps along a way at most, those tried in vain counted; and the shortest, as a part of it: before a singularity."""
+ROOT_STEPS = 400
+"""Steps at most along each of the eight ways on which all branches of a pose are found."""
 
 
 def c_sources(geometry: Geometry, *, prefix: str = "spm_") -> dict[str, str]:
@@ -122,7 +144,9 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_") -> dict[str, str]:
         "SINGULAR": repr(SINGULAR),
         "MOST_STEPS": str(MOST_STEPS),
         "SHORTEST": repr(SHORTEST),
+        "ROOT_STEPS": str(ROOT_STEPS),
         "MACHINE": ",\n".join(f"    {{{_row(numbers)}}}" for numbers in machine_fields(geometry).values()),
+        "BODIES": _row(functions.bodies(geometry)),
         "STATUSES": "\n".join(
             f"    @PREFIX_UPPER@{name} = {value}, /* {meaning} */" for name, (value, meaning) in STATUSES.items()
         ).replace(", /* the state to", " /* the state to"),
@@ -255,8 +279,12 @@ def _formulas() -> list[ca.Function]:
     rows = [state.force_rows(x) for x in ([v / n for v, n in functions.legs_of(state)], state.axes)]
     made_functions.append(made("force_rows", [joints, *pose], *rows))
 
-    starts = ca.vertcat(*functions.drawn_starts(machine, drawn))
+    starts = ca.vertcat(*functions.drawn_starts(machine, drawn)[:2])
     made_functions.append(made("drawn_branches", pose, starts, drawn.is_continuous("TT")))
+    quaternion = ca.SX.sym("quaternion", 4)
+    forms, coordinates = functions.quadrics(machine, quaternion, rotation, position)
+    made_functions.append(made("quadrics", pose, ca.vertcat(*(_flat(form) for form in forms))))
+    made_functions.append(made("balls_of_root", [quaternion, *pose], coordinates))
     branches = [drawn.branch(label[:2], 1.0 if label[2] == "+" else -1.0) for label in BRANCHES]
     lengths = ca.vertcat(*(State(drawing, b, rotation, position).lengths for b in branches))
     discriminants = ca.vertcat(*map(drawn.discriminant, Drawn.FAMILIES))
