@@ -10,7 +10,7 @@ import typer
 from spm_pin.cli import options, outputs
 from spm_pin.errors import ArgumentError
 
-Format = Literal["urdf", "mjcf", "sdf", "extended-urdf", "srdf", "c"]
+Format = Literal["urdf", "mjcf", "sdf", "extended-urdf", "srdf", "c", "ros"]
 Anchors = Literal["bodies", "sites"]
 Loops = Literal["joints", "drake"]
 
@@ -37,7 +37,8 @@ def export(
     YAML file that closes a URDF's loops. srdf: groups and passive joints. With --out, the meshes are put beside the
     file, into a folder `meshes`.
 
-    c: inverse and forward displacement, J_f, leg forces and joint values in C99 for controllers, with a test program.
+    c: inverse and forward displacement, J_f, leg forces, weights and joint values in C99 for controllers, with a test
+    program. ros: a ROS 2 package with the description, a node for joint states, a launch file and a controller.
     """
     from spm_pin import description
 
@@ -52,12 +53,17 @@ def export(
     ):
         if value and format_ not in formats:
             raise ArgumentError(name, f"to be left out with --format {format_}", value)
-    if format_ == "c":
+    if format_ in ("c", "ros"):
         if out is None:
             raise ArgumentError("--out", "the directory to write into", "none")
-        from spm_pin.symbolic import write_c
+        from spm_pin.symbolic import write_c, write_ros
 
-        for path in write_c(options.read_geometry(geometry), out, prefix="spm_" if prefix is None else prefix):
+        machine = options.read_geometry(geometry)
+        if format_ == "ros":
+            write_ros(machine, out, prefix=prefix or "")
+            outputs.note(f"wrote a ROS 2 package into {out}")
+            return
+        for path in write_c(machine, out, prefix="spm_" if prefix is None else prefix):
             outputs.note(f"wrote {path}")
         return
     if out is not None:

@@ -1,4 +1,4 @@
-"""The kinematics outside of Python: CasADi functions with derivatives of any order, and C99 for controllers."""
+"""The kinematics outside of Python: CasADi functions with derivatives of any order, C99 for controllers, ROS 2."""
 
 from spm_pin.symbolic.c_export import c_sources, write_c
 from spm_pin.symbolic.functions import (
@@ -13,6 +13,7 @@ from spm_pin.symbolic.functions import (
     leg_forces,
     leg_rates,
 )
+from spm_pin.symbolic.ros_export import ros_package, write_ros
 
 __all__ = [
     "bodies",
@@ -26,5 +27,7 @@ __all__ = [
     "joint_values",
     "leg_forces",
     "leg_rates",
+    "ros_package",
     "write_c",
+    "write_ros",
 ]

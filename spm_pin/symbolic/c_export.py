@@ -23,7 +23,14 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.description.tree import JOINTS, joint_values
 from spm_pin.errors import ArgumentError
-from spm_pin.kinematics import forward_physical, inverse_displacement, inverse_jacobian, inverse_physical, leg_forces, leg_rates
+from spm_pin.kinematics import (
+    forward_physical,
+    inverse_displacement,
+    inverse_jacobian,
+    inverse_physical,
+    leg_forces,
+    leg_rates,
+)
 from spm_pin.kinematics.rates_and_forces import SINGULAR
 from spm_pin.mechanism import BRANCHES, Configuration, Geometry, LegLimits
 from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path
@@ -88,7 +95,7 @@ STATE_FUNCTIONS = (
     ),
     StateFunction(
         *("gravity", functions.gravity_of, _WEIGHTS, "forces", 6, "forward", _weight_forces),
-        "the leg forces that hold the weights of `bodies` and of a payload (kg, centre in {m}) at rest; positive pushes",
+        "the leg forces that hold the weights of `bodies` and a payload (kg, centre in {m}) at rest; positive pushes",
     ),
     StateFunction(
         *("joint_values", functions.values_of, {}, "values", 18, ""),
@@ -158,11 +165,6 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_") -> dict[str, str]:
     }
     folder = files("spm_pin.symbolic") / "templates"
 
-    def filled(text: str, known: dict[str, str]) -> str:
-        while "@" in text:
-            text = re.sub(r"@(\w+)@", lambda match: known[match[1]], text)
-        return text
-
     def template(name: str) -> str:
         return (folder / name).read_text(encoding="utf-8")
 
@@ -202,20 +204,26 @@ def write_c(geometry: Geometry, directory: str | Path, *, prefix: str = "spm_") 
     ArgumentError
         As by `c_sources`, and if the directory cannot be written.
     """
+    return write_files(directory, c_sources(geometry, prefix=prefix))
+
+
+def write_files(directory: str | Path, texts: dict[str, str]) -> list[Path]:
+    """Write texts by their places in a directory; all of them or nothing."""
     if isinstance(directory, str) and not directory:
         raise ArgumentError("directory", "a directory that can be written", "an empty name", "The current one is '.'")
     folder = file_path(directory, "directory", expected="the name of a directory")
-    sources = c_sources(geometry, prefix=prefix)
     existed, beside = folder.is_dir(), None
     try:
         folder.mkdir(exist_ok=True)
         # Files are written beside their places, and moved when all are whole.
         beside = Path(tempfile.mkdtemp(prefix=".export", dir=folder))
-        for name, text in sources.items():
+        for name, text in texts.items():
+            (beside / name).parent.mkdir(parents=True, exist_ok=True)
             (beside / name).write_text(text, encoding="utf-8")
             if (folder / name).is_dir():
                 raise IsADirectoryError(0, f"{folder / name} is a directory")
-        for name in sources:
+        for name in texts:
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (beside / name).replace(folder / name)
     except OSError as error:
         raise ArgumentError("directory", "a directory that can be written", folder, str(error.strerror)) from error
@@ -224,7 +232,14 @@ def write_c(geometry: Geometry, directory: str | Path, *, prefix: str = "spm_") 
             shutil.rmtree(beside, ignore_errors=True)
         if not existed and folder.is_dir() and not any(folder.iterdir()):
             folder.rmdir()
-    return [folder / name for name in sources]
+    return [folder / name for name in texts]
+
+
+def filled(text: str, known: dict[str, str]) -> str:
+    """Return a template with texts in place of its marks, and of the marks in these."""
+    while found := re.search(r"@(\w+)@", text):
+        text = text.replace(found[0], known[found[1]])
+    return text
 
 
 def machine_fields(geometry: Geometry) -> dict[str, FloatArray]:

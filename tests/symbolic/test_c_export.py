@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli.running import run
-from problems import GEOMETRIES, as_built, conditioning
+from problems import GEOMETRIES, as_built
 from scipy.spatial.transform import Rotation
 from symbolic.c_library import STRICT, CLibrary, as_states, compile_c, compilers
 from symbolic.c_poses import hard_poses, held_states, spread_poses
@@ -47,8 +47,8 @@ def random_steps(count: int, seed: int, length: float, angle: float) -> tuple[np
     return both[0] * length, both[1] * angle
 
 
-def check_machine(library: CLibrary, geometry: spm.Geometry, readings: np.ndarray) -> int:
-    """Compare all functions with the package's for one machine; return how many poses led to another branch."""
+def check_machine(library: CLibrary, geometry: spm.Geometry, readings: np.ndarray) -> None:
+    """Compare all functions with the package's for one machine."""
     own, state = library.of(geometry), spm.forward_physical(geometry, readings)
     states, status = own.forward(readings)
     np.testing.assert_array_equal(status == 0, state.exists)
@@ -58,15 +58,15 @@ def check_machine(library: CLibrary, geometry: spm.Geometry, readings: np.ndarra
     assert (np.abs(states - known).max(axis=-1) <= 1e-12 + 16.0 * EPS * scale).all()
     np.testing.assert_allclose(states[:, 21:], readings, rtol=0, atol=1e-12)
 
-    expected = spm.inverse_displacement(geometry, state.pose).physical()
+    expected = spm.inverse_physical(geometry, state.pose)
     found, status = own.inverse(state.rotation, state.translation)
-    assert expected.exists.all()
-    other = (status != 0) | (np.abs(found[:, 21:] - expected.readings).max(axis=-1) > 1e-3)
+    assert (status == 0).all()
     error = np.abs(found[:, 21:] - expected.readings).max(axis=-1)
-    assert (error <= 1e-12 + 16.0 * EPS * conditioning(expected))[~other].all()
+    known_matrices = spm.inverse_jacobian(state).reshape(-1, 36)
+    rates_per_pose = np.linalg.norm(spm.inverse_jacobian(expected), axis=(-1, -2))
+    assert (error <= 1e-12 + 16.0 * EPS * rates_per_pose).all()
 
     matrices, status = own.of_states("inverse_jacobian", known)
-    known_matrices = spm.inverse_jacobian(state).reshape(-1, 36)
     size = np.abs(known_matrices).max(axis=-1)
     assert (status == 0).all()
     assert (np.abs(matrices - known_matrices).max(axis=-1) <= 64.0 * EPS * (1.0 + size) * size).all()
@@ -78,13 +78,20 @@ def check_machine(library: CLibrary, geometry: spm.Geometry, readings: np.ndarra
     assert (np.abs(forces - known_forces).max(axis=-1) <= 64.0 * EPS * size * np.linalg.norm(scale)).all()
     values, _ = own.of_states("joint_values", known[:3])
     np.testing.assert_allclose(values, [list(joint_values(state[n]).values()) for n in range(3)], rtol=0, atol=1e-12)
-    return int(other.sum())
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-5, 1e-3, 1e-2])
 def test_a_random_machine_is_computed_as_by_the_package(library: CLibrary, size: float) -> None:
     geometry = PAPER if size == 0.0 else as_built(PAPER, size, 11)
-    assert check_machine(library, geometry, random_readings(200, 1)) <= (2 if size == 1e-2 else 0)
+    check_machine(library, geometry, random_readings(200, 1))
+
+
+@pytest.mark.slow
+def test_a_thousand_random_machines_are_computed_as_by_the_package(library: CLibrary) -> None:
+    rng = np.random.default_rng(5)
+    for seed in range(1000):
+        geometry = PAPER.perturbed(seed, length=0.008 * rng.random(), angle=0.01 * rng.random())
+        check_machine(library, geometry, random_readings(20, seed))
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
