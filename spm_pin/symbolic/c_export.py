@@ -42,7 +42,7 @@ STATUSES = {
     "OK": (0, "the result is whole and finite"),
     "UNREACHABLE": (1, "no real solution, or none that is physical"),
     "DEGENERATE": (2, "the Z axes are parallel, or a family is continuous: the pose leaves the legs undetermined"),
-    "SINGULAR": (3, "the state is singular to rounding, or the way from the state to begin from is"),
+    "SINGULAR": (3, "the state or the way to it is singular to rounding, or branches of a pose cannot be told apart"),
     "NOT_FINITE": (-1, "an argument is NaN or infinite"),
     "NOT_A_ROTATION": (-2, "an entry of R^T R - I is above 1e-6, or R is a reflection"),
     "OUT_OF_RANGE": (-3, "a length is not positive, a place farther than 1e5 (E + C + d), or a result infinite"),
@@ -185,24 +185,9 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_") -> dict[str, str]:
 
 
 def write_c(geometry: Geometry, directory: str | Path, *, prefix: str = "spm_") -> list[Path]:
-    """Write what `c_sources` returns into a directory, made if need be; all of it or nothing.
+    """Write what `c_sources` returns into a directory, made if need be; all of it or nothing. Returns the paths.
 
-    Parameters
-    ----------
-    geometry, prefix
-        As for `c_sources`.
-    directory : str or Path
-        Files of the same names in it are replaced.
-
-    Returns
-    -------
-    list of Path
-        The files.
-
-    Raises
-    ------
-    ArgumentError
-        As by `c_sources`, and if the directory cannot be written.
+    Files of the same names are replaced.
     """
     return write_files(directory, c_sources(geometry, prefix=prefix))
 

@@ -3,6 +3,9 @@
 Arguments of all: `geometry` is the machine that is built in, drawn or as built; None is the paper's machine, and
 `"symbolic"` a drawn one whose `dimensions` (3,) = E, C, d [m] are one more input. With `parameters` the 54 parameters
 of the legs, see `spm_pin.Geometry.parameters`, are one more input instead, and `geometry` is the drawing.
+
+Functions of a state have the inputs `joints` (3, 3), rows b_i in {B} [m], `rotation` (3, 3) from {m} to {B} and
+`position` (3,) of o in {B} [m], and then what they say.
 """
 
 from __future__ import annotations
@@ -149,51 +152,32 @@ def forward_physical(geometry: Dimensions = None, *, parameters: bool = False, n
 
 
 def inverse_jacobian(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
-    """Make J_f, which maps the platform's twist to the leg rates.
+    """Make J_f, of a state: `jacobian` (6, 6), which maps the platform's twist (v, ω) at o in {B} to the leg rates.
 
-    Returns
-    -------
-    casadi.Function
-        Inputs: `joints` (3, 3), rows b_i [m], `rotation`, `position`. Output: `jacobian` (6, 6), of the twist (v, ω)
-        at o in {B}. It grows without bound towards an inverse singularity, and is not a number at one.
+    It grows without bound towards an inverse singularity, and is not a number at one.
     """
     return _of_state("inverse_jacobian", Machine(geometry, parameters), {}, jacobian_of)
 
 
 def leg_rates(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
-    """Make the rates of the legs for a twist of the platform.
-
-    Returns
-    -------
-    casadi.Function
-        Inputs: `joints` (3, 3), rows b_i [m], `rotation`, `position`, and `twist` (6,), (v, ω) at o in {B}. Output:
-        `rates` (6,) [m/s].
-    """
+    """Make the leg rates `rates` (6,) [m/s] of a state for a `twist` (6,), (v, ω) at o in {B}."""
     return _of_state("leg_rates", Machine(geometry, parameters), {"twist": 6}, rates_of)
 
 
 def leg_forces(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
-    """Make the leg forces that hold a wrench on the platform.
+    """Make the leg forces `forces` (6,) [N], positive pushes, that hold a `wrench` on the platform in a state.
 
-    Returns
-    -------
-    casadi.Function
-        Inputs: `joints` (3, 3), rows b_i [m], `rotation`, `position`, and `wrench` (6,): force [N] and moment [N m] at
-        o in {B}, applied from outside. Output: `forces` (6,) [N], positive pushes. They grow without bound towards a
-        forward singularity.
+    `wrench` (6,) is the force [N] and moment [N m] at o in {B}, applied from outside. The forces grow without bound
+    towards a forward singularity.
     """
     return _of_state("leg_forces", Machine(geometry, parameters), {"wrench": 6}, forces_of)
 
 
 def gravity(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
-    """Make the leg forces that hold the weight of the machine and of a payload at rest.
+    """Make the leg forces `forces` (6,) [N] that hold the weight of the machine and of a payload at rest in a state.
 
-    Returns
-    -------
-    casadi.Function
-        Inputs: `joints` (3, 3), rows b_i [m], `rotation`, `position`; `bodies` (32,), see `bodies`; `payload` (4,): a
-        mass [kg] and its centre in {m} [m]; and `acceleration` (3,), of gravity in {B} [m/s²]. Output: `forces` (6,)
-        [N], positive pushes.
+    Further inputs: `bodies` (32,), see `bodies`; `payload` (4,), a mass [kg] and its centre in {m} [m]; `acceleration`
+    (3,), of gravity in {B} [m/s²].
     """
     arguments = {"bodies": 32, "payload": 4, "acceleration": 3}
     return _of_state("gravity", Machine(geometry, parameters), arguments, gravity_of)
@@ -228,26 +212,18 @@ def bodies(geometry: Geometry | None = None) -> FloatArray:
 
 
 def closure_residual(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
-    """Make the nine closure equations.
+    """Make the nine closure equations of a state, `residual` (9,) [m].
 
-    Returns
-    -------
-    casadi.Function
-        Inputs: `joints` (3, 3), rows b_i [m], `rotation`, `position`. Output: `residual` (9,) [m]: distances of the
-        balls from the planes of their lower legs, then of their upper legs; then, for the sides 12, 23, 31, the error
-        (|b_i - b_j|² - s²)/2s of a side s, smooth everywhere.
+    Distances of the balls from the planes of their lower legs, then of their upper legs; then, for the sides 12, 23,
+    31, the error (|b_i - b_j|² - s²)/2s of a side s, smooth everywhere.
     """
     return _of_state("closure_residual", Machine(geometry, parameters), {}, residual_of)
 
 
 def joint_values(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
-    """Make the values of the description's eighteen joints.
+    """Make the values of the description's eighteen joints in a state.
 
-    Returns
-    -------
-    casadi.Function
-        Inputs: `joints` (3, 3), rows b_i [m], `rotation`, `position`. Output: `values` (18,), in the order of
-        `spm_pin.description.tree.JOINTS`: angles [rad], slides [m].
+    `values` (18,) are in the order of `spm_pin.description.JOINTS`: angles [rad], slides [m].
     """
     return _of_state("joint_values", Machine(geometry, parameters), {}, values_of)
 
@@ -372,16 +348,9 @@ def _side_errors(machine: Machine, stage: int, balls: Sequence[Any]) -> list[Any
 
 
 def stage_equations(machine: Machine, stage: int, coordinates: Any, lengths: Any) -> Any:
-    """Return the errors (6,) [m] of the three lengths and of the three sides of a stage.
+    """Return the errors (6,) [m] of the lengths (3,) and of the three sides of the lower stage, 0, or the upper, 1.
 
-    Parameters
-    ----------
-    stage : int
-        The lower stage, 0, or the upper, 1, which is seen from {m}.
-    coordinates : casadi.SX
-        Of the balls in the planes of their legs (6,) [m].
-    lengths : casadi.SX
-        Distances from pivots to balls (3,) [m].
+    `coordinates` (6,) [m] are those of the balls in the planes of their legs.
     """
     frames = machine.frames[3 * stage : 3 * stage + 3]
     places = [coordinates[2 * i : 2 * i + 2] for i in range(3)]

@@ -78,19 +78,9 @@ def ros_package(geometry: Geometry, *, prefix: str = "") -> dict[str, str]:
 
 
 def write_ros(geometry: Geometry, directory: str | Path, *, prefix: str = "") -> list[Path]:
-    """Write what `ros_package` returns into a directory, made if need be; all of it or nothing.
+    """Write what `ros_package` returns into a directory, made if need be; all of it or nothing. Returns the paths.
 
-    Parameters
-    ----------
-    geometry, prefix
-        As for `ros_package`.
-    directory : str or Path
-        Files of the same names in it are replaced.
-
-    Returns
-    -------
-    list of Path
-        The files.
+    Files of the same names are replaced.
     """
     return write_files(directory, ros_package(geometry, prefix=prefix))
 

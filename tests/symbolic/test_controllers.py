@@ -34,7 +34,7 @@ def worst_error(program: Path, *arguments: Path) -> float:
 def test_the_module_for_linuxcnc_comes_back_to_the_leg_lengths(tmp_path: Path) -> None:
     spm.symbolic.write_c(spm.Geometry.paper(), tmp_path)
     sources = (EXAMPLES / "spmkins.c", STAND_INS / "linuxcnc/drive.c", tmp_path / "spm_kinematics.c")
-    include = ("-I", STAND_INS / "linuxcnc", "-I", tmp_path)
+    include = ("-I", STAND_INS / "linuxcnc", "-I", EXAMPLES, "-I", tmp_path)
     for compiler in compilers():
         compile_c(compiler, *STRICT, "-O2", *include, *sources, "-lm", "-o", tmp_path / "program")
         assert worst_error(tmp_path / "program") < 1e-6  # mm
