@@ -127,13 +127,7 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_") -> dict[str, str]:
     -------
     dict of str
         The texts of `spm_kinematics.h`, `spm_kinematics.c`, `spm_kinematics_test.c` and `CMakeLists.txt` by their
-        names, and `spm_machine.txt`: the numbers of the machine, a line for each field of `spm_geometry`, for a program
-        that takes them at run time.
-
-    Raises
-    ------
-    ArgumentError
-        If one of the dimensions is more than 1000 times another, or `prefix` cannot begin a name in C.
+        names, and `spm_machine.txt`: the numbers of the machine, for a program that takes them at run time.
     """
     check_instance(geometry, Geometry, "geometry")
     smallest, largest = min(geometry.dimensions), max(geometry.dimensions)

@@ -41,25 +41,21 @@ def inverse_physical(geometry: Dimensions = None, *, parameters: bool = False) -
     Returns
     -------
     casadi.Function
-        Inputs: `rotation` (3, 3) from {m} to {B}, `position` (3,) of o in {B} [m]. Outputs: `lengths` (6,) [m], of a
-        machine as built the readings; `joints` (3, 3), rows b_i in {B} [m]; `discriminant` (1,), dimensionless, not
-        negative where the branches TT of the drawn machine are real; and `exists` (1,), 1 where the physical branch
-        does and 0 where not.
+        Inputs: `rotation` and `position`. Outputs: `lengths` (6,) [m], of a machine as built the readings; `joints`;
+        `discriminant` (1,), dimensionless, not negative where the branches TT of the drawn machine are real; and
+        `exists` (1,), 1 where the physical branch does and 0 where not.
 
     Notes
     -----
-    The leg limits of `geometry` decide between two physical branches, as in `spm_pin.inverse_physical`. Where no branch
-    is physical the other outputs go on smoothly: they are those of the branch whose stages are tilted less. Where
-    `discriminant` is negative it is taken for zero, so lengths are those of a machine that does not close, and their
-    derivatives finite: constrain `discriminant` to be positive. At a level platform, where there is a continuous
-    family, they are finite and mean nothing; `exists` is 0. Of a drawn machine nothing is NaN for finite arguments.
+    The leg limits of `geometry` decide between two physical branches, as in `spm_pin.inverse_physical`. Where none is
+    physical the other outputs go on smoothly: they are those of the branch whose stages are tilted less. A negative
+    `discriminant` is taken for zero, so lengths are those of a machine that does not close, and their derivatives
+    finite: constrain it to be positive. At a level platform they are finite and mean nothing; `exists` is 0. Of a drawn
+    machine nothing is NaN for finite arguments. One as built is solved by Newton's method from the branches TT of the
+    drawing, and then by `casadi.rootfinder`, through which CasADi differentiates implicitly.
 
-    A machine as built is solved by Newton's method from the branches TT of the drawing, and then by
-    `casadi.rootfinder`, through which CasADi differentiates implicitly.
-
-    `exists` is 0 as well where an argument is NaN or infinite, where an entry of RᵀR - I is above 1e-6 or R is a
-    reflection, and where a dimension is not within 1e-9 to 1e9 m. A rotation is not repaired: up to there its error is
-    one of the other outputs too.
+    `exists` is 0 as well for what is no pose, an entry of RᵀR - I being above 1e-6, and for dimensions not within 1e-9
+    to 1e9 m. A rotation is not repaired: up to there its error is one of the other outputs too.
     """
     machine, rotation, position = Machine(geometry, parameters), *_pose()
     if not machine.is_drawn:
@@ -124,15 +120,10 @@ def forward_physical(geometry: Dimensions = None, *, parameters: bool = False, n
     Returns
     -------
     casadi.Function
-        Input: `lengths` (6,) [m], of a machine as built the readings. Outputs: `rotation` (3, 3), `position` (3,) [m],
-        `joints` (3, 3) [m], `residual` (1,), the largest error of the stages' equations in units of d, below 1e-12 at a
-        solution, and `exists` (1,), 1 where that is so and both stages are in the aspect of the symmetric home.
-
-    Notes
-    -----
-    14 steps of Newton's method, then `casadi.rootfinder`, through which CasADi differentiates implicitly. Where legs
-    cannot be joined the outputs are where that ended, and `exists` is 0, as for lengths and dimensions that are NaN,
-    infinite or not positive.
+        Input: `lengths` (6,) [m], of a machine as built the readings. Outputs: `rotation`, `position`, `joints`;
+        `residual` (1,), the largest error of the stages' equations in units of d, below 1e-12 at a solution; and
+        `exists` (1,), 1 where that is so and both stages are in the aspect of the symmetric home. Where it is 0 the
+        others are where 14 steps of Newton's method and `casadi.rootfinder` ended.
     """
     machine, lengths = Machine(geometry, parameters), ca.SX.sym("lengths", 6)
     distances, unknowns = lengths - machine.offsets, ca.SX.sym("unknowns", 12)
