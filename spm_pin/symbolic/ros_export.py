@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from importlib import import_module
-from importlib.resources import files
 from pathlib import Path
 
 from spm_pin.description import SLIDES, srdf_text, urdf_text
@@ -15,15 +14,7 @@ from spm_pin.mechanism import Geometry, LegLimits
 from spm_pin.mechanism.leg_frames import home_lengths
 from spm_pin.symbolic.c_export import c_sources, filled, write_files
 
-_PLACES = {
-    "package.xml": "package.xml",
-    "CMakeLists.txt": "CMakeLists.txt",
-    "spm_controller.xml": "spm_controller.xml",
-    "controllers.yaml": "config/controllers.yaml",
-    "robot.launch.py.in": "launch/robot.launch.py",
-    "joint_states.py.in": "scripts/joint_states.py",
-    "spm_controller.cpp": "src/spm_controller.cpp",
-}
+_TEMPLATES = Path(__file__).parent / "templates" / "ros"
 
 
 def ros_package(geometry: Geometry, *, prefix: str = "") -> dict[str, str]:
@@ -61,9 +52,10 @@ def ros_package(geometry: Geometry, *, prefix: str = "") -> dict[str, str]:
         "ZEROS": ", ".join(map(repr, zeros)),
         "READINGS": ", ".join(map(repr, readings)),
     }
-    templates = files("spm_pin.symbolic") / "templates" / "ros"
     package_files = {
-        place: filled((templates / template).read_text(encoding="utf-8"), values) for template, place in _PLACES.items()
+        path.relative_to(_TEMPLATES).as_posix().removesuffix(".in"): filled(path.read_text(encoding="utf-8"), values)
+        for path in sorted(_TEMPLATES.rglob("*.*"))
+        if path.is_file()
     }
     hardware = _hardware(geometry, package, slides, zeros, readings)
     package_files["urdf/spm.urdf"] = urdf.replace("</robot>", f"{hardware}</robot>")
@@ -82,7 +74,11 @@ def write_ros(geometry: Geometry, directory: str | Path, *, prefix: str = "") ->
 
     Files of the same names are replaced.
     """
-    return write_files(directory, ros_package(geometry, prefix=prefix))
+    paths = write_files(directory, ros_package(geometry, prefix=prefix))
+    for path in paths:
+        if path.parent.name == "scripts":
+            path.chmod(0o755)
+    return paths
 
 
 def _hardware(geometry: Geometry, name: str, slides: list[str], zeros: list[float], readings: list[float]) -> str:
