@@ -1,7 +1,7 @@
 """The states of a machine within its leg limits, by the coordinates of both stages, and samples of them.
 
 Leg lengths determine a state only where the stages can be assembled, and badly near forward singularities. The
-coordinates (x, y, Z/r) of each stage, see `spm_pin.kinematics.kernels.state_search`, have neither defect: every state
+coordinates (x, y, Z/r) of each stage, see `spm_pin.kinematics.kernels.stage_states`, have neither defect: every state
 is a point, and poses and readings are smooth functions of it. They give any machine's states, as drawn or as built.
 """
 
@@ -49,8 +49,8 @@ class Stages:
     readings: FloatArray  # [m], (N, 3)
     determinant: FloatArray  # about 1 at home, 0 at forward singularities, (N,)
     in_aspect: BoolArray  # (N,)
-    rotation_slopes: FloatArray  # derivatives by the three coordinates, (N, 3, 3, 3), the coordinate last
-    centre_slopes: FloatArray  # (N, 3, 3)
+    spins: FloatArray  # derivatives by the coordinates, which are last: the rotation's, as rotation vectors, (N, 3, 3)
+    velocities: FloatArray  # the centre's, (N, 3, 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,10 +109,10 @@ class StateSet:
 
     def stages(self, stage: int, coordinates: FloatArray) -> Stages:
         """Return the lower (0) or upper (1) stage at coordinates (N, 3), seen from {B} or {m}."""
-        from spm_pin.kinematics.kernels.state_search import stage_states
+        from spm_pin.kinematics.kernels.stage_states import stage_states
 
         constants = self.legs[stage], self.radius, float(_UPWARD[stage]), self.aspects[stage]
-        results = ((16,), np.float64), ((16, 3), np.float64), ((), np.int64)
+        results = ((16,), np.float64), ((10, 3), np.float64), ((), np.int64)
         inputs = [np.require(coordinates, requirements=("C", "W"))]
         values, slopes, places = run_kernel(stage_states, inputs, constants, results, _MIN_BATCH)
         return Stages(
@@ -121,8 +121,8 @@ class StateSet:
             values[:, 12:15],
             values[:, 15],
             places == _INSIDE,
-            slopes[:, :9].reshape(-1, 3, 3, 3),
-            slopes[:, 9:12],
+            slopes[:, :3],
+            slopes[:, 3:6],
         )
 
     def readings(self, coordinates: FloatArray) -> FloatArray:
@@ -161,18 +161,11 @@ class StateSet:
     def jacobians(self, coordinates: FloatArray) -> FloatArray:
         """Return the derivatives of o and of the rotation by the coordinates, (N, 6, 6) [m, rad]."""
         lower, upper = (self.stages(k, coordinates[:, k]) for k in range(2))
-        between = self._turns[0] * self._turns[1]
-        back = np.swapaxes(upper.rotation, -1, -2)
-        seen = -between * (back @ upper.centre[..., None])[..., 0]
+        rotation = lower.rotation * (self._turns[0] * self._turns[1]) @ np.swapaxes(upper.rotation, -1, -2)
         matrix = np.empty((len(coordinates), 6, 6))
-        matrix[:, :3, :3] = lower.centre_slopes + np.einsum("nijk,nj->nik", lower.rotation_slopes, seen)
-        moved = np.einsum("njik,nj->nik", upper.rotation_slopes, upper.centre) + back @ upper.centre_slopes
-        matrix[:, :3, 3:] = -lower.rotation @ (between[:, None] * moved)
-        turned = np.einsum("niak,nja->nijk", lower.rotation_slopes, lower.rotation)
-        matrix[:, 3:, :3] = _rotation_vector(turned)
-        # The rotation is R_a times the opposite turn of R_b.
-        turned = np.einsum("naik,naj->nijk", upper.rotation_slopes, upper.rotation)
-        matrix[:, 3:, 3:] = lower.rotation @ (between[:, None] * _rotation_vector(turned))
+        matrix[:, :3, :3] = lower.velocities - _turned(lower.spins, rotation @ upper.centre[..., None])
+        matrix[:, :3, 3:] = -rotation @ (upper.velocities - _turned(upper.spins, upper.centre[..., None]))
+        matrix[:, 3:, :3], matrix[:, 3:, 3:] = lower.spins, -rotation @ upper.spins
         return matrix
 
     def upper_for(self, lower: FloatArray, points: FloatArray) -> FloatArray:
@@ -193,7 +186,7 @@ class StateSet:
                 stage = self.stages(1, upper)
                 back = np.swapaxes(stage.rotation, -1, -2)
                 gap = target + (back @ stage.centre[..., None])[..., 0]
-                slopes = np.einsum("njik,nj->nik", stage.rotation_slopes, stage.centre) + back @ stage.centre_slopes
+                slopes = back @ (stage.velocities - _turned(stage.spins, stage.centre[..., None]))
                 regular = np.isfinite(slopes).all(axis=(-1, -2)) & (np.abs(np.linalg.det(slopes)) > 0.0)
                 slopes = np.where(regular[:, None, None], slopes, np.eye(3))
                 step = np.linalg.solve(slopes, np.where(regular[:, None], gap, np.nan)[..., None])[..., 0]
@@ -307,9 +300,9 @@ class StateSet:
         return KDTree(self.positions(self.sample, self.geometry.platform_joints))
 
 
-def _rotation_vector(skew: FloatArray) -> FloatArray:
-    """Return the vectors (N, 3, 3) of skew matrices (N, 3, 3, 3) whose last axis counts them."""
-    return np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
+def _turned(spins: FloatArray, arms: FloatArray) -> FloatArray:
+    """Return the velocities (N, 3, 3) of points at `arms` (N, 3, 1) for spins (N, 3, 3), the columns of matrices."""
+    return np.cross(spins, arms, axis=1)
 
 
 def pose_densities(states: StateSet, coordinates: FloatArray) -> FloatArray:
