@@ -100,6 +100,26 @@ def _product_with_conjugate(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.concatenate([vector, (a * b).sum(axis=-1, keepdims=True)], axis=-1)
 
 
+def stage_coordinates(configuration: Configuration, modes: str = "TT") -> FloatArray:
+    """Return (x, y, Z [m]) of the lower stage in {B} and of the upper one in {m}, shape (..., 2, 3).
+
+    x and y are parts of the quaternion of the middle platform, turned by half a turn about its normal in mode F; Z is
+    the height of its centre. NaN where there is no configuration, or one of other modes.
+    """
+    middle, back = configuration.middle_pose.as_matrix(), np.swapaxes(configuration.rotation, -1, -2)
+    rotation, centre = middle[..., :3, :3], middle[..., :3, 3]
+    seen = (back @ (centre - configuration.translation)[..., None])[..., 0]
+    coordinates = []
+    for mode, turn, place in zip(modes, (rotation, back @ rotation), (centre, seen), strict=True):
+        turn = turn if mode == "T" else turn * [-1.0, -1.0, 1.0]
+        exists = np.asarray(np.isfinite(turn).all(axis=(-2, -1)))
+        quaternion = Rotation.from_matrix(np.where(exists[..., None, None], turn, np.eye(3))).as_quat()
+        x, y, x3, x0 = np.moveaxis(np.where(quaternion[..., 3:] < 0.0, -quaternion, quaternion), -1, 0)
+        exists = exists & (x0 > np.abs(x3))
+        coordinates.append(np.where(exists[..., None], np.stack([x, y, place[..., 2]], axis=-1), np.nan))
+    return np.stack(coordinates, axis=-2)
+
+
 def tilt_cosine_sum(configuration: Configuration) -> FloatArray:
     """Return the sum of the cosines of the two stages' tilts, shape (...): 2 for a straight machine."""
     b1, b2, b3 = np.moveaxis(configuration.middle_joints, -2, 0)

@@ -199,7 +199,7 @@ def search_states(
         def run(points: FloatArray, starts: FloatArray, distances: FloatArray) -> tuple[Any, ...]:
             inputs = [np.require(array, requirements=("C", "W")) for array in (points, starts, distances)]
             results = ((2, 3), np.float64), ((6,), np.float64), ((), np.int64)
-            return run_kernel(search_points, inputs, machine, results, _MIN_BATCH)
+            return run_kernel(search_points, inputs, (machine,), results, _MIN_BATCH)
 
         if starts is None:
             table = start_table(states)
@@ -236,7 +236,7 @@ def nearest_states(
     from spm_pin.kinematics.kernels.state_search import search_nearest
 
     inputs = [np.require(array, requirements=("C", "W")) for array in (targets / np.sqrt(len(body)), starts)]
-    constants = *states.machine(body, SINGULARITY_MARGIN), most
+    constants = states.machine(body, SINGULARITY_MARGIN), most
     results = ((2, 3), np.float64), ((6,), np.float64), ((6,), np.float64), ((2,), np.float64)
     coordinates, readings, gradient, quality = run_kernel(search_nearest, inputs, constants, results, 16)
     distance, slope = quality.T

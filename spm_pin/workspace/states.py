@@ -19,7 +19,7 @@ from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import LEGS, Configuration, Geometry, LegLimits
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, check_instance, first_offender
-from spm_pin.mechanism.branches import FAMILIES, TANGENT_SIGNS, family, physical
+from spm_pin.mechanism.branches import FAMILIES, TANGENT_SIGNS, family, physical, stage_coordinates
 
 CENTRE = np.zeros((1, 3))
 """The platform's centre o in {m}."""
@@ -130,18 +130,8 @@ class StateSet:
         return np.concatenate([self.stages(k, coordinates[:, k]).readings for k in range(2)], axis=-1)
 
     def coordinates(self, states: Configuration) -> FloatArray:
-        """Return the coordinates (N, 2, 3) of states (N,) of this family."""
-        middle, from_m = states.middle_pose.as_matrix(), np.swapaxes(states.rotation, -1, -2)
-        seen = (from_m @ (middle[:, :3, 3] - states.translation)[..., None])[..., 0]
-        turns = middle[:, :3, :3] * self._turns[0], from_m @ middle[:, :3, :3] * self._turns[1]
-        coordinates = np.empty((len(middle), 2, 3))
-        for stage, (turn, centre) in enumerate(zip(turns, (middle[:, :3, 3], seen), strict=True)):
-            # In its own mode a stage is turned by less than half a turn: x0 is positive.
-            x0 = 0.5 * np.sqrt(np.maximum(1.0 + np.trace(turn, axis1=-2, axis2=-1), np.finfo(float).tiny))
-            coordinates[:, stage, 0] = (turn[:, 2, 1] - turn[:, 1, 2]) / (4.0 * x0)
-            coordinates[:, stage, 1] = (turn[:, 0, 2] - turn[:, 2, 0]) / (4.0 * x0)
-            coordinates[:, stage, 2] = centre[:, 2] / self.radius
-        return coordinates
+        """Return the coordinates (N, 2, 3) of states (N,); NaN in other families."""
+        return stage_coordinates(states, self.family) / [1.0, 1.0, self.radius]
 
     def states(self, coordinates: FloatArray, readings: FloatArray | None = None) -> Configuration:
         """Return the configurations (N,) at coordinates (N, 2, 3), with their readings (N, 6) if these are known."""

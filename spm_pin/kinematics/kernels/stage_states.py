@@ -189,7 +189,7 @@ def evaluate_stage(
         negative = 0
         for i in range(6):
             negative += c[i] < 0.0
-        # In the home's aspect at most one of the c_ij is negative, see `is_home_aspect`. Just beyond it there may be two.
+        # In the home's aspect at most one of the c_ij is negative, see `is_home_aspect`; no search goes farther.
         if negative > 1 or not upward * z > 0.0 or (values[DETERMINANT] > 0.0 and not is_home_aspect(c)):
             return OTHER_ASPECT
     if values[DETERMINANT] > 0.0:

@@ -51,11 +51,13 @@ _DOUBT = 1e-4
 """Residual norm, over the size, up to which a search that has stalled leaves its point undecided."""
 _SAME_STATE = 1e-6
 """Distance, over the size, by which the points may move when the readings are put within the limits."""
+_SETTLING = 10
+"""Steps by which readings are put within the limits, at most."""
 _ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
 """Error of readings, over the size."""
 _LEAST_DETERMINANT = 1e-12
 """Least determinant of a state that is taken to be on this side of a forward singularity."""
-_SAME_MINIMUM = 1e-3
+_SAME_END = 1e-3
 """Distance in the coordinates of two ends of searches that are taken for one."""
 _PENALTY_WEIGHTS = (1.0, 3.0, 10.0)
 """Penalty weights of the first minimisation, of the second and of the further ones."""
@@ -74,19 +76,14 @@ in {m} [m], the diagonal of the half turn between stages of different modes (3,)
 and of both determinants times the size."""
 State = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """Values (2, 16) and slopes (2, 10, 3) of both stages, residual (3K + 8,) and its Jacobian (3K + 8, 6)."""
-Scratch = tuple[State, FloatArray, FloatArray]
-"""A state on trial, a matrix (6, 6) and its factor."""
+Search = tuple[Machine, State, State, FloatArray, FloatArray]
+"""The machine, the state at the coordinates, one on trial, and memory for a matrix (6, 6) and its factor."""
 
 
 @jit
 def _new_state(rows: int) -> State:
     values, slopes = np.empty((2, STAGE_NUMBERS)), np.empty((2, SLOPE_NUMBERS, 3))
     return values, slopes, np.empty(rows + 8), np.empty((rows + 8, 6))
-
-
-@jit
-def _new_scratch(rows: int) -> Scratch:
-    return _new_state(rows), np.empty((6, 6)), np.empty((6, 6))
 
 
 @jit
@@ -172,7 +169,7 @@ def _norm(residual: FloatArray) -> float:
 
 
 @jit
-def _put_normal_matrix(jacobian: FloatArray, matrix: FloatArray) -> None:
+def _add_products(jacobian: FloatArray, matrix: FloatArray) -> None:
     """Add JᵀJ to the lower half of a matrix (6, 6)."""
     for i in range(6):
         for j in range(i + 1):
@@ -225,39 +222,30 @@ def _evaluate(
     machine: Machine, coordinates: FloatArray, target: FloatArray, weight: float, shifts: FloatArray, state: State
 ) -> int:
     """Write the stages, the residual and its Jacobian at coordinates (2, 3); return where the worse stage is."""
-    body, between, rows = machine[4], machine[5], len(target)
     values, slopes, residual, jacobian = state
-    place = _evaluate_stage(machine, 0, coordinates[0], state)
-    if place < BEYOND:
-        return place
-    place = min(place, _evaluate_stage(machine, 1, coordinates[1], state))
-    if place < BEYOND:
-        return place
-    _put_points(values, slopes, body, between, residual, jacobian)
+    rows, worst = len(target), INSIDE
+    for stage in range(2):
+        worst = min(worst, _evaluate_stage(machine, stage, coordinates[stage], state))
+        if worst < BEYOND:
+            return worst
+    _put_points(values, slopes, machine[4], machine[5], residual, jacobian)
     for row in range(rows):
         residual[row] -= target[row]
     _put_limits(machine, state, weight, shifts, residual[rows:], jacobian[rows:], False)
-    return place
+    return worst
 
 
 @jit
-def _put_curvature(
-    machine: Machine,
-    coordinates: FloatArray,
-    weight: float,
-    shifts: FloatArray,
-    state: State,
-    trial: State,
-    matrix: FloatArray,
-) -> bool:
+def _put_curvature(search: Search, coordinates: FloatArray, weight: float, shifts: FloatArray) -> bool:
     """Write the residual times its second derivatives (6, 6), by differences of the gradient; False beyond the circle.
 
     Each of them changes one stage.
     """
+    machine, state, trial, matrix, _ = search
     residual, rows, gradient, place = state[2], len(state[2]) - 8, np.empty(6), np.empty(3)
-    other_values, other_slopes, points, other_jacobian = trial
+    values, slopes, points, jacobian = trial
     for stage in range(2):
-        other_values[:], other_slopes[:] = state[0], state[1]
+        values[:], slopes[:] = state[0], state[1]
         for k in range(3):
             row = 3 * stage + k
             matrix[row] = 0.0
@@ -266,9 +254,9 @@ def _put_curvature(
                 place[k] += sign * _DIFFERENCE
                 if _evaluate_stage(machine, stage, place, trial) == NO_STATE:
                     return False
-                _put_points(other_values, other_slopes, machine[4], machine[5], points, other_jacobian)
-                _put_limits(machine, trial, weight, shifts, residual[rows:], other_jacobian[rows:], True)
-                _put_gradient(other_jacobian, residual, gradient)
+                _put_points(values, slopes, machine[4], machine[5], points, jacobian)
+                _put_limits(machine, trial, weight, shifts, residual[rows:], jacobian[rows:], True)
+                _put_gradient(jacobian, residual, gradient)
                 for j in range(6):
                     matrix[row, j] += sign * gradient[j] / (2.0 * _DIFFERENCE)
     for i in range(6):
@@ -278,36 +266,26 @@ def _put_curvature(
 
 
 @jit
-def _copy_state(state: State, other: State) -> None:
-    for i in range(2):
-        state[0][i], state[1][i] = other[0][i], other[1][i]
-    state[2][:], state[3][:] = other[2], other[3]
-
-
-@jit
 def _minimise(
-    machine: Machine,
+    search: Search,
     coordinates: FloatArray,
     target: FloatArray,
     weight: float,
     shifts: FloatArray,
     method: int,
     most: int,
-    state: State,
-    scratch: Scratch,
 ) -> tuple[bool, int]:
     """Minimise the residual norm from `coordinates` (2, 3); return whether it is stationary there, and the steps taken.
 
-    `state` is that at the coordinates, before and after. Damped steps, none of which leaves the wanted aspect, until
-    the gradient is small, the residual vanishes, or hardly decreases any more.
+    The state of `search` is that at the coordinates, before and after. Damped steps, none of which leaves the wanted
+    aspect, until the gradient is small, the residual vanishes, or hardly decreases any more.
     """
-    size, (_, _, residual, jacobian) = machine[2], state
-    trial, matrix, factor = scratch
-    gradient, flatter, step, there = np.empty(6), np.empty(6), np.empty(6), np.empty((2, 3))
-    damping, norm = _DAMPING, _norm(residual)
-    largest, before, rounding = _put_gradient(jacobian, residual, gradient), norm, 0.25 * _ROUNDING * size
-    fresh = True
-    for count in range(1, most + 1):
+    machine, state, trial, matrix, factor = search
+    values, slopes, residual, jacobian = state
+    size, gradient, flatter, step, there = machine[2], np.empty(6), np.empty(6), np.empty(6), np.empty((2, 3))
+    damping, norm, rounding, fresh = _DAMPING, _norm(residual), 0.25 * _ROUNDING * size, True
+    largest, before = _put_gradient(jacobian, residual, gradient), norm
+    for count in range(1, min(most, _STEPS[method]) + 1):
         stationary = largest <= _GRADIENT[method] * norm
         if stationary or norm <= 1e-3 * RESOLUTION * size or damping >= _LARGEST_DAMPING:
             return stationary, count
@@ -317,9 +295,9 @@ def _minimise(
                 return stationary, count
             before = norm
         if fresh:
-            if method != NEWTON or not _put_curvature(machine, coordinates, weight, shifts, state, trial, matrix):
+            if method != NEWTON or not _put_curvature(search, coordinates, weight, shifts):
                 matrix[:] = 0.0
-            _put_normal_matrix(jacobian, matrix)
+            _add_products(jacobian, matrix)
             fresh = False
         if not _solve_damped(matrix, gradient, damping, step, factor):
             damping *= 10.0
@@ -333,53 +311,46 @@ def _minimise(
             steepest = _put_gradient(trial[3], trial[2], flatter)
             better = change < -rounding or (change < rounding and steepest < largest)
         if better:
-            coordinates[:] = there
-            _copy_state(state, trial)
+            coordinates[:], values[:], slopes[:] = there, trial[0], trial[1]
+            residual[:], jacobian[:] = trial[2], trial[3]
             norm, largest = _norm(residual), _put_gradient(jacobian, residual, gradient)
             damping, fresh = max(0.1 * damping, _LEAST_DAMPING), True
         else:
             damping *= 10.0
-    return largest <= _GRADIENT[method] * norm, most
+    return largest <= _GRADIENT[method] * norm, min(most, _STEPS[method])
 
 
 @jit
 def _settle(
-    machine: Machine,
-    coordinates: FloatArray,
-    target: FloatArray,
-    shifts: FloatArray,
-    state: State,
-    scratch: Scratch,
-    readings: FloatArray,
+    search: Search, coordinates: FloatArray, target: FloatArray, shifts: FloatArray, readings: FloatArray
 ) -> bool:
     """Move the state at `coordinates` within the limits of the readings, by as little as possible; write these (6,).
 
     A leg whose shift is not zero pushes against its limit, and is at it. False if the state then is not in the wanted
     aspect, or the steps have not converged: near forward singularities small changes of readings are large ones of it.
     """
-    limits, rounding, rows = machine[6], _ROUNDING * machine[2], len(target)
-    _, matrix, factor = scratch
-    zeros, gradient, step, gap = np.zeros(8), np.empty(6), np.empty(6), np.inf
-    for _ in range(10):
+    machine, state, _, matrix, factor = search
+    values, slopes, residual, jacobian = state
+    limits, rounding, rows, place = machine[6], _ROUNDING * machine[2], len(target), INSIDE
+    gradient, step, zeros, gap = np.empty(6), np.empty(6), np.zeros(8), np.inf
+    for _ in range(_SETTLING):
         place = _evaluate(machine, coordinates, target, 1.0, zeros, state)
         if place < BEYOND:
             return False
-        values, slopes, residual, jacobian = state
-        gap = 0.0
+        gap, errors, slope = 0.0, residual[rows : rows + 6], jacobian[rows : rows + 6]
         for row in range(6):
-            value = values[row // 3, READINGS + row % 3]
+            stage, i = row // 3, row % 3
+            value = values[stage, READINGS + i]
             readings[row] = min(max(value, limits[0, row]), limits[1, row])
             if shifts[row] != 0.0:
                 readings[row] = limits[0 if shifts[row] < 0.0 else 1, row]
-                residual[rows + row] = value - readings[row]
-                for k in range(3):
-                    jacobian[rows + row, 3 * (row // 3) + k] = slopes[row // 3, RATES + row % 3, k]
+                errors[row], slope[row, 3 * stage : 3 * stage + 3] = value - readings[row], slopes[stage, RATES + i]
             gap = max(gap, abs(value - readings[row]))
         if gap <= rounding:
             break
-        _put_gradient(jacobian[rows : rows + 6], residual[rows : rows + 6], gradient)
+        _put_gradient(slope, errors, gradient)
         matrix[:] = 0.0
-        _put_normal_matrix(jacobian[rows : rows + 6], matrix)
+        _add_products(slope, matrix)
         if not _solve_damped(matrix, gradient, 1e-12, step, factor):
             return False
         for k in range(6):
@@ -388,7 +359,7 @@ def _settle(
     return gap <= rounding and (certain or machine[3][0] == ANY_ASPECT)
 
 
-_MACHINE = "f8[:, :, ::1], f8, f8, f8[::1], f8[:, ::1], f8[::1], f8[:, ::1]"
+_MACHINE = "Tuple((f8[:, :, ::1], f8, f8, f8[::1], f8[:, ::1], f8[::1], f8[:, ::1]))"
 
 
 @kernel(f"void(f8[:, ::1], f8[:, :, :, ::1], f8[:, ::1], {_MACHINE}, f8[:, :, ::1], f8[:, ::1], i8[::1])")
@@ -396,13 +367,7 @@ def search_points(
     targets: FloatArray,
     starts: FloatArray,
     distances: FloatArray,
-    legs: FloatArray,
-    radius: float,
-    size: float,
-    aspects: FloatArray,
-    body: FloatArray,
-    between: FloatArray,
-    limits: FloatArray,
+    machine: Machine,
     coordinates: FloatArray,
     readings: FloatArray,
     outcome: IntArray,
@@ -414,27 +379,22 @@ def search_points(
     Writes the states, or those with the smallest residual, (N, 2, 3); their readings (N, 6); and the outcome (N,): 1
     with a state, 0 without, -1 if undecided, because a search left the aspect or stalled just short of a state.
     """
-    machine = legs, radius, size, aspects, body, between, limits
-    state, scratch = _new_state(3), _new_scratch(3)
+    state, size = _new_state(3), machine[2]
+    search = machine, state, _new_state(3), np.empty((6, 6)), np.empty((6, 6))
     shifts, place, settled = np.zeros(8), np.empty((2, 3)), np.empty(6)
     for n in range(len(targets)):
-        least, target = np.inf, targets[n]
-        outcome[n] = 0
-        coordinates[n], readings[n] = starts[n, 0], np.nan
+        least, target, most = np.inf, targets[n], _STEPS[GAUSS_NEWTON]
+        coordinates[n], readings[n], outcome[n] = starts[n, 0], np.nan, 0
         for m in range(starts.shape[1]):
-            if not distances[n, m] < np.inf:
-                continue
             place[:] = starts[n, m]
-            if _evaluate(machine, place, target, 1.0, shifts, state) < BEYOND:
+            if distances[n, m] == np.inf or _evaluate(machine, place, target, 1.0, shifts, state) < BEYOND:
                 continue
-            stationary, _ = _minimise(
-                machine, place, target, 1.0, shifts, GAUSS_NEWTON, _STEPS[GAUSS_NEWTON], state, scratch
-            )
+            stationary, _ = _minimise(search, place, target, 1.0, shifts, GAUSS_NEWTON, most)
             norm = _norm(state[2])
             if norm < least:
                 least, coordinates[n] = norm, place
             if norm <= RESOLUTION * size:
-                kept = _settle(machine, place, target, shifts, state, scratch, settled)
+                kept = _settle(search, place, target, shifts, settled)
                 if kept and _norm(state[2][:3]) <= 2.0 * RESOLUTION * size:
                     coordinates[n], readings[n], outcome[n] = place, settled, 1
                     break
@@ -445,60 +405,48 @@ def search_points(
 
 @jit
 def _polish(
-    machine: Machine,
-    coordinates: FloatArray,
-    target: FloatArray,
-    stiffness: float,
-    most: int,
-    shifts: FloatArray,
-    state: State,
-    scratch: Scratch,
+    search: Search, coordinates: FloatArray, target: FloatArray, stiffness: float, most: int, shifts: FloatArray
 ) -> tuple[float, int]:
     """Minimise the distance within the limits, by Newton's method and updates of the multipliers.
 
     Writes the multipliers over the squared weight, `shifts` (8,); returns the weight and the steps that are left.
     """
+    machine, state, _, _, _ = search
     size, rows, weight, left, change = machine[2], len(target), 1.0, most, np.inf
     shifts[:] = 0.0
     _evaluate(machine, coordinates, target, 1.0, shifts, state)
     distance = _norm(state[2][:rows])
     for update in range(_UPDATES):
-        before, last = weight, change
-        weight = _PENALTY_WEIGHTS[min(update % _RESTART, 2)]
-        weight *= stiffness * math.sqrt(max(1.0, _REMOTE_PENALTY * distance / size))
+        before, farther, last = weight, distance, change
+        weight = stiffness * _PENALTY_WEIGHTS[min(update % _RESTART, 2)]
+        weight *= math.sqrt(max(1.0, _REMOTE_PENALTY * distance / size))
         for row in range(8):
             shifts[row] *= (before / weight) ** 2
         _evaluate(machine, coordinates, target, weight, shifts, state)
-        stationary, steps = _minimise(
-            machine, coordinates, target, weight, shifts, NEWTON, min(left, _STEPS[NEWTON]), state, scratch
-        )
-        left -= steps
-        change = 0.0
+        stationary, steps = _minimise(search, coordinates, target, weight, shifts, NEWTON, left)
+        left, change, distance = left - steps, 0.0, _norm(state[2][:rows])
         for row in range(8):
             shift = state[2][rows + row] / weight
             change = max(change, abs(shift - shifts[row]))
             shifts[row] = shift
-        farther, distance = distance, _norm(state[2][:rows])
-        if not stationary and update > 1 and abs(distance - farther) <= _MULTIPLIER_TOLERANCE * size:
-            # No step stays in the wanted aspect.
-            break
+        # No step stays in the wanted aspect.
+        stuck = not stationary and update > 1 and abs(distance - farther) <= _MULTIPLIER_TOLERANCE * size
         # Where limits depend on each other, as in a cusp of a forward singularity, multipliers never converge.
-        settled = change <= _MULTIPLIER_TOLERANCE * size or (change <= _STALLED * size and change > 0.5 * last)
-        if left <= 0 or (settled and (stationary or distance <= RESOLUTION * size)):
+        converged = change <= _MULTIPLIER_TOLERANCE * size or (change <= _STALLED * size and change > 0.5 * last)
+        if left <= 0 or stuck or (converged and (stationary or distance <= RESOLUTION * size)):
             break
     return weight, left
 
 
 @jit
-def _next_start(norms: FloatArray, places: FloatArray, best: float) -> int:
-    """Return the search with the smallest residual norm below `best`, -1 if there is none, and strike out its like."""
+def _next_end(norms: FloatArray, ends: FloatArray, best: float) -> int:
+    """Return the search with the smallest residual norm, -1 if none is below `best`; strike it out, and its like."""
     chosen = norms.argmin()
     if not norms[chosen] < best:
         return -1
     for m in range(len(norms)):
-        if m != chosen and np.abs(places[m] - places[chosen]).max() <= _SAME_MINIMUM:
+        if np.abs(ends[m] - ends[chosen]).max() <= _SAME_END:
             norms[m] = np.inf
-    norms[chosen] = np.inf
     return int(chosen)
 
 
@@ -506,13 +454,7 @@ def _next_start(norms: FloatArray, places: FloatArray, best: float) -> int:
 def search_nearest(
     targets: FloatArray,
     starts: FloatArray,
-    legs: FloatArray,
-    radius: float,
-    size: float,
-    aspects: FloatArray,
-    body: FloatArray,
-    between: FloatArray,
-    limits: FloatArray,
+    machine: Machine,
     most: int,
     coordinates: FloatArray,
     readings: FloatArray,
@@ -529,48 +471,37 @@ def search_nearest(
     Writes the states (N, 2, 3), their readings (N, 6), the multipliers of the readings' limits (N, 6), the
     distance [m] and the gradient of half its square (N, 2), infinite where the start has been taken.
     """
-    machine = legs, radius, size, aspects, body, between, limits
-    rows, count = targets.shape[1], starts.shape[1]
-    state, scratch = _new_state(rows), _new_scratch(rows)
-    shifts, place, settled, gradient = np.zeros(8), np.empty((2, 3)), np.empty(6), np.empty(6)
-    places, norms = np.empty((count, 2, 3)), np.empty(count)
+    rows, count, size = targets.shape[1], starts.shape[1], machine[2]
+    state = _new_state(rows)
+    search = machine, state, _new_state(rows), np.empty((6, 6)), np.empty((6, 6))
+    shifts, zeros, place, settled = np.zeros(8), np.zeros(8), np.empty((2, 3)), np.empty(6)
+    ends, norms = np.empty((count, 2, 3)), np.empty(count)
     for n in range(len(targets)):
-        target, best = targets[n], np.inf
-        coordinates[n], multipliers[n], quality[n, 1] = starts[n, 0], 0.0, np.inf
-        left = most
+        target, left = targets[n], most
+        coordinates[n], multipliers[n] = starts[n, 0], 0.0
+        _settle(search, coordinates[n], target, zeros, readings[n])
+        best = _norm(state[2][:rows]) + RESOLUTION * size
+        quality[n] = best - RESOLUTION * size, np.inf
         for stiffness in _STIFFNESS:
             if quality[n, 1] < np.inf:
                 break
-            shifts[:] = 0.0
             for m in range(count):
-                places[m], norms[m] = starts[n, m], np.inf
-                if _evaluate(machine, places[m], target, 1.0, shifts, state) < BEYOND:
+                ends[m], norms[m] = starts[n, m], np.inf
+                if _evaluate(machine, ends[m], target, 1.0, zeros, state) < BEYOND:
                     continue
-                distance = _norm(state[2][:rows])
-                if m == 0:
-                    best = distance + RESOLUTION * size
-                weight = stiffness * math.sqrt(max(1.0, _REMOTE_PENALTY * distance / size))
+                weight = stiffness * math.sqrt(max(1.0, _REMOTE_PENALTY * _norm(state[2][:rows]) / size))
                 state[2][rows:] *= weight
                 state[3][rows:] *= weight
-                _minimise(
-                    machine, places[m], target, weight, shifts, GAUSS_NEWTON, _STEPS[GAUSS_NEWTON], state, scratch
-                )
+                _minimise(search, ends[m], target, weight, zeros, GAUSS_NEWTON, _STEPS[GAUSS_NEWTON])
                 norms[m] = _norm(state[2])
-            chosen = _next_start(norms, places, np.inf)
+            chosen = _next_end(norms, ends, np.inf)
             while chosen >= 0 and left > 0:
-                place[:] = places[chosen]
-                weight, left = _polish(machine, place, target, stiffness, left, shifts, state, scratch)
-                slope = _put_gradient(state[3], state[2], gradient)
-                before = _norm(state[2][:rows])
-                if _settle(machine, place, target, shifts, state, scratch, settled):
-                    distance = _norm(state[2][:rows])
+                place[:] = ends[chosen]
+                weight, left = _polish(search, place, target, stiffness, left, shifts)
+                distance, slope = _norm(state[2][:rows]), _put_gradient(state[3], state[2], settled)
+                if _settle(search, place, target, shifts, settled):
+                    before, distance = distance, _norm(state[2][:rows])
                     if distance <= min(best, before + _SAME_STATE * size):
                         best, coordinates[n], readings[n] = distance, place, settled
-                        quality[n, 0], quality[n, 1] = distance, slope
-                        for row in range(6):
-                            multipliers[n, row] = weight * weight * shifts[row]
-                chosen = _next_start(norms, places, best)
-        if quality[n, 1] == np.inf:
-            shifts[:] = 0.0
-            _settle(machine, coordinates[n], target, shifts, state, scratch, readings[n])
-            quality[n, 0] = _norm(state[2][:rows])
+                        multipliers[n], quality[n] = weight * weight * shifts[:6], (distance, slope)
+                chosen = _next_end(norms, ends, best)
