@@ -25,8 +25,7 @@ from spm_pin.motion.limited_jerk import EasedGrid, limited_jerk
 from spm_pin.motion.path_dynamics import LimitRows, MotionLimits, PathDynamics, Payload, path_dynamics
 from spm_pin.motion.paths import ROUNDING, LegPath, MotionPath
 from spm_pin.motion.planning import MotionPlan
-from spm_pin.multibody.chain import ClosedChain
-from spm_pin.multibody.loading import check_same_machine
+from spm_pin.multibody.chain import ClosedChain, check_same_machine
 from spm_pin.multibody.trajectory import JointTrajectory, PlatformPath
 
 _LONGEST = 10**6
