@@ -154,7 +154,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "domain": lambda: spm.sweeps.pose_grid(0.0, 0.0, (2.1, 2.2, 2), xyx=[0.1, 0.2, 0.1]),
     "metrics": lambda: ["branches"],
     "store": lambda: "map.zarr",
-    **dict.fromkeys(("sweeps.open_sweep.store", "sweeps.resume_sweep.store", "sweeps.sweep_status.store"), store),
+    **dict.fromkeys(("sweeps.resume_sweep.store", "sweeps.sweep_status.store"), store),
     "unit": lambda: "m",
     "derivatives": lambda: spm.nlp.leg_jacobian(PAPER)(STATE.middle_joints.ravel(), STATE.rotation, STATE.translation),
     "factor": lambda: 2.0,

@@ -31,8 +31,8 @@ _FASTEST = 1e16
 """Largest x where no limit is, in units of that of a motion which keeps all limits."""
 _LEAST = 1e-3
 """Smallest x, in units of the same."""
-_SPLITS = 4
-"""Times that parts are split at most, each time into four."""
+_SPLITS, _MOST_POINTS = 4, 40_000
+"""Times that parts are split at most, each time into four, and points of a grid from which on none is split."""
 _BROKEN = 5e-4
 """Share of a limit by which it may be broken between three points of a part before the part is split."""
 
@@ -109,7 +109,7 @@ class LeastTime:
             self._steps = np.diff(self.grid)
             self.x = _solved(self._steps, _half_planes(points, rows, np.arange(0, len(points), 2)), start)
             curved = self._curved_parts(rows)
-            if split == _SPLITS or not curved.any():
+            if split == _SPLITS or len(points) > _MOST_POINTS or not curved.any():
                 break
             eighths = np.array([1.0, 2.0, 3.0, 5.0, 6.0, 7.0]) / 8.0
             more = (self.grid[:-1][curved, None] + eighths * self._steps[curved, None]).ravel()
