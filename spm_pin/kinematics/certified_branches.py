@@ -169,8 +169,9 @@ def _radii_of_equations(
             slopes[equation][3 * ball + k] = slopes[equation][3 * ball + k] + direction[k]
 
     for i in range(6):
-        axis, corner = axes[i], i % 3
-        arm = minus(b[corner], pivots[i])
+        axis: Vectors = axes[i]
+        corner = i % 3
+        arm: Vectors = minus(b[corner], pivots[i])
         if i >= 3:
             axis, arm = times(rows, axis), minus(minus(upper[corner], o), times(rows, pivots[i]))
             u, v, w = weights[corner]
