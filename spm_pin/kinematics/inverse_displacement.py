@@ -291,8 +291,10 @@ def _find_degeneracy(
     """
     from spm_pin.kinematics.kernels.branch_kernels import VERTICAL, continuous_families
 
-    families = (flagged[:, None] & np.array([1, 2, 4, 8])) > 0
-    dimension, legs = families.any(axis=-1).astype(np.int8), np.zeros((len(flagged), 3), np.bool_)
+    n, some = len(flagged), np.flatnonzero(flagged)
+    families, dimension, legs = np.zeros((n, 4), np.bool_), np.zeros(n, np.int8), np.zeros((n, 3), np.bool_)
+    families[some] = (flagged[some, None] & np.array([1, 2, 4, 8])) > 0
+    dimension[some] = families[some].any(axis=-1)
     vertical = np.flatnonzero(flagged & VERTICAL)
     if len(vertical):
         flat, sizes = np.empty((len(vertical), 4), np.uint8), np.empty(len(vertical), np.int8)
