@@ -124,19 +124,6 @@ def with_batch_shape(arrays: Iterable[npt.NDArray[Any]], shape: tuple[int, ...])
     return tuple([array.reshape((*shape, *array.shape[1:])) for array in arrays])
 
 
-def branch_states(geometry: Geometry, shape: tuple[int, ...], solved: Iterable[npt.NDArray[Any]]) -> Configuration:
-    """Return the branches (..., 8) of a batch of this shape, of the first four `BRANCH_RESULTS` of its N poses."""
-    rotation, position, *rest = solved
-    joints, lengths = with_batch_shape(rest, shape)
-    return Configuration.from_arrays(
-        geometry,
-        np.broadcast_to(rotation.reshape((*shape, 1, 3, 3)), joints.shape),
-        np.broadcast_to(position.reshape((*shape, 1, 3)), joints.shape[:-1]),
-        joints,
-        lengths,
-    )
-
-
 def radii(geometry: Geometry) -> tuple[float, float, float]:
     """Return the circumradii of the drawn middle, base and terminal platforms [m]."""
     return geometry.middle_radius, geometry.base_radius, geometry.platform_radius

@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 
 from spm_pin.kinematics.exact_discriminants import ExactPose, largest_component, quaternions, scaled_rotation
+from spm_pin.kinematics.formulas.legs import upper_balls
+from spm_pin.kinematics.formulas.vectors import combined, cross, dot, minus, scaled, times
 from spm_pin.kinematics.intervals import SQRT_3, Interval
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.branches import physical, tilt_cosine_sum
@@ -23,7 +25,8 @@ from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.solutions import SolutionSet
 
-Vector = list[Interval]
+Vectors = Any
+"""Vectors of intervals instead of numbers, which formulas take as well."""
 _SAFE = 1.0 + 1e-12
 """Factor for the rounding of a few products of bounds."""
 _CHUNK = 1 << 14
@@ -96,55 +99,44 @@ def _radii(states: Configuration) -> FloatArray:
     NaN where nothing is proved. Of a drawn machine the exact rotation is that of the quaternion which the kernels take
     from a matrix; pose and legs of a machine as built are taken as the exact numbers that they are stored as.
     """
-    geometry = states.geometry
-    arrays = (
-        states.middle_joints.reshape(-1, 3, 3),
-        states.rotation.reshape(-1, 3, 3),
-        states.translation.reshape(-1, 3),
-    )
-    radius = np.full(len(arrays[0]), np.nan)
+    geometry, radius = states.geometry, np.full(states.exists.size, np.nan)
+    joints, rotation = states.middle_joints.reshape(-1, 3, 3), states.rotation.reshape(-1, 3, 3)
+    position = states.translation.reshape(-1, 3)
     machine = _drawn_legs(geometry) if geometry.is_nominal else _legs(geometry)
+    enclosed = _enclosed_rotation if geometry.is_nominal else _rows
     existing = np.flatnonzero(states.exists)
     for first in range(0, len(existing), _CHUNK):
         some = existing[first : first + _CHUNK]
-        joints, rotation, position = (array[some] for array in arrays)
-        rows = _enclosed_rows(rotation) if geometry.is_nominal else [_point(rotation[:, i]) for i in range(3)]
-        b = [_point(joints[:, i]) for i in range(3)]
+        state = _rows(joints[some]), enclosed(rotation[some]), _vector(position[some])
         with np.errstate(all="ignore"):
-            radius[some] = _radii_of_equations(machine, geometry.middle_side, b, rows, _point(position))
+            radius[some] = _radii_of_equations(*machine, geometry.middle_side, *state)
     return radius.reshape(states.shape)
 
 
-def _legs(geometry: Geometry) -> tuple[list[Vector], list[Vector], list[Vector], Vector]:
+def _legs(geometry: Geometry) -> tuple[Vectors, Vectors, Vectors, Vectors]:
     """Return axes and pivots of the six legs, enclosures of `upper_ball_weights`, and the squared distances."""
-    axes, pivots, balls = (
-        [_point(row) for row in array] for array in (geometry.legs.axes, geometry.legs.pivots, geometry.legs.balls)
-    )
-    p, q = _minus(balls[1], balls[0]), _minus(balls[2], balls[0])
-    n = _cross(p, q)
-    square, weights = _dot(n, n), []
+    legs = geometry.legs
+    axes, pivots, balls = ([_vector(row) for row in array] for array in (legs.axes, legs.pivots, legs.balls))
+    p, q = minus(balls[1], balls[0]), minus(balls[2], balls[0])
+    n = cross(p, q)
+    weights = []
     for i in range(3):
-        apart = _minus(balls[3 + i], balls[i])
-        parts = _dot(_cross(apart, q), n), _dot(_cross(p, apart), n), _dot(apart, n)
-        weights.append([part / square for part in parts])
-    edges = [_minus(balls[i], balls[(i + 1) % 3]) for i in range(3)]
-    return axes, pivots, weights, [_dot(edge, edge) for edge in edges]
+        apart = minus(balls[3 + i], balls[i])
+        parts = dot(cross(apart, q), n), dot(cross(p, apart), n), dot(apart, n)
+        weights.append([part / dot(n, n) for part in parts])
+    edges = [minus(balls[i], balls[(i + 1) % 3]) for i in range(3)]
+    return axes, pivots, weights, [dot(edge, edge) for edge in edges]
 
 
-def _drawn_legs(geometry: Geometry) -> tuple[list[Vector], list[Vector], list[Vector], Vector]:
+def _drawn_legs(geometry: Geometry) -> tuple[Vectors, Vectors, Vectors, Vectors]:
     """Return what `_legs` does of a drawn machine, exactly: all leg planes contain the Z axis of their platform."""
-    half, root, one, zero = (
-        Interval.from_numbers(0.5),
-        0.5 * SQRT_3,
-        Interval.from_numbers(1.0),
-        Interval.from_numbers(0.0),
-    )
-    axes = [[half, root, zero], [one, zero, zero], [-half, root, zero]]
-    nothing, side = [zero] * 3, Interval.from_numbers(geometry.middle_side)
-    return 2 * axes, 6 * [nothing], 3 * [nothing], 3 * [side.square()]
+    root, side = 0.5 * SQRT_3, Interval.from_numbers(geometry.middle_side)
+    half, one, zero = _vector(np.array([0.5, 1.0, 0.0]))
+    axes = [(half, root, zero), (one, zero, zero), (-half, root, zero)]
+    return 2 * axes, 6 * [(zero,) * 3], 3 * [(zero,) * 3], 3 * [side.square()]
 
 
-def _enclosed_rows(rotation: FloatArray) -> list[Vector]:
+def _enclosed_rotation(rotation: FloatArray) -> Vectors:
     """Return enclosures of a multiple of R (N,), R the rotation of the quaternion that the kernels take of matrices."""
     entries = [Interval.from_numbers(entry) for entry in rotation.reshape(-1, 9).T]
     largest = largest_component(rotation)
@@ -156,53 +148,52 @@ def _enclosed_rows(rotation: FloatArray) -> list[Vector]:
 
 
 def _radii_of_equations(
-    machine: tuple[list[Vector], list[Vector], list[Vector], Vector],
+    axes: Vectors,
+    pivots: Vectors,
+    weights: Vectors,
+    squares: Vectors,
     unit: float,
-    b: list[Vector],
-    rows: list[Vector],
-    o: Vector,
+    b: Vectors,
+    rows: Vectors,
+    o: Vectors,
 ) -> FloatArray:
     """Return the radii around balls `b` of poses with these rows of R, or of a multiple, and positions."""
-    axes, pivots, weights, squares = machine
     count = len(o[0].low)
-    p, q = _minus(b[1], b[0]), _minus(b[2], b[0])
-    n = _cross(p, q)
-    errors: Vector = []
+    p, q, upper = minus(b[1], b[0]), minus(b[2], b[0]), upper_balls(b, weights)
+    errors: list[Interval] = []
     slopes = [[Interval.from_numbers(np.zeros(count)) for _ in range(9)] for _ in range(9)]
     quadratic = np.zeros((count, 9))
 
-    def add(equation: int, ball: int, direction: Vector) -> None:
+    def add(equation: int, ball: int, direction: Vectors) -> None:
         for k in range(3):
             slopes[equation][3 * ball + k] = slopes[equation][3 * ball + k] + direction[k]
 
     for i in range(6):
         axis, corner = axes[i], i % 3
-        ball = _minus(b[corner], pivots[i])
+        arm = minus(b[corner], pivots[i])
         if i >= 3:
-            axis, pivot = [_dot(row, axis) for row in rows], [_dot(row, pivots[i]) for row in rows]
+            axis, arm = times(rows, axis), minus(minus(upper[corner], o), times(rows, pivots[i]))
             u, v, w = weights[corner]
-            apart = _plus(_plus(_scaled(u, p), _scaled(v, q)), _scaled(w, n))
-            ball = _minus(_plus(_minus(b[corner], o), apart), pivot)
-            along_p = _plus(_scaled(u, axis), _scaled(w, _cross(q, axis)))
-            along_q = _plus(_scaled(v, axis), _scaled(w, _cross(axis, p)))
+            along_p = combined(scaled(u, axis), w, cross(q, axis))
+            along_q = combined(scaled(v, axis), w, cross(axis, p))
             for other, direction in ((1, along_p), (2, along_q)):
                 add(i, other, direction)
                 add(i, 0, [-x for x in direction])
             # |δp| and |δq| are at most √12 in units of the cube's half edge.
             quadratic[:, i] = 12.1 * _most(w) * np.sqrt(sum(_most(x) ** 2 for x in axis))
         add(i, corner, axis)
-        errors.append(_dot(axis, ball))
+        errors.append(dot(axis, arm))
     for k, (i, j) in enumerate(((0, 1), (1, 2), (2, 0))):
-        edge = _minus(b[i], b[j])
-        errors.append((_dot(edge, edge) - squares[k]) * (1.0 / unit))
-        twice = [2.0 / unit * x for x in edge]
+        edge = minus(b[i], b[j])
+        errors.append((dot(edge, edge) - squares[k]) * (1.0 / unit))
+        twice = scaled(2.0 / unit, edge)
         add(6 + k, i, twice)
         add(6 + k, j, [-x for x in twice])
         quadratic[:, 6 + k] = 12.1 / unit
     return _contraction_radii(errors, slopes, quadratic)
 
 
-def _contraction_radii(errors: Vector, slopes: list[Vector], quadratic: FloatArray) -> FloatArray:
+def _contraction_radii(errors: list[Interval], slopes: list[list[Interval]], quadratic: FloatArray) -> FloatArray:
     """Return radii around points at which nine equations have these errors, slopes and bounds of their second order."""
     count = len(quadratic)
     entries = [x for row in slopes for x in row]
@@ -216,10 +207,10 @@ def _contraction_radii(errors: Vector, slopes: list[Vector], quadratic: FloatArr
     size, spread = np.abs(inverse), np.maximum(high - middle, middle - low) * _SAFE
     # A sum of nine products is off by less than 10 eps of the sum of their magnitudes.
     rounding = 1e-14
-    lengths = np.stack([_most(x) for x in errors], axis=-1)
+    sizes = np.stack([_most(x) for x in errors], axis=-1)
     value = np.stack([0.5 * (x.low + x.high) for x in errors], axis=-1)
     width = np.stack([np.maximum(x.high - x.low, 0.0) for x in errors], axis=-1)
-    shift = np.abs((inverse @ value[..., None])[..., 0]) + (size @ (rounding * lengths + width)[..., None])[..., 0]
+    shift = np.abs((inverse @ value[..., None])[..., 0]) + (size @ (rounding * sizes + width)[..., None])[..., 0]
     eta = shift.max(axis=-1) * _SAFE
     defect = np.abs(np.eye(9) - inverse @ middle) + size @ (rounding * np.abs(middle) + spread)
     kappa = defect.sum(axis=-1).max(axis=-1) * _SAFE
@@ -236,25 +227,9 @@ def _most(x: Interval) -> FloatArray:
     return np.maximum(np.abs(x.low), np.abs(x.high))
 
 
-def _point(array: FloatArray) -> Vector:
-    return [Interval.from_numbers(array[..., k]) for k in range(3)]
+def _vector(array: FloatArray) -> Vectors:
+    return tuple(Interval.from_numbers(column) for column in np.moveaxis(array, -1, 0))
 
 
-def _plus(a: Vector, b: Vector) -> Vector:
-    return [x + y for x, y in zip(a, b, strict=True)]
-
-
-def _minus(a: Vector, b: Vector) -> Vector:
-    return [x - y for x, y in zip(a, b, strict=True)]
-
-
-def _scaled(factor: Interval, a: Vector) -> Vector:
-    return [factor * x for x in a]
-
-
-def _dot(a: Vector, b: Vector) -> Interval:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _cross(a: Vector, b: Vector) -> Vector:
-    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+def _rows(array: FloatArray) -> Vectors:
+    return tuple(_vector(row) for row in np.moveaxis(array, -2, 0))

@@ -116,7 +116,7 @@ class ExactPose:
         return float((_surd(self._discriminant(family)) / size).mid)
 
     def middle_joints(self, branch: int) -> tuple[FloatArray, float]:
-        """Return the joints of a real branch (3, 3) [m], and how far the exact ones, enclosed with `BITS` bits, can be."""
+        """Return the joints of a real branch (3, 3) [m], and how far the exact ones, of `BITS` bits, can be."""
         iv.prec = BITS
         family, root_3 = branch // 2, iv.sqrt(iv.mpf(3))
         length, r = iv.sqrt(iv.mpf(self.norm)), iv.mpf(self.side) / self.one / root_3

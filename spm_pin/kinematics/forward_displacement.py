@@ -25,11 +25,10 @@ from spm_pin.mechanism.arguments import (
 )
 from spm_pin.mechanism.branches import physical
 from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.leg_frames import home_lengths
+from spm_pin.mechanism.geometry import Geometry, unit_hint
+from spm_pin.mechanism.joint_angles import home_lengths
 from spm_pin.mechanism.leg_limits import LEGS
 from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
-from spm_pin.mechanism.units import unit_hint
 
 STAGE_MODES = tuple(f"{mode}{place + 1}{sheet}" for mode in "TF" for place in range(4) for sheet in "+-")
 """Canonical order of the sixteen assembly modes of a stage: T1+, T1-, T2+ … F4-."""
@@ -78,13 +77,6 @@ def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> Solutio
     middle joints about the stage's own axis, hence T1 is tilted least; + is the sheet on which the middle platform
     stands above the base, or hangs below the terminal platform, - its mirror image. Two modes that are to rounding
     the same, at a forward singularity, count once. A problem takes 43 kB: give large batches in parts.
-
-    The paper left this problem to CAD. T and F are the operation modes of the 3-RPS stage [1]_.
-
-    References
-    ----------
-    .. [1] J. Schadlbauer, M. Husty, S. Caro, P. Wenger, "Self-Motions of 3-RPS Manipulators", Frontiers of Mechanical
-       Engineering 8 (2013). More in docs/related_work.md.
 
     Examples
     --------
@@ -278,21 +270,21 @@ def _solve_drawn(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, .
 def _solve_ill_conditioned(geometry: Geometry, lengths: FloatArray, solved: tuple[Any, ...]) -> None:
     """Solve problems again, with more digits, of which a stage is near a continuous family or has a very short leg."""
     rotation, translation, joints, dimension, status = solved
-    r, *hips = radii(geometry)
+    r, *base_radii = radii(geometry)
     halves = lengths[:, :3], lengths[:, 3:]
     doubtful = np.zeros(len(lengths), dtype=np.bool_)
-    for half, hip in zip(halves, hips, strict=True):
-        doubtful |= _is_ill_conditioned(half / r, hip / r)
-    at = np.flatnonzero(doubtful & (dimension.max(axis=-1) == 0))
-    if not len(at):
+    for half, radius in zip(halves, base_radii, strict=True):
+        doubtful |= _is_ill_conditioned(half / r, radius / r)
+    problems = np.flatnonzero(doubtful & (dimension.max(axis=-1) == 0))
+    if not len(problems):
         return
     from spm_pin.kinematics.ill_conditioned_stages import solve_stage_with_more_digits
     from spm_pin.kinematics.kernels.mode_kernels import compose_all
 
-    for n in at:
+    for n in problems:
         lower, upper = (
-            solve_stage_with_more_digits(half[n], hip, geometry.middle_side, sign)
-            for half, hip, sign in zip(halves, hips, (1.0, -1.0), strict=True)
+            solve_stage_with_more_digits(half[n], radius, geometry.middle_side, sign)
+            for half, radius, sign in zip(halves, base_radii, (1.0, -1.0), strict=True)
         )
         pairs = np.repeat(lower, len(STAGE_MODES), axis=0), np.tile(upper, (len(STAGE_MODES), 1))
         compose_all(*pairs, r, rotation[n], translation[n], joints[n])
@@ -300,7 +292,7 @@ def _solve_ill_conditioned(geometry: Geometry, lengths: FloatArray, solved: tupl
 
 
 def _is_ill_conditioned(lengths: FloatArray, epsilon: float) -> BoolArray:
-    """Return whether double precision may miscount the modes of stages (N, 3), lengths and hips ε in units of r."""
+    """Return whether double precision may miscount the modes of stages (N, 3); lengths and ε in units of r."""
     squares = lengths**2
     scale = squares.mean(axis=-1) + (1.0 + epsilon) ** 2
     odd, even = 9.0 * epsilon**2, 3.0 - 3.0 * epsilon**2

@@ -17,7 +17,6 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.batches import (
     BRANCH_RESULTS,
-    branch_states,
     radii,
     read_pose,
     run_kernel,
@@ -34,6 +33,7 @@ from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
 ROUNDING_BOUND = 2.0**-39
 """Bound of the rounding error of a discriminant over r², divided by (1 + (|x| + |y|)/r)²: `docs/theory/proofs.md`."""
 
+Memory = tuple[npt.NDArray[Any], ...]
 _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_AS_BUILT = 1 << 14, 1 << 9
 
 
@@ -49,8 +49,8 @@ def inverse_displacement(
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
         Pose of {m} in {B}, translation in metres; one, or a batch of shape (...).
     out : SolutionSet, optional
-        What an earlier call with this geometry for a batch of this shape returned. Its memory is written anew, which
-        saves what the system takes to provide memory; it and everything taken from it then hold the new numbers.
+        What an earlier call with this geometry for a batch of this shape returned. Its memory is written anew: it and
+        everything taken from it then hold the new numbers.
     certify : bool
         Bound the error of all joints, in `SolutionSet.radius`. In a drawn machine also decide the families that are not
         `certain` without rounding, and compute their branches with more digits, a few milliseconds each.
@@ -75,16 +75,7 @@ def inverse_displacement(
 
     Notes
     -----
-    Hu, Lu, Yu, Zhuang [1]_ obtain the same branches from a resultant of degree eight, Eqs. (5)-(20); that route is
-    `spm_pin.paper.resultant`. This one has no denominator that a regular pose can make zero. As far as we remember,
-    four quadratic factors are in [2]_ as well.
-
-    References
-    ----------
-    .. [1] B. Hu, Y. Lu, J. J. Yu, S. Zhuang, "Analyses of Inverse Kinematics, Statics and Workspace of a Novel
-       3RPS-3SPR Serial-Parallel Manipulator".
-    .. [2] A. Nayak, S. Caro, P. Wenger, "Kinematic Analysis of the 3-RPS-3-SPR Series-Parallel Manipulator", Robotica
-       37 (2019). More in docs/related_work.md.
+    The paper obtains the same branches from a resultant of degree eight, Eqs. (5)-(20), see `spm_pin.paper.resultant`.
 
     Examples
     --------
@@ -97,8 +88,26 @@ def inverse_displacement(
     certified = as_bool(certify, "certify")
     shape, rotation, position = read_pose(geometry, pose)
     memory = None if out is None else _memory_of(out, geometry, shape)
-    solve = _drawn_branches if geometry.is_nominal else _as_built_branches
-    branches = solve(geometry, shape, rotation, position, memory)
+    solved = _solve(geometry, rotation, position, memory)
+    details: dict[str, Any]
+    if geometry.is_nominal:
+        rotation, position, joints, lengths, discriminants, hint, status, flagged = solved
+        details = {
+            "discriminants": discriminants.reshape(*shape, 4),
+            "degeneracy": _find_degeneracy(geometry, shape, rotation, position, flagged, status),
+            "physical_hint": hint.reshape(*shape, 3),
+            "rounding": ROUNDING_BOUND,
+        }
+    else:
+        rotation, position, joints, lengths, carried, status, _ = solved
+        details = {"merged": (carried == 0).reshape(*shape, 8)}
+    states = Configuration.from_arrays(
+        geometry,
+        np.broadcast_to(rotation.reshape(*shape, 1, 3, 3), (*shape, 8, 3, 3)),
+        np.broadcast_to(position.reshape(*shape, 1, 3), (*shape, 8, 3)),
+        *with_batch_shape((joints, lengths), shape),
+    )
+    branches = SolutionSet(states, BRANCHES, status.reshape(shape), memory=solved, **details)
     if not certified:
         return branches
     from spm_pin.kinematics.certified_branches import certify_branches
@@ -106,7 +115,7 @@ def inverse_displacement(
     return certify_branches(branches)
 
 
-def _memory_of(out: SolutionSet, geometry: Geometry, shape: tuple[int, ...]) -> tuple[npt.NDArray[Any], ...]:
+def _memory_of(out: SolutionSet, geometry: Geometry, shape: tuple[int, ...]) -> Memory:
     expected = f"what `inverse_displacement` returned for this geometry and a batch of shape {shape}"
     if not isinstance(out, SolutionSet):
         raise ArgumentError("out", expected, type(out).__name__)
@@ -118,48 +127,17 @@ def _memory_of(out: SolutionSet, geometry: Geometry, shape: tuple[int, ...]) -> 
     return out.memory
 
 
-def _drawn_branches(
-    geometry: Geometry,
-    shape: tuple[int, ...],
-    rotation: FloatArray,
-    position: FloatArray,
-    memory: tuple[npt.NDArray[Any], ...] | None,
-) -> SolutionSet:
-    """Solve the four quadratics of each pose."""
-    from spm_pin.kinematics.kernels.branch_kernels import all_branches
+def _solve(geometry: Geometry, rotation: FloatArray, position: FloatArray, memory: Memory | None) -> Memory:
+    """Return R, o, the joints and lengths of all branches of N poses, and what else the machine's kernel writes."""
+    if geometry.is_nominal:
+        from spm_pin.kinematics.kernels.branch_kernels import all_branches
 
-    results = BRANCH_RESULTS if memory is None else memory
-    solved = run_kernel(all_branches, (rotation, position), radii(geometry), results, _MIN_BATCH_PER_THREAD)
-    rotation, position, _, _, discriminants, hint, status, flagged = solved
-    degeneracy = _find_degeneracy(geometry, shape, rotation, position, flagged, status)
-    return SolutionSet(
-        branch_states(geometry, shape, solved[:4]),
-        BRANCHES,
-        status.reshape(shape),
-        discriminants=discriminants.reshape(*shape, 4),
-        degeneracy=degeneracy,
-        physical_hint=hint.reshape(*shape, 3),
-        memory=solved,
-        rounding=ROUNDING_BOUND,
-    )
-
-
-def _as_built_branches(
-    geometry: Geometry,
-    shape: tuple[int, ...],
-    rotation: FloatArray,
-    position: FloatArray,
-    memory: tuple[npt.NDArray[Any], ...] | None,
-) -> SolutionSet:
-    """Find all eight common points of the three quadrics of each pose."""
+        results = BRANCH_RESULTS if memory is None else memory
+        return run_kernel(all_branches, (rotation, position), radii(geometry), results, _MIN_BATCH_PER_THREAD)
     # The poses may be the caller's memory.
-    own_pose = (np.empty_like(rotation), np.empty_like(position)) if memory is None else memory[:2]
-    own_pose[0][...], own_pose[1][...] = rotation, position
-    solved = (*own_pose, *_as_built_roots(geometry, rotation, position, None if memory is None else memory[2:]))
-    *_, carried, status, _ = solved
-    merged = (carried == 0).reshape(*shape, 8)
-    branches = branch_states(geometry, shape, solved[:4])
-    return SolutionSet(branches, BRANCHES, status.reshape(shape), merged=merged, memory=solved)
+    poses = (np.empty_like(rotation), np.empty_like(position)) if memory is None else memory[:2]
+    poses[0][...], poses[1][...] = rotation, position
+    return *poses, *_as_built_roots(geometry, rotation, position, None if memory is None else memory[2:])
 
 
 def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration | None = None) -> Configuration:
@@ -178,12 +156,10 @@ def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration 
     Returns
     -------
     Configuration
-        Of shape (...): what ``inverse_displacement(geometry, pose).physical(near)`` returns, to the bit for a drawn
-        machine and to rounding for one as built, in less time and memory. Both stages are without torsion and reached
-        from the symmetric home without a forward singularity. If TT+ and TT- both are, those within the leg limits are
-        preferred, then the one nearer to `near` or, without it, the one whose stages are tilted less;
-        `SolutionSet.ambiguous` is True there. `.exists` is False, and everything NaN, where there is no such
-        configuration.
+        Of shape (...): what ``inverse_displacement(geometry, pose).physical(near)`` returns, in less time and memory.
+        Both stages are without torsion and reached from the symmetric home without a forward singularity. If TT+ and
+        TT- both are, those within the leg limits are preferred, then the one nearer to `near` or, without it, the one
+        whose stages are tilted less. `.exists` is False, and everything NaN, where there is no such configuration.
 
     Examples
     --------
@@ -196,6 +172,8 @@ def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration 
     if near is not None:
         return inverse_displacement(geometry, pose).physical(near)
     shape, rotation, position = read_pose(geometry, pose)
+    limits, offsets = geometry.limits, geometry.legs.offsets
+    bounds = np.array([[-np.inf] * 6, [np.inf] * 6] if limits is None else [limits.minimum, limits.maximum]) - offsets
     results = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64), ((6,), np.float64)
     kernel: Callable[..., None]
     constants: tuple[Any, ...]
@@ -208,19 +186,12 @@ def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration 
 
         constants = _machines(geometry), geometry.middle_radius
         kernel, min_batch = as_built_physical_branches, _MIN_BATCH_PER_THREAD_AS_BUILT
-    solved = run_kernel(kernel, (rotation, position), (*constants, _length_bounds(geometry)), results, min_batch)
+    solved = run_kernel(kernel, (rotation, position), (*constants, bounds), results, min_batch)
     state = Configuration.from_arrays(geometry, *with_batch_shape(solved, shape))
     if not shape and not state.exists:
         # The same, with the reason why there is none.
         return inverse_displacement(geometry, pose).physical()
     return state
-
-
-def _length_bounds(geometry: Geometry) -> FloatArray:
-    """Return the least and largest leg lengths (2, 6) that the limits of the readings allow [m]."""
-    limits = geometry.limits
-    bounds = np.array([(-np.inf,) * 6, (np.inf,) * 6] if limits is None else [limits.minimum, limits.maximum])
-    return np.asarray(bounds - geometry.legs.offsets)
 
 
 def branch_lengths(geometry: Geometry, pose: PoseLike) -> tuple[FloatArray, npt.NDArray[np.int8]]:
@@ -270,21 +241,15 @@ def complex_middle_joints(geometry: Geometry, pose: PoseLike) -> npt.NDArray[np.
         real roots stand under their labels of `inverse_displacement`, the others under those left over.
     """
     shape, rotation, position = read_pose(geometry, pose)
+    roots = (8, 3, 3), np.complex128
     if geometry.is_nominal:
-        joints = _drawn_complex_joints(geometry, rotation, position)
+        from spm_pin.kinematics.kernels.branch_kernels import complex_branches
+
+        poses, size = (rotation, position), radii(geometry)[:1]
+        (joints,) = run_kernel(complex_branches, poses, size, [roots], _MIN_BATCH_PER_THREAD_AS_BUILT)
     else:
-        results = (*_ROOT_RESULTS[:4], ((8, 3, 3), np.complex128))
-        joints = _as_built_roots(geometry, rotation, position, results)[4]
+        *_, joints = _as_built_roots(geometry, rotation, position, (*_ROOT_RESULTS, roots))
     return np.asarray(joints.reshape(*shape, 8, 3, 3))
-
-
-def _drawn_complex_joints(geometry: Geometry, rotation: FloatArray, position: FloatArray) -> npt.NDArray[np.complex128]:
-    from spm_pin.kinematics.kernels.branch_kernels import complex_branches
-
-    joints: npt.NDArray[np.complex128]
-    results, size = [((8, 3, 3), np.complex128)], radii(geometry)[:1]
-    (joints,) = run_kernel(complex_branches, (rotation, position), size, results, _MIN_BATCH_PER_THREAD_AS_BUILT)
-    return joints
 
 
 def _machines(geometry: Geometry) -> FloatArray:
@@ -300,7 +265,7 @@ _ROOT_RESULTS = ((8, 3, 3), np.float64), ((8, 6), np.float64), ((8,), np.uint8),
 
 def _as_built_roots(
     geometry: Geometry, rotation: FloatArray, position: FloatArray, results: Sequence[Any] | None = None
-) -> tuple[Any, ...]:
+) -> Memory:
     """Run the kernel `as_built_branches` on N poses, into `results` if they are arrays."""
     from spm_pin.kinematics.kernels.as_built_kernels import as_built_branches
 

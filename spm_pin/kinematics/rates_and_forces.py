@@ -16,9 +16,9 @@ import numpy.typing as npt
 from spm_pin.errors import SingularConfigurationError
 from spm_pin.kinematics.batches import Result, run_on_states
 from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable, real_array
-from spm_pin.mechanism.ball_triangles import upper_ball_weights
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.legs import upper_ball_weights
 
 SINGULAR = 64.0 * float(np.finfo(np.float64).eps)
 """A matrix is singular to rounding where its smallest singular value is at most this times its largest.

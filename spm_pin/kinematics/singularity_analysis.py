@@ -54,7 +54,7 @@ class Singularities:
     determinants: FloatArray
     """det J_b, det J_c, det K [m³], for forces of length one and moments about any point: signed, smooth; (..., 3)."""
     scaled_determinants: FloatArray
-    """The determinants over d³, shape (..., 3): dimensionless, signed, smooth, zero just where singular; for a cost."""
+    """The determinants over d³, shape (..., 3): dimensionless, zero just where singular; for a cost."""
     sigma: FloatArray
     """Smallest singular values, dimensionless, shape (..., 3).
 
@@ -124,17 +124,8 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
 
     Notes
     -----
-    At the symmetric home K has rank 3: it is an inverse singularity in which three freedoms are lost. Inverse and
-    forward singularities are those of [1]_, constraint singularities those of [2]_; det K is the determinant of the
-    tetrahedron of [3]_, see docs/theory/literature_checks.md.
-
-    References
-    ----------
-    .. [1] C. Gosselin, J. Angeles, "Singularity Analysis of Closed-Loop Kinematic Chains", IEEE Transactions on
-       Robotics and Automation 6 (1990).
-    .. [2] D. Zlatanov, I. Bonev, C. Gosselin, "Constraint Singularities of Parallel Mechanisms", ICRA 2002.
-    .. [3] A. Nayak, S. Caro, P. Wenger, "Kinematic Analysis of the 3-RPS-3-SPR Series-Parallel Manipulator", Robotica
-       37 (2019).
+    At the symmetric home K has rank 3: it is an inverse singularity in which three freedoms are lost. What the
+    literature calls these singularities is in docs/theory/literature_checks.md.
     """
     from spm_pin.kinematics.kernels.singularity_kernel import describe_singularities
 

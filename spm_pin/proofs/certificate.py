@@ -15,9 +15,8 @@ from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, r
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LegLimits
-from spm_pin.mechanism.stage_coordinates import configuration_of_stages, stage_coordinates
 from spm_pin.proofs.stage_proof import StageProof, prove_stage
-from spm_pin.proofs.stage_region import StageRegion
+from spm_pin.proofs.stage_region import StageRegion, configuration_at, region_coordinates
 
 _LONGEST = 1e3
 """Largest leg lengths that are worth a proof, in units of the machine's size."""
@@ -89,7 +88,7 @@ class Certificate:
         inside = self.admits(configuration.readings)
         if not self.holds:
             return np.zeros_like(inside)
-        states = stage_coordinates(configuration)
+        states = region_coordinates(configuration)
         for k, proof in enumerate((self.lower, self.upper)):
             inside = inside & _contained(states[..., k, :], proof.proved)
         return np.asarray(inside)
@@ -139,10 +138,10 @@ def certify(
 ) -> Certificate:
     """Prove that leg limits exclude forward singularities.
 
-    Each stage is searched by interval branch and bound [1]_ with outward rounding, over all orientations without
-    torsion and all heights. What is joined, within the limits, to the physical configuration at the middle of the
-    limits is proved free of forward singularities. It follows that six leg lengths within the limits have exactly one
-    configuration there, and that no straight line in leg space meets a singularity; see `docs/theory/proofs.md`.
+    What is joined, within the limits, to the physical configuration at their middle is proved free of forward
+    singularities, by interval branch and bound over all orientations without torsion and all heights. It follows that
+    six leg lengths within the limits have exactly one configuration there, and that no straight line in leg space meets
+    a singularity; see `docs/theory/proofs.md`.
 
     Parameters
     ----------
@@ -161,12 +160,7 @@ def certify(
     Returns
     -------
     Certificate
-        It may not hold: then it has a singular configuration, if there is one, and the boxes left undecided.
-
-    References
-    ----------
-    .. [1] J.-P. Merlet, "Interval Analysis for Certified Numerical Solution of Problems in Robotics", International
-       Journal of Applied Mathematics and Computer Science 19 (2009).
+        It may not hold: then it has a singular configuration, if one was found, and the boxes left undecided.
     """
     nominal = check_instance(geometry, Geometry, "geometry").nominal
     limits = nominal.limits if limits is None else check_instance(limits, LegLimits, "limits")
@@ -186,14 +180,14 @@ def certify(
     middle = forward_physical(nominal, 0.5 * (np.array(limits.minimum) + np.array(limits.maximum)))
     if not middle.exists:
         raise GeometryError("limits", "lengths between them that can be assembled", "a middle that cannot be")
-    starts = stage_coordinates(middle)
+    starts = region_coordinates(middle)
     regions = stage_regions(nominal, limits, errors)
     proofs = [prove_stage(region, start, most=boxes) for region, start in zip(regions, starts, strict=True)]
     witness = None
     if any(proof.singular is not None for proof in proofs):
         pairs = zip(starts, proofs, strict=True)
         states = [start if proof.singular is None else proof.singular for start, proof in pairs]
-        witness = configuration_of_stages(nominal, np.stack(states))
+        witness = configuration_at(nominal, np.stack(states))
     return Certificate(nominal, limits, proofs[0], proofs[1], witness, errors)
 
 

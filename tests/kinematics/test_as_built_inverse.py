@@ -345,7 +345,7 @@ def test_near_double_roots_labels_and_radii_hold(family: int) -> None:
     """Branches meet where det K vanishes, so under a label that was carried it has the sign of the drawn machine."""
     poses = random_branches(PAPER, spm.mechanism.FAMILIES[family], 25, seed=21).pose
     lost = 0
-    for beyond, share in product((1e-3, 1e-6, 1e-9), (1e-2, 1.0, 30.0)):
+    for beyond, share in product((1e-3, 1e-6, 1e-9), (1e-2, 1.0)):
         pose = RigidTransform.concatenate([at_discriminant(pose, family, beyond, PAPER) for pose in poses])
         built, drawn = as_built(PAPER, share * beyond, seed=22), spm.inverse_displacement(PAPER, pose)
         branches = spm.inverse_displacement(built, pose, certify=True)

@@ -20,10 +20,8 @@ import spm_pin as spm
 from spm_pin.kinematics.formulas import branches, joint_values, legs, operations, stages, vectors, wrenches
 from spm_pin.kinematics.formulas.operations import bind
 from spm_pin.kinematics.intervals import Interval
-from spm_pin.mechanism.ball_triangles import triangle_frames, upper_ball_weights
-from spm_pin.mechanism.geometry import axis_directions
-from spm_pin.mechanism.joint_angles import joint_angles
-from spm_pin.mechanism.leg_frames import home_leans, home_lengths, leg_placements
+from spm_pin.mechanism.joint_angles import home_leans, home_lengths, joint_angles, leg_placements
+from spm_pin.mechanism.legs import axis_directions, triangle_frames, upper_ball_weights
 
 PAPER = spm.Geometry.paper()
 R, E, C = PAPER.middle_radius, PAPER.base_radius, PAPER.platform_radius

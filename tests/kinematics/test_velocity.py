@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import pickle
 from collections.abc import Callable
 
 import numpy as np
@@ -15,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.errors import ArgumentError, SingularConfigurationError, SpmError
+from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_rates, platform_jacobian
 
 EPS = np.finfo(float).eps
@@ -289,14 +288,6 @@ def test_a_leg_of_no_length_is_refused():
     for function in (inverse_jacobian, platform_jacobian):
         with pytest.raises(SingularConfigurationError, match="forward"):
             function(state)
-
-
-def test_the_error_survives_pickling():
-    error = SingularConfigurationError("inverse", 1e-17, (2, 0))
-    again = pickle.loads(pickle.dumps(error))
-    assert type(again) is SingularConfigurationError
-    assert (again.kind, again.sigma_min, again.index, str(again)) == ("inverse", 1e-17, (2, 0), str(error))
-    assert isinstance(error, SpmError)
 
 
 def test_twists_that_do_not_broadcast_are_refused():
