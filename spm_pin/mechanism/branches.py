@@ -11,11 +11,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry
 
 FAMILIES = ("TT", "TF", "FT", "FF")
 """The four families of branches: the mode, T or F, of the lower stage and of the upper."""
@@ -26,11 +25,6 @@ TANGENT_SIGNS = np.array([1.0, -1.0, -1.0] * 2)
 """Signs that make the legs' axes tangents of their platforms, counterclockwise about z."""
 
 NumberArray = npt.NDArray[Any]
-
-_MIRROR = np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]])
-"""Signs of the coordinates x, y, Z of each stage against those of the frame that it is seen from."""
-_TORSION = 1e-9
-"""Component x3 of the quaternion from which on a stage of a drawn machine has torsion."""
 
 
 def leg_plane_determinant(points: NumberArray, directions: NumberArray) -> NumberArray:
@@ -97,37 +91,24 @@ def _stage_quaternions(configuration: Configuration) -> tuple[FloatArray, FloatA
     return Rotation.from_matrix(middle).as_quat(), Rotation.from_matrix(from_platform @ middle).as_quat()
 
 
-def stage_coordinates(configuration: Configuration) -> FloatArray:
-    """Return (x, y, Z [m]) of the lower and upper stage, shape (..., 2, 3); NaN where there is none or in mode F.
+def stage_coordinates(configuration: Configuration, modes: str = "TT") -> FloatArray:
+    """Return (x, y, Z [m]) of the lower stage in {B} and of the upper one in {m}, shape (..., 2, 3).
 
-    The middle platform's quaternion against the base is (x0, x, y, 0) with x0 > 0, and its centre is at
-    (-2r xy, r (y² - x²), Z) over the base's centre, r = d/√3. The upper stage is the same stage upside down, seen from
-    the terminal platform and mirrored at its plane, so that Z is positive at home in both. The stages of a machine as
-    built have torsion; they are not in mode F as long as it is less than half a turn.
+    x and y are parts of the quaternion of the middle platform, turned by half a turn about its normal in mode F; Z is
+    the height of its centre. NaN where there is no configuration, or one of other modes.
     """
-    most = _TORSION if configuration.geometry.legs.is_drawn else np.inf
-    centre = configuration.middle_pose.as_matrix()[..., :3, 3]
-    seen = (np.swapaxes(configuration.rotation, -1, -2) @ (centre - configuration.translation)[..., None])[..., 0]
-    states = []
-    for sign, quaternion, position in zip(_MIRROR, _stage_quaternions(configuration), (centre, seen), strict=True):
+    middle, back = configuration.middle_pose.as_matrix(), np.swapaxes(configuration.rotation, -1, -2)
+    rotation, centre = middle[..., :3, :3], middle[..., :3, 3]
+    seen = (back @ (centre - configuration.translation)[..., None])[..., 0]
+    coordinates = []
+    for mode, turn, place in zip(modes, (rotation, back @ rotation), (centre, seen), strict=True):
+        turn = turn if mode == "T" else turn * [-1.0, -1.0, 1.0]
+        exists = np.asarray(np.isfinite(turn).all(axis=(-2, -1)))
+        quaternion = Rotation.from_matrix(np.where(exists[..., None, None], turn, np.eye(3))).as_quat()
         x, y, x3, x0 = np.moveaxis(np.where(quaternion[..., 3:] < 0.0, -quaternion, quaternion), -1, 0)
-        straight = configuration.exists & (np.abs(x3) <= most) & (x0 > np.abs(x3) + _TORSION)
-        states.append(np.where(straight[..., None], sign * np.stack([x, y, position[..., 2]], axis=-1), np.nan))
-    return np.stack(states, axis=-2)
-
-
-def configuration_of_stages(geometry: Geometry, states: FloatArray) -> Configuration:
-    """Return the configurations (...) of stage coordinates (..., 2, 3), as `stage_coordinates` returns them."""
-    r = geometry.middle_radius
-    poses = []
-    for k, sign in enumerate(_MIRROR):
-        x, y, z = np.moveaxis(sign * states[..., k, :], -1, 0)
-        quaternion = np.stack([x, y, np.zeros_like(x), np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))], axis=-1)
-        centre = np.stack([-2.0 * r * x * y, r * (y * y - x * x), z], axis=-1)
-        poses.append(RigidTransform.from_components(centre, Rotation.from_quat(quaternion)))
-    corners = r * geometry.radial_directions
-    joints = corners @ np.swapaxes(poses[0].rotation.as_matrix(), -1, -2) + poses[0].translation[..., None, :]
-    return Configuration(geometry, poses[0] * poses[1].inv(), joints)
+        exists = exists & (x0 > np.abs(x3))
+        coordinates.append(np.where(exists[..., None], np.stack([x, y, place[..., 2]], axis=-1), np.nan))
+    return np.stack(coordinates, axis=-2)
 
 
 def tilt_cosine_sum(configuration: Configuration) -> FloatArray:

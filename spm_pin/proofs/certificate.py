@@ -12,12 +12,11 @@ from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.path_following import physical_mode_share
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, real_array, real_number, whole_number
-from spm_pin.mechanism.branches import configuration_of_stages, stage_coordinates
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LegLimits
 from spm_pin.proofs.stage_proof import StageProof, prove_stage
-from spm_pin.proofs.stage_region import StageRegion
+from spm_pin.proofs.stage_region import StageRegion, configuration_at, region_coordinates
 
 _LONGEST = 1e3
 """Largest leg lengths that are worth a proof, in units of the machine's size."""
@@ -89,7 +88,7 @@ class Certificate:
         inside = self.admits(configuration.readings)
         if not self.holds:
             return np.zeros_like(inside)
-        states = stage_coordinates(configuration)
+        states = region_coordinates(configuration)
         for k, proof in enumerate((self.lower, self.upper)):
             inside = inside & _contained(states[..., k, :], proof.proved)
         return np.asarray(inside)
@@ -181,14 +180,14 @@ def certify(
     middle = forward_physical(nominal, 0.5 * (np.array(limits.minimum) + np.array(limits.maximum)))
     if not middle.exists:
         raise GeometryError("limits", "lengths between them that can be assembled", "a middle that cannot be")
-    starts = stage_coordinates(middle)
+    starts = region_coordinates(middle)
     regions = stage_regions(nominal, limits, errors)
     proofs = [prove_stage(region, start, most=boxes) for region, start in zip(regions, starts, strict=True)]
     witness = None
     if any(proof.singular is not None for proof in proofs):
         pairs = zip(starts, proofs, strict=True)
         states = [start if proof.singular is None else proof.singular for start, proof in pairs]
-        witness = configuration_of_stages(nominal, np.stack(states))
+        witness = configuration_at(nominal, np.stack(states))
     return Certificate(nominal, limits, proofs[0], proofs[1], witness, errors)
 
 

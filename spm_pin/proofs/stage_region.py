@@ -20,9 +20,15 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.kinematics.intervals import SQRT_3, Interval
+from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.branches import stage_coordinates
+
+_MIRROR = np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]])
+"""The upper stage is the same upside down, mirrored at the terminal platform."""
 
 _UP = 1.0 + 1e-12
 """Covers the rounding of a bound of errors, a few operations."""
@@ -139,3 +145,18 @@ class StageRegion:
             return upward + (heights[j] + bounds.length) * slopes[i] + bounds.factor
 
         return squares, m(0, 1) * m(1, 2) * m(2, 0) + m(1, 0) * m(2, 1) * m(0, 2)
+
+
+def region_coordinates(configuration: Configuration) -> FloatArray:
+    """Return the states (x, y, Z [m]) of both stages, shape (..., 2, 3); NaN where there is none in mode T."""
+    return _MIRROR * stage_coordinates(configuration)
+
+
+def configuration_at(geometry: Geometry, states: FloatArray) -> Configuration:
+    """Return the configuration of the states (2, 3) of both stages of a drawn machine."""
+    r, poses = geometry.middle_radius, []
+    for x, y, z in _MIRROR * states:
+        rotation = Rotation.from_quat([x, y, 0.0, np.sqrt(max(1.0 - x * x - y * y, 0.0))])
+        poses.append(RigidTransform.from_components([-2.0 * r * x * y, r * (y * y - x * x), z], rotation))
+    joints = poses[0].apply(r * geometry.radial_directions)
+    return Configuration(geometry, poses[0] * poses[1].inv(), joints)

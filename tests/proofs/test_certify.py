@@ -17,9 +17,8 @@ from spm_pin.kinematics.formulas import stages
 from spm_pin.kinematics.intervals import Interval
 from spm_pin.kinematics.path_following import physical_mode_share
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.branches import configuration_of_stages, stage_coordinates
 from spm_pin.proofs.stage_proof import StageProof, has_one_state
-from spm_pin.proofs.stage_region import StageRegion
+from spm_pin.proofs.stage_region import StageRegion, configuration_at, region_coordinates
 
 PAPER = spm.Geometry.paper()
 LIMITS = spm.LegLimits(1.1, 1.5)
@@ -144,14 +143,14 @@ def test_the_determinant_is_the_jacobian_of_the_lengths() -> None:
 
 
 def test_stage_coordinates_and_back() -> None:
-    legs = np.random.default_rng(2).uniform(1.1, 1.5, (50, 6))
+    legs = np.random.default_rng(2).uniform(1.1, 1.5, 6)
     state = spm.forward_physical(PAPER, legs)
-    back = configuration_of_stages(PAPER, stage_coordinates(state))
+    back = configuration_at(PAPER, region_coordinates(state))
     np.testing.assert_allclose(back.leg_lengths, legs, atol=1e-14)
     np.testing.assert_allclose(back.translation, state.translation, atol=1e-14)
     pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
     turned = spm.inverse_displacement(PAPER, pose)["FF+"]
-    assert np.isnan(stage_coordinates(turned)).all()
+    assert np.isnan(region_coordinates(turned)).all()
 
 
 def first_fold(geometry: spm.Geometry, middle: np.ndarray, direction: np.ndarray) -> np.ndarray | None:
@@ -318,7 +317,7 @@ def test_states_of_another_machine_are_refused(certificate: spm.Certificate) -> 
 def test_a_second_state_with_the_same_lengths_is_found_among_the_boxes() -> None:
     lengths = np.array([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
     modes = spm.forward_displacement(PAPER, lengths)
-    states = stage_coordinates(modes.configurations[modes.exists])[:, 0]
+    states = region_coordinates(modes.configurations[modes.exists])[:, 0]
     states = states[np.isfinite(states).all(axis=-1)]
     states = states[states[:, 2] > 0.0]
     region = StageRegion(PAPER.base_radius, PAPER.middle_side, lengths[:3], lengths[:3])

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.kinematics.intervals import Interval
-from spm_pin.mechanism.branches import stage_coordinates
 from spm_pin.proofs import certify_inverse
 from spm_pin.proofs.certificate import stage_regions
+from spm_pin.proofs.stage_region import region_coordinates
 
 PAPER = spm.Geometry.paper()
 LIMITS = spm.LegLimits(1.1, 1.5)
@@ -85,7 +85,7 @@ def test_enclosures_contain_what_machines_within_errors_have(length: float, angl
         distances, determinants = np.linalg.norm(state.leg_vectors, axis=-1), np.abs(spm.determinants(state))
         turns = state.middle_pose.rotation, state.pose.rotation.inv() * state.middle_pose.rotation
         for k, region in enumerate(regions):
-            unknowns = [Interval.from_numbers(column) for column in stage_coordinates(state)[:, k].T]
+            unknowns = [Interval.from_numbers(column) for column in region_coordinates(state)[:, k].T]
             squares, determinant = region.evaluate(*unknowns)
             for i in range(3):
                 contained("square", squares[i], distances[:, 3 * k + i] ** 2)
