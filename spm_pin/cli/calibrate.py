@@ -13,7 +13,7 @@ from spm_pin.calibration import Calibration, identify, read_measurements
 from spm_pin.calibration import tolerance as analyse
 from spm_pin.calibration.error_model import parameter_scale
 from spm_pin.cli import options, outputs
-from spm_pin.display.result_plots import calibration_figure
+from spm_pin.display.figures import calibration_figure
 from spm_pin.mechanism import LEGS, PARAMETERS
 
 
@@ -58,7 +58,7 @@ def calibrate(
         values, deviations = (dict(zip(PARAMETERS, array, strict=True)) for array in machine)
         sizes = {name: {"unit": unit, "before": a, "after": b} for name, unit, a, b in _sizes(found)}
         content = {"measurements": len(found.misfit), "identified": len(found.deviations), "rms": sizes}
-        content |= {name: getattr(found, name) for name in ("status", "chi_square", "misfit")}
+        content |= {name: getattr(found, name) for name in ("status", "reason", "chi_square", "misfit")}
         content |= {"outliers": np.flatnonzero(found.outliers)}
         outputs.write_json(content | {"parameters": values, "standard_deviations": deviations})
     else:

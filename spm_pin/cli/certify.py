@@ -10,7 +10,7 @@ from typer import Option
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit
-from spm_pin.display.result_plots import certificate_figure
+from spm_pin.display.figures import certificate_figure
 from spm_pin.errors import GeometryError
 from spm_pin.mechanism import Configuration, LegLimits
 from spm_pin.proofs import Certificate, InverseCertificate, certify_inverse

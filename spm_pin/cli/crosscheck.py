@@ -15,8 +15,8 @@ from spm_pin.cli import options, outputs
 from spm_pin.cli.reproduce import print_summary, summary_line
 from spm_pin.crosscheck import METHODS, PairDifference, Report, compare_in_batches
 from spm_pin.crosscheck import reproduce as recompute
+from spm_pin.display.figures import agreement_figure
 from spm_pin.display.plots import save_gallery
-from spm_pin.display.result_plots import agreement_figure
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import Geometry, pose
 from spm_pin.paper import published

@@ -13,7 +13,7 @@ from typer import Option
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit
-from spm_pin.display.output_files import FORMATS
+from spm_pin.display.figures import FORMATS
 from spm_pin.display.plots import NARROWEST, save_gallery, save_picture
 from spm_pin.errors import ArgumentError, require_extra
 

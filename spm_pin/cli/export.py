@@ -11,7 +11,7 @@ from typer import Argument, Option
 from spm_pin.cli import options, outputs
 from spm_pin.errors import ArgumentError
 
-Format = Literal["urdf", "mjcf", "sdf", "extended-urdf", "srdf", "c"]
+Format = Literal["urdf", "mjcf", "sdf", "extended-urdf", "srdf", "c", "ros"]
 
 
 @outputs.name_options(directory="--out")
@@ -40,7 +40,8 @@ def export(
     YAML file that closes a URDF's loops. srdf: groups and passive joints. With --out, the meshes are put beside the
     file, into a folder `meshes`.
 
-    c: inverse and forward displacement, J_f, leg forces and joint values in C99 for controllers, with a test program.
+    c: inverse and forward displacement, J_f, leg forces, weights and joint values in C99 for controllers, with a test
+    program. ros: a ROS 2 package with the description, a node for joint states, a launch file and a controller.
     """
     from spm_pin import description
 
@@ -57,11 +58,15 @@ def export(
         if value and format_ != only:
             raise ArgumentError(f"--{name.replace('_', '-')}", f"to be left out with --format {format_}", value)
     machine = options.read_geometry(geometry)
-    if format_ == "c":
+    if format_ in ("c", "ros"):
         if out is None:
             raise ArgumentError("--out", "the directory to write into", "none")
-        from spm_pin.symbolic import write_c
+        from spm_pin.symbolic import write_c, write_ros
 
+        if format_ == "ros":
+            write_ros(machine, out, prefix=prefix or "")
+            outputs.note(f"wrote a ROS 2 package into {out}")
+            return
         for path in write_c(machine, out, prefix="spm_" if prefix is None else prefix):
             outputs.note(f"wrote {path}")
     elif format_ in ("srdf", "extended-urdf"):

@@ -10,7 +10,7 @@ import typer
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit, SixLegs, leg_option
-from spm_pin.display.output_files import fixed
+from spm_pin.display.figures import fixed
 from spm_pin.kinematics.forward_displacement import forward_displacement, forward_physical
 from spm_pin.mechanism import Configuration, SolutionSet, Status
 

@@ -13,12 +13,12 @@ import typer
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.cli.outputs import note
-from spm_pin.display.output_files import fixed
+from spm_pin.display.figures import fixed
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.kinematics.forward_displacement import forward_physical, starting_configuration
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import FAMILIES, Configuration, Geometry, SolutionSet, Status, pose
-from spm_pin.mechanism.units import PER_METRE, likely_unit, machine_size
+from spm_pin.mechanism.geometry import PER_METRE, likely_unit, machine_size
 
 
 class LengthUnit(enum.StrEnum):

@@ -17,7 +17,7 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from spm_pin.display.output_files import FORMATS, save_figure, to_json
+from spm_pin.display.figures import FORMATS, save_figure, to_json
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism.arguments import writing
 

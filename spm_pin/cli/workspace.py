@@ -11,7 +11,7 @@ from typer import Option
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit
-from spm_pin.display.output_files import FORMATS, save_figure
+from spm_pin.display.figures import FORMATS, save_figure
 from spm_pin.display.shell_plots import MESH_FORMATS, save_mesh, shell_figure
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LEGS, LegLimits

@@ -21,8 +21,7 @@ from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_forces
 from spm_pin.mechanism import Configuration, Geometry, SolutionSet
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.paper import resultant
-from spm_pin.paper.driving_forces import f_r
-from spm_pin.paper.jacobian import CORRECT, J_f, Table5Mistakes
+from spm_pin.paper.jacobian import CORRECT, J_f, Table5Mistakes, f_r
 
 ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 """Closure residual of a backward stable route, relative to the size of the robot: the closed form's worst

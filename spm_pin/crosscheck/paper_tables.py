@@ -22,8 +22,7 @@ from spm_pin.kinematics.rates_and_forces import leg_forces, leg_rates
 from spm_pin.mechanism import BRANCHES, LEGS, Configuration, Geometry, pose
 from spm_pin.mechanism.arguments import FloatArray, IntArray
 from spm_pin.paper import published, resultant
-from spm_pin.paper.driving_forces import load, table_5
-from spm_pin.paper.jacobian import Table5Mistakes
+from spm_pin.paper.jacobian import Table5Mistakes, load, table_5
 
 TABLES = (1, 2, 3, 4, 5)
 """Numbers of the paper's tables that can be recomputed."""

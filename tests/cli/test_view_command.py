@@ -18,8 +18,8 @@ from PIL import Image
 import spm_pin as spm
 from spm_pin.display import Viewer
 from spm_pin.display.plots import save_gallery
-from spm_pin.display.viewer.playback import EventQueue
 from spm_pin.display.viewer.server import free_port
+from spm_pin.display.viewer.session import EventQueue
 
 EQUAL_LEGS = ["--legs", "1.3", "1.3", "1.3", "1.3", "1.3", "1.3"]
 COMMAND = [sys.executable, "-c", "from spm_pin.cli import main; main()"]
