@@ -5,16 +5,14 @@
  * Joints 0 to 5 are the readings of the legs r_b1, r_b2, r_b3, r_c1, r_c2, r_c3; X Y Z is the centre o of the platform in {B}; A, B, C
  * are roll, pitch and yaw in degrees: R = Rz(C) Ry(B) Rx(A). Lengths are in machine units, UNITS_PER_METRE to a metre.
  *
- * Install: spm-pin export c --out DIR; then halcompile --install spmkins.c with spm_kinematics.c and .h beside it.
+ * Install: spm-pin export c --out DIR; then halcompile --install spmkins.c with spm_kinematics.c and .h and read_machine.h beside it.
  * loadrt spmkins machine=FILE takes the spm_machine.txt of another export, after a calibration, without compiling again.
  *
  * A level platform cannot be commanded, for there the pose leaves the legs undetermined: the inverse then returns -1, and
  * LinuxCNC stops. The machine is homed in joint mode, and leaves the level position there.
  */
 
-#include "spm_kinematics.h"
-
-#include <stdio.h>
+#include "read_machine.h"
 
 #include <hal.h>
 #include <kinematics.h>
@@ -35,31 +33,6 @@ static int is_known;
 
 static char *machine = "";
 RTAPI_MP_STRING(machine, "file with the numbers of the machine, spm_machine.txt of an export");
-
-/* Read a file of lines that begin with a name; returns whether it describes a machine. */
-static int read_machine(const char *path)
-{
-    double *const fields[7] = {
-        geometry.dimensions, geometry.axes, geometry.pivots, geometry.balls, geometry.offsets, geometry.minimum,
-        geometry.maximum
-    };
-    const int counts[7] = {3, 18, 18, 18, 6, 6, 6};
-    const double level[9] = {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}, origin[3] = {0.0, 0.0, 0.0};
-    FILE *file = fopen(path, "r");
-    spm_state found;
-    char name[16];
-    int k, i, is_whole = file != NULL;
-    for (k = 0; k < 7 && is_whole; ++k) {
-        is_whole = fscanf(file, "%15s", name) == 1;
-        for (i = 0; i < counts[k] && is_whole; ++i) {
-            is_whole = fscanf(file, "%lf", fields[k] + i) == 1;
-        }
-    }
-    if (file) {
-        fclose(file);
-    }
-    return is_whole && spm_inverse(&geometry, level, origin, NULL, &found) != SPM_BAD_GEOMETRY;
-}
 
 int kinematicsForward(const double *joint, EmcPose *world, const KINEMATICS_FORWARD_FLAGS *fflags,
         KINEMATICS_INVERSE_FLAGS *iflags)
@@ -129,7 +102,7 @@ static int component;
 int rtapi_app_main(void)
 {
     geometry = spm_machine;
-    if (machine[0] && !read_machine(machine)) {
+    if (machine[0] && !read_machine(machine, &geometry)) {
         rtapi_print_msg(RTAPI_MSG_ERR, "spmkins: %s describes no machine\n", machine);
         return -1;
     }

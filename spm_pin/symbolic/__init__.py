@@ -1,24 +1,33 @@
-"""The kinematics outside of Python: CasADi functions with derivatives of any order, and C99 for controllers."""
+"""The kinematics outside of Python: CasADi functions with derivatives of any order, C99 for controllers, ROS 2."""
 
 from spm_pin.symbolic.c_export import c_sources, write_c
 from spm_pin.symbolic.functions import (
+    bodies,
     closure_residual,
     forward_physical,
+    gravity,
     inverse_branch,
     inverse_jacobian,
     inverse_physical,
     joint_values,
     leg_forces,
+    leg_rates,
 )
+from spm_pin.symbolic.ros_export import ros_package, write_ros
 
 __all__ = [
+    "bodies",
     "c_sources",
     "closure_residual",
     "forward_physical",
+    "gravity",
     "inverse_branch",
     "inverse_jacobian",
     "inverse_physical",
     "joint_values",
     "leg_forces",
+    "leg_rates",
+    "ros_package",
     "write_c",
+    "write_ros",
 ]

@@ -23,9 +23,16 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.description.tree import JOINTS, joint_values
 from spm_pin.errors import ArgumentError
-from spm_pin.kinematics import forward_physical, inverse_displacement, inverse_jacobian, inverse_physical, leg_forces
+from spm_pin.kinematics import (
+    forward_physical,
+    inverse_displacement,
+    inverse_jacobian,
+    inverse_physical,
+    leg_forces,
+    leg_rates,
+)
 from spm_pin.kinematics.rates_and_forces import SINGULAR
-from spm_pin.mechanism import BRANCHES, Geometry, LegLimits
+from spm_pin.mechanism import BRANCHES, Configuration, Geometry, LegLimits
 from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path
 from spm_pin.symbolic import functions
 from spm_pin.symbolic.functions import Drawn
@@ -35,7 +42,7 @@ STATUSES = {
     "OK": (0, "the result is whole and finite"),
     "UNREACHABLE": (1, "no real solution, or none that is physical"),
     "DEGENERATE": (2, "the Z axes are parallel, or a family is continuous: the pose leaves the legs undetermined"),
-    "SINGULAR": (3, "the state is singular to rounding, or the way from the state to begin from is"),
+    "SINGULAR": (3, "the state or the way to it is singular to rounding, or branches of a pose cannot be told apart"),
     "NOT_FINITE": (-1, "an argument is NaN or infinite"),
     "NOT_A_ROTATION": (-2, "an entry of R^T R - I is above 1e-6, or R is a reflection"),
     "OUT_OF_RANGE": (-3, "a length is not positive, a place farther than 1e5 (E + C + d), or a result infinite"),
@@ -60,6 +67,18 @@ class StateFunction:
 
 
 _WRENCH = np.array([30.0, -20.0, -500.0, 4.0, -6.0, 8.0])
+_TWIST = np.array([0.1, -0.2, 0.3, 0.2, -0.3, 0.1])
+_WEIGHTS = {
+    "bodies": np.linspace(0.3, 0.9, 32),
+    "payload": np.array([2.0, 0.1, -0.2, 0.3]),
+    "acceleration": np.array([0.5, -1.0, -9.7]),
+}
+
+
+def _weight_forces(state: Configuration, *weights: FloatArray) -> FloatArray:
+    forces = functions.gravity(state.geometry)(state.middle_joints, state.rotation, state.translation, *weights)
+    return np.asarray(forces)[:, 0]
+
 
 STATE_FUNCTIONS = (
     StateFunction(
@@ -69,6 +88,14 @@ STATE_FUNCTIONS = (
     StateFunction(
         *("leg_forces", functions.forces_of, {"wrench": _WRENCH}, "forces", 6, "forward", leg_forces),
         "the leg forces that hold a wrench (force, moment at o) in {B}, applied to the platform; positive pushes",
+    ),
+    StateFunction(
+        *("leg_rates", functions.rates_of, {"twist": _TWIST}, "rates", 6, "inverse", leg_rates),
+        "the leg rates of the platform's twist (v of o, omega) in {B}",
+    ),
+    StateFunction(
+        *("gravity", functions.gravity_of, _WEIGHTS, "forces", 6, "forward", _weight_forces),
+        "the leg forces that hold the weights of `bodies` and a payload (kg, centre in {m}) at rest; positive pushes",
     ),
     StateFunction(
         *("joint_values", functions.values_of, {}, "values", 18, ""),
@@ -82,6 +109,8 @@ _CASES = 12
 _SPREAD = 1e3
 MOST_STEPS, SHORTEST = 2_000, 1e-7
 """Steps along a way at most, those tried in vain counted; and the shortest, as a part of it: before a singularity."""
+ROOT_STEPS = 400
+"""Steps at most along each of the eight ways on which all branches of a pose are found."""
 
 
 def c_sources(geometry: Geometry, *, prefix: str = "spm_") -> dict[str, str]:
@@ -98,13 +127,7 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_") -> dict[str, str]:
     -------
     dict of str
         The texts of `spm_kinematics.h`, `spm_kinematics.c`, `spm_kinematics_test.c` and `CMakeLists.txt` by their
-        names, and `spm_machine.txt`: the numbers of the machine, a line for each field of `spm_geometry`, for a program
-        that takes them at run time.
-
-    Raises
-    ------
-    ArgumentError
-        If one of the dimensions is more than 1000 times another, or `prefix` cannot begin a name in C.
+        names, and `spm_machine.txt`: the numbers of the machine, for a program that takes them at run time.
     """
     check_instance(geometry, Geometry, "geometry")
     smallest, largest = min(geometry.dimensions), max(geometry.dimensions)
@@ -122,7 +145,9 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_") -> dict[str, str]:
         "SINGULAR": repr(SINGULAR),
         "MOST_STEPS": str(MOST_STEPS),
         "SHORTEST": repr(SHORTEST),
+        "ROOT_STEPS": str(ROOT_STEPS),
         "MACHINE": ",\n".join(f"    {{{_row(numbers)}}}" for numbers in machine_fields(geometry).values()),
+        "BODIES": _row(functions.bodies(geometry)),
         "STATUSES": "\n".join(
             f"    @PREFIX_UPPER@{name} = {value}, /* {meaning} */" for name, (value, meaning) in STATUSES.items()
         ).replace(", /* the state to", " /* the state to"),
@@ -133,11 +158,6 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_") -> dict[str, str]:
         **_known_answers(geometry),
     }
     folder = files("spm_pin.symbolic") / "templates"
-
-    def filled(text: str, known: dict[str, str]) -> str:
-        while "@" in text:
-            text = re.sub(r"@(\w+)@", lambda match: known[match[1]], text)
-        return text
 
     def template(name: str) -> str:
         return (folder / name).read_text(encoding="utf-8")
@@ -159,39 +179,30 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_") -> dict[str, str]:
 
 
 def write_c(geometry: Geometry, directory: str | Path, *, prefix: str = "spm_") -> list[Path]:
-    """Write what `c_sources` returns into a directory, made if need be; all of it or nothing.
+    """Write what `c_sources` returns into a directory, made if need be; all of it or nothing. Returns the paths.
 
-    Parameters
-    ----------
-    geometry, prefix
-        As for `c_sources`.
-    directory : str or Path
-        Files of the same names in it are replaced.
-
-    Returns
-    -------
-    list of Path
-        The files.
-
-    Raises
-    ------
-    ArgumentError
-        As by `c_sources`, and if the directory cannot be written.
+    Files of the same names are replaced.
     """
+    return write_files(directory, c_sources(geometry, prefix=prefix))
+
+
+def write_files(directory: str | Path, texts: dict[str, str]) -> list[Path]:
+    """Write texts by their places in a directory; all of them or nothing."""
     if isinstance(directory, str) and not directory:
         raise ArgumentError("directory", "a directory that can be written", "an empty name", "The current one is '.'")
     folder = file_path(directory, "directory", expected="the name of a directory")
-    sources = c_sources(geometry, prefix=prefix)
     existed, beside = folder.is_dir(), None
     try:
         folder.mkdir(exist_ok=True)
         # Files are written beside their places, and moved when all are whole.
         beside = Path(tempfile.mkdtemp(prefix=".export", dir=folder))
-        for name, text in sources.items():
+        for name, text in texts.items():
+            (beside / name).parent.mkdir(parents=True, exist_ok=True)
             (beside / name).write_text(text, encoding="utf-8")
             if (folder / name).is_dir():
                 raise IsADirectoryError(0, f"{folder / name} is a directory")
-        for name in sources:
+        for name in texts:
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (beside / name).replace(folder / name)
     except OSError as error:
         raise ArgumentError("directory", "a directory that can be written", folder, str(error.strerror)) from error
@@ -200,7 +211,14 @@ def write_c(geometry: Geometry, directory: str | Path, *, prefix: str = "spm_") 
             shutil.rmtree(beside, ignore_errors=True)
         if not existed and folder.is_dir() and not any(folder.iterdir()):
             folder.rmdir()
-    return [folder / name for name in sources]
+    return [folder / name for name in texts]
+
+
+def filled(text: str, known: dict[str, str]) -> str:
+    """Return a template with texts in place of its marks, and of the marks in these."""
+    while found := re.search(r"@(\w+)@", text):
+        text = text.replace(found[0], known[found[1]])
+    return text
 
 
 def machine_fields(geometry: Geometry) -> dict[str, FloatArray]:
@@ -255,8 +273,12 @@ def _formulas() -> list[ca.Function]:
     rows = [state.force_rows(x) for x in ([v / n for v, n in functions.legs_of(state)], state.axes)]
     made_functions.append(made("force_rows", [joints, *pose], *rows))
 
-    starts = ca.vertcat(*functions.drawn_starts(machine, drawn))
+    starts = ca.vertcat(*functions.drawn_starts(machine, drawn)[:2])
     made_functions.append(made("drawn_branches", pose, starts, drawn.is_continuous("TT")))
+    quaternion = ca.SX.sym("quaternion", 4)
+    forms, coordinates = functions.quadrics(machine, quaternion, rotation, position)
+    made_functions.append(made("quadrics", pose, ca.vertcat(*(_flat(form) for form in forms))))
+    made_functions.append(made("balls_of_root", [quaternion, *pose], coordinates))
     branches = [drawn.branch(label[:2], 1.0 if label[2] == "+" else -1.0) for label in BRANCHES]
     lengths = ca.vertcat(*(State(drawing, b, rotation, position).lengths for b in branches))
     discriminants = ca.vertcat(*map(drawn.discriminant, Drawn.FAMILIES))

@@ -3,6 +3,9 @@
 Arguments of all: `geometry` is the machine that is built in, drawn or as built; None is the paper's machine, and
 `"symbolic"` a drawn one whose `dimensions` (3,) = E, C, d [m] are one more input. With `parameters` the 54 parameters
 of the legs, see `spm_pin.Geometry.parameters`, are one more input instead, and `geometry` is the drawing.
+
+Functions of a state have the inputs `joints` (3, 3), rows b_i in {B} [m], `rotation` (3, 3) from {m} to {B} and
+`position` (3,) of o in {B} [m], and then what they say.
 """
 
 from __future__ import annotations
@@ -13,14 +16,16 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
+from spm_pin.description.robot import read_robot
 from spm_pin.description.tree import JOINTS
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.formulas import branches as formulas
 from spm_pin.kinematics.formulas import joint_values as values
+from spm_pin.kinematics.formulas import quadrics as formulas_of_planes
 from spm_pin.kinematics.formulas import stages, wrenches
 from spm_pin.mechanism import BRANCHES, Geometry
-from spm_pin.mechanism.arguments import as_bool, choice
-from spm_pin.symbolic.machine import AXES, UP, Machine, State, all_of, in_casadi, parts, sqrt
+from spm_pin.mechanism.arguments import FloatArray, as_bool, choice
+from spm_pin.symbolic.machine import AXES, UP, Machine, State, all_of, direction, in_casadi, parts, sqrt
 
 Dimensions = Geometry | Literal["symbolic"] | None
 
@@ -36,25 +41,21 @@ def inverse_physical(geometry: Dimensions = None, *, parameters: bool = False) -
     Returns
     -------
     casadi.Function
-        Inputs: `rotation` (3, 3) from {m} to {B}, `position` (3,) of o in {B} [m]. Outputs: `lengths` (6,) [m], of a
-        machine as built the readings; `joints` (3, 3), rows b_i in {B} [m]; `discriminant` (1,), dimensionless, not
-        negative where the branches TT of the drawn machine are real; and `exists` (1,), 1 where the physical branch
-        does and 0 where not.
+        Inputs: `rotation` and `position`. Outputs: `lengths` (6,) [m], of a machine as built the readings; `joints`;
+        `discriminant` (1,), dimensionless, not negative where the branches TT of the drawn machine are real; and
+        `exists` (1,), 1 where the physical branch does and 0 where not.
 
     Notes
     -----
-    The leg limits of `geometry` decide between two physical branches, as in `spm_pin.inverse_physical`. Where no branch
-    is physical the other outputs go on smoothly: they are those of the branch whose stages are tilted less. Where
-    `discriminant` is negative it is taken for zero, so lengths are those of a machine that does not close, and their
-    derivatives finite: constrain `discriminant` to be positive. At a level platform, where there is a continuous
-    family, they are finite and mean nothing; `exists` is 0. Of a drawn machine nothing is NaN for finite arguments.
+    The leg limits of `geometry` decide between two physical branches, as in `spm_pin.inverse_physical`. Where none is
+    physical the other outputs go on smoothly: they are those of the branch whose stages are tilted less. A negative
+    `discriminant` is taken for zero, so lengths are those of a machine that does not close, and their derivatives
+    finite: constrain it to be positive. At a level platform they are finite and mean nothing; `exists` is 0. Of a drawn
+    machine nothing is NaN for finite arguments. One as built is solved by Newton's method from the branches TT of the
+    drawing, and then by `casadi.rootfinder`, through which CasADi differentiates implicitly.
 
-    A machine as built is solved by Newton's method from the branches TT of the drawing, and then by
-    `casadi.rootfinder`, through which CasADi differentiates implicitly.
-
-    `exists` is 0 as well where an argument is NaN or infinite, where an entry of RᵀR - I is above 1e-6 or R is a
-    reflection, and where a dimension is not within 1e-9 to 1e9 m. A rotation is not repaired: up to there its error is
-    one of the other outputs too.
+    `exists` is 0 as well for what is no pose, an entry of RᵀR - I being above 1e-6, and for dimensions not within 1e-9
+    to 1e9 m. A rotation is not repaired: up to there its error is one of the other outputs too.
     """
     machine, rotation, position = Machine(geometry, parameters), *_pose()
     if not machine.is_drawn:
@@ -119,15 +120,10 @@ def forward_physical(geometry: Dimensions = None, *, parameters: bool = False, n
     Returns
     -------
     casadi.Function
-        Input: `lengths` (6,) [m], of a machine as built the readings. Outputs: `rotation` (3, 3), `position` (3,) [m],
-        `joints` (3, 3) [m], `residual` (1,), the largest error of the stages' equations in units of d, below 1e-12 at a
-        solution, and `exists` (1,), 1 where that is so and both stages are in the aspect of the symmetric home.
-
-    Notes
-    -----
-    14 steps of Newton's method, then `casadi.rootfinder`, through which CasADi differentiates implicitly. Where legs
-    cannot be joined the outputs are where that ended, and `exists` is 0, as for lengths and dimensions that are NaN,
-    infinite or not positive.
+        Input: `lengths` (6,) [m], of a machine as built the readings. Outputs: `rotation`, `position`, `joints`;
+        `residual` (1,), the largest error of the stages' equations in units of d, below 1e-12 at a solution; and
+        `exists` (1,), 1 where that is so and both stages are in the aspect of the symmetric home. Where it is 0 the
+        others are where 14 steps of Newton's method and `casadi.rootfinder` ended.
     """
     machine, lengths = Machine(geometry, parameters), ca.SX.sym("lengths", 6)
     distances, unknowns = lengths - machine.offsets, ca.SX.sym("unknowns", 12)
@@ -147,51 +143,78 @@ def forward_physical(geometry: Dimensions = None, *, parameters: bool = False, n
 
 
 def inverse_jacobian(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
-    """Make J_f, which maps the platform's twist to the leg rates.
+    """Make J_f, of a state: `jacobian` (6, 6), which maps the platform's twist (v, ω) at o in {B} to the leg rates.
 
-    Returns
-    -------
-    casadi.Function
-        Inputs: `joints` (3, 3), rows b_i [m], `rotation`, `position`. Output: `jacobian` (6, 6), of the twist (v, ω)
-        at o in {B}. It grows without bound towards an inverse singularity, and is not a number at one.
+    It grows without bound towards an inverse singularity, and is not a number at one.
     """
     return _of_state("inverse_jacobian", Machine(geometry, parameters), {}, jacobian_of)
 
 
-def leg_forces(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
-    """Make the leg forces that hold a wrench on the platform.
+def leg_rates(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
+    """Make the leg rates `rates` (6,) [m/s] of a state for a `twist` (6,), (v, ω) at o in {B}."""
+    return _of_state("leg_rates", Machine(geometry, parameters), {"twist": 6}, rates_of)
 
-    Returns
-    -------
-    casadi.Function
-        Inputs: `joints` (3, 3), rows b_i [m], `rotation`, `position`, and `wrench` (6,): force [N] and moment [N m] at
-        o in {B}, applied from outside. Output: `forces` (6,) [N], positive pushes. They grow without bound towards a
-        forward singularity.
+
+def leg_forces(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
+    """Make the leg forces `forces` (6,) [N], positive pushes, that hold a `wrench` on the platform in a state.
+
+    `wrench` (6,) is the force [N] and moment [N m] at o in {B}, applied from outside. The forces grow without bound
+    towards a forward singularity.
     """
     return _of_state("leg_forces", Machine(geometry, parameters), {"wrench": 6}, forces_of)
 
 
-def closure_residual(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
-    """Make the nine closure equations.
+def gravity(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
+    """Make the leg forces `forces` (6,) [N] that hold the weight of the machine and of a payload at rest in a state.
+
+    Further inputs: `bodies` (32,), see `bodies`; `payload` (4,), a mass [kg] and its centre in {m} [m]; `acceleration`
+    (3,), of gravity in {B} [m/s²].
+    """
+    arguments = {"bodies": 32, "payload": 4, "acceleration": 3}
+    return _of_state("gravity", Machine(geometry, parameters), arguments, gravity_of)
+
+
+def bodies(geometry: Geometry | None = None) -> FloatArray:
+    """Return the masses of the description as `gravity` takes them.
 
     Returns
     -------
-    casadi.Function
-        Inputs: `joints` (3, 3), rows b_i [m], `rotation`, `position`. Output: `residual` (9,) [m]: distances of the
-        balls from the planes of their lower legs, then of their upper legs; then, for the sides 12, 23, 31, the error
-        (|b_i - b_j|² - s²)/2s of a side s, smooth everywhere.
+    ndarray, shape (32,)
+        Mass [kg] and first moments [kg m] of the middle platform in {n}, with all balls, and of the terminal platform
+        in {m}; then for each leg the mass of its cylinder, and times the distance of its centre from the pivot, and the
+        mass of its rod, and times the distance of its centre from the ball.
+    """
+    robot, moments = read_robot(geometry), {}
+    bodies_of_carriers = {robot.carrier(name)[0]: name for name in ("middle_platform", "terminal_platform")}
+    for name, link in robot.links.items():
+        carrier, pose = robot.carrier(name)
+        body = bodies_of_carriers.get(carrier, carrier)
+        centre = np.linalg.solve(robot.carrier(body)[1], pose @ [*link.inertial.xyz, 1.0])[:3]
+        if name.startswith("ball_"):
+            # Its centre is that of a ball, which the middle platform carries.
+            body, leg = "middle_platform", _LEG_NAMES.index(name[5:7])
+            centre = (Geometry.paper() if geometry is None else geometry).legs.balls[leg]
+        moments[body] = moments.get(body, 0.0) + link.mass * np.array([1.0, *centre])
+    rows = [moments["middle_platform"], moments["terminal_platform"]]
+    for leg in _LEG_NAMES:
+        cylinder, rod = moments[f"leg_{leg}_cylinder"], moments[f"leg_{leg}_rod"]
+        rows.append([cylinder[0], cylinder[3], rod[0], -rod[3]])
+    return np.concatenate(rows)
+
+
+def closure_residual(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
+    """Make the nine closure equations of a state, `residual` (9,) [m].
+
+    Distances of the balls from the planes of their lower legs, then of their upper legs; then, for the sides 12, 23,
+    31, the error (|b_i - b_j|² - s²)/2s of a side s, smooth everywhere.
     """
     return _of_state("closure_residual", Machine(geometry, parameters), {}, residual_of)
 
 
 def joint_values(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
-    """Make the values of the description's eighteen joints.
+    """Make the values of the description's eighteen joints in a state.
 
-    Returns
-    -------
-    casadi.Function
-        Inputs: `joints` (3, 3), rows b_i [m], `rotation`, `position`. Output: `values` (18,), in the order of
-        `spm_pin.description.tree.JOINTS`: angles [rad], slides [m].
+    `values` (18,) are in the order of `spm_pin.description.JOINTS`: angles [rad], slides [m].
     """
     return _of_state("joint_values", Machine(geometry, parameters), {}, values_of)
 
@@ -215,15 +238,55 @@ def jacobian_of(state: State) -> dict[str, Any]:
     return {"jacobian": ca.vertcat(*(ca.horzcat(*force, *moment) for stage in rows for force, moment in stage))}
 
 
+def rates_of(state: State, twist: Any) -> dict[str, Any]:
+    """Return the leg rates of a twist in a state."""
+    return {"rates": jacobian_of(state)["jacobian"] @ twist}
+
+
 def forces_of(state: State, wrench: Any) -> dict[str, Any]:
     """Return the leg forces that hold a wrench in a state."""
+    return {"forces": _forces(state, wrench, wrench)}
+
+
+def _forces(state: State, *wrenches_of_stages: Any) -> Any:
+    """Return the forces of the lower legs that hold a wrench at o, and of the upper legs that hold another."""
     forces: list[Any] = []
-    for k in (0, 3):
+    for k, wrench in zip((0, 3), wrenches_of_stages, strict=True):
         b, f = [parts(x) for x in state.balls[k : k + 3]], [parts(x / n) for x, n in legs_of(state)[k : k + 3]]
         axes = [parts(x) for x in state.axes[k : k + 3]]
         twists = in_casadi(wrenches.stage_twists)(b, f, axes, parts(state.position))
         forces += in_casadi(wrenches.stage_forces)(twists, (parts(wrench[:3]), parts(wrench[3:])))
-    return {"forces": ca.vertcat(*forces)}
+    return ca.vertcat(*forces)
+
+
+def gravity_of(state: State, bodies: Any, payload: Any, acceleration: Any) -> dict[str, Any]:
+    """Return the leg forces that hold all weights in a state."""
+    o, n, own = state.position, _triangle_frame(state.joints), state.machine.balls[:3]
+    turn = n @ _triangle_frame(own).T
+
+    def wrench(mass: Any, moments: Any) -> Any:
+        return ca.vertcat(mass * acceleration, ca.cross(moments - mass * o, acceleration))
+
+    middle = turn @ (bodies[1:4] - bodies[0] * (own[0] + own[1] + own[2]) / 3.0) + bodies[0] * state.centre
+    mass = bodies[4] + payload[0]
+    upper = wrench(mass, state.rotation @ (bodies[5:8] + payload[0] * payload[1:]) + mass * o)
+    lower = upper + wrench(bodies[0], middle)
+    for leg in range(6):
+        cylinder, cylinder_moment, rod, rod_moment = ca.vertsplit(bodies[8 + 4 * leg : 12 + 4 * leg])
+        pivot, ball = state.bases[leg], state.balls[leg]
+        along = direction(ball - pivot)
+        across = acceleration - ca.dot(along, acceleration) * along
+        swing = (cylinder_moment - rod_moment) / state.lengths[leg] * across
+        # A leg turns about the end that stays; what its other end feels of the weights is a force there.
+        if leg < 3:
+            force = rod * acceleration + swing
+            lower += ca.vertcat(force, ca.cross(ball - o, force))
+        else:
+            force = cylinder * acceleration - swing
+            upper += ca.vertcat(force, ca.cross(pivot - o, force))
+            moments = cylinder * pivot + cylinder_moment * along + rod * ball - rod_moment * along
+            lower += wrench(cylinder + rod, moments)
+    return {"forces": _forces(state, lower, upper)}
 
 
 def values_of(state: State) -> dict[str, Any]:
@@ -276,16 +339,9 @@ def _side_errors(machine: Machine, stage: int, balls: Sequence[Any]) -> list[Any
 
 
 def stage_equations(machine: Machine, stage: int, coordinates: Any, lengths: Any) -> Any:
-    """Return the errors (6,) [m] of the three lengths and of the three sides of a stage.
+    """Return the errors (6,) [m] of the lengths (3,) and of the three sides of the lower stage, 0, or the upper, 1.
 
-    Parameters
-    ----------
-    stage : int
-        The lower stage, 0, or the upper, 1, which is seen from {m}.
-    coordinates : casadi.SX
-        Of the balls in the planes of their legs (6,) [m].
-    lengths : casadi.SX
-        Distances from pivots to balls (3,) [m].
+    `coordinates` (6,) [m] are those of the balls in the planes of their legs.
     """
     frames = machine.frames[3 * stage : 3 * stage + 3]
     places = [coordinates[2 * i : 2 * i + 2] for i in range(3)]
@@ -302,6 +358,33 @@ def closure_equations(machine: Machine, coordinates: Any, rotation: Any, positio
         for frame, ball in zip(machine.frames[3:], machine.all_balls(balls)[3:], strict=True)
     ]
     return ca.vertcat(*_side_errors(machine, 0, balls), *planes)
+
+
+def quadrics(machine: Machine, quaternion: Any, rotation: Any, position: Any) -> tuple[list[Any], Any]:
+    """Return the forms (4, 4) of `formulas.quadrics`, of norm 1, and the lower balls of a root in their planes (6,)."""
+    normals = ca.horzcat(*machine.axes[:3], *(rotation @ x for x in machine.axes[3:]))
+    heights = [ca.dot(f.x, f.pivot) for f in machine.frames]
+    heights = ca.vertcat(*heights[:3], *(h + ca.dot(normals[:, 3 + i], position) for i, h in enumerate(heights[3:])))
+    stages = [
+        formulas_of_planes.StagePlanes(
+            [parts(normals[:, i]) for i in legs], parts(heights[legs]), [parts(machine.balls[i]) for i in legs]
+        )
+        for legs in (range(3), range(3, 6))
+    ]
+    forms, weights = [], ca.nullspace(normals)
+    for k in range(3):
+        w = weights[:, k]
+        xx, yy, zz, ww, xy, xz, yz, xw, yw, zw = in_casadi(formulas_of_planes.quadric)(
+            parts(w[:3]), parts(w[3:]), *stages
+        )
+        form = ca.blockcat([[xx, xy, xz, xw], [xy, yy, yz, yw], [xz, yz, zz, zw], [xw, yw, zw, ww]])
+        forms.append(form / ca.norm_fro(form))
+    turn = ca.vertcat(*(ca.horzcat(*row) for row in in_casadi(formulas_of_planes.rotation)(*ca.vertsplit(quaternion))))
+    turned = [turn @ ball for ball in machine.balls]
+    gaps = heights - ca.vertcat(*(ca.dot(normals[:, i], turned[i]) for i in range(6)))
+    shift = ca.solve(normals @ normals.T, normals @ gaps)
+    coordinates = [machine.frames[i].coordinates(turned[i] + shift) for i in range(3)]
+    return forms, ca.vertcat(*coordinates)
 
 
 def level_stage(machine: Machine, stage: int, lengths: Any) -> Any:
@@ -329,7 +412,7 @@ def placed(machine: Machine, lower: Any, upper: Any) -> tuple[Any, Any, Any]:
 
 
 def _triangle_frame(b: Sequence[Any]) -> Any:
-    """Return the axes of a triangle as columns, as `spm_pin.mechanism.ball_triangles.triangle_frames` has them."""
+    """Return the axes of a triangle as columns, as `spm_pin.mechanism.legs.triangle_frames` has them."""
     x = b[0] - b[2]
     x = x / ca.sqrt(ca.sumsqr(x))
     y = 2.0 * b[1] - b[0] - b[2]

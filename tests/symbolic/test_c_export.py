@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli.running import run
-from problems import GEOMETRIES, as_built, conditioning
+from problems import GEOMETRIES, as_built
 from scipy.spatial.transform import Rotation
 from symbolic.c_library import STRICT, CLibrary, as_states, compile_c, compilers
 from symbolic.c_poses import hard_poses, held_states, spread_poses
@@ -47,8 +47,24 @@ def random_steps(count: int, seed: int, length: float, angle: float) -> tuple[np
     return both[0] * length, both[1] * angle
 
 
-def check_machine(library: CLibrary, geometry: spm.Geometry, readings: np.ndarray) -> int:
-    """Compare all functions with the package's for one machine; return how many poses led to another branch."""
+def structure_condition(state: spm.Configuration) -> np.ndarray:
+    """Return the condition number of the six axes as forces through the balls, and of all through the lower balls.
+
+    The formula of J_f solves for the latter first: where these are nearly dependent it loses digits that J_f has.
+    """
+    legs, lower = state.geometry.legs, state.balls[..., :3, :]
+    axes = np.concatenate(
+        [np.broadcast_to(legs.axes[:3], lower.shape), legs.axes[3:] @ np.swapaxes(state.rotation, -1, -2)], axis=-2
+    )
+    numbers = []
+    for balls in (state.balls, np.concatenate([lower, lower], axis=-2)):
+        arms = (balls - lower.mean(axis=-2, keepdims=True)) / state.geometry.middle_side
+        numbers.append(np.linalg.cond(np.concatenate([axes, np.cross(arms, axes)], axis=-1)))
+    return np.maximum(*numbers)
+
+
+def check_machine(library: CLibrary, geometry: spm.Geometry, readings: np.ndarray) -> None:
+    """Compare all functions with the package's for one machine."""
     own, state = library.of(geometry), spm.forward_physical(geometry, readings)
     states, status = own.forward(readings)
     np.testing.assert_array_equal(status == 0, state.exists)
@@ -58,18 +74,19 @@ def check_machine(library: CLibrary, geometry: spm.Geometry, readings: np.ndarra
     assert (np.abs(states - known).max(axis=-1) <= 1e-12 + 16.0 * EPS * scale).all()
     np.testing.assert_allclose(states[:, 21:], readings, rtol=0, atol=1e-12)
 
-    expected = spm.inverse_displacement(geometry, state.pose).physical()
+    expected = spm.inverse_physical(geometry, state.pose)
     found, status = own.inverse(state.rotation, state.translation)
-    assert expected.exists.all()
-    other = (status != 0) | (np.abs(found[:, 21:] - expected.readings).max(axis=-1) > 1e-3)
+    assert (status == 0).all()
     error = np.abs(found[:, 21:] - expected.readings).max(axis=-1)
-    assert (error <= 1e-12 + 16.0 * EPS * conditioning(expected))[~other].all()
+    known_matrices = spm.inverse_jacobian(state).reshape(-1, 36)
+    rates_per_pose = np.linalg.norm(spm.inverse_jacobian(expected), axis=(-1, -2))
+    assert (error <= 1e-12 + 16.0 * EPS * rates_per_pose).all()
 
     matrices, status = own.of_states("inverse_jacobian", known)
-    known_matrices = spm.inverse_jacobian(state).reshape(-1, 36)
     size = np.abs(known_matrices).max(axis=-1)
     assert (status == 0).all()
-    assert (np.abs(matrices - known_matrices).max(axis=-1) <= 64.0 * EPS * (1.0 + size) * size).all()
+    bound = 16.0 * EPS * structure_condition(state) * size
+    assert (np.abs(matrices - known_matrices).max(axis=-1) <= bound).all()
     wrench = np.tile(WRENCH, (len(known), 1))
     forces, status = own.of_states("leg_forces", known, wrench)
     known_forces = spm.leg_forces(state, wrench)
@@ -78,13 +95,20 @@ def check_machine(library: CLibrary, geometry: spm.Geometry, readings: np.ndarra
     assert (np.abs(forces - known_forces).max(axis=-1) <= 64.0 * EPS * size * np.linalg.norm(scale)).all()
     values, _ = own.of_states("joint_values", known[:3])
     np.testing.assert_allclose(values, [list(joint_values(state[n]).values()) for n in range(3)], rtol=0, atol=1e-12)
-    return int(other.sum())
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-5, 1e-3, 1e-2])
 def test_a_random_machine_is_computed_as_by_the_package(library: CLibrary, size: float) -> None:
     geometry = PAPER if size == 0.0 else as_built(PAPER, size, 11)
-    assert check_machine(library, geometry, random_readings(200, 1)) <= (2 if size == 1e-2 else 0)
+    check_machine(library, geometry, random_readings(200, 1))
+
+
+@pytest.mark.slow
+def test_a_thousand_random_machines_are_computed_as_by_the_package(library: CLibrary) -> None:
+    rng = np.random.default_rng(5)
+    for seed in range(1000):
+        geometry = PAPER.perturbed(seed, length=0.008 * rng.random(), angle=0.01 * rng.random())
+        check_machine(library, geometry, random_readings(20, seed))
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
@@ -315,11 +339,15 @@ def test_fast_mathematics_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_sanitizers_find_nothing_in_hard_poses(tmp_path: Path) -> None:
+@pytest.mark.parametrize("size", [0.0, 1e-3])
+def test_sanitizers_find_nothing_in_hard_poses(size: float, tmp_path: Path) -> None:
     """All functions of a sanitized library, in a process that has the sanitizers' runtime loaded."""
-    spm.symbolic.write_c(PAPER, tmp_path)
-    rotation, position = (x[:3000] for x in hard_poses(PAPER, 3000, 3))
-    rotation[-3:], position[-5:-3] = [[[np.nan]], [[1e200]], [[2.0]]], np.inf
+    geometry = PAPER if size == 0.0 else as_built(PAPER, size)
+    spm.symbolic.write_c(geometry, tmp_path)
+    rotation, position = hard_poses(PAPER, 3000, 3)
+    position[:3], rotation[3:6] = np.inf, [[[np.nan]], [[1e200]], [[2.0]]]
+    held = spm.forward_physical(geometry, random_readings(500, 3))
+    rotation, position = np.concatenate([rotation, held.rotation]), np.concatenate([position, held.translation])
     np.concatenate([rotation.reshape(-1, 9), position], axis=-1).tofile(tmp_path / "numbers")
     (tmp_path / "driver.c").write_text(_DRIVER, encoding="utf-8")
     for compiler in compilers():
@@ -328,7 +356,9 @@ def test_sanitizers_find_nothing_in_hard_poses(tmp_path: Path) -> None:
         command = [tmp_path / "program", tmp_path / "numbers"]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
-        assert int(done.stdout) > 50  # of those poses that a machine holds
+        solved, on, back = map(int, done.stdout.split())
+        assert solved >= 500
+        assert min(on, back) >= 450
 
 
 _DRIVER = """
@@ -338,22 +368,24 @@ int main(int count, char **names)
 {
     FILE *in = fopen(names[count - 1], "rb");
     double row[12], out[36];
-    const double wrench[6] = {3.0, -2.0, -50.0, 4.0, -6.0, 8.0};
+    const double wrench[6] = {3.0, -2.0, -50.0, 4.0, -6.0, 8.0}, payload[4] = {1.0, 0.1, 0.2, 0.3};
     spm_branches branches;
     spm_state state;
-    int i, solved = 0;
+    int i, solved = 0, on = 0, back = 0;
     while (in && fread(row, sizeof row, 1, in) == 1) {
         (void)spm_all_branches(&spm_machine, row, row + 9, &branches);
         solved += spm_inverse(&spm_machine, row, row + 9, 0, &state) == SPM_OK;
         (void)spm_inverse_jacobian(&spm_machine, &state, out);
         (void)spm_leg_forces(&spm_machine, &state, wrench, out);
+        (void)spm_leg_rates(&spm_machine, &state, wrench, out);
+        (void)spm_gravity(&spm_machine, &state, spm_bodies, payload, wrench, out);
         (void)spm_joint_values(&spm_machine, &state, out);
-        for (i = 0; i < 6; ++i) out[i] = state.readings[i] * (i % 2 ? 1.02 : 0.98);
-        (void)spm_forward(&spm_machine, out, &state, &state);
-        (void)spm_inverse(&spm_machine, row, row + 9, &state, &state);
+        for (i = 0; i < 6; ++i) out[i] = state.readings[i] * (i % 2 ? 1.002 : 0.998);
+        on += spm_forward(&spm_machine, out, &state, &state) == SPM_OK;
+        back += spm_inverse(&spm_machine, row, row + 9, &state, &state) == SPM_OK;
         (void)spm_forward(&spm_machine, out, 0, &state);
     }
-    printf("%d", solved);
+    printf("%d %d %d", solved, on, back);
     return 0;
 }
 """

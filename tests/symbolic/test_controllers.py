@@ -1,15 +1,24 @@
-"""The two controllers of the examples, compiled against stand-ins for the headers of LinuxCNC and of ros2_control."""
+"""The module for LinuxCNC and the ROS 2 package, compiled and run against stand-ins for LinuxCNC and ROS."""
 
 from __future__ import annotations
 
+import re
+import runpy
 import shutil
 import subprocess
+import sys
 from pathlib import Path
+from types import SimpleNamespace
+from xml.etree import ElementTree
 
+import numpy as np
 import pytest
+from cli.running import run
+from problems import GEOMETRIES, as_built
 from symbolic.c_library import STRICT, compile_c, compilers
 
 import spm_pin as spm
+from spm_pin.description import joint_values
 
 EXAMPLES = Path(__file__).parents[2] / "examples/controllers"
 STAND_INS = Path(__file__).parent / "stand_ins"
@@ -25,7 +34,7 @@ def worst_error(program: Path, *arguments: Path) -> float:
 def test_the_module_for_linuxcnc_comes_back_to_the_leg_lengths(tmp_path: Path) -> None:
     spm.symbolic.write_c(spm.Geometry.paper(), tmp_path)
     sources = (EXAMPLES / "spmkins.c", STAND_INS / "linuxcnc/drive.c", tmp_path / "spm_kinematics.c")
-    include = ("-I", STAND_INS / "linuxcnc", "-I", tmp_path)
+    include = ("-I", STAND_INS / "linuxcnc", "-I", EXAMPLES, "-I", tmp_path)
     for compiler in compilers():
         compile_c(compiler, *STRICT, "-O2", *include, *sources, "-lm", "-o", tmp_path / "program")
         assert worst_error(tmp_path / "program") < 1e-6  # mm
@@ -34,14 +43,154 @@ def test_the_module_for_linuxcnc_comes_back_to_the_leg_lengths(tmp_path: Path) -
         assert worst_error(tmp_path / "program", tmp_path / "calibrated/spm_machine.txt") < 1e-6
 
 
-def test_the_controller_for_ros2_control_comes_back_and_keeps_its_commands_out_of_reach(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A ROS 2 package of a machine as built."""
+    folder = tmp_path_factory.mktemp("ros")
+    as_built(GEOMETRIES["paper"], 1e-3).to_yaml(folder / "machine.yaml")
+    done = run("export", "ros", "--out", folder / "package", "--geometry", folder / "machine.yaml")
+    assert done.returncode == 0, done.message
+    return folder / "package"
+
+
+def test_the_controller_for_ros2_control_comes_back_and_keeps_its_commands_out_of_reach(
+    package: Path, tmp_path: Path
+) -> None:
     compiler = shutil.which("g++") or shutil.which("clang++")
     if compiler is None:
         pytest.skip("no C++ compiler: neither g++ nor clang++")
-    spm.symbolic.write_c(spm.Geometry.paper(), tmp_path)
-    compile_c(compilers()[0], *STRICT, "-O2", "-c", tmp_path / "spm_kinematics.c", "-o", tmp_path / "kinematics.o")
-    include = ("-I", EXAMPLES, "-I", STAND_INS / "ros2_control", "-I", tmp_path)
+    sources = package / "src"
+    compile_c(compilers()[0], *STRICT, "-O2", "-c", sources / "spm_kinematics.c", "-o", tmp_path / "kinematics.o")
+    include = ("-I", sources, "-I", STAND_INS / "ros2_control")
     flags = ("-std=c++17", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O2")
     inputs = (STAND_INS / "ros2_control/drive.cpp", tmp_path / "kinematics.o")
     compile_c(compiler, *flags, *include, *inputs, "-lm", "-o", tmp_path / "program")
     assert worst_error(tmp_path / "program") < 1e-9  # m
+
+
+def test_the_hardware_of_the_description_has_the_joints_of_the_controller(package: Path) -> None:
+    robot = ElementTree.parse(package / "urdf/spm.urdf").getroot()
+    (control,) = robot.findall("ros2_control")
+    kinds = {joint.get("name"): joint.get("type") for joint in robot.findall("joint")}
+    controller = (package / "src/spm_controller.cpp").read_text(encoding="utf-8")
+    names, zeros = (re.search(rf"{x} = {{([^}}]*)}};", controller)[1].split(", ") for x in ("SLIDES", "ZEROS"))
+    assert [f'"{joint.get("name")}"' for joint in control.findall("joint")] == names
+    assert all(kinds[name.strip('"')] == "prismatic" for name in names)
+    # The start is the state whose slides are these.
+    machine = spm.Geometry.from_yaml(package.parent / "machine.yaml")
+    slides = [float(x.text) for x in control.iter("param") if x.get("name") == "initial_value"]
+    state = spm.forward_physical(machine, np.add(slides, [float(zero) for zero in zeros]))
+    expected = [joint_values(state)[name.strip('"')] for name in names]
+    np.testing.assert_allclose(slides, expected, rtol=0, atol=1e-12)
+    for mesh in robot.iter("mesh"):
+        place = mesh.get("filename").removeprefix("package://spm_robot/")
+        assert (package / place).is_file()
+    if shutil.which("check_urdf"):
+        subprocess.run(["check_urdf", package / "urdf/spm.urdf"], check=True, capture_output=True)
+
+
+def test_the_node_publishes_the_joints_of_the_readings_and_the_launch_file_starts_it(
+    package: Path, tmp_path: Path
+) -> None:
+    library = tmp_path / "libspm_kinematics.so"
+    compile_c(compilers()[0], "-O2", "-fPIC", "-shared", package / "src/spm_kinematics.c", "-lm", "-o", library)
+    published: list[SimpleNamespace] = []
+    callbacks, logged = {}, []
+
+    class Node:
+        def __init__(self, name: str) -> None:
+            assert name == "spm_joint_states"
+
+        def create_publisher(self, kind: object, topic: str, depth: int) -> SimpleNamespace:
+            return SimpleNamespace(publish=published.append)
+
+        def create_subscription(self, kind: object, topic: str, callback: object, depth: int) -> None:
+            callbacks[topic] = callback
+
+        def create_timer(self, period: float, callback: object) -> None:
+            callbacks["timer"] = callback
+
+        def get_logger(self) -> SimpleNamespace:
+            return SimpleNamespace(warning=logged.append)
+
+        def get_clock(self) -> SimpleNamespace:
+            return SimpleNamespace(now=lambda: SimpleNamespace(to_msg=lambda: 0.0))
+
+    def message() -> SimpleNamespace:
+        return SimpleNamespace(header=SimpleNamespace(stamp=None), name=[], position=[])
+
+    stand_ins = {
+        "rclpy": {},
+        "rclpy.node": {"Node": Node},
+        "sensor_msgs": {},
+        "sensor_msgs.msg": {"JointState": message},
+        "std_msgs": {},
+        "std_msgs.msg": {"Float64MultiArray": object},
+        "launch": {"LaunchDescription": list},
+        "launch.actions": {"DeclareLaunchArgument": SimpleNamespace, "OpaqueFunction": SimpleNamespace},
+        "launch.substitutions": {"LaunchConfiguration": lambda key: SimpleNamespace(perform=lambda given: given[key])},
+        "launch_ros": {},
+        "launch_ros.actions": {"Node": SimpleNamespace},
+    }
+    stand_ins["launch.actions"]["DeclareLaunchArgument"] = lambda name, **given: SimpleNamespace(name=name, **given)
+    with pytest.MonkeyPatch.context() as patch:
+        for name, content in stand_ins.items():
+            patch.setitem(sys.modules, name, SimpleNamespace(**content))
+        node = runpy.run_path(str(package / "scripts/joint_states.py"))["JointStates"](library)
+        *arguments, opaque = runpy.run_path(str(package / "launch/robot.launch.py"))["generate_launch_description"]()
+    machine, readings = (
+        spm.Geometry.from_yaml(package.parent / "machine.yaml"),
+        np.array([1.2, 1.3, 1.4, 1.2, 1.3, 1.25]),
+    )
+    zeros = [1.3 + offset for offset in machine.legs.offsets]
+    slides = SimpleNamespace(name=list(spm.description.SLIDES), position=(readings - zeros + 0.01).tolist())
+    for topic, sent, expected in (
+        ("leg_lengths", SimpleNamespace(data=readings.tolist()), readings),
+        ("leg_states", slides, readings + 0.01),
+        ("leg_lengths", SimpleNamespace(data=[9.0] * 6), readings + 0.01),
+        ("leg_lengths", SimpleNamespace(data=[1.3]), readings + 0.01),
+    ):
+        callbacks[topic](sent)
+        callbacks["timer"]()
+        values = joint_values(spm.forward_physical(machine, expected))
+        found = dict(zip(published[-1].name, published[-1].position, strict=True))
+        assert found == pytest.approx(values, rel=0, abs=1e-12)
+    assert len(logged) == 2
+    assert node is not None
+
+    defaults = {argument.name: argument.default_value for argument in arguments}
+    started = opaque.function(defaults | {"control": "true"})
+    assert [each.executable for each in started] == [
+        *("robot_state_publisher", "joint_states.py", "ros2_control_node", "spawner", "spawner", "rviz2")
+    ]
+    depends = {
+        each.text for each in ElementTree.parse(package / "package.xml").getroot().iter() if "depend" in each.tag
+    }
+    assert {each.package for each in started} - {"spm_robot"} <= depends
+    assert len(opaque.function(defaults)) == 3
+
+
+@pytest.mark.slow
+def test_the_package_builds_with_cmake_and_stand_ins(package: Path, tmp_path: Path) -> None:
+    tool = shutil.which("cmake")
+    if tool is None:
+        pytest.skip("no cmake")
+    listing = (package / "CMakeLists.txt").read_text(encoding="utf-8")
+    include = STAND_INS / "ros2_control"
+    for name in re.findall(r"find_package\((\w+) REQUIRED\)", listing):
+        lines = f"add_library({name}::{name} INTERFACE IMPORTED)\n"
+        lines += f"target_include_directories({name}::{name} INTERFACE {include})\n"
+        lines += f"set({name}_TARGETS {name}::{name})\nset({name}_FOUND TRUE)\n"
+        if name == "ament_cmake":
+            lines = "macro(ament_package)\nendmacro()\nset(ament_cmake_FOUND TRUE)\n"
+        if name == "pluginlib":
+            lines += "macro(pluginlib_export_plugin_description_file)\nendmacro()\n"
+        (tmp_path / f"Find{name}.cmake").write_text(lines, encoding="utf-8")
+    build, install = tmp_path / "build", tmp_path / "install"
+    paths = [f"-DCMAKE_MODULE_PATH={tmp_path}", f"-DCMAKE_INSTALL_PREFIX={install}"]
+    for step in (["-S", package, "-B", build, *paths], ["--build", build], ["--install", build]):
+        done = subprocess.run([tool, *step], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+    for place in ("lib/libspm_kinematics.so", "lib/libspm_robot.so", "lib/spm_robot/joint_states.py"):
+        assert (install / place).is_file()
+    assert (install / "share/spm_robot/launch/robot.launch.py").is_file()

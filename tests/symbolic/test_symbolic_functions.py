@@ -371,3 +371,17 @@ def test_derivatives_by_the_54_parameters_are_differences() -> None:
     for k, step in enumerate(1e-6 * np.eye(54)):
         ends = [spm.inverse_physical(PAPER.from_parameters(here + s), state.pose).readings for s in (step, -step)]
         np.testing.assert_allclose(found[:, k], (ends[0] - ends[1]) / 2e-6, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [0.0, 3e-3])
+def test_gravity_is_that_of_the_closed_chain(size: float) -> None:
+    geometry = PAPER if size == 0.0 else as_built(PAPER, size)
+    chain, bodies = spm.ClosedChain.from_urdf(geometry=geometry), spm.symbolic.bodies(geometry)
+    state = held_states(geometry, 20, 5)
+    arrays = state.middle_joints, state.rotation, state.translation
+    weights = (np.tile(x, (len(state.translation), 1)) for x in (bodies, [7.0, 0.1, -0.2, 0.3], [0.0, 0.0, -9.81]))
+    (forces,) = called(spm.symbolic.gravity(geometry), *arrays, *weights)
+    q, rest = chain.forward_kinematics(state.readings), np.zeros((len(forces), 18))
+    payload = np.tile([0.0, 0.0, -7.0 * 9.81, 0.0, 0.0, 0.0], (len(forces), 1))
+    payload[:, 3:] = np.cross(state.rotation @ [0.1, -0.2, 0.3], payload[:, :3])
+    np.testing.assert_allclose(forces, chain.inverse_dynamics(q, rest, rest, payload), rtol=0, atol=1e-8)

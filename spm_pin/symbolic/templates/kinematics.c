@@ -45,6 +45,8 @@ const @PREFIX@geometry @PREFIX@machine = {
 @MACHINE@
 };
 
+const double @PREFIX@bodies[32] = {@BODIES@};
+
 const char *const @PREFIX@branch_names[8] = {"TT+", "TT-", "TF+", "TF-", "FT+", "FT-", "FF+", "FF-"};
 
 const char *@PREFIX@status_name(int status)
@@ -459,20 +461,192 @@ static void put_lower_balls(const @PREFIX@geometry *g, const double *balls, doub
     lower_balls(in, out);
 }
 
-/* The physical branch by the rule: Newton's method from what the drawing has at this pose and beside it. */
+/* Three quadratic forms of a quaternion, whose common roots are all branches of a pose, and from which equations their
+   roots are followed: (1 - t) gamma (x_i^2 - x_4^2) + t x Q_i x. Roots are complex, and those that differ by a factor
+   are one: the largest component of a root is 1. */
+typedef struct {
+    double forms[3][16];
+    double gamma[3][2];
+} homotopy;
+
+/* Newton's method at t: one step. Returns its size, infinite where it fails. */
+static double correct(const homotopy *h, double t, double *x)
+{
+    double rows[42], size = 0.0, largest = 0.0;
+    int held = 0, i, j, k, m;
+    for (j = 0; j < 4; ++j) {
+        double square = x[2 * j] * x[2 * j] + x[2 * j + 1] * x[2 * j + 1];
+        held = square > largest ? j : held;
+        largest = square > largest ? square : largest;
+    }
+    for (i = 0; i < 3; ++i) {
+        const double *g = h->gamma[i];
+        double error[2] = {0.0, 0.0}, *first = rows + 14 * i, *second = first + 7;
+        for (j = 0, k = 0; j < 4; ++j) {
+            /* Half the derivative by x_j; the form is their sum with x_j. */
+            double sign = (1.0 - t) * (j == i ? 1.0 : j == 3 ? -1.0 : 0.0), a, b;
+            a = sign * (g[0] * x[2 * j] - g[1] * x[2 * j + 1]);
+            b = sign * (g[0] * x[2 * j + 1] + g[1] * x[2 * j]);
+            for (m = 0; m < 4; ++m) {
+                a += t * h->forms[i][4 * j + m] * x[2 * m];
+                b += t * h->forms[i][4 * j + m] * x[2 * m + 1];
+            }
+            error[0] += a * x[2 * j] - b * x[2 * j + 1];
+            error[1] += a * x[2 * j + 1] + b * x[2 * j];
+            if (j != held) {
+                first[k] = 2.0 * a, first[k + 1] = -2.0 * b;
+                second[k] = 2.0 * b, second[k + 1] = 2.0 * a;
+                k += 2;
+            }
+        }
+        first[6] = -error[0], second[6] = -error[1];
+    }
+    if (!eliminate(rows, 7)) {
+        return INFINITY;
+    }
+    for (j = 0, k = 0; j < 8; ++j) {
+        if (j / 2 != held) {
+            double step = rows[7 * k++ + 6];
+            size += step * step;
+            x[j] += step;
+        }
+    }
+    return sqrt(size / largest);
+}
+
+/* Make the largest component of a root 1. */
+static void scale_root(double *x)
+{
+    double a = x[0], b = x[1];
+    int j;
+    for (j = 2; j < 8; j += 2) {
+        if (x[j] * x[j] + x[j + 1] * x[j + 1] > a * a + b * b) {
+            a = x[j], b = x[j + 1];
+        }
+    }
+    for (j = 0; j < 8; j += 2) {
+        double real = (x[j] * a + x[j + 1] * b) / (a * a + b * b);
+        x[j + 1] = (x[j + 1] * a - x[j] * b) / (a * a + b * b);
+        x[j] = real;
+    }
+}
+
+/* Follow a root from t = 0 to t = 1; returns whether Newton's method converges there. */
+static int follow_root(const homotopy *h, double *x)
+{
+    double t = 0.0, step = 0.05, last_step = 1.0, tried[8], change[8] = {0.0};
+    int left, turn, j;
+    for (left = @ROOT_STEPS@; left > 0 && t < 1.0; --left) {
+        double next = t + step >= 1.0 ? 1.0 : t + step, last = 0.4, size = 0.0;
+        for (j = 0; j < 8; ++j) {
+            tried[j] = x[j] + change[j] * (next - t) / last_step;
+        }
+        for (turn = 0; turn < 3 && size <= last; ++turn) {
+            last = turn > 0 ? 0.3 * size : 0.2;
+            size = correct(h, next, tried);
+        }
+        if (size <= last && size <= 1e-3) {
+            scale_root(tried);
+            for (j = 0; j < 8; ++j) {
+                change[j] = tried[j] - x[j];
+            }
+            last_step = next - t;
+            copy(tried, x, 8);
+            t = next;
+            step *= 2.0;
+        } else {
+            step *= 0.4;
+        }
+    }
+    for (turn = 0; turn < 4 && t >= 1.0; ++turn) {
+        if (correct(h, 1.0, x) <= 1e-12) {
+            scale_root(x);
+            return 1;
+        }
+    }
+    return 0;
+}
+
+/* Return the square of the sine of the angle between two roots. */
+static double apart(const double *x, const double *y)
+{
+    double real = 0.0, imag = 0.0, xx = 0.0, yy = 0.0;
+    int j;
+    for (j = 0; j < 8; ++j) {
+        xx += x[j] * x[j];
+        yy += y[j] * y[j];
+        real += x[j] * y[j];
+        imag += j % 2 ? x[j] * y[j - 1] : -x[j] * y[j + 1];
+    }
+    return 1.0 - (real * real + imag * imag) / (xx * yy);
+}
+
+/* Write where the lower balls are in all real branches of a pose, and how many. Three quadrics meet in eight points:
+   where eight are found none is left out. Returns 0 where they cannot be told apart. */
+static int solve_all(const @PREFIX@geometry *g, const double *r, const double *o, double *starts, int *count)
+{
+    static const double turns[6] = {0.7, 2.9, 4.6, 1.9, 5.5, 3.4};
+    homotopy h;
+    double roots[8][8];
+    const double *const in[] = {r, o, LEGS(g)};
+    double *const out[] = {h.forms[0]};
+    int attempt, i, j, k;
+    quadrics(in, out);
+    for (attempt = 0; attempt < 4; ++attempt) {
+        int whole = are_within(h.forms[0], 48, 2.0);
+        for (i = 0; i < 3; ++i) {
+            h.gamma[i][0] = cos(turns[i + attempt % 3] + attempt);
+            h.gamma[i][1] = sin(turns[i + attempt % 3] + attempt);
+        }
+        for (k = 0; k < 8 && whole; ++k) {
+            for (j = 0; j < 4; ++j) {
+                roots[k][2 * j] = k >> j & 1 ? -1.0 : 1.0;
+                roots[k][2 * j + 1] = 0.0;
+            }
+            whole = follow_root(&h, roots[k]);
+            for (i = 0; i < k; ++i) {
+                whole = whole && apart(roots[i], roots[k]) > 1e-12;
+            }
+        }
+        if (whole) {
+            break;
+        }
+    }
+    *count = 0;
+    for (k = 0; k < 8 && attempt < 4; ++k) {
+        const double *const root[] = {roots[k], r, o, LEGS(g)};
+        double *const balls[] = {starts + 6 * *count};
+        double imag = 0.0;
+        for (j = 0; j < 4; ++j) {
+            imag = casadi_fmax(imag, fabs(roots[k][2 * j + 1]));
+            roots[k][j] = roots[k][2 * j];
+        }
+        if (imag < 1e-6) {
+            balls_of_root(root, balls);
+            ++*count;
+        }
+    }
+    return attempt < 4;
+}
+
+/* The physical branch by the rule: of all branches of a pose, each to rounding by Newton's method. */
 static int begin_inverse(const way *w, @PREFIX@state *state)
 {
     const @PREFIX@geometry *g = w->geometry;
-    double starts[36], is_degenerate, best_tilts = 0.0;
+    double starts[48], is_degenerate = 0.0, best_tilts = 0.0;
     const double *const in[] = {w->end, w->position, LEGS(g)};
     double *const out[] = {starts, &is_degenerate};
-    int k, best = 0, drawn = is_drawn(g);
+    int k, best = 0, count = 2;
     put_state_nan(state);
-    drawn_branches(in, out);
-    if (drawn && is_degenerate > 0.0) {
-        return @PREFIX_UPPER@DEGENERATE;
+    if (is_drawn(g)) {
+        drawn_branches(in, out);
+        if (is_degenerate > 0.0) {
+            return @PREFIX_UPPER@DEGENERATE;
+        }
+    } else if (!solve_all(g, w->end, w->position, starts, &count)) {
+        return @PREFIX_UPPER@SINGULAR;
     }
-    for (k = 0; k < (drawn ? 2 : 6); ++k) {
+    for (k = 0; k < count; ++k) {
         @PREFIX@state tried;
         double tilts;
         int rank;
@@ -489,7 +663,7 @@ static int begin_inverse(const way *w, @PREFIX@state *state)
             best_tilts = tilts;
         }
     }
-    return best > 0 ? @PREFIX_UPPER@OK : is_degenerate > 0.0 ? @PREFIX_UPPER@DEGENERATE : @PREFIX_UPPER@UNREACHABLE;
+    return best > 0 ? @PREFIX_UPPER@OK : @PREFIX_UPPER@UNREACHABLE;
 }
 
 /* Write the way from the pose of a state to the end, turning about a fixed axis. */

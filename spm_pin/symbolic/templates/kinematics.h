@@ -4,7 +4,8 @@
 
    Needs nothing but math.h: no heap, no global state, no recursion, and no loop without a bound, so that all functions
    may be called from several threads and from interrupts. A call with a state `near` takes a time that grows with the
-   way from there, bounded by @MOST_STEPS@ steps a stage; all other calls take microseconds.
+   way from there, bounded by @MOST_STEPS@ steps a stage. The inverse displacement of a machine as built without one
+   takes 0.2 ms, bounded by @ROOT_STEPS@ steps to each of eight roots, four times. All other calls take microseconds.
 
    Lengths are in metres, forces in newtons, angles in radians. {B} is the frame of the base, with the origin O and Z
    upright; {m} that of the terminal platform, with the origin o; {n} that of the middle platform. Matrices are stored
@@ -59,6 +60,11 @@ typedef struct {
 /* The machine that this file was generated for. Others may be passed as well. */
 extern const @PREFIX@geometry @PREFIX@machine;
 
+/* Masses for `@PREFIX@gravity`, here those of the URDF [kg, kg m]: mass and first moments of the middle platform in {n},
+   with all balls, and of the terminal platform in {m}; then of each leg the mass of the cylinder, and times the distance
+   of its centre from the pivot, and the mass of the rod, and times the distance of its centre from the ball. */
+extern const double @PREFIX@bodies[32];
+
 extern const char *const @PREFIX@branch_names[8];
 
 /* Return the name of a status, such as "unreachable". */
@@ -67,8 +73,8 @@ const char *@PREFIX@status_name(int status);
 /* Inverse displacement. From a state `near`: the end of the way on which the platform moves from its pose in a straight
    line and about a fixed axis, every step proved to stay on the branch, @PREFIX_UPPER@SINGULAR where that meets another.
    With NULL the physical branch: both stages without torsion, upright, and reached from the symmetric home without a
-   forward singularity; of two the one within the limits, then the one whose stages are tilted less. `near` and `state`
-   may be the same. */
+   forward singularity; of two the one within the limits, then the one whose stages are tilted less; with a machine as
+   built @PREFIX_UPPER@SINGULAR where not all branches can be told apart. `near` and `state` may be the same. */
 int @PREFIX@inverse(const @PREFIX@geometry *geometry, const double rotation[9], const double position[3],
         const @PREFIX@state *near, @PREFIX@state *state);
 

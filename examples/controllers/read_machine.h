@@ -1,0 +1,38 @@
+/* Reading the `spm_machine.txt` of an export: one build serves any machine.
+ *
+ * SPDX-License-Identifier: BSD-2-Clause
+ */
+
+#ifndef READ_MACHINE_H
+#define READ_MACHINE_H
+
+#include "spm_kinematics.h"
+
+#include <stdio.h>
+
+/* Read a file of lines that begin with a name; returns whether it describes a machine. */
+static int read_machine(const char *path, spm_geometry *geometry)
+{
+    double *const fields[7] = {
+        geometry->dimensions, geometry->axes, geometry->pivots, geometry->balls, geometry->offsets, geometry->minimum,
+        geometry->maximum
+    };
+    const int counts[7] = {3, 18, 18, 18, 6, 6, 6};
+    const double level[9] = {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}, origin[3] = {0.0, 0.0, 0.0};
+    FILE *file = fopen(path, "r");
+    spm_state state;
+    char name[16];
+    int k, i, is_whole = file != NULL;
+    for (k = 0; k < 7 && is_whole; ++k) {
+        is_whole = fscanf(file, "%15s", name) == 1;
+        for (i = 0; i < counts[k] && is_whole; ++i) {
+            is_whole = fscanf(file, "%lf", fields[k] + i) == 1;
+        }
+    }
+    if (file) {
+        fclose(file);
+    }
+    return is_whole && spm_inverse(geometry, level, origin, NULL, &state) != SPM_BAD_GEOMETRY;
+}
+
+#endif
