@@ -59,7 +59,7 @@ class ArgumentError(SpmError, ValueError):
     expected : str
         What would have been accepted.
     received : Any
-        What came: the value, or the part of it that is wrong; the message shows at most 500 characters of it.
+        The value, or the part of it that is wrong; the message shows at most 500 characters of it.
     """
 
     def __init__(self, argument: str, expected: str, received: Any, cause: str = "") -> None:
@@ -93,14 +93,14 @@ class SelectionError(ArgumentError, LookupError):
 
 
 class NotOneSolutionError(SpmError):
-    """`SolutionSet.one` found no solution, or several.
+    """`SolutionSet.one` met a problem without a solution, or with several.
 
     Attributes
     ----------
     labels : tuple of str
-        The solutions found at the first offending pose; empty where there is none.
+        The solutions of the first such problem; empty where there is none.
     index : tuple of int
-        Batch index of that pose; empty for a single pose.
+        Batch index of that problem; empty for a single one.
     cause : str
         Why there is none, where that is known.
     """
@@ -149,15 +149,7 @@ class SingularConfigurationError(SpmError):
 
 
 class MissingExtraError(SpmError, ImportError):
-    """A package of an optional extra is not installed.
-
-    Attributes
-    ----------
-    extra : str
-        The extra that brings it.
-    package : str
-        The package that could not be imported, by the name under which it is; the message has pip's name of it.
-    """
+    """A package of an optional extra is not installed; `extra` brings it, `package` is its name for `import`."""
 
     def __init__(self, extra: str, package: str) -> None:
         self.extra = extra
@@ -169,10 +161,7 @@ class MissingExtraError(SpmError, ImportError):
 
 
 def require_extra(extra: str, *packages: str) -> None:
-    """Raise `MissingExtraError` if a package of an extra is not installed, of all or of those named; import nothing.
-
-    For the package itself, where it uses what an extra installs.
-    """
+    """Raise `MissingExtraError` if a package of an extra is not installed, of all or of those named; import nothing."""
     for package in packages or EXTRAS[extra]:
         if find_spec(package) is None:
             raise MissingExtraError(extra, package)
@@ -193,7 +182,7 @@ class ClosureError(SpmError):
     residual : float
         Largest distance of two frames that a closure should hold together, where the search ended [m].
     iterations : int
-        Number of steps taken.
+        Number of steps.
     """
 
     def __init__(self, residual: float, iterations: int, cause: str = "") -> None:

@@ -22,7 +22,7 @@ from benchmarks.peers.lines import coordinates
 from benchmarks.peers.operations import count_operations
 from benchmarks.peers.package import kernel, lengths_only
 from benchmarks.peers.peer import Peer, Prepared, Unavailable, required
-from benchmarks.poses import GEOMETRY, KINDS, as_built, leg_space, mixture, tiled
+from benchmarks.poses import GEOMETRY, KINDS, as_built, leg_space, mixture
 from benchmarks.report import Facts, count, seconds, size, table, three_digits, write
 from benchmarks.sections.completeness import tally
 from benchmarks.sections.preparation import prepare_peers
@@ -87,23 +87,18 @@ def test_every_call_of_the_exported_functions_is_timed_and_finds_an_answer() -> 
 
 
 @pytest.mark.parametrize("peer", [needs(peer) for peer in peers_by_task.INVERSE])
-def test_every_peer_finds_the_certified_branches(peer: Peer) -> None:
+def test_every_peer_finds_the_certified_branches_which_close(peer: Peer) -> None:
     poses, copies = rounded(POSES if peer.items > 1 else POSES[:1], peer.name)
-    found = answer(peer.prepare((GEOMETRY, poses)))
+    found = list(answer(peer.prepare((GEOMETRY, poses))))
     # What the double roots of the octic leave of its digits.
     tolerance = 1e-3 if "roots" in peer.name or "companion" in peer.name else 1e-8
     truth = certified()
     assert len(truth) == len(POSES)
-    for k, along in enumerate(median_coordinates(GEOMETRY, poses, list(found), copies)):
+    for k, along in enumerate(median_coordinates(GEOMETRY, poses, found, copies)):
         np.testing.assert_allclose(along, truth[k], atol=tolerance * SIDE, rtol=0.0)
-
-
-@pytest.mark.parametrize("peer", [needs(peer) for peer in peers_by_task.INVERSE])
-def test_branches_of_peers_satisfy_the_loop_equations(peer: Peer) -> None:
-    poses, _ = rounded(POSES[:1], peer.name)
     residuals = []
-    for found in answer(peer.prepare((GEOMETRY, poses))):
-        whole = found[~np.isnan(found).any(axis=(-1, -2))]
+    for joints in found[:copies]:
+        whole = joints[~np.isnan(joints).any(axis=(-1, -2))]
         assert len(whole) or "roots" in peer.name or peer.name in ("companion matrices", "python-flint")
         residuals.append(spm.Configuration(GEOMETRY, POSES[0], whole).closure_residual.max(initial=0.0))
     assert np.median(residuals) < 1e-7 * SIDE
@@ -325,22 +320,10 @@ def test_targets_say_what_was_missed_and_what_was_not_measured() -> None:
 
 
 def test_formatted_numbers(tmp_path: Path) -> None:
-    assert [three_digits(x) for x in (0.012345, 1.2345, 12.345, 123.45, 12345.0)] == [
-        "0.0123",
-        "1.23",
-        "12.3",
-        "123",
-        "12 300",
-    ]
-    assert [seconds(x) for x in (5e-8, 1.5e-7, 2.5e-4, 0.03, 4.0)] == [
-        "50.0 ns",
-        "0.150 µs",
-        "250 µs",
-        "30.0 ms",
-        "4.00 s",
-    ]
-    assert [size(x) for x in (12.0, 1200.0, 3.4e6, 5e9)] == ["12.0 B", "1.20 kB", "3.40 MB", "5.00 GB"]
-    assert [count(n) for n in (0, 1, 300, 10_000, 12_000, 10**7)] == ["0", "1", "300", "10⁴", "12 000", "10⁷"]
+    assert [three_digits(x) for x in (0.012345, 1.2345, 123.45, 12345.0)] == ["0.0123", "1.23", "123", "12 300"]
+    assert [seconds(x) for x in (5e-8, 2.5e-4, 0.03, 4.0)] == ["50.0 ns", "250 µs", "30.0 ms", "4.00 s"]
+    assert [size(x) for x in (12.0, 1200.0, 5e9)] == ["12.0 B", "1.20 kB", "5.00 GB"]
+    assert [count(n) for n in (0, 300, 10_000, 12_000)] == ["0", "300", "10⁴", "12 000"]
     assert table(["", "a"], [["x", "1"]]) == "|  | a |\n| --- | ---: |\n| x | 1 |"
     write(tmp_path / "results.md", "old")
     write(tmp_path / "results.md", "new")
@@ -362,11 +345,6 @@ def test_poses_are_of_their_kind(kind: str) -> None:
         assert (np.abs(found.discriminants).min(axis=-1) < 1e-5).all() == (kind == "near a fold")
     with pytest.raises(ValueError, match="kind"):
         mixture("no such kind", 1)
-
-
-def test_large_batches_repeat() -> None:
-    poses = tiled(10_003)
-    np.testing.assert_array_equal(poses[10_000:].as_matrix(), poses[:3].as_matrix())
 
 
 def test_script_runs_one_part_and_writes_only_the_given_file(tmp_path: Path) -> None:

@@ -45,6 +45,35 @@ def test_a_solve_loads_nothing_that_it_does_not_need() -> None:
     assert done.stdout.strip() == ""
 
 
+WATCH = """
+import os, sys, numpy as np
+def watch(event, arguments):
+    if event == "open" and isinstance(arguments[0], (str, bytes, os.PathLike)):
+        writes = arguments[2] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT)
+        assert not writes or os.path.dirname(os.path.abspath(os.fsdecode(arguments[0]))) != os.getcwd(), arguments
+    if event in ("os.mkdir", "os.rename", "os.symlink"):
+        assert os.path.dirname(os.path.abspath(os.fsdecode(arguments[0]))) != os.getcwd(), arguments
+sys.addaudithook(watch)
+import spm_pin as spm
+from spm_pin.cli import main
+geometry = spm.Geometry.paper()
+state = spm.forward_physical(geometry, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5])
+spm.ClosedChain.from_urdf().joint_values(state)
+sys.argv = ["spm-pin", "draw", "--out", sys.argv[1]]
+main()
+"""
+
+
+def test_nothing_is_written_into_the_working_folder(tmp_path: Path) -> None:
+    """So that it may be read-only; permissions do not hold for root, hence by watching."""
+    (tmp_path / "here").mkdir()
+    command = [sys.executable, "-c", WATCH, str(tmp_path / "picture.png")]
+    done = subprocess.run(command, cwd=tmp_path / "here", capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "picture.png").exists()
+    assert not list((tmp_path / "here").iterdir())
+
+
 def test_every_public_name_is_there_and_documented() -> None:
     for name in spm.__all__:
         member = getattr(spm, name)

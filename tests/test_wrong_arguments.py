@@ -55,7 +55,7 @@ NONSENSE: dict[str, Any] = {
 }
 
 PAPER = spm.Geometry.paper()
-BUILT = PAPER
+BUILT = PAPER.perturbed(5)
 MEASURED = spm.forward_physical(PAPER, np.random.default_rng(0).uniform(1.15, 1.45, (16, 6)))
 STATE = spm.forward_physical(PAPER, [1.25, 1.15, 1.40, 1.30, 1.20, 1.40])
 
@@ -91,11 +91,6 @@ def store() -> str:
     return "made.zarr"
 
 
-def as_built_file() -> str:
-    BUILT.to_yaml("machine.yaml")
-    return "machine.yaml"
-
-
 def recording_file() -> str:
     """Write a recorded path into the folder of the test."""
     Path("path.csv").write_text("r_b1,r_b2,r_b3,r_c1,r_c2,r_c3\n" + 2 * "1.3,1.3,1.3,1.3,1.3,1.3\n", encoding="utf-8")
@@ -114,51 +109,68 @@ LINE = [[1.20, 1.20, 1.40, 1.25, 1.20, 1.50], [1.40, 1.20, 1.20, 1.20, 1.50, 1.2
 """Two sets of leg lengths that the legs can go between."""
 
 EXAMPLES: dict[str, Callable[[], Any]] = {
-    "acceleration": lambda: np.zeros(6),
-    "angle": lambda: 1e-3,
+    **dict.fromkeys(
+        (
+            "acceleration",
+            "forces",
+            "leg_rates",
+            "twist",
+            "wrench",
+            "ChainState.joint_accelerations_of_legs.leg_accelerations",
+        ),
+        lambda: np.zeros(6),
+    ),
+    **dict.fromkeys(("v", "a", "MountedChain.join_velocities.chain"), lambda: np.zeros(18)),
+    **dict.fromkeys(("compliances", "stiffness", "principal_stiffness.compliance"), lambda: np.eye(6)),
+    **dict.fromkeys(("lower", "upper"), lambda: (1.1, 1.5)),
+    **dict.fromkeys(("first", "second", "pose", "value", "Configuration.pose"), lambda: STATE.pose),
+    **dict.fromkeys(("points", "position", "translation", "reachable_position.points"), lambda: STATE.translation),
+    **dict.fromkeys(("near", "q", "MountedChain.join.chain"), lambda: q()),
+    **dict.fromkeys(("MountedChain.join.other", "MountedChain.join_velocities.other"), lambda: np.zeros(0)),
+    **dict.fromkeys(
+        (
+            "SolutionSet.nearest.near",
+            "SolutionSet.physical.near",
+            "inverse_physical.near",
+            "forward_physical.near",
+            "nearest_reachable_pose.near",
+            "configuration",
+        ),
+        lambda: STATE,
+    ),
+    **dict.fromkeys(("leg_grid.lower", "leg_grid.upper"), lambda: (1.2, 1.3, 2)),
+    **dict.fromkeys(("geometry", "Geometry.is_same_machine.other"), lambda: PAPER),
+    **dict.fromkeys(("angle", "distance"), lambda: 1e-3),
+    **dict.fromkeys(("path", "PlatformPath.poses"), lambda: PATH),
     "argument": lambda: "pose",
     "branch": lambda: "TT+",
     "chain": lambda: chain(),
-    "compliances": lambda: np.eye(6),
-    "configuration": lambda: STATE,
     "confidence": lambda: 0.95,
     "corners": lambda: (0, 1, 2),
     "count": lambda: 4,
     "matrices": lambda: np.eye(3),
     "description": lambda: "a metric",
     "directory": lambda: "sources",
-    "distance": lambda: 1e-3,
     "domain": lambda: spm.sweeps.pose_grid(0.0, 0.0, (2.1, 2.2, 2), xyx=[0.1, 0.2, 0.1]),
     "metrics": lambda: ["branches"],
     "store": lambda: "map.zarr",
+    **dict.fromkeys(("sweeps.resume_sweep.store", "sweeps.sweep_status.store"), store),
     "unit": lambda: "m",
     "derivatives": lambda: spm.nlp.leg_jacobian(PAPER)(STATE.middle_joints.ravel(), STATE.rotation, STATE.translation),
     "factor": lambda: 2.0,
-    "first": lambda: STATE.pose,
-    "forces": lambda: np.zeros(6),
-    "geometry": lambda: PAPER,
     "leg_lengths": lambda: STATE.leg_lengths,
     "readings": lambda: STATE.readings,
-    "leg_rates": lambda: np.zeros(6),
     "legs": lambda: 1e7,
     "lengths": lambda: LINE,
     "mass": lambda: 1.0,
     "limits": lambda: PAPER.limits,
-    "lower": lambda: (1.1, 1.5),
     "mask": lambda: np.ones(8, dtype=bool),
     "maximum": lambda: 1.5,
     "middle_joints": lambda: STATE.middle_joints,
     "minimum": lambda: 1.1,
     "names": lambda: ["paper"],
-    "near": lambda: q(),
-    "path": lambda: PATH,
-    "points": lambda: STATE.translation,
-    "pose": lambda: STATE.pose,
-    "position": lambda: STATE.translation,
-    "q": lambda: q(),
     "rng": lambda: 0,
     "samples": lambda: 20,
-    "second": lambda: STATE.pose,
     "prefix": lambda: "",
     "seed": lambda: 0,
     "shell": shell,
@@ -166,16 +178,8 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "start": lambda: LINE[0],
     "goal": lambda: LINE[1],
     "starts": lambda: 2,
-    "stiffness": lambda: np.eye(6),
     "times": lambda: [0.0, 1.0],
-    "translation": lambda: STATE.translation,
     "tries": lambda: 1,
-    "twist": lambda: np.zeros(6),
-    "upper": lambda: (1.1, 1.5),
-    "value": lambda: STATE.pose,
-    "wrench": lambda: np.zeros(6),
-    "v": lambda: np.zeros(18),
-    "a": lambda: np.zeros(18),
     "x": lambda: (0.0, 0.1, 2),
     "y": lambda: 0.0,
     "z": lambda: 2.2,
@@ -191,57 +195,31 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "calibration.choose_poses.candidates": lambda: 40,
     "calibration.choose_poses.count": lambda: 16,
     "calibration.identify.readings": lambda: MEASURED.readings,
-    "Geometry.is_same_machine.other": lambda: PAPER,
     "calibration.identify.poses": lambda: MEASURED.pose,
     "calibration.read_measurements.path": measurements_file,
     "display.read_recording.path": recording_file,
     "calibration.tolerance.states": lambda: 3,
     "calibration.tolerance.tolerances": lambda: {"ball": 1e-4},
-    "ChainState.joint_accelerations_of_legs.leg_accelerations": lambda: np.zeros(6),
     "ClosedChain.from_urdf.path": lambda: None,
-    "Configuration.pose": lambda: STATE.pose,
     "Geometry.base_radius": lambda: 0.7,
     "Geometry.platform_radius": lambda: 0.3,
     "Geometry.middle_side": lambda: 0.8,
     "Geometry.from_yaml.path": lambda: Path(__file__).parents[1] / "urdf" / "config" / "geometry.yaml",
-    "MountedChain.join.chain": lambda: q(),
-    "MountedChain.join.other": lambda: np.zeros(0),
-    "MountedChain.join_velocities.chain": lambda: np.zeros(18),
-    "MountedChain.join_velocities.other": lambda: np.zeros(0),
-    "PlatformPath.poses": lambda: PATH,
-    "principal_stiffness.compliance": lambda: np.eye(6),
-    "SolutionSet.nearest.near": lambda: STATE,
-    "SolutionSet.physical.near": lambda: STATE,
     "SolutionSet.from_unordered.middle_joints": lambda: STATE.middle_joints[None],
-    "inverse_physical.near": lambda: STATE,
-    "forward_physical.near": lambda: STATE,
-    "sweeps.open_sweep.store": store,
-    "sweeps.resume_sweep.store": store,
-    "sweeps.sweep_status.store": store,
-    "leg_grid.lower": lambda: (1.2, 1.3, 2),
-    "leg_grid.upper": lambda: (1.2, 1.3, 2),
     "sweeps.pose_sample.x": lambda: (0.0, 0.1),
     "follow.samples": lambda: 2,
     "time_optimal.path": lambda: spm.motion.LegPath(LINE),
     "time_optimal.leg_accelerations": lambda: 5.0,
     "time_optimal.grid": lambda: 20,
     "time_optimal.period": lambda: 0.05,
-    "nearest_reachable_pose.near": lambda: STATE,
-    "reachable_position.points": lambda: STATE.translation,
 }
 """A good value for each parameter that has no default, or whose default takes long; by name or by place and name."""
 
-INPUTS = (
-    "Configuration",
-    "Geometry",
-    "JointLimits",
-    "LegLimits",
-    "LegPath",
-    "Legs",
-    "Payload",
-    "PlatformPath",
-)
+INPUTS = ("Configuration", "Geometry", "JointLimits", "LegLimits", "LegPath", "Legs", "Payload", "PlatformPath")
 """Classes that users make themselves; the others are results, made by the package."""
+
+SMALL = ("samples", "spacing", "starts", "rng", "tries", "xyx")
+"""Parameters that are given although they have a default."""
 
 INSTANCES: dict[str, Callable[[], Any]] = {
     "Boundary": boundary,
@@ -327,16 +305,8 @@ CASES = [
 ]
 
 
-SLOW = (
-    *(
-        "Boundary",
-        "Shell",
-        "largest_certified_limits",
-        "orientation_workspace",
-        "reachable_boundary",
-    ),
-    *("reachable_position", "reachable_volume", "sample_reachable", "workspace_shell"),
-)
+SLOW = ("Boundary", "Shell", "largest_certified_limits", "orientation_workspace", "reachable_boundary")
+SLOW += ("reachable_position", "reachable_volume", "sample_reachable", "workspace_shell")
 """Callables of which an accepted call takes long."""
 
 
@@ -367,11 +337,7 @@ def call(place: str, function: Callable[..., Any], changed: str, value: Any) -> 
         special = f"{place}.{name}" in EXAMPLES
         if name == changed:
             chosen[name] = value
-        elif (
-            parameter.default is parameter.empty
-            or special
-            or name in ("samples", "spacing", "starts", "rng", "tries", "xyx")
-        ):
+        elif special or parameter.default is parameter.empty or name in SMALL:
             chosen[name] = example(place, name)
     owner = place.split(".")[0]
     if owner in INSTANCES and place != owner and "self" in inspect.signature(function).parameters:
@@ -392,9 +358,8 @@ def test_malformed_arguments_give_a_result_or_an_error_that_names_them(
             with within(60.0):
                 call(place, function, name, value)
         except spm.SpmError as error:
-            named = {"path": str(value)[:400], "value": "pose", "lower": "r_", "upper": "r_"}.get(
-                name, name
-            )  # a file, and what as_rigid_transform is told
+            # A file, and what as_rigid_transform is told.
+            named = {"path": str(value)[:400], "value": "pose", "lower": "r_", "upper": "r_"}.get(name, name)
             if name not in str(error) and named not in str(error):
                 wrong.append(f"{kind}: {type(error).__name__} does not name {name}: {str(error)[:200]}")
         except Exception as error:

@@ -134,7 +134,7 @@ def metrics_by_numpy(poses: RigidTransform) -> tuple[npt.NDArray[Any], ...]:
 
 def _sweep(section: Section, n: int, pace: Pace, progress: Progress, facts: Facts) -> None:
     x, y, z, *angles = box()
-    domain = spm.sweeps.pose_sample(n, x, y, z, xyx=angles, method="uniform")
+    domain = spm.sweeps.pose_sample(n, x, y, z, xyx=angles)
     drawn = np.random.default_rng(0).uniform(*np.transpose(box()), (10_000, 6))
     part = spm.pose(drawn[:, :3], xyx=drawn[:, 3:])
 

@@ -13,7 +13,7 @@ from benchmarks.report import Facts, Section, count, microseconds, spread_of_sec
 from benchmarks.sections.preparation import Progress
 from benchmarks.sections.velocity import states
 from benchmarks.timing import Pace, Spread, TimedCall, time_in_turns
-from spm_pin.kinematics.rates_and_forces import StageWrenches
+from spm_pin.kinematics.rates_and_forces import force_matrices
 
 __all__ = ["by_numpy", "measure"]
 
@@ -32,9 +32,8 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
 
 def by_numpy(configuration: spm.Configuration) -> list[np.ndarray]:
     """Return the singular values of J_b, J_c and K (n, 6) by NumPy, with all vectors."""
-    wrenches = StageWrenches.from_configuration(configuration)
-    both = [wrenches.matrices("forward"), wrenches.matrices("inverse")]
-    return [np.linalg.svd(matrices)[1] for matrices in both]
+    matrices = force_matrices(configuration)
+    return [np.linalg.svd(matrices[:, :2])[1], np.linalg.svd(matrices[:, 2:])[1]]
 
 
 def _batches(section: Section, pace: Pace, progress: Progress, facts: Facts) -> None:

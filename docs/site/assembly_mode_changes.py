@@ -158,7 +158,7 @@ def falling_on_curve(epsilon: Interval, u: Interval, shape: Shape) -> Interval:
 
 def _coefficients(epsilon: Interval, u: Interval, shape: Shape) -> tuple[Interval, ...]:
     """Return the coefficients of u², u and 1, then p, Z and dZ/du."""
-    p_end, p_middle, z_middle = (Interval.of(value) for value in shape)
+    p_end, p_middle, z_middle = (Interval.from_numbers(value) for value in shape)
     towards = 0.5 * (1.0 - u)
     p = p_end + towards * (p_middle - p_end)
     z_end = -0.5 * ((2.0 * epsilon - 1.0 + 2.0 * p_end) * p_end.root() * (1.0 - p_end).root().reciprocal())
@@ -185,7 +185,7 @@ def stage_region(epsilon: float) -> StageRegion:
 
 def squared_lengths(epsilon: float, states: Array) -> Array:
     """Return the squared leg lengths (..., 3) of states (..., 3), in units of r²."""
-    squares, _ = stage_region(epsilon).evaluate(*(Interval.of(states[..., i]) for i in range(3)))
+    squares, _ = stage_region(epsilon).evaluate(*(Interval.from_numbers(states[..., i]) for i in range(3)))
     return np.stack([0.5 * (square.low + square.high) for square in squares], axis=-1)
 
 
@@ -204,7 +204,7 @@ def certificate(epsilon: float, path: Array, most: int = 100_000) -> tuple[int, 
     Segments are halved until interval arithmetic excludes zero; all boxes have the same sign. Also proved: no vertex is
     at or beyond a half turn, x² + y² < 1, so no point of the polygon is.
     """
-    if not ((Interval.of(path[:, 0]).square() + Interval.of(path[:, 1]).square()).high < 1.0).all():
+    if not ((Interval.from_numbers(path[:, 0]).square() + Interval.from_numbers(path[:, 1]).square()).high < 1.0).all():
         raise ValueError("the path reaches a half turn")
     region, pairs, bounds, boxes = stage_region(epsilon), np.stack([path[:-1], path[1:]]), [], 0
     while pairs.shape[1]:

@@ -22,7 +22,7 @@ from scipy.sparse.csgraph import connected_components
 
 import spm_pin as spm
 from spm_pin.description.visuals import BODIES, read_obj, section_size, visual_parts
-from spm_pin.display.scene import AXIS_COLOURS, TRIAD
+from spm_pin.display.rendering import AXIS_COLOURS, TRIAD
 
 SITE = Path(__file__).parent
 GEOMETRY = spm.Geometry.paper()

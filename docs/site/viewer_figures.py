@@ -34,7 +34,7 @@ def main() -> None:
                 if name == "load":
                     page.get_by_role("tab", name="Load").click(timeout=120_000)
                     (session,) = viewer.sessions
-                    session.config.workspace.show(session.client.scene, "shell", True)
+                    session.scene.show_workspace("shell", True)
                     session.panel.force.value = (0.0, 0.0, -500.0)
                     session.model.load(session.panel.wrench)
                     session.show()

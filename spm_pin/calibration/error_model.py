@@ -23,8 +23,6 @@ from spm_pin.mechanism import LEGS, PARAMETERS, Configuration, Geometry
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance
 from spm_pin.mechanism.configuration import check_configuration
 
-_KINDS = ("direction", "pivot", "ball", "offset")
-
 
 def error_jacobian(configuration: Configuration) -> FloatArray:
     """Return how the platform moves per error of each parameter, at constant readings.
@@ -32,18 +30,14 @@ def error_jacobian(configuration: Configuration) -> FloatArray:
     Parameters
     ----------
     configuration : Configuration
-        States of shape (...), of a `Geometry`.
+        States of shape (...).
 
     Returns
     -------
     ndarray, shape (..., 6, 54)
         Rows (v, ω): displacement of o [m] and rotation of m [rad], in {B}; columns `PARAMETERS`, per metre or radian.
-        NaN for a member that does not exist.
-
-    Raises
-    ------
-    SingularConfigurationError
-        At a forward or a constraint singularity.
+        NaN for a member that does not exist. At a forward or a constraint singularity, `SingularConfigurationError` is
+        raised.
 
     Examples
     --------
@@ -55,19 +49,12 @@ def error_jacobian(configuration: Configuration) -> FloatArray:
     array([-6.0e-06,  6.9e-05, -3.9e-05])
     """
     check_configuration(configuration)
-    geometry = configuration.geometry
-    state = configuration
-    if geometry is not configuration.geometry:
-        state = Configuration.from_arrays(geometry, state.rotation, state.translation, state.middle_joints)
-    legs = state.leg_vectors
+    state, geometry = configuration, configuration.geometry
     outward = np.where(np.arange(6) < 3, 1.0, -1.0)[:, None]
-    # The arms from pivots to balls, and unit vectors along them; those of the upper legs turned from ball to pivot.
-    arms, axes = outward * legs, state.leg_axes
-    along = legs / np.linalg.norm(legs, axis=-1, keepdims=True)
-    identity = np.broadcast_to(np.eye(3), (*state.shape, 1, 3, 3))
-    frames = np.concatenate(
-        [np.repeat(identity, 3, axis=-3), np.repeat(state.rotation[..., None, :, :], 3, axis=-3)], -3
-    )
+    # The arms from pivots to balls, and unit vectors along the legs, those of the upper ones from ball to pivot.
+    arms, axes, along = outward * state.leg_vectors, state.leg_axes, state.leg_vectors / state.leg_lengths[..., None]
+    frames = np.empty((*state.shape, 6, 3, 3))
+    frames[..., :3, :, :], frames[..., 3:, :, :] = np.eye(3), state.rotation[..., None, :, :]
     middle = state.middle_pose.as_matrix()[..., None, :3, :3]
     rows = np.zeros((*state.shape, 6, 2, 9))
     turned = frames @ geometry.axis_derivatives
@@ -86,7 +73,7 @@ def error_jacobian(configuration: Configuration) -> FloatArray:
 
 
 def platform_error(state: Configuration, rotation: FloatArray, position: FloatArray) -> FloatArray:
-    """Return by how much states (N,) differ from poses (N, 3, 3), (N, 3): displacement [m], rotation vector [rad]."""
+    """Return the displacements [m] and rotation vectors [rad] (N, 6) from poses (N, 3, 3), (N, 3) to states (N,)."""
     turn = np.full((len(position), 3), np.nan)
     exists = state.exists
     if exists.any():
@@ -114,7 +101,7 @@ def gauge_directions(geometry: Geometry, positions_only: bool) -> FloatArray:
 
 def parameter_scale(geometry: Geometry) -> FloatArray:
     """Return the unit of each parameter's error (54,): a radian, or the side of the middle platform [m]."""
-    return np.tile(np.repeat([1.0, geometry.nominal.middle_side], [2, 7]), 6)
+    return np.tile(np.repeat([1.0, geometry.middle_side], [2, 7]), 6)
 
 
 def selected(names: Collection[str] | str, argument: str) -> BoolArray:
@@ -126,7 +113,7 @@ def selected(names: Collection[str] | str, argument: str) -> BoolArray:
     unknown = sorted(name for name in wanted if not any(name in key for key in keys))
     if unknown or not wanted:
         expected = (
-            f"names of parameters such as r_b1.pivot_x, components such as pivot_x, {', '.join(_KINDS)}, or legs "
+            "names of parameters such as r_b1.pivot_x, components such as pivot_x, direction, pivot, ball, offset"
         )
-        raise ArgumentError(argument, expected + ", ".join(LEGS), ", ".join(unknown) or "none")
+        raise ArgumentError(argument, f"{expected}, or legs {', '.join(LEGS)}", ", ".join(unknown) or "none")
     return np.array([bool(wanted & key) for key in keys])

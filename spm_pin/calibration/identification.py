@@ -1,7 +1,7 @@
 """The parameters of a machine from measured poses and readings, by least squares.
 
-What is compared are the poses that the machine would have at the measured readings with the poses measured: forward
-displacement has no singularity where a machine works. Errors of the readings count as the pose errors that they cause.
+The poses of a machine at the measured readings are compared with the poses measured, because forward displacement has
+no singularity where a machine works. Errors of the readings count as the pose errors that they cause.
 """
 
 from __future__ import annotations
@@ -48,25 +48,22 @@ class Calibration:
     status: str
     """"fits"; or "outliers", "misfit" or "not converged": then `geometry` raises an error."""
     reason: str
-    """What is wrong, and its likely cause; empty if the measurements fit."""
+    """The reason why the measurements do not fit, with the likely cause; empty if they fit."""
     chi_square: float
-    """Reduced χ² of all measurements but outliers: about 1 where the noise explains the residuals, a misfit above 9;
-    NaN if there are no more numbers than unknowns."""
+    """Reduced χ² of all measurements but outliers: about 1 where the noise explains the residuals, above 9 a misfit."""
     covariance: FloatArray
     """Covariance of the parameters [m, rad], shape (54, 54), zero along what is not identifiable."""
     identifiable: FloatArray
-    """Combinations of parameters that the measurements determine, shape (n, 54), the best first: rows of length one,
-    for parameters in radians and in sides of the middle platform."""
+    """Combinations of parameters [rad, sides of the middle platform] that are determined, (n, 54), the best first."""
     deviations: FloatArray
-    """Their standard deviations, shape (n,)."""
+    """Standard deviations of these combinations, shape (n,)."""
     unidentifiable: FloatArray
-    """Combinations that change no measurement of this kind, such as a shift of {n}, shape (k, 54); kept at their
-    initial values."""
+    """Combinations that change no measurement of this kind, such as a shift of {n}, (k, 54), and are not changed."""
     before: FloatArray
-    """Predicted less measured poses before the identification: displacement [m] and rotation vector [rad] in {B}, shape
+    """Predicted less measured poses with the initial machine: displacement [m] and rotation vector [rad] in {B}, shape
     (N, 6), or displacement alone (N, 3)."""
     residuals: FloatArray
-    """The same after the identification, of the same units and shape."""
+    """Predicted less measured poses with the fitted machine, in the same form."""
     misfit: FloatArray
     """Residuals in units of their expected errors, root mean square of a measurement, shape (N,); 1 is as expected."""
     outliers: BoolArray
@@ -89,8 +86,7 @@ class Calibration:
     def accuracy(self, configuration: Configuration) -> FloatArray:
         """Return the covariance (..., 6, 6) of the platform's predicted pose (displacement, rotation) [m, rad], in {B}.
 
-        The states (...) are anywhere in the workspace, of this machine or of the nominal one. Raises
-        `MeasurementError` if the measurements do not fit.
+        The states (...) are anywhere, of this machine or of the nominal one. `MeasurementError` as for `geometry`.
         """
         self._check_status()
         jacobian = error_jacobian(configuration)
@@ -141,8 +137,6 @@ def identify(
 
     Raises
     ------
-    PoseError, ArgumentError
-        If an argument has the wrong kind or shape, or is not finite.
     MeasurementError
         If readings are in another unit or such that the machine has no state, columns are exchanged, rows shifted or
         rotations transposed, or if the measurements are too few or too much alike to determine the parameters.
@@ -171,7 +165,7 @@ def identify(
         except ArgumentError:  # A step to parameters that no machine has.
             errors = np.full((count, components), np.nan)
         # A machine that cannot have these readings is far off.
-        errors = np.nan_to_num(errors, nan=1e3 * start.nominal.middle_side)
+        errors = np.nan_to_num(errors, nan=1e3 * start.middle_side)
         return np.asarray((whitening @ errors[..., None])[..., 0])
 
     def jacobian(unknown: FloatArray) -> FloatArray:
@@ -218,8 +212,6 @@ def visible_basis(start: Geometry, wanted: BoolArray, positions_only: bool) -> t
 
 
 class _Fit(NamedTuple):
-    """The unknowns that fit best, and whether the measurements belong to one machine."""
-
     unknown: FloatArray
     status: str
     reason: str
@@ -266,6 +258,8 @@ def _minimize(
     evaluations: int = _EVALUATIONS,
 ) -> tuple[FloatArray, bool]:
     """Return the unknowns that least squares or a robust loss find from a first guess, and whether it converged."""
+    options: Any = dict.fromkeys(("xtol", "ftol", "gtol"), _CONVERGED)
+    options |= {"loss": loss, "f_scale": scale, "max_nfev": evaluations}
 
     def flat(unknown: FloatArray) -> FloatArray:
         return whitened(unknown).ravel()
@@ -273,16 +267,7 @@ def _minimize(
     def slopes(unknown: FloatArray) -> FloatArray:
         return np.concatenate(jacobian(unknown))
 
-    tolerances: Any = dict.fromkeys(("xtol", "ftol", "gtol"), _CONVERGED)
-    result = scipy.optimize.least_squares(
-        flat,
-        first,
-        jac=slopes,
-        loss=loss,  # type: ignore[arg-type]
-        f_scale=scale,
-        max_nfev=evaluations,
-        **tolerances,
-    )
+    result = scipy.optimize.least_squares(flat, first, jac=slopes, **options)
     return np.asarray(result.x), result.status > 0
 
 
@@ -326,10 +311,8 @@ def _check_determined(slopes: FloatArray, basis: FloatArray, count: int) -> None
         worst = basis @ right[-1]
         names = ", ".join(PARAMETERS[k] for k in np.argsort(-np.abs(worst))[:3])
         received = f"{count} poses that determine {int((~unknown).sum())}; the least determined one moves {names}"
-        cause = (
-            "Measure at poses further apart, see choose_poses, or name fewer `parameters`. "
-            "Are pose_noise and length_noise too large?"
-        )
+        cause = "Measure at poses further apart, see choose_poses, or name fewer `parameters`"
+        cause += ". Are pose_noise and length_noise too large?"
         raise MeasurementError("poses", f"poses that determine {len(unknown)} combinations", received, cause)
 
 

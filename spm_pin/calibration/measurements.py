@@ -18,7 +18,7 @@ from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.rates_and_forces import platform_jacobian
 from spm_pin.mechanism import LEGS, Configuration, Geometry, as_rigid_transform
 from spm_pin.mechanism.arguments import LARGEST, FloatArray, as_array, file_path, first_offender, real_array
-from spm_pin.mechanism.units import unit_hint
+from spm_pin.mechanism.geometry import unit_hint
 
 _POSITION, _QUATERNION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
 _UNIT_TOLERANCE = 1e-3
@@ -39,14 +39,10 @@ class MeasurementError(ArgumentError):
 class Measurements:
     """N poses and readings, checked."""
 
-    rotation: FloatArray
-    """Measured rotations from {m} to {B}, (N, 3, 3); identities if only positions were measured."""
-    position: FloatArray
-    """Measured positions of o in {B}, (N, 3) [m]."""
-    readings: FloatArray
-    """Readings of the legs, (N, 6) [m]."""
-    components: int
-    """6 for poses, 3 for positions alone."""
+    rotation: FloatArray  # measured rotations from {m} to {B}, (N, 3, 3); identities if only positions were measured
+    position: FloatArray  # measured positions of o in {B}, (N, 3) [m]
+    readings: FloatArray  # readings of the legs, (N, 6) [m]
+    components: int  # 6 for poses, 3 for positions alone
 
     @classmethod
     def check(cls, geometry: Geometry, poses: Any, readings: npt.ArrayLike) -> Measurements:
@@ -82,22 +78,19 @@ class Measurements:
         """Raise if transposed rotations, or readings of other rows, explain the poses much better."""
         state = forward_physical(geometry, self.readings)
         if self.components == 6:
-            transposed = np.swapaxes(self.rotation, -1, -2)
-            turns = [
-                float(np.median(np.linalg.norm(platform_error(state, rotation, self.position)[:, 3:], axis=-1)))
-                for rotation in (self.rotation, transposed)
+            errors = [
+                platform_error(state, rotation, self.position)[:, 3:]
+                for rotation in (self.rotation, np.swapaxes(self.rotation, -1, -2))
             ]
+            turns = [float(np.median(np.linalg.norm(error, axis=-1))) for error in errors]
             if turns[0] > max(_SUSPICIOUS, _BETTER * turns[1]):
                 cause = f"Transposed they agree to {1e3 * turns[1]:.3g} mrad instead of {1e3 * turns[0]:.3g} mrad"
                 raise MeasurementError("poses", "rotations from {m} to {B}", "rotations from {B} to {m}", cause)
-        shifts = range(1, len(self.position) // 2 + 1)
-        moved = {shift: state.translation - np.roll(self.position, shift, axis=0) for k in shifts for shift in (k, -k)}
-        sizes = {
-            shift: float(np.median(np.linalg.norm(gap, axis=-1)))
-            for shift, gap in {0: state.translation - self.position, **moved}.items()
-        }
+        shifts = [0, *(shift for k in range(1, len(self.position) // 2 + 1) for shift in (k, -k))]
+        gaps = (state.translation - np.roll(self.position, shift, axis=0) for shift in shifts)
+        sizes = {k: float(np.median(np.linalg.norm(gap, axis=-1))) for k, gap in zip(shifts, gaps, strict=True)}
         best = min(sizes, key=lambda shift: sizes[shift])
-        if sizes[0] > max(_SUSPICIOUS * geometry.nominal.middle_side, _BETTER * sizes[best]):
+        if sizes[0] > max(_SUSPICIOUS * geometry.middle_side, _BETTER * sizes[best]):
             cause = f"Shifted they agree to {1e3 * sizes[best]:.3g} mm instead of {1e3 * sizes[0]:.3g} mm"
             expected, received = "poses in the order of the readings", f"readings shifted by {best} rows"
             raise MeasurementError("poses", expected, received, cause)
@@ -110,7 +103,7 @@ class Measurements:
             received = f"{self.readings[row, leg]:g} for {LEGS[leg]} in row {row}"
             raise MeasurementError("readings", "readings that exceed the offsets", received)
         errors = self.errors(geometry)
-        side = geometry.nominal.middle_side
+        side = geometry.middle_side
         size = np.linalg.norm(np.nan_to_num(errors[:, :3], nan=np.inf), axis=-1)
         typical = float(np.median(size)) if len(size) else 0.0
         if typical > _SUSPICIOUS * side:
@@ -143,10 +136,9 @@ def covariances(noise: npt.ArrayLike, argument: str, components: int, count: int
     A pair for poses, one number for positions or readings, n numbers, or a covariance (n, n) or (count, n, n).
     """
     array = real_array(noise, argument, (), "standard deviations in metres and radians, or covariances")
+    positive = "positive standard deviations, or symmetric positive definite covariances, in metres and radians"
     if (np.abs(array) > LARGEST).any() or (array.ndim < 2 and (array <= 0.0).any()):
-        raise ArgumentError(
-            argument, "positive standard deviations, or covariances, in metres and radians", f"{array.ravel()[0]:g}"
-        )
+        raise ArgumentError(argument, positive, f"{array.ravel()[0]:g}")
     if array.shape == () or (array.shape == (2,) and argument == "pose_noise"):
         array = np.repeat(np.broadcast_to(array, 2), 3)[:components]
     if array.shape == (components,):
@@ -158,9 +150,7 @@ def covariances(noise: npt.ArrayLike, argument: str, components: int, count: int
     scale = np.abs(array).max(axis=(-1, -2), initial=0.0)[..., None, None]
     uneven = (np.abs(array - np.swapaxes(array, -1, -2)) > 1e-9 * scale).any()
     if uneven or (count and np.linalg.eigvalsh(array).min() <= 0.0):
-        raise ArgumentError(
-            argument, "positive standard deviations, or symmetric positive definite covariances", "other"
-        )
+        raise ArgumentError(argument, positive, "other")
     return array
 
 
@@ -176,11 +166,9 @@ def pose_covariances(
 def read_measurements(path: str | Path) -> tuple[Any, FloatArray]:
     """Read a CSV file of measurements.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        A file with a heading. The columns x, y, z are the position of o in {B} [m]; qx, qy, qz, qw, if there, the
-        rotation from {m} to {B} as a unit quaternion, scalar last; r_b1 to r_c3 the readings [m]. The order is free.
+    The heading names the columns, in any order: x, y, z, the position of o in {B} [m]; qx, qy, qz, qw, if measured, the
+    rotation from {m} to {B} as a unit quaternion, scalar last; r_b1 to r_c3, the readings [m]. A `MeasurementError`
+    names the line and column of what cannot be read.
 
     Returns
     -------
@@ -188,12 +176,6 @@ def read_measurements(path: str | Path) -> tuple[Any, FloatArray]:
         Poses, or positions if there is no quaternion.
     readings : ndarray, shape (N, 6)
         Readings of the legs [m].
-
-    Raises
-    ------
-    MeasurementError
-        If the file cannot be read, a column is missing, unknown or given twice, or an entry is no finite number; with
-        line and column.
     """
     path = file_path(path, error=MeasurementError)
     try:

@@ -56,7 +56,7 @@ class ToleranceAnalysis:
 
     @property
     def sampled_rms(self) -> tuple[float, float]:
-        """The same of the samples, NaN if there are none."""
+        """Root mean squares of displacement [m] and angle [rad] of the samples, NaN if there are none."""
         if not len(self.samples):
             return float("nan"), float("nan")
         squares = self.samples**2
@@ -71,24 +71,13 @@ class ToleranceAnalysis:
         return tuple(float(np.nanpercentile(size, part)) for size in sizes)  # type: ignore[return-value]
 
     def ranking(self, by: str = "parameter") -> list[tuple[str, float]]:
-        """Return names and shares, the largest first.
-
-        Parameters
-        ----------
-        by : {"parameter", "component", "kind", "leg"}
-            What to add up: "r_b1.pivot_x", "pivot_x", "pivot", or "r_b1".
-        """
-        names = {
-            "parameter": lambda name: name,
-            "component": lambda name: name.split(".")[1],
-            "kind": lambda name: name.split(".")[1].split("_")[0],
-            "leg": lambda name: name.split(".")[0],
-        }
-        choice(by, "by", names)
+        """Return names and shares, the largest first, added up by "parameter", "component", "kind" or "leg"."""
+        choice(by, "by", ("parameter", "component", "kind", "leg"))
         totals: dict[str, float] = {}
         for name, share in zip(PARAMETERS, self.shares, strict=True):
-            key = names[by](name)
-            totals[key] = totals.get(key, 0.0) + float(share)
+            leg, component = name.split(".")
+            keys = {"parameter": name, "component": component, "kind": component.split("_")[0], "leg": leg}
+            totals[keys[by]] = totals.get(keys[by], 0.0) + float(share)
         return sorted(totals.items(), key=lambda item: -item[1])
 
 
@@ -121,8 +110,8 @@ def tolerance(
     --------
     >>> import spm_pin as spm
     >>> table = {"direction": 1e-4, "pivot": 1e-4, "ball": 1e-4, "offset": 1e-4}
-    >>> found = spm.calibration.tolerance(spm.Geometry.paper(), table, samples=0, rng=0)
-    >>> [f"{name} {share:.0%}" for name, share in found.ranking("kind")]
+    >>> analysis = spm.calibration.tolerance(spm.Geometry.paper(), table, samples=0, rng=0)
+    >>> [f"{name} {share:.0%}" for name, share in analysis.ranking("kind")]
     ['ball 33%', 'pivot 33%', 'offset 31%', 'direction 4%']
     """
     machine, random = check_instance(geometry, Geometry, "geometry"), generator(rng)

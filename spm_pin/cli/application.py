@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import Any
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperCommand
 
 from spm_pin import __version__
 from spm_pin.cli import outputs
@@ -21,42 +21,24 @@ leg limits hold a singularity. 2 the command cannot be carried out as typed: an 
 crosscheck reports the poses done, and a sweep goes on when started again."""
 
 
-class _WithoutBool:
-    """Help texts that show no type for a flag, which takes no value."""
+app = typer.Typer(
+    help="Closed-chain kinematics of the 3RPS-3SPR serial-parallel manipulator.",
+    epilog=EXIT_CODES,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
 
+
+class _Command(TyperCommand):
     def get_params(self, ctx: Any) -> list[Any]:
-        """Return the options."""
-        params: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        """Return the options; flags, which take no value, without a type."""
+        params: list[Any] = super().get_params(ctx)
         for param in params:
             if getattr(param, "is_flag", False):
                 param.metavar = ""
         return params
 
 
-class _Group(_WithoutBool, TyperGroup):
-    pass
-
-
-class _Command(_WithoutBool, TyperCommand):
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse, after a check that no option takes the name of another one for its value."""
-        options = {name: param for param in self.get_params(ctx) for name in (*param.opts, *param.secondary_opts)}
-        for place, name in enumerate(args):
-            count = getattr(options.get(name), "nargs", 1)
-            values = args[place + 1 : place + 1 + count] if count > 1 else []
-            given = next((k for k, value in enumerate(values) if value in options), None)
-            if given is not None:
-                ctx.fail(f"Option '{name}' requires {count} arguments, {options[name].metavar}; got {given}.")
-        return super().parse_args(ctx, args)
-
-
-app = typer.Typer(
-    cls=_Group,
-    help="Closed-chain kinematics of the 3RPS-3SPR serial-parallel manipulator.",
-    epilog=EXIT_CODES,
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-)
 _COMMANDS = {
     "demo": "crosscheck",
     "inverse": "pose_commands",

@@ -7,41 +7,36 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
+from typer import Argument, Option
 
 from spm_pin.calibration import Calibration, identify, read_measurements
 from spm_pin.calibration import tolerance as analyse
 from spm_pin.calibration.error_model import parameter_scale
 from spm_pin.cli import options, outputs
-from spm_pin.display.result_plots import calibration_figure
+from spm_pin.display.figures import calibration_figure
 from spm_pin.mechanism import LEGS, PARAMETERS
 
 
 @outputs.name_options(loss="--loss", parameters="--identify", pose_noise="--pose-noise", length_noise="--length-noise")
 def calibrate(
     measurements: Annotated[
-        Path,
-        typer.Argument(
-            metavar="CSV", help="Columns x y z \\[m], qx qy qz qw if orientations were measured, r_b1 to r_c3 \\[m]."
-        ),
+        Path, Argument(metavar="CSV", help="Columns x y z \\[m], qx qy qz qw if measured, r_b1 to r_c3 \\[m].")
     ],
     out: Annotated[Path | None, outputs.file_option("YAML file of the machine to write.", (".yaml", ".yml"))] = None,
     figure: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the errors to write.")] = None,
     identified: Annotated[
         list[str] | None,
-        typer.Option(
-            "--identify", metavar="NAME", help="Parameters, such as offset or r_b1; may be repeated. All if not."
-        ),
+        Option("--identify", metavar="NAME", help="Parameters, such as offset or r_b1; may be repeated. All if not."),
     ] = None,
     pose_noise: Annotated[
-        tuple[float, float],
-        typer.Option(metavar="M RAD", help="Standard deviations of measured positions and orientations."),
+        tuple[float, float], Option(metavar="M RAD", help="Standard deviations of positions and orientations.")
     ] = (1e-5, 1e-5),
-    length_noise: Annotated[float, typer.Option(metavar="M", help="Standard deviation of the readings.")] = 1e-6,
+    length_noise: Annotated[float, Option(metavar="M", help="Standard deviation of the readings.")] = 1e-6,
     loss: Annotated[
-        str, typer.Option(help="linear refuses outliers; soft_l1, huber, cauchy give them less weight.")
+        str, Option(help="linear refuses outliers; soft_l1, huber, cauchy give them less weight.")
     ] = "linear",
     geometry: options.GeometryFile = None,
-    force: Annotated[bool, typer.Option("--force", help="Write --out even where the measurements do not fit.")] = False,
+    force: Annotated[bool, Option("--force", help="Write --out even where the measurements do not fit.")] = False,
     json: options.AsJson = False,
 ) -> None:
     """Identify the machine as built from measured poses and leg readings.
@@ -56,17 +51,16 @@ def calibrate(
     """
     dimensions = options.read_geometry(geometry)
     poses, readings = read_measurements(measurements)
-    found = identify(
-        dimensions,
-        poses,
-        readings,
-        parameters=identified,
-        pose_noise=pose_noise,
-        length_noise=length_noise,
-        loss=loss,
-    )
+    noise: dict[str, Any] = {"pose_noise": pose_noise, "length_noise": length_noise}
+    found = identify(dimensions, poses, readings, parameters=identified, loss=loss, **noise)
     if json:
-        outputs.write_json(_content(found))
+        machine = found.fitted.parameters, np.sqrt(np.diagonal(found.covariance))
+        values, deviations = (dict(zip(PARAMETERS, array, strict=True)) for array in machine)
+        sizes = {name: {"unit": unit, "before": a, "after": b} for name, unit, a, b in _sizes(found)}
+        content = {"measurements": len(found.misfit), "identified": len(found.deviations), "rms": sizes}
+        content |= {name: getattr(found, name) for name in ("status", "reason", "chi_square", "misfit")}
+        content |= {"outliers": np.flatnonzero(found.outliers)}
+        outputs.write_json(content | {"parameters": values, "standard_deviations": deviations})
     else:
         _report(found)
     outputs.write_figure(figure, calibration_figure, found)
@@ -115,21 +109,7 @@ def _report(found: Calibration) -> None:
     outputs.print_table("Differences from the nominal machine [mm, mrad]", columns, range(6))
 
 
-def _content(found: Calibration) -> dict[str, Any]:
-    return {
-        "measurements": len(found.misfit),
-        "identified": len(found.deviations),
-        "rms": {name: {"unit": unit, "before": a, "after": b} for name, unit, a, b in _sizes(found)},
-        "status": found.status,
-        "chi_square": found.chi_square,
-        "misfit": found.misfit,
-        "outliers": np.flatnonzero(found.outliers),
-        "parameters": dict(zip(PARAMETERS, found.fitted.parameters, strict=True)),
-        "standard_deviations": dict(zip(PARAMETERS, np.sqrt(np.diagonal(found.covariance)), strict=True)),
-    }
-
-
-Deviation = Annotated[float, typer.Option(min=0.0, metavar="SIGMA", help="Standard deviation, in metres or radians.")]
+Deviation = Annotated[float, Option(min=0.0, metavar="SIGMA", help="Standard deviation, in metres or radians.")]
 
 
 @outputs.name_options(rng="--seed")
@@ -138,10 +118,10 @@ def tolerance(
     pivot: Deviation = 1e-4,
     ball: Deviation = 1e-4,
     offset: Deviation = 1e-4,
-    by: Annotated[str, typer.Option(help="What to rank: parameter, component, kind or leg.")] = "component",
-    states: Annotated[int, typer.Option(min=1, help="States to draw within the leg limits.")] = 60,
-    samples: Annotated[int, typer.Option(min=0, help="Random machines; 0 for first order alone.")] = 200,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of states and machines.")] = 0,
+    by: Annotated[str, Option(help="What to rank: parameter, component, kind or leg.")] = "component",
+    states: Annotated[int, Option(min=1, help="States to draw within the leg limits.")] = 60,
+    samples: Annotated[int, Option(min=0, help="Random machines; 0 for first order alone.")] = 200,
+    seed: Annotated[int, Option(min=0, help="Seed of states and machines.")] = 0,
     geometry: options.GeometryFile = None,
     json: options.AsJson = False,
 ) -> None:
@@ -152,14 +132,15 @@ def tolerance(
     table = {"direction": direction, "pivot": pivot, "ball": ball, "offset": offset}
     found = analyse(options.read_geometry(geometry), table, states, samples=samples, rng=seed)
     ranking = found.ranking(by)
+    linear, sampled = found.rms, found.sampled_rms
     if json:
-        linear, sampled = (dict(zip(("position", "angle"), x, strict=True)) for x in (found.rms, found.sampled_rms))
-        outputs.write_json({"tolerances": table, "rms": linear, "sampled_rms": sampled, "shares": dict(ranking)})
+        sizes = {"rms": linear, "sampled_rms": sampled}
+        named = {name: {"position": size[0], "angle": size[1]} for name, size in sizes.items()}
+        outputs.write_json({"tolerances": table, **named, "shares": dict(ranking)})
         return
-    lines = [f"RMS error of the platform at {states} states, to first order: {_text(found.rms)}"]
+    lines = [f"RMS error of the platform at {states} states, to first order: {_text(linear)}"]
     if samples:
-        usual, most = _text(found.sampled_rms), _text(found.percentile())
-        lines.append(f"of {samples} random machines: {usual}; 95 % within {most}")
+        lines.append(f"of {samples} random machines: {_text(sampled)}; 95 % within {_text(found.percentile())}")
     outputs.print_lines(lines)
     columns = {by: lambda row: str(row[0]), "share": lambda row: f"{row[1]:.1%}"}
     outputs.print_table("Shares of the variance of the position", columns, ranking[:20])

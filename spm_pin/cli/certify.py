@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Option
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit
-from spm_pin.display.result_plots import certificate_figure
+from spm_pin.display.figures import certificate_figure
 from spm_pin.errors import GeometryError
 from spm_pin.mechanism import Configuration, LegLimits
 from spm_pin.proofs import Certificate, InverseCertificate, certify_inverse
@@ -18,17 +19,13 @@ from spm_pin.proofs import certify as prove
 
 @outputs.name_options(path="--out", boxes="--boxes", length_error="--length-error", angle_error="--angle-error")
 def certify(
-    minimum: Annotated[float | None, typer.Option("--min", help="Shortest length of all six legs, in --unit.")] = None,
-    maximum: Annotated[float | None, typer.Option("--max", help="Longest length of all six legs, in --unit.")] = None,
-    boxes: Annotated[int, typer.Option(min=1, help="Boxes to look at in each stage, at most.")] = 300_000,
-    length_error: Annotated[
-        float, typer.Option(help="Prove it for all machines with pivots, balls, readings so near to these, in --unit.")
-    ] = 0.0,
-    angle_error: Annotated[
-        float, typer.Option(help="Prove it for all machines with revolute axes so near to these, in radians.")
-    ] = 0.0,
+    minimum: Annotated[float | None, Option("--min", help="Shortest length of all six legs, in --unit.")] = None,
+    maximum: Annotated[float | None, Option("--max", help="Longest length of all six legs, in --unit.")] = None,
+    boxes: Annotated[int, Option(min=1, help="Boxes to look at in each stage, at most.")] = 300_000,
+    length_error: Annotated[float, Option(help="Errors of pivots, balls, readings to prove it for, in --unit.")] = 0.0,
+    angle_error: Annotated[float, Option(help="Errors of the revolute axes to prove it for, in radians.")] = 0.0,
     inverse: Annotated[
-        bool, typer.Option("--inverse", help="Ask for inverse singularities as well: a bound of |det K|, or a state.")
+        bool, Option("--inverse", help="Ask for inverse singularities as well: a bound of |det K|, or a state.")
     ] = False,
     out: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the boxes to write.")] = None,
     unit: options.Unit = LengthUnit.M,
@@ -69,11 +66,10 @@ def certify(
         raise typer.Exit(1)
 
 
-def _state(witness: Configuration | None) -> dict[str, Any] | None:
-    return None if witness is None else {"leg_lengths": witness.leg_lengths, "pose": witness.pose.as_matrix()}
-
-
 def _content(certificate: Certificate, other: InverseCertificate | None) -> dict[str, Any]:
+    def state(witness: Configuration | None) -> dict[str, Any] | None:
+        return None if witness is None else {"leg_lengths": witness.leg_lengths, "pose": witness.pose.as_matrix()}
+
     lower, upper = certificate.bounds
     content = {
         "holds": certificate.holds,
@@ -84,10 +80,9 @@ def _content(certificate: Certificate, other: InverseCertificate | None) -> dict
             name: {"examined": proof.boxes, "proved": len(proof.proved), "undecided": len(proof.undecided)}
             for name, proof in (("lower", certificate.lower), ("upper", certificate.upper))
         },
-        "witness": _state(certificate.witness),
+        "witness": state(certificate.witness),
     }
     if other is not None:
         measures = {name: getattr(other, name) for name in ("holds", "bound", "least")}
-        undecided, witness = len(other.undecided), _state(other.witness)
-        content["inverse"] = {**measures, "undecided": undecided, "witness": witness}
+        content["inverse"] = {**measures, "undecided": len(other.undecided), "witness": state(other.witness)}
     return content

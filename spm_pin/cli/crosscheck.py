@@ -10,14 +10,13 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.reproduce import print_summary, summary_line
 from spm_pin.crosscheck import METHODS, PairDifference, Report, compare_in_batches
 from spm_pin.crosscheck import reproduce as recompute
+from spm_pin.display.figures import agreement_figure
 from spm_pin.display.plots import save_gallery
-from spm_pin.display.result_plots import agreement_figure
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import Geometry, pose
 from spm_pin.paper import published
@@ -44,16 +43,17 @@ def crosscheck(
     """
     report = compare_with_progress(options.read_geometry(geometry), poses, seed, method)
     file = None if geometry is None else str(geometry)
+    content = _content(report, file)
     if json:
-        outputs.write_json(_content(report, file))
+        outputs.write_json(content)
     else:
-        outputs.print_lines([verdict_line(report)], "bold green" if report.agrees else "bold red")
+        print_verdict("", report)
         outputs.stdout.print()
         print_report(report, pairs=pairs)
         for line in _remarks(report, method is None, file):
             outputs.stdout.print(line, soft_wrap=True)
     if out is not None:
-        outputs.write_json(_content(report, file), out)
+        outputs.write_json(content, out)
     outputs.write_figure(figure, agreement_figure, report)
     _end(report)
 
@@ -67,24 +67,12 @@ def _end(report: Report, failed: bool = False) -> None:
 
 
 def compare_with_progress(geometry: Geometry, poses: int, seed: int, methods: list[str] | None) -> Report:
-    """Run a comparison with a progress bar; on Ctrl-C return the report of the poses done so far.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        If none is done yet.
-    """
+    """Run a comparison with a progress bar; on Ctrl-C return the report of the poses done so far, if there are any."""
     names = None if methods is None else list(dict.fromkeys(methods))
-    columns = TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
     report = None
-    with Progress(*columns, console=outputs.stderr, transient=True) as bar:
-        task = bar.add_task("", total=poses)
-
-        def progress(step: str, done: int, total: int) -> None:
-            bar.update(task, description=step, completed=done, total=total)
-
+    with outputs.progress_bar() as bar:
         try:
-            for partial in compare_in_batches(geometry, poses=poses, seed=seed, methods=names, progress=progress):
+            for partial in compare_in_batches(geometry, poses=poses, seed=seed, methods=names, progress=bar):
                 report = partial
         except KeyboardInterrupt:
             if report is None:
@@ -93,52 +81,44 @@ def compare_with_progress(geometry: Geometry, poses: int, seed: int, methods: li
     return report
 
 
-def verdict_line(report: Report) -> str:
-    """Return the outcome of a comparison in one sentence."""
+def print_verdict(heading: str, report: Report) -> None:
+    """Print the outcome of a comparison in one sentence."""
     done = len(report.xyx)
-    count = (
-        f"{done} random poses" if done == report.requested else f"Interrupted after {done} of {report.requested} poses"
-    )
+    finished = done == report.requested
+    count = f"{done} random poses" if finished else f"Interrupted after {done} of {report.requested} poses"
     names = ", ".join(score.name for score in report.scores)
-    return f"{count}, {report.states} configurations, by {names}. {report.verdict}"
+    line = f"{heading}{count}, {report.states} configurations, by {names}. {report.verdict}"
+    outputs.print_lines([line], "bold green" if report.agrees else "bold red")
 
 
 def print_report(report: Report, *, pairs: bool = False) -> None:
     """Print the scores of the methods, and the differences of all pairs or the largest of each quantity."""
-    counts = {
+    counts = {"poses solved": "solved", "branches": "branches", "false": "invented", "poses with one lost": "missed"}
+    columns = {"method": lambda score: score.name}
+    columns |= {
         heading: lambda score, name=name: str(getattr(score, name)) if score.solved else "-"
-        for heading, name in (
-            ("poses solved", "solved"),
-            ("branches", "branches"),
-            ("false", "invented"),
-            ("poses with one lost", "missed"),
-        )
+        for heading, name in counts.items()
     }
-    outputs.print_table(
-        "Inverse displacement by each method",
-        {
-            "method": lambda score: score.name,
-            **counts,
-            "known rate": lambda score: f"{100 * score.allowed:g} %" if score.solved else "-",
-        },
-        report.scores,
-        style=lambda score: "red" if score.invented or score.misses_too_often else None,
-    )
+    columns["known rate"] = lambda score: f"{100 * score.allowed:g} %" if score.solved else "-"
+    faulty = {score.name: "red" for score in report.scores if score.invented or score.misses_too_often}
+    title = "Inverse displacement by each method"
+    outputs.print_table(title, columns, report.scores, style=lambda score: faulty.get(score.name))
     shown: list[PairDifference] = []
     for _, group in groupby(report.differences, key=lambda pair: pair.quantity):
         of_quantity = list(group)
         shown += of_quantity if pairs else [max(of_quantity, key=lambda pair: pair.ratio)]
+    columns = {
+        "quantity": lambda pair: str(pair.quantity),
+        "methods": lambda pair: f"{pair.first} - {pair.second}",
+        "states": lambda pair: str(pair.compared),
+        "differ": lambda pair: str(pair.disagreements),
+        "largest": lambda pair: f"{pair.worst:.0e} {pair.quantity.unit}".strip(),
+        "share": lambda pair: f"{pair.ratio:.0e}",
+    }
     which = "Differences of all pairs" if pairs else "Largest difference in each quantity"
     outputs.print_table(
         f"{which}, and its share of the tolerance",
-        {
-            "quantity": lambda pair: str(pair.quantity),
-            "methods": lambda pair: f"{pair.first} - {pair.second}",
-            "states": lambda pair: str(pair.compared),
-            "differ": lambda pair: str(pair.disagreements),
-            "largest": lambda pair: f"{pair.worst:.0e} {pair.quantity.unit}".strip(),
-            "share": lambda pair: f"{pair.ratio:.0e}",
-        },
+        columns,
         shown,
         left=["methods"],
         group=lambda pair: pair.quantity if pairs else None,
@@ -160,12 +140,8 @@ def _remarks(report: Report, all_methods: bool, file: str | None) -> list[str]:
     for score in report.scores:
         if score.pose >= 0:
             rate = f"{100 * score.allowed:g} %"
-            how = (
-                f"more often than the {rate} it states"
-                if score.misses_too_often
-                else f"within its known rate of {rate}"
-            )
-            lost = f"branches lost at {score.missed} poses, {how}"
+            rated = f"more often than the {rate} it states" if score.misses_too_often else f"within its {rate}"
+            lost = f"branches lost at {score.missed} poses, {rated}"
             what = f"{score.invented} false branches" if score.invented else lost
             lines.append(f"{score.name}: {what}. The first is at the pose")
             lines.append(f"  {report.command(score.pose, file)}")
@@ -173,17 +149,12 @@ def _remarks(report: Report, all_methods: bool, file: str | None) -> list[str]:
 
 
 def _content(report: Report, file: str | None) -> dict[str, Any]:
-    return {
-        "agrees": report.agrees,
-        "verdict": report.verdict,
-        "outliers": report.outliers,
-        "seed": report.seed,
-        "requested": report.requested,
-        "geometry": {key: vars(report.geometry)[key] for key in ("base_radius", "platform_radius", "middle_side")},
-        "poses": [
-            {"translation": translation, "xyx_degrees": xyx}
-            for translation, xyx in zip(report.translation, report.xyx, strict=True)
-        ],
+    content = {name: getattr(report, name) for name in ("agrees", "verdict", "outliers", "seed", "requested")}
+    sizes = {name: getattr(report.geometry, name) for name in ("base_radius", "platform_radius", "middle_side")}
+    poses = zip(report.translation, report.xyx, strict=True)
+    return content | {
+        "geometry": sizes,
+        "poses": [{"translation": translation, "xyx_degrees": xyx} for translation, xyx in poses],
         "reached": report.reached,
         "states": report.states,
         "methods": [vars(score) for score in report.scores],
@@ -215,7 +186,7 @@ def demo(
     report = compare_with_progress(Geometry.paper(), poses, 0, None)
     style = "bold red" if reproduction.unexplained else "bold green"
     outputs.print_lines([f"The paper:   {summary_line(reproduction)}"], style)
-    outputs.print_lines([f"The methods: {verdict_line(report)}"], "bold green" if report.agrees else "bold red")
+    print_verdict("The methods: ", report)
     outputs.stdout.print()
     print_summary(reproduction)
     outputs.print_lines(["The cause of each difference is in the numbers: spm-pin reproduce names it."])

@@ -9,11 +9,11 @@ import webbrowser
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Option
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit
-from spm_pin.display.output_files import FORMATS
+from spm_pin.display.figures import FORMATS
 from spm_pin.display.plots import NARROWEST, save_gallery, save_picture
 from spm_pin.errors import ArgumentError, require_extra
 
@@ -25,18 +25,18 @@ def draw(
     xyx: options.AnyXyx = None,
     legs: options.AnyLegs = None,
     branch: options.Branches = None,
-    every: Annotated[bool, typer.Option("--all", help="All real branches, side by side.")] = False,
+    every: Annotated[bool, Option("--all", help="All real branches, side by side.")] = False,
     unit: options.Unit = LengthUnit.M,
     geometry: options.GeometryFile = None,
     view: Annotated[
-        tuple[float, float], typer.Option(metavar="AZIMUTH ELEVATION", help="Where to look from, in degrees.")
+        tuple[float, float], Option(metavar="AZIMUTH ELEVATION", help="Where to look from, in degrees.")
     ] = (15.0, 25.0),
-    width: Annotated[int | None, typer.Option(help="Width of the picture in pixels.")] = None,
+    width: Annotated[int | None, Option(help="Width of the picture in pixels.")] = None,
     names: Annotated[
         bool | None,
-        typer.Option("--names/--no-names", help="Name joints, legs and axes; a branch alone has names."),
+        Option("--names/--no-names", help="Name joints, legs and axes; a branch alone has names."),
     ] = None,
-    background: Annotated[str, typer.Option(help="A colour, or none.")] = "white",
+    background: Annotated[str, Option(help="A colour, or none.")] = "white",
 ) -> None:
     """Draw the manipulator: the physical branch of a pose, branches by their names, or all of them.
 
@@ -66,19 +66,17 @@ def view(
     translation: options.AnyTranslation = None,
     xyx: options.AnyXyx = None,
     legs: options.AnyLegs = None,
-    branch: Annotated[str | None, typer.Option(metavar="LABEL", help="Branch to begin with, such as TT+.")] = None,
+    branch: Annotated[str | None, Option(metavar="LABEL", help="Branch to begin with, such as TT+.")] = None,
     unit: options.Unit = LengthUnit.M,
     geometry: options.GeometryFile = None,
-    path: Annotated[Path | None, typer.Option(metavar="FILE", help="A recorded path to play, a CSV file.")] = None,
-    host: Annotated[str, typer.Option(help="Address to listen at; only this machine reaches the default.")] = (
-        "127.0.0.1"
-    ),
-    port: Annotated[int, typer.Option(help="First port to try; 0 lets the system choose.")] = 8080,
+    path: Annotated[Path | None, Option(metavar="FILE", help="A recorded path to play, a CSV file.")] = None,
+    host: Annotated[str, Option(help="Address to listen at; only this machine reaches the default.")] = ("127.0.0.1"),
+    port: Annotated[int, Option(help="First port to try; 0 lets the system choose.")] = 8080,
     demo: Annotated[
-        bool | None, typer.Option("--demo/--no-demo", help="Move until touched; by default if no pose is given.")
+        bool | None, Option("--demo/--no-demo", help="Move until touched; by default if no pose is given.")
     ] = None,
-    dark: Annotated[bool, typer.Option("--dark", help="Begin with a dark page.")] = False,
-    browser: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")] = True,
+    dark: Annotated[bool, Option("--dark", help="Begin with a dark page.")] = False,
+    browser: Annotated[bool, Option("--open/--no-open", help="Open the page in a browser.")] = True,
 ) -> None:
     """Drag the platform and watch all branches, in a browser. Ends with Ctrl-C.
 

@@ -2,34 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
-import typer
+from typer import Argument, Option
 
 from spm_pin.cli import options, outputs
 from spm_pin.errors import ArgumentError
 
 Format = Literal["urdf", "mjcf", "sdf", "extended-urdf", "srdf", "c", "ros"]
-Anchors = Literal["bodies", "sites"]
-Loops = Literal["joints", "drake"]
 
 
 @outputs.name_options(directory="--out")
 def export(
-    format_: Annotated[Format | None, typer.Argument(metavar="[FORMAT]", help="What to write.")] = None,
-    option: Annotated[Format | None, typer.Option("--format", help="The same, as an option.")] = None,
+    format_: Annotated[Format | None, Argument(metavar="[FORMAT]", help="What to write.")] = None,
+    option: Annotated[Format | None, Option("--format", help="The same, as an option.")] = None,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", parser=outputs.file_name, help="Where to write; standard output if not given."),
+        Option(metavar="FILE", parser=outputs.file_name, help="Where to write; standard output if not given."),
     ] = None,
     prefix: Annotated[str | None, options.PREFIX] = None,
     geometry: options.GeometryFile = None,
     ros_constraints: Annotated[
-        bool, typer.Option("--ros-constraints", help="urdf: add the <constraint> elements proposed for ROS.")
+        bool, Option("--ros-constraints", help="urdf: add the <constraint> elements proposed for ROS.")
     ] = False,
-    anchors: Annotated[Anchors | None, typer.Option(help="mjcf: anchor closures in bodies, or in sites.")] = None,
-    loops: Annotated[Loops | None, typer.Option(help="sdf: close loops by joints, or by Drake's elements.")] = None,
+    anchors: Annotated[
+        Literal["bodies", "sites"] | None, Option(help="mjcf: anchor closures in bodies, or in sites.")
+    ] = None,
+    loops: Annotated[
+        Literal["joints", "drake"] | None, Option(help="sdf: close loops by joints, or by Drake's elements.")
+    ] = None,
 ) -> None:
     """Write the robot with its loops closed, in the format of another engine, or its kinematics in C.
 
@@ -46,43 +49,43 @@ def export(
         received = "none" if format_ is None else "two"
         raise ArgumentError("FORMAT", f"one of {', '.join(get_args(Format))}", received)
     format_ = format_ or option
-    for name, value, formats in (
-        ("--ros-constraints", ros_constraints, ("urdf",)),
-        ("--anchors", anchors, ("mjcf",)),
-        ("--loops", loops, ("sdf",)),
-    ):
-        if value and format_ not in formats:
-            raise ArgumentError(name, f"to be left out with --format {format_}", value)
+    special: dict[str | None, tuple[str, Any]] = {
+        "urdf": ("ros_constraints", ros_constraints),
+        "mjcf": ("anchors", anchors),
+        "sdf": ("loops", loops),
+    }
+    for only, (name, value) in special.items():
+        if value and format_ != only:
+            raise ArgumentError(f"--{name.replace('_', '-')}", f"to be left out with --format {format_}", value)
+    machine = options.read_geometry(geometry)
     if format_ in ("c", "ros"):
         if out is None:
             raise ArgumentError("--out", "the directory to write into", "none")
         from spm_pin.symbolic import write_c, write_ros
 
-        machine = options.read_geometry(geometry)
         if format_ == "ros":
             write_ros(machine, out, prefix=prefix or "")
             outputs.note(f"wrote a ROS 2 package into {out}")
             return
         for path in write_c(machine, out, prefix="spm_" if prefix is None else prefix):
             outputs.note(f"wrote {path}")
-        return
-    if out is not None:
-        outputs.check_output(out)
-    prefix, machine = prefix or "", options.read_geometry(geometry)
-    # Beside a file go its meshes; a text on standard output has whole paths.
-    meshes = "meshes" if out is not None else None
-    match format_:
-        case "urdf":
-            text = description.urdf_text(machine, prefix=prefix, meshes=meshes, ros_constraints=ros_constraints)
-        case "mjcf":
-            text = description.mjcf_text(machine, prefix=prefix, meshes=meshes, anchors=anchors)
-        case "sdf":
-            text = description.sdf_text(machine, prefix=prefix, meshes=meshes, loops=loops)
-        case "srdf":
-            text = description.srdf_text(prefix=prefix)
-        case _:
-            text = description.extended_urdf_text(prefix=prefix)
-    (outputs.write_model if format_ in ("urdf", "mjcf", "sdf") else outputs.write_text)(text, out)
+    elif format_ in ("srdf", "extended-urdf"):
+        if out is not None:
+            outputs.check_output(out)
+        write = description.srdf_text if format_ == "srdf" else description.extended_urdf_text
+        outputs.write_text(write(prefix=prefix or ""), out)
+    else:
+        if out is not None:
+            outputs.check_output(out)
+        writers: dict[str | None, Callable[..., str]] = {
+            "urdf": description.urdf_text,
+            "mjcf": description.mjcf_text,
+            "sdf": description.sdf_text,
+        }
+        name, value = special[format_]
+        # Beside a file go its meshes; a text on standard output has whole paths.
+        meshes = "meshes" if out is not None else None
+        _write_model(writers[format_](machine, prefix=prefix or "", meshes=meshes, **{name: value}), out)
 
 
 @outputs.name_options()
@@ -100,5 +103,16 @@ def urdf(
     """
     from spm_pin.description import urdf_text
 
-    text = urdf_text(options.read_geometry(geometry), prefix=prefix, meshes="meshes" if out else None)
-    outputs.write_model(text, out)
+    _write_model(urdf_text(options.read_geometry(geometry), prefix=prefix, meshes="meshes" if out else None), out)
+
+
+def _write_model(text: str, path: Path | None) -> None:
+    """Write a model, and the meshes into a folder beside its file."""
+    from spm_pin.description.source_files import copy_meshes
+
+    if path is not None:
+        copy_meshes(path.parent)
+    outputs.write_text(text, path)
+    if path is not None and path.suffix == ".urdf":
+        load = f'pinocchio.buildModelsFromUrdf("{path}", package_dirs="{path.parent}")'
+        outputs.note(f"in Pinocchio: {load}, for the meshes")

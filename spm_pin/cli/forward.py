@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from collections.abc import Callable
+from typing import Annotated
 
 import numpy as np
 import typer
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit, SixLegs, leg_option
-from spm_pin.display.output_files import fixed
+from spm_pin.display.figures import fixed
 from spm_pin.kinematics.forward_displacement import forward_displacement, forward_physical
 from spm_pin.mechanism import Configuration, SolutionSet, Status
 
@@ -36,11 +37,31 @@ def forward(
         shown = {modes.labels[k]: modes.configurations[k] for k in np.flatnonzero(modes.exists)}
     home = modes.labels[0] if physical.exists else ""
     if json:
-        outputs.write_json(_content(modes, shown, home, unit))
+        states = [
+            {
+                "label": label,
+                "translation": state.translation * unit.per_metre,
+                "xyx": _angles(state),
+                "rotation": state.rotation,
+                "middle_joints": state.middle_joints * unit.per_metre,
+                "physical": label == home,
+                "residual": state.closure_residual * unit.per_metre,
+            }
+            for label, state in shown.items()
+        ]
+        outputs.write_json(options.status_content(modes, unit) | {"count": modes.count, "modes": states})
     else:
         if shown:
             _print_states(shown, home, unit, "Assembly modes" if every else "The physical configuration")
-        outputs.print_lines(_remarks(modes, physical, options.unit_hint("--legs", max(legs), unit, dimensions)))
+        remarks = [options.status_line(modes, "assembly modes")]
+        if modes.status is Status.DEGENERATE:
+            remarks += ["With these legs locked the platform can still move.", *options.pose_remarks(modes)]
+        if modes.status is Status.UNREACHABLE:
+            hint = options.unit_hint("--legs", max(legs), unit, dimensions)
+            remarks.append(hint or "A stage cannot be closed with these leg lengths.")
+        elif not physical.exists:
+            remarks.append("No mode is reached from the symmetric home without a forward singularity.")
+        outputs.print_lines(remarks)
     raise typer.Exit(options.exit_code(modes))
 
 
@@ -58,43 +79,11 @@ def _angles(state: Configuration) -> list[float]:
 def _print_states(states: dict[str, Configuration], physical: str, unit: LengthUnit, title: str) -> None:
     # One digit more where there is room for it in 80 columns.
     finer = int(len(states) == 1)
-    position = {name: lambda label, k=k: unit.text(states[label].translation[k], finer) for k, name in enumerate("XYZ")}
-    angles = {
+    columns: dict[str, Callable[[str], str]] = {"mode": str}
+    columns |= {name: lambda label, k=k: unit.text(states[label].translation[k], finer) for k, name in enumerate("XYZ")}
+    columns |= {
         name: lambda label, k=k: fixed(_angles(states[label])[k], 3 + finer)
         for k, name in enumerate(("alpha", "beta", "lambda"))
     }
-    physical_column = {"": lambda label: "physical" if label == physical else ""}
-    columns = {"mode": lambda label: label, **position, **angles, **physical_column}
+    columns[""] = lambda label: "physical" if label == physical else ""
     outputs.print_table(f"{title}: o in {unit}, X-Y-X in degrees", columns, states, left=[""])
-
-
-def _remarks(modes: SolutionSet, physical: Configuration, hint: str) -> list[str]:
-    remarks = [options.status_line(modes, "assembly modes")]
-    if modes.status is Status.DEGENERATE:
-        remarks += ["With these legs locked the platform can still move.", *options.pose_remarks(modes)]
-    if modes.status is Status.UNREACHABLE:
-        remarks.append(hint or "A stage cannot be closed with these leg lengths.")
-    elif not physical.exists:
-        remarks.append("No mode is reached from the symmetric home without a forward singularity.")
-    return remarks
-
-
-def _content(modes: SolutionSet, shown: dict[str, Configuration], physical: str, unit: LengthUnit) -> dict[str, Any]:
-    return {
-        "unit": unit,
-        "status": str(modes.status),
-        "count": modes.count,
-        "degeneracy": options.degeneracy_content(modes),
-        "modes": [
-            {
-                "label": label,
-                "translation": state.translation * unit.per_metre,
-                "xyx": _angles(state),
-                "rotation": state.rotation,
-                "middle_joints": state.middle_joints * unit.per_metre,
-                "physical": label == physical,
-                "residual": state.closure_residual * unit.per_metre,
-            }
-            for label, state in shown.items()
-        ],
-    }

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 from scipy.spatial.transform import RigidTransform
+from typer import Option
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit, SixLegs, leg_option
-from spm_pin.display.output_files import fixed
-from spm_pin.display.result_plots import motion_figure
+from spm_pin.display.figures import fixed, motion_figure
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LEGS, LegLimits
 from spm_pin.mechanism.arguments import FloatArray
@@ -22,19 +22,25 @@ from spm_pin.workspace import JointLimits
 
 if TYPE_CHECKING:
     from spm_pin.motion import MotionPlan
-    from spm_pin.multibody.chain import ClosedChain
-    from spm_pin.multibody.trajectory import JointTrajectory
 
 _NAMES = {"start": "--from", "goal": "--to", "leg_rates": "--leg-rate", "leg_accelerations": "--leg-acceleration"}
 _NAMES |= {"leg_forces": "--leg-force", "leg_jerks": "--leg-jerk", "mass": "--payload", "path": "--out"}
 _NAMES |= {"minimum": "--limits", "maximum": "--limits"}
 
-_Degrees = tuple[float, float] | None
+_Pair = tuple[float, float] | None
 
 
 def _largest(help_text: str) -> Any:
     """Return an option of a limit: one number, or six of them separated by commas."""
-    return typer.Option(metavar="X", help=f"Largest {help_text}")
+    return Option(metavar="X", help=f"Largest {help_text}")
+
+
+def _degrees(help_text: str) -> Any:
+    return Option(metavar="MIN MAX", help=help_text)
+
+
+def _pose(name: str, help_text: str) -> Any:
+    return Option(name, metavar="X Y Z A B L", help=help_text)
 
 
 @outputs.name_options(**_NAMES)
@@ -42,49 +48,33 @@ def move(
     start: Annotated[SixLegs | None, leg_option("--from", "Leg lengths at the start, in --unit.")] = None,
     goal: Annotated[SixLegs | None, leg_option("--to", "Leg lengths at the end, in --unit.")] = None,
     start_pose: Annotated[
-        SixLegs | None,
-        typer.Option("--from-pose", metavar="X Y Z A B L", help="Instead: o in --unit, X-Y-X angles in degrees."),
+        SixLegs | None, _pose("--from-pose", "Instead: o in --unit, X-Y-X angles in degrees.")
     ] = None,
-    goal_pose: Annotated[
-        SixLegs | None,
-        typer.Option("--to-pose", metavar="X Y Z A B L", help="Instead of --to, as --from-pose."),
-    ] = None,
+    goal_pose: Annotated[SixLegs | None, _pose("--to-pose", "Instead of --to, as --from-pose.")] = None,
     via: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             metavar="B1,B2,B3,C1,C2,C3", help="Leg lengths to pass on the way, in --unit; may be repeated, in order."
         ),
     ] = None,
     limits: Annotated[
         tuple[str, str] | None,
-        typer.Option(
-            metavar="MIN MAX",
-            help="Leg lengths allowed, each one number or six, in --unit; the geometry's if not given.",
-        ),
+        Option(metavar="MIN MAX", help="Leg lengths, each one number or six, in --unit; the geometry's if not given."),
     ] = None,
     leg_rate: Annotated[str | None, _largest("speed of a leg \\[m/s].")] = None,
     leg_acceleration: Annotated[str | None, _largest("acceleration of a leg \\[m/s²].")] = None,
     leg_force: Annotated[str | None, _largest("force of a leg, pushing or pulling \\[N].")] = None,
     leg_jerk: Annotated[str | None, _largest("jerk of a leg \\[m/s³]: forces without jumps, slower.")] = None,
-    twist: Annotated[
-        tuple[float, float] | None,
-        typer.Option(metavar="V OMEGA", help="Speed limits of o \\[m/s] and turning \\[rad/s]."),
-    ] = None,
-    payload: Annotated[float, typer.Option(help="Mass on the terminal platform, at o \\[kg].")] = 0.0,
-    hip: Annotated[
-        _Degrees, typer.Option(metavar="MIN MAX", help="Angles allowed at the revolute joints, from home, in degrees.")
-    ] = None,
-    ball_x: Annotated[
-        _Degrees, typer.Option(metavar="MIN MAX", help="The same of the ball joints, about the legs' revolute axes.")
-    ] = None,
-    ball_y: Annotated[_Degrees, typer.Option(metavar="MIN MAX", help="About their middle axes.")] = None,
-    ball_z: Annotated[_Degrees, typer.Option(metavar="MIN MAX", help="About the middle platform's normal.")] = None,
-    clearance: Annotated[
-        float | None, typer.Option(help="Least distance of the axes of two legs without a joint in common, in --unit.")
-    ] = None,
-    margin: Annotated[float, typer.Option(help="Least |det J| of a stage over d³ on the way.")] = 0.05,
-    straight: Annotated[bool, typer.Option("--straight", help="Move o on a straight line, and nowhere else.")] = False,
-    period: Annotated[float, typer.Option(help="Time between the rows \\[s].")] = 2e-3,
+    twist: Annotated[_Pair, Option(metavar="V OMEGA", help="Speed limits of o \\[m/s] and turning \\[rad/s].")] = None,
+    payload: Annotated[float, Option(help="Mass on the terminal platform, at o \\[kg].")] = 0.0,
+    hip: Annotated[_Pair, _degrees("Angles of the revolute joints, from home, in degrees.")] = None,
+    ball_x: Annotated[_Pair, _degrees("The same of the ball joints, about the legs' revolute axes.")] = None,
+    ball_y: Annotated[_Pair, _degrees("About their middle axes.")] = None,
+    ball_z: Annotated[_Pair, _degrees("About the middle platform's normal.")] = None,
+    clearance: Annotated[float | None, Option(help="Least distance of legs without a common joint, in --unit.")] = None,
+    margin: Annotated[float, Option(help="Least |det J| of a stage over d³ on the way.")] = 0.05,
+    straight: Annotated[bool, Option("--straight", help="Move o on a straight line, and nowhere else.")] = False,
+    period: Annotated[float, Option(help="Time between the rows \\[s].")] = 2e-3,
     out: Annotated[Path | None, outputs.file_option("CSV of the legs to write.", (".csv",))] = None,
     plot: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) to write.")] = None,
     unit: options.Unit = LengthUnit.M,
@@ -113,12 +103,12 @@ def move(
     passed = [_each_leg(text, "--via", single=False) / unit.per_metre for text in via or ()]
     pairs = {"hip": hip, "ball_x": ball_x, "ball_y": ball_y, "ball_z": ball_z}
     angles = {name: (math.radians(pair[0]), math.radians(pair[1])) for name, pair in pairs.items() if pair is not None}
-    joints = JointLimits(**angles, clearance=None if clearance is None else clearance / unit.per_metre)
+    joint_limits = JointLimits(**angles, clearance=None if clearance is None else clearance / unit.per_metre)
     typed = {"rate": leg_rate, "acceleration": leg_acceleration, "force": leg_force, "jerk": leg_jerk}
     largest: dict[str, Any] = {
         f"leg_{name}s": _each_leg(text, f"--leg-{name}") for name, text in typed.items() if text is not None
     }
-    ways: dict[str, Any] = {"via": passed, "joint_limits": joints, "line": "poses" if straight else "legs"}
+    ways: dict[str, Any] = {"via": passed, "joint_limits": joint_limits, "line": "poses" if straight else "legs"}
     certificate = certify(dimensions, allowed) if allowed is not None else None
     planned = plan(dimensions, first, last, allowed, margin=margin, certificate=certificate, **ways)
     if planned.path is None:
@@ -128,7 +118,11 @@ def move(
     load = Payload(payload) if payload else None
     motion = time_optimal(chain, planned, **largest, twist=twist, payload=load, period=period)
     lengths = chain.readings(motion.positions)
-    table = _columns(chain, motion, lengths)
+    joints = {".rate": motion.velocities, ".acceleration": motion.accelerations, ".force": motion.efforts}
+    kinds = {"": lengths, **{kind: values[:, chain.leg_indices] for kind, values in joints.items()}}
+    # No negative zeros.
+    columns = {leg + kind: values[:, k] + 0.0 for kind, values in kinds.items() for k, leg in enumerate(LEGS)}
+    table = {"t": motion.times, **columns}
     if json:
         content = {"method": planned.method, "certified": planned.certified, "margin": planned.margin}
         outputs.write_json({**content, **table})
@@ -162,15 +156,6 @@ def _end_state(
         received = "neither" if coordinates is None else "both"
         raise ArgumentError(option, f"six numbers, with either {option} or {option}-pose", received)
     return options.read_pose(coordinates[:3], coordinates[3:], unit)
-
-
-def _columns(chain: ClosedChain, motion: JointTrajectory, lengths: FloatArray) -> dict[str, FloatArray]:
-    legs = chain.leg_indices
-    joints = {".rate": motion.velocities, ".acceleration": motion.accelerations, ".force": motion.efforts}
-    kinds = {"": lengths, **{kind: values[:, legs] for kind, values in joints.items()}}
-    # No negative zeros.
-    columns = {leg + kind: values[:, k] + 0.0 for kind, values in kinds.items() for k, leg in enumerate(LEGS)}
-    return {"t": motion.times, **columns}
 
 
 def _report(planned: MotionPlan, table: dict[str, FloatArray], unit: LengthUnit) -> None:

@@ -13,12 +13,12 @@ import typer
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.cli.outputs import note
-from spm_pin.display.output_files import fixed
+from spm_pin.display.figures import fixed
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.kinematics.forward_displacement import forward_physical, starting_configuration
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import FAMILIES, Configuration, Geometry, SolutionSet, Status, pose
-from spm_pin.mechanism.units import PER_METRE, likely_unit, machine_size
+from spm_pin.mechanism.geometry import PER_METRE, likely_unit, machine_size
 
 
 class LengthUnit(enum.StrEnum):
@@ -56,18 +56,13 @@ AnyXyx = Annotated[Triple | None, XYX]
 AnyLegs = Annotated[SixLegs | None, leg_option("--legs", "Leg lengths in --unit, instead of a pose.")]
 Unit = Annotated[LengthUnit, typer.Option(help="Unit of lengths, in and out.")]
 GeometryFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--geometry", metavar="FILE", help="YAML file of dimensions, or of a machine as built; the paper's if not."
-    ),
+    Path | None, typer.Option("--geometry", metavar="FILE", help="YAML file of a machine; the paper's if not given.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 Limits = Annotated[
     tuple[float, float] | None,
     typer.Option("--limits", metavar="MIN MAX", help="Limits of all six legs, in --unit; the geometry's if not given."),
 ]
-
-
 PREFIX = typer.Option("--prefix", help="Put before every name, such as left_.")
 Branches = Annotated[
     list[str] | None, typer.Option("--branch", metavar="LABEL", help="Branch, such as TT+; may be repeated.")
@@ -75,10 +70,7 @@ Branches = Annotated[
 
 
 def read_geometry(path: Path | None) -> Geometry:
-    """Return the geometry of `--geometry`, drawn or as built; by default the paper's.
-
-    Warnings about the file are notes on stderr; a file that describes no manipulator is a `GeometryError`.
-    """
+    """Return the geometry of `--geometry`, by default the paper's; warnings about the file are notes on stderr."""
     if path is None:
         return Geometry.paper()
     try:
@@ -100,10 +92,7 @@ def read_pose(translation: Triple, xyx: Triple, unit: LengthUnit) -> RigidTransf
 
 
 def unit_hint(option: str, typed: float | tuple[float, ...], unit: LengthUnit, geometry: Geometry) -> str:
-    """Return a hint at the unit where lengths are out of proportion to the machine, else an empty string.
-
-    `typed`, after `option`, is a length or several, of which the norm counts, in the `unit` they were read in.
-    """
+    """Return a hint at the unit where lengths, in norm, are out of proportion to the machine, else an empty string."""
     length = float(np.linalg.norm(typed))
     better = likely_unit(geometry, length / unit.per_metre, unit)
     if better is None:
@@ -143,11 +132,11 @@ def pose_remarks(solutions: SolutionSet) -> list[str]:
     return remarks
 
 
-def degeneracy_content(solutions: SolutionSet) -> dict[str, Any] | None:
-    """Return what `--json` says of a continuous family; None if there is none."""
-    degeneracy = solutions.degeneracy
-    names = ("dimension", "families", "legs")
-    return None if degeneracy is None else {name: getattr(degeneracy, name) for name in names}
+def status_content(solutions: SolutionSet, unit: LengthUnit) -> dict[str, Any]:
+    """Return what `--json` says of all solutions: their unit, the status, and a continuous family or None."""
+    found = solutions.degeneracy
+    family = found and {name: getattr(found, name) for name in ("dimension", "families", "legs")}
+    return {"unit": unit, "status": str(solutions.status), "degeneracy": family}
 
 
 def status_line(solutions: SolutionSet, what: str) -> str:
@@ -161,10 +150,7 @@ def status_line(solutions: SolutionSet, what: str) -> str:
 def selected_labels(solutions: SolutionSet, labels: list[str] | None, *, required: bool = False) -> list[str]:
     """Return the branches of `--branch`, or all real ones.
 
-    Raises
-    ------
-    ArgumentError
-        If a branch of `--branch` is not real while others are; if `required`, also where no branch is real.
+    A branch named must be real where others are; if `required`, also where no branch is real.
     """
     real = [label for label, exists in zip(solutions.labels, solutions.exists, strict=True) if exists]
     if required and labels is not None and not real:
@@ -192,11 +178,6 @@ def requested_solutions(
 
     That is the physical one, or else the first; with `legs` the one they determine; with no option at all, a regular
     configuration near the home.
-
-    Raises
-    ------
-    ArgumentError
-        If only half a pose is given, or a pose and legs; or nothing real is found.
     """
     if (translation is None) != (xyx is None):
         missing = "--translation" if translation is None else "--xyx"

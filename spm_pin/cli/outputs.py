@@ -6,18 +6,18 @@ import codecs
 import contextlib
 import functools
 import io
-import math
 import os
 import sys
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import typer
 from rich.cells import cell_len
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from spm_pin.display.output_files import FORMATS, save_figure, to_json
+from spm_pin.display.figures import FORMATS, save_figure, to_json
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism.arguments import writing
 
@@ -34,7 +34,6 @@ _ROUNDING = 1e-12
 P = ParamSpec("P")
 R = TypeVar("R")
 Row = TypeVar("Row")
-
 
 _ASCII = {"─": "-", "│": "|", "²": "^2", "³": "^3", "°": " deg", "σ": "s", "ω": "w", "Δ": "d", "±": "+-", "·": "*"}
 _ASCII |= {"×": "x", "•": "*", "→": "->", "≤": "<=", "≥": ">=", "…": "...", "–": "-", "√": "sqrt", "−": "-", "∞": "inf"}
@@ -79,6 +78,15 @@ def note(text: str, style: str | None = None) -> None:
         stderr.print(text, style=style)
 
 
+@contextlib.contextmanager
+def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
+    """Show a progress bar on stderr, and yield the function that takes a step's name, what is done, and of how much."""
+    columns = TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=stderr, transient=True) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda step, done, total: bar.update(task, description=step, completed=done, total=total)
+
+
 def print_table(
     title: str,
     columns: Mapping[str, Callable[[Row], str]],
@@ -88,38 +96,29 @@ def print_table(
     group: Callable[[Row], object] = lambda row: None,
     style: Callable[[Row], str | None] = lambda row: None,
 ) -> None:
-    """Print a table on stdout whose cells are never cut: `columns` are headings and the text of each for a row.
+    """Print a table on stdout, lines as long as they need to be: `columns` are headings and the text of each for a row.
 
-    In a pipe a line is as long as it needs to be. On a screen, columns that do not fit follow in further blocks below,
-    each beginning with the first column. That column is aligned to the left, and so are those with headings in `left`;
-    an empty line separates rows of another `group`.
+    The first column is aligned to the left, and so are those with headings in `left`; an empty line separates rows of
+    another `group`.
     """
     rows, headings = list(rows), list(columns)
     cells = [[text(row) for text in columns.values()] for row in rows]
-    widths = [max(cell_len(cell) for cell in column) for column in zip(headings, *cells, strict=True)]
-    screen = stdout.width if stdout.is_terminal else math.inf
-    blocks = [[0]]
-    for k in range(1, len(headings)):
-        if len(blocks[-1]) > 1 and sum(widths[c] + 2 for c in (*blocks[-1], k)) > screen:
-            blocks.append([0])
-        blocks[-1].append(k)
+    widths = [max(map(cell_len, column)) for column in zip(headings, *cells, strict=True)]
 
-    def line(texts: Sequence[str], block: list[int], style: str | None = None) -> None:
+    def line(texts: Sequence[str], style: str | None = None) -> None:
         padded = []
-        for k in block:
-            space = " " * (widths[k] - cell_len(texts[k]))
-            padded.append(texts[k] + space if k == 0 or headings[k] in left else space + texts[k])
+        for k, text in enumerate(texts):
+            space = " " * (widths[k] - cell_len(text))
+            padded.append(text + space if k == 0 or headings[k] in left else space + text)
         stdout.print(" " + "  ".join(padded).rstrip(), style=style, soft_wrap=True)
 
-    stdout.print(title, style="bold", soft_wrap=True)
-    for block in blocks:
-        stdout.print()
-        line(headings, block, "bold")
-        stdout.print(" " + "─" * (sum(widths[k] + 2 for k in block) - 2), soft_wrap=True)
-        for number, (row, texts) in enumerate(zip(rows, cells, strict=True)):
-            if number and group(row) != group(rows[number - 1]):
-                stdout.print()
-            line(texts, block, style(row))
+    stdout.print(f"{title}\n", style="bold", soft_wrap=True)
+    line(headings, "bold")
+    stdout.print(" " + "─" * (sum(widths) + 2 * len(widths) - 2), soft_wrap=True)
+    for number, (row, texts) in enumerate(zip(rows, cells, strict=True)):
+        if number and group(row) != group(rows[number - 1]):
+            stdout.print()
+        line(texts, style(row))
     stdout.print()
 
 
@@ -154,10 +153,7 @@ def picture_option(help_text: str) -> Any:
 
 
 def check_output(path: Path, option: str = "--out", endings: Sequence[str] = (), cause: str = "") -> None:
-    """Raise `ArgumentError` if a file cannot be written later: its ending, its folder, its permissions.
-
-    Without `endings` any is allowed; `cause` is added to the message about them.
-    """
+    """Raise `ArgumentError` if a file cannot be written later, by its ending, its folder, its permissions."""
     if endings and path.suffix.lower() not in endings:
         raise ArgumentError(option, f"a file name ending in {', '.join(endings)}", path.name, cause)
     reason = ""
@@ -172,24 +168,13 @@ def check_output(path: Path, option: str = "--out", endings: Sequence[str] = (),
 
 
 def write_text(text: str, path: Path | None) -> None:
-    """Write a text file and say so on stderr; without a path, print the text; raises `ArgumentError` if it cannot."""
+    """Write a text file and say so on stderr; without a path, print the text."""
     if path is None:
         typer.echo(text, nl=False)
         return
     with writing(path, "--out"):
         path.write_text(text, encoding="utf-8")
     note(f"wrote {path}")
-
-
-def write_model(text: str, path: Path | None) -> None:
-    """Write a model as `write_text` does, and the meshes into a folder beside its file; raises as `copy_meshes`."""
-    from spm_pin.description.source_files import copy_meshes
-
-    if path is not None:
-        copy_meshes(path.parent)
-    write_text(text, path)
-    if path is not None and path.suffix == ".urdf":
-        note(f'in Pinocchio: pinocchio.buildModelsFromUrdf("{path}", package_dirs="{path.parent}"), for the meshes')
 
 
 def write_json(content: Any, path: Path | None = None) -> None:
@@ -207,8 +192,7 @@ def write_figure(path: Path | None, draw: Callable[P, Figure], *args: P.args, **
 def name_options(**options: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Decorate a command so that its errors name the options typed, not the arguments of the functions it calls.
 
-    An argument with the name of a parameter that was given is that option. `options` are the others, such as
-    ``"--out"``, by the argument's name. Errors in a file, which name the file, get the option before.
+    `options`, by the argument's name, are those that have another name. Errors in a file get the option before.
     """
 
     def decorate(command: Callable[P, R]) -> Callable[P, R]:

@@ -38,7 +38,7 @@ def inverse(
     solutions, remarks = options.solve_pose(geometry, translation, xyx, unit)
     branches = [_branch(solutions, k, unit) for k in np.flatnonzero(solutions.exists).tolist()]
     if json:
-        content = {"unit": unit, "status": str(solutions.status), "degeneracy": options.degeneracy_content(solutions)}
+        content = options.status_content(solutions, unit)
         outputs.write_json(content | {"discriminants": solutions.discriminants, "branches": branches})
         raise typer.Exit(options.exit_code(solutions))
 
@@ -50,9 +50,8 @@ def inverse(
         legs = {f"{name} ": lambda record, leg=leg: length(leg, record) for leg, name in enumerate(LEGS)}
         physical = {"": lambda record: "physical" if record["physical"] else ""}
         columns = {"branch": lambda record: record["label"], **legs, **physical}
-        outputs.print_table(
-            f"Real branches: leg lengths in {unit}, as the encoders show them", columns, branches, left=[""]
-        )
+        title = f"Real branches: leg lengths in {unit}, as the encoders show them"
+        outputs.print_table(title, columns, branches, left=[""])
     lines = [options.status_line(solutions, "branches")]
     if not all(record["within_limits"] for record in branches):
         lines.append("* beyond the limits of this leg")
@@ -99,11 +98,9 @@ def singularities(
         outputs.write_json({"status": str(solutions.status), "branches": branches})
     elif branches:
         numbers = {
-            f"{symbol} {matrix}": lambda row, name=name, matrix=matrix: outputs.significant(
-                row[1][name][matrix], 1.0, 4
-            )
+            f"{symbol} {key}": lambda row, name=name, key=key: outputs.significant(row[1][name][key], 1.0, 4)
             for symbol, name in (("det", "scaled_determinants"), ("σ", "distance"))
-            for matrix in _MATRICES
+            for key in _MATRICES
         }
         columns = {"branch": lambda row: row[0], **numbers, "kind": lambda row: row[1]["kind"]}
         title = "Determinant over d³ and smallest singular value: J_b, J_c (forward), K (inverse)"
@@ -152,24 +149,18 @@ def statics(
     branches = {label: _leg_loads(solutions[label], wrench, twist, unit) for label in labels}
     if json:
         outputs.write_json({"unit": unit, "status": str(solutions.status), "branches": branches})
-    elif branches:
-        for title, name, vector in (
-            ("Leg forces in N: positive extends the leg", "forces", wrench),
-            (f"Leg rates in {unit}/s", "rates", twist),
-        ):
-            if vector.any():
-                _print_loads(title, branches, name)
+    elif branches and wrench.any():
+        _print_loads("Leg forces in N: positive extends the leg", branches, "forces")
+    if not json and branches and twist.any():
+        _print_loads(f"Leg rates in {unit}/s", branches, "rates")
     options.end_command(solutions, remarks)
 
 
 def _leg_loads(state: Configuration, wrench: np.ndarray, twist: np.ndarray, unit: LengthUnit) -> Record:
     record: Record = {"forces": None, "rates": None, "singular": []}
-    for name, solve, vector, scale in (
-        ("forces", leg_forces, wrench, 1.0),
-        ("rates", leg_rates, twist, unit.per_metre),
-    ):
+    for name, solve, vector in (("forces", leg_forces, wrench), ("rates", leg_rates, twist)):
         try:
-            record[name] = solve(state, vector) * scale
+            record[name] = solve(state, vector) * (1.0 if name == "forces" else unit.per_metre)
         except SingularConfigurationError as error:
             record["singular"].append(error.kind)
     return record

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import astuple
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from spm_pin.cli import options, outputs
-from spm_pin.crosscheck import POSE, TABLES, Cell, Reproduction, Verdict
+from spm_pin.crosscheck import POSE, TABLES, Reproduction, Verdict
 from spm_pin.crosscheck import reproduce as recompute
-from spm_pin.display.output_files import fixed
+from spm_pin.display.figures import fixed
 
 _TITLES = {
     POSE: "The example's pose (cm, degrees) from the leg lengths 120, 120, 140, 125, 120, 150 cm",
@@ -48,8 +47,16 @@ def reproduce(
     Exits with 1 if a printed number differs and nothing in the numbers explains why.
     """
     found = recompute(TABLES if table is None else table)
+    content = {
+        "unit": "cm",
+        "cells": [vars(cell) | {"difference": cell.difference} for cell in found.cells],
+        "solutions": [vars(each) for each in found.solutions],
+        "true_values": [vars(each) for each in found.true_values],
+        "diagnoses": [{"row": each.row, "mistakes": each.names, "values": each.values} for each in found.diagnoses],
+        "equation_17_real_roots": vars(found.equation_17),
+    }
     if json:
-        outputs.write_json(_content(found))
+        outputs.write_json(content)
     else:
         outputs.print_lines([summary_line(found)], "bold red" if found.unexplained else "bold green")
         outputs.stdout.print()
@@ -58,7 +65,7 @@ def reproduce(
             _print_cells(found)
         outputs.print_lines(f"• {line}" for line in _findings(found))
     if out is not None:
-        outputs.write_json(_content(found), out)
+        outputs.write_json(content, out)
     if found.unexplained:
         outputs.note(f"{len(found.unexplained)} printed values differ without an explanation", "bold red")
         raise typer.Exit(1)
@@ -80,81 +87,61 @@ def summary_line(found: Reproduction) -> str:
 
 def print_summary(found: Reproduction) -> None:
     """Print how many cells of each table agree."""
-    verdicts = {
-        number: [cell.verdict for cell in group]
-        for number, group in groupby(sorted(found.cells, key=_TABLE), key=_TABLE)
-    }
-    counts = {str(each): lambda number, each=each: str(verdicts[number].count(each)) for each in Verdict}
-    columns = {
-        "": lambda number: _TITLES[number].partition(" (")[0],
-        "cells": lambda number: str(len(verdicts[number])),
-    }
-    outputs.print_table(
-        "The paper's numbers, recomputed",
-        columns | counts,
-        verdicts,
-        style=lambda number: "red" if Verdict.UNEXPLAINED in verdicts[number] else None,
-    )
+    rows = {n: [cell.verdict for cell in group] for n, group in groupby(sorted(found.cells, key=_TABLE), key=_TABLE)}
+    columns = {"": lambda n: _TITLES[n].partition(" (")[0], "cells": lambda n: str(len(rows[n]))}
+    columns |= {str(verdict): lambda n, verdict=verdict: str(rows[n].count(verdict)) for verdict in Verdict}
+    red = {n: "red" for n in rows if Verdict.UNEXPLAINED in rows[n]}
+    outputs.print_table("The paper's numbers, recomputed", columns, rows, style=red.get)
 
 
-def _number(value: complex, like: str | None = None) -> str:
+def _number(value: complex, like: str = "0.0000") -> str:
     """Format with one digit more than printed, so that the rounding can be followed."""
-    text = like or "0.0000"
-    digits = len(text.removesuffix("i").rpartition(".")[2]) if "." in text else 0
+    digits = len(like.removesuffix("i").rpartition(".")[2]) if "." in like else 0
     digits = min(digits + 1, 5)
     real = fixed(value.real, digits)
     return real if abs(value.imag) < 1e-9 else f"{real}{value.imag:+.{digits}f}i"
 
 
 def _print_cells(found: Reproduction) -> None:
-    columns: dict[str, Callable[[Cell], str]] = {
+    columns = {
         "": lambda cell: cell.row,
         "solution": lambda cell: cell.column,
         "published": lambda cell: cell.published or "",
-        "recomputed": lambda cell: _number(cell.recomputed, cell.published),
+        "recomputed": lambda cell: _number(cell.recomputed, cell.published or "0.0000"),
         "difference": lambda cell: "" if cell.difference is None else f"{cell.difference:.0e}",
         "verdict": lambda cell: cell.verdict,
     }
-    for number, group in groupby(found.cells, key=_TABLE):
+    for number, cells in groupby(found.cells, key=_TABLE):
         outputs.print_table(
-            *(_TITLES[number], columns, group),
+            _TITLES[number],
+            columns,
+            cells,
             left=["verdict"],
             group=lambda cell: cell.row if 0 < cell.table < 5 else None,
             style=lambda cell: _STYLES.get(cell.verdict),
         )
     if any(cell.table < 5 for cell in found.cells):
-        outputs.print_table(
-            "The same solutions by two methods: b_2Y (cm), and the largest difference",
-            {
-                "solution": lambda each: str(each.solution),
-                "branch": lambda each: each.label,
-                "paper: |U| = 0": lambda each: _number(each.paper, "0.000"),
-                "four quadratics": lambda each: _number(each.closed_form, "0.000"),
-                "difference": lambda each: f"{each.difference:.0e}",
-            },
-            found.solutions,
-            left=["branch"],
-        )
-    if found.true_values:
-        by_method = {
-            heading: lambda numbers, k=k: fixed(numbers[k], 6)
-            for k, heading in enumerate(("paper: 9 × 9", "wrench form", "Pinocchio"), start=1)
+        columns = {
+            "solution": lambda each: str(each.solution),
+            "branch": lambda each: each.label,
+            "paper: |U| = 0": lambda each: _number(each.paper, "0.000"),
+            "four quadratics": lambda each: _number(each.closed_form, "0.000"),
+            "difference": lambda each: f"{each.difference:.0e}",
         }
-        outputs.print_table(
-            "The true numbers of Table 5 by three methods",
-            {
-                "": lambda numbers: numbers[0],
-                **by_method,
-                "difference": lambda numbers: f"{max(numbers[1:]) - min(numbers[1:]):.0e}",
-            },
-            [astuple(true) for true in found.true_values],
-        )
+        title = "The same solutions by two methods: b_2Y (cm), and the largest difference"
+        outputs.print_table(title, columns, found.solutions, left=["branch"])
+    if found.true_values:
+        names = ("", "paper: 9 × 9", "wrench form", "Pinocchio")
+        columns = {name: lambda row, k=k: fixed(row[k], 6) if k else row[k] for k, name in enumerate(names)}
+        columns["difference"] = lambda row: f"{max(row[1:]) - min(row[1:]):.0e}"
+        rows = [astuple(true) for true in found.true_values]
+        outputs.print_table("The true numbers of Table 5 by three methods", columns, rows)
 
 
 def _findings(found: Reproduction) -> list[str]:
     lines = [
         f"Table {cell.table}, {cell.row}, solution {cell.column}: printed {cell.published or 'nothing'}, "
-        f"true {_number(cell.recomputed, cell.published)}; {cell.note}."
+        f"true {_number(cell.recomputed, cell.published or '0.0000')}; {cell.note}."
         for cell in found.cells
         if cell.note
     ]
@@ -172,14 +159,3 @@ def _findings(found: Reproduction) -> list[str]:
             f"of Eq. (16) moved across correctly it has {equation.mended}, and the example has {equation.true}."
         )
     return lines
-
-
-def _content(found: Reproduction) -> dict[str, Any]:
-    return {
-        "unit": "cm",
-        "cells": [vars(cell) | {"difference": cell.difference} for cell in found.cells],
-        "solutions": [vars(each) for each in found.solutions],
-        "true_values": [vars(each) for each in found.true_values],
-        "diagnoses": [{"row": each.row, "mistakes": each.names, "values": each.values} for each in found.diagnoses],
-        "equation_17_real_roots": vars(found.equation_17),
-    }

@@ -10,12 +10,11 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskProgressColumn, TextColumn, TimeRemainingColumn
-from rich.text import Text
+from typer import Option
 
 from spm_pin import sweeps
 from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Limits, Unit, note_unit, read_geometry
-from spm_pin.cli.outputs import name_options, note, print_lines, stderr, write_json
+from spm_pin.cli.outputs import name_options, note, print_lines, progress_bar, write_json
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LegLimits
 from spm_pin.sweeps.domains import Domain
@@ -23,52 +22,34 @@ from spm_pin.sweeps.runner import CHUNK
 
 _DEFAULT = ("reachable", "branches", "conditioning")
 _RANGE = "START:STOP:COUNT"
+_LEGS = "Leg lengths instead of poses: once for all six, twice for lower and upper, or six times."
+_SAMPLES = "Draw so many points instead; ranges are then START:STOP."
+_METRICS = f"May be repeated; {', '.join(_DEFAULT)} if not given. One of {', '.join(sweeps.METRICS)}."
+_LENGTH = "Characteristic length of conditioning and isotropy, in --unit; the platform's radius."
 
 
 @name_options(store="--out", count="--samples", metrics="--metric", push="--leg-force", leg_stiffness="--leg-stiffness")
 def sweep(
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Store of the results, in Zarr v3.")],
-    x: Annotated[str | None, typer.Option(metavar=_RANGE, help="X of o in {B}, in --unit, or one number.")] = None,
-    y: Annotated[str | None, typer.Option(metavar=_RANGE, help="Y, likewise.")] = None,
-    z: Annotated[str | None, typer.Option(metavar=_RANGE, help="Z, likewise.")] = None,
+    out: Annotated[Path, Option(metavar="FOLDER", help="Store of the results, in Zarr v3.")],
+    x: Annotated[str | None, Option(metavar=_RANGE, help="X of o in {B}, in --unit, or one number.")] = None,
+    y: Annotated[str | None, Option(metavar=_RANGE, help="Y, likewise.")] = None,
+    z: Annotated[str | None, Option(metavar=_RANGE, help="Z, likewise.")] = None,
     xyx: Annotated[
         tuple[str, str, str] | None,
-        typer.Option(metavar="ALPHA BETA LAMBDA", help="X-Y-X angles in degrees, each a range or one number."),
+        Option(metavar="ALPHA BETA LAMBDA", help="X-Y-X angles in degrees, each a range or one number."),
     ] = None,
-    legs: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar=_RANGE,
-            help="Leg lengths instead of poses: once for all six, twice for lower and upper, or six times.",
-        ),
-    ] = None,
-    samples: Annotated[
-        int | None, typer.Option(min=1, help="Draw so many points instead; ranges are then START:STOP.")
-    ] = None,
-    method: Annotated[str, typer.Option(help="How to draw them: sobol or uniform.")] = "sobol",
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the drawing.")] = 0,
-    metric: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help=f"May be repeated; {', '.join(_DEFAULT)} if not given. One of {', '.join(sweeps.METRICS)}.",
-        ),
-    ] = None,
+    legs: Annotated[list[str] | None, Option(metavar=_RANGE, help=_LEGS)] = None,
+    samples: Annotated[int | None, Option(min=1, help=_SAMPLES)] = None,
+    seed: Annotated[int, Option(min=0, help="Seed of the drawing.")] = 0,
+    metric: Annotated[list[str] | None, Option(metavar="NAME", help=_METRICS)] = None,
     limits: Limits = None,
-    length: Annotated[
-        float | None,
-        typer.Option(help="Characteristic length of conditioning and isotropy, in --unit; the platform's radius."),
-    ] = None,
-    leg_force: Annotated[float, typer.Option(help="Largest force of a leg, for the payloads [N].")] = 1.0,
-    leg_stiffness: Annotated[float, typer.Option(help="Stiffness of a leg, for the stiffnesses [N/m].")] = 1.0,
-    scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler, such as tcp://head:8786.")
-    ] = None,
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="Processes on this machine; one per processor if not given.")
-    ] = None,
-    chunk: Annotated[int, typer.Option(min=1, help="Most points per chunk, the unit of work and of storage.")] = CHUNK,
-    status: Annotated[bool, typer.Option("--status", help="Only print how much is done.")] = False,
+    length: Annotated[float | None, Option(help=_LENGTH)] = None,
+    leg_force: Annotated[float, Option(help="Largest force of a leg, for the payloads [N].")] = 1.0,
+    leg_stiffness: Annotated[float, Option(help="Stiffness of a leg, for the stiffnesses [N/m].")] = 1.0,
+    scheduler: Annotated[str | None, Option(metavar="ADDRESS", help="Dask scheduler: tcp://head:8786.")] = None,
+    workers: Annotated[int | None, Option(min=1, help="Processes on this machine; one per processor.")] = None,
+    chunk: Annotated[int, Option(min=1, help="Most points per chunk, the unit of work and of storage.")] = CHUNK,
+    status: Annotated[bool, Option("--status", help="Only print how much is done.")] = False,
     unit: Unit = LengthUnit.M,
     geometry: GeometryFile = None,
     json: AsJson = False,
@@ -79,35 +60,36 @@ def sweep(
 
     Killed or interrupted it loses nothing: the same command goes on, and so does spm-pin sweep --out FOLDER alone.
     """
-    if not status:
+    poses = {"--x": x, "--y": y, "--z": z, "--xyx": xyx}
+    drawn = {} if samples is None else {"count": samples, "seed": seed}
+    domain = None if status else _domain(poses, legs, drawn, 1.0 / unit.per_metre)
+    if status:
+        pass
+    elif domain is None:
+        options = {"--samples": samples, "--metric": metric, "--limits": limits, "--length": length}
+        beside = [option for option, value in options.items() if value]
+        if beside:
+            cause = "To go on with a sweep, give --out alone."
+            raise ArgumentError(", ".join((*poses, "--legs")), f"ranges beside {', '.join(beside)}", "none", cause)
         require_extra("cluster")
-        poses = {"--x": x, "--y": y, "--z": z, "--xyx": xyx}
-        drawn = None if samples is None else {"count": samples, "method": method, "seed": seed}
-        domain = _domain(poses, legs, drawn, 1.0 / unit.per_metre)
-        others: dict[str, Any] = {"scheduler": scheduler, "workers": workers}
-        if domain is None:
-            options = {"--samples": samples, "--metric": metric, "--limits": limits, "--length": length}
-            beside = [option for option, value in options.items() if value]
-            if beside:
-                cause = "To go on with a sweep, give --out alone."
-                raise ArgumentError(", ".join((*poses, "--legs")), f"ranges beside {', '.join(beside)}", "none", cause)
-            with _progress(out) as others["progress"]:
-                sweeps.resume_sweep(out, **others)
-        else:
-            machine = read_geometry(geometry)
-            longest = max(abs(end) for axis in domain.axes if axis.unit == "m" for end in (axis.start, axis.stop))
-            typed = {"--legs" if legs else "--x, --y, --z": longest * unit.per_metre}
-            if limits is not None:
-                typed["--limits"] = limits[1]
-                machine = dataclasses.replace(machine, limits=LegLimits(*(end / unit.per_metre for end in limits)))
-            for option, largest in typed.items():
-                note_unit(option, largest, unit, machine)
-            parameters: dict[str, float] = {"push": leg_force, "leg_stiffness": leg_stiffness}
-            if length is not None:
-                parameters["length"] = length / unit.per_metre
-            chosen = [_with_parameters(name, parameters) for name in metric or _DEFAULT]
-            with _progress(out) as others["progress"]:
-                sweeps.run_sweep(machine, domain, chosen, out, chunk=chunk, **others)
+        with _progress(out) as progress:
+            sweeps.resume_sweep(out, scheduler=scheduler, workers=workers, progress=progress)
+    else:
+        require_extra("cluster")
+        machine = read_geometry(geometry)
+        longest = max(abs(end) for axis in domain.axes if axis.unit == "m" for end in (axis.start, axis.stop))
+        note_unit("--legs" if legs else "--x, --y, --z", longest * unit.per_metre, unit, machine)
+        if limits is not None:
+            note_unit("--limits", limits[1], unit, machine)
+            machine = dataclasses.replace(machine, limits=LegLimits(*(end / unit.per_metre for end in limits)))
+        parameters: dict[str, float] = {"push": leg_force, "leg_stiffness": leg_stiffness}
+        if length is not None:
+            parameters["length"] = length / unit.per_metre
+        chosen = [_with_parameters(name, parameters) for name in metric or _DEFAULT]
+        with _progress(out) as progress:
+            sweeps.run_sweep(
+                machine, domain, chosen, out, chunk=chunk, scheduler=scheduler, workers=workers, progress=progress
+            )
     found = sweeps.sweep_status(out)
     if json:
         write_json(dataclasses.asdict(found) | {"complete": found.complete, "store": str(out)})
@@ -118,7 +100,7 @@ def sweep(
     print_lines([*lines, f'open with: xarray.open_zarr("{out}")' if found.complete else _go_on(out)])
 
 
-def _domain(poses: dict[str, Any], legs: list[str] | None, drawn: dict[str, Any] | None, scale: float) -> Domain | None:
+def _domain(poses: dict[str, Any], legs: list[str] | None, drawn: dict[str, int], scale: float) -> Domain | None:
     """Return the domain that the options describe; None where there is none of them."""
     missing = [option for option, value in poses.items() if value is None]
     if legs and len(missing) < len(poses):
@@ -128,14 +110,14 @@ def _domain(poses: dict[str, Any], legs: list[str] | None, drawn: dict[str, Any]
             raise ArgumentError("--legs", "one range, two, or six", f"{len(legs)}")
         ranges = [_range("--legs", text, scale) for text in legs]
         six = [interval for interval in ranges for _ in range(6 // len(ranges))]
-        return sweeps.leg_sample(lower=six[:3], upper=six[3:], **drawn) if drawn else sweeps.leg_grid(six[:3], six[3:])
+        return (sweeps.leg_sample if drawn else sweeps.leg_grid)(lower=six[:3], upper=six[3:], **drawn)
     if len(missing) == len(poses):
         return None
     if missing:
         raise ArgumentError(", ".join(missing), "a range or a number for every coordinate of a pose", "none")
     pose: dict[str, Any] = {axis: _range(f"--{axis}", poses[f"--{axis}"], scale) for axis in "xyz"}
     pose["xyx"] = [_range("--xyx", text, np.pi / 180.0) for text in poses["--xyx"]]
-    return sweeps.pose_sample(**drawn, **pose) if drawn else sweeps.pose_grid(**pose)
+    return (sweeps.pose_sample if drawn else sweeps.pose_grid)(**drawn, **pose)
 
 
 def _range(option: str, text: str, scale: float) -> float | tuple[float, ...]:
@@ -161,22 +143,12 @@ def _go_on(out: Path) -> str:
     return f"go on with: spm-pin sweep --out {out}"
 
 
-class _Rate(ProgressColumn):
-    """Points per second."""
-
-    def render(self, task: Task) -> Text:
-        return Text(f"{task.finished_speed or task.speed or 0.0:,.0f} points/s", style="progress.data.speed")
-
-
 @contextlib.contextmanager
 def _progress(out: Path) -> Iterator[Callable[[int, int], None]]:
     """Show a progress bar; after Ctrl-C, print what is kept and how to go on, and exit."""
-    name = TextColumn("{task.description}", markup=False)
-    columns = name, BarColumn(), TaskProgressColumn(), _Rate(), TimeRemainingColumn()
     try:
-        with Progress(*columns, console=stderr, transient=True) as bar:
-            task = bar.add_task(out.name, total=None)
-            yield lambda done, total: bar.update(task, completed=done, total=total)
+        with progress_bar() as bar:
+            yield lambda done, total: bar(out.name, done, total)
     except KeyboardInterrupt as interrupt:
         for text in (*getattr(interrupt, "__notes__", ["interrupted before it began"]), _go_on(out)):
             note(text)

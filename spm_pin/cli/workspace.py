@@ -7,33 +7,27 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import typer
+from typer import Option
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit
-from spm_pin.display.output_files import FORMATS, save_figure
+from spm_pin.display.figures import FORMATS, save_figure
 from spm_pin.display.shell_plots import MESH_FORMATS, save_mesh, shell_figure
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LEGS, LegLimits
-from spm_pin.workspace.paper_shell import ERRATA, Patch, Shell, workspace_shell
+from spm_pin.workspace.paper_shell import ERRATA, Shell, workspace_shell
 
 
 @outputs.name_options(path="--out")
 def workspace(
     limits: options.Limits = None,
-    resolution: Annotated[int, typer.Option(help="Increments of a varying leg, at least 2.")] = 40,
+    resolution: Annotated[int, Option(help="Increments of a varying leg, at least 2.")] = 40,
     out: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE", help="Picture (.png, .svg, .pdf) or mesh in metres (.stl, .ply, .obj, .glb) to write."
-        ),
+        Option(metavar="FILE", help="Picture (.png, .svg, .pdf) or mesh in metres (.stl, .ply, .obj, .glb)."),
     ] = None,
-    sections: Annotated[
-        bool, typer.Option("--sections", help="Draw sections, with what is reached, instead of the paper's views.")
-    ] = False,
-    samples: Annotated[
-        int, typer.Option(min=1, help="Sets of leg lengths drawn at random to see what is reached, for --sections.")
-    ] = 200_000,
+    sections: Annotated[bool, Option("--sections", help="Draw sections, with what is reached, instead.")] = False,
+    samples: Annotated[int, Option(min=1, help="Random sets of leg lengths for --sections.")] = 200_000,
     unit: options.Unit = LengthUnit.M,
     geometry: options.GeometryFile = None,
     json: options.AsJson = False,
@@ -45,7 +39,12 @@ def workspace(
     The shell is not the whole boundary of what can be reached; --sections shows where it is not. --out needs the extra
     "plots".
     """
-    _check_output(out, sections)
+    if out is None and sections:
+        raise ArgumentError("--sections", "a picture to draw them in", "no --out FILE")
+    if out is not None:
+        cause = "Maps over many poses are for spm-pin sweep" if out.suffix == ".zarr" else ""
+        outputs.check_output(out, "--out", FORMATS if sections else (*FORMATS, *MESH_FORMATS), cause)
+        require_extra("plots")
     dimensions = options.read_geometry(geometry)
     box = None if limits is None else LegLimits(*(length / unit.per_metre for length in limits))
     try:
@@ -58,23 +57,10 @@ def workspace(
     if json:
         outputs.write_json(_content(shell, unit))
     else:
-        _print_patches(shell.patches, unit)
-        _print_convergence(shell, unit)
+        _print_tables(shell, unit)
         outputs.print_lines(_remarks(shell, unit))
     if out is not None:
         _write(shell, out, samples if sections else None)
-
-
-def _check_output(out: Path | None, sections: bool) -> None:
-    """Raise where the output could not be written after the work."""
-    if out is None:
-        if sections:
-            raise ArgumentError("--sections", "a picture to draw them in", "no --out FILE")
-        return
-    endings = FORMATS if sections else (*FORMATS, *MESH_FORMATS)
-    cause = "Maps over many poses are for spm-pin sweep" if out.suffix == ".zarr" else ""
-    outputs.check_output(out, "--out", endings, cause)
-    require_extra("plots")
 
 
 def _write(shell: Shell, out: Path, samples: int | None) -> None:
@@ -93,25 +79,20 @@ def _write(shell: Shell, out: Path, samples: int | None) -> None:
     outputs.note(f"wrote {out}")
 
 
-def _print_patches(patches: tuple[Patch, ...], unit: LengthUnit) -> None:
+def _print_tables(shell: Shell, unit: LengthUnit) -> None:
     settings = {leg: lambda patch, k=k: patch.settings[k].value for k, leg in enumerate(LEGS)}
     area = {"area": lambda patch: outputs.significant(patch.area * unit.per_metre**2)}
     columns = {"patch": lambda patch: patch.name, **settings, **area}
     title = f"The surfaces: leg settings, area in {unit}²"
-    outputs.print_table(title, columns, patches, left=LEGS, group=lambda patch: patch.family)
-
-
-def _print_convergence(shell: Shell, unit: LengthUnit) -> None:
+    outputs.print_table(title, columns, shell.patches, left=LEGS, group=lambda patch: patch.family)
     scale, convergence = unit.per_metre**3, shell.convergence
-    outputs.print_table(
-        f"The volume as the mesh gets finer, in {unit}³",
-        {
-            "increments": lambda row: str(row[0]),
-            "volume": lambda row: outputs.significant(row[1] * scale, digits=8),
-            "short of the limit by": lambda row: outputs.significant((convergence.limit - row[1]) * scale, digits=2),
-        },
-        zip(convergence.resolutions, convergence.volumes, strict=True),
-    )
+    columns = {
+        "increments": lambda row: str(row[0]),
+        "volume": lambda row: outputs.significant(row[1] * scale, digits=8),
+        "short of the limit by": lambda row: outputs.significant((convergence.limit - row[1]) * scale, digits=2),
+    }
+    rows = zip(convergence.resolutions, convergence.volumes, strict=True)
+    outputs.print_table(f"The volume as the mesh gets finer, in {unit}³", columns, rows)
 
 
 def _remarks(shell: Shell, unit: LengthUnit) -> list[str]:

@@ -5,6 +5,14 @@ base of one's own, and `Conditioning` turns rounding into the tolerance of an an
 digit of the paper's tables and explains every difference, or marks it as unexplained.
 """
 
+from spm_pin.crosscheck.comparison import (
+    MethodScore,
+    PairDifference,
+    Quantity,
+    Report,
+    compare_in_batches,
+    compare_methods,
+)
 from spm_pin.crosscheck.methods import METHODS, ClosedForm, Ipopt, Method, Nlp, Paper, Pinocchio, make_methods
 from spm_pin.crosscheck.paper_tables import (
     POSE,
@@ -19,8 +27,6 @@ from spm_pin.crosscheck.paper_tables import (
     reproduce,
 )
 from spm_pin.crosscheck.random_poses import in_leg_space, on_all_rotations
-from spm_pin.crosscheck.report import Report, compare_in_batches, compare_methods
-from spm_pin.crosscheck.scores import MethodScore, PairDifference, Quantity
 from spm_pin.crosscheck.tolerances import Conditioning
 from spm_pin.paper.jacobian import Table5Mistakes
 

@@ -1,8 +1,7 @@
-"""Independent methods that answer the same questions about the robot.
+"""Independent methods that answer the same questions about the robot; they share types and no code.
 
-They share types and no code. Each answers what it can and returns None otherwise, states how large a closure residual
-its arithmetic may leave, and how often its route may lose a branch. Large libraries are imported by the method that
-needs them, when it is made.
+Each answers what it can and returns None otherwise, states how large a closure residual its arithmetic may leave, and
+how often its route may lose a branch. Large libraries are imported when a method that needs them is made.
 """
 
 from __future__ import annotations
@@ -22,8 +21,7 @@ from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_forces
 from spm_pin.mechanism import Configuration, Geometry, SolutionSet
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.paper import resultant
-from spm_pin.paper.driving_forces import f_r
-from spm_pin.paper.jacobian import CORRECT, J_f, Table5Mistakes
+from spm_pin.paper.jacobian import CORRECT, J_f, Table5Mistakes, f_r
 
 ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 """Closure residual of a backward stable route, relative to the size of the robot: the closed form's worst
@@ -239,23 +237,12 @@ def make_methods(names: Sequence[Method | str] | None, geometry: Geometry) -> li
     """Return methods: by their names in `METHODS`, as they are, or all of `METHODS` that serve here.
 
     Those serve whose packages can be imported and that take the machine, drawn or as built.
-
-    Raises
-    ------
-    ArgumentError
-        If a name is unknown.
-    GeometryError
-        If a method named is for machines as drawn, and this one is not.
-    ImportError
-        If a method named needs a package that is missing.
     """
     if names is None:
         found = []
         for maker in METHODS.values():
-            try:
+            with contextlib.suppress(ImportError, GeometryError):
                 found.append(maker(geometry))
-            except (ImportError, GeometryError):
-                continue
         return found
     unknown = [name for name in names if isinstance(name, str) and name not in METHODS]
     if unknown:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import enum
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from decimal import Decimal
 from itertools import product
 
 import numpy as np
@@ -21,10 +20,9 @@ from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import complex_middle_joints
 from spm_pin.kinematics.rates_and_forces import leg_forces, leg_rates
 from spm_pin.mechanism import BRANCHES, LEGS, Configuration, Geometry, pose
-from spm_pin.mechanism.arguments import FloatArray, IntArray, type_and_value
+from spm_pin.mechanism.arguments import FloatArray, IntArray
 from spm_pin.paper import published, resultant
-from spm_pin.paper.driving_forces import load, table_5
-from spm_pin.paper.jacobian import Table5Mistakes
+from spm_pin.paper.jacobian import Table5Mistakes, load, table_5
 
 TABLES = (1, 2, 3, 4, 5)
 """Numbers of the paper's tables that can be recomputed."""
@@ -124,14 +122,14 @@ class SolvedTwice:
 
 @dataclass(frozen=True)
 class MisprintedEquation:
-    """Real roots of |U| = 0 with Eq. (17) as printed and with its signs mended, beside those of the closed form."""
+    """Numbers of real roots of |U| = 0."""
 
     printed: int
-    """Number with Eq. (17) as printed."""
+    """With Eq. (17) as printed."""
     mended: int
-    """Number with its signs mended."""
+    """With its signs mended."""
     true: int
-    """Number by the closed form."""
+    """By the closed form."""
 
 
 @dataclass(frozen=True)
@@ -165,23 +163,9 @@ class Reproduction:
 
 
 def reproduce(tables: Sequence[int] = TABLES) -> Reproduction:
-    """Recompute tables of the paper from its example.
-
-    Parameters
-    ----------
-    tables : sequence of int
-        Which tables, of `TABLES`.
-
-    Raises
-    ------
-    ArgumentError
-        If a table is none of those that can be reproduced.
-    """
-    if isinstance(tables, str) or not isinstance(tables, Sequence):
-        raise ArgumentError("tables", f"a sequence of numbers out of {TABLES}", type_and_value(tables))
-    unknown = [table for table in tables if table not in TABLES]
-    if unknown:
-        raise ArgumentError("tables", f"numbers out of {TABLES}", unknown)
+    """Recompute tables of the paper, by their numbers out of `TABLES`, from its example."""
+    if isinstance(tables, str) or not isinstance(tables, Sequence) or any(table not in TABLES for table in tables):
+        raise ArgumentError("tables", f"numbers out of {TABLES}", tables)
     geometry = Geometry.paper()
     example = pose(np.array(published.POSITION) / _CM, xyx=np.deg2rad(published.XYX_DEGREES))
     closed = complex_middle_joints(geometry, example) * _CM
@@ -356,27 +340,16 @@ def _rates_and_forces(true: list[TrueValue], found: list[Diagnosis]) -> list[Cel
     return cells
 
 
-def matches(published_value: str, recomputed: complex) -> bool:
-    """Return whether a number rounds to the digits printed; a plain "0" stands for zero itself."""
-    parts = zip(_parts(published_value), (recomputed.real, recomputed.imag), strict=True)
-    return all(_agrees(digits, value) for digits, value in parts)
+def matches(printed: str, value: complex) -> bool:
+    """Return whether a number, as 1.2 or 1.2+3.4i, rounds to the digits printed; a plain "0" stands for zero itself."""
+    split = max(printed.rfind("+"), printed.rfind("-")) if printed.endswith("i") else len(printed)
+    return _rounds_to(printed[:split], value.real) and _rounds_to(printed[split:].removesuffix("i") or "0", value.imag)
 
 
-def _agrees(digits: str, value: float) -> bool:
-    if digits == "0":
-        return abs(value) < 1e-9
-    exponent = Decimal(digits).as_tuple().exponent
-    assert isinstance(exponent, int)
-    half_a_unit = 0.5 * 10.0**exponent
-    return abs(value - float(digits)) <= half_a_unit * (1.0 + 1e-9)
-
-
-def _parts(text: str) -> tuple[str, str]:
-    """Split "a+bi" into its parts; a real number has the imaginary part "0"."""
-    if not text.endswith("i"):
-        return text, "0"
-    split = max(text.rfind("+"), text.rfind("-"))
-    return text[:split], text[split:-1]
+def _rounds_to(printed: str, value: float) -> bool:
+    last_place = 10.0 ** -len(printed.partition(".")[2])
+    tolerance = 1e-9 if printed == "0" else 0.5 * last_place * (1.0 + 1e-9)
+    return abs(value - float(printed)) <= tolerance
 
 
 def number(text: str | None) -> complex:

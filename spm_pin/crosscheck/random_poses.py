@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.mechanism import Geometry, LegLimits, pose
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, generator, whole_number
-from spm_pin.mechanism.ball_triangles import triangle_frames
+from spm_pin.mechanism.legs import triangle_frames
 from spm_pin.mechanism.pose import homogeneous
 
 _STEPS = 30

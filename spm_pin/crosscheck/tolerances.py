@@ -23,9 +23,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
-from spm_pin.mechanism.ball_triangles import triangle_sides, upper_ball_weights
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.legs import triangle_sides, upper_ball_weights
 
 ROWS = 3.0
 """√9: from the largest of nine equations to their norm."""

@@ -19,11 +19,8 @@ from spm_pin.mechanism import Geometry
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.pose import homogeneous
 
-ASSEMBLED = 1e-9
-"""Largest gap [m] of a closure at which a robot counts as assembled."""
 _LARGEST = 1e12
 """Largest mass [kg], moment of inertia [kg m²] and distance of a centre of mass [m] accepted."""
-_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 Numbers = tuple[float, ...]
 
@@ -155,10 +152,10 @@ class Robot:
         return link, pose
 
     def is_assembled(self) -> bool:
-        """Return whether all loops are closed at zero, as those of the drawing are."""
+        """Return whether all loops are closed at zero to 1e-9 m, as those of the drawing are."""
         frames = self.frames()
         gaps = [frames[c.frame_a][:3, 3] - frames[c.frame_b][:3, 3] for c in self.closures]
-        return float(np.linalg.norm(gaps, axis=-1).max()) <= ASSEMBLED
+        return float(np.linalg.norm(gaps, axis=-1).max()) <= 1e-9
 
 
 def read_robot(geometry: Geometry | None = None, *, prefix: str = "", meshes: str | None = None) -> Robot:
@@ -184,7 +181,7 @@ def _numbers(node: Any, key: str, default: str = "") -> Numbers:
 
 def _placement(node: Element) -> Placement:
     origin = node.find("origin")
-    return Placement() if origin is None else Placement(_numbers(origin, "xyz"), _numbers(origin, "rpy"))
+    return Placement() if origin is None else Placement(*(_numbers(origin, key, "0 0 0") for key in ("xyz", "rpy")))
 
 
 def _link(node: Element) -> Link:
@@ -224,8 +221,7 @@ def _joint(node: Element) -> Joint:
 def check_inertials(urdf: str, source: str) -> None:
     """Check masses and moments of inertia of a URDF's text, and that no joint has the name of a link.
 
-    For readers that take what else is in the file from another library. Pinocchio keeps both kinds of names in one
-    list, and takes a mass of NaN for none. Errors call the text `source`.
+    Pinocchio keeps both kinds of names in one list, and takes a mass of NaN for none. Errors call the text `source`.
     """
     root = ElementTree.fromstring(urdf)
     links = {_name(link) for link in root.iter("link")}
@@ -240,11 +236,11 @@ def check_inertials(urdf: str, source: str) -> None:
 
 
 def _check_inertial(inertial: Element, place: str) -> None:
-    mass, inertia, origin = (inertial.find(tag) for tag in ("mass", "inertia", "origin"))
+    mass, inertia = inertial.find("mass"), inertial.find("inertia")
     try:
         (value,) = _numbers(mass, "value")
-        xx, xy, xz, yy, yz, zz = (_numbers(inertia, key)[0] for key in _MOMENTS)
-        centre = () if origin is None else _numbers(origin, "xyz", "0 0 0")
+        xx, xy, xz, yy, yz, zz = (_numbers(inertia, key)[0] for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
+        centre = _placement(inertial).xyz
     except (AttributeError, ValueError, IndexError) as error:
         raise DescriptionError(place, "a <mass> and an <inertia> of numbers", str(error)) from error
     moments = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

@@ -77,23 +77,13 @@ def urdf_text(
     geometry : Geometry, optional
         By default the paper's.
     prefix : str
-        Put before the name of every link, joint, transmission, actuator and material, so that several robots
-        can share a model.
+        Before the name of every link, joint, transmission, actuator and material, so that robots can share a model.
     meshes : str
         The folder of the meshes as the URDF is to name it: ``"meshes"`` beside the URDF, or
         ``"package://spm_description/meshes"``. By default the absolute path of this installation's.
     ros_constraints : bool
-        Close the loops by `<constraint>` as well, as proposed in https://github.com/ros/urdfdom/pull/264. Readers
-        of today pass over it.
+        Close the loops by `<constraint>` as well, as proposed in https://github.com/ros/urdfdom/pull/264.
 
-    Returns
-    -------
-    str
-        The text of the URDF; its numbers have the digits that float64 needs.
-
-    Notes
-    -----
-    Drake: https://drake.mit.edu/doxygen_cxx/group__multibody__parsing.html.
     """
     import xacro
 

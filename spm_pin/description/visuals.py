@@ -15,7 +15,7 @@ import numpy.typing as npt
 from spm_pin.description.robot import read_robot
 from spm_pin.mechanism import LEGS, Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.leg_frames import home_lengths
+from spm_pin.mechanism.joint_angles import home_lengths
 from spm_pin.mechanism.pose import homogeneous
 
 PLATFORMS = ("base", "middle_platform", "terminal_platform")

@@ -38,17 +38,14 @@ def mjcf_text(
         Named states of this geometry, which become keyframes after `home`, all joints at zero.
     anchors : str, optional
         How a closure is written. "bodies": by a body and a point in it, which MuJoCo, Drake and Pinocchio take
-        alike; the other body's point follows from the pose at zero, so that the robot must stand assembled there, as
-        that of a drawing does. "sites": by two sites, which MuJoCo and Pinocchio take. By default bodies where that
-        is possible.
+        alike; the robot must stand assembled at zero, as that of a drawing does. "sites": by two sites, which MuJoCo
+        and Pinocchio take. By default bodies where that is possible.
 
     Notes
     -----
-    The base is welded to the world. Joints are in the order in which Pinocchio has them when it reads the URDF, so that
-    q is the same vector in all of them. Links are bodies, fixed ones without a joint; the base, closures' frames and
-    links fixed to others have sites too, whose names end in _site. Constraints and sites are placed in the bodies that
-    joints move, and in the base: Pinocchio misplaces them in others. Every transmission is a motor of force. Velocity
-    limits, for which MJCF has no place, are the numeric `velocity_limit`, in the order of the joints.
+    The base is welded to the world. q is the same vector as in Pinocchio when it reads the URDF. Links are bodies; the
+    base, closures' frames and links fixed to others have sites too, whose names end in _site. Velocity limits, for
+    which MJCF has no place, are the numeric `velocity_limit`, in the order of the joints.
     """
     robot = read_robot(geometry, prefix=prefix, meshes=meshes)
     values_by_state = state_values({} if states is None else states, prefix)
@@ -105,7 +102,10 @@ def _mesh_assets(robot: Robot) -> tuple[dict[tuple[str, tuple[float, ...]], str]
 
 
 def _sites(robot: Robot) -> dict[str, dict[str, FloatArray]]:
-    """Return the frames to be marked, by the body that moves them, and their poses (4, 4) in it."""
+    """Return the frames to be marked, by the body that moves them, and their poses (4, 4) in it.
+
+    Pinocchio misplaces constraints and sites in bodies without a joint of their own.
+    """
     sites: dict[str, dict[str, FloatArray]] = {}
     ends = {frame for closure in robot.closures for frame in (closure.frame_a, closure.frame_b)}
     for link in robot.links:
@@ -175,14 +175,13 @@ def sdf_text(
     geometry, prefix, meshes
         As for `urdf_text`.
     loops : str, optional
-        "joints": a ball joint between the two frames of each closure, as the format's graph of links has it; it is
-        placed where the robot stands at zero, which must be assembled, as that of a drawing is. "drake": Drake's ball
-        constraints, for Drake takes no loops of joints. By default joints where that is possible.
+        "joints": a ball joint between the two frames of each closure; the robot must stand assembled at zero, as that
+        of a drawing does. "drake": Drake's ball constraints, for Drake takes no loops of joints. By default joints
+        where that is possible.
 
     Notes
     -----
-    http://sdformat.org/spec, version 1.9. Every joint is placed in its parent link and every link in its joint. A joint
-    is driven if its limit of effort is not zero. The names of actuators have no place in the format.
+    http://sdformat.org/spec, version 1.9. A joint is driven if its limit of effort is not zero.
     """
     robot = read_robot(geometry, prefix=prefix, meshes=meshes)
     assembled = robot.is_assembled()

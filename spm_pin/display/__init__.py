@@ -8,9 +8,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from spm_pin.display.output_files import save_figure
+    from spm_pin.display.figures import (
+        agreement_figure,
+        calibration_figure,
+        certificate_figure,
+        motion_figure,
+        save_figure,
+    )
     from spm_pin.display.plots import draw, save_gallery, save_picture
-    from spm_pin.display.result_plots import agreement_figure, calibration_figure, certificate_figure, motion_figure
     from spm_pin.display.shell_plots import draw_shell, save_mesh, sections_figure, shell_figure
     from spm_pin.display.viewer import Playback, Recording, Viewer, read_recording
 
@@ -35,9 +40,8 @@ __all__ = [
 
 # Imported on first use: each room that a figure shows takes a moment.
 _HOMES = {
-    "output_files": ("save_figure",),
+    "figures": ("agreement_figure", "calibration_figure", "certificate_figure", "motion_figure", "save_figure"),
     "plots": ("draw", "save_gallery", "save_picture"),
-    "result_plots": ("agreement_figure", "calibration_figure", "certificate_figure", "motion_figure"),
     "shell_plots": ("draw_shell", "save_mesh", "sections_figure", "shell_figure"),
     "viewer": ("Playback", "Recording", "Viewer", "read_recording"),
 }

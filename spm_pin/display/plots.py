@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from spm_pin.description.visuals import visual_parts
-from spm_pin.display.output_files import FORMATS, check_appearance, new_figure, save_figure
-from spm_pin.display.rendering import VIEW, Extent, Image, Rendering, bounds, camera_axes, render
-from spm_pin.display.scene import AXIS_COLOURS, TRIAD, Colour, Scene, scene
+from spm_pin.description.visuals import section_size, visual_parts
+from spm_pin.display.figures import FORMATS, check_appearance, new_figure, save_figure
+from spm_pin.display.rendering import (
+    AXIS_COLOURS,
+    TRIAD,
+    VIEW,
+    Colour,
+    Extent,
+    Image,
+    Rendering,
+    Solid,
+    bounds,
+    camera_axes,
+    render,
+    robot_solids,
+)
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LEGS
 from spm_pin.mechanism.arguments import FloatArray, file_path
@@ -23,7 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_INK = (0.13, 0.15, 0.18)
+INK: Colour = (0.13, 0.15, 0.18)
 _EDGE = 0.45  # width of edges in points
 _WIDTH = 4.0  # of a new figure, in inches
 _MARGINS = (0.049, 0.035)  # for labels
@@ -34,12 +46,15 @@ _GALLERY = np.array([2.6, 3.3])  # width and height of one picture, in inches
 
 
 def draw_solids(
-    solids: Scene, camera: FloatArray, margins: tuple[float, float], *, ax: Axes | None, dpi: float, edge: float
+    solids: Sequence[Solid],
+    camera: FloatArray,
+    margins: tuple[float, float],
+    *,
+    ax: Axes | None,
+    dpi: float,
+    edge: float,
 ) -> tuple[Axes, float, Rendering]:
-    """Draw solids into an Axes, a new one without axes lines if not given, with margins and edges [points] around them.
-
-    Returns the axes, metres per inch in them, and the image. A three-dimensional `ax` is an `ArgumentError`.
-    """
+    """Draw solids into an Axes, by default a new one, with edges [points]; return it, metres per inch and the image."""
     low, high = bounds(solids, camera, margins)
     if ax is None:
         width, height = (high - low) / (high - low)[0] * _WIDTH
@@ -66,8 +81,7 @@ def draw(
 ) -> Axes:
     """Draw a configuration into a 2-D matplotlib Axes.
 
-    The lower stage's legs are blue, the upper stage's orange; base, middle and terminal platform are grey. Data
-    coordinates are metres to the right of O and above it as the viewer sees it.
+    Data coordinates are metres to the right of O and above it as the viewer sees it.
 
     Parameters
     ----------
@@ -87,7 +101,7 @@ def draw(
     matplotlib.axes.Axes
         `ax`, or the new one.
     """
-    solids, camera = scene(configuration, frames=labels), camera_axes(view)
+    solids, camera = robot_solids(configuration, frames=labels), camera_axes(view)
     margins = _MARGINS if labels else (0.014, 0.01)
     ax, inch, (image, extent, _) = draw_solids(solids, camera, margins, ax=ax, dpi=dpi, edge=_EDGE)
     ax.axis("off")
@@ -95,7 +109,7 @@ def draw(
         size = max(float(np.ptp(ax.get_xlim())), float(np.ptp(ax.get_ylim())))
         font = float(np.clip(1.55 * size / inch, 5.0, 11.0))
         darkness = image[..., 3] * (1.0 - image[..., :3].mean(axis=-1))
-        _label(configuration, _LabelPlacer(ax, darkness, extent, font / 72.0 * inch, font), camera, solids.size)
+        _label(configuration, _LabelPlacer(ax, darkness, extent, font / 72.0 * inch, font), camera)
     return ax
 
 
@@ -108,17 +122,14 @@ def save_picture(
     width: int = 1000,
     background: str = "white",
 ) -> Path:
-    """Save a picture of a configuration.
+    """Save a picture of a configuration as .png, .svg or .pdf; a file that exists is replaced.
 
     Parameters
     ----------
-    configuration : Configuration
-        A single configuration that exists.
-    path : str or Path
-        File to write, ending in ``.png``, ``.svg`` or ``.pdf``; one that exists is replaced. In the last two the
-        labels are outlines, the solids an image. It is returned.
-    view, labels
+    configuration, view, labels
         As for `draw`.
+    path : str or Path
+        File to write. It is returned.
     width : int
         Width of the picture in pixels; the height follows from the view.
     background : str
@@ -146,10 +157,8 @@ def save_gallery(
     ----------
     configurations : mapping of str to Configuration
         Single configurations that exist, by what is written above them.
-    path, view, labels, background
-        As for `save_picture`.
-    width : int
-        Width of the whole picture in pixels: 100 for each column at least, 260 with labels.
+    path, view, labels, width, background
+        As for `save_picture`; the width is that of the whole picture.
     """
     path = file_path(path, suffixes=FORMATS)
     if not configurations:
@@ -172,13 +181,12 @@ def save_gallery(
 class _LabelPlacer:
     """Places labels where they are clear of edges, dark colours and one another, as far as there is room."""
 
-    ax: Axes  # where the labels are written
+    ax: Axes
     darkness: Image  # how much is in the way at each pixel, from 0 to 1, shape (height, width)
     extent: Extent  # place of `darkness` in the picture [m]
-    height: float  # height of the font [m]
+    height: float  # of the font [m]
     points: float  # height of the font in points
-    taken: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
-    """Centres and half sizes of the labels written [m], each of shape (2,)."""
+    labels: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)  # centres and half sizes [m]
 
     def put(self, text: str, colour: Colour, places: FloatArray, dislike: FloatArray, letters: float = 1.8) -> None:
         """Write `text` at the best of `places` (n, 2), given a penalty (n,) of about 1 for a bad one."""
@@ -187,7 +195,7 @@ class _LabelPlacer:
         half = np.array([0.28 * letters, 0.55]) * self.height
         scores = [bad + self._crowding(place, half) for place, bad in zip(places, dislike, strict=True)]
         x, y = best = places[int(np.argmin(scores))]
-        self.taken.append((best, half))
+        self.labels.append((best, half))
         written = self.ax.text(x, y, text, color=colour, fontsize=self.points, ha="center", va="center")
         written.set_path_effects([withStroke(linewidth=0.3 * self.points, foreground="white", alpha=0.85)])
 
@@ -201,26 +209,27 @@ class _LabelPlacer:
         # Where the label reaches beyond the image there is nothing, and nothing is dark.
         area = float(np.ptp(across) * np.ptp(down))
         mean, square = float(under.sum()) / area, float((under**2).sum()) / area
-        gaps = [(np.abs(place - other) - half - their).max() / self.height for other, their in self.taken]
+        gaps = [(np.abs(place - centre) - half - size).max() / self.height for centre, size in self.labels]
         clash = sum(5.0 if gap < 0.0 else 1.0 - gap for gap in gaps if gap < 1.0)
         return 2.0 * mean + 10.0 * math.sqrt(max(square - mean**2, 0.0)) + clash
 
 
-def _label(configuration: Configuration, placer: _LabelPlacer, camera: FloatArray, size: float) -> None:
+def _label(configuration: Configuration, placer: _LabelPlacer, camera: FloatArray) -> None:
     """Name the frames' axes, the joints and the legs."""
     flat, h = camera[:2].T, placer.height
+    triad = TRIAD * section_size(configuration.geometry)
     angles = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
     around = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     rotation, origin = configuration.rotation, configuration.translation
     for frame, axes, centre, letters in (("B", np.eye(3), np.zeros(3), "XYZ"), ("m", rotation, origin, "xyz")):
-        tips = (centre + TRIAD * size * axes.T) @ flat
+        tips = (centre + triad * axes.T) @ flat
         start = centre @ flat
         for letter, tip, name in zip(letters, tips, "xyz", strict=True):
             out = tip - start
             place = tip + 0.75 * h * out / max(float(np.linalg.norm(out)), 1e-9)
             placer.put(f"${letter}$", AXIS_COLOURS[name], place[None], np.zeros(1), 1.0)
         arrows = (tips - start) / np.linalg.norm(tips - start, axis=-1, keepdims=True).clip(1e-9)
-        placer.put(rf"$\{{{frame}\}}$", _INK, start + 1.3 * h * around, (around @ arrows.T).max(axis=-1), 2.0)
+        placer.put(rf"$\{{{frame}\}}$", INK, start + 1.3 * h * around, (around @ arrows.T).max(axis=-1), 2.0)
 
     bases = configuration.leg_bases
     joints = np.stack([bases[:3], configuration.middle_joints, bases[3:]])
@@ -235,7 +244,7 @@ def _label(configuration: Configuration, placer: _LabelPlacer, camera: FloatArra
             # Nearer to another joint, it would seem to name that.
             distances = np.linalg.norm(places[:, None] - flattened.reshape(-1, 2), axis=-1)
             dislike += distances.min(axis=-1) < np.linalg.norm(places - point, axis=-1) - 1e-9
-            placer.put(f"${letter}_{i + 1}$", _INK, places, dislike)
+            placer.put(f"${letter}_{i + 1}$", INK, places, dislike)
 
     colours = {part.body: part.colour for part in visual_parts(configuration.geometry) if part.mesh == "tube"}
     along = np.linspace(0.2, 0.8, 25)

@@ -1,4 +1,4 @@
-"""Orthographic rendering of a scene with a depth buffer: every pixel shows the nearest face.
+"""Solids of the manipulator, and an orthographic rendering of them with a depth buffer.
 
 matplotlib's own 3-D axes order whole surfaces by their mean depth and so draw hidden legs over what hides them.
 Here a depth buffer decides, finer than the pixels, also where solids pass through one another.
@@ -7,34 +7,91 @@ Here a depth buffer decides, finer than the pixels, also where solids pass throu
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from spm_pin.display.scene import Colour, Scene
+from spm_pin.description.visuals import part_placements, section_size, visual_parts
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
+from spm_pin.mechanism.configuration import Configuration, check_configuration
 
+Colour = tuple[float, float, float]
+"""Red, green and blue in sRGB, from 0 to 1."""
 Image = npt.NDArray[np.float32]
 """Pixels (height, width, 4): red, green, blue and opacity, each from 0 to 1."""
 Extent = tuple[float, float, float, float]
 """Left, right, bottom and top of an image [m]."""
-Samples = npt.NDArray[np.int32]
 
 VIEW = (math.radians(15.0), math.radians(25.0))
 """The azimuth and the elevation [rad] from which pictures are taken."""
+AXIS_COLOURS: dict[str, Colour] = {"x": (0.835, 0.369, 0.0), "y": (0.0, 0.62, 0.451), "z": (0.353, 0.247, 0.69)}
+"""Colours of the axes of {B} and {m}."""
+TRIAD = 0.7
+"""Length of a frame's arrows over the size of the robot's sections, `section_size`."""
 
+_SIDES = 24  # of an arrow
+_NEARER = 0.4  # over the size of the sections: a frame's arrows lie in its plate, and are drawn on its surface
 _SAMPLES = 3  # per pixel and direction
 _CREASE = math.radians(50.0)  # a sharper turn between two faces is an edge
 
 
-class Rendering(NamedTuple):
-    """An image of a scene, transparent around it, its place, and which of the solids each pixel shows, -1 for none."""
+@dataclass(frozen=True)
+class Solid:
+    """One closed surface in {B}."""
 
-    image: Image  # the pixels
+    name: str  # the link and the mesh, "base_a1 clevis", or the frame and the axis, "{B} x"
+    colour: Colour
+    vertices: FloatArray  # in {B} [m], shape (n, 3)
+    faces: npt.NDArray[np.signedinteger]  # triangles, counter-clockwise seen from outside, shape (m, 3)
+    nearer: float = 0.0  # how far it is drawn before its place, towards the viewer [m]
+
+
+def robot_solids(configuration: Configuration, *, frames: bool = True) -> list[Solid]:
+    """Return the solids of a configuration, those of the URDF, and with `frames` arrows for the axes of {B} and {m}."""
+    check_configuration(configuration, single=True, existing=True)
+    if not (configuration.leg_lengths > 0.0).all():
+        raise ArgumentError("configuration", "legs of positive length", configuration.leg_lengths)
+    if not np.isfinite(configuration.middle_pose.as_matrix()).all():
+        raise ArgumentError("configuration", "middle joints that span a plane", configuration.middle_joints.tolist())
+    parts = visual_parts(configuration.geometry)
+    solids = [
+        Solid(part.name, part.colour, part.vertices @ pose[:3, :3].T + pose[:3, 3], part.faces)
+        for part, pose in zip(parts, part_placements(configuration), strict=True)
+    ]
+    if frames:
+        size = section_size(configuration.geometry)
+        solids += _triad("{B}", np.eye(3), np.zeros(3), size)
+        solids += _triad("{m}", configuration.rotation, configuration.translation, size)
+    return solids
+
+
+def _triad(frame: str, rotation: FloatArray, origin: FloatArray, size: float) -> list[Solid]:
+    """Return three arrows along the axes of a frame."""
+    angles = np.linspace(0.0, 2.0 * np.pi, _SIDES, endpoint=False)
+    circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    rings = [np.column_stack([r * circle, np.full(_SIDES, z)]) for r, z in ((0.04, 0.0), (0.04, 0.72), (0.11, 0.72))]
+    arrow = TRIAD * size * np.concatenate([*rings, [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]])
+    first = np.arange(_SIDES)
+    second, foot, tip = np.roll(first, -1), 3 * _SIDES, 3 * _SIDES + 1
+    strips = [(second, first, np.full(_SIDES, foot)), (first + 2 * _SIDES, second + 2 * _SIDES, np.full(_SIDES, tip))]
+    for low, high in ((0, _SIDES), (_SIDES, 2 * _SIDES)):
+        strips += [(low + first, low + second, high + second), (low + first, high + second, high + first)]
+    faces = np.concatenate([np.stack(strip, axis=-1) for strip in strips])
+    return [
+        # The local z axis becomes the arrow's; columns in cyclic order keep the handedness.
+        Solid(f"{frame} {axis}", AXIS_COLOURS[axis], arrow @ rotation[:, order].T + origin, faces, _NEARER * size)
+        for axis, order in (("x", [1, 2, 0]), ("y", [2, 0, 1]), ("z", [0, 1, 2]))
+    ]
+
+
+class Rendering(NamedTuple):
+    """An image of solids, transparent around them."""
+
+    image: Image
     extent: Extent  # place of the image in the picture plane [m]
     solid: IntArray  # index of the solid that each pixel shows, -1 for none, shape (height, width)
 
@@ -55,28 +112,24 @@ def camera_axes(view: tuple[float, float]) -> FloatArray:
 
 
 def bounds(
-    solids: Scene, camera: FloatArray, margins: tuple[float, float] = (0.0, 0.0)
+    solids: Sequence[Solid], camera: FloatArray, margins: tuple[float, float] = (0.0, 0.0)
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the lower left and upper right corner [m] of the scene in view; margins are shares of its longer side."""
-    points = np.concatenate([solid.vertices for solid in solids.solids]) @ camera[:2].T
+    """Return the lower left and upper right corner [m] of solids in view; margins are shares of their longer side."""
+    points = np.concatenate([solid.vertices for solid in solids]) @ camera[:2].T
     low, high = points.min(axis=0), points.max(axis=0)
     border = float((high - low).max()) * np.array(margins)
     return low - border, high + border
 
 
-def render(solids: Scene, camera: FloatArray, resolution: float, edge: float) -> Rendering:
-    """Render a scene.
-
-    `resolution` is in pixels per metre, the width of the dark edges, `edge`, in pixels.
-    """
+def render(solids: Sequence[Solid], camera: FloatArray, resolution: float, edge: float) -> Rendering:
+    """Render solids at `resolution` pixels per metre, with dark edges that are `edge` pixels wide."""
     triangles, colours, regions, count = [], [], [], 0
-    for solid in solids.solids:
+    for solid in solids:
         normals, smooth = _normals_and_regions(solid.vertices, solid.faces)
         normals = normals @ camera.T
         front = normals[:, 2] > 0.0
         seen = solid.vertices[solid.faces[front]] @ camera.T
-        # A frame's arrows lie in its plate: bring them to its surface, yet not before what stands in front of it.
-        seen[..., 2] += 0.4 * solids.size if solid.kind == "frame" else 0.0
+        seen[..., 2] += solid.nearer
         triangles.append(seen)
         colours.append(_shade(solid.colour, normals[front]))
         # Edges are drawn where regions meet.
@@ -109,17 +162,11 @@ def render(solids: Scene, camera: FloatArray, resolution: float, edge: float) ->
 
 def _normals_and_regions(vertices: FloatArray, faces: npt.NDArray[np.signedinteger]) -> tuple[FloatArray, IntArray]:
     """Return the unit normals (m, 3) of faces, and numbers (m,) that faces joined without a crease share."""
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    normals = np.cross(b - a, c - a)
-    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-300)
-    # On a closed surface each edge has two faces.
-    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=-1)
-    order = np.lexsort(edges.T)
-    twins = np.flatnonzero((edges[order[1:]] == edges[order[:-1]]).all(axis=-1))
-    first, second = order[twins] // 3, order[twins + 1] // 3
-    smooth = (normals[first] * normals[second]).sum(axis=-1) > math.cos(_CREASE)
-    joined = coo_array((np.ones(smooth.sum()), (first[smooth], second[smooth])), shape=(len(faces), len(faces)))
-    return normals, np.asarray(connected_components(joined, directed=False)[1], dtype=np.intp)
+    import trimesh
+
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    smooth = mesh.face_adjacency[mesh.face_adjacency_angles < _CREASE]
+    return mesh.face_normals, trimesh.graph.connected_component_labels(smooth, node_count=len(faces))
 
 
 def _shade(colour: Colour, normals: FloatArray) -> FloatArray:
@@ -135,7 +182,7 @@ def _shade(colour: Colour, normals: FloatArray) -> FloatArray:
     return np.asarray(np.asarray(colour) * light ** (1.0 / 2.2))
 
 
-def _nearest_faces(triangles: FloatArray, shape: tuple[int, int]) -> tuple[Samples, Image]:
+def _nearest_faces(triangles: FloatArray, shape: tuple[int, int]) -> tuple[npt.NDArray[np.int32], Image]:
     """Return which triangle each pixel shows, -1 for none, and how near it is.
 
     `triangles` (n, 3, 3) holds column, row and nearness of each corner; pixel centres are whole numbers.
@@ -162,8 +209,8 @@ def _nearest_faces(triangles: FloatArray, shape: tuple[int, int]) -> tuple[Sampl
     return index, depth
 
 
-def _edges(region: Samples, depth: Image, width: int) -> BoolArray:
-    """Return the pixels within `width` of the border of their region, on the nearer side of that border."""
+def _edges(region: npt.NDArray[np.int32], depth: Image, width: int) -> BoolArray:
+    """Return which pixels are within `width` of the border of their region, on the nearer side of that border."""
     edge = np.zeros(region.shape, dtype=bool)
     for axis in (0, 1):
         for step in range(1, width + 1):

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from spm_pin.display.output_files import new_figure
-from spm_pin.display.plots import draw_solids
-from spm_pin.display.rendering import VIEW, Rendering, camera_axes
-from spm_pin.display.scene import Colour, Scene, Solid
+from spm_pin.display.figures import new_figure
+from spm_pin.display.plots import INK, draw_solids
+from spm_pin.display.rendering import VIEW, Colour, Rendering, Solid, camera_axes
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path, writing
 from spm_pin.workspace.paper_shell import Patch, Shell
@@ -42,37 +40,33 @@ MESH_FORMATS = (".stl", ".ply", ".obj", ".glb")
 """File types that shells are written in."""
 _EDGE = 0.6  # width of edges in points
 _FONT = 9.0
-_INK = (0.13, 0.15, 0.18)
 _Y_UP = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 _FILL = {"det K < 0": "#CFDDED", "det K > 0": "#F3DCCB", "either sign": "#8C8A93"}
 """Colours of cells reached on one side of an inverse singularity, on the other, and on both."""
-_GAP = 3
+_GAP = 3  # cells: larger gaps in a sample are not filled
 
 
 def draw_shell(
     shell: Shell, *, ax: Axes | None = None, view: tuple[float, float] = VIEW, labels: bool = True, dpi: float = 200.0
 ) -> Axes:
-    """Draw a shell into a 2-D matplotlib Axes, in orthographic projection.
+    """Draw a shell into a 2-D matplotlib Axes; every patch has the colour of its family.
 
-    Every pixel shows the nearest patch, in the colour of its family, see `FAMILY_COLOURS`. Data coordinates are metres
-    to the right of O and above it as the viewer sees it.
-
-    Parameters are those of `spm_pin.display.plots.draw`, with the shell for the configuration; `labels` names the
-    patches that are seen well enough.
+    Parameters are those of `spm_pin.display.draw`, with the shell for the configuration; `labels` names the patches
+    that are seen well enough.
     """
     check_instance(shell, Shell, "shell", "Make one with workspace.workspace_shell(geometry)")
     camera = camera_axes(view)
     solids = [
         # The renderer shows what faces the viewer, and that is all one sees of a closed shell.
-        Solid(patch.name, "robot", FAMILY_COLOURS[patch.family], shell.vertices, shell.faces[patch.faces])
+        Solid(patch.name, FAMILY_COLOURS[patch.family], shell.vertices, shell.faces[patch.faces])
         for patch in shell.patches
     ]
-    ax, _, rendering = draw_solids(Scene(tuple(solids), 1.0), camera, (0.03, 0.03), ax=ax, dpi=dpi, edge=_EDGE)
+    ax, _, rendering = draw_solids(solids, camera, (0.03, 0.03), ax=ax, dpi=dpi, edge=_EDGE)
     if labels:
         from matplotlib.patheffects import withStroke
 
         for patch, (x, y) in _places(shell, rendering, 0.6 * _FONT / 72.0 * dpi):
-            written = ax.text(x, y, patch_symbol(patch.name), fontsize=_FONT, color=_INK, ha="center", va="center")
+            written = ax.text(x, y, patch_symbol(patch.name), fontsize=_FONT, color=INK, ha="center", va="center")
             written.set_path_effects([withStroke(linewidth=0.25 * _FONT, foreground="white", alpha=0.7)])
     return ax
 
@@ -94,21 +88,19 @@ def _places(shell: Shell, seen: Rendering, room: float) -> list[tuple[Patch, tup
     """Return the places of patches' names, amid what is seen of each, if farther than `room` pixels from the rest."""
     left, _, _, top = seen.extent
     pixel = (seen.extent[1] - left) / seen.solid.shape[1]
-    found = []
+    places = []
     for k, patch in enumerate(shell.patches):
         clearance = ndimage.distance_transform_edt(np.pad(seen.solid == k, 1))[1:-1, 1:-1]
         row, column = np.unravel_index(int(clearance.argmax()), clearance.shape)
         if clearance[row, column] > room:
-            found.append((patch, (left + (int(column) + 0.5) * pixel, top - (int(row) + 0.5) * pixel)))
-    return found
+            places.append((patch, (left + (int(column) + 0.5) * pixel, top - (int(row) + 0.5) * pixel)))
+    return places
 
 
-def shell_figure(shell: Shell, *, labels: bool = True, dpi: float = 200.0) -> Figure:
-    """Draw a shell from all sides, after the paper's Fig. 2.
+def shell_figure(shell: Shell, *, dpi: float = 200.0) -> Figure:
+    """Draw a shell from all sides, after the paper's Fig. 2, and for what that hides from below.
 
-    The isometric, the top and the front view, and for what those hide the one from below; a legend names the families.
-
-    Parameters and errors are those of `draw_shell`.
+    Parameters are those of `draw_shell`.
     """
     figure = new_figure(9.0, 7.4, layout="constrained")
     from matplotlib.patches import Patch as Swatch
@@ -116,7 +108,7 @@ def shell_figure(shell: Shell, *, labels: bool = True, dpi: float = 200.0) -> Fi
     panels = zip("abcd", VIEWS.items(), figure.subplots(2, 2).ravel(), strict=True)
     names = {"top": "Y", "front": "Z", "bottom": "\N{MINUS SIGN}Y"}
     for letter, (name, view), ax in panels:
-        draw_shell(shell, ax=ax, view=view, labels=labels, dpi=dpi)
+        draw_shell(shell, ax=ax, view=view, dpi=dpi)
         ax.set_title(f"({letter}) {name}", fontsize=10.0)
         if name in names:
             style_axes(ax, ("X [m]", f"{names[name]} [m]"))
@@ -126,64 +118,53 @@ def shell_figure(shell: Shell, *, labels: bool = True, dpi: float = 200.0) -> Fi
     for family, colour in FAMILY_COLOURS.items():
         members = [patch.name for patch in shell.patches if patch.family == family]
         ends = f"{patch_symbol(members[0])} \N{EN DASH} {patch_symbol(members[-1])}"
-        swatches.append(Swatch(facecolor=colour, edgecolor=_INK, label=ends))
+        swatches.append(Swatch(facecolor=colour, edgecolor=INK, label=ends))
     figure.legend(handles=swatches, loc="outside lower center", ncols=4, frameon=False, fontsize=9.0)
     return figure
 
 
 def save_mesh(shell: Shell, path: str | Path) -> Path:
-    """Write a shell's mesh, lengths in metres.
+    """Write a shell's mesh as .stl, .ply, .obj or .glb, lengths in metres.
 
     STL and OBJ hold one closed mesh, PLY the same with the colours of the families. GLB holds each patch as a mesh of
     its own, named and coloured, and has its y axis upward, as that format requires.
     """
     path = file_path(path, suffixes=MESH_FORMATS)
     require_extra("plots", "trimesh")
-    content = _patchwork(shell) if path.suffix.lower() == ".glb" else _whole(shell, path.suffix.lower()[1:])
+    import trimesh
+
+    kind = path.suffix.lower()[1:]
+    colours = [[*(round(255 * channel) for channel in FAMILY_COLOURS[patch.family]), 255] for patch in shell.patches]
+    if kind == "glb":
+        scene = trimesh.Scene()
+        for patch, colour in zip(shell.patches, colours, strict=True):
+            material = trimesh.visual.material.PBRMaterial(
+                name=patch.family, baseColorFactor=colour, metallicFactor=0.0, roughnessFactor=0.8
+            )
+            mesh = trimesh.Trimesh(shell.vertices, shell.faces[patch.faces], process=False)
+            mesh.remove_unreferenced_vertices()
+            mesh.visual = trimesh.visual.TextureVisuals(material=material)
+            scene.add_geometry(mesh, node_name=patch.name, geom_name=patch.name, transform=_Y_UP)
+        content = scene.export(file_type=kind)
+    else:
+        of_faces = np.repeat(colours, [len(patch.faces) for patch in shell.patches], axis=0)
+        mesh = trimesh.Trimesh(
+            shell.vertices, shell.faces, face_colors=of_faces if kind == "ply" else None, process=False
+        )
+        content = mesh.export(file_type=kind)
     with writing(path):
-        path.write_bytes(content)
+        path.write_bytes(content.encode() if isinstance(content, str) else cast("bytes", content))
     return path
 
 
-def _rgba(patch: Patch) -> list[int]:
-    return [*(round(255 * channel) for channel in FAMILY_COLOURS[patch.family]), 255]
-
-
-def _whole(shell: Shell, kind: str) -> bytes:
-    import trimesh
-
-    colours = [np.tile(_rgba(patch), (len(patch.faces), 1)) for patch in shell.patches]
-    mesh = trimesh.Trimesh(
-        shell.vertices, shell.faces, face_colors=np.concatenate(colours) if kind == "ply" else None, process=False
-    )
-    content = mesh.export(file_type=kind)
-    return content.encode() if isinstance(content, str) else cast("bytes", content)
-
-
-def _patchwork(shell: Shell) -> bytes:
-    import trimesh
-
-    scene = trimesh.Scene()
-    for patch in shell.patches:
-        material = trimesh.visual.material.PBRMaterial(
-            name=patch.family, baseColorFactor=_rgba(patch), metallicFactor=0.0, roughnessFactor=0.8
-        )
-        mesh = trimesh.Trimesh(shell.vertices, shell.faces[patch.faces], process=False)
-        mesh.remove_unreferenced_vertices()
-        mesh.visual = trimesh.visual.TextureVisuals(material=material)
-        scene.add_geometry(mesh, node_name=patch.name, geom_name=patch.name, transform=_Y_UP)
-    return cast("bytes", scene.export(file_type="glb"))
-
-
-@dataclass(frozen=True)
-class Plane:
-    """A plane to cut with, given by a point of it in {B} [m], and orthogonal unit vectors in {B}."""
+class Plane(NamedTuple):
+    """A plane to cut with; vectors are in {B}."""
 
     name: str  # title of its picture
-    origin: tuple[float, float, float]  # point of the plane in {B} [m]; the origin of the picture
-    across: tuple[float, float, float]  # unit vector in {B}, to the right in the picture
-    up: tuple[float, float, float]  # unit vector in {B}, upwards in the picture
-    labels: tuple[str, str]  # labels of the two axes of the picture
+    origin: tuple[float, float, float]  # a point of the plane [m], the origin of the picture
+    across: tuple[float, float, float]  # unit vector to the right in the picture
+    up: tuple[float, float, float]  # unit vector upwards in the picture
+    labels: tuple[str, str]  # of the two axes of the picture
 
     @classmethod
     def level(cls, height: float) -> Plane:
@@ -192,7 +173,7 @@ class Plane:
 
     @classmethod
     def upright(cls, azimuth: float) -> Plane:
-        """Return the plane through the Z axis and the horizontal direction of an azimuth [rad] in {B}."""
+        """Return the plane through the Z axis and the horizontal direction of an azimuth [rad]."""
         across = (math.cos(azimuth), math.sin(azimuth), 0.0)
         degrees = f"{math.degrees(azimuth):g}"
         labels = (f"along azimuth {degrees}° [m]", "Z [m]")
@@ -213,10 +194,9 @@ def draw_section(
 ) -> None:
     """Draw a section of a shell into axes, in the colours of its families, and of what is reached.
 
-    `reached` are positions of o (N, 3) [m], `aspect` the sign of det K in each state (N,), see
-    `spm_pin.workspace.sampling`. Cells of the plane of the size `cell` [m] are filled that have a
-    position nearer than half of it; those that are reached on both sides of an inverse singularity are darker. A plane
-    that meets nothing is an `ArgumentError`.
+    `reached` are positions of o (N, 3) [m], `aspect` the signs (N,) of det K there. Cells of the size `cell` [m] are
+    filled that have a position nearer to the plane than half of it; those reached on both sides of an inverse
+    singularity are darker.
     """
     from matplotlib.collections import LineCollection
     from trimesh.intersections import mesh_plane

@@ -31,18 +31,12 @@ from spm_pin.mechanism.pose import EXACT, PoseLike, checked_pose, unchecked_pose
 
 _MIN_CHECKED = 1 << 17
 """Poses whose check is worth a thread."""
-
 LARGEST_RATIO = 1e5
 """Leg lengths, relative to the machine, beyond which eleven of sixteen digits are lost."""
-
-_LINE = 64
-"""Bytes of a cache line; a store across two of them takes twice as long."""
-_LONG = 1 << 14
-"""Bytes of a result of which whole cache lines are written."""
+_CACHE_LINE, _LONG = 64, 1 << 14
+"""Bytes of a cache line, and of a result that begins at one: a store across two lines takes twice as long."""
 Result = tuple[tuple[int, ...], npt.DTypeLike]
 """Trailing shape and type of one result of a kernel."""
-
-
 BRANCH_RESULTS: tuple[Result, ...] = (
     ((3, 3), np.float64),
     ((3,), np.float64),
@@ -62,8 +56,8 @@ def new_result(count: int, result: Result) -> npt.NDArray[Any]:
     size = math.prod(shape) * dtype.itemsize
     if size < _LONG:
         return np.empty(shape, dtype)
-    memory = np.empty(size + _LINE, np.uint8)
-    first = -memory.__array_interface__["data"][0] % _LINE
+    memory = np.empty(size + _CACHE_LINE, np.uint8)
+    first = -memory.__array_interface__["data"][0] % _CACHE_LINE
     return memory[first : first + size].view(dtype).reshape(shape)
 
 
@@ -76,27 +70,11 @@ def run_kernel(
     *,
     packed: int = 1,
 ) -> tuple[Any, ...]:
-    """Run a kernel on a batch, on several threads if it is large.
+    """Run a kernel on a batch, on several threads if it is large, and return its results.
 
-    Parameters
-    ----------
-    kernel : callable
-        Takes the inputs, the constants and the results, in this order, and writes the results.
-    inputs : sequence of ndarray
-        Arrays with the batch, N members, along their first axis.
-    constants : sequence
-        The same for all members.
-    results : sequence of Result or ndarray
-        What to allocate, with a first axis of N · packed; or arrays of that shape to write into.
-    min_batch : int
-        Members that are worth a thread.
-    packed : int
-        Results per member of the batch.
-
-    Returns
-    -------
-    tuple of ndarray
-        The results.
+    The kernel takes `inputs`, arrays with the batch of N members along their first axis, then `constants`, then
+    `results`: arrays to write into or, if given as `Result`, to allocate, with a first axis of N · packed. `min_batch`
+    is how many members are worth a thread.
     """
     count = len(inputs[0])
     arrays = [r if isinstance(r, np.ndarray) else new_result(count * packed, r) for r in results]
@@ -120,41 +98,19 @@ def run_on_states(
 ) -> tuple[Any, ...]:
     """Run a kernel that takes b, R, o, and a load if there is one, on the states of a configuration.
 
-    Parameters
-    ----------
-    kernel, constants, results
-        As for `run_kernel`.
-    configuration : Configuration
-        States of shape (...).
-    load : ndarray, shape (..., 6), optional
-        One more input, whose leading axes broadcast with those of the states.
-    min_batch : int
-        States that are worth a thread.
-
-    Returns
-    -------
-    tuple of ndarray
-        The results, their leading axes those of the states, broadcast with those of the load.
+    The leading axes of the load (..., 6) broadcast with those of the states; the results have those of both.
     """
-    check_instance(configuration, Configuration, "configuration")
-    shape = configuration.shape if load is None else np.broadcast_shapes(configuration.shape, load.shape[:-1])
     state = configuration
-    arrays = [state.middle_joints, state.rotation, state.translation]
-    trailing = [(3, 3), (3, 3), (3,), (6,)]
-    if load is not None:
-        arrays.append(load)
-    inputs = [with_two_batch_axes(x, shape, ends) for x, ends in zip(arrays, trailing, strict=False)]
-    inner = inputs[0].shape[1]
-    outer_batch = max(min_batch // max(inner, 1), 1)
-    written = run_kernel(kernel, inputs, constants, results, outer_batch, packed=inner)
-    return with_batch_shape(written, shape)
-
-
-def with_two_batch_axes(array: FloatArray, shape: tuple[int, ...], trailing: tuple[int, ...]) -> FloatArray:
-    """Return an array broadcast to a batch of this shape, with two batch axes; not copied if strides allow it."""
+    shape = state.shape if load is None else np.broadcast_shapes(state.shape, load.shape[:-1])
+    arrays = [state.middle_joints, state.rotation, state.translation, *([] if load is None else [load])]
+    # Two batch axes, so that what all branches of a pose share need not be copied.
     inner = shape[-1] if len(shape) > 1 else 1
-    outer = int(np.prod(shape[:-1] if len(shape) > 1 else shape))
-    return np.broadcast_to(array, (*shape, *trailing)).reshape(outer, inner, *trailing)
+    inputs = []
+    for array, trailing in zip(arrays, ((3, 3), (3, 3), (3,), (6,)), strict=False):
+        whole = np.broadcast_to(array, (*shape, *trailing))
+        inputs.append(whole.reshape(math.prod(shape) // max(inner, 1), inner, *trailing))
+    written = run_kernel(kernel, inputs, constants, results, max(min_batch // max(inner, 1), 1), packed=inner)
+    return with_batch_shape(written, shape)
 
 
 def flat_batch(array: FloatArray, shape: tuple[int, ...], inner: int) -> FloatArray:
@@ -166,19 +122,6 @@ def flat_batch(array: FloatArray, shape: tuple[int, ...], inner: int) -> FloatAr
 def with_batch_shape(arrays: Iterable[npt.NDArray[Any]], shape: tuple[int, ...]) -> tuple[Any, ...]:
     """Return arrays of N members with the axes of a batch of this shape in place of the first."""
     return tuple([array.reshape((*shape, *array.shape[1:])) for array in arrays])
-
-
-def branch_states(geometry: Geometry, shape: tuple[int, ...], solved: Iterable[npt.NDArray[Any]]) -> Configuration:
-    """Return the branches (..., 8) of a batch of this shape, of the first four `BRANCH_RESULTS` of its N poses."""
-    rotation, position, *rest = solved
-    joints, lengths = with_batch_shape(rest, shape)
-    return Configuration.from_arrays(
-        geometry,
-        np.broadcast_to(rotation.reshape((*shape, 1, 3, 3)), joints.shape),
-        np.broadcast_to(position.reshape((*shape, 1, 3)), joints.shape[:-1]),
-        joints,
-        lengths,
-    )
 
 
 def radii(geometry: Geometry) -> tuple[float, float, float]:
@@ -231,16 +174,7 @@ def set_threads(count: int | None) -> None:
         1 uses the caller's thread only. None, the default, takes the number from the environment: `SPM_PIN_THREADS`
         if set; else, in the main thread of a main process, `OMP_NUM_THREADS` if set, or the number of processors
         that the process may use; else 1. A Dask or joblib worker, a pool's thread or a child process thus uses one
-        thread: its parent has already allocated the cores.
-
-    Raises
-    ------
-    ArgumentError
-        If `count` is not a positive integer.
-
-    Notes
-    -----
-    Small batches are not shared: a thread must have some milliseconds of work.
+        thread: its parent has already allocated the cores. Small batches are not shared.
     """
     global _process_wide
     _process_wide = _checked(count)

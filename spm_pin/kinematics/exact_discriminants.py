@@ -14,8 +14,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-import mpmath
 import numpy as np
+from mpmath import iv
 
 from spm_pin.mechanism.arguments import FloatArray, IntArray
 
@@ -47,11 +47,15 @@ def _surd_sign(a: Pair) -> int:
 
 
 def _surd(a: Pair) -> Any:
-    """Return α + β√3, to nearly the working precision whatever cancels."""
-    root, (first, second) = mpmath.sqrt(3), a
+    """Return an enclosure of α + β√3, to nearly the working precision whatever cancels."""
+    root, (first, second) = iv.sqrt(iv.mpf(3)), a
     if (first > 0) == (second > 0) or not first or not second:
         return first + second * root
-    return mpmath.mpf(first * first - 3 * second * second) / (first - second * root)
+    return iv.mpf(first * first - 3 * second * second) / (first - second * root)
+
+
+def _conjugate(z: Any) -> Any:
+    return iv.mpc(z.real, -z.imag)
 
 
 def _whole(values: Iterable[float]) -> tuple[list[int], int]:
@@ -106,37 +110,46 @@ class ExactPose:
 
     def discriminant(self, family: int) -> float:
         """Return a family's discriminant over r², to rounding."""
-        with mpmath.workprec(BITS):
-            norm, w_square, kappa = self.norm, self._w_square, self._turned[family][0]
-            size = 4 * norm**2 * (norm - w_square) * w_square**3 * (norm - kappa**2) * self.side**2
-            return float(_surd(self._discriminant(family)) / size)
+        iv.prec = BITS
+        norm, w_square, kappa = self.norm, self._w_square, self._turned[family][0]
+        size = 4 * norm**2 * (norm - w_square) * w_square**3 * (norm - kappa**2) * self.side**2
+        return float((_surd(self._discriminant(family)) / size).mid)
 
-    def middle_joints(self, branch: int) -> tuple[list[Any], list[Any]]:
-        """Return ρ_1, ρ_2, ρ_3 and z_1, z_2, z_3 [m] of a real branch, computed with `BITS` bits."""
-        with mpmath.workprec(BITS):
-            family, length, r = branch // 2, mpmath.sqrt(self.norm), mpmath.mpf(self.side) / self.one / mpmath.sqrt(3)
-            x0, x1, x2, x3 = (x / length for x in self._quaternion)
-            s, w, kappa = mpmath.mpc(x0, x3), mpmath.mpc(x1, x2), self._turned[family][0] / length
-            pp, pq, qq = (_surd(pair) for pair in self._coefficients[family])
-            root = ROOT_SIGN[branch] * (-1 if kappa < 0 else 1) * mpmath.sqrt(_surd(self._discriminant(family)))
-            # Of the two forms of a root the one without cancellation.
-            p, q = (root - pq, 2 * pp) if pq * root <= 0 else (2 * qq, -pq - root)
-            p *= length
-            size = abs(w) / mpmath.sqrt(p * p + q * q - 2 * kappa * p * q)
-            p, q = p * size * (1 if _LOWER[family] > 0 else 1j), q * size * (1 if _UPPER[family] > 0 else 1j)
-            w_a, w_b = (q.conjugate() - s * p.conjugate()) / w.conjugate(), ((s * q - p) / w).conjugate()
-            below, above = (-1j * r * x.conjugate() ** 2 for x in (w_a, w_b))
-            # o + R t_b = t_a along the tilt of {m} gives the upper height, and along Z the lower.
-            rows = [[mpmath.mpf(entry) / self.norm for entry in row] for row in self.matrix]
-            x, y, z = (
-                mpmath.mpf(o) / self.one + row[0] * above.real + row[1] * above.imag
-                for o, row in zip(self.position, rows, strict=True)
-            )
-            tilt = mpmath.mpc(rows[0][2], rows[1][2])
-            height = z + rows[2][2] * (tilt.conjugate() * (below - mpmath.mpc(x, y))).real / abs(tilt) ** 2
-            corners = [mpmath.expjpi(mpmath.mpf(azimuth) / 6) for azimuth in (-1, 3, 7)]
-            radii = [r * ((p * p).real - 2 * (w_a * w_a * u).imag) for u in corners]
-            return radii, [height + 2 * r * (p * w_a.conjugate() * u).imag for u in corners]
+    def middle_joints(self, branch: int) -> tuple[FloatArray, float]:
+        """Return the joints of a real branch (3, 3) [m], and how far the exact ones, of `BITS` bits, can be."""
+        iv.prec = BITS
+        family, root_3 = branch // 2, iv.sqrt(iv.mpf(3))
+        length, r = iv.sqrt(iv.mpf(self.norm)), iv.mpf(self.side) / self.one / root_3
+        x0, x1, x2, x3 = (iv.mpf(x) / length for x in self._quaternion)
+        s, w, kappa = iv.mpc(x0, x3), iv.mpc(x1, x2), self._turned[family][0]
+        pp, pq, qq = (_surd(pair) for pair in self._coefficients[family])
+        sign = ROOT_SIGN[branch] * (-1 if kappa < 0 else 1)
+        root = sign * iv.sqrt(_surd(self._discriminant(family)))
+        # Of the two forms of a root the one without cancellation.
+        cancels = sign * _surd_sign(self._coefficients[family][1]) > 0
+        p, q = (2 * qq, -pq - root) if cancels else (root - pq, 2 * pp)
+        p *= length
+        size = iv.sqrt((x1 * x1 + x2 * x2) / (p * p + q * q - 2 * (kappa / length) * p * q))
+        p, q = p * size * (1 if _LOWER[family] > 0 else 1j), q * size * (1 if _UPPER[family] > 0 else 1j)
+        w_a = (_conjugate(q) - s * _conjugate(p)) / _conjugate(w)
+        w_b = _conjugate((s * q - p) / w)
+        below, above = (-1j * r * _conjugate(x * x) for x in (w_a, w_b))
+        # o + R t_b = t_a along the tilt of {m} gives the upper height, and along Z the lower.
+        rows = [[iv.mpf(entry) / self.norm for entry in row] for row in self.matrix]
+        x, y, z = (
+            iv.mpf(o) / self.one + row[0] * above.real + row[1] * above.imag
+            for o, row in zip(self.position, rows, strict=True)
+        )
+        tilt = iv.mpc(rows[0][2], rows[1][2])
+        across = (_conjugate(tilt) * (below - iv.mpc(x, y))).real
+        height = z + rows[2][2] * across / (tilt.real * tilt.real + tilt.imag * tilt.imag)
+        joints, gaps = np.empty((3, 3)), []
+        for i, u in enumerate((iv.mpc(root_3 / 2, -0.5), iv.mpc(0, 1), iv.mpc(-root_3 / 2, -0.5))):
+            radius = r * ((p * p).real - 2 * (w_a * w_a * u).imag)
+            exact = radius * u.real, radius * u.imag, height + 2 * r * (p * _conjugate(w_a) * u).imag
+            joints[i] = [float(x.mid) for x in exact]
+            gaps.append(iv.sqrt(sum((x - float(x.mid)) ** 2 for x in exact)))
+        return joints, max(float(np.nextafter(float(gap.b), np.inf)) for gap in gaps)
 
 
 def largest_component(rotation: FloatArray) -> IntArray:

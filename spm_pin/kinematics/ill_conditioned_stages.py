@@ -26,7 +26,7 @@ from spm_pin.kinematics.formulas.stages import (
     stage_equations,
     tilt_quadratic,
 )
-from spm_pin.kinematics.kernels.stage_modes import PLACES
+from spm_pin.kinematics.kernels.mode_kernels import PLACES
 from spm_pin.mechanism.arguments import FloatArray
 
 _DIGITS = 60
@@ -68,7 +68,7 @@ def _solutions(stage: StageEquations) -> list[list[Any]]:
     coefficients = quartic(stage, size, mu.real, mu.imag, omega, gain)
     turn = mpmath.tan(mpmath.mpf("0.777"))
     polynomial = _substituted(coefficients, turn)
-    found: list[list[Any]] = []
+    solutions: list[list[Any]] = []
     for root in mpmath.polyroots(polynomial, maxsteps=400, extraprec=400, asc=True):
         if abs(root.imag) > _REAL * (1 + abs(root.real)):
             continue
@@ -79,9 +79,11 @@ def _solutions(stage: StageEquations) -> list[list[Any]]:
         a = size * gain * gamma.imag / abs(delta)
         for start in _tilts(stage, delta / abs(delta) * mpmath.conj(nu), a):
             state = _newton(stage, start)
-            if state is not None and all(max(abs(x - y) for x, y in zip(state, s, strict=True)) > _SAME for s in found):
-                found.append(state)
-    return found
+            if state is not None and all(
+                max(abs(x - y) for x, y in zip(state, s, strict=True)) > _SAME for s in solutions
+            ):
+                solutions.append(state)
+    return solutions
 
 
 def _substituted(coefficients: tuple[Any, ...], turn: Any) -> list[Any]:

@@ -40,7 +40,7 @@ class Interval:
     __array_ufunc__ = None
 
     @classmethod
-    def of(cls, value: npt.ArrayLike) -> Interval:
+    def from_numbers(cls, value: npt.ArrayLike) -> Interval:
         """Return intervals of one number each: exactly those doubles."""
         array = np.asarray(value, dtype=np.float64)
         return cls(array, array)
@@ -108,7 +108,7 @@ class Interval:
 
 
 def _interval(value: Interval | float) -> Interval:
-    return value if isinstance(value, Interval) else Interval.of(value)
+    return value if isinstance(value, Interval) else Interval.from_numbers(value)
 
 
 SQRT_3 = Interval(np.nextafter(np.sqrt(3.0), 0.0), np.nextafter(np.sqrt(3.0), 2.0))

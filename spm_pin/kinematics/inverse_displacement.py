@@ -1,30 +1,14 @@
 """Inverse displacement in closed form: four quadratics, one per family, no iteration, no data-dependent branching.
 
-Write the horizontal vector (x, y) as the complex number x + iy and a unit quaternion as the pair
-s = x0 + i x3, w = x1 + i x2. With q_R = (S, W) the platform's rotation, a = (p, w_a) and b = (q, w_b) the
-middle platform's seen from {B} and from {m}, a = q_R b reads
-
-    W conj(w_b) = S q - p,        conj(W) w_a = conj(q) - S conj(p).
-
-The lower leg planes all contain the Z axis of {B}; this alone forces p to be real (mode T: p = P) or imaginary
-(mode F: p = iP) and puts the middle platform's centre at the horizontal position -i r conj(w_a²). The same
-holds for q, w_b, Q in {m}. With h the signed distance of the two Z axes along their common normal, closing the
-chain along that normal is homogeneous of degree two in (P, Q):
-
-    r Re(i s [W³ e_q (Q - S'P)² + conj(W)³ e_p (S'Q - P)²]) = h N,    N = P² + Q² - 2 κ PQ = |W|²,
-
-s = S/|S| and W scaled to modulus one in the bracket, S' = S (q/Q)/(p/P) = κ + iμ, e = +1 for T and -1 for F.
-In the coordinates u ~ P - Q, v ~ P + Q that make N = u² + v² the equation is a symmetric 2 x 2 form, and nothing
-cancels as the platform levels. Derivation: `docs/theory/inverse_displacement.md`.
-
-A machine as built has no such quadratics: its six leg planes are three quadrics, all eight roots of which are found,
-and the labels of the drawn machine are carried to them, see `docs/theory/as_built.md`.
+Derivation: `docs/theory/inverse_displacement.md`. A machine as built has no such quadratics: its six leg planes are
+three quadrics, all eight roots of which are found, and the labels of the drawn machine are carried to them, see
+`docs/theory/as_built.md`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -33,14 +17,13 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.batches import (
     BRANCH_RESULTS,
-    branch_states,
     radii,
     read_pose,
     run_kernel,
     with_batch_shape,
 )
 from spm_pin.kinematics.formulas.branches import ROUNDING
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, as_bool
+from spm_pin.mechanism.arguments import FloatArray, as_bool
 from spm_pin.mechanism.branches import BRANCHES
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
@@ -50,9 +33,8 @@ from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
 ROUNDING_BOUND = 2.0**-39
 """Bound of the rounding error of a discriminant over r², divided by (1 + (|x| + |y|)/r)²: `docs/theory/proofs.md`."""
 
+Memory = tuple[npt.NDArray[Any], ...]
 _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_AS_BUILT = 1 << 14, 1 << 9
-_LARGE = 5e-3
-"""Errors of a machine as built, of directions and in units of r, for which all roots are solved for at once."""
 
 
 def inverse_displacement(
@@ -67,8 +49,8 @@ def inverse_displacement(
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
         Pose of {m} in {B}, translation in metres; one, or a batch of shape (...).
     out : SolutionSet, optional
-        What an earlier call with this geometry for a batch of this shape returned. Its memory is written anew, which
-        saves what the system takes to provide memory; it and everything taken from it then hold the new numbers.
+        What an earlier call with this geometry for a batch of this shape returned. Its memory is written anew: it and
+        everything taken from it then hold the new numbers.
     certify : bool
         Bound the error of all joints, in `SolutionSet.radius`. In a drawn machine also decide the families that are not
         `certain` without rounding, and compute their branches with more digits, a few milliseconds each.
@@ -91,25 +73,9 @@ def inverse_displacement(
         machine took. The status may be `UNSOLVED`, where not all eight roots could be isolated; see
         `docs/theory/as_built.md`.
 
-    Raises
-    ------
-    PoseError
-        If `pose` is not a rigid transform of finite numbers, or more than 2e5 times the machine away.
-    ArgumentError
-        If `out` is no result of this function for this geometry and a batch of this shape.
-
     Notes
     -----
-    Hu, Lu, Yu, Zhuang [1]_ obtain the same branches from a resultant of degree eight, Eqs. (5)-(20); that route is
-    `spm_pin.paper.resultant`. This one has no denominator that a regular pose can make zero. As far as we remember,
-    four quadratic factors are in [2]_ as well.
-
-    References
-    ----------
-    .. [1] B. Hu, Y. Lu, J. J. Yu, S. Zhuang, "Analyses of Inverse Kinematics, Statics and Workspace of a Novel
-       3RPS-3SPR Serial-Parallel Manipulator".
-    .. [2] A. Nayak, S. Caro, P. Wenger, "Kinematic Analysis of the 3-RPS-3-SPR Series-Parallel Manipulator", Robotica
-       37 (2019). More in docs/related_work.md.
+    The paper obtains the same branches from a resultant of degree eight, Eqs. (5)-(20), see `spm_pin.paper.resultant`.
 
     Examples
     --------
@@ -122,8 +88,26 @@ def inverse_displacement(
     certified = as_bool(certify, "certify")
     shape, rotation, position = read_pose(geometry, pose)
     memory = None if out is None else _memory_of(out, geometry, shape)
-    solve = _drawn_branches if geometry.is_nominal else _as_built_branches
-    branches = solve(geometry, shape, rotation, position, memory)
+    solved = _solve(geometry, rotation, position, memory)
+    details: dict[str, Any]
+    if geometry.is_nominal:
+        rotation, position, joints, lengths, discriminants, hint, status, flagged = solved
+        details = {
+            "discriminants": discriminants.reshape(*shape, 4),
+            "degeneracy": _find_degeneracy(geometry, shape, rotation, position, flagged, status),
+            "physical_hint": hint.reshape(*shape, 3),
+            "rounding": ROUNDING_BOUND,
+        }
+    else:
+        rotation, position, joints, lengths, carried, status, _ = solved
+        details = {"merged": (carried == 0).reshape(*shape, 8)}
+    states = Configuration.from_arrays(
+        geometry,
+        np.broadcast_to(rotation.reshape(*shape, 1, 3, 3), (*shape, 8, 3, 3)),
+        np.broadcast_to(position.reshape(*shape, 1, 3), (*shape, 8, 3)),
+        *with_batch_shape((joints, lengths), shape),
+    )
+    branches = SolutionSet(states, BRANCHES, status.reshape(shape), memory=solved, **details)
     if not certified:
         return branches
     from spm_pin.kinematics.certified_branches import certify_branches
@@ -131,7 +115,7 @@ def inverse_displacement(
     return certify_branches(branches)
 
 
-def _memory_of(out: SolutionSet, geometry: Geometry, shape: tuple[int, ...]) -> tuple[npt.NDArray[Any], ...]:
+def _memory_of(out: SolutionSet, geometry: Geometry, shape: tuple[int, ...]) -> Memory:
     expected = f"what `inverse_displacement` returned for this geometry and a batch of shape {shape}"
     if not isinstance(out, SolutionSet):
         raise ArgumentError("out", expected, type(out).__name__)
@@ -143,48 +127,17 @@ def _memory_of(out: SolutionSet, geometry: Geometry, shape: tuple[int, ...]) -> 
     return out.memory
 
 
-def _drawn_branches(
-    geometry: Geometry,
-    shape: tuple[int, ...],
-    rotation: FloatArray,
-    position: FloatArray,
-    memory: tuple[npt.NDArray[Any], ...] | None,
-) -> SolutionSet:
-    """Solve the four quadratics of each pose."""
-    from spm_pin.kinematics.kernels.branch_kernels import all_branches
+def _solve(geometry: Geometry, rotation: FloatArray, position: FloatArray, memory: Memory | None) -> Memory:
+    """Return R, o, the joints and lengths of all branches of N poses, and what else the machine's kernel writes."""
+    if geometry.is_nominal:
+        from spm_pin.kinematics.kernels.branch_kernels import all_branches
 
-    results = BRANCH_RESULTS if memory is None else memory
-    solved = run_kernel(all_branches, (rotation, position), radii(geometry), results, _MIN_BATCH_PER_THREAD)
-    rotation, position, _, _, discriminants, hint, status, flagged = solved
-    degeneracy = find_degeneracy(geometry, shape, rotation, position, flagged, status)
-    return SolutionSet(
-        branch_states(geometry, shape, solved[:4]),
-        BRANCHES,
-        status.reshape(shape),
-        discriminants=discriminants.reshape(*shape, 4),
-        degeneracy=degeneracy,
-        physical_hint=hint.reshape(*shape, 3),
-        memory=solved,
-        rounding=ROUNDING_BOUND,
-    )
-
-
-def _as_built_branches(
-    geometry: Geometry,
-    shape: tuple[int, ...],
-    rotation: FloatArray,
-    position: FloatArray,
-    memory: tuple[npt.NDArray[Any], ...] | None,
-) -> SolutionSet:
-    """Find all eight common points of the three quadrics of each pose."""
+        results = BRANCH_RESULTS if memory is None else memory
+        return run_kernel(all_branches, (rotation, position), radii(geometry), results, _MIN_BATCH_PER_THREAD)
     # The poses may be the caller's memory.
-    own_pose = (np.empty_like(rotation), np.empty_like(position)) if memory is None else memory[:2]
-    own_pose[0][...], own_pose[1][...] = rotation, position
-    solved = (*own_pose, *_as_built_roots(geometry, rotation, position, None if memory is None else memory[2:]))
-    *_, carried, status, _ = solved
-    merged = (carried == 0).reshape(*shape, 8)
-    branches = branch_states(geometry, shape, solved[:4])
-    return SolutionSet(branches, BRANCHES, status.reshape(shape), merged=merged, memory=solved)
+    poses = (np.empty_like(rotation), np.empty_like(position)) if memory is None else memory[:2]
+    poses[0][...], poses[1][...] = rotation, position
+    return *poses, *_as_built_roots(geometry, rotation, position, None if memory is None else memory[2:])
 
 
 def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration | None = None) -> Configuration:
@@ -195,7 +148,7 @@ def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration 
     geometry : Geometry
         The manipulator. Its leg limits only decide between two configurations; see `LegLimits.contains`.
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
-        Pose of {m} in {B}, translation in metres; one, or a batch of shape (...).
+        As for `inverse_displacement`, one or a batch of shape (...).
     near : Configuration, optional
         Where the machine was: of two physical configurations, which are on either side of an inverse singularity, the
         one nearer to that state is returned. See `SolutionSet.nearest`.
@@ -203,17 +156,10 @@ def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration 
     Returns
     -------
     Configuration
-        Of shape (...): what ``inverse_displacement(geometry, pose).physical(near)`` returns, to the bit for a drawn
-        machine and to rounding for one as built, in less time and memory. Both stages are without torsion and reached
-        from the symmetric home without a forward singularity. If TT+ and TT- both are, those within the leg limits are
-        preferred, then the one nearer to `near` or, without it, the one whose stages are tilted less;
-        `SolutionSet.ambiguous` is True there. `.exists` is False, and everything NaN, where there is no such
-        configuration.
-
-    Raises
-    ------
-    PoseError
-        If `pose` is not a rigid transform of finite numbers, or more than 2e5 times the machine away.
+        Of shape (...): what ``inverse_displacement(geometry, pose).physical(near)`` returns, in less time and memory.
+        Both stages are without torsion and reached from the symmetric home without a forward singularity. If TT+ and
+        TT- both are, those within the leg limits are preferred, then the one nearer to `near` or, without it, the one
+        whose stages are tilted less. `.exists` is False, and everything NaN, where there is no such configuration.
 
     Examples
     --------
@@ -226,67 +172,26 @@ def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration 
     if near is not None:
         return inverse_displacement(geometry, pose).physical(near)
     shape, rotation, position = read_pose(geometry, pose)
-    solve = _drawn_physical if geometry.is_nominal else _as_built_physical
-    state = solve(geometry, shape, rotation, position)
+    limits, offsets = geometry.limits, geometry.legs.offsets
+    bounds = np.array([[-np.inf] * 6, [np.inf] * 6] if limits is None else [limits.minimum, limits.maximum]) - offsets
+    results = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64), ((6,), np.float64)
+    kernel: Callable[..., None]
+    constants: tuple[Any, ...]
+    if geometry.is_nominal:
+        from spm_pin.kinematics.kernels.branch_kernels import physical_branches
+
+        kernel, constants, min_batch = physical_branches, radii(geometry), _MIN_BATCH_PER_THREAD
+    else:
+        from spm_pin.kinematics.kernels.as_built_kernels import as_built_physical_branches
+
+        constants = _machines(geometry), geometry.middle_radius
+        kernel, min_batch = as_built_physical_branches, _MIN_BATCH_PER_THREAD_AS_BUILT
+    solved = run_kernel(kernel, (rotation, position), (*constants, bounds), results, min_batch)
+    state = Configuration.from_arrays(geometry, *with_batch_shape(solved, shape))
     if not shape and not state.exists:
         # The same, with the reason why there is none.
         return inverse_displacement(geometry, pose).physical()
     return state
-
-
-def _drawn_physical(
-    geometry: Geometry, shape: tuple[int, ...], rotation: FloatArray, position: FloatArray
-) -> Configuration:
-    """Choose between TT+ and TT- of the family's quadratic."""
-    from spm_pin.kinematics.kernels.branch_kernels import physical_branches
-
-    results = (((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64), ((6,), np.float64))
-    constants = *radii(geometry), _length_bounds(geometry)
-    solved = run_kernel(physical_branches, (rotation, position), constants, results, _MIN_BATCH_PER_THREAD)
-    return Configuration.from_arrays(geometry, *with_batch_shape(solved, shape))
-
-
-def _length_bounds(geometry: Geometry) -> FloatArray:
-    """Return the least and largest leg lengths (2, 6) that the limits of the readings allow [m]."""
-    limits = geometry.limits
-    bounds = np.array([(-np.inf,) * 6, (np.inf,) * 6] if limits is None else [limits.minimum, limits.maximum])
-    return np.asarray(bounds - geometry.legs.offsets)
-
-
-def _as_built_physical(
-    geometry: Geometry, shape: tuple[int, ...], rotation: FloatArray, position: FloatArray
-) -> Configuration:
-    """Follow TT+ and TT- of the drawn machine to this one, and choose between them.
-
-    All branches are solved for where that leaves a doubt, see `kernels.as_built_physical_kernel`, where neither is
-    physical, and for large errors.
-    """
-    from spm_pin.kinematics.kernels.as_built_physical_kernel import certain_physical_branches
-
-    machines = _machines(geometry)
-    error = float(np.abs(machines[1] - machines[0]).max())
-    if error > _LARGE:
-        return _as_built_branches(geometry, shape, rotation, position, None).physical()
-    drawn = _followed_branches(geometry, rotation, position)
-    constants = *machines, _length_bounds(geometry), error, geometry.middle_radius
-    results = ((3, 3), np.float64), ((6,), np.float64), ((), np.bool_)
-    joints, lengths, certain = run_kernel(
-        certain_physical_branches,
-        (rotation, position, drawn[2]),
-        constants,
-        results,
-        _MIN_BATCH_PER_THREAD_AS_BUILT,
-    )
-    doubtful = np.flatnonzero(~certain)
-    if not shape and len(doubtful):
-        return _as_built_branches(geometry, shape, rotation, position, None).physical()
-    state = [drawn[0], drawn[1], joints, lengths]
-    if len(doubtful):
-        others = _as_built_branches(geometry, (len(doubtful),), rotation[doubtful], position[doubtful], None).physical()
-        arrays = others.rotation, others.translation, others.middle_joints, others.leg_lengths
-        for array, values in zip(state, arrays, strict=True):
-            array[doubtful] = values
-    return Configuration.from_arrays(geometry, *with_batch_shape(state, shape))
 
 
 def branch_lengths(geometry: Geometry, pose: PoseLike) -> tuple[FloatArray, npt.NDArray[np.int8]]:
@@ -313,7 +218,7 @@ def branch_lengths(geometry: Geometry, pose: PoseLike) -> tuple[FloatArray, npt.
         lengths, status, flagged = run_kernel(
             kernels.branch_lengths, (rotation, position), radii(geometry), results, _MIN_BATCH_PER_THREAD
         )
-        find_degeneracy(geometry, shape, rotation, position, flagged, status)
+        _find_degeneracy(geometry, shape, rotation, position, flagged, status)
     else:
         _, lengths, _, status, _ = _as_built_roots(geometry, rotation, position)
     leg_lengths, outcome = with_batch_shape((lengths, status), shape)
@@ -336,39 +241,22 @@ def complex_middle_joints(geometry: Geometry, pose: PoseLike) -> npt.NDArray[np.
         real roots stand under their labels of `inverse_displacement`, the others under those left over.
     """
     shape, rotation, position = read_pose(geometry, pose)
+    roots = (8, 3, 3), np.complex128
     if geometry.is_nominal:
-        joints = _drawn_complex_joints(geometry, rotation, position)
+        from spm_pin.kinematics.kernels.branch_kernels import complex_branches
+
+        poses, size = (rotation, position), radii(geometry)[:1]
+        (joints,) = run_kernel(complex_branches, poses, size, [roots], _MIN_BATCH_PER_THREAD_AS_BUILT)
     else:
-        results = (*_ROOT_RESULTS[:4], ((8, 3, 3), np.complex128))
-        joints = _as_built_roots(geometry, rotation, position, results)[4]
+        *_, joints = _as_built_roots(geometry, rotation, position, (*_ROOT_RESULTS, roots))
     return np.asarray(joints.reshape(*shape, 8, 3, 3))
 
 
-def _drawn_complex_joints(geometry: Geometry, rotation: FloatArray, position: FloatArray) -> npt.NDArray[np.complex128]:
-    from spm_pin.kinematics.kernels.branch_kernels import complex_branches
-
-    joints: npt.NDArray[np.complex128]
-    results, size = [((8, 3, 3), np.complex128)], radii(geometry)[:1]
-    (joints,) = run_kernel(complex_branches, (rotation, position), size, results, _MIN_BATCH_PER_THREAD_AS_BUILT)
-    return joints
-
-
-def _machines(geometry: Geometry) -> list[FloatArray]:
+def _machines(geometry: Geometry) -> FloatArray:
     """Return axes, and pivots and balls in units of the middle radius, of the drawn machine and of this one."""
     unit = geometry.middle_radius
     legs = geometry.nominal.legs, geometry.legs
-    return [np.stack([x.axes, x.pivots / unit, x.balls / unit]) for x in legs]
-
-
-def _followed_branches(geometry: Geometry, rotation: FloatArray, position: FloatArray) -> tuple[Any, ...]:
-    """Return the `BRANCH_RESULTS` of the drawn machine at N poses, joints that are not to be followed as NaN."""
-    from spm_pin.kinematics.kernels.branch_kernels import all_branches
-
-    poses, sizes = (rotation, position), radii(geometry)
-    branches = run_kernel(all_branches, poses, sizes, BRANCH_RESULTS, _MIN_BATCH_PER_THREAD_AS_BUILT)
-    # The branches left of a degenerate pose are not followed: what they would meet is a continuous family.
-    branches[2][(branches[6] == Status.DEGENERATE) | (branches[7] != 0)] = np.nan
-    return branches
+    return np.stack([(x.axes, x.pivots / unit, x.balls / unit) for x in legs])
 
 
 _ROOT_RESULTS = ((8, 3, 3), np.float64), ((8, 6), np.float64), ((8,), np.uint8), ((), np.int8)
@@ -377,19 +265,17 @@ _ROOT_RESULTS = ((8, 3, 3), np.float64), ((8, 6), np.float64), ((8,), np.uint8),
 
 def _as_built_roots(
     geometry: Geometry, rotation: FloatArray, position: FloatArray, results: Sequence[Any] | None = None
-) -> tuple[Any, ...]:
+) -> Memory:
     """Run the kernel `as_built_branches` on N poses, into `results` if they are arrays."""
     from spm_pin.kinematics.kernels.as_built_kernels import as_built_branches
 
     if results is None:
         results = *_ROOT_RESULTS, np.empty((0, 8, 3, 3), np.complex128)
-    starts = _followed_branches(geometry, rotation, position)[2], _drawn_complex_joints(geometry, rotation, position)
-    constants = *_machines(geometry), geometry.middle_radius
-    inputs = rotation, position, *starts
-    return run_kernel(as_built_branches, inputs, constants, results, _MIN_BATCH_PER_THREAD_AS_BUILT)
+    constants = _machines(geometry), geometry.middle_radius
+    return run_kernel(as_built_branches, (rotation, position), constants, results, _MIN_BATCH_PER_THREAD_AS_BUILT)
 
 
-def find_degeneracy(
+def _find_degeneracy(
     geometry: Geometry,
     shape: tuple[int, ...],
     rotation: FloatArray,
@@ -399,38 +285,25 @@ def find_degeneracy(
 ) -> Degeneracy:
     """Describe the continuous families of a batch of this shape, N poses (N, 3, 3), (N, 3); set their `status` (N,).
 
-    Only poses that a kernel has `flagged` (N,) can have any, see `kernels.branch_kernels`.
-    """
-    n = len(flagged)
-    dimension, families, legs = np.zeros(n, np.int8), np.zeros((n, 4), np.bool_), np.zeros((n, 3), np.bool_)
-    at = np.flatnonzero(flagged)
-    if len(at):
-        dimension[at], families[at], legs[at] = _describe(geometry, flagged[at], rotation[at], position[at])
-        status[dimension > 0] = Status.DEGENERATE
-    return Degeneracy(dimension.reshape(shape), families.reshape(*shape, 4), legs.reshape(*shape, 3))
-
-
-def _describe(
-    geometry: Geometry, flagged: npt.NDArray[np.uint8], rotation: FloatArray, position: FloatArray
-) -> tuple[npt.NDArray[np.int8], BoolArray, BoolArray]:
-    """Return the dimension (N,), families (N, 4) and legs (N, 3) of `Degeneracy` of flagged poses.
-
-    Where the two Z axes meet or cross, a family is continuous iff its form vanishes: (P : Q) is then free and
-    the family has one dimension. Where they are parallel, see `kernels.branch_kernels.continuous_families`.
+    Only poses that a kernel has `flagged` (N,) can have any. Where the two Z axes meet or cross, a family is continuous
+    iff its form vanishes: (P : Q) is then free and the family has one dimension. Where they are parallel, see
+    `kernels.branch_kernels.continuous_families`.
     """
     from spm_pin.kinematics.kernels.branch_kernels import VERTICAL, continuous_families
 
     families = (flagged[:, None] & np.array([1, 2, 4, 8])) > 0
-    dimension = families.any(axis=-1).astype(np.int8)
-    axes = geometry.revolute_axes
-    platform_axes = axes @ np.swapaxes(rotation, -1, -2)
-    parallel = np.linalg.norm(np.cross(axes, platform_axes), axis=-1) <= ROUNDING
-    aside = np.hypot(position[:, 0], position[:, 1])
-    legs = parallel & (np.abs(position @ axes.T) <= ROUNDING * (geometry.middle_radius + aside)[:, None])
-    at = (flagged & VERTICAL) > 0
-    if at.any():
-        flat = np.empty((np.count_nonzero(at), 4), np.uint8)
-        sizes = np.empty(len(flat), np.int8)
-        continuous_families(rotation[at], position[at], geometry.middle_radius, flat, sizes)
-        families[at], dimension[at] = flat > 0, sizes
-    return dimension, families, legs & (dimension > 0)[:, None]
+    dimension, legs = families.any(axis=-1).astype(np.int8), np.zeros((len(flagged), 3), np.bool_)
+    vertical = np.flatnonzero(flagged & VERTICAL)
+    if len(vertical):
+        flat, sizes = np.empty((len(vertical), 4), np.uint8), np.empty(len(vertical), np.int8)
+        continuous_families(rotation[vertical], position[vertical], geometry.middle_radius, flat, sizes)
+        families[vertical], dimension[vertical] = flat > 0, sizes
+    moving = np.flatnonzero(dimension)
+    if len(moving):
+        status[moving] = Status.DEGENERATE
+        axes, places = geometry.revolute_axes, position[moving]
+        parallel = np.linalg.norm(np.cross(axes, axes @ np.swapaxes(rotation[moving], -1, -2)), axis=-1) <= ROUNDING
+        aside = np.hypot(places[:, 0], places[:, 1])
+        in_plane = np.abs(places @ axes.T) <= ROUNDING * (geometry.middle_radius + aside)[:, None]
+        legs[moving] = parallel & in_plane
+    return Degeneracy(dimension.reshape(shape), families.reshape(*shape, 4), legs.reshape(*shape, 3))

@@ -39,13 +39,13 @@ from spm_pin.mechanism.solutions import SolutionSet
 PathSolver = Callable[[float, Configuration | None], SolutionSet]
 """The solutions at a parameter of the path, those that go on from a state if one is given."""
 
-LONGEST_MOVE = 0.1
+_LONGEST_MOVE = 0.1
 """A joint moves at most this share of d in a step, so that no turn is missed."""
-CLEARLY = 0.25
+_CLEARLY = 0.25
 """A solution is clearly the nearest to the predicted one if its error is at most this share of the next one's."""
-SHORTEST_STEP = 1e-11
+_SHORTEST_STEP = 1e-11
 """Shortest step in the path's parameter; solutions that it does not separate are taken to meet."""
-MOST_UNCLEAR = 100
+_MOST_UNCLEAR = 100
 """Number of successive shortest steps after which two solutions are taken to coincide."""
 _ROUNDING = 1e-12
 """Share of d by which rounding may move the length of a leg."""
@@ -147,11 +147,6 @@ def follow(
     -------
     FollowedPath
         With its events, each at its parameter to 1e-9.
-
-    Raises
-    ------
-    PoseError
-        If it contains what is no pose.
     """
     check_instance(geometry, Geometry, "geometry")
     samples = whole_number(samples, "samples", least=1, most=10**9)
@@ -176,10 +171,10 @@ def follow(
 def physical_mode_share(
     geometry: Geometry, start: FloatArray, ends: FloatArray, *, parts: int = 16, rounds: int = 3
 ) -> FloatArray:
-    """Return the shares of straight lines of readings to which the physical mode lasts, shape (n,).
+    """Return the shares of lines from readings (6,), at which the physical mode exists, to which it lasts, shape (n,).
 
-    From readings (6,), at which it exists, to each of `ends` (n, 6) [m]. A line is solved at the ends of `parts` parts,
-    and each further of `rounds` divides the first part at whose end the mode is gone: a shorter gap may be missed.
+    A line to one of `ends` (n, 6) [m] is solved at the ends of `parts` parts, and each further of `rounds` divides the
+    first part at whose end the mode is gone: a shorter gap may be missed.
     """
     low, high = np.zeros(len(ends)), np.ones(len(ends))
     for _ in range(rounds):
@@ -206,34 +201,33 @@ def last_on_line(start: Configuration, readings: FloatArray) -> tuple[Configurat
 
 def _solver(geometry: Geometry, path: Any) -> tuple[PathSolver, FloatArray, bool]:
     """Return all solutions as a function of the parameter, the parameters of given points, and if those are legs."""
-    at: Callable[[float], Any] = path
+    point: Callable[[float], Any] = path
     knots = np.array([0.0, 1.0])
     if callable(path):
-        has_legs = np.shape(_bare(path(0.0))) == (6,)
+        has_legs = np.shape(_matrices(path(0.0))) == (6,)
     else:
-        bare = as_array(_bare(path))
-        points = len(bare) if bare is not None and bare.ndim else 0
-        if bare is None or bare.ndim not in (2, 3) or points < 2:
+        array = as_array(_matrices(path))
+        if array is None or array.ndim not in (2, 3) or len(array) < 2:
             expected = "a callable, or at least two poses (n, 4, 4) or sets of readings of the legs (n, 6)"
-            raise ArgumentError("path", expected, type_and_value(path) if bare is None else f"shape {bare.shape}")
-        has_legs, knots = bare.ndim == 2, np.linspace(0.0, 1.0, points)
+            raise ArgumentError("path", expected, type_and_value(path) if array is None else f"shape {array.shape}")
+        has_legs, knots = array.ndim == 2, np.linspace(0.0, 1.0, len(array))
         if has_legs:
             readings = real_array(path, "path", (6,), "readings of the legs in metres, or poses of shape (n, 4, 4)")
-            at = lambda s: _between(s, knots, readings)  # noqa: E731
+            point = lambda s: _between(s, knots, readings)  # noqa: E731
         else:
             poses = as_rigid_transform(path, "path")
             turn, positions = Slerp(knots, poses.rotation), poses.translation
-            at = lambda s: pose(_between(s, knots, positions), rotation=turn(s))  # noqa: E731
+            point = lambda s: pose(_between(s, knots, positions), rotation=turn(s))  # noqa: E731
     if has_legs:
-        return lambda s, near: modes_near(geometry, at(s), near), knots, True
-    return lambda s, near: inverse_displacement(geometry, at(s)), knots, False
+        return lambda s, near: modes_near(geometry, point(s), near), knots, True
+    return lambda s, near: inverse_displacement(geometry, point(s)), knots, False
 
 
 def _between(s: float, knots: FloatArray, rows: FloatArray) -> FloatArray:
     return np.array([np.interp(s, knots, column) for column in rows.T])
 
 
-def _bare(value: Any) -> Any:
+def _matrices(value: Any) -> Any:
     return value.as_matrix() if isinstance(value, RigidTransform) else value
 
 
@@ -260,7 +254,7 @@ class Tracker:
 
     def __init__(self, solve: PathSolver, solutions: SolutionSet, place: int, *, has_legs: bool) -> None:
         self.solve = solve
-        self.longest_move = LONGEST_MOVE * solutions.geometry.middle_side
+        self.longest_move = _LONGEST_MOVE * solutions.geometry.middle_side
         self.has_legs = has_legs
         self.parameters = [0.0]
         self.states: list[Configuration] = [solutions.configurations[place]]
@@ -284,14 +278,14 @@ class Tracker:
             here = self.parameters[-1]
             ahead = min(stop, here + self._step)
             # What a step of rounding would leave before the stop is not worth one.
-            ahead = stop if stop - ahead < 0.1 * SHORTEST_STEP else ahead
+            ahead = stop if stop - ahead < 0.1 * _SHORTEST_STEP else ahead
             solutions = self.solve(ahead, self.states[-1])
             place, clear = self._nearest(solutions, ahead)
-            shortest = ahead - here <= SHORTEST_STEP
+            shortest = ahead - here <= _SHORTEST_STEP
             # Two solutions that nearly meet look like two that cross, except for their labels: labels are exchanged
             # only where the shortest step confirms it.
             same = place is not None and solutions.labels[place] == self.labels[-1]
-            if place is not None and ((clear and same) or (shortest and self._unclear < MOST_UNCLEAR)):
+            if place is not None and ((clear and same) or (shortest and self._unclear < _MOST_UNCLEAR)):
                 self._unclear = 0 if clear else self._unclear + 1
                 self._accept(ahead, solutions, place)
                 self._step = 2.0 * (ahead - here)
@@ -318,7 +312,7 @@ class Tracker:
         if not np.isfinite(error[nearest]) or move > self.longest_move:
             return None, False
         rounding = 1e-12 * float(np.abs(here).max())
-        return nearest, bool(error[nearest] <= CLEARLY * others + rounding and others > 4 * rounding)
+        return nearest, bool(error[nearest] <= _CLEARLY * others + rounding and others > 4 * rounding)
 
     def _accept(self, parameter: float, solutions: SolutionSet, place: int) -> None:
         label = solutions.labels[place]
@@ -329,7 +323,7 @@ class Tracker:
         self.labels.append(label)
 
     def _end(self, parameter: float) -> None:
-        if self._unclear >= MOST_UNCLEAR:
+        if self._unclear >= _MOST_UNCLEAR:
             what = f"{self.labels[-1]}, which coincides with another solution"
             self.events.append(Event(EventKind.END, parameter, what))
             return

@@ -69,8 +69,8 @@ def compliance(configuration: Configuration, legs: npt.ArrayLike, structure: npt
     inverses = stage_inverses(configuration)
     halves = (x.reshape(*x.shape[:-1], 2, 3) for x in (along, across))
     shares = np.concatenate(np.broadcast_arrays(*halves), axis=-1)
-    found = ((inverses * shares[..., None, :]) @ inverses.swapaxes(-1, -2)).sum(axis=-3)
-    return np.asarray(0.5 * (found + found.swapaxes(-1, -2)))
+    total = ((inverses * shares[..., None, :]) @ inverses.swapaxes(-1, -2)).sum(axis=-3)
+    return np.asarray(0.5 * (total + total.swapaxes(-1, -2)))
 
 
 def stiffness(configuration: Configuration, legs: npt.ArrayLike, structure: npt.ArrayLike | None = None) -> FloatArray:
@@ -107,58 +107,38 @@ def stiffness(configuration: Configuration, legs: npt.ArrayLike, structure: npt.
     return np.asarray(jacobian.swapaxes(-1, -2) @ (along[..., None] * jacobian))
 
 
-def principal_stiffness(
-    *, compliance: npt.ArrayLike | None = None, stiffness: npt.ArrayLike | None = None
-) -> PrincipalStiffness:
+def principal_stiffness(compliance: npt.ArrayLike) -> PrincipalStiffness:
     """Return the stiffness against pure forces at o and against pure moments, in their principal directions.
 
     Parameters
     ----------
-    compliance, stiffness : array_like, shape (..., 6, 6)
-        One of both, by its name: displacement per wrench, as of the function `compliance`, positive semidefinite; or
-        wrench per displacement, as of `spm_pin.stiffness`, positive definite. NaN gives NaN.
+    compliance : array_like, shape (..., 6, 6)
+        Displacement per wrench, as of the function `compliance`, positive semidefinite. NaN gives NaN.
 
     Returns
     -------
     PrincipalStiffness
         Infinite where a direction is rigid.
-
-    Raises
-    ------
-    ArgumentError
-        If both or none are given, or a matrix has another shape or is not symmetric or not positive.
     """
-    if (compliance is None) == (stiffness is None):
-        received = "neither" if stiffness is None else "both"
-        raise ArgumentError("compliance, stiffness", "one of them, by its name", received)
-    if stiffness is None:
-        assert compliance is not None
-        matrices = symmetric_matrices(compliance, "compliance", 6, "in m/N, rad/(N m)", allow_nan=True)
-        _require_positive(matrices, "compliance", "positive semidefinite matrices", least=-1e-9)
-    else:
-        matrices = symmetric_matrices(stiffness, "stiffness", 6, "in N/m, N m/rad", allow_nan=True)
-        _require_positive(matrices, "stiffness", "positive definite matrices", least=1e-14)
-        matrices = _inverse(matrices)
+    matrices = symmetric_matrices(compliance, "compliance", 6, "in m/N, rad/(N m)", allow_nan=True)
+    # Scaled to a diagonal of ones, eigenvalues are free of their units.
+    diagonal = np.diagonal(matrices, axis1=-2, axis2=-1)
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
     absent = np.asarray(np.isnan(matrices).any(axis=(-1, -2)))
-    parts: list[FloatArray] = []
+    smallest = np.linalg.eigvalsh(np.nan_to_num(matrices * scale[..., None, :] * scale[..., :, None], nan=1.0))[..., 0]
+    wrong = (smallest < -1e-9) & ~absent
+    if wrong.any():
+        received = f"an eigenvalue of {smallest[wrong].flat[0]:.1e} of its diagonal"
+        raise ArgumentError("compliance", "positive semidefinite matrices", received)
+    principal: list[FloatArray] = []
     for block in (matrices[..., :3, :3], matrices[..., 3:, 3:]):
         values, vectors = np.linalg.eigh(np.where(absent[..., None, None], np.eye(3), block))
         rigid = values <= 1e-14 * values[..., -1:]
-        with np.errstate(divide="ignore"):
-            found = np.where(rigid, np.inf, 1.0 / np.where(rigid, 1.0, values))[..., ::-1]
+        stiffnesses = np.where(rigid, np.inf, 1.0 / np.where(rigid, 1.0, values))[..., ::-1]
         directions = vectors.swapaxes(-1, -2)[..., ::-1, :]
-        parts += [np.where(absent[..., None], np.nan, found), np.where(absent[..., None, None], np.nan, directions)]
-    return PrincipalStiffness(*parts)
-
-
-def _require_positive(matrices: FloatArray, argument: str, expected: str, *, least: float) -> None:
-    """Raise unless no eigenvalue is below `least`, of matrices scaled to a diagonal of ones: free of their units."""
-    diagonal = np.diagonal(matrices, axis1=-2, axis2=-1)
-    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-    values = np.linalg.eigvalsh(np.nan_to_num(matrices * scale[..., None, :] * scale[..., :, None], nan=1.0))
-    wrong = (values[..., 0] < least) & ~np.isnan(diagonal).any(axis=-1)
-    if wrong.any():
-        raise ArgumentError(argument, expected, f"an eigenvalue of {values[..., 0][wrong].flat[0]:.1e} of its diagonal")
+        principal.append(np.where(absent[..., None], np.nan, stiffnesses))
+        principal.append(np.where(absent[..., None, None], np.nan, directions))
+    return PrincipalStiffness(*principal)
 
 
 def _inverses(value: npt.ArrayLike, argument: str, configuration: Configuration) -> FloatArray:
@@ -172,5 +152,5 @@ def _inverses(value: npt.ArrayLike, argument: str, configuration: Configuration)
 
 def _inverse(matrices: FloatArray) -> FloatArray:
     absent = np.isnan(matrices).any(axis=(-1, -2), keepdims=True)
-    found = np.linalg.inv(np.where(absent, np.eye(6), matrices))
-    return np.where(absent, np.nan, 0.5 * (found + found.swapaxes(-1, -2)))
+    inverse = np.linalg.inv(np.where(absent, np.eye(6), matrices))
+    return np.where(absent, np.nan, 0.5 * (inverse + inverse.swapaxes(-1, -2)))

@@ -1,47 +1,26 @@
 """Leg rates from the platform's twist and back, and leg forces that hold a wrench, from forces through the balls.
 
-Every leg acts on the middle platform through b_i along two directions: δ along the leg, which its actuator
-holds, and its revolute axis R, which its structure holds. As rows (f, (b_i - o) x f), three legs to a matrix,
-
-    J_b = [A_b; K_b] with δ_bi and R_i1,    J_c = [A_c; K_c] with δ_ci and R_i2,    K = [K_b; K_c].
-
-Multiplied with the twist of a body at o, a row gives the velocity of that body's point at b_i along f. With t_L
-the twist of the middle platform, t that of the terminal platform m, both seen from {B}, the two stages are
-
-    J_b t_L = (rates of the lower legs, 0),    J_c (t - t_L) = (rates of the upper legs, 0),
-
-because b_i moves in the plane of its lower leg, which {B} carries, and in that of its upper leg, which m
-carries. Solving each stage for its twist and adding gives t = G · rates, G = [J_b⁻¹(:, 1:3), J_c⁻¹(:, 1:3)]. The
-zeros alone read K t_L = (0, K_c t), thus t_L = X t with X = K⁻¹ [0; K_c], and J_f = [A_b X; A_c (I - X)] = G⁻¹.
-Taking t_L out of the twelve equations by a Schur complement gives det J_f = det J_b det J_c / det K.
-
-Cut at the balls, either platform of a stage is held by its six forces, which balance the load wherever it is cut, so
-both stages carry the same: J_bᵀ (x_b, y_b) = -w and J_cᵀ (x_c, y_c) = -w with x along the legs, which is f = -Gᵀ w. K
-is not in it: forces stay finite and accurate at an inverse singularity, where J_f is infinite and -J_f⁻ᵀ w loses its
-digits.
-
-Nothing of this takes a 6 x 6 decomposition: three equations in how far each ball moves along the one direction that
-its two forces leave open are enough, with determinants instead of pivots, see `spm_pin.kinematics.formulas.wrenches`.
-Singular values decide about the few states that may be singular.
+Every leg acts on the middle platform through its ball along the leg, where its actuator holds, and along its revolute
+axis, where its structure holds: six forces in each stage, the rows of J_b and of J_c; K are the six structural ones.
+No 6 x 6 is decomposed, see `spm_pin.kinematics.formulas.wrenches`; singular values decide about the few states that
+may be singular. Derivation: `docs/theory/rates_forces_singularities.md`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import SingularConfigurationError
-from spm_pin.kinematics.batches import run_on_states
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, broadcastable, first_offender, real_array
-from spm_pin.mechanism.ball_triangles import upper_ball_weights
+from spm_pin.kinematics.batches import Result, run_on_states
+from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable, real_array
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.legs import upper_ball_weights
 
-_EPS = float(np.finfo(np.float64).eps)
-SINGULAR = 64.0 * _EPS
+SINGULAR = 64.0 * float(np.finfo(np.float64).eps)
 """A matrix is singular to rounding where its smallest singular value is at most this times its largest.
 
 A unit vector computed from joint positions is off by a few eps, and so is an arm (b_i - p)/d. Six rows of two
@@ -68,13 +47,12 @@ def inverse_jacobian(configuration: Configuration) -> FloatArray:
     Raises
     ------
     SingularConfigurationError
-        At an inverse or a constraint singularity, where a twist has no leg rates or no unique ones; see
-        `spm_pin.kinematics.rates_and_forces.SINGULAR`. Also, as "forward", where a leg has no length, hence no
-        direction.
+        At an inverse or a constraint singularity, where a twist has no leg rates or no unique ones. Also, as
+        "forward", where a leg has no length, hence no direction.
 
     Notes
     -----
-    Eq. (31) of the paper, which takes it from a 9 x 9 system; here J_f = [A_b X; A_c (I - X)], see the module.
+    Eq. (31) of the paper, which takes it from a 9 x 9 system.
     """
     from spm_pin.kinematics.kernels.jacobian_kernels import inverse_jacobians
 
@@ -82,7 +60,7 @@ def inverse_jacobian(configuration: Configuration) -> FloatArray:
 
 
 def platform_jacobian(configuration: Configuration) -> FloatArray:
-    """Return G = J_f⁻¹, which maps the leg rates to the platform's twist.
+    """Return G = J_f⁻¹, which maps the leg rates to the platform's twist, without inverting J_f.
 
     Parameters
     ----------
@@ -92,32 +70,17 @@ def platform_jacobian(configuration: Configuration) -> FloatArray:
     Returns
     -------
     ndarray, shape (..., 6, 6)
-        Rows the twist (v, ω) of m at o, in {B} [m/s, rad/s]; columns r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m/s].
-        NaN for a member that does not exist. Singular, but right, at an inverse singularity.
+        Rows the twist (v, ω) of m at o, in {B} [m/s, rad/s]; columns the legs, as in `inverse_jacobian`. Singular, but
+        right, at an inverse singularity.
 
     Raises
     ------
     SingularConfigurationError
-        At a forward or a constraint singularity, where the legs do not hold the platform; see
-        `spm_pin.kinematics.rates_and_forces.SINGULAR`.
-
-    Notes
-    -----
-    G = [J_b⁻¹(:, 1:3), J_c⁻¹(:, 1:3)], see the module. It never inverts J_f, which grows without bound towards
-    an inverse singularity.
+        At a forward or a constraint singularity, where the legs do not hold the platform.
     """
     from spm_pin.kinematics.kernels.jacobian_kernels import platform_jacobians
 
     return _matrices(configuration, platform_jacobians, "forward")
-
-
-def _matrices(configuration: Configuration, kernel: Callable[..., object], kind: str) -> FloatArray:
-    """Return the matrices of `kernel`, shape (..., 6, 6), or raise at a singularity of this kind."""
-    geometry, results = check_configuration(configuration).geometry, (((6, 6), np.float64), ((), np.uint8))
-    constants = leg_constants(geometry), geometry.middle_side, SINGULAR
-    matrices, suspect = run_on_states(kernel, configuration, constants, results)
-    refuse_singular(configuration, suspect.reshape(-1), kind)
-    return np.asarray(matrices)
 
 
 def leg_rates(configuration: Configuration, twist: npt.ArrayLike) -> FloatArray:
@@ -140,16 +103,8 @@ def leg_rates(configuration: Configuration, twist: npt.ArrayLike) -> FloatArray:
     SingularConfigurationError
         As for `inverse_jacobian`.
     """
-    value = broadcast_argument(twist, "twist", "(v, ω) at o in {B} in m/s and rad/s", configuration)
+    value = _broadcast_argument(twist, "twist", "(v, ω) at o in {B} in m/s and rad/s", configuration)
     return np.asarray((inverse_jacobian(configuration) @ value[..., None])[..., 0])
-
-
-def broadcast_argument(value: npt.ArrayLike, argument: str, meaning: str, configuration: Configuration) -> FloatArray:
-    """Read a twist or a wrench (..., 6) whose leading axes broadcast with those of `configuration`."""
-    check_configuration(configuration)
-    array = real_array(value, argument, (6,), meaning)
-    broadcastable(argument, array.shape[:-1], "the configuration", configuration.shape)
-    return array
 
 
 def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArray:
@@ -172,8 +127,7 @@ def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArra
     Raises
     ------
     SingularConfigurationError
-        At a forward or a constraint singularity, where the legs cannot hold every wrench; see
-        `spm_pin.kinematics.rates_and_forces.SINGULAR`.
+        At a forward or a constraint singularity, where the legs cannot hold every wrench.
 
     Notes
     -----
@@ -181,65 +135,37 @@ def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArra
     """
     from spm_pin.kinematics.kernels.jacobian_kernels import stage_forces
 
-    load = broadcast_argument(wrench, "wrench", "(f, m) at o in {B} in N and N m", configuration)
-    geometry, results = configuration.geometry, (((6,), np.float64), ((), np.uint8))
-    constants = leg_constants(geometry), geometry.middle_side, SINGULAR
-    forces, doubtful = run_on_states(stage_forces, configuration, constants, results, load=load)
-    if doubtful.any():
+    load = _broadcast_argument(wrench, "wrench", "(f, m) at o in {B} in N and N m", configuration)
+    forces, suspect = run_on_states(stage_forces, configuration, _constants(configuration), _results(6), load=load)
+    if suspect.any():
         # A state is as singular under any wrench: raises where one is.
         platform_jacobian(configuration)
     return np.asarray(forces)
 
 
-@dataclass(frozen=True)
-class StageWrenches:
-    """The forces of the legs as rows (f, (b_i - p) x f / d) through their balls, in {B}.
+def _matrices(configuration: Configuration, kernel: Callable[..., object], kind: str) -> FloatArray:
+    """Return the matrices of a kernel, shape (..., 6, 6), or raise at a singularity of this kind."""
+    check_configuration(configuration)
+    matrices, suspect = run_on_states(kernel, configuration, _constants(configuration), _results(6, 6))
+    if suspect.any():
+        _refuse_singular(configuration, np.argwhere(suspect), kind)
+    return np.asarray(matrices)
 
-    p is the centre of the lower balls, and d the drawn side. The rows of a state that does not exist are NaN.
-    """
 
-    legs: FloatArray
-    """[A_b, A_c], shape (..., 2, 3, 6): the lower stage first."""
-    constraints: FloatArray
-    """[K_b, K_c], shape (..., 2, 3, 6)."""
-    lever: FloatArray
-    """o - p [m], shape (..., 3)."""
-    side: float
-    """d [m]."""
-    exists: BoolArray
+def _constants(configuration: Configuration) -> tuple[FloatArray, float, float]:
+    return leg_constants(configuration.geometry), configuration.geometry.middle_side, SINGULAR
 
-    @classmethod
-    def from_configuration(cls, configuration: Configuration, *, short_legs: bool = False) -> StageWrenches:
-        """Set up the rows.
 
-        Raises
-        ------
-        SingularConfigurationError
-            As "forward", where a leg has no length; unless `short_legs`, whose rows are NaN then.
-        """
-        vectors, shape = configuration.leg_vectors, configuration.shape
-        lengths = np.sqrt((vectors**2).sum(axis=-1, keepdims=True))
-        short = (lengths == 0.0).any(axis=(-1, -2))
-        if short.any() and not short_legs:
-            raise SingularConfigurationError("forward", 0.0, first_offender(short))
-        geometry, centre = configuration.geometry, configuration.middle_joints.mean(axis=-2)
-        side = geometry.middle_side
-        arms = (configuration.balls - centre[..., None, :]) / side
+def _results(*shape: int) -> tuple[Result, Result]:
+    return (shape, np.float64), ((), np.uint8)
 
-        def rows(forces: FloatArray) -> FloatArray:
-            return np.concatenate([forces, np.cross(arms, forces)], axis=-1).reshape(*shape, 2, 3, 6)
 
-        lever = configuration.translation - centre
-        exists = configuration.exists
-        # The axes of the lower legs do not depend on the state: one that does not exist has none of them either.
-        axes = np.where(exists[..., None, None], configuration.leg_axes, np.nan)
-        return cls(rows(vectors / lengths), rows(axes), lever, side, exists)
-
-    def matrices(self, kind: str) -> FloatArray:
-        """Return the matrices (..., n, 6, 6) of a kind of singularity: "forward", J_b and J_c, or "inverse", K."""
-        if kind == "forward":
-            return np.concatenate([self.legs, self.constraints], axis=-2)
-        return self.constraints.reshape(*self.exists.shape, 1, 6, 6)
+def _broadcast_argument(value: npt.ArrayLike, argument: str, meaning: str, configuration: Configuration) -> FloatArray:
+    """Read a twist or a wrench (..., 6) whose leading axes broadcast with those of `configuration`."""
+    check_configuration(configuration)
+    array = real_array(value, argument, (6,), meaning)
+    broadcastable(argument, array.shape[:-1], "the configuration", configuration.shape)
+    return array
 
 
 def leg_constants(geometry: Geometry) -> FloatArray:
@@ -248,50 +174,23 @@ def leg_constants(geometry: Geometry) -> FloatArray:
     return np.concatenate([legs.axes, legs.pivots, upper_ball_weights(legs.balls)])
 
 
-def refuse_singular(configuration: Configuration, suspect: npt.NDArray[np.uint8], kind: str) -> None:
-    """Raise if one of the states that a kernel suspects, of (S,) in their order, is singular to rounding.
+def force_matrices(configuration: Configuration) -> FloatArray:
+    """Return J_b, J_c and K (..., 3, 6, 6): rows (f, arm x f), arms from the lower balls' centre in units of d.
 
-    Raises
-    ------
-    SingularConfigurationError
-        Of this `kind`, "forward" or "inverse", or "constraint".
+    NaN for a state that does not exist, and in the row of a leg without length.
     """
-    at = np.flatnonzero(suspect)
-    if not len(at):
-        return
-    shape = configuration.shape
-    places = np.unravel_index(at, shape) if shape else ()
-    some = configuration[places] if shape else configuration
-    try:
-        wrenches = StageWrenches.from_configuration(some)
-    except SingularConfigurationError as short:
-        first = short.index[0] if short.index else 0
-        raise SingularConfigurationError(short.kind, short.sigma_min, _index(places, first)) from None
-    values = np.linalg.svd(wrenches.matrices(kind), compute_uv=False).reshape(len(at), -1, 6)
-    smallest = np.where(values[..., -1] <= SINGULAR * values[..., 0], values[..., -1], np.inf).min(axis=-1)
-    if not (smallest < np.inf).any():
-        return
-    first = int((smallest < np.inf).argmax())
-    structure = np.linalg.svd(wrenches.constraints.reshape(len(at), 2, 3, 6)[first], compute_uv=False)
-    dependent = structure[:, -1] <= SINGULAR * structure[:, 0]
-    if dependent.any():
-        raise SingularConfigurationError("constraint", float(structure[:, -1].min()), _index(places, first))
-    raise SingularConfigurationError(kind, float(smallest[first]), _index(places, first))
+    vectors, geometry = configuration.leg_vectors, configuration.geometry
+    centre = configuration.middle_joints.mean(axis=-2)[..., None, :]
+    arms = (configuration.balls - centre) / geometry.middle_side
+    with np.errstate(invalid="ignore"):
+        directions = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    # The axes of the lower legs do not depend on the state: one that does not exist has none of them either.
+    axes = np.where(configuration.exists[..., None, None], configuration.leg_axes, np.nan)
+    legs, structure = (np.concatenate([f, np.cross(arms, f)], axis=-1) for f in (directions, axes))
+    stages = [np.concatenate([legs[..., k, :], structure[..., k, :]], axis=-2) for k in (slice(3), slice(3, 6))]
+    return np.stack([*stages, structure], axis=-3)
 
 
-@np.errstate(invalid="ignore")  # states that do not exist are NaN throughout
-def regular_wrenches(configuration: Configuration, kind: str) -> StageWrenches:
-    """Return the wrenches of states that are not singular in this way, "forward" or "inverse"; raise if one is."""
-    wrenches = StageWrenches.from_configuration(configuration)
-    matrices = wrenches.matrices(kind)
-    # No singular value is less than the determinant over the fifth power of the largest.
-    bound = SINGULAR * (matrices**2).sum(axis=(-1, -2)) ** 3
-    suspect = (np.abs(np.linalg.det(matrices)) <= bound).any(axis=-1)
-    refuse_singular(configuration, suspect.reshape(-1).astype(np.uint8), kind)
-    return wrenches
-
-
-@np.errstate(invalid="ignore")
 def stage_inverses(configuration: Configuration) -> FloatArray:
     """Return J_b⁻¹ and J_c⁻¹ (..., 2, 6, 6), with twists (v, ω) at o in {B} [m/s, rad/s] for rows.
 
@@ -300,13 +199,30 @@ def stage_inverses(configuration: Configuration) -> FloatArray:
     SingularConfigurationError
         At a forward or a constraint singularity.
     """
-    wrenches = regular_wrenches(configuration, "forward")
-    inverses = np.linalg.inv(wrenches.matrices("forward"))
-    angular = inverses[..., 3:, :] / wrenches.side
-    lever = wrenches.lever[..., None, None, :]
-    moved = np.swapaxes(np.cross(np.swapaxes(angular, -1, -2), lever), -1, -2)
-    return np.concatenate([inverses[..., :3, :] + moved, angular], axis=-2)
+    platform_jacobian(configuration)
+    inverses = np.linalg.inv(force_matrices(configuration)[..., :2, :, :])
+    lever = configuration.translation - configuration.middle_joints.mean(axis=-2)
+    angular = inverses[..., 3:, :] / configuration.geometry.middle_side
+    linear = inverses[..., :3, :] + np.cross(angular, lever[..., None, :, None], axis=-2)
+    return np.concatenate([linear, angular], axis=-2)
 
 
-def _index(places: tuple[IntArray, ...], which: int) -> tuple[int, ...]:
-    return tuple(int(axis[which]) for axis in places)
+def _refuse_singular(configuration: Configuration, indices: IntArray, kind: str) -> None:
+    """Raise if one of the states at these indices (n, axes) is singular to rounding, "forward" or "inverse"."""
+    some = configuration[tuple(indices.T)] if configuration.shape else configuration
+    matrices = force_matrices(some).reshape(-1, 3, 6, 6)
+    # What exists has a row of NaN where a leg has no length.
+    is_short = np.isnan(matrices).any(axis=(-1, -2, -3))
+    values = np.linalg.svd(np.nan_to_num(matrices[:, :2] if kind == "forward" else matrices[:, 2:]), compute_uv=False)
+    smallest = np.where(values[..., -1] <= SINGULAR * values[..., 0], values[..., -1], np.inf).min(axis=-1)
+    singular = is_short | (smallest < np.inf)
+    if not singular.any():
+        return
+    first = int(singular.argmax())
+    index = tuple(int(k) for k in indices[first])
+    if is_short[first]:
+        raise SingularConfigurationError("forward", 0.0, index)
+    structure = np.linalg.svd(matrices[first, :2, 3:], compute_uv=False)
+    if (structure[:, -1] <= SINGULAR * structure[:, 0]).any():
+        raise SingularConfigurationError("constraint", float(structure[:, -1].min()), index)
+    raise SingularConfigurationError(kind, float(smallest[first]), index)

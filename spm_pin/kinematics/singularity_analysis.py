@@ -1,15 +1,13 @@
 """Singularity analysis: kind, rank, distance, lost wrench and gained twist of configurations.
 
-Three 6 x 6 matrices decide, built as in `spm_pin.kinematics.rates_and_forces` from forces through the ball joints, at
-the middle platform's centre and with lengths in units of d, so that they are dimensionless and of order one:
+Three 6 x 6 matrices decide, see `spm_pin.kinematics.rates_and_forces`, at the middle platform's centre and with lengths
+in units of d, so that they are dimensionless and of order one:
 
 - J_b and J_c, the six forces of the lower and of the upper stage. Where one is singular the locked legs of that
   stage let its platform move: a **forward** singularity (type 2, parallel).
 - K, the structure's forces of both stages. Where it is singular the middle platform can move while the terminal
   platform stands still, and a direction of motion of the latter is lost: an **inverse** singularity (type 1, serial).
 - Where the structure's three forces of one stage are dependent already, both happen: a **constraint** singularity.
-
-det J_f = det J_b det J_c / det K, and each determinant is a difference of two triple products, without a 6 x 6.
 """
 
 from __future__ import annotations
@@ -23,6 +21,8 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.kinematics.batches import run_kernel, run_on_states
+from spm_pin.kinematics.formulas.vectors import direction
+from spm_pin.kinematics.formulas.wrenches import determinant, structure_determinant
 from spm_pin.kinematics.rates_and_forces import SINGULAR, leg_constants, platform_jacobian
 from spm_pin.mechanism.arguments import FloatArray, IntArray, first_offender, real_number, shaped_array
 from spm_pin.mechanism.configuration import Configuration, check_configuration
@@ -54,7 +54,7 @@ class Singularities:
     determinants: FloatArray
     """det J_b, det J_c, det K [m³], for forces of length one and moments about any point: signed, smooth; (..., 3)."""
     scaled_determinants: FloatArray
-    """The determinants over d³, shape (..., 3): dimensionless, signed, smooth, zero just where singular; for a cost."""
+    """The determinants over d³, shape (..., 3): dimensionless, zero just where singular; for a cost."""
     sigma: FloatArray
     """Smallest singular values, dimensionless, shape (..., 3).
 
@@ -124,17 +124,8 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
 
     Notes
     -----
-    At the symmetric home K has rank 3: it is an inverse singularity in which three freedoms are lost. Inverse and
-    forward singularities are those of [1]_, constraint singularities those of [2]_; det K is the determinant of the
-    tetrahedron of [3]_, see docs/theory/literature_checks.md.
-
-    References
-    ----------
-    .. [1] C. Gosselin, J. Angeles, "Singularity Analysis of Closed-Loop Kinematic Chains", IEEE Transactions on
-       Robotics and Automation 6 (1990).
-    .. [2] D. Zlatanov, I. Bonev, C. Gosselin, "Constraint Singularities of Parallel Mechanisms", ICRA 2002.
-    .. [3] A. Nayak, S. Caro, P. Wenger, "Kinematic Analysis of the 3-RPS-3-SPR Series-Parallel Manipulator", Robotica
-       37 (2019).
+    At the symmetric home K has rank 3: it is an inverse singularity in which three freedoms are lost. What the
+    literature calls these singularities is in docs/theory/literature_checks.md.
     """
     from spm_pin.kinematics.kernels.singularity_kernel import describe_singularities
 
@@ -185,11 +176,6 @@ def singular_values(matrices: npt.ArrayLike) -> FloatArray:
     -------
     ndarray, shape (..., min(m, n))
         From large to small, each accurate to rounding of the largest.
-
-    Raises
-    ------
-    ArgumentError
-        If `matrices` has another shape.
     """
     from spm_pin.kinematics.kernels import singular_values as kernels
 
@@ -245,41 +231,32 @@ def determinant_gradients(configuration: Configuration) -> FloatArray:
     SingularConfigurationError
         At a forward or a constraint singularity, where the leg lengths do not determine the motion.
     """
-    geometry = check_configuration(configuration).geometry
-    # Twists (v, ω) of m per unit leg rate, at the middle platform's centre; the middle platform moves with the lower
-    # legs only.
-    jacobian = np.swapaxes(platform_jacobian(configuration), -1, -2)
-    centre = configuration.middle_joints.mean(axis=-2)
-    angular = jacobian[..., 3:]
-    linear = jacobian[..., :3] - np.cross(angular, (configuration.translation - centre)[..., None, :])
-    with_lower_legs = np.repeat([1.0, 0.0], 3)[:, None, None]
+    # Twists (v, ω) of m at o per unit leg rate, (..., 6, 6); the middle platform moves with the lower legs only.
+    twists = np.swapaxes(platform_jacobian(configuration), -1, -2)
+    angular, origin = twists[..., 3:], configuration.translation[..., None, :]
 
-    def moved(points: FloatArray, legs: Any) -> Any:
-        """Return points after an imaginary step of each of the six legs that move them, and their lever arms."""
-        arms = (points - centre[..., None, :])[..., None, :, :]
-        rates = linear[..., None, :] + np.cross(angular[..., None, :], arms)
-        return points[..., None, :, :] + 1j * _STEP * legs * rates
+    def moved(points: FloatArray, legs: slice) -> Any:
+        """Return points (..., 3, 3) after an imaginary step of each leg, (..., 6, 3, 3), if it moves them."""
+        arms = (points - origin)[..., None, :, :]
+        rates = twists[..., None, :3] + np.cross(angular[..., None, :], arms)
+        rates[..., legs, :, :] = 0.0
+        return points[..., None, :, :] + 1j * _STEP * rates
 
-    def matrix(first: Any, second: Any, points: Any) -> Any:
-        arms = (points - centre[..., None, None, :]) / geometry.middle_side
-        rows = [np.concatenate([forces, np.cross(arms, forces)], axis=-1) for forces in (first, second)]
-        return np.concatenate(np.broadcast_arrays(*rows), axis=-2)
-
-    def unit(vectors: Any) -> Any:
-        return vectors / np.sqrt((vectors**2).sum(axis=-1, keepdims=True))
-
-    # Without subtraction, a complex step loses no digits.
+    none, upper_legs = slice(0), slice(3, 6)
+    axes, bases = configuration.leg_axes, configuration.leg_bases
+    lower, upper = (moved(configuration.balls[..., k, :], upper_legs) for k in (slice(3), slice(3, 6)))
+    below = lower - bases[..., None, :3, :]
+    above = moved(bases[..., 3:, :], none) - upper
+    fixed = np.broadcast_to(axes[..., None, :3, :], lower.shape)
+    turned = axes[..., None, 3:, :] + 1j * _STEP * np.cross(angular[..., None, :], axes[..., None, 3:, :])
+    b, c, first, second, a, a_m = (_rows(x) for x in (lower, upper, below, above, fixed, turned))
     with np.errstate(invalid="ignore"):
-        balls = moved(configuration.balls, with_lower_legs)
-        lower, upper = balls[..., :3, :], balls[..., 3:, :]
-        axes = configuration.leg_axes[..., None, :, :]
-        fixed, turning = np.broadcast_to(axes[..., :3, :], lower.shape), axes[..., 3:, :]
-        turned = turning + 1j * _STEP * np.cross(angular[..., None, :], turning)
-        below = unit(lower - configuration.leg_bases[..., None, :3, :])
-        above = unit(moved(configuration.platform_joints, 1.0) - upper)
-        structure = np.concatenate(
-            [matrix(fixed, fixed, lower)[..., :3, :], matrix(turned, turned, upper)[..., :3, :]], -2
-        )
-        matrices = matrix(below, fixed, lower), matrix(above, turned, upper), structure
-        gradients = [np.linalg.det(x).imag / _STEP * geometry.middle_side**3 for x in matrices]
-    return np.where(configuration.exists[..., None, None], np.stack(gradients, axis=-2), np.nan)
+        along, across = ((direction(x), direction(y), direction(z)) for x, y, z in (first, second))
+        values = determinant(b, along, a), determinant(c, across, a_m), structure_determinant(b, c, a, a_m)
+    # Without subtraction, a complex step loses no digits.
+    return np.where(configuration.exists[..., None, None], np.stack(values, axis=-2).imag / _STEP, np.nan)
+
+
+def _rows(array: Any) -> Any:
+    """Return an array (..., 3, 3) as formulas take it: three rows of three numbers, each an array (...)."""
+    return tuple(tuple(array[..., i, j] for j in range(3)) for i in range(3))

@@ -2,9 +2,10 @@
 
 from spm_pin.mechanism.branches import BRANCHES, FAMILIES
 from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import PARAMETERS, Geometry, Legs
+from spm_pin.mechanism.geometry import PARAMETERS, Geometry
 from spm_pin.mechanism.joint_angles import JointAngles, joint_angles
 from spm_pin.mechanism.leg_limits import LEGS, LegLimits
+from spm_pin.mechanism.legs import Legs
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose
 from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
 

@@ -1,9 +1,8 @@
 """Types of arguments, and a check for each kind: it returns the value read, or raises an error that names the argument.
 
-All rooms use these, so that the same mistake gives the same message everywhere. Every check takes the value as the
-caller gave it, then `argument`, its name in the caller's signature. In messages, `expected` and `meaning` say in words
-what is accepted, with the unit, and `cause` what the caller may have meant. An `ArgumentError` is raised, or the kind
-of it given as `error`.
+Every check takes the value as the caller gave it, then `argument`, its name in the caller's signature. In messages,
+`expected` and `meaning` say what is accepted, with the unit, and `cause` what the caller may have meant. The error is
+an `ArgumentError`, or the kind of it given as `error`.
 """
 
 from __future__ import annotations
@@ -67,10 +66,7 @@ def real_number(
     error: type[ArgumentError] = ArgumentError,
     cause: str = "",
 ) -> float:
-    """Read a finite real number with above < number < below and least <= number <= most.
-
-    Python's and NumPy's integers and floats are numbers, and arrays of one without axes; booleans and text are not.
-    """
+    """Read a finite real number, no boolean, with above < number < below and least <= number <= most."""
     if isinstance(value, float | int) and not isinstance(value, bool):
         try:
             number = float(value)
@@ -106,7 +102,7 @@ def dimension(value: Any, argument: str) -> float:
 def number_pair(
     value: Any, argument: str, unit: str, *, error: type[ArgumentError] = ArgumentError
 ) -> tuple[float, float]:
-    """Read a pair (minimum, maximum), which may be infinite, in a unit for the message; raises as `real_number`."""
+    """Read a pair (minimum, maximum), which may be infinite, in a unit for the message."""
     array = as_array(value)
     if array is None or array.shape != (2,) or array.dtype.kind not in "fiu":
         raise error(argument, f"a pair (minimum, maximum) in {unit}", type_and_value(value))
@@ -117,15 +113,13 @@ def whole_number(
     value: Any, argument: str, expected: str = "", *, least: int = 0, most: int = 10**12, cause: str = ""
 ) -> int:
     """Read a whole number from `least` to `most`, by default more than any memory holds; a float, even 2.0, is none."""
-    if not expected:
-        expected = f"a whole number from {least} to {most}"
+    expected = expected or f"a whole number from {least} to {most}"
     try:
         number = None if isinstance(value, bool) else operator.index(value)
     except TypeError:
         number = None
     if number is None:
-        shown = f"{value:g}" if isinstance(value, float) else type_and_value(value)
-        raise ArgumentError(argument, expected, shown)
+        raise ArgumentError(argument, expected, type_and_value(value))
     if not least <= number <= most:
         received = number if abs(number) < _PRINTED else "an integer of many digits"
         raise ArgumentError(argument, expected, received, cause)
@@ -155,16 +149,11 @@ def file_path(
     expected: str = "the name of a file",
     error: type[ArgumentError] = ArgumentError,
 ) -> Path:
-    """Read the name of a file, or of what `expected` says, as str or `os.PathLike`; without access to the file system.
-
-    The endings accepted are `suffixes`, lower case and with their dot; any if not given.
-    """
-    if not isinstance(value, str | os.PathLike):
-        raise error(argument, expected, type_and_value(value))
+    """Read the name of a file without access to it; `suffixes` are the endings accepted, lower case with their dot."""
     try:
         text = os.fspath(value)
         fits = isinstance(text, str) and bool(text) and b"\0" not in os.fsencode(text)
-    except Exception as failed:
+    except Exception as failed:  # whatever __fspath__ of a foreign object raises
         raise error(argument, expected, type_and_value(value), str(failed)) from failed
     if not fits:
         raise error(argument, expected, repr(value), "Empty, or a byte of zero in it?")
@@ -230,10 +219,7 @@ def real_array(
     error: type[ArgumentError] = ArgumentError,
     allow_nan: bool = False,
 ) -> FloatArray:
-    """Read finite real numbers as float64 of shape `(..., *trailing)`.
-
-    With `allow_nan` NaN is accepted, which marks an absent member of a batch; infinity never is.
-    """
+    """Read finite real numbers as float64 of shape `(..., *trailing)`; NaN marks an absent member with `allow_nan`."""
     array = shaped_array(value, argument, trailing, meaning, error=error)
     return finite_array(array, argument, trailing, meaning, error=error, allow_nan=allow_nan)
 
@@ -264,7 +250,7 @@ def symmetric_matrices(
 def shaped_array(
     value: npt.ArrayLike, argument: str, trailing: tuple[int, ...], meaning: str, *, error: type[ArgumentError]
 ) -> FloatArray:
-    """Read `value` as `real_array` does, without checking that the numbers are finite."""
+    """Read real numbers that need not be finite as float64 of shape `(..., *trailing)`."""
     if isinstance(value, np.ma.MaskedArray):
         raise error(argument, _expected(trailing, meaning), "a masked array", "Fill or drop what is masked")
     array = as_array(value)

@@ -1,4 +1,4 @@
-"""The branch of a configuration: its family, its sign and place, and whether it is physical.
+"""The branch of a configuration: its family, its sign, whether it is physical, and the coordinates of its two stages.
 
 Each stage's middle platform has either no torsion (mode T) or is turned half round (mode F) against the other
 end of that stage; a family names the lower stage's mode, then the upper's. A family holds at most two branches
@@ -47,12 +47,6 @@ def _cycles(points: NumberArray, directions: NumberArray) -> NumberArray:
     return np.stack([np.stack([c(i, j) for i, j in cycle], axis=-1) for cycle in pairs], axis=-2)
 
 
-def _structure_determinant(configuration: Configuration) -> FloatArray:
-    """Return det K [m³], shape (...)."""
-    across = np.cross(configuration.geometry.revolute_axes, configuration.platform_axes)
-    return -leg_plane_determinant(configuration.middle_joints, across)
-
-
 def _mean_radii(configuration: Configuration) -> tuple[FloatArray, FloatArray]:
     """Return the means of b_i along the drawn radial directions of {B} and of {m} [m]."""
     radial = configuration.geometry.radial_directions
@@ -77,27 +71,44 @@ def branch_sign(configuration: Configuration) -> FloatArray:
     quaternions of the middle platform seen from {B} and from {m}, their nonzero component in the mode's
     coordinate taken positive, it is det K times the sign of that component of a b*.
     """
-    exists = configuration.exists
     index = family(configuration)
-    middle = np.where(exists[..., None, None], configuration.middle_pose.as_matrix()[..., :3, :3], np.eye(3))
-    lower = _positive(Rotation.from_matrix(middle), index >= 2)
-    upper = _positive(Rotation.from_matrix(np.swapaxes(configuration.rotation, -1, -2) @ middle), index % 2 == 1)
-    platform = _product_with_conjugate(lower, upper)
-    # The coordinate of a b* that cannot vanish in this family: the scalar part, in mixed families the z part.
-    kappa = np.select([index == 1, index == 2], [-platform[..., 2], platform[..., 2]], platform[..., 3])
-    return np.where(exists, _structure_determinant(configuration) * np.sign(kappa), np.nan)
+    a, b = _stage_quaternions(configuration)
+    a = a * np.where(np.where(index >= 2, a[..., 2], a[..., 3]) < 0.0, -1.0, 1.0)[..., None]
+    b = b * np.where(np.where(index % 2 == 1, b[..., 2], b[..., 3]) < 0.0, -1.0, 1.0)[..., None]
+    # The component of a b* that cannot vanish in this family: the scalar part, in mixed families the z part.
+    z = b[..., 3] * a[..., 2] - a[..., 3] * b[..., 2] - a[..., 0] * b[..., 1] + a[..., 1] * b[..., 0]
+    kappa = np.select([index == 1, index == 2], [-z, z], (a * b).sum(axis=-1))
+    across = np.cross(configuration.geometry.revolute_axes, configuration.platform_axes)
+    det_k = -leg_plane_determinant(configuration.middle_joints, across)
+    return np.where(configuration.exists, det_k * np.sign(kappa), np.nan)
 
 
-def _positive(rotation: Rotation, half_turned: BoolArray) -> FloatArray:
-    quaternion = np.asarray(rotation.as_quat())
-    component = np.where(half_turned, quaternion[..., 2], quaternion[..., 3])
-    return quaternion * np.where(component < 0.0, -1.0, 1.0)[..., None]
+def _stage_quaternions(configuration: Configuration) -> tuple[FloatArray, FloatArray]:
+    """Return the unit quaternions (..., 4) of the middle platform against {B} and {m}, of any sign, scalar last."""
+    exists = configuration.exists[..., None, None]
+    middle = np.where(exists, configuration.middle_pose.as_matrix()[..., :3, :3], np.eye(3))
+    from_platform = np.where(exists, np.swapaxes(configuration.rotation, -1, -2), np.eye(3))
+    return Rotation.from_matrix(middle).as_quat(), Rotation.from_matrix(from_platform @ middle).as_quat()
 
 
-def _product_with_conjugate(a: FloatArray, b: FloatArray) -> FloatArray:
-    # Rotation's own product may change the sign, which is what is wanted here.
-    vector = b[..., 3:] * a[..., :3] - a[..., 3:] * b[..., :3] - np.cross(a[..., :3], b[..., :3])
-    return np.concatenate([vector, (a * b).sum(axis=-1, keepdims=True)], axis=-1)
+def stage_coordinates(configuration: Configuration, modes: str = "TT") -> FloatArray:
+    """Return (x, y, Z [m]) of the lower stage in {B} and of the upper one in {m}, shape (..., 2, 3).
+
+    x and y are parts of the quaternion of the middle platform, turned by half a turn about its normal in mode F; Z is
+    the height of its centre. NaN where there is no configuration, or one of other modes.
+    """
+    middle, back = configuration.middle_pose.as_matrix(), np.swapaxes(configuration.rotation, -1, -2)
+    rotation, centre = middle[..., :3, :3], middle[..., :3, 3]
+    seen = (back @ (centre - configuration.translation)[..., None])[..., 0]
+    coordinates = []
+    for mode, turn, place in zip(modes, (rotation, back @ rotation), (centre, seen), strict=True):
+        turn = turn if mode == "T" else turn * [-1.0, -1.0, 1.0]
+        exists = np.asarray(np.isfinite(turn).all(axis=(-2, -1)))
+        quaternion = Rotation.from_matrix(np.where(exists[..., None, None], turn, np.eye(3))).as_quat()
+        x, y, x3, x0 = np.moveaxis(np.where(quaternion[..., 3:] < 0.0, -quaternion, quaternion), -1, 0)
+        exists = exists & (x0 > np.abs(x3))
+        coordinates.append(np.where(exists[..., None], np.stack([x, y, place[..., 2]], axis=-1), np.nan))
+    return np.stack(coordinates, axis=-2)
 
 
 def tilt_cosine_sum(configuration: Configuration) -> FloatArray:
@@ -122,23 +133,19 @@ def physical(configuration: Configuration) -> BoolArray:
     heights = centre[..., 2], np.einsum("...i,...i->...", configuration.translation - centre, upward)
     radii = _mean_radii(configuration)
     upright = np.logical_and.reduce([value > 0.0 for value in (*radii, *heights)])
-    if not configuration.shape:
-        return np.asarray(upright & _at_home(configuration))
-    # Few are upright, and the rest is the longer part.
-    found = np.zeros(configuration.shape, dtype=bool)
-    found[upright] = _at_home(configuration[upright])
-    return found
+    if configuration.shape:
+        # Few are upright, and the aspect takes longer.
+        at_home: BoolArray = upright.copy()
+        at_home[upright] = _in_home_aspects(configuration[upright])
+        return at_home
+    return np.asarray(upright & _in_home_aspects(configuration))
 
 
-def _at_home(configuration: Configuration) -> BoolArray:
-    """Return for which upright states both stages are in the home's aspect, shape (...)."""
-    legs, balls = configuration.leg_vectors, configuration.balls
-    tangents = TANGENT_SIGNS[:, None] * configuration.leg_axes
-    stages = (
-        in_home_aspect(balls[..., stage, :], np.cross(tangents[..., stage, :], legs[..., stage, :]))
-        for stage in (slice(3), slice(3, 6))
-    )
-    return np.logical_and(*stages)
+def _in_home_aspects(configuration: Configuration) -> BoolArray:
+    """Return for which states both stages are in the home's aspect, shape (...)."""
+    shape = (*configuration.shape, 2, 3, 3)
+    normals = np.cross(TANGENT_SIGNS[:, None] * configuration.leg_axes, configuration.leg_vectors)
+    return np.asarray(in_home_aspect(configuration.balls.reshape(shape), normals.reshape(shape)).all(axis=-1))
 
 
 def in_home_aspect(points: FloatArray, directions: FloatArray) -> BoolArray:

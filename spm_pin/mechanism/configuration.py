@@ -1,4 +1,4 @@
-"""States of the manipulator: the platform's pose and the ball joints, and all that follows from them."""
+"""A state of the manipulator, the platform's pose and the ball joints, and what follows from it."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from spm_pin.mechanism.arguments import (
     real_array,
     type_and_value,
 )
-from spm_pin.mechanism.ball_triangles import all_balls, triangle_frames, triangle_sides
 from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.legs import triangle_frames, triangle_sides, upper_ball_weights
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, unchecked_transform
 
 
@@ -38,11 +38,6 @@ class Configuration:
     middle_joints : array_like, shape (..., 3, 3)
         Centres of the compound ball joints b_1, b_2, b_3 as rows, in {B} [m]: those of the lower legs' balls. A member
         that does not exist is NaN throughout. Leading axes broadcast with those of `pose`.
-
-    Raises
-    ------
-    PoseError, ArgumentError
-        If an argument has the wrong shape or kind, or is not finite.
 
     Notes
     -----
@@ -85,11 +80,7 @@ class Configuration:
         middle_joints: FloatArray,
         leg_lengths: FloatArray | None = None,
     ) -> Configuration:
-        """Make a configuration from arrays known to be valid, without checks or copies.
-
-        For solvers: `rotation` (..., 3, 3), `translation` (..., 3) [m], `middle_joints` (..., 3, 3) [m] and, if known
-        already, `leg_lengths` (..., 6) [m] have equal leading axes.
-        """
+        """Make a configuration from valid arrays with equal leading axes, without checks or copies."""
         self = cls.__new__(cls)
         self._set(geometry, rotation, translation, middle_joints)
         if leg_lengths is not None:
@@ -97,10 +88,7 @@ class Configuration:
         return self
 
     def transformed(self, change: Callable[[FloatArray, int], FloatArray]) -> Configuration:
-        """Return the configuration of what `change` makes of each array, given with the number of its inner axes.
-
-        For solvers, without checks.
-        """
+        """Return the configuration of what `change` makes of each array, given with the number of its inner axes."""
         lengths = self.known_lengths
         return Configuration.from_arrays(
             self._geometry,
@@ -113,11 +101,7 @@ class Configuration:
     def __reduce__(self) -> tuple[Any, ...]:
         # Copies and unpickled states are read-only too; what is derived is not carried along.
         state = self._geometry, self._rotation, self._translation, self._middle_joints, self.known_lengths
-        return (
-            Configuration.from_arrays,
-            state,
-            {"missing_reason": self.missing_reason} if self.missing_reason else None,
-        )
+        return Configuration.from_arrays, state, {"missing_reason": self.missing_reason}
 
     def __getitem__(self, index: object) -> Configuration:
         """Index the batch axes as NumPy would."""
@@ -190,31 +174,34 @@ class Configuration:
     @cached_property
     def balls(self) -> FloatArray:
         """Centres of the legs' balls as rows in {B} [m], (..., 6, 3); b_1, b_2, b_3 twice in the drawn machine."""
-        return frozen(all_balls(self._geometry.legs.balls, self._middle_joints))
-
-    @cached_property
-    def platform_joints(self) -> FloatArray:
-        """Upper revolute joints c_1, c_2, c_3, or pivots, as rows in {B} [m], shape (..., 3, 3). Eq. (2)."""
-        return frozen(
-            self._geometry.legs.pivots[3:] @ np.swapaxes(self._rotation, -1, -2) + self._translation[..., None, :]
-        )
-
-    @cached_property
-    def platform_axes(self) -> FloatArray:
-        """Unit revolute axes at c_1, c_2, c_3 as rows in {B}, shape (..., 3, 3). Eq. (4b)."""
-        return frozen(self._geometry.legs.axes[3:] @ np.swapaxes(self._rotation, -1, -2))
+        lower = self._middle_joints
+        sides = lower[..., 1, :] - lower[..., 0, :], lower[..., 2, :] - lower[..., 0, :]
+        moved = upper_ball_weights(self._geometry.legs.balls) @ np.stack([*sides, np.cross(*sides)], axis=-2)
+        return frozen(np.concatenate([lower, lower + moved], axis=-2))
 
     @cached_property
     def leg_bases(self) -> FloatArray:
-        """Revolute joints of the six legs, a_1 to a_3 and c_1 to c_3, as rows in {B} [m], shape (..., 6, 3)."""
-        lower = np.broadcast_to(self._geometry.legs.pivots[:3], self.platform_joints.shape)
-        return frozen(np.concatenate([lower, self.platform_joints], axis=-2))
+        """Pivots of the six legs, a_1 to a_3 and c_1 to c_3, as rows in {B} [m], shape (..., 6, 3). Eqs. (1), (2)."""
+        pivots = self._geometry.legs.pivots
+        upper = pivots[3:] @ np.swapaxes(self._rotation, -1, -2) + self._translation[..., None, :]
+        return frozen(np.concatenate([np.broadcast_to(pivots[:3], upper.shape), upper], axis=-2))
+
+    @property
+    def platform_joints(self) -> FloatArray:
+        """Upper revolute joints c_1, c_2, c_3, or pivots, as rows in {B} [m], shape (..., 3, 3). Eq. (2)."""
+        return self.leg_bases[..., 3:, :]
 
     @cached_property
     def leg_axes(self) -> FloatArray:
         """Unit revolute axes of the six legs as rows in {B}, shape (..., 6, 3). Eq. (4)."""
-        lower = np.broadcast_to(self._geometry.legs.axes[:3], self.platform_axes.shape)
-        return frozen(np.concatenate([lower, self.platform_axes], axis=-2))
+        axes = self._geometry.legs.axes
+        upper = axes[3:] @ np.swapaxes(self._rotation, -1, -2)
+        return frozen(np.concatenate([np.broadcast_to(axes[:3], upper.shape), upper], axis=-2))
+
+    @property
+    def platform_axes(self) -> FloatArray:
+        """Unit revolute axes at c_1, c_2, c_3 as rows in {B}, shape (..., 3, 3). Eq. (4b)."""
+        return self.leg_axes[..., 3:, :]
 
     @cached_property
     def leg_vectors(self) -> FloatArray:
@@ -230,26 +217,22 @@ class Configuration:
 
     @cached_property
     def readings(self) -> FloatArray:
-        """What the encoders of the legs show [m], shape (..., 6): `leg_lengths` and the offsets of the machine."""
-        return self.leg_lengths if self._geometry.is_nominal else frozen(self.leg_lengths + self._geometry.legs.offsets)
+        """Readings of the legs' encoders [m], shape (..., 6): `leg_lengths` plus the offsets of the machine."""
+        return frozen(self.leg_lengths + self._geometry.legs.offsets)
 
     @cached_property
     def middle_pose(self) -> RigidTransform:
-        """Pose of the middle platform {n} in {B}: origin at the triangle's centre, x along b_3 b_1, z its normal."""
-        frames, centres = triangle_frames(self._middle_joints), self._middle_joints.mean(axis=-2)
-        if not self._geometry.is_nominal:
-            # {n} is where the drawn triangle would be, from where the balls are.
-            corners = self._geometry.legs.balls[:3]
-            frames = frames @ triangle_frames(corners).T
-            centres = centres - frames @ corners.mean(axis=0)
+        """Pose of the middle platform {n} in {B}; at the centre of a drawn machine's triangle, x along b_3 b_1."""
+        corners = self._geometry.legs.balls[:3]
+        frames = triangle_frames(self._middle_joints) @ triangle_frames(corners).T
+        centres = self._middle_joints.mean(axis=-2) - frames @ corners.mean(axis=0)
         return unchecked_transform(frames, centres)
 
     @cached_property
     def closure_residual(self) -> FloatArray:
         """Largest violation of the nine closure equations [m], shape (...); NaN where a member does not exist.
 
-        The distances of each b_i from the planes of its lower and of its upper leg, Eqs. (5b) and (5c), and
-        the errors of the middle platform's three sides, Eq. (12).
+        The distances of each ball from the plane of its leg, Eqs. (5b), (5c), and the errors of the sides, Eq. (12).
         """
         b, legs = self._middle_joints, self._geometry.legs
         # The axes and the planes' distances from O: exact zeros in a drawn machine, whose planes go through Z.
@@ -271,16 +254,9 @@ def batch_index(index: object) -> tuple[Any, ...]:
 
 
 def check_configuration(
-    value: Any,
-    argument: str = "configuration",
-    *,
-    single: bool = False,
-    existing: bool = False,
+    value: Any, argument: str = "configuration", *, single: bool = False, existing: bool = False
 ) -> Configuration:
-    """Return `value` if it is a configuration, and no `SolutionSet`; see `spm_pin.mechanism.arguments`.
-
-    A `single` one is no batch, an `existing` one has no NaN.
-    """
+    """Return `value` if it is a configuration, no batch if `single`, without absent members if `existing`."""
     several = hasattr(type(value), "physical")
     cause = "Choose one of its solutions: .physical(), .nearest(near), or a label such as ['TT+']" if several else ""
     configuration = check_instance(value, Configuration, argument, cause)

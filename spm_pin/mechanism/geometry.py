@@ -1,4 +1,4 @@
-"""The dimensions of a manipulator and the legs of one machine, as drawn or as built.
+"""The dimensions of a manipulator and its parameters, as drawn or as built, and whether lengths fit its size.
 
 Frames (Fig. 1 and Eq. (1) of the paper): {B} at the centre O of the base triangle, Z up; {m} at the centre o of the
 terminal platform, z up; {n} at the centre of the middle platform's triangle, x along b_3 b_1 and z normal to it. Legs
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -19,34 +19,21 @@ import numpy.typing as npt
 
 from spm_pin.errors import GeometryError
 from spm_pin.mechanism import geometry_files
-from spm_pin.mechanism.arguments import (
-    LARGEST,
-    SMALLEST,
-    FloatArray,
-    check_instance,
-    dimension,
-    generator,
-    real_array,
-    real_number,
-)
-from spm_pin.mechanism.ball_triangles import triangle_sides
+from spm_pin.mechanism.arguments import FloatArray, check_instance, dimension, generator, real_number
 from spm_pin.mechanism.leg_limits import LEGS, LegLimits
+from spm_pin.mechanism.legs import AXES, RADIAL, Legs, axis_directions, bounded_array, drawn_legs
 
 _COMPONENTS = ("direction_1", "direction_2", *(f"{p}_{x}" for p in ("pivot", "ball") for x in "xyz"), "offset")
 PARAMETERS = tuple(f"{leg}.{component}" for leg in LEGS for component in _COMPONENTS)
 """Names of the 54 parameters of the legs, nine for each, in the order of `Geometry.parameters`."""
 
-_HALF_SQRT3 = math.sqrt(3.0) / 2.0
-# Unit vectors towards leg 1, 2, 3, and the revolute axes R_1i of Eq. (4a), in {B}; in {m} they read the same.
-_RADIAL = np.array([[_HALF_SQRT3, -0.5, 0.0], [0.0, 1.0, 0.0], [-_HALF_SQRT3, -0.5, 0.0]])
-_AXES = np.array([[0.5, _HALF_SQRT3, 0.0], [1.0, 0.0, 0.0], [-0.5, _HALF_SQRT3, 0.0]])
-
-_UNIT = 1e-6
-"""Largest error of the length of an axis that is taken for rounding."""
-_FLAT = 1e-6
-"""Smallest height of the triangle of three balls, in units of its longest side."""
 _MOST_LENGTH, _MOST_ANGLE = 1e7, 0.2
 """Largest standard deviations of random errors: normal numbers then do not leave the ranges accepted."""
+
+PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
+"""Units of length, and how many of them are a metre."""
+_PROPORTION = 10.0
+"""Lengths this many times the machine's size, or less than its inverse, are read as a wrong unit."""
 
 
 def config_directory() -> Path:
@@ -56,113 +43,25 @@ def config_directory() -> Path:
     return installed if installed.is_dir() else package.parent / "urdf" / "config"
 
 
-@dataclass(frozen=True, repr=False, eq=False)
-class Legs:
-    """Axes, pivots, balls and encoder offsets of the six legs, in the order of `LEGS`; read-only.
-
-    Leg i turns about a revolute axis, along which nothing moves: its line starts at the pivot, is perpendicular to the
-    axis, and ends at the centre of a ball of the middle platform. Its reading is |ball - pivot| + offset.
-
-    Parameters
-    ----------
-    axes : array_like, shape (6, 3)
-        Unit vectors along the revolute axes, of the lower legs in {B}, of the upper legs in {m}.
-    pivots : array_like, shape (6, 3)
-        Points of these axes where the legs' lines start [m], in the same frames.
-    balls : array_like, shape (6, 3)
-        Centres of the balls [m] in {n}. Those of a lower and of an upper leg need not coincide.
-    offsets : array_like, shape (6,)
-        What each reading exceeds the length of its leg by [m].
-
-    Raises
-    ------
-    GeometryError
-        If a number is beyond 1e9 m, if an axis is no unit vector, or if the balls of the lower or of the upper legs
-        are on one line.
-    """
-
-    axes: FloatArray
-    pivots: FloatArray
-    balls: FloatArray
-    offsets: FloatArray
-    is_drawn: bool = field(default=False, init=False)
-    """True for the legs that a `Geometry` has drawn from its dimensions."""
-
-    def __post_init__(self) -> None:
-        axes = _array(self.axes, "axes", (6, 3), "unit vectors along the revolute axes")
-        sizes = np.sqrt((axes**2).sum(axis=-1))
-        wrong = np.abs(sizes - 1.0) > _UNIT
-        if wrong.any():
-            leg = int(wrong.argmax())
-            expected = "unit vectors along the revolute axes"
-            raise GeometryError("axes", expected, f"length {sizes[leg]:g} of {LEGS[leg]}", "Divide it by its length")
-        # An exact unit vector keeps its bits, so that writing and reading gives the same machine.
-        exact = np.abs(sizes - 1.0) <= 4.0 * np.finfo(float).eps
-        self._put("axes", axes / np.where(exact, 1.0, sizes)[:, None])
-        self._put("pivots", _array(self.pivots, "pivots", (6, 3), "points of the revolute axes in metres"))
-        balls = _array(self.balls, "balls", (6, 3), "ball centres in {n} in metres")
-        for stage, b in (("lower", balls[:3]), ("upper", balls[3:])):
-            longest = triangle_sides(b).max()
-            if longest < SMALLEST or np.linalg.norm(np.cross(b[1] - b[0], b[2] - b[0])) < _FLAT * longest**2:
-                expected = "three ball centres of each stage that form a triangle"
-                raise GeometryError("balls", expected, f"those of the {stage} legs on one line")
-        self._put("balls", balls)
-        self._put("offsets", _array(self.offsets, "offsets", (6,), "offsets of the readings in metres"))
-
-    def _put(self, name: str, array: FloatArray) -> None:
-        copy = np.array(array)
-        copy.flags.writeable = False
-        object.__setattr__(self, name, copy)
-
-    @property
-    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Axes, pivots, balls and offsets."""
-        return self.axes, self.pivots, self.balls, self.offsets
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Legs):
-            return NotImplemented
-        return self is other or all(map(np.array_equal, self.arrays, other.arrays))
-
-    def __hash__(self) -> int:
-        return self._hash
-
-    @functools.cached_property
-    def _hash(self) -> int:
-        # -0.0 and 0.0 are equal and must have one hash.
-        return hash(tuple((array + 0.0).tobytes() for array in self.arrays))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Legs, self.arrays
-
-
 @dataclass(frozen=True, repr=False)
 class Geometry:
     """Dimensions of a manipulator, and its legs: those of the drawing, or those of one machine as built.
 
     Parameters
     ----------
-    base_radius : float
-        E, from the base's centre O to a lower revolute joint a_i [m].
-    platform_radius : float
-        C, from the terminal platform's centre o to an upper revolute joint c_i [m].
+    base_radius, platform_radius : float
+        E and C, from the centres O and o of base and terminal platform to their revolute joints a_i and c_i [m].
     middle_side : float
         d, side of the middle platform's triangle b_1 b_2 b_3 [m].
     limits : LegLimits, optional
         Limits of the encoders' readings, which in a drawn machine are the leg lengths. None means unlimited.
     legs : Legs, optional
-        The legs of a machine as built; branches are named after those of the drawn machine. Drawn from the three
-        dimensions if not given.
-
-    Raises
-    ------
-    GeometryError
-        If a dimension is not a number from 1e-9 to 1e9 m. Within that range no product of lengths in this package
-        over- or underflows.
+        The legs of a machine as built; branches are named after those of the drawn machine.
 
     Notes
     -----
-    Six of the 54 parameters of the legs are the choice of {n} and change no reading.
+    A dimension is a number from 1e-9 to 1e9 m: then no product of lengths in this package over- or underflows. Six of
+    the 54 parameters of the legs are the choice of {n} and change no reading.
     """
 
     base_radius: float
@@ -177,7 +76,7 @@ class Geometry:
         if self.limits is not None and not isinstance(self.limits, LegLimits):
             expected = "LegLimits(minimum, maximum) or None"
             raise GeometryError("limits", expected, type(self.limits).__name__)
-        drawn = _drawn_legs(*self.dimensions)
+        drawn = drawn_legs(*self.dimensions)
         legs: Legs | None = self.legs
         if legs is not None and not isinstance(legs, Legs):
             raise GeometryError("legs", "Legs(axes, pivots, balls, offsets) or None", type(legs).__name__)
@@ -214,39 +113,19 @@ class Geometry:
     def from_yaml(cls, path: str | Path) -> Geometry:
         """Read a geometry from a YAML file, all lengths in metres; `docs/howto/geometry_files.md` describes it.
 
-        The keys are `base_side` or `base_radius`, `platform_side` or `platform_radius`, `middle_side`, and optionally
-        `leg_limits`, a pair for all legs or a mapping of `r_b1` to `r_c3` to a pair each, and `legs`, a mapping of the
-        six legs to `axis`, `pivot`, `ball` (three numbers each) and `offset`. A warning is given for dimensions above
-        20 m, which are often centimetres or millimetres.
-
-        Raises
-        ------
-        GeometryError
-            If the file cannot be read, is no mapping, has a key missing, unknown or given twice, or numbers that
-            describe no manipulator. The error names the line and the key.
+        A `GeometryError` names the line and the key of what describes no manipulator. A warning is given for dimensions
+        above 20 m, which are often centimetres or millimetres.
         """
-        data = geometry_files.read(path)
-        if data.legs is None:
-            return cls(*data.dimensions, data.limits)
-        try:
-            return cls(*data.dimensions, data.limits, Legs(*data.legs))
-        except GeometryError as wrong:
-            place = f"{wrong.argument} in {data.legs_place}"
-            raise GeometryError(place, wrong.expected, wrong.received, wrong.cause) from None
+        dimensions, limits, legs = geometry_files.read(path)
+        return cls(*dimensions, limits) if legs is None else cls(*dimensions, limits, legs)
 
     def to_yaml(self, path: str | Path) -> None:
-        """Write the geometry to a YAML file that `from_yaml` reads, every number with all its digits.
-
-        Raises
-        ------
-        GeometryError
-            If the file cannot be written.
-        """
+        """Write the geometry to a YAML file that `from_yaml` reads, every number with all its digits."""
         geometry_files.write(path, self.as_data())
 
     def as_data(self) -> dict[str, Any]:
         """Return what `to_yaml` writes."""
-        return geometry_files.as_data(self.dimensions, self.limits, None if self.is_nominal else self.legs.arrays)
+        return geometry_files.as_data(self.dimensions, self.limits, self.legs)
 
     @property
     def is_nominal(self) -> bool:
@@ -276,22 +155,22 @@ class Geometry:
     @property
     def base_joints(self) -> FloatArray:
         """Lower revolute joints a_1..a_3 of the drawing as rows (3, 3) [m] in {B}. Eq. (1a)."""
-        return self.base_radius * _RADIAL
+        return self.base_radius * RADIAL
 
     @property
     def platform_joints(self) -> FloatArray:
         """Upper revolute joints c_1..c_3 of the drawing as rows (3, 3) [m] in {m}. Eq. (1b)."""
-        return self.platform_radius * _RADIAL
+        return self.platform_radius * RADIAL
 
     @property
     def radial_directions(self) -> FloatArray:
         """Unit vectors from O towards the drawn a_i in {B}, equally from o towards c_i in {m}, as rows (3, 3)."""
-        return _RADIAL.copy()
+        return RADIAL.copy()
 
     @property
     def revolute_axes(self) -> FloatArray:
         """Unit revolute axes of the drawn legs 1..3 as rows (3, 3): in {B} at the a_i, in {m} at the c_i. Eq. (4)."""
-        return _AXES.copy()
+        return AXES.copy()
 
     @property
     def parameters(self) -> FloatArray:
@@ -310,14 +189,8 @@ class Geometry:
         return np.concatenate([turn, pivots, balls, offsets[:, None]], axis=-1).reshape(54)
 
     def from_parameters(self, parameters: npt.ArrayLike) -> Geometry:
-        """Return the machine of the same dimensions and limits whose legs have these 54 `parameters`.
-
-        Raises
-        ------
-        GeometryError
-            If they are those of no machine.
-        """
-        values = _array(parameters, "parameters", (54,), "radians and metres, see PARAMETERS").reshape(6, 9)
+        """Return the machine of the same dimensions and limits whose legs have these 54 `parameters`."""
+        values = bounded_array(parameters, "parameters", (54,), "radians and metres, see PARAMETERS").reshape(6, 9)
         drawn, first, second = axis_directions()
         angle = np.sqrt((values[:, :2] ** 2).sum(axis=-1))
         if (angle > np.pi / 2.0).any():
@@ -332,19 +205,12 @@ class Geometry:
     def perturbed(self, rng: Any = None, *, length: float = 1e-4, angle: float = 1e-4) -> Geometry:
         """Return a machine with independent normal errors added to all parameters of the legs.
 
-        Parameters
-        ----------
-        rng : numpy.random.Generator, seed, or None
-            Source of the errors.
-        length : float
-            Standard deviation of each coordinate of the pivots and balls and of the offsets [m], up to 1e7.
-        angle : float
-            Standard deviation of the turn of each axis about either direction perpendicular to it [rad], up to 0.2.
+        Their standard deviations are `length`, of each coordinate of pivots and balls and of the offsets [m], up to
+        1e7, and `angle`, of the turn of each axis about either direction perpendicular to it [rad], up to 0.2.
         """
         random = generator(rng)
-        spread = real_number(
-            length, "length", f"a standard deviation from 0 to {_MOST_LENGTH:g} m", least=0.0, most=_MOST_LENGTH
-        )
+        expected = f"a standard deviation from 0 to {_MOST_LENGTH:g} m"
+        spread = real_number(length, "length", expected, least=0.0, most=_MOST_LENGTH)
         expected = f"a standard deviation from 0 to {_MOST_ANGLE} rad"
         turn = real_number(angle, "angle", expected, least=0.0, most=_MOST_ANGLE, cause="Given in degrees?")
         scale = np.tile(np.repeat([turn, spread], [2, 7]), 6)
@@ -364,26 +230,27 @@ class Geometry:
         return np.asarray(sinc * (across - turn * drawn[..., None]) + curve * turn * along)
 
 
-def axis_directions() -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return each leg's drawn axis and the two directions perpendicular to it, radial and along z, (6, 3) each."""
-    axes = np.tile(_AXES, (2, 1))
-    up = np.broadcast_to([0.0, 0.0, 1.0], (6, 3))
-    return axes, np.cross(up, axes), up
+def machine_size(geometry: Geometry) -> float:
+    """Return E + C + 2 d [m], about the height of a machine."""
+    return geometry.base_radius + geometry.platform_radius + 2.0 * geometry.middle_side
 
 
-@functools.lru_cache(maxsize=64)
-def _drawn_legs(base_radius: float, platform_radius: float, middle_side: float) -> Legs:
-    corners = middle_side / math.sqrt(3.0) * _RADIAL
-    pivots = np.concatenate([base_radius * _RADIAL, platform_radius * _RADIAL])
-    legs = Legs(np.tile(_AXES, (2, 1)), pivots, np.concatenate([corners, corners]), np.zeros(6))
-    object.__setattr__(legs, "is_drawn", True)
-    return legs
+def likely_unit(geometry: Geometry, length: float, unit: str = "m") -> str | None:
+    """Return the unit in which a length [m], if it was typed in `unit`, would be in proportion; None if it is."""
+
+    def disproportion(tried: str) -> float:
+        return abs(math.log(length * PER_METRE[unit] / PER_METRE[tried] / machine_size(geometry)))
+
+    if not (np.isfinite(length) and length > 0.0) or disproportion(unit) < math.log(_PROPORTION):
+        return None
+    better = min(PER_METRE, key=disproportion)
+    return better if better != unit else None
 
 
-def _array(value: npt.ArrayLike, argument: str, shape: tuple[int, ...], meaning: str) -> FloatArray:
-    array = real_array(value, argument, shape, meaning, error=GeometryError)
-    if array.shape != shape:
-        raise GeometryError(argument, f"shape {shape}, {meaning}", f"shape {array.shape}")
-    if (np.abs(array) > LARGEST).any():
-        raise GeometryError(argument, f"{meaning}, at most {LARGEST:g}", f"{np.abs(array).max():g}", "Another unit?")
-    return array
+def unit_hint(geometry: Geometry, lengths: npt.ArrayLike) -> str:
+    """Return a sentence on the unit that the largest of these lengths [m] may be in; empty if in proportion."""
+    length = float(np.abs(lengths).max())
+    unit = likely_unit(geometry, length)
+    if unit is None:
+        return ""
+    return f"Lengths are in metres, and {length:g} m are out of proportion to this machine; is it {length:g} {unit}?"

@@ -10,14 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import GeometryError
-from spm_pin.mechanism.arguments import (
-    BoolArray,
-    FloatArray,
-    as_array,
-    number_pair,
-    real_array,
-    type_and_value,
-)
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, as_array, number_pair, real_array, type_and_value
 
 LEGS = ("r_b1", "r_b2", "r_b3", "r_c1", "r_c2", "r_c3")
 """Names and order of the legs: the lower stage's three, then the upper stage's."""
@@ -33,11 +26,6 @@ class LegLimits:
     ----------
     minimum, maximum : float or sequence of six floats
         Lengths in metres, in the order of `LEGS`. `maximum` may be infinite.
-
-    Raises
-    ------
-    GeometryError
-        If a minimum is negative or not below its maximum.
     """
 
     minimum: tuple[float, ...]
@@ -48,12 +36,8 @@ class LegLimits:
         object.__setattr__(self, "maximum", _six(maximum, "maximum"))
         for leg, low, high in zip(LEGS, self.minimum, self.maximum, strict=True):
             if not 0.0 <= low < high:
-                raise GeometryError(
-                    "limits",
-                    ORDERED,
-                    f"[{low:g}, {high:g}] for {leg}",
-                    "Minimum and maximum exchanged?" if low > high >= 0.0 else "",
-                )
+                cause = "Minimum and maximum exchanged?" if low > high >= 0.0 else ""
+                raise GeometryError("limits", ORDERED, f"[{low:g}, {high:g}] for {leg}", cause)
 
     @classmethod
     def stages(cls, lower: Sequence[float], upper: Sequence[float]) -> LegLimits:

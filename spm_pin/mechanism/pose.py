@@ -31,15 +31,10 @@ _POSITION = "a position in metres"
 
 @runtime_checkable
 class HasRotationTranslation(Protocol):
-    """Anything with a rotation (3, 3) and a translation (3,), such as `pinocchio.SE3`."""
+    """Anything with a rotation (3, 3) and a translation (3,) [m], such as `pinocchio.SE3`."""
 
-    @property
-    def rotation(self) -> Any:
-        """From {m} to {B}, shape (3, 3)."""
-
-    @property
-    def translation(self) -> Any:
-        """Position of o in {B} [m], shape (3,)."""
+    rotation: Any
+    translation: Any
 
 
 PoseLike = RigidTransform | npt.ArrayLike | HasRotationTranslation
@@ -70,12 +65,6 @@ def pose(
     RigidTransform
         With the broadcast of both leading shapes.
 
-    Raises
-    ------
-    PoseError
-        If neither or both rotations are given, a shape is wrong, a number is not finite, or a matrix is
-        no rotation.
-
     Examples
     --------
     >>> import numpy as np, spm_pin as spm
@@ -102,28 +91,12 @@ def pose(
 
 
 def as_rigid_transform(value: PoseLike, argument: str = "pose") -> RigidTransform:
-    """Read a pose, or a batch of poses.
-
-    Parameters
-    ----------
-    value : RigidTransform, array_like of shape (..., 4, 4), or object with `.rotation` and `.translation`
-        `pinocchio.SE3` is of the last kind; no such library is imported here.
-    argument : str
-        Name of the argument in the caller's signature, for errors.
-
-    Raises
-    ------
-    PoseError
-        If `value` is none of these, or is not a rigid transform of finite numbers.
-    """
+    """Read a pose or a batch of poses, which `argument` names in errors; no library of poses is imported here."""
     return unchecked_transform(*checked_pose(*unchecked_pose(value, argument), argument))
 
 
 def unchecked_pose(value: PoseLike, argument: str = "pose") -> tuple[FloatArray, FloatArray]:
-    """Read rotations (..., 3, 3) and positions (..., 3) [m] with equal leading axes, which may be the caller's memory.
-
-    Only kinds and shapes are checked: for solvers that look at the numbers themselves, as `checked_pose` does.
-    """
+    """Read rotations (..., 3, 3) and positions (..., 3) [m], kinds and shapes checked; may be the caller's memory."""
     if isinstance(value, RigidTransform):
         matrix = value.as_matrix()
         return matrix[..., :3, :3], matrix[..., :3, 3]

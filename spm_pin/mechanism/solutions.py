@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import enum
-import html
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, overload
@@ -26,13 +25,10 @@ from spm_pin.mechanism.arguments import (
 )
 from spm_pin.mechanism.branches import BRANCHES, FAMILIES, branch_sign, family, physical, tilt_cosine_sum
 from spm_pin.mechanism.configuration import Configuration, batch_index, compared_points
-from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.leg_limits import LEGS, LegLimits
+from spm_pin.mechanism.geometry import Geometry, unit_hint
+from spm_pin.mechanism.leg_limits import LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
-from spm_pin.mechanism.units import unit_hint
 
-_MOST_ROWS = 16
-"""Solutions that a table shows."""
 _PARALLEL = 1e-12
 """Sine of the tilt up to which the Z axes of {B} and {m} are taken for parallel in proofs."""
 
@@ -60,7 +56,7 @@ class Degeneracy:
     dimension: npt.NDArray[np.int8]
     """Dimension of the family, shape (...); 0 where all solutions are isolated."""
     families: BoolArray
-    """Which of TT, TF, FT, FF are continuous, shape (..., 4)."""
+    """True for those of TT, TF, FT, FF that are continuous, shape (..., 4)."""
     legs: BoolArray
     """Legs whose lower and upper plane coincide, so that b_i is bound to no line, shape (..., 3)."""
 
@@ -82,33 +78,26 @@ class SolutionSet:
     status : array_like of Status, shape (...)
         Outcome of each problem; `Status` of a single problem, an int8 array of them for a batch.
     discriminants : ndarray, shape (..., 4), optional
-        For inverse displacement, of the families TT, TF, FT, FF: real iff not negative.
+        Of the families TT, TF, FT, FF, for inverse displacement: real iff not negative.
     degeneracy : Degeneracy, optional
         Which families, legs and how many dimensions, where `status` is `Status.DEGENERATE`.
-    physical_hint : ndarray of uint8, shape (..., 3), optional
-        From the solver, if it computes it: whether the first, the second solution is physical, and
-        whether the second is tilted less; none of the others is physical. If left out, this is computed from the
-        configurations.
-    memory : tuple of ndarray, optional
-        The arrays that a solver may write anew, see `inverse_displacement`; copies and selections do not own it.
     merged : ndarray of bool, shape (..., n), optional
-        Of a machine as built, where a label could not be carried from the nominal machine. True where the branch of
-        this label met another one while the errors grew from zero to those of the machine: it has ended, or what is
-        under its label now is a root left over, whose label is a name only.
-    rounding : float, optional
-        Bound of the rounding error of a discriminant, divided by (1 + (|x| + |y|)/r)².
-    proved : ndarray of bool, shape (..., 4), optional
-        What `certain` is; computed from `rounding` if not given.
+        For a machine as built: True where the branch of this label met another one while the errors grew from zero to
+        those of the machine. It has ended, or is a root left over, whose label is a name only.
     radius : ndarray, shape (..., n), optional
         Radius [m] around each middle joint within which the exact one is, NaN where not proved; exactly one solution
         has all three joints within it. Given if the solver was asked to certify.
+    physical_hint, memory, rounding, proved : optional
+        From the solver: whether the first and the second solution are physical and the second is tilted less, uint8
+        (..., 3); arrays that it may write anew; the bound of a discriminant's rounding over (1 + (|x| + |y|)/r)²;
+        what `certain` is, where that does not follow from `rounding`.
 
     Notes
     -----
-    A single problem is indexed by its solutions: ``solutions[0]``, ``solutions["TT+"]``. A batch is indexed as
-    NumPy would index its batch axes: ``solutions[i]`` is the `SolutionSet` of problem i; a label picks that
-    solution of every problem. What selects nothing is a `SelectionError`, which is a `LookupError`. Iterating over a
-    single problem yields the solutions that exist; the problems of a batch are taken by their index.
+    A single problem is indexed by its solutions: ``solutions[0]``, ``solutions["TT+"]``. A batch is indexed as NumPy
+    would index its batch axes: ``solutions[i]`` is the `SolutionSet` of problem i; a label picks that solution of every
+    problem. What selects nothing is a `SelectionError`. Iterating over a single problem yields the solutions that
+    exist.
     """
 
     configurations: Configuration
@@ -140,7 +129,7 @@ class SolutionSet:
     def from_unordered(
         cls, geometry: Geometry, pose: PoseLike, middle_joints: npt.ArrayLike, solved: npt.ArrayLike = True
     ) -> SolutionSet:
-        """Make a set of real branches that were found in any order, under the canonical labels.
+        """Make a set of real branches, in any order, under the canonical labels.
 
         Parameters
         ----------
@@ -151,8 +140,8 @@ class SolutionSet:
         middle_joints : array_like, shape (..., n, 3, 3)
             Up to eight distinct solutions each [m] in {B}, NaN in places not used.
         solved : array_like of bool, shape (...)
-            False where the method failed. More than two solutions of one family, which no mechanism of this kind
-            has, count as a failure too. There the status is `Status.UNSOLVED` and nothing exists.
+            False where the method failed. There, and where a family has more than two solutions, the status is
+            `Status.UNSOLVED` and nothing exists.
         """
         check_instance(geometry, Geometry, "geometry")
         transform = as_rigid_transform(pose)
@@ -184,7 +173,7 @@ class SolutionSet:
 
     @property
     def exists(self) -> BoolArray:
-        """Which solutions are real, shape (..., n)."""
+        """True for the solutions that are real, shape (..., n)."""
         return self.configurations.exists
 
     @property
@@ -214,21 +203,21 @@ class SolutionSet:
 
     @property
     def readings(self) -> FloatArray:
-        """What the encoders of the legs show [m], shape (..., n, 6); see `Configuration.readings`."""
+        """Readings of the legs' encoders [m], shape (..., n, 6)."""
         return self.configurations.readings
 
     @property
     def residual(self) -> FloatArray:
-        """Closure residual of each solution [m], shape (..., n). See `Configuration.closure_residual`."""
+        """Closure residual of each solution [m], shape (..., n)."""
         return self.configurations.closure_residual
 
     @property
     def certain(self) -> BoolArray | None:
-        """Which families TT, TF, FT, FF are proved to be real, or not to be, as `exists` says, shape (..., 4).
+        """True for the families TT, TF, FT, FF that are proved to be real, or not, as `exists` says, shape (..., 4).
 
-        True where the discriminant is larger than all that rounding can have changed. False for a continuous family,
+        It is where the discriminant is larger than all that rounding can have changed. False for a continuous family,
         and where the Z axes of {B} and {m} are parallel to 1e-12 rad. None for other problems than the inverse
-        displacement of a `Geometry`.
+        displacement.
         """
         if self.proved is not None or self.rounding is None or self.discriminants is None:
             return self.proved
@@ -273,16 +262,16 @@ class SolutionSet:
         return (self.configurations[int(i)] for i in np.flatnonzero(self.exists))
 
     def __repr__(self) -> str:
-        return _short_text(self)
-
-    def _repr_html_(self) -> str:
-        return _html_table(self)
+        if self.shape:
+            tally = ", ".join(f"{np.count_nonzero(self.status == s)} {s}" for s in Status)
+            return f"<SolutionSet: {self.shape} problems ({tally}), {len(self.labels)} solutions each>"
+        real = [label for label, real in zip(self.labels, self.exists, strict=True) if real]
+        shown = (", ".join(real[:8]) + ", …" * (len(real) > 8)) or "none"
+        hint = _hint(self, ()) if self.status is Status.UNREACHABLE else ""
+        return f"<SolutionSet: {self.status}, {self.count} of {len(self.labels)} real: {shown}{hint}>"
 
     def pick(self, index: IntArray, exists: BoolArray) -> Configuration:
-        """Return the solution of each problem at `index` (...); NaN, the pose too, where `exists` (...) is False.
-
-        For solvers, without checks.
-        """
+        """Return the solution of each problem at `index` (...); NaN, the pose too, where `exists` (...) is False."""
         everywhere = bool(exists.all())
         # For a single problem a slice, so that nothing shares memory with the others.
         places = (*np.indices(index.shape, sparse=True), index) if self.shape else (slice(index, index + 1),)
@@ -308,24 +297,15 @@ class SolutionSet:
         return replace(self, configurations=left, memory=None, radius=radius)
 
     def within(self, limits: LegLimits | None = None) -> SolutionSet:
-        """Keep the solutions inside leg limits; `status` stays that of the problem without limits.
-
-        Parameters
-        ----------
-        limits : LegLimits, optional
-            The geometry's own if not given; without either, everything is kept.
-        """
+        """Keep the solutions inside leg limits, by default the geometry's own; `status` stays as it is."""
         limits = self.geometry.limits if limits is None else check_instance(limits, LegLimits, "limits")
         return self if limits is None else self.where(limits.contains(self.readings))
 
     def nearest(self, near: Configuration | npt.ArrayLike) -> Configuration:
-        """Return the solution whose joints moved least from `near`; NaN where none exists.
+        """Return the solution whose joints are nearest to those of `near`; NaN where none exists.
 
-        Parameters
-        ----------
-        near : Configuration, or array_like of shape (..., 3, 3)
-            The state to be near to, or only its middle joints [m]. The largest displacement of a joint is
-            compared: of the b_i and, given a `Configuration`, of the c_i.
+        The largest displacement of a joint is compared: of the b_i and the c_i of a `Configuration`, or of the b_i if
+        only these are given, as rows (..., 3, 3) [m].
         """
         state = self.configurations
         if isinstance(near, Configuration):
@@ -343,10 +323,10 @@ class SolutionSet:
 
     @property
     def is_physical(self) -> BoolArray:
-        """Which solutions are physical, shape (..., n); the geometry's limits narrow a choice only.
+        """True for solutions reached from the symmetric home without a forward singularity, shape (..., n).
 
-        Those reached from the symmetric home without a forward singularity. If several are, and some respect
-        the limits, the others are dropped; chain ``.within().physical()`` to exclude all that do not.
+        If several are, and some respect the geometry's limits, the others are dropped; chain ``.within().physical()``
+        to exclude all that do not.
         """
         if self.physical_hint is None:
             mode, most = physical(self.configurations), len(self.labels)
@@ -399,37 +379,6 @@ class SolutionSet:
         return self.pick(self.exists.argmax(axis=-1), np.ones(self.shape, dtype=bool))
 
 
-def _short_text(solutions: SolutionSet) -> str:
-    """Return a line: the solutions that are real of a single problem, or the outcomes of a batch."""
-    if solutions.shape:
-        tally = ", ".join(f"{np.count_nonzero(solutions.status == s)} {s}" for s in Status)
-        return f"<SolutionSet: {solutions.shape} problems ({tally}), {len(solutions.labels)} solutions each>"
-    real = [label for label, real in zip(solutions.labels, solutions.exists, strict=True) if real]
-    shown = (", ".join(real[:8]) + ", …" * (len(real) > 8)) or "none"
-    hint = _hint(solutions, ()) if solutions.status is Status.UNREACHABLE else ""
-    return f"<SolutionSet: {solutions.status}, {solutions.count} of {len(solutions.labels)} real: {shown}{hint}>"
-
-
-def _html_table(solutions: SolutionSet) -> str:
-    """Return a small table: the solutions of a single problem, or the outcomes of a batch."""
-    if solutions.shape:
-        header = ["status", "problems", "solutions"]
-        at = [(status, solutions.status == status) for status in Status]
-        rows = [[str(s), f"{np.count_nonzero(m)}", f"{np.count_nonzero(solutions.exists[m])}"] for s, m in at]
-    else:
-        header = ["", *(f"{leg} [m]" for leg in LEGS), "physical"]
-        shown = np.flatnonzero(solutions.exists)[:_MOST_ROWS]
-        marks = np.where(solutions.is_physical, "✓", "")
-        lengths = solutions.leg_lengths
-        rows = [[solutions.labels[i], *(f"{r:.4f}" for r in lengths[i]), str(marks[i])] for i in shown]
-        if solutions.count > len(shown):
-            rows.append([f"… {solutions.count - len(shown)} more", *[""] * 7])
-    lines = [f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>" for row in rows]
-    top = "".join(f"<th>{html.escape(name)}</th>" for name in header)
-    title = html.escape(repr(solutions))
-    return f"<table><caption>{title}</caption><thead><tr>{top}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
-
-
 def _reason_for_none(solutions: SolutionSet, index: tuple[int, ...] = ()) -> str:
     """Return the reason why no solution of a problem can be chosen."""
     status, degeneracy = Status(int(np.asarray(solutions.status)[index])), solutions.degeneracy
@@ -449,7 +398,7 @@ def _reason_for_none(solutions: SolutionSet, index: tuple[int, ...] = ()) -> str
 
 
 def _hint(solutions: SolutionSet, index: tuple[int, ...]) -> str:
-    """Return the likely unit of an unreachable problem's lengths, as a sentence after a stop; or an empty string."""
+    """Return the likely unit of an unreachable problem's lengths, as a sentence after a stop; empty if none."""
     hint = solutions.configurations.missing_reason or unit_hint(solutions.geometry, solutions.translation[index][0])
     return hint and f". {hint}"
 
@@ -457,11 +406,11 @@ def _hint(solutions: SolutionSet, index: tuple[int, ...]) -> str:
 def _in_canonical_order(
     geometry: Geometry, pose: RigidTransform, joints: FloatArray, solved: BoolArray
 ) -> tuple[Configuration, npt.NDArray[np.int8]]:
-    """Return branches (..., 8) in the order of `BRANCHES` and the status (...), see `SolutionSet.from_unordered`."""
+    """Return branches (..., 8) in the order of `BRANCHES`, and the status (...)."""
     matrix = pose.as_matrix()[..., None, :, :]
-    found = Configuration(geometry, matrix, joints)
-    families, signs = family(found), branch_sign(found)
-    ordered = np.full((*found.shape[:-1], len(BRANCHES), 3, 3), np.nan)
+    unordered = Configuration(geometry, matrix, joints)
+    families, signs = family(unordered), branch_sign(unordered)
+    ordered = np.full((*unordered.shape[:-1], len(BRANCHES), 3, 3), np.nan)
     counts = np.stack([(families == index).sum(axis=-1) for index in range(len(FAMILIES))], axis=-1)
     good = solved & (counts <= 2).all(axis=-1)
     for index in range(len(FAMILIES)):
@@ -473,7 +422,7 @@ def _in_canonical_order(
         plus = (count == 2) | ((count == 1) & (np.take_along_axis(signs, top, -1)[..., 0] >= 0.0))
         minus = (count == 2) | ((count == 1) & ~plus)
         for place, chosen, present in ((2 * index, top, plus), (2 * index + 1, bottom, minus)):
-            joint = np.take_along_axis(found.middle_joints, chosen[..., None, None], -3)[..., 0, :, :]
+            joint = np.take_along_axis(unordered.middle_joints, chosen[..., None, None], -3)[..., 0, :, :]
             ordered[..., place, :, :] = np.where(present[..., None, None], joint, np.nan)
     branches = Configuration(geometry, matrix, ordered)
     reached = np.where(branches.exists.any(axis=-1), Status.OK, Status.UNREACHABLE)

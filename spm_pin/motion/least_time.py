@@ -5,10 +5,11 @@ and every limit at a parameter in between is a half-plane of the two values,
 
     g · (x_k, x_{k+1}) <= 1,
 
-which rest, x = 0, keeps. Hence a motion that is slow enough keeps all limits of any path. Only the half-planes on the
-convex hull of the g of a part matter. The duration, Σ 2 h / (√x_k + √x_{k+1}), is convex: IPOPT finds its least value.
-A pass from one end to the other, as that of TOPP-RA, does not where a limit does not depend on u: at such a point the
-largest x_k may be one from which there is no way but to stop.
+which rest, x = 0, keeps. Hence a motion that is slow enough keeps all limits of any path. They are kept at the points
+and in the middle of the parts between them; parts over which a limit in use curves are split. Only the half-planes on
+the convex hull of the g of a part matter. The duration, Σ 2 h / (√x_k + √x_{k+1}), is convex: IPOPT finds its least
+value. A pass from one end to the other, as that of TOPP-RA, does not where a limit does not depend on u: at such a
+point the largest x_k may be one from which there is no way but to stop.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from spm_pin.mechanism.arguments import FloatArray, IntArray
-from spm_pin.motion.motion_limits import LimitRows
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
+from spm_pin.motion.path_dynamics import LimitRows
 
 Clock = Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
 """A function of times (m,) [s], which gives s, ṡ and s̈ there."""
@@ -30,29 +31,28 @@ _FASTEST = 1e16
 """Largest x where no limit is, in units of that of a motion which keeps all limits."""
 _LEAST = 1e-3
 """Smallest x, in units of the same."""
-_BETWEEN = (np.arange(8) + 0.5) / 8
-"""Shares of a part at which its limits hold too, once they were broken there."""
+_SPLITS, _MOST_POINTS = 4, 40_000
+"""Times that parts are split at most, each time into four, and points of a grid from which on none is split."""
+_BROKEN = 5e-4
+"""Share of a limit by which it may be broken between three points of a part before the part is split."""
 
 
-def even_grid(knots: FloatArray, parts: int) -> tuple[FloatArray, IntArray]:
-    """Return even steps from 0 to 1, (n,), the nearest to each inner knot (k,) moved there, and the knots' indices."""
+def even_grid(knots: FloatArray, parts: int) -> FloatArray:
+    """Return even steps from 0 to 1, (n,), the nearest to each inner knot (k,) moved there."""
     parts = max(parts, 2 * len(knots))
     nearest = np.clip((knots[1:-1] * parts).round().astype(np.intp), 1, parts - 1)
     grid = np.linspace(0.0, 1.0, parts + 1)
     grid[nearest] = knots[1:-1]
     # Knots nearer to each other than a step.
-    grid = np.unique(np.concatenate([grid, knots]))
-    return grid, np.searchsorted(grid, knots[1:-1])
+    return np.unique(np.concatenate([grid, knots]))
 
 
 @dataclass
 class _HalfPlanes:
     """Limits g · (x_k, x_{k+1}) <= 1 of parts k of a grid."""
 
-    parts: IntArray
-    """Indices of the parts, shape (m,)."""
-    slopes: FloatArray
-    """The g, shape (m, 2)."""
+    parts: IntArray  # indices of the parts, shape (m,)
+    slopes: FloatArray  # the g, shape (m, 2)
 
     @classmethod
     def from_rows(cls, parts: IntArray, steps: FloatArray, shares: FloatArray, rows: LimitRows) -> _HalfPlanes:
@@ -80,9 +80,6 @@ class _HalfPlanes:
         """Return which share of each limit values x (n,) at the points of the grid use, shape (m,)."""
         return np.asarray(self.slopes[:, 0] * x[self.parts] + self.slopes[:, 1] * x[self.parts + 1])
 
-    def joined(self, other: _HalfPlanes) -> _HalfPlanes:
-        return _HalfPlanes(np.concatenate([self.parts, other.parts]), np.concatenate([self.slopes, other.slopes]))
-
 
 def _hull(normals: FloatArray) -> IntArray:
     """Return the indices of the normals (p, 2) of half-planes n · v <= 1 that are not implied by others."""
@@ -98,36 +95,51 @@ def _hull(normals: FloatArray) -> IntArray:
 
 
 class LeastTime:
-    """The fastest motion over a grid of parameters; `refine` makes it keep limits between them too."""
+    """The fastest motion along a path with knots (k,) from 0 to 1, over a grid of at least so many parts.
 
-    def __init__(self, grid: FloatArray, rows: LimitRows, corners: IntArray) -> None:
-        """`rows` are the limits at the points of the grid and in the middle of its parts, `corners` knots of it."""
-        self.grid, self._steps = grid, np.diff(grid)
-        points = np.arange(2 * len(grid) - 1)
-        fine = np.empty(len(points))
-        fine[::2], fine[1::2] = grid, 0.5 * (grid[1:] + grid[:-1])
-        self._planes = _half_planes(fine, rows, points[::2])
-        self.x = _solved(self._steps, self._planes, None)
+    `rows_at` returns the limits at parameters (m,).
+    """
+
+    def __init__(self, knots: FloatArray, parts: int, rows_at: Callable[[FloatArray], LimitRows]) -> None:
+        grid = even_grid(knots, parts)
+        points = np.sort(np.concatenate([grid, 0.5 * (grid[1:] + grid[:-1])]))
+        rows, start = rows_at(points), None
+        for split in range(_SPLITS + 1):
+            self.grid = points[::2]
+            self._steps = np.diff(self.grid)
+            self.x = _solved(self._steps, _half_planes(points, rows, np.arange(0, len(points), 2)), start)
+            curved = self._curved_parts(rows)
+            if split == _SPLITS or len(points) > _MOST_POINTS or not curved.any():
+                break
+            eighths = np.array([1.0, 2.0, 3.0, 5.0, 6.0, 7.0]) / 8.0
+            more = (self.grid[:-1][curved, None] + eighths * self._steps[curved, None]).ravel()
+            order = np.argsort(np.concatenate([points, more]))
+            points, rows = np.concatenate([points, more])[order], rows.joined(rows_at(more))[order]
+            start = np.interp(points[::2], self.grid, self.x)
         # The same with half as many points: the error of such a scheme is proportional to its step.
-        coarse = np.unique(np.concatenate([points[::4], 2 * corners, points[-1:]]))
-        steps = np.diff(fine[coarse])
-        slower = _solved(steps, _half_planes(fine, rows, coarse), None)
-        self.error = abs(_durations(steps, slower).sum() / self.duration - 1.0)
-        """By which share of it the duration is expected to be above the least, because of the grid."""
+        corners = 2 * np.searchsorted(self.grid, knots)
+        coarse = np.unique(np.concatenate([np.arange(0, len(points), 4), corners]))
+        steps = np.diff(points[coarse])
+        slower = _solved(steps, _half_planes(points, rows, coarse), None)
+        self.error = abs(float(_durations(steps, slower).sum()) / self.duration - 1.0)
+        """Share of the duration by which it is expected to be above the least one because of the grid."""
+
+    def _curved_parts(self, rows: LimitRows) -> BoolArray:
+        """Return the parts (n,) between whose points, ends and middle, a limit is probably broken."""
+        inside = 2 * np.arange(len(self._steps))[:, None] + np.arange(3)
+        x = np.stack([self.x[:-1], 0.5 * (self.x[:-1] + self.x[1:]), self.x[1:]], axis=-1)
+        u = 0.5 * np.diff(self.x) / self._steps
+        values = rows.a[inside] * u[:, None, None] + rows.b[inside] * x[..., None] + rows.c[inside]
+        used = (2.0 * values - rows.upper - rows.lower) / (rows.upper - rows.lower)
+        used = np.concatenate([used, (x / rows.fastest[inside])[..., None]], axis=-1)
+        # How far a parabola through three points is from the lines between them, at most.
+        bend = 0.25 * np.abs(used[:, 1] - 0.5 * (used[:, 0] + used[:, 2]))
+        return np.asarray((np.abs(used).max(axis=1) + bend > 1.0 + _BROKEN).any(axis=-1))
 
     @property
     def duration(self) -> float:
         """Duration [s]."""
         return float(_durations(self._steps, self.x).sum())
-
-    def refine(self, parameters: FloatArray, rows_at: Callable[[FloatArray], LimitRows]) -> None:
-        """Find the motion again, with limits at more points of the parts that hold parameters (m,), and beside them."""
-        part = np.clip(np.searchsorted(self.grid, parameters, side="right") - 1, 0, len(self._steps) - 1)
-        parts = np.unique(np.clip([part - 1, part, part + 1], 0, len(self._steps) - 1))
-        shares = np.broadcast_to(_BETWEEN, (len(parts), len(_BETWEEN)))
-        rows = rows_at((self.grid[parts, None] + shares * self._steps[parts, None]).ravel())
-        self._planes = self._planes.joined(_HalfPlanes.from_rows(parts, self._steps[parts], shares, rows))
-        self.x = _solved(self._steps, self._planes, self.x)
 
     def clock(self, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return s, ṡ and s̈ at times (m,) [s]."""
@@ -184,11 +196,7 @@ def _solved(steps: FloatArray, planes: _HalfPlanes, start: FloatArray | None) ->
     bounds = {"lbx": _LEAST * slow[1:-1] / unit, "ubx": _FASTEST, "lbg": -np.inf, "ubg": 1.0 / sizes}
     solution = ca.nlpsol("least_time", "ipopt", problem, quiet)(x0=first[1:-1] / unit, **bounds)
     x = np.concatenate([[0.0], unit * np.asarray(solution["x"])[:, 0], [0.0]])
-    # Whether or not IPOPT has converged: the larger of what it found and of a slow motion, made to keep the limits.
+    # Whether or not IPOPT has converged: the larger of its result and of a slow motion, made to keep the limits.
     used = planes.used(x) if np.isfinite(x).all() and (x[1:-1] > 0.0).all() else np.array([np.inf])
-    found = x / max(float(used.max()), 1.0)
-    return found if _faster(steps, found, slow) else slow
-
-
-def _faster(steps: FloatArray, x: FloatArray, other: FloatArray) -> bool:
-    return bool(x.any() and _durations(steps, x).sum() <= _durations(steps, other).sum())
+    x = x / max(float(used.max()), 1.0)
+    return x if x.any() and _durations(steps, x).sum() <= _durations(steps, slow).sum() else slow

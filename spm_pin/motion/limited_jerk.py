@@ -28,7 +28,7 @@ from scipy.special import betaincinv
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, IntArray
 from spm_pin.motion.least_time import Clock, even_grid
-from spm_pin.motion.motion_limits import LimitRows
+from spm_pin.motion.path_dynamics import LimitRows
 
 _EASE = [Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0]).deriv(order) for order in range(4)]
 """S and its derivatives."""
@@ -50,15 +50,15 @@ _LEFT = 1e-12
 class EasedGrid:
     """Even steps of τ from 0 to 1, moved to the path's knots where these are near."""
 
-    tau: FloatArray
-    """The grid, shape (n,)."""
-    corners: IntArray
-    """Indices in `tau` of the inner knots of the path, shape (k,)."""
+    tau: FloatArray  # the grid, shape (n,)
+    corners: IntArray  # indices in `tau` of the inner knots of the path, shape (k,)
 
     @classmethod
     def from_knots(cls, knots: FloatArray, parts: int) -> EasedGrid:
         """Return a grid for a path with knots (k,) at parameters from 0 to 1."""
-        return cls(*even_grid(betaincinv(3.0, 3.0, knots), parts))
+        moved = betaincinv(3.0, 3.0, knots)
+        tau = even_grid(moved, parts)
+        return cls(tau, np.searchsorted(tau, moved[1:-1]))
 
     @property
     def parameters(self) -> FloatArray:
@@ -109,7 +109,7 @@ def _times(tau: FloatArray, y: BSpline) -> FloatArray:
 def _quickest(programme: _Programme, grid: EasedGrid, start: BSpline, top: float, pieces: int) -> BSpline:
     """Return the quickest y made of so many polynomials that keeps all limits; `start` keeps them."""
     inner = grid.tau[grid.corners]
-    knots, _ = even_grid(np.concatenate([[0.0], inner, [1.0]]), pieces)
+    knots = even_grid(np.concatenate([[0.0], inner, [1.0]]), pieces)
     # Twice at the path's knots: there y'' may jump.
     knots = np.sort(np.concatenate([[0.0] * 3, knots, knots[1:-1][np.isin(knots[1:-1], inner)], [1.0] * 3]))
     count = len(programme.tau)
@@ -137,8 +137,7 @@ class _Programme:
     rows: LimitRows
     first: FloatArray
     second: FloatArray
-    third: FloatArray
-    """First and second derivatives by s, and the derivative of the second one by τ."""
+    third: FloatArray  # first and second derivatives by s, and the derivative of the second one by τ
     jerks: FloatArray
 
     @classmethod
@@ -196,6 +195,6 @@ class _Programme:
         problem = {"x": z, "f": ca.dot(weights, 1.0 / root), "g": ca.densify(ca.vertcat(*used))}
         solver = ca.nlpsol("limited_jerk", "ipopt", problem, quiet)
         bounds = {"lbg": np.concatenate([lower, -ones]), "ubg": np.concatenate([upper, ones])}
-        found = np.asarray(solver(x0=start.c / top, lbx=_LEAST, **bounds)["x"])[:, 0]
+        unknowns = np.asarray(solver(x0=start.c / top, lbx=_LEAST, **bounds)["x"])[:, 0]
         # Where IPOPT has not converged, what it ended with is slowed down.
-        return BSpline(start.t, top * np.maximum(found, _LEAST), 3) if np.isfinite(found).all() else start
+        return BSpline(start.t, top * np.maximum(unknowns, _LEAST), 3) if np.isfinite(unknowns).all() else start

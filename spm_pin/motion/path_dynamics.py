@@ -1,26 +1,39 @@
-"""All joints along a path of the platform or of the legs, and the leg forces as functions of how it is gone through.
+"""All joints along a path, the leg forces as functions of how it is gone through, and the limits of a motion along it.
 
 At a parameter s of the path, gone through with the speed ṡ and the acceleration s̈,
 
     v = q' ṡ,    a = q' s̈ + q'' ṡ²,    f = f_a s̈ + f_b ṡ² + f_c,
 
-because the equations of motion are linear in the accelerations and quadratic in the velocities.
+because the equations of motion are linear in the accelerations and quadratic in the velocities. So limits of the legs
+and of the platform are rows that are linear in u = s̈ and x = ṡ².
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, SingularConfigurationError
-from spm_pin.mechanism.arguments import FloatArray, frozen, real_array, real_number, symmetric_matrices
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.motion.leg_path import LegPath
-from spm_pin.motion.path_states import MotionPath, platform_motion, states_along
+from spm_pin.mechanism import LEGS, Configuration
+from spm_pin.mechanism.arguments import (
+    FloatArray,
+    IntArray,
+    as_array,
+    frozen,
+    leg_values,
+    real_array,
+    real_number,
+    symmetric_matrices,
+)
+from spm_pin.motion.paths import LegPath, MotionPath, platform_motion, states_along
 from spm_pin.multibody.chain import ClosedChain
 from spm_pin.multibody.chain_state import ChainState
+
+_LARGEST = 1e12
+"""Largest limit of a leg that is accepted, far from overflow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,14 +74,8 @@ class Payload:
     ) -> FloatArray:
         """Return the wrench (f, m) that the body exerts onto the platform at o, in {B} [N, N m].
 
-        Parameters
-        ----------
-        rotation : ndarray, shape (3, 3)
-            Of {m} in {B}.
-        twist, acceleration : ndarray, shape (6,)
-            (v, ω) of m at o and its time derivative, in {B}.
-        gravity : array_like, shape (3,)
-            [m/s²] in {B}.
+        `rotation` (3, 3) is that of {m} in {B}, `twist` and `acceleration` (6,) are (v, ω) of m at o and its time
+        derivative in {B}, `gravity` (3,) is in {B} [m/s²].
         """
         arm, inertia = rotation @ np.asarray(self.centre), rotation @ np.asarray(self.inertia) @ rotation.T
         spin, change = twist[3:], acceleration[3:]
@@ -82,24 +89,15 @@ class Payload:
 class PathDynamics:
     """The mechanism at n parameters of a path; see the module."""
 
-    parameters: FloatArray
-    """Parameters from 0 to 1, shape (n,)."""
-    states: Configuration
-    """States in the physical mode, shape (n,)."""
-    q: FloatArray
-    """Joint values [rad or m], continuous along the path, shape (n, 18)."""
-    first: FloatArray
-    """q', first derivatives of `q` by the parameter, shape (n, 18)."""
-    second: FloatArray
-    """q'', second derivatives of `q` by the parameter, shape (n, 18)."""
-    twist: FloatArray
-    """Twist (v, ω) of the terminal platform at o in {B} per unit of ṡ [m, rad], shape (n, 6)."""
-    inertial: FloatArray
-    """f_a [N s²], shape (n, 6)."""
-    centrifugal: FloatArray
-    """f_b [N s²], shape (n, 6)."""
-    static: FloatArray
-    """f_c [N], shape (n, 6)."""
+    parameters: FloatArray  # parameters from 0 to 1, shape (n,)
+    states: Configuration  # states in the physical mode, shape (n,)
+    q: FloatArray  # joint values [rad or m], continuous along the path, shape (n, 18)
+    first: FloatArray  # q', first derivatives of `q` by the parameter, shape (n, 18)
+    second: FloatArray  # q'', second derivatives of `q` by the parameter, shape (n, 18)
+    twist: FloatArray  # twist (v, ω) of the terminal platform at o in {B} per unit of ṡ [m, rad], shape (n, 6)
+    inertial: FloatArray  # f_a [N s²], shape (n, 6)
+    centrifugal: FloatArray  # f_b [N s²], shape (n, 6)
+    static: FloatArray  # f_c [N], shape (n, 6)
 
 
 def path_dynamics(
@@ -152,3 +150,142 @@ def _forces(state: ChainState, a: FloatArray, twist: FloatArray, payload: Payloa
     gravity = state.kinematics.model.gravity.linear
     load = payload.wrench(rotation, twist, state.platform_acceleration(a), gravity)
     return state.inverse_dynamics(a, load)
+
+
+@dataclass(frozen=True)
+class LimitRows:
+    """Limits on a grid: lower <= a u + b x + c <= upper of (n, m) rows, and x <= fastest (n,)."""
+
+    a: FloatArray  # coefficients of u, shape (n, m)
+    b: FloatArray  # coefficients of x, shape (n, m)
+    c: FloatArray  # constants, shape (n, m)
+    lower: FloatArray  # least values of the rows, shape (m,)
+    upper: FloatArray  # largest values of the rows, shape (m,)
+    fastest: FloatArray  # largest x at each point of the grid, shape (n,)
+
+    def feasible_scale(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the largest factor of ṡ² and s̈ (n,) with which all limits hold, shape (n,).
+
+        All rows hold at rest, and therefore with every smaller factor too.
+        """
+        moved = self.a * u[:, None] + self.b * x[:, None]
+        room = np.where(moved > 0.0, self.upper - self.c, self.c - self.lower)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shares = np.where(moved != 0.0, room / np.abs(moved), np.inf).min(axis=-1)
+            return np.asarray(np.minimum(shares, np.where(x > 0.0, self.fastest / x, np.inf)))
+
+    def joined(self, other: LimitRows) -> LimitRows:
+        """Return the limits at these points and at other ones."""
+        arrays = ((getattr(self, name), getattr(other, name)) for name in ("a", "b", "c", "fastest"))
+        a, b, c, fastest = map(np.concatenate, arrays)
+        return LimitRows(a, b, c, self.lower, self.upper, fastest)
+
+    def __getitem__(self, index: IntArray) -> LimitRows:
+        """Return the limits at some points of the grid."""
+        a, b, c = self.a[index], self.b[index], self.c[index]
+        return LimitRows(a, b, c, self.lower, self.upper, self.fastest[index])
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """Limits of a motion; None where there is none."""
+
+    leg_rates: FloatArray | None  # largest leg rates [m/s], shape (6,)
+    leg_accelerations: FloatArray | None  # largest leg accelerations [m/s²], shape (6,)
+    leg_jerks: FloatArray | None  # largest leg jerks [m/s³], shape (6,)
+    leg_forces: tuple[FloatArray, FloatArray] | None  # least and largest leg forces [N], each of shape (6,)
+    twist: tuple[float, float] | None  # largest speed of o [m/s] and of turning [rad/s]
+
+    @classmethod
+    def read(cls, leg_rates: Any, leg_accelerations: Any, leg_jerks: Any, leg_forces: Any, twist: Any) -> MotionLimits:
+        """Read the limits of `time_optimal`; raises `ArgumentError`."""
+        limits = cls(
+            _largest(leg_rates, "leg_rates", "m/s"),
+            _largest(leg_accelerations, "leg_accelerations", "m/s²"),
+            _largest(leg_jerks, "leg_jerks", "m/s³"),
+            _force_limits(leg_forces),
+            _speeds(twist),
+        )
+        if limits.leg_forces is None and limits.leg_accelerations is None:
+            expected = "limits of the legs' forces, or leg_accelerations"
+            raise ArgumentError("leg_forces", expected, "neither", "Without them the motion would start with a jump")
+        return limits
+
+    def rows(self, chain: ClosedChain, along: PathDynamics) -> LimitRows:
+        """Return all limits on the grid; raises `ArgumentError` where the forces do not hold the machine at rest."""
+        legs = chain.leg_indices
+        first, second = along.first[:, legs], along.second[:, legs]
+        blocks: list[tuple[FloatArray, ...]] = []
+        if (acceleration := self.leg_accelerations) is not None:
+            blocks.append((first, second, np.zeros_like(first), -acceleration, acceleration))
+        if (forces := self.leg_forces) is not None:
+            short = np.maximum(along.static - forces[1], forces[0] - along.static)
+            if (short > 0.0).any():
+                at, leg = np.unravel_index(int(short.argmax()), short.shape)
+                holds = f"{LEGS[leg]} from {forces[0][leg]:g} to {forces[1][leg]:g} N"
+                needed = f"{along.static[at, leg]:.4g} N needed at rest at parameter {along.parameters[at]:.4g}"
+                expected = "forces that hold the machine along the path"
+                raise ArgumentError("leg_forces", expected, f"{needed}, {holds}", "Too heavy?")
+            blocks.append((along.inertial, along.centrifugal, along.static, *forces))
+        fastest = np.full(len(first), np.inf)
+        with np.errstate(divide="ignore", over="ignore"):
+            if (rates := self.leg_rates) is not None:
+                fastest = np.minimum(fastest, ((rates / np.abs(first)) ** 2).min(axis=-1))
+            for part, speed in enumerate(self.twist or ()):
+                turned = np.linalg.norm(along.twist[:, 3 * part : 3 * part + 3], axis=-1)
+                fastest = np.minimum(fastest, (speed / turned) ** 2)
+        a, b, c = (np.concatenate([block[k] for block in blocks], axis=-1) for k in range(3))
+        lower, upper = (np.concatenate([block[k] for block in blocks]) for k in (3, 4))
+        return LimitRows(a, b, c, lower, upper, fastest)
+
+    def feasible_scale(
+        self, chain: ClosedChain, along: PathDynamics, times: FloatArray, speeds: FloatArray, accelerations: FloatArray
+    ) -> FloatArray:
+        """Return the largest factor of ṡ² and s̈ (n,), at times (n,), with which all limits hold, shape (n,).
+
+        A leg's jerk is the change of its acceleration from one time to the next.
+        """
+        scale = self.rows(chain, along).feasible_scale(speeds**2, accelerations)
+        if self.leg_jerks is not None:
+            first, second = along.first[:, chain.leg_indices], along.second[:, chain.leg_indices]
+            changes = np.diff(first * accelerations[:, None] + second * speeds[:, None] ** 2, axis=0)
+            used = np.abs(changes / (np.diff(times)[:, None] * self.leg_jerks)).max(axis=-1)
+            scale[1:] = np.minimum(scale[1:], np.maximum(used, 1e-300) ** (-2.0 / 3.0))
+        return scale
+
+
+def _largest(value: npt.ArrayLike | None, argument: str, unit: str) -> FloatArray | None:
+    """Return the positive limits of the legs (6,); None if there are none."""
+    if value is None:
+        return None
+    meaning = f"a limit of each leg or of all in {unit}"
+    numbers = leg_values(value, argument, meaning, most=_LARGEST, cause="No limit? Leave it out")
+    if numbers.ndim > 1:
+        raise ArgumentError(argument, f"shape (6,) or (), {meaning}", f"shape {numbers.shape}")
+    return numbers
+
+
+def _force_limits(value: npt.ArrayLike | None) -> tuple[FloatArray, FloatArray] | None:
+    """Return the least and the largest force of each leg, both (6,)."""
+    array = None if value is None else as_array(value)
+    if array is None or array.shape != (2, 6):
+        if array is not None and array.ndim and array.shape != (6,):
+            expected = "largest forces in N of shape () or (6,), or the least and the largest of shape (2, 6)"
+            raise ArgumentError("leg_forces", expected, f"shape {array.shape}")
+        largest = _largest(value, "leg_forces", "N")
+        return None if largest is None else (-largest, largest)
+    lower, upper = real_array(array, "leg_forces", (2, 6), "the least and the largest of each leg in N")
+    if (lower >= upper).any() or np.abs(array).max() > _LARGEST:
+        expected = f"least forces below the largest, of at most {_LARGEST:g} N"
+        raise ArgumentError("leg_forces", expected, "others", "Rows exchanged?")
+    return lower, upper
+
+
+def _speeds(value: Any) -> tuple[float, float] | None:
+    if value is None:
+        return None
+    numbers = real_array(value, "twist", (2,), "the largest speed of o in m/s and of turning in rad/s")
+    if numbers.ndim != 1 or (numbers <= 0.0).any():
+        received = f"shape {numbers.shape}, {numbers.min():g}"
+        raise ArgumentError("twist", "two positive speeds in m/s and rad/s", received)
+    return float(numbers[0]), float(numbers[1])

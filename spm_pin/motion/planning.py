@@ -2,14 +2,15 @@
 
 Leg lengths within limits are a box, and in the physical mode every point of it has one configuration. So a path is
 planned in the six leg lengths: a straight line first; where that breaks a rule, two trees grow towards each other
-(RRT-Connect), and what they find is shortened and made smooth. The rules are checked at samples: not farther apart than
-`STEP` of d in leg lengths. A `Certificate` proves the rule about forward singularities in between as well.
+(RRT-Connect: Kuffner and LaValle, IEEE International Conference on Robotics and Automation, 2000), and what they find
+is shortened and made smooth. The rules are checked at samples not farther apart than `paths.STEP`. A `Certificate`
+proves the rule about forward singularities in between as well.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,10 @@ from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_physical
 from spm_pin.kinematics.singularity_analysis import determinants
+from spm_pin.mechanism import LEGS, Configuration, Geometry, LegLimits, PoseLike, as_rigid_transform
 from spm_pin.mechanism.arguments import (
+    BoolArray,
+    FloatArray,
     as_array,
     check_instance,
     choice,
@@ -29,19 +33,19 @@ from spm_pin.mechanism.arguments import (
     type_and_value,
     whole_number,
 )
-from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.leg_limits import LegLimits
-from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
-from spm_pin.motion.leg_path import LegPath
-from spm_pin.motion.leg_search import find_corners, smooth_path
-from spm_pin.motion.path_states import MotionPath, PathRules, least_determinant, spaced_parameters, states_along
-from spm_pin.multibody.loading import check_same_machine
+from spm_pin.mechanism.configuration import check_configuration
+from spm_pin.motion.paths import ROUNDING, LegPath, MotionPath, line_states, spaced_parameters, states_along
+from spm_pin.multibody.chain import check_same_machine
 from spm_pin.multibody.trajectory import PlatformPath
 from spm_pin.proofs import Certificate
 from spm_pin.workspace.joint_limits import JointLimits
 
 Place = Configuration | PoseLike | npt.ArrayLike
+
+_REACH = 0.25
+"""Longest step of a tree, in units of d."""
+_SHORTCUTS = 100
+"""Shortcuts between two corners that are tried."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +140,7 @@ def plan(
     allowed = geometry.limits if limits is None else check_instance(limits, LegLimits, "limits")
     joints = JointLimits() if joint_limits is None else check_instance(joint_limits, JointLimits, "joint_limits")
     least = real_number(margin, "margin", "a number, not negative", least=0.0)
-    rules = PathRules(geometry, allowed, joints, least)
+    rules = _PathRules(geometry, allowed, joints, least)
     choice(line, "line", ("legs", "poses"))
     most = whole_number(tries, "tries", "a number of steps", most=10**7)
     random = generator(rng)
@@ -153,7 +157,7 @@ def plan(
         if broken := rules.explain(state):
             raise ArgumentError(name, "a state that keeps the rules of the plan", broken)
     for k in range(len(states) - 1):
-        if np.linalg.norm(states[k + 1].readings - states[k].readings) <= 1e-12 * geometry.nominal.middle_side:
+        if np.linalg.norm(states[k + 1].readings - states[k].readings) <= 1e-12 * geometry.middle_side:
             raise ArgumentError(names[k + 1], f"another state than {names[k]}", "the same: a motion of no length")
     if line == "poses":
         return _along_poses(rules, states, certificate)
@@ -163,12 +167,12 @@ def plan(
         places = [np.clip(lengths, allowed.minimum, allowed.maximum) for lengths in places]
     points, reason = places[:1], ""
     for place in places[1:]:
-        part, why = find_corners(rules, points[-1], place, most, random)
+        part, why = _find_corners(rules, points[-1], place, most, random)
         reason = reason or why
         if part is None:
             return _no_plan(geometry, why)
         points += part[1:]
-    smooth = smooth_path(rules, points)
+    smooth = _smooth_path(rules, points)
     if smooth is None:
         smoothless = "there is a way with corners, but no smooth one was found"
         return _no_plan(geometry, "; ".join(filter(None, [reason, smoothless])))
@@ -183,7 +187,7 @@ def _state(geometry: Geometry, place: Place, name: str) -> Configuration:
         check_same_machine(place.geometry, geometry, name, "`geometry`")
         physical = forward_physical(geometry, place.readings)
         apart = np.abs(physical.middle_joints - place.middle_joints).max() if physical.exists else np.inf
-        if not apart <= 1e-6 * geometry.nominal.middle_side:
+        if not apart <= 1e-6 * geometry.middle_side:
             cause = "Another branch or assembly mode: .physical() chooses the one a machine is in"
             raise ArgumentError(name, "a configuration in the physical mode", "one in another mode", cause)
         return physical
@@ -207,8 +211,8 @@ def _state(geometry: Geometry, place: Place, name: str) -> Configuration:
     return state
 
 
-def _along_poses(rules: PathRules, states: list[Configuration], certificate: Certificate | None) -> MotionPlan:
-    """Return the plan straight in poses, or one without a path and with the reason."""
+def _along_poses(rules: _PathRules, states: list[Configuration], certificate: Certificate | None) -> MotionPlan:
+    """Return the plan straight in poses, or the reason why there is none."""
     geometry = rules.geometry
     poses = np.array([state.pose.as_matrix() for state in states])
     path = PlatformPath(np.linspace(0.0, 1.0, len(poses)), poses)
@@ -242,5 +246,146 @@ def _finished(
         certified = certificate.holds and bool(certificate.admits(lengths).all())
     elif certificate is not None:
         certified = bool(certificate.covers(states).all())
-    least = float(least_determinant(states).min())
+    least = float(_least_determinant(states).min())
     return MotionPlan(states.geometry, path, method, certified, reason, least)
+
+
+@dataclass(frozen=True)
+class _PathRules:
+    """The rules of a path; the leg limits of `geometry` play no part."""
+
+    geometry: Geometry
+    limits: LegLimits | None
+    joints: JointLimits
+    margin: float
+    """Least |det J_b| and |det J_c| over d³."""
+
+    def margins(self, states: Configuration) -> FloatArray:
+        """Return how far states are inside: existence, legs [m], singularities, angles [rad], clearance [m], (..., 5).
+
+        Where a state does not exist, the first is -1 and the others are NaN.
+        """
+        legs = np.full(states.shape, np.inf) if self.limits is None else self.limits.margin(states.readings)
+        angles, clearance = self.joints.angle_margin(states), self.joints.clearance_margin(states)
+        rows = [np.where(states.exists, 1.0, -1.0), legs, _least_determinant(states) - self.margin, angles, clearance]
+        return np.stack(np.broadcast_arrays(*rows), axis=-1)
+
+    def broken(self, states: Configuration) -> BoolArray:
+        """Return which states do not exist or break a rule by more than `ROUNDING`, shape (...)."""
+        return np.asarray(~(self.margins(states) >= -ROUNDING).all(axis=-1))
+
+    def explain(self, state: Configuration) -> str:
+        """Return which rule a single state breaks, in words; empty if none."""
+        exists, legs, least, angles, clearance = self.margins(state).tolist()
+        if exists < 0.0:
+            return "the physical mode cannot have these lengths"
+        if legs < -ROUNDING:
+            assert self.limits is not None
+            leg = int(np.abs(self.limits.excess(state.readings)).argmax())
+            return (
+                f"{LEGS[leg]} of {state.readings[leg]:.4g} m is outside its limits, "
+                f"{self.limits.minimum[leg]:g} to {self.limits.maximum[leg]:g} m"
+            )
+        if least < -ROUNDING:
+            found = f"|det J| of {least + self.margin:.3g} d³"
+            return f"a forward singularity is near: {found}, less than the margin of {self.margin:g}"
+        if angles < -ROUNDING:
+            return f"a passive joint is {-angles:.3g} rad beyond its limit"
+        if clearance < -ROUNDING:
+            return f"two legs are {-clearance * 1e3:.3g} mm too near to each other"
+        return ""
+
+    def explain_line(self, states: Configuration) -> str:
+        """Return which rule the first of states (n,) that breaks one does, and where; empty if none."""
+        broken = np.flatnonzero(self.broken(states))
+        if not len(broken):
+            return ""
+        where = 100.0 * broken[0] / (len(states) - 1)
+        return f"the straight line breaks a rule at {where:.0f} %: {self.explain(states[int(broken[0])])}"
+
+
+def _least_determinant(states: Configuration) -> FloatArray:
+    """Return the smaller of |det J_b| and |det J_c| over d³, shape (...)."""
+    return np.asarray(np.abs(determinants(states)[..., :2]).min(axis=-1) / states.geometry.middle_side**3)
+
+
+@dataclass
+class _Tree:
+    """Leg lengths joined by straight lines that keep the rules."""
+
+    points: list[FloatArray]
+    parents: list[int] = field(default_factory=lambda: [-1])
+
+    def way(self, node: int) -> list[FloatArray]:
+        """Return the points from the root to a node."""
+        points = []
+        while node >= 0:
+            points.append(self.points[node])
+            node = self.parents[node]
+        return points[::-1]
+
+
+def _find_corners(
+    rules: _PathRules, start: FloatArray, goal: FloatArray, tries: int, rng: np.random.Generator
+) -> tuple[list[FloatArray] | None, str]:
+    """Return the corners of a way from start to goal, None if none was found; and what is wrong with the line."""
+    reason = rules.explain_line(line_states(rules.geometry, start, goal))
+    if not reason:
+        return [start, goal], ""
+    trees = [_Tree([start]), _Tree([goal])]
+    low, high = 0.5 * np.minimum(start, goal), 1.5 * np.maximum(start, goal)
+    if rules.limits is not None:
+        low, high = np.array(rules.limits.minimum), np.array(rules.limits.maximum)
+    for k in range(tries):
+        new = _grow(rules, trees[0], rng.uniform(low, high))
+        if new is not None:
+            target = trees[0].points[new]
+            while (near := _grow(rules, trees[1], target)) is not None:
+                if np.array_equal(trees[1].points[near], target):
+                    corners = trees[0].way(new) + trees[1].way(near)[-2::-1]
+                    return _shortened(rules, corners if k % 2 == 0 else corners[::-1], rng), reason
+        trees.reverse()
+    return None, f"{reason}; no way around was found in {tries} steps"
+
+
+def _grow(rules: _PathRules, tree: _Tree, target: FloatArray) -> int | None:
+    """Add a step towards `target` to a tree; return the new node, None if the step breaks a rule."""
+    reach = _REACH * rules.geometry.middle_side
+    parent = int(np.linalg.norm(np.array(tree.points) - target, axis=-1).argmin())
+    origin = tree.points[parent]
+    distance = float(np.linalg.norm(target - origin))
+    if distance == 0.0:
+        return parent
+    point = target if distance <= reach else origin + (reach / distance) * (target - origin)
+    if rules.broken(line_states(rules.geometry, origin, point)).any():
+        return None
+    tree.points.append(point)
+    tree.parents.append(parent)
+    return len(tree.points) - 1
+
+
+def _shortened(rules: _PathRules, corners: list[FloatArray], rng: np.random.Generator) -> list[FloatArray]:
+    """Return a way with fewer corners."""
+    for _ in range(_SHORTCUTS):
+        if len(corners) <= 2:
+            break
+        i, j = sorted(rng.choice(len(corners), 2, replace=False).tolist())
+        if j > i + 1 and not rules.broken(line_states(rules.geometry, corners[i], corners[j])).any():
+            corners = corners[: i + 1] + corners[j:]
+    return corners
+
+
+def _smooth_path(rules: _PathRules, points: list[FloatArray]) -> tuple[LegPath, Configuration] | None:
+    """Return a smooth path near the straight lines between points, and its states; None if it breaks a rule.
+
+    Points are added in between until it keeps the rules as the lines do.
+    """
+    rows = np.array(points)
+    for _ in range(7):
+        path = LegPath(rows)
+        states = states_along(rules.geometry, path, spaced_parameters(rules.geometry, rows))
+        if not rules.broken(states).any():
+            return path, states
+        middle = 0.5 * (rows[:-1] + rows[1:])
+        rows = np.insert(rows, range(1, len(rows)), middle, axis=0)
+    return None

@@ -20,27 +20,20 @@ from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import FloatArray, check_instance, real_number, whole_number
 from spm_pin.mechanism.leg_limits import LEGS
-from spm_pin.motion.least_time import Clock, LeastTime, even_grid
-from spm_pin.motion.leg_path import LegPath
+from spm_pin.motion.least_time import Clock, LeastTime
 from spm_pin.motion.limited_jerk import EasedGrid, limited_jerk
-from spm_pin.motion.motion_limits import MotionLimits
-from spm_pin.motion.path_dynamics import PathDynamics, Payload, path_dynamics
-from spm_pin.motion.path_states import ROUNDING, MotionPath
+from spm_pin.motion.path_dynamics import LimitRows, MotionLimits, PathDynamics, Payload, path_dynamics
+from spm_pin.motion.paths import ROUNDING, LegPath, MotionPath
 from spm_pin.motion.planning import MotionPlan
-from spm_pin.multibody.chain import ClosedChain
-from spm_pin.multibody.loading import check_same_machine
+from spm_pin.multibody.chain import ClosedChain, check_same_machine
 from spm_pin.multibody.trajectory import JointTrajectory, PlatformPath
 
 _LONGEST = 10**6
 """Samples that a trajectory may have."""
-_REFINEMENTS = 4
-"""Motions found at most with limits at more parameters, where they were broken between points of the grid."""
-_BROKEN = 1e-4
-"""Share of a limit from which on it counts as broken there."""
 _SLOWDOWNS = 16
 """Times that a motion is slowed down at most until its rows keep all limits, each time by four times as much more."""
-_KEPT = 1e-7
-"""Share of a limit by which it may be exceeded."""
+_ROUNDING, _RESERVE = 1e-10, 1e-9
+"""Share of a limit by which it may be exceeded, and by how much more than that a motion is slowed down at first."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -48,8 +41,8 @@ class TimedMotion(JointTrajectory):
     """The motion of all joints along a path, found by `time_optimal`."""
 
     error: float = 0.0
-    """By which share of it the duration may be above the least one: estimated from a grid half as fine, and what the
-    motion was slowed down by to keep limits between the points of the grid."""
+    """Share of the duration by which it may be above the least one: the growth on half as fine a grid, and the
+    slowing down that keeps limits between the points of the grid."""
 
     def __repr__(self) -> str:
         duration = f"{self.times[-1]:.4g} s, at most some {100.0 * self.error:.1g} % above the least"
@@ -90,15 +83,15 @@ def time_optimal(
         Largest jerk of each leg [m/s³], on the average between two rows too. The motion also begins and ends without
         acceleration. Its duration approaches that without a limit where the limit is large.
     grid : int
-        Parts of the path; more where limits are broken between their ends. The duration is longer than the least by a
-        share in proportion to their length: `error` says by how much.
+        Parts of the path at least; where a limit bends over a part it is split. The duration is longer than the least
+        one by about `error` of the result.
     period : float
         Time between the rows of the result [s], at most.
 
     Returns
     -------
     TimedMotion
-        From time 0; its efforts are the legs' forces with the payload. The limits hold in its rows, to 1e-6.
+        From time 0; its efforts are the legs' forces with the payload. The limits hold in its rows, to 1e-9 of them.
 
     Raises
     ------
@@ -124,23 +117,13 @@ def time_optimal(
     def dynamics(parameters: FloatArray) -> PathDynamics:
         return path_dynamics(chain, way, parameters, payload)
 
-    def rows_at(duration: float, clock: Clock) -> tuple[FloatArray, PathDynamics, FloatArray, FloatArray, FloatArray]:
-        times = _times(duration, step)
-        s, speeds, accelerations = clock(times)
-        along = dynamics(s)
-        return times, along, speeds, accelerations, limits.feasible_scale(chain, along, times, speeds, accelerations)
+    def checked_rows(parameters: FloatArray) -> LimitRows:
+        along = dynamics(parameters)
+        _refuse_events(chain, along, way, planned=planned)
+        return limits.rows(chain, along)
 
     if limits.leg_jerks is None:
-        points, corners = even_grid(_knots(way), parts)
-        along = dynamics(np.insert(points, range(1, len(points)), 0.5 * (points[1:] + points[:-1])))
-        _refuse_events(chain, along, way, planned=planned)
-        motion = LeastTime(points, limits.rows(chain, along), corners)
-        for _ in range(_REFINEMENTS):
-            _, along, _, _, scale = rows_at(motion.duration, motion.clock)
-            if scale.min() > 1.0 - _BROKEN:
-                break
-            broken = along.parameters[scale < 1.0 - _BROKEN]
-            motion.refine(broken, lambda parameters: limits.rows(chain, dynamics(parameters)))
+        motion = LeastTime(_knots(way), parts, checked_rows)
         clock: Clock = motion.clock
         duration, error = motion.duration, motion.error
     else:
@@ -152,21 +135,19 @@ def time_optimal(
         duration, clock, error = limited_jerk(eased, limits.rows(chain, along), *derivatives, limits.leg_jerks)
     slower = 1.0
     for slowdown in range(_SLOWDOWNS):
-        times, along, speeds, accelerations, scale = rows_at(slower * duration, _slowed(clock, slower))
-        if scale.min() >= 1.0:
+        times = _times(slower * duration, step)
+        s, speeds, accelerations = (values / slower**order for order, values in enumerate(clock(times / slower)))
+        along = dynamics(s)
+        scale = limits.feasible_scale(chain, along, times, speeds, accelerations)
+        if scale.min() >= 1.0 - _ROUNDING:
             break
-        slower /= np.sqrt(float(scale.min())) * (1.0 - _KEPT * 4.0**slowdown)
-    return _trajectory(chain, along, times, speeds, accelerations, slower * (1.0 + error) - 1.0)
-
-
-def _slowed(clock: Clock, slower: float) -> Clock:
-    """Return the clock of a motion that takes so many times as long."""
-
-    def slowed(times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        s, speeds, accelerations = clock(times / slower)
-        return s, speeds / slower, accelerations / slower**2
-
-    return slowed
+        slower /= np.sqrt(float(scale.min())) * (1.0 - _RESERVE * 4.0**slowdown)
+    rate, change = speeds[:, None], accelerations[:, None]
+    efforts = np.zeros_like(along.q)
+    efforts[:, chain.leg_indices] = along.inertial * change + along.centrifugal * rate**2 + along.static
+    velocities, joint_accelerations = along.first * rate, along.first * change + along.second * rate**2
+    above = slower * (1.0 + error) - 1.0
+    return TimedMotion(chain.joint_names, times, along.q, velocities, joint_accelerations, efforts, above)
 
 
 def _path(path: Any, chain: ClosedChain) -> MotionPath:
@@ -214,19 +195,3 @@ def _times(duration: float, period: float) -> FloatArray:
     if count > _LONGEST:
         raise ArgumentError("period", f"at most {_LONGEST:,} rows", f"{count:,} of a motion of {duration:.4g} s")
     return np.linspace(0.0, duration, max(count, 2))
-
-
-def _trajectory(
-    chain: ClosedChain,
-    along: PathDynamics,
-    times: FloatArray,
-    speeds: FloatArray,
-    accelerations: FloatArray,
-    error: float,
-) -> TimedMotion:
-    """Return all joints and forces of a path gone through on a clock."""
-    rate, change = speeds[:, None], accelerations[:, None]
-    efforts = np.zeros_like(along.q)
-    efforts[:, chain.leg_indices] = along.inertial * change + along.centrifugal * rate**2 + along.static
-    velocities, joint_accelerations = along.first * rate, along.first * change + along.second * rate**2
-    return TimedMotion(chain.joint_names, times, along.q, velocities, joint_accelerations, efforts, error)

@@ -2,7 +2,14 @@
 
 from spm_pin.description.tree import Closure
 from spm_pin.multibody.chain import ClosedChain
-from spm_pin.multibody.chain_state import ChainState, ConstrainedState, Energy, NaturalFrequencies, PlatformDynamics
+from spm_pin.multibody.chain_state import (
+    ChainState,
+    ConstrainedChain,
+    ConstrainedState,
+    Energy,
+    NaturalFrequencies,
+    PlatformDynamics,
+)
 from spm_pin.multibody.constrained_model import SingularValues
 from spm_pin.multibody.mounting import MountedChain
 from spm_pin.multibody.simulation import Simulation, SimulationEnd
@@ -12,6 +19,7 @@ __all__ = [
     "ChainState",
     "ClosedChain",
     "Closure",
+    "ConstrainedChain",
     "ConstrainedState",
     "Energy",
     "JointTrajectory",

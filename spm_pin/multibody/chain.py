@@ -11,24 +11,28 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from spm_pin.description.source_files import description_directory
-from spm_pin.description.tree import ANGLES, SLIDES, Closure, read_closures, srdf_text
-from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
+from spm_pin.description.robot import check_inertials
+from spm_pin.description.source_files import URDF, check_prefix, description_directory, description_file, urdf_text
+from spm_pin.description.tree import ANGLES, SLIDES, read_closures, srdf_text
+from spm_pin.errors import ArgumentError, ClosureError, DescriptionError, GeometryError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_physical
-from spm_pin.mechanism.arguments import FloatArray, IntArray, as_bool, broadcastable, first_offender, whole_number
+from spm_pin.mechanism.arguments import (
+    FloatArray,
+    IntArray,
+    as_bool,
+    broadcastable,
+    check_instance,
+    file_path,
+    first_offender,
+    whole_number,
+)
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.joint_angles import joint_angles
+from spm_pin.mechanism.leg_limits import LEGS
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
-from spm_pin.multibody.chain_state import (
-    ChainState,
-    Energy,
-    NaturalFrequencies,
-    PlatformDynamics,
-    ThreadState,
-    at_index,
-)
+from spm_pin.multibody.chain_state import ChainState, ConstrainedChain, NaturalFrequencies, PlatformDynamics, at_index
 from spm_pin.multibody.closure_solvers import close_loops, follow_legs, follow_pose
 from spm_pin.multibody.constrained_model import (
     AGREEMENT,
@@ -36,23 +40,21 @@ from spm_pin.multibody.constrained_model import (
     SingularValues,
     TreeKinematics,
     check_leg_lengths,
+    read_vectors,
 )
-from spm_pin.multibody.loading import check_same_machine, read_description
 from spm_pin.multibody.mounting import MountedChain, mount
 from spm_pin.multibody.simulation import ForceFunction, Simulation, run_simulation
 from spm_pin.multibody.trajectory import JointTrajectory, PlatformMotion, follow_path
-from spm_pin.multibody.vector_arguments import GainsLike, WrenchLike, read_vectors
 
 
-class ClosedChain:
+class ClosedChain(ConstrainedChain[ChainState]):
     """The spanning tree of the description in Pinocchio, and the closures that make it the mechanism; read-only.
 
     Made by `from_urdf`. {B} is the link `base` and Pinocchio's universe. Methods take q, joint values [rad, m] in the
-    order of `joint_names`, of one state or of a batch (..., 18), and raise `ArgumentError` if it has another shape, is
-    not finite, or gives a leg a negative length. Leading axes of several arguments broadcast. Pinocchio answers one
-    state at a time, so that a batch takes as long as its members; `joint_values`, and `forward_kinematics` and
-    `inverse_kinematics` without `near`, are vectorised closed forms. `state` computes several quantities of one q
-    and v. For a chain by itself nq = nv = 18, and the n = 6 actuators are the legs.
+    order of `joint_names`, of one state or of a batch (..., 18). Leading axes of several arguments broadcast. Pinocchio
+    answers one state at a time, so that a batch takes as long as its members; `joint_values`, and `forward_kinematics`
+    and `inverse_kinematics` without `near`, are vectorised closed forms. `state` computes several quantities of one q
+    and v. nq = nv = 18, and the n = 6 actuators are the legs.
 
     A single state that is singular or not closed raises. In a batch such members are NaN, and the others are computed:
     `failures` of a `state` of the batch says why, as does a call for the member alone.
@@ -65,23 +67,29 @@ class ClosedChain:
     Methods that use rates or forces raise `ArgumentError` where a ball joint's middle angle is ±90°, and
     `SingularConfigurationError` at the singularities they name, where a matrix is singular to rounding.
 
-    Parameters
+    Attributes
     ----------
-    urdf : str
-        Text of the description expanded for `geometry` and `prefix`; not checked here.
     geometry : Geometry
-        Its dimensions, and the limits that set its zero.
+        Dimensions, legs, and the limits that set the zero of the tree.
     prefix : str
         Before the name of every link and joint.
+    model : pinocchio.Model
+        The spanning tree; do not change it.
+    closures : tuple of Closure
+        In the order of all results per closure.
+    joint_names : tuple of str
+        Names of the joints in the order of q.
+    leg_indices : ndarray, shape (6,)
+        Indices of the legs' prismatic joints in q.
     """
 
     def __init__(self, urdf: str, geometry: Geometry, prefix: str = "") -> None:
-        self._urdf, self._geometry, self._prefix = urdf, geometry, prefix
-        self._model = pin.buildModelFromXML(urdf)
-        closures = read_closures(prefix=prefix)
-        self._constrained = ConstrainedModel(self._model, closures, geometry, prefix)
+        self._urdf, self.geometry, self.prefix = urdf, geometry, prefix
+        self.model = pin.buildModelFromXML(urdf)
+        self.closures = read_closures(prefix=prefix)
+        super().__init__(ConstrainedModel(self.model, self.closures, geometry, prefix), ChainState)
+        self.joint_names, self.leg_indices = self._constrained.names, self._constrained.legs
         self._order = np.argsort(self._constrained.joint_indices(*ANGLES, *SLIDES))
-        self._calls = ThreadState(ChainState, self._constrained)
 
     @classmethod
     def from_urdf(
@@ -91,48 +99,24 @@ class ClosedChain:
 
         `geometry` is by default the paper's. A file at `path` has the tree of the description for this geometry,
         perhaps with other inertias, shapes and limits; the closures are the description's. `prefix` stands before the
-        name of every link and joint. Raises `DescriptionError` if the file cannot be read or is another tree, its
-        inertias are impossible or `prefix` cannot begin a name.
+        name of every link and joint. Raises `DescriptionError` for another tree, and for impossible inertias.
         """
-        return cls(*read_description(path, geometry, prefix), prefix)
+        check_prefix(prefix)
+        machine = Geometry.paper() if geometry is None else check_instance(geometry, Geometry, "geometry")
+        if machine == Geometry.paper() and prefix == "":
+            described = description_file(URDF).read_text(encoding="utf-8")
+        else:
+            described = urdf_text(machine, prefix=prefix)
+        text = described if path is None else _read_urdf(file_path(path), described, machine.middle_side)
+        return cls(text, machine, prefix)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Pinocchio's constraints cannot be pickled.
-        return type(self), (self._urdf, self._geometry, self._prefix)
+        return type(self), (self._urdf, self.geometry, self.prefix)
 
     def __repr__(self) -> str:
-        named = f" {self._prefix!r}" if self._prefix else ""
-        return f"<ClosedChain{named}: {self._model.nq} joints, {len(self.closures)} closures, {self._geometry}>"
-
-    @property
-    def model(self) -> Any:
-        """The spanning tree, a `pinocchio.Model`; do not change it."""
-        return self._model
-
-    @property
-    def closures(self) -> tuple[Closure, ...]:
-        """The closures, in the order of all results per closure."""
-        return self._constrained.closures
-
-    @property
-    def geometry(self) -> Geometry:
-        """Dimensions, legs and limits."""
-        return self._geometry
-
-    @property
-    def prefix(self) -> str:
-        """Before the name of every link and joint."""
-        return self._prefix
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Names of the joints in the order of q."""
-        return self._constrained.names
-
-    @property
-    def leg_indices(self) -> IntArray:
-        """Indices of the legs' prismatic joints in q, shape (6,)."""
-        return self._constrained.legs.copy()
+        named = f" {self.prefix!r}" if self.prefix else ""
+        return f"<ClosedChain{named}: {self.model.nq} joints, {len(self.closures)} closures, {self.geometry}>"
 
     def joint_indices(self, *names: str) -> IntArray:
         """Return the indices in q (n,) of joints named as in the URDF; raise `ArgumentError` for an unknown name."""
@@ -142,27 +126,26 @@ class ClosedChain:
     def visual_model(self) -> Any:
         """The visual shapes, a `pinocchio.GeometryModel`."""
         folder = str(description_directory())
-        return pin.buildGeomFromUrdfString(self._model, self._urdf, pin.GeometryType.VISUAL, package_dirs=folder)
+        return pin.buildGeomFromUrdfString(self.model, self._urdf, pin.GeometryType.VISUAL, package_dirs=folder)
 
     @cached_property
     def collision_model(self) -> Any:
         """The collision shapes, a `pinocchio.GeometryModel`; the pairs leave out what touches by design."""
-        shapes = pin.buildGeomFromUrdfString(self._model, self._urdf, pin.GeometryType.COLLISION)
+        shapes = pin.buildGeomFromUrdfString(self.model, self._urdf, pin.GeometryType.COLLISION)
         shapes.addAllCollisionPairs()
-        pin.removeCollisionPairsFromXML(self._model, shapes, srdf_text({}, prefix=self._prefix))
+        pin.removeCollisionPairsFromXML(self.model, shapes, srdf_text({}, prefix=self.prefix))
         return shapes
 
     def robot_wrapper(self) -> Any:
         """Return a new `pinocchio.RobotWrapper` of the tree; it has no closures."""
-        return pin.RobotWrapper(self._model, self.collision_model, self.visual_model)
+        return pin.RobotWrapper(self.model, self.collision_model, self.visual_model)
 
     def mounted_on(self, other: Any, frame: str, placement: Any = None) -> MountedChain:
         """Return this chain carried by another robot, as an arm carries a tool, in one model with its loops closed.
 
         `other` is a pinocchio.Model or pinocchio.RobotWrapper whose base stays where it is, `frame` one of its frames
-        such as `tool0`, `placement` the pinocchio.SE3 of {B} in it, by default the identity. Raises `ArgumentError` if
-        one of them is malformed, or both robots have a link, joint or frame of the same name: `from_urdf` takes a
-        prefix.
+        such as `tool0`, `placement` the pinocchio.SE3 of {B} in it, by default the identity. No link, joint or frame
+        of both robots may have the same name: `from_urdf` takes a prefix.
         """
         return mount(self, other, frame, placement, carried=False)
 
@@ -171,42 +154,27 @@ class ClosedChain:
 
         `frame` is named without prefix, `placement` is that of the other robot's universe in it; else as `mounted_on`.
         """
-        return mount(self, other, f"{self._prefix}{frame}", placement, carried=True)
-
-    def state(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> ChainState:
-        """Return the state of joint values q (..., 18) and velocities v (..., 18), by default at rest.
-
-        It has the chain's methods about rates, forces and dynamics, without q and v, and `joint_accelerations_of_legs`
-        and `platform_acceleration` besides. For a single q and v they share what they compute; `state.update(q, v)`
-        moves it on. In a control loop it saves reading and computing the same twice.
-        """
-        return ChainState(self._constrained).update(q, v)
-
-    def _at(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> ChainState:
-        """Return the state that calls of this thread compute in, moved to q and v."""
-        state: ChainState = self._calls.state
-        return state.update(q, v)
+        return mount(self, other, f"{self.prefix}{frame}", placement, carried=True)
 
     def joint_values(self, configuration: Configuration) -> FloatArray:
         """Return q (..., 18) of a configuration, in closed form and vectorised: angles in [-π, π].
 
-        Its leg limits play no part. The tree is closed to rounding, or as far as the configuration is; members of a
-        batch that do not exist are NaN. Raises `ArgumentError` if a single configuration does not exist or one is not
-        closed to 1e-9 of the middle platform's side, and `GeometryError` if it is of another machine than the chain's.
+        It is of the chain's machine, its leg limits play no part. The tree is closed to rounding, or as far as the
+        configuration is, to 1e-9 of the middle platform's side at least; members of a batch that do not exist are NaN.
         """
         state = check_configuration(configuration)
         if not state.shape:
             check_configuration(configuration, existing=True)
-        if state.geometry is not self._geometry:
-            check_same_machine(state.geometry, self._geometry, "configuration", "the chain")
+        if state.geometry is not self.geometry:
+            check_same_machine(state.geometry, self.geometry, "configuration", "the chain")
             # With the chain's own limits: they set the zero of its slides.
-            state = Configuration.from_arrays(self._geometry, state.rotation, state.translation, state.middle_joints)
+            state = Configuration.from_arrays(self.geometry, state.rotation, state.translation, state.middle_joints)
         return self._values_of(state)
 
     def _values_of(self, configuration: Configuration) -> FloatArray:
         """Return `joint_values` of a configuration of the chain's own machine."""
         angles = joint_angles(configuration, corners=(0,))
-        is_open = angles.closure_residual > AGREEMENT * self._geometry.middle_side
+        is_open = angles.closure_residual > AGREEMENT * self.geometry.middle_side
         if is_open.any():
             index = first_offender(is_open)
             where = f" at batch index {index}" if index else ""
@@ -229,22 +197,21 @@ class ClosedChain:
 
     def readings(self, q: npt.ArrayLike) -> FloatArray:
         """Return what the encoders show in q (..., 18): the leg lengths and their offsets [m], shape (..., 6)."""
-        return np.asarray(self.leg_lengths(q) + self._geometry.legs.offsets)
+        return np.asarray(self.leg_lengths(q) + self.geometry.legs.offsets)
 
     def with_readings(self, q: npt.ArrayLike, readings: npt.ArrayLike) -> FloatArray:
         """Return a copy of q (..., 18) with other readings (..., 6) [m], all other joints as they are.
 
         That opens the loops; `forward_kinematics` keeps them closed.
         """
-        constrained = self._constrained
-        joints, lengths = constrained.read_q(q), self._lengths_of_readings(readings)
+        joints, lengths = self._constrained.read_q(q), self._lengths_of_readings(readings)
         shape = broadcastable("readings", lengths.shape[:-1], "q", joints.shape[:-1])
         changed = np.broadcast_to(joints, (*shape, joints.shape[-1])).copy()
-        changed[..., constrained.legs] = constrained.slides(lengths)
+        changed[..., self.leg_indices] = lengths - self._constrained.home_lengths
         return changed
 
     def _lengths_of_readings(self, readings: npt.ArrayLike) -> FloatArray:
-        lengths = read_vectors(readings, "readings", 6) - self._geometry.legs.offsets
+        lengths = read_vectors(readings, "readings", 6) - self.geometry.legs.offsets
         check_leg_lengths(lengths, "readings", "A leg length is the reading less the offset of its encoder")
         return np.asarray(lengths)
 
@@ -256,39 +223,34 @@ class ClosedChain:
         Steps are halved where a full one does not shrink the gaps. Raises `ClosureError`, with the largest gap and the
         number of steps, if the loops do not close to rounding in `max_iterations`.
         """
-        most, held = (
-            whole_number(max_iterations, "max_iterations", "a number of steps"),
-            as_bool(hold_legs, "hold_legs"),
-        )
-        state = self._at(q)
+        most = whole_number(max_iterations, "max_iterations", "a number of steps")
+        hold_legs, state = as_bool(hold_legs, "hold_legs"), self._at(q)
         kinematics = state.kinematics
-        return np.array(state._each(lambda: close_loops(kinematics, kinematics.q, held, most), (18,)))
+        return np.array(state._each_member(lambda: close_loops(kinematics, kinematics.q, hold_legs, most), (18,)))
 
     def forward_kinematics(self, readings: npt.ArrayLike, near: npt.ArrayLike | None = None) -> FloatArray:
         """Return all joints (..., 18) of readings (..., 6) [m], of a drawn machine the leg lengths.
 
-        By default in the physical assembly mode of each member, in closed form and vectorised, angles in [-π, π]; see
+        By default in the physical assembly mode of each member, in closed form, angles in [-π, π]; see
         `spm_pin.forward_physical`. With `near` (18,), a closed q, the mechanism goes from there to the first member by
         changing all legs in proportion, and on to each from the one before, in C order, in the assembly mode that it
-        comes to, angles continuous and not reduced to one turn; legs that change little take one or two steps of
-        Newton's method. Closed to rounding.
+        comes to, angles continuous and not reduced to one turn. Closed to rounding.
 
         Lengths that the physical mode cannot have are an `ArgumentError`, in a batch NaN. A path that does not lead to
         a member, as one that ends at a forward or a constraint singularity, is an error for a batch as well.
         """
         if near is None:
-            configuration = forward_physical(self._geometry, readings)
+            configuration = forward_physical(self.geometry, readings)
             if not configuration.shape and not configuration.exists:
                 received = f"{_listed(np.asarray(readings, dtype=np.float64))} m"
-                expected = "lengths that the physical assembly mode can have"
-                raise _absent("readings", expected, received, configuration.missing_reason or "A misread leg?")
+                raise _absent("readings", "lengths that the physical assembly mode can have", received, configuration)
             return self._values_of(configuration)
         return self._follow(near, follow_legs, self._lengths_of_readings(readings), axes=(1,))
 
     def inverse_kinematics(self, pose: PoseLike, near: npt.ArrayLike | None = None) -> FloatArray:
         """Return all joints (..., 18) of a pose (...) of the terminal platform, {m} in {B}.
 
-        By default in the physical branch of each member, in closed form and vectorised, angles in [-π, π]; see
+        By default in the physical branch of each member, in closed form, angles in [-π, π]; see
         `spm_pin.kinematics.inverse_physical`. With `near` (18,), a closed q, the platform moves and turns from there
         to the first member in proportion, and on to each from the one before, as in `forward_kinematics`, in the branch
         that it comes to; leg limits play no part. Closed to rounding. Errors are those of `forward_kinematics`, at
@@ -296,12 +258,11 @@ class ClosedChain:
         """
         transform = as_rigid_transform(pose)
         if near is None:
-            configuration = inverse_physical(self._geometry, transform)
+            configuration = inverse_physical(self.geometry, transform)
             if not configuration.shape and not configuration.exists:
                 place, turn = transform.translation, transform.rotation.as_rotvec()
                 received = f"o at {_listed(place)} m, turned by the rotation vector {_listed(turn)} rad"
-                cause = configuration.missing_reason or "Level, or out of reach?"
-                raise _absent("pose", "poses that a physical branch has", received, cause)
+                raise _absent("pose", "poses that a physical branch has", received, configuration)
             return self._values_of(configuration)
         return self._follow(near, follow_pose, transform.rotation.as_matrix(), transform.translation, axes=(2, 1))
 
@@ -322,18 +283,6 @@ class ClosedChain:
             path[index] = q
         return path
 
-    def closure_gap(self, q: npt.ArrayLike) -> FloatArray:
-        """Return how far the closures are open: from `frame_a` to `frame_b` of each, in {B} [m], shape (..., 4, 3)."""
-        return self._at(q).closure_gap()
-
-    def constraint_jacobian(self, q: npt.ArrayLike) -> FloatArray:
-        """Return the derivative of `closure_gap` by q, shape (..., 12, 18), three rows per closure.
-
-        Its transpose maps forces in {B} onto the closures' `frame_b`, with the opposite onto `frame_a`, to
-        generalized forces. Exact at any q.
-        """
-        return self._at(q).constraint_jacobian()
-
     def singular_values(self, q: npt.ArrayLike) -> SingularValues:
         """Return how near q (..., 18) is to each kind of singularity, without raising `SingularConfigurationError`."""
         return self._at(q).singular_values()
@@ -346,17 +295,16 @@ class ClosedChain:
         return self._at(q).inverse_jacobian()
 
     def joint_velocities(self, q: npt.ArrayLike, twist: npt.ArrayLike) -> FloatArray:
-        """Return the velocities of all joints (..., 18) [rad/s, m/s] for a twist of m, in the order of `joint_names`.
+        """Return the velocities of all joints (..., 18) [rad/s, m/s] for a twist (..., 6) of m.
 
-        The twist is (..., 6); else as `inverse_jacobian`.
+        q and the errors are those of `inverse_jacobian`.
         """
         return self._at(q).joint_velocities(twist)
 
     def joint_rates(self, q: npt.ArrayLike, leg_rates: npt.ArrayLike) -> FloatArray:
         """Return the velocities of all joints (..., 18) [rad/s, m/s] for rates of the six legs (..., 6) [m/s].
 
-        q is closed; the other way is `joint_velocities`. Raises at a forward or
-        a constraint singularity.
+        q is closed. Raises at a forward or a constraint singularity.
         """
         return self._at(q).joint_rates(leg_rates)
 
@@ -379,53 +327,10 @@ class ClosedChain:
     def cut_forces(self, q: npt.ArrayLike, wrench: npt.ArrayLike) -> FloatArray:
         """Return the forces in the ball joints where the tree is cut, shape (..., 4, 3) [N] in {B}.
 
-        Per closure, what the middle platform (`frame_a`) exerts onto the tip of the leg (`frame_b`); the leg exerts
-        the opposite onto the middle platform. Arguments and errors are those of `leg_forces`.
+        Per closure, what the middle platform (`frame_a`) exerts onto the tip of the leg (`frame_b`). Arguments and
+        errors are those of `leg_forces`.
         """
         return self._at(q).cut_forces(wrench)
-
-    def energy(self, q: npt.ArrayLike, v: npt.ArrayLike) -> Energy:
-        """Return the kinetic and the potential energy (...) [J] of all bodies at q and v, closed or not."""
-        return self._at(q, v).energy()
-
-    def forward_dynamics(
-        self,
-        q: npt.ArrayLike,
-        v: npt.ArrayLike,
-        forces: npt.ArrayLike,
-        wrench: WrenchLike = None,
-        *,
-        gains: GainsLike = None,
-    ) -> FloatArray:
-        """Return the accelerations of all joints (..., 18) [rad/s², m/s²] under actuators, gravity and wrenches.
-
-        Parameters
-        ----------
-        q, v : array_like, shape (..., 18)
-            Joint values, and joint velocities [rad/s, m/s].
-        forces : array_like, shape (..., 6)
-            Of the legs [N].
-        wrench : array_like, shape (..., 6), or mapping of str to such, optional
-            Onto the terminal platform; or several, each onto the link or frame of that name, at its origin.
-        gains : pair of float, optional
-            (kp, kd) [1/s², 1/s], not negative, after Baumgarte: open gaps e then obey ë + kd ė + kp e = 0, for those
-            who integrate by themselves. Without, q and v must be closed, and the accelerations keep them so.
-
-        Notes
-        -----
-        Only constraint singularities raise: inverse and forward ones are no obstacle.
-        """
-        return self._at(q, v).forward_dynamics(forces, wrench, gains=gains)
-
-    def inverse_dynamics(
-        self, q: npt.ArrayLike, v: npt.ArrayLike, a: npt.ArrayLike, wrench: WrenchLike = None
-    ) -> FloatArray:
-        """Return the forces of the legs (..., 6) [N] for a motion under gravity, inertia and wrenches.
-
-        q, v and a (..., 18) are those of a closed mechanism, `wrench` is as in `forward_dynamics`. At rest, the weights
-        of all bodies are left; `leg_forces` has the wrench alone. Raises at a forward or a constraint singularity.
-        """
-        return self._at(q, v).inverse_dynamics(a, wrench)
 
     def platform_dynamics(self, q: npt.ArrayLike, v: npt.ArrayLike) -> PlatformDynamics:
         """Return the equations of motion at the terminal platform, Λ ṫ + C t + G = J_fᵀ f + w, of all bodies' masses.
@@ -437,9 +342,8 @@ class ClosedChain:
     def natural_frequencies(self, q: npt.ArrayLike, stiffness: npt.ArrayLike) -> NaturalFrequencies:
         """Return the small vibrations of the platform with its motors held, on legs that are elastic.
 
-        q is closed, `stiffness` (..., 6, 6) the platform's as of `spm_pin.stiffness`; all bodies' masses take part as
-        if rigid. What weights add to the stiffness is left out: it is of the size of weight / leg length. Raises at an
-        inverse or a constraint singularity.
+        q is closed, `stiffness` (..., 6, 6) the platform's as of `spm_pin.stiffness`; what weights add to it is left
+        out. Raises at an inverse or a constraint singularity.
         """
         return self._at(q).natural_frequencies(stiffness)
 
@@ -453,7 +357,7 @@ class ClosedChain:
         the path's start. Raises as `inverse_kinematics`, with the index of the time.
         """
         q = self._constrained.read_q(near, "near", single=True)
-        return follow_path(self.state(q), path, times, self.joint_names, self._constrained.legs)
+        return follow_path(self.state(q), path, times, self.joint_names, self.leg_indices)
 
     def simulate(
         self,
@@ -462,18 +366,15 @@ class ClosedChain:
         forces: npt.ArrayLike | ForceFunction | None,
         times: npt.ArrayLike,
         *,
-        wrench: WrenchLike | ForceFunction = None,
+        wrench: npt.ArrayLike | ForceFunction | None = None,
         period: float | None = None,
         tolerance: float = 1e-11,
-        max_step: float = np.inf,
     ) -> Simulation:
-        """Integrate the motion under leg forces, gravity and wrenches, up to the last time or what ends it before.
+        """Integrate the motion under leg forces, gravity and a wrench, up to the last time or what ends it before.
 
-        By SciPy's DOP853 with projection onto the closures after each step; see the module `simulation`. The loops are
-        closed to rounding at every time. Leg limits, inverse and forward singularities are passed through. A leg of no
-        length and a constraint singularity end the run: forces in the balls have no bound there. They are looked for at
-        the ends of steps: a smaller `max_step` sees what happens and is undone within one. Errors of `forces` and
-        `wrench` reach the caller, and so end a run before its time.
+        By SciPy's DOP853 with projection onto the closures after each step. Leg limits, inverse and forward
+        singularities are passed through. A leg of no length and a constraint singularity end the run: forces in the
+        balls have no bound there. They are looked for at the ends of steps.
 
         Parameters
         ----------
@@ -484,19 +385,16 @@ class ClosedChain:
             without `period` is smooth in its arguments alone: it is called several times a step, and not in order.
         times : array_like, shape (n,)
             When to record [s], increasing; the motion begins at the first.
-        wrench : as in `forward_dynamics`, or callable, optional
-            Applied from outside: constant, or a function (t, q, v) → (6,) for the terminal platform.
+        wrench : array_like (6,), or callable, optional
+            Onto the terminal platform: constant, or a function (t, q, v) → (6,).
         period : float, optional
             Of a digital controller [s]: `forces` is called once at the start of each period, in order, and its
             answer held. It may keep a state of its own.
         tolerance : float
             Of a step, relative and absolute in the units of q and v; from 1e-13 to 1e-3. The default keeps the energy
             to about 1e-12 of itself in a second of falling.
-        max_step : float
-            Longest step [s]; not less than 1e-7 of the run.
         """
-        acting = forces, wrench, period
-        return run_simulation(self._constrained, q0, v0, times, *acting, tolerance, max_step)
+        return run_simulation(self._constrained, q0, v0, times, forces, wrench, period, tolerance)
 
 
 def _listed(numbers: FloatArray) -> str:
@@ -504,8 +402,68 @@ def _listed(numbers: FloatArray) -> str:
     return f"[{', '.join(f'{number:.9g}' for number in numbers)}]"
 
 
-def _absent(argument: str, expected: str, received: str, reason: str) -> ArgumentError:
+def _absent(argument: str, expected: str, received: str, configuration: Configuration) -> ArgumentError:
     """Return the error about what has no physical solution."""
+    reason = configuration.missing_reason or "Out of reach, or a misread number?"
     sentence = f"{reason[0].upper()}{reason[1:]}{'' if reason.endswith(('.', '?')) else '.'}"
     cause = f"{sentence} Pass a closed q as near: the solution on the path from there need not be physical."
     return ArgumentError(argument, expected, received, cause)
+
+
+def _read_urdf(file: Path, described: str, side: float) -> str:
+    """Return the text of a URDF file, if it is the tree of the one `described`; see `ClosedChain.from_urdf`."""
+    try:
+        text = file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise DescriptionError(str(file), "a readable URDF file", str(error)) from error
+    try:
+        model = pin.buildModelFromXML(text)
+    except (ValueError, RuntimeError) as error:
+        cause = "Not expanded yet? xacro writes the URDF" if file.suffix == ".xacro" else ""
+        raise DescriptionError(str(file), "a URDF", str(error), cause) from error
+    check_inertials(text, str(file))
+    _check_tree(model, pin.buildModelFromXML(described), str(file), side)
+    return text
+
+
+def _check_tree(model: Any, expected: Any, path: str, side: float) -> None:
+    """Raise `DescriptionError` unless both trees have the same joints, and links that move alike.
+
+    Of a link, its origin is compared and the points on its axes in the distance of the middle platform's side; all at
+    one q with every joint away from zero, where each placement and each axis shows.
+    """
+    links = [frame.name for frame in expected.frames if frame.type == pin.FrameType.BODY]
+    joints, wanted = set(model.names), set(expected.names)
+    missing = sorted(wanted - joints) + [name for name in links if not model.existFrame(name, pin.FrameType.BODY)]
+    foreign = sorted(joints - wanted)
+    cause = "The arguments geometry and prefix are those the file was written for, by default the paper's and none"
+    if missing or foreign or model.nq != expected.nq:
+        names = (f"{', '.join(names[:3]) or 'none'}{', …' * (len(names) > 3)}" for names in (missing, foreign))
+        received = "{} missing, {} foreign, nq = {}".format(*names, model.nq)
+        raise DescriptionError(path, "the joints and links of the description", received, cause)
+    values = dict(zip(expected.names[1:], np.linspace(0.2, 0.9, expected.nq), strict=True))
+    places = []
+    for tree in (model, expected):
+        data = tree.createData()
+        pin.framesForwardKinematics(tree, data, np.array([values[name] for name in tree.names[1:]]))
+        places.append(np.array([data.oMf[tree.getFrameId(link)].homogeneous for link in links]))
+    off = np.abs((places[0] - places[1]) * [side, side, side, 1.0]).max(axis=(-1, -2))
+    if off.max() > AGREEMENT * side:
+        received = f"{links[int(off.argmax())]} {off.max():.1e} m off where all joints are turned"
+        cause = f"Another joint axis, order or zero, which follows from the leg limits? {cause}"
+        raise DescriptionError(path, "the tree of the description for this geometry", received, cause)
+
+
+def check_same_machine(geometry: Geometry, expected: Geometry, argument: str, owner: str) -> None:
+    """Raise `GeometryError` unless both have the same dimensions and legs; limits only choose the tree's zero."""
+    for name in ("base_radius", "platform_radius", "middle_side"):
+        received, wanted = getattr(geometry, name), getattr(expected, name)
+        if abs(received - wanted) > AGREEMENT * expected.middle_side:
+            raise GeometryError(argument, f"the {name} of {owner}, {wanted:.9g} m", f"{received:.9g} m")
+    for name in ("axes", "pivots", "balls", "offsets"):
+        apart = np.abs(getattr(geometry.legs, name) - getattr(expected.legs, name))
+        unit, scale = ("rad", 1.0) if name == "axes" else ("m", expected.middle_side)
+        if apart.max() > AGREEMENT * scale:
+            leg = LEGS[int(apart.argmax()) * len(LEGS) // apart.size]
+            difference = f"a machine that differs by {apart.max():.1e} {unit} in {leg}"
+            raise GeometryError(argument, f"the {name} of {owner}", difference)

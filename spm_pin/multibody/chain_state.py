@@ -1,9 +1,9 @@
 """The state of a chain: joint values and velocities, one or a batch, and all that is computed from them.
 
 With the tree's mass matrix M, its nonlinear effects h, and S, Jm and Jc as in the module `constrained_model`, leg
-forces f, wrenches w_k at frames with Jacobians J_k and the forces λ in the cut balls,
+forces f, a wrench w onto the terminal platform and the forces λ in the cut balls,
 
-    M a + h = Sᵀ f + Σ J_kᵀ w_k + Jcᵀ λ,    Jc a + J̇c v = 0;
+    M a + h = Sᵀ f + Jmᵀ w + Jcᵀ λ,    Jc a + J̇c v = 0;
 
 `docs/theory/dynamics.md` says which unknowns each method solves for, and where that is regular.
 """
@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable
-from typing import Any, NamedTuple, Self
+from typing import Any, Generic, NamedTuple, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -23,8 +23,13 @@ from scipy.linalg import LinAlgError, eigh
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError, SpmError
 from spm_pin.mechanism.arguments import FloatArray, broadcastable, symmetric_matrices
 from spm_pin.mechanism.configuration import Configuration
-from spm_pin.multibody.constrained_model import AccelerationSolver, ConstrainedModel, SingularValues, TreeKinematics
-from spm_pin.multibody.vector_arguments import GainsLike, WrenchLike, read_gains, read_vectors
+from spm_pin.multibody.constrained_model import (
+    AccelerationSolver,
+    ConstrainedModel,
+    SingularValues,
+    TreeKinematics,
+    read_vectors,
+)
 
 
 class Energy(NamedTuple):
@@ -84,8 +89,7 @@ class ConstrainedState:
     batch each call computes them anew, member by member. Arguments broadcast with the batch. A state is for one thread
     at a time. Its methods are those of the chain, without q and v.
 
-    A single q and v that is open or singular raises. Such a member of a batch is NaN in the result, and `failures` of
-    the last call has its error.
+    A single q and v that is open or singular raises. Such a member of a batch is NaN in the result.
 
     Attributes
     ----------
@@ -133,29 +137,25 @@ class ConstrainedState:
         return self
 
     def _move(self, q: FloatArray, v: FloatArray) -> None:
-        """Make (nq,) and (nv,) the q and v that the functions of `_each` are about."""
+        """Make (nq,) and (nv,) the q and v that the functions of `_each_member` are about."""
         self.kinematics.evaluate(q)
         self._rates = v
         self._drift: tuple[FloatArray, FloatArray] | None = None
         self._closed = False
 
-    def _each(self, function: Callable[..., Any], shape: Any, **arrays: FloatArray) -> Any:
+    def _each_member(self, function: Callable[..., Any], shape: Any, **arrays: FloatArray) -> Any:
         """Return the results of a function of one q and v, and of one member of each array, for all members.
 
         `shape` is that of a result, or a NamedTuple of shapes if the function returns several. For a single state and
         single arguments, the function's own result is returned.
         """
-        values, batch = arrays.values(), self._batch
-        if not batch:
-            # A loop is quicker than a generator.
-            for array in values:
-                if array.ndim > 1:
-                    break
-            else:
-                return function(*values)
+        if not self._batch and all(array.ndim == 1 for array in arrays.values()):
+            return function(*arrays.values())
+        batch = self._batch
         for name, array in arrays.items():
             batch = broadcastable(name, array.shape[:-1], "the other arguments", batch)
-        members = [np.broadcast_to(array, (*batch, array.shape[-1])) for array in (self._q, self._v, *values)]
+        vectors = self._q, self._v, *arrays.values()
+        members = [np.broadcast_to(array, (*batch, array.shape[-1])) for array in vectors]
         several = hasattr(shape, "_fields")
         results = [np.full((*batch, *one), np.nan) for one in (shape if several else (shape,))]
         self.failures = {}
@@ -176,53 +176,50 @@ class ConstrainedState:
 
     def closure_gap(self) -> FloatArray:
         """Return how far the closures are open, shape (..., 4, 3) [m]."""
-        return np.asarray(self._each(lambda: self.kinematics.gap.copy(), (len(self._constrained.closures), 3)))
+        return np.asarray(self._each_member(lambda: self.kinematics.gap.copy(), (len(self._constrained.closures), 3)))
 
     def constraint_jacobian(self) -> FloatArray:
         """Return the derivative of `closure_gap` by q, shape (..., 12, nv)."""
         shape = 3 * len(self._constrained.closures), self._constrained.model.nv
-        return np.asarray(self._each(lambda: self.kinematics.constraint_jacobian.copy(), shape))
+        return np.asarray(self._each_member(lambda: self.kinematics.constraint_jacobian.copy(), shape))
 
     def energy(self) -> Energy:
         """Return the kinetic and the potential energy (...) [J] of all bodies, closed or not."""
-        return Energy(*self._each(lambda: Energy(*self.kinematics.energies(self._rates)), Energy((), ())))
+        return Energy(*self._each_member(lambda: Energy(*self.kinematics.energies(self._rates)), Energy((), ())))
 
-    def forward_dynamics(
-        self, forces: npt.ArrayLike, wrench: WrenchLike = None, *, gains: GainsLike = None
-    ) -> FloatArray:
-        """Return the accelerations of all joints (..., nv) under the forces of all actuators, gravity and wrenches."""
+    def forward_dynamics(self, forces: npt.ArrayLike, wrench: npt.ArrayLike | None = None) -> FloatArray:
+        """Return the accelerations of all joints (..., nv) under actuators (..., n), gravity and a wrench (..., 6)."""
         constrained, kinematics = self._constrained, self.kinematics
-        stabilisation, (wrenches, frames) = read_gains(gains), constrained.read_wrenches(wrench)
-        actuators = read_vectors(forces, "forces", constrained.actuated.size)
+        arrays = {"forces": read_vectors(forces, "forces", constrained.actuated.size), **_wrench(wrench)}
         if self._solver is None:
             self._solver = AccelerationSolver(constrained)
         solver = self._solver
 
-        def member(force: FloatArray, load: FloatArray) -> FloatArray:
+        def member(force: FloatArray, load: FloatArray | None = None) -> FloatArray:
             kinematics.check_constrained()
-            if stabilisation is None:
-                self._check_closed()
-            torques = kinematics.wrench_torques(load, frames)
+            self._check_closed()
+            torques = np.zeros(kinematics.model.nv) if load is None else kinematics.platform_torques(load)
             torques[constrained.actuated] += force
-            return solver.accelerations(kinematics.q, self._rates, torques, stabilisation)
+            return solver.accelerations(kinematics.q, self._rates, torques)
 
-        return np.asarray(self._each(member, (kinematics.model.nv,), forces=actuators, wrench=wrenches))
+        return np.asarray(self._each_member(member, (kinematics.model.nv,), **arrays))
 
-    def inverse_dynamics(self, a: npt.ArrayLike, wrench: WrenchLike = None) -> FloatArray:
-        """Return the forces of all actuators (..., n) for joint accelerations (..., nv), gravity and wrenches."""
+    def inverse_dynamics(self, a: npt.ArrayLike, wrench: npt.ArrayLike | None = None) -> FloatArray:
+        """Return the actuators' forces (..., n) for joint accelerations (..., nv), gravity and a wrench (..., 6)."""
         constrained, kinematics = self._constrained, self.kinematics
         model, data = kinematics.model, kinematics.data
-        wrenches, frames = constrained.read_wrenches(wrench)
+        arrays = {"a": read_vectors(a, "a", model.nv), **_wrench(wrench)}
 
-        def member(a: FloatArray, load: FloatArray) -> FloatArray:
+        def member(a: FloatArray, load: FloatArray | None = None) -> FloatArray:
             self._check_closed()
             kinematics.check_accelerations(a, self._rates, self._bias()[0])
-            torques = pin.rnea(model, data, kinematics.q, self._rates, a) - kinematics.wrench_torques(load, frames)
+            torques = pin.rnea(model, data, kinematics.q, self._rates, a)
+            if load is not None:
+                torques = torques - kinematics.platform_torques(load)
             # Forces in the balls do no work on another robot: its actuators carry the tree's torques.
             return np.concatenate([torques[constrained.others], self._balance(torques[constrained.in_v])[0]])
 
-        accelerations = read_vectors(a, "a", model.nv)
-        return np.asarray(self._each(member, (constrained.actuated.size,), a=accelerations, wrench=wrenches))
+        return np.asarray(self._each_member(member, (constrained.actuated.size,), **arrays))
 
     def _balance(self, torques: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return leg forces (6,) and forces in the cut balls (3 n,) that give the tree's generalized forces (18,)."""
@@ -259,12 +256,14 @@ class ChainState(ConstrainedState):
 
     def configuration(self) -> Configuration:
         """Return the poses of m and of the middle platform's corners."""
+        kinematics, constrained = self.kinematics, self._constrained
 
         def member() -> _Placement:
-            return _Placement(*self.kinematics.terminal_pose(), self.kinematics.corners())
+            corners = np.array([kinematics.data.oMf[frame].translation for frame in constrained.corner_frames])
+            return _Placement(*kinematics.terminal_pose(), corners)
 
-        placement = self._each(member, _Placement((3, 3), (3,), (3, 3)))
-        return Configuration.from_arrays(self._constrained.geometry, *placement)
+        placement = self._each_member(member, _Placement((3, 3), (3,), (3, 3)))
+        return Configuration.from_arrays(constrained.geometry, *placement)
 
     def leg_lengths(self) -> FloatArray:
         """Return the leg lengths (..., 6) [m]."""
@@ -272,7 +271,8 @@ class ChainState(ConstrainedState):
 
     def inverse_jacobian(self) -> FloatArray:
         """Return J_f, which maps the platform's twist to the leg rates, shape (..., 6, 6)."""
-        return np.asarray(self._each(lambda: self.kinematics.velocities_of_twists[self._constrained.legs], (6, 6)))
+        legs = self._constrained.legs
+        return np.asarray(self._each_member(lambda: self.kinematics.velocities_of_twists[legs], (6, 6)))
 
     def joint_velocities(self, twist: npt.ArrayLike) -> FloatArray:
         """Return the velocities of all joints (..., 18) for a twist (..., 6) of m."""
@@ -280,30 +280,29 @@ class ChainState(ConstrainedState):
         def member(twist: FloatArray) -> FloatArray:
             return self.kinematics.velocities_of_twists @ twist
 
-        return np.asarray(self._each(member, (18,), twist=read_vectors(twist, "twist", 6)))
+        return np.asarray(self._each_member(member, (18,), twist=read_vectors(twist, "twist", 6)))
 
     def joint_rates(self, leg_rates: npt.ArrayLike) -> FloatArray:
         """Return the velocities of all joints (..., 18) for rates of the six legs (..., 6)."""
         rates = read_vectors(leg_rates, "leg_rates", 6)
-        return np.asarray(self._each(self.kinematics.velocities_of_legs, (18,), leg_rates=rates))
+        return np.asarray(self._each_member(self.kinematics.velocities_of_legs, (18,), leg_rates=rates))
 
     def leg_forces(self, wrench: npt.ArrayLike) -> FloatArray:
         """Return the actuator forces (..., 6) that hold a wrench (..., 6) applied onto the terminal platform."""
-        return np.asarray(
-            self._each(lambda load: self._holding(load)[0], (6,), wrench=read_vectors(wrench, "wrench", 6))
-        )
+        loads = read_vectors(wrench, "wrench", 6)
+        return np.asarray(self._each_member(lambda load: self._holding(load)[0], (6,), wrench=loads))
 
     def cut_forces(self, wrench: npt.ArrayLike) -> FloatArray:
         """Return the forces in the cut ball joints, shape (..., 4, 3)."""
         loads = read_vectors(wrench, "wrench", 6)
-        return np.asarray(self._each(lambda load: self._holding(load)[1].reshape(4, 3), (4, 3), wrench=loads))
+        return np.asarray(self._each_member(lambda load: self._holding(load)[1].reshape(4, 3), (4, 3), wrench=loads))
 
     def _holding(self, wrench: FloatArray) -> tuple[FloatArray, FloatArray]:
         return self._balance(-(self.kinematics.platform_jacobian.T @ wrench))
 
     def singular_values(self) -> SingularValues:
         """Return how near q is to each kind of singularity."""
-        return SingularValues(*self._each(self.kinematics.singular_values, SingularValues((), (), ())))
+        return SingularValues(*self._each_member(self.kinematics.singular_values, SingularValues((), (), ())))
 
     def joint_accelerations(self, acceleration: npt.ArrayLike) -> FloatArray:
         """Return the accelerations of all joints (..., 18) for one of the terminal platform (..., 6)."""
@@ -315,7 +314,7 @@ class ChainState(ConstrainedState):
             return kinematics.inverse_factors.solve(kinematics.nondimensional(acceleration - platform, -gaps))
 
         wanted = read_vectors(acceleration, "acceleration", 6)
-        return np.asarray(self._each(member, (18,), acceleration=wanted))
+        return np.asarray(self._each_member(member, (18,), acceleration=wanted))
 
     def joint_accelerations_of_legs(self, leg_accelerations: npt.ArrayLike) -> FloatArray:
         """Return the accelerations of all joints (..., 18) for those of the legs (..., 6) [m/s²]."""
@@ -325,7 +324,7 @@ class ChainState(ConstrainedState):
             return self.kinematics.velocities_of_legs(accelerations, self._bias()[0])
 
         wanted = read_vectors(leg_accelerations, "leg_accelerations", 6)
-        return np.asarray(self._each(member, (18,), leg_accelerations=wanted))
+        return np.asarray(self._each_member(member, (18,), leg_accelerations=wanted))
 
     def platform_acceleration(self, a: npt.ArrayLike) -> FloatArray:
         """Return the time derivative of the twist of m (..., 6) [m/s², rad/s²] for joint accelerations (..., nv)."""
@@ -333,12 +332,12 @@ class ChainState(ConstrainedState):
         def member(a: FloatArray) -> FloatArray:
             return self.kinematics.platform_jacobian @ a + self._bias()[1]
 
-        return np.asarray(self._each(member, (6,), a=read_vectors(a, "a", self._constrained.model.nv)))
+        return np.asarray(self._each_member(member, (6,), a=read_vectors(a, "a", 18)))
 
     def platform_dynamics(self) -> PlatformDynamics:
         """Return the equations of motion at the terminal platform."""
         shape = PlatformDynamics((6, 6), (6, 6), (6,), (6,))  # type: ignore[arg-type]
-        return PlatformDynamics(*self._each(self._platform_dynamics, shape))
+        return PlatformDynamics(*self._each_member(self._platform_dynamics, shape))
 
     def _platform_dynamics(self) -> PlatformDynamics:
         self._check_closed()
@@ -361,12 +360,11 @@ class ChainState(ConstrainedState):
 
     def natural_frequencies(self, stiffness: npt.ArrayLike) -> NaturalFrequencies:
         """Return the vibrations Λ ẍ + K x = 0 on elastic legs, of stiffnesses K (..., 6, 6)."""
-        matrices = symmetric_matrices(
-            stiffness, "stiffness", 6, "in N/m, N/rad, N and N m/rad, as of spm_pin.stiffness"
-        )
+        meaning = "in N/m, N/rad, N and N m/rad, as of spm_pin.stiffness"
+        matrices = symmetric_matrices(stiffness, "stiffness", 6, meaning)
         flat = matrices.reshape(*matrices.shape[:-2], 36)
         shape = NaturalFrequencies((6,), (6, 6))  # type: ignore[arg-type]
-        return NaturalFrequencies(*self._each(self._vibrations, shape, stiffness=flat))
+        return NaturalFrequencies(*self._each_member(self._vibrations, shape, stiffness=flat))
 
     def _vibrations(self, stiffness: FloatArray) -> NaturalFrequencies:
         self.kinematics.check_closed()
@@ -380,11 +378,83 @@ class ChainState(ConstrainedState):
         return NaturalFrequencies(np.sqrt(squares) / (2.0 * math.pi), modes.T)
 
 
-class ThreadState(threading.local):
-    """The state that a thread's calls about q and v compute in: its memory is kept between them."""
+State = TypeVar("State", bound=ConstrainedState)
 
-    def __init__(self, kind: type[ConstrainedState], constrained: ConstrainedModel) -> None:
-        self.state: Any = kind(constrained)
+
+class ConstrainedChain(Generic[State]):
+    """What `ClosedChain` and `MountedChain` have in common: the methods of their states, with q and v.
+
+    nq, nv and the number n of actuators are those of the model: 18, 18 and 6 for a chain by itself.
+    """
+
+    def __init__(self, constrained: ConstrainedModel, state_type: type[State]) -> None:
+        self._constrained, self._state_type = constrained, state_type
+        self._calls = threading.local()
+
+    def state(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> State:
+        """Return the state of joint values q (..., nq) and velocities v (..., nv), by default at rest.
+
+        It has the methods about rates, forces and dynamics, without q and v. For a single q and v they share what they
+        compute; `state.update(q, v)` moves it on.
+        """
+        return self._state_type(self._constrained).update(q, v)
+
+    def _at(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> State:
+        """Return the state that calls of this thread compute in, moved to q and v: its memory is kept between them."""
+        state: State | None = getattr(self._calls, "state", None)
+        if state is None:
+            state = self._calls.state = self._state_type(self._constrained)
+        return state.update(q, v)
+
+    def closure_gap(self, q: npt.ArrayLike) -> FloatArray:
+        """Return how far the closures are open: from `frame_a` to `frame_b` of each [m], shape (..., 4, 3)."""
+        return self._at(q).closure_gap()
+
+    def constraint_jacobian(self, q: npt.ArrayLike) -> FloatArray:
+        """Return the derivative of `closure_gap` by q, shape (..., 12, nv), three rows per closure; exact at any q.
+
+        Its transpose maps forces onto the closures' `frame_b`, with the opposite onto `frame_a`, to generalized forces.
+        """
+        return self._at(q).constraint_jacobian()
+
+    def energy(self, q: npt.ArrayLike, v: npt.ArrayLike) -> Energy:
+        """Return the kinetic and the potential energy (...) [J] of all bodies at q and v, closed or not."""
+        return self._at(q, v).energy()
+
+    def forward_dynamics(
+        self, q: npt.ArrayLike, v: npt.ArrayLike, forces: npt.ArrayLike, wrench: npt.ArrayLike | None = None
+    ) -> FloatArray:
+        """Return the accelerations of all joints (..., nv) [rad/s², m/s²] under actuators, gravity and a wrench.
+
+        Parameters
+        ----------
+        q, v : array_like, shapes (..., nq) and (..., nv)
+            Joint values, and joint velocities [rad/s, m/s], closed.
+        forces : array_like, shape (..., n)
+            Of the actuators [N, N m]: of another robot first, then of the legs.
+        wrench : array_like, shape (..., 6), optional
+            Onto the terminal platform.
+
+        Notes
+        -----
+        Only constraint singularities raise: inverse and forward ones are no obstacle.
+        """
+        return self._at(q, v).forward_dynamics(forces, wrench)
+
+    def inverse_dynamics(
+        self, q: npt.ArrayLike, v: npt.ArrayLike, a: npt.ArrayLike, wrench: npt.ArrayLike | None = None
+    ) -> FloatArray:
+        """Return the forces of the actuators (..., n) [N, N m] for a motion under gravity, inertia and a wrench.
+
+        q, v and a (..., nv) are those of a closed mechanism, the other arguments as in `forward_dynamics`. At rest, the
+        weights of all bodies are left. Raises at a forward or a constraint singularity.
+        """
+        return self._at(q, v).inverse_dynamics(a, wrench)
+
+
+def _wrench(wrench: npt.ArrayLike | None) -> dict[str, FloatArray]:
+    """Return a wrench (..., 6) as an argument of `_each_member`, if there is one."""
+    return {} if wrench is None else {"wrench": read_vectors(wrench, "wrench", 6)}
 
 
 def at_index(error: SpmError, index: tuple[int, ...]) -> SpmError:

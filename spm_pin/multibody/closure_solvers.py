@@ -38,56 +38,37 @@ Equations = Callable[[FloatArray], tuple[FloatArray, Callable[[], FloatArray]]]
 
 
 def close_loops(kinematics: TreeKinematics, q: FloatArray, hold_legs: bool = False, most: int = 10) -> FloatArray:
-    """Return closed joint values near q (18,), or raise `ClosureError`; see `ClosedChain.project`."""
+    """Return closed joint values near q (18,), or raise `ClosureError`; see `ClosedChain.project`.
+
+    The kinematics are left at the result.
+    """
     constrained = kinematics.constrained
     free = np.ones(q.shape, dtype=bool)
     free[constrained.legs] = not hold_legs
     units = constrained.units[free]
-
-    def equations(q: FloatArray) -> tuple[FloatArray, Callable[[], FloatArray]]:
-        kinematics.evaluate(q)
-        gap = kinematics.gap.ravel()
-
-        def step() -> FloatArray:
-            move = np.zeros(q.shape)
-            move[free] = units * np.linalg.lstsq(kinematics.constraint_jacobian[:, free] * units, -gap, rcond=None)[0]
-            return move
-
-        return gap, step
-
     cause = "No assembly mode of these leg lengths nearby?" if hold_legs else "Too far from any closed q?"
-    return _newton(kinematics, q, equations, most, SHORTEST_NEWTON_SHARE, cause)
-
-
-def _newton(
-    kinematics: TreeKinematics, q: FloatArray, equations: Equations, most: int, shortest: float, cause: str = ""
-) -> FloatArray:
-    """Return q where the residual is rounding, after at most so many steps, or raise `ClosureError`.
-
-    Steps are halved where a full one does not shrink the residual, down to the share `shortest`. The kinematics are
-    left at q.
-    """
-    constrained = kinematics.constrained
     tolerance = constrained.rounding(q)
-    residual, step = equations(q)
+    kinematics.evaluate(q)
     for iteration in range(most + 1):
-        if largest(residual) <= tolerance:
+        gap, widest = kinematics.gap.ravel(), kinematics.widest_gap()
+        if largest(gap) <= tolerance:
             return q
         if iteration == most:
             break
-        move, share, size, before = step(), 1.0, np.linalg.norm(residual), kinematics.widest_gap()
+        move, share, size = np.zeros(q.shape), 1.0, np.linalg.norm(gap)
+        move[free] = units * np.linalg.lstsq(kinematics.constraint_jacobian[:, free] * units, -gap, rcond=None)[0]
         while True:
             tried = q + share * move
             if (constrained.leg_lengths(tried) >= 0.0).all():
-                residual, step = equations(tried)
-                # To first order a share of the step shrinks the residual by that share: a quarter of that is required.
-                if np.linalg.norm(residual) <= (1.0 - 0.25 * share) * size:
+                kinematics.evaluate(tried)
+                # To first order a share of the step shrinks the gaps by that share: a quarter of that is required.
+                if np.linalg.norm(kinematics.gap) <= (1.0 - 0.25 * share) * size:
                     break
             share *= 0.5
-            if share < shortest:
-                raise ClosureError(before, iteration, cause)
+            if share < SHORTEST_NEWTON_SHARE:
+                raise ClosureError(widest, iteration, cause)
         q = tried
-    raise ClosureError(kinematics.widest_gap(), most, cause)
+    raise ClosureError(widest, most, cause)
 
 
 def follow_legs(kinematics: TreeKinematics, q: FloatArray, leg_lengths: FloatArray) -> FloatArray:
@@ -95,19 +76,19 @@ def follow_legs(kinematics: TreeKinematics, q: FloatArray, leg_lengths: FloatArr
     constrained = kinematics.constrained
     begin = constrained.leg_lengths(q)
 
-    def equations(share: float) -> Equations:
+    def equations_at(share: float) -> Equations:
         # At the end the target itself, not what adding up makes of it.
         target = leg_lengths if share == 1.0 else begin + share * (leg_lengths - begin)
 
-        def at(q: FloatArray) -> tuple[FloatArray, Callable[[], FloatArray]]:
+        def equations(q: FloatArray) -> tuple[FloatArray, Callable[[], FloatArray]]:
             kinematics.evaluate(q)
             missing, gap = target - constrained.leg_lengths(q), kinematics.gap.ravel()
             return np.concatenate([missing, gap]), lambda: kinematics.velocities_of_legs(missing, gap)
 
-        return at
+        return equations
 
     cause = "a forward singularity, or the end of this assembly mode?"
-    return _follow(kinematics, q, equations, kinematics.forward_determinant, cause)
+    return _follow(kinematics, q, equations_at, kinematics.forward_determinant, cause)
 
 
 def follow_pose(kinematics: TreeKinematics, q: FloatArray, rotation: FloatArray, translation: FloatArray) -> FloatArray:
@@ -117,26 +98,26 @@ def follow_pose(kinematics: TreeKinematics, q: FloatArray, rotation: FloatArray,
     start, origin = kinematics.terminal_pose()
     turn = pin.log3(rotation @ start.T)
 
-    def equations(share: float) -> Equations:
+    def equations_at(share: float) -> Equations:
         target = rotation if share == 1.0 else pin.exp3(share * turn) @ start
         place = translation if share == 1.0 else origin + share * (translation - origin)
 
-        def at(q: FloatArray) -> tuple[FloatArray, Callable[[], FloatArray]]:
+        def equations(q: FloatArray) -> tuple[FloatArray, Callable[[], FloatArray]]:
             kinematics.evaluate(q)
             now, here = kinematics.terminal_pose()
             error = np.concatenate([(place - here) / side, pin.log3(target @ now.T), -kinematics.gap.ravel() / side])
             return side * error, lambda: kinematics.inverse_factors.solve(error)
 
-        return at
+        return equations
 
     cause = "an inverse singularity, or out of reach?"
-    return _follow(kinematics, q, equations, kinematics.inverse_determinant, cause)
+    return _follow(kinematics, q, equations_at, kinematics.inverse_determinant, cause)
 
 
 def _follow(
     kinematics: TreeKinematics,
     q: FloatArray,
-    equations: Callable[[float], Equations],
+    equations_at: Callable[[float], Equations],
     determinant: Callable[[], float],
     cause: str,
 ) -> FloatArray:
@@ -146,7 +127,7 @@ def _follow(
     """
     done, share, attempts = 0.0, 1.0, 0
     while done < 1.0:
-        following, change, size = _step(kinematics, q, equations(done + share), determinant)
+        following, change, size = _step(kinematics, q, equations_at(done + share), determinant)
         attempts += 1
         if following is not None:
             q, done = following, done + share
@@ -156,7 +137,7 @@ def _follow(
         share *= 0.5
         if share < SHORTEST_SHARE or size < SHORTEST_STEP:
             where = f"No further than {100.0 * done:.3g} % of the way from the start: {cause}"
-            raise ClosureError(largest(equations(1.0)(q)[0]), attempts, where)
+            raise ClosureError(largest(equations_at(1.0)(q)[0]), attempts, where)
     return q
 
 

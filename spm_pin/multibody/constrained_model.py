@@ -17,7 +17,7 @@ are of order one together, v = C u, and the scaled matrices are
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -28,11 +28,10 @@ from scipy.linalg import lapack
 
 from spm_pin.description.tree import JOINTS, SLIDES, Closure
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
-from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable, frozen
+from spm_pin.mechanism.arguments import FloatArray, IntArray, frozen, real_array
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.leg_frames import home_lengths
+from spm_pin.mechanism.joint_angles import home_lengths
 from spm_pin.mechanism.leg_limits import LEGS
-from spm_pin.multibody.vector_arguments import Gains, WrenchLike, read_vector, read_vectors
 
 AGREEMENT = 1e-9
 """Lengths that differ by this share of the robot's own are taken for rounded, more for another robot's."""
@@ -40,9 +39,8 @@ AGREEMENT = 1e-9
 SINGULAR = 64.0 * float(np.finfo(np.float64).eps)
 """A matrix is singular to rounding where its smallest singular value is at most this times its largest.
 
-Ten joints lie between {B} and m, each adds a rounding or two of eps times an arm to an entry; some hundred entries
-that are not zero make a matrix off by a few hundred eps in the Frobenius norm, of a largest singular value of about
-five: a smaller singular value may as well be zero.
+Each of the ten joints between {B} and m adds a rounding or two to an entry: matrices are off by a few hundred eps, of a
+largest singular value of about five.
 """
 
 SUSPECT = 1e-9
@@ -51,8 +49,50 @@ SUSPECT = 1e-9
 BALLS = (("ball_b1_x", "ball_b1_y", "ball_b1_z"), ("ball_c1_z", "ball_c1_y", "ball_c1_x"))
 """The joints that stand for one ball joint each."""
 
-_NO_WRENCHES = frozen(np.empty(0))
-_NO_GAINS = Gains(0.0, 0.0)
+_JOINTS = "joint values in rad and m in Pinocchio's order"
+_RATES = "rates of the joints in Pinocchio's order"
+_MEANINGS = {
+    **dict.fromkeys(("q", "q0", "near"), _JOINTS),
+    **dict.fromkeys(("v", "v0", "a"), _RATES),
+    **dict.fromkeys(("other", "chain"), "in Pinocchio's order"),
+    "readings": "of r_b1 to r_c3 in m",
+    "leg_rates": "of r_b1 to r_c3 in m/s",
+    "leg_accelerations": "of r_b1 to r_c3 in m/s²",
+    "forces": "of the actuators in N and N m",
+    "twist": "(v, ω) at o in {B} in m/s and rad/s",
+    "acceleration": "of o in m/s², angular in rad/s², in {B}",
+    "wrench": "(f, m) in N and N m in the axes of {B}",
+}
+"""Meaning of each argument, for messages."""
+
+
+def read_vectors(value: npt.ArrayLike, argument: str, size: int, *, single: bool = False) -> FloatArray:
+    """Return vectors (..., size) as float64, or one (size,), or raise `ArgumentError`."""
+    if (
+        type(value) is np.ndarray
+        and value.shape == (size,)
+        and value.dtype == np.float64
+        # For the single vectors of control loops an eighth of the time of NumPy's own tests.
+        and (math.isfinite(sum(value.tolist())) or np.isfinite(value).all())
+    ):
+        return value
+    array = real_array(value, argument, (size,), _MEANINGS[argument])
+    if single and array.ndim != 1:
+        raise ArgumentError(argument, f"shape ({size},), {_MEANINGS[argument]}", f"shape {array.shape}")
+    return array
+
+
+def check_leg_lengths(leg_lengths: FloatArray, argument: str, cause: str) -> None:
+    """Raise `ArgumentError` where a leg length (..., 6) is negative."""
+    if (min(leg_lengths.tolist()) if leg_lengths.ndim == 1 else leg_lengths.min(initial=0.0)) < 0.0:
+        worst = np.unravel_index(int(leg_lengths.argmin()), leg_lengths.shape)
+        received = f"{leg_lengths[worst]:g} m in {LEGS[worst[-1]]}"
+        raise ArgumentError(argument, "legs of no negative length", received, cause)
+
+
+def largest(vector: FloatArray) -> float:
+    """Return the largest absolute value of a short vector: quicker than NumPy."""
+    return float(max(map(abs, vector.tolist())))
 
 
 class SingularValues(NamedTuple):
@@ -63,14 +103,12 @@ class SingularValues(NamedTuple):
     """
 
     inverse: Any
-    """Smallest singular value of K, the twist of {m} and the closures' rates: zero where the platform's twist does not
-    determine the rates of the legs."""
+    """Of K, the twist of {m} and the closures' rates: zero where the twist does not determine the leg rates."""
     forward: Any
-    """Smallest singular value of [S; Jc], the rates of the legs and of the closures: zero where the legs do not hold
-    the platform."""
+    """Of [S; Jc], the rates of the legs and of the closures: zero where the legs do not hold the platform."""
     constraint: Any
-    """Smallest singular value of Jc, the rates of the closures: zero where the revolute joints of a stage do not
-    constrain its platform. Then the other two are zero as well."""
+    """Of Jc, the rates of the closures: zero where the revolute joints of a stage do not constrain its platform. Then
+    the other two are zero as well."""
 
 
 class Factors(NamedTuple):
@@ -121,22 +159,12 @@ class Factors(NamedTuple):
 class ConstrainedModel:
     """A Pinocchio model that holds the mechanism's tree, perhaps with another robot's, and its closures; immutable.
 
-    The eighteen joints of the mechanism are counted in Pinocchio's order, which is that of a chain's own q.
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Both trees.
-    closures : iterable of Closure
-        Of kind "point", their frames in the model.
-    geometry : Geometry
-        The mechanism's, with the limits that set the zero of its joints.
-    prefix : str
-        Before the names of the mechanism's links and joints in the model.
+    The eighteen joints of the mechanism are counted in Pinocchio's order, which is that of a chain's own q. `prefix`
+    stands before the names of its links and joints in the model.
     """
 
-    def __init__(self, model: Any, closures: Iterable[Closure], geometry: Geometry, prefix: str) -> None:
-        self.model, self.closures, self.geometry = model, tuple(closures), geometry
+    def __init__(self, model: Any, closures: tuple[Closure, ...], geometry: Geometry, prefix: str) -> None:
+        self.model, self.closures, self.geometry = model, closures, geometry
         joints = {name: model.joints[model.getJointId(prefix + name)] for name in JOINTS}
         names = sorted(JOINTS, key=lambda name: joints[name].idx_q)
         self.names, self._prefix = tuple(prefix + name for name in names), prefix
@@ -145,13 +173,13 @@ class ConstrainedModel:
         self.in_v = np.array([joints[name].idx_v for name in names], dtype=np.intp)
         self.others = np.setdiff1d(np.arange(model.nv), self.in_v)
         # Among the eighteen: the slides in the order of `LEGS`, the other joints, and those of each ball.
-        self.legs = self.joint_indices(*SLIDES)
+        self.legs = frozen(self.joint_indices(*SLIDES))
         self.passive = np.setdiff1d(np.arange(len(JOINTS)), self.legs)
         self.balls = tuple(self.joint_indices(*ball) for ball in BALLS)
         # Where the actuators are in v: all of another robot, then the six legs.
-        self.actuated = np.concatenate([self.others, self.in_v[self.legs]])
+        self.actuated = frozen(np.concatenate([self.others, self.in_v[self.legs]]))
         self._slides = self.in_q[self.legs]
-        self._home = frozen(np.repeat(home_lengths(geometry), 3))
+        self.home_lengths = frozen(np.repeat(home_lengths(geometry), 3))
         # d, and the platforms' part in the length of a loop [m].
         self.side, self._platform_sizes = geometry.middle_side, sum(geometry.dimensions)
         # Of a step of order one in each joint: 1 rad, or d.
@@ -159,12 +187,10 @@ class ConstrainedModel:
         self.platform_frame = int(model.getFrameId(f"{prefix}terminal_platform"))
         self.corner_frames = [int(model.getFrameId(f"{prefix}middle_b{i}")) for i in "123"]
         # A frame that several closures share is evaluated once.
-        pairs = [[int(model.getFrameId(name)) for name in (c.frame_a, c.frame_b)] for c in self.closures]
-        self.frames = list(dict.fromkeys(frame for pair in pairs for frame in pair))
-        # A product takes a third of the time of picking rows and subtracting, and gives the same bits.
+        self.pairs = [[int(model.getFrameId(name)) for name in (c.frame_a, c.frame_b)] for c in closures]
+        self.frames = list(dict.fromkeys(frame for pair in self.pairs for frame in pair))
         unit = np.eye(len(self.frames))
-        self._signs = np.array([unit[self.frames.index(b)] - unit[self.frames.index(a)] for a, b in pairs])
-        self._pairs = pairs
+        self.signs = np.array([unit[self.frames.index(b)] - unit[self.frames.index(a)] for a, b in self.pairs])
 
     def joint_indices(self, *names: str) -> IntArray:
         """Return the indices (n,) among the eighteen of joints, with or without prefix."""
@@ -177,11 +203,7 @@ class ConstrainedModel:
 
     def leg_lengths(self, q: FloatArray) -> FloatArray:
         """Return the distances of the balls from the pivots (..., 6) [m] in q (..., nq)."""
-        return np.asarray(self._home + q.take(self._slides, axis=-1))
-
-    def slides(self, leg_lengths: FloatArray) -> FloatArray:
-        """Return the joint values (..., 6) of the slides at leg lengths."""
-        return np.asarray(leg_lengths - self._home)
+        return np.asarray(self.home_lengths + q.take(self._slides, axis=-1))
 
     def rounding(self, q: FloatArray) -> float:
         """Return the size of a gap that rounding explains [m]: a few eps times the length of the loops."""
@@ -189,50 +211,19 @@ class ConstrainedModel:
 
     def read_q(self, q: npt.ArrayLike, argument: str = "q", *, single: bool = False) -> FloatArray:
         """Return joint values (..., nq) as an array, or raise `ArgumentError`."""
-        array = (read_vector if single else read_vectors)(q, argument, self.model.nq)
+        array = read_vectors(q, argument, self.model.nq, single=single)
         cause = "The value of a slide is the leg's length minus its length at home"
         check_leg_lengths(self.leg_lengths(array), argument, cause)
         return array
 
-    def read_wrenches(self, wrench: WrenchLike) -> tuple[FloatArray, list[int]]:
-        """Return wrenches side by side (..., 6 n) and the n frames of the model that they act onto.
-
-        One without a name acts onto m.
-        """
-        if wrench is None:
-            return _NO_WRENCHES, []
-        if not isinstance(wrench, Mapping):
-            return read_vectors(wrench, "wrench", 6), [self.platform_frame]
-        unknown = [name for name in wrench if not (isinstance(name, str) and self.model.existFrame(name))]
-        if unknown:
-            cause = "The names of links, with the prefix"
-            raise ArgumentError("wrench", "frames of the model", ", ".join(map(repr, unknown)), cause)
-        arrays = [read_vectors(value, "wrench", 6) for value in wrench.values()]
-        shape: tuple[int, ...] = ()
-        for array in arrays:
-            shape = broadcastable("wrench", array.shape[:-1], "the other wrenches", shape)
-        spread = (np.broadcast_to(array, (*shape, 6)) for array in arrays)
-        together = np.concatenate([np.empty((*shape, 0)), *spread], axis=-1)
-        return together, [int(self.model.getFrameId(name)) for name in wrench]
-
-    def differences(self, vectors: FloatArray) -> FloatArray:
-        """Return, of vectors of `frames` side by side, that of `frame_b` less that of `frame_a` per closure, (n, 3)."""
-        return np.asarray(self._signs.dot(vectors.reshape(-1, 3)))
-
     def linear_differences(self, spatial: Sequence[FloatArray]) -> FloatArray:
-        """Return `differences` of the linear part of spatial vectors (6,) or matrices (6, m), (3 n,) or (3 n, m)."""
-        rows = np.concatenate(spatial)
-        differences = self._signs.dot(rows.reshape(len(self.frames), -1)).reshape(-1, 6, *rows.shape[1:])
-        return np.asarray(differences[:, :3].reshape(-1, *rows.shape[1:]))
+        """Return, per closure, the linear part at `frame_b` less that at `frame_a`, of vectors at `frames`.
 
-    def rigid_constraints(self) -> Any:
-        """Return the closures in the form that `pinocchio.constraintDynamics` takes; they hold gains."""
-        constraints = pin.StdVec_RigidConstraintModel()
-        for pair in self._pairs:
-            a, b = (self.model.frames[frame] for frame in pair)
-            places = a.parentJoint, a.placement, b.parentJoint, b.placement
-            constraints.append(pin.RigidConstraintModel(pin.ContactType.CONTACT_3D, self.model, *places, pin.LOCAL))
-        return constraints
+        They are spatial vectors (6,) or matrices (6, m); the result is (3 n,) or (3 n, m).
+        """
+        rows = np.concatenate(spatial)
+        differences = self.signs.dot(rows.reshape(len(self.frames), -1)).reshape(-1, 6, *rows.shape[1:])
+        return np.asarray(differences[:, :3].reshape(-1, *rows.shape[1:]))
 
 
 class TreeKinematics:
@@ -275,22 +266,20 @@ class TreeKinematics:
     @cached_property
     def gap(self) -> FloatArray:
         """From the origin of `frame_a` to that of `frame_b` of each closure, in the universe's axes [m], (n, 3)."""
-        return self.constrained.differences(np.concatenate(self._points))
+        return np.asarray(self.constrained.signs.dot(np.concatenate(self._points).reshape(-1, 3)))
 
-    @cached_property
-    def constraint_jacobian(self) -> FloatArray:
-        """Jc: joint velocities (nv,) to the rates of the gaps, shape (3 n, nv); exact at any q, closed or not."""
-        model, data, frames = self.model, self.data, self.constrained.frames
-        jacobians = [pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED) for frame in frames]
-        return self.constrained.linear_differences(jacobians)
+    def widest_gap(self) -> float:
+        """Return the largest distance of two frames that a closure holds together [m]."""
+        return math.sqrt(max(x * x + y * y + z * z for x, y, z in self.gap.tolist()))
 
     def frame_jacobian(self, frame: int) -> FloatArray:
         """Return the Jacobian (6, nv) of a frame, at its origin in the universe's axes."""
         return np.asarray(pin.getFrameJacobian(self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED))
 
-    def widest_gap(self) -> float:
-        """Return the largest distance of two frames that a closure holds together [m]."""
-        return math.sqrt(max(x * x + y * y + z * z for x, y, z in self.gap.tolist()))
+    @cached_property
+    def constraint_jacobian(self) -> FloatArray:
+        """Jc: joint velocities (nv,) to the rates of the gaps, shape (3 n, nv); exact at any q, closed or not."""
+        return self.constrained.linear_differences([self.frame_jacobian(frame) for frame in self.constrained.frames])
 
     @cached_property
     def own_constraint_jacobian(self) -> FloatArray:
@@ -307,9 +296,9 @@ class TreeKinematics:
         terminal = self.data.oMf[self.constrained.platform_frame]
         return terminal.rotation.copy(), terminal.translation.copy()
 
-    def corners(self) -> FloatArray:
-        """Return b_1, b_2 and b_3 as rows (3, 3)."""
-        return np.array([self.data.oMf[frame].translation for frame in self.constrained.corner_frames])
+    def nondimensional(self, platform: FloatArray, closures: FloatArray) -> FloatArray:
+        """Return [A p; c / d] of rows p of the platform (6, ...) and c of the closures (3 n, ...)."""
+        return np.concatenate([(self._twist_scale * platform.T).T, closures / self._side])
 
     @cached_property
     def velocity_scale(self) -> FloatArray:
@@ -319,6 +308,10 @@ class TreeKinematics:
             scale[np.ix_(ball, ball)] = np.linalg.inv(self.platform_jacobian[3:, ball])
         return scale
 
+    def scaled_constraint_jacobian(self) -> FloatArray:
+        """Return Jc C / d, shape (12, 18)."""
+        return np.asarray(self.own_constraint_jacobian @ self.velocity_scale) / self._side
+
     def inverse_matrix(self) -> FloatArray:
         """Return K̂, shape (18, 18)."""
         scale = self.velocity_scale
@@ -327,10 +320,6 @@ class TreeKinematics:
     def forward_matrix(self) -> FloatArray:
         """Return N̂, shape (18, 18)."""
         return np.concatenate([np.eye(len(JOINTS))[self.constrained.legs], self.scaled_constraint_jacobian()])
-
-    def scaled_constraint_jacobian(self) -> FloatArray:
-        """Return Jc C / d, shape (12, 18)."""
-        return np.asarray(self.own_constraint_jacobian @ self.velocity_scale) / self._side
 
     def singular_values(self) -> SingularValues:
         """Return the smallest singular values of K̂, N̂ and Jc C / d."""
@@ -358,10 +347,6 @@ class TreeKinematics:
                 if values[-1] <= SINGULAR * values[0] or (name == kind and factors.zero_pivot):
                     raise SingularConfigurationError(name, float(values[-1]))
         return factors
-
-    def nondimensional(self, platform: FloatArray, closures: FloatArray) -> FloatArray:
-        """Return [A p; c / d] of rows p of the platform (6, ...) and c of the closures (3 n, ...)."""
-        return np.concatenate([(self._twist_scale * platform.T).T, closures / self._side])
 
     @cached_property
     def velocities_of_twists(self) -> FloatArray:
@@ -393,13 +378,9 @@ class TreeKinematics:
         half = np.triu(pin.crba(self.model, self.data, self.q))
         return np.asarray(half + np.triu(half, 1).T)
 
-    def wrench_torques(self, wrenches: FloatArray, frames: list[int]) -> FloatArray:
-        """Return Σ J_kᵀ w_k (nv,) of wrenches (6 n,) at the origins of n frames, in the axes of the universe."""
-        total = np.zeros(self.model.nv)
-        if frames:
-            for frame, wrench in zip(frames, wrenches.reshape(-1, 6), strict=True):
-                total += self.frame_jacobian(frame).T @ wrench
-        return total
+    def platform_torques(self, wrench: FloatArray) -> FloatArray:
+        """Return Jᵀ w (nv,) of a wrench (6,) onto m at o, in the axes of the universe."""
+        return np.asarray(self.frame_jacobian(self.constrained.platform_frame).T @ wrench)
 
     def energies(self, v: FloatArray) -> tuple[float, float]:
         """Return the kinetic and the potential energy of the tree's bodies [J]."""
@@ -426,10 +407,9 @@ class TreeKinematics:
 
     def check_closed(self, v: FloatArray | None = None, argument: str = "v") -> None:
         """Raise unless q is closed and v keeps it so, to `AGREEMENT`."""
-        gap, most = self.gap.ravel(), AGREEMENT * self._side
-        # None is wider than all of them together: quicker, and mostly enough.
-        if gap.dot(gap) > most * most and (residual := self.widest_gap()) > most:
-            raise ClosureError(residual, 0, "Rounded or guessed joint values? The method project closes the loops")
+        gap = self.widest_gap()
+        if gap > AGREEMENT * self._side:
+            raise ClosureError(gap, 0, "Rounded or guessed joint values? The method project closes the loops")
         if v is None:
             return
         opening = largest(self.constraint_jacobian.dot(v))
@@ -445,7 +425,7 @@ class TreeKinematics:
         opening, size = largest(self.constraint_jacobian.dot(a) + drift), largest(drift)
         if opening <= AGREEMENT * size:
             return
-        # The rest of the size takes longer and is rarely needed.
+        # The other parts of the size take longer and are rarely needed.
         size += self._gap_rate_bound(a) + self._gap_rate_bound(v) ** 2 / self._side
         if opening > AGREEMENT * size:
             expected = "joint accelerations that keep the loops closed"
@@ -470,42 +450,20 @@ class AccelerationSolver:
     """Accelerations under forces, by `pinocchio.constraintDynamics`, and the memory it works in."""
 
     def __init__(self, constrained: ConstrainedModel) -> None:
-        self._model, self._data = constrained.model, constrained.model.createData()
-        self._constraints = constrained.rigid_constraints()
-        self._states = pin.StdVec_RigidConstraintData()
+        model = constrained.model
+        self._model, self._data = model, model.createData()
+        self._constraints, self._states = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
+        for pair in constrained.pairs:
+            a, b = (model.frames[frame] for frame in pair)
+            places = a.parentJoint, a.placement, b.parentJoint, b.placement
+            self._constraints.append(pin.RigidConstraintModel(pin.ContactType.CONTACT_3D, model, *places, pin.LOCAL))
         for constraint in self._constraints:
             self._states.append(constraint.createData())
-        pin.initConstraintDynamics(self._model, self._data, self._constraints, self._states)
+        pin.initConstraintDynamics(model, self._data, self._constraints, self._states)
         # No proximal term: one step is a direct solution.
         self._settings = pin.ProximalSettings(0.0, 0.0, 1)
-        # References into the vector, which is slow to iterate over.
-        self._each = list(self._constraints)
-        self._gains = _NO_GAINS
 
-    def accelerations(
-        self, q: FloatArray, v: FloatArray, torques: FloatArray, gains: Gains | None = None
-    ) -> FloatArray:
-        """Return the joint accelerations (nv,) under generalized forces (nv,), the closures' forces included.
-
-        The gaps e obey ë + kd ė + kp e = 0 in the universe's axes, at any q and v, closed or not; without gains, ë = 0.
-        """
-        gains = gains or _NO_GAINS
-        if gains != self._gains:
-            for constraint in self._each:
-                constraint.m_baumgarte_parameters.Kp, constraint.m_baumgarte_parameters.Kd = gains
-            self._gains = gains
+    def accelerations(self, q: FloatArray, v: FloatArray, torques: FloatArray) -> FloatArray:
+        """Return the joint accelerations (nv,) under generalized forces (nv,), the closures' forces included."""
         constraints = self._constraints, self._states, self._settings
         return np.asarray(pin.constraintDynamics(self._model, self._data, q, v, torques, *constraints).copy())
-
-
-def check_leg_lengths(leg_lengths: FloatArray, argument: str, cause: str) -> None:
-    """Raise `ArgumentError` where a leg length (..., 6) is negative."""
-    if (min(leg_lengths.tolist()) if leg_lengths.ndim == 1 else leg_lengths.min(initial=0.0)) < 0.0:
-        worst = np.unravel_index(int(leg_lengths.argmin()), leg_lengths.shape)
-        received = f"{leg_lengths[worst]:g} m in {LEGS[worst[-1]]}"
-        raise ArgumentError(argument, "legs of no negative length", received, cause)
-
-
-def largest(vector: FloatArray) -> float:
-    """Return the largest absolute value of a short vector: quicker than NumPy."""
-    return float(max(map(abs, vector.tolist())))

@@ -9,20 +9,18 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable
-from spm_pin.multibody.chain_state import ConstrainedState, Energy, ThreadState
-from spm_pin.multibody.constrained_model import ConstrainedModel
-from spm_pin.multibody.vector_arguments import GainsLike, WrenchLike, read_vectors
+from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable, frozen
+from spm_pin.multibody.chain_state import ConstrainedChain, ConstrainedState
+from spm_pin.multibody.constrained_model import ConstrainedModel, read_vectors
 
 
-class MountedChain:
+class MountedChain(ConstrainedChain[ConstrainedState]):
     """A `ClosedChain` and another robot in one Pinocchio model, the loops closed; read-only.
 
     Made by `ClosedChain.mounted_on` and `ClosedChain.carrying`. Its q is that of `model`; `join` and `split` put it
     together from the other robot's and the chain's and take it apart. Leading axes broadcast. The universe is that of
     whichever robot carries the other: all that is "in {B}" for a chain alone is in its axes here. Actuators are all of
-    the other robot's, then the six legs: `actuated_indices`. nq, nv and the number n of actuators are those of `model`.
-    The methods that a chain has too are described there.
+    the other robot's, then the six legs. nq, nv and the number n of actuators are those of `model`.
 
     Attributes
     ----------
@@ -30,19 +28,20 @@ class MountedChain:
         The chain, as it is by itself.
     model : pinocchio.Model
         Both trees; do not change it.
+    chain_indices, other_indices : ndarray
+        Indices in v of the chain's joints (18,), in the order of `chain.joint_names`, and of the other robot's degrees
+        of freedom, in that robot's order.
+    actuated_indices : ndarray
+        Indices of the actuators in v.
     """
 
     def __init__(self, chain: Any, other: Any, model: Any, collisions: Any, visuals: Any) -> None:
+        super().__init__(ConstrainedModel(model, chain.closures, chain.geometry, chain.prefix), ConstrainedState)
         self.chain, self.model = chain, model
         self._other, self._shapes = other, (collisions, visuals)
-        self._constrained = ConstrainedModel(model, chain.closures, chain.geometry, chain.prefix)
-        self._calls = ThreadState(ConstrainedState, self._constrained)
-        self._q, self._v = self._places(chain.model)
-        self._other_q, self._other_v = self._places(other)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # Pinocchio's constraints cannot be pickled.
-        return type(self), (self.chain, self._other, self.model, *self._shapes)
+        self._q, self.chain_indices = self._places(chain.model)
+        self._other_q, self.other_indices = self._places(other)
+        self.actuated_indices = self._constrained.actuated
 
     def __repr__(self) -> str:
         return f"<MountedChain: {self.chain!r} and {self._other.name}, {self.model.nv} degrees of freedom of the tree>"
@@ -54,22 +53,7 @@ class MountedChain:
             joint = self.model.joints[self.model.getJointId(tree.names[part.id])]
             q[part.idx_q : part.idx_q + part.nq] = joint.idx_q + np.arange(part.nq)
             v[part.idx_v : part.idx_v + part.nv] = joint.idx_v + np.arange(part.nv)
-        return q, v
-
-    @property
-    def chain_indices(self) -> IntArray:
-        """Indices of the chain's joints in v, in the order of `chain.joint_names`, shape (18,)."""
-        return self._v.copy()
-
-    @property
-    def other_indices(self) -> IntArray:
-        """Indices of the other robot's degrees of freedom in v, in that robot's order."""
-        return self._other_v.copy()
-
-    @property
-    def actuated_indices(self) -> IntArray:
-        """Indices of the actuators in v: all of the other robot's, then the six legs."""
-        return self._constrained.actuated.copy()
+        return frozen(q), frozen(v)
 
     def join(self, other: npt.ArrayLike, chain: npt.ArrayLike) -> FloatArray:
         """Return q (..., nq) of the model from the other robot's q and the chain's (..., 18)."""
@@ -77,7 +61,7 @@ class MountedChain:
 
     def join_velocities(self, other: npt.ArrayLike, chain: npt.ArrayLike) -> FloatArray:
         """Return v (..., nv), or accelerations, from the other robot's and the chain's (..., 18)."""
-        return _together(other, self._other_v, chain, self._v)
+        return _together(other, self.other_indices, chain, self.chain_indices)
 
     def split(self, q: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the other robot's q and the chain's (..., 18) from q (..., nq) of the model."""
@@ -87,45 +71,6 @@ class MountedChain:
     def robot_wrapper(self) -> Any:
         """Return a new `pinocchio.RobotWrapper` of both trees, with the shapes of both where they are known."""
         return pin.RobotWrapper(self.model, *self._shapes)
-
-    def state(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> ConstrainedState:
-        """Return the state of joint values q (..., nq) and velocities v (..., nv), by default at rest."""
-        return ConstrainedState(self._constrained).update(q, v)
-
-    def _at(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> ConstrainedState:
-        """Return the state that calls of this thread compute in, moved to q and v."""
-        state: ConstrainedState = self._calls.state
-        return state.update(q, v)
-
-    def closure_gap(self, q: npt.ArrayLike) -> FloatArray:
-        """Return how far the closures are open, in the universe's axes [m], shape (..., 4, 3)."""
-        return self._at(q).closure_gap()
-
-    def constraint_jacobian(self, q: npt.ArrayLike) -> FloatArray:
-        """Return the derivative of `closure_gap` by q, shape (..., 12, nv)."""
-        return self._at(q).constraint_jacobian()
-
-    def forward_dynamics(
-        self,
-        q: npt.ArrayLike,
-        v: npt.ArrayLike,
-        forces: npt.ArrayLike,
-        wrench: WrenchLike = None,
-        *,
-        gains: GainsLike = None,
-    ) -> FloatArray:
-        """Return the accelerations of all joints (..., nv) under actuators (..., n), gravity and wrenches."""
-        return self._at(q, v).forward_dynamics(forces, wrench, gains=gains)
-
-    def inverse_dynamics(
-        self, q: npt.ArrayLike, v: npt.ArrayLike, a: npt.ArrayLike, wrench: WrenchLike = None
-    ) -> FloatArray:
-        """Return the forces of the actuators (..., n) [N, N m] for a motion under gravity, inertia and wrenches."""
-        return self._at(q, v).inverse_dynamics(a, wrench)
-
-    def energy(self, q: npt.ArrayLike, v: npt.ArrayLike) -> Energy:
-        """Return the kinetic and the potential energy (...) [J] of all bodies."""
-        return self._at(q, v).energy()
 
 
 def _together(other: npt.ArrayLike, other_place: IntArray, chain: npt.ArrayLike, place: IntArray) -> FloatArray:
@@ -142,7 +87,7 @@ def mount(chain: Any, other: Any, frame: str, placement: Any, *, carried: bool) 
     if isinstance(other, pin.Model):
         other = pin.RobotWrapper(other)
     if not isinstance(other, pin.RobotWrapper):
-        cause = "Its loops would be lost" if isinstance(other, MountedChain | type(chain)) else ""
+        cause = "Its loops would be lost" if isinstance(other, ConstrainedChain) else ""
         raise ArgumentError("other", "a pinocchio.Model or a pinocchio.RobotWrapper", type(other).__name__, cause)
     robots = chain.robot_wrapper(), other
     parent, child = robots if carried else robots[::-1]

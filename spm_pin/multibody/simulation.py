@@ -15,7 +15,7 @@ from __future__ import annotations
 import enum
 import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
@@ -28,9 +28,8 @@ from spm_pin.errors import ClosureError
 from spm_pin.mechanism.arguments import FloatArray, real_number
 from spm_pin.mechanism.leg_limits import LEGS
 from spm_pin.multibody.closure_solvers import close_loops
-from spm_pin.multibody.constrained_model import AccelerationSolver, ConstrainedModel, TreeKinematics
+from spm_pin.multibody.constrained_model import AccelerationSolver, ConstrainedModel, TreeKinematics, read_vectors
 from spm_pin.multibody.trajectory import increasing_times
-from spm_pin.multibody.vector_arguments import WrenchLike, read_vector
 
 ForceFunction = Callable[[float, FloatArray, FloatArray], npt.ArrayLike]
 """A function of the time, q (18,) and v (18,): leg forces (6,), or a wrench (6,)."""
@@ -46,8 +45,8 @@ SHORTEST_LEG = 1e-6
 LARGEST_RATE = 1e100
 """Velocity, acceleration or power at which a run ends: SciPy's step control loops for ever on infinite ones."""
 
-SHORTEST_INTERVAL = 1e-7
-"""Shortest period and longest step that are accepted, as a share of the run: more steps would not end."""
+SHORTEST_PERIOD = 1e-7
+"""Shortest period that is accepted, as a share of the run: more steps would not end."""
 
 
 class SimulationEnd(enum.StrEnum):
@@ -81,7 +80,7 @@ class Simulation:
     potential: FloatArray
     """Potential energy of all bodies [J], shape (n,)."""
     work: FloatArray
-    """Work of the leg forces and the wrenches since the start [J], shape (n,)."""
+    """Work of the leg forces and the wrench since the start [J], shape (n,)."""
     closure_gap: FloatArray
     """The widest of the four gaps [m], shape (n,)."""
     end: SimulationEnd
@@ -119,40 +118,31 @@ def run_simulation(
     v0: npt.ArrayLike,
     times: npt.ArrayLike,
     forces: npt.ArrayLike | ForceFunction | None,
-    wrench: WrenchLike | ForceFunction,
+    wrench: npt.ArrayLike | ForceFunction | None,
     period: float | None,
     tolerance: float,
-    max_step: float,
 ) -> Simulation:
     """Integrate the motion; see `ClosedChain.simulate`."""
-    q, v = constrained.read_q(q0, "q0", single=True), read_vector(v0, "v0", constrained.model.nv)
+    q, v = constrained.read_q(q0, "q0", single=True), read_vectors(v0, "v0", constrained.model.nv, single=True)
     kinematics = TreeKinematics(constrained)
     kinematics.evaluate(q)
     kinematics.check_closed(v, "v0")
     recorded = increasing_times(times)
     begin, until = float(recorded[0]), float(recorded[-1])
-    span = until - begin
     real_number(tolerance, "tolerance", "a number from 1e-13 to 1e-3", least=1e-13, most=1e-3)
-    for name, interval in (("max_step", None if max_step == math.inf else max_step), ("period", period)):
-        if interval is not None:
-            expected = "a time in seconds, greater than zero and not less than 1e-7 of the run"
-            real_number(interval, name, expected, above=0.0, least=SHORTEST_INTERVAL * span)
-
+    if period is not None:
+        expected = "a time in seconds, greater than zero and not less than 1e-7 of the run"
+        real_number(period, "period", expected, above=0.0, least=SHORTEST_PERIOD * (until - begin))
     act = _as_function(np.zeros(6) if forces is None else forces, "forces")
-    if callable(wrench):
-        push, frames = _as_function(wrench, "wrench"), [constrained.platform_frame]
-    else:
-        together, frames = constrained.read_wrenches(wrench)
-        push = _constant(read_vector(together, "wrench", 6 * len(frames)))
-    integrator = Integrator(kinematics, push, frames, tolerance, max_step)
+    integrator = _Integrator(kinematics, None if wrench is None else _as_function(wrench, "wrench"), tolerance)
 
-    state = integrator.start(q, v)
-    stop = integrator.stop_event(begin, state)
+    state = integrator.closed(np.concatenate([q, v, [0.0]]))
+    stop = integrator.stop_event(state, begin)
     for k, (start, end) in enumerate(itertools.pairwise(_force_times(begin, until, period))):
         applied = act if period is None else _constant(act(start, *integrator.parts(state)))
         if k == 0:
             integrator.record(begin, state, applied)
-        if stop is not None or span == 0.0:
+        if stop is not None or until == begin:
             break
         inside = recorded[(recorded > start) & (recorded <= end)]
         state, stop = integrator.advance(state, (start, end), inside, applied)
@@ -170,10 +160,10 @@ def _constant(value: FloatArray) -> _Forces:
 
 def _as_function(force: Any, argument: str) -> _Forces:
     """Return a function from a constant or a function; what a function returns is checked."""
-    if isinstance(force, Mapping) or not callable(force):
-        return _constant(read_vector(force, argument, 6))
+    if not callable(force):
+        return _constant(read_vectors(force, argument, 6, single=True))
     # Copies: the function may change them.
-    return lambda t, q, v: read_vector(force(t, q.copy(), v.copy()), argument, 6)
+    return lambda t, q, v: read_vectors(force(t, q.copy(), v.copy()), argument, 6, single=True)
 
 
 def _force_times(begin: float, until: float, period: float | None) -> list[float]:
@@ -197,39 +187,40 @@ class _UnboundedRateError(Exception):
     """Velocities, accelerations or power are too large to be integrated."""
 
 
-class Integrator:
-    """Integrates the motion of a chain and records it; a state vector is q, v and the work done, shape (37,).
+class _Integrator:
+    """Integrates the motion of a chain and records it; a state vector is q, v and the work done, shape (37,)."""
 
-    `kinematics` is moved; `wrenches` (6 n,) side by side act onto `frames`.
-    """
-
-    def __init__(
-        self, kinematics: TreeKinematics, wrenches: _Forces, frames: list[int], tolerance: float, max_step: float
-    ) -> None:
+    def __init__(self, kinematics: TreeKinematics, wrench: _Forces | None, tolerance: float) -> None:
         self._kinematics, self._constrained = kinematics, kinematics.constrained
         self._solver = AccelerationSolver(self._constrained)
-        self._wrenches, self._frames = wrenches, frames
-        self._tolerance, self._max_step = tolerance, max_step
+        self._wrench, self._tolerance = wrench, tolerance
         self._size = len(self._constrained.names)
-        self._shortest = SHORTEST_LEG * self._constrained.side
         self.rows: list[tuple[Any, ...]] = []  # what is recorded: the first fields of `Simulation`
         self.steps = self.evaluations = 0
-
-    def start(self, q: FloatArray, v: FloatArray) -> FloatArray:
-        """Return the state that begins at q and v."""
-        return self._closed(np.concatenate([q, v, [0.0]]))
 
     def parts(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return q and v of a state."""
         return state[: self._size], state[self._size : -1]
 
-    def stop_event(self, time: float, state: FloatArray) -> StopEvent | None:
-        """Return why no simulation can begin at a state."""
-        lengths = self._leg_margins(state)
-        if lengths.min() < 0.0:
-            return StopEvent(SimulationEnd.COLLAPSE, LEGS[int(lengths.argmin())], time)
-        singular = self._constraint_margin(state) < 0.0
-        return StopEvent(SimulationEnd.CONSTRAINT_SINGULARITY, "", time) if singular else None
+    def closed(self, state: FloatArray) -> FloatArray:
+        """Return the state with q closed and v admissible."""
+        q, v = self.parts(state)
+        q = close_loops(self._kinematics, q)
+        jacobian = self._kinematics.constraint_jacobian
+        across = np.linalg.solve(self._kinematics.mass_matrix(), jacobian.T)
+        v = v - across @ np.linalg.solve(jacobian @ across, jacobian @ v)
+        return np.concatenate([q, v, [state[-1]]])
+
+    def _motion(
+        self, time: float, q: FloatArray, v: FloatArray, forces: _Forces
+    ) -> tuple[FloatArray, FloatArray, float]:
+        """Return the accelerations, the leg forces and the power of all but gravity."""
+        force, torques = forces(time, q, v), np.zeros(self._size)
+        if self._wrench is not None:
+            self._kinematics.evaluate(q)
+            torques += self._kinematics.platform_torques(self._wrench(time, q, v))
+        torques[self._constrained.legs] += force
+        return self._solver.accelerations(q, v, torques), force, float(torques @ v)
 
     def record(self, time: float, state: FloatArray, forces: _Forces) -> None:
         """Record the motion at a time, unless the last record is of that time."""
@@ -240,6 +231,33 @@ class Integrator:
         self._kinematics.evaluate(q)
         energies, gap = self._kinematics.energies(v), self._kinematics.widest_gap()
         self.rows.append((time, q, v, a, self._constrained.leg_lengths(q), force, *energies, float(state[-1]), gap))
+
+    def _margins(self, state: FloatArray) -> FloatArray:
+        """Return how far a state is from ending a run, shape (7,): leg lengths [m], and σ of the closures."""
+        kinematics, q = self._kinematics, state[: self._size]
+        kinematics.evaluate(q)
+        kinematics.check_ball_angles()
+        sigma = np.linalg.svd(kinematics.scaled_constraint_jacobian(), compute_uv=False)[-1]
+        lengths = self._constrained.leg_lengths(q) - SHORTEST_LEG * self._constrained.side
+        return np.append(lengths, sigma - LEAST_CONSTRAINED)
+
+    def stop_event(
+        self, state: FloatArray, time: float, until: float | None = None, dense: Any = None
+    ) -> StopEvent | None:
+        """Return why no run can begin at a state, or what ends it first in the step that `dense` interpolates."""
+        margins = self._margins(state if until is None else dense(until))
+        events = []
+        for which in np.flatnonzero(margins < 0.0).tolist():
+
+            def margin(t: float, which: int = which) -> float:
+                # Rounding must not have it end before the step begins.
+                return float(self._margins(dense(t))[which]) if t > time else float(np.finfo(np.float64).tiny)
+
+            when = time if until is None else float(brentq(margin, time, until, xtol=1e-15, rtol=1e-14))
+            is_leg = which < len(LEGS)
+            reason = SimulationEnd.COLLAPSE if is_leg else SimulationEnd.CONSTRAINT_SINGULARITY
+            events.append(StopEvent(reason, LEGS[which] if is_leg else "", when))
+        return min(events, key=lambda event: event.time, default=None)
 
     def advance(
         self, state: FloatArray, span: tuple[float, float], times: FloatArray, forces: _Forces
@@ -255,9 +273,9 @@ class Integrator:
                 raise _UnboundedRateError
             return rates
 
-        before, waiting, tolerance = span[0], 0, self._tolerance
+        before, waiting = span[0], 0
         try:
-            solver = DOP853(rate, *(span[0], state, span[1]), max_step=self._max_step, rtol=tolerance, atol=tolerance)
+            solver = DOP853(rate, span[0], state, span[1], rtol=self._tolerance, atol=self._tolerance)
             while solver.status == "running":
                 before = float(solver.t)
                 # It returns a message where its status becomes "failed".
@@ -266,88 +284,20 @@ class Integrator:
                 self.steps += 1
                 # Of the step as it was, before its end is moved onto the closures.
                 dense = solver.dense_output()
-                time, stop = self._collapse(dense, before, float(solver.t))
+                stop = self.stop_event(state, before, float(solver.t), dense)
+                time, end = (float(solver.t), solver.y) if stop is None else (stop.time, dense(stop.time))
                 try:
-                    closed = self._closed(solver.y if stop is None else np.asarray(dense(time)))
+                    closed = self.closed(end)
                 except (ClosureError, np.linalg.LinAlgError):
                     return state, StopEvent(SimulationEnd.STALLED, "the loops do not close any more", before)
-                within = self._within(dense, (before, state), (time, closed))
-                stop = self._singularity(within, before, time) or stop
-                last = time if stop is None else stop.time
-                while waiting < times.size and times[waiting] <= last:
-                    self.record(float(times[waiting]), within(float(times[waiting])), forces)
+                while waiting < times.size and times[waiting] <= time:
+                    moment = float(times[waiting])
+                    self.record(moment, closed if moment == time else self.closed(dense(moment)), forces)
                     waiting += 1
                 if stop is not None:
-                    return within(last), stop
+                    return closed, stop
                 state = closed
                 solver.y, solver.f = closed, rate(time, closed)
         except _UnboundedRateError:
             return state, StopEvent(SimulationEnd.STALLED, "velocities, accelerations or power above 1e100", before)
         return state, None
-
-    def _within(
-        self, dense: Any, begin: tuple[float, FloatArray], end: tuple[float, FloatArray]
-    ) -> Callable[[float], FloatArray]:
-        """Return the closed state as a function of time in a step, at its ends the states known there."""
-
-        def state(time: float) -> FloatArray:
-            if time <= begin[0]:
-                return begin[1]
-            return end[1] if time >= end[0] else self._closed(np.asarray(dense(time)))
-
-        return state
-
-    def _collapse(self, dense: Any, before: float, end: float) -> tuple[float, StopEvent | None]:
-        """Return the time at which a step ends, with the first leg that has no length left if that ends it early."""
-        short = np.flatnonzero(self._leg_margins(dense(end)) < 0.0)
-        if not short.size:
-            return end, None
-
-        def margin(time: float, leg: int) -> float:
-            # Rounding must not take the length away before the step begins.
-            least = np.finfo(np.float64).tiny if time <= before else -np.inf
-            return float(max(self._leg_margins(dense(time))[leg], least))
-
-        times = {int(leg): float(brentq(margin, before, end, (leg,), xtol=1e-15, rtol=1e-14)) for leg in short}
-        first = min(times, key=times.__getitem__)
-        return times[first], StopEvent(SimulationEnd.COLLAPSE, LEGS[first], times[first])
-
-    def _singularity(self, state: Callable[[float], FloatArray], before: float, end: float) -> StopEvent | None:
-        """Return the constraint singularity that a step meets."""
-        if self._constraint_margin(state(end)) >= 0.0:
-            return None
-        time = float(brentq(lambda t: self._constraint_margin(state(t)), before, end, xtol=1e-15, rtol=1e-14))
-        return StopEvent(SimulationEnd.CONSTRAINT_SINGULARITY, "", time)
-
-    def _leg_margins(self, state: FloatArray) -> FloatArray:
-        """Return by how much the legs are longer than the shortest length, shape (6,)."""
-        return np.asarray(self._constrained.leg_lengths(state[: self._size]) - self._shortest)
-
-    def _constraint_margin(self, state: FloatArray) -> float:
-        """Return by how much the smallest singular value of the closures is above the least."""
-        kinematics = self._kinematics
-        kinematics.evaluate(state[: self._size])
-        kinematics.check_ball_angles()
-        values = np.linalg.svd(kinematics.scaled_constraint_jacobian(), compute_uv=False)
-        return float(values[-1]) - LEAST_CONSTRAINED
-
-    def _motion(
-        self, time: float, q: FloatArray, v: FloatArray, forces: _Forces
-    ) -> tuple[FloatArray, FloatArray, float]:
-        """Return the accelerations, the leg forces and the power of all but gravity."""
-        force = forces(time, q, v)
-        torques = np.zeros(self._size)
-        if self._frames:
-            self._kinematics.evaluate(q)
-            torques += self._kinematics.wrench_torques(self._wrenches(time, q, v), self._frames)
-        torques[self._constrained.legs] += force
-        return self._solver.accelerations(q, v, torques), force, float(torques @ v)
-
-    def _closed(self, state: FloatArray) -> FloatArray:
-        """Return the state with q closed and v admissible."""
-        q, v = self.parts(state)
-        q = close_loops(self._kinematics, q)
-        jacobian = self._kinematics.constraint_jacobian
-        across = np.linalg.solve(self._kinematics.mass_matrix(), jacobian.T)
-        v = v - across @ np.linalg.solve(jacobian @ across, jacobian @ v)
-        return np.concatenate([q, v, [state[-1]]])

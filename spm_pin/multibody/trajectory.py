@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform, RotationSpline
 
 from spm_pin.errors import ArgumentError, ClosureError, PoseError, SingularConfigurationError
-from spm_pin.mechanism.arguments import FloatArray, IntArray, as_bool, real_array
+from spm_pin.mechanism.arguments import FloatArray, IntArray, as_bool, frozen, real_array
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose
 from spm_pin.multibody.chain_state import ChainState, at_index
 from spm_pin.multibody.closure_solvers import follow_pose
@@ -32,9 +32,7 @@ class PlatformMotion(NamedTuple):
 
 
 class PlatformPath:
-    """A twice continuously differentiable motion of the platform through given poses.
-
-    Cubic splines: of o as in SciPy's `CubicSpline`, of the rotation as in its `RotationSpline`.
+    """A twice continuously differentiable motion of the platform through given poses, by SciPy's cubic splines.
 
     Parameters
     ----------
@@ -45,6 +43,11 @@ class PlatformPath:
     ease : bool
         Start from rest and end at rest, without acceleration: the path is gone through on a clock that runs from the
         first to the last time as 10 x³ - 15 x⁴ + 6 x⁵. The poses between are then met at other times.
+
+    Attributes
+    ----------
+    start, end, duration : float
+        First and last time, and the time from one to the other [s].
     """
 
     def __init__(self, times: npt.ArrayLike, poses: PoseLike, *, ease: bool = False) -> None:
@@ -52,30 +55,12 @@ class PlatformPath:
         transforms = as_rigid_transform(poses, "poses")
         if transforms.shape != knots.shape:
             raise PoseError("poses", f"one for each of {knots.size} times", f"shape {transforms.shape}")
-        self._times = knots
+        self.times = frozen(knots.copy())
+        self.start, self.end = float(knots[0]), float(knots[-1])
+        self.duration = self.end - self.start
         self._ease = as_bool(ease, "ease")
         self._translation = CubicSpline(knots, transforms.translation)
         self._rotation = RotationSpline(knots, transforms.rotation)
-
-    @property
-    def times(self) -> FloatArray:
-        """Times of the poses [s], shape (n,), as given, before easing; a copy."""
-        return self._times.copy()
-
-    @property
-    def start(self) -> float:
-        """First time [s]."""
-        return float(self._times[0])
-
-    @property
-    def end(self) -> float:
-        """Last time [s]."""
-        return float(self._times[-1])
-
-    @property
-    def duration(self) -> float:
-        """From the first to the last time [s]."""
-        return self.end - self.start
 
     def __call__(self, times: npt.ArrayLike) -> PlatformMotion:
         """Return the motion at times [s] of shape (...), none outside the path's own."""

@@ -1,10 +1,10 @@
 """Loop equations of the manipulator in CasADi, and a numerical inverse displacement by certified multi-start.
 
 `closure`, `leg_lengths` and `leg_jacobian` make symbolic functions, for optimal control problems of one's own and for
-generated C code. `search` and `inverse_displacement` find the branches of a pose without the mechanism's algebra.
+generated C code. `search` finds the branches of a pose without the mechanism's algebra.
 """
 
-from spm_pin.nlp.branch_search import SOLVERS, Interrupted, Search, inverse_displacement, search
+from spm_pin.nlp.branch_search import SOLVERS, Interrupted, Search, search
 from spm_pin.nlp.loop_equations import closure, inverse_jacobian, leg_jacobian, leg_lengths
 
 __all__ = [
@@ -12,7 +12,6 @@ __all__ = [
     "Interrupted",
     "Search",
     "closure",
-    "inverse_displacement",
     "inverse_jacobian",
     "leg_jacobian",
     "leg_lengths",

@@ -69,10 +69,7 @@ class LoopEquations:
 def newton(
     equations: LoopEquations, starts: FloatArray, matrix: FloatArray, iterations: int
 ) -> tuple[FloatArray, BoolArray]:
-    """Iterate Newton's method from each of the starts b (n, 9) [m], for a pose (4, 4).
-
-    Returns where each start ended (n, 9) [m], and whether all equations hold there to rounding (n,).
-    """
+    """Return the ends (n, 9) [m] of Newton's method from starts for a pose (4, 4), and whether all equations hold."""
     b = starts.copy()
     converged = np.zeros(len(b), dtype=bool)
     active = np.arange(len(b))
@@ -105,16 +102,12 @@ def _solve(jacobian: FloatArray, residual: FloatArray) -> FloatArray:
 class RootCertificate:
     """A bound on the distance from a point to a solution, proved up to the rounding of its own evaluation."""
 
-    b: FloatArray
-    """The point (9,) after a last Newton step where that helps [m]."""
+    b: FloatArray  # the point (9,) after a last Newton step where that helps [m]
     sigma: float
     """Smallest singular value of the loop equations' Jacobian, dimensionless: zero at inverse singularities."""
-    error: float
-    """Largest distance to a solution [m], in the norm of all nine coordinates."""
-    isolated: bool
-    """Whether that bound is proved. If not, `error` is that of a double root."""
-    apart: float
-    """Points closer than this are the same solution [m]."""
+    error: float  # largest distance to a solution [m], in the norm of all nine coordinates
+    isolated: bool  # whether that bound is proved. If not, `error` is that of a double root
+    apart: float  # points closer than this are the same solution [m]
 
 
 def certify_root(equations: LoopEquations, b: FloatArray, matrix: FloatArray) -> RootCertificate:

@@ -4,10 +4,9 @@ A start is a middle platform of the right size in a random orientation, placed w
 least. Orientations are uniform on SO(3), which is compact, and every solution is itself such a start: every branch has
 a neighbourhood of starts that lead to it, and no box has to be chosen to search in.
 
-Newton's method is the default solver. The loop equations of a pose are a square system without an objective, on which
-IPOPT takes Newton steps too, at some eighty times the cost per start; `make bench` measures both beside SciPy's
-solvers. IPOPT serves as a second method: its line search and restoration phase end elsewhere, and stop at a measured
-infeasibility where nothing solves the equations.
+Newton's method is the default solver: the loop equations of a pose are a square system without an objective, on which
+IPOPT takes Newton steps too, at some eighty times the cost per start. IPOPT is a second method: its line search and
+restoration phase end elsewhere, and stop at a measured infeasibility where nothing solves the equations.
 """
 
 from __future__ import annotations
@@ -75,15 +74,13 @@ class Search:
     """Starts that ended on a continuous family of solutions."""
     failed: IntArray
     """Starts that ended at no solution."""
-    failed_residual: FloatArray
-    """Smallest norm of the loop equations where a failed start ended [m]; NaN where none failed."""
     sigma: FloatArray
     """Smallest singular value of the loop equations at each branch, shape (..., 8), dimensionless; zero where two
     branches meet."""
     error_bound: FloatArray
     """A true branch is proved to be this near [m], in the norm of all nine coordinates, shape (..., 8)."""
     isolated: BoolArray
-    """Whether it is proved to be the only one there, shape (..., 8)."""
+    """True where it is proved to be the only one there, shape (..., 8)."""
     infeasibility: FloatArray
     """Where no branch was found: the smallest norm of the loop equations that least squares reach [m]."""
     outcomes: Mapping[str, int]
@@ -91,34 +88,11 @@ class Search:
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C during a search; the poses finished before are kept.
-
-    Attributes
-    ----------
-    partial : Search
-        The result so far, the other poses marked as unsolved.
-    """
+    """Ctrl-C during a search; `partial` is the `Search` so far, in which the other poses are unsolved."""
 
     def __init__(self, partial: Search) -> None:
         self.partial = partial
         super().__init__("interrupted; .partial holds the poses finished before")
-
-
-def inverse_displacement(
-    geometry: Geometry,
-    pose: PoseLike,
-    *,
-    starts: int = STARTS,
-    seed: int = 0,
-    solver: str = "newton",
-    options: Mapping[str, Any] | None = None,
-) -> SolutionSet:
-    """Find the configurations that hold the platform in a pose, numerically.
-
-    Parameters and errors are those of `search`, which also returns the statistics. The `SolutionSet` has the labels of
-    `spm_pin.inverse_displacement`, without discriminants and degeneracy.
-    """
-    return search(geometry, pose, starts=starts, seed=seed, solver=solver, options=options).solutions
 
 
 def search(
@@ -147,11 +121,6 @@ def search(
     options : mapping, optional
         Options of IPOPT, as `casadi.nlpsol` takes them: ``{"ipopt.max_iter": 50}``.
 
-    Returns
-    -------
-    Search
-        The solutions and the statistics of the search.
-
     Raises
     ------
     GeometryError
@@ -173,7 +142,7 @@ def search(
         options = _options(options, solver)
     transform = as_rigid_transform(pose)
     matrices = transform.as_matrix().reshape(-1, 4, 4)
-    method = IpoptSolver(geometry, options) if options else _ipopt(geometry) if solver == "ipopt" else None
+    method = IpoptSolver(geometry, options) if solver == "ipopt" else None
     equations = loop_equations_of(geometry)
     runs: list[Multistart] = []
     try:
@@ -206,10 +175,7 @@ class IpoptSolver:
             raise ArgumentError("options", expected, self._options, reason) from refused
 
     def __call__(self, starts: FloatArray, matrix: FloatArray) -> tuple[FloatArray, Counter[str]]:
-        """Solve from each start (n, 9) [m] for a pose (4, 4).
-
-        Returns where each start ended (n, 9) [m], and how often IPOPT returned which status.
-        """
+        """Return where each start (n, 9) [m] ends for a pose (4, 4), and how often IPOPT returned which status."""
         pose = np.concatenate([matrix[:3, :3].T.ravel(), matrix[:3, 3]])
         ends = np.empty_like(starts)
         outcomes: Counter[str] = Counter()
@@ -235,23 +201,15 @@ class Multistart:
     """State of the multi-start at one pose."""
 
     equations: LoopEquations
-    """The loop equations of the machine."""
-    matrix: FloatArray
-    """The pose of {m} in {B}, shape (4, 4)."""
+    matrix: FloatArray  # the pose of {m} in {B}, shape (4, 4)
     certificates: list[RootCertificate] = field(default_factory=list)
-    """The solutions found, each with what is proved about it."""
-    hits: list[int] = field(default_factory=list)
-    """Starts that ended at each of them."""
+    """The solutions, each with what is proved about it."""
+    hits: list[int] = field(default_factory=list)  # starts that ended at each of them
     starts: int = 0
-    """Starts made."""
-    failed: int = 0
-    """Starts that ended at no solution."""
-    failed_residual: float = np.nan
-    """Smallest norm of the loop equations where a failed start ended [m]; NaN where none failed."""
+    failed: int = 0  # starts that ended at no solution
     infeasibility: float = np.nan
-    """Smallest norm of the loop equations that least squares found [m]; NaN where they were not needed."""
-    outcomes: Counter[str] = field(default_factory=Counter)
-    """Starts by the solver's own verdict."""
+    """Smallest norm of the loop equations that least squares reach [m]; NaN where they were not needed."""
+    outcomes: Counter[str] = field(default_factory=Counter)  # starts by the status of the solver
 
     def run(self, method: IpoptSolver | None, starts: int, rng: np.random.Generator) -> None:
         """Make this number of starts; `method` None means Newton's method."""
@@ -274,10 +232,6 @@ class Multistart:
             ends = np.where(converged[:, None], polished, ends)
         self._count_hits(ends[converged])
         self.failed += int((~converged).sum())
-        if not converged.all():
-            with np.errstate(over="ignore", invalid="ignore"):
-                norms = np.linalg.norm(self.equations(ends[~converged], self.matrix)[0], axis=-1)
-            self.failed_residual = float(np.fmin(self.failed_residual, np.nanmin(norms)))
 
     def _count_hits(self, ends: FloatArray) -> None:
         """Count each end point (n, 9) as a hit of its solution, adding solutions not seen before."""
@@ -346,7 +300,6 @@ def random_starts(geometry: Geometry, matrix: FloatArray, count: int, rng: np.ra
 
 
 loop_equations_of = functools.lru_cache(maxsize=32)(LoopEquations)
-_ipopt = functools.lru_cache(maxsize=32)(IpoptSolver)
 
 
 def _options(options: Mapping[str, Any], solver: str) -> dict[str, Any]:
@@ -362,38 +315,41 @@ def _collect(geometry: Geometry, transform: Any, runs: list[Multistart]) -> Sear
     """Gather the searches of all poses into arrays of the batch's shape."""
     shape = transform.shape
     joints = np.full((len(runs), MOST_BRANCHES, 9), np.nan)
-    solved = [len(run.kept) <= MOST_BRANCHES and run.status is not Status.UNSOLVED for run in runs]
+    solved = np.array(
+        [len(run.kept) <= MOST_BRANCHES and run.status is not Status.UNSOLVED for run in runs], dtype=bool
+    )
     for n, run in enumerate(runs):
         for place, k in enumerate(run.kept[:MOST_BRANCHES]):
             joints[n, place] = run.certificates[k].b
     by_place = joints.reshape(*shape, MOST_BRANCHES, 3, 3)
-    ordered = SolutionSet.from_unordered(geometry, transform, by_place, np.array(solved, dtype=bool).reshape(shape))
+    ordered = SolutionSet.from_unordered(geometry, transform, by_place, solved.reshape(shape))
     branches = ordered.middle_joints.reshape(joints.shape)
-    hits = np.zeros((len(runs), MOST_BRANCHES), dtype=int)
-    sigma, error = np.full(hits.shape, np.nan), np.full(hits.shape, np.nan)
-    isolated = np.zeros(hits.shape, dtype=bool)
+    # Hits, sigma, error and isolation of each branch.
+    facts = np.full((4, len(runs), MOST_BRANCHES), np.nan)
+    facts[[0, 3]] = 0.0
     for n, run in enumerate(runs):
         for k in run.kept:
-            at = n, (branches[n] == run.certificates[k].b).all(axis=-1)
-            hits[at], isolated[at] = run.hits[k], run.certificates[k].isolated
-            sigma[at], error[at] = run.certificates[k].sigma, run.certificates[k].error
+            root = run.certificates[k]
+            facts[:, n, (branches[n] == root.b).all(axis=-1)] = np.array(
+                [run.hits[k], root.sigma, root.error, root.isolated]
+            )[:, None]
+    hits, sigma, error, isolated = facts.reshape(4, *shape, MOST_BRANCHES)
     continuous = np.array([run.continuous for run in runs], dtype=bool).reshape(shape)
     status = np.where(continuous, Status.DEGENERATE, ordered.status)
     outcomes: Counter[str] = sum((run.outcomes for run in runs), Counter())
 
-    def of(values: list[Any], kind: Any = np.float64) -> Any:
+    def of(values: list[Any], kind: type = int) -> Any:
         return np.array(values, dtype=kind).reshape(shape)
 
     return Search(
         solutions=SolutionSet(ordered.configurations, BRANCHES, status),
-        starts=of([run.starts for run in runs], int),
-        hits=hits.reshape(*shape, MOST_BRANCHES),
-        continuous=of([run.starts - run.failed - sum(run.hits[k] for k in run.kept) for run in runs], int),
-        failed=of([run.failed for run in runs], int),
-        failed_residual=of([run.failed_residual for run in runs]),
-        sigma=sigma.reshape(*shape, MOST_BRANCHES),
-        error_bound=error.reshape(*shape, MOST_BRANCHES),
-        isolated=isolated.reshape(*shape, MOST_BRANCHES),
-        infeasibility=of([run.infeasibility for run in runs]),
+        starts=of([run.starts for run in runs]),
+        hits=hits.astype(int),
+        continuous=of([run.starts - run.failed - sum(run.hits[k] for k in run.kept) for run in runs]),
+        failed=of([run.failed for run in runs]),
+        sigma=sigma,
+        error_bound=error,
+        isolated=isolated.astype(bool),
+        infeasibility=of([run.infeasibility for run in runs], float),
         outcomes=dict(outcomes),
     )

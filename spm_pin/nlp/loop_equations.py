@@ -37,24 +37,11 @@ def placed_platform(geometry: Geometry, rotation: ca.SX, translation: ca.SX) -> 
 
 
 def equations(geometry: Geometry, b: ca.SX, rotation: ca.SX, translation: ca.SX) -> ca.SX:
-    """Return the nine loop equations as an expression.
+    """Return the nine loop equations [m] as an expression (9,).
 
-    Parameters
-    ----------
-    geometry : Geometry
-        The manipulator.
-    b : casadi.SX, shape (9,)
-        b_1, b_2, b_3 in {B}, one after the other [m].
-    rotation : casadi.SX, shape (3, 3)
-        From {m} to {B}.
-    translation : casadi.SX, shape (3,)
-        Position of o in {B} [m].
-
-    Returns
-    -------
-    casadi.SX, shape (9,)
-        [m]: distances of the b_i from the planes of the lower legs, then of the upper legs; then, for the sides
-        12, 23, 31, (|b_i - b_j|² - d²)/(2d), which is the side's error to first order and smooth everywhere.
+    They are the distances of the b_i, b (9,) in {B} [m], from the planes of the lower legs, then of the upper legs; and
+    for the sides 12, 23, 31, (|b_i - b_j|² - d²)/(2d), which is the side's error to first order and smooth everywhere.
+    `rotation` (3, 3) and `translation` (3,) are the pose of {m} in {B}.
     """
     points = _points(b)
     joints, axes = placed_platform(geometry, rotation, translation)
@@ -74,14 +61,10 @@ def leg_vectors(geometry: Geometry, b: ca.SX, rotation: ca.SX, translation: ca.S
 
 
 def closure(geometry: Geometry) -> ca.Function:
-    """Make the loop equations and their Jacobian.
+    """Make ``closure(b, rotation, translation) -> residual, jacobian``.
 
-    Returns
-    -------
-    casadi.Function
-        ``closure(b, rotation, translation) -> residual, jacobian``: b (9,) [m], the pose of {m} in {B};
-        residual (9,) [m] as in `equations`, and its dense Jacobian (9, 9) with respect to b, dimensionless with
-        entries of at most one where the sides are right.
+    b (9,) [m] and the pose of {m} in {B}; residual (9,) [m] as in `equations`, and its dense Jacobian (9, 9) with
+    respect to b, dimensionless with entries of at most one where the sides are right.
     """
     b, rotation, translation = state = _symbols(geometry)
     residual = equations(geometry, b, rotation, translation)
@@ -89,13 +72,7 @@ def closure(geometry: Geometry) -> ca.Function:
 
 
 def leg_lengths(geometry: Geometry) -> ca.Function:
-    """Make the leg lengths.
-
-    Returns
-    -------
-    casadi.Function
-        ``leg_lengths(b, rotation, translation) -> lengths``: r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m]. Eq. (20).
-    """
+    """Make ``leg_lengths(b, rotation, translation) -> lengths``: r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m]. Eq. (20)."""
     state = _symbols(geometry)
     return _function("leg_lengths", state, lengths=ca.vertcat(*map(ca.norm_2, leg_vectors(geometry, *state))))
 
@@ -130,14 +107,8 @@ def leg_jacobian(geometry: Geometry) -> ca.Function:
 def inverse_jacobian(derivatives: Sequence[npt.ArrayLike | ca.DM]) -> FloatArray:
     """Return the inverse Jacobian (6, 6), l_x - l_b F_b⁻¹ F_x, from the four outputs of `leg_jacobian`.
 
-    It takes the twist (v, ω) at o in {B} [m/s, rad/s] to the leg rates [m/s].
-
-    Raises
-    ------
-    ArgumentError
-        If `derivatives` are something else.
-    SingularConfigurationError
-        As "inverse", where F_b is singular.
+    It takes the twist (v, ω) at o in {B} [m/s, rad/s] to the leg rates [m/s]. Where F_b is singular, it raises
+    `SingularConfigurationError` as "inverse".
     """
     expected = "the four outputs of leg_jacobian, of shapes (9, 9), (9, 6), (6, 9), (6, 6)"
     if not isinstance(derivatives, Sequence) or len(derivatives) != len(_SHAPES):

@@ -1,4 +1,4 @@
-"""The paper's inverse Jacobian, Eqs. (21)-(31), with its symbols and its equation numbers.
+"""The paper's inverse Jacobian and driving forces, Eqs. (21)-(33), with its symbols and equation numbers, and Table 5.
 
 The loop equation of each leg pair, Eq. (21), is differentiated and multiplied by R_i2, Eq. (25), and by δ_ci,
 Eq. (26); the middle platform's sides give three more equations, Eq. (28). All nine are linear in the six leg
@@ -12,8 +12,8 @@ those that the published numbers were computed with.
 The functions take a `Configuration` of shape (...) and the `mistakes` to make, by default none. A member that does not
 exist gives NaN. All raise `SingularConfigurationError` as "forward", where a leg has no length, hence no direction.
 
-J_α is singular at an inverse singularity, and J then loses digits near it; `spm_pin.kinematics` has no need of
-it for forces.
+J_α is singular at an inverse singularity; J, and the forces, for which Eq. (33) inverts J_f, lose digits near it that
+the problem does not.
 """
 
 from __future__ import annotations
@@ -21,11 +21,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from spm_pin.errors import SingularConfigurationError
-from spm_pin.mechanism.arguments import FloatArray, first_offender
+from spm_pin.mechanism.arguments import FloatArray, broadcastable, first_offender, real_array
 from spm_pin.mechanism.configuration import Configuration
+from spm_pin.paper import published
 
+KILO = 1e3
+CENTI = 1e-2
+# F [kN] and T [kN cm] that Table 5 was computed with; Section 5 prints others.
+_OTHER_LOAD = ((-20.0, -30.0, 60.0), (-30.0, -30.0, -100.0))
 SINGULAR = 64.0 * float(np.finfo(np.float64).eps)
 """A matrix is singular where its smallest singular value is at most this times its largest: its entries, products
 of unit vectors computed from joint positions, carry errors of this order."""
@@ -116,7 +122,7 @@ def J(configuration: Configuration, mistakes: Table5Mistakes = CORRECT) -> Float
     J_α = J_alpha(configuration, mistakes)
     scaled = J_α.copy()
     scaled[..., 6:] /= configuration.geometry.middle_side
-    refuse_singular(scaled, "inverse", configuration)
+    _refuse_singular(scaled, "inverse", configuration)
     J_α = np.where(configuration.exists[..., None, None], J_α, np.eye(9))
     return np.asarray(np.linalg.solve(J_α, J_lambda(configuration, mistakes)), dtype=np.float64)  # Eq. (30b)
 
@@ -129,7 +135,47 @@ def J_f(configuration: Configuration, mistakes: Table5Mistakes = CORRECT) -> Flo
     return J(configuration, mistakes)[..., :6, :6]
 
 
-def refuse_singular(scaled: FloatArray, kind: str, configuration: Configuration) -> None:
+def f_r(
+    configuration: Configuration, F: npt.ArrayLike, T: npt.ArrayLike, mistakes: Table5Mistakes = CORRECT
+) -> FloatArray:
+    """Return the active forces f_r = -(J_f⁻¹)ᵀ [F; T] of Eq. (33), shape (..., 6) [N], positive where a leg pushes.
+
+    F [N] and T [N m], of shape (..., 3), are applied onto m at o, in {B}; leading axes broadcast with those of the
+    configuration. The `mistakes` are those in J_f. NaN for a member that does not exist. It raises as `J_f`, and
+    `SingularConfigurationError` as "forward" where J_f is singular to rounding.
+    """
+    force = real_array(F, "F", (3,), "the force at o in {B} in newtons")
+    torque = real_array(T, "T", (3,), "the torque in {B} in newton metres")
+    shape = broadcastable("F", force.shape[:-1], "the configuration", configuration.shape)
+    shape = broadcastable("T", torque.shape[:-1], "F and the configuration", shape)
+    matrix = J_f(configuration, mistakes)
+    scaled = matrix.copy()
+    scaled[..., 3:] /= configuration.geometry.middle_side
+    _refuse_singular(scaled, "forward", configuration)
+    matrix = np.where(configuration.exists[..., None, None], matrix, np.eye(6))
+    both = np.concatenate([np.broadcast_to(force, (*shape, 3)), np.broadcast_to(torque, (*shape, 3))], axis=-1)
+    forces = -np.linalg.solve(np.swapaxes(matrix, -1, -2), both[..., None])[..., 0]  # Eq. (33)
+    return np.where(configuration.exists[..., None], forces, np.nan)
+
+
+def load(mistakes: Table5Mistakes = CORRECT) -> tuple[FloatArray, FloatArray]:
+    """Return F [N] and T [N m] of the example in Section 5, or those Table 5 was computed with."""
+    F, T = _OTHER_LOAD if mistakes.other_load else (published.FORCE, published.TORQUE)
+    return KILO * np.array(F), KILO * CENTI * np.array(T)
+
+
+def table_5(configuration: Configuration, mistakes: Table5Mistakes = CORRECT) -> tuple[FloatArray, FloatArray]:
+    """Return the rows of Table 5 for the example's twist and load: v_r [cm/s] and f_r [kN], (..., 6) each.
+
+    Of solution 3 of the example with the mistakes `PUBLISHED` they are the numbers as printed, with `CORRECT` the true
+    ones. Raises as `f_r`.
+    """
+    v, ω = CENTI * np.array(published.VELOCITY[:3]), np.deg2rad(published.VELOCITY[3:])
+    v_r = J_f(configuration, mistakes) @ np.concatenate([v, ω])  # Eq. (31)
+    return v_r / CENTI, f_r(configuration, *load(mistakes), mistakes) / KILO
+
+
+def _refuse_singular(scaled: FloatArray, kind: str, configuration: Configuration) -> None:
     """Raise `SingularConfigurationError` if an existing member of dimensionless `scaled` (..., n, n) is singular."""
     exists = configuration.exists
     values = np.linalg.svd(np.where(exists[..., None, None], scaled, np.eye(scaled.shape[-1])), compute_uv=False)

@@ -194,8 +194,7 @@ def solve(geometry: Geometry, pose: PoseLike, *, refine: int = 0) -> ComplexArra
     """Return all eight solutions of poses (...) as the paper finds them, real or complex.
 
     Rows b_i (..., 8, 3, 3) in {B} [m], in no particular order; NaN where Eq. (10) divides by zero. `refine` Newton
-    steps on Eq. (13) follow the paper's own procedure, none by default. `PoseError` is raised if `pose` is no rigid
-    transform of finite numbers.
+    steps on Eq. (13) follow the paper's own procedure, none by default.
     """
     transform = as_rigid_transform(pose)
     return Resultant.of(geometry, transform).solutions(refine).reshape(*transform.shape, 8, 3, 3)
@@ -204,23 +203,11 @@ def solve(geometry: Geometry, pose: PoseLike, *, refine: int = 0) -> ComplexArra
 def inverse_displacement(
     geometry: Geometry, pose: PoseLike, *, refine: int = 4, tolerance: float = 1e-7
 ) -> SolutionSet:
-    """Return the paper's real solutions under the canonical labels, to compare with other methods.
+    """Return the paper's real solutions under the canonical labels, without discriminants.
 
-    Parameters
-    ----------
-    geometry, pose
-        As for `solve`.
-    refine : int
-        Newton steps on Eq. (13).
-    tolerance : float
-        In units of d, times the steepness of the lines: solutions with smaller imaginary parts are real,
-        those closer together are one.
-
-    Returns
-    -------
-    SolutionSet
-        Without discriminants. `Status.UNSOLVED` where a line is vertical, or so steep that the solutions
-        found contradict one another.
+    `refine` Newton steps on Eq. (13) are taken. Solutions whose imaginary parts are below `tolerance`, in units of d
+    times the steepness of the lines, are real, those closer together are one. The status is `Status.UNSOLVED` where a
+    line is vertical, or so steep that the solutions contradict one another.
     """
     transform = as_rigid_transform(pose)
     resultant = Resultant.of(geometry, transform)

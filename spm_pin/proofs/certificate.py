@@ -3,30 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.kinematics.forward_displacement import forward_physical
+from spm_pin.kinematics.path_following import physical_mode_share
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, real_array, real_number, whole_number
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LegLimits
-from spm_pin.mechanism.stage_coordinates import configuration_of_stages, stage_coordinates
 from spm_pin.proofs.stage_proof import StageProof, prove_stage
-from spm_pin.proofs.stage_region import StageRegion
+from spm_pin.proofs.stage_region import StageRegion, configuration_at, region_coordinates
 
-STAGES = ("lower", "upper")
-LONGEST = 1e3
-"""Leg lengths, and distances of poses, that are worth a proof, at most, in units of the machine's size."""
-
-MARGIN = 1e-12
+_LONGEST = 1e3
+"""Largest leg lengths that are worth a proof, in units of the machine's size."""
+_MARGIN = 1e-12
 """By how much lengths may be outside the limits of a certificate, by rounding, in units of the machine's size and the
 longest leg: what is proved is proved for limits wider by this."""
-
 _ROUNDING = 1e-15
 """Rounding of a parameter of a machine, in metres per metre of its size, and in radians."""
+_LINES = 1_000
+"""Lines of leg lengths along which a forward singularity is looked for."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Certificate:
         """Boxes of (x, y, Z) of the lower and of the upper stage that were not decided, shapes (N, 3, 2).
 
         (x, y) is the vector part of the middle platform's quaternion (x0, x, y, 0) against the base (lower) or the
-        terminal platform (upper, seen upside down), Z [m] the distance of its centre from the hips' plane.
+        terminal platform (upper, seen upside down), Z [m] the distance of its centre from the plane of the legs' bases.
         """
         return self.lower.undecided, self.upper.undecided
 
@@ -88,7 +88,7 @@ class Certificate:
         inside = self.admits(configuration.readings)
         if not self.holds:
             return np.zeros_like(inside)
-        states = stage_coordinates(configuration)
+        states = region_coordinates(configuration)
         for k, proof in enumerate((self.lower, self.upper)):
             inside = inside & _contained(states[..., k, :], proof.proved)
         return np.asarray(inside)
@@ -116,18 +116,16 @@ class Certificate:
             ]
         else:
             lines.append("Undecided: no singular configuration was found, and none was excluded.")
-        for name, boxes in zip(STAGES, self.undecided, strict=True):
+        for name, boxes in zip(("lower", "upper"), self.undecided, strict=True):
             if len(boxes):
-                tilt = np.degrees(
-                    2.0 * np.arcsin(np.minimum(np.sqrt((boxes[:, :2] ** 2).max(axis=2).sum(axis=1)), 1.0))
-                )
-                lines.append(f"{len(boxes):,} boxes of the {name} stage, tilted by up to {tilt.max():.0f}°.")
+                half_sine = float(np.sqrt((boxes[:, :2] ** 2).max(axis=2).sum(axis=1).max()))
+                tilt = np.degrees(2.0 * np.arcsin(min(half_sine, 1.0)))
+                lines.append(f"{len(boxes):,} boxes of the {name} stage, tilted by up to {tilt:.0f}°.")
         return "\n".join(lines)
 
     def __repr__(self) -> str:
-        return (
-            f"<Certificate: {'holds' if self.holds else 'does not hold' if self.witness is not None else 'undecided'}>"
-        )
+        failed = "undecided" if self.witness is None else "does not hold"
+        return f"<Certificate: {'holds' if self.holds else failed}>"
 
 
 def certify(
@@ -140,10 +138,10 @@ def certify(
 ) -> Certificate:
     """Prove that leg limits exclude forward singularities.
 
-    Each stage is searched by interval branch and bound [1]_ with outward rounding, over all orientations without
-    torsion and all heights. What is joined, within the limits, to the physical configuration at the middle of the
-    limits is proved free of forward singularities. It follows that six leg lengths within the limits have exactly one
-    configuration there, and that no straight line in leg space meets a singularity; see `docs/theory/proofs.md`.
+    What is joined, within the limits, to the physical configuration at their middle is proved free of forward
+    singularities, by interval branch and bound over all orientations without torsion and all heights. It follows that
+    six leg lengths within the limits have exactly one configuration there, and that no straight line in leg space meets
+    a singularity; see `docs/theory/proofs.md`.
 
     Parameters
     ----------
@@ -162,12 +160,7 @@ def certify(
     Returns
     -------
     Certificate
-        It may not hold: then it has a singular configuration, if there is one, and the boxes left undecided.
-
-    References
-    ----------
-    .. [1] J.-P. Merlet, "Interval Analysis for Certified Numerical Solution of Problems in Robotics", International
-       Journal of Applied Mathematics and Computer Science 19 (2009).
+        It may not hold: then it has a singular configuration, if one was found, and the boxes left undecided.
     """
     nominal = check_instance(geometry, Geometry, "geometry").nominal
     limits = nominal.limits if limits is None else check_instance(limits, LegLimits, "limits")
@@ -187,15 +180,14 @@ def certify(
     middle = forward_physical(nominal, 0.5 * (np.array(limits.minimum) + np.array(limits.maximum)))
     if not middle.exists:
         raise GeometryError("limits", "lengths between them that can be assembled", "a middle that cannot be")
-    starts = stage_coordinates(middle)
+    starts = region_coordinates(middle)
     regions = stage_regions(nominal, limits, errors)
     proofs = [prove_stage(region, start, most=boxes) for region, start in zip(regions, starts, strict=True)]
     witness = None
     if any(proof.singular is not None for proof in proofs):
-        states = [
-            start if proof.singular is None else proof.singular for start, proof in zip(starts, proofs, strict=True)
-        ]
-        witness = configuration_of_stages(nominal, np.stack(states))
+        pairs = zip(starts, proofs, strict=True)
+        states = [start if proof.singular is None else proof.singular for start, proof in pairs]
+        witness = configuration_at(nominal, np.stack(states))
     return Certificate(nominal, limits, proofs[0], proofs[1], witness, errors)
 
 
@@ -210,7 +202,8 @@ def largest_certified_limits(
 ) -> Certificate:
     """Find the widest leg limits around given lengths that are proved free of forward singularities.
 
-    All legs may differ from their centre by the same length; the widest difference is found by bisection.
+    All legs may differ from their centre by the same length. No limits hold in which a line from the centre meets a
+    forward singularity; just within the nearest one of many is tried first, then the width is bisected.
 
     Parameters
     ----------
@@ -241,20 +234,25 @@ def largest_certified_limits(
         received = f"shape {lengths.shape}" if lengths.shape not in ((), (6,)) else float(lengths.min())
         raise ArgumentError("centre", "one or six positive leg lengths in metres", received)
     lengths = np.broadcast_to(lengths, 6)
-    size = geometry.base_radius + geometry.platform_radius + geometry.middle_side
-    if not (lengths <= LONGEST * size).all() or not forward_physical(geometry, lengths).exists:
+    size = sum(geometry.dimensions)
+    if not (lengths <= _LONGEST * size).all() or not forward_physical(geometry, lengths).exists:
         raise ArgumentError(
             "centre", "leg lengths in metres that can be assembled", f"{lengths.max():g} m at the longest"
         )
-    best, narrow, wide = None, 0.0, float(lengths.min())
+    rng = np.random.default_rng(0)
+    directions = np.concatenate([list(product((-1.0, 1.0), repeat=6)), rng.uniform(-1.0, 1.0, (_LINES, 6))])
+    directions /= np.abs(directions).max(axis=-1, keepdims=True)
+    shares = physical_mode_share(geometry, lengths, lengths + 0.999 * lengths.min() * directions)
+    best, narrow, wide = None, 0.0, 0.999 * float(lengths.min() * shares.min())
+    half = (1.0 - 0.9 * tolerance) * wide
     while wide - narrow > tolerance * wide:
-        half = 0.5 * (narrow + wide)
         limits = LegLimits(tuple(lengths - half), tuple(lengths + half))
         certificate = certify(geometry, limits, boxes=boxes, length_error=length_error, angle_error=angle_error)
         if certificate.holds:
             best, narrow = certificate, half
         else:
             wide = half
+        half = 0.5 * (narrow + wide)
         if best is None and wide < 1e-6 * float(lengths.min()):
             raise ArgumentError("centre", "lengths away from forward singularities", lengths)
     assert best is not None
@@ -271,7 +269,7 @@ def stage_regions(geometry: Geometry, limits: LegLimits, errors: tuple[float, fl
 
 
 def _margin(geometry: Geometry, limits: LegLimits) -> float:
-    return MARGIN * (sum(geometry.dimensions) + max(limits.maximum))
+    return _MARGIN * (sum(geometry.dimensions) + max(limits.maximum))
 
 
 def _widened(geometry: Geometry, errors: tuple[float, float]) -> tuple[float, float]:

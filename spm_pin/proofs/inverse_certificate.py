@@ -35,14 +35,13 @@ from spm_pin.proofs.certificate import Certificate, certify, stage_regions
 from spm_pin.proofs.stage_proof import Int64Array, StageProof
 from spm_pin.proofs.stage_region import StageRegion
 
-__all__ = ["SAMPLES", "InverseCertificate", "certify_inverse"]
-
 Cells = tuple[Interval, Interval]
 """x and y of cells of one stage."""
 
-SAMPLES = 2_000
+_SAMPLES = 2_000
 """States among which a singular one, and the least |det K|, are looked for."""
-DEEPEST = 20
+_DEEPEST = 20
+"""Largest level of division."""
 _GRID = 5
 """Level of division to begin with; a cell of level n has 2¹⁻ⁿ of the unit disc's radius."""
 _CORNERS = np.array(list(product((0, 1), repeat=4))).reshape(16, 2, 2)
@@ -125,7 +124,7 @@ def certify_inverse(
         for region, proof in zip(stage_regions(geometry, limits), (forward.lower, forward.upper), strict=True)
     ]
     low, high = np.array(limits.minimum), np.array(limits.maximum)
-    legs = np.random.default_rng(0).uniform(low, high, (SAMPLES, 6))
+    legs = np.random.default_rng(0).uniform(low, high, (_SAMPLES, 6))
     legs[0] = 0.5 * (low + high)
     legs = legs[forward_physical(geometry, legs).exists]
 
@@ -151,7 +150,7 @@ class _StageCells:
     def __init__(self, region: StageRegion, proof: StageProof) -> None:
         boxes = np.concatenate([proof.proved, proof.undecided])
         self._region = region
-        # Above the hips the sign of a corner's height is known, if no box says otherwise.
+        # Above the legs' bases the sign of a corner's height is known, if no box says otherwise.
         heights = region.corners(*(Interval(boxes[:, i, 0], boxes[:, i, 1]) for i in range(3)))[1]
         self._upward = all((height.low > 0.0).all() for height in heights)
         side = 1 << _GRID
@@ -165,13 +164,13 @@ class _StageCells:
         """Return for which cells (N, 2) of a level there may be a height with lengths within the limits."""
         cell = position >> (level - _GRID)
         region, (x, y) = self._region, _ends(level, position)
-        radii, rises = region.corners(x, y, Interval.of(0.0))
+        radii, rises = region.corners(x, y, Interval.from_numbers(0.0))
         lowest, highest = np.full(len(position), -np.inf), np.full(len(position), np.inf)
         for radius, rise, length in zip(radii, rises, region.lengths, strict=True):
-            across = (radius - region.hips).square()
-            room = Interval.of(length.high).square() - across
+            across = (radius - region.leg_base_radius).square()
+            room = Interval.from_numbers(length.high).square() - across
             top = np.where(room.high < 0.0, -np.inf, room.root().high)
-            bottom = (Interval.of(length.low).square() - across).root().low if self._upward else -top
+            bottom = (Interval.from_numbers(length.low).square() - across).root().low if self._upward else -top
             heights = Interval(bottom, np.maximum(top, bottom)) - rise
             lowest = np.maximum(lowest, heights.low)
             highest = np.minimum(highest, np.where(top < bottom, -np.inf, heights.high))
@@ -204,11 +203,11 @@ def _axes(cells: Cells, upward: float) -> list[tuple[Interval, Interval, Interva
 
 def structure_determinant(lower: Cells, upper: Cells) -> Interval:
     """Return enclosures of det K / d³ over pairs of cells."""
-    minus = plus = Interval.of(1.0)
+    minus = plus = Interval.from_numbers(1.0)
     for (a, b, c), (d, e, f) in zip(_axes(lower, -2.0), _axes(upper, 2.0), strict=True):
         first, second = 1.5 * (b * f - c * e), 0.5 * SQRT_3 * (c * d - a * f)
         minus, plus = minus * (first - second), plus * (first + second)
-    return -(minus + plus) * (SQRT_3.reciprocal() * Interval.of(3.0).reciprocal())
+    return -(minus + plus) * (SQRT_3.reciprocal() * Interval.from_numbers(3.0).reciprocal())
 
 
 def _divide(stages: list[_StageCells], target: float, most: int) -> tuple[float, FloatArray, int]:
@@ -224,7 +223,7 @@ def _divide(stages: list[_StageCells], target: float, most: int) -> tuple[float,
         least = value.least()
         bound = min(bound, float(least[least > target].min(initial=np.inf)))
         pairs, least = pairs[least <= target], least[least <= target]
-        if not len(pairs) or level == DEEPEST or seen + 16 * len(pairs) > most:
+        if not len(pairs) or level == _DEEPEST or seen + 16 * len(pairs) > most:
             ends = [np.stack([x.low, x.high], axis=-1) for k in range(2) for x in _ends(level, pairs[least <= 0.0, k])]
             return min(bound, float(least.min(initial=np.inf))), np.stack(ends, axis=1), seen
         halves = (2 * pairs[:, None] + _CORNERS).reshape(-1, 2, 2)

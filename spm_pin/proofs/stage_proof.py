@@ -1,8 +1,9 @@
 """Proof by subdivision that a stage meets no forward singularity between limits of its leg lengths.
 
 The cube of the states (x, y, Z) of a `StageRegion` is divided into eight again and again: what has no
-lengths within the limits goes; what keeps the sign of D is proved; of the rest only what is joined to a given state,
-through touching boxes, is divided further. Derivation and theorem: `docs/theory/proofs.md`.
+lengths within the limits goes; what keeps the sign of D is proved; of the others only what is joined to a given state,
+through touching boxes, is divided further. That one state has the lengths in the middle of the limits is proved by
+subdivision, until Krawczyk's test succeeds. Derivation and theorem: `docs/theory/proofs.md`.
 """
 
 from __future__ import annotations
@@ -18,24 +19,22 @@ import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from spm_pin.kinematics.intervals import Interval
+from spm_pin.kinematics.intervals import SQRT_3, Interval
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.proofs.stage_region import StageRegion
-from spm_pin.proofs.unique_state import has_one_state
 
 Int64Array = npt.NDArray[np.int64]
 
-FIRST_LEVEL = 4
+_FIRST_LEVEL = 4
 """The subdivision begins with cells of 1/16 of the cube's edge."""
-
-SEARCH = 30_000
+_SEARCH = 30_000
 """Boxes after which a singular state is looked for; then again whenever four times as many have been seen."""
-
-ROUNDING = 1e-9
+_ROUNDING = 1e-9
 """Uncertainty of the start, in units of the cube's edges."""
-
 _STARTS, _STEPS = 2_000, 60
 """Boxes in which Newton's method towards a singular state starts, and its steps."""
+_ROUNDS, _MOST_BOXES = 30, 20_000
+"""Divisions until Krawczyk's test must succeed, and boxes at most."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ class StageProof:
     undecided: FloatArray
     """Boxes of (x, y, Z) [-, -, m] joined to the start in which D may be zero: low and high ends, (N, 3, 2)."""
     proved: FloatArray
-    """Boxes that hold the rest of the component of the start, (M, 3, 2); D is positive in each."""
+    """The other boxes that meet the component of the start, (M, 3, 2); D is positive in each."""
     singular: FloatArray | None
     """A forward singular state (x, y, Z) within the limits, in a box joined to the start; None if none was found."""
     boxes: int
@@ -73,12 +72,12 @@ def prove_stage(region: StageRegion, start: FloatArray, *, most: int = 300_000, 
     divided further, has 2⁻ⁿ of the cube's edge.
     """
     scale = np.array([1.0, 1.0, 2.0 ** np.ceil(np.log2(region.height))])
-    side = np.arange(1 << FIRST_LEVEL)
+    side = np.arange(1 << _FIRST_LEVEL)
     cells = np.zeros(len(side) ** 3, _BOX)
-    cells["level"] = FIRST_LEVEL
+    cells["level"] = _FIRST_LEVEL
     cells["position"] = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)
-    kept, at_start = _examine(region, scale, cells), float(_value(region, [Interval.of(x) for x in start]))
-    seen, singular, search_at = len(cells), None, SEARCH
+    kept, at_start = _examine(region, scale, cells), float(_value(region, [Interval.from_numbers(x) for x in start]))
+    seen, singular, search_at = len(cells), None, _SEARCH
     while True:
         kept = kept[_joined(scale, kept, start)]
         # A proved box is divided again while its bound is far below the least value met: a bound is to be of use.
@@ -126,14 +125,14 @@ def _examine(region: StageRegion, scale: FloatArray, boxes: Boxes) -> Boxes:
         outside |= square.misses(limit)
     # |det J| is |D| over the product of the lengths, and these do not exceed their limits.
     longest = [np.minimum(square.high, limit.high) for square, limit in zip(squares, limits, strict=True)]
-    product_of_lengths = _product([Interval.of(square).root() for square in longest]).high
+    product_of_lengths = _product([Interval.from_numbers(square).root() for square in longest]).high
     # Where x0² + x3² exceeds twice the bound of |x0 x3|, x0² and x3² differ.
     straight = (1.0 - tilt).low > 2.0 * region.error_bounds.torsion
     boxes["bound"] = np.maximum(
         np.where(straight, np.nextafter(determinant.low / product_of_lengths, -np.inf), 0.0), 0.0
     )
     boxes, ends = boxes[~outside], ends[~outside]
-    boxes["centre"] = _value(region, [Interval.of(0.5 * ends[:, i].sum(axis=-1)) for i in range(3)])
+    boxes["centre"] = _value(region, [Interval.from_numbers(0.5 * ends[:, i].sum(axis=-1)) for i in range(3)])
     return boxes
 
 
@@ -158,7 +157,7 @@ def _joined(scale: FloatArray, boxes: Boxes, start: FloatArray) -> BoolArray:
     graph = coo_array((np.ones(len(pairs), dtype=np.bool_), pairs.T), shape=(len(boxes),) * 2)
     component = connected_components(graph, directed=False)[1]
     ends = _ends(scale, boxes)
-    near = ROUNDING * scale
+    near = _ROUNDING * scale
     holds = ((ends[..., 0] <= start + near) & (ends[..., 1] >= start - near)).all(axis=-1)
     return np.isin(component, component[holds])
 
@@ -229,7 +228,7 @@ def _singular_state(region: StageRegion, boxes: FloatArray) -> FloatArray | None
 
 def _evaluate(region: StageRegion, states: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the squared leg lengths (N, 3) and D (N,)."""
-    squares, determinant = region.evaluate(*map(Interval.of, states.T))
+    squares, determinant = region.evaluate(*map(Interval.from_numbers, states.T))
     *lengths, value = (0.5 * (x.low + x.high) for x in (*squares, determinant))
     return np.stack(lengths, axis=1), value
 
@@ -238,3 +237,80 @@ def _determinant(region: StageRegion, states: FloatArray) -> tuple[FloatArray, F
     """Return D (N,) and its gradient (N, 3) by central differences."""
     ends = ((_evaluate(region, states + h)[1], _evaluate(region, states - h)[1]) for h in 1e-6 * np.eye(3))
     return _evaluate(region, states)[1], np.stack([(after - before) / 2e-6 for after, before in ends], axis=1)
+
+
+def has_one_state(region: StageRegion, boxes: FloatArray) -> bool:
+    """Return whether it is proved that exactly one state has the lengths in the middle of the limits.
+
+    It is the only one among the states in boxes (N, 3, 2) of (x, y, Z), at less than half a turn. False if there is
+    none or several, or if the subdivision ends before; errors of the machine are left aside.
+    """
+    lengths = 0.5 * (region.minimum + region.maximum)
+    region = replace(region, minimum=lengths, maximum=lengths, length_error=0.0, angle_error=0.0, margin=0.0)
+    for _ in range(_ROUNDS):
+        squares, _ = region.evaluate(*_columns(boxes))
+        missed = [square.misses(length.square()) for square, length in zip(squares, region.lengths, strict=True)]
+        boxes = boxes[~np.any(missed, axis=0)]
+        if not 0 < len(boxes) <= _MOST_BOXES:
+            return False
+        if _krawczyk(region, np.stack([boxes[..., 0].min(axis=0), boxes[..., 1].max(axis=0)], axis=-1)):
+            return True
+        low, middle, high = boxes[:, None, :, 0], boxes.mean(axis=-1)[:, None], boxes[:, None, :, 1]
+        halves = np.stack([np.where(_CORNERS, middle, low), np.where(_CORNERS, high, middle)], axis=-1)
+        boxes = halves.reshape(-1, 3, 2)
+    return False
+
+
+def _columns(boxes: FloatArray) -> list[Interval]:
+    return [Interval(boxes[..., i, 0], boxes[..., i, 1]) for i in range(3)]
+
+
+def _krawczyk(region: StageRegion, box: FloatArray) -> bool:
+    """Return whether Krawczyk's operator maps a box (3, 2), widened by a tenth, into its interior."""
+    box = box + (0.1 * (box[:, 1] - box[:, 0]) + 1e-12)[:, None] * [-1.0, 1.0]
+    unknowns, centre = _columns(box), box.mean(axis=-1)
+    if not float((unknowns[0].square() + unknowns[1].square()).high) < 1.0:
+        return False
+    slopes = _slopes(region, *unknowns)
+    middle = np.array([[0.5 * float(slope.low + slope.high) for slope in row] for row in slopes])
+    if not np.isfinite(middle).all() or np.linalg.matrix_rank(middle) < 3:
+        return False
+    inverse = np.linalg.inv(middle)
+    squares, _ = region.evaluate(*(Interval.from_numbers(value) for value in centre))
+    misses = [square - length.square() for square, length in zip(squares, region.lengths, strict=True)]
+    for i in range(3):
+        image = Interval.from_numbers(centre[i])
+        for k in range(3):
+            image = image - inverse[i, k] * misses[k]
+        for j in range(3):
+            defect = Interval.from_numbers(float(i == j))
+            for k in range(3):
+                defect = defect - inverse[i, k] * slopes[k][j]
+            image = image + defect * (unknowns[j] - Interval.from_numbers(centre[j]))
+        if not (image.low > box[i, 0] and image.high < box[i, 1]):
+            return False
+    return True
+
+
+def _slopes(region: StageRegion, x: Interval, y: Interval, z: Interval) -> list[list[Interval]]:
+    """Return enclosures of the derivatives of the three squared lengths with respect to x, y and Z."""
+    r = Interval.from_numbers(region.side) * SQRT_3.reciprocal()
+    x0 = (1.0 - (x.square() + y.square())).root()
+    radii, heights = region.corners(x, y, z)
+    slopes = []
+    # Corner k is at the azimuth (a, b): z_k = Z + 2 r x0 (b x - a y).
+    directions = ((0.5 * SQRT_3, -0.5), (Interval.from_numbers(0.0), 1.0), (-0.5 * SQRT_3, -0.5))
+    outward = (
+        (-2.0 * SQRT_3 * y, -4.0 * y - 2.0 * SQRT_3 * x),
+        (-6.0 * x, 2.0 * y),
+        (2.0 * SQRT_3 * y, -4.0 * y + 2.0 * SQRT_3 * x),
+    )
+    for (a, b), out, radius, height in zip(directions, outward, radii, heights, strict=True):
+        lever = b * x - a * y
+        up = b * x0 - x * lever / x0, -(a * x0) - y * lever / x0
+        slope = [
+            2.0 * (r * ((radius - region.leg_base_radius) * part + 2.0 * (height * rise)))
+            for part, rise in zip(out, up, strict=True)
+        ]
+        slopes.append([*slope, 2.0 * height])
+    return slopes

@@ -6,7 +6,7 @@ the height Z of its centre. With r = d/√3, corner k has the radius ρ_k and th
     ρ_1, ρ_3 = r (1 - 2y² ∓ 2√3 xy),   z_1, z_3 = Z - r x0 (x ± √3 y),
     ρ_2 = r (1 - 3x² + y²),             z_2 = Z + 2 r x0 x,
 
-leg k the length √((ρ_k - ρ)² + z_k²), where ρ is the radius of the hips, and the stage is forward singular where
+leg k the length √((ρ_k - ρ)² + z_k²), where ρ is E or C, and the stage is forward singular where
 
     D = m12 m23 m31 + m21 m32 m13 = 0,   m_ij = z_i (ρ + ρ_j / 2) + z_j (ρ_i - ρ).
 
@@ -20,18 +20,22 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.kinematics.intervals import SQRT_3, Interval
+from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.branches import stage_coordinates
 
-__all__ = ["StageRegion"]
+_MIRROR = np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]])
+"""The upper stage is the same upside down, mirrored at the terminal platform."""
 
 _UP = 1.0 + 1e-12
 """Covers the rounding of a bound of errors, a few operations."""
 
 
 @dataclass(frozen=True)
-class _ErrorBounds:
+class ErrorBounds:
     """Bounds of the changes that errors of a machine make in one stage, see `docs/theory/proofs.md`."""
 
     length: Interval
@@ -56,8 +60,8 @@ class _ErrorBounds:
 class StageRegion:
     """The states of a stage that are searched, those of one machine or of all within errors."""
 
-    hips: float
-    """Radius of the hips [m]."""
+    leg_base_radius: float
+    """Distance of the legs' revolute joints from the axis: E or C [m]."""
     side: float
     """Side of the middle platform's triangle [m]."""
     minimum: FloatArray
@@ -90,12 +94,12 @@ class StageRegion:
         return (self.longest + 3.0 * self.length_error) * _UP
 
     @cached_property
-    def error_bounds(self) -> _ErrorBounds:
+    def error_bounds(self) -> ErrorBounds:
         """Bounds of all that the errors change."""
         pivot, ball = np.sqrt([2.0, 3.0]) * self.length_error * _UP
         leaning = np.sqrt(2.0) * self.angle_error * self.longest * _UP
         corner = (leaning + pivot + ball) * _UP
-        return _ErrorBounds(
+        return ErrorBounds(
             length=Interval.within(self.length_error),
             pivot=Interval.within(pivot),
             leaning=Interval.within(leaning),
@@ -108,16 +112,16 @@ class StageRegion:
 
     def corners(self, x: Interval, y: Interval, z: Interval) -> tuple[list[Interval], list[Interval]]:
         """Return radii and heights of the balls [m] in states with |x3| <= x0."""
-        r = Interval.of(self.side) * SQRT_3.reciprocal()
+        r = Interval.from_numbers(self.side) * SQRT_3.reciprocal()
         x_2, y_2 = x.square(), y.square()
         mixed = 2.0 * SQRT_3 * (x * y)
-        rest = 1.0 - (x_2 + y_2)
-        # x0² + x3² is `rest`, of which x3² is at most half, and |x0 x3| is bounded.
-        most = 2.0 * self.error_bounds.torsion**2 * _UP / np.maximum(rest.low, 1e-300)
-        twist = Interval(np.zeros_like(most), np.clip(most, 0.0, np.maximum(0.5 * rest.high, 0.0)))
+        remainder = 1.0 - (x_2 + y_2)
+        # x0² + x3² is the remainder, of which x3² is at most half, and |x0 x3| is bounded.
+        most = 2.0 * self.error_bounds.torsion**2 * _UP / np.maximum(remainder.low, 1e-300)
+        twist = Interval(np.zeros_like(most), np.clip(most, 0.0, np.maximum(0.5 * remainder.high, 0.0)))
         common = 1.0 - 2.0 * twist
         radii = [common - 2.0 * y_2 - mixed, common - 3.0 * x_2 + y_2, common - 2.0 * y_2 + mixed]
-        lever, turned = r * (rest - twist).root(), r * Interval.within(twist.root().high)
+        lever, turned = r * (remainder - twist).root(), r * Interval.within(twist.root().high)
         cross = SQRT_3 * y
         heights = [
             z - lever * (x + cross) + turned * (SQRT_3 * x - y),
@@ -132,12 +136,27 @@ class StageRegion:
         """Return the squares of the distances from pivots to balls [m²] and D [m⁶]."""
         bounds = self.error_bounds
         radii, heights = self.corners(x, y, z)
-        hips = Interval.of(self.hips) + bounds.pivot
-        slopes, rises = [radius - hips for radius in radii], [height + bounds.length for height in heights]
+        base = Interval.from_numbers(self.leg_base_radius) + bounds.pivot
+        slopes, rises = [radius - base for radius in radii], [height + bounds.length for height in heights]
         squares = [s.square() + h.square() + bounds.leaning.square() for s, h in zip(slopes, rises, strict=True)]
 
         def m(i: int, j: int) -> Interval:
-            upward = rises[i] * (hips + 0.5 * radii[j] + bounds.sideways)
+            upward = rises[i] * (base + 0.5 * radii[j] + bounds.sideways)
             return upward + (heights[j] + bounds.length) * slopes[i] + bounds.factor
 
         return squares, m(0, 1) * m(1, 2) * m(2, 0) + m(1, 0) * m(2, 1) * m(0, 2)
+
+
+def region_coordinates(configuration: Configuration) -> FloatArray:
+    """Return the states (x, y, Z [m]) of both stages, shape (..., 2, 3); NaN where there is none in mode T."""
+    return _MIRROR * stage_coordinates(configuration)
+
+
+def configuration_at(geometry: Geometry, states: FloatArray) -> Configuration:
+    """Return the configuration of the states (2, 3) of both stages of a drawn machine."""
+    r, poses = geometry.middle_radius, []
+    for x, y, z in _MIRROR * states:
+        rotation = Rotation.from_quat([x, y, 0.0, np.sqrt(max(1.0 - x * x - y * y, 0.0))])
+        poses.append(RigidTransform.from_components([-2.0 * r * x * y, r * (y * y - x * x), z], rotation))
+    joints = poses[0].apply(r * geometry.radial_directions)
+    return Configuration(geometry, poses[0] * poses[1].inv(), joints)

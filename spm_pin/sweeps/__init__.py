@@ -3,7 +3,7 @@
 from spm_pin.sweeps.domains import Axis, Domain, Sample, leg_grid, leg_sample, pose_grid, pose_sample
 from spm_pin.sweeps.metrics import METRICS, Metric, metric
 from spm_pin.sweeps.points import Points
-from spm_pin.sweeps.runner import SweepStatus, open_sweep, resume_sweep, run_sweep, sweep_status
+from spm_pin.sweeps.runner import SweepStatus, resume_sweep, run_sweep, sweep_status
 from spm_pin.sweeps.store import StoreError, StoreLockedError, SweepError
 
 __all__ = [
@@ -20,7 +20,6 @@ __all__ = [
     "leg_grid",
     "leg_sample",
     "metric",
-    "open_sweep",
     "pose_grid",
     "pose_sample",
     "resume_sweep",

@@ -1,7 +1,6 @@
-"""Domains of a sweep, lattices and random samples of poses or of leg lengths: a box, and how points are drawn from it.
+"""Domains of a sweep: lattices and random samples of poses or of leg lengths.
 
-A domain does not hold its points. Those of a chunk are computed from the chunk's index when they are needed, so a
-billion points need no more memory than ten.
+A domain does not hold its points: those of a chunk are computed from the chunk's index when they are needed.
 """
 
 from __future__ import annotations
@@ -12,20 +11,15 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import LEGS, pose
-from spm_pin.mechanism.arguments import FloatArray, choice, real_array, whole_number
+from spm_pin.mechanism import LEGS
+from spm_pin.mechanism.arguments import FloatArray, real_array, whole_number
 
 AxisRange = float | Sequence[float]
 """One value, (start, stop, count) of a grid, or (start, stop) of a sample [m or rad]."""
 Space = Literal["pose", "legs"]
 """The coordinates of a domain: poses of the platform, or six leg lengths."""
-
-SamplingMethod = Literal["sobol", "uniform"]
-"""The distribution of sampled points: a scrambled Sobol sequence, or independent uniform ones."""
 
 _LENGTHS = {k.lower(): f"{k} of o in {{B}}" for k in "XYZ"} | {leg: f"length of leg {leg}" for leg in LEGS}
 _ANGLES = {name: f"X-Y-X Euler angle {sign}" for name, sign in (("alpha", "α"), ("beta", "β"), ("lambda_", "λ"))}
@@ -95,20 +89,15 @@ class Axis:
 
 @dataclass(frozen=True)
 class Sample:
-    """Method and parameters by which the points of a sample are drawn.
+    """Points drawn at random, each chunk by a Sobol sequence that is scrambled by the seed and the chunk's index.
 
-    Each chunk is drawn on its own, from the seed and its index: with "uniform" independently, with "sobol" as a Sobol
-    sequence with its own random scrambling. The means over chunks of equal length are then independent and unbiased,
-    and their scatter estimates the error of their mean [1]_. A chunk of a power of two is balanced best.
-
-    .. [1] A. B. Owen, "Randomly permuted (t, m, s)-nets and (t, s)-sequences", Monte Carlo and Quasi-Monte Carlo
-       Methods in Scientific Computing, Springer, 1995.
+    Means over chunks of equal length are independent and unbiased: their scatter estimates the error of their mean; see
+    A. B. Owen, "Randomly permuted (t, m, s)-nets and (t, s)-sequences", Monte Carlo and Quasi-Monte Carlo Methods in
+    Scientific Computing, Springer, 1995.
     """
 
     count: int
     """Number of points."""
-    method: SamplingMethod
-    """The distribution of the points in the box."""
     seed: int
     """Seed of the random numbers, from 0 to 2¹²⁸."""
 
@@ -116,16 +105,13 @@ class Sample:
         for argument, least, most in (("count", 1, 2**53), ("seed", 0, 2**128)):
             value = whole_number(getattr(self, argument), argument, least=least, most=most)
             object.__setattr__(self, argument, value)
-        choice(self.method, "method", ("sobol", "uniform"))
 
     def draw(self, dimensions: int, index: tuple[int, ...], count: int) -> FloatArray:
         """Return the `count` points of the chunk at `index` in the unit cube, shape (count, dimensions)."""
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=index))
-        if self.method == "uniform":
-            return rng.random((count, dimensions))
         # Imported here: it takes a fifth of a second, and most sweeps do not need it.
         from scipy.stats import qmc
 
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=index))
         return np.asarray(qmc.Sobol(dimensions, rng=rng).random_base2((count - 1).bit_length())[:count])
 
 
@@ -198,37 +184,25 @@ class Domain:
 
     def definition(self) -> dict[str, Any]:
         """Return the numbers that describe the domain, as JSON."""
-        axes = {axis.name: [axis.start, axis.stop, axis.count] for axis in self.axes}
+        axes = [asdict(axis) for axis in self.axes]
         return {"space": self.space, "axes": axes, "sample": self.sample and asdict(self.sample)}
 
     @staticmethod
     def from_definition(content: Mapping[str, Any]) -> Domain:
-        """Make a domain from its `definition`, checked as by the functions that make domains."""
-        ranges = [
-            start if count == 1 else (start, stop, count) if count else (start, stop)
-            for start, stop, count in content["axes"].values()
-        ]
-        return Domain.from_ranges(content["space"], ranges, content["sample"] and Sample(**content["sample"]))
+        """Make a domain from its `definition`."""
+        axes = tuple(Axis(**axis) for axis in content["axes"])
+        return Domain(content["space"], axes, content["sample"] and Sample(**content["sample"]))
 
 
-def pose_grid(
-    x: AxisRange,
-    y: AxisRange,
-    z: AxisRange,
-    *,
-    xyx: Sequence[AxisRange] | None = None,
-    rotation: Rotation | npt.ArrayLike | None = None,
-) -> Domain:
+def pose_grid(x: AxisRange, y: AxisRange, z: AxisRange, *, xyx: Sequence[AxisRange]) -> Domain:
     """Describe a lattice of poses.
 
     Parameters
     ----------
     x, y, z : float or (start, stop, count)
         Position of o in {B} [m]: one value, or equally spaced ones with both ends among them.
-    xyx : three of float or (start, stop, count), optional
+    xyx : three of float or (start, stop, count)
         The paper's Euler angles α, β, λ [rad], likewise.
-    rotation : Rotation or array_like, shape (3, 3), optional
-        One orientation instead of `xyx`; it is kept as its X-Y-X angles.
 
     Examples
     --------
@@ -236,7 +210,7 @@ def pose_grid(
     >>> grid.dims, grid.size
     (('x', 'y'), 10201)
     """
-    return Domain.from_ranges("pose", _pose_ranges(x, y, z, xyx, rotation))
+    return Domain.from_ranges("pose", [x, y, z, *_three(xyx, "xyx")])
 
 
 def leg_grid(lower: AxisRange | Sequence[AxisRange], upper: AxisRange | Sequence[AxisRange]) -> Domain:
@@ -252,42 +226,27 @@ def leg_grid(lower: AxisRange | Sequence[AxisRange], upper: AxisRange | Sequence
 
 
 def pose_sample(
-    count: int,
-    x: AxisRange,
-    y: AxisRange,
-    z: AxisRange,
-    *,
-    xyx: Sequence[AxisRange] | None = None,
-    rotation: Rotation | npt.ArrayLike | None = None,
-    method: SamplingMethod = "sobol",
-    seed: int = 0,
+    count: int, x: AxisRange, y: AxisRange, z: AxisRange, *, xyx: Sequence[AxisRange], seed: int = 0
 ) -> Domain:
-    """Describe poses drawn from a box of positions and X-Y-X angles.
+    """Describe poses drawn from a box of positions and X-Y-X angles, by scrambled Sobol sequences.
 
     Parameters
     ----------
     count : int
         Number of poses.
-    x, y, z, xyx, rotation
+    x, y, z, xyx
         As for `pose_grid`, with ranges (start, stop). The distribution is uniform in these coordinates; one that is
         uniform over rotations has the weight ``|sin β|``.
-    method : {"sobol", "uniform"}
-        Scrambled Sobol sequences, one per chunk, or independent numbers; see `Sample`.
     seed : int
         Seed of the random generator.
     """
-    return Domain.from_ranges("pose", _pose_ranges(x, y, z, xyx, rotation), Sample(count, method, seed))
+    return Domain.from_ranges("pose", [x, y, z, *_three(xyx, "xyx")], Sample(count, seed))
 
 
 def leg_sample(
-    count: int,
-    lower: AxisRange | Sequence[AxisRange],
-    upper: AxisRange | Sequence[AxisRange],
-    *,
-    method: SamplingMethod = "sobol",
-    seed: int = 0,
+    count: int, lower: AxisRange | Sequence[AxisRange], upper: AxisRange | Sequence[AxisRange], *, seed: int = 0
 ) -> Domain:
-    """Describe leg lengths drawn from a box.
+    """Describe leg lengths drawn from a box, by scrambled Sobol sequences.
 
     Parameters
     ----------
@@ -295,32 +254,18 @@ def leg_sample(
         Number of sets of six lengths.
     lower, upper : float, (start, stop), or three of these
         As for `leg_grid`.
-    method, seed
-        As for `pose_sample`.
+    seed : int
+        Seed of the random generator.
     """
-    return Domain.from_ranges("legs", _leg_ranges(lower, upper), Sample(count, method, seed))
+    return Domain.from_ranges("legs", _leg_ranges(lower, upper), Sample(count, seed))
 
 
-def _pose_ranges(
-    x: AxisRange, y: AxisRange, z: AxisRange, xyx: Sequence[AxisRange] | None, rotation: Rotation | npt.ArrayLike | None
-) -> list[AxisRange]:
-    if (xyx is None) == (rotation is None):
-        raise ArgumentError("rotation", "either xyx=... or rotation=...", "neither" if xyx is None else "both")
-    if rotation is not None:
-        # Reads a matrix or a Rotation, with the checks that a pose has.
-        orientation = pose(np.zeros(3), rotation=rotation).rotation
-        if orientation.shape != ():
-            raise ArgumentError("rotation", "one orientation", f"shape {orientation.shape}")
-        xyx = [float(angle) for angle in orientation.as_euler("XYX", suppress_warnings=True)]
-    if not isinstance(xyx, Sequence | np.ndarray) or isinstance(xyx, str) or len(xyx) != 3:
-        raise ArgumentError("xyx", "three angles or ranges [rad]", repr(xyx))
-    return [x, y, z, *xyx]
+def _leg_ranges(*stages: AxisRange | Sequence[AxisRange]) -> list[AxisRange]:
+    named = zip(("lower", "upper"), stages, strict=True)
+    return [leg for name, stage in named for leg in _three(stage if isinstance(stage, list) else [stage] * 3, name)]
 
 
-def _leg_ranges(lower: AxisRange | Sequence[AxisRange], upper: AxisRange | Sequence[AxisRange]) -> list[AxisRange]:
-    ranges: list[Any] = []
-    for argument, lengths in (("lower", lower), ("upper", upper)):
-        if isinstance(lengths, list) and len(lengths) != 3:
-            raise ArgumentError(argument, "one length or range, or a list of three", f"a list of {len(lengths)}")
-        ranges += lengths if isinstance(lengths, list) else [lengths] * 3
+def _three(ranges: Any, argument: str) -> Sequence[AxisRange]:
+    if not isinstance(ranges, Sequence | np.ndarray) or isinstance(ranges, str) or len(ranges) != 3:
+        raise ArgumentError(argument, "three values or ranges", repr(ranges))
     return ranges

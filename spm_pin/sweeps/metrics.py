@@ -2,8 +2,8 @@
 
 The metrics of this package are the rows of `METRICS`, at the end. Those of a state describe the physical configuration
 within the leg limits, and are NaN where there is none. Those of the Jacobian make it homogeneous: with a characteristic
-length L the twist is (v, Lω), so that singular values compare speeds with speeds. By default L is the platform's radius
-C: then Lω is the speed that a rotation about o gives to the joints c_i.
+length L the twist is (v, Lω). By default L is the platform's radius C: then Lω is the speed that a rotation about o
+gives to the joints c_i.
 """
 
 from __future__ import annotations
@@ -24,13 +24,12 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import forward_displacement
 from spm_pin.mechanism import BRANCHES, Status
-from spm_pin.mechanism.arguments import FloatArray, check_instance, real_number
+from spm_pin.mechanism.arguments import FloatArray, check_instance, choice, real_number
 from spm_pin.sweeps.points import Points
 
 DTYPES = ("float64", "float32", "float16", "int64", "int32", "int16", "int8")
 """Types in which a metric can be stored."""
-
-_ATTRIBUTES = ("long_name", "units", "not_computed", "flag_values", "flag_meanings", "coordinates")
+_ATTRIBUTES = {"long_name", "units", "not_computed", "flag_values", "flag_meanings", "coordinates"}
 _NAME = re.compile(r"(?!__)[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 
 
@@ -49,11 +48,11 @@ class Metric:
     function : callable
         Takes `Points`, and the parameters by keyword; returns an array of shape (N,). It is sent to worker processes.
     dtype : str
-        How it is stored: a float, or a signed integer.
-    flags : mapping of str to int
+        How it is stored: a float such as "float64", or a signed integer.
+    flags : dict of str to int
         Meanings of integers, where they stand for something.
-    parameters : mapping
-        Keyword arguments of the function, as JSON holds them.
+    parameters : dict
+        Values of the function's keyword-only arguments, as JSON holds them; their defaults if not given.
     version : str or int, optional
         What you change whenever the values of the function change. A sweep continues a store only if its metrics have
         the versions of those stored; without a version a metric of your own continues none.
@@ -64,37 +63,47 @@ class Metric:
     description: str
     function: Callable[..., npt.ArrayLike] = field(repr=False)
     dtype: str = "float64"
-    flags: Mapping[str, int] = field(default_factory=dict, repr=False)
-    parameters: Mapping[str, Any] = field(default_factory=dict)
+    flags: dict[str, int] = field(default_factory=dict, repr=False)
+    parameters: dict[str, Any] = field(default_factory=dict)
     version: str | int | None = field(default=None, repr=False)
-    is_of_package: bool = field(default=False, init=False, repr=False)
-    """True for the rows of `METRICS`, which have the version of the package; False for a changed copy of one."""
 
     def __post_init__(self) -> None:
         if not (isinstance(self.name, str) and _NAME.fullmatch(self.name)):
             raise ArgumentError("name", "letters, digits and underscores", repr(self.name))
         check_instance(self.unit, str, "unit")
         check_instance(self.description, str, "description")
-        if not callable(self.function):
-            raise ArgumentError("function", "a function of Points", type(self.function).__name__)
         try:
-            dtype = "" if self.dtype is None else np.dtype(self.dtype).name
-        except (TypeError, ValueError):
-            dtype = ""
-        if dtype not in DTYPES:
-            raise ArgumentError("dtype", f"one of {', '.join(DTYPES)}", repr(self.dtype))
-        if self.version is not None and type(self.version) not in (int, str):
+            arguments = inspect.signature(self.function).parameters.values()
+        except (TypeError, ValueError) as error:
+            raise ArgumentError("function", "a function of Points", type(self.function).__name__) from error
+        choice(self.dtype, "dtype", DTYPES)
+        if type(self.version) not in (int, str, type(None)):
             raise ArgumentError("version", "a text or an integer", repr(self.version))
-        object.__setattr__(self, "dtype", dtype)
-        object.__setattr__(self, "flags", _checked_flags(self.flags, dtype))
-        object.__setattr__(self, "parameters", _checked_parameters(self.parameters))
+        flags = check_instance(self.flags, dict, "flags")
+        fits = self.dtype.startswith("int") and all(
+            isinstance(text, str) and len(text.split()) == 1 and type(value) is int for text, value in flags.items()
+        )
+        if flags and not fits:
+            raise ArgumentError("flags", "texts without blanks, each with an integer; none for floats", repr(flags))
+        defaults = {argument.name: argument.default for argument in arguments if argument.kind is argument.KEYWORD_ONLY}
+        parameters = defaults | check_instance(self.parameters, dict, "parameters")
+        missing = [name for name, value in parameters.items() if value is inspect.Parameter.empty]
+        if missing:
+            raise ArgumentError(missing[0], "a default for every parameter of a metric", "none")
+        try:
+            # A copy, of plain types, that no caller changes afterwards.
+            copy = json.loads(json.dumps(parameters, allow_nan=False))
+        except (TypeError, ValueError, RecursionError):
+            copy = {}
+        if copy.keys() != parameters.keys() or _ATTRIBUTES & copy.keys():
+            expected = f"names other than {', '.join(sorted(_ATTRIBUTES))}, with values that JSON can hold"
+            raise ArgumentError("parameters", expected, repr(parameters))
+        object.__setattr__(self, "parameters", copy)
 
     def __reduce__(self) -> tuple[Callable[..., Metric], tuple[Any, ...]]:
         if self.is_of_package:
-            return _package_metric, (self.name, dict(self.parameters))
-        values = (getattr(self, field.name) for field in dataclasses.fields(self) if field.init)
-        # A mapping proxy has no pickle.
-        return Metric, tuple(dict(value) if isinstance(value, MappingProxyType) else value for value in values)
+            return _package_metric, (self.name, self.parameters)
+        return Metric, tuple(getattr(self, field.name) for field in dataclasses.fields(self))
 
     def __call__(self, **parameters: Any) -> Metric:
         """Return the metric with other parameters, which are positive numbers for the metrics of this package.
@@ -103,7 +112,7 @@ class Metric:
         --------
         >>> import spm_pin as spm
         >>> spm.sweeps.METRICS["payload"](push=900.0, pull=400.0).parameters
-        mappingproxy({'push': 900.0, 'pull': 400.0})
+        {'push': 900.0, 'pull': 400.0}
         """
         unknown = [name for name in parameters if name not in self.parameters]
         if unknown:
@@ -112,9 +121,13 @@ class Metric:
             for name, value in parameters.items():
                 if value is not None:
                     parameters[name] = real_number(value, name, "a positive number", above=0.0)
-        changed = dataclasses.replace(self, parameters={**self.parameters, **parameters})
-        object.__setattr__(changed, "is_of_package", self.is_of_package)
-        return changed
+        return dataclasses.replace(self, parameters={**self.parameters, **parameters})
+
+    @property
+    def is_of_package(self) -> bool:
+        """True for the metrics of `METRICS`, with any parameters; False for a copy that is changed otherwise."""
+        known = METRICS.get(self.name)
+        return known is not None and dataclasses.replace(self, parameters=known.parameters) == known
 
     @property
     def not_computed(self) -> float | int:
@@ -128,59 +141,43 @@ class Metric:
         except Exception as error:
             error.add_note(f"while evaluating the metric {self.name!r}")
             raise
-        dtype = np.dtype(self.dtype)
-
-        def refused(received: str, cause: str = "") -> ArgumentError:
-            return ArgumentError(f"metric {self.name}", f"values that {dtype} can hold", received, cause)
-
-        if values.shape != (len(points),):
-            raise ArgumentError(f"metric {self.name}", f"an array of shape ({len(points)},)", f"shape {values.shape}")
-        if values.dtype.kind not in ("biuf" if dtype.kind == "f" else "biu"):
-            raise refused(f"values of type {values.dtype}")
-        if dtype.kind == "i":
-            if np.ma.is_masked(values):
-                raise refused("masked values", "Integers have no NaN: fill the masked values.")
-            values = np.asarray(values)
-            if values.size and not self.not_computed < int(values.min()) <= int(values.max()) <= np.iinfo(dtype).max:
-                raise refused(f"values from {values.min()} to {values.max()}")
-            return values.astype(dtype)
-        if isinstance(values, np.ma.MaskedArray):
-            values = np.ma.filled(values.astype(np.float64), np.nan)
+        expected = f"an array of shape ({len(points)},), of values that {self.dtype} can hold"
+        is_integer = self.dtype.startswith("int")
+        fits = values.shape == (len(points),) and values.dtype.kind in ("biu" if is_integer else "biuf")
+        if not fits or np.ma.is_masked(values):
+            received = "masked values" if fits else f"{values.dtype} of shape {values.shape}"
+            raise ArgumentError(f"metric {self.name}", expected, received)
         with np.errstate(over="ignore"):
-            stored = np.asarray(values).astype(dtype)
-        has_overflown = np.isinf(stored) & np.isfinite(values)
-        if has_overflown.any():
-            raise refused(f"{values[has_overflown][0]:g}", "Store it as another type, dtype=...")
+            stored = np.asarray(values).astype(self.dtype)
+        if is_integer:
+            is_lost = (stored != values) | (stored == self.not_computed)
+        else:
+            is_lost = np.isinf(stored) & np.isfinite(values)
+        if is_lost.any():
+            raise ArgumentError(f"metric {self.name}", expected, f"{values[is_lost][0]:g}", "Store it as another type")
         return stored
 
     def definition(self) -> dict[str, Any]:
         """Return the identity of the metric as JSON: metrics that differ here do not share a store."""
-        return {
-            "name": self.name,
-            "unit": self.unit,
-            "dtype": self.dtype,
-            "parameters": dict(self.parameters),
-            "version": self.version,
-            "is_of_package": self.is_of_package,
-        }
+        names = ("name", "unit", "dtype", "parameters", "version", "is_of_package")
+        return {name: getattr(self, name) for name in names}
 
     @staticmethod
     def from_definition(content: Mapping[str, Any]) -> Metric:
         """Make a metric from its `definition`; the function of one that is not of the package is `unavailable`."""
-        if content["is_of_package"] is True:
+        if content["is_of_package"]:
             return _package_metric(content["name"], content["parameters"])
-        dtype, parameters, version = content["dtype"], content["parameters"], content["version"]
-        return Metric(content["name"], content["unit"], "", unavailable, dtype, {}, parameters, version)
+        others = {name: content[name] for name in ("dtype", "parameters", "version")}
+        return Metric(content["name"], content["unit"], "", unavailable, **others)
 
     def attributes(self) -> dict[str, Any]:
         """Return the attributes of the variable in a store: description, unit, flags, parameters."""
         attributes: dict[str, Any] = {"long_name": self.description, "units": self.unit}
-        if not self.dtype.startswith("float"):
+        if self.dtype.startswith("int"):
             attributes["not_computed"] = self.not_computed
         if self.flags:
             flags = {"not_computed": self.not_computed, **self.flags}
-            attributes["flag_values"] = list(flags.values())
-            attributes["flag_meanings"] = " ".join(flags)
+            attributes |= {"flag_values": list(flags.values()), "flag_meanings": " ".join(flags)}
         return attributes | {name: value for name, value in self.parameters.items() if value is not None}
 
 
@@ -189,7 +186,7 @@ def metric(
     description: str,
     *,
     dtype: str = "float64",
-    flags: Mapping[str, int] | None = None,
+    flags: dict[str, int] | None = None,
     version: str | int | None = None,
 ) -> Callable[[Callable[..., npt.ArrayLike]], Metric]:
     """Make a metric of a function of `Points`; its name is the function's, its parameters the keyword-only ones.
@@ -206,71 +203,36 @@ def metric(
     ... def excess(points, *, length=1.4):
     ...     return points.physical.readings.max(axis=-1) - length
     >>> excess(length=1.3).parameters
-    mappingproxy({'length': 1.3})
+    {'length': 1.3}
     """
 
     def decorate(function: Callable[..., npt.ArrayLike]) -> Metric:
-        if not callable(function):
-            raise ArgumentError("function", "a function of Points", type(function).__name__)
-        parameters = _keywords(function)
+        name = getattr(function, "__name__", "metric")
+        made = Metric(name, unit, description, function, dtype, flags or {}, version=version)
         # So that pickle finds the function below the name that the metric takes.
         function.__qualname__ = f"{function.__qualname__}.function"
-        return Metric(function.__name__, unit, description, function, dtype, flags or {}, parameters, version)
+        return made
 
     return decorate
 
 
-def _keywords(function: Callable[..., npt.ArrayLike]) -> dict[str, Any]:
-    """Return the keyword-only parameters of a function with their defaults."""
-    signature = inspect.signature(function).parameters.values()
-    parameters = {keyword.name: keyword.default for keyword in signature if keyword.kind is keyword.KEYWORD_ONLY}
-    for name, default in parameters.items():
-        if default is inspect.Parameter.empty:
-            raise ArgumentError(name, "a default for every parameter of a metric", "none")
-    return parameters
-
-
-def _checked_flags(flags: Mapping[str, int], dtype: str) -> Mapping[str, int]:
-    expected = "texts without blanks, each with an integer that the type can hold; none for floats"
-    if not isinstance(flags, Mapping) or (flags and dtype.startswith("float")):
-        raise ArgumentError("flags", expected, repr(flags))
-    for text, value in flags.items():
-        fits = isinstance(text, str) and len(text.split()) == 1 and type(value) is int
-        if not fits or not np.iinfo(dtype).min < value <= np.iinfo(dtype).max:
-            raise ArgumentError("flags", expected, f"{text!r}: {value!r}")
-    return MappingProxyType(dict(flags))
-
-
-def _checked_parameters(parameters: Mapping[str, Any]) -> Mapping[str, Any]:
-    expected = f"names other than {', '.join(_ATTRIBUTES)}, with values that JSON can hold"
-    try:
-        # A copy, of plain types, that no caller changes afterwards.
-        copy = json.loads(json.dumps(dict(parameters), allow_nan=False))
-    except (TypeError, ValueError, RecursionError) as error:
-        raise ArgumentError("parameters", expected, repr(parameters), str(error)) from error
-    if not isinstance(parameters, Mapping) or copy.keys() != set(parameters) or set(_ATTRIBUTES) & set(copy):
-        raise ArgumentError("parameters", expected, repr(parameters))
-    return MappingProxyType(copy)
-
-
 def unavailable(points: Points, **parameters: Any) -> npt.ArrayLike:
     """Stand for the function of a metric whose definition alone is known."""
-    raise ArgumentError("metrics", f"metrics among {', '.join(METRICS)}", "one whose function is not known")
+    cause = "A metric of your own has to be given again, to `run_sweep`, with all the rest"
+    raise ArgumentError("metrics", f"metrics among {', '.join(METRICS)}", "one whose function is not known", cause)
 
 
 def resolve_metrics(metrics: str | Metric | Iterable[str | Metric]) -> tuple[Metric, ...]:
     """Return metrics, each given by its name or as it is."""
     is_single = isinstance(metrics, str | Metric) or not isinstance(metrics, Iterable)
-    resolved: list[Metric] = []
-    for item in [metrics] if is_single else metrics:  # type: ignore[union-attr]
-        chosen = METRICS.get(item) if isinstance(item, str) else item
-        if not isinstance(chosen, Metric):
-            raise ArgumentError("metrics", f"a Metric, or names among {', '.join(METRICS)}", repr(item))
-        resolved.append(chosen)
-    names = [metric.name for metric in resolved]
+    resolved = [METRICS.get(m) if isinstance(m, str) else m for m in ([metrics] if is_single else metrics)]  # type: ignore[union-attr]
+    if not all(isinstance(each, Metric) for each in resolved):
+        raise ArgumentError("metrics", f"a Metric, or names among {', '.join(METRICS)}", repr(metrics))
+    chosen = tuple(each for each in resolved if each is not None)
+    names = [each.name for each in chosen]
     if not names or len(set(names)) < len(names):
         raise ArgumentError("metrics", "one or more metrics of different names", ", ".join(names) or "none")
-    return tuple(resolved)
+    return chosen
 
 
 def _package_metric(name: str, parameters: Mapping[str, Any]) -> Metric:
@@ -371,64 +333,51 @@ _HOMOGENEOUS = "of (v, L omega), L = length or the platform radius"
 _BY_LEGS = "with leg forces of at most push and pull"
 
 
-def _row(
-    name: str,
-    unit: str,
-    description: str,
-    function: Callable[..., npt.ArrayLike],
-    dtype: str = "float64",
-    flags: Mapping[str, int] | None = None,
-) -> Metric:
-    made = Metric(name, unit, description, function, dtype, flags or {}, _keywords(function))
-    object.__setattr__(made, "is_of_package", True)
-    return made
-
-
 # To add a metric, add a row: name, unit, description, function of the points; for whole numbers also their type, and
 # what they stand for. Keyword-only arguments of the function are the metric's parameters: positive numbers, by default
 # as stated.
 # fmt: off
 _ROWS = (
-    _row("status", "1", "status of the displacement problem of the point",
-         lambda points: points.status, "int8", {str(status): int(status) for status in Status}),
-    _row("reachable", "1", "whether there is a physical configuration within the leg limits",
-         lambda points: points.reachable, "int8", {"no": 0, "yes": 1}),
-    _row("branches", "1", "number of real branches, leg limits aside",
-         lambda points: np.count_nonzero(~np.isnan(points.branch_readings[..., 0]), axis=-1), "int8"),
-    _row("branches_within", "1", "number of real branches within the leg limits",
-         lambda points: np.count_nonzero(points.branches_within, axis=-1), "int8"),
-    _row("branch", "1", "physical branch within the leg limits",
-         _branch, "int8", {"none": -1} | {label: number for number, label in enumerate(BRANCHES)}),
-    _row("assembly_modes", "1",
-         "number of assembly modes that the leg lengths of the physical configuration allow; 0 where not reachable",
-         _assembly_modes, "int16"),
+    Metric("status", "1", "status of the displacement problem of the point",
+           lambda points: points.status, "int8", {str(status): int(status) for status in Status}),
+    Metric("reachable", "1", "whether there is a physical configuration within the leg limits",
+           lambda points: points.reachable, "int8", {"no": 0, "yes": 1}),
+    Metric("branches", "1", "number of real branches, leg limits aside",
+           lambda points: np.count_nonzero(~np.isnan(points.branch_readings[..., 0]), axis=-1), "int8"),
+    Metric("branches_within", "1", "number of real branches within the leg limits",
+           lambda points: np.count_nonzero(points.branches_within, axis=-1), "int8"),
+    Metric("branch", "1", "physical branch within the leg limits",
+           _branch, "int8", {"none": -1} | {label: number for number, label in enumerate(BRANCHES)}),
+    Metric("assembly_modes", "1",
+           "number of assembly modes that the leg lengths of the physical configuration allow; 0 where not reachable",
+           _assembly_modes, "int16"),
     *(
-        _row(f"o_{axis.lower()}", "m", f"{axis} of o in the base frame; {_ABSENT}",
-             lambda points, column=column: points.physical.translation[:, column])
+        Metric(f"o_{axis.lower()}", "m", f"{axis} of o in the base frame; {_ABSENT}",
+               lambda points, column=column: points.physical.translation[:, column])
         for column, axis in enumerate("XYZ")
     ),
-    _row("leg_margin", "m", "how far the worst leg is inside its limits, negative outside; "
-         "NaN where no physical configuration exists, leg limits aside", _leg_margin),
-    _row("conditioning", "1", f"inverse condition number of the Jacobian {_HOMOGENEOUS}; {_ABSENT}", _conditioning),
-    _row("isotropy", "1", f"geometric over arithmetic mean of the eigenvalues of G G^T {_HOMOGENEOUS}; {_ABSENT}",
-         _isotropy),
-    _row("forward_distance", "1", f"least singular value of J_b and J_c: distance to a forward singularity; {_ABSENT}",
-         lambda points: points.spread(points.sigma[:, :2].min(axis=-1))),
-    _row("inverse_distance", "1", f"least singular value of K: distance to an inverse singularity; {_ABSENT}",
-         lambda points: points.spread(points.sigma[:, 2])),
-    _row("det_lower", "1", f"determinant of J_b, lower stage, forward, over d^3; {_ABSENT}",
-         lambda points: points.spread(points.determinants[:, 0])),
-    _row("det_upper", "1", f"determinant of J_c, upper stage, forward, over d^3; {_ABSENT}",
-         lambda points: points.spread(points.determinants[:, 1])),
-    _row("det_structure", "1", f"determinant of K, inverse, over d^3; {_ABSENT}",
-         lambda points: points.spread(points.determinants[:, 2])),
-    _row("payload", "N", f"largest force at o held in every direction {_BY_LEGS}; {_ABSENT}", _payload),
-    _row("payload_down", "N", f"largest force at o held along -Z {_BY_LEGS}; {_ABSENT}", _payload_down),
-    _row("least_stiffness", "N m-1", f"least translational stiffness at o, for a stiffness of each leg; {_ABSENT}",
-         lambda points, *, leg_stiffness=1.0: _least_stiffness(points, slice(0, 3), leg_stiffness)),
-    _row("least_rotational_stiffness", "N m rad-1",
-         f"least rotational stiffness, for a stiffness of each leg; {_ABSENT}",
-         lambda points, *, leg_stiffness=1.0: _least_stiffness(points, slice(3, 6), leg_stiffness)),
+    Metric("leg_margin", "m", "how far the worst leg is inside its limits, negative outside; "
+           "NaN where no physical configuration exists, leg limits aside", _leg_margin),
+    Metric("conditioning", "1", f"inverse condition number of the Jacobian {_HOMOGENEOUS}; {_ABSENT}", _conditioning),
+    Metric("isotropy", "1", f"geometric over arithmetic mean of the eigenvalues of G G^T {_HOMOGENEOUS}; {_ABSENT}",
+           _isotropy),
+    Metric("forward_distance", "1", f"least singular value of J_b, J_c: distance to a forward singularity; {_ABSENT}",
+           lambda points: points.spread(points.sigma[:, :2].min(axis=-1))),
+    Metric("inverse_distance", "1", f"least singular value of K: distance to an inverse singularity; {_ABSENT}",
+           lambda points: points.spread(points.sigma[:, 2])),
+    Metric("det_lower", "1", f"determinant of J_b, lower stage, forward, over d^3; {_ABSENT}",
+           lambda points: points.spread(points.determinants[:, 0])),
+    Metric("det_upper", "1", f"determinant of J_c, upper stage, forward, over d^3; {_ABSENT}",
+           lambda points: points.spread(points.determinants[:, 1])),
+    Metric("det_structure", "1", f"determinant of K, inverse, over d^3; {_ABSENT}",
+           lambda points: points.spread(points.determinants[:, 2])),
+    Metric("payload", "N", f"largest force at o held in every direction {_BY_LEGS}; {_ABSENT}", _payload),
+    Metric("payload_down", "N", f"largest force at o held along -Z {_BY_LEGS}; {_ABSENT}", _payload_down),
+    Metric("least_stiffness", "N m-1", f"least translational stiffness at o, for a stiffness of each leg; {_ABSENT}",
+           lambda points, *, leg_stiffness=1.0: _least_stiffness(points, slice(0, 3), leg_stiffness)),
+    Metric("least_rotational_stiffness", "N m rad-1",
+           f"least rotational stiffness, for a stiffness of each leg; {_ABSENT}",
+           lambda points, *, leg_stiffness=1.0: _least_stiffness(points, slice(3, 6), leg_stiffness)),
 )
 # fmt: on
 

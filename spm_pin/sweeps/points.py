@@ -46,7 +46,7 @@ class Points:
     space : {"pose", "legs"}
         Kind of the coordinates.
     coordinates : ndarray, shape (N, 6)
-        x, y, z [m] and the X-Y-X angles [rad], or the readings of the legs [m], their lengths in a drawn machine.
+        x, y, z [m] and the X-Y-X angles [rad], or the readings of the legs [m].
     """
 
     def __init__(self, geometry: Geometry, space: Space, coordinates: FloatArray) -> None:

@@ -1,9 +1,4 @@
-"""Run a sweep, on one machine or many, and continue it wherever it stopped.
-
-Memory does not grow with the number of points. The process that drives the sweep holds the numbers of the chunks that
-are under way; a worker holds one chunk of results and the intermediate results of a few thousand points; the rest is on
-disk.
-"""
+"""Run a sweep, on one machine or many, and continue it wherever it stopped."""
 
 from __future__ import annotations
 
@@ -17,7 +12,7 @@ from typing import TYPE_CHECKING
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import Geometry
 from spm_pin.sweeps.domains import Domain
-from spm_pin.sweeps.metrics import METRICS, Metric, unavailable
+from spm_pin.sweeps.metrics import Metric
 from spm_pin.sweeps.store import (
     Store,
     StoreError,
@@ -90,14 +85,12 @@ def run_sweep(
         Folder of the results, in Zarr v3; on a file system that all workers see. If it exists it must be of this very
         sweep: what is complete in it is verified and kept.
     scheduler : str or distributed.Client, optional
-        Address of a Dask scheduler, such as ``tcp://head:8786``, or a client. Worker processes on this machine if not
-        given.
+        Address of a Dask scheduler, such as ``tcp://head:8786``, or a client; processes on this machine if not given.
     workers : int, optional
         Number of processes on this machine; one per processor if not given. With 1 the work is done in this process.
+        The others import the main module: a script that calls this needs ``if __name__ == "__main__":``.
     chunk : int
-        Most points per chunk: the unit of work, of storage, and of loss when a worker is killed. A worker's memory is
-        bounded by that many points, at about 100 bytes each and twice the results of all metrics, beside some 250 MB
-        of code and of intermediate results; see `benchmarks/sweep.py`.
+        Most points per chunk: the unit of work, of storage, and of loss when a worker is killed.
     progress : callable, optional
         Called with the number of points done and of all points, after every chunk.
 
@@ -106,14 +99,6 @@ def run_sweep(
     xarray.Dataset
         The results, read from the store when used. Besides the metrics it has `status`, a `Status` for each point, and
         -128 where nothing has been computed.
-
-    Notes
-    -----
-    It may be killed at any moment. A chunk counts as done when its record is on the disk, which is written after all
-    its bytes are; everything else is done again. A run that was never disturbed and one that was leave the same bytes,
-    given the same versions of libraries and the same kind of processor.
-
-    Worker processes import the main module: a script that calls this needs ``if __name__ == "__main__":``.
     """
     plan = SweepPlan.make(geometry, domain, metrics, chunk)
     return _run(plan, store_path(store), scheduler, workers, progress)
@@ -138,10 +123,6 @@ def resume_sweep(
     if plan.version != here:
         cause = "Results of two versions would be mixed."
         raise ArgumentError("store", f"a sweep of spm_pin {here}", f"{path}, made by {plan.version}", cause)
-    unknown = [metric.name for metric in plan.metrics if metric.function is unavailable]
-    if unknown:
-        cause = "A metric of your own has to be given again, to `run_sweep`, with all the rest."
-        raise ArgumentError("metrics", f"metrics among {', '.join(METRICS)}", ", ".join(unknown), cause)
     return _run(plan, path, scheduler, workers, progress)
 
 
@@ -163,29 +144,6 @@ def sweep_status(store: str | os.PathLike[str]) -> SweepStatus:
         shape=dict(zip(plan.domain.dims, plan.domain.shape, strict=True)),
         version=plan.version,
     )
-
-
-def open_sweep(store: str | os.PathLike[str]) -> xarray.Dataset:
-    """Open the results of a sweep, complete or not, without disturbing it.
-
-    Parameters
-    ----------
-    store : path
-        The folder that `run_sweep` was given.
-
-    Returns
-    -------
-    xarray.Dataset
-        As `run_sweep` returns it; the same as ``xarray.open_zarr(store)``, after a check of the metadata.
-    """
-    path = store_path(store)
-    read_plan(path)
-    require_extra("cluster")
-    import xarray
-
-    with as_store_error(path, "metadata"):
-        dataset: xarray.Dataset = xarray.open_zarr(path, zarr_format=3)
-    return dataset
 
 
 def _run(
@@ -212,4 +170,8 @@ def _run(
         except (StoreError, WorkersLostError) as error:
             raise SweepError(str(path), str(error), completed_count(path), plan.count) from error
         store.remove_drafts()
-    return open_sweep(path)
+    import xarray
+
+    with as_store_error(path, "metadata"):
+        dataset: xarray.Dataset = xarray.open_zarr(path, zarr_format=3)
+    return dataset

@@ -2,9 +2,9 @@
 
 Each chunk of each variable ends with its CRC32C, by Zarr's own codec. Beside the variables is a group `sweep` with the
 array `crc32c`: for every chunk the CRC32C of the sweep's definition, of the chunk's index, and of its bytes in all
-variables. It is the record that the chunk is complete. It is written after the chunk's bytes have reached the disk, so
-a chunk with a record that fits needs no work, and any other is computed again. Of a store, only Zarr's
-temporary files (`*.partial`), left by killed processes, are ever removed.
+variables. This record is written after the chunk's bytes have reached the disk, so a chunk with a record that fits
+needs no work, and any other is computed again. Only Zarr's temporary files (`*.partial`), left by killed processes, are
+ever removed.
 """
 
 from __future__ import annotations
@@ -26,19 +26,14 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, SpmError
 from spm_pin.mechanism.arguments import file_path
-from spm_pin.sweeps.metrics import DTYPES
 from spm_pin.sweeps.sweep_plan import FORMAT, SweepPlan, definition_differences
 
 _LOCK = "sweep/lock"
 _RECORDS = "sweep/crc32c"
-_WRITTEN = ("bytes", "zstd", "crc32c", *DTYPES)
-"""Codecs and types of a store."""
 _SHOWN = 4
 """Differences between a store and a sweep that a message spells out."""
 _CHUNK = r"c(\.\d+)*"
 _DRAFT = rf"({_CHUNK}|zarr)\.[0-9a-f]{{32}}\.partial"
-
-
 _UNREADABLE = (SpmError, LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError)
 """Exceptions raised while damaged contents of a store are read."""
 
@@ -90,10 +85,7 @@ class StoreLockedError(StoreError):
 
 @contextlib.contextmanager
 def as_store_error(path: Path, reading: str = "") -> Iterator[None]:
-    """Turn an `OSError` into a `StoreError` that says where it happened.
-
-    Where something is read, `reading` says what; the errors that its damaged contents raise become a `StoreError` too.
-    """
+    """Turn an `OSError`, and where `reading` says what is read also errors of its contents, into a `StoreError`."""
     try:
         yield
     except StoreError:
@@ -111,10 +103,7 @@ def as_store_error(path: Path, reading: str = "") -> Iterator[None]:
 
 
 class Store:
-    """The store of one plan.
-
-    Raises `ArgumentError` if the path holds anything else, `StoreError` if what it holds is damaged.
-    """
+    """The store of one plan; anything else at its path is an `ArgumentError`, a damaged store a `StoreError`."""
 
     def __init__(self, path: Path, plan: SweepPlan) -> None:
         import zarr
@@ -154,15 +143,16 @@ class Store:
                         draft.rename(path)
                         is_new = True
                     except OSError:
+                        # Another process may have made a store in the meantime; whether of this sweep is seen below.
                         if not (path / "zarr.json").exists():
                             raise
-                        # Another process has made a store in the meantime; whether it is of this sweep is seen below.
                 _synchronise(path.parent)
         store = cls(path, plan)
-        if plan.unversioned and not is_new:
+        unversioned = [m.name for m in plan.metrics if m.version is None and not m.is_of_package]
+        if unversioned and not is_new:
             expected = "metrics of your own that state a version, to continue a store"
             cause = "It may hold the values of another function: state version=..., and sweep into another folder"
-            raise ArgumentError("metrics", expected, f"{', '.join(plan.unversioned)} without one, and {path}", cause)
+            raise ArgumentError("metrics", expected, f"{', '.join(unversioned)} without one, and {path}", cause)
         return store
 
     def is_complete(self, index: tuple[int, ...]) -> bool:
@@ -189,7 +179,7 @@ class Store:
         with as_store_error(self.path):
             for name in (*self._names, _RECORDS):
                 for entry in os.scandir(self.path / name):
-                    if re.fullmatch(_DRAFT, entry.name) and entry.is_file(follow_symlinks=False):
+                    if re.fullmatch(_DRAFT, entry.name):
                         Path(entry.path).unlink(missing_ok=True)
 
     def _file(self, name: str, index: tuple[int, ...]) -> Path:
@@ -209,29 +199,27 @@ class Store:
 def store_path(store: str | os.PathLike[str]) -> Path:
     """Return the absolute path of a store, links followed: workers may run in another folder."""
     path = file_path(store, "store")
-    try:
-        path = path.resolve()
-    except (OSError, RuntimeError) as error:
-        raise ArgumentError("store", "the path of a folder", repr(store), str(error)) from error
-    return path
+    with as_store_error(path):
+        return path.resolve()
 
 
 def read_plan(path: Path) -> SweepPlan:
-    """Return the plan of the sweep whose store is at `path`, after a check of its metadata.
+    """Return the plan of the sweep whose store is at `path`.
 
     Raises `ArgumentError` if there is no such store, `StoreError` if it is damaged, or not written by a sweep.
     """
     with as_store_error(path, "definition"):
-        if (path / "zarr.json").exists():
-            _require_files(path)
-            metadata = json.loads((path / "zarr.json").read_bytes())
-            stored = metadata["attributes"].get("spm_pin_sweep")
-            if stored is not None:
-                _check_metadata(path, metadata)
-                definition = json.loads(stored)
-                if definition["format"] != FORMAT:
-                    raise StoreError(str(path), f"a store of format {definition['format']}; this version has {FORMAT}")
-                return SweepPlan.from_definition(definition)
+        file = path / "zarr.json"
+        stored = json.loads(file.read_bytes())["attributes"].get("spm_pin_sweep") if file.exists() else None
+        if stored is not None:
+            definition = json.loads(stored)
+            if definition["format"] != FORMAT:
+                raise StoreError(str(path), f"a store of format {definition['format']}; this version has {FORMAT}")
+            plan = SweepPlan.from_definition(definition)
+            lines = definition_differences(definition, plan.definition())
+            if lines:
+                raise ValueError(lines[0])
+            return plan
         received = "which holds none" if path.exists() else "which does not exist"
     raise ArgumentError("store", "the folder of a sweep", f"{path}, {received}")
 
@@ -269,16 +257,6 @@ def locked(path: Path) -> Iterator[None]:
         lock.release()
 
 
-def _require_files(folder: Path | str) -> None:
-    """Raise `OSError` if there is anything but folders and regular files in a folder: opening a pipe may block."""
-    with os.scandir(folder) as entries:
-        for entry in entries:
-            if entry.is_dir(follow_symlinks=False):
-                _require_files(entry.path)
-            elif not entry.is_file() and Path(entry.path).exists():  # drafts of a sweep that runs come and go
-                raise OSError(errno.EINVAL, "not a regular file", entry.path)
-
-
 def _synchronise(*paths: Path) -> None:
     """Wait until files, or the names in folders, are on the disk."""
     for path in paths:
@@ -287,20 +265,6 @@ def _synchronise(*paths: Path) -> None:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
-
-
-def _check_metadata(path: Path, metadata: dict[str, Any]) -> None:
-    """Refuse what Zarr would decode by anything but the codecs of a sweep, as by pickle."""
-    members = dict((metadata.get("consolidated_metadata") or {}).get("metadata", {}))
-    for place in (*path.glob("*/zarr.json"), *path.glob("sweep/*/zarr.json")):
-        members[str(place.parent)] = json.loads(place.read_bytes())
-    for name, member in members.items():
-        if member["node_type"] == "group":
-            continue
-        codecs = (codec["name"] if isinstance(codec, dict) else codec for codec in member["codecs"])
-        for used in (*codecs, member["data_type"], *member.get("storage_transformers", ())):
-            if used not in _WRITTEN:
-                raise StoreError(str(path), f"{name} is stored by {used!r}, which no sweep writes, and is not read")
 
 
 def _create(path: Path, plan: SweepPlan) -> None:

@@ -20,9 +20,8 @@ from spm_pin.sweeps.domains import AXES, Domain
 from spm_pin.sweeps.metrics import STATUS, Metric, resolve_metrics
 from spm_pin.sweeps.points import Points
 
-FORMAT = 3
+FORMAT = 4
 """Version of the layout of a store."""
-
 _BLOCK = 8192
 """Points evaluated together: enough for little time outside kernels, few enough to need some megabytes."""
 _RESERVED = {*AXES["pose"], *AXES["legs"], "sample", "status", "sweep"}
@@ -64,11 +63,6 @@ class SweepPlan:
             if axis.count == 0
         ]
         return (*sampled, STATUS, *self.metrics)
-
-    @property
-    def unversioned(self) -> tuple[str, ...]:
-        """Names of metrics whose function may be another one than in an earlier run, without any sign of it."""
-        return tuple(m.name for m in self.metrics if not m.is_of_package and m.version is None)
 
     @property
     def chunks(self) -> tuple[int, ...]:
@@ -120,11 +114,7 @@ class SweepPlan:
 
     @classmethod
     def from_definition(cls, content: Mapping[str, Any]) -> SweepPlan:
-        """Make a plan from its `definition`, checked by comparison with that of the plan it makes.
-
-        Metrics that are none of this package's can be named, but not computed. Anything but a definition ends in an
-        `SpmError`, or in one of the errors of subscripts, attributes, types and values.
-        """
+        """Make a plan from its `definition`; metrics that are none of this package's can be named, but not computed."""
         sizes = dict(content["geometry"])
         limits, legs = sizes.pop("limits"), Legs(**sizes.pop("legs"))
         if limits is not None:
@@ -132,11 +122,7 @@ class SweepPlan:
         domain = Domain.from_definition(content["domain"])
         metrics = tuple(map(Metric.from_definition, content["metrics"]))
         chunk = domain.chunk_shape(math.prod(content["chunk"]))
-        plan = cls(Geometry(**sizes, limits=limits, legs=legs), domain, metrics, chunk, str(content["spm_pin"]))
-        lines = definition_differences(content, plan.definition())
-        if lines:
-            raise ValueError(lines[0])
-        return plan
+        return cls(Geometry(**sizes, limits=limits, legs=legs), domain, metrics, chunk, content["spm_pin"])
 
     @cached_property
     def text(self) -> str:
@@ -152,6 +138,8 @@ def package_version() -> str:
 
 def definition_differences(stored: Any, requested: Any, where: str = "") -> list[str]:
     """Return the differences between two definitions, a line for each."""
+    if stored == requested:
+        return []
     pairs: list[tuple[str, Any, Any]] = []
     if isinstance(stored, dict) and isinstance(requested, dict):
         pairs = [(f"{where}.{key}".lstrip("."), stored.get(key), requested.get(key)) for key in {**stored, **requested}]
@@ -160,7 +148,7 @@ def definition_differences(stored: Any, requested: Any, where: str = "") -> list
             pairs = [(f"{where}[{k}]", *pair) for k, pair in enumerate(zip(stored, requested, strict=True))]
         elif where == "metrics":
             stored, requested = ([metric["name"] for metric in side] for side in (stored, requested))
-    if pairs or stored == requested:
-        return [line for name, *pair in pairs for line in definition_differences(pair[0], pair[1], name)]
+    if pairs:
+        return [line for name, old, new in pairs for line in definition_differences(old, new, name)]
     old, new = (json.dumps(value, ensure_ascii=False) for value in (stored, requested))
     return [f"{where} is {old} in the store and {new} in this sweep"]

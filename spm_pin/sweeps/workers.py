@@ -93,7 +93,13 @@ def complete_chunks(
                 cause = "Is it running, and can it be reached from here?"
                 raise ArgumentError("scheduler", "the address of a Dask scheduler", repr(scheduler), cause) from error
         elif scheduler is None:
-            _compile_kernels(plan)
+            # Compiled here, for workers to find in the cache on disk; whether the point is reached does not matter.
+            corner = np.array([[axis.start for axis in plan.domain.axes]])
+            points = Points(plan.geometry, plan.domain.space, corner)
+            for metric in plan.metrics:
+                with contextlib.suppress(SpmError):
+                    if metric.is_of_package:
+                        metric.evaluate(points)
             # One thread each: part of the work holds the interpreter's lock. Any free port for the dashboard: without
             # an address it takes a fixed one, which another sweep may have.
             cluster = LocalCluster(
@@ -106,16 +112,6 @@ def complete_chunks(
             client = stack.enter_context(Client(stack.enter_context(cluster), set_as_default=False))
             client.register_plugin(_ignore_interrupts())
         yield from _scheduled(plan, path, client)
-
-
-def _compile_kernels(plan: SweepPlan) -> None:
-    """Compile the kernels of the package's metrics in this process, for workers to find them in the cache on disk."""
-    # Whether the point is reached does not matter: kernels are called, and so compiled, without any items too.
-    points = Points(plan.geometry, plan.domain.space, np.array([[axis.start for axis in plan.domain.axes]]))
-    for metric in plan.variables:
-        if metric.is_of_package:
-            with contextlib.suppress(SpmError):
-                metric.evaluate(points)
 
 
 def _scheduled(plan: SweepPlan, path: Path, client: Client) -> Iterator[Chunk]:

@@ -412,7 +412,7 @@ def placed(machine: Machine, lower: Any, upper: Any) -> tuple[Any, Any, Any]:
 
 
 def _triangle_frame(b: Sequence[Any]) -> Any:
-    """Return the axes of a triangle as columns, as `spm_pin.mechanism.ball_triangles.triangle_frames` has them."""
+    """Return the axes of a triangle as columns, as `spm_pin.mechanism.legs.triangle_frames` has them."""
     x = b[0] - b[2]
     x = x / ca.sqrt(ca.sumsqr(x))
     y = 2.0 * b[1] - b[0] - b[2]

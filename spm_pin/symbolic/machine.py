@@ -172,7 +172,7 @@ class Machine:
         return [*b, *(ca.vertcat(*x) for x in upper)]
 
     def home_lengths(self) -> list[Any]:
-        """Return the leg length at home of both stages [m]; see `spm_pin.mechanism.leg_frames.home_lengths`."""
+        """Return the leg length at home of both stages [m]; see `spm_pin.mechanism.joint_angles.home_lengths`."""
         found = []
         for k, radius in enumerate((self.base, self.platform)):
             low, high = ca.mmax(self.minimum[3 * k : 3 * k + 3]), ca.mmin(self.maximum[3 * k : 3 * k + 3])

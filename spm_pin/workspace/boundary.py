@@ -38,8 +38,6 @@ _MOST_NODES = 5_000_000
 """Nodes of the grid at most."""
 _HALVINGS = 25
 """Halvings of an edge, down to 3e-8 of it."""
-_CONVERGED = 1e-7
-"""Largest violation of the conditions of a nearest point that counts as rounding."""
 _CHECK_DISTANCE = 1e-4
 """Distance beyond the place found, as a share of the edge, at which nothing must be reachable."""
 _BESIDE = 0.05
@@ -93,22 +91,10 @@ class Boundary(ClosedMesh):
 
         Notes
         -----
-        Drawn on the mesh, lifted off it until out of reach, and moved to the nearest reachable point. Points whose
-        search has not converged are drawn anew, up to ten times; `violation` tells those that are left.
+        Drawn on the mesh, lifted off it until out of reach, and moved to the nearest reachable point. Where the search
+        for that has not converged, in the widest limits for less than one in a hundred, `violation` is large.
         """
         rng, count = generator(rng, "rng"), whole_number(count, "count", least=1)
-        points = self._drawn(count, rng)
-        # Where the search has not converged, at the rim between two pieces of the boundary, another point is drawn.
-        for _ in range(10):
-            left = np.flatnonzero(points.violation > _CONVERGED)
-            if not len(left):
-                break
-            again = self._drawn(len(left), rng)
-            for array, values in zip(vars(points).values(), vars(again).values(), strict=True):
-                array[left] = values
-        return points
-
-    def _drawn(self, count: int, rng: np.random.Generator) -> BoundaryPoints:
         doubled = self._doubled_normals
         double_area = np.linalg.norm(doubled, axis=-1)
         face = rng.choice(len(self.faces), count, p=double_area / double_area.sum())
@@ -253,21 +239,13 @@ def _crossings(states: StateSet, inner: FloatArray, outer: FloatArray, within: F
         farther = np.flatnonzero(member.reached & (beyond < 1.0))
         left = left[farther]
         within[left], low[left], high[left] = member.coordinates[farther], beyond[farther], 1.0
-    # In the outermost state, legs are beyond their limits by what is left of the residual.
+    # In the outermost state, legs are beyond their limits by what is left of the residual. Beside a forward singularity
+    # such readings may lead elsewhere: those of the last state within do not.
+    vertices = inner + low[:, None] * along
     readings = np.clip(states.readings(outermost), states.minimum, states.maximum)
-    # Beside a forward singularity readings may not lead to the vertex: those of the last state within then serve, or of
-    # another state, if need be a little inwards.
-    for back in (None, 0.0, 1e-4, 5e-4):
-        vertices = inner + low[:, None] * along
-        known = forward_physical(states.geometry, readings)
-        lost = np.flatnonzero(~(np.abs(known.translation - vertices).max(axis=-1) < 1e-6 * states.size))
-        if back is None:
-            readings[lost] = np.clip(states.readings(within[lost]), states.minimum, states.maximum)
-            continue
-        low[lost] = np.maximum(low[lost] - back, 0.0)
-        vertices[lost] = inner[lost] + low[lost, None] * along[lost]
-        member = search_states(states, vertices[lost], margin=SINGULARITY_MARGIN)
-        readings[lost[member.reached]] = member.readings[member.reached]
+    reached = forward_physical(states.geometry, readings).translation
+    lost = ~(np.abs(reached - vertices).max(axis=-1) < 1e-6 * states.size)
+    readings[lost] = np.clip(states.readings(within[lost]), states.minimum, states.maximum)
     return vertices, readings
 
 

@@ -27,7 +27,7 @@ from spm_pin.workspace.states import CENTRE, StateSet
 
 RESOLUTION = 1e-9
 """Distances are found to this share of the machine's size."""
-SINGULARITY_MARGIN = 1e-6
+SINGULARITY_MARGIN = 3e-7
 """Least determinant of a stage, about 1 at home, in searches for the boundary: nearer to a forward singularity,
 rounding of the readings moves o farther than `RESOLUTION`."""
 _LEAST_DETERMINANT = 1e-8
@@ -38,10 +38,10 @@ _VOXELS, _PAD = 64, 0.15
 """Cells of the distance table along the longest side of S and its margin, and that margin over the size of S."""
 _CELLS = 20
 """Cells along each axis of the grid that covers the reachable positions."""
-_NEAR_STARTS, _REMOTE_STARTS, _MORE_STARTS = 6, 3, 8
+_NEAR_STARTS, _REMOTE_STARTS, _MORE_STARTS = 32, 6, 8
 """Starts of each search for a nearest point: the best of the groups, and the states of the sample whose positions are
 nearest; and those of the sample with which a point is searched again that the groups have not led to."""
-_MOST_STEPS, _PATIENT = 400, 1500
+_MOST_STEPS, _PATIENT = 400, 3000
 """Newton steps of a search for the nearest state at most: while a platform is dragged, and for the nearest point."""
 _CHUNK, _MIN_BATCH = 4096, 256
 """Points worked on together, and those that are worth a thread."""
@@ -132,10 +132,10 @@ class StartTable:
         One of each group of lower stages, the best first. Distances are negative well inside, and meaningless, but
         large, far away.
         """
-        from spm_pin.kinematics.kernels.state_search import nearby_stages
+        from spm_pin.kinematics.kernels.stage_states import nearby_stages
 
         groups = 1 << _LEVELS
-        inputs = [np.require(np.clip(points, *self.extent), requirements=("C", "W"))]
+        inputs = [np.require(points, requirements=("C", "W"))]
         results = ((groups,), np.int64), ((groups,), np.int64), ((groups,), np.float64)
         constants = self._rotation, self._offset, self._table, self.spacing
         stages, cells, distances = run_kernel(nearby_stages, inputs, constants, results, _MIN_BATCH)
@@ -198,8 +198,8 @@ def search_states(
 
         def run(points: FloatArray, starts: FloatArray, distances: FloatArray) -> tuple[Any, ...]:
             inputs = [np.require(array, requirements=("C", "W")) for array in (points, starts, distances)]
-            results = ((2, 3), np.float64), ((6,), np.float64), ((), np.int64), ((4,), np.float64)
-            return run_kernel(search_points, inputs, machine, results, _MIN_BATCH)
+            results = ((2, 3), np.float64), ((6,), np.float64), ((), np.int64)
+            return run_kernel(search_points, inputs, (machine,), results, _MIN_BATCH)
 
         if starts is None:
             table = start_table(states)
@@ -216,7 +216,7 @@ def search_states(
         else:
             nearest = np.linalg.norm(states.positions(starts) - points, axis=-1)
             result = run(points, starts[:, None], np.zeros((len(points), 1)))
-        coordinates, readings, outcome, _ = result
+        coordinates, readings, outcome = result
         distance = np.where(outcome == 1, 0.0, np.maximum(nearest, 0.0))
         return Membership(outcome == 1, outcome == -1, coordinates, readings, distance)
 
@@ -236,7 +236,7 @@ def nearest_states(
     from spm_pin.kinematics.kernels.state_search import search_nearest
 
     inputs = [np.require(array, requirements=("C", "W")) for array in (targets / np.sqrt(len(body)), starts)]
-    constants = *states.machine(body, SINGULARITY_MARGIN), most
+    constants = states.machine(body, SINGULARITY_MARGIN), most
     results = ((2, 3), np.float64), ((6,), np.float64), ((6,), np.float64), ((2,), np.float64)
     coordinates, readings, gradient, quality = run_kernel(search_nearest, inputs, constants, results, 16)
     distance, slope = quality.T
@@ -262,15 +262,10 @@ def nearest_points(states: StateSet, points: FloatArray, starts: FloatArray | No
         left = np.flatnonzero(~member.reached)
         if len(left):
             # A sample's state is within the limits; that with the smallest residual may not be, or not be the nearest.
-            remote = states.sample[states.tree.query(points[left], 2 * _REMOTE_STARTS)[1]]
-            near = table.nearby(points[left])[1]
-            first = remote[:, :_REMOTE_STARTS], near[:, :_NEAR_STARTS], member.coordinates[left, None]
-            result.update(left, nearest_states(states, points[left], np.concatenate(first, axis=1), most=_PATIENT))
-            # From other starts the search may end nearer.
-            second = remote[:, _REMOTE_STARTS:], near[:, _NEAR_STARTS : 3 * _NEAR_STARTS]
-            other = nearest_states(states, points[left], np.concatenate(second, axis=1), most=_PATIENT)
-            nearer = np.flatnonzero(other.distance < result.distance[left])
-            result.update(left[nearer], other, nearer)
+            remote = states.sample[states.tree.query(points[left], _REMOTE_STARTS)[1]]
+            near = table.nearby(points[left])[1][:, :_NEAR_STARTS]
+            starts = np.concatenate([remote, near, member.coordinates[left, None]], axis=1)
+            result.update(left, nearest_states(states, points[left], starts, most=_PATIENT))
         return result
 
     arrays = (points,) if starts is None else (points, starts)

@@ -1,7 +1,7 @@
 """The states of a machine within its leg limits, by the coordinates of both stages, and samples of them.
 
 Leg lengths determine a state only where the stages can be assembled, and badly near forward singularities. The
-coordinates (x, y, Z/r) of each stage, see `spm_pin.kinematics.kernels.state_search`, have neither defect: every state
+coordinates (x, y, Z/r) of each stage, see `spm_pin.kinematics.kernels.stage_states`, have neither defect: every state
 is a point, and poses and readings are smooth functions of it. They give any machine's states, as drawn or as built.
 """
 
@@ -19,7 +19,7 @@ from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import LEGS, Configuration, Geometry, LegLimits
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, check_instance, first_offender
-from spm_pin.mechanism.branches import FAMILIES, TANGENT_SIGNS, family, physical
+from spm_pin.mechanism.branches import FAMILIES, TANGENT_SIGNS, family, physical, stage_coordinates
 
 CENTRE = np.zeros((1, 3))
 """The platform's centre o in {m}."""
@@ -49,8 +49,8 @@ class Stages:
     readings: FloatArray  # [m], (N, 3)
     determinant: FloatArray  # about 1 at home, 0 at forward singularities, (N,)
     in_aspect: BoolArray  # (N,)
-    rotation_slopes: FloatArray  # derivatives by the three coordinates, (N, 3, 3, 3), the coordinate last
-    centre_slopes: FloatArray  # (N, 3, 3)
+    spins: FloatArray  # derivatives by the coordinates, which are last: the rotation's, as rotation vectors, (N, 3, 3)
+    velocities: FloatArray  # the centre's, (N, 3, 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,10 +109,10 @@ class StateSet:
 
     def stages(self, stage: int, coordinates: FloatArray) -> Stages:
         """Return the lower (0) or upper (1) stage at coordinates (N, 3), seen from {B} or {m}."""
-        from spm_pin.kinematics.kernels.state_search import stage_states
+        from spm_pin.kinematics.kernels.stage_states import stage_states
 
         constants = self.legs[stage], self.radius, float(_UPWARD[stage]), self.aspects[stage]
-        results = ((16,), np.float64), ((16, 3), np.float64), ((), np.int64)
+        results = ((16,), np.float64), ((10, 3), np.float64), ((), np.int64)
         inputs = [np.require(coordinates, requirements=("C", "W"))]
         values, slopes, places = run_kernel(stage_states, inputs, constants, results, _MIN_BATCH)
         return Stages(
@@ -121,8 +121,8 @@ class StateSet:
             values[:, 12:15],
             values[:, 15],
             places == _INSIDE,
-            slopes[:, :9].reshape(-1, 3, 3, 3),
-            slopes[:, 9:12],
+            slopes[:, :3],
+            slopes[:, 3:6],
         )
 
     def readings(self, coordinates: FloatArray) -> FloatArray:
@@ -130,18 +130,8 @@ class StateSet:
         return np.concatenate([self.stages(k, coordinates[:, k]).readings for k in range(2)], axis=-1)
 
     def coordinates(self, states: Configuration) -> FloatArray:
-        """Return the coordinates (N, 2, 3) of states (N,) of this family."""
-        middle, from_m = states.middle_pose.as_matrix(), np.swapaxes(states.rotation, -1, -2)
-        seen = (from_m @ (middle[:, :3, 3] - states.translation)[..., None])[..., 0]
-        turns = middle[:, :3, :3] * self._turns[0], from_m @ middle[:, :3, :3] * self._turns[1]
-        coordinates = np.empty((len(middle), 2, 3))
-        for stage, (turn, centre) in enumerate(zip(turns, (middle[:, :3, 3], seen), strict=True)):
-            # In its own mode a stage is turned by less than half a turn: x0 is positive.
-            x0 = 0.5 * np.sqrt(np.maximum(1.0 + np.trace(turn, axis1=-2, axis2=-1), np.finfo(float).tiny))
-            coordinates[:, stage, 0] = (turn[:, 2, 1] - turn[:, 1, 2]) / (4.0 * x0)
-            coordinates[:, stage, 1] = (turn[:, 0, 2] - turn[:, 2, 0]) / (4.0 * x0)
-            coordinates[:, stage, 2] = centre[:, 2] / self.radius
-        return coordinates
+        """Return the coordinates (N, 2, 3) of states (N,); NaN in other families."""
+        return stage_coordinates(states, self.family) / [1.0, 1.0, self.radius]
 
     def states(self, coordinates: FloatArray, readings: FloatArray | None = None) -> Configuration:
         """Return the configurations (N,) at coordinates (N, 2, 3), with their readings (N, 6) if these are known."""
@@ -161,18 +151,11 @@ class StateSet:
     def jacobians(self, coordinates: FloatArray) -> FloatArray:
         """Return the derivatives of o and of the rotation by the coordinates, (N, 6, 6) [m, rad]."""
         lower, upper = (self.stages(k, coordinates[:, k]) for k in range(2))
-        between = self._turns[0] * self._turns[1]
-        back = np.swapaxes(upper.rotation, -1, -2)
-        seen = -between * (back @ upper.centre[..., None])[..., 0]
+        rotation = lower.rotation * (self._turns[0] * self._turns[1]) @ np.swapaxes(upper.rotation, -1, -2)
         matrix = np.empty((len(coordinates), 6, 6))
-        matrix[:, :3, :3] = lower.centre_slopes + np.einsum("nijk,nj->nik", lower.rotation_slopes, seen)
-        moved = np.einsum("njik,nj->nik", upper.rotation_slopes, upper.centre) + back @ upper.centre_slopes
-        matrix[:, :3, 3:] = -lower.rotation @ (between[:, None] * moved)
-        turned = np.einsum("niak,nja->nijk", lower.rotation_slopes, lower.rotation)
-        matrix[:, 3:, :3] = _rotation_vector(turned)
-        # The rotation is R_a times the opposite turn of R_b.
-        turned = np.einsum("naik,naj->nijk", upper.rotation_slopes, upper.rotation)
-        matrix[:, 3:, 3:] = lower.rotation @ (between[:, None] * _rotation_vector(turned))
+        matrix[:, :3, :3] = lower.velocities - _turned(lower.spins, rotation @ upper.centre[..., None])
+        matrix[:, :3, 3:] = -rotation @ (upper.velocities - _turned(upper.spins, upper.centre[..., None]))
+        matrix[:, 3:, :3], matrix[:, 3:, 3:] = lower.spins, -rotation @ upper.spins
         return matrix
 
     def upper_for(self, lower: FloatArray, points: FloatArray) -> FloatArray:
@@ -193,7 +176,7 @@ class StateSet:
                 stage = self.stages(1, upper)
                 back = np.swapaxes(stage.rotation, -1, -2)
                 gap = target + (back @ stage.centre[..., None])[..., 0]
-                slopes = np.einsum("njik,nj->nik", stage.rotation_slopes, stage.centre) + back @ stage.centre_slopes
+                slopes = back @ (stage.velocities - _turned(stage.spins, stage.centre[..., None]))
                 regular = np.isfinite(slopes).all(axis=(-1, -2)) & (np.abs(np.linalg.det(slopes)) > 0.0)
                 slopes = np.where(regular[:, None, None], slopes, np.eye(3))
                 step = np.linalg.solve(slopes, np.where(regular[:, None], gap, np.nan)[..., None])[..., 0]
@@ -307,9 +290,9 @@ class StateSet:
         return KDTree(self.positions(self.sample, self.geometry.platform_joints))
 
 
-def _rotation_vector(skew: FloatArray) -> FloatArray:
-    """Return the vectors (N, 3, 3) of skew matrices (N, 3, 3, 3) whose last axis counts them."""
-    return np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
+def _turned(spins: FloatArray, arms: FloatArray) -> FloatArray:
+    """Return the velocities (N, 3, 3) of points at `arms` (N, 3, 1) for spins (N, 3, 3), the columns of matrices."""
+    return np.cross(spins, arms, axis=1)
 
 
 def pose_densities(states: StateSet, coordinates: FloatArray) -> FloatArray:

@@ -11,7 +11,6 @@ import spm_pin as spm
 from spm_pin import calibration
 
 PAPER = spm.Geometry.paper()
-NOMINAL = PAPER
 
 
 @cache

@@ -88,12 +88,12 @@ def test_parameters_of_metrics(tmp_path: Path) -> None:
 def test_samples_of_leg_lengths(legs: list[str], ranges: list[float], tmp_path: Path) -> None:
     options = [part for text in legs for part in ("--legs", text)]
     out = output(
-        *[*options, "--samples", 30, "--seed", 7, "--unit", "cm", "--metric", "o_z", "--method", "uniform"],
+        *[*options, "--samples", 30, "--seed", 7, "--unit", "cm", "--metric", "o_z"],
         *["--out", tmp_path / "map", "--workers", 1],
     )
     assert "30 points: sample 30" in out
     found = xarray.open_zarr(tmp_path / "map").load()
-    expected = leg_sample(30, ranges[:3], ranges[3:], method="uniform", seed=7).points((0,), (30,))
+    expected = leg_sample(30, ranges[:3], ranges[3:], seed=7).points((0,), (30,))
     legs_found = np.stack([np.broadcast_to(found[leg], 30) for leg in spm.mechanism.LEGS], axis=-1)
     np.testing.assert_allclose(legs_found, expected, rtol=1e-15)
 
@@ -127,7 +127,6 @@ def test_resume_and_status(tmp_path: Path) -> None:
         (["--legs", "a:b:5"], "--legs: expected a number"),
         (["--legs", "2:1:5"], "start < stop"),
         (["--legs", "1:nan:5"], "finite"),
-        (["--legs", "1:2", "--samples", "5", "--method", "halton"], "--method"),
         (["--x", "1:0:5", "--y", "0", "--z", "2", "--xyx", "1", "2", "3"], "--x: expected start < stop"),
         (["--legs", "1:2:5", "--metric", "conditioning", "--length", "0"], "--length: expected a positive number"),
         (["--legs", "1:2:5", "--metric", "beauty"], "--metric: expected a Metric, or names among reachable"),

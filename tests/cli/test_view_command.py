@@ -18,8 +18,8 @@ from PIL import Image
 import spm_pin as spm
 from spm_pin.display import Viewer
 from spm_pin.display.plots import save_gallery
-from spm_pin.display.viewer.playback import EventQueue
 from spm_pin.display.viewer.server import free_port
+from spm_pin.display.viewer.session import EventQueue
 
 EQUAL_LEGS = ["--legs", "1.3", "1.3", "1.3", "1.3", "1.3", "1.3"]
 COMMAND = [sys.executable, "-c", "from spm_pin.cli import main; main()"]
@@ -111,14 +111,14 @@ def test_draw_one_branch_or_all(tmp_path: Path) -> None:
         (["--out", "x.jpg"], "ending in .png, .svg, .pdf"),
         (["--out", "x.png", "--all", "--branch", "TT+"], "both --all and --branch"),
         (["--out", "x.png", "--branch", "ZZ"], "real branches, here TT+"),
-        (["--out", "x.png", *EQUAL_LEGS, "--branch", "FF+"], "real at the pose requested, which has none, got FF+"),
         (["--out", "/nowhere/x.png", "--width", "100", "--no-names"], "a file that can be written"),
-        (["--out", "/nowhere/x.png", "--all", "--width", "300"], "a file that can be written"),
         (["--out", "x.png", "--width", "3"], "at least 100 pixels"),
         (["--out", "x.png", "--all", "--width", "150"], "at least 300 pixels"),
         (["--out", "x.png", "--all", "--names", "--width", "300"], "at least 780 pixels"),
         (["--out", "x.png", "--names", "--width", "199"], "at least 200 pixels"),
-        (["--out", "x.png", "--view", "900", "0"], "azimuth and elevation"),
+        (["--out", "x.png", "--view", "900", "0"], "--view: expected azimuth and elevation"),
+        (["--out", "x.png", "--background", "notacolour"], "--background: expected a colour"),
+        (["--out", "x.png", "--width", "100000"], "--width: expected at most"),
     ],
 )
 def test_draw_refuses(tmp_path: Path, arguments: list[str], words: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -180,13 +180,9 @@ def test_event_queue_replaces_pending_events_of_a_kind_and_stops_when_closed() -
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"port": "x"}, "port: expected a port"),
         ({"port": True}, "port: expected a port"),
         ({"port": 80.5}, "port: expected a port"),
         ({"host": b"127.0.0.1"}, "host: expected an address"),
-        ({"host": ""}, "host: expected an address"),
-        ({"host": None}, "host: expected an address"),
-        ({"host": "a\0b"}, "host: expected an address"),
         ({"host": "x" * 70}, "host: expected an address"),
         ({"start": 3}, "start: expected a Configuration"),
     ],

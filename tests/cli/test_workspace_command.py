@@ -101,9 +101,8 @@ def test_limits_from_the_geometrys_file(tmp_path: Path) -> None:
         (["--limits", "0.05", "0.1"], "no symmetric home"),
         (["--limits", "110", "150"], "--limits was read in m: 150 m, on a machine of 2.64 m"),
         (["--out", "fig.jpg"], "--out: expected a file name ending in .png, .svg, .pdf, .stl"),
-        (["--out", "fig"], "--out: expected a file name ending in"),
         (["--out", "map.zarr"], "Maps over many poses are for spm-pin sweep"),
-        (["--out", "no/where.png"], "There is no directory no"),
+        (["--samples", "0"], "--samples"),
         (["--sections"], "--sections: expected a picture"),
         (["--sections", "--out", "shell.stl"], "ending in .png, .svg, .pdf, got shell.stl"),
     ],
@@ -113,12 +112,3 @@ def test_bad_input_is_refused(arguments: list[str], says: str) -> None:
     assert done.returncode == 2
     assert says in done.message
     assert "volume" not in done.stdout
-
-
-def test_out_must_not_be_a_directory(tmp_path: Path) -> None:
-    folder = tmp_path / "shell.stl"
-    folder.mkdir()
-    done = run(*FEW, "--out", str(folder))
-    assert done.returncode == 2
-    assert "It is a directory" in done.message
-    assert run("workspace", "--samples", "0").returncode == 2

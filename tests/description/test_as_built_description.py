@@ -11,7 +11,7 @@ from cli.running import run
 from description.kinematic_tree import KinematicTree
 
 import spm_pin as spm
-from spm_pin.description import SLIDES, joint_values, mjcf_text, read_closures, urdf_text
+from spm_pin.description import SLIDES, joint_values, mjcf_text, read_closures
 from spm_pin.description.robot import read_robot
 
 PAPER = spm.Geometry.paper()
@@ -47,13 +47,6 @@ def test_loops_close_to_rounding_at_the_joint_values_of_a_state(name: str, prefi
             assert values[prefix + slide] == pytest.approx(reading - offset - 1.3, abs=1e-14)
 
 
-def test_the_mass_is_that_of_the_nominal_robot() -> None:
-    masses = [
-        sum(link.mass for link in read_robot(geometry).links.values()) for geometry in (PAPER, MACHINES["a millimetre"])
-    ]
-    assert masses[1] == pytest.approx(masses[0], rel=1e-12)
-
-
 def test_a_state_named_in_the_description_is_of_its_machine() -> None:
     machine = MACHINES["a millimetre"]
     state = states(machine)[0]
@@ -73,31 +66,6 @@ def test_slide_limits_are_those_of_the_readings() -> None:
     for k, name in enumerate(SLIDES):
         assert slides[name]["lower"] + 1.3 + machine.legs.offsets[k] == pytest.approx(PAPER.limits.minimum[k])
         assert slides[name]["upper"] + 1.3 + machine.legs.offsets[k] == pytest.approx(PAPER.limits.maximum[k])
-
-
-@pytest.mark.parametrize("name", MACHINES)
-def test_leg_rates_are_those_of_pinocchios_constraints(name: str) -> None:
-    pin = pytest.importorskip("pinocchio")
-    machine = MACHINES[name]
-    model = pin.buildModelFromXML(urdf_text(machine))
-    data = model.createData()
-    twists = np.random.default_rng(1).standard_normal((len(LEGS), 6))
-    for state, twist in zip(states(machine), twists, strict=False):
-        q = np.zeros(model.nq)
-        for joint, value in joint_values(state).items():
-            q[model.joints[model.getJointId(joint)].idx_q] = value
-        pin.computeJointJacobians(model, data, q)
-        pin.updateFramePlacements(model, data)
-
-        def jacobian(frame: str) -> np.ndarray:
-            return np.asarray(pin.getFrameJacobian(model, data, model.getFrameId(frame), pin.LOCAL_WORLD_ALIGNED))
-
-        pairs = [("middle_b2", "leg_b2_tip"), ("middle_b3", "leg_b3_tip")]
-        pairs += [("middle_b2_upper", "leg_c2_tip"), ("middle_b3_upper", "leg_c3_tip")]
-        rows = np.concatenate([jacobian("terminal_platform"), *(jacobian(a)[:3] - jacobian(b)[:3] for a, b in pairs)])
-        velocity = np.linalg.solve(rows, np.concatenate([twist, np.zeros(12)]))
-        rates = [velocity[model.joints[model.getJointId(slide)].idx_v] for slide in SLIDES]
-        np.testing.assert_allclose(rates, spm.leg_rates(state, twist), rtol=1e-7, atol=1e-7)
 
 
 @pytest.mark.parametrize("name", MACHINES)

@@ -13,8 +13,7 @@ import spm_pin as spm
 from spm_pin.description import urdf_text
 from spm_pin.description.source_files import SRDF, URDF, description_file
 from spm_pin.description.tree import JOINTS, SLIDES, joint_values, read_closures
-from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.leg_frames import home_lengths
+from spm_pin.mechanism.joint_angles import home_lengths
 
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()
@@ -149,19 +148,6 @@ def test_ball_joint_values_at_a_gimbal_singularity() -> None:
         frames = tree.frames(values)
         np.testing.assert_allclose(frames["middle_platform"][:3, :3], middle, atol=1e-14)
         np.testing.assert_allclose(frames["terminal_platform"], pose.as_matrix(), atol=1e-13)
-
-
-@pytest.mark.parametrize("shape", [(1,), (2, 3)])
-def test_joint_values_want_one_configuration(shape: tuple[int, ...]) -> None:
-    pose = spm.pose(np.zeros((*shape, 3)), rotation=np.eye(3))
-    with pytest.raises(ArgumentError, match="a batch of shape"):
-        joint_values(spm.Configuration(PAPER, pose, np.ones((3, 3))))
-
-
-def test_joint_values_want_a_real_configuration() -> None:
-    pose = spm.pose([0.0, 0.0, 1.0], rotation=np.eye(3))
-    with pytest.raises(ArgumentError, match="that exists"):
-        joint_values(spm.Configuration(PAPER, pose, np.full((3, 3), np.nan)))
 
 
 def test_named_states_are_the_paper_s_solutions() -> None:

@@ -26,21 +26,12 @@ LAUNCH = PACKAGE / "launch" / "display.launch.py"
 
 
 def test_constants_are_paths_of_what_they_name() -> None:
-    suffixes = {
-        "URDF_PATH": ".urdf",
-        "XACRO_PATH": ".xacro",
-        "SRDF_PATH": ".srdf",
-        "MJCF_PATH": ".xml",
-        "SDF_PATH": ".sdf",
-        "CLOSURES_PATH": ".yaml",
-    }
-    assert {*suffixes, "PACKAGE_PATH"} == {name for name in description.__all__ if name.endswith("_PATH")}
+    suffixes = {"URDF": ".urdf", "XACRO": ".xacro", "SRDF": ".srdf", "MJCF": ".xml", "SDF": ".sdf", "CLOSURES": ".yaml"}
     for name, suffix in suffixes.items():
-        path = Path(getattr(description, name))
+        path = Path(getattr(description, f"{name}_PATH"))
         assert path.is_file()
         assert path.is_absolute()
-        assert path.suffix == suffix
-        assert path.parent == PACKAGE
+        assert (path.suffix, path.parent) == (suffix, PACKAGE)
 
 
 def test_package_xml() -> None:

@@ -5,15 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
-import yaml
 from description.kinematic_tree import KinematicTree, inertia, named_states
 from problems import in_leg_space
 
 import spm_pin as spm
 from spm_pin.description import urdf_text
-from spm_pin.description.source_files import EXTENDED_URDF, SRDF, URDF, description_file
+from spm_pin.description.source_files import SRDF, URDF, description_file
 from spm_pin.description.tree import joint_values, read_closures
 
 pin = pytest.importorskip("pinocchio")
@@ -86,32 +84,6 @@ def test_no_collision_where_a_machine_can_be(model: Any) -> None:
         assert not collides(joint_values(configuration))
 
 
-def test_mounted_on_an_arm() -> None:
-    loaders = pytest.importorskip("example_robot_data")
-    arm = loaders.load("ur5").model
-    robot = pin.buildModelFromXML(urdf_text(prefix="spm_"))
-    tool = arm.getFrameId("tool0")
-    mounting = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.2, 0.1), np.array([0.0, 0.02, 0.1]))
-    model = pin.appendModel(arm, robot, tool, mounting)
-    assert model.nq == arm.nq + 18
-    state = named_states(description_file(SRDF).read_text(encoding="utf-8"))["reference"]
-    q = pin.randomConfiguration(model, -np.ones(model.nq), np.ones(model.nq))
-    assert closure_gap(model, q, "spm_") > 1e-2
-    for joint, value in state.items():
-        q[model.joints[model.getJointId(f"spm_{joint}")].idx_q] = value
-    assert closure_gap(model, q, "spm_") < 1e-12
-
-    # The arm carries the robot where it was mounted, and nothing of it is lost.
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, q)
-    base = data.oMf[model.getFrameId("tool0")] * mounting
-    for link, pose in TREE.frames(state).items():
-        found = base.actInv(data.oMf[model.getFrameId(f"spm_{link}")])
-        np.testing.assert_allclose(found.homogeneous, pose, atol=1e-12, err_msg=link)
-    total = sum(body.mass for body in model.inertias)
-    assert total == pytest.approx(sum(body.mass for body in arm.inertias) + sum(b.mass for b in robot.inertias))
-
-
 def test_two_robots_need_prefixes() -> None:
     bare = pin.buildModelFromXML(urdf_text())
     with pytest.raises(ValueError, match="conflicting frame names"):
@@ -120,32 +92,3 @@ def test_two_robots_need_prefixes() -> None:
     both = pin.appendModel(left, right, 0, pin.SE3(np.eye(3), np.array([3.0, 0.0, 0.0])))
     for prefix in ("left_", "right_"):
         assert closure_gap(both, pin.neutral(both), prefix) < 1e-12
-
-
-def test_the_extended_urdf_s_closures_leave_six_degrees_of_freedom(model: Any) -> None:
-    extended = yaml.safe_load(description_file(EXTENDED_URDF).read_text(encoding="utf-8"))
-    pin.loadReferenceConfigurations(model, str(description_file(SRDF)), False)
-    data = model.createData()
-    slides = [model.joints[model.getJointId(name)].idx_v for name in extended["name_mot"]]
-
-    def jacobian(state: str) -> npt.NDArray[np.float64]:
-        q = model.referenceConfigurations[state]
-        rows = []
-        for pair in extended["closed_loop"]:
-            a, b = (
-                pin.computeFrameJacobian(model, data, q, model.getFrameId(frame), pin.LOCAL_WORLD_ALIGNED)[:3]
-                for frame in pair
-            )
-            rows.append(b - a)
-        return np.concatenate(rows)
-
-    regular = jacobian("reference")
-    assert np.linalg.matrix_rank(regular) == 12
-    # With the six motors held, nothing moves.
-    assert np.linalg.matrix_rank(np.concatenate([regular, np.eye(18)[slides]])) == 18
-    # So it is at home; but there, an inverse singularity, three motions leave the platform where it is.
-    home, q = jacobian("home"), pin.neutral(model)
-    assert np.linalg.matrix_rank(np.concatenate([home, np.eye(18)[slides]])) == 18
-    frame = model.getFrameId("terminal_platform")
-    platform = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
-    assert np.linalg.matrix_rank(np.concatenate([home, platform])) == 15

@@ -1,9 +1,8 @@
-"""Pictures: hidden surfaces at every pixel, files, the example."""
+"""Pictures: hidden surfaces at every pixel, labels, refusals."""
 
 from __future__ import annotations
 
 import pickle
-import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -17,8 +16,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import spm_pin as spm
-from spm_pin.display.plots import VIEW, draw, save_gallery, save_picture
-from spm_pin.display.scene import scene
+from spm_pin.display.plots import draw, save_gallery, save_picture
+from spm_pin.display.rendering import VIEW, robot_solids
 from spm_pin.errors import ArgumentError, MissingExtraError
 
 PAPER = spm.Geometry.paper()
@@ -26,9 +25,8 @@ POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88])
 SOLUTIONS = spm.inverse_displacement(PAPER, POSE)
 STATE = SOLUTIONS.physical()
 HOME = problems.in_leg_space(PAPER, 1, seed=0, legs=np.full((1, 6), 1.2)).configuration[0]
-COLOURS = {solid.name: solid.colour for solid in scene(STATE).solids}
+COLOURS = {solid.name: solid.colour for solid in robot_solids(STATE)}
 PLATES = (("base", "base"), ("middle_platform", "middle"), ("terminal_platform", "terminal"))
-EXAMPLE = Path(__file__).parents[2] / "examples" / "02_draw_the_mechanism.py"
 
 
 def looking(view):
@@ -54,8 +52,9 @@ def off_shade(pixel, colour):
     return np.abs(pixel - factor * np.asarray(colour)).max()
 
 
-@pytest.mark.parametrize("label", ["TT+", "FF+"])
-@pytest.mark.parametrize("view", [VIEW, (-2.1, 0.1), (1.0, -0.6), (0.0, np.pi / 2)])
+@pytest.mark.parametrize(
+    ("label", "view"), [("TT+", VIEW), ("FF+", (-2.1, 0.1)), ("FF+", (1.0, -0.6)), ("TT+", (0.0, np.pi / 2))]
+)
 def test_every_pixel_shows_the_nearest_solid(label, view):
     state = SOLUTIONS[label]
     picture = draw(state, view=view, labels=False, dpi=90).images[0]
@@ -65,7 +64,7 @@ def test_every_pixel_shows_the_nearest_solid(label, view):
     row, column = rng.integers(2, rows - 2, 600), rng.integers(2, columns - 2, 600)
     step = (right - left) / columns
     points = np.stack([left + (column + 0.5) * step, top - (row + 0.5) * step], axis=-1)
-    solids = scene(state, frames=False).solids
+    solids = robot_solids(state, frames=False)
     around = [
         nearest_solids(solids, view, points + 0.8 * step * np.array(d)) for d in ((-1, -1), (-1, 1), (1, -1), (1, 1))
     ]
@@ -93,7 +92,6 @@ def pixel(ax, point):
         (np.pi / 2, 0.12, "terminal_platform"),
         (-np.pi / 2, 0.25, "base"),
         (np.pi / 2, 0.17, "middle_platform"),
-        (np.pi / 2, 0.25, "base"),
     ],
 )
 def test_plates_hide_one_another_from_above_and_below(elevation, radius, name):
@@ -104,15 +102,6 @@ def test_plates_hide_one_another_from_above_and_below(elevation, radius, name):
     plates = {body: COLOURS[f"{body} {mesh}_plate"] for body, mesh in PLATES}
     assert min(plates, key=lambda plate: off_shade(colour, plates[plate])) == name
     assert off_shade(colour, plates[name]) < 1.0 / 255.0
-
-
-@pytest.mark.parametrize(("elevation", "colour"), [(0.45, "middle_platform middle_plate"), (-0.45, "leg_b3_rod tube")])
-def test_a_rod_behind_the_middle_platform_is_hidden_and_before_it_is_not(elevation, colour):
-    view = (0.3, elevation)
-    right, up, _ = looking(view)
-    point = STATE.middle_joints[2] - 0.3 * STATE.leg_vectors[2]
-    found = pixel(draw(STATE, view=view, labels=False), (point @ right, point @ up))
-    assert off_shade(found, COLOURS[colour]) < 1.0 / 255.0
 
 
 def test_labels_name_all_joints_legs_and_frames_within_the_picture():
@@ -135,45 +124,16 @@ def test_drawing_goes_into_the_given_axes_and_leaves_pyplot_alone():
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "\n"
 
 
-@pytest.mark.parametrize("suffix", [".png", ".svg", ".PNG"])
-def test_pictures_are_written_the_same_each_time(tmp_path, suffix):
-    path = tmp_path / f"mechanism{suffix}"
-    assert save_picture(STATE, path, width=240) == path
-    first = path.read_bytes()
-    assert first.startswith(b"<?xml" if suffix == ".svg" else b"\x89PNG")
-    assert save_picture(STATE, str(path), width=240).read_bytes() == first
-    if suffix != ".svg":
-        with Image.open(path) as picture:
-            assert picture.width == 240 < picture.height
+def test_a_picture_has_the_width_asked_for(tmp_path):
+    path = tmp_path / "mechanism.png"
+    assert save_picture(STATE, str(path), width=240) == path
+    with Image.open(path) as picture:
+        assert picture.width == 240 < picture.height
 
 
 def test_the_background_can_be_left_out(tmp_path):
     with Image.open(save_picture(STATE, tmp_path / "mechanism.png", width=200, background="none")) as picture:
         assert picture.getpixel((0, 0))[3] == 0
-
-
-@pytest.mark.parametrize(
-    ("name", "says"),
-    [
-        ("mechanism.jpg", ".png, .svg, .pdf, got 'mechanism.jpg'"),
-        ("mechanism", ".png, .svg, .pdf"),
-        ("no/where.png", "No such"),
-    ],
-)
-def test_paths_that_cannot_be_written(tmp_path, name, says):
-    with pytest.raises(ArgumentError, match=says) as caught:
-        save_picture(STATE, tmp_path / name, width=200)
-    assert caught.value.argument == "path"
-
-
-@pytest.mark.parametrize(
-    ("state", "says"),
-    [(SOLUTIONS["FT-"], "exists"), (SOLUTIONS.configurations, "single configuration"), (SOLUTIONS, "SolutionSet")],
-)
-def test_states_that_cannot_be_drawn(tmp_path, state, says):
-    with pytest.raises(ArgumentError, match=says):
-        save_picture(state, tmp_path / "mechanism.png")
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("view", [(20.0, 20.0), (0.0, 2.0), 0.3, (0.0, np.nan), (0.0, 0.0, 0.0)])
@@ -214,13 +174,8 @@ def test_without_matplotlib_the_error_tells_how_to_install_it(monkeypatch):
     assert (again.extra, again.package, str(again)) == ("plots", "matplotlib", str(caught.value))
 
 
-def test_example_draws_the_picture_of_the_readme(tmp_path, monkeypatch):
-    monkeypatch.setattr(sys, "argv", [str(EXAMPLE), str(tmp_path)])
-    runpy.run_path(str(EXAMPLE), run_name="__main__")
-    (path,) = tmp_path.iterdir()
-    with Image.open(path) as picture:
-        assert picture.size == (1400, 980)
-    kept = EXAMPLE.parents[1] / "docs" / "images" / "mechanism.png"  # the same in few colours
+def test_the_picture_of_the_readme_is_that_of_the_example_in_few_colours():
+    kept = Path(__file__).parents[2] / "docs" / "images" / "mechanism.png"
     with Image.open(kept) as picture:
         assert picture.size == (1400, 980)
     assert kept.stat().st_size < 200_000

@@ -15,45 +15,39 @@ LEGS = np.array(
 )
 STATES = spm.forward_physical(PAPER, LEGS)
 XYX = STATES.pose.rotation.as_euler("XYX", degrees=True)
+TIMES = np.array([2.0, 3.0, 5.0])
 
 
-def csv(names, table):
-    return "\n".join([", ".join(names), *(", ".join(map(repr, map(float, row))) for row in table)])
+def csv(names, *columns):
+    rows = np.column_stack(columns)
+    return "\n".join([names, *(", ".join(map(repr, map(float, row))) for row in rows)])
 
 
-def files(tmp_path):
-    times = np.array([2.0, 3.0, 5.0])
-    position, quaternion = STATES.translation, STATES.pose.rotation.as_quat()
-    legs = csv([*spm.mechanism.LEGS, "t"], np.column_stack([LEGS, times]))
-    angles = csv(["x", "y", "z", "alpha_deg", "beta_deg", "lambda_deg", "t"], np.column_stack([position, XYX, times]))
-    turns = csv(["t", "x", "y", "z", "qx", "qy", "qz", "qw"], np.column_stack([times, position, quaternion]))
-    yield written(tmp_path / "legs.csv", "# a comment\n" + legs)
-    yield written(tmp_path / "angles.csv", angles)
-    yield written(tmp_path / "turns.csv", turns)
+R = ", ".join(spm.mechanism.LEGS)
+FILES = {
+    "legs": "# a comment\n" + csv(f"{R}, t", LEGS, TIMES),
+    "angles": csv("x, y, z, alpha_deg, beta_deg, lambda_deg, t", STATES.translation, XYX, TIMES),
+    "turns": csv("t, x, y, z, qx, qy, qz, qw", TIMES, STATES.translation, STATES.pose.rotation.as_quat()),
+}
 
 
-def test_all_columns_give_the_same_states(tmp_path):
-    paths = list(files(tmp_path))
-    assert len(paths) == 3
-    for path in paths:
-        recording = read_recording(path)
-        np.testing.assert_allclose(recording.times, [0.0, 1.0, 3.0])
-        playback = recording.follow(PAPER)
-        assert playback.path.complete
-        assert playback.duration == 3.0
-        for time, state in zip(recording.times, STATES, strict=True):
-            found, _ = playback.state_at(float(time))
-            np.testing.assert_allclose(found.leg_lengths, state.leg_lengths, atol=1e-9)
+@pytest.mark.parametrize("name", FILES)
+def test_all_columns_give_the_same_states(tmp_path, name):
+    recording = read_recording(written(tmp_path / "path.csv", FILES[name]))
+    np.testing.assert_allclose(recording.times, [0.0, 1.0, 3.0])
+    playback = recording.follow(PAPER)
+    assert playback.path.complete
+    assert playback.duration == 3.0
+    for time, state in zip(recording.times, STATES, strict=True):
+        np.testing.assert_allclose(playback.state_at(float(time)).leg_lengths, state.leg_lengths, atol=1e-9)
 
 
 def test_without_times_a_path_takes_ten_seconds_and_time_runs_along_it(tmp_path):
-    path = written(tmp_path / "legs.csv", csv(spm.mechanism.LEGS, LEGS))
-    playback = read_recording(path).follow(PAPER)
+    playback = read_recording(written(tmp_path / "legs.csv", csv(R, LEGS))).follow(PAPER)
     assert playback.duration == 10.0
     assert playback.time(0.25) == pytest.approx(2.5)
-    halfway, _ = playback.state_at(2.5)
-    np.testing.assert_allclose(halfway.leg_lengths, LEGS[:2].mean(axis=0), atol=1e-9)
-    assert any("in certified limits" in line for line in playback.report(0.0))
+    np.testing.assert_allclose(playback.state_at(2.5).leg_lengths, LEGS[:2].mean(axis=0), atol=1e-9)
+    assert "configurations of" in playback.report(0.0)[0]
 
 
 def test_the_branch_is_followed_from_the_one_named():
@@ -73,17 +67,14 @@ def test_the_branch_is_followed_from_the_one_named():
         ("path.csv", "x, y, phi\n1, 2, 3", "a header of the columns"),
         ("path.csv", "r_b1, r_b2\n1, 2, 3", "rows or more of 2 finite numbers"),
         ("path.csv", "r_b1, r_b2\n1, two", "then numbers only"),
-        ("path.csv", csv(spm.mechanism.LEGS, LEGS[:1]), "two rows or more"),
-        ("path.csv", csv(spm.mechanism.LEGS, [[np.nan] * 6, [1.0] * 6]), "finite"),
-        ("path.csv", csv([*spm.mechanism.LEGS, "t"], np.column_stack([LEGS, [0.0, 1.0, 1.0]])), "growing times"),
-        ("path.csv", csv(["x", "y", "z", "qx", "qy", "qz", "qw"], np.ones((2, 7))), "unit quaternions"),
+        ("path.csv", csv(R, LEGS[:1]), "two rows or more"),
+        ("path.csv", csv(R, [[np.nan] * 6, [1.0] * 6]), "finite"),
+        ("path.csv", csv(f"{R}, t", LEGS, [0.0, 1.0, 1.0]), "growing times"),
+        ("path.csv", csv("x, y, z, qx, qy, qz, qw", np.ones((2, 7))), "unit quaternions"),
+        ("path.csv", None, "No such file"),
     ],
 )
 def test_files_that_are_no_paths(tmp_path, name, text, says):
+    path = tmp_path / name if text is None else written(tmp_path / name, text)
     with pytest.raises(spm.ArgumentError, match=says):
-        read_recording(written(tmp_path / name, text))
-
-
-def test_a_file_that_is_not_there(tmp_path):
-    with pytest.raises(spm.ArgumentError, match="No such file"):
-        read_recording(tmp_path / "nothing.csv")
+        read_recording(path)

@@ -17,13 +17,11 @@ from numba.extending import register_jitable
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.kinematics.formulas import branches, joint_values, legs, operations, quadrics, stages, vectors, wrenches
+from spm_pin.kinematics.formulas import branches, joint_values, legs, operations, stages, vectors, wrenches
 from spm_pin.kinematics.formulas.operations import bind
 from spm_pin.kinematics.intervals import Interval
-from spm_pin.mechanism.ball_triangles import triangle_frames, upper_ball_weights
-from spm_pin.mechanism.geometry import axis_directions
-from spm_pin.mechanism.joint_angles import joint_angles
-from spm_pin.mechanism.leg_frames import home_leans, home_lengths, leg_placements
+from spm_pin.mechanism.joint_angles import home_leans, home_lengths, joint_angles, leg_placements
+from spm_pin.mechanism.legs import axis_directions, triangle_frames, upper_ball_weights
 
 PAPER = spm.Geometry.paper()
 R, E, C = PAPER.middle_radius, PAPER.base_radius, PAPER.platform_radius
@@ -79,7 +77,7 @@ COMPILED: dict[Any, Any] = {}
 def of_numba(formula: Any, *arguments: Any) -> Any:
     """Compile a formula as the kernels do: what it calls is registered with Numba as it stands."""
     if not COMPILED:
-        for module in (operations, vectors, stages, branches, wrenches, legs, joint_values, quadrics):
+        for module in (operations, vectors, stages, branches, wrenches, legs, joint_values):
             for member in vars(module).values():
                 if (
                     callable(member)
@@ -288,17 +286,17 @@ def test_the_quadrics_of_a_machine_as_built_vanish_at_its_configurations() -> No
     heights[3:] += normals[3:] @ POSE[:3, 3]
     null_space = np.linalg.svd(normals.T)[2][3:]
     planes = [
-        quadrics.StagePlanes(rows(normals[s]), tuple(heights[s]), rows(MACHINE.legs.balls[s]))
+        legs.StagePlanes(rows(normals[s]), tuple(heights[s]), rows(MACHINE.legs.balls[s]))
         for s in (slice(0, 3), slice(3, 6))
     ]
     for weights in null_space:
-        form = quadrics.quadric(tuple(weights[:3]), tuple(weights[3:]), *planes)
+        form = legs.quadric(tuple(weights[:3]), tuple(weights[3:]), *planes)
         xx, yy, zz, ww, xy, xz, yz, xw, yw, zw = form
         q = np.array([[xx, xy, xz, xw], [xy, yy, yz, yw], [xz, yz, zz, zw], [xw, yw, zw, ww]])
         for branch in np.flatnonzero(solutions.exists):
             x = solutions.configurations[branch].middle_pose.rotation.as_quat()
             assert abs(x @ q @ x) < 1e-12
-    np.testing.assert_allclose(quadrics.rotation(*x), Rotation.from_quat(x).as_matrix(), atol=4 * EPS)
+    np.testing.assert_allclose(vectors.rotation_of(*x), Rotation.from_quat(x).as_matrix(), atol=4 * EPS)
 
 
 def test_intervals_hold_what_floats_give() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from problems import GEOMETRIES, distance
-from stages import StageModes, placement, solve_stage
+from stages import StageModes, solve_stage
 
 import spm_pin as spm
 from spm_pin.kinematics.forward_displacement import forward_displacement, forward_physical
@@ -124,14 +124,6 @@ def test_a_seed_is_followed_in_its_own_mode() -> None:
     np.testing.assert_allclose(ahead.translation - every.translation, rates[:, :3], atol=1e-5)
 
 
-def test_a_seed_far_away_gives_the_physical_mode_again() -> None:
-    rng = np.random.default_rng(8)
-    lengths = rng.uniform(1.1, 1.5, (2, 500, 6))
-    start = forward_physical(PAPER, lengths[0])
-    end = forward_physical(PAPER, lengths[1], near=start)
-    np.testing.assert_allclose(end.translation, forward_physical(PAPER, lengths[1]).translation, atol=1e-12)
-
-
 def test_continuation_from_a_seed_ends_at_a_singularity() -> None:
     start = [0.6, 0.6, 0.6, 1.2, 1.2, 1.2]
     seed = forward_physical(PAPER, start)
@@ -154,11 +146,11 @@ def test_where_modes_vanish_their_seeds_end_and_no_two_end_in_one_mode() -> None
     assert len(set(np.nanargmin(apart, axis=-1).tolist())) == len(alive)
 
 
-@pytest.mark.parametrize("ratio", [0.05, 0.1, 0.5, 0.75, 1.0, 1.5, 3.0])
+@pytest.mark.parametrize("ratio", [0.05, 0.5, 1.0, 3.0])
 def test_the_home_aspect_holds_one_solution_at_most(ratio: float) -> None:
     rng = np.random.default_rng(9)
-    size = rng.uniform(0.3, 1.6, (20_000, 1)) * (1.0 + ratio)
-    modes = solve_stage(size * (1.0 + 0.3 * rng.normal(size=(20_000, 3))).clip(0.05), ratio, ("T",))
+    size = rng.uniform(0.3, 1.6, (8_000, 1)) * (1.0 + ratio)
+    modes = solve_stage(size * (1.0 + 0.3 * rng.normal(size=(8_000, 3))).clip(0.05), ratio, ("T",))
     home = is_home(modes, ratio)[:, 0]
     assert home.sum(axis=-1).max() == 1
     assert not home[:, 1:].any(), "it is T1"
@@ -166,24 +158,6 @@ def test_the_home_aspect_holds_one_solution_at_most(ratio: float) -> None:
     same_sign = leg_plane_determinant(*planes(modes.radii, modes.heights, ratio))[:, 0] > 0.0
     assert same_sign[home].all()
     assert (same_sign & ~home).any()
-
-
-def test_the_home_aspect_is_connected_to_home() -> None:
-    """Straight back in tilt to a level platform, the determinant keeps its sign."""
-    rng = np.random.default_rng(10)
-    for ratio in (0.5, 0.75, 1.5, 3.0):
-        size = rng.uniform(0.5, 1.6, (3_000, 1)) * (1.0 + ratio)
-        modes = solve_stage(size * (1.0 + 0.2 * rng.normal(size=(3_000, 3))).clip(0.1), ratio, ("T",))
-        home = is_home(modes, ratio)[:, 0, 0]
-        quaternion, height = modes.quaternion[home, 0, 0], modes.centre[home, 0, 0, 2]
-        assert len(height) > 300
-        for t in np.linspace(0.0, 1.0, 51):
-            tilted = quaternion * [t, t, 1.0, 1.0]
-            tilted[:, 3] = np.sqrt(1.0 - (tilted[:, :2] ** 2).sum(axis=-1))
-            # Away from the plane of the hips, where no height is regular.
-            raised = t * height + (1.0 - t) * np.maximum(height, 1.0)
-            _, radii, heights = placement(tilted, raised)
-            assert (leg_plane_determinant(*planes(radii, heights, ratio)) > 0.0).all()
 
 
 def test_invalid_seeds_are_refused() -> None:

@@ -69,7 +69,7 @@ def test_roots_and_reciprocals(pair: tuple[Interval, Fraction]) -> None:
 
 
 def test_rounding_is_outward() -> None:
-    tenth = Interval.of(0.1)
+    tenth = Interval.from_numbers(0.1)
     total = tenth + tenth + tenth
     exact = 3 * Fraction(0.1)
     assert Fraction(0.1 + 0.1 + 0.1) != exact, "the computed sum is rounded"

@@ -12,7 +12,7 @@ from problems import GEOMETRIES, in_leg_space, random_branches
 import spm_pin as spm
 from spm_pin.kinematics.batches import threads
 from spm_pin.kinematics.inverse_displacement import branch_lengths
-from spm_pin.kinematics.rates_and_forces import StageWrenches
+from spm_pin.kinematics.rates_and_forces import force_matrices
 from spm_pin.kinematics.singularity_analysis import determinants
 
 EPS = np.finfo(float).eps
@@ -25,13 +25,14 @@ def test_the_three_equations_solve_the_six(name: str, modes: str) -> None:
     """Solutions from determinants of three equations solve the 6 x 6 systems of all forces."""
     problem = random_branches(GEOMETRIES[name], modes, 500, seed=1)
     state = problem.configuration
-    wrenches = StageWrenches.from_configuration(state)
-    stages, (structure,) = wrenches.matrices("forward"), np.moveaxis(wrenches.matrices("inverse"), -3, 0)
+    matrices = force_matrices(state)
+    stages, structure = matrices[:, :2], matrices[:, 2]
+    lever = state.translation - state.middle_joints.mean(axis=-2)
     d = problem.geometry.middle_side
 
     # The twists (v, dω) at the middle platform's centre that J_b and J_c turn into unit rates.
     linear, angular = np.split(spm.kinematics.platform_jacobian(state), 2, axis=-2)
-    centred = np.concatenate([linear + np.cross(wrenches.lever[:, :, None], angular, axis=-2), d * angular], axis=-2)
+    centred = np.concatenate([linear + np.cross(lever[:, :, None], angular, axis=-2), d * angular], axis=-2)
     rates = stages @ np.stack([centred[..., :3], centred[..., 3:]], axis=-3)
     size = (
         np.linalg.norm(stages, axis=(-1, -2))[..., None, None]
@@ -53,11 +54,9 @@ def test_the_three_equations_solve_the_six(name: str, modes: str) -> None:
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_determinants_are_those_of_the_matrices(name: str) -> None:
     state = random_branches(GEOMETRIES[name], "TT", 500, seed=3).configuration
-    wrenches = StageWrenches.from_configuration(state)
-    matrices = np.concatenate([wrenches.matrices("forward"), wrenches.matrices("inverse")], axis=-3)
     found = determinants(state)
     d = state.geometry.middle_side
-    np.testing.assert_allclose(found, np.linalg.det(matrices) * d**3, rtol=0, atol=64 * EPS * d**3)
+    np.testing.assert_allclose(found, np.linalg.det(force_matrices(state)) * d**3, rtol=0, atol=64 * EPS * d**3)
     assert determinants(state[0]).shape == (3,)
     absent = spm.inverse_displacement(PAPER, in_leg_space(PAPER, 50, seed=4).pose).configurations
     np.testing.assert_array_equal(np.isnan(determinants(absent)).all(axis=-1), ~absent.exists)

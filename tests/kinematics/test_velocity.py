@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
-import pickle
 from collections.abc import Callable
 
 import numpy as np
@@ -16,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.errors import ArgumentError, SingularConfigurationError, SpmError
+from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_rates, platform_jacobian
 
 EPS = np.finfo(float).eps
@@ -63,23 +61,14 @@ def norm(matrices: np.ndarray) -> np.ndarray:
 
 @settings(max_examples=60)
 @given(batches, seeds)
-def test_shapes_and_absent_members(shape, seed):
-    rng = np.random.default_rng(seed)
-    state, twist = members(shape, rng, absent=0.2), rng.normal(size=6)
-    for matrix in (inverse_jacobian(state), platform_jacobian(state)):
-        assert matrix.shape == (*shape, 6, 6)
-        assert np.array_equal(np.isfinite(matrix), np.broadcast_to(state.exists[..., None, None], matrix.shape))
-    rates = leg_rates(state, twist)
-    assert rates.shape == (*shape, 6)
-    assert np.array_equal(np.isfinite(rates), np.broadcast_to(state.exists[..., None], rates.shape))
-
-
-@settings(max_examples=60)
-@given(batches, seeds)
 def test_a_batch_is_its_members(shape, seed):
     rng = np.random.default_rng(seed)
     state, twist = members(shape, rng, absent=0.2), rng.normal(size=(*shape, 6))
     everything = inverse_jacobian(state), platform_jacobian(state), leg_rates(state, twist)
+    for result, inner in zip(everything, ((6, 6), (6, 6), (6,)), strict=True):
+        assert result.shape == (*shape, *inner)
+        exists = state.exists.reshape(*shape, *[1] * len(inner))
+        assert np.array_equal(np.isfinite(result), np.broadcast_to(exists, result.shape))
     for index in np.ndindex(shape):
         member = state[index] if shape else state
         alone = inverse_jacobian(member), platform_jacobian(member), leg_rates(member, twist[index])
@@ -155,38 +144,28 @@ def finite_differences(state: spm.Configuration, labels: np.ndarray, size: np.nd
     return fine, norm(fine - coarse) + rounding
 
 
-def test_finite_differences_at_the_six_branches():
-    branches = spm.inverse_displacement(PAPER, POSE)
-    labels = np.flatnonzero(branches.exists)
-    check_finite_differences(branches.configurations[branches.exists], labels, quantile=1.0)
-
-
 @pytest.mark.parametrize("family", spm.mechanism.FAMILIES)
 @pytest.mark.parametrize("name", problems.GEOMETRIES)
 def test_finite_differences_at_random(name, family):
-    problem = problems.random_branches(problems.GEOMETRIES[name], family, 100, seed=43)
-    check_random_differences(problem)
+    check_finite_differences(problems.random_branches(problems.GEOMETRIES[name], family, 100, seed=43))
 
 
 def test_finite_differences_in_leg_space():
-    check_random_differences(problems.in_leg_space(PAPER, 1500, seed=44))
+    check_finite_differences(problems.in_leg_space(PAPER, 500, seed=44))
 
 
-def check_random_differences(problem: problems.Problem) -> None:
+def check_finite_differences(problem: problems.Problem) -> None:
+    """Nearly all members must tell to four digits; so close to a fold that none is left, some may not."""
+    state = problem.configuration
     solved = spm.inverse_displacement(problem.geometry, problem.pose)
     distance = np.abs(solved.middle_joints - problem.middle_joints[:, None]).max(axis=(-1, -2))
-    check_finite_differences(problem.configuration, np.nanargmin(distance, axis=-1), quantile=0.9)
-
-
-def check_finite_differences(state: spm.Configuration, labels: np.ndarray, quantile: float) -> None:
-    """Nearly all members must tell to four digits; so close to a fold that none is left, some may not."""
     exact = inverse_jacobian(state)
     columns = np.array([1, 1, 1, *[state.geometry.middle_side] * 3])
     size = norm(exact / columns)
-    approximate, tolerance = finite_differences(state, labels, size)
+    approximate, tolerance = finite_differences(state, np.nanargmin(distance, axis=-1), size)
     error = norm((approximate - exact) / columns)
     telling = tolerance < 1e-4 * size
-    assert telling.mean() >= quantile
+    assert telling.mean() >= 0.9
     assert (error <= tolerance)[telling].all()
 
 
@@ -309,24 +288,6 @@ def test_a_leg_of_no_length_is_refused():
     for function in (inverse_jacobian, platform_jacobian):
         with pytest.raises(SingularConfigurationError, match="forward"):
             function(state)
-
-
-def test_the_error_survives_pickling():
-    error = SingularConfigurationError("inverse", 1e-17, (2, 0))
-    again = pickle.loads(pickle.dumps(error))
-    assert type(again) is SingularConfigurationError
-    assert (again.kind, again.sigma_min, again.index, str(again)) == ("inverse", 1e-17, (2, 0), str(error))
-    assert isinstance(error, SpmError)
-
-
-@pytest.mark.parametrize(
-    "twist",
-    [np.zeros(5), np.zeros((3, 6, 1)), [0, 0, 0, 0, 0, math.inf], [math.nan] * 6, "a twist", np.zeros(6, complex)],
-    ids=["five", "column", "infinite", "NaN", "text", "complex"],
-)
-def test_bad_twists_are_refused(twist):
-    with pytest.raises(ArgumentError, match="twist: expected"):
-        leg_rates(POOL[0], twist)
 
 
 def test_twists_that_do_not_broadcast_are_refused():

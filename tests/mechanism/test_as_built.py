@@ -24,18 +24,16 @@ def machine(seed: int = 0, length: float = 1e-3, angle: float = 1e-3) -> spm.Geo
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_without_errors_it_has_the_nominal_dimensions(name: str) -> None:
     geometry = GEOMETRIES[name]
-    nominal = geometry
-    np.testing.assert_array_equal(nominal.legs.pivots[:3], geometry.base_joints)
-    np.testing.assert_array_equal(nominal.legs.pivots[3:], geometry.platform_joints)
-    np.testing.assert_array_equal(nominal.legs.axes, np.tile(geometry.revolute_axes, (2, 1)))
-    sides = np.linalg.norm(nominal.legs.balls[:3] - np.roll(nominal.legs.balls[:3], 1, axis=0), axis=-1)
+    legs = geometry.legs
+    np.testing.assert_array_equal(legs.pivots, np.concatenate([geometry.base_joints, geometry.platform_joints]))
+    np.testing.assert_array_equal(legs.axes, np.tile(geometry.revolute_axes, (2, 1)))
+    sides = np.linalg.norm(legs.balls[:3] - np.roll(legs.balls[:3], 1, axis=0), axis=-1)
     np.testing.assert_allclose(sides, geometry.middle_side, rtol=1e-15)
-    assert (nominal.parameters.reshape(6, 9)[:, :2] == 0.0).all()
-    assert nominal.limits == geometry.limits
+    assert (geometry.parameters.reshape(6, 9)[:, :2] == 0.0).all()
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-12, 1e-4, 0.05, 0.2])
-def test_stage_coordinates_round_trip(size: float) -> None:
+def test_parameters_there_and_back(size: float) -> None:
     built = machine(3, size, size)
     again = built.from_parameters(built.parameters)
     for name in ("axes", "pivots", "balls", "offsets"):
@@ -46,15 +44,14 @@ def test_stage_coordinates_round_trip(size: float) -> None:
 
 
 def test_errors_have_the_standard_deviations_asked_for() -> None:
-    nominal = PAPER
-    many = np.stack([machine(seed, 2e-4, 5e-4).parameters - nominal.parameters for seed in range(400)])
+    many = np.stack([machine(seed, 2e-4, 5e-4).parameters - PAPER.parameters for seed in range(400)])
     scale = np.tile(np.repeat([5e-4, 2e-4], [2, 7]), 6)
     # 400 samples: the standard deviation of a standard deviation is 3.5 %.
     assert (np.abs(many.std(axis=0) / scale - 1.0) < 0.18).all()
     assert (np.abs(many.mean(axis=0)) < 0.25 * scale).all()
     turned = machine(1, 0.0, 1e-3)
-    np.testing.assert_array_equal(turned.legs.pivots, nominal.legs.pivots)
-    np.testing.assert_array_equal(turned.legs.offsets, nominal.legs.offsets)
+    np.testing.assert_array_equal(turned.legs.pivots, PAPER.legs.pivots)
+    np.testing.assert_array_equal(turned.legs.offsets, PAPER.legs.offsets)
     assert machine(5) == machine(5) != machine(6)
 
 
@@ -124,11 +121,6 @@ def test_what_is_no_machine_is_an_error_that_names_the_argument(name: str, value
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: replace(machine(), legs=1.0), "legs: expected Legs"),
-        (lambda: machine(length=-1.0), "length"),
-        (lambda: machine(angle=np.inf), "angle"),
-        (lambda: machine().perturbed("seed"), "rng"),
-        (lambda: machine().from_parameters(np.zeros(53)), "parameters"),
         (lambda: machine().from_parameters(np.full(54, 3.0)), "parameters.*degrees"),
     ],
 )

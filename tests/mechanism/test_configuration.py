@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from problems import in_leg_space
-from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.errors import SelectionError
@@ -119,10 +118,8 @@ def test_absent_members_are_nan_throughout() -> None:
 @pytest.mark.parametrize(
     ("joints", "words"),
     [
-        (np.zeros((3, 2)), r"middle_joints: expected .*\(\.\.\., 3, 3\)"),
-        (np.full((3, 3), np.inf), "middle_joints: expected finite"),
         (np.diag([np.nan, 1, 1]), "all nine coordinates finite, or all NaN"),
-        ("b", "middle_joints"),
+        (np.full((3, 3), np.inf), "middle_joints: expected finite"),
     ],
 )
 def test_invalid_middle_joints_are_refused(joints: object, words: str) -> None:
@@ -134,10 +131,6 @@ def test_arguments_that_do_not_fit_together() -> None:
     poses = spm.pose(np.zeros((3, 3)), rotation=np.eye(3))
     with pytest.raises(spm.ArgumentError, match="broadcast"):
         spm.Configuration(spm.Geometry.paper(), poses, np.zeros((2, 3, 3)))
-    with pytest.raises(spm.ArgumentError, match="geometry: expected a Geometry"):
-        spm.Configuration("paper", POSE, np.zeros((3, 3)))  # type: ignore[arg-type]
-    with pytest.raises(spm.PoseError):
-        spm.Configuration(spm.Geometry.paper(), Rotation.identity(), np.zeros((3, 3)))  # type: ignore[arg-type]
 
 
 def test_a_single_state_is_no_sequence(configuration: spm.Configuration) -> None:

@@ -59,15 +59,12 @@ def test_the_rows_keep_the_limits_and_some_limit_is_always_used(name: str) -> No
 
 
 def test_a_machine_as_built_moves_within_its_limits() -> None:
-    exact = PAPER
     limits = {"leg_forces": 1500.0, "leg_rates": 0.4}
-    nominal = spm.time_optimal(CHAIN, LINE, grid=500, **limits)
-    same = spm.time_optimal(spm.ClosedChain.from_urdf(geometry=exact), LINE, grid=500, **limits)
-    assert same.times[-1] == pytest.approx(nominal.times[-1], rel=1e-9)
-    machine = exact.perturbed(1, length=5e-3, angle=5e-3)
+    nominal = spm.time_optimal(CHAIN, LINE, grid=200, **limits)
+    machine = PAPER.perturbed(1, length=5e-3, angle=5e-3)
     chain = spm.ClosedChain.from_urdf(geometry=machine)
     planned = spm.plan(machine, START, GOAL)
-    motion = spm.time_optimal(chain, planned, grid=500, **limits)
+    motion = spm.time_optimal(chain, planned, grid=200, **limits)
     assert shares(motion, limits).max() < 1.0 + 1e-6
     assert np.abs(chain.closure_gap(motion.positions)).max() < 1e-9
     np.testing.assert_allclose(chain.readings(motion.positions)[[0, -1]], [START, GOAL], atol=1e-9)
@@ -112,23 +109,24 @@ def test_a_convex_programme_finds_the_same_duration(name: str) -> None:
     problem.set_initial(x, 0.01)
     problem.solver("ipopt", {"print_time": False}, {"print_level": 0, "sb": "yes", "max_iter": 1000})
     duration = float(problem.solve().value(problem.f))
-    motion = spm.time_optimal(CHAIN, way, **limits)
+    motion = spm.time_optimal(CHAIN, way, **limits, grid=800)
     assert motion.times[-1] == pytest.approx(duration, rel=0.01)
 
 
 def test_halved_limits_never_shorten_the_motion() -> None:
     limits = {"leg_forces": 2400.0, "leg_rates": 0.8, "leg_accelerations": 8.0, "twist": (1.0, 1.2)}
-    full = spm.time_optimal(CHAIN, CURVE, **limits).times[-1]
+
+    def duration(**changed: object) -> float:
+        return float(spm.time_optimal(CHAIN, CURVE, grid=300, **{**limits, **changed}).times[-1])
+
+    full = duration()
     for name, value in limits.items():
-        half = np.array(value) / 2.0
-        slower = spm.time_optimal(CHAIN, CURVE, **{**limits, name: half}).times[-1]
-        assert slower >= full * (1.0 - 1e-6)
-    halved = {name: np.array(value) / 2.0 for name, value in limits.items()}
-    assert spm.time_optimal(CHAIN, CURVE, **halved).times[-1] > 1.2 * full
+        assert duration(**{name: np.array(value) / 2.0}) >= full * (1.0 - 1e-6)
+    assert duration(**{name: np.array(value) / 2.0 for name, value in limits.items()}) > 1.2 * full
 
 
 def test_efforts_are_those_of_inverse_dynamics() -> None:
-    motion = spm.time_optimal(CHAIN, CURVE, leg_forces=1500.0, leg_rates=0.6)
+    motion = spm.time_optimal(CHAIN, CURVE, leg_forces=1500.0, leg_rates=0.6, grid=200)
     forces = CHAIN.inverse_dynamics(motion.positions, motion.velocities, motion.accelerations)
     np.testing.assert_allclose(motion.efforts[:, LEGS], forces, rtol=0, atol=1e-6)
 
@@ -143,7 +141,7 @@ def test_a_payload_weighs_at_rest_and_pushes_when_it_is_moved() -> None:
     model = heavy.model
     body = model.inertias[frame.parentJoint]
     model.inertias[frame.parentJoint] = body + frame.placement.act(inertia)
-    loaded = spm.time_optimal(CHAIN, CURVE, leg_forces=1800.0, payload=LOAD)
+    loaded = spm.time_optimal(CHAIN, CURVE, leg_forces=1800.0, payload=LOAD, grid=200)
     expected = heavy.inverse_dynamics(loaded.positions, loaded.velocities, loaded.accelerations)
     # Made anew: a chain keeps memory of its model.
     np.testing.assert_allclose(loaded.efforts[:, LEGS], expected, rtol=0, atol=1e-6)
@@ -154,29 +152,17 @@ def test_a_payload_weighs_at_rest_and_pushes_when_it_is_moved() -> None:
     [
         ({"leg_forces": 1.0}, "at rest"),
         ({"leg_rates": 1.0}, "neither"),
-        ({"leg_forces": -5.0}, "positive"),
         ({"leg_forces": [[100.0] * 6, [-100.0] * 6]}, "least"),
         ({"leg_forces": [-100.0, 100.0]}, r"shape \(2,\)"),
         ({"leg_accelerations": 1.0, "leg_rates": [1.0] * 5}, "shape"),
         ({"leg_accelerations": 1.0, "twist": (1.0, -1.0)}, "positive"),
-        ({"leg_accelerations": 1.0, "payload": 5.0}, "Payload"),
-        ({"leg_accelerations": 1.0, "grid": 2}, "parts"),
-        ({"leg_accelerations": 1.0, "period": 0.0}, "seconds"),
         ({"leg_accelerations": 1.0, "period": 1e-9}, "rows"),
-        ({"leg_accelerations": np.nan}, "finite"),
     ],
 )
 def test_wrong_limits_are_named(wrong: dict[str, object], text: str) -> None:
     with pytest.raises(spm.ArgumentError, match=text) as caught:
         spm.time_optimal(CHAIN, LINE, **wrong)  # type: ignore[arg-type]
     assert caught.value.argument in wrong or caught.value.argument == "leg_forces"
-
-
-def test_a_plan_of_other_dimensions_is_refused() -> None:
-    other = spm.Geometry(1.05 * PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)
-    with pytest.raises(spm.ArgumentError, match=r"base_radius of the chain.*0\.727") as caught:
-        spm.time_optimal(CHAIN, spm.plan(other, START, GOAL), leg_forces=1500.0)
-    assert caught.value.argument == "path"
 
 
 def test_a_path_may_begin_at_any_time() -> None:
@@ -224,9 +210,11 @@ def test_a_tiny_line_is_a_motion_too(length: float) -> None:
     assert spm.time_optimal(CHAIN, line, leg_forces=1500.0, leg_jerks=40.0, grid=100).times[-1] < 0.1
 
 
-@pytest.mark.parametrize("count", [4])
-def test_every_plan_has_a_fastest_motion_and_a_finer_grid_or_no_limit_of_jerk_takes_no_longer(count: int) -> None:
-    rng = np.random.default_rng(count)
+@pytest.mark.parametrize(
+    ("count", "seed"), [(4, 4), *(pytest.param(40, seed, marks=pytest.mark.slow) for seed in (120, 121, 122))]
+)
+def test_every_plan_has_a_fastest_motion_within_its_limits_and_its_error(count: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
     kinds = [
         {"leg_accelerations": 0.5},
         {"leg_accelerations": 5.0, "leg_rates": 0.6},
@@ -238,10 +226,12 @@ def test_every_plan_has_a_fastest_motion_and_a_finer_grid_or_no_limit_of_jerk_ta
         planned, limits = spm.plan(PAPER, points[0], points[-1], via=list(points[1:-1])), kinds[k % 4]
         assert planned.exists
         coarse, fine = (spm.time_optimal(CHAIN, planned, grid=n, period=5e-3, **limits) for n in (100, 200))
-        assert shares(fine, limits).max() < 1.0 + 1e-6
-        # Where the grid adds nothing, both are the same number, to what IPOPT leaves.
-        least = coarse.times[-1] / (1.0 + 2.0 * coarse.error)
-        assert least * (1.0 - 1e-9) < fine.times[-1] < 1.002 * coarse.times[-1]
+        for motion in (coarse, fine):
+            assert shares(motion, limits).max() < 1.0 + 1e-9
+            assert motion.error < 0.02
+        # Neither is longer than the least one by more than it says, to what IPOPT leaves where the grid adds nothing.
+        assert fine.times[-1] < (1.0 + fine.error + 1e-9) * coarse.times[-1]
+        assert coarse.times[-1] < (1.0 + 2.0 * coarse.error + 1e-9) * fine.times[-1]
         if k % 10 == 0:
             smooth = spm.time_optimal(CHAIN, planned, grid=200, period=5e-3, leg_jerks=1e4, **limits)
             assert fine.times[-1] < (1.0 + 2.0 * fine.error) * smooth.times[-1]
@@ -281,14 +271,21 @@ def test_a_replay_in_mujoco_tracks_the_motion() -> None:
     """Efforts as feed-forward, held for a step of 0.2 ms, with a weak spring and damper on the legs."""
     motion = spm.time_optimal(CHAIN, CURVE, leg_forces=1500.0, leg_rates=0.5, payload=None, period=2e-4)
     engine = Mujoco(CHAIN, step=2e-4, integrator="mjINT_IMPLICITFAST")
-    errors: list[float] = []
+    errors, corrections, gaps = [], [], []
 
     def forces(time: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         k = min(round(time / motion.times[-1] * (len(motion.times) - 1)), len(motion.times) - 1)
         away = (motion.positions[k] - q)[LEGS]
-        errors.append(float(np.abs(away).max()))
-        return motion.efforts[k, LEGS] + 2e4 * away + 4e2 * (motion.velocities[k] - v)[LEGS]
+        correction = 2e4 * away + 4e2 * (motion.velocities[k] - v)[LEGS]
+        errors.append(np.abs(away).max())
+        corrections.append(np.abs(correction).max())
+        if k % 50 == 0:
+            gaps.append(np.abs(CHAIN.closure_gap(q)).max())
+        return motion.efforts[k, LEGS] + correction
 
     end = engine.run(motion.positions[0], motion.velocities[0], forces, float(motion.times[-1]), LEGS)
     assert max(errors) < 5e-4
+    # Forces of up to 1500 N are right by themselves, and the loops stay closed.
+    assert max(corrections) < 5.0
+    assert max(gaps) < 1e-6
     assert np.abs((end - motion.positions[-1])[LEGS]).max() < 5e-4

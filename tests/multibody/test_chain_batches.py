@@ -61,9 +61,8 @@ def test_state_and_chain_return_the_same() -> None:
         a = one.joint_accelerations(w)
         pairs = [
             (a, robot.joint_accelerations(q, v, w)),
-            (one.inverse_dynamics(a, {"leg_c2_rod": w}), robot.inverse_dynamics(q, v, a, {"leg_c2_rod": w})),
+            (one.inverse_dynamics(a, w), robot.inverse_dynamics(q, v, a, w)),
             (one.forward_dynamics(w, w), robot.forward_dynamics(q, v, w, w)),
-            (one.forward_dynamics(w, gains=(4.0, 4.0)), robot.forward_dynamics(q, v, w, gains=(4.0, 4.0))),
             (one.platform_dynamics().bias, robot.platform_dynamics(q, v).bias),
             (one.inverse_jacobian(), robot.inverse_jacobian(q)),
             (one.joint_rates(w), robot.joint_rates(q, w)),

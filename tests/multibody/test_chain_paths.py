@@ -32,17 +32,6 @@ def turned(q: Array) -> Array:
     return np.concatenate([q[..., legs], np.cos(angles), np.sin(angles)], axis=-1)
 
 
-def test_from_home_to_anywhere_in_the_box() -> None:
-    """The way through leg space leads to the one mode of the box, which the closed form finds by itself."""
-    legs = np.random.default_rng(400).uniform(1.1, 1.5, (40, 6))
-    robot = chain()
-    found = robot.forward_kinematics(legs)
-    expected = robot.joint_values(spm.forward_physical(PAPER, legs))
-    assert np.abs(turned(found) - turned(expected)).max() <= 1e-11
-    assert np.abs(robot.leg_lengths(found) - legs).max() <= 1e-14
-    assert np.abs(robot.closure_gap(found)).max() <= 1e-13
-
-
 @pytest.mark.parametrize("name", problems.GEOMETRIES)
 def test_other_robots(name: str) -> None:
     robot, rng = chain(name), np.random.default_rng(401)

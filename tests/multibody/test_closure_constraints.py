@@ -8,19 +8,6 @@ from multibody.chains import EPS, NAMES, chain, closure_jacobian, placed, random
 
 pinocchio = pytest.importorskip("pinocchio")
 
-from spm_pin.multibody.constrained_model import ConstrainedModel, TreeKinematics  # noqa: E402
-
-
-def test_one_state_moved_has_the_jacobian_of_each_q_in_turn() -> None:
-    robot = chain()
-    visited = [q for _, q in placed("paper", 5, seed=81)] + [random_q(robot, np.random.default_rng(s)) for s in (1, 2)]
-    state = robot.state(visited[-1])
-    for q in visited:
-        expected = closure_jacobian(robot, q)
-        # Each entry is an arm, seen through up to ten joints.
-        found = state.update(q).constraint_jacobian()
-        assert np.abs(found - expected).max() <= 64 * EPS * (1.0 + np.abs(expected).max())
-
 
 def test_pinocchio_s_own_constraints_have_the_same_jacobian() -> None:
     """`PointAnchorConstraintModel` differentiates a gap in the axes of its first frame: the same where it is closed."""
@@ -73,13 +60,3 @@ def test_gaps_are_those_of_the_frames() -> None:
     for closure, gap in zip(robot.closures, robot.closure_gap(q), strict=True):
         a, b = (data.oMf[robot.model.getFrameId(name)].translation for name in (closure.frame_a, closure.frame_b))
         assert np.allclose(gap, b - a, atol=16 * EPS * 10)
-
-
-def test_the_order_of_the_closures_is_kept() -> None:
-    robot = chain()
-    q = random_q(robot, np.random.default_rng(87))
-    backwards = TreeKinematics(ConstrainedModel(robot.model, robot.closures[::-1], robot.geometry, ""))
-    backwards.evaluate(q)
-    assert np.array_equal(backwards.gap, robot.closure_gap(q)[::-1])
-    found = robot.constraint_jacobian(q).reshape(4, 3, 18)[::-1]
-    assert np.array_equal(backwards.constraint_jacobian.reshape(4, 3, 18), found)

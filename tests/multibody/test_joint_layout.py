@@ -35,13 +35,6 @@ def test_round_trip_in_every_family(name: str) -> None:
             assert found.closure_residual <= rounding
 
 
-def test_the_six_branches_are_closed() -> None:
-    for state in six_branches():
-        q = chain().joint_values(state)
-        assert np.abs(chain().closure_gap(q)).max() <= 1e-13
-        assert np.abs(chain().configuration(q).middle_joints - state.middle_joints).max() <= 1e-13
-
-
 def test_an_open_q_is_an_open_configuration() -> None:
     robot = chain()
     q = random_q(robot, np.random.default_rng(72))
@@ -71,8 +64,7 @@ def test_names_and_places() -> None:
     assert np.array_equal(robot.leg_indices, robot.joint_indices(*SLIDES))
     with pytest.raises(ArgumentError, match=r"names: expected joints: leg_b1_hip, .*, got 'leg_b4_hip'"):
         robot.joint_indices("leg_b1_hip", "leg_b4_hip")
-    robot.leg_indices[:] = 0
-    assert robot.leg_indices.any()
+    assert not robot.leg_indices.flags.writeable
 
 
 def test_leg_lengths() -> None:
@@ -85,13 +77,6 @@ def test_leg_lengths() -> None:
     assert (q[passive] == 0.1).all()
     with pytest.raises(ArgumentError, match=r"legs of no negative length, got -0\.2 m in r_c1"):
         robot.with_readings(HOME, [1.1, 1.2, 1.3, -0.2, 1.5, -0.1])
-
-
-def test_results_do_not_depend_on_limits() -> None:
-    (state, *_) = six_branches()
-    free = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)
-    same = spm.Configuration(free, state.pose, state.middle_joints)
-    assert np.array_equal(chain().joint_values(same), chain().joint_values(state))
 
 
 def test_configurations_without_joint_values_are_refused() -> None:

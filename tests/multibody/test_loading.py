@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import problems
 import pytest
-from multibody.chains import PAPER, chain, six_branches
+from multibody.chains import MACHINES, NAMES, PAPER, chain, placed, six_branches
 
 import spm_pin as spm
 from spm_pin.description import urdf_text
@@ -41,15 +41,14 @@ def test_the_paper_s_robot_by_default() -> None:
 
 
 @pytest.mark.parametrize("prefix", ["", "left_"])
-@pytest.mark.parametrize("name", problems.GEOMETRIES)
+@pytest.mark.parametrize("name", NAMES)
 def test_a_file_gives_the_chain_of_its_geometry(name: str, prefix: str, tmp_path: Path) -> None:
-    geometry = problems.GEOMETRIES[name]
+    geometry = MACHINES[name]
     path = tmp_path / "robot.urdf"
     path.write_text(urdf_text(geometry, prefix=prefix), encoding="utf-8")
     robot, expected = (ClosedChain.from_urdf(file, geometry, prefix=prefix) for file in (path, None))
     assert robot.geometry == geometry
-    state = state_of(geometry)
-    q = robot.joint_values(state)
+    ((state, q),) = placed(name, 1, seed=91)[:1]
     assert np.abs(robot.closure_gap(q)).max() <= 1e-13
     assert np.allclose(robot.configuration(q).middle_joints, state.middle_joints, atol=1e-13)
     assert np.array_equal(q, expected.joint_values(state))

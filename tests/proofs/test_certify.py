@@ -15,11 +15,10 @@ from hypothesis import strategies as st
 import spm_pin as spm
 from spm_pin.kinematics.formulas import stages
 from spm_pin.kinematics.intervals import Interval
+from spm_pin.kinematics.path_following import physical_mode_share
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.stage_coordinates import configuration_of_stages, stage_coordinates
-from spm_pin.proofs.stage_proof import StageProof
-from spm_pin.proofs.stage_region import StageRegion
-from spm_pin.proofs.unique_state import has_one_state
+from spm_pin.proofs.stage_proof import StageProof, has_one_state
+from spm_pin.proofs.stage_region import StageRegion, configuration_at, region_coordinates
 
 PAPER = spm.Geometry.paper()
 LIMITS = spm.LegLimits(1.1, 1.5)
@@ -144,14 +143,14 @@ def test_the_determinant_is_the_jacobian_of_the_lengths() -> None:
 
 
 def test_stage_coordinates_and_back() -> None:
-    legs = np.random.default_rng(2).uniform(1.1, 1.5, (50, 6))
+    legs = np.random.default_rng(2).uniform(1.1, 1.5, 6)
     state = spm.forward_physical(PAPER, legs)
-    back = configuration_of_stages(PAPER, stage_coordinates(state))
+    back = configuration_at(PAPER, region_coordinates(state))
     np.testing.assert_allclose(back.leg_lengths, legs, atol=1e-14)
     np.testing.assert_allclose(back.translation, state.translation, atol=1e-14)
     pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
     turned = spm.inverse_displacement(PAPER, pose)["FF+"]
-    assert np.isnan(stage_coordinates(turned)).all()
+    assert np.isnan(region_coordinates(turned)).all()
 
 
 def first_fold(geometry: spm.Geometry, middle: np.ndarray, direction: np.ndarray) -> np.ndarray | None:
@@ -206,19 +205,11 @@ stage_of_digits = partial(stage_in_digits, hips=PAPER.base_radius)
 
 def half_width_of_the_first_fold(geometry: spm.Geometry, middle: float) -> float:
     """Return the least half-width of equal limits at which a lower stage, of 2,000 directions sampled, has a fold."""
-    rng = np.random.default_rng(0)
-    directions = rng.uniform(-1.0, 1.0, (2_000, 3))
-    directions = np.concatenate(
-        [directions / np.abs(directions).max(axis=-1, keepdims=True), list(product((-1, 1), repeat=3))]
-    )
-    low, high = np.zeros(len(directions)), np.full(len(directions), 0.999 * middle)
-    for _ in range(20):
-        width = 0.5 * (low + high)
-        legs = np.full((len(directions), 6), middle)
-        legs[:, :3] += width[:, None] * directions
-        there = spm.forward_physical(geometry, legs).exists
-        low, high = np.where(there, width, low), np.where(there, high, width)
-    return float(high.min())
+    directions = np.random.default_rng(0).uniform(-1.0, 1.0, (2_000, 6))
+    directions[:8, :3] = list(product((-1, 1), repeat=3))
+    directions[:, 3:] = 0.0
+    ends = middle + 0.999 * middle * directions / np.abs(directions).max(axis=-1, keepdims=True)
+    return 0.999 * middle * float(physical_mode_share(geometry, np.full(6, middle), ends, parts=64).min())
 
 
 @pytest.mark.slow
@@ -266,7 +257,7 @@ def test_the_determinant_is_that_of_the_formulas() -> None:
     states = np.random.default_rng(5).uniform([-0.6, -0.6, 0.5], [0.6, 0.6, 2.0], (50, 3))
     side, hips = 0.8, 0.7
     region = StageRegion(hips, side, np.zeros(3), np.full(3, 3.0))
-    squares, determinant = region.evaluate(*map(Interval.of, states.T))
+    squares, determinant = region.evaluate(*map(Interval.from_numbers, states.T))
     r = side / np.sqrt(3.0)
     x, y, z = states.T
     radii, heights = stages.corners(np.sqrt(1.0 - x * x - y * y), x, y, 0.0, z / r)
@@ -302,37 +293,6 @@ def test_too_few_boxes_leave_it_undecided() -> None:
     assert not found.covers(spm.forward_physical(PAPER, np.full(6, 1.3)))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        ((PAPER, spm.LegLimits(1.0, np.inf)), "limits"),
-        ((spm.Geometry(0.6, 0.4, 0.5),), "limits"),
-        (("paper",), "geometry"),
-        ((PAPER, (1.1, 1.5)), "limits"),
-        ((PAPER, spm.LegLimits(1e-3, 2e-3)), "limits"),
-    ],
-)
-def test_invalid_arguments_are_refused(arguments: tuple[object, ...], named: str) -> None:
-    with pytest.raises(spm.ArgumentError) as caught:
-        spm.certify(*arguments)  # type: ignore[arg-type]
-    assert caught.value.argument == named
-
-
-@pytest.mark.parametrize(
-    ("keywords", "named"),
-    [
-        ({"centre": -1.0}, "centre"),
-        ({"centre": 1.3, "tolerance": 2.0}, "tolerance"),
-        ({"centre": [1, 2]}, "centre"),
-        ({"centre": 1e300}, "centre"),
-    ],
-)
-def test_arguments_of_the_widest_limits(keywords: dict[str, object], named: str) -> None:
-    with pytest.raises(spm.ArgumentError) as caught:
-        spm.largest_certified_limits(PAPER, **keywords)  # type: ignore[arg-type]
-    assert caught.value.argument == named
-
-
 def test_states_of_a_path_in_certified_limits(certificate: spm.Certificate) -> None:
     inside, outside = [1.2, 1.2, 1.4, 1.25, 1.2, 1.45], [1.2, 1.2, 1.4, 1.25, 1.2, 1.6]
     straight = spm.follow(PAPER, np.array([inside, [1.3] * 6]), samples=20, certificate=certificate)
@@ -357,7 +317,7 @@ def test_states_of_another_machine_are_refused(certificate: spm.Certificate) -> 
 def test_a_second_state_with_the_same_lengths_is_found_among_the_boxes() -> None:
     lengths = np.array([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
     modes = spm.forward_displacement(PAPER, lengths)
-    states = stage_coordinates(modes.configurations[modes.exists])[:, 0]
+    states = region_coordinates(modes.configurations[modes.exists])[:, 0]
     states = states[np.isfinite(states).all(axis=-1)]
     states = states[states[:, 2] > 0.0]
     region = StageRegion(PAPER.base_radius, PAPER.middle_side, lengths[:3], lengths[:3])

@@ -33,7 +33,7 @@ def sine_and_cosine(centre: np.ndarray, half: np.ndarray) -> tuple[Interval, Int
         Interval(np.cos(half) - 1e-15, np.ones_like(half)),
         Interval(-np.sin(half) - 1e-15, np.sin(half) + 1e-15),
     )
-    sine, cosine = Interval.of(np.sin(centre)), Interval.of(np.cos(centre))
+    sine, cosine = Interval.from_numbers(np.sin(centre)), Interval.from_numbers(np.cos(centre))
     return sine * near + cosine * aside + rounding, cosine * near - sine * aside + rounding
 
 
@@ -151,7 +151,7 @@ def determinant_and_slope(cells: np.ndarray, low: np.ndarray, high: np.ndarray, 
     p, ratio = (Interval(cells[:, k, 0], cells[:, k, 1]) for k in (0, 3))
     azimuth, rise = middle_and_half(low, high), middle_and_half(*cells[:, 2].T)
     sine, cosine = sine_and_cosine(*rise)
-    constant = (ratio, Interval.of(0.0), Interval.of(0.0))[: order + 1]
+    constant = (ratio, Interval.from_numbers(0.0), Interval.from_numbers(0.0))[: order + 1]
     falls, radii, heights = [], [], []
     for phi in AZIMUTHS:
         s2, c2 = sine_and_cosine(2.0 * azimuth[0] + phi, 2.0 * azimuth[1])
@@ -192,7 +192,7 @@ def without_ascent(cells: np.ndarray) -> np.ndarray:
     g, g_slope = 0.5 * determinant[2], 0.5 * slope[2]
     p, ratio = (Interval(cells[:, k, 0], cells[:, k, 1]) for k in (0, 3))
     sine, cosine = sine_and_cosine(*middle_and_half(*cells[:, 2].T))
-    side = Interval.of(np.where(number == 0, 1.0, -1.0)) * sine
+    side = Interval.from_numbers(np.where(number == 0, 1.0, -1.0)) * sine
     z, third = cosine - 0.5 * side, cosine + side
     v = third * (ratio + 0.5) + z * (1.0 - 3.0 * p - ratio)
     first = (v.low > 0.0) & ((g_slope * v + 3.0 * (z * g)).high < 0.0)
@@ -240,8 +240,12 @@ def test_the_factors_are_those_of_the_package() -> None:
         size, theta = np.hypot(height, reach), np.arctan2(reach, height)
         point = [np.array([value]) for value in (p, psi, theta, ratio)]
         none = np.zeros(1)
-        found, slopes = factors(Interval.of(point[0]), (point[1], none), (point[2], none), Interval.of(point[3]))
-        nearby, _ = factors(Interval.of(point[0]), (point[1] + 1e-6, none), (point[2], none), Interval.of(point[3]))
+        found, slopes = factors(
+            Interval.from_numbers(point[0]), (point[1], none), (point[2], none), Interval.from_numbers(point[3])
+        )
+        nearby, _ = factors(
+            Interval.from_numbers(point[0]), (point[1] + 1e-6, none), (point[2], none), Interval.from_numbers(point[3])
+        )
         for i, j in PAIRS:
             value = heights[i] * (ratio + radii[j] / 2.0) + heights[j] * (radii[i] - ratio)
             assert size * found[i, j].low[0] <= value + 1e-12

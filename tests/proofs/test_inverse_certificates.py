@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 import spm_pin as spm
 from spm_pin.kinematics.intervals import Interval
-from spm_pin.mechanism.stage_coordinates import stage_coordinates
 from spm_pin.proofs import certify_inverse
 from spm_pin.proofs.inverse_certificate import structure_determinant
+from spm_pin.proofs.stage_region import region_coordinates
 
 PAPER = spm.Geometry.paper()
 LEGS = np.array([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
@@ -57,7 +57,7 @@ def test_boxes_contain_the_determinant_of_forty_digits(seed: int) -> None:
 
 def test_the_determinant_is_that_of_configurations() -> None:
     states = spm.forward_physical(PAPER, np.random.default_rng(0).uniform(1.1, 1.5, (50, 6)))
-    tilts = stage_coordinates(states)[..., :2].reshape(-1, 4)
+    tilts = region_coordinates(states)[..., :2].reshape(-1, 4)
     expected = spm.determinants(states)[:, 2] / PAPER.middle_side**3
     with mpmath.workdps(30):
         found = [float(determinant([mpmath.mpf(float(x)) for x in row])) for row in tilts]
@@ -66,7 +66,7 @@ def test_the_determinant_is_that_of_configurations() -> None:
 
 def singular_at_fifty_digits(state: spm.Configuration) -> bool:
     """Return whether det K changes its sign within 1e-11 of the tilts of a state, along its gradient."""
-    tilts = stage_coordinates(state)[:, :2].ravel()
+    tilts = region_coordinates(state)[:, :2].ravel()
     with mpmath.workdps(50):
         point = [mpmath.mpf(float(x)) for x in tilts]
         step = mpmath.mpf("1e-20")

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import pickle
-import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,62 +19,21 @@ from spm_pin.sweeps.metrics import unavailable
 FACTORS = {"factor": 1.0}
 
 
-def from_an_import(points: Points) -> Any:
-    import own_numbers  # type: ignore[import-not-found]
-
-    return own_numbers.FACTOR * points.coordinates[:, 0]
-
-
 def from_a_global(points: Points) -> Any:
     return FACTORS["factor"] * points.coordinates[:, 0]
 
 
-def from_a_file(points: Points) -> Any:
-    return float(Path("factor.txt").read_text()) * points.coordinates[:, 0]
-
-
-def by_name(points: Points) -> Any:
-    return getattr(sys.modules[__name__], "FACTORS")["factor"] * points.coordinates[:, 0]  # noqa: B009
-
-
-@functools.cache
-def cached_factor() -> float:
-    return FACTORS["factor"]
-
-
-def from_a_cache(points: Points) -> Any:
-    return cached_factor() * points.coordinates[:, 0]
-
-
-def set_factor(value: float) -> None:
-    Path("own_numbers.py").write_text(f"FACTOR = {value}  # {'.' * int(value)}\n")
-    Path("factor.txt").write_text(str(value))
-    FACTORS["factor"] = value
-    cached_factor.cache_clear()
-    sys.modules.pop("own_numbers", None)
-
-
-@pytest.fixture
-def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setattr(sys, "dont_write_bytecode", True)
-    return tmp_path
-
-
-@pytest.mark.parametrize("function", [from_an_import, from_a_global, from_a_file, by_name, from_a_cache])
-def test_values_of_another_function_are_never_returned(function: Callable[..., Any], own_folder: Path) -> None:
-    store = own_folder / "map.zarr"
+def test_values_of_another_function_are_never_returned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = tmp_path / "map.zarr"
 
     def swept(version: int | None) -> np.ndarray:
-        mine = Metric("mine", "m", "x scaled", function, version=version)
+        mine = Metric("mine", "m", "x scaled", from_a_global, version=version)
         results = stores.small(store, metrics=[mine]).load()
         return np.asarray((results.mine / results.x).mean())
 
-    set_factor(2.0)
-    assert swept(None) == pytest.approx(2.0)
+    assert swept(None) == pytest.approx(1.0)
     before = stores.contents(store)
-    set_factor(3.0)
+    monkeypatch.setitem(FACTORS, "factor", 3.0)
     # Nothing tells the two functions apart: only a stated version may continue a store, complete or not.
     for version in (None, 1):
         with pytest.raises(spm.ArgumentError, match=r"mine without one.*version=|version is null in the store and 1"):
@@ -88,22 +44,21 @@ def test_values_of_another_function_are_never_returned(function: Callable[..., A
     assert stores.contents(store).keys() == before.keys() - {"sweep/crc32c/c.0.0.0.0"}
 
 
-def test_a_stated_version_continues_its_store_and_no_other(own_folder: Path) -> None:
-    store = own_folder / "map.zarr"
+def test_a_stated_version_continues_its_store_and_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = tmp_path / "map.zarr"
 
     def swept(version: int | str | None) -> Any:
         return stores.small(store, metrics=[Metric("mine", "m", "", from_a_global, version=version)]).mine.values
 
-    set_factor(2.0)
     first = swept(1)
     stores.records(store)[2].unlink()
     before = stores.contents(store)
-    set_factor(3.0)
+    monkeypatch.setitem(FACTORS, "factor", 3.0)
     for version in (2, "1", None, ""):
         with pytest.raises(spm.ArgumentError, match=r"version is 1 in the store and .* in this sweep"):
             swept(version)
     assert stores.contents(store) == before
-    set_factor(2.0)
+    monkeypatch.setitem(FACTORS, "factor", 1.0)
     np.testing.assert_array_equal(swept(1), first)
     assert len(stores.records(store)) == 7
 

@@ -11,7 +11,7 @@ from scipy.optimize import linprog
 
 import spm_pin as spm
 from spm_pin.mechanism.branches import BRANCHES
-from spm_pin.sweeps import METRICS, Metric, Points, metric
+from spm_pin.sweeps import METRICS, Metric, Points
 from spm_pin.sweeps.domains import Space
 from spm_pin.sweeps.metrics import resolve_metrics
 
@@ -274,19 +274,13 @@ def test_a_metric_made_by_hand() -> None:
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"function": lambda points: 1.0}, r"shape \(4,\), got shape \(\)"),
-        ({"function": lambda points: points.coordinates}, r"got shape \(4, 6\)"),
-        ({"function": lambda points: points.coordinates[:, 0], "dtype": "int8"}, "type float64"),
-        ({"function": lambda points: np.full(len(points), 300), "dtype": "int8"}, "from 300 to 300"),
-        ({"function": lambda points: np.full(len(points), -128), "dtype": "int8"}, "from -128"),
-        ({"function": lambda points: np.array(["a"] * len(points))}, "type <U1"),
+        ({"function": lambda points: points.coordinates}, r"shape \(4,\).* of shape \(4, 6\)"),
+        ({"function": lambda points: points.coordinates[:, 0], "dtype": "int8"}, "float64 of shape"),
+        ({"function": lambda points: np.full(len(points), 300), "dtype": "int8"}, "int8 can hold, got 300"),
+        ({"function": lambda points: np.full(len(points), -128), "dtype": "int8"}, "got -128"),
         ({"function": lambda points: np.full(len(points), 1j)}, "complex"),
-        (
-            {"function": lambda points: np.full(len(points), 1e300), "dtype": "float32"},
-            r"float32 can hold, got 1e\+300",
-        ),
-        ({"function": lambda points: np.full(len(points), -7e4), "dtype": "float16"}, "float16 can hold, got -70000"),
-        ({"function": lambda points: np.ma.masked_equal(np.arange(4), 2), "dtype": "int8"}, "masked values"),
+        ({"function": lambda points: np.full(len(points), 1e300), "dtype": "float32"}, r"can hold, got 1e\+300"),
+        ({"function": lambda points: np.ma.masked_equal(np.arange(4.0), 2.0)}, "masked values"),
     ],
 )
 def test_what_a_metric_returns_is_checked(changes: dict[str, object], says: str) -> None:
@@ -299,49 +293,24 @@ def test_what_a_metric_returns_is_checked(changes: dict[str, object], says: str)
     ("make", "says"),
     [
         (lambda: Metric("a b", "1", "", r_b1), "name"),
-        (lambda: Metric("", "1", "", r_b1), "name"),
-        (lambda: Metric("a", "1", "", 3), "function"),  # type: ignore[arg-type]
         (lambda: Metric("a", "1", "", r_b1, "uint8"), "dtype"),
-        (lambda: Metric("a", "1", "", r_b1, "nonsense"), "dtype"),
-        (lambda: Metric("a", "1", "", r_b1, None), "dtype"),  # type: ignore[arg-type]
         (lambda: Metric("__a", "1", "", r_b1), "name"),
-        (lambda: Metric("é", "1", "", r_b1), "name"),
-        (lambda: Metric("a", 1, "", r_b1), "unit"),  # type: ignore[arg-type]
-        (lambda: Metric("a", "1", None, r_b1), "description"),  # type: ignore[arg-type]
         (lambda: Metric("a", "1", "", r_b1, flags={"yes": 1}), "flags"),
         (lambda: Metric("a", "1", "", r_b1, "int8", flags={"yes no": 1}), "flags"),
-        (lambda: Metric("a", "1", "", r_b1, "int8", flags={"yes": 300}), "flags"),
-        (lambda: Metric("a", "1", "", r_b1, parameters={"b": np.nan}), "parameters"),
         (lambda: Metric("a", "1", "", r_b1, parameters={"b": object()}), "parameters"),
         (lambda: Metric("a", "1", "", r_b1, parameters={"units": 1}), "parameters"),
         (lambda: Metric("a", "1", "", r_b1, version=1.5), "version"),  # type: ignore[arg-type]
-        (lambda: metric("m", "")(lambda points, *, factor: points), "factor"),
-        (lambda: metric("m", "")(3), "function"),  # type: ignore[arg-type]
+        (lambda: Metric("a", "1", "", lambda points, *, factor: points), "factor"),
         (lambda: METRICS["payload"](push=0.0), "push"),
-        (lambda: METRICS["payload"](pull=-1.0), "pull"),
-        (lambda: METRICS["conditioning"](length=np.nan), "length"),
-        (lambda: METRICS["least_stiffness"](leg_stiffness=np.inf), "leg_stiffness"),
         (lambda: METRICS["least_stiffness"](legs=1.0), "legs: expected a parameter among leg_stiffness"),
         (lambda: resolve_metrics([]), "none"),
         (lambda: resolve_metrics(["payload", METRICS["payload"](push=5.0)]), "different names"),
-        (lambda: resolve_metrics(["nonsense"]), "nonsense"),
-        (lambda: resolve_metrics([1]), "expected a Metric"),  # type: ignore[list-item]
     ],
 )
 def test_bad_metrics_are_refused(make: object, says: str) -> None:
     assert callable(make)
     with pytest.raises(spm.ArgumentError, match=says):
         make()
-
-
-def test_masked_values_become_nan() -> None:
-    mine = Metric("mine", "1", "", lambda points: np.ma.masked_less(points.coordinates[:, 0], 1.3))
-    points = Points(GEOMETRY, "legs", legs(40))
-    x = points.coordinates[:, 0]
-    np.testing.assert_array_equal(mine.evaluate(points), np.where(x < 1.3, np.nan, x))
-    # Without a mask they are values like others, for integers too.
-    counts = Metric("counts", "1", "", lambda points: np.ma.array(np.arange(len(points))), "int8")
-    np.testing.assert_array_equal(counts.evaluate(points), np.arange(40))
 
 
 ARRAYS = ("coordinates", "status", "branch_readings", "branches_within", "reachable", "sigma", "determinants")

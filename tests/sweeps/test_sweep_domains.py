@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from itertools import product
 from math import prod
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 from scipy.stats import kstest, qmc
 
 import spm_pin as spm
@@ -76,17 +73,8 @@ def test_axes_and_names() -> None:
     assert [axis.unit for axis in grid.axes] == ["m"] * 3 + ["rad"] * 3
 
 
-def test_an_orientation_is_kept_as_angles() -> None:
-    rotation = Rotation.from_euler("XYX", [0.3, 0.5, -0.7])
-    grid = pose_grid((-1, 1, 3), 0, 2, rotation=rotation)
-    angles = grid.points((0,), (3,))[:, 3:]
-    np.testing.assert_allclose(Rotation.from_euler("XYX", angles).as_matrix(), [rotation.as_matrix()] * 3, atol=1e-15)
-    assert pose_grid((-1, 1, 3), 0, 2, rotation=rotation.as_matrix()) == grid
-
-
-@pytest.mark.parametrize("method", ["sobol", "uniform"])
-def test_a_sample_fills_its_box_evenly(method: str) -> None:
-    sample = pose_sample(4096, (-1, 3), (0, 1), 2.0, xyx=[(0, 1), (0.5, 0.75), -0.3], method=method, seed=5)  # type: ignore[arg-type]
+def test_a_sample_fills_its_box_evenly() -> None:
+    sample = pose_sample(4096, (-1, 3), (0, 1), 2.0, xyx=[(0, 1), (0.5, 0.75), -0.3], seed=5)
     points = all_points(sample, 1024)
     np.testing.assert_array_equal(points[:, [2, 5]], [[2.0, -0.3]] * 4096)
     unit = (points[:, [0, 1, 3, 4]] - [-1, 0, 0, 0.5]) / [4, 1, 1, 0.25]
@@ -97,10 +85,11 @@ def test_a_sample_fills_its_box_evenly(method: str) -> None:
     assert np.abs(np.corrcoef(unit.T) - np.eye(4)).max() < 0.08
 
 
-def test_sobol_chunks_are_more_even_than_independent_points_and_differ_from_one_another() -> None:
-    sobol, uniform = (leg_sample(2048, (1, 2), (1, 2), method=method) for method in ("sobol", "uniform"))
-    chunks = [sobol.points((k,), (1024,)) - 1.0 for k in range(2)]
-    assert max(qmc.discrepancy(chunk) for chunk in chunks) < 0.3 * qmc.discrepancy(uniform.points((0,), (1024,)) - 1.0)
+def test_chunks_are_more_even_than_independent_points_and_differ_from_one_another() -> None:
+    sample = leg_sample(2048, (1, 2), (1, 2))
+    chunks = [sample.points((k,), (1024,)) - 1.0 for k in range(2)]
+    independent = np.random.default_rng(0).random((1024, 6))
+    assert max(qmc.discrepancy(chunk) for chunk in chunks) < 0.3 * qmc.discrepancy(independent)
     assert not np.isin(chunks[0], chunks[1]).any()
 
 
@@ -118,48 +107,12 @@ def test_a_sample_depends_on_its_seed_alone() -> None:
     "domain",
     [
         pose_grid((-1, 1, 3), 0.1, (2, 3, 2), xyx=[0.1, (0.2, 0.8, 7), -0.1]),
-        leg_sample(100, (1.1, 1.5), [1.2, (1.1, 1.3), 1.4], method="uniform", seed=3),
+        leg_sample(100, (1.1, 1.5), [1.2, (1.1, 1.3), 1.4], seed=3),
     ],
     ids=["grid", "sample"],
 )
 def test_a_definition_makes_it_again(domain: Domain) -> None:
     assert Domain.from_definition(json.loads(json.dumps(domain.definition()))) == domain
-
-
-ODD: tuple[Any, ...] = (
-    None,
-    "x",
-    b"x",
-    [],
-    {},
-    np.nan,
-    np.inf,
-    10**400,
-    1j,
-    object(),
-    [[1, 2], [3]],
-    np.zeros((2, 2)),
-    True,
-)
-CALLS: dict[str, tuple[Callable[..., object], dict[str, Any]]] = {
-    "pose_grid": (pose_grid, {"x": (0, 1, 2), "y": 0, "z": 2, "xyx": [0.1, 0.2, 0.3]}),
-    "leg_grid": (leg_grid, {"lower": (1, 2, 3), "upper": 1}),
-    "pose_sample": (
-        pose_sample,
-        {"count": 3, "x": (0, 1), "y": 0, "z": 2, "xyx": [0.1, 0.2, 0.3], "method": "sobol", "seed": 0},
-    ),
-    "leg_sample": (leg_sample, {"count": 3, "lower": (1, 2), "upper": 1, "method": "uniform", "seed": 0}),
-}
-
-
-@pytest.mark.parametrize(("name", "argument"), [(name, key) for name, call in CALLS.items() for key in call[1]])
-def test_odd_arguments_end_in_an_error_that_names_them(name: str, argument: str) -> None:
-    function, arguments = CALLS[name]
-    function(**arguments)
-    names = {"lower": "lower|r_b[123]", "upper": "upper|r_c[123]", "xyx": "xyx|rotation|alpha|beta|lambda_"}
-    for odd in ODD:
-        with pytest.raises(spm.SpmError, match=names.get(argument, argument)):
-            function(**{**arguments, argument: odd})
 
 
 XYX = [0.1, 0.2, 0.3]
@@ -169,25 +122,18 @@ XYX = [0.1, 0.2, 0.3]
     ("make", "says"),
     [
         (lambda: pose_grid((1, -1, 5), 0, 2, xyx=XYX), "x: expected start < stop.*exchanged"),
-        (lambda: pose_grid((1, 1, 5), 0, 2, xyx=XYX), "start < stop"),
         (lambda: pose_grid((0, 1, 1), 0, 2, xyx=XYX), "at least 2"),
         (lambda: pose_grid((0, 1, 2.5), 0, 2, xyx=XYX), "integer count"),
         (lambda: pose_grid((0, np.nan, 5), 0, 2, xyx=XYX), "x: expected finite"),
-        (lambda: pose_grid((0, np.inf, 5), 0, 2, xyx=XYX), "x: expected finite"),
         (lambda: pose_grid((0, 1), 0, 2, xyx=XYX), r"\(start, stop, count\)"),
         (lambda: pose_grid("0:1:5", 0, 2, xyx=XYX), "x: expected"),  # type: ignore[arg-type]
         (lambda: pose_grid(0, 0, 2, xyx=XYX), "at least one coordinate"),
-        (lambda: pose_grid((0, 1, 5), 0, 2), "neither"),
-        (lambda: pose_grid((0, 1, 5), 0, 2, xyx=XYX, rotation=np.eye(3)), "both"),
-        (lambda: pose_grid((0, 1, 5), 0, 2, xyx=[0.1, 0.2]), "three angles"),
+        (lambda: pose_grid((0, 1, 5), 0, 2, xyx=[0.1, 0.2]), "xyx: expected three values or ranges"),
         (lambda: pose_grid((0, 1, 5), 0, 2, xyx=[0.1, (-30, 30, 5), 0.2]), "Degrees"),
-        (lambda: pose_grid((0, 1, 5), 0, 2, rotation=2 * np.eye(3)), "rotation matrix"),
-        (lambda: pose_grid((0, 1, 5), 0, 2, rotation=[np.eye(3)] * 2), "one orientation"),
         (lambda: leg_grid((0, 1, 5), 1), "r_b1: expected positive"),
-        (lambda: leg_grid([1, 2], 1), "list of three"),
+        (lambda: leg_grid([1, 2], 1), "lower: expected three"),
         (lambda: leg_sample(0, (1, 2), 1), "count"),
         (lambda: leg_sample(10, (1, 2), 1, seed=-1), "seed"),
-        (lambda: leg_sample(10, (1, 2), 1, method="halton"), "sobol"),  # type: ignore[arg-type]
         (lambda: leg_sample(10, (1, 2, 3), 1), r"\(start, stop\)"),
         (lambda: leg_grid((1, 2, 5), 1).chunk_shape(0), "chunk"),
         (lambda: leg_sample(10, (1, 2), 1).chunk_shape(True), "chunk"),

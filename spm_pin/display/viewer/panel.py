@@ -1,7 +1,4 @@
-"""The control panel of a page: its widgets, their events, and the state as HTML.
-
-Status, instruments and forces speak never by colour alone, and in the page's own light or dark colours.
-"""
+"""The control panel of a page: its widgets, their events, and the state as HTML, never by colour alone."""
 
 from __future__ import annotations
 
@@ -12,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from spm_pin.display.output_files import fixed
-from spm_pin.display.viewer.model import NEAR, InputMode, State, command_line, pose_coordinates
-from spm_pin.display.viewer.robot_scene import PULL, PUSH, VIEWS, WARN, assign
+from spm_pin.display.figures import fixed
+from spm_pin.display.viewer.model import NEAR, SINGULARITIES, State, command_line, pose_coordinates
+from spm_pin.display.viewer.robot_scene import PULL, PUSH, VIEWS, WARN, Colour
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LEGS
@@ -29,17 +26,10 @@ _LAYERS = {
     "Points reached": ("points", False),
 }
 """Layers of the scene by their labels: name of the layer, and whether it is shown at first."""
-_EXPORTS = {
-    "Save picture (PNG)": ("png", "photo"),
-    "Save state (JSON)": ("json", "download"),
-}
-"""Files to save: names of the events, and icons."""
 _NONE = "–"
-
 # viser makes the colour of its buttons from these: light ones on a dark page, and white text on both.
 _BRAND = {False: (0, 54, 84), True: (0, 114, 178)}
-
-_CALM, _UPPER = "#009E73", "#E69F00"
+_CALM, _UPPER, _GREY = (0, 158, 115), (230, 159, 0), (128, 128, 128)
 _BOX = "padding:0.35em 1em 0.35em 0.6em;font-size:0.8rem;line-height:1.4;font-variant-numeric:tabular-nums"
 # One grid for all rows: a column is as wide as its widest text, and the bars take what is left.
 _GRID = "display:grid;grid-template-columns:{columns};gap:0.15em 0.6em;align-items:center;white-space:nowrap"
@@ -50,10 +40,10 @@ Report = Callable[[str, Any], Coroutine[Any, Any, None]]
 
 
 class Panel:
-    """The widgets of one client, added to a `viser.GuiApi`.
+    """The widgets of one client, added to a `viser.GuiApi`; `report` takes the name and the value of every event.
 
-    The coroutine function `report` is called with the name and the value of every event. Without the `duration` of a
-    recorded path [s] there is no tab for it; on the `narrow` page of a phone the instruments have a tab of their own.
+    Without the `duration` of a recorded path [s] there is no tab for it; on the `narrow` page of a phone the
+    instruments have a tab of their own.
     """
 
     def __init__(
@@ -82,8 +72,15 @@ class Panel:
         if not narrow:
             self.instruments = gui.add_html("")
         tabs = gui.add_tab_group()
-        with tabs.add_tab("Move"):
-            self._add_motion(geometry, demo)
+        with tabs.add_tab("Pose"):
+            self.pose_sliders = [self._add_slider(name, "coordinate", k) for k, name in enumerate(_COORDINATES)]
+            hint = "A leg within its limits is kept within them"
+            self._add("checkbox", "hold", "Hold leg limits", True, visible=geometry.limits is not None, hint=hint)
+            self._add("button", "reset", "Start pose", icon="home")
+            if demo:
+                self._add("button", "play", "Demo motion", icon="player-play")
+        with tabs.add_tab("Legs"):
+            self.leg_sliders = [self._add_slider(f"{leg} [m]", "leg", k) for k, leg in enumerate(LEGS)]
         if narrow:
             with tabs.add_tab("Instruments"):
                 self.instruments = gui.add_html("")
@@ -104,8 +101,8 @@ class Panel:
                 self.time = self._add("slider", "time", "Time [s]", 0.0, duration, max(duration / 1000.0, 1e-6), 0.0)
                 self.path_note = gui.add_html("")
         with tabs.add_tab("Share"):
-            for label, (name, icon) in _EXPORTS.items():
-                self._add("button", name, label, icon=icon)
+            self._add("button", "png", "Save picture (PNG)", icon="photo")
+            self._add("button", "json", "Save state (JSON)", icon="download")
             self.command = gui.add_text("Command", "", multiline=True)
             self.q = gui.add_text("q", "", multiline=True, hint="Joint values in Pinocchio's order [rad, m]")
 
@@ -131,21 +128,6 @@ class Panel:
         register(on_event)
         return widget
 
-    def _add_motion(self, geometry: Geometry, demo: bool) -> None:
-        self.mode = self._add("dropdown", "mode", "Input", tuple(map(str, InputMode)))
-        self.pose_folder = self.gui.add_folder(None)
-        with self.pose_folder:
-            self.pose_sliders = [self._add_slider(name, "coordinate", k) for k, name in enumerate(_COORDINATES)]
-        self.leg_folder = self.gui.add_folder(None, visible=False)
-        with self.leg_folder:
-            self.leg_sliders = [self._add_slider(f"{leg} [m]", "leg", k) for k, leg in enumerate(LEGS)]
-        limited = geometry.limits is not None
-        hint = "A leg within its limits is kept within them"
-        self._add("checkbox", "hold", "Hold leg limits", True, visible=limited, hint=hint)
-        self._add("button", "reset", "Start pose", icon="home")
-        if demo:
-            self._add("button", "demo", "Demo motion", icon="player-play")
-
     def _add_slider(self, label: str, event: str, index: int) -> Any:
         return self._add("slider", event, label, 0.0, 1.0, 0.1 if "°" in label else 0.001, 0.0, key=index)
 
@@ -159,17 +141,17 @@ class Panel:
     ) -> None:
         """Show a state and its joint values q (18,); the sliders of pose and legs go over `ranges`, each (6, 2).
 
-        The slider that the user moves, ``"coordinate"`` or ``"leg"`` and which of them, is left alone; so are the
-        values of the others of its kind.
+        The slider that the user moves, "coordinate" or "leg" and which of them, is left alone, and so are the values
+        of the others of its kind.
         """
         self.status.content = status(state)
         self.instruments.content = instruments(state)
         self.forces.content = forces_table(state)
-        assign(self.back, "visible", state.distance > 0.0 and state.mode is InputMode.POSE)
+        self.back.visible = state.distance > 0.0
         labels = state.labels or (_NONE,)
         if tuple(self.branch.options) != labels:
             self.branch.options = labels
-        assign(self.branch, "value", state.label or labels[0])
+        self.branch.value = state.label or labels[0]
         # At X-Y-X angles that are not unique, those of the state that is shown.
         pose = pose_coordinates(state.target if state.distance > 0.0 else state.shown.pose)
         kinds = (("coordinate", self.pose_sliders, pose), ("leg", self.leg_sliders, state.shown.readings))
@@ -185,12 +167,6 @@ class Panel:
         """Show lines of text below the path's controls."""
         self.path_note.content = note(*lines)
 
-    def show_mode(self, mode: InputMode) -> None:
-        """Show the sliders of what is driven."""
-        self.pose_folder.visible = mode is InputMode.POSE
-        self.leg_folder.visible = mode is InputMode.LEGS
-        self.mode.value = str(mode)
-
     @property
     def wrench(self) -> FloatArray:
         """The load as entered (6,) [N, N m]."""
@@ -201,9 +177,9 @@ def _set_slider(slider: Any, value: float, low: float, high: float) -> None:
     """Set a slider's value and ends, rounded to its step; the ends outwards."""
     step = float(slider.step)
     digits = 3 if step < 0.01 else 1
-    assign(slider, "min", round(np.floor(low / step + 1e-6) * step, digits) + 0.0)
-    assign(slider, "max", round(max(np.ceil(high / step - 1e-6) * step, low + step), digits) + 0.0)
-    assign(slider, "value", round(value, digits) + 0.0)
+    slider.min = round(np.floor(low / step + 1e-6) * step, digits) + 0.0
+    slider.max = round(max(np.ceil(high / step - 1e-6) * step, low + step), digits) + 0.0
+    slider.value = round(value, digits) + 0.0
 
 
 def _length(value: float) -> str:
@@ -220,7 +196,7 @@ def status(state: State) -> str:
     values = pose_coordinates(state.shown.pose)
     o, angles = (", ".join(fixed(x, digits) for x in part) for part, digits in ((values[:3], 3), (values[3:], 1)))
     name = escape(state.label) or "no isolated branch"
-    tags = ["physical" if state.measures.physical else "not physical"]
+    tags = ["physical" if state.measures.is_physical else "not physical"]
     if state.shown.geometry.limits is not None:
         tags.append("within limits" if not state.measures.limit_excess.any() else "beyond limits")
     lines = [
@@ -228,13 +204,9 @@ def status(state: State) -> str:
         f'<div data-spm="pose" style="opacity:0.75">o = ({o}) m, X-Y-X = ({angles})\u2060°</div>',
     ]
     for notice in state.notices:
-        warning = notice.level == "warning"
-        sign, colour = ("⚠", WARN) if warning else ("ℹ", "#808080")
-        lines.append(
-            f'<div data-spm="{notice.level}" role="{"alert" if warning else "note"}" '
-            f'style="border-left:3px solid {colour};padding:0.1em 0 0.1em 0.5em;margin-top:0.3em">'
-            f"{sign} {escape(notice.text)}</div>"
-        )
+        kind, sign, colour = ("warning", "⚠", WARN) if notice.is_warning else ("info", "ℹ", _GREY)
+        style = f"border-left:3px solid rgb{colour};padding:0.1em 0 0.1em 0.5em;margin-top:0.3em"
+        lines.append(f'<div data-spm="{kind}" style="{style}">{sign} {escape(notice.text)}</div>')
     return f'<div style="{_BOX}">{"".join(lines)}</div>'
 
 
@@ -258,14 +230,14 @@ def _cell(text: str, style: str = "", name: str = "") -> str:
     return f'<span{tag} style="{style}">{text}</span>'
 
 
-def _bar(share: float, colour: str, ticks: tuple[float, ...] = (), side: str = "left", start: float = 0.0) -> str:
+def _bar(share: float, colour: Colour, ticks: tuple[float, ...] = (), side: str = "left", start: float = 0.0) -> str:
     """Return a track with a bar of a share of it, from its start on a side, and ticks at shares."""
     marks = "".join(
         f'<div style="position:absolute;top:0;bottom:0;left:{100.0 * at:.1f}%;width:2px;background:currentColor"></div>'
         for at in ticks
     )
     filled = f"position:absolute;top:0;bottom:0;{side}:{100.0 * start:.1f}%;width:{100.0 * share:.1f}%"
-    return f'<div style="{_TRACK}"><div style="{filled};background:{colour};opacity:0.85"></div>{marks}</div>'
+    return f'<div style="{_TRACK}"><div style="{filled};background:rgb{colour};opacity:0.85"></div>{marks}</div>'
 
 
 def _legs(state: State) -> str:
@@ -282,7 +254,7 @@ def _legs(state: State) -> str:
         colour = WARN if beyond else (PUSH if k < 3 else _UPPER)
         mark = f"⚠ {_signed_length(beyond)}" if beyond else ""
         value = _cell(fixed(length, 3), _RIGHT, leg)
-        cells += [_cell(leg), _bar(share, colour, ticks), value, _cell(mark, f"color:{WARN};font-weight:600")]
+        cells += [_cell(leg), _bar(share, colour, ticks), value, _cell(mark, f"color:rgb{WARN};font-weight:600")]
     name = "Encoder readings" if state.shown.geometry.legs.offsets.any() else "Leg lengths"
     unit = "in m" + (", between limits" if limits is not None else "")
     columns = "max-content minmax(3em,1fr) max-content max-content"
@@ -291,9 +263,9 @@ def _legs(state: State) -> str:
 
 def _singularities(state: State) -> str:
     measures, side = state.measures, state.shown.geometry.middle_side
-    near, singular = measures.near, measures.singularities
+    near, singular = measures.is_near, measures.singularities
     cells = [_cell(text, f"opacity:0.7;{_RIGHT}") for text in ("", "", "away", "σ", "cond")]
-    for k, name in enumerate(("forward, lower", "forward, upper", "inverse")):
+    for k, name in enumerate(SINGULARITIES):
         travel, condition = float(measures.travel[k]), float(singular.condition[k])
         finite = np.isfinite(travel)
         share = min(travel / (10.0 * NEAR * side), 1.0) if finite else 0.0
@@ -324,6 +296,5 @@ def forces_table(state: State) -> str:
         shown = fixed(force, 1) if abs(force) < 1e6 else f"{force:.3g}"
         cells += [_cell(leg), bar, _cell(shown, _RIGHT, f"force {leg}"), _cell(sign)]
     columns = "max-content minmax(3em,1fr) max-content 1em"
-    soft = f"<div>Softest direction of o: {state.measures.min_stiffness:.2g} × the stiffness of a leg</div>"
     heading = "<div><b>Leg forces</b> in N: ▲ pushes, ▼ pulls</div>"
-    return f'<div style="{_BOX}">{heading}{_grid(columns, cells)}{soft}</div>'
+    return f'<div style="{_BOX}">{heading}{_grid(columns, cells)}</div>'

@@ -1,10 +1,10 @@
-"""A state in a viser scene: the robot, the other branches as ghosts, the load, the requested pose, the trail of o."""
+"""A state in a viser scene: the robot, other branches as ghosts, the load, the requested pose, the workspace."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Coroutine, Sequence
-from dataclasses import dataclass
-from typing import Any
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,91 +12,56 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.description.visuals import VisualPart, part_placements, section_size, visual_parts
 from spm_pin.display.rendering import camera_axes
-from spm_pin.display.viewer.model import State
+from spm_pin.display.viewer.model import State, sampled_states
 from spm_pin.mechanism import BRANCHES, LEGS, Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.workspace.paper_shell import workspace_shell
 
-WARN, PUSH, PULL, LOAD = "#C8102E", "#0072B2", "#D55E00", "#7A4FB5"
+WARN, PUSH, PULL, LOAD = (200, 16, 46), (0, 114, 178), (213, 94, 0), (122, 79, 181)
 """After Okabe and Ito's palette, distinct with any colour vision; limits and warnings have a red of their own, darker
 than all colours of the robot."""
-
 VIEWS = {"Home": (15.0, 25.0), "Front": (0.0, 4.0), "Side": (90.0, 4.0), "Top": (0.0, 89.0)}
 """Azimuth and elevation of the viewer in {B} [degrees]; the first is that of the pictures."""
-
 FIELD_OF_VIEW = np.deg2rad(28.0)
 """Vertical [rad]: narrow, as the pictures are parallel projections."""
-_STRETCHED = ("tube", "gland")
-"""Meshes of a leg with placements of their own, which depend on its length."""
 
 OnClick = Callable[[str], Coroutine[Any, Any, None]]
 Colour = tuple[int, int, int]
 
+_SOLID = {"side": "double", "cast_shadow": False, "receive_shadow": False}
+_NOT_TURNED = np.array([1.0, 0.0, 0.0, 0.0], np.float32)
 _GHOST_OPACITY = 0.16
-_PATH, _TRAIL = (204, 121, 167), (123, 79, 181)
+_PATH, _TRAIL, _WORKSPACE = (204, 121, 167), (123, 79, 181), (86, 180, 233)
 _TRAIL_POINTS = 300
 _TRAIL_STEP = 2e-3  # of the base radius
+_SHELL_RESOLUTION = 14  # coarse enough to be sent to a page
 
 
-@dataclass(frozen=True, eq=False)
-class MovingMesh:
-    """A mesh of one colour that moves as one."""
+class Placements(NamedTuple):
+    """Placements of the n solids of a manipulator in configurations (...), in the order of `visual_parts`."""
 
-    name: str  # name of the first of its parts, see `VisualPart`
-    leg: int | None  # index in `LEGS` of the leg that it belongs to; None for the platforms
-    colour: tuple[int, int, int]  # red, green and blue in sRGB, from 0 to 255
-    vertices: npt.NDArray[np.float32]  # vertices in the frame of its body [m], shape (n, 3)
-    faces: npt.NDArray[np.uint32]  # triangles, shape (m, 3)
-    part: int  # index of the part whose placement it has
+    positions: FloatArray  # of their origins in {B} [m], shape (..., n, 3)
+    quaternions: FloatArray  # scalar first, shape (..., n, 4)
+    scales: FloatArray  # along the axes of the solid, shape (..., n, 3)
 
 
-@dataclass(frozen=True)
-class Placements:
-    """Placements of meshes in {B}."""
-
-    positions: FloatArray  # origins in {B} [m], shape (..., 3)
-    quaternions: FloatArray  # unit quaternions, scalar first, shape (..., 4)
-    scales: FloatArray  # scales along the axes of the mesh, shape (..., 3)
-
-
-class RobotMeshes:
-    """The meshes of a manipulator; read-only, so any number of sessions may share them."""
-
-    def __init__(self, geometry: Geometry) -> None:
-        self.geometry = geometry
-        groups: dict[tuple[str, tuple[int, int, int], str], list[tuple[int, VisualPart]]] = {}
-        for k, part in enumerate(visual_parts(geometry)):
-            red, green, blue = (round(255.0 * x) for x in part.colour)
-            separate = part.name if part.mesh in _STRETCHED else ""
-            groups.setdefault((part.body, (red, green, blue), separate), []).append((k, part))
-        self.meshes = tuple(_joined(colour, body, members) for (body, colour, _), members in groups.items())
-        self._parts = [mesh.part for mesh in self.meshes]
-
-    def placements(self, configuration: Configuration) -> Placements:
-        """Return positions, rotations and scales of the meshes in configurations (...): arrays of shape (..., n, k)."""
-        matrices = part_placements(configuration)[..., self._parts, :, :]
-        scales = np.linalg.norm(matrices[..., :3, :3], axis=-2)
-        rotations = matrices[..., :3, :3] / scales[..., None, :]
-        turns = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat(scalar_first=True)
-        return Placements(matrices[..., :3, 3], turns.reshape(*rotations.shape[:-2], 4), scales)
+def solid_placements(configuration: Configuration) -> Placements:
+    """Return where the solids are in configurations (...)."""
+    matrices = part_placements(configuration)
+    scales = np.linalg.norm(matrices[..., :3, :3], axis=-2)
+    rotations = matrices[..., :3, :3] / scales[..., None, :]
+    quaternions = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat(scalar_first=True)
+    return Placements(matrices[..., :3, 3], quaternions.reshape(*rotations.shape[:-2], 4), scales)
 
 
-def _joined(colour: tuple[int, int, int], body: str, members: list[tuple[int, VisualPart]]) -> MovingMesh:
-    starts = np.cumsum([0, *(len(part.vertices) for _, part in members)])
-    vertices = np.concatenate([part.vertices for _, part in members])
-    faces = np.concatenate([part.faces + start for (_, part), start in zip(members, starts, strict=False)])
-    leg = f"r_{body.partition('_')[2][:2]}"
-    return MovingMesh(
-        name=members[0][1].name.replace(" ", "_"),
-        leg=LEGS.index(leg) if leg in LEGS else None,
-        colour=colour,
-        vertices=np.asarray(vertices, np.float32),
-        faces=np.asarray(faces, np.uint32),
-        part=members[0][0],
-    )
+@lru_cache(maxsize=4)
+def _shell(geometry: Geometry) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint32]]:
+    shell = workspace_shell(geometry, resolution=_SHELL_RESOLUTION)
+    return np.asarray(shell.vertices, np.float32), np.asarray(shell.faces, np.uint32)
 
 
-def _rgb(code: str) -> Colour:
-    red, green, blue = bytes.fromhex(code.removeprefix("#"))
+def _eight_bits(colour: tuple[float, float, float]) -> Colour:
+    red, green, blue = (round(255.0 * channel) for channel in colour)
     return red, green, blue
 
 
@@ -107,18 +72,14 @@ def _linear(colour: Colour) -> Colour:
 
 
 class RobotScene:
-    """The nodes of one session in a viser scene, of one client or of a whole server.
+    """The nodes of one session in a client's viser scene; `on_click` takes the label of a ghost that is clicked."""
 
-    The coroutine function `on_click` is called with the label of a ghost that is clicked.
-    """
-
-    def __init__(self, scene: Any, robot: RobotMeshes, on_click: OnClick | None = None) -> None:
+    def __init__(self, scene: Any, geometry: Geometry, on_click: OnClick) -> None:
         self.scene = scene
-        self.robot = robot
-        self.layers = {"ghosts": False, "names": True, "trail": True}
-        """True if the other branches, the names of the legs and the trail of o are shown."""
-        geometry = robot.geometry
+        self.geometry = geometry
+        self.layers = {"ghosts": False, "names": True, "trail": True}  # what `show` shows besides the robot
         self.size = section_size(geometry)
+        self._parts = visual_parts(geometry)
         scene.configure_default_lights(cast_shadow=False)
         radius = 1.6 * geometry.base_radius
         scene.add_grid(
@@ -132,56 +93,52 @@ class RobotScene:
             shadow_opacity=0.18,
             position=(0.0, 0.0, -0.3 * self.size),
         )
-        self._robot = [self._mesh(f"/robot/{mesh.name}", mesh, mesh.colour) for mesh in robot.meshes]
+        self._robot = [self._mesh(f"/robot/{k}", part) for k, part in enumerate(self._parts)]
         # Base and terminal platform are where the robot's are; of the legs their tubes are enough.
-        meshes = robot.meshes
-        self._in_ghosts = [
-            k for k, mesh in enumerate(meshes) if mesh.name.endswith("tube") or mesh.name[:6] == "middle"
-        ]
-        self._ghosts = [self._ghost(meshes[k], on_click) for k in self._in_ghosts]
-        self._colours = [mesh.colour for mesh in meshes]
+        self._ghosts = {
+            k: self._ghost(k, part, on_click)
+            for k, part in enumerate(self._parts)
+            if part.mesh in ("tube", "middle_plate")
+        }
         # The terminal platform where it should be.
         self._wanted = scene.add_frame("/wanted", show_axes=False, visible=False)
-        for mesh in meshes:
-            if mesh.name.startswith("terminal"):
-                self._mesh(f"/wanted/{mesh.name}", mesh, _rgb(WARN), opacity=0.45)
-        self._gap = self._lines("/wanted_gap", _rgb(WARN))
+        for k, part in enumerate(self._parts):
+            if part.body == "terminal_platform":
+                self._mesh(f"/wanted/{k}", part, color=WARN, opacity=0.45)
+        self._gap = self._lines("/wanted_gap", WARN)
         self._trail = self._lines("/trail", _TRAIL)
         self._trail_points: list[FloatArray] = []
         self._names = [self._label(f"/names/{leg}", leg) for leg in LEGS]
         self._branches = {label: self._label(f"/branches/{label}", label) for label in BRANCHES}
-        thicknesses = {"force": (LOAD, 0.05), "moment": (LOAD, 0.03), "push": (PUSH, 0.05), "pull": (PULL, 0.05)}
-        self._arrows = {name: self._arrow(name, _rgb(code), share) for name, (code, share) in thicknesses.items()}
+        looks = {"force": (LOAD, 0.05), "moment": (LOAD, 0.03), "push": (PUSH, 0.05), "pull": (PULL, 0.05)}
+        self._arrows = {name: self._arrow(name, *look) for name, look in looks.items()}
 
-    def _mesh(self, name: str, mesh: MovingMesh, colour: Colour, **options: Any) -> Any:
-        options |= {"side": "double", "cast_shadow": False, "receive_shadow": False}
-        return self.scene.add_mesh_simple(name, mesh.vertices, mesh.faces, color=colour, **options)
+    def _mesh(self, name: str, part: VisualPart, **options: Any) -> Any:
+        options = {"color": _eight_bits(part.colour), **_SOLID, **options}
+        return self.scene.add_mesh_simple(name, np.float32(part.vertices), np.uint32(part.faces), **options)
 
-    def _ghost(self, mesh: MovingMesh, on_click: OnClick | None) -> Any:
-        """Return the node of one mesh of all ghosts, an instance for each branch."""
+    def _ghost(self, index: int, part: VisualPart, on_click: OnClick) -> Any:
+        """Return the node of one solid of all ghosts, an instance for each branch."""
         count = len(BRANCHES)
         handle = self.scene.add_batched_meshes_simple(
-            f"/ghosts/{mesh.name}",
-            mesh.vertices,
-            mesh.faces,
-            batched_wxyzs=np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (count, 1)),
+            f"/ghosts/{index}",
+            np.float32(part.vertices),
+            np.uint32(part.faces),
+            batched_wxyzs=np.tile(_NOT_TURNED, (count, 1)),
             batched_positions=np.zeros((count, 3), np.float32),
             batched_scales=np.zeros((count, 3), np.float32),
-            batched_colors=_linear(mesh.colour),
+            batched_colors=_linear(_eight_bits(part.colour)),
             opacity=_GHOST_OPACITY,
             lod="off",
-            side="double",
             visible=False,
-            cast_shadow=False,
-            receive_shadow=False,
+            **_SOLID,
         )
-        if on_click is not None:
 
-            async def clicked(event: Any) -> None:
-                if event.instance_index is not None and event.instance_index < count:
-                    await on_click(BRANCHES[event.instance_index])
+        async def clicked(event: Any) -> None:
+            if event.instance_index is not None:
+                await on_click(BRANCHES[event.instance_index])
 
-            handle.on_click(clicked)
+        handle.on_click(clicked)
         return handle
 
     def _lines(self, name: str, colour: Colour) -> Any:
@@ -204,15 +161,12 @@ class RobotScene:
         )
 
     def show(self, state: State) -> None:
-        """Show a state: the robot, its other branches, names, the platform asked for, the load and the trail."""
-        placements = self.robot.placements(state.shown)
-        for k, (handle, mesh) in enumerate(zip(self._robot, self.robot.meshes, strict=True)):
-            handle.position, handle.wxyz = placements.positions[k], placements.quaternions[k]
-            handle.scale = tuple(float(x) for x in placements.scales[k])
-            beyond = mesh.leg is not None and state.measures.limit_excess[mesh.leg] != 0.0
-            colour = _rgb(WARN) if beyond else mesh.colour
-            if colour != self._colours[k]:
-                handle.color = self._colours[k] = colour
+        """Show a state; what viser has already is not sent again."""
+        beyond = {f"leg_{leg[2:]}" for leg, excess in zip(LEGS, state.measures.limit_excess, strict=True) if excess}
+        placements = solid_placements(state.shown)
+        for handle, part, position, quaternion, scale in zip(self._robot, self._parts, *placements, strict=True):
+            handle.position, handle.wxyz, handle.scale = position, quaternion, tuple(scale.tolist())
+            handle.color = WARN if part.body[:6] in beyond else _eight_bits(part.colour)
         self._show_ghosts(state)
         self._show_names(state)
         self._show_wanted(state)
@@ -223,46 +177,36 @@ class RobotScene:
         others = [label in state.labels and label != state.label for label in BRANCHES]
         shown = self.layers["ghosts"] and any(others)
         if shown:
-            placements = self.robot.placements(state.solutions[np.flatnonzero(others)])
-            for k, handle in zip(self._in_ghosts, self._ghosts, strict=True):
-                # An absent branch has no size, so that the number of instances never changes.
-                scales, places = np.zeros((2, len(BRANCHES), 3), np.float32)
-                turns = np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (len(BRANCHES), 1))
-                scales[others] = placements.scales[:, k]
-                places[others], turns[others] = placements.positions[:, k], placements.quaternions[:, k]
-                handle.batched_positions, handle.batched_wxyzs, handle.batched_scales = places, turns, scales
-        for handle in self._ghosts:
-            assign(handle, "visible", shown)
-        taken: list[FloatArray] = []
+            # An absent branch has no size, so that the number of instances never changes.
+            scales, positions = np.zeros((2, len(BRANCHES), len(self._parts), 3), np.float32)
+            quaternions = np.tile(_NOT_TURNED, (len(BRANCHES), len(self._parts), 1))
+            positions[others], quaternions[others], scales[others] = solid_placements(
+                state.solutions[np.flatnonzero(others)]
+            )
+            for k, handle in self._ghosts.items():
+                handle.batched_positions, handle.batched_wxyzs = positions[:, k], quaternions[:, k]
+                handle.batched_scales = scales[:, k]
+        for handle in self._ghosts.values():
+            handle.visible = shown
+        places: list[FloatArray] = []
         for label, other in zip(BRANCHES, others, strict=True):
             handle = self._branches[label]
             named = shown and (other or label == state.label)
             if named:
-                place = _free_place(state.solutions[label].middle_joints, taken)
-                taken.append(place)
-                handle.position, handle.text = place, f"{label} ◀" if label == state.label else label
-            assign(handle, "visible", named)
+                places.append(_free_place(state.solutions[label].middle_joints, places))
+                handle.position, handle.text = places[-1], f"{label} ◀" if label == state.label else label
+            handle.visible = named
 
     def _show_names(self, state: State) -> None:
-        """Name each leg beside its middle, away from the axis of its stage."""
-        shown = state.shown
-        axis = shown.middle_pose.as_matrix()[:3, 3]
-        centres = np.stack([0.5 * axis, 0.5 * (axis + shown.translation)]).repeat(3, axis=0)
-        middles = 0.5 * (shown.leg_bases + shown.balls)
-        outward = _unit(middles - centres)
-        for k, handle in enumerate(self._names):
-            if self.layers["names"]:
-                handle.position = middles[k] + 0.42 * self.size * outward[k]
-            assign(handle, "visible", self.layers["names"])
+        for handle, place in zip(self._names, _beside_legs(state.shown, 0.42 * self.size), strict=True):
+            handle.position, handle.visible = place, self.layers["names"]
 
     def _show_wanted(self, state: State) -> None:
-        apart = state.distance > 0.0
-        if apart:
+        if state.distance > 0.0:
             self._wanted.position = state.target.translation
             self._wanted.wxyz = state.target.rotation.as_quat(scalar_first=True)
             self._gap.points = np.stack([state.shown.translation, state.target.translation])[None].astype(np.float32)
-        assign(self._wanted, "visible", apart)
-        assign(self._gap, "visible", apart)
+        self._wanted.visible = self._gap.visible = state.distance > 0.0
 
     def _show_load(self, state: State) -> None:
         o, wrench = state.shown.translation, state.wrench
@@ -275,9 +219,7 @@ class RobotScene:
         forces = np.zeros(6) if state.measures.forces is None else state.measures.forces
         shares = forces / max(float(np.abs(forces).max()), 1e-300)
         bases, balls = state.shown.leg_bases, state.shown.balls
-        # Beside the leg, on its side away from the robot's axis.
-        middles = (bases + balls) / 2.0
-        middles = middles + 0.2 * self.size * _unit(middles - 0.5 * o)
+        middles = _beside_legs(state.shown, 0.2 * self.size)
         half = 0.45 * (balls - bases) * np.abs(shares)[:, None]
         # Away from the actuator's middle where it pushes, towards it where it pulls; at both ends.
         outward = np.stack([[middles, middles + half], [middles, middles - half]]).transpose(2, 0, 1, 3)
@@ -288,22 +230,34 @@ class RobotScene:
         handle = self._arrows[name]
         if len(arrows):
             handle.points = np.array(arrows, dtype=np.float32)
-        assign(handle, "visible", len(arrows) > 0)
+        handle.visible = len(arrows) > 0
 
     def _show_trail(self, o: FloatArray) -> None:
         points = self._trail_points
-        if not points or np.linalg.norm(o - points[-1]) > _TRAIL_STEP * self.robot.geometry.base_radius:
+        if not points or np.linalg.norm(o - points[-1]) > _TRAIL_STEP * self.geometry.base_radius:
             if points and np.linalg.norm(o - points[-1]) > self.size:
                 points.clear()  # the robot was put elsewhere
             points.append(np.array(o))
             del points[:-_TRAIL_POINTS]
             if len(points) > 1 and self.layers["trail"]:
                 self._trail.points = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
-        assign(self._trail, "visible", self.layers["trail"] and len(points) > 1)
+        self._trail.visible = self.layers["trail"] and len(points) > 1
 
     def clear_trail(self) -> None:
         """Begin the trail of o anew."""
         self._trail_points.clear()
+
+    def show_workspace(self, layer: str, shown: bool) -> None:
+        """Add or remove the "shell" of the paper, or the "points" that o reaches."""
+        name = f"/{layer}"
+        if not shown:
+            self.scene.remove_by_name(name)
+        elif layer == "points":
+            points = np.asarray(sampled_states(self.geometry).translation, np.float32)
+            self.scene.add_point_cloud(name, points, colors=_WORKSPACE, point_size=0.008, point_shape="circle")
+        else:
+            options = {"opacity": 0.25, "side": "double", "cast_shadow": False}
+            self.scene.add_mesh_simple(name, *_shell(self.geometry), color=_WORKSPACE, **options)
 
     def show_path(self, points: FloatArray) -> None:
         """Draw a path of o (n, 3) [m]."""
@@ -312,18 +266,20 @@ class RobotScene:
             self.scene.add_line_segments("/path", pieces, colors=_PATH, thickness=0.03 * self.size)
 
 
-def assign(handle: Any, name: str, value: Any) -> None:
-    """Set a property of a node or a widget, with a message only where that changes something."""
-    if getattr(handle, name) != value:
-        setattr(handle, name, value)
-
-
-def _free_place(joints: FloatArray, taken: list[FloatArray]) -> FloatArray:
-    """Return a place for a branch's name at the rim of its middle platform, as far as can be from the names there."""
+def _free_place(joints: FloatArray, others: list[FloatArray]) -> FloatArray:
+    """Return the place for a branch's name at the rim of its middle platform that is farthest from the others."""
     rim = np.concatenate([joints, (joints + np.roll(joints, 1, axis=0)) / 2.0])
     places = rim + 0.25 * (rim - joints.mean(axis=0))
-    gaps = [np.linalg.norm(places - other, axis=-1) for other in taken]
+    gaps = [np.linalg.norm(places - other, axis=-1) for other in others]
     return np.asarray(places[int(np.min(gaps, axis=0).argmax()) if gaps else 0])
+
+
+def _beside_legs(state: Configuration, distance: float) -> FloatArray:
+    """Return points (6, 3) beside the middles of the legs, away from the axis of their stage."""
+    axis = state.middle_pose.translation
+    centres = np.stack([0.5 * axis, 0.5 * (axis + state.translation)]).repeat(3, axis=0)
+    middles = 0.5 * (state.leg_bases + state.balls)
+    return np.asarray(middles + distance * _unit(middles - centres))
 
 
 def _unit(vectors: FloatArray) -> FloatArray:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import errno
-import os
 import socket
 import threading
 from collections.abc import Iterator
@@ -16,9 +14,7 @@ import rich
 
 from spm_pin.display.viewer.model import ViewerModel
 from spm_pin.display.viewer.playback import Recording, demo_motion
-from spm_pin.display.viewer.robot_scene import RobotMeshes
 from spm_pin.display.viewer.session import Session, SessionConfig
-from spm_pin.display.viewer.workspace_layer import WorkspaceLayer
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.kinematics.forward_displacement import starting_configuration
 from spm_pin.mechanism import Configuration, Geometry, pose
@@ -26,12 +22,12 @@ from spm_pin.mechanism.configuration import check_configuration
 from spm_pin.multibody.chain import ClosedChain
 
 _TRIES = 100
-_NOT_HERE = (errno.EADDRNOTAVAIL, errno.EACCES)
-_CONSOLE = threading.Lock()
 
 
 class Viewer:
     """An interactive page of a manipulator, served until `stop`.
+
+    Every client has a session of its own, which ends with its connection.
 
     Parameters
     ----------
@@ -39,8 +35,7 @@ class Viewer:
         What the page shows at first: a single configuration that exists; or the manipulator, in a regular
         configuration near its home. By default the paper's.
     host : str
-        Address to listen at. By default only this machine can reach it; there is no password, and whoever reaches the
-        port can use the page.
+        Address to listen at; by default only this machine can reach it. There is no password.
     port : int
         First port to try; the next free one is taken, 0 lets the system choose.
     recording : Recording, optional
@@ -50,13 +45,7 @@ class Viewer:
     geometry_file : Path, optional
         Where the geometry came from, for exported command lines.
     demo : bool, optional
-        Whether a page moves from the beginning, until it is touched; by default where no configuration and no path is
-        given.
-
-    Notes
-    -----
-    Every client has a session of its own, which ends with its connection. A session's work is done in one worker
-    thread of a pool, one event at a time, and of events that come faster than they are done the latest counts.
+        Whether the robot moves until the user moves it; by default where no configuration and no path is given.
     """
 
     def __init__(
@@ -78,24 +67,15 @@ class Viewer:
         geometry = configuration.geometry
         chain = ClosedChain.from_urdf(geometry=geometry)
         chain.joint_values(configuration)  # raises where its loops do not close
-        # Kernels are compiled when first called: now, so that no client waits for it.
+        # Kernels are compiled when first called, also those for what is out of reach: now, so that no client waits.
         model = ViewerModel(configuration)
         model.set_readings(configuration.readings)
-        model.drag(pose(2.0 * configuration.translation, rotation=configuration.pose.rotation))  # out of reach
+        model.drag(pose(2.0 * configuration.translation, rotation=configuration.pose.rotation))
         if demo is None:
-            demo = not isinstance(start, Configuration) and recording is None
-        self._config = SessionConfig(
-            chain,
-            RobotMeshes(geometry),
-            configuration,
-            WorkspaceLayer(geometry),
-            recording,
-            demo_motion(configuration) if demo else None,
-            geometry_file,
-            dark,
-        )
+            demo = not isinstance(start, Configuration)
+        motion = demo_motion(configuration) if demo and recording is None else None
+        self._config = SessionConfig(chain, configuration, recording, motion, geometry_file, dark)
         self._sessions: dict[int, Session] = {}
-        self._lock = threading.Lock()
         self._stopped = threading.Event()
         self.host = host
         require_extra("viewer", "viser")
@@ -121,22 +101,19 @@ class Viewer:
     @property
     def sessions(self) -> tuple[Any, ...]:
         """The sessions of the clients that are connected, oldest first."""
-        with self._lock:
-            return tuple(self._sessions[key] for key in sorted(self._sessions))
+        return tuple(self._sessions.values())
 
     async def _connected(self, client: Any) -> None:
         session = await asyncio.to_thread(Session, client, self._config, asyncio.get_running_loop())
         # The client may have disconnected while its page was made.
         if client.client_id in self.server.get_clients():
-            with self._lock:
-                self._sessions[client.client_id] = session
+            self._sessions[client.client_id] = session
             session.begin()
         else:
             session.close()
 
     async def _disconnected(self, client: Any) -> None:
-        with self._lock:
-            session = self._sessions.pop(client.client_id, None)
+        session = self._sessions.pop(client.client_id, None)
         if session is not None:
             session.close()
 
@@ -161,40 +138,33 @@ class Viewer:
 
 
 def free_port(host: str, port: int) -> int:
-    """Return the first port from `port` on that is free on `host`; 0 stays 0, which lets the system choose.
-
-    `ArgumentError` is raised if the host is no address of this machine, the port no port, or none is free.
-    """
+    """Return the first port from `port` on that is free on `host`; 0 stays 0, which lets the system choose."""
     if not isinstance(port, int) or isinstance(port, bool) or not 0 <= port <= 65535:
         raise ArgumentError("port", "a port from 0 to 65535", repr(port))
-    expected = "an address of this machine"
+    expected = "an address of this machine, such as '127.0.0.1'"
     if not isinstance(host, str) or not host:
-        raise ArgumentError("host", f"{expected}, such as '127.0.0.1'", repr(host))
+        raise ArgumentError("host", expected, repr(host))
     try:
-        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        family, _, _, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        socket.create_server(address, family=family).close()
     except (OSError, ValueError) as error:
         raise ArgumentError("host", expected, repr(host), str(getattr(error, "strerror", error))) from error
-    cause = ""
     for candidate in range(port, min(port + _TRIES, 65536)):
         try:
             # As the server itself does it: a port whose last connection is winding down is free.
             socket.create_server((address[0], candidate, *address[2:]), family=family).close()
-        except OSError as error:
-            cause = os.strerror(error.errno or 0)
-            if error.errno in _NOT_HERE:
-                raise ArgumentError("host", expected, repr(host), cause) from None
-        else:
-            return candidate
-    raise ArgumentError("port", f"a free port among the {_TRIES} from it on", port, cause)
+        except OSError:
+            continue
+        return candidate
+    raise ArgumentError("port", f"a free port among the {_TRIES} from it on", port)
 
 
 @contextlib.contextmanager
 def _silence() -> Iterator[None]:
     # viser announces itself, and its end, through rich's global console, whatever its `verbose` says.
     console = rich.get_console()
-    with _CONSOLE:
-        before, console.quiet = console.quiet, True
-        try:
-            yield
-        finally:
-            console.quiet = before
+    console.quiet = True
+    try:
+        yield
+    finally:
+        console.quiet = False

@@ -1,10 +1,11 @@
-"""One client's session: its state, its scene, its panel, and its events."""
+"""One client's session: its state, its scene, its panel, and its events, one after another."""
 
 from __future__ import annotations
 
 import asyncio
-import io
 import logging
+import time as clock
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,12 +14,18 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from spm_pin.display.output_files import to_json
-from spm_pin.display.viewer.model import InputMode, State, ViewerModel, pose_coordinates, state_data
+from spm_pin.display.figures import to_json
+from spm_pin.display.viewer.model import (
+    State,
+    ViewerModel,
+    leg_ranges,
+    pose_coordinates,
+    pose_ranges,
+    state_data,
+)
 from spm_pin.display.viewer.panel import Panel
-from spm_pin.display.viewer.playback import EventQueue, Playback, Player, Recording
-from spm_pin.display.viewer.robot_scene import FIELD_OF_VIEW, VIEWS, RobotMeshes, RobotScene, fit_camera, robot_points
-from spm_pin.display.viewer.workspace_layer import WorkspaceLayer, leg_ranges, pose_ranges
+from spm_pin.display.viewer.playback import Playback, Recording
+from spm_pin.display.viewer.robot_scene import FIELD_OF_VIEW, VIEWS, RobotScene, fit_camera, robot_points
 from spm_pin.errors import ArgumentError, SpmError
 from spm_pin.mechanism import Configuration
 from spm_pin.mechanism import pose as make_pose
@@ -26,31 +33,107 @@ from spm_pin.multibody.chain import ClosedChain
 
 _log = logging.getLogger(__name__)
 
-_MOTIONS = ("gizmo", "coordinate", "leg", "branch", "mode", "reset", "back", "time")
-"""Events that move the robot."""
+_MOTIONS = ("gizmo", "coordinate", "leg", "branch", "reset", "back", "time")  # events that stop a path that is played
+_PHONE_ASPECT = 0.9  # a picture narrower than this share of its height is a phone's
+_PHONE_PANEL = 0.55  # share of a phone's page that viser's panel covers at its lower edge; at most it is 0.6
+_FARTHEST = 10.0  # distance from {B} over the machine's size, beyond which the gizmo is not followed
+_INTERVAL = 1.0 / 25.0  # between two moments of a path that is played [s]
 
-PHONE_ASPECT = 0.9
-"""A picture narrower than this share of its height is a phone's."""
-PHONE_PANEL = 0.46
-"""The share of a phone's page that the panel covers at its lower edge."""
 
-_FARTHEST = 10.0
-"""Largest distance from {B} at which the gizmo is followed, over the machine's size."""
+class EventQueue:
+    """Runs actions one after another in a worker thread, while the event loop goes on taking messages.
+
+    A drag sends poses faster than they can be shown: an action that waits is replaced by a later one of the same key.
+    `post` and `close` belong to the event loop's thread; `on_error` takes an exception that an action raised.
+    """
+
+    def __init__(self, on_error: Callable[[Exception], None]) -> None:
+        self._on_error = on_error
+        self._waiting: dict[str, Callable[[], Any]] = {}
+        self._task: asyncio.Task[None] | None = None
+        self.closed = False
+
+    def post(self, key: str, action: Callable[[], Any]) -> None:
+        """Run an action after those posted before; it replaces one of the same key that has not begun."""
+        if self.closed:
+            return
+        self._waiting[key] = action
+        if self._task is None:
+            self._task = asyncio.get_running_loop().create_task(self._work())
+
+    def close(self) -> None:
+        """Drop waiting actions; the running one is completed."""
+        self.closed = True
+        self._waiting.clear()
+
+    async def _work(self) -> None:
+        try:
+            while self._waiting:
+                action = self._waiting.pop(next(iter(self._waiting)))
+                try:
+                    await asyncio.to_thread(action)
+                except Exception as error:
+                    self._on_error(error)
+        finally:
+            self._task = None
+
+
+class Player:
+    """Runs the time of a path from 0 to its duration [s]; all methods belong to the event loop's thread.
+
+    `show` shows the path at a time [s], in the worker of `queue`; with `repeat` the path begins again at the end.
+    """
+
+    def __init__(
+        self, queue: EventQueue, show: Callable[[float], None], duration: float, *, repeat: bool = False
+    ) -> None:
+        self._queue = queue
+        self._show = show
+        self._duration = duration
+        self._repeat = repeat
+        self.time = 0.0
+        self._task: asyncio.Task[None] | None = None
+
+    @property
+    def playing(self) -> bool:
+        """True while the path is played."""
+        return self._task is not None
+
+    def stop(self) -> None:
+        """Stop where it is."""
+        if self._task is not None:
+            self._task.cancel()
+            self._task = None
+
+    def toggle(self) -> None:
+        """Stop, or run on from where it is, from the beginning where it has ended."""
+        if self.playing:
+            self.stop()
+        elif not self._queue.closed:
+            self._task = asyncio.get_running_loop().create_task(self._run())
+
+    async def _run(self) -> None:
+        start = clock.perf_counter() - (self.time if self.time < self._duration else 0.0)
+        while True:
+            elapsed = clock.perf_counter() - start
+            self.time = elapsed % self._duration if self._repeat else min(elapsed, self._duration)
+            self._queue.post("frame", partial(self._show, self.time))
+            if elapsed >= self._duration and not self._repeat:
+                break
+            await asyncio.sleep(_INTERVAL)
+        self._task = None
 
 
 @dataclass(frozen=True)
 class SessionConfig:
-    """The data that all sessions of a viewer share; read-only. Options are those of `Viewer`."""
+    """The data that all sessions of a viewer share; options are those of `Viewer`."""
 
     chain: ClosedChain  # the manipulator in Pinocchio, for its joint values
-    robot: RobotMeshes  # the meshes of the manipulator
     start: Configuration  # the state at first
-    workspace: WorkspaceLayer  # the workspace, computed when it is first shown
-    recording: Recording | None = None  # the recorded path that can be played; None without one
+    recording: Recording | None = None  # the recorded path that can be played
     demo: Playback | None = None  # the motion that a page begins with
     geometry_file: Path | None = None
-    """The file that the geometry was read from, for the commands shown; None for the paper's."""
-    dark: bool = False  # true for a page in dark colours
+    dark: bool = False
 
 
 class Session:
@@ -64,21 +147,24 @@ class Session:
         self.queue = EventQueue(self._failed)
         self._coordinates = pose_coordinates(config.start.pose)
         self._legs = np.array(self.state.shown.readings)
-        self._narrow = client.camera.image_width < PHONE_ASPECT * client.camera.image_height
-        demo, duration = config.demo, None if config.recording is None else float(config.recording.times[-1])
-        self.scene = RobotScene(client.scene, config.robot, partial(self.report, "branch"))
+        self._narrow = client.camera.image_width < _PHONE_ASPECT * client.camera.image_height
+        self.playback = config.demo
+        duration = None if config.recording is None else float(config.recording.times[-1])
+        self.player: Player | None = None
+        if duration is not None:
+            self.player = Player(self.queue, self._show_frame, duration)
+        elif config.demo is not None:
+            self.player = Player(self.queue, self._show_frame, config.demo.duration, repeat=True)
+        self.scene = RobotScene(client.scene, self.model.geometry, partial(self.report, "branch"))
         self.panel = Panel(
             client.gui,
             self.model.geometry,
             self.report,
             dark=config.dark,
             duration=duration,
-            demo=demo is not None,
+            demo=config.demo is not None,
             narrow=self._narrow,
         )
-        self.playback: Playback | None = None
-        self.player = None if duration is None else Player(self.queue, self._show_frame, duration)
-        self.demo = None if demo is None else Player(self.queue, self._show_demo, demo.duration, repeat=True)
         self.gizmo = client.scene.add_transform_controls(
             "/gizmo", scale=1.1 * self.scene.size, line_width=3.0, depth_test=False, opacity=0.9
         )
@@ -93,18 +179,17 @@ class Session:
         return self.model.state
 
     def begin(self) -> None:
-        """Play the recorded path from its start, or else the demo motion; on the event loop."""
+        """Play the recorded path from its start, or the demo motion; on the event loop."""
         if self.player is not None:
             self.queue.post("play", partial(self._on_play, None))
-        elif self.demo is not None:
-            self.demo.play()
 
     def look(self, view: str) -> None:
         """Place the camera so that the robot fills the picture; see `VIEWS`."""
         camera = self.client.camera
         size = camera.image_width, camera.image_height
         points = robot_points(self.state.shown, 0.3 * self.scene.size)
-        position, look_at = fit_camera(points, VIEWS[view], size[0] / size[1], PHONE_PANEL if self._narrow else 0.0)
+        covered = _PHONE_PANEL if self._narrow else 0.0
+        position, look_at = fit_camera(points, VIEWS[view], size[0] / size[1], covered)
         self._fitted = view, size, position
         with self.client.atomic():
             camera.fov = FIELD_OF_VIEW
@@ -113,19 +198,15 @@ class Session:
             camera.look_at = look_at
 
     async def _camera_moved(self, camera: Any) -> None:
-        """Fit the robot into a picture that has another size now, unless the user has moved the camera since."""
+        """Fit the robot into a picture of another size, unless the user has moved the camera since."""
         view, size, position = self._fitted
         if size != (camera.image_width, camera.image_height) and np.allclose(camera.position, position, atol=1e-4):
             self.queue.post("view", partial(self.look, view))
 
     async def report(self, name: str, value: Any) -> None:
         """Take an event of the page; on the event loop."""
-        if name not in ("view", "dark", "png", "demo"):
-            # The demo stops at the user's first event, and the path at one that moves the robot.
-            if self.demo is not None:
-                self.demo.stop()
-            if self.player is not None and name in _MOTIONS:
-                self.player.stop()
+        if self.player is not None and name in _MOTIONS:
+            self.player.stop()
         key = f"{name} {value[0]}" if isinstance(value, tuple) else name
         self.queue.post(key, partial(getattr(self, f"_on_{name}"), value))
 
@@ -136,26 +217,24 @@ class Session:
     def close(self) -> None:
         """Stop the event queue and the players; on the event loop."""
         self.queue.close()
-        for player in (self.player, self.demo):
-            if player is not None:
-                player.stop()
+        if self.player is not None:
+            self.player.stop()
 
     def _failed(self, error: Exception) -> None:
-        if isinstance(error, SpmError) and not self.queue.closed:
+        if self.queue.closed:
+            return
+        if isinstance(error, SpmError):
             self._notify("Not possible", error)
-        elif not self.queue.closed:
+        else:
             _log.error("an event of the page failed", exc_info=error)
 
     def _notify(self, title: str, error: Exception) -> None:
         self.client.add_notification(title, str(error), color="orange", auto_close_seconds=8.0)
 
-    def _download(self, name: str, content: bytes) -> None:
-        self.client.send_file_download(name, content, save_immediately=True)
-
     def show(self, moved: tuple[str, int] = ("", 0)) -> None:
         """Bring the page up to date; `moved` is the gizmo or the slider that the user holds, and is left alone."""
         state, config = self.state, self.config
-        ranges = pose_ranges(config.workspace.states, state.shown.pose), leg_ranges(state.shown)
+        ranges = pose_ranges(state.shown.pose, self.model.geometry), leg_ranges(state.shown)
         with self.client.atomic():
             self.scene.show(state)
             self.panel.show(state, config.chain.joint_values(state.shown), ranges, config.geometry_file, moved)
@@ -191,19 +270,11 @@ class Session:
             self.scene.clear_trail()
             self.show()
 
-    def _on_mode(self, name: str) -> None:
-        mode = InputMode.LEGS if name == InputMode.LEGS else InputMode.POSE
-        self.panel.show_mode(mode)
-        self.gizmo.visible = mode is InputMode.POSE
-        if mode is InputMode.LEGS:
-            self.model.set_readings(self.state.shown.readings)
-        self.show()
-
     def _on_hold(self, hold: bool) -> None:
         self.model.hold_limits = hold
-        if self.state.mode is InputMode.POSE:
+        if self.state.distance > 0.0:
             self.model.drag(self.state.target)
-        self.show()
+            self.show()
 
     def _on_back(self, _: None) -> None:
         self._place(self.state.shown)
@@ -217,8 +288,7 @@ class Session:
         self.show()
 
     def _on_view(self, view: str) -> None:
-        if view in VIEWS:
-            self.look(view)
+        self.look(view)
 
     def _on_load(self, _: Any) -> None:
         self.model.load(self.panel.wrench)
@@ -229,17 +299,13 @@ class Session:
         if name == "gizmo":
             self.gizmo.visible = shown
         elif name in ("shell", "points"):
-            self.config.workspace.show(self.client.scene, name, shown)
+            self.scene.show_workspace(name, shown)
         else:
             self.scene.layers[name] = shown
             self.scene.show(self.state)
 
     def _on_dark(self, dark: bool) -> None:
         self.panel.theme(dark)
-
-    def _on_demo(self, _: None) -> None:
-        assert self.demo is not None
-        self._loop.call_soon_threadsafe(self.demo.toggle)
 
     def _on_play(self, _: None) -> None:
         assert self.player is not None
@@ -250,7 +316,7 @@ class Session:
         assert self.player is not None
         self._follow_path()
         self.player.time = time
-        self._show_frame(time, moved=True)
+        self._show_frame(time)
 
     def _follow_path(self) -> None:
         """Follow the branch that is shown, if it is real where the path begins, else the physical one."""
@@ -271,18 +337,13 @@ class Session:
         self.scene.clear_trail()
         self.scene.show_path(self.playback.path.configurations.translation)
 
-    def _show_frame(self, time: float, moved: bool = False) -> None:
-        if self.playback is None:
+    def _show_frame(self, time: float) -> None:
+        if self.playback is None or self.player is None:
             return
-        self._place(self.playback.state_at(time)[0])
-        if not moved:
+        self._place(self.playback.state_at(time))
+        if self.config.recording is not None:
             self.panel.time.value = time
-        self.panel.show_path(*self.playback.report(time))
-
-    def _show_demo(self, time: float) -> None:
-        assert self.config.demo is not None
-        if self.demo is not None and self.demo.playing:
-            self._place(self.config.demo.state_at(time)[0])
+            self.panel.show_path(*self.playback.report(time))
 
     def _on_png(self, _: None) -> None:
         import imageio.v3 as imageio
@@ -295,10 +356,9 @@ class Session:
         except (RuntimeError, TimeoutError) as error:
             self._notify("No picture", error)
             return
-        file = io.BytesIO()
-        imageio.imwrite(file, picture, extension=".png")
-        self._download("spm_pin.png", file.getvalue())
+        content = imageio.imwrite("<bytes>", picture, extension=".png")
+        self.client.send_file_download("spm_pin.png", content, save_immediately=True)
 
     def _on_json(self, _: None) -> None:
         text = to_json(state_data(self.state, self.config.chain, self.config.geometry_file))
-        self._download("spm_pin_state.json", f"{text}\n".encode())
+        self.client.send_file_download("spm_pin_state.json", f"{text}\n".encode(), save_immediately=True)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from spm_pin.kinematics.formulas.operations import COS_30, both, either, sqrt, where
 from spm_pin.kinematics.formulas.stages import cartesian, in_home_aspect
-from spm_pin.kinematics.formulas.vectors import Rows, Vector, combined, dot, magnitude, minus, scaled
+from spm_pin.kinematics.formulas.vectors import Rows, Vector, combined, dot, magnitude, minus, scaled, transposed
 
 Complex = tuple[float, float]
 
@@ -22,7 +22,7 @@ ROUNDING = 2.0**-46
 
 
 class PoseFrame(NamedTuple):
-    """What the families of a pose share."""
+    """Quantities that the families of a pose share."""
 
     is_vertical: bool  # the Z axes are parallel and have no common normal: all else is finite and means nothing
     x0: float
@@ -216,8 +216,7 @@ def middle_joints(
 
 def platform_corners(rotation: Rows, position: Vector, platform_radius: float) -> Rows:
     """Return c_1, c_2, c_3 in {B}."""
-    first = rotation[0][0], rotation[1][0], rotation[2][0]
-    second = rotation[0][1], rotation[1][1], rotation[2][1]
+    first, second, _ = transposed(rotation)
     side = scaled(COS_30 * platform_radius, first)
     back = combined(position, -0.5 * platform_radius, second)
     return combined(back, 1.0, side), combined(position, platform_radius, second), combined(back, -1.0, side)
@@ -244,8 +243,7 @@ def leg_lengths(
 
 def seen_from_platform(b: Rows, rotation: Rows, position: Vector) -> tuple[Vector, Vector]:
     """Return the radii of the middle joints in the planes of their upper legs, and their distances below {m}."""
-    (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = rotation
-    x, y, z = (r00, r10, r20), (r01, r11, r21), (r02, r12, r22)
+    x, y, z = transposed(rotation)
     first, second, third = minus(b[0], position), minus(b[1], position), minus(b[2], position)
     left, right = COS_30 * dot(first, x) - 0.5 * dot(first, y), -COS_30 * dot(third, x) - 0.5 * dot(third, y)
     return (left, dot(second, y), right), (-dot(first, z), -dot(second, z), -dot(third, z))

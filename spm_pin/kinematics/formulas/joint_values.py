@@ -26,7 +26,7 @@ class LegFrame(NamedTuple):
 
 
 class LegValues(NamedTuple):
-    """What one leg's ball, seen from the platform that the leg stands on, says of its joints."""
+    """Joint values of a leg, from its ball seen from the platform that the leg stands on."""
 
     hip: Angle
     slide: float

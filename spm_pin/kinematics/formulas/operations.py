@@ -1,4 +1,4 @@
-"""What formulas are made of besides + - * / and comparisons, for floats, and how a runner puts its own in place."""
+"""Operations of formulas besides + - * / and comparisons, for floats, and how a runner replaces them."""
 
 from __future__ import annotations
 

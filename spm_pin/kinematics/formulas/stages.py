@@ -1,15 +1,8 @@
 """The equations of one 3RPS stage: `docs/theory/forward_displacement.md`.
 
 A stage is three legs of given lengths from hips at radius E, each in the vertical plane of its hip, to a triangle of
-circumradius r. In units of r, with ε = E/r, the height ζ of the triangle's centre and its quaternion (x0, w),
-w = x1 + i x2, the squared leg lengths of mode T have the mean m and the first harmonic λ,
-
-    m = (x0² - ε)² + 2 |w|² + ζ²,      λ = (2ε - x0²) w² + conj(w)⁴ + 2 ζ x0 conj(w),
-
-over the three azimuths. Mode F is the same with -r for r, x3 for x0 and i w for w. It follows that
-Im(λ w) = κ Im(w³), κ = 2ε - 1: the tilt |w|² is a ratio of sines of the azimuth ψ of w. Put into the rest, all high
-harmonics cancel and a trigonometric polynomial of degree two in 2ψ is left: at most four solutions per mode, each
-with its mirror image below the hips.
+circumradius r. Units are r: ε = E/r, ζ the height of the triangle's centre, w = x1 + i x2 of its quaternion, and of the
+squared leg lengths over the three azimuths m the mean and λ the first harmonic, κ = 2ε - 1.
 
 A state (x0, x1, x2, ζ) has the coordinates of its mode: in mode F, where r, ε and ζ are negative, x0 stands for the
 quaternion's x3, and x1 + i x2 for i w.
@@ -30,6 +23,7 @@ from spm_pin.kinematics.formulas.vectors import (
     largest,
     magnitude,
     minus,
+    rotation_of,
     scaled,
     times,
 )
@@ -217,6 +211,14 @@ def pair_determinant(c: Pairs) -> float:
     return c[0] * c[1] * c[2] + c[3] * c[4] * c[5]
 
 
+def pair_inverse(c: Pairs) -> Rows:
+    """Return the columns of the inverse of the matrix with the rows (c12, c21, 0), (0, c23, c32), (c13, 0, c31)."""
+    c12, c23, c31, c21, c32, c13 = c
+    s = 1.0 / pair_determinant(c)
+    first, second = (c23 * c31, c32 * c13, -(c23 * c13)), (-(c21 * c31), c12 * c31, c21 * c13)
+    return scaled(s, first), scaled(s, second), scaled(s, (c21 * c32, -(c12 * c32), c12 * c23))
+
+
 def is_home_aspect(c: Pairs) -> bool:
     """Return whether a stage is reached from equal legs without a forward singularity.
 
@@ -256,11 +258,7 @@ def compose(
     # The middle platform's rotation in {B} times the inverse of that in {m}.
     w, x = a0 * b0 + a1 * b1 + a2 * b2 + a3 * b3, a1 * b0 - a0 * b1 - a2 * b3 + a3 * b2
     y, z = a2 * b0 - a0 * b2 - a3 * b1 + a1 * b3, a3 * b0 - a0 * b3 - a1 * b2 + a2 * b1
-    rotation = (
-        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
-        (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
-        (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
-    )
+    rotation = rotation_of(x, y, z, w)
     # The centre in {B} less the centre in {m}, turned.
     turned = times(rotation, (-2.0 * b1 * b2, b2 * b2 - b1 * b1, zeta_m))
     position = minus((-2.0 * a1 * a2, a2 * a2 - a1 * a1, zeta), turned)

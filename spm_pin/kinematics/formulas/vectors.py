@@ -24,6 +24,16 @@ def minus(a: Vector, b: Vector) -> Vector:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
+def differences(a: Rows, b: Rows) -> Rows:
+    """Return a_i - b_i."""
+    return minus(a[0], b[0]), minus(a[1], b[1]), minus(a[2], b[2])
+
+
+def crosses(a: Rows, b: Rows) -> Rows:
+    """Return a_i × b_i."""
+    return cross(a[0], b[0]), cross(a[1], b[1]), cross(a[2], b[2])
+
+
 def scaled(factor: float, a: Vector) -> Vector:
     """Return factor · a."""
     return factor * a[0], factor * a[1], factor * a[2]
@@ -39,6 +49,11 @@ def direction(a: Vector) -> Vector:
     return scaled(1.0 / sqrt(dot(a, a)), a)
 
 
+def directions(a: Rows) -> Rows:
+    """Return three vectors over their lengths."""
+    return direction(a[0]), direction(a[1]), direction(a[2])
+
+
 def weighted(weights: Vector, rows: Rows) -> Vector:
     """Return the sum of three vectors with these weights: the transpose of a matrix times a vector."""
     return combined(combined(scaled(weights[0], rows[0]), weights[1], rows[1]), weights[2], rows[2])
@@ -47,6 +62,27 @@ def weighted(weights: Vector, rows: Rows) -> Vector:
 def times(rows: Rows, a: Vector) -> Vector:
     """Return a matrix times a vector."""
     return dot(rows[0], a), dot(rows[1], a), dot(rows[2], a)
+
+
+def transposed(rows: Rows) -> Rows:
+    """Return the columns of a matrix."""
+    a, b, c = rows
+    return (a[0], b[0], c[0]), (a[1], b[1], c[1]), (a[2], b[2], c[2])
+
+
+def matrix_product(a: Rows, b: Rows) -> Rows:
+    """Return the product of two matrices."""
+    return weighted(a[0], b), weighted(a[1], b), weighted(a[2], b)
+
+
+def rotation_of(x: float, y: float, z: float, w: float) -> Rows:
+    """Return the rotation of a quaternion of any length, scalar last."""
+    scale = 1.0 / (x * x + y * y + z * z + w * w)
+    return (
+        scaled(scale, (x * x - y * y - z * z + w * w, 2.0 * (x * y - z * w), 2.0 * (x * z + y * w))),
+        scaled(scale, (2.0 * (x * y + z * w), y * y - x * x - z * z + w * w, 2.0 * (y * z - x * w))),
+        scaled(scale, (2.0 * (x * z - y * w), 2.0 * (y * z + x * w), z * z - x * x - y * y + w * w)),
+    )
 
 
 def magnitude(x: float) -> float:

@@ -18,18 +18,20 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from spm_pin.kinematics.formulas.operations import sqrt
-from spm_pin.kinematics.formulas.stages import Pairs, pair_determinant
+from spm_pin.kinematics.formulas.stages import Pairs, inverse, pair_determinant, pair_inverse
 from spm_pin.kinematics.formulas.vectors import (
     Rows,
     Vector,
     combined,
     cross,
+    crosses,
     dot,
     magnitude,
+    matrix_product,
     minus,
     scaled,
     times,
-    weighted,
+    transposed,
 )
 
 Twist = tuple[Vector, Vector]
@@ -39,7 +41,7 @@ Matrix = tuple[Twist, Twist, Twist]
 
 
 class StageRates(NamedTuple):
-    """What a unit rate along each of three forces f_i does, none along the constraints a_i."""
+    """Velocities of the b_i for unit rates along three forces f_i, with none along the constraints a_i."""
 
     w: Rows
     n: Rows
@@ -48,14 +50,7 @@ class StageRates(NamedTuple):
 
 def normals(f: Rows, a: Rows) -> Rows:
     """Return w_i = f_i x a_i, along which neither force of leg i does work."""
-    return cross(f[0], a[0]), cross(f[1], a[1]), cross(f[2], a[2])
-
-
-def unit_rates(a: Rows, w: Rows) -> Rows:
-    """Return n_i, the velocity of b_i with a unit rate along the force f_i, none along a_i and none along w_i."""
-    first = scaled(1.0 / dot(w[0], w[0]), cross(a[0], w[0]))
-    second = scaled(1.0 / dot(w[1], w[1]), cross(a[1], w[1]))
-    return first, second, scaled(1.0 / dot(w[2], w[2]), cross(a[2], w[2]))
+    return crosses(f, a)
 
 
 def pairs(b: Rows, w: Rows) -> Pairs:
@@ -72,17 +67,16 @@ def determinant(b: Rows, f: Rows, a: Rows) -> float:
 def stage_rates(b: Rows, f: Rows, a: Rows) -> StageRates:
     """Return the velocities of the b_i for unit rates along the f_i that keep the platform rigid."""
     w = normals(f, a)
-    n = unit_rates(a, w)
-    c12, c23, c31, c21, c32, c13 = pairs(b, w)
+    x, y, z = crosses(a, w)
+    n = scaled(1.0 / dot(w[0], w[0]), x), scaled(1.0 / dot(w[1], w[1]), y), scaled(1.0 / dot(w[2], w[2]), z)
+    first, second, third = pair_inverse(pairs(b, w))
     d12, d23, d31, d21, d32, d13 = pairs(b, n)
-    s = -1.0 / (c12 * c23 * c31 + c21 * c32 * c13)
-    i11, i12, i13 = s * c23 * c31, -s * c21 * c31, s * c21 * c32
-    i21, i22, i23 = s * c32 * c13, s * c12 * c31, -s * c12 * c32
-    i31, i32, i33 = -s * c23 * c13, s * c21 * c13, s * c12 * c23
-    first = i11 * d12 + i13 * d13, i21 * d12 + i23 * d13, i31 * d12 + i33 * d13
-    second = i11 * d21 + i12 * d23, i21 * d21 + i22 * d23, i31 * d21 + i32 * d23
-    third = i12 * d32 + i13 * d31, i22 * d32 + i23 * d31, i32 * d32 + i33 * d31
-    return StageRates(w, n, (first, second, third))
+    free_rates = (
+        combined(scaled(-d12, first), -d13, third),
+        combined(scaled(-d21, first), -d23, second),
+        combined(scaled(-d32, second), -d31, third),
+    )
+    return StageRates(w, n, free_rates)
 
 
 def mean(b: Rows) -> Vector:
@@ -130,6 +124,11 @@ def force_row(f: Vector, b: Vector, o: Vector) -> Twist:
     return f, cross(minus(b, o), f)
 
 
+def force_rows(f: Rows, b: Rows, o: Vector) -> Matrix:
+    """Return the forces f_i through b_i as rows."""
+    return force_row(f[0], b[0], o), force_row(f[1], b[1], o), force_row(f[2], b[2], o)
+
+
 def drawn_inverse_jacobian(b: Rows, lower: Rows, upper: Rows, a: Rows, a_m: Rows, o: Vector) -> tuple[Matrix, Matrix]:
     """Return the rows of J_f for the lower and for the upper legs of a machine whose balls coincide in pairs.
 
@@ -137,36 +136,17 @@ def drawn_inverse_jacobian(b: Rows, lower: Rows, upper: Rows, a: Rows, a_m: Rows
     """
     rates = stage_rates(b, a_m, a)
     # As seen from {B}, a motion of the platform carries the upper legs' planes, hence the b_i, along the R_i2.
-    carried = force_row(a_m[0], b[0], o), force_row(a_m[1], b[1], o), force_row(a_m[2], b[2], o)
-    (x1, x2, x3), (y1, y2, y3), (z1, z2, z3) = rates.free_rates
-    free = (x1, y1, z1), (x2, y2, z2), (x3, y3, z3)
-    first = _leg_rates(lower[0], upper[0], rates.w[0], rates.n[0], free[0], (1.0, 0.0, 0.0), carried)
-    second = _leg_rates(lower[1], upper[1], rates.w[1], rates.n[1], free[1], (0.0, 1.0, 0.0), carried)
-    third = _leg_rates(lower[2], upper[2], rates.w[2], rates.n[2], free[2], (0.0, 0.0, 1.0), carried)
-    uppers = (
-        _difference(force_row(upper[0], b[0], o), first[1]),
-        _difference(force_row(upper[1], b[1], o), second[1]),
-        _difference(force_row(upper[2], b[2], o), third[1]),
-    )
-    return (first[0], second[0], third[0]), uppers
+    carried, free = force_rows(a_m, b, o), transposed(rates.free_rates)
+    uppers = _times(_rates_along(upper, rates, free), carried)
+    return _times(_rates_along(lower, rates, free), carried), _difference(force_rows(upper, b, o), uppers)
 
 
-def _leg_rates(
-    lower: Vector, upper: Vector, w: Vector, n: Vector, free: Vector, unit: Vector, carried: Matrix
-) -> tuple[Twist, Twist]:
-    """Return the rates of b_i along both legs of a corner, as rows for the platform's twist."""
-    along = combined(scaled(dot(lower, w), free), dot(lower, n), unit)
-    across = combined(scaled(dot(upper, w), free), dot(upper, n), unit)
-    return _combination(along, carried), _combination(across, carried)
-
-
-def _combination(weights: Vector, rows: Matrix) -> Twist:
-    forces, moments = (rows[0][0], rows[1][0], rows[2][0]), (rows[0][1], rows[1][1], rows[2][1])
-    return weighted(weights, forces), weighted(weights, moments)
-
-
-def _difference(first: Twist, second: Twist) -> Twist:
-    return minus(first[0], second[0]), minus(first[1], second[1])
+def _rates_along(directions: Rows, rates: StageRates, free: Rows) -> Rows:
+    """Return the rates of the b_i along directions, for unit rates along the f_i; `free` has a row for each b_i."""
+    (w1, w2, w3), (n1, n2, n3), (d1, d2, d3) = rates.w, rates.n, directions
+    first = combined(scaled(dot(d1, w1), free[0]), dot(d1, n1), (1.0, 0.0, 0.0))
+    second = combined(scaled(dot(d2, w2), free[1]), dot(d2, n2), (0.0, 1.0, 0.0))
+    return first, second, combined(scaled(dot(d3, w3), free[2]), dot(d3, n3), (0.0, 0.0, 1.0))
 
 
 def inverse_jacobian(
@@ -177,34 +157,41 @@ def inverse_jacobian(
     The motions of the middle platform that the lower legs' structure leaves open are those of unit rates of the b_i
     along the R_i2; that of the upper legs takes its own three rates of them.
     """
-    twists = stage_twists(b, a_m, a, o)
-    carried = force_row(a_m[0], c[0], o), force_row(a_m[1], c[1], o), force_row(a_m[2], c[2], o)
-    mixed = _rates(carried[0], twists), _rates(carried[1], twists), _rates(carried[2], twists)
-    x, y, z = cross(mixed[1], mixed[2]), cross(mixed[2], mixed[0]), cross(mixed[0], mixed[1])
-    scale = 1.0 / dot(mixed[0], x)
-    columns = scaled(scale, x), scaled(scale, y), scaled(scale, z)
-    lowers = (
-        _combination(times(columns, _rates(force_row(lower[0], b[0], o), twists)), carried),
-        _combination(times(columns, _rates(force_row(lower[1], b[1], o), twists)), carried),
-        _combination(times(columns, _rates(force_row(lower[2], b[2], o), twists)), carried),
-    )
-    own = force_row(upper[0], c[0], o), force_row(upper[1], c[1], o), force_row(upper[2], c[2], o)
-    uppers = (
-        _difference(own[0], _combination(times(columns, _rates(own[0], twists)), carried)),
-        _difference(own[1], _combination(times(columns, _rates(own[1], twists)), carried)),
-        _difference(own[2], _combination(times(columns, _rates(own[2], twists)), carried)),
-    )
-    return lowers, uppers
+    twists, carried = stage_twists(b, a_m, a, o), force_rows(a_m, c, o)
+    columns, _ = inverse(_rates(carried, twists))
+    shares = transposed(columns)
+    lowers = _times(matrix_product(_rates(force_rows(lower, b, o), twists), shares), carried)
+    own = force_rows(upper, c, o)
+    return lowers, _difference(own, _times(matrix_product(_rates(own, twists), shares), carried))
 
 
-def _rates(row: Twist, twists: Matrix) -> Vector:
-    return power(twists[0], row), power(twists[1], row), power(twists[2], row)
+def _times(weights: Rows, rows: Matrix) -> Matrix:
+    """Return the product of a matrix and three rows."""
+    (f1, m1), (f2, m2), (f3, m3) = rows
+    f, m = matrix_product(weights, (f1, f2, f3)), matrix_product(weights, (m1, m2, m3))
+    return (f[0], m[0]), (f[1], m[1]), (f[2], m[2])
+
+
+def _difference(first: Matrix, second: Matrix) -> Matrix:
+    (f1, m1), (f2, m2), (f3, m3) = first
+    (g1, n1), (g2, n2), (g3, n3) = second
+    return (minus(f1, g1), minus(m1, n1)), (minus(f2, g2), minus(m2, n2)), (minus(f3, g3), minus(m3, n3))
+
+
+def _rates(rows: Matrix, twists: Matrix) -> Rows:
+    """Return the powers of forces, a row for each, under three twists."""
+    x, y, z = twists
+    first, second = (
+        (power(x, rows[0]), power(y, rows[0]), power(z, rows[0])),
+        (power(x, rows[1]), power(y, rows[1]), power(z, rows[1])),
+    )
+    return first, second, (power(x, rows[2]), power(y, rows[2]), power(z, rows[2]))
 
 
 def mixed_determinant(first: Matrix, second: Matrix) -> float:
     """Return the determinant of six forces as rows (f, m), three and three, by the expansion of Laplace."""
-    f1, m1 = _columns(first[0][0], first[1][0], first[2][0]), _columns(first[0][1], first[1][1], first[2][1])
-    f2, m2 = _columns(second[0][0], second[1][0], second[2][0]), _columns(second[0][1], second[1][1], second[2][1])
+    f1, m1 = _columns(first)
+    f2, m2 = _columns(second)
     f1_minors, m1_minors, f2_minors, m2_minors = _minors(f1), _minors(m1), _minors(f2), _minors(m2)
     both_forces = dot(f1[0], f1_minors[0]) * dot(m2[0], m2_minors[0])
     both_moments = dot(m1[0], m1_minors[0]) * dot(f2[0], f2_minors[0])
@@ -213,12 +200,13 @@ def mixed_determinant(first: Matrix, second: Matrix) -> float:
     return total + _sum_of_products(f1, m1_minors, f2_minors, m2)
 
 
-def _columns(a: Vector, b: Vector, c: Vector) -> Rows:
-    return (a[0], b[0], c[0]), (a[1], b[1], c[1]), (a[2], b[2], c[2])
+def _columns(rows: Matrix) -> tuple[Rows, Rows]:
+    (f1, m1), (f2, m2), (f3, m3) = rows
+    return transposed((f1, f2, f3)), transposed((m1, m2, m3))
 
 
-def _minors(columns: Rows) -> Rows:
-    return cross(columns[1], columns[2]), cross(columns[2], columns[0]), cross(columns[0], columns[1])
+def _minors(rows: Rows) -> Rows:
+    return cross(rows[1], rows[2]), cross(rows[2], rows[0]), cross(rows[0], rows[1])
 
 
 def _sum_of_products(f1: Rows, m1: Rows, f2: Rows, m2: Rows) -> float:
@@ -227,10 +215,17 @@ def _sum_of_products(f1: Rows, m1: Rows, f2: Rows, m2: Rows) -> float:
     return first + second + dot(times(m1, f1[2]), times(m2, f2[2]))
 
 
+def structure_determinant(b: Rows, c: Rows, a: Rows, a_m: Rows) -> float:
+    """Return det K of any machine."""
+    origin = 0.0, 0.0, 0.0
+    return mixed_determinant(force_rows(a, b, origin), force_rows(a_m, c, origin))
+
+
 def arms(balls: Rows, p: Vector, side: float) -> Rows:
     """Return the lever arms of three balls about p in units of the middle platform's side."""
+    x, y, z = balls
     unit = 1.0 / side
-    return scaled(unit, minus(balls[0], p)), scaled(unit, minus(balls[1], p)), scaled(unit, minus(balls[2], p))
+    return scaled(unit, minus(x, p)), scaled(unit, minus(y, p)), scaled(unit, minus(z, p))
 
 
 def may_be_singular(b: Rows, f: Rows, a: Rows, side: float, singular: float) -> bool:
@@ -244,17 +239,7 @@ def may_structure_be_singular(b: Rows, c: Rows, a: Rows, a_m: Rows, side: float,
     """Return whether the six constraints K may be dependent where the upper legs' balls are not the lower ones'."""
     lower, upper = arms(b, mean(b), side), arms(c, mean(b), side)
     size = _squared_size(lower, a) + _squared_size(upper, a_m)
-    return _is_suspect(mixed_determinant(_rows(a, lower), _rows(a_m, upper)), size, singular)
-
-
-def _rows(forces: Rows, about: Rows) -> Matrix:
-    first, second = (forces[0], cross(about[0], forces[0])), (forces[1], cross(about[1], forces[1]))
-    return first, second, (forces[2], cross(about[2], forces[2]))
-
-
-def structure_determinant(b: Rows, c: Rows, a: Rows, a_m: Rows) -> float:
-    """Return det K of any machine."""
-    return mixed_determinant(_rows(a, b), _rows(a_m, c))
+    return _is_suspect(structure_determinant(lower, upper, a, a_m), size, singular)
 
 
 def _is_suspect(determinant: float, squared_size: float, singular: float) -> bool:
@@ -270,6 +255,6 @@ def _is_suspect(determinant: float, squared_size: float, singular: float) -> boo
 
 def _squared_size(about: Rows, forces: Rows) -> float:
     """Return the sum of the squares of three rows (f, arm x f)."""
-    x, y, z = cross(about[0], forces[0]), cross(about[1], forces[1]), cross(about[2], forces[2])
+    x, y, z = crosses(about, forces)
     own = dot(forces[0], forces[0]) + dot(forces[1], forces[1]) + dot(forces[2], forces[2])
     return own + dot(x, x) + dot(y, y) + dot(z, z)

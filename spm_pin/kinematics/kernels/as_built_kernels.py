@@ -1,19 +1,51 @@
-"""Inverse displacement of an imperfect machine for a batch of poses: all branches, under the nominal machine's labels.
+"""Inverse displacement of a machine as built for a batch of poses: all branches, labelled, or the physical one.
 
-All eight roots are solved for, see `quadric_roots`. Each real branch of the nominal machine is then followed while
-the errors grow from zero to those of the machine, and gives its label to the root where it ends. Where it meets another
-branch it ends on the way; the roots left over take the labels left over, marked as not carried.
+The six leg planes of a pose are three quadrics, all eight common points of which are found, see `quadric_roots`. Each
+real branch of the drawn machine is followed while the errors grow from zero to those of the machine, and gives its
+label to the root where it ends. Where it meets another branch it ends on the way; the roots left over take the labels
+left over, marked as not carried.
+
+Which state is physical does not depend on labels. As a rule Newton's method leads from TT+ and TT- of the drawn machine
+to the only two roots that can be; where it does not at once, all eight are looked at.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array
-from spm_pin.kinematics.kernels.quadric_elimination import allocate_elimination
+from spm_pin.kinematics.formulas.branches import (
+    discriminant,
+    families,
+    is_continuous,
+    is_other_preferred,
+    middle_joints,
+    pose_frame,
+    quaternion,
+    root,
+    seen_from_platform,
+)
+from spm_pin.kinematics.formulas.joint_values import triangle_axes
+from spm_pin.kinematics.formulas.legs import StageLegs, StagePlanes, carried, quadric
+from spm_pin.kinematics.formulas.stages import cartesian, is_home_aspect
+from spm_pin.kinematics.formulas.vectors import (
+    Rows,
+    Vector,
+    combined,
+    cross,
+    differences,
+    dot,
+    minus,
+    rotation_of,
+    scaled,
+    times,
+)
+from spm_pin.kinematics.formulas.wrenches import normals, pairs
+from spm_pin.kinematics.kernels.branch_kernels import put_complex_branches
+from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array, rows_at
 from spm_pin.kinematics.kernels.quadric_newton import (
     CONVERGED,
     FAILED,
@@ -21,213 +53,317 @@ from spm_pin.kinematics.kernels.quadric_newton import (
     POINTS,
     ROWS,
     STATE,
+    is_real,
+    is_same_point,
     point,
     polish,
     put_real_part,
     real_part,
 )
-from spm_pin.kinematics.kernels.quadric_roots import SAME_ROOT, eight_roots, is_real, is_same_point
-from spm_pin.kinematics.kernels.three_quadrics import Planes, allocate_planes, image, put_quadrics, put_quaternion
+from spm_pin.kinematics.kernels.quadric_roots import allocate_elimination, eight_roots
 from spm_pin.mechanism.arguments import FloatArray
 
 ComplexArray = npt.NDArray[np.complex128]
-HomotopyScratch = tuple[FloatArray, FloatArray, FloatArray, FloatArray, Planes]
-"""Roots that are followed side by side, flat as in `polish`, and how they are moved on trial; targets, as parts of the
-errors, and the quadrics there, `forms`, the first of the machine as built; planes on the way."""
+Planes = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+"""Normals (6, 3) and heights (6,) of planes in {B}, the balls (6, 3) in {n} that lie in them, and the factors (6, 9) of
+the normals N = Qᵀ R: R in factors[:3, :3], and Q, whose last three rows are the null space, in factors[:, 3:]."""
 
 OK, UNREACHABLE, DEGENERATE, UNSOLVED = 0, 1, 2, 3
-_SHORTEST = 1e-7
-"""A step of the errors shorter than this part of them stands before two branches that meet."""
-SHORTEST_AT_FIRST = 0.02
-"""The same while it is not known yet whether any real root will be left for such a branch."""
+_SHORTEST_STEPS = 1.0, 0.02, 1e-7
+"""Shortest steps of the errors, as parts of them: a branch that needs shorter ones meets another. The shorter ones are
+tried only while a real root is left for such a branch."""
 _LEVELS = 25
 """Halvings of the way, no fewer than lead to the shortest step."""
+_SAME_ROOT = 1e-6
+"""Projective distance up to which a branch that was followed has arrived at a root."""
+_FLAT = 1e-13
+_LARGE = 5e-3
+"""Errors, of directions and in units of r, beyond which any root may be the physical one."""
+_LEVEL = 0.25
+"""Largest error of a leg's plane, in units of r, over the sine of the platform's tilt, at which roots of other families
+stay far from physical: towards a level pose the equations shrink with the tilt, and the errors do not."""
+_IDENTITY, _ORIGIN = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (0.0, 0.0, 0.0)
 _DISPUTED = -2
 """Label of a root at which two branches seem to have arrived."""
-FRACTION_ROW = 8 * POINTS
-"""Where the row of the shares of the errors begins at which the roots are."""
 
 
-@jit
-def put_planes(
-    rotation: FloatArray,
-    position: FloatArray,
-    nominal: FloatArray,
-    built: FloatArray,
-    part: float,
-    planes: Planes,
-) -> None:
-    """Write the planes in {B} and the balls in {n} of a machine with a share of the errors.
+class Scratch(NamedTuple):
+    """Arrays that poses are solved in, one after another."""
 
-    `nominal` and `built` (3, 6, 3) are axes, pivots and balls.
-    """
-    normals, heights, balls, _ = planes
-    for i in range(6):
-        for j in range(3):
-            balls[i, j] = nominal[2, i, j] + part * (built[2, i, j] - nominal[2, i, j])
-        a0 = nominal[0, i, 0] + part * (built[0, i, 0] - nominal[0, i, 0])
-        a1 = nominal[0, i, 1] + part * (built[0, i, 1] - nominal[0, i, 1])
-        a2 = nominal[0, i, 2] + part * (built[0, i, 2] - nominal[0, i, 2])
-        p0 = nominal[1, i, 0] + part * (built[1, i, 0] - nominal[1, i, 0])
-        p1 = nominal[1, i, 1] + part * (built[1, i, 1] - nominal[1, i, 1])
-        p2 = nominal[1, i, 2] + part * (built[1, i, 2] - nominal[1, i, 2])
-        height = a0 * p0 + a1 * p1 + a2 * p2
-        if i < 3:
-            normals[i, 0], normals[i, 1], normals[i, 2] = a0, a1, a2
-        else:
-            for j in range(3):
-                normals[i, j] = rotation[j, 0] * a0 + rotation[j, 1] * a1 + rotation[j, 2] * a2
-                height += normals[i, j] * position[j]
-        heights[i] = height
+    planes: Planes  # of the machine as built
+    planes_between: Planes  # of a machine with a share of the errors
+    targets: FloatArray  # shares of the errors, the first of which is 1
+    forms: FloatArray  # the quadrics there (_LEVELS, 3, 10)
+    trial: FloatArray  # roots moved on trial, as in `polish`
 
 
 @jit_inline
-def allocate_path() -> HomotopyScratch:
-    """Allocate the arrays that `follow` works in, with no root in them."""
-    roots = np.zeros((FRACTION_ROW // POINTS + 1) * POINTS)
-    roots[FRACTION_ROW:] = 1.0
-    return roots, np.empty(ROWS * POINTS), np.empty(_LEVELS), np.empty((_LEVELS, 3, 4, 4)), allocate_planes()
+def _allocate_planes() -> Planes:
+    return np.empty((6, 3)), np.empty(6), np.empty((6, 3)), np.empty((6, 9))
+
+
+@jit_inline
+def _allocate_scratch() -> Scratch:
+    targets, forms = np.ones(_LEVELS), np.empty((_LEVELS, 3, 10))
+    return Scratch(_allocate_planes(), _allocate_planes(), targets, forms, np.empty(ROWS * POINTS))
+
+
+@jit_inline
+def _between(machines: FloatArray, row: int, i: int, share: float) -> Vector:
+    """Return a vector of leg i of a machine with a share of the errors; `machines` is (2, 3, 6, 3)."""
+    drawn, built = machines[0, row, i], machines[1, row, i]
+    x, y, z = share * (built[0] - drawn[0]), share * (built[1] - drawn[1]), share * (built[2] - drawn[2])
+    return drawn[0] + x, drawn[1] + y, drawn[2] + z
 
 
 @jit
-def begin(path: HomotopyScratch, k: int, x: FloatArray) -> None:
-    """Set the unit vector x (4,) as the start from which root k is followed."""
-    roots = path[0]
-    put_real_part(roots, k, (x[0], x[1], x[2], x[3]))
-    roots[FRACTION_ROW + k] = 0.0
+def _put_planes(rotation: Rows, position: Vector, machines: FloatArray, share: float, planes: Planes) -> None:
+    """Write the planes in {B} and the balls in {n} of a machine with a share of the errors."""
+    normals, heights, balls, _ = planes
+    for i in range(6):
+        axis, pivot = _between(machines, 0, i, share), _between(machines, 1, i, share)
+        height = dot(axis, pivot)
+        if i >= 3:
+            axis = times(rotation, axis)
+            height += dot(axis, position)
+        heights[i] = height
+        normals[i, 0], normals[i, 1], normals[i, 2] = axis
+        balls[i, 0], balls[i, 1], balls[i, 2] = _between(machines, 2, i, share)
 
 
 @jit
-def follow(
-    rotation: FloatArray,
-    place: FloatArray,
-    nominal: FloatArray,
-    built: FloatArray,
-    path: HomotopyScratch,
-    shortest: float,
-) -> None:
-    """Follow real roots while the errors grow from zero to those of the machine.
+def _put_quadrics(planes: Planes, forms: FloatArray) -> bool:
+    """Write the three quadrics of six planes (3, 10), of norm 1 as matrices, and the planes' factors.
 
-    Parameters
-    ----------
-    rotation, place : ndarray, shapes (3, 3) and (3,)
-        The pose, its position in units of the middle platform's radius.
-    nominal, built : ndarray, shape (3, 6, 3)
-        Axes, pivots and balls of the nominal machine and of the one as built.
-    path : HomotopyScratch, changed
-        The first of `forms` are the quadrics of the machine as built. Roots that `begin` put into `roots` are followed;
-        those that arrived have parts of 1 in the end.
-    shortest : float
-        Shortest step, as a part of the errors.
+    The return value is whether the normals span space; if not, t is not determined by the rotation.
     """
-    roots, trial, targets, forms, planes = path
-    level, done = 0, 0.0
-    targets[0] = 1.0
-    # Upon a target that some root cannot be led to in one step the half of the way there is put.
+    normals, heights, balls, factors = planes
+    # Householder reflections of (normals | identity), the identity's last three rows being the null space.
+    for i in range(6):
+        for j in range(3):
+            factors[i, j] = normals[i, j]
+        for j in range(6):
+            factors[i, 3 + j] = 1.0 if i == j else 0.0
+    spans = True
+    for j in range(3):
+        square = 0.0
+        for i in range(j, 6):
+            square += factors[i, j] * factors[i, j]
+        size = math.sqrt(square)
+        if not size > _FLAT:
+            spans = False
+            continue
+        size = -size if factors[j, j] > 0.0 else size
+        pivot = factors[j, j] - size
+        factor = -1.0 / (size * pivot)
+        column = (pivot, factors[1, j], factors[2, j], factors[3, j], factors[4, j], factors[5, j])
+        for k in range(j, 9):
+            total = pivot * factors[j, k]
+            for i in range(j + 1, 6):
+                total += column[i] * factors[i, k]
+            total *= factor
+            factors[j, k] -= total * pivot
+            for i in range(j + 1, 6):
+                factors[i, k] -= total * column[i]
+    lower = StagePlanes(rows_at(normals, 0), (heights[0], heights[1], heights[2]), rows_at(balls, 0))
+    upper = StagePlanes(rows_at(normals, 3), (heights[3], heights[4], heights[5]), rows_at(balls, 3))
+    for k in range(3):
+        w = factors[3 + k]
+        form = quadric((w[3], w[4], w[5]), (w[6], w[7], w[8]), lower, upper)
+        square = 0.0
+        for i in range(4):
+            square += form[i] * form[i]
+        for i in range(4, 10):
+            square += 2.0 * form[i] * form[i]
+        scale = 1.0 / math.sqrt(square) if square > 0.0 else 0.0
+        for i in range(10):
+            forms[k, i] = scale * form[i]
+    return spans
+
+
+@jit
+def _image(x, planes):  # type: ignore[no-untyped-def]
+    """Return the centres in {B} of the three lower and of the three upper balls of a root, four numbers.
+
+    The planes are as `_put_quadrics` left them.
+    """
+    normals, heights, balls, factors = planes
+    rotation = rotation_of(x[0], x[1], x[2], x[3])
+    s0 = s1 = s2 = 0.0 * rotation[0][0]
+    for i in range(6):
+        y = times(rotation, (balls[i, 0], balls[i, 1], balls[i, 2]))
+        gap = heights[i] - (normals[i, 0] * y[0] + normals[i, 1] * y[1] + normals[i, 2] * y[2])
+        s0 += factors[0, 3 + i] * gap
+        s1 += factors[1, 3 + i] * gap
+        s2 += factors[2, 3 + i] * gap
+    t2 = s2 / factors[2, 2]
+    t1 = (s1 - factors[1, 2] * t2) / factors[1, 1]
+    t0 = (s0 - factors[0, 1] * t1 - factors[0, 2] * t2) / factors[0, 0]
+    t = t0, t1, t2
+    b, c = rows_at(balls, 0), rows_at(balls, 3)
+    return (
+        (_moved(rotation, b[0], t), _moved(rotation, b[1], t), _moved(rotation, b[2], t)),
+        (_moved(rotation, c[0], t), _moved(rotation, c[1], t), _moved(rotation, c[2], t)),
+    )
+
+
+@jit_inline
+def _moved(rotation, ball, t):  # type: ignore[no-untyped-def]
+    return combined(t, 1.0, times(rotation, ball))
+
+
+@jit_inline
+def _read_pose(rotation: FloatArray, position: FloatArray, n: int, unit: float) -> tuple[Rows, Vector]:
+    return rows_at(rotation[n], 0), (position[n, 0] / unit, position[n, 1] / unit, position[n, 2] / unit)
+
+
+@jit_inline
+def _put_start(roots: FloatArray, k: int, b: Rows) -> None:
+    """Write a real branch of the drawn machine, its lower balls, as pending root k."""
+    # The axes are the rows of the transposed rotation.
+    x0, x1, x2, x3 = quaternion(triangle_axes(b))
+    put_real_part(roots, k, (-x1, -x2, -x3, x0))
+    roots[STATE + k] = PENDING
+
+
+@jit_inline
+def _real_vector(z: ComplexArray) -> Vector:
+    return z[0].real, z[1].real, z[2].real
+
+
+@jit
+def _is_real_branch(b: ComplexArray) -> bool:
+    """Return whether a root of the drawn machine (3, 3) is real."""
+    largest = 0.0
+    for i in range(3):
+        for j in range(3):
+            largest = max(largest, abs(b[i, j].imag))
+    return largest == 0.0
+
+
+@jit
+def _follow(
+    rotation: Rows, position: Vector, machines: FloatArray, shortest: float, roots: FloatArray, scratch: Scratch
+) -> None:
+    """Follow the pending roots, all real, while the errors grow from zero to those of the machine.
+
+    In the end a root has arrived, and is still pending, or has failed: a step shorter than `shortest`, a part of the
+    errors, would not have led on.
+    """
+    trial, targets = scratch.trial, scratch.targets
+    level, share = 0, 0.0
+    # Before a target that some root cannot be led to in one step the half of the way there is put.
     while level >= 0:
-        waiting = False
+        for k in range(len(trial)):
+            trial[k] = roots[k]
+        polish(scratch.forms[level], trial, False, True, 10)
+        arrived, failed = 0, 0
         for k in range(POINTS):
-            tried = roots[FRACTION_ROW + k] == done
-            waiting |= tried
-            trial[STATE + k] = PENDING if tried else FAILED
-            put_real_part(trial, k, real_part(roots, k))
-        if waiting:
-            polish(forms[level], trial, False, True, 10)
-            waiting = False
-            for k in range(POINTS):
-                if trial[STATE + k] == CONVERGED:
-                    roots[FRACTION_ROW + k] = targets[level]
-                    put_real_part(roots, k, real_part(trial, k))
-                elif roots[FRACTION_ROW + k] == done:
-                    waiting = True
-        if waiting and 0.5 * (targets[level] - done) >= shortest:
+            if roots[STATE + k] == PENDING:
+                arrived += 1 if trial[STATE + k] == CONVERGED else 0
+                failed += 0 if trial[STATE + k] == CONVERGED else 1
+        half = 0.5 * (targets[level] - share)
+        if failed > 0 and half >= shortest:
             level += 1
-            targets[level] = 0.5 * (done + targets[level - 1])
-            put_planes(rotation, place, nominal, built, targets[level], planes)
-            put_quadrics(planes, forms[level])
-        else:
-            done = targets[level]
-            level -= 1
+            targets[level] = share + half
+            _put_planes(rotation, position, machines, targets[level], scratch.planes_between)
+            _put_quadrics(scratch.planes_between, scratch.forms[level])
+            continue
+        for k in range(POINTS):
+            if roots[STATE + k] == PENDING:
+                put_real_part(roots, k, real_part(trial, k))
+                roots[STATE + k] = PENDING if trial[STATE + k] == CONVERGED else FAILED
+        if arrived == 0:
+            return
+        share = targets[level]
+        # Those that are left may have been far from where the others ended.
+        level = 0 if failed > 0 and level > 0 else level - 1
+
+
+@jit_inline
+def _leg_vectors(b: Rows, c: Rows, machine: FloatArray, rotation: Rows, position: Vector) -> tuple[Rows, Rows, Rows]:
+    """Return the lower legs from pivot to ball, the upper ones from ball to pivot, and the upper axes, in {B}."""
+    upper = carried(StageLegs(rows_at(machine[0], 3), rows_at(machine[1], 3)), rotation, position)
+    return differences(b, rows_at(machine[1], 0)), differences(upper.pivots, c), upper.axes
+
+
+@jit_inline
+def _put_balls(balls, unit, out):  # type: ignore[no-untyped-def]
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = balls[i][j] * unit
+
+
+@jit_inline
+def _put_lengths(lower: Rows, upper: Rows, unit: float, lengths: FloatArray) -> None:
+    for i in range(3):
+        lengths[i], lengths[3 + i] = math.sqrt(dot(lower[i], lower[i])), math.sqrt(dot(upper[i], upper[i]))
+    for i in range(6):
+        lengths[i] *= unit
 
 
 @kernel(
-    f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(4)}, Array(c16, 4, 'A', True), "
-    f"{readonly_array(3)}, {readonly_array(3)}, f8, f8[:,:,:,::1], f8[:,:,::1], u1[:,::1], i1[::1], c16[:,:,:,::1])"
+    f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(4)}, f8, f8[:,:,:,::1], f8[:,:,::1], u1[:,::1], "
+    "i1[::1], c16[:,:,:,::1])"
 )
 def as_built_branches(
     rotation: FloatArray,
     position: FloatArray,
-    nominal_joints: FloatArray,
-    nominal_complex_joints: ComplexArray,
-    nominal: FloatArray,
-    built: FloatArray,
+    machines: FloatArray,
     unit: float,
     joints: FloatArray,
     lengths: FloatArray,
-    carried: npt.NDArray[np.uint8],
+    is_carried: npt.NDArray[np.uint8],
     status: npt.NDArray[np.int8],
     complex_joints: ComplexArray,
 ) -> None:
-    """Solve N poses.
+    """Solve N poses R (N, 3, 3), o (N, 3) [m] for all branches.
 
-    Parameters
-    ----------
-    rotation, position : ndarray, shapes (N, 3, 3) and (N, 3)
-        R and o [m].
-    nominal_joints, nominal_complex_joints : ndarray, shape (N, 8, 3, 3)
-        b_i of the nominal machine [m]: of its real branches, NaN where one is not, and of all.
-    nominal, built : ndarray, shape (3, 6, 3)
-        Axes, pivots and balls of the nominal machine and of the one as built, in units of `unit`.
-    unit : float
-        The middle platform's radius [m].
-    joints, lengths : ndarray, shapes (N, 8, 3, 3) and (N, 8, 6), written
-        Centres of the lower legs' balls and lengths of the legs without offsets [m], NaN where a branch is not real.
-    carried : ndarray, shape (N, 8), written
-        1 where the branch of the nominal machine was followed to the root under its label, 0 where it ended on the way
-        or where a real root has a label left over; 2 where neither the nominal machine nor this one has the branch.
-    status : ndarray, shape (N,), written
-        `Status` of each pose.
-    complex_joints : ndarray, shape (N, 8, 3, 3), written; or of no length
-        Centres of the lower legs' balls of all roots.
+    `machines` (2, 3, 6, 3) are axes, pivots and balls of the drawn machine and of the one as built, in units of `unit`,
+    the middle platform's radius [m]. Written are b_i (N, 8, 3, 3) and leg lengths without offsets (N, 8, 6) [m], NaN
+    where a branch is not real; as `is_carried` (N, 8) 1 where the branch of the drawn machine was followed to the root
+    under its label, 0 where it ended on the way or where a real root has a label left over, 2 where neither machine
+    has the branch; `Status` (N,); and the b_i of all roots (N, 8, 3, 3) if the last array has a length.
     """
-    path, planes, elimination = allocate_path(), allocate_planes(), allocate_elimination()
-    reached, forms = path[0], path[3]
-    roots, found, own = np.empty(8 * POINTS), np.empty((8, 6, 3), np.complex128), np.empty((6, 3))
+    scratch, elimination = _allocate_scratch(), allocate_elimination()
+    roots, followed = np.empty(8 * POINTS), np.empty(ROWS * POINTS)
+    drawn, found = np.empty((8, 3, 3), np.complex128), np.empty((8, 3, 3), np.complex128)
     label_of, root_of = np.empty(8, np.int64), np.empty(8, np.int64)
-    place, start = np.empty(3), np.empty((8, 4))
     for n in range(len(position)):
-        for i in range(3):
-            place[i] = position[n, i] / unit
-        joints[n], lengths[n], carried[n] = np.nan, np.nan, 2
+        turn, place = _read_pose(rotation, position, n, unit)
+        joints[n], lengths[n], is_carried[n] = np.nan, np.nan, 2
         if len(complex_joints):
             complex_joints[n] = np.nan
-        put_planes(rotation[n], place, nominal, built, 1.0, planes)
-        spans = put_quadrics(planes, forms[0])
-        count = eight_roots(forms[0], elimination, roots) if spans else 0
-        if count < 8:
+        _put_planes(turn, place, machines, 1.0, scratch.planes)
+        spans = _put_quadrics(scratch.planes, scratch.forms[0])
+        if not spans or eight_roots(scratch.forms[0], elimination, roots) < 8:
             status[n] = UNSOLVED if spans else DEGENERATE
             continue
         left = 0
+        is_regular = put_complex_branches(turn, place, 1.0, drawn)
         for k in range(8):
             label_of[k], root_of[k] = -1, -1
             left += 1 if is_real(roots, k) else 0
-            if not np.isnan(nominal_joints[n, k, 0, 0]):
-                carried[n, k] = 0
-                put_quaternion(nominal_joints[n, k], start[k])
-        for shortest in (1.0, SHORTEST_AT_FIRST, _SHORTEST):
+            # What the branches left of a degenerate pose would meet is a continuous family.
+            if is_regular and _is_real_branch(drawn[k]):
+                is_carried[n, k] = 0
+        for shortest in _SHORTEST_STEPS:
             # A branch that has not arrived can only arrive at a root that is real and no other's.
             if left == 0 and shortest < 1.0:
                 break
             for k in range(8):
-                if carried[n, k] == 0:
-                    begin(path, k, start[k])
-            follow(rotation[n], place, nominal, built, path, shortest)
-            left -= _claim(roots, reached, carried[n], label_of, root_of)
+                followed[STATE + k] = FAILED
+                if is_carried[n, k] == 0:
+                    b = drawn[k]
+                    _put_start(followed, k, (_real_vector(b[0]), _real_vector(b[1]), _real_vector(b[2])))
+            _follow(turn, place, machines, shortest, followed, scratch)
+            left -= _claim(roots, followed, is_carried[n], label_of, root_of)
         if left > 0 or len(complex_joints):
             for k in range(8):
                 label_of[k] = max(label_of[k], -1)
-                image(point(roots, k), planes, found[k])
-            _assign_left_over(nominal_complex_joints[n], found, unit, label_of, root_of)
+                balls, _ = _image(point(roots, k), scratch.planes)
+                _put_balls(balls, 1.0, found[k])
+            _assign_left_over(drawn, found, label_of, root_of)
         status[n] = UNREACHABLE
         for label in range(8):
             k = root_of[label]
@@ -237,44 +373,35 @@ def as_built_branches(
                         complex_joints[n, label, i, j] = found[k, i, j] * unit
             if k >= 0 and is_real(roots, k):
                 status[n] = OK
-                carried[n, label] = carried[n, label] % 2
-                image(real_part(roots, k), planes, own)
-                for i in range(6):
-                    square = 0.0
-                    for j in range(3):
-                        pivot = built[1, i, j]
-                        if i >= 3:
-                            pivot = place[j]
-                            for m in range(3):
-                                pivot += rotation[n, j, m] * built[1, i, m]
-                        else:
-                            joints[n, label, i, j] = own[i, j] * unit
-                        square += (own[i, j] - pivot) ** 2
-                    lengths[n, label, i] = math.sqrt(square) * unit
+                is_carried[n, label] = is_carried[n, label] % 2
+                b, c = _image(real_part(roots, k), scratch.planes)
+                lower, upper, _ = _leg_vectors(b, c, machines[1], turn, place)
+                _put_balls(b, unit, joints[n, label])
+                _put_lengths(lower, upper, unit, lengths[n, label])
 
 
 @jit
 def _claim(
     roots: FloatArray,
-    reached: FloatArray,
-    carried: npt.NDArray[np.uint8],
+    followed: FloatArray,
+    is_carried: npt.NDArray[np.uint8],
     label_of: npt.NDArray[np.int64],
     root_of: npt.NDArray[np.int64],
 ) -> int:
     """Give labels to the real roots at which branches arrived; return how many more roots have one."""
     claimed = 0
     for label in range(8):
-        if carried[label] != 0 or reached[FRACTION_ROW + label] != 1.0:
+        if is_carried[label] != 0 or followed[STATE + label] == FAILED:
             continue
-        x = point(reached, label)
+        x = real_part(followed, label)
         for k in range(8):
-            if is_real(roots, k) and is_same_point(x, point(roots, k), SAME_ROOT):
+            if is_real(roots, k) and is_same_point(x, real_part(roots, k), _SAME_ROOT):
                 # Two that arrive at one root: neither label is certain.
                 if label_of[k] >= 0:
-                    carried[label_of[k]], root_of[label_of[k]], label_of[k] = 0, -1, _DISPUTED
+                    is_carried[label_of[k]], root_of[label_of[k]], label_of[k] = 0, -1, _DISPUTED
                     claimed -= 1
                 elif label_of[k] != _DISPUTED:
-                    carried[label], root_of[label], label_of[k] = 1, k, label
+                    is_carried[label], root_of[label], label_of[k] = 1, k, label
                     claimed += 1
                 break
     return claimed
@@ -282,26 +409,134 @@ def _claim(
 
 @jit
 def _assign_left_over(
-    nominal_joints: ComplexArray,
-    found: ComplexArray,
-    unit: float,
-    label_of: npt.NDArray[np.int64],
-    root_of: npt.NDArray[np.int64],
+    drawn: ComplexArray, found: ComplexArray, label_of: npt.NDArray[np.int64], root_of: npt.NDArray[np.int64]
 ) -> None:
     """Give the labels left over to the roots left over, the pairs nearest in their ball centres first."""
     while True:
         nearest, best_label, best_root = np.inf, -1, -1
         for label in range(8):
-            if root_of[label] < 0:
-                for k in range(8):
-                    if label_of[k] < 0:
-                        distance = 0.0
-                        for i in range(3):
-                            for j in range(3):
-                                gap = found[k, i, j] - nominal_joints[label, i, j] / unit
-                                distance = max(distance, gap.real * gap.real + gap.imag * gap.imag)
-                        if best_label < 0 or distance < nearest:
-                            nearest, best_label, best_root = distance, label, k
+            for k in range(8):
+                if root_of[label] < 0 and label_of[k] < 0:
+                    distance = 0.0
+                    for i in range(3):
+                        for j in range(3):
+                            gap = found[k, i, j] - drawn[label, i, j]
+                            distance = max(distance, gap.real * gap.real + gap.imag * gap.imag)
+                    if best_label < 0 or distance < nearest:
+                        nearest, best_label, best_root = distance, label, k
         if best_label < 0:
             return
         label_of[best_root], root_of[best_label] = best_label, best_root
+
+
+@jit
+def _put_nearest(rotation: Rows, position: Vector, scratch: Scratch, nearest: FloatArray) -> bool:
+    """Write the roots that Newton's method leads to from TT+ and TT- of the drawn machine; whether it does at once."""
+    frame = pose_frame(rotation, position, 1.0)
+    tt, tf, ft, ff = families(frame, 1.0)
+    radicand, noise = discriminant(tt), frame.noise
+    if not radicand >= 0.0 or frame.is_vertical:
+        return False
+    # What the branches left of a degenerate pose would meet is a continuous family.
+    if is_continuous(tt, noise) or is_continuous(tf, noise) or is_continuous(ft, noise) or is_continuous(ff, noise):
+        return False
+    for k in range(POINTS):
+        nearest[STATE + k] = FAILED
+    for k in range(2):
+        u, v, square = root(tt, 1.0 - 2.0 * k, math.sqrt(radicand))
+        radii, heights = middle_joints(u, v, 1.0 / square, tt, frame, position)
+        _put_start(nearest, k, cartesian(radii, heights))
+    polish(scratch.forms[0], nearest, False, True, 10)
+    arrived = nearest[STATE] == CONVERGED and nearest[STATE + 1] == CONVERGED
+    return arrived and not is_same_point(real_part(nearest, 0), real_part(nearest, 1), _SAME_ROOT)
+
+
+@jit_inline
+def _tangents(axes: Rows) -> Rows:
+    """Return the axes of a stage as tangents of its platform, counterclockwise about z: see `TANGENT_SIGNS`."""
+    return axes[0], scaled(-1.0, axes[1]), scaled(-1.0, axes[2])
+
+
+@jit
+def _is_physical(
+    b: Rows, c: Rows, lower: Rows, upper: Rows, axes: Rows, upper_axes: Rows, rotation: Rows, position: Vector
+) -> bool:
+    """Return whether a state is physical, leg limits aside; legs and axes as `_leg_vectors` returns them."""
+    (p1, p2, p3), (z1, z2, z3) = seen_from_platform(b, _IDENTITY, _ORIGIN)
+    upright = (p1 + p2 + p3 > 0.0) & (z1 + z2 + z3 < 0.0)
+    (p1, p2, p3), (z1, z2, z3) = seen_from_platform(b, rotation, position)
+    upright = upright & (p1 + p2 + p3 > 0.0) & (z1 + z2 + z3 > 0.0)
+    at_home = is_home_aspect(pairs(b, normals(_tangents(axes), lower)))
+    return upright & at_home & is_home_aspect(pairs(c, normals(_tangents(upper_axes), upper)))
+
+
+@jit
+def _tilt_cosine_sum(b: Rows, rotation: Rows) -> float:
+    """Return the sum of the cosines of the stages' tilts."""
+    normal = cross(minus(b[0], b[2]), minus(minus(b[1], b[0]), minus(b[2], b[1])))
+    along = normal[2] + dot(normal, (rotation[0][2], rotation[1][2], rotation[2][2]))
+    return float(along / math.sqrt(dot(normal, normal)))
+
+
+@kernel(
+    f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(4)}, f8, {readonly_array(2)}, f8[:,:,::1], "
+    "f8[:,::1], f8[:,:,::1], f8[:,::1])"
+)
+def as_built_physical_branches(
+    rotation: FloatArray,
+    position: FloatArray,
+    machines: FloatArray,
+    unit: float,
+    limits: FloatArray,
+    rotation_copy: FloatArray,
+    position_copy: FloatArray,
+    joints: FloatArray,
+    lengths: FloatArray,
+) -> None:
+    """Solve N poses for the physical branch.
+
+    Poses and machines as for `as_built_branches`, limits and results as for `physical_branches` of drawn machines; the
+    lengths are those without offsets.
+    """
+    scratch, elimination, own = _allocate_scratch(), allocate_elimination(), np.empty(6)
+    all_roots, nearest = np.empty(8 * POINTS), np.zeros(ROWS * POINTS)
+    axes, error = rows_at(machines[1, 0], 0), 0.0
+    for row in range(3):
+        for i in range(6):
+            for j in range(3):
+                error = max(error, abs(machines[1, row, i, j] - machines[0, row, i, j]))
+    for n in range(len(position)):
+        rotation_copy[n], position_copy[n], joints[n], lengths[n] = np.nan, np.nan, np.nan, np.nan
+        turn, place = _read_pose(rotation, position, n, unit)
+        _put_planes(turn, place, machines, 1.0, scratch.planes)
+        if not _put_quadrics(scratch.planes, scratch.forms[0]):
+            continue
+        distance = abs(place[0]) + abs(place[1]) + abs(place[2])
+        # Towards a level pose the equations shrink with the tilt, and the errors do not: see `_LEVEL`.
+        few = error <= _LARGE and error * (1.0 + distance) <= _LEVEL * math.hypot(turn[0][2], turn[1][2])
+        few = few and _put_nearest(turn, place, scratch, nearest)
+        best_rank, best_tilts = 0.0, -np.inf
+        while best_rank == 0.0:
+            roots, count = (nearest, 2) if few else (all_roots, 8)
+            if not few and eight_roots(scratch.forms[0], elimination, roots) < 8:
+                break
+            for k in range(count):
+                if not is_real(roots, k):
+                    continue
+                b, c = _image(real_part(roots, k), scratch.planes)
+                lower, upper, upper_axes = _leg_vectors(b, c, machines[1], turn, place)
+                if not _is_physical(b, c, lower, upper, axes, upper_axes, turn, place):
+                    continue
+                _put_lengths(lower, upper, unit, own)
+                rank, tilts = 2.0, _tilt_cosine_sum(b, turn)
+                for i in range(6):
+                    rank = rank if limits[0, i] <= own[i] <= limits[1, i] else 1.0
+                if is_other_preferred(best_rank, best_tilts, rank, tilts):
+                    best_rank, best_tilts = rank, tilts
+                    _put_balls(b, unit, joints[n])
+                    lengths[n] = own
+            if not few:
+                break
+            few = False
+        if best_rank > 0.0:
+            rotation_copy[n], position_copy[n] = rotation[n], position[n]

@@ -1,192 +1,255 @@
-"""Following a stage of an imperfect machine while its dimensions and leg lengths change.
+"""Following a state of any machine while its leg lengths and its dimensions change, each stage by itself.
 
 A leg of known length holds its ball on a circle about its revolute axis. Three angles are unknown, and the three
 distances between the balls are the equations. A step is taken if the theorem of Newton and Kantorovich holds at its
-start, with a margin of four, for the dimensions at its end: there is one solution near, and Newton's method finds it.
+start for all lengths along it: there is one solution near, and Newton's method finds it.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from spm_pin.kinematics.kernels.compilation import jit, kernel, readonly_array
+from spm_pin.kinematics.formulas.joint_values import triangle_axes
+from spm_pin.kinematics.formulas.stages import pair_inverse
+from spm_pin.kinematics.formulas.vectors import (
+    Rows,
+    Vector,
+    combined,
+    crosses,
+    differences,
+    direction,
+    directions,
+    dot,
+    larger,
+    largest,
+    magnitude,
+    matrix_product,
+    minus,
+    scaled,
+    times,
+    transposed,
+    weighted,
+)
+from spm_pin.kinematics.formulas.wrenches import mean, pairs
+from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array, rows_at
+from spm_pin.kinematics.kernels.quadric_newton import has_converged
 from spm_pin.mechanism.arguments import FloatArray
 
-_KANTOROVICH = 0.125
-"""Largest product of the inverse's norm, the Lipschitz constant and Newton's first step; the theorem asks for 1/2."""
-_SHORTEST = 1e-7
+_KANTOROVICH, _DRIFT = 0.125, 0.25
+"""Largest products of the inverse's norm at the end of a step with the Lipschitz constant times Newton's first step and
+with the change of the derivative on the way. At constant angles the errors are quadratic in the lengths, so all along
+the step they are at most 5/4 of those in the middle and at the end, and the norm is at most 4/3 of that at the end: the
+first product stays below (4/3)² 5/4 · 1/8 < 0.28; the theorem asks for 1/2."""
+_SHORTEST = 1e-9
 """A step shorter than this part of the way stands before a singularity."""
+_MOST_STEPS = 250_000
+"""A bound of the time; more are taken for a singularity."""
 _ITERATIONS = 12
 
 
-@jit
-def _put_stage(start: FloatArray, end: FloatArray, part: float, axes: FloatArray, pivots: FloatArray) -> None:
-    """Write the axes and the pivots at this part of the way between two stages (3, 3, 3)."""
-    for i in range(3):
-        square = 0.0
-        for j in range(3):
-            axes[i, j] = start[0, i, j] + part * (end[0, i, j] - start[0, i, j])
-            pivots[i, j] = start[1, i, j] + part * (end[1, i, j] - start[1, i, j])
-            square += axes[i, j] * axes[i, j]
-        scale = 1.0 / math.sqrt(square)
-        for j in range(3):
-            axes[i, j] *= scale
+class Circles(NamedTuple):
+    """A stage as circles on which its balls are, and their distances 12, 23, 31."""
+
+    axes: Rows
+    pivots: Rows
+    radii: Vector
+    sides: Vector
+
+
+@jit_inline
+def _norm(a: Vector) -> float:
+    return math.sqrt(dot(a, a))
+
+
+@jit_inline
+def _sides(b: Rows) -> Vector:
+    return _norm(minus(b[0], b[1])), _norm(minus(b[1], b[2])), _norm(minus(b[2], b[0]))
+
+
+@jit_inline
+def _circles(machine: FloatArray, first: int, radii: Vector) -> Circles:
+    """Return the circles of three legs, from the leg `first`, of a machine (3, 6, 3): axes, pivots, balls."""
+    return Circles(rows_at(machine[0], first), rows_at(machine[1], first), radii, _sides(rows_at(machine[2], first)))
+
+
+@jit_inline
+def _along(start: Vector, end: Vector, share: float) -> Vector:
+    return combined(start, share, minus(end, start))
+
+
+@jit_inline
+def _all_along(start: Rows, end: Rows, share: float) -> Rows:
+    return _along(start[0], end[0], share), _along(start[1], end[1], share), _along(start[2], end[2], share)
+
+
+@jit_inline
+def _between(start: Circles, end: Circles, share: float) -> Circles:
+    """Return the circles at this share of the way."""
+    axes, pivots = _all_along(start.axes, end.axes, share), _all_along(start.pivots, end.pivots, share)
+    radii, sides = _along(start.radii, end.radii, share), _along(start.sides, end.sides, share)
+    return Circles(directions(axes), pivots, radii, sides)
+
+
+@jit_inline
+def _off_axis(axis: Vector, arm: Vector) -> Vector:
+    return direction(combined(arm, -dot(axis, arm), axis))
+
+
+@jit_inline
+def _directions(stage: Circles, balls: Rows) -> Rows:
+    """Return the directions from the centres of the circles towards balls that are near them."""
+    (a, b, c), (x, y, z) = stage.axes, differences(balls, stage.pivots)
+    return _off_axis(a, x), _off_axis(b, y), _off_axis(c, z)
+
+
+@jit_inline
+def _balls(stage: Circles, towards: Rows) -> Rows:
+    (a, b, c), r, (x, y, z) = stage.pivots, stage.radii, towards
+    return combined(a, r[0], x), combined(b, r[1], y), combined(c, r[2], z)
+
+
+@jit_inline
+def _errors(stage: Circles, balls: Rows) -> Vector:
+    """Return half the errors of the squared distances."""
+    e12, e23, e31 = minus(balls[0], balls[1]), minus(balls[1], balls[2]), minus(balls[2], balls[0])
+    d12, d23, d31 = stage.sides
+    return 0.5 * (dot(e12, e12) - d12 * d12), 0.5 * (dot(e23, e23) - d23 * d23), 0.5 * (dot(e31, e31) - d31 * d31)
+
+
+@jit_inline
+def _inverse(stage: Circles, across: Rows, balls: Rows) -> Rows:
+    """Return the columns of the inverse of the errors' derivative by the angles, whose entries are the c_ij."""
+    r = stage.radii
+    return pair_inverse(pairs(balls, (scaled(r[0], across[0]), scaled(r[1], across[1]), scaled(r[2], across[2]))))
+
+
+@jit_inline
+def _bounds(stage: Circles, change: float) -> tuple[float, float]:
+    """Return bounds of the change of the derivative's rows, per radian and as all radii change by at most `change`."""
+    gaps, (a, b, c), d = _sides(stage.pivots), stage.radii, stage.sides
+    first, second = gaps[0] * (a + b) + 4.0 * a * b, gaps[1] * (b + c) + 4.0 * b * c
+    lipschitz = larger(larger(first, second), gaps[2] * (c + a) + 4.0 * c * a)
+    longest = larger(larger(a + b + d[0], b + c + d[1]), c + a + d[2])
+    return lipschitz, 2.0 * change * (longest + 2.0 * change)
 
 
 @jit
-def _put_balls(pivots: FloatArray, radii: FloatArray, towards: FloatArray, balls: FloatArray) -> None:
-    for i in range(3):
-        for j in range(3):
-            balls[i, j] = pivots[i, j] + radii[i] * towards[i, j]
+def _is_near(middle: Circles, end: Circles, balls: Rows, change: float) -> bool:
+    """Return whether a solution at the start of a step is next to those all along it, as radii change by `change`."""
+    towards = _directions(end, balls)
+    moved = _balls(end, towards)
+    first, second, third = _inverse(end, crosses(end.axes, towards), moved)
+    at_end = weighted(_errors(end, moved), (first, second, third))
+    at_middle = weighted(_errors(middle, _balls(middle, towards)), (first, second, third))
+    sums = (
+        magnitude(first[0]) + magnitude(second[0]) + magnitude(third[0]),
+        magnitude(first[1]) + magnitude(second[1]) + magnitude(third[1]),
+        magnitude(first[2]) + magnitude(second[2]) + magnitude(third[2]),
+    )
+    norm, (lipschitz, drift) = largest(sums), _bounds(end, change)
+    # Not a number where there is no inverse.
+    is_regular = norm * drift <= _DRIFT
+    return is_regular and norm * lipschitz * larger(largest(at_middle), largest(at_end)) <= _KANTOROVICH
 
 
 @jit
-def _put_step(
-    axes: FloatArray,
-    radii: FloatArray,
-    sides: FloatArray,
-    towards: FloatArray,
-    balls: FloatArray,
-    across: FloatArray,
-    step: FloatArray,
-) -> float:
-    """Write the directions (3, 3) in which the balls can move and Newton's step (3,) [rad].
-
-    The return value is the norm of the inverse, not a number where there is none.
-    """
-    for i in range(3):
-        a, e = axes[i], towards[i]
-        across[i, 0] = a[1] * e[2] - a[2] * e[1]
-        across[i, 1] = a[2] * e[0] - a[0] * e[2]
-        across[i, 2] = a[0] * e[1] - a[1] * e[0]
-    # Side k joins the balls k and k + 1: its derivative has two entries, p_k and q_k.
-    f0 = f1 = f2 = p0 = p1 = p2 = q0 = q1 = q2 = 0.0
-    for j in range(3):
-        g0, g1, g2 = balls[0, j] - balls[1, j], balls[1, j] - balls[2, j], balls[2, j] - balls[0, j]
-        f0, f1, f2 = f0 + g0 * g0, f1 + g1 * g1, f2 + g2 * g2
-        p0, p1, p2 = p0 + g0 * across[0, j], p1 + g1 * across[1, j], p2 + g2 * across[2, j]
-        q0, q1, q2 = q0 - g0 * across[1, j], q1 - g1 * across[2, j], q2 - g2 * across[0, j]
-    f0, f1, f2 = f0 - sides[0] * sides[0], f1 - sides[1] * sides[1], f2 - sides[2] * sides[2]
-    p0, p1, p2 = 2.0 * radii[0] * p0, 2.0 * radii[1] * p1, 2.0 * radii[2] * p2
-    q0, q1, q2 = 2.0 * radii[1] * q0, 2.0 * radii[2] * q1, 2.0 * radii[0] * q2
-    # The rows of the derivative are (p0, q0, 0), (0, p1, q1), (q2, 0, p2).
-    determinant = p0 * p1 * p2 + q0 * q1 * q2
-    if determinant == 0.0:
-        return np.nan
-    scale = 1.0 / determinant
-    step[0] = scale * (p1 * p2 * f0 - q0 * p2 * f1 + q0 * q1 * f2)
-    step[1] = scale * (q1 * q2 * f0 + p0 * p2 * f1 - p0 * q1 * f2)
-    step[2] = scale * (-p1 * q2 * f0 + q0 * q2 * f1 + p0 * p1 * f2)
-    norm0 = abs(p1 * p2) + abs(q0 * p2) + abs(q0 * q1)
-    norm1 = abs(q1 * q2) + abs(p0 * p2) + abs(p0 * q1)
-    norm2 = abs(p1 * q2) + abs(q0 * q2) + abs(p0 * p1)
-    return float(abs(scale) * max(norm0, norm1, norm2))
+def _solution(stage: Circles, balls: Rows) -> tuple[Rows, bool]:
+    """Return the solution near these balls, and whether Newton's method arrived."""
+    towards, last = _directions(stage, balls), np.nan
+    for _ in range(_ITERATIONS):
+        across, here = crosses(stage.axes, towards), _balls(stage, towards)
+        step = weighted(_errors(stage, here), _inverse(stage, across, here))
+        (a, b, c), (x, y, z) = towards, across
+        towards = directions((combined(a, -step[0], x), combined(b, -step[1], y), combined(c, -step[2], z)))
+        size = largest(step)
+        if has_converged(size, last):
+            return _balls(stage, towards), True
+        last = size
+    return _balls(stage, towards), last < 1e-9
 
 
 @jit
-def _lipschitz(pivots: FloatArray, radii: FloatArray) -> float:
-    """Return a bound of the change of the derivative's rows per radian, in the norm of the largest angle."""
-    largest = 0.0
-    for k in range(3):
-        m = (k + 1) % 3
-        square = 0.0
-        for j in range(3):
-            square += (pivots[k, j] - pivots[m, j]) ** 2
-        bound = 2.0 * (math.sqrt(square) * (radii[k] + radii[m]) + 4.0 * radii[k] * radii[m])
-        largest = max(largest, bound)
-    return largest
+def _followed(start: Circles, end: Circles, seed: Rows) -> tuple[Rows, bool]:
+    """Return where balls at the start are led, and whether that is the end."""
+    balls, share, length = seed, 0.0, 1.0
+    change = largest(minus(end.radii, start.radii))
+    for _ in range(_MOST_STEPS):
+        target = min(share + length, 1.0)
+        stage, middle = _between(start, end, target), _between(start, end, 0.5 * (share + target))
+        if _is_near(middle, stage, balls, change * (target - share)):
+            moved, arrived = _solution(stage, balls)
+            if arrived:
+                balls, share, length = moved, target, 2.0 * length
+                if share == 1.0:
+                    return balls, True
+                continue
+        length *= 0.5
+        if length < _SHORTEST:
+            break
+    return balls, False
 
 
-@jit
-def _turn(towards: FloatArray, across: FloatArray, step: FloatArray) -> None:
-    """Turn the directions (3, 3) by the angles -`step`."""
-    for i in range(3):
-        c, s = math.cos(step[i]), math.sin(step[i])
-        square = 0.0
-        for j in range(3):
-            towards[i, j] = c * towards[i, j] - s * across[i, j]
-            square += towards[i, j] * towards[i, j]
-        scale = 1.0 / math.sqrt(square)
-        for j in range(3):
-            towards[i, j] *= scale
+@jit_inline
+def _placement(local: Rows, balls: Rows) -> tuple[Rows, Vector]:
+    """Return the rotation and the position that take balls from their own frame to where they are."""
+    rotation = matrix_product(transposed(triangle_axes(balls)), triangle_axes(local))
+    return rotation, minus(mean(balls), times(rotation, mean(local)))
+
+
+@jit_inline
+def _radii(balls: Rows, pivots: Rows) -> Vector:
+    a, b, c = differences(balls, pivots)
+    return _norm(a), _norm(b), _norm(c)
 
 
 @kernel(
-    f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(3)}, {readonly_array(3)}, "
-    f"{readonly_array(1)}, {readonly_array(1)}, f8[:,:,::1], b1[::1])"
+    f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(3)}, {readonly_array(2)}, {readonly_array(3)}, "
+    f"{readonly_array(3)}, f8[:,:,::1], f8[:,::1], f8[:,:,::1])"
 )
-def follow_circles(
-    seeds: FloatArray,
-    start_lengths: FloatArray,
-    end_lengths: FloatArray,
+def follow_states(
+    rotation: FloatArray,
+    position: FloatArray,
+    joints: FloatArray,
+    lengths: FloatArray,
     start: FloatArray,
     end: FloatArray,
-    start_sides: FloatArray,
-    end_sides: FloatArray,
-    balls: FloatArray,
-    arrived: npt.NDArray[np.bool_],
+    end_rotation: FloatArray,
+    end_position: FloatArray,
+    end_joints: FloatArray,
 ) -> None:
-    """Follow N states of a stage from one machine and its leg lengths to another, all changing in proportion.
+    """Follow N states from one machine to another and to other leg lengths, all changing in proportion.
 
-    Parameters
-    ----------
-    seeds : ndarray, shape (N, 3, 3)
-        Ball centres at the start.
-    start_lengths, end_lengths : ndarray, shape (N, 3)
-        Lengths of the legs.
-    start, end : ndarray, shape (2, 3, 3)
-        Axes and pivots of the legs.
-    start_sides, end_sides : ndarray, shape (3,)
-        Distances of balls 1 and 2, 2 and 3, 3 and 1.
-    balls : ndarray, shape (N, 3, 3), written
-        Ball centres at the end, NaN where the path meets a singularity before.
-    arrived : ndarray of bool, shape (N,), written
-        Whether it does not.
+    States are R (N, 3, 3), o (N, 3) [m] and the b_i (N, 3, 3) [m], NaN where there is none at the start, and where the
+    path meets a singularity before the end. `lengths` (N, 6) are the distances from pivots to balls at the end [m],
+    `start` and `end` (3, 6, 3) axes, pivots and balls of the machines [m].
     """
-    axes, pivots, radii, sides = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
-    towards, across, trial, step = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
-    for n in range(len(balls)):
-        balls[n] = seeds[n]
-        arrived[n] = False
-        done, length = 0.0, 1.0
-        while done < 1.0 and length >= _SHORTEST:
-            target = min(done + length, 1.0)
-            _put_stage(start, end, target, axes, pivots)
-            for i in range(3):
-                radii[i] = start_lengths[n, i] + target * (end_lengths[n, i] - start_lengths[n, i])
-                sides[i] = start_sides[i] + target * (end_sides[i] - start_sides[i])
-                along = 0.0
-                for j in range(3):
-                    along += axes[i, j] * (balls[n, i, j] - pivots[i, j])
-                square = 0.0
-                for j in range(3):
-                    towards[i, j] = balls[n, i, j] - pivots[i, j] - along * axes[i, j]
-                    square += towards[i, j] * towards[i, j]
-                scale = 1.0 / math.sqrt(square) if square > 0.0 else np.nan
-                for j in range(3):
-                    towards[i, j] *= scale
-            _put_balls(pivots, radii, towards, trial)
-            norm = _put_step(axes, radii, sides, towards, trial, across, step)
-            size = max(abs(step[0]), abs(step[1]), abs(step[2]))
-            if not norm * _lipschitz(pivots, radii) * size <= _KANTOROVICH:
-                length *= 0.5
-                continue
-            for _ in range(_ITERATIONS):
-                _turn(towards, across, step)
-                _put_balls(pivots, radii, towards, trial)
-                if size < 1e-15:
-                    break
-                last = size
-                _put_step(axes, radii, sides, towards, trial, across, step)
-                size = max(abs(step[0]), abs(step[1]), abs(step[2]))
-                if size < 1e-10 and size >= 0.5 * last:
-                    break
-            balls[n] = trial
-            done = target
-            length *= 2.0
-        arrived[n] = done >= 1.0
-        if not arrived[n]:
-            balls[n] = np.nan
+    for n in range(len(lengths)):
+        end_rotation[n], end_position[n], end_joints[n] = np.nan, np.nan, np.nan
+        r, o, b = rows_at(rotation[n], 0), (position[n, 0], position[n, 1], position[n, 2]), rows_at(joints[n], 0)
+        middle, place = _placement(rows_at(start[2], 0), b)
+        # The upper balls as they are seen from {m}.
+        p, to_platform = rows_at(start[2], 3), transposed(r)
+        c = (
+            times(to_platform, minus(combined(place, 1.0, times(middle, p[0])), o)),
+            times(to_platform, minus(combined(place, 1.0, times(middle, p[1])), o)),
+            times(to_platform, minus(combined(place, 1.0, times(middle, p[2])), o)),
+        )
+        lower = _circles(start, 0, _radii(b, rows_at(start[1], 0)))
+        b, arrived = _followed(lower, _circles(end, 0, (lengths[n, 0], lengths[n, 1], lengths[n, 2])), b)
+        if not arrived:
+            continue
+        upper = _circles(start, 3, _radii(c, rows_at(start[1], 3)))
+        c, arrived = _followed(upper, _circles(end, 3, (lengths[n, 3], lengths[n, 4], lengths[n, 5])), c)
+        if not arrived:
+            continue
+        middle, place = _placement(rows_at(end[2], 0), b)
+        middle_m, place_m = _placement(rows_at(end[2], 3), c)
+        r = matrix_product(middle, transposed(middle_m))
+        o = minus(place, times(r, place_m))
+        for i in range(3):
+            end_position[n, i] = o[i]
+            for j in range(3):
+                end_rotation[n, i, j], end_joints[n, i, j] = r[i][j], b[i][j]

@@ -22,13 +22,12 @@ from spm_pin.kinematics.formulas.branches import (
     middle_joints,
     platform_corners,
     pose_frame,
-    product,
     root,
     stands_at_home,
 )
 from spm_pin.kinematics.formulas.stages import cartesian
 from spm_pin.kinematics.formulas.vectors import Rows, Vector, cross, dot
-from spm_pin.kinematics.kernels.compilation import TILE, jit_inline, kernel, readonly_array
+from spm_pin.kinematics.kernels.compilation import TILE, jit, jit_inline, kernel, readonly_array, rows_at
 from spm_pin.mechanism.arguments import FloatArray
 
 VERTICAL = 16
@@ -188,23 +187,11 @@ def all_branches(
     status: npt.NDArray[np.int8],
     flagged: ByteArray,
 ) -> None:
-    """Solve N poses.
+    """Solve N poses R (N, 3, 3), o (N, 3) [m], with circumradii of the middle, base and terminal platforms [m].
 
-    Parameters
-    ----------
-    rotation, position : ndarray, shapes (N, 3, 3) and (N, 3)
-        R and o [m].
-    r, base_radius, platform_radius : float
-        Circumradii of the middle, base and terminal platforms [m].
-    rotation_copy, position_copy : ndarray, shapes (N, 3, 3) and (N, 3), written
-        The poses.
-    joints, lengths, discriminants : ndarray, shapes (N, 8, 3, 3), (N, 8, 6) and (N, 4), written
-        b_i [m], leg lengths [m], discriminants over r².
-    choice : ndarray, shape (N, 3), written
-        Whether TT+ is physical, whether TT- is, and whether TT- is tilted less.
-    status, flagged : ndarray, shape (N,), written
-        0 or 1, the first two of `Status`, continuous families not counted; and bit k for a continuous family k,
-        `VERTICAL`.
+    Written are the poses; b_i (N, 8, 3, 3) and leg lengths (N, 8, 6) [m]; discriminants over r² (N, 4); as `choice`
+    (N, 3) whether TT+ is physical, whether TT- is, and whether TT- is tilted less; as `status` (N,) 0 or 1, the first
+    two of `Status`, continuous families not counted; as `flagged` (N,) bit k for a continuous family k, and `VERTICAL`.
     """
     count, tile = len(position), np.ones((_ROWS, TILE))
     for start in range(0, count, TILE):
@@ -296,32 +283,37 @@ def branch_lengths(
         _store_status(tile, start, width, status, flagged)
 
 
+@jit
+def put_complex_branches(rotation: Rows, position: Vector, r: float, joints: npt.NDArray[np.complex128]) -> bool:
+    """Write the b_i of all roots (8, 3, 3), real or complex; return whether none of them is in a continuous family."""
+    frame = pose_frame(rotation, position, r)
+    every, is_regular = families(frame, r), True
+    for branch in range(8):
+        family = every[branch // 2]
+        radicand = _radicand(family, frame)
+        is_regular = is_regular and radicand == radicand
+        signed = (family.plus if branch % 2 == 0 else -family.plus) * np.sqrt(complex(radicand, 0.0))
+        # Both pairs solve the form; the longer one is free of cancellation.
+        u, v, other = signed - family.uv, complex(family.uu, 0.0), -signed - family.uv
+        if _square(u) + _square(v) < _square(other) + family.vv * family.vv:
+            u, v = complex(family.vv, 0.0), other
+        size = u * u + v * v
+        # Not a division, which raises an error where the root is at infinity.
+        scale = r * size.conjugate() * (1.0 / _square(size))
+        radii, heights = middle_joints(u, v, scale, family, frame, position)
+        b = cartesian(radii, heights)
+        for i in range(3):
+            for j in range(3):
+                joints[branch, i, j] = b[i][j]
+    return is_regular
+
+
 @kernel(f"void({_POSES}, f8, c16[:,:,:,::1])")
 def complex_branches(rotation: FloatArray, position: FloatArray, r: float, joints: npt.NDArray[np.complex128]) -> None:
     """Solve N poses for all roots (N, 8, 3, 3), real or complex; arguments as for `all_branches`."""
-    tile = np.ones((_ROWS, 1))
     for n in range(len(position)):
-        _load(rotation, position, n, 1, tile)
-        matrix, o = _pose(tile, 0)
-        frame = pose_frame(matrix, o, r)
-        every = families(frame, r)
-        for branch in range(8):
-            family = every[branch // 2]
-            signed = (family.plus if branch % 2 == 0 else -family.plus) * np.sqrt(
-                complex(_radicand(family, frame), 0.0)
-            )
-            # Both pairs solve the form; the longer one is free of cancellation.
-            u, v, other = signed - family.uv, complex(family.uu, 0.0), -signed - family.uv
-            if _square(u) + _square(v) < _square(other) + family.vv * family.vv:
-                u, v = complex(family.vv, 0.0), other
-            size = u * u + v * v
-            # Not a division, which raises an error where the root is at infinity.
-            scale = r * size.conjugate() * (1.0 / _square(size))
-            radii, heights = middle_joints(u, v, scale, family, frame, o)
-            b = cartesian(radii, heights)
-            for i in range(3):
-                for j in range(3):
-                    joints[n, branch, i, j] = b[i][j]
+        o = position[n]
+        put_complex_branches(rows_at(rotation[n], 0), (o[0], o[1], o[2]), r, joints[n])
 
 
 @jit_inline
@@ -336,30 +328,15 @@ def _is_mixed(family: int) -> bool:
 
 
 @jit_inline
-def _half_angle(cosine: float, sine: float) -> tuple[float, float]:
-    """Return cosine and sine of half an angle within a half turn."""
-    if cosine >= 0.0:
-        half = math.sqrt(0.5 * (1.0 + cosine))
-        return half, 0.5 * sine / half
-    half = math.sqrt(0.5 * (1.0 - cosine))
-    return 0.5 * abs(sine) / half, -half if sine < 0.0 else half
-
-
-@jit_inline
-def _is_continuous_upside_down(
-    family: int, cosine: float, sine: float, x: float, y: float, tolerance: float
-) -> tuple[bool, bool]:
+def _is_continuous_upside_down(family: int, w: complex, o: complex, tolerance: float) -> tuple[bool, bool]:
     """Return whether a family is continuous with the platform turned over, and whether it has two dimensions.
 
-    R maps 1 to W², of this cosine and sine; W is defined up to a sign that does not matter. x + iy is o / r.
+    R maps 1 to W², `w` is W, and `o` is (x + iy) / r.
     """
-    axis, axis_i = _half_angle(cosine, sine)
-    cubed, cubed_i = product(product((axis, axis_i), (axis, axis_i)), (axis, axis_i))
-    turned, turned_i = product((-y, x), (axis, -axis_i))
-    mixed = _is_mixed(family)
-    fixed = (1.0 if family < 2 else -1.0) * (cubed_i if mixed else cubed)
-    extent = abs(cubed if mixed else cubed_i)
-    across, along = (turned_i if mixed else turned), (turned if mixed else turned_i)
+    mixed, cubed, turned = _is_mixed(family), w * w * w, 1j * o * w.conjugate()
+    fixed = (1.0 if family < 2 else -1.0) * (cubed.imag if mixed else cubed.real)
+    extent = abs(cubed.real if mixed else cubed.imag)
+    across, along = (turned.imag if mixed else turned.real), (turned.real if mixed else turned.imag)
     is_continuous = (abs(across - fixed) <= tolerance) & (abs(along) <= extent + tolerance)
     return is_continuous, is_continuous & (extent <= tolerance)
 
@@ -386,6 +363,8 @@ def continuous_families(
     for n in range(len(dimension)):
         x, y = position[n, 0] / r, position[n, 1] / r
         cosine, sine = rotation[n, 0, 0], rotation[n, 1, 0]
+        # Up to a sign that does not matter.
+        half = np.sqrt(complex(cosine, sine))
         aside = math.hypot(x, y)
         tolerance = ROUNDING * (1.0 + aside)
         level = rotation[n, 2, 2] > 0.0
@@ -398,7 +377,7 @@ def continuous_families(
             elif level:
                 size = 1 if abs(aside - 2.0 * abs(sine)) <= tolerance else 0
             else:
-                is_line, is_plane = _is_continuous_upside_down(family, cosine, sine, x, y, tolerance)
+                is_line, is_plane = _is_continuous_upside_down(family, half, complex(x, y), tolerance)
                 size = (2 if is_plane else 1) if is_line else 0
             families[n, family] = 1 if size > 0 else 0
             dimension[n] = max(dimension[n], size)

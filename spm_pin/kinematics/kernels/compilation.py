@@ -18,6 +18,8 @@ from numba.core import event
 from numba.extending import register_jitable
 
 from spm_pin.kinematics import formulas
+from spm_pin.kinematics.formulas.vectors import Rows
+from spm_pin.mechanism.arguments import FloatArray
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -47,6 +49,13 @@ def jit(function: Callable[P, R]) -> Callable[P, R]:
     """Let kernels call a function that is too long to be copied to every place it is called from."""
     _register(error_model="numpy")(function)
     return function
+
+
+@jit_inline
+def rows_at(array: FloatArray, first: int) -> Rows:
+    """Return three rows of an array of vectors as numbers."""
+    x, y, z = array[first], array[first + 1], array[first + 2]
+    return (x[0], x[1], x[2]), (y[0], y[1], y[2]), (z[0], z[1], z[2])
 
 
 for _module in pkgutil.iter_modules(formulas.__path__, f"{formulas.__name__}."):
@@ -111,7 +120,7 @@ class Kernel(Generic[P, R]):
 
 
 class _Announcement(event.Listener):
-    """What Numba tells when it begins to compile, and not when it loads what is kept."""
+    """Log that Numba begins to compile, not that it loads what is kept."""
 
     def on_start(self, event: Any) -> None:
         _announce("for this machine, once")

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.kinematics.formulas.legs import StageLegs, carried, upper_balls
-from spm_pin.kinematics.formulas.vectors import Rows, Vector, direction, minus
+from spm_pin.kinematics.formulas.vectors import Rows, Vector, differences, directions, largest
 from spm_pin.kinematics.formulas.wrenches import (
     Matrix,
     determinant,
@@ -26,8 +26,7 @@ from spm_pin.kinematics.formulas.wrenches import (
     structure_determinant,
 )
 from spm_pin.kinematics.formulas.wrenches import stage_forces as forces_of_stage
-from spm_pin.kinematics.kernels.compilation import TILE, jit, jit_inline, kernel, readonly_array
-from spm_pin.kinematics.kernels.three_quadrics import rows_at
+from spm_pin.kinematics.kernels.compilation import TILE, jit, jit_inline, kernel, readonly_array, rows_at
 from spm_pin.mechanism.arguments import FloatArray
 
 ByteArray = npt.NDArray[np.uint8]
@@ -63,16 +62,13 @@ class StateForces(NamedTuple):
 @jit_inline
 def read_machine(machine: FloatArray) -> Machine:
     """Return the legs of an array (15, 3) as numbers, so that a loop over a tile reads no second array."""
-    is_paired = True
-    for i in range(12, 15):
-        for j in range(3):
-            is_paired = is_paired and machine[i, j] == 0.0
-    lower = StageLegs(rows_at(machine, 0), rows_at(machine, 6))
-    return Machine(lower, StageLegs(rows_at(machine, 3), rows_at(machine, 9)), rows_at(machine, 12), is_paired)
+    lower, weights = StageLegs(rows_at(machine, 0), rows_at(machine, 6)), rows_at(machine, 12)
+    is_paired = max(largest(weights[0]), largest(weights[1]), largest(weights[2])) == 0.0
+    return Machine(lower, StageLegs(rows_at(machine, 3), rows_at(machine, 9)), weights, is_paired)
 
 
 @jit_inline
-def load(
+def load_states(
     joints: FloatArray, rotation: FloatArray, position: FloatArray, first: int, width: int, tile: FloatArray
 ) -> None:
     """Fill rows b, R, o of a tile with states of arrays (outer, inner, ...), counted through both axes."""
@@ -87,32 +83,35 @@ def load(
 
 
 @jit_inline
+def _vector(tile: FloatArray, first: int, k: int) -> Vector:
+    return tile[first, k], tile[first + 1, k], tile[first + 2, k]
+
+
+@jit_inline
 def _matrix(tile: FloatArray, first: int, k: int) -> Rows:
-    return (
-        (tile[first, k], tile[first + 1, k], tile[first + 2, k]),
-        (tile[first + 3, k], tile[first + 4, k], tile[first + 5, k]),
-        (tile[first + 6, k], tile[first + 7, k], tile[first + 8, k]),
-    )
+    return _vector(tile, first, k), _vector(tile, first + 3, k), _vector(tile, first + 6, k)
 
 
 @jit_inline
 def state_forces(tile: FloatArray, k: int, machine: Machine) -> StateForces:
     """Return the forces of the state in place k of a tile."""
-    b, o = _matrix(tile, 0, k), (tile[18, k], tile[19, k], tile[20, k])
+    b, o = _matrix(tile, 0, k), _vector(tile, 18, k)
     c, above = upper_balls(b, machine.weights), carried(machine.upper, _matrix(tile, 9, k), o)
-    a, p = machine.lower.pivots, above.pivots
-    lower = direction(minus(b[0], a[0])), direction(minus(b[1], a[1])), direction(minus(b[2], a[2]))
-    upper = direction(minus(p[0], c[0])), direction(minus(p[1], c[1])), direction(minus(p[2], c[2]))
+    lower, upper = directions(differences(b, machine.lower.pivots)), directions(differences(above.pivots, c))
     total = lower[0][0] + lower[1][0] + lower[2][0] + upper[0][0] + upper[1][0] + upper[2][0]
     is_short = (b[0][0] == b[0][0]) & (total != total)
     return StateForces(b, c, lower, upper, machine.lower.axes, above.axes, o, is_short)
 
 
 @jit_inline
-def _put_rows(tile: FloatArray, first: int, k: int, rows: Matrix) -> None:
+def _put_inverse_jacobian(tile: FloatArray, k: int, rows: tuple[Matrix, Matrix], is_suspect: bool) -> None:
+    lower, upper = rows
+    tile[_FLAG, k] = 1.0 if is_suspect else 0.0
     for i in range(3):
         for j in range(3):
-            tile[first + 6 * i + j, k], tile[first + 6 * i + 3 + j, k] = rows[i][0][j], rows[i][1][j]
+            first = _RESULTS + 6 * i + j
+            tile[first, k], tile[first + 3, k] = lower[i][0][j], lower[i][1][j]
+            tile[first + 18, k], tile[first + 21, k] = upper[i][0][j], upper[i][1][j]
 
 
 @jit_inline
@@ -145,22 +144,20 @@ def inverse_jacobians(
     count, tile, legs = len(suspect), np.ones((_ROWS, TILE)), read_machine(machine)
     for start in range(0, count, TILE):
         width = min(TILE, count - start)
-        load(joints, rotation, position, start, width, tile)
+        load_states(joints, rotation, position, start, width, tile)
+        # Two loops, each of which goes over several states at a time.
         if legs.is_paired:
             for k in range(TILE):
                 s = state_forces(tile, k, legs)
-                lower, upper = drawn_inverse_jacobian(s.b, s.lower, s.upper, s.a, s.a_m, s.o)
-                tile[_FLAG, k] = 1.0 if s.is_short | may_be_singular(s.b, s.a_m, s.a, side, singular) else 0.0
-                _put_rows(tile, _RESULTS, k, lower)
-                _put_rows(tile, _RESULTS + 18, k, upper)
+                suspected = may_be_singular(s.b, s.a_m, s.a, side, singular)
+                rows = drawn_inverse_jacobian(s.b, s.lower, s.upper, s.a, s.a_m, s.o)
+                _put_inverse_jacobian(tile, k, rows, s.is_short | suspected)
         else:
             for k in range(TILE):
                 s = state_forces(tile, k, legs)
-                lower, upper = inverse_jacobian(s.b, s.c, s.lower, s.upper, s.a, s.a_m, s.o)
-                doubtful = s.is_short | may_structure_be_singular(s.b, s.c, s.a, s.a_m, side, singular)
-                tile[_FLAG, k] = 1.0 if doubtful else 0.0
-                _put_rows(tile, _RESULTS, k, lower)
-                _put_rows(tile, _RESULTS + 18, k, upper)
+                suspected = may_structure_be_singular(s.b, s.c, s.a, s.a_m, side, singular)
+                rows = inverse_jacobian(s.b, s.c, s.lower, s.upper, s.a, s.a_m, s.o)
+                _put_inverse_jacobian(tile, k, rows, s.is_short | suspected)
         _store(tile, start, width, matrices.reshape(count, 36), suspect)
 
 
@@ -187,7 +184,7 @@ def platform_jacobians(
     count, tile, legs = len(suspect), np.ones((_ROWS, TILE)), read_machine(machine)
     for start in range(0, count, TILE):
         width = min(TILE, count - start)
-        load(joints, rotation, position, start, width, tile)
+        load_states(joints, rotation, position, start, width, tile)
         for k in range(TILE):
             lower, upper, doubtful = _both_twists(state_forces(tile, k, legs), side, singular)
             tile[_FLAG, k] = 1.0 if doubtful else 0.0
@@ -213,7 +210,7 @@ def stage_forces(
     inner = joints.shape[1]
     for start in range(0, count, TILE):
         width = min(TILE, count - start)
-        load(joints, rotation, position, start, width, tile)
+        load_states(joints, rotation, position, start, width, tile)
         for k in range(width):
             m, n = divmod(start + k, inner)
             for i in range(6):
@@ -221,9 +218,8 @@ def stage_forces(
         for k in range(TILE):
             lower, upper, doubtful = _both_twists(state_forces(tile, k, legs), side, singular)
             tile[_FLAG, k] = 1.0 if doubtful else 0.0
-            force = tile[_LOAD, k], tile[_LOAD + 1, k], tile[_LOAD + 2, k]
-            moment = tile[_LOAD + 3, k], tile[_LOAD + 4, k], tile[_LOAD + 5, k]
-            below, above = forces_of_stage(lower, (force, moment)), forces_of_stage(upper, (force, moment))
+            load = _vector(tile, _LOAD, k), _vector(tile, _LOAD + 3, k)
+            below, above = forces_of_stage(lower, load), forces_of_stage(upper, load)
             for i in range(3):
                 tile[_RESULTS + i, k], tile[_RESULTS + 3 + i, k] = below[i], above[i]
         _store(tile, start, width, forces, suspect)
@@ -250,7 +246,7 @@ def all_determinants(
     tile, legs = np.ones((_ROWS, TILE)), read_machine(machine)
     for start in range(0, len(determinants), TILE):
         width = min(TILE, len(determinants) - start)
-        load(joints, rotation, position, start, width, tile)
+        load_states(joints, rotation, position, start, width, tile)
         for k in range(TILE):
             put_determinants(state_forces(tile, k, legs), legs.is_paired, tile, _RESULTS, k)
         for k in range(width):

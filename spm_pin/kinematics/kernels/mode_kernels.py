@@ -1,28 +1,255 @@
-"""Forward displacement of a batch of leg lengths: all assembly modes, and the one in the home's aspect."""
+"""Forward displacement of a batch of leg lengths: all assembly modes, and the one in the aspect of the home.
+
+The equations of a stage are `spm_pin.kinematics.formulas.stages`; here are Newton's method on them, the place of each
+solution, what tells two solutions apart, and two stages joined at their middle platform.
+"""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.kinematics.formulas.stages import compose, stage_equations
-from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array
-from spm_pin.kinematics.kernels.stage_modes import (
-    PLACES,
-    SAME,
-    Scratch,
-    allocate_scratch,
-    has_continuous_family,
-    home_state,
-    solve_mode,
+from spm_pin.kinematics.formulas.stages import (
+    EPS,
+    StageEquations,
+    State,
+    compose,
+    corners,
+    damped,
+    in_home_aspect,
+    inverse,
+    jacobian,
+    moved,
+    residual,
+    residual_by_legs,
+    stage_equations,
 )
+from spm_pin.kinematics.formulas.vectors import Rows, Vector, dot, largest, scaled, times, transposed, weighted
+from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array
+from spm_pin.kinematics.kernels.quartic import approximate_solutions
 from spm_pin.mechanism.arguments import FloatArray
 
+SAME = float(4.0 * np.sqrt(EPS))
+"""Solutions closer than this, in units of r, are one: rounding resolves a double root no better."""
+PLACES = 4
+"""The most solutions of one mode, mirror images apart."""
 Stage = tuple[float, float, float, float, float]
 STAGE = 4 * PLACES
 """Assembly modes of a stage: two modes, four places, two sheets."""
+_NEAR_FOLD = 1e3
+"""Ratio of a solution's error to that of the leg lengths above which a fold or a family is near."""
+_ROUNDING = 4.0 * EPS
+"""Residual of a solution relative to the largest term of its equations; half of it has been seen."""
+_MOST_STEPS = 40
+_LONGEST_TURN = 0.3
+_SHORT = 0.25
+"""Leg length below which the equations, which are made of squares of all legs, lose digits."""
+_OF_FAMILY = 1e6
+"""A solution beside a continuous family that errs more than this many times as much as the lengths belongs to it."""
+# What is kept of a solution: x0, x1, x2, x3, ζ, three radii, three heights, and
+_BLUR, _RANK, _AZIMUTH = 11, 12, 13
+
+
+class Scratch(NamedTuple):
+    """Arrays that stages are solved in, one after another."""
+
+    roots: npt.NDArray[np.complex128]  # of the quartic (4,)
+    starts: FloatArray  # where Newton's method begins (8, 4)
+    ends: FloatArray  # where it ended, and the gain (16, 5)
+    kept: FloatArray  # what is kept of that (16, 14)
+
+
+@jit
+def _polished(stage: StageEquations, start: State) -> tuple[State, float, bool]:
+    """Bring an approximate solution, x0 >= 0, to rounding by Newton's method.
+
+    Returns the state where it ended, brought to ζ >= 0 by reflection; by how much more, at most, it errs than the leg
+    lengths, both relative to their size; and whether it is a solution.
+    """
+    state, gain = start, 0.0
+    for _ in range(_MOST_STEPS):
+        error = residual(stage, state)
+        columns, singular = inverse(jacobian(stage, state))
+        step = scaled(-1.0, weighted(error, columns))
+        square = dot(columns[0], columns[0]) + dot(columns[1], columns[1]) + dot(columns[2], columns[2])
+        gain = 1.0 / EPS if singular else np.sqrt(square) * stage.scale
+        length, off = np.sqrt(dot(step, step)), largest(error) / stage.scale
+        # Beside a fold or a family, a step no longer than its own rounding leads nowhere better.
+        if length <= 8.0 * EPS * gain and gain > _NEAR_FOLD and off <= _ROUNDING:
+            break
+        state = moved(state, damped(step, _LONGEST_TURN))
+        # What a step leaves is its square, divided by the distance to the fold.
+        if length * length * max(gain, 1.0) <= EPS or off <= EPS:
+            break
+    arrived = largest(residual(stage, state)) <= _ROUNDING * stage.scale
+    if arrived and min(stage.lengths) < _SHORT:
+        columns, _ = inverse(jacobian(stage, state))
+        step = scaled(-1.0, weighted(residual_by_legs(stage, state), columns))
+        if np.sqrt(dot(step, step)) <= 8.0 * EPS * gain:  # rounding, and nothing else
+            state = moved(state, step)
+    if state[3] < 0.0:
+        state = state[0], -state[1], -state[2], -state[3]
+    return state, gain, arrived
+
+
+@jit_inline
+def _longest(rows: Rows) -> Vector:
+    """Return the direction of the longest of three vectors."""
+    first, second, third = dot(rows[0], rows[0]), dot(rows[1], rows[1]), dot(rows[2], rows[2])
+    longest = rows[0] if first >= second and first >= third else (rows[1] if second >= third else rows[2])
+    return scaled(1.0 / max(np.sqrt(dot(longest, longest)), EPS), longest)
+
+
+@jit
+def _other_side_of_fold(stage: StageEquations, state: State) -> State:
+    """Return where the other solution is of a pair that is about to meet.
+
+    Along the direction n that hardly changes f, its part l·f that J hardly reaches is a quadratic.
+    """
+    rows = jacobian(stage, state)
+    columns, _ = inverse(rows)
+    n = _longest(columns)
+    left = _longest(transposed(columns))
+    slope = dot(left, times(rows, n))
+    h = 1e-4
+    ahead, behind = residual(stage, moved(state, scaled(h, n))), residual(stage, moved(state, scaled(-h, n)))
+    curvature = (dot(left, ahead) + dot(left, behind)) / (2.0 * h * h)
+    distance = 0.0 if curvature == 0.0 else -slope / curvature
+    return moved(state, scaled(min(max(distance, -0.1), 0.1), n))
+
+
+@jit_inline
+def allocate_scratch() -> Scratch:
+    """Allocate the arrays that stages are solved in, one after another."""
+    return Scratch(np.empty(4, np.complex128), np.empty((8, 4)), np.empty((16, 5)), np.empty((16, 14)))
+
+
+@jit_inline
+def has_continuous_family(first: float, second: float, third: float, epsilon: float, half_turned: bool) -> bool:
+    """Return whether solutions form a continuous family: these are the only lengths at which the quartic vanishes.
+
+    - E < r, one leg 3 E long and the others √3 √(r² - E²): both modes.
+    - E = r/2 and equal legs longer than r/2: mode T.
+    """
+    a, b, c = first * first, second * second, third * third
+    tolerance = 64.0 * EPS * ((a + b + c) / 3.0 + (1.0 + epsilon) ** 2)
+    odd, even = 9.0 * epsilon * epsilon, 3.0 - 3.0 * epsilon * epsilon
+    distance = min(
+        max(abs(a - odd), abs(b - even), abs(c - even)),
+        max(abs(a - even), abs(b - odd), abs(c - even)),
+        max(abs(a - even), abs(b - even), abs(c - odd)),
+    )
+    if distance <= tolerance and epsilon < 1.0:
+        return True
+    equal = max(abs(b - a), abs(c - a)) <= tolerance
+    return not half_turned and equal and a > 0.25 + tolerance and abs(2.0 * epsilon - 1.0) <= 64.0 * EPS
+
+
+@jit_inline
+def _copy(rows: FloatArray, source: int, target: int) -> None:
+    # Number by number, for an assignment of rows brings all of NumPy's broadcasting along, which takes long to compile.
+    for i in range(rows.shape[1]):
+        rows[target, i] = rows[source, i]
+
+
+@jit_inline
+def _distance(first: FloatArray, second: FloatArray) -> float:
+    """Return how far the corners of two solutions are apart, or of one and the other's mirror image."""
+    across, same, mirrored = 0.0, 0.0, 0.0
+    for i in range(3):
+        across += (first[5 + i] - second[5 + i]) ** 2
+        same += (first[8 + i] - second[8 + i]) ** 2
+        mirrored += (first[8 + i] + second[8 + i]) ** 2
+    return math.sqrt(across + min(same, mirrored))
+
+
+@jit
+def _append(stage: StageEquations, start: State, ends: FloatArray, count: int) -> int:
+    """Append the solution that Newton's method leads to, if it is one; return their number."""
+    state, gain, arrived = _polished(stage, start)
+    if arrived:
+        ends[count, 0], ends[count, 1], ends[count, 2], ends[count, 3] = state
+        ends[count, 4] = gain
+        count += 1
+    return count
+
+
+@jit
+def solve_mode(stage: StageEquations, half_turned: bool, is_continuous: bool, scratch: Scratch) -> int:
+    """Find the solutions of one mode, and count them.
+
+    They are put into the first rows of `scratch.kept`, by falling mean radius of the corners; where nine digits of it
+    agree, by the azimuth of the tilt axis.
+    """
+    roots, starts, ends, kept = scratch
+    solutions = 0
+    for k in range(approximate_solutions(stage, is_continuous, roots, starts)):
+        solutions = _append(stage, (starts[k, 0], starts[k, 1], starts[k, 2], starts[k, 3]), ends, solutions)
+    for k in range(solutions):
+        if ends[k, 4] > _NEAR_FOLD:
+            state = ends[k, 0], ends[k, 1], ends[k, 2], ends[k, 3]
+            solutions = _append(stage, _other_side_of_fold(stage, state), ends, solutions)
+
+    count = 0
+    for k in range(solutions):
+        if is_continuous and ends[k, 4] >= _OF_FAMILY:
+            continue
+        e0, e1, e2 = ends[k, 0], ends[k, 1], ends[k, 2]
+        x0, x1, x2, x3 = (0.0, -e2, e1, e0) if half_turned else (e0, e1, e2, 0.0)
+        radii, heights = corners(x0, x1, x2, x3, ends[k, 3])
+        # Azimuths of the tilt axis modulo a half turn, none of a symmetric solution's at the jump.
+        azimuth = (math.atan2(ends[k, 2], ends[k, 1]) + math.pi / 6.0) % math.pi
+        rank = -np.rint(1e9 * ((radii[0] + radii[1] + radii[2]) / 3.0))
+        place = count
+        while place > 0 and (kept[place - 1, _RANK], kept[place - 1, _AZIMUTH]) > (rank, azimuth):
+            _copy(kept, place - 1, place)
+            place -= 1
+        row = kept[place]
+        row[0], row[1], row[2], row[3], row[4] = x0, x1, x2, x3, ends[k, 3]
+        row[5], row[6], row[7] = radii
+        row[8], row[9], row[10] = heights
+        row[_BLUR], row[_RANK], row[_AZIMUTH] = min(max(16.0 * EPS * ends[k, 4], SAME), 0.01), rank, azimuth
+        count += 1
+
+    # Drop what occurs twice.
+    places = 0
+    for k in range(count):
+        repeated = False
+        for j in range(k):
+            repeated = repeated or _distance(kept[k], kept[j]) <= max(kept[k, _BLUR], kept[j, _BLUR])
+        if repeated:
+            kept[k, _RANK] = np.nan
+    for k in range(count):
+        if kept[k, _RANK] == kept[k, _RANK]:
+            _copy(kept, k, places)
+            places += 1
+    return min(places, PLACES)
+
+
+@jit
+def home_state(first: float, second: float, third: float, epsilon: float, scratch: Scratch) -> State:
+    """Return the solution of mode T in the home's aspect, NaN if there is none.
+
+    There is one at most, so whatever way leads into that aspect leads to it: Newton's method from the level position,
+    and where that does not, a search through all solutions.
+    """
+    stage = stage_equations(first, second, third, epsilon)
+    is_continuous = has_continuous_family(first, second, third, epsilon, False)
+    if stage.level > 0.0 and not is_continuous:
+        state, gain, arrived = _polished(stage, (1.0, 0.0, 0.0, math.sqrt(stage.level)))
+        if arrived and gain <= _NEAR_FOLD:
+            radii, heights = corners(state[0], state[1], state[2], 0.0, state[3])
+            if in_home_aspect(radii, heights, epsilon):
+                return state
+    kept = scratch.kept
+    for k in range(solve_mode(stage, False, is_continuous, scratch)):
+        radii, heights = (kept[k, 5], kept[k, 6], kept[k, 7]), (kept[k, 8], kept[k, 9], kept[k, 10])
+        if in_home_aspect(radii, heights, epsilon):
+            return kept[k, 0], kept[k, 1], kept[k, 2], kept[k, 4]
+    return np.nan, np.nan, np.nan, np.nan
 
 
 @jit
@@ -70,15 +297,9 @@ def _sheets(
 
 
 @jit_inline
-def _stage(stages: FloatArray, n: int) -> tuple[float, float, float, float, float]:
+def _stage(stages: FloatArray, n: int) -> Stage:
     """Return quaternion and height of one of several stages (…, 5)."""
     return stages[n, 0], stages[n, 1], stages[n, 2], stages[n, 3], stages[n, 4]
-
-
-@jit_inline
-def _is_there(modes: FloatArray, first: int) -> bool:
-    """Return whether a stage has a mode T, counted from 0, or F, from 8; its first place is filled first."""
-    return not math.isnan(modes[first, 0])
 
 
 @kernel(
@@ -95,20 +316,11 @@ def all_modes(
     dimension: npt.NDArray[np.int8],
     status: npt.NDArray[np.int8],
 ) -> None:
-    """Solve N sets of leg lengths (N, 6) [m].
+    """Solve N sets of leg lengths (N, 6), with circumradii of the middle, base and terminal platforms [m].
 
-    Parameters
-    ----------
-    lengths : ndarray, shape (N, 6)
-        Leg lengths [m].
-    r, base_radius, platform_radius : float
-        Circumradii of the middle, base and terminal platforms [m].
-    rotation, translation, joints : ndarray, shapes (N, 256, 3, 3), (N, 256, 3), (N, 256, 3, 3), written
-        R, o [m], b_i [m]; NaN where a mode is not real.
-    dimension : ndarray of int8, shape (N, 4), written
-        Of the continuous families in TT, TF, FT, FF.
-    status : ndarray of int8, shape (N,), written
-        0 or 1, the first two of `Status`, continuous families not counted.
+    Written are R (N, 256, 3, 3), o (N, 256, 3) [m] and the b_i (N, 256, 3, 3) [m], NaN where a mode is not real; the
+    dimensions of the continuous families in TT, TF, FT, FF (N, 4); and as `status` (N,) 0 or 1, the first two of
+    `Status`, continuous families not counted.
     """
     scratch = allocate_scratch()
     below, above = np.empty((STAGE, 5)), np.empty((STAGE, 5))
@@ -128,8 +340,11 @@ def all_modes(
         for i in range(2):
             for j in range(2):
                 free = (1 if lower[i] else 0) + (1 if upper[j] else 0)
-                below_exists, above_exists = lower[i] or _is_there(below, 8 * i), upper[j] or _is_there(above, 8 * j)
-                dimension[n, 2 * i + j] = free if below_exists and above_exists else 0
+                # The first place of a mode, T or F, is filled first.
+                both_exist = (lower[i] or not math.isnan(below[8 * i, 0])) and (
+                    upper[j] or not math.isnan(above[8 * j, 0])
+                )
+                dimension[n, 2 * i + j] = free if both_exist else 0
 
 
 @kernel(f"void({readonly_array(2)}, f8, f8, f8, f8[:,:,::1], f8[:,::1], f8[:,:,::1])")

@@ -26,22 +26,21 @@ It then converges to the root next to it, and no other is near.
 """
 
 
+@jit_inline
+def has_converged(size: float, last: float) -> bool:
+    """Return whether Newton's method is at rounding after a step of this size; `last` is the one before, NaN if none.
+
+    Rounding is reached, or will be by what is left after this step.
+    """
+    return size < 1e-15 or (size < 1e-10 and size > 0.5 * last) or size * size * size < 1e-17 * last * last
+
+
 @jit
 def polish(forms: FloatArray, points: FloatArray, imaginary: bool, contracting: bool, most: int) -> None:
-    """Improve the pending points by Newton's method until nothing changes any more.
+    """Improve the pending points by Newton's method, in at most `most` steps; in the end each has converged or failed.
 
-    Parameters
-    ----------
-    forms : ndarray, shape (3, 4, 4)
-        Symmetric matrices of the quadrics.
-    points : ndarray, shape (ROWS * POINTS,), changed
-        The points; in the end each has converged or failed.
-    imaginary : bool
-        Whether imaginary parts are not zero.
-    contracting : bool
-        Whether a point fails if it is not next to a root, see `_CONTRACTION`.
-    most : int
-        Largest number of steps.
+    `forms` (3, 10) are the quadrics, see `legs.Form`. Imaginary parts are zero unless `imaginary`. A point fails
+    that is not next to a root if `contracting`, see `_CONTRACTION`.
     """
     for number in range(most):
         if imaginary:
@@ -53,18 +52,13 @@ def polish(forms: FloatArray, points: FloatArray, imaginary: bool, contracting: 
             if points[STATE + k] != PENDING:
                 continue
             size = points[_SIZE + k]
-            last = points[_LAST + k] if number > 0 else 1.0
+            last = points[_LAST + k] if number > 0 else np.nan
             longest = 4.0
             if contracting and number < 2:
                 longest = _FIRST_STEP if number == 0 else max(_CONTRACTION * last, 1e-13)
             if not size <= longest:
                 points[STATE + k] = FAILED
-            # Rounding is reached, or will be by what is left after this step.
-            elif (
-                size < 1e-15
-                or (size < 1e-10 and size > 0.5 * last)
-                or (number > 0 and size * size * size < 1e-17 * last * last)
-            ):
+            elif has_converged(size, last):
                 points[STATE + k] = CONVERGED
             else:
                 points[_LAST + k] = size
@@ -180,16 +174,17 @@ def _normal(m, n):  # type: ignore[no-untyped-def]
 
 @jit_inline
 def symmetric(forms, k):  # type: ignore[no-untyped-def]
-    """Return the ten entries of a symmetric matrix: as scalars, so that loops need not ask whether memory is shared."""
-    first, second = (forms[k, 0, 0], forms[k, 0, 1], forms[k, 0, 2], forms[k, 0, 3]), (forms[k, 1, 1], forms[k, 1, 2])
-    return *first, *second, forms[k, 1, 3], forms[k, 2, 2], forms[k, 2, 3], forms[k, 3, 3]
+    """Return the numbers of a quadric as scalars, so that loops need not ask whether memory is shared."""
+    q = forms[k]
+    return q[0], q[1], q[2], q[3], q[4], q[5], q[6], q[7], q[8], q[9]
 
 
 @jit_inline
 def symmetric_product(q, x):  # type: ignore[no-untyped-def]
-    """Return the product of a symmetric matrix, as its ten entries, and a vector."""
-    y0, y1 = product((q[0], q[1], q[2], q[3]), x), product((q[1], q[4], q[5], q[6]), x)
-    return y0, y1, product((q[2], q[5], q[7], q[8]), x), product((q[3], q[6], q[8], q[9]), x)
+    """Return the product of a quadric as a matrix, given as a `Form`, and a vector."""
+    xx, yy, zz, ww, xy, xz, yz, xw, yw, zw = q
+    y0, y1 = product((xx, xy, xz, xw), x), product((xy, yy, yz, yw), x)
+    return y0, y1, product((xz, yz, zz, zw), x), product((xw, yw, zw, ww), x)
 
 
 @jit_inline
@@ -214,3 +209,20 @@ def _joined(re, im):  # type: ignore[no-untyped-def]
 def squared(z):  # type: ignore[no-untyped-def]
     """Return |z|²."""
     return z.real * z.real + z.imag * z.imag
+
+
+@jit_inline
+def is_real(points, k):  # type: ignore[no-untyped-def]
+    """Return whether point k is a real vector."""
+    return product(imaginary_part(points, k), imaginary_part(points, k)) == 0.0
+
+
+@jit_inline
+def is_same_point(x, y, tolerance):  # type: ignore[no-untyped-def]
+    """Return whether the sine of the angle between the lines through two unit vectors is at most `tolerance` << 1."""
+    p = x[0] * np.conj(y[0]) + x[1] * np.conj(y[1]) + x[2] * np.conj(y[2]) + x[3] * np.conj(y[3])
+    if squared(p) < 0.999:
+        return False
+    square = squared(x[0] - p * y[0]) + squared(x[1] - p * y[1])
+    square += squared(x[2] - p * y[2]) + squared(x[3] - p * y[3])
+    return square <= tolerance * tolerance

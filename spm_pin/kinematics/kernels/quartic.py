@@ -1,19 +1,8 @@
-"""Approximate solutions of one 3RPS stage and mode, over scalars. Notation: `formulas.stages`.
+"""Approximate solutions of one 3RPS stage and mode, over scalars: `docs/theory/forward_displacement.md`.
 
-Multiplied by e^{iψ}, ψ the azimuth of w, the equation for λ has the parts
-
-    Im(λ e^{iψ}) = κ p sin 3ψ,      Re(λ e^{iψ}) = (κ + 2p) p cos 3ψ + 2 ζ x0 |w|,
-
-with p = |w|². The square of the second one holds no root, since ζ² = c - 2εp - p² and x0² = 1 - p. With
-A = Im(λ e^{iψ}) / κ, thus p sin 3ψ = A, and B = Re(λ e^{iψ}) it becomes, c = m - (1 - ε)²,
-
-    [4 A² + 4 B cos 3ψ - 4 (2ε + c) - κ²] p² + [4 κ A² + 4 c + 2 κ B cos 3ψ] p + κ² A² - B² = 0
-
-and, times sin² 3ψ, a polynomial in e^{2iψ} alone:
-
-    4 A⁴ + 4 A² Re(λ e^{-2iψ}) - [4 (2ε + c) + κ²] A² + 4 c A sin 3ψ + ½ Re(λ² e^{-4iψ} - λ² e^{2iψ}) = 0.
-
-With δ = ψ + arg λ and μ = e^{3i arg λ}, it is a quartic in tan δ. For small κ all its roots are crowded around zero;
+With ψ the azimuth of the tilt w, p = |w|², A = Im(λ e^{iψ}) / κ = p sin 3ψ and B = Re(λ e^{iψ}), p is the root of a
+quadratic, `formulas.stages.tilt_quadratic`, and ψ of a polynomial in e^{2iψ}. With δ = ψ + arg λ and μ = e^{3i arg λ}
+that is a quartic in tan δ, `formulas.stages.quartic`. For small κ all its roots are crowded around zero;
 tan δ = ω tan γ with ω = |κ| / √(κ² + |λ|²) spreads them over all γ.
 """
 

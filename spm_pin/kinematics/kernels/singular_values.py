@@ -26,54 +26,68 @@ _LAST_SWEEP = 1e-18
 """Square of the largest cosine met in a sweep that leaves only rounding: a sweep leaves about the square of it."""
 _MOST_SWEEPS = 30
 _COSINE, _SINE, _ACTIVE, _MORE = range(4)
-_TOTAL, _SCALE, _LEAD = range(3)
 
 
 @jit
-def triangularize(rows: FloatArray, work: FloatArray) -> None:
-    """Make matrices upper triangular by reflections; `work` is (3, lanes)."""
+def _reflect_rows(rows: FloatArray, work: FloatArray) -> None:
+    """Make six rows lower triangular by reflections, whose normals are left in the rows from the diagonal on.
+
+    `work` is (12, lanes): the scales of the normals, and from row 6 on the diagonal.
+    """
     # Here and below not `WIDTH`: loops that are unrolled, and every one vectorised, take long to compile.
     width, _, lanes = rows.shape
-    for j in range(width - 1):
+    last = width - 1
+    total = work[last]
+    for j in range(last):
         for k in range(lanes):
-            work[_TOTAL, k] = 0.0
-        for i in range(j, width):
+            total[k] = 0.0
+        for c in range(j, width):
             for k in range(lanes):
-                work[_TOTAL, k] += rows[i, j, k] * rows[i, j, k]
+                total[k] += rows[j, c, k] * rows[j, c, k]
         for k in range(lanes):
-            size, lead = np.sqrt(work[_TOTAL, k]), rows[j, j, k]
+            size, lead = np.sqrt(total[k]), rows[j, j, k]
             product = size * (size + abs(lead))
-            work[_SCALE, k] = 1.0 / product if product > 0.0 else 0.0
-            work[_LEAD, k] = size if lead < 0.0 else -size
-            rows[j, j, k] = lead - work[_LEAD, k]
-        for c in range(j + 1, width):
-            _reflect_column(rows, j, c, work)
-        for k in range(lanes):
-            rows[j, j, k] = work[_LEAD, k]
+            work[width + j, k] = size if lead < 0.0 else -size
+            rows[j, j, k] = lead - work[width + j, k]
+            work[j, k] = 1.0 / product if product > 0.0 else 0.0
         for i in range(j + 1, width):
-            for k in range(lanes):
-                rows[i, j, k] = 0.0
+            _reflect(rows[j], rows[i], j, work[j], total)
+    for k in range(lanes):
+        work[width + last, k] = rows[last, last, k]
 
 
 @jit
-def _reflect_column(rows: FloatArray, j: int, c: int, work: FloatArray) -> None:
-    """Reflect column c along the normal in column j, from its place j on."""
+def _reflect(normal: FloatArray, vector: FloatArray, first: int, scale: FloatArray, total: FloatArray) -> None:
+    """Reflect vectors (6, lanes) along normals that begin at place `first`; `total` is (lanes,), overwritten."""
+    width, lanes = vector.shape
+    for k in range(lanes):
+        total[k] = 0.0
+    for c in range(first, width):
+        for k in range(lanes):
+            total[k] += normal[c, k] * vector[c, k]
+    for k in range(lanes):
+        total[k] *= scale[k]
+    for c in range(first, width):
+        for k in range(lanes):
+            vector[c, k] -= total[k] * normal[c, k]
+
+
+@jit
+def triangularize(columns: FloatArray, rows: FloatArray, work: FloatArray) -> None:
+    """Write upper triangular matrices with the right singular vectors of others, given by their columns; overwrites."""
+    _reflect_rows(columns, work)
     width, _, lanes = rows.shape
-    for k in range(lanes):
-        work[_TOTAL, k] = 0.0
-    for i in range(j, width):
+    for i in range(width):
+        for j in range(width):
+            for k in range(lanes):
+                rows[i, j, k] = columns[j, i, k] if j > i else 0.0
         for k in range(lanes):
-            work[_TOTAL, k] += rows[i, j, k] * rows[i, c, k]
-    for k in range(lanes):
-        work[_TOTAL, k] *= work[_SCALE, k]
-    for i in range(j, width):
-        for k in range(lanes):
-            rows[i, c, k] -= work[_TOTAL, k] * rows[i, j, k]
+            rows[i, i, k] = work[width + i, k]
 
 
 @jit
 def orthogonalize(rows: FloatArray, work: FloatArray) -> None:
-    """Rotate six rows until they are orthogonal; `work` is (4, lanes)."""
+    """Rotate six rows until they are orthogonal; `work` has four rows."""
     width, _, lanes = rows.shape
     for k in range(lanes):
         work[_ACTIVE, k] = 1.0
@@ -153,27 +167,13 @@ def put_smallest_last(rows: FloatArray, norms: FloatArray) -> None:
 
 @jit
 def null_vector(rows: FloatArray, vector: FloatArray, work: FloatArray) -> None:
-    """Write the unit vector (6, lanes) orthogonal to the first five rows, which are overwritten; `work` is (6, lanes).
+    """Write the unit vector (6, lanes) orthogonal to the first five rows, which are overwritten; `work` is (12, lanes).
 
     The last right singular vector, where the last singular value is zero, too.
     """
+    _reflect_rows(rows, work)
     width, _, lanes = rows.shape
     last = width - 1
-    for j in range(last):
-        # Row j becomes the normal of the reflection that takes it to an axis; the rows after it are reflected.
-        total = work[last]
-        for k in range(lanes):
-            total[k] = 0.0
-        for c in range(j, width):
-            for k in range(lanes):
-                total[k] += rows[j, c, k] * rows[j, c, k]
-        for k in range(lanes):
-            size, lead = np.sqrt(total[k]), rows[j, j, k]
-            product = size * (size + abs(lead))
-            rows[j, j, k] = lead - size if lead < 0.0 else lead + size
-            work[j, k] = 1.0 / product if product > 0.0 else 0.0
-        for i in range(j + 1, last):
-            _reflect(rows[j], rows[i], j, work[j], total)
     for c in range(width):
         for k in range(lanes):
             vector[c, k] = 0.0 if c < last else 1.0
@@ -182,37 +182,22 @@ def null_vector(rows: FloatArray, vector: FloatArray, work: FloatArray) -> None:
         _reflect(rows[j], vector, j, work[j], work[last])
 
 
-@jit
-def _reflect(normal: FloatArray, vector: FloatArray, first: int, scale: FloatArray, total: FloatArray) -> None:
-    """Reflect vectors (6, lanes) along normals that begin at place `first`; `total` is (lanes,), overwritten."""
-    width, lanes = vector.shape
-    for k in range(lanes):
-        total[k] = 0.0
-    for c in range(first, width):
-        for k in range(lanes):
-            total[k] += normal[c, k] * vector[c, k]
-    for k in range(lanes):
-        total[k] *= scale[k]
-    for c in range(first, width):
-        for k in range(lanes):
-            vector[c, k] -= total[k] * normal[c, k]
-
-
 @kernel(f"void({readonly_array(3)}, f8[:,::1])")
 def singular_values(matrices: FloatArray, values: FloatArray) -> None:
     """Write the singular values (N, rows), from large to small, of N matrices with at most six columns and rows."""
     _, count, columns = matrices.shape
     lanes = min(LANES, len(matrices))
-    rows, norms, work = np.ones((WIDTH, WIDTH, lanes)), np.empty((WIDTH, lanes)), np.empty((4, lanes))
+    rows, transposed = np.ones((WIDTH, WIDTH, lanes)), np.ones((WIDTH, WIDTH, lanes))
+    norms, work = np.empty((WIDTH, lanes)), np.empty((2 * WIDTH, lanes))
     for start in range(0, len(matrices), LANES):
         width = min(LANES, len(matrices) - start)
         rows[:, :, :] = 0.0
         for k in range(width):
             for i in range(count):
                 for j in range(columns):
-                    rows[i, j, k] = matrices[start + k, i, j]
+                    rows[i, j, k] = transposed[j, i, k] = matrices[start + k, i, j]
         if count == WIDTH:
-            triangularize(rows, work)
+            triangularize(transposed, rows, work)
         orthogonalize(rows, work)
         put_norms(rows, norms)
         for k in range(width):

@@ -13,7 +13,7 @@ from spm_pin.kinematics.kernels.jacobian_kernels import (
     MACHINE,
     STATES,
     Machine,
-    load,
+    load_states,
     put_determinants,
     read_machine,
     state_forces,
@@ -111,6 +111,16 @@ def _copy(block: FloatArray, rows: FloatArray, factor: float) -> None:
 
 
 @jit
+def _put_columns(first: FloatArray, second: FloatArray, columns: FloatArray) -> None:
+    """Write the columns (6, 6, lanes) of matrices of two blocks of rows."""
+    count, width, lanes = first.shape
+    for i in range(count):
+        for c in range(width):
+            for k in range(lanes):
+                columns[c, i, k], columns[c, count + i, k] = first[i, c, k], second[i, c, k]
+
+
+@jit
 def _find_dependent(block: FloatArray, tolerance: float, rows: FloatArray, norms: FloatArray, work: FloatArray) -> None:
     """Write 1 into `work[4]` where three rows (3, 6, lanes) are dependent at a relative tolerance, else 0."""
     count, _, lanes = block.shape
@@ -197,38 +207,23 @@ def describe_singularities(
     twists: FloatArray,
     wrench: FloatArray,
 ) -> None:
-    """Describe J_b, J_c and K of S states.
+    """Describe J_b, J_c and K of S states: b_i (outer, inner, 3, 3), R (outer, inner, 3, 3), o (outer, inner, 3) [m].
 
-    Parameters
-    ----------
-    joints, rotation, position : ndarray, shapes (outer, inner, 3, 3), (outer, inner, 3, 3), (outer, inner, 3)
-        b_i, R, o [m].
-    machine : ndarray, shape (15, 3)
-        The legs, see `jacobian_kernels`.
-    side : float
-        d [m].
-    tolerance : float
-        A singular value counts that is larger than this times the largest.
-    couple_only : float
-        A wrench is a couple where its force is at most this times its moment over d.
-    determinants, largest, smallest, rank : ndarray, shape (S, 3), written
-        Determinants [m³], largest and smallest singular values, and the number of those that count.
-    flags : ndarray, shape (S, 2), written
-        Whether the constraints of a stage are dependent, and whether a leg has no length.
-    twists : ndarray, shape (S, 3, 6), written
-        Twists (v, ω) at o whose (v, dω) at the middle platform's centre are the right singular vectors of the smallest
-        singular values.
-    wrench : ndarray, shape (S, 6), written
-        Sum of the upper constraints at o, weighted by the left singular vector of K, of |f| = 1, or |m| = 1.
+    Written are, for each of the three matrices, the determinants [m³], the largest and the smallest singular values and
+    the number of those that are larger than `tolerance` times the largest, (S, 3); as `flags` (S, 2) whether the
+    constraints of a stage are dependent and whether a leg has no length; as `twists` (S, 3, 6) the (v, ω) at o whose
+    (v, dω) at the middle platform's centre are the right singular vectors of the smallest singular values; and as
+    `wrench` (S, 6) the sum of the upper constraints at o, weighted by the left singular vector of K, of |f| = 1, or of
+    |m| = 1 where the force is at most `couple_only` times the moment over d.
     """
     lanes = min(LANES, len(determinants))
     tile, blocks, legs = np.ones((INPUTS, lanes)), np.empty((4, 3, WIDTH, lanes)), read_machine(machine)
     rows, images = np.ones((WIDTH, WIDTH, lanes)), np.zeros((WIDTH, WIDTH, lanes))
-    norms, work, out = np.empty((WIDTH, lanes)), np.empty((WIDTH, lanes)), np.empty((9, lanes))
+    norms, work, out = np.empty((WIDTH, lanes)), np.empty((2 * WIDTH, lanes)), np.empty((9, lanes))
     right, left = np.empty((WIDTH, lanes)), np.empty((WIDTH, lanes))
     for start in range(0, len(determinants), LANES):
         width = min(LANES, len(determinants) - start)
-        load(joints, rotation, position, start, width, tile)
+        load_states(joints, rotation, position, start, width, tile)
         doubtful = False
         for k in range(lanes):
             _set_up(tile, k, legs, side, tolerance, blocks, out)
@@ -244,9 +239,8 @@ def describe_singularities(
                     flags[start + k, 0] |= (work[4, k] > 0.0) & (out[4 + stage, k] > 0.0)
         for which in range(3):
             first, second = blocks[_FIRST[which]], blocks[_SECOND[which]]
-            _copy(first, rows[:3], 1.0)
-            _copy(second, rows[3:], 1.0)
-            triangularize(rows, work)
+            _put_columns(first, second, images)
+            triangularize(images, rows, work)
             orthogonalize(rows, work)
             put_norms(rows, norms)
             put_smallest_last(rows, norms)

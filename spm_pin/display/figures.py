@@ -1,36 +1,103 @@
-"""Figures of results: a comparison of methods, a calibration, a certificate, a motion."""
+"""Results written out: figures of results, figures in files, JSON, and numbers as text."""
 
 from __future__ import annotations
 
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spm_pin.calibration import Calibration
-from spm_pin.crosscheck import Quantity, Report
 from spm_pin.description.tree import SLIDES
-from spm_pin.display.output_files import new_figure
-from spm_pin.mechanism.arguments import FloatArray, check_instance
-from spm_pin.mechanism.leg_limits import LEGS, LegLimits
-from spm_pin.proofs import Certificate
+from spm_pin.errors import ArgumentError, require_extra
+from spm_pin.mechanism import LEGS, LegLimits
+from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path, writing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from spm_pin.calibration import Calibration
+    from spm_pin.crosscheck import Report
     from spm_pin.multibody.trajectory import JointTrajectory
+    from spm_pin.proofs import Certificate
+
+FORMATS = (".png", ".svg", ".pdf")
+"""File types that figures are written in."""
+WIDEST = 6000
+"""Largest width of a picture of the mechanism in pixels: one of 6000 takes 2 GB and a minute."""
 
 # After Okabe and Ito's palette, distinct with any colour vision.
 _BLUE, _SKY, _GREEN, _VERMILION, _ORANGE, _PURPLE = "#0072b2", "#56b4e9", "#009e73", "#d55e00", "#e69f00", "#cc79a7"
 _LIMIT = "#d62728"
-_SMALLEST = 1e-8
-"""Shares of a tolerance below this are drawn as this."""
-_TILTS = (30, 60, 90, 120)
-"""Tilts [degrees] marked by circles in the picture of a certificate."""
+_SMALLEST = 1e-8  # shares of a tolerance below this are drawn as this
+_TILTS = (30, 60, 90, 120)  # degrees, circles in the picture of a certificate
+
+
+def new_figure(width: float, height: float, **options: Any) -> Figure:
+    """Return a matplotlib figure of a size in inches."""
+    require_extra("plots", "matplotlib")
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), **options)
+
+
+def check_appearance(width: int, narrowest: int, background: str) -> None:
+    """Check the width of a picture in pixels, from `narrowest` to `WIDEST`, and the colour behind it."""
+    if not isinstance(width, int) or not narrowest <= width <= WIDEST:
+        expected = f"at least {narrowest}" if isinstance(width, int) and width < narrowest else f"at most {WIDEST}"
+        raise ArgumentError("width", f"{expected} pixels, a whole number", width)
+    require_extra("plots", "matplotlib")
+    from matplotlib.colors import is_color_like
+
+    if not is_color_like(background):
+        expected = "a colour of matplotlib, such as white, #f0f0f0 or none"
+        raise ArgumentError("background", expected, repr(background))
+
+
+def save_figure(figure: Figure, path: str | Path, *, dpi: float = 150.0, background: str = "white") -> Path:
+    """Save a figure as .png, .svg or .pdf, the same bytes for the same figure; a file that exists is replaced."""
+    path = file_path(path, suffixes=FORMATS)
+    from matplotlib import rc_context
+
+    # Without the date, and with names that do not change from run to run.
+    metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix.lower())
+    with writing(path), rc_context({"svg.hashsalt": "spm-pin"}):
+        figure.savefig(path, dpi=dpi, facecolor=background, metadata=metadata)
+    return path
+
+
+def fixed(value: float, digits: int) -> str:
+    """Format with a number of decimals; a number that rounds to zero has no sign."""
+    text = f"{value:.{digits}f}"
+    return text.removeprefix("-") if float(text) == 0.0 else text
+
+
+def to_json(content: Any) -> str:
+    """Return JSON text of dictionaries, sequences, arrays and scalars: not finite becomes null, -0.0 becomes 0.0."""
+    return json.dumps(_plain(content), indent=2, allow_nan=False, ensure_ascii=False)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(member) for key, member in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(member) for member in value]
+    if isinstance(value, complex):
+        return [_plain(value.real), _plain(value.imag)]
+    if isinstance(value, float):
+        return value + 0.0 if math.isfinite(value) else None
+    return value
 
 
 def agreement_figure(report: Report) -> Figure:
     """Draw the largest difference of every pair of methods as a share of its tolerance, on a logarithmic axis."""
+    from spm_pin.crosscheck import Quantity, Report
+
     pairs = check_instance(report, Report, "report", "compare_methods returns one").differences
     figure = new_figure(8.0, 1.6 + 0.24 * len(pairs), layout="constrained")
     ax = figure.add_subplot()
@@ -55,25 +122,24 @@ def agreement_figure(report: Report) -> Figure:
 
 def calibration_figure(calibration: Calibration) -> Figure:
     """Draw the position errors of all measurements before and after, and the uncertainties of the combinations."""
+    from spm_pin.calibration import Calibration
+
     check_instance(calibration, Calibration, "calibration")
     figure = new_figure(9.0, 3.8, layout="constrained")
     errors, combinations = figure.subplots(1, 2, width_ratios=(3, 2))
-    rows = np.arange(len(calibration.misfit))
-    for name, residuals, colour in (
-        ("before", calibration.before, _VERMILION),
-        ("after", calibration.residuals, _BLUE),
-    ):
-        sizes = 1e6 * np.linalg.norm(residuals[:, :3], axis=-1)
-        rms = np.sqrt((sizes**2).mean())
-        errors.semilogy(rows, np.maximum(sizes, 1e-9), "o", ms=3.5, color=colour, label=f"{name}, {rms:.3g} µm RMS")
-    if calibration.outliers.any():
-        at = np.flatnonzero(calibration.outliers)
-        sizes = 1e6 * np.linalg.norm(calibration.residuals[at, :3], axis=-1)
-        errors.plot(at, sizes, "o", ms=9, mfc="none", color="black", label="outlier")
+    residuals = {"before": (calibration.before, _VERMILION), "after": (calibration.residuals, _BLUE)}
+    for name, (values, colour) in residuals.items():
+        sizes = 1e6 * np.linalg.norm(values[:, :3], axis=-1)
+        label = f"{name}, {np.sqrt((sizes**2).mean()):.3g} µm RMS"
+        errors.semilogy(np.maximum(sizes, 1e-9), "o", ms=3.5, color=colour, label=label)
+    outliers = np.flatnonzero(calibration.outliers)
+    if len(outliers):
+        sizes = 1e6 * np.linalg.norm(calibration.residuals[outliers, :3], axis=-1)
+        errors.plot(outliers, sizes, "o", ms=9, mfc="none", color="black", label="outlier")
     errors.set(xlabel="measurement", ylabel="predicted − measured position [µm]")
     errors.legend(fontsize=8, loc="center right")
-    combinations.semilogy(1 + np.arange(len(calibration.deviations)), calibration.deviations, ".", color=_BLUE)
     count = len(calibration.deviations)
+    combinations.semilogy(1 + np.arange(count), calibration.deviations, ".", color=_BLUE)
     combinations.set(xlabel="combination of parameters", ylabel="standard deviation [d, rad]")
     combinations.set_title(f"{count} identifiable, {len(calibration.unidentifiable)} not", fontsize=10)
     return figure
@@ -81,6 +147,8 @@ def calibration_figure(calibration: Calibration) -> Figure:
 
 def certificate_figure(certificate: Certificate) -> Figure:
     """Draw the boxes of both stages over the tilt of the middle platform, seen along Z."""
+    from spm_pin.proofs import Certificate
+
     check_instance(certificate, Certificate, "certificate")
     figure = new_figure(9.0, 4.6, layout="constrained")
     stages = (("lower stage", certificate.lower, 0), ("upper stage", certificate.upper, 1))
@@ -106,7 +174,7 @@ def certificate_figure(certificate: Certificate) -> Figure:
     return figure
 
 
-def _draw_boxes(ax: Axes, boxes: np.ndarray, colour: str, label: str) -> None:
+def _draw_boxes(ax: Axes, boxes: FloatArray, colour: str, label: str) -> None:
     from matplotlib.collections import PolyCollection
 
     if not len(boxes):
@@ -142,27 +210,24 @@ def motion_figure(
     """
     from spm_pin.multibody.trajectory import JointTrajectory
 
-    colours = (_BLUE, _SKY, _GREEN, _VERMILION, _ORANGE, _PURPLE)
     check_instance(motion, JointTrajectory, "motion")
+    colours = (_BLUE, _SKY, _GREEN, _VERMILION, _ORANGE, _PURPLE)
     # The chain may have a prefix.
     slides = [next(k for k, name in enumerate(motion.joint_names) if name.endswith(slide)) for slide in SLIDES]
     figure = new_figure(8.0, 8.4, layout="constrained")
+    ends = np.empty(0) if limits is None else np.concatenate([limits.minimum, limits.maximum])
+    bounds = {key: np.multiply.outer([-1.0, 1.0], bound) for key, bound in (largest or {}).items()}
     rows = (
-        ("reading [m]", readings, None),
-        ("rate [m/s]", motion.velocities[:, slides], "leg_rates"),
-        ("acceleration [m/s²]", motion.accelerations[:, slides], "leg_accelerations"),
-        ("force [N]", motion.efforts[:, slides], "leg_forces"),
+        ("reading [m]", readings, ends),
+        ("rate [m/s]", motion.velocities[:, slides], bounds.get("leg_rates", [])),
+        ("acceleration [m/s²]", motion.accelerations[:, slides], bounds.get("leg_accelerations", [])),
+        ("force [N]", motion.efforts[:, slides], bounds.get("leg_forces", [])),
     )
     axes = figure.subplots(4, 1, sharex=True)
-    for ax, (label, values, key) in zip(axes, rows, strict=True):
+    for ax, (label, values, lines) in zip(axes, rows, strict=True):
         for leg, column in enumerate(values.T):
             ax.plot(motion.times, column, color=colours[leg], lw=1.4, ls="-" if leg < 3 else "--", label=LEGS[leg])
-        if key is None:
-            lines = np.unique([limits.minimum, limits.maximum]) if limits is not None else np.empty(0)
-        else:
-            bound = (largest or {}).get(key)
-            lines = np.unique([] if bound is None else np.multiply.outer([-1.0, 1.0], bound))
-        for line in lines:
+        for line in np.unique(lines):
             ax.axhline(line, color="0.55", lw=0.9, ls=":")
         ax.set_ylabel(label)
         ax.spines[["top", "right"]].set_visible(False)

@@ -1,4 +1,4 @@
-"""A smooth path through leg lengths."""
+"""Paths of the legs or of the platform, over a parameter from 0 to 1, and the states along them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,17 @@ import numpy.typing as npt
 from scipy.interpolate import BPoly
 
 from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.forward_displacement import forward_physical
+from spm_pin.kinematics.inverse_displacement import inverse_physical
 from spm_pin.mechanism.arguments import FloatArray, real_array
+from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.multibody.trajectory import PlatformMotion, PlatformPath
+
+ROUNDING = 1e-9
+"""Amount by which a rule of a path may be broken, in its unit: a state at its limit keeps it."""
+STEP = 0.005
+"""Largest distance of two samples of a path in the leg lengths, in units of d."""
 
 
 class LegMotion(NamedTuple):
@@ -37,7 +47,7 @@ class LegPath:
     """
 
     def __init__(self, lengths: npt.ArrayLike) -> None:
-        points = real_array(lengths, "lengths", (6,), "leg lengths in metres, one row after another")
+        points = real_array(lengths, "lengths", (6,), "leg lengths in metres, one row after another").copy()
         if points.ndim != 2 or len(points) < 2:
             raise ArgumentError("lengths", "shape (n, 6), at least two rows", f"shape {points.shape}")
         if (points <= 0.0).any():
@@ -46,7 +56,7 @@ class LegPath:
         if (distances == 0.0).any():
             row = int(distances.argmin())
             raise ArgumentError("lengths", "rows that differ", f"rows {row} and {row + 1} equal", "No motion there?")
-        self._points = points.copy()
+        self._points = points
         self._knots = np.concatenate([[0.0], np.cumsum(distances) / distances.sum()])
         self._knots[-1] = 1.0
         slopes = _slopes(points, self._knots)
@@ -91,3 +101,32 @@ def _slopes(points: FloatArray, knots: FloatArray) -> FloatArray:
     least = np.minimum(np.abs(before), np.abs(after))
     inner = np.sign(mean) * np.minimum(np.abs(mean), 1.25 * least)
     return np.concatenate([secants[:1], inner, secants[-1:]])
+
+
+MotionPath = LegPath | PlatformPath
+"""A path; its parameter goes from 0 to 1, of a `PlatformPath` the share of its duration."""
+
+
+def states_along(geometry: Geometry, path: MotionPath, parameters: FloatArray) -> Configuration:
+    """Return the states at parameters (n,) from 0 to 1; some may not exist."""
+    if isinstance(path, LegPath):
+        return forward_physical(geometry, path(parameters).lengths)
+    return inverse_physical(geometry, platform_motion(path, parameters).pose)
+
+
+def platform_motion(path: PlatformPath, parameters: FloatArray) -> PlatformMotion:
+    """Return the pose at parameters (n,) from 0 to 1, and its derivatives by the path's own time."""
+    # Not beyond the end by rounding.
+    return path(np.minimum(path.start + parameters * path.duration, path.end))
+
+
+def line_states(geometry: Geometry, start: FloatArray, end: FloatArray) -> Configuration:
+    """Return the states on a straight line between leg lengths (6,), at most `STEP` apart."""
+    parameters = spaced_parameters(geometry, np.array([start, end]))[:, None]
+    return forward_physical(geometry, start + parameters * (end - start))
+
+
+def spaced_parameters(geometry: Geometry, lengths: FloatArray) -> FloatArray:
+    """Return evenly spaced parameters from 0 to 1 for a path through leg lengths (n, 6), at most `STEP` apart."""
+    distance = float(np.linalg.norm(np.diff(lengths, axis=0), axis=-1).sum())
+    return np.linspace(0.0, 1.0, max(int(np.ceil(distance / (STEP * geometry.middle_side))), 2) + 1)

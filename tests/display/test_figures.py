@@ -1,14 +1,17 @@
+"""Figures of results, and files that figures are written in."""
+
 from __future__ import annotations
 
 import sys
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import spm_pin as spm
 from spm_pin.crosscheck import Paper, compare_methods
-from spm_pin.display.result_plots import agreement_figure
-from spm_pin.errors import MissingExtraError
+from spm_pin.display.figures import agreement_figure, save_figure
+from spm_pin.errors import ArgumentError, MissingExtraError
 from spm_pin.paper.jacobian import Table5Mistakes
 
 GEOMETRY = spm.Geometry.paper()
@@ -32,3 +35,22 @@ def test_without_matplotlib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(MissingExtraError, match="plots"):
         agreement_figure(report)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf", ".PNG"])
+def test_figures_are_written_the_same_each_time(tmp_path, suffix: str) -> None:
+    figure = Figure(figsize=(2, 1))
+    figure.add_subplot().plot([0.0, 1.0], [1.0, 0.0])
+    first, second = (save_figure(figure, tmp_path / f"{k}{suffix}", dpi=30).read_bytes() for k in (1, 2))
+    assert first == second
+    assert first[:5] in (b"\x89PNG\r", b"<?xml", b"%PDF-")
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [("fig.jpg", ".png, .svg, .pdf, got 'fig.jpg'"), ("fig", "ending in .png"), ("no/where.png", "No such")],
+)
+def test_figures_that_cannot_be_written(tmp_path, name: str, says: str) -> None:
+    with pytest.raises(ArgumentError, match=says) as caught:
+        save_figure(Figure(), tmp_path / name)
+    assert caught.value.argument == "path"

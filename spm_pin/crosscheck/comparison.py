@@ -1,0 +1,438 @@
+"""Methods compared on random poses: their answers, the scores of each, and the report.
+
+A branch is real if its nine loop equations hold and it is isolated; this is measured, not voted on. A method whose
+branch does not close has invented it. One that lacks a branch which another method proved has missed it, and may do
+so as often as it states. Positions, Jacobians and forces are compared by pairs; where a pair differs by more than
+conditioning and rounding explain, the outlier is attributed by majority.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+from scipy.spatial.transform import RigidTransform
+
+from spm_pin.crosscheck.methods import Method, make_methods
+from spm_pin.crosscheck.random_poses import command, in_leg_space, on_all_rotations, printable
+from spm_pin.crosscheck.tolerances import ROWS, Conditioning
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism import BRANCHES, Configuration, Geometry, Status
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, Progress, whole_number
+from spm_pin.mechanism.configuration import compared_points
+
+LEG_SPACE = 0.8
+"""Share of the poses drawn in leg space; the rest have rotations from all of SO(3)."""
+_BATCH = 10
+"""Poses compared before each report."""
+_FORCE = 1e3
+"""Largest component of the wrenches: forces [N], and moments over d [N]."""
+_UNLIKELY = 1e-6
+"""A number of missed branches less probable than this at a method's stated rate counts as a fault."""
+_BRANCHES = len(BRANCHES)
+
+
+class Quantity(enum.StrEnum):
+    """Quantities that are compared."""
+
+    POSITIONS = "middle joints"
+    ASSEMBLY = "assembly"
+    JACOBIAN = "inverse Jacobian"
+    FORCES = "leg forces"
+
+    @property
+    def unit(self) -> str:
+        """Unit of the differences."""
+        return {"inverse Jacobian": "", "leg forces": "N"}.get(self.value, "m")
+
+
+@dataclass(frozen=True)
+class PairDifference:
+    """Difference of two methods in one quantity, over all poses.
+
+    Those of Jacobians are norms with angles times d.
+    """
+
+    quantity: Quantity
+    """The quantity compared."""
+    first: str
+    """Name of the first method."""
+    second: str
+    """Name of the second method."""
+    compared: int
+    """Number of states at which both answered."""
+    disagreements: int
+    """Number of those at which they differ by more than the tolerance."""
+    worst: float
+    """Difference where its ratio to the tolerance is largest, in the quantity's unit."""
+    tolerance: float
+    """Tolerance there, in the same unit."""
+    pose: int
+    """Number of the pose where that is, counted as in the report."""
+    branch: str
+    """Branch of that pose, one of `BRANCHES`."""
+
+    @property
+    def ratio(self) -> float:
+        """The largest difference in units of its tolerance."""
+        return self.worst / self.tolerance if self.compared else 0.0
+
+    def combined(self, other: PairDifference) -> PairDifference:
+        """Return the difference over the states of both; the pair and the quantity must be the same."""
+        compared, disagreements = self.compared + other.compared, self.disagreements + other.disagreements
+        larger = max(self, other, key=lambda pair: pair.ratio)
+        return replace(larger, compared=compared, disagreements=disagreements)
+
+
+@dataclass
+class MethodScore:
+    """Counts of one method: branches found, invented and missed, comparisons lost."""
+
+    name: str
+    """The method's name."""
+    allowed: float = 0.0
+    """Share of poses at which it may miss a branch, as it states."""
+    solved: int = 0
+    """Number of poses it was given."""
+    unsolved: int = 0
+    """Number of those that it reported as unsolved."""
+    branches: int = 0
+    """Number of branches it found."""
+    invented: int = 0
+    """Number of those whose loops do not close."""
+    missed: int = 0
+    """Number of poses at which it lacks a branch that another method proved, those left unsolved included."""
+    outvoted: int = 0
+    """Number of comparisons in which a majority of the methods contradicts it."""
+    residual: float = 0.0
+    """Largest closure residual in units of the one it states."""
+    invented_at: int = -1
+    """Pose of the first branch invented; -1 if there is none."""
+    missed_at: int = -1
+    """Pose of the first branch missed; -1 if there is none."""
+
+    @property
+    def pose(self) -> int:
+        """Pose of the first branch invented, else of the first missed, else -1."""
+        return self.invented_at if self.invented else self.missed_at
+
+    @property
+    def misses_too_often(self) -> bool:
+        """True if the misses are more than the stated rate makes likely."""
+        return self.missed > 0 and float(scipy.stats.binom.sf(self.missed - 1, self.solved, self.allowed)) < _UNLIKELY
+
+    @property
+    def faults(self) -> int:
+        """Number of wrong answers."""
+        return self.invented + self.outvoted + (self.missed if self.misses_too_often else 0)
+
+
+@dataclass(frozen=True)
+class Report:
+    """The outcome of a comparison."""
+
+    geometry: Geometry
+    """The manipulator."""
+    seed: int
+    """Seed of the poses and wrenches."""
+    requested: int
+    """Number of poses asked for; the report of a run that was interrupted has fewer."""
+    translation: FloatArray
+    """Positions of o at the poses compared, in {B} [m], shape (N, 3)."""
+    xyx: FloatArray
+    """Their X-Y-X angles in degrees, shape (N, 3)."""
+    reached: int
+    """Number of poses with a branch."""
+    states: int
+    """Number of configurations at which Jacobians and forces were compared."""
+    scores: tuple[MethodScore, ...]
+    """One per method."""
+    differences: tuple[PairDifference, ...]
+    """One per pair and quantity."""
+
+    @property
+    def agrees(self) -> bool:
+        """True if no method has a fault and no pair differs."""
+        return not any(p.disagreements for p in self.differences) and not any(s.faults for s in self.scores)
+
+    @property
+    def outliers(self) -> tuple[str, ...]:
+        """The methods with the most faults; several where two disagree and no third was compared."""
+        most = max((score.faults for score in self.scores), default=0)
+        return tuple(s.name for s in self.scores if most and s.faults == most)
+
+    @property
+    def worst(self) -> PairDifference | None:
+        """The largest difference in units of its tolerance."""
+        return max(self.differences, key=lambda pair: pair.ratio, default=None)
+
+    @property
+    def verdict(self) -> str:
+        """One sentence: that the methods agree, or which do not."""
+        if self.agrees and len(self.scores) == 1:
+            return f"Only {self.scores[0].name} was run, and its branches close."
+        if self.agrees:
+            return f"All {len(self.scores)} methods agree."
+        if not self.outliers:
+            return "The methods disagree."
+        if len(self.outliers) > 1:
+            return f"{' and '.join(self.outliers)} contradict each other; a third method can decide."
+        return f"{self.outliers[0]} is wrong: the others agree."
+
+    def command(self, pose: int, geometry_file: str | None = None) -> str:
+        """Return the command line that solves a pose of this report; without a file, for the paper's geometry."""
+        return command(self.translation[pose], self.xyx[pose], geometry_file)
+
+
+def compare_in_batches(
+    geometry: Geometry,
+    *,
+    poses: int = 200,
+    seed: int = 0,
+    methods: Sequence[Method | str] | None = None,
+    progress: Progress | None = None,
+) -> Iterator[Report]:
+    """Compare methods and yield the report after each batch of poses; the last one covers all.
+
+    Parameters and errors are those of `compare_methods`.
+    """
+    poses = whole_number(poses, "poses", "a whole number, at least 1", least=1)
+    seed = whole_number(seed, "seed", "a whole number, at least 0", most=1 << 128)
+    rng = np.random.default_rng(seed)
+    inner = max(1, round(LEG_SPACE * poses))
+    drawn = [in_leg_space(geometry, inner, rng), on_all_rotations(geometry, poses - inner, rng)]
+    matrices = np.concatenate([part.as_matrix() for part in drawn])[rng.permutation(poses)]
+    sample, translation, xyx = printable(RigidTransform.from_matrix(matrices))
+    made = make_methods(methods, geometry)
+    done = 0
+
+    def step(description: str) -> None:
+        if progress is not None:
+            progress(description, done, poses)
+
+    comparison = _Comparison(geometry, made, step)
+    # Of a slow method a share of the poses, at least one, evenly spread.
+    counts = {method.name: max(1, round(method.share * poses)) for method in made}
+    selected = {name: np.arange(poses) * count % poses < count for name, count in counts.items()}
+    while done < poses:
+        batch = slice(done, min(done + _BATCH, poses))
+        comparison.add(sample[batch], {name: mask[batch] for name, mask in selected.items()}, rng)
+        done = comparison.poses
+        step("compared")
+        yield Report(
+            geometry,
+            seed,
+            poses,
+            translation[:done],
+            xyx[:done],
+            comparison.reached,
+            comparison.states,
+            tuple(map(copy, comparison.scores.values())),
+            comparison.differences,
+        )
+
+
+def compare_methods(
+    geometry: Geometry,
+    *,
+    poses: int = 200,
+    seed: int = 0,
+    methods: Sequence[Method | str] | None = None,
+    progress: Progress | None = None,
+) -> Report:
+    """Run methods on random poses and compare all their answers.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The manipulator.
+    poses : int
+        Number of poses; four fifths of them in leg space.
+    seed : int
+        Seed of the poses and of the wrenches.
+    methods : sequence of Method or of str, optional
+        The methods, one of which solves the inverse displacement; all of `METHODS` that can be imported if not given.
+    progress : callable, optional
+        Called with a description of the step, the number of poses compared, and of how many.
+    """
+    *_, report = compare_in_batches(geometry, poses=poses, seed=seed, methods=methods, progress=progress)
+    return report
+
+
+class _Answer(NamedTuple):
+    """The branches one method found at n poses; NaN where it found none or did not solve the pose."""
+
+    states: Configuration
+    """The branches of all poses, shape (8 n,)."""
+    selected: BoolArray
+    """Poses that the method was given, shape (n,)."""
+    status: npt.NDArray[np.int8]
+    """One `Status` per pose, shape (n,)."""
+    rounding: FloatArray
+    """Closure residuals that the method states [m], shape (8 n,)."""
+
+
+class _Comparison:
+    """Scores and differences of methods, over all poses added so far; the counts are those of `Report`.
+
+    `describe_step` is called with a line of text before each part of the work.
+    """
+
+    def __init__(self, geometry: Geometry, methods: Sequence[Method], describe_step: Callable[[str], None]) -> None:
+        names = [method.name for method in methods]
+        if len(set(names)) < len(names):
+            raise ArgumentError("methods", "a name of its own for each", names)
+        self.poses = self.reached = self.states = 0
+        self.scores = {method.name: MethodScore(method.name, method.miss_rate) for method in methods}
+        self._differences: dict[tuple[Quantity, str, str], PairDifference] = {}
+        self._geometry = geometry
+        self._methods = methods
+        self._describe_step = describe_step
+        self._solves_inverse = False
+
+    @property
+    def differences(self) -> tuple[PairDifference, ...]:
+        """Differences of the pairs, quantity by quantity."""
+        order = list(Quantity)
+        return tuple(sorted(self._differences.values(), key=lambda pair: order.index(pair.quantity)))
+
+    def add(self, poses: RigidTransform, selected: Mapping[str, BoolArray], rng: np.random.Generator) -> None:
+        """Compare the methods at poses (n,), each solving those of its mask `selected` (n,); one must solve some."""
+        answers = {m.name: a for m in self._methods if (a := self._solve(m, poses, selected[m.name])) is not None}
+        self._solves_inverse |= bool(answers)
+        if not self._solves_inverse:
+            raise ArgumentError("methods", "one at least that solves the inverse displacement", list(self.scores))
+        proved = self._proved(poses, list(answers.values()))
+        for method in self._methods:
+            if method.name in answers:
+                self._score(method, answers[method.name], proved)
+        place = np.flatnonzero(proved.exists)
+        if len(place):
+            joints = {name: answer.states.middle_joints.reshape(-1, 9)[place] for name, answer in answers.items()}
+            self._compare_states(proved[place], place, joints, rng)
+        self.poses += len(poses)
+        self.reached += len(np.unique(place // _BRANCHES))
+        self.states += len(place)
+
+    def _solve(self, method: Method, poses: RigidTransform, selected: BoolArray) -> _Answer | None:
+        """Return a method's branches of poses (n,); None if it solves none of them."""
+        if not selected.any():
+            return None
+        self._describe_step(f"{method.name}: branches")
+        solutions = method.inverse(poses[selected])
+        if solutions is None:
+            return None
+        joints = np.full((len(poses), _BRANCHES, 3, 3), np.nan)
+        status = np.full(len(poses), Status.UNSOLVED, dtype=np.int8)
+        joints[selected], status[selected] = solutions.middle_joints, solutions.status
+        states = self._configuration(poses, joints.reshape(-1, 3, 3))
+        with np.errstate(invalid="ignore"):
+            return _Answer(states, selected, status, method.rounding(states))
+
+    def _proved(self, poses: RigidTransform, answers: Sequence[_Answer]) -> Configuration:
+        """Return the branches (8 n,) of the first method whose state closes to rounding and is isolated."""
+        joints = np.full((len(poses) * _BRANCHES, 3, 3), np.nan)
+        for answer in reversed(answers):
+            with np.errstate(invalid="ignore"):
+                closed = answer.states.closure_residual <= ROWS * answer.rounding
+            certain = closed & Conditioning.of(answer.states).resolves(answer.rounding)
+            joints[certain] = answer.states.middle_joints[certain]
+        for answer in answers:
+            # A pose with a continuous family has no list of branches to compare.
+            joints[np.repeat(answer.status == Status.DEGENERATE, _BRANCHES)] = np.nan
+        return self._configuration(poses, joints)
+
+    def _configuration(self, poses: RigidTransform, joints: FloatArray) -> Configuration:
+        matrix = np.repeat(poses.as_matrix(), _BRANCHES, axis=0)
+        return Configuration.from_arrays(self._geometry, matrix[:, :3, :3], matrix[:, :3, 3], joints)
+
+    def _score(self, method: Method, answer: _Answer, proved: Configuration) -> None:
+        """Count the branches a method invented, and those it missed although its arithmetic resolves them."""
+        found = answer.states.exists
+        with np.errstate(invalid="ignore"):
+            share = answer.states.closure_residual / (ROWS * answer.rounding)
+            resolved = Conditioning.of(proved).resolves(method.rounding(proved))
+        invented = found & (share > 1.0)
+        missed = (proved.exists & resolved & ~found).reshape(-1, _BRANCHES).any(axis=-1) & answer.selected
+        score = self.scores[method.name]
+        score.solved += int(answer.selected.sum())
+        score.unsolved += int((answer.selected & (answer.status == Status.UNSOLVED)).sum())
+        score.branches += int(found.sum())
+        score.invented += int(invented.sum())
+        score.missed += int(missed.sum())
+        score.residual = max(score.residual, float(np.nanmax(share, initial=0.0)))
+        for name, marked in (("invented_at", invented.reshape(-1, _BRANCHES).any(axis=-1)), ("missed_at", missed)):
+            if getattr(score, name) < 0 and marked.any():
+                setattr(score, name, self.poses + int(marked.argmax()))
+
+    def _compare_states(
+        self, states: Configuration, place: IntArray, joints: dict[str, FloatArray], rng: np.random.Generator
+    ) -> None:
+        """Compare the ball joints (m, 9), Jacobians, leg forces and assembled states at proved branches (m,).
+
+        `place` (m,) is 8 times the number of the pose in the batch, plus the number of the branch.
+        """
+        count, side = len(place), self._geometry.middle_side
+        conditioning = Conditioning.of(states)
+        rounding = {method.name: method.rounding(states) for method in self._methods}
+        wrench = _FORCE * rng.uniform(-1.0, 1.0, (count, 6)) * np.repeat([1.0, side], 3)
+        rates: dict[str, FloatArray] = {}
+        forces: dict[str, FloatArray] = {}
+        assembled: dict[str, FloatArray] = {"given state": compared_points(states).reshape(-1, 18)}
+        for method in self._methods:
+            self._describe_step(f"{method.name}: Jacobians and forces")
+            jacobian, force = method.inverse_jacobian(states), method.leg_forces(states, wrench)
+            built = method.assembled(states)
+            if jacobian is not None:
+                rates[method.name] = (jacobian / np.repeat([1.0, side], 3)).reshape(-1, 36)
+            if force is not None:
+                forces[method.name] = force
+            if built is not None:
+                assembled[method.name] = compared_points(built).reshape(-1, 18)
+        size = np.nanmax([np.zeros(count), *(np.linalg.norm(force, axis=-1) for force in forces.values())], axis=0)
+        quantities: dict[Quantity, tuple[dict[str, FloatArray], Callable[[FloatArray], FloatArray]]] = {
+            Quantity.POSITIONS: (joints, conditioning.position),
+            Quantity.JACOBIAN: (rates, conditioning.rates),
+            Quantity.FORCES: (forces, lambda residual: conditioning.forces(residual) * size),
+            Quantity.ASSEMBLY: (assembled, lambda residual: ROWS * residual),
+        }
+        for quantity, (values, error) in quantities.items():
+            allowed = {name: error(rounding.get(name, np.zeros(count))) for name in values}
+            self._compare(quantity, place, values, allowed)
+
+    def _compare(
+        self, quantity: Quantity, place: IntArray, values: dict[str, FloatArray], allowed: dict[str, FloatArray]
+    ) -> None:
+        """Compare the values (m, k) of every pair, each with its allowed error (m,), and find outliers by majority."""
+        support = {name: np.zeros(len(place), dtype=int) for name in values}
+        opposed = {name: np.zeros(len(place), dtype=bool) for name in values}
+        for first, second in combinations(values, 2):
+            difference = np.linalg.norm(values[first] - values[second], axis=-1)
+            tolerance = allowed[first] + allowed[second]
+            both = ~np.isnan(difference) & ~np.isnan(tolerance)
+            with np.errstate(invalid="ignore"):
+                apart = both & (difference > tolerance)
+                ratio = np.where(both, difference / tolerance, -1.0)
+            for name in (first, second):
+                support[name] += both & ~apart
+                opposed[name] |= apart
+            if not both.any():
+                continue
+            k = int(ratio.argmax())
+            pose, branch = divmod(int(place[k]), _BRANCHES)
+            counts = int(both.sum()), int(apart.sum()), float(difference[k]), float(tolerance[k])
+            pair = PairDifference(quantity, first, second, *counts, self.poses + pose, BRANCHES[branch])
+            before = self._differences.get((quantity, first, second))
+            self._differences[quantity, first, second] = pair if before is None else before.combined(pair)
+        strongest = np.max(list(support.values()), axis=0, initial=0)
+        for name in self.scores.keys() & values.keys():
+            # Where two contradict each other and no third decides, either may be wrong.
+            lost = opposed[name] & ((support[name] < strongest) | (strongest == 0))
+            self.scores[name].outvoted += int(lost.sum())

@@ -1,0 +1,156 @@
+"""The legs of one machine, drawn or as built: axes, pivots, balls and offsets; and the triangles of their balls."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.errors import GeometryError
+from spm_pin.mechanism.arguments import LARGEST, SMALLEST, FloatArray, real_array
+from spm_pin.mechanism.leg_limits import LEGS
+
+_HALF_SQRT3 = math.sqrt(3.0) / 2.0
+# Unit vectors towards leg 1, 2, 3, and the revolute axes R_1i of Eq. (4a), in {B}; in {m} they read the same.
+RADIAL = np.array([[_HALF_SQRT3, -0.5, 0.0], [0.0, 1.0, 0.0], [-_HALF_SQRT3, -0.5, 0.0]])
+AXES = np.array([[0.5, _HALF_SQRT3, 0.0], [1.0, 0.0, 0.0], [-0.5, _HALF_SQRT3, 0.0]])
+
+_UNIT = 1e-6
+"""Largest error of the length of an axis that is taken for rounding."""
+_FLAT = 1e-6
+"""Smallest height of the triangle of three balls, in units of its longest side."""
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Legs:
+    """Axes, pivots, balls and encoder offsets of the six legs, in the order of `LEGS`; read-only.
+
+    Leg i turns about a revolute axis, along which nothing moves: its line starts at the pivot, is perpendicular to the
+    axis, and ends at the centre of a ball of the middle platform. Its reading is |ball - pivot| + offset.
+
+    Parameters
+    ----------
+    axes : array_like, shape (6, 3)
+        Unit vectors along the revolute axes, of the lower legs in {B}, of the upper legs in {m}.
+    pivots : array_like, shape (6, 3)
+        Points of these axes where the legs' lines start [m], in the same frames.
+    balls : array_like, shape (6, 3)
+        Centres of the balls [m] in {n}. Those of a lower and of an upper leg need not coincide.
+    offsets : array_like, shape (6,)
+        What each reading exceeds the length of its leg by [m].
+
+    A `GeometryError` is raised for a number beyond 1e9 m, an axis that is no unit vector, and balls of the lower or of
+    the upper legs that are on one line.
+    """
+
+    axes: FloatArray
+    pivots: FloatArray
+    balls: FloatArray
+    offsets: FloatArray
+    is_drawn: bool = field(default=False, init=False)
+    """True for legs that a `Geometry` has drawn from its dimensions."""
+
+    def __post_init__(self) -> None:
+        axes = bounded_array(self.axes, "axes", (6, 3), "unit vectors along the revolute axes")
+        sizes = np.sqrt((axes**2).sum(axis=-1))
+        wrong = np.abs(sizes - 1.0) > _UNIT
+        if wrong.any():
+            leg = int(wrong.argmax())
+            expected = "unit vectors along the revolute axes"
+            raise GeometryError("axes", expected, f"length {sizes[leg]:g} of {LEGS[leg]}", "Divide it by its length")
+        # An exact unit vector keeps its bits, so that writing and reading gives the same machine.
+        exact = np.abs(sizes - 1.0) <= 4.0 * np.finfo(float).eps
+        self._put("axes", axes / np.where(exact, 1.0, sizes)[:, None])
+        self._put("pivots", bounded_array(self.pivots, "pivots", (6, 3), "points of the revolute axes in metres"))
+        balls = bounded_array(self.balls, "balls", (6, 3), "ball centres in {n} in metres")
+        for stage, b in (("lower", balls[:3]), ("upper", balls[3:])):
+            longest = triangle_sides(b).max()
+            if longest < SMALLEST or np.linalg.norm(np.cross(b[1] - b[0], b[2] - b[0])) < _FLAT * longest**2:
+                expected = "three ball centres of each stage that form a triangle"
+                raise GeometryError("balls", expected, f"those of the {stage} legs on one line")
+        self._put("balls", balls)
+        self._put("offsets", bounded_array(self.offsets, "offsets", (6,), "offsets of the readings in metres"))
+
+    def _put(self, name: str, array: FloatArray) -> None:
+        copy = np.array(array)
+        copy.flags.writeable = False
+        object.__setattr__(self, name, copy)
+
+    @property
+    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Axes, pivots, balls and offsets."""
+        return self.axes, self.pivots, self.balls, self.offsets
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Legs):
+            return NotImplemented
+        return self is other or all(map(np.array_equal, self.arrays, other.arrays))
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    @functools.cached_property
+    def _hash(self) -> int:
+        # -0.0 and 0.0 are equal and must have one hash.
+        return hash(tuple((array + 0.0).tobytes() for array in self.arrays))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Legs, self.arrays
+
+
+@functools.lru_cache(maxsize=64)
+def drawn_legs(base_radius: float, platform_radius: float, middle_side: float) -> Legs:
+    """Return the legs of the drawing with the dimensions E, C and d [m]."""
+    corners = middle_side / math.sqrt(3.0) * RADIAL
+    pivots = np.concatenate([base_radius * RADIAL, platform_radius * RADIAL])
+    legs = Legs(np.tile(AXES, (2, 1)), pivots, np.concatenate([corners, corners]), np.zeros(6))
+    object.__setattr__(legs, "is_drawn", True)
+    return legs
+
+
+def axis_directions() -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return each leg's drawn axis and the two directions perpendicular to it, radial and along z, (6, 3) each."""
+    axes = np.tile(AXES, (2, 1))
+    up = np.broadcast_to([0.0, 0.0, 1.0], (6, 3))
+    return axes, np.cross(up, axes), up
+
+
+def triangle_frames(b: FloatArray) -> FloatArray:
+    """Return the axes (..., 3, 3) of triangles b_1, b_2, b_3: x along b_3 b_1, y towards b_2, z normal, as columns."""
+    x = b[..., 0, :] - b[..., 2, :]
+    y = 2.0 * b[..., 1, :] - b[..., 0, :] - b[..., 2, :]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        x = x / np.linalg.norm(x, axis=-1, keepdims=True)
+        y = y - (x * y).sum(axis=-1, keepdims=True) * x
+        y = y / np.linalg.norm(y, axis=-1, keepdims=True)
+    return np.stack([x, y, np.cross(x, y)], axis=-1)
+
+
+def triangle_sides(b: FloatArray) -> FloatArray:
+    """Return the sides b_1 b_2, b_2 b_3 and b_3 b_1 (..., 3) of triangles (..., 3, 3)."""
+    return np.asarray(np.sqrt(((b - np.roll(b, -1, axis=-2)) ** 2).sum(axis=-1)))
+
+
+def upper_ball_weights(balls: FloatArray) -> FloatArray:
+    """Return where the last three of six balls (6, 3) are, seen from the first three, as rows (3, 3).
+
+    Coordinates along b_2 - b_1, b_3 - b_1 and their cross product, from the first ball of the same corner; exactly zero
+    where the two coincide.
+    """
+    first, second = balls[1] - balls[0], balls[2] - balls[0]
+    basis = np.stack([first, second, np.cross(first, second)], axis=-1)
+    return np.asarray(np.linalg.solve(basis, (balls[3:] - balls[:3]).T).T)
+
+
+def bounded_array(value: npt.ArrayLike, argument: str, shape: tuple[int, ...], meaning: str) -> FloatArray:
+    """Read finite numbers of this shape, none above the largest dimension."""
+    array = real_array(value, argument, shape, meaning, error=GeometryError)
+    if array.shape != shape:
+        raise GeometryError(argument, f"shape {shape}, {meaning}", f"shape {array.shape}")
+    if (np.abs(array) > LARGEST).any():
+        raise GeometryError(argument, f"{meaning}, at most {LARGEST:g}", f"{np.abs(array).max():g}", "Another unit?")
+    return array
