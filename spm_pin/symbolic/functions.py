@@ -21,8 +21,9 @@ from spm_pin.description.tree import JOINTS
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.formulas import branches as formulas
 from spm_pin.kinematics.formulas import joint_values as values
-from spm_pin.kinematics.formulas import quadrics as formulas_of_planes
+from spm_pin.kinematics.formulas import legs as leg_formulas
 from spm_pin.kinematics.formulas import stages, wrenches
+from spm_pin.kinematics.formulas.vectors import rotation_of
 from spm_pin.mechanism import BRANCHES, Geometry
 from spm_pin.mechanism.arguments import FloatArray, as_bool, choice
 from spm_pin.symbolic.machine import AXES, UP, Machine, State, all_of, direction, in_casadi, parts, sqrt
@@ -361,12 +362,12 @@ def closure_equations(machine: Machine, coordinates: Any, rotation: Any, positio
 
 
 def quadrics(machine: Machine, quaternion: Any, rotation: Any, position: Any) -> tuple[list[Any], Any]:
-    """Return the forms (4, 4) of `formulas.quadrics`, of norm 1, and the lower balls of a root in their planes (6,)."""
+    """Return the forms (4, 4) of a pose, of norm 1, and where a root has the lower balls in their planes (6,)."""
     normals = ca.horzcat(*machine.axes[:3], *(rotation @ x for x in machine.axes[3:]))
     heights = [ca.dot(f.x, f.pivot) for f in machine.frames]
     heights = ca.vertcat(*heights[:3], *(h + ca.dot(normals[:, 3 + i], position) for i, h in enumerate(heights[3:])))
     stages = [
-        formulas_of_planes.StagePlanes(
+        leg_formulas.StagePlanes(
             [parts(normals[:, i]) for i in legs], parts(heights[legs]), [parts(machine.balls[i]) for i in legs]
         )
         for legs in (range(3), range(3, 6))
@@ -374,12 +375,10 @@ def quadrics(machine: Machine, quaternion: Any, rotation: Any, position: Any) ->
     forms, weights = [], ca.nullspace(normals)
     for k in range(3):
         w = weights[:, k]
-        xx, yy, zz, ww, xy, xz, yz, xw, yw, zw = in_casadi(formulas_of_planes.quadric)(
-            parts(w[:3]), parts(w[3:]), *stages
-        )
+        xx, yy, zz, ww, xy, xz, yz, xw, yw, zw = in_casadi(leg_formulas.quadric)(parts(w[:3]), parts(w[3:]), *stages)
         form = ca.blockcat([[xx, xy, xz, xw], [xy, yy, yz, yw], [xz, yz, zz, zw], [xw, yw, zw, ww]])
         forms.append(form / ca.norm_fro(form))
-    turn = ca.vertcat(*(ca.horzcat(*row) for row in in_casadi(formulas_of_planes.rotation)(*ca.vertsplit(quaternion))))
+    turn = ca.vertcat(*(ca.horzcat(*row) for row in in_casadi(rotation_of)(*ca.vertsplit(quaternion))))
     turned = [turn @ ball for ball in machine.balls]
     gaps = heights - ca.vertcat(*(ca.dot(normals[:, i], turned[i]) for i in range(6)))
     shift = ca.solve(normals @ normals.T, normals @ gaps)

@@ -11,7 +11,7 @@ from spm_pin.description.source_files import MESHES, description_directory
 from spm_pin.description.tree import JOINTS
 from spm_pin.kinematics.forward_displacement import starting_configuration
 from spm_pin.mechanism import Geometry, LegLimits
-from spm_pin.mechanism.leg_frames import home_lengths
+from spm_pin.mechanism.joint_angles import home_lengths
 from spm_pin.symbolic.c_export import c_sources, filled, write_files
 
 _TEMPLATES = Path(__file__).parent / "templates" / "ros"
