@@ -21,9 +21,8 @@ from spm_pin.description.tree import JOINTS
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.formulas import branches as formulas
 from spm_pin.kinematics.formulas import joint_values as values
-from spm_pin.kinematics.formulas import legs as leg_formulas
-from spm_pin.kinematics.formulas import stages, wrenches
-from spm_pin.kinematics.formulas.vectors import rotation_of
+from spm_pin.kinematics.formulas import legs as formulas_of_legs
+from spm_pin.kinematics.formulas import stages, vectors, wrenches
 from spm_pin.mechanism import BRANCHES, Geometry
 from spm_pin.mechanism.arguments import FloatArray, as_bool, choice
 from spm_pin.symbolic.machine import AXES, UP, Machine, State, all_of, direction, in_casadi, parts, sqrt
@@ -185,7 +184,8 @@ def bodies(geometry: Geometry | None = None) -> FloatArray:
         in {m}; then for each leg the mass of its cylinder, and times the distance of its centre from the pivot, and the
         mass of its rod, and times the distance of its centre from the ball.
     """
-    robot, moments = read_robot(geometry), {}
+    robot = read_robot(geometry)
+    moments: dict[str, Any] = {}
     bodies_of_carriers = {robot.carrier(name)[0]: name for name in ("middle_platform", "terminal_platform")}
     for name, link in robot.links.items():
         carrier, pose = robot.carrier(name)
@@ -193,8 +193,8 @@ def bodies(geometry: Geometry | None = None) -> FloatArray:
         centre = np.linalg.solve(robot.carrier(body)[1], pose @ [*link.inertial.xyz, 1.0])[:3]
         if name.startswith("ball_"):
             # Its centre is that of a ball, which the middle platform carries.
-            body, leg = "middle_platform", _LEG_NAMES.index(name[5:7])
-            centre = (Geometry.paper() if geometry is None else geometry).legs.balls[leg]
+            body, balls = "middle_platform", (Geometry.paper() if geometry is None else geometry).legs.balls
+            centre = balls[_LEG_NAMES.index(name[5:7])]
         moments[body] = moments.get(body, 0.0) + link.mass * np.array([1.0, *centre])
     rows = [moments["middle_platform"], moments["terminal_platform"]]
     for leg in _LEG_NAMES:
@@ -362,23 +362,27 @@ def closure_equations(machine: Machine, coordinates: Any, rotation: Any, positio
 
 
 def quadrics(machine: Machine, quaternion: Any, rotation: Any, position: Any) -> tuple[list[Any], Any]:
-    """Return the forms (4, 4) of a pose, of norm 1, and where a root has the lower balls in their planes (6,)."""
+    """Return the forms (4, 4) of `legs.quadric`, of norm 1, and the lower balls of a root in their planes (6,)."""
     normals = ca.horzcat(*machine.axes[:3], *(rotation @ x for x in machine.axes[3:]))
     heights = [ca.dot(f.x, f.pivot) for f in machine.frames]
     heights = ca.vertcat(*heights[:3], *(h + ca.dot(normals[:, 3 + i], position) for i, h in enumerate(heights[3:])))
     stages = [
-        leg_formulas.StagePlanes(
-            [parts(normals[:, i]) for i in legs], parts(heights[legs]), [parts(machine.balls[i]) for i in legs]
+        formulas_of_legs.StagePlanes(
+            (parts(normals[:, i]), parts(normals[:, i + 1]), parts(normals[:, i + 2])),
+            parts(heights[i : i + 3]),
+            (parts(machine.balls[i]), parts(machine.balls[i + 1]), parts(machine.balls[i + 2])),
         )
-        for legs in (range(3), range(3, 6))
+        for i in (0, 3)
     ]
     forms, weights = [], ca.nullspace(normals)
     for k in range(3):
         w = weights[:, k]
-        xx, yy, zz, ww, xy, xz, yz, xw, yw, zw = in_casadi(leg_formulas.quadric)(parts(w[:3]), parts(w[3:]), *stages)
+        xx, yy, zz, ww, xy, xz, yz, xw, yw, zw = in_casadi(formulas_of_legs.quadric)(
+            parts(w[:3]), parts(w[3:]), *stages
+        )
         form = ca.blockcat([[xx, xy, xz, xw], [xy, yy, yz, yw], [xz, yz, zz, zw], [xw, yw, zw, ww]])
         forms.append(form / ca.norm_fro(form))
-    turn = ca.vertcat(*(ca.horzcat(*row) for row in in_casadi(rotation_of)(*ca.vertsplit(quaternion))))
+    turn = ca.vertcat(*(ca.horzcat(*row) for row in in_casadi(vectors.rotation_of)(*ca.vertsplit(quaternion))))
     turned = [turn @ ball for ball in machine.balls]
     gaps = heights - ca.vertcat(*(ca.dot(normals[:, i], turned[i]) for i in range(6)))
     shift = ca.solve(normals @ normals.T, normals @ gaps)

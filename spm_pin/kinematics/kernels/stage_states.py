@@ -17,7 +17,6 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.kinematics.formulas.quadrics import rotation
 from spm_pin.kinematics.formulas.stages import inverse, is_home_aspect, pair_determinant
 from spm_pin.kinematics.formulas.vectors import (
     Rows,
@@ -30,6 +29,9 @@ from spm_pin.kinematics.formulas.vectors import (
     scaled,
     times,
     weighted,
+)
+from spm_pin.kinematics.formulas.vectors import (
+    rotation_of as rotation_of_quaternion,
 )
 from spm_pin.kinematics.formulas.wrenches import pairs
 from spm_pin.kinematics.kernels.compilation import jit, kernel
@@ -109,7 +111,7 @@ def evaluate_stage(
         if not square > 0.0:
             return NO_STATE
         w = math.sqrt(square)
-        turn = rotation(x, y, s, w)
+        turn = rotation_of_quaternion(x, y, s, w)
         arms = times(turn, corners[0]), times(turn, corners[1]), times(turn, corners[2])
         # The rotation by x3, and from it how the planes are left.
         spin = 2.0 * (s * x / w + y), 2.0 * (s * y / w - x), 2.0 * (w + s * s / w)
