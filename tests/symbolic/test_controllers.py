@@ -128,7 +128,7 @@ def test_the_node_publishes_the_joints_of_the_readings_and_the_launch_file_start
     for topic, sent, expected in (
         ("leg_lengths", SimpleNamespace(data=readings.tolist()), readings),
         ("leg_states", slides, readings + 0.01),
-        ("leg_lengths", SimpleNamespace(data=[9.0] * 6), readings + 0.01),
+        ("leg_lengths", SimpleNamespace(data=[0.3, 2.5, 0.3, 1.3, 1.3, 1.3]), readings + 0.01),
         ("leg_lengths", SimpleNamespace(data=[1.3]), readings + 0.01),
     ):
         callbacks[topic](sent)
