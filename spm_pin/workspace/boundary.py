@@ -275,18 +275,6 @@ def reachable_boundary(
     Boundary
         A closed mesh in {B} [m], outward.
 
-    Raises
-    ------
-    ArgumentError
-        If there are no limits, one is infinite, no readings within them belong to a configuration, or the spacing is
-        not positive, or so small or so large that there would be no grid.
-    MissingExtraError
-        If scikit-image is not installed.
-
-    Notes
-    -----
-    The grid is not searched where a coarser one has shown that nothing reachable is near.
-
     Examples
     --------
     >>> import spm_pin as spm

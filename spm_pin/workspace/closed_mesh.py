@@ -76,13 +76,7 @@ class ClosedMesh:
 
     @cached_property
     def mesh(self) -> Trimesh:
-        """The mesh as a `trimesh.Trimesh` in {B} [m], watertight, its normals outward.
-
-        Raises
-        ------
-        MissingExtraError
-            If trimesh is not installed.
-        """
+        """The mesh as a `trimesh.Trimesh` in {B} [m], watertight, its normals outward."""
         mesh: Trimesh = _trimesh().Trimesh(self.vertices, self.faces, process=False)
         return mesh
 
@@ -102,13 +96,7 @@ class ClosedMesh:
         return np.asarray(self.winding_number(points) != 0)
 
     def distance(self, points: npt.ArrayLike) -> FloatArray:
-        """Return how far `points` (..., 3) are from the mesh [m], shape (...): positive inside, negative outside.
-
-        Raises
-        ------
-        MissingExtraError
-            If trimesh is not installed.
-        """
+        """Return how far `points` (..., 3) are from the mesh [m], shape (...): positive inside, negative outside."""
         array = real_array(points, "points", (3,), "positions in metres")
         distance = self._unsigned_distance(array.reshape(-1, 3)).reshape(array.shape[:-1])
         return np.where(self.contains(array), distance, -distance)

@@ -1,11 +1,7 @@
 """The orientations that the platform can have at a position.
 
-A position leaves three of six freedoms. Choose the state of the lower stage, by its coordinates u: from the middle
-platform o is then seen in one place s, which determines the upper stage's coordinates v. So the states of the lower
-stage for which the upper one respects its limits too are the whole set of states at this position, and its
-orientations have the volume
-
-    ∫ |det ∂(o, R)/∂(u, v)| / |det ∂o/∂v| du.
+The coordinates u of the lower stage and the position determine those of the upper one, v, so the orientations have the
+volume ∫ |det ∂(o, R)/∂(u, v)| / |det ∂o/∂v| du over the lower stages for which the upper one is within its limits too.
 
 Rotations are described by tilt and torsion, R = Rz(φ) Ry(θ) Rz(σ - φ): the platform's normal leans by the tilt θ
 towards the azimuth φ, and the platform is turned by the torsion σ about it. The uniform measure of rotations is
@@ -100,11 +96,6 @@ def orientation_workspace(
     -------
     OrientationWorkspace
         Without states and of volume 0 where the position is out of reach, or hardly reached.
-
-    Raises
-    ------
-    ArgumentError
-        If there are no limits, one is infinite, or no readings within them belong to a configuration.
 
     Notes
     -----

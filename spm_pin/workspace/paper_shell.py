@@ -1,11 +1,8 @@
 """The paper's workspace: 24 surfaces that enclose where the terminal platform can be, by Table 6 and its steps 1 to 5.
 
-Where the legs are limited to [min, max], their six lengths fill a box. A sub-workspace fixes four of them at limits and
-lets two vary: it is one of the 240 square faces of that box. Neighbours share an edge, where a single leg varies, and
-this is combinatorics, settled before any position is computed. Each surface is where o goes while two legs vary. CAD
-moved a simulation mechanism there; here forward displacement does. Surfaces with a common edge have its leg lengths in
-common, and so the same vertices there: the shell is closed by construction. It is not the whole boundary of what can be
-reached, see docs/theory/workspace.md.
+A sub-workspace fixes four legs at limits and lets two vary: it is one of the 240 square faces of the box of the limits.
+Surfaces with a common edge, where a single leg varies, have its leg lengths and so their vertices in common: the shell
+is closed by construction. It is not the whole boundary of what can be reached, see docs/theory/workspace.md.
 """
 
 from __future__ import annotations
@@ -196,19 +193,9 @@ def workspace_shell(geometry: Geometry, limits: LegLimits | None = None, *, reso
     Shell
         The mesh in {B} [m], its patches, its volume, and which points it contains.
 
-    Raises
-    ------
-    GeometryError
-        If there are no limits, or a leg's are not both positive and finite.
-    ArgumentError
-        If `resolution` is not a whole number of at least 2, or the mechanism cannot be assembled with leg lengths
-        that the surfaces need.
-
     Notes
     -----
-    Section "Workspace analysis" and Table 6 of the paper, whose misprints are named in
-    `ERRATA`. It takes the physical configuration throughout, the one of
-    `forward_physical`.
+    Section "Workspace analysis" and Table 6 of the paper, whose misprints are named in `ERRATA`, in the physical mode.
 
     Examples
     --------

@@ -134,16 +134,10 @@ def reachable_position(geometry: Geometry, points: npt.ArrayLike, limits: LegLim
     limits : LegLimits, optional
         Leg limits; the geometry's own if not given.
 
-    Raises
-    ------
-    ArgumentError
-        If there are no limits, one is infinite, or no readings within them belong to a configuration.
-
     Notes
     -----
-    "Reachable" is proved: `readings` put o there. "Not reachable" is the outcome of a search: a coarse one through
-    the states of both stages, then least squares from the best of them. Where the nearest position is not found either,
-    `undecided` says so.
+    "Reachable" is proved: `readings` put o there. "Not reachable" is the outcome of a search; where it has not found
+    the nearest position either, `undecided` says so.
     """
     array = real_array(points, "points", (3,), "positions in metres")
     states = states_within(geometry, limits)
@@ -190,11 +184,6 @@ def reachable_volume(
         Of the interval, for "sampling".
     rng : Generator or int, optional
         Source of randomness, or its seed.
-
-    Raises
-    ------
-    ArgumentError
-        As for `reachable_boundary`.
     """
     check_confidence(confidence)
     if choice(method, "method", ("sampling", "mesh")) == "mesh":

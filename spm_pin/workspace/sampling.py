@@ -53,17 +53,11 @@ def sample_reachable(
     Configuration
         Of shape (count,).
 
-    Raises
-    ------
-    ArgumentError
-        As for `reachable_position`.
-
     Notes
     -----
-    Both stages are drawn independently. For poses, their coordinates c are drawn uniformly, see
-    `spm_pin.workspace.states`, and states kept in proportion to |det ∂(o, R)/∂c|, which is how much
-    of pose space they stand for, divided by the number of states with the same pose. The largest value is taken from
-    what has been drawn; all is drawn again whenever a larger one comes up.
+    For poses, coordinates c of the stages are drawn uniformly and states kept in proportion to |det ∂(o, R)/∂c| over
+    the number of states with the same pose. The largest value is taken from what has been drawn; all is drawn again
+    whenever a larger one comes up.
     """
     count = whole_number(count, "count")
     choice(space, "space", ("legs", "poses"))

@@ -1,13 +1,9 @@
 """Searches for states: with o at given points, or with points of the platform as near to given ones as they can be.
 
-Damped least squares over the coordinates of both stages: the errors of the points and the violations of the limits are
-to vanish, or the errors to be as small as they can without violations; see `docs/theory/reachable_set.md`. No step
-leaves the home's aspect, so what a search returns is physical.
-
 The searches begin at states of a sample. The two stages are independent: the reachable positions are what the lower
-stage makes of one fixed set S, where o is seen from the middle platform in all states of the upper stage, its Eq. (2).
-S has three dimensions, and the distance from it is a table. Every point is looked up in it from each lower stage of the
-sample, so no local minimum is overlooked.
+stage makes of one fixed set S, where o is seen from the middle platform in all states of the upper stage. S has three
+dimensions, and the distance from it is a table, in which every point is looked up from each lower stage of the sample.
+See `docs/theory/reachable_set.md`.
 """
 
 from __future__ import annotations
@@ -85,14 +81,8 @@ class NearestPoints(NamedTuple):
 class StartTable:
     """Coarse distances from the reachable positions, and states near them, by samples of both stages.
 
-    Attributes
-    ----------
-    spacing : float
-        Resolution of the table [m], about the error of the distances.
-    margin : float
-        Farther than this nothing is reachable by the distances [m]: 1.42 spacings were observed.
-    extent : tuple of two ndarrays
-        Corners of a box, (3,) each [m], that holds the reachable positions of the samples, and a margin.
+    Distances are off by about `spacing` [m], the table's; farther than `margin` [m] by them nothing is reachable. The
+    reachable positions are in the box with the corners `extent`, two of (3,) [m].
     """
 
     def __init__(self, states: StateSet) -> None:

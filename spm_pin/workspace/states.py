@@ -1,8 +1,7 @@
 """The states of a machine within its leg limits, by the coordinates of both stages, and samples of them.
 
-Leg lengths determine a state only where the stages can be assembled, and badly near forward singularities. The
-coordinates (x, y, Z/r) of each stage, see `spm_pin.kinematics.kernels.stage_states`, have neither defect: every state
-is a point, and poses and readings are smooth functions of it. They give any machine's states, as drawn or as built.
+The coordinates of a stage are (x, y, Z/r), see `spm_pin.kinematics.kernels.stage_states`: unlike leg lengths, each
+within the unit circle are a state, and poses and readings are smooth functions of them.
 """
 
 from __future__ import annotations
@@ -312,13 +311,7 @@ def pose_multiplicity(states: StateSet, configurations: Configuration) -> IntArr
 
 
 def states_within(geometry: Geometry, limits: LegLimits | None = None) -> StateSet:
-    """Return the physical states within `limits`, or within those of `geometry`.
-
-    Raises
-    ------
-    ArgumentError
-        If there are no limits or one is infinite, or no readings within them belong to a configuration.
-    """
+    """Return the physical states within `limits`, or within those of `geometry`; these have to be finite."""
     check_instance(geometry, Geometry, "geometry")
     limits = geometry.limits if limits is None else limits
     if not isinstance(limits, LegLimits):

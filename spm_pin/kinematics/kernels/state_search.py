@@ -445,7 +445,7 @@ def _next_end(norms: FloatArray, ends: FloatArray, best: float) -> int:
     if not norms[chosen] < best:
         return -1
     for m in range(len(norms)):
-        if np.abs(ends[m] - ends[chosen]).max() <= _SAME_END:
+        if m == chosen or np.abs(ends[m] - ends[chosen]).max() <= _SAME_END:
             norms[m] = np.inf
     return int(chosen)
 
@@ -479,9 +479,9 @@ def search_nearest(
     for n in range(len(targets)):
         target, left = targets[n], most
         coordinates[n], multipliers[n] = starts[n, 0], 0.0
-        _settle(search, coordinates[n], target, zeros, readings[n])
-        best = _norm(state[2][:rows]) + RESOLUTION * size
-        quality[n] = best - RESOLUTION * size, np.inf
+        exists = _settle(search, coordinates[n], target, zeros, readings[n])
+        first = _norm(state[2][:rows]) if exists else np.inf
+        best, quality[n, 0], quality[n, 1] = first + RESOLUTION * size, first, np.inf
         for stiffness in _STIFFNESS:
             if quality[n, 1] < np.inf:
                 break
@@ -503,5 +503,5 @@ def search_nearest(
                     before, distance = distance, _norm(state[2][:rows])
                     if distance <= min(best, before + _SAME_STATE * size):
                         best, coordinates[n], readings[n] = distance, place, settled
-                        multipliers[n], quality[n] = weight * weight * shifts[:6], (distance, slope)
+                        multipliers[n], quality[n, 0], quality[n, 1] = weight * weight * shifts[:6], distance, slope
                 chosen = _next_end(norms, ends, best)
