@@ -94,7 +94,7 @@ def print_verdict(heading: str, report: Report) -> None:
 def print_report(report: Report, *, pairs: bool = False) -> None:
     """Print the scores of the methods, and the differences of all pairs or the largest of each quantity."""
     counts = {"poses solved": "solved", "branches": "branches", "false": "invented", "poses with one lost": "missed"}
-    columns = {"method": lambda score: score.name}
+    columns: dict[str, Any] = {"method": lambda score: score.name}
     columns |= {
         heading: lambda score, name=name: str(getattr(score, name)) if score.solved else "-"
         for heading, name in counts.items()

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -79,7 +78,7 @@ def _angles(state: Configuration) -> list[float]:
 def _print_states(states: dict[str, Configuration], physical: str, unit: LengthUnit, title: str) -> None:
     # One digit more where there is room for it in 80 columns.
     finer = int(len(states) == 1)
-    columns: dict[str, Callable[[str], str]] = {"mode": str}
+    columns: dict[str, Any] = {"mode": str}
     columns |= {name: lambda label, k=k: unit.text(states[label].translation[k], finer) for k, name in enumerate("XYZ")}
     columns |= {
         name: lambda label, k=k: fixed(_angles(states[label])[k], 3 + finer)

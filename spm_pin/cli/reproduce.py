@@ -6,7 +6,7 @@ from dataclasses import astuple
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -88,7 +88,7 @@ def summary_line(found: Reproduction) -> str:
 def print_summary(found: Reproduction) -> None:
     """Print how many cells of each table agree."""
     rows = {n: [cell.verdict for cell in group] for n, group in groupby(sorted(found.cells, key=_TABLE), key=_TABLE)}
-    columns = {"": lambda n: _TITLES[n].partition(" (")[0], "cells": lambda n: str(len(rows[n]))}
+    columns: dict[str, Any] = {"": lambda n: _TITLES[n].partition(" (")[0], "cells": lambda n: str(len(rows[n]))}
     columns |= {str(verdict): lambda n, verdict=verdict: str(rows[n].count(verdict)) for verdict in Verdict}
     red = {n: "red" for n in rows if Verdict.UNEXPLAINED in rows[n]}
     outputs.print_table("The paper's numbers, recomputed", columns, rows, style=red.get)
@@ -103,7 +103,7 @@ def _number(value: complex, like: str = "0.0000") -> str:
 
 
 def _print_cells(found: Reproduction) -> None:
-    columns = {
+    columns: dict[str, Any] = {
         "": lambda cell: cell.row,
         "solution": lambda cell: cell.column,
         "published": lambda cell: cell.published or "",

@@ -61,7 +61,7 @@ def sweep(
     Killed or interrupted it loses nothing: the same command goes on, and so does spm-pin sweep --out FOLDER alone.
     """
     poses = {"--x": x, "--y": y, "--z": z, "--xyx": xyx}
-    drawn = {} if samples is None else {"count": samples, "seed": seed}
+    drawn: dict[str, Any] = {} if samples is None else {"count": samples, "seed": seed}
     domain = None if status else _domain(poses, legs, drawn, 1.0 / unit.per_metre)
     if status:
         pass
@@ -100,7 +100,7 @@ def sweep(
     print_lines([*lines, f'open with: xarray.open_zarr("{out}")' if found.complete else _go_on(out)])
 
 
-def _domain(poses: dict[str, Any], legs: list[str] | None, drawn: dict[str, int], scale: float) -> Domain | None:
+def _domain(poses: dict[str, Any], legs: list[str] | None, drawn: dict[str, Any], scale: float) -> Domain | None:
     """Return the domain that the options describe; None where there is none of them."""
     missing = [option for option, value in poses.items() if value is None]
     if legs and len(missing) < len(poses):

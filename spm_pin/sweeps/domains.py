@@ -268,4 +268,4 @@ def _leg_ranges(*stages: AxisRange | Sequence[AxisRange]) -> list[AxisRange]:
 def _three(ranges: Any, argument: str) -> Sequence[AxisRange]:
     if not isinstance(ranges, Sequence | np.ndarray) or isinstance(ranges, str) or len(ranges) != 3:
         raise ArgumentError(argument, "three values or ranges", repr(ranges))
-    return ranges
+    return list(ranges)

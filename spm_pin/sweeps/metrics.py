@@ -225,10 +225,11 @@ def unavailable(points: Points, **parameters: Any) -> npt.ArrayLike:
 def resolve_metrics(metrics: str | Metric | Iterable[str | Metric]) -> tuple[Metric, ...]:
     """Return metrics, each given by its name or as it is."""
     is_single = isinstance(metrics, str | Metric) or not isinstance(metrics, Iterable)
-    resolved = [METRICS.get(m) if isinstance(m, str) else m for m in ([metrics] if is_single else metrics)]  # type: ignore[union-attr]
-    if not all(isinstance(each, Metric) for each in resolved):
+    given: list[Any] = [metrics] if is_single else list(metrics)
+    resolved = [METRICS.get(each) if isinstance(each, str) else each for each in given]
+    chosen = tuple(each for each in resolved if isinstance(each, Metric))
+    if len(chosen) < len(given):
         raise ArgumentError("metrics", f"a Metric, or names among {', '.join(METRICS)}", repr(metrics))
-    chosen = tuple(each for each in resolved if each is not None)
     names = [each.name for each in chosen]
     if not names or len(set(names)) < len(names):
         raise ArgumentError("metrics", "one or more metrics of different names", ", ".join(names) or "none")
