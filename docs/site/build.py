@@ -37,7 +37,7 @@ PUBLIC = {
     "spm_pin.multibody": "the robot in Pinocchio: states, dynamics, simulation, mounting on another robot",
     "spm_pin.motion": "paths from one state to another, and the fastest motion along them",
     "spm_pin.nlp": "the loop equations in CasADi, and the branches found from them by multi-start",
-    "spm_pin.symbolic": "the kinematics as CasADi functions, and in C for controllers",
+    "spm_pin.symbolic": "the kinematics as CasADi functions, in C for controllers, and as a ROS 2 package",
     "spm_pin.crosscheck": "methods compared on random poses, and the paper's tables recomputed",
     "spm_pin.description": "the robot's files, and its text in URDF, MJCF, SDFormat, SRDF and Extended-URDF",
     "spm_pin.display": "pictures, figures of results, mesh files and the viewer",

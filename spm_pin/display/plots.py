@@ -220,15 +220,12 @@ def _label(configuration: Configuration, placer: _LabelPlacer, camera: FloatArra
     triad = TRIAD * section_size(configuration.geometry)
     angles = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
     around = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    rotation, origin = configuration.rotation, configuration.translation
-    for frame, axes, centre, letters in (("B", np.eye(3), np.zeros(3), "XYZ"), ("m", rotation, origin, "xyz")):
-        tips = (centre + triad * axes.T) @ flat
-        start = centre @ flat
-        for letter, tip, name in zip(letters, tips, "xyz", strict=True):
-            out = tip - start
-            place = tip + 0.75 * h * out / max(float(np.linalg.norm(out)), 1e-9)
-            placer.put(f"${letter}$", AXIS_COLOURS[name], place[None], np.zeros(1), 1.0)
+    poses = ((np.eye(3), np.zeros(3)), (configuration.rotation, configuration.translation))
+    for frame, letters, (axes, origin) in zip("Bm", ("XYZ", "xyz"), poses, strict=True):
+        start, tips = origin @ flat, (origin + triad * axes.T) @ flat
         arrows = (tips - start) / np.linalg.norm(tips - start, axis=-1, keepdims=True).clip(1e-9)
+        for letter, place, colour in zip(letters, tips + 0.75 * h * arrows, AXIS_COLOURS.values(), strict=True):
+            placer.put(f"${letter}$", colour, place[None], np.zeros(1), 1.0)
         placer.put(rf"$\{{{frame}\}}$", INK, start + 1.3 * h * around, (around @ arrows.T).max(axis=-1), 2.0)
 
     bases = configuration.leg_bases

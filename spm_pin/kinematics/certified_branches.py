@@ -160,7 +160,7 @@ def _radii_of_equations(
     """Return the radii around balls `b` of poses with these rows of R, or of a multiple, and positions."""
     count = len(o[0].low)
     p, q, upper = minus(b[1], b[0]), minus(b[2], b[0]), upper_balls(b, weights)
-    errors: list[Interval] = []
+    errors: list[Any] = []
     slopes = [[Interval.from_numbers(np.zeros(count)) for _ in range(9)] for _ in range(9)]
     quadratic = np.zeros((count, 9))
 
@@ -169,8 +169,9 @@ def _radii_of_equations(
             slopes[equation][3 * ball + k] = slopes[equation][3 * ball + k] + direction[k]
 
     for i in range(6):
-        axis, corner = axes[i], i % 3
-        arm = minus(b[corner], pivots[i])
+        axis: Vectors = axes[i]
+        corner = i % 3
+        arm: Vectors = minus(b[corner], pivots[i])
         if i >= 3:
             axis, arm = times(rows, axis), minus(minus(upper[corner], o), times(rows, pivots[i]))
             u, v, w = weights[corner]
@@ -180,7 +181,7 @@ def _radii_of_equations(
                 add(i, other, direction)
                 add(i, 0, [-x for x in direction])
             # |δp| and |δq| are at most √12 in units of the cube's half edge.
-            quadratic[:, i] = 12.1 * _most(w) * np.sqrt(sum(_most(x) ** 2 for x in axis))
+            quadratic[:, i] = 12.1 * _most(w) * np.linalg.norm([_most(x) for x in axis], axis=0)
         add(i, corner, axis)
         errors.append(dot(axis, arm))
     for k, (i, j) in enumerate(((0, 1), (1, 2), (2, 0))):

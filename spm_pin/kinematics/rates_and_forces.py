@@ -212,7 +212,7 @@ def _refuse_singular(configuration: Configuration, indices: IntArray, kind: str)
     some = configuration[tuple(indices.T)] if configuration.shape else configuration
     matrices = force_matrices(some).reshape(-1, 3, 6, 6)
     # What exists has a row of NaN where a leg has no length.
-    is_short = np.isnan(matrices).any(axis=(-1, -2, -3))
+    is_short = np.asarray(np.isnan(matrices).any(axis=(-1, -2, -3)))
     values = np.linalg.svd(np.nan_to_num(matrices[:, :2] if kind == "forward" else matrices[:, 2:]), compute_uv=False)
     smallest = np.where(values[..., -1] <= SINGULAR * values[..., 0], values[..., -1], np.inf).min(axis=-1)
     singular = is_short | (smallest < np.inf)

@@ -77,7 +77,7 @@ def real_number(
         if array is None or array.shape or array.dtype.kind not in "fiu":
             raise error(argument, expected, type_and_value(value))
         number = float(array)
-    if not (np.isfinite(number) and number > above and least <= number <= most and number < below):
+    if not (np.isfinite(number) and above < number < below and least <= number <= most):
         raise error(argument, expected, f"{number:g}", cause if np.isfinite(number) else "")
     return number
 
@@ -165,7 +165,7 @@ def file_path(
 
 @contextlib.contextmanager
 def writing(path: Path, argument: str = "path", *, error: type[ArgumentError] = ArgumentError) -> Iterator[None]:
-    """Turn an `OSError` of the block, which writes a file, into an error that names the argument."""
+    """Turn an `OSError` of a block that writes a file into an error that names the argument."""
     try:
         yield
     except OSError as failed:

@@ -39,9 +39,9 @@ _BLOCK = 2048
 def home_lengths(geometry: Geometry) -> tuple[float, float]:
     """Return the leg length at home of the lower and of the upper stage [m].
 
-    It is the middle of the limits that the stage's three legs share, if the stage can stand there: if it is
-    longer than the radial distance from hip to ball. Otherwise, and without limits, it is the shortest length
-    allowed plus that of legs whose stage is as high as the sum of its two radii.
+    It is the middle of the limits that the stage's three legs share, if it is longer than the radial distance from hip
+    to ball. Otherwise, and without limits, it is the shortest length allowed plus that of legs whose stage is as high
+    as the sum of its two radii.
     """
     limits = geometry.limits
     r = geometry.middle_radius
@@ -149,26 +149,26 @@ class JointAngles:
     @property
     def ball_x(self) -> FloatArray:
         """First angles of the ball joints [rad] in [-π, π], shape (..., 2 n)."""
-        return self._ball(0)
+        return self._balls[..., 0, :]
 
     @property
     def ball_y(self) -> FloatArray:
         """Middle angles of the ball joints [rad] in [-π/2, π/2], shape (..., 2 n)."""
-        return self._ball(1)
+        return self._balls[..., 1, :]
 
     @property
     def ball_z(self) -> FloatArray:
         """Third angles of the ball joints [rad] in [-π, π], shape (..., 2 n)."""
-        return self._ball(2)
+        return self._balls[..., 2, :]
 
     @property
     def slide(self) -> FloatArray:
         """Leg lengths less those at home [m], shape (..., 6)."""
         return self.values[..., -6:]
 
-    def _ball(self, axis: int) -> FloatArray:
-        count = (self.values.shape[-1] - 12) // 3
-        return self.values[..., 6 + axis * count : 6 + (axis + 1) * count]
+    @property
+    def _balls(self) -> FloatArray:
+        return self.values[..., 6:-6].reshape(*self.values.shape[:-1], 3, (self.values.shape[-1] - 12) // 3)
 
 
 def joint_angles(configuration: Configuration, corners: tuple[int, ...] = (0, 1, 2)) -> JointAngles:

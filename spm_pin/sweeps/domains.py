@@ -60,11 +60,11 @@ class Axis:
         if not start < stop:
             cause = "The ends exchanged?" if start > stop else "Give a fixed coordinate as one number."
             raise ArgumentError(name, "start < stop", f"{start:g} and {stop:g}", cause)
-        count = 0.0 if sampled else float(numbers[2])
-        if not sampled and (not 2 <= count <= _MOST_VALUES or count != int(count)):
-            cause = "Give a fixed coordinate as one number." if count == 1 else ""
-            raise ArgumentError(name, f"an integer count of at least 2, at most {_MOST_VALUES}", f"{count:g}", cause)
-        return Axis(name, start, stop, int(count))
+        count = 0 if sampled else int(numbers[2])
+        if not sampled and (not 2 <= count <= _MOST_VALUES or count != numbers[2]):
+            expected = f"an integer count of at least 2, at most {_MOST_VALUES}"
+            raise ArgumentError(name, expected, f"{numbers[2]:g}", "Give a fixed coordinate as one number.")
+        return Axis(name, start, stop, count)
 
     @property
     def is_fixed(self) -> bool:

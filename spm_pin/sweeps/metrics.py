@@ -272,33 +272,20 @@ def _leg_margin(points: Points) -> npt.ArrayLike:
 
 
 def _conditioning(points: Points, *, length: float | None = None) -> npt.ArrayLike:
-    """Return the inverse condition number: 0 at a singularity, 1 at an isotropic state.
-
-    The local conditioning index of C. Gosselin, J. Angeles, "A global performance index for the kinematic optimization
-    of robotic manipulators", Journal of Mechanical Design 113 (1991), of the homogeneous Jacobian.
-    """
+    """Return the local conditioning index of C. Gosselin, J. Angeles, Journal of Mechanical Design 113 (1991)."""
     values = points.singular_values(length)
     return points.spread(_zero_if_singular(values[:, -1] / values[:, 0]))
 
 
 def _isotropy(points: Points, *, length: float | None = None) -> npt.ArrayLike:
-    """Return geometric over arithmetic mean of the squared singular values: from 0 to 1.
-
-    The measure of J.-O. Kim, P. K. Khosla, "Dexterity measures for design and control of manipulators", IROS 1991, of
-    G, which maps leg rates to the twist (v, Lω).
-    """
+    """Return the measure of isotropy of J.-O. Kim, P. K. Khosla, "Dexterity measures...", IROS 1991."""
     values = points.singular_values(length)
     squares = (values / values[:, :1]) ** 2
     return points.spread(_zero_if_singular(squares.prod(axis=-1) ** (1.0 / 6.0) / squares.mean(axis=-1)))
 
 
 def _payload(points: Points, *, push: float = 1.0, pull: float | None = None) -> npt.ArrayLike:
-    """Return the force that the machine holds at o whatever its direction, without a moment.
-
-    `push` and `pull` are the largest forces of a leg [N]; `pull` is `push` if not given. By default the metric is the
-    payload per newton of leg force. A leg of force a · u under the unit force u bears at most ``|a|``, in either sense:
-    the payload is the least quotient of a leg's limit and its ``|a|``, without a search over directions.
-    """
+    """Return the force held at o whatever its direction, without a moment, for leg forces of at most push and pull."""
     # f = -Gᵀ w: a unit force u takes -G_v[:, i] · u of leg i, at most |G_v[:, i]| in either sense.
     largest = np.linalg.norm(points.platform_jacobians[:, :3], axis=-2).max(axis=-1)
     return points.spread(_zero_if_singular(min(push, push if pull is None else pull) / largest))
@@ -312,12 +299,8 @@ def _payload_down(points: Points, *, push: float = 1.0, pull: float | None = Non
 
 
 def _least_stiffness(points: Points, rows: slice, leg_stiffness: float) -> npt.ArrayLike:
-    """Return the stiffness against a force or a moment, `rows` of G, in the direction in which it is least.
-
-    `leg_stiffness` is that of each actuator [N/m]; everything else is rigid. A force f moves o by
-    ``G_v G_vᵀ f / leg_stiffness``, G_v the upper three rows of G, while the platform turns as it likes; a moment
-    likewise with the lower three, while o moves as it likes.
-    """
+    """Return the least stiffness against a force or a moment, `rows` of G, that leaves the other motion free."""
+    # A force f moves o by G_v G_vᵀ f / leg_stiffness, G_v the upper three rows of G; everything but the legs is rigid.
     g = points.platform_jacobians[:, rows]
     compliance = np.linalg.eigvalsh(np.nan_to_num(g @ g.swapaxes(-1, -2)))[:, -1]
     return points.spread(_zero_if_singular(leg_stiffness / np.where(np.isnan(g[:, 0, 0]), np.nan, compliance)))

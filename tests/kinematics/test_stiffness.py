@@ -85,7 +85,7 @@ def test_a_soft_structure_lets_the_balls_leave_the_planes_of_their_legs() -> Non
         return np.concatenate(total) / 1e4
 
     def moved(load: np.ndarray) -> np.ndarray:
-        x = fsolve(gaps, np.zeros(12), args=(load,), xtol=1e-14)
+        x = fsolve(gaps, np.zeros(12), args=(load,), xtol=1e-9)
         assert np.abs(gaps(x, load)).max() < 1e-8
         return x[6:12]
 

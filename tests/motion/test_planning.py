@@ -49,9 +49,10 @@ def test_a_machine_as_built_is_planned_for_by_its_readings() -> None:
     assert around.method == "around"
     check(around, wide, *NARROW)
     assert (apart.clearance_margin(around.configurations(1000)) > -1e-4).all()
-    certificate = spm.certify(PAPER, spm.LegLimits(1.1, 1.5), length_error=3e-4, angle_error=3e-4)
+    ends = spm.LegLimits(1.2, 1.5)
+    certificate = spm.certify(PAPER, ends, length_error=3e-4, angle_error=3e-4)
     assert spm.plan(near, START, GOAL, certificate=certificate).certified
-    assert spm.plan(near, START, GOAL, certificate=spm.certify(near)).certified
+    assert spm.plan(near, START, GOAL, certificate=spm.certify(near, ends)).certified
     with pytest.raises(spm.ArgumentError, match="certificate: expected a certificate of `geometry`, got one of other"):
         spm.plan(machine, START, GOAL, certificate=certificate)
     state = spm.forward_physical(PAPER, START)

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 from xml.etree import ElementTree
 
 import numpy as np
@@ -94,78 +95,56 @@ def test_the_node_publishes_the_joints_of_the_readings_and_the_launch_file_start
 ) -> None:
     library = tmp_path / "libspm_kinematics.so"
     compile_c(compilers()[0], "-O2", "-fPIC", "-shared", package / "src/spm_kinematics.c", "-lm", "-o", library)
-    published: list[SimpleNamespace] = []
-    callbacks, logged = {}, []
 
     class Node:
+        create_publisher, create_subscription, create_timer, get_logger, get_clock = (MagicMock() for _ in range(5))
+
         def __init__(self, name: str) -> None:
             assert name == "spm_joint_states"
 
-        def create_publisher(self, kind: object, topic: str, depth: int) -> SimpleNamespace:
-            return SimpleNamespace(publish=published.append)
-
-        def create_subscription(self, kind: object, topic: str, callback: object, depth: int) -> None:
-            callbacks[topic] = callback
-
-        def create_timer(self, period: float, callback: object) -> None:
-            callbacks["timer"] = callback
-
-        def get_logger(self) -> SimpleNamespace:
-            return SimpleNamespace(warning=logged.append)
-
-        def get_clock(self) -> SimpleNamespace:
-            return SimpleNamespace(now=lambda: SimpleNamespace(to_msg=lambda: 0.0))
-
-    def message() -> SimpleNamespace:
-        return SimpleNamespace(header=SimpleNamespace(stamp=None), name=[], position=[])
-
+    actions = SimpleNamespace(
+        DeclareLaunchArgument=lambda name, **given: SimpleNamespace(name=name, **given), OpaqueFunction=SimpleNamespace
+    )
+    configuration = SimpleNamespace(LaunchConfiguration=lambda key: SimpleNamespace(perform=lambda given: given[key]))
     stand_ins = {
-        "rclpy": {},
-        "rclpy.node": {"Node": Node},
-        "sensor_msgs": {},
-        "sensor_msgs.msg": {"JointState": message},
-        "std_msgs": {},
-        "std_msgs.msg": {"Float64MultiArray": object},
-        "launch": {"LaunchDescription": list},
-        "launch.actions": {"DeclareLaunchArgument": SimpleNamespace, "OpaqueFunction": SimpleNamespace},
-        "launch.substitutions": {"LaunchConfiguration": lambda key: SimpleNamespace(perform=lambda given: given[key])},
-        "launch_ros": {},
-        "launch_ros.actions": {"Node": SimpleNamespace},
+        **{name: MagicMock() for name in ("rclpy", "sensor_msgs", "sensor_msgs.msg", "std_msgs", "std_msgs.msg")},
+        "rclpy.node": SimpleNamespace(Node=Node),
+        "launch": SimpleNamespace(LaunchDescription=list),
+        "launch.actions": actions,
+        "launch.substitutions": configuration,
+        "launch_ros": MagicMock(),
+        "launch_ros.actions": SimpleNamespace(Node=SimpleNamespace),
     }
-    stand_ins["launch.actions"]["DeclareLaunchArgument"] = lambda name, **given: SimpleNamespace(name=name, **given)
     with pytest.MonkeyPatch.context() as patch:
         for name, content in stand_ins.items():
-            patch.setitem(sys.modules, name, SimpleNamespace(**content))
+            patch.setitem(sys.modules, name, content)
         node = runpy.run_path(str(package / "scripts/joint_states.py"))["JointStates"](library)
         *arguments, opaque = runpy.run_path(str(package / "launch/robot.launch.py"))["generate_launch_description"]()
-    machine, readings = (
-        spm.Geometry.from_yaml(package.parent / "machine.yaml"),
-        np.array([1.2, 1.3, 1.4, 1.2, 1.3, 1.25]),
-    )
+    callbacks = {call.args[1]: call.args[2] for call in node.create_subscription.call_args_list}
+    machine = spm.Geometry.from_yaml(package.parent / "machine.yaml")
+    readings = np.array([1.2, 1.3, 1.4, 1.2, 1.3, 1.25])
     zeros = [1.3 + offset for offset in machine.legs.offsets]
     slides = SimpleNamespace(name=list(spm.description.SLIDES), position=(readings - zeros + 0.01).tolist())
     for topic, sent, expected in (
         ("leg_lengths", SimpleNamespace(data=readings.tolist()), readings),
         ("leg_states", slides, readings + 0.01),
-        ("leg_lengths", SimpleNamespace(data=[9.0] * 6), readings + 0.01),
+        ("leg_lengths", SimpleNamespace(data=[0.3, 2.5, 0.3, 1.3, 1.3, 1.3]), readings + 0.01),
         ("leg_lengths", SimpleNamespace(data=[1.3]), readings + 0.01),
     ):
         callbacks[topic](sent)
-        callbacks["timer"]()
+        node.create_timer.call_args.args[1]()
+        message = node.publisher.publish.call_args.args[0]
         values = joint_values(spm.forward_physical(machine, expected))
-        found = dict(zip(published[-1].name, published[-1].position, strict=True))
-        assert found == pytest.approx(values, rel=0, abs=1e-12)
-    assert len(logged) == 2
-    assert node is not None
+        assert dict(zip(message.name, message.position, strict=True)) == pytest.approx(values, rel=0, abs=1e-12)
+    assert node.get_logger().warning.call_count == 2
 
     defaults = {argument.name: argument.default_value for argument in arguments}
     started = opaque.function(defaults | {"control": "true"})
     assert [each.executable for each in started] == [
         *("robot_state_publisher", "joint_states.py", "ros2_control_node", "spawner", "spawner", "rviz2")
     ]
-    depends = {
-        each.text for each in ElementTree.parse(package / "package.xml").getroot().iter() if "depend" in each.tag
-    }
+    elements = ElementTree.parse(package / "package.xml").getroot().iter()
+    depends = {each.text for each in elements if "depend" in each.tag}
     assert {each.package for each in started} - {"spm_robot"} <= depends
     assert len(opaque.function(defaults)) == 3
 

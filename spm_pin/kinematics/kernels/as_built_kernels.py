@@ -72,6 +72,8 @@ OK, UNREACHABLE, DEGENERATE, UNSOLVED = 0, 1, 2, 3
 _SHORTEST_STEPS = 1.0, 0.02, 1e-7
 """Shortest steps of the errors, as parts of them: a branch that needs shorter ones meets another. The shorter ones are
 tried only while a real root is left for such a branch."""
+_SHARE = 8 * POINTS
+"""Where the row of the shares of the errors begins that roots were led to."""
 _LEVELS = 25
 """Halvings of the way, no fewer than lead to the shortest step."""
 _SAME_ROOT = 1e-6
@@ -219,11 +221,10 @@ def _read_pose(rotation: FloatArray, position: FloatArray, n: int, unit: float) 
 
 @jit_inline
 def _put_start(roots: FloatArray, k: int, b: Rows) -> None:
-    """Write a real branch of the drawn machine, its lower balls, as pending root k."""
+    """Write a real branch of the drawn machine, its lower balls, as root k."""
     # The axes are the rows of the transposed rotation.
     x0, x1, x2, x3 = quaternion(triangle_axes(b))
     put_real_part(roots, k, (-x1, -x2, -x3, x0))
-    roots[STATE + k] = PENDING
 
 
 @jit_inline
@@ -245,39 +246,39 @@ def _is_real_branch(b: ComplexArray) -> bool:
 def _follow(
     rotation: Rows, position: Vector, machines: FloatArray, shortest: float, roots: FloatArray, scratch: Scratch
 ) -> None:
-    """Follow the pending roots, all real, while the errors grow from zero to those of the machine.
+    """Follow real roots while the errors grow from zero to those of the machine.
 
-    In the end a root has arrived, and is still pending, or has failed: a step shorter than `shortest`, a part of the
-    errors, would not have led on.
+    The row `_SHARE` of the roots has the shares of the errors that they were led to: zero in the beginning, and one in
+    the end if a root has arrived. A root for which a step would have to be shorter than `shortest` is left behind.
     """
     trial, targets = scratch.trial, scratch.targets
     level, share = 0, 0.0
     # Before a target that some root cannot be led to in one step the half of the way there is put.
     while level >= 0:
-        for k in range(len(trial)):
-            trial[k] = roots[k]
-        polish(scratch.forms[level], trial, False, True, 10)
-        arrived, failed = 0, 0
+        waiting = False
         for k in range(POINTS):
-            if roots[STATE + k] == PENDING:
-                arrived += 1 if trial[STATE + k] == CONVERGED else 0
-                failed += 0 if trial[STATE + k] == CONVERGED else 1
+            is_tried = roots[_SHARE + k] == share
+            waiting = waiting or is_tried
+            trial[STATE + k] = PENDING if is_tried else FAILED
+            put_real_part(trial, k, real_part(roots, k))
+        if waiting:
+            polish(scratch.forms[level], trial, False, True, 10)
+            waiting = False
+            for k in range(POINTS):
+                if trial[STATE + k] == CONVERGED:
+                    roots[_SHARE + k] = targets[level]
+                    put_real_part(roots, k, real_part(trial, k))
+                elif roots[_SHARE + k] == share:
+                    waiting = True
         half = 0.5 * (targets[level] - share)
-        if failed > 0 and half >= shortest:
+        if waiting and half >= shortest:
             level += 1
             targets[level] = share + half
             _put_planes(rotation, position, machines, targets[level], scratch.planes_between)
             _put_quadrics(scratch.planes_between, scratch.forms[level])
-            continue
-        for k in range(POINTS):
-            if roots[STATE + k] == PENDING:
-                put_real_part(roots, k, real_part(trial, k))
-                roots[STATE + k] = PENDING if trial[STATE + k] == CONVERGED else FAILED
-        if arrived == 0:
-            return
-        share = targets[level]
-        # Those that are left may have been far from where the others ended.
-        level = 0 if failed > 0 and level > 0 else level - 1
+        else:
+            share = targets[level]
+            level -= 1
 
 
 @jit_inline
@@ -326,7 +327,7 @@ def as_built_branches(
     has the branch; `Status` (N,); and the b_i of all roots (N, 8, 3, 3) if the last array has a length.
     """
     scratch, elimination = _allocate_scratch(), allocate_elimination()
-    roots, followed = np.empty(8 * POINTS), np.empty(ROWS * POINTS)
+    roots, followed = np.empty(8 * POINTS), np.empty(9 * POINTS)
     drawn, found = np.empty((8, 3, 3), np.complex128), np.empty((8, 3, 3), np.complex128)
     label_of, root_of = np.empty(8, np.int64), np.empty(8, np.int64)
     for n in range(len(position)):
@@ -352,8 +353,9 @@ def as_built_branches(
             if left == 0 and shortest < 1.0:
                 break
             for k in range(8):
-                followed[STATE + k] = FAILED
+                followed[_SHARE + k] = 1.0
                 if is_carried[n, k] == 0:
+                    followed[_SHARE + k] = 0.0
                     b = drawn[k]
                     _put_start(followed, k, (_real_vector(b[0]), _real_vector(b[1]), _real_vector(b[2])))
             _follow(turn, place, machines, shortest, followed, scratch)
@@ -391,7 +393,7 @@ def _claim(
     """Give labels to the real roots at which branches arrived; return how many more roots have one."""
     claimed = 0
     for label in range(8):
-        if is_carried[label] != 0 or followed[STATE + label] == FAILED:
+        if is_carried[label] != 0 or followed[_SHARE + label] != 1.0:
             continue
         x = real_part(followed, label)
         for k in range(8):
@@ -441,7 +443,7 @@ def _put_nearest(rotation: Rows, position: Vector, scratch: Scratch, nearest: Fl
     if is_continuous(tt, noise) or is_continuous(tf, noise) or is_continuous(ft, noise) or is_continuous(ff, noise):
         return False
     for k in range(POINTS):
-        nearest[STATE + k] = FAILED
+        nearest[STATE + k] = PENDING if k < 2 else FAILED
     for k in range(2):
         u, v, square = root(tt, 1.0 - 2.0 * k, math.sqrt(radicand))
         radii, heights = middle_joints(u, v, 1.0 / square, tt, frame, position)

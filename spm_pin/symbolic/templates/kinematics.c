@@ -273,7 +273,6 @@ typedef struct {
     double lengths[3], change[3];                       /* of a stage's legs, and all along the way */
     double rotation[9], position[3], turn[3], shift[3]; /* of the platform; the turn as a vector */
     double end[9], angle;                               /* R at t = 1 */
-    double gap[6];                                      /* errors at t = 0, which vanish along the way */
 } way;
 
 typedef struct {
@@ -321,9 +320,6 @@ static void evaluate(const way *w, double t, const double *balls, equations *e)
     } else {
         const double *const in[] = {balls, lengths, LEGS(w->geometry)};
         (w->kind == 0 ? lower_stage : upper_stage)(in, out);
-    }
-    for (i = 0; i < 6; ++i) {
-        e->errors[i] -= (1.0 - t) * w->gap[i];
     }
 }
 
@@ -392,13 +388,11 @@ static double kantorovich(const way *w, const equations *e, const double *invers
 }
 
 /* Follow the solution that `balls` are at t = 0 to t = 1; returns 0 at a singularity. */
-static int follow(way *w, double *balls)
+static int follow(const way *w, double *balls)
 {
     equations e;
     double inverse[36], t = 0.0, step = 1.0;
     int left = @MOST_STEPS@;
-    put_nan(w->gap, 0);
-    evaluate(w, 0.0, balls, &e);
     for (; t < 1.0; t = t + step >= 1.0 ? 1.0 : t + step, step *= 2.0) {
         evaluate(w, t, balls, &e);
         if (!invert(e.jacobian, inverse)) {
