@@ -34,10 +34,6 @@ _PAIRS = 1 << 17
 """Points times faces looked at together: some 60 MB of intermediate results."""
 _OBLIQUE = Rotation.from_rotvec([0.37, -0.59, 0.83]).as_matrix()
 """To a frame whose last axis is the rays' direction."""
-_FEW = 16
-"""Number of nearest faces examined first."""
-_CHUNK = 1 << 20
-"""Points times faces whose distances are computed together."""
 
 
 @dataclass(frozen=True)
@@ -112,18 +108,12 @@ class ClosedMesh:
         """Return the distance of each of `points` (N, 3) from the nearest face [m], shape (N,)."""
         closest_point = _trimesh().triangles.closest_point
         tree, reach = self._faces_by_place
-        shortest, settled = np.full(len(points), np.inf), np.zeros(len(points), dtype=bool)
-        left, few = np.arange(len(points)), _FEW
-        while len(left):
-            few = min(few, len(self.faces))
-            for part in np.array_split(left, -(-len(left) * few // _CHUNK)):
-                apart, near = map(np.asarray, tree.query(points[part], k=np.arange(1, few + 1)))
-                queries = np.repeat(points[part], few, axis=0)
-                nearest = closest_point(self.vertices[self.faces[near.ravel()]], queries)
-                shortest[part] = np.linalg.norm(nearest - queries, axis=1).reshape(near.shape).min(axis=1)
-                # A face whose centroid is farther than this is itself farther than the nearest one found.
-                settled[part] = (apart[:, -1] - reach >= shortest[part]) | (few == len(self.faces))
-            left, few = left[~settled[left]], 4 * few
+        shortest = np.empty(len(points))
+        for k, point in enumerate(points):
+            # The nearest centroid is on the mesh; a face whose centroid is farther by `reach` is itself farther.
+            near = tree.query_ball_point(point, (1.0 + 1e-9) * (tree.query(point)[0] + reach))
+            nearest = closest_point(self.vertices[self.faces[near]], np.broadcast_to(point, (len(near), 3)))
+            shortest[k] = np.linalg.norm(nearest - point, axis=1).min()
         return shortest
 
 

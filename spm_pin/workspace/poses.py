@@ -29,14 +29,14 @@ from spm_pin.mechanism.branches import branch_sign, family, physical, tilt_cosin
 from spm_pin.workspace.joint_limits import JointLimits
 from spm_pin.workspace.nearest_real_pose import nearest_real_pose
 from spm_pin.workspace.search import nearest_states
-from spm_pin.workspace.states import free_states, states_around, states_within
+from spm_pin.workspace.states import HOME_ASPECT, free_states, states_around, states_within
 
 _STARTS = 8
 """Starts of a search: the states of a sample whose platform joints are nearest to the target's."""
 _MODE_TOLERANCE = 1e-7
 """Distance of balls, over d, from those of the readings in the mode of `near`, above which a search has left it."""
-_STATE = ("rotation", "translation", "middle_joints")
-"""Arrays of a configuration."""
+_FREE_SAMPLE, _FREE_STARTS, _SEED = 4096, 32, 20_140_131
+"""States looked through for starts without leg limits, how many of them are taken, and their seed."""
 _OFF_THE_EDGE = 1e-5
 """Step in the coordinates away from where two branches meet: there rounding decides whether they are real."""
 
@@ -269,7 +269,7 @@ def _nearest_within(
         return states.states(result.coordinates, result.readings)
     states, start = states_around(near, limits)
     result = nearest_states(states, targets, np.broadcast_to(start, (len(targets), 1, 2, 3)), joints)
-    if states.in_home_aspect:
+    if states.aspects == (HOME_ASPECT, HOME_ASPECT):
         return states.states(result.coordinates, result.readings)
     # Elsewhere the sign of a determinant does not tell one aspect from another: the way from `near` does.
     followed = forward_physical(geometry, result.readings, near=near)
@@ -285,31 +285,46 @@ def _nearest_real(geometry: Geometry, matrices: FloatArray, branch: str, near: C
     left = np.flatnonzero(~solved.exists)
     if not len(left):
         return solved
-    last = None if near is None else near.pose
-    poses = [nearest_real_pose(geometry.nominal, as_rigid_transform(matrices[k]), branch[:2], last) for k in left]
-    nearest = inverse_displacement(geometry.nominal, as_rigid_transform(np.array([x.as_matrix() for x in poses])))[
-        branch
-    ]
-    if not geometry.is_nominal:
-        nearest = _nearest_as_built(geometry, matrices[left], branch, nearest)
-    arrays = [np.array(getattr(solved, name)) for name in _STATE]
-    for array, name in zip(arrays, _STATE, strict=True):
-        array[left] = getattr(nearest, name)
-    return Configuration.from_arrays(geometry, *arrays)
-
-
-def _nearest_as_built(geometry: Geometry, matrices: FloatArray, branch: str, drawn: Configuration) -> Configuration:
-    """Return the states (N,) of a machine as built nearest to poses (N, 4, 4), from those of the drawing."""
-    states, targets = free_states(geometry, branch[:2]), _joint_positions(geometry, matrices)
-    result = nearest_states(states, targets, states.coordinates(drawn)[:, None], geometry.platform_joints)
+    states, joints = free_states(geometry, branch[:2]), geometry.platform_joints
+    targets, rng = _joint_positions(geometry, matrices[left]), np.random.default_rng(_SEED)
+    sample = np.empty((_FREE_SAMPLE, 2, 3))
+    radius, angle = np.sqrt(rng.uniform(0.0, 0.9, sample.shape[:2])), rng.uniform(0.0, 2.0 * np.pi, sample.shape[:2])
+    sample[..., 0], sample[..., 1] = radius * np.cos(angle), radius * np.sin(angle)
+    heights = rng.uniform(-1.0, 1.0, sample.shape[:2]) / states.radius
+    nearest = []
+    for target in targets:
+        sample[..., 2] = heights * (np.abs(target).max() + geometry.middle_side)
+        distance = ((states.positions(sample, joints) - target) ** 2).sum(axis=-1)
+        nearest.append(sample[np.argpartition(distance, _FREE_STARTS)[:_FREE_STARTS]])
+    starts = np.array(nearest)
+    if near is not None and FAMILIES[int(family(near))] == branch[:2]:
+        last = states.coordinates(Configuration(geometry, near.pose.as_matrix()[None], near.middle_joints[None]))
+        starts = np.concatenate([np.broadcast_to(last, (len(left), 1, 2, 3)), starts], axis=1)
+    result = nearest_states(states, targets, starts, joints)
+    # (x, y) and (-x, -y) are the same turn at the edge of the unit circle, where a search stops: it may go on there.
+    across = nearest_states(states, targets, result.coordinates[:, None] * [-1.0, -1.0, 1.0], joints)
+    nearer = np.flatnonzero(across.distance < result.distance)
+    result.update(nearer, across, nearer)
     # Where the branch begins to be real it meets another: a step along what keeps the pose there tells them apart.
     step = _OFF_THE_EDGE * np.linalg.svd(states.jacobians(result.coordinates))[2][:, -1].reshape(-1, 2, 3)
     room = 0.5 * (1.0 - np.hypot(*np.moveaxis(result.coordinates[..., :2], -1, 0)).max(axis=-1))
     step *= np.minimum(room / _OFF_THE_EDGE, 1.0)[:, None, None]
-    first, second = (states.states(result.coordinates + sign * step) for sign in (1.0, -1.0))
+    sides = [states.states(result.coordinates + sign * step) for sign in (1.0, -1.0)]
     with np.errstate(invalid="ignore"):  # a step off the edge that leads nowhere is NaN
-        wanted = branch_sign(first) * (1.0 if branch[2] == "+" else -1.0) > 0.0
-    arrays = [np.array(getattr(second, name)) for name in _STATE]
-    for array, name in zip(arrays, _STATE, strict=True):
-        array[wanted] = getattr(first, name)[wanted]
+        wanted = branch_sign(sides[0]) * (1.0 if branch[2] == "+" else -1.0) > 0.0
+
+    arrays = [np.array(getattr(solved, name)) for name in ("rotation", "translation", "middle_joints")]
+    for array, name in zip(arrays, ("rotation", "translation", "middle_joints"), strict=True):
+        first, second = (getattr(side, name) for side in sides)
+        array[left] = np.where(wanted.reshape(-1, *(1,) * (first.ndim - 1)), first, second)
+    # Of mixed families there may be nearer ones: the drawing's quadratic forms give them, to be solved for anew.
+    from_near = None if near is None else near.pose
+    for k in left:
+        drawn = nearest_real_pose(geometry, as_rigid_transform(matrices[k]), branch[:2], from_near)
+        state = inverse_displacement(geometry, drawn)[branch]
+        here = Configuration.from_arrays(geometry, *(array[k] for array in arrays)).pose.as_matrix()
+        distances = [_joint_distance(geometry, matrix - matrices[k]) for matrix in (drawn.as_matrix(), here)]
+        if state.exists and not distances[0] >= distances[1]:
+            for array, value in zip(arrays, (state.rotation, state.translation, state.middle_joints), strict=True):
+                array[k] = value
     return Configuration.from_arrays(geometry, *arrays)

@@ -266,17 +266,11 @@ def in_chunks(
     function: Callable[..., tuple[Any, ...]], what: str, progress: Progress | None, *arrays: FloatArray
 ) -> Iterator[Any]:
     """Call `function` with a chunk of the rows of the arrays at a time; return each of its results, concatenated."""
-    parts = [
-        function(*(array[rows] for array in arrays)) for rows in chunk_slices(len(arrays[0]), _CHUNK, what, progress)
-    ]
-    return map(np.concatenate, zip(*parts, strict=True))
-
-
-def chunk_slices(count: int, most: int, what: str, progress: Progress | None) -> Iterator[slice]:
-    """Give slices of `most` rows that together are `count` rows, and report the progress; without rows an empty one."""
-    for begin in range(0, max(count, 1), most):
+    parts, count = [], len(arrays[0])
+    for begin in range(0, max(count, 1), _CHUNK):
         if progress is not None:
             progress(what, begin, count)
-        yield slice(begin, min(begin + most, count))
+        parts.append(function(*(array[begin : begin + _CHUNK] for array in arrays)))
     if progress is not None:
         progress(what, count, count)
+    return map(np.concatenate, zip(*parts, strict=True))

@@ -26,7 +26,7 @@ _HALF_TURN = np.array([-1.0, -1.0, 1.0])
 """Diagonal of the half turn about Z."""
 _UPWARD = np.array([1.0, -1.0])
 """Sign of Z at home of each stage."""
-_INSIDE, _HOME_ASPECT, _ANY_ASPECT = 3, 2.0, 0.0
+_INSIDE, HOME_ASPECT, _ANY_ASPECT = 3, 2.0, 0.0
 _SAMPLE, _SEED = 20_000, 20_140_131
 """Number of states in `StateSet.sample`, and the seed of the samples, fixed so that results repeat."""
 _MIN_BATCH = 4096
@@ -63,7 +63,7 @@ class StateSet:
     """Largest readings (6,) [m]."""
     family: str = "TT"
     """The modes of the stages."""
-    aspects: tuple[float, float] = (_HOME_ASPECT, _HOME_ASPECT)
+    aspects: tuple[float, float] = (HOME_ASPECT, HOME_ASPECT)
     """The aspects of the stages: 2 for the home's, 1 and -1 for those with this sign of the determinant, 0 for any."""
 
     @property
@@ -76,11 +76,6 @@ class StateSet:
         """E + C + d + the longest legs [m]: what lengths are compared with."""
         g, longest = self.geometry, float(self.maximum.max())
         return float(g.base_radius + g.platform_radius + g.middle_side + (longest if np.isfinite(longest) else 0.0))
-
-    @property
-    def in_home_aspect(self) -> bool:
-        """Whether all states are physical."""
-        return self.aspects == (_HOME_ASPECT, _HOME_ASPECT)
 
     @cached_property
     def _turns(self) -> FloatArray:
@@ -262,16 +257,12 @@ class StateSet:
         readings = rng.uniform(self.minimum, self.maximum, (count, 6))
         halves = []
         for stage in range(2):
-            legs = np.tile(self._known_readings, (count, 1))
+            legs = np.tile(self.readings(self.sample[:1]), (count, 1))
             legs[:, 3 * stage : 3 * stage + 3] = readings[:, 3 * stage : 3 * stage + 3]
             states = forward_physical(self.geometry, legs)
             halves.append(self.coordinates(states[states.exists])[:, stage])
         number = min(map(len, halves))
         return np.stack([half[:number] for half in halves], axis=1)
-
-    @cached_property
-    def _known_readings(self) -> FloatArray:
-        return np.asarray(self.readings(self.sample[:1])[0])
 
     @cached_property
     def sample(self) -> FloatArray:

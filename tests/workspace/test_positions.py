@@ -118,14 +118,3 @@ def test_states_with_the_optimality_conditions_are_nearest_among_many() -> None:
     assert (nearest.distance <= least + 1e-9).all()
     assert (nearest.optimality < 1e-6).all()
     assert np.median(least - nearest.distance) < 0.1
-
-
-def test_bad_input_is_refused() -> None:
-    for words, call in (
-        ("assembled", lambda: reachable_position(PAPER, [0.0, 0.0, 2.0], spm.LegLimits(0.01, 0.02))),
-        ("none of its own", lambda: reachable_position(spm.Geometry(0.7, 0.35, 0.8), [0.0, 0.0, 2.0])),
-        ("LegLimits", lambda: reachable_position(PAPER, [0.0, 0.0, 2.0], (1.1, 1.5))),  # type: ignore[arg-type]
-        ("Geometry", lambda: reachable_position(None, [0.0, 0.0, 2.0])),  # type: ignore[arg-type]
-    ):
-        with pytest.raises(spm.ArgumentError, match=words):
-            call()

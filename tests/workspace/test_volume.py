@@ -94,18 +94,6 @@ def test_text_of_an_estimate() -> None:
     assert estimate.times(-1.0, "m³").low == -1.865
 
 
-def test_bad_input_is_refused() -> None:
-    for words, call in (
-        ("method", lambda: reachable_volume(PAPER, method="guess")),  # type: ignore[arg-type]
-        ("samples", lambda: reachable_volume(PAPER, samples=0)),
-        ("confidence", lambda: reachable_volume(PAPER, confidence=95)),
-        ("spacing", lambda: reachable_volume(PAPER, method="mesh", spacing=-1.0)),
-        ("assembled", lambda: reachable_volume(PAPER, spm.LegLimits(0.01, 0.02))),
-    ):
-        with pytest.raises(spm.ArgumentError, match=words):
-            call()
-
-
 def test_computation_can_be_interrupted() -> None:
     def stop(what: str, done: int, of: int) -> None:
         raise KeyboardInterrupt

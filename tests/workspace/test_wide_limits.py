@@ -186,6 +186,20 @@ def test_points_at_the_rim_that_the_best_starts_miss_are_reachable() -> None:
     assert reachable_position(PAPER, points, spm.LegLimits(0.8, 1.8)).reachable.all()
 
 
+def test_nearest_positions_are_not_farther_than_those_of_legs_beside_forward_singularities() -> None:
+    points = [[-2.612, 1.203, -1.433], [-2.617, 0.824, -1.547], [0.754, 0.832, -0.81], [-1.153, 0.374, -0.917]]
+    legs = [
+        [1.848319897, 0.789173731, 0.789173731, 2.0, 1.907812164, 1.845932316],
+        [1.81378729, 0.755510873, 0.755510873, 2.0, 1.887346532, 1.746241807],
+        [0.660989049, 0.659766696, 1.684368193, 1.538321422, 1.38011027, 1.993438215],
+        [1.804963646, 0.757866178, 0.75752023, 1.996743149, 1.571566874, 1.480324934],
+    ]
+    states = spm.forward_physical(PAPER, legs)
+    answer = reachable_position(PAPER, points, spm.LegLimits(0.6, 2.0))
+    assert (answer.distance <= np.linalg.norm(states.translation - points, axis=-1) + 1e-5).all()
+    assert not answer.undecided.any()
+
+
 def test_no_state_is_found_by_random_starts_where_none_was() -> None:
     """Uniform points, half of them out of reach: least squares from thirty random states each finds no other."""
     from scipy.optimize import least_squares
