@@ -79,7 +79,9 @@ def _print_states(states: dict[str, Configuration], physical: str, unit: LengthU
     # One digit more where there is room for it in 80 columns.
     finer = int(len(states) == 1)
     columns: dict[str, Any] = {"mode": str}
-    columns |= {name: lambda label, k=k: unit.text(states[label].translation[k], finer) for k, name in enumerate("XYZ")}
+    columns |= {
+        name: lambda label, k=k: unit.text(float(states[label].translation[k]), finer) for k, name in enumerate("XYZ")
+    }
     columns |= {
         name: lambda label, k=k: fixed(_angles(states[label])[k], 3 + finer)
         for k, name in enumerate(("alpha", "beta", "lambda"))

@@ -224,8 +224,9 @@ def unavailable(points: Points, **parameters: Any) -> npt.ArrayLike:
 
 def resolve_metrics(metrics: str | Metric | Iterable[str | Metric]) -> tuple[Metric, ...]:
     """Return metrics, each given by its name or as it is."""
-    is_single = isinstance(metrics, str | Metric) or not isinstance(metrics, Iterable)
-    given: list[Any] = [metrics] if is_single else list(metrics)
+    given: list[Any] = [metrics]
+    if isinstance(metrics, Iterable) and not isinstance(metrics, str | Metric):
+        given = list(metrics)
     resolved = [METRICS.get(each) if isinstance(each, str) else each for each in given]
     chosen = tuple(each for each in resolved if isinstance(each, Metric))
     if len(chosen) < len(given):
