@@ -24,7 +24,7 @@ q = both.join([0.3, -1.2, 1.4, -0.6, 0.5, 0.2], wrist.forward_kinematics(home * 
 print(f"loops open by {np.abs(both.closure_gap(q)).max():.0e} m, wherever the arm is")
 
 rest = np.zeros(both.model.nv)
-load = {"spm_terminal_platform": [0.0, 0.0, -20.0, 0.0, 0.0, 0.0]}
+load = [0.0, 0.0, -20.0, 0.0, 0.0, 0.0]  # on the terminal platform
 forces = both.inverse_dynamics(q, rest, rest, load)
 print("arm ", np.round(forces[:6], 2), "N m")
 print("legs", np.round(forces[6:], 2), "N")

@@ -70,6 +70,7 @@ def test_links_lead_to_files(page: Path) -> None:
             assert (page.parent / target).exists(), target
 
 
+@pytest.mark.slow
 def test_the_site_is_built_without_a_warning_and_names_everything_public(tmp_path: Path) -> None:
     command = [sys.executable, ROOT / "docs/site/build.py", tmp_path / "site"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -307,12 +307,17 @@ CASES = [
 
 SLOW = ("Boundary", "Shell", "largest_certified_limits", "orientation_workspace", "reachable_boundary")
 SLOW += ("reachable_position", "reachable_volume", "sample_reachable", "workspace_shell")
-"""Callables of which an accepted call takes long."""
+SLOW += ("symbolic.ros_package", "symbolic.write_c", "symbolic.write_ros")
+"""Callables, and classes, of which an accepted call takes long."""
+
+
+def is_slow(place: str) -> bool:
+    return place in SLOW or place.split(".")[0] in SLOW
 
 
 def marked(place: str, function: Callable[..., Any], name: str) -> Any:
-    slow = place.split(".")[0] in SLOW
-    return pytest.param(place, function, name, id=f"{place}-{name}", marks=pytest.mark.slow if slow else ())
+    marks = pytest.mark.slow if is_slow(place) else ()
+    return pytest.param(place, function, name, id=f"{place}-{name}", marks=marks)
 
 
 @contextmanager
@@ -371,6 +376,6 @@ def test_malformed_arguments_give_a_result_or_an_error_that_names_them(
 def test_the_examples_are_accepted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for place, function in {place: function for place, function, _ in CASES}.items():
-        if place.split(".")[0] not in SLOW:
+        if not is_slow(place):
             call(place, function, "", None)
     spm.set_threads(None)

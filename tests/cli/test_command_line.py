@@ -126,7 +126,7 @@ def test_special_characters_survive_a_round_trip(tmp_path: Path) -> None:
         (["forward", *LEGS[:-1], "-1"], "error: --legs: expected positive"),
         (["crosscheck", "--method", "delphi"], "error: --method: expected"),
         (["urdf", "--prefix", "1 2"], "error: --prefix: expected"),
-        (["view", "--path", "nope.csv"], "error: --path: expected a readable file"),
+        (["view", "--path", "nope.csv"], "error: --path: nope.csv: expected a readable file"),
         (["view", "--path", "README.md"], "error: --path: expected a file name ending in .csv"),
     ],
 )

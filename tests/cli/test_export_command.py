@@ -80,8 +80,8 @@ def test_another_mesh_of_the_same_name_is_kept(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "FORMAT: expected one of urdf, mjcf, sdf, extended-urdf, srdf, c, got none"),
-        (["mjcf", "--format", "sdf"], "FORMAT: expected one of urdf, mjcf, sdf, extended-urdf, srdf, c, got two"),
+        ([], "FORMAT: expected one of urdf, mjcf, sdf, extended-urdf, srdf, c, ros, got none"),
+        (["mjcf", "--format", "sdf"], "FORMAT: expected one of urdf, mjcf, sdf, extended-urdf, srdf, c, ros, got two"),
         (["--format", "collada"], "collada"),
         (["--format", "mjcf", "--ros-constraints"], "--ros-constraints: expected to be left out with --format mjcf"),
         (["--format", "urdf", "--anchors", "sites"], "--anchors: expected to be left out with --format urdf"),

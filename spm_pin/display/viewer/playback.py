@@ -55,7 +55,9 @@ def read_recording(path: str | Path) -> Recording:
         lines = [line.strip() for line in path.read_text(encoding="utf-8-sig").splitlines()]
         heading, *rows = [line for line in lines if line and not line.startswith("#")] or [""]
         table = np.array([[float(cell) for cell in row.split(",")] for row in rows])
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        raise ArgumentError(str(path), "a readable file", error.strerror) from error
+    except ValueError as error:
         raise ArgumentError(str(path), "a text file of a header, then numbers only", str(error)) from error
     header = [name.strip() for name in heading.split(",")]
     if len({*header} & _KNOWN) != len(header):
