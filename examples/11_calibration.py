@@ -26,10 +26,10 @@ for name, share in analysis.ranking("component")[:4]:
 # Forty poses, chosen; measured with a laser tracker (10 µm, 10 µrad) on a machine nobody knows, encoders of 1 µm.
 machine = geometry.perturbed(random, length=1e-4, angle=1e-4)
 plan = spm.calibration.choose_poses(geometry, 40, rng=random)
-poses = spm.forward_physical(machine, plan.leg_lengths).pose.as_matrix()
+poses = spm.forward_physical(machine, plan.readings).pose.as_matrix()
 poses[:, :3, 3] += 1e-5 * random.standard_normal((40, 3))
 poses[:, :3, :3] = Rotation.from_rotvec(1e-5 * random.standard_normal((40, 3))).as_matrix() @ poses[:, :3, :3]
-readings = plan.leg_lengths + 1e-6 * random.standard_normal((40, 6))
+readings = plan.readings + 1e-6 * random.standard_normal((40, 6))
 
 found = spm.calibration.identify(geometry, poses, readings)
 print(found)

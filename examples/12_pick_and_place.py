@@ -62,7 +62,7 @@ for name, start, goal, payload in moves:
 share = np.linspace(0.0, 1.0, 200)
 ends = spm.pose([pick.translation, place.translation], rotation=[pick.rotation, place.rotation])
 line = spm.inverse_physical(geometry, spm.PlatformPath([0.0, 1.0], ends)(share).pose)
-outside = ~limits.contains(line.leg_lengths)
+outside = ~limits.contains(line.readings)
 y, z = line.translation[:, 1], line.translation[:, 2]
 axes["way"].plot(y, z, color="#c00000", ls=":", lw=1.6)
 axes["way"].plot(np.where(outside, y, np.nan), z, color="#c00000", lw=1.6, label="straight, legs beyond their limits")
@@ -71,7 +71,7 @@ for s, text in ((rest, "rest"), (pick, "pick"), (place, "place")):
     axes["way"].annotate(text, s.translation[1:], xytext=(6, 6), textcoords="offset points", fontsize=9)
 axes["way"].set(xlabel="y of o [m]", ylabel="z of o [m]", xlim=(-0.05, 0.95), ylim=(2.18, 2.62))
 axes["way"].legend(fontsize=8, frameon=False, loc="lower left")
-for leg, column in enumerate(line.leg_lengths.T):
+for leg, column in enumerate(line.readings.T):
     axes["straight"].plot(share, column, color=colours[leg], ls="-" if leg < 3 else "--", lw=1.4)
 axes["straight"].axhspan(1.1, 1.5, color="0.93", zorder=0)
 axes["straight"].set(xlabel="share of the straight line from pick to place", ylabel="leg it would need [m]")

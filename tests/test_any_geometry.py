@@ -67,6 +67,9 @@ REFUSED: dict[str, Callable[[spm.Geometry], Any]] = {
     "all assembly modes": lambda g: spm.forward_displacement(g, READINGS),
     "the paper's shell": lambda g: spm.workspace.workspace_shell(g),
     "the search by CasADi": lambda g: spm.nlp.search(g, state(PAPER).pose),
+    "the equations of the search": spm.nlp.closure,
+    "the lengths of the search": spm.nlp.leg_lengths,
+    "the derivatives of the search": spm.nlp.leg_jacobian,
 }
 
 

@@ -78,8 +78,10 @@ def branch_sign(configuration: Configuration) -> FloatArray:
     # The component of a b* that cannot vanish in this family: the scalar part, in mixed families the z part.
     z = b[..., 3] * a[..., 2] - a[..., 3] * b[..., 2] - a[..., 0] * b[..., 1] + a[..., 1] * b[..., 0]
     kappa = np.select([index == 1, index == 2], [-z, z], (a * b).sum(axis=-1))
-    across = np.cross(configuration.geometry.revolute_axes, configuration.platform_axes)
-    det_k = -leg_plane_determinant(configuration.middle_joints, across)
+    arms = configuration.balls - configuration.middle_joints.mean(axis=-2, keepdims=True)
+    forces = np.concatenate([configuration.leg_axes, np.cross(arms, configuration.leg_axes)], axis=-1)
+    with np.errstate(invalid="ignore"):
+        det_k = np.linalg.det(forces)
     return np.where(configuration.exists, det_k * np.sign(kappa), np.nan)
 
 

@@ -55,18 +55,18 @@ class LegLimits:
         bounds = (f"[{', '.join(f'{end:.6g}' for end in ends)}]" for ends in (self.minimum, self.maximum))
         return f"LegLimits({', '.join(bounds)})"
 
-    def contains(self, leg_lengths: npt.ArrayLike) -> BoolArray:
-        """Return which sets of lengths (..., 6) [m] respect all limits; NaN does not."""
-        return np.asarray(self.margin(leg_lengths) >= 0.0)
+    def contains(self, readings: npt.ArrayLike) -> BoolArray:
+        """Return which sets of readings (..., 6) [m] respect all limits; NaN does not."""
+        return np.asarray(self.margin(readings) >= 0.0)
 
-    def excess(self, leg_lengths: npt.ArrayLike) -> FloatArray:
+    def excess(self, readings: npt.ArrayLike) -> FloatArray:
         """Return by how much each leg of (..., 6) [m] is too long, or too short (negative); 0 within its limits."""
-        lengths = real_array(leg_lengths, "leg_lengths", (6,), "leg lengths in metres", allow_nan=True)
+        lengths = real_array(readings, "readings", (6,), "what the encoders show, in metres", allow_nan=True)
         return np.asarray(np.maximum(lengths - self.maximum, 0.0) + np.minimum(lengths - self.minimum, 0.0))
 
-    def margin(self, leg_lengths: npt.ArrayLike) -> FloatArray:
+    def margin(self, readings: npt.ArrayLike) -> FloatArray:
         """Return the margin [m] of the worst leg of (..., 6) [m] to its limits; negative outside, NaN for NaN."""
-        lengths = real_array(leg_lengths, "leg_lengths", (6,), "leg lengths in metres", allow_nan=True)
+        lengths = real_array(readings, "readings", (6,), "what the encoders show, in metres", allow_nan=True)
         inside = np.minimum(lengths - np.array(self.minimum), np.array(self.maximum) - lengths)
         # Leg by leg: NumPy takes several times as long to reduce a short last axis.
         return np.asarray(functools.reduce(np.minimum, np.moveaxis(inside, -1, 0)))

@@ -22,13 +22,12 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from spm_pin.errors import ArgumentError, GeometryError
+from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import BRANCHES, Geometry, PoseLike, SolutionSet, Status, as_rigid_transform
 from spm_pin.mechanism.arguments import (
     BoolArray,
     FloatArray,
     IntArray,
-    check_instance,
     choice,
     type_and_value,
     whole_number,
@@ -133,8 +132,7 @@ def search(
     Every branch attracts some 2 % of the starts or more, so that 512 starts miss one in about one search of 30,000. It
     is tested against certified counts of branches, 200 poses in leg space and 50 on all of SO(3) with ten seeds each.
     """
-    if not check_instance(geometry, Geometry, "geometry").is_nominal:
-        raise GeometryError("geometry", "a machine as drawn", "one as built", "Pass its .nominal?")
+    loop_equations.check_drawn(geometry)
     starts = whole_number(starts, "starts", "a positive whole number", least=1)
     seed = whole_number(seed, "seed", "a whole number, not negative", most=1 << 128)
     choice(solver, "solver", SOLVERS)

@@ -16,12 +16,19 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError, SingularConfigurationError
+from spm_pin.errors import ArgumentError, GeometryError, SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray, check_instance, real_array, type_and_value
 from spm_pin.mechanism.geometry import Geometry
 
 _SHAPES = (9, 9), (9, 6), (6, 9), (6, 6)
 """Shapes of the derivatives that `leg_jacobian` returns."""
+
+
+def check_drawn(geometry: Geometry) -> None:
+    """Raise a GeometryError for a machine as built: the equations are those of the drawing."""
+    if not check_instance(geometry, Geometry, "geometry").is_nominal:
+        cause = "spm.symbolic has the equations of any machine; or pass its .nominal?"
+        raise GeometryError("geometry", "a machine as drawn", "one as built", cause)
 
 
 def _vector(value: npt.ArrayLike) -> ca.DM:
@@ -125,7 +132,7 @@ def inverse_jacobian(derivatives: Sequence[npt.ArrayLike | ca.DM]) -> FloatArray
 
 
 def _symbols(geometry: Geometry) -> tuple[ca.SX, ca.SX, ca.SX]:
-    check_instance(geometry, Geometry, "geometry")
+    check_drawn(geometry)
     return ca.SX.sym("b", 9), ca.SX.sym("R", 3, 3), ca.SX.sym("o", 3)
 
 
