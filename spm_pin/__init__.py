@@ -37,9 +37,7 @@ if TYPE_CHECKING:
     from spm_pin.kinematics import (
         determinants,
         follow,
-        forward_displacement,
         forward_physical,
-        inverse_displacement,
         inverse_jacobian,
         inverse_physical,
         leg_forces,
@@ -49,8 +47,11 @@ if TYPE_CHECKING:
         stiffness,
         threads,
     )
+    from spm_pin.kinematics.forward_displacement import forward_displacement
+    from spm_pin.kinematics.inverse_displacement import inverse_displacement
     from spm_pin.mechanism import Configuration, Geometry, LegLimits, SolutionSet, Status, pose
-    from spm_pin.motion import plan, time_optimal
+    from spm_pin.motion import plan
+    from spm_pin.motion.time_optimal import time_optimal
     from spm_pin.multibody import ClosedChain, PlatformPath
     from spm_pin.proofs import Certificate, certify, largest_certified_limits
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from spm_pin.formulas.stages import corners, stage_equations
 from spm_pin.kinematics.batches import run_kernel
-from spm_pin.kinematics.formulas.stages import corners, stage_equations
 from spm_pin.kinematics.kernels.compilation import kernel, readonly_array
 from spm_pin.kinematics.kernels.mode_kernels import PLACES, SAME, allocate_scratch, has_continuous_family, solve_mode
 from spm_pin.mechanism.arguments import BoolArray, FloatArray

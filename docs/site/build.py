@@ -46,6 +46,7 @@ PUBLIC = {
 """The public modules, each with a page of the reference."""
 
 INTERNAL = {
+    "formulas": "each formula of the mechanism once, on numbers of any kind",
     "mechanism": "the same types, and the checks of arguments",
     "kinematics": "solvers and kernels",
     "paper": "the paper line by line: its tables, resultant, Jacobians and statics",

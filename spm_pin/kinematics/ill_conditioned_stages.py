@@ -16,8 +16,8 @@ import mpmath
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from spm_pin.kinematics.formulas.operations import bind
-from spm_pin.kinematics.formulas.stages import (
+from spm_pin.formulas.operations import bind
+from spm_pin.formulas.stages import (
     StageEquations,
     corners,
     derivatives,

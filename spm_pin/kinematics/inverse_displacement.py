@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
+from spm_pin.formulas.branches import ROUNDING
 from spm_pin.kinematics.batches import (
     BRANCH_RESULTS,
     radii,
@@ -22,7 +23,6 @@ from spm_pin.kinematics.batches import (
     run_kernel,
     with_batch_shape,
 )
-from spm_pin.kinematics.formulas.branches import ROUNDING
 from spm_pin.mechanism.arguments import FloatArray, as_bool
 from spm_pin.mechanism.branches import BRANCHES
 from spm_pin.mechanism.configuration import Configuration

@@ -2,7 +2,7 @@
 
 Every leg acts on the middle platform through its ball along the leg, where its actuator holds, and along its revolute
 axis, where its structure holds: six forces in each stage, the rows of J_b and of J_c; K are the six structural ones.
-No 6 x 6 is decomposed, see `spm_pin.kinematics.formulas.wrenches`; singular values decide about the few states that
+No 6 x 6 is decomposed, see `spm_pin.formulas.wrenches`; singular values decide about the few states that
 may be singular. Derivation: `docs/theory/rates_forces_singularities.md`.
 """
 

@@ -20,9 +20,9 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, SingularConfigurationError
+from spm_pin.formulas.vectors import direction
+from spm_pin.formulas.wrenches import determinant, structure_determinant
 from spm_pin.kinematics.batches import run_kernel, run_on_states
-from spm_pin.kinematics.formulas.vectors import direction
-from spm_pin.kinematics.formulas.wrenches import determinant, structure_determinant
 from spm_pin.kinematics.rates_and_forces import SINGULAR, leg_constants, platform_jacobian
 from spm_pin.mechanism.arguments import FloatArray, IntArray, first_offender, real_number, shaped_array
 from spm_pin.mechanism.configuration import Configuration, check_configuration

@@ -7,12 +7,11 @@ of one pose, distinguished by a sign. Derivation: `docs/theory/inverse_displacem
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from spm_pin.formulas import stages, wrenches
+from spm_pin.formulas.operations import on_arrays, rows_of
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 from spm_pin.mechanism.configuration import Configuration
 
@@ -24,27 +23,10 @@ BRANCHES = ("TT+", "TT-", "TF+", "TF-", "FT+", "FT-", "FF+", "FF-")
 TANGENT_SIGNS = np.array([1.0, -1.0, -1.0] * 2)
 """Signs that make the legs' axes tangents of their platforms, counterclockwise about z."""
 
-NumberArray = npt.NDArray[Any]
-
-
-def leg_plane_determinant(points: NumberArray, directions: NumberArray) -> NumberArray:
-    """Return D(b; w) = c12 c23 c31 + c21 c32 c13 with c_ij = (b_i - b_j)·w_i, shape (...).
-
-    Minus the determinant of the 6 x 6 matrix of forces through the points b_i along two directions each
-    whose cross product is w_i; both arguments are (..., 3, 3), a row per leg.
-    """
-    return np.asarray(_cycles(points, directions).prod(axis=-1).sum(axis=-1))
-
-
-def _cycles(points: NumberArray, directions: NumberArray) -> NumberArray:
-    """Return the c_ij of `leg_plane_determinant`, shape (..., 2, 3): each row is one of its products."""
-
-    def c(i: int, j: int) -> NumberArray:
-        difference = points[..., i, :] - points[..., j, :]
-        return np.asarray((difference * directions[..., i, :]).sum(axis=-1))
-
-    pairs = (((0, 1), (1, 2), (2, 0)), ((1, 0), (2, 1), (0, 2)))
-    return np.stack([np.stack([c(i, j) for i, j in cycle], axis=-1) for cycle in pairs], axis=-2)
+_normals, _pairs, _is_home_aspect, _structure_determinant = (
+    on_arrays(formula)
+    for formula in (wrenches.normals, wrenches.pairs, stages.is_home_aspect, wrenches.structure_determinant)
+)
 
 
 def _mean_radii(configuration: Configuration) -> tuple[FloatArray, FloatArray]:
@@ -79,10 +61,13 @@ def branch_sign(configuration: Configuration) -> FloatArray:
     z = b[..., 3] * a[..., 2] - a[..., 3] * b[..., 2] - a[..., 0] * b[..., 1] + a[..., 1] * b[..., 0]
     kappa = np.select([index == 1, index == 2], [-z, z], (a * b).sum(axis=-1))
     arms = configuration.balls - configuration.middle_joints.mean(axis=-2, keepdims=True)
-    forces = np.concatenate([configuration.leg_axes, np.cross(arms, configuration.leg_axes)], axis=-1)
-    with np.errstate(invalid="ignore"):
-        det_k = np.linalg.det(forces)
+    det_k = _structure_determinant(*map(rows_of, (*_stages(arms), *_stages(configuration.leg_axes))))
     return np.where(configuration.exists, det_k * np.sign(kappa), np.nan)
+
+
+def _stages(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the vectors (..., 3, 3) of the lower and of the upper legs, of six (..., 6, 3)."""
+    return vectors[..., :3, :], vectors[..., 3:, :]
 
 
 def _stage_quaternions(configuration: Configuration) -> tuple[FloatArray, FloatArray]:
@@ -145,16 +130,9 @@ def physical(configuration: Configuration) -> BoolArray:
 
 def _in_home_aspects(configuration: Configuration) -> BoolArray:
     """Return for which states both stages are in the home's aspect, shape (...)."""
-    shape = (*configuration.shape, 2, 3, 3)
-    normals = np.cross(TANGENT_SIGNS[:, None] * configuration.leg_axes, configuration.leg_vectors)
-    return np.asarray(in_home_aspect(configuration.balls.reshape(shape), normals.reshape(shape)).all(axis=-1))
-
-
-def in_home_aspect(points: FloatArray, directions: FloatArray) -> BoolArray:
-    """Return which stages are in the aspect of their home, shape (...): joints b_i and normals w_i as rows (..., 3, 3).
-
-    The w_i are normal to leg i and to its revolute axis, up to a positive factor, of the sign that makes all six
-    factors c_ij of `leg_plane_determinant` positive at home.
-    """
-    cycles = _cycles(points, directions)
-    return np.asarray((cycles.prod(axis=-1).sum(axis=-1) > 0.0) & ((cycles < 0.0).sum(axis=(-1, -2)) <= 1))
+    tangents = TANGENT_SIGNS[:, None] * configuration.leg_axes
+    halves = zip(*map(_stages, (configuration.balls, tangents, configuration.leg_vectors)), strict=True)
+    aspects = [
+        _is_home_aspect(_pairs(rows_of(balls), _normals(rows_of(axes), rows_of(legs)))) for balls, axes, legs in halves
+    ]
+    return np.asarray(np.logical_and(*aspects))

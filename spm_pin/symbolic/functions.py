@@ -19,10 +19,10 @@ import numpy as np
 from spm_pin.description.robot import read_robot
 from spm_pin.description.tree import JOINTS
 from spm_pin.errors import ArgumentError
-from spm_pin.kinematics.formulas import branches as formulas
-from spm_pin.kinematics.formulas import joint_values as values
-from spm_pin.kinematics.formulas import legs as formulas_of_legs
-from spm_pin.kinematics.formulas import stages, vectors, wrenches
+from spm_pin.formulas import branches as formulas
+from spm_pin.formulas import joint_values as values
+from spm_pin.formulas import legs as formulas_of_legs
+from spm_pin.formulas import stages, vectors, wrenches
 from spm_pin.mechanism import BRANCHES, Geometry
 from spm_pin.mechanism.arguments import FloatArray, as_bool, choice
 from spm_pin.symbolic.machine import AXES, UP, Machine, State, all_of, direction, in_casadi, parts, sqrt

@@ -13,8 +13,8 @@ import casadi as ca
 import numpy as np
 
 from spm_pin.errors import ArgumentError
-from spm_pin.kinematics.formulas import legs, stages, wrenches
-from spm_pin.kinematics.formulas.operations import COS_30, bind
+from spm_pin.formulas import legs, stages, wrenches
+from spm_pin.formulas.operations import COS_30, bind
 from spm_pin.mechanism import Geometry
 from spm_pin.mechanism.arguments import LARGEST, SMALLEST, as_bool, type_and_value
 from spm_pin.mechanism.pose import ORTHONORMALITY_TOLERANCE
@@ -38,7 +38,7 @@ def _where(condition: Any, yes: Any, no: Any) -> Any:
 
 
 def in_casadi(formula: Any) -> Any:
-    """Return a formula of `spm_pin.kinematics.formulas` as a function of CasADi's expressions."""
+    """Return a formula of `spm_pin.formulas` as a function of CasADi's expressions."""
     return bind(formula, sqrt=sqrt, where=_where, both=ca.logic_and, either=ca.logic_or)
 
 
@@ -155,7 +155,7 @@ class Machine:
         return [sqrt(ca.sumsqr(b[i] - b[(i + 1) % 3])) for i in range(3)]
 
     def ball_weights(self) -> list[tuple[Any, Any, Any]]:
-        """Return the weights of `spm_pin.kinematics.formulas.legs.upper_balls`."""
+        """Return the weights of `spm_pin.formulas.legs.upper_balls`."""
         if self.is_drawn:
             return [(0.0, 0.0, 0.0)] * 3
         first, second = self.balls[1] - self.balls[0], self.balls[2] - self.balls[0]

@@ -11,14 +11,12 @@ for which there is no such formula: a grid of turns, then BFGS from the best of 
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from spm_pin.kinematics.formulas.branches import families, pose_frame
-from spm_pin.kinematics.formulas.operations import bind
+from spm_pin.formulas.branches import families, pose_frame
+from spm_pin.formulas.operations import on_arrays
 from spm_pin.mechanism import FAMILIES, Geometry
 from spm_pin.mechanism import pose as make_pose
 from spm_pin.mechanism.arguments import FloatArray
@@ -31,9 +29,7 @@ _EXCLUDED = 1e6
 """Squared displacement, over C², given to turns whose tilt is too small: larger than any other."""
 _INSIDE = 1e-9
 """Distance of results from the edge of the slab, over d: at the edge, rounding decides whether the branch is real."""
-# Arrays stand for numbers in the formulas.
-_pose_frame: Any = bind(pose_frame, where=np.where, both=np.logical_and)
-_families: Any = bind(families, where=np.where, both=np.logical_and)
+_pose_frame, _families = on_arrays(pose_frame), on_arrays(families)
 
 
 def nearest_real_pose(

@@ -121,7 +121,7 @@ def test_a_kernel_is_compiled_once_for_all_processes(package: Path, tmp_path: Pa
     assert has_compiled(first) | has_compiled(second)
     assert not has_compiled(start(package, NUMBA_CACHE_DIR=cache))
     # The kernel's own file stays as it is, but not a formula that it calls.
-    formulas = package / "spm_pin" / "kinematics" / "formulas" / "vectors.py"
+    formulas = package / "spm_pin" / "formulas" / "vectors.py"
     formulas.write_text(formulas.read_text() + "# changed\n")
     assert has_compiled(start(package, NUMBA_CACHE_DIR=cache))
     # A damaged cache is as good as none.
@@ -132,7 +132,7 @@ def test_a_kernel_is_compiled_once_for_all_processes(package: Path, tmp_path: Pa
 
 def test_a_changed_formula_changes_the_result(package: Path, tmp_path: Path) -> None:
     assert has_compiled(start(package, NUMBA_CACHE_DIR=tmp_path / "cache"))
-    formulas = package / "spm_pin" / "kinematics" / "formulas" / "stages.py"
+    formulas = package / "spm_pin" / "formulas" / "stages.py"
     text = formulas.read_text()
     formula = "return c[0] * c[1] * c[2] + c[3] * c[4] * c[5]"
     assert formula in text

@@ -17,8 +17,8 @@ from problems import GEOMETRIES, in_leg_space, random_branches
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.kinematics.formulas.branches import families, pose_frame
-from spm_pin.kinematics.formulas.operations import bind
+from spm_pin.formulas.branches import families, pose_frame
+from spm_pin.formulas.operations import bind
 
 PAPER = spm.Geometry.paper()
 DIGITS = 64.0 * float(np.finfo(np.longdouble).eps)

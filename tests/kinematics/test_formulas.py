@@ -17,8 +17,8 @@ from numba.extending import register_jitable
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.kinematics.formulas import branches, joint_values, legs, operations, stages, vectors, wrenches
-from spm_pin.kinematics.formulas.operations import bind
+from spm_pin.formulas import branches, joint_values, legs, operations, stages, vectors, wrenches
+from spm_pin.formulas.operations import bind
 from spm_pin.kinematics.intervals import Interval
 from spm_pin.mechanism.joint_angles import home_leans, home_lengths, joint_angles, leg_placements
 from spm_pin.mechanism.legs import axis_directions, triangle_frames, upper_ball_weights

@@ -8,8 +8,9 @@ from problems import GEOMETRIES, distance
 from stages import StageModes, solve_stage
 
 import spm_pin as spm
+from spm_pin.formulas import stages, wrenches
+from spm_pin.formulas.operations import on_arrays, rows_of
 from spm_pin.kinematics.forward_displacement import forward_displacement, forward_physical
-from spm_pin.mechanism.branches import in_home_aspect, leg_plane_determinant
 
 PAPER = spm.Geometry.paper()
 RADIAL = PAPER.radial_directions
@@ -23,8 +24,13 @@ def planes(radii: np.ndarray, heights: np.ndarray, ratio: float) -> tuple[np.nda
     return b, heights[..., None] * RADIAL - (radii[..., None] - ratio) * up
 
 
+def pairs(modes: StageModes, ratio: float) -> tuple[np.ndarray, ...]:
+    """The c_ij of a stage."""
+    return on_arrays(wrenches.pairs)(*map(rows_of, planes(modes.radii, modes.heights, ratio)))
+
+
 def is_home(modes: StageModes, ratio: float) -> np.ndarray:
-    return in_home_aspect(*planes(modes.radii, modes.heights, ratio))
+    return on_arrays(stages.is_home_aspect)(pairs(modes, ratio))
 
 
 def continued_from_home(geometry: spm.Geometry, lengths: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
@@ -155,7 +161,7 @@ def test_the_home_aspect_holds_one_solution_at_most(ratio: float) -> None:
     assert home.sum(axis=-1).max() == 1
     assert not home[:, 1:].any(), "it is T1"
     # The determinant's sign alone would let others pass.
-    same_sign = leg_plane_determinant(*planes(modes.radii, modes.heights, ratio))[:, 0] > 0.0
+    same_sign = stages.pair_determinant(pairs(modes, ratio))[:, 0] > 0.0
     assert same_sign[home].all()
     assert (same_sign & ~home).any()
 

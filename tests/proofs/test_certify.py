@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import spm_pin as spm
-from spm_pin.kinematics.formulas import stages
+from spm_pin.formulas import stages
 from spm_pin.kinematics.intervals import Interval
 from spm_pin.kinematics.path_following import physical_mode_share
 from spm_pin.mechanism.arguments import FloatArray

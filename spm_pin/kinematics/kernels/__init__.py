@@ -1,4 +1,4 @@
-"""Compiled kernels: loops over batches that run `spm_pin.kinematics.formulas`, and the iterations beside them.
+"""Compiled kernels: loops over batches that run `spm_pin.formulas`, and the iterations beside them.
 
 A kernel is a loop over a batch, and the only thing that is compiled on its own. Where a formula is straight-line
 arithmetic the loop goes over tiles of `TILE` problems: their numbers are put into the rows of one small array, and the

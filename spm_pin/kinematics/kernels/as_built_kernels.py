@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.kinematics.formulas.branches import (
+from spm_pin.formulas.branches import (
     discriminant,
     families,
     is_continuous,
@@ -28,10 +28,10 @@ from spm_pin.kinematics.formulas.branches import (
     root,
     seen_from_platform,
 )
-from spm_pin.kinematics.formulas.joint_values import triangle_axes
-from spm_pin.kinematics.formulas.legs import StageLegs, StagePlanes, carried, quadric
-from spm_pin.kinematics.formulas.stages import cartesian, is_home_aspect
-from spm_pin.kinematics.formulas.vectors import (
+from spm_pin.formulas.joint_values import triangle_axes
+from spm_pin.formulas.legs import StageLegs, StagePlanes, carried, quadric
+from spm_pin.formulas.stages import cartesian, is_home_aspect
+from spm_pin.formulas.vectors import (
     Rows,
     Vector,
     combined,
@@ -43,7 +43,7 @@ from spm_pin.kinematics.formulas.vectors import (
     scaled,
     times,
 )
-from spm_pin.kinematics.formulas.wrenches import normals, pairs
+from spm_pin.formulas.wrenches import normals, pairs
 from spm_pin.kinematics.kernels.branch_kernels import put_complex_branches
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array, rows_at
 from spm_pin.kinematics.kernels.quadric_newton import (

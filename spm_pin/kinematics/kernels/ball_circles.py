@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spm_pin.kinematics.formulas.joint_values import triangle_axes
-from spm_pin.kinematics.formulas.stages import pair_inverse
-from spm_pin.kinematics.formulas.vectors import (
+from spm_pin.formulas.joint_values import triangle_axes
+from spm_pin.formulas.stages import pair_inverse
+from spm_pin.formulas.vectors import (
     Rows,
     Vector,
     combined,
@@ -33,7 +33,7 @@ from spm_pin.kinematics.formulas.vectors import (
     transposed,
     weighted,
 )
-from spm_pin.kinematics.formulas.wrenches import mean, pairs
+from spm_pin.formulas.wrenches import mean, pairs
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array, rows_at
 from spm_pin.kinematics.kernels.quadric_newton import has_converged
 from spm_pin.mechanism.arguments import FloatArray

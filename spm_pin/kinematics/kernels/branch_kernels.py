@@ -10,7 +10,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.kinematics.formulas.branches import (
+from spm_pin.formulas.branches import (
     ROUNDING,
     Family,
     PoseFrame,
@@ -25,8 +25,8 @@ from spm_pin.kinematics.formulas.branches import (
     root,
     stands_at_home,
 )
-from spm_pin.kinematics.formulas.stages import cartesian
-from spm_pin.kinematics.formulas.vectors import Rows, Vector, cross, dot
+from spm_pin.formulas.stages import cartesian
+from spm_pin.formulas.vectors import Rows, Vector, cross, dot
 from spm_pin.kinematics.kernels.compilation import TILE, jit, jit_inline, kernel, readonly_array, rows_at
 from spm_pin.mechanism.arguments import FloatArray
 

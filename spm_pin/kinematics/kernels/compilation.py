@@ -17,8 +17,8 @@ import numba
 from numba.core import event
 from numba.extending import register_jitable
 
-from spm_pin.kinematics import formulas
-from spm_pin.kinematics.formulas.vectors import Rows
+from spm_pin.formulas import operations
+from spm_pin.formulas.vectors import Rows
 from spm_pin.mechanism.arguments import FloatArray
 
 P = ParamSpec("P")
@@ -35,7 +35,8 @@ _event: Any = event
 _LOG = logging.getLogger("spm_pin")
 # Numba's cache looks at a kernel's own file alone, but a kernel is made of formulas from many files. So the name under
 # which a kernel is kept ends with a digest of all of them: when one changes, no kernel that was kept before is found.
-_FOLDERS = Path(__file__).parent, Path(__file__).parent.parent / "formulas"
+_FORMULAS = Path(operations.__file__).parent
+_FOLDERS = Path(__file__).parent, _FORMULAS
 _SOURCES = hashlib.sha256(b"".join(p.read_bytes() for folder in _FOLDERS for p in sorted(folder.glob("*.py"))))
 
 
@@ -58,7 +59,7 @@ def rows_at(array: FloatArray, first: int) -> Rows:
     return (x[0], x[1], x[2]), (y[0], y[1], y[2]), (z[0], z[1], z[2])
 
 
-for _module in pkgutil.iter_modules(formulas.__path__, f"{formulas.__name__}."):
+for _module in pkgutil.iter_modules([str(_FORMULAS)], f"{operations.__package__}."):
     for _formula in vars(import_module(_module.name)).values():
         if inspect.isfunction(_formula) and _formula.__module__ == _module.name:
             jit_inline(_formula)

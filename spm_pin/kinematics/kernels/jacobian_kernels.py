@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.kinematics.formulas.legs import StageLegs, carried, upper_balls
-from spm_pin.kinematics.formulas.vectors import Rows, Vector, differences, directions, largest
-from spm_pin.kinematics.formulas.wrenches import (
+from spm_pin.formulas.legs import StageLegs, carried, upper_balls
+from spm_pin.formulas.vectors import Rows, Vector, differences, directions, largest
+from spm_pin.formulas.wrenches import (
     Matrix,
     determinant,
     drawn_inverse_jacobian,
@@ -25,7 +25,7 @@ from spm_pin.kinematics.formulas.wrenches import (
     stage_twists,
     structure_determinant,
 )
-from spm_pin.kinematics.formulas.wrenches import stage_forces as forces_of_stage
+from spm_pin.formulas.wrenches import stage_forces as forces_of_stage
 from spm_pin.kinematics.kernels.compilation import TILE, jit, jit_inline, kernel, readonly_array, rows_at
 from spm_pin.mechanism.arguments import FloatArray
 

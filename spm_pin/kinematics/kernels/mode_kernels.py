@@ -1,6 +1,6 @@
 """Forward displacement of a batch of leg lengths: all assembly modes, and the one in the aspect of the home.
 
-The equations of a stage are `spm_pin.kinematics.formulas.stages`; here are Newton's method on them, the place of each
+The equations of a stage are `spm_pin.formulas.stages`; here are Newton's method on them, the place of each
 solution, what tells two solutions apart, and two stages joined at their middle platform.
 """
 
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.kinematics.formulas.stages import (
+from spm_pin.formulas.stages import (
     EPS,
     StageEquations,
     State,
@@ -27,7 +27,7 @@ from spm_pin.kinematics.formulas.stages import (
     residual_by_legs,
     stage_equations,
 )
-from spm_pin.kinematics.formulas.vectors import Rows, Vector, dot, largest, scaled, times, transposed, weighted
+from spm_pin.formulas.vectors import Rows, Vector, dot, largest, scaled, times, transposed, weighted
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array
 from spm_pin.kinematics.kernels.quartic import approximate_solutions
 from spm_pin.mechanism.arguments import FloatArray

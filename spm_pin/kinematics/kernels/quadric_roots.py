@@ -14,8 +14,8 @@ import math
 
 import numpy as np
 
-from spm_pin.kinematics.formulas.operations import where
-from spm_pin.kinematics.formulas.vectors import cross
+from spm_pin.formulas.operations import where
+from spm_pin.formulas.vectors import cross
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline
 from spm_pin.kinematics.kernels.quadric_newton import (
     CONVERGED,

@@ -13,7 +13,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.kinematics.formulas.stages import StageEquations, quartic, tilt_quadratic
+from spm_pin.formulas.stages import StageEquations, quartic, tilt_quadratic
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline
 from spm_pin.mechanism.arguments import FloatArray
 

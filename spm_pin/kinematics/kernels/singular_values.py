@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spm_pin.kinematics.formulas.stages import EPS
+from spm_pin.formulas.stages import EPS
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array
 from spm_pin.mechanism.arguments import FloatArray
 

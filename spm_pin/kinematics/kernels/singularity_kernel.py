@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.kinematics.formulas.vectors import Rows, Vector, combined, cross, dot, minus, scaled
-from spm_pin.kinematics.formulas.wrenches import arms, mean
+from spm_pin.formulas.vectors import Rows, Vector, combined, cross, dot, minus, scaled
+from spm_pin.formulas.wrenches import arms, mean
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel
 from spm_pin.kinematics.kernels.jacobian_kernels import (
     INPUTS,

@@ -17,8 +17,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.kinematics.formulas.stages import inverse, is_home_aspect, pair_determinant
-from spm_pin.kinematics.formulas.vectors import (
+from spm_pin.formulas.stages import inverse, is_home_aspect, pair_determinant
+from spm_pin.formulas.vectors import (
     Rows,
     Vector,
     combined,
@@ -30,10 +30,10 @@ from spm_pin.kinematics.formulas.vectors import (
     times,
     weighted,
 )
-from spm_pin.kinematics.formulas.vectors import (
+from spm_pin.formulas.vectors import (
     rotation_of as rotation_of_quaternion,
 )
-from spm_pin.kinematics.formulas.wrenches import pairs
+from spm_pin.formulas.wrenches import pairs
 from spm_pin.kinematics.kernels.compilation import jit, kernel
 from spm_pin.mechanism.arguments import FloatArray
 

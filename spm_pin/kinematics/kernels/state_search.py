@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from spm_pin.kinematics.formulas.vectors import combined, cross, minus, scaled, times, weighted
+from spm_pin.formulas.vectors import combined, cross, minus, scaled, times, weighted
 from spm_pin.kinematics.kernels.compilation import jit, kernel
 from spm_pin.kinematics.kernels.stage_states import (
     ANY_ASPECT,

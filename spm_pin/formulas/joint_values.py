@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from spm_pin.kinematics.formulas.operations import sqrt, where
-from spm_pin.kinematics.formulas.vectors import Rows, Vector, combined, cross, direction, dot, minus, times, weighted
+from spm_pin.formulas.operations import sqrt, where
+from spm_pin.formulas.vectors import Rows, Vector, combined, cross, direction, dot, minus, times, weighted
 
 Angle = tuple[float, float]
 """Multiples of the sine and the cosine of an angle, by one positive factor."""

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from spm_pin.kinematics.formulas.operations import COS_30, both, sqrt, where
-from spm_pin.kinematics.formulas.vectors import (
+from spm_pin.formulas.operations import COS_30, both, sqrt, where
+from spm_pin.formulas.vectors import (
     Rows,
     Vector,
     combined,

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from spm_pin.kinematics.formulas.vectors import (
+from spm_pin.formulas.vectors import (
     Rows,
     Vector,
     combined,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from spm_pin.kinematics.formulas.operations import sqrt, where
+from spm_pin.formulas.operations import sqrt, where
 
 Vector = tuple[float, float, float]
 Rows = tuple[Vector, Vector, Vector]

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from spm_pin.kinematics.formulas.operations import COS_30, both, either, sqrt, where
-from spm_pin.kinematics.formulas.stages import cartesian, in_home_aspect
-from spm_pin.kinematics.formulas.vectors import Rows, Vector, combined, dot, magnitude, minus, scaled, transposed
+from spm_pin.formulas.operations import COS_30, both, either, sqrt, where
+from spm_pin.formulas.stages import cartesian, in_home_aspect
+from spm_pin.formulas.vectors import Rows, Vector, combined, dot, magnitude, minus, scaled, transposed
 
 Complex = tuple[float, float]
 

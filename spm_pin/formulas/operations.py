@@ -38,13 +38,23 @@ def bind(formula: F, **operations: Any) -> F:
     Parameters
     ----------
     formula : callable
-        A function of `spm_pin.kinematics.formulas`.
+        A function of `spm_pin.formulas`.
     **operations
         What stands for `sqrt`, `where`, `both`, `either`, and perhaps `COS_30`, in the copies. What is not given stays
         that of floats.
     """
     copy: F = _copied(formula, operations, {})
     return copy
+
+
+def on_arrays(formula: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a formula as a function of NumPy's arrays in place of numbers, entry by entry."""
+    return bind(formula, sqrt=np.sqrt, where=np.where, both=np.logical_and, either=np.logical_or)
+
+
+def rows_of(array: Any) -> tuple[tuple[Any, ...], ...]:
+    """Return matrices (..., 3, 3) as formulas take them: nine arrays (...), row by row."""
+    return tuple(tuple(array[..., i, j] for j in range(3)) for i in range(3))
 
 
 def _copied(formula: Any, operations: dict[str, Any], copies: dict[Any, Any]) -> Any:

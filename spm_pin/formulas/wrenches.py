@@ -17,9 +17,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from spm_pin.kinematics.formulas.operations import sqrt
-from spm_pin.kinematics.formulas.stages import Pairs, inverse, pair_determinant, pair_inverse
-from spm_pin.kinematics.formulas.vectors import (
+from spm_pin.formulas.operations import sqrt
+from spm_pin.formulas.stages import Pairs, inverse, pair_determinant, pair_inverse
+from spm_pin.formulas.vectors import (
     Rows,
     Vector,
     combined,
