@@ -17,6 +17,10 @@ sqrt: Callable[[float], float] = np.sqrt
 """The square root, not a number of a negative one."""
 
 
+ARRAYS: dict[str, Any] = {"sqrt": np.sqrt, "where": np.where, "both": np.logical_and, "either": np.logical_or}
+"""The operations of NumPy's arrays, entry by entry."""
+
+
 def where(condition: bool, yes: float, no: float) -> float:
     """Select one of two numbers, both of which are computed."""
     return yes if condition else no
@@ -49,7 +53,7 @@ def bind(formula: F, **operations: Any) -> F:
 
 def on_arrays(formula: Callable[..., Any]) -> Callable[..., Any]:
     """Return a formula as a function of NumPy's arrays in place of numbers, entry by entry."""
-    return bind(formula, sqrt=np.sqrt, where=np.where, both=np.logical_and, either=np.logical_or)
+    return bind(formula, **ARRAYS)
 
 
 def rows_of(array: Any) -> tuple[tuple[Any, ...], ...]:

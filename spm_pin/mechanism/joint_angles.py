@@ -19,16 +19,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from spm_pin.errors import ArgumentError
+from spm_pin.formulas import joint_values as formulas
+from spm_pin.formulas.legs import upper_balls
+from spm_pin.formulas.operations import ARRAYS, bind
+from spm_pin.formulas.vectors import dot, minus, times, transposed
 from spm_pin.mechanism.arguments import FloatArray, type_and_value, whole_number
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.legs import axis_directions, triangle_frames, triangle_sides, upper_ball_weights
 from spm_pin.mechanism.pose import homogeneous
-
-Vector = tuple[Any, Any, Any]
-"""Three numbers, or arrays of equal shape."""
-Angle = tuple[Any, Any]
-"""Multiples of the sine and the cosine of an angle, by one positive factor."""
 
 _OUTWARD = (1.0, -1.0, -1.0)
 """Signs that turn a leg outwards about its revolute axis."""
@@ -80,39 +79,28 @@ def ball_placements(geometry: Geometry) -> FloatArray:
     return homogeneous(np.stack(axis_directions(), axis=-1), geometry.legs.balls)
 
 
-class _LegFrame(NamedTuple):
-    """Constants of a leg."""
+class _Formulas(NamedTuple):
+    """The formulas for one kind of number."""
 
-    lean_cos: float  # of the leg's direction at home
-    lean_sin: float
-    length: float  # at home [m]
-    rows: tuple[Vector, ...]  # axes of the frame, in {B} or {m}
-    shifts: Vector  # the pivot, in these axes [m]
-    columns: tuple[Vector, ...]  # axes of the frame at the ball, in those of the lower balls' triangle
+    sqrt: Callable[[Any], Any]
+    upper_balls: Callable[..., Any]
+    leg_values: Callable[..., Any]
+    triangle_axes: Callable[..., Any]
+    ball_angles: Callable[..., Any]
 
-    def place(self, p: Sequence[Any]) -> Vector:
-        """Return the coordinates of a point of {B} or {m} in the leg's frame."""
-        (x, y, z), (a, b, c) = self.rows, self.shifts
-        return _dot(x, p) - a, _dot(y, p) - b, _dot(z, p) - c
+    @classmethod
+    def from_operations(cls, **operations: Any) -> _Formulas:
+        used = upper_balls, formulas.leg_values, formulas.triangle_axes, formulas.ball_angles
+        return cls(operations["sqrt"], *(bind(formula, **operations) for formula in used))
 
-    def corner(self, x: Sequence[Any], y: Sequence[Any], z: Sequence[Any]) -> tuple[Any, Vector, Vector]:
-        """Return the axes of the frame at the ball, seen from the leg's frame, from those of the lower balls' triangle.
 
-        Of the last one the component along the revolute axis; the second components and the third ones of all three.
-        """
-        first, second, last = (_weighted(column, x, y, z) for column in self.columns)
-        _, across, up = self.rows
-        return (
-            _dot(self.rows[0], last),
-            (_dot(across, first), _dot(across, second), _dot(across, last)),
-            (_dot(up, first), _dot(up, second), _dot(up, last)),
-        )
+_ON_NUMBERS, _ON_ARRAYS = _Formulas.from_operations(sqrt=math.sqrt), _Formulas.from_operations(**ARRAYS)
 
 
 class _Constants(NamedTuple):
-    legs: tuple[_LegFrame, ...]
+    legs: tuple[formulas.LegFrame, ...]
     sides: tuple[float, ...]  # b_1 b_2, b_2 b_3 and b_3 b_1
-    weights: list[list[float]]  # see `upper_ball_weights`
+    weights: Any  # see `upper_ball_weights`
 
 
 @functools.lru_cache(maxsize=16)
@@ -126,10 +114,14 @@ def _constants(geometry: Geometry) -> _Constants:
     shifts = (turns @ geometry.legs.pivots[..., None])[..., 0]
     columns = np.swapaxes(triangle_frames(balls[:3]).T @ ball_placements(geometry)[:, :3, :3], -1, -2)
     legs = tuple(
-        _LegFrame(*home, tuple(map(tuple, rows.tolist())), tuple(shift), tuple(map(tuple, corner.tolist())))
+        formulas.LegFrame(_tuples(rows), tuple(shift), _tuples(corner), *home)
         for home, rows, shift, corner in zip(homes, turns, shifts.tolist(), columns, strict=True)
     )
-    return _Constants(legs, tuple(triangle_sides(balls[:3]).tolist()), upper_ball_weights(balls).tolist())
+    return _Constants(legs, tuple(triangle_sides(balls[:3]).tolist()), _tuples(upper_ball_weights(balls)))
+
+
+def _tuples(matrix: FloatArray) -> Any:
+    return tuple(map(tuple, matrix.tolist()))
 
 
 @dataclass(frozen=True)
@@ -194,9 +186,9 @@ def joint_angles(configuration: Configuration, corners: tuple[int, ...] = (0, 1,
         for begin in range(0, size, _BLOCK):
             block = slice(begin, begin + _BLOCK)
             # Components first: each operation runs along the configurations of a block.
-            parts = [list(np.ascontiguousarray(a[block].T)) for a in arrays]
-            angles, slides, errors = _values(parts, constants, corners, np.sqrt)
-            rows = rows[:, : len(parts[0][0])]
+            parts = [tuple(np.ascontiguousarray(a[block].T)) for a in arrays]
+            angles, slides, errors = _values(_rows(parts), constants, corners, _ON_ARRAYS)
+            rows = rows[:, : len(parts[1][0])]
             for row, (sine, cosine) in zip(rows, angles, strict=False):
                 np.arctan2(sine, cosine, out=row)
             rows[-6:] = slides
@@ -208,118 +200,39 @@ def joint_angles(configuration: Configuration, corners: tuple[int, ...] = (0, 1,
 def _single(state: list[FloatArray], constants: _Constants, corners: tuple[int, ...]) -> JointAngles:
     """Return the values of one state, computed in Python's numbers: NumPy takes longer for arrays of one."""
     try:
-        angles, slides, errors = _values([a.ravel().tolist() for a in state], constants, corners, math.sqrt)
+        parts = [tuple(a.ravel().tolist()) for a in state]
+        angles, slides, errors = _values(_rows(parts), constants, corners, _ON_NUMBERS)
     except ZeroDivisionError:  # balls in one place or in a line
         return JointAngles(np.full(12 + 6 * len(corners), np.nan), np.array(np.nan))
     return JointAngles(np.concatenate([np.arctan2(*zip(*angles, strict=True)), slides]), np.array(max(errors)))
 
 
+def _rows(parts: Sequence[Sequence[Any]]) -> Sequence[Any]:
+    """Return R, o and the b_i as formulas take them, from their components."""
+    rotation, position, b = parts
+    return (rotation[:3], rotation[3:6], rotation[6:]), position, (b[:3], b[3:6], b[6:])
+
+
 def _values(
-    state: Sequence[Sequence[Any]], constants: _Constants, corners: tuple[int, ...], sqrt: Callable[[Any], Any]
-) -> tuple[list[Angle], list[Any], list[Any]]:
+    state: Sequence[Any], constants: _Constants, corners: tuple[int, ...], run: _Formulas
+) -> tuple[list[formulas.Angle], list[Any], list[Any]]:
     """Return joint angles as multiples of (sine, cosine), slides, and closure errors: of numbers, or of arrays (n,).
 
-    The angles are the six hips', then the balls' x, y and z. `state` has the components of R, o and the rows b_i;
-    `sqrt` is the root of their kind.
+    The angles are the six hips', then the balls' x, y and z. `state` has R, o and the b_i as formulas take them.
     """
-    legs, lengths_of_sides, weights = constants
-    r, o, b = state
-    rows = [b[0:3], b[3:6], b[6:9]]
-    edges = _minus(rows[0], rows[1]), _minus(rows[1], rows[2]), _minus(rows[2], rows[0])
-    upper = _upper_balls(rows, edges, weights)
-    balls = [*rows, *[_turned_back(r, _minus(p, o)) for p in upper]]
-    hips: list[Angle] = []
-    lengths, slides, errors = [], [], []
-    for ball, leg in zip(balls, legs, strict=True):
-        along, across, up = leg.place(ball)
-        # Turned back by the lean at home, the direction's angle is the hip's.
-        cosine = leg.lean_cos * up - leg.lean_sin * across
-        sine = -leg.lean_sin * up - leg.lean_cos * across
-        hips.append((sine, cosine))
-        lengths.append(sqrt(cosine * cosine + sine * sine))
-        slides.append(lengths[-1] - leg.length)
-        errors.append(abs(along))
-
-    # The triangle's axes, as in `Configuration.middle_pose`; then seen from {m}.
-    sides = [sqrt(_dot(edge, edge)) for edge in edges]
-    errors.extend([abs(length - side) for length, side in zip(sides, lengths_of_sides, strict=True)])
-    x = _scaled(edges[2], -sides[2])
-    y = _minus(edges[1], edges[0])
-    shared = _dot(x, y)
-    y = y[0] - shared * x[0], y[1] - shared * x[1], y[2] - shared * x[2]
-    y = _scaled(y, sqrt(_dot(y, y)))
-    z = x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]
-    from_base, from_top = (x, y, z), (_turned_back(r, x), _turned_back(r, y), _turned_back(r, z))
-
-    turns = []
-    for stage, (axes, sign) in enumerate(((from_base, 1.0), (from_top, -1.0))):
-        for corner in corners:
-            place = 3 * stage + corner
-            rod = _direction(*hips[place], lengths[place])
-            turns.append(_ball_angles(rod, legs[place], axes, sign, sqrt))
-    return [*hips, *(turn[k] for k in range(3) for turn in turns)], slides, errors
-
-
-# Written out: a loop over three numbers takes longer than the numbers.
-def _dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _weighted(weights: Sequence[float], x: Sequence[Any], y: Sequence[Any], z: Sequence[Any]) -> Vector:
-    a, b, c = weights
-    return a * x[0] + b * y[0] + c * z[0], a * x[1] + b * y[1] + c * z[1], a * x[2] + b * y[2] + c * z[2]
-
-
-def _minus(a: Sequence[Any], b: Sequence[Any]) -> Vector:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-def _scaled(v: Sequence[Any], divisor: Any) -> Vector:
-    return v[0] / divisor, v[1] / divisor, v[2] / divisor
-
-
-def _upper_balls(
-    rows: Sequence[Sequence[Any]], edges: Sequence[Sequence[Any]], weights: list[list[float]]
-) -> list[Sequence[Any]]:
-    """Return the upper legs' balls, from the lower ones and their edges b_2 b_1, b_3 b_2, b_1 b_3."""
-    if not any(map(any, weights)):
-        return list(rows)
-    # b_2 - b_1 negated, and b_3 - b_1.
-    p, q = edges[0], edges[2]
-    across = p[2] * q[1] - p[1] * q[2], p[0] * q[2] - p[2] * q[0], p[1] * q[0] - p[0] * q[1]
-    return [
-        [row[k] - u * p[k] + v * q[k] + w * across[k] for k in range(3)]
-        for row, (u, v, w) in zip(rows, weights, strict=True)
+    rotation, position, b = state
+    columns = transposed(rotation)
+    upper = run.upper_balls(b, constants.weights)
+    balls = [*b, *(times(columns, minus(ball, position)) for ball in upper)]
+    legs = [run.leg_values(ball, frame) for ball, frame in zip(balls, constants.legs, strict=True)]
+    edges = minus(b[0], b[1]), minus(b[1], b[2]), minus(b[2], b[0])
+    errors = [abs(leg.plane_distance) for leg in legs]
+    errors += [abs(run.sqrt(dot(edge, edge)) - side) for edge, side in zip(edges, constants.sides, strict=True)]
+    axes = run.triangle_axes(b)
+    turns = [
+        run.ball_angles(legs[k], constants.legs[k], seen, sign)
+        for first, seen, sign in ((0, axes, 1.0), (3, tuple(times(columns, x) for x in axes), -1.0))
+        for k in (first + corner for corner in corners)
     ]
-
-
-def _turned_back(r: Sequence[Any], v: Sequence[Any]) -> Vector:
-    """Return Rᵀ v."""
-    a, b, c = v
-    return r[0] * a + r[3] * b + r[6] * c, r[1] * a + r[4] * b + r[7] * c, r[2] * a + r[5] * b + r[8] * c
-
-
-def _direction(sine: Any, cosine: Any, length: Any) -> Angle:
-    """Return sine and cosine over their length, (0, 1) where that is zero."""
-    zero = length == 0.0
-    return sine / (length + zero), (cosine + zero) / (length + zero)
-
-
-def _ball_angles(
-    rod: Angle, leg: _LegFrame, axes: Sequence[Sequence[Any]], sign: float, sqrt: Callable[[Any], Any]
-) -> tuple[Angle, Angle, Angle]:
-    """Return the angles of the rotation Rx Ry Rz from the rod to the middle platform, times `sign`.
-
-    `axes` are those of the lower balls' triangle, seen from the platform that the leg stands on; `rod` has sine and
-    cosine of the hip. For an upper leg the rotation goes from the platform to the rod: its transpose has the angles
-    negated.
-    """
-    # The axes of the middle platform's corner in the leg's frame, then turned back by the hip about x.
-    along, across, up = leg.corner(*axes)
-    s, c = rod
-    (y_x, z_x), (y_y, z_y), (y_z, z_z) = [(c * a + s * u, c * u - s * a) for a, u in zip(across, up, strict=True)]
-    level = sqrt(y_z * y_z + z_z * z_z)
-    sine, cosine = _direction(-y_z, z_z, level)
-    # The last from what the first leaves over, hence exact where the first is not determined.
-    last = sign * (cosine * y_x + sine * z_x), cosine * y_y + sine * z_y
-    return (sign * sine, cosine), (sign * along, level), last
+    angles = [leg.hip for leg in legs] + [turn[k] for k in range(3) for turn in turns]
+    return angles, [leg.slide for leg in legs], errors
