@@ -27,7 +27,7 @@ _NAMES = {"start": "--from", "goal": "--to", "leg_rates": "--leg-rate", "leg_acc
 _NAMES |= {"leg_forces": "--leg-force", "leg_jerks": "--leg-jerk", "mass": "--payload", "path": "--out"}
 _NAMES |= {"minimum": "--limits", "maximum": "--limits"}
 
-_Pair = tuple[float, float] | None
+_Ends = tuple[float, float] | None
 
 
 def _largest(help_text: str) -> Any:
@@ -65,12 +65,12 @@ def move(
     leg_acceleration: Annotated[str | None, _largest("acceleration of a leg \\[m/s²].")] = None,
     leg_force: Annotated[str | None, _largest("force of a leg, pushing or pulling \\[N].")] = None,
     leg_jerk: Annotated[str | None, _largest("jerk of a leg \\[m/s³]: forces without jumps, slower.")] = None,
-    twist: Annotated[_Pair, Option(metavar="V OMEGA", help="Speed limits of o \\[m/s] and turning \\[rad/s].")] = None,
+    twist: Annotated[_Ends, Option(metavar="V OMEGA", help="Speed limits of o \\[m/s] and turning \\[rad/s].")] = None,
     payload: Annotated[float, Option(help="Mass on the terminal platform, at o \\[kg].")] = 0.0,
-    hip: Annotated[_Pair, _degrees("Angles of the revolute joints, from home, in degrees.")] = None,
-    ball_x: Annotated[_Pair, _degrees("The same of the ball joints, about the legs' revolute axes.")] = None,
-    ball_y: Annotated[_Pair, _degrees("About their middle axes.")] = None,
-    ball_z: Annotated[_Pair, _degrees("About the middle platform's normal.")] = None,
+    hip: Annotated[_Ends, _degrees("Angles of the revolute joints, from home, in degrees.")] = None,
+    ball_x: Annotated[_Ends, _degrees("The same of the ball joints, about the legs' revolute axes.")] = None,
+    ball_y: Annotated[_Ends, _degrees("About their middle axes.")] = None,
+    ball_z: Annotated[_Ends, _degrees("About the middle platform's normal.")] = None,
     clearance: Annotated[float | None, Option(help="Least distance of legs without a common joint, in --unit.")] = None,
     margin: Annotated[float, Option(help="Least |det J| of a stage over d³ on the way.")] = 0.05,
     straight: Annotated[bool, Option("--straight", help="Move o on a straight line, and nowhere else.")] = False,

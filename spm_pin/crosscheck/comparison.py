@@ -342,7 +342,7 @@ class _Comparison:
         for answer in reversed(answers):
             with np.errstate(invalid="ignore"):
                 closed = answer.states.closure_residual <= ROWS * answer.rounding
-            certain = closed & Conditioning.of(answer.states).resolves(answer.rounding)
+            certain = closed & Conditioning.from_configuration(answer.states).resolves(answer.rounding)
             joints[certain] = answer.states.middle_joints[certain]
         for answer in answers:
             # A pose with a continuous family has no list of branches to compare.
@@ -358,7 +358,7 @@ class _Comparison:
         found = answer.states.exists
         with np.errstate(invalid="ignore"):
             share = answer.states.closure_residual / (ROWS * answer.rounding)
-            resolved = Conditioning.of(proved).resolves(method.rounding(proved))
+            resolved = Conditioning.from_configuration(proved).resolves(method.rounding(proved))
         invented = found & (share > 1.0)
         missed = (proved.exists & resolved & ~found).reshape(-1, _BRANCHES).any(axis=-1) & answer.selected
         score = self.scores[method.name]
@@ -380,7 +380,7 @@ class _Comparison:
         `place` (m,) is 8 times the number of the pose in the batch, plus the number of the branch.
         """
         count, side = len(place), self._geometry.middle_side
-        conditioning = Conditioning.of(states)
+        conditioning = Conditioning.from_configuration(states)
         rounding = {method.name: method.rounding(states) for method in self._methods}
         wrench = _FORCE * rng.uniform(-1.0, 1.0, (count, 6)) * np.repeat([1.0, side], 3)
         rates: dict[str, FloatArray] = {}

@@ -184,7 +184,7 @@ def reproduce(tables: Sequence[int] = TABLES) -> Reproduction:
         )
         for n in range(8)
     )
-    roots = resultant.Resultant.of(geometry, example)
+    roots = resultant.Resultant.from_pose(geometry, example)
     equation = MisprintedEquation(
         printed=_count_real(roots.roots(as_printed=True)),
         mended=_count_real(roots.roots()),

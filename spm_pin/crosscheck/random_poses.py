@@ -81,14 +81,14 @@ def _around_home(geometry: Geometry) -> LegLimits:
 def _stage(geometry: Geometry, radius: float, lengths: FloatArray, side: float) -> tuple[FloatArray, BoolArray]:
     """Return ball joints (n, 3, 3) [m] of stages with leg lengths (n, 3) [m], and whether Newton's method converged."""
     axes, radial, d = geometry.revolute_axes, geometry.radial_directions, geometry.middle_side
-    feet = radius * radial
+    bases = radius * radial
     mean = np.sqrt((lengths**2).mean(axis=-1))
     rise = np.sqrt(np.maximum(mean**2 - (radius - geometry.middle_radius) ** 2, (0.1 * d) ** 2))
     b = geometry.middle_radius * radial + side * rise[:, None, None] * np.array([0.0, 0.0, 1.0])
     error = np.full((len(b), 9), np.inf)
     i, following = np.array([0, 1, 2]), np.array([1, 2, 0])
     for _ in range(_STEPS):
-        leg, between = b - feet, b - b[:, following]
+        leg, between = b - bases, b - b[:, following]
         off_plane = np.stack([joint @ axis for joint, axis in zip(b.swapaxes(0, 1), axes, strict=True)], axis=-1)
         too_long = ((leg**2).sum(axis=-1) - lengths**2) / (2.0 * d)
         too_far = ((between**2).sum(axis=-1) - d**2) / (2.0 * d)

@@ -47,7 +47,7 @@ class Conditioning:
     """The bound q of the equations' quadratic part [1/m]."""
 
     @classmethod
-    def of(cls, configuration: Configuration) -> Conditioning:
+    def from_configuration(cls, configuration: Configuration) -> Conditioning:
         """Return the conditioning of states (N,); NaN for a member that does not exist."""
         sides, weights = _middle_platform(configuration.geometry)
         curvature = 1.5 * (1.0 / sides.min() + np.abs(weights[:, 2]).sum())

@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from spm_pin.formulas.legs import upper_balls
+from spm_pin.formulas.leg_planes import upper_balls
 from spm_pin.formulas.vectors import combined, cross, dot, minus, scaled, times
 from spm_pin.kinematics.exact_discriminants import ExactPose, largest_component, quaternions, scaled_rotation
 from spm_pin.kinematics.intervals import SQRT_3, Interval
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
-from spm_pin.mechanism.branches import physical, tilt_cosine_sum
+from spm_pin.mechanism.branch_of_state import physical, tilt_cosine_sum
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.solutions import SolutionSet

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from mpmath import iv
 
+from spm_pin.formulas.branches import product
 from spm_pin.mechanism.arguments import FloatArray, IntArray
 
 BITS = 400
@@ -27,26 +28,22 @@ ROOT_SIGN = (1, -1, -1, 1, -1, 1, 1, -1)
 """The root, in this order, of the branches + and - of each family."""
 _TURNS = ((1, 0), (0, 1), (0, -1), (1, 0))
 
-Pair = tuple[int, int]
+Whole = tuple[int, int]
 """A complex number with whole parts, or α and β of α + β√3."""
 
 
-def _times(a: Pair, b: Pair) -> Pair:
-    return a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]
-
-
-def _surd_times(a: Pair, b: Pair) -> Pair:
+def _surd_times(a: Whole, b: Whole) -> Whole:
     return a[0] * b[0] + 3 * a[1] * b[1], a[0] * b[1] + a[1] * b[0]
 
 
-def _surd_sign(a: Pair) -> int:
+def _surd_sign(a: Whole) -> int:
     first, second = (a[0] > 0) - (a[0] < 0), (a[1] > 0) - (a[1] < 0)
     if first * second >= 0:
         return first or second
     return first if a[0] * a[0] > 3 * a[1] * a[1] else second
 
 
-def _surd(a: Pair) -> Any:
+def _surd(a: Whole) -> Any:
     """Return an enclosure of α + β√3, to nearly the working precision whatever cancels."""
     root, (first, second) = iv.sqrt(iv.mpf(3)), a
     if (first > 0) == (second > 0) or not first or not second:
@@ -84,20 +81,20 @@ class ExactPose:
         self.norm = x0 * x0 + x3 * x3 + self._w_square
         self.matrix = scaled_rotation(self._quaternion, lambda x: x * x)
         self.vertical = not self._w_square or self.norm == self._w_square
-        cube, normal = _times(w, _times(w, w)), _times(s, w)
+        cube, normal = product(w, product(w, w)), product(s, w)
         i_s, norm = (-x3, x0), self.norm
-        first, second = _times(i_s, cube), _times(i_s, (cube[0], -cube[1]))
+        first, second = product(i_s, cube), product(i_s, (cube[0], -cube[1]))
         g = norm * self._w_square * (normal[0] * x + normal[1] * y)
-        self._turned = [_times(s, turn) for turn in _TURNS]
-        self._coefficients: list[tuple[Pair, Pair, Pair]] = []
+        self._turned = [product(s, turn) for turn in _TURNS]
+        self._coefficients: list[tuple[Whole, Whole, Whole]] = []
         for (kappa, mu), e_p, e_q in zip(self._turned, _LOWER, _UPPER, strict=True):
-            s_, ss = (kappa, mu), _times((kappa, mu), (kappa, mu))
-            pp = norm * (e_q * _times(first, ss)[0] + e_p * norm * second[0])
-            pq = -2 * norm * (e_q * _times(first, s_)[0] + e_p * _times(second, s_)[0])
-            qq = norm * e_q * first[0] + e_p * _times(second, ss)[0]
+            s_, ss = (kappa, mu), product((kappa, mu), (kappa, mu))
+            pp = norm * (e_q * product(first, ss)[0] + e_p * norm * second[0])
+            pq = -2 * norm * (e_q * product(first, s_)[0] + e_p * product(second, s_)[0])
+            qq = norm * e_q * first[0] + e_p * product(second, ss)[0]
             self._coefficients.append(((d * pp, -g * norm), (d * pq, 2 * g * kappa), (d * qq, -g)))
 
-    def _discriminant(self, family: int) -> Pair:
+    def _discriminant(self, family: int) -> Whole:
         pp, pq, qq = self._coefficients[family]
         square, product = _surd_times(pq, pq), _surd_times(pp, qq)
         return square[0] - 4 * product[0], square[1] - 4 * product[1]

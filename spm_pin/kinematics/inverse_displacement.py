@@ -24,7 +24,7 @@ from spm_pin.kinematics.batches import (
     with_batch_shape,
 )
 from spm_pin.mechanism.arguments import FloatArray, as_bool
-from spm_pin.mechanism.branches import BRANCHES
+from spm_pin.mechanism.branch_of_state import BRANCHES
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.pose import PoseLike

@@ -1,6 +1,6 @@
 """Dimensions of the robot, its states, and sets of states. No Pinocchio, CasADi or Numba."""
 
-from spm_pin.mechanism.branches import BRANCHES, FAMILIES
+from spm_pin.mechanism.branch_of_state import BRANCHES, FAMILIES
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import PARAMETERS, Geometry
 from spm_pin.mechanism.joint_angles import JointAngles, joint_angles

@@ -20,7 +20,7 @@ import numpy as np
 
 from spm_pin.errors import ArgumentError
 from spm_pin.formulas import joint_values as formulas
-from spm_pin.formulas.legs import upper_balls
+from spm_pin.formulas.leg_planes import upper_balls
 from spm_pin.formulas.operations import ARRAYS, bind
 from spm_pin.formulas.vectors import dot, minus, times, transposed
 from spm_pin.mechanism.arguments import FloatArray, type_and_value, whole_number

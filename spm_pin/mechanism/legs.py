@@ -11,14 +11,16 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import GeometryError
+from spm_pin.formulas.joint_values import triangle_axes
+from spm_pin.formulas.operations import COS_30, on_arrays, rows_of
 from spm_pin.mechanism.arguments import LARGEST, SMALLEST, FloatArray, real_array
 from spm_pin.mechanism.leg_limits import LEGS
 
-_HALF_SQRT3 = math.sqrt(3.0) / 2.0
 # Unit vectors towards leg 1, 2, 3, and the revolute axes R_1i of Eq. (4a), in {B}; in {m} they read the same.
-RADIAL = np.array([[_HALF_SQRT3, -0.5, 0.0], [0.0, 1.0, 0.0], [-_HALF_SQRT3, -0.5, 0.0]])
-AXES = np.array([[0.5, _HALF_SQRT3, 0.0], [1.0, 0.0, 0.0], [-0.5, _HALF_SQRT3, 0.0]])
+RADIAL = np.array([[COS_30, -0.5, 0.0], [0.0, 1.0, 0.0], [-COS_30, -0.5, 0.0]])
+AXES = np.array([[0.5, COS_30, 0.0], [1.0, 0.0, 0.0], [-0.5, COS_30, 0.0]])
 
+_triangle_axes = on_arrays(triangle_axes)
 _UNIT = 1e-6
 """Largest error of the length of an axis that is taken for rounding."""
 _FLAT = 1e-6
@@ -121,13 +123,9 @@ def axis_directions() -> tuple[FloatArray, FloatArray, FloatArray]:
 
 def triangle_frames(b: FloatArray) -> FloatArray:
     """Return the axes (..., 3, 3) of triangles b_1, b_2, b_3: x along b_3 b_1, y towards b_2, z normal, as columns."""
-    x = b[..., 0, :] - b[..., 2, :]
-    y = 2.0 * b[..., 1, :] - b[..., 0, :] - b[..., 2, :]
     with np.errstate(invalid="ignore", divide="ignore"):
-        x = x / np.linalg.norm(x, axis=-1, keepdims=True)
-        y = y - (x * y).sum(axis=-1, keepdims=True) * x
-        y = y / np.linalg.norm(y, axis=-1, keepdims=True)
-    return np.stack([x, y, np.cross(x, y)], axis=-1)
+        axes = _triangle_axes(rows_of(b))
+    return np.stack([np.stack(axis, axis=-1) for axis in axes], axis=-1)
 
 
 def triangle_sides(b: FloatArray) -> FloatArray:

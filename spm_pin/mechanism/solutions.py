@@ -23,7 +23,7 @@ from spm_pin.mechanism.arguments import (
     real_array,
     type_and_value,
 )
-from spm_pin.mechanism.branches import BRANCHES, FAMILIES, branch_sign, family, physical, tilt_cosine_sum
+from spm_pin.mechanism.branch_of_state import BRANCHES, FAMILIES, branch_sign, family, physical, tilt_cosine_sum
 from spm_pin.mechanism.configuration import Configuration, batch_index, compared_points
 from spm_pin.mechanism.geometry import Geometry, unit_hint
 from spm_pin.mechanism.leg_limits import LegLimits

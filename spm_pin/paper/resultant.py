@@ -30,6 +30,9 @@ _ORDER = ((0, 1, 5, 4), (1, 2, 4, 5), (0, 2, 4, 5))
 
 Eqs. (13b) and (13c) list b_3y's coefficients first; p_i2 and p_i1 belong to the other order."""
 
+_REAL = 1e-7
+"""Largest imaginary part of a real solution, see `inverse_displacement`."""
+
 
 @dataclass(frozen=True)
 class Resultant:
@@ -41,7 +44,7 @@ class Resultant:
     """Side of the middle platform [m]."""
 
     @classmethod
-    def of(cls, geometry: Geometry, pose: PoseLike) -> Resultant:
+    def from_pose(cls, geometry: Geometry, pose: PoseLike) -> Resultant:
         """Set up the lines for a pose, or a batch that is flattened."""
         matrix = as_rigid_transform(pose).as_matrix().reshape(-1, 4, 4)
         R, o = matrix[:, :3, :3], matrix[:, :3, 3]
@@ -190,31 +193,28 @@ def _quadratic(a: FloatArray, b: ComplexArray, c: ComplexArray) -> tuple[Complex
     return (-b + root) / (2 * a), (-b - root) / (2 * a)
 
 
-def solve(geometry: Geometry, pose: PoseLike, *, refine: int = 0) -> ComplexArray:
+def solve(geometry: Geometry, pose: PoseLike) -> ComplexArray:
     """Return all eight solutions of poses (...) as the paper finds them, real or complex.
 
-    Rows b_i (..., 8, 3, 3) in {B} [m], in no particular order; NaN where Eq. (10) divides by zero. `refine` Newton
-    steps on Eq. (13) follow the paper's own procedure, none by default.
+    Rows b_i (..., 8, 3, 3) in {B} [m], in no particular order; NaN where Eq. (10) divides by zero.
     """
     transform = as_rigid_transform(pose)
-    return Resultant.of(geometry, transform).solutions(refine).reshape(*transform.shape, 8, 3, 3)
+    return Resultant.from_pose(geometry, transform).solutions(0).reshape(*transform.shape, 8, 3, 3)
 
 
-def inverse_displacement(
-    geometry: Geometry, pose: PoseLike, *, refine: int = 4, tolerance: float = 1e-7
-) -> SolutionSet:
+def inverse_displacement(geometry: Geometry, pose: PoseLike, *, refine: int = 4) -> SolutionSet:
     """Return the paper's real solutions under the canonical labels, without discriminants.
 
-    `refine` Newton steps on Eq. (13) are taken. Solutions whose imaginary parts are below `tolerance`, in units of d
+    `refine` Newton steps on Eq. (13) are taken. Solutions whose imaginary parts are below 1e-7, in units of d
     times the steepness of the lines, are real, those closer together are one. The status is `Status.UNSOLVED` where a
     line is vertical, or so steep that the solutions contradict one another.
     """
     transform = as_rigid_transform(pose)
-    resultant = Resultant.of(geometry, transform)
+    resultant = Resultant.from_pose(geometry, transform)
     joints = resultant.solutions(refine).reshape(*transform.shape, 8, 3, 3)
     slopes = np.abs(resultant.s[..., 1]).max(axis=-1)
     # A steep line magnifies what is left of an error in the y coordinates.
-    bound = (tolerance * geometry.middle_side * (1.0 + slopes)).reshape(*transform.shape, 1)
+    bound = (_REAL * geometry.middle_side * (1.0 + slopes)).reshape(*transform.shape, 1)
     with np.errstate(invalid="ignore"):
         real = np.abs(joints.imag).max(axis=(-1, -2)) <= bound
         points = joints.real

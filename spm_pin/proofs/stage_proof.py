@@ -61,15 +61,16 @@ _BOX = np.dtype([("level", np.int64), ("position", np.int64, 3), ("bound", np.fl
 """A dyadic box of the cube: its level of division, its integer position, a lower bound of |det J|, and |det J| at its
 centre, infinity where that has no lengths within the limits."""
 
+_DEEPEST = 14
 _CORNERS = np.array(list(product((0, 1), repeat=3)))
 _NEIGHBOURS = np.array(list(product((-1, 0, 1), repeat=3)))
 
 
-def prove_stage(region: StageRegion, start: FloatArray, *, most: int = 300_000, deepest: int = 14) -> StageProof:
+def prove_stage(region: StageRegion, start: FloatArray, *, most: int = 300_000) -> StageProof:
     """Divide the cube of states until D is proved positive on the component of `start`, or `most` boxes were seen.
 
-    `start` is a state (x, y, Z) within the limits, known to rounding; a box of the level `deepest` = n, which is not
-    divided further, has 2⁻ⁿ of the cube's edge.
+    `start` is a state (x, y, Z) within the limits, known to rounding; a box that is not divided further has
+    2⁻ⁿ of the cube's edge, n = `_DEEPEST`.
     """
     scale = np.array([1.0, 1.0, 2.0 ** np.ceil(np.log2(region.height))])
     side = np.arange(1 << _FIRST_LEVEL)
@@ -82,7 +83,7 @@ def prove_stage(region: StageRegion, start: FloatArray, *, most: int = 300_000, 
         kept = kept[_joined(scale, kept, start)]
         # A proved box is divided again while its bound is far below the least value met: a bound is to be of use.
         least = float(kept["centre"][kept["bound"] > 0.0].min(initial=at_start))
-        unfinished = (kept["bound"] <= 0.5 * least) & (kept["level"] < deepest)
+        unfinished = (kept["bound"] <= 0.5 * least) & (kept["level"] < _DEEPEST)
         count = int(unfinished.sum())
         if seen >= search_at or not count or seen + 8 * count > most:
             singular = _singular_state(region, _ends(scale, kept[kept["bound"] <= 0.0]))

@@ -25,7 +25,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from spm_pin.kinematics.intervals import SQRT_3, Interval
 from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.branches import stage_coordinates
+from spm_pin.mechanism.branch_of_state import stage_coordinates
 
 _MIRROR = np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]])
 """The upper stage is the same upside down, mirrored at the terminal platform."""

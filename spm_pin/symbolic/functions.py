@@ -21,11 +21,11 @@ from spm_pin.description.tree import JOINTS
 from spm_pin.errors import ArgumentError
 from spm_pin.formulas import branches as formulas
 from spm_pin.formulas import joint_values as values
-from spm_pin.formulas import legs as formulas_of_legs
-from spm_pin.formulas import stages, vectors, wrenches
+from spm_pin.formulas import leg_planes, stages, vectors, wrenches
 from spm_pin.mechanism import BRANCHES, Geometry
 from spm_pin.mechanism.arguments import FloatArray, as_bool, choice
-from spm_pin.symbolic.machine import AXES, UP, Machine, State, all_of, direction, in_casadi, parts, sqrt
+from spm_pin.mechanism.legs import AXES
+from spm_pin.symbolic.machine import UP, Machine, State, all_of, direction, in_casadi, parts, sqrt
 
 Dimensions = Geometry | Literal["symbolic"] | None
 
@@ -262,8 +262,8 @@ def _forces(state: State, *wrenches_of_stages: Any) -> Any:
 
 def gravity_of(state: State, bodies: Any, payload: Any, acceleration: Any) -> dict[str, Any]:
     """Return the leg forces that hold all weights in a state."""
-    o, n, own = state.position, _triangle_frame(state.joints), state.machine.balls[:3]
-    turn = n @ _triangle_frame(own).T
+    o, own = state.position, state.machine.balls[:3]
+    turn = _triangle_axes(state.joints).T @ _triangle_axes(own)
 
     def wrench(mass: Any, moments: Any) -> Any:
         return ca.vertcat(mass * acceleration, ca.cross(moments - mass * o, acceleration))
@@ -294,7 +294,7 @@ def values_of(state: State) -> dict[str, Any]:
     """Return the values of the eighteen joints in a state."""
     machine, turned = state.machine, state.rotation.T
     triangle = in_casadi(values.triangle_axes)([parts(b) for b in state.joints])
-    own = ca.vertcat(*(ca.horzcat(*x) for x in in_casadi(values.triangle_axes)([parts(b) for b in machine.balls[:3]])))
+    own = _triangle_axes(machine.balls[:3])
     seen = [parts(turned @ ca.vertcat(*x)) for x in triangle]
     found: dict[str, Any] = {}
     for k, (name, frame, axis) in enumerate(zip(_LEG_NAMES, machine.frames, (*AXES, *AXES), strict=True)):
@@ -362,12 +362,12 @@ def closure_equations(machine: Machine, coordinates: Any, rotation: Any, positio
 
 
 def quadrics(machine: Machine, quaternion: Any, rotation: Any, position: Any) -> tuple[list[Any], Any]:
-    """Return the forms (4, 4) of `legs.quadric`, of norm 1, and the lower balls of a root in their planes (6,)."""
+    """Return the forms (4, 4) of `leg_planes.quadric`, of norm 1, and the lower balls of a root in their planes (6,)."""
     normals = ca.horzcat(*machine.axes[:3], *(rotation @ x for x in machine.axes[3:]))
     heights = [ca.dot(f.x, f.pivot) for f in machine.frames]
     heights = ca.vertcat(*heights[:3], *(h + ca.dot(normals[:, 3 + i], position) for i, h in enumerate(heights[3:])))
     stages = [
-        formulas_of_legs.StagePlanes(
+        leg_planes.StagePlanes(
             (parts(normals[:, i]), parts(normals[:, i + 1]), parts(normals[:, i + 2])),
             parts(heights[i : i + 3]),
             (parts(machine.balls[i]), parts(machine.balls[i + 1]), parts(machine.balls[i + 2])),
@@ -377,9 +377,7 @@ def quadrics(machine: Machine, quaternion: Any, rotation: Any, position: Any) ->
     forms, weights = [], ca.nullspace(normals)
     for k in range(3):
         w = weights[:, k]
-        xx, yy, zz, ww, xy, xz, yz, xw, yw, zw = in_casadi(formulas_of_legs.quadric)(
-            parts(w[:3]), parts(w[3:]), *stages
-        )
+        xx, yy, zz, ww, xy, xz, yz, xw, yw, zw = in_casadi(leg_planes.quadric)(parts(w[:3]), parts(w[3:]), *stages)
         form = ca.blockcat([[xx, xy, xz, xw], [xy, yy, yz, yw], [xz, yz, zz, zw], [xw, yw, zw, ww]])
         forms.append(form / ca.norm_fro(form))
     turn = ca.vertcat(*(ca.horzcat(*row) for row in in_casadi(vectors.rotation_of)(*ca.vertsplit(quaternion))))
@@ -406,7 +404,7 @@ def placed(machine: Machine, lower: Any, upper: Any) -> tuple[Any, Any, Any]:
         legs = slice(3 * stage, 3 * stage + 3)
         b = [frame.point(coordinates[2 * i : 2 * i + 2]) for i, frame in enumerate(machine.frames[legs])]
         own = machine.balls[legs]
-        turn = _triangle_frame(b) @ _triangle_frame(own).T
+        turn = _triangle_axes(b).T @ _triangle_axes(own)
         frames.append(turn)
         centres.append((b[0] + b[1] + b[2]) / 3.0 - turn @ ((own[0] + own[1] + own[2]) / 3.0))
         joints.append(b)
@@ -414,14 +412,9 @@ def placed(machine: Machine, lower: Any, upper: Any) -> tuple[Any, Any, Any]:
     return rotation, centres[0] - rotation @ centres[1], ca.horzcat(*joints[0]).T
 
 
-def _triangle_frame(b: Sequence[Any]) -> Any:
-    """Return the axes of a triangle as columns, as `spm_pin.mechanism.legs.triangle_frames` has them."""
-    x = b[0] - b[2]
-    x = x / ca.sqrt(ca.sumsqr(x))
-    y = 2.0 * b[1] - b[0] - b[2]
-    y = y - ca.dot(x, y) * x
-    y = y / ca.sqrt(ca.sumsqr(y))
-    return ca.horzcat(x, y, ca.cross(x, y))
+def _triangle_axes(b: Sequence[Any]) -> Any:
+    """Return the axes of a triangle as rows."""
+    return ca.vertcat(*(ca.horzcat(*axis) for axis in in_casadi(values.triangle_axes)([parts(x) for x in b])))
 
 
 def lower_coordinates(machine: Machine, joints: Any) -> Any:

@@ -13,16 +13,15 @@ import casadi as ca
 import numpy as np
 
 from spm_pin.errors import ArgumentError
-from spm_pin.formulas import legs, stages, wrenches
-from spm_pin.formulas.operations import COS_30, bind
+from spm_pin.formulas import leg_planes, stages, wrenches
+from spm_pin.formulas.operations import bind
 from spm_pin.mechanism import Geometry
 from spm_pin.mechanism.arguments import LARGEST, SMALLEST, as_bool, type_and_value
+from spm_pin.mechanism.legs import AXES, RADIAL
 from spm_pin.mechanism.pose import ORTHONORMALITY_TOLERANCE
 
 FLOOR = 1e-40
 """Least radicand of a square root: its root is far below rounding, and its powers in derivatives are finite."""
-_RADIAL = np.array([[COS_30, -0.5, 0.0], [0.0, 1.0, 0.0], [-COS_30, -0.5, 0.0]])
-AXES = np.array([[0.5, COS_30, 0.0], [1.0, 0.0, 0.0], [-0.5, COS_30, 0.0]])
 UP = np.array([0.0, 0.0, 1.0])
 FIELDS = {"dimensions": 3, "axes": 18, "pivots": 18, "balls": 18, "offsets": 6, "minimum": 6, "maximum": 6}
 """How many numbers describe a machine: E, C, d, the six legs and the limits of their readings."""
@@ -125,8 +124,8 @@ class Machine:
     def _draw(self, base: Any, platform: Any, side: Any) -> None:
         self.base, self.platform, self.side, self.r = base, platform, side, side / np.sqrt(3.0)
         self.valid = all_of([ca.logic_and(x >= SMALLEST, x <= LARGEST) for x in (base, platform, side)])
-        corners = [self.r * ca.SX(v) for v in _RADIAL]
-        pivots = [radius * ca.SX(v) for radius in (base, platform) for v in _RADIAL]
+        corners = [self.r * ca.SX(v) for v in RADIAL]
+        pivots = [radius * ca.SX(v) for radius in (base, platform) for v in RADIAL]
         self._set_legs([ca.SX(v) for v in (*AXES, *AXES)], pivots, corners + corners, ca.SX.zeros(6))
 
     def _set_legs(self, axes: list[Any], pivots: list[Any], balls: list[Any], offsets: Any) -> None:
@@ -155,7 +154,7 @@ class Machine:
         return [sqrt(ca.sumsqr(b[i] - b[(i + 1) % 3])) for i in range(3)]
 
     def ball_weights(self) -> list[tuple[Any, Any, Any]]:
-        """Return the weights of `spm_pin.formulas.legs.upper_balls`."""
+        """Return the weights of `spm_pin.formulas.leg_planes.upper_balls`."""
         if self.is_drawn:
             return [(0.0, 0.0, 0.0)] * 3
         first, second = self.balls[1] - self.balls[0], self.balls[2] - self.balls[0]
@@ -168,7 +167,7 @@ class Machine:
 
     def all_balls(self, b: Sequence[Any]) -> list[Any]:
         """Return the six balls from those of the lower legs, seen from the same frame."""
-        upper = in_casadi(legs.upper_balls)([parts(x) for x in b], self.ball_weights())
+        upper = in_casadi(leg_planes.upper_balls)([parts(x) for x in b], self.ball_weights())
         return [*b, *(ca.vertcat(*x) for x in upper)]
 
     def home_lengths(self) -> list[Any]:
@@ -224,9 +223,9 @@ class State:
 
     def is_physical(self) -> tuple[Any, Any]:
         """Return whether the state is physical, leg limits aside, and the sum of the cosines of both stages' tilts."""
-        up, seen = self.rotation[:, 2], [self.rotation @ ca.SX(v) for v in _RADIAL]
+        up, seen = self.rotation[:, 2], [self.rotation @ ca.SX(v) for v in RADIAL]
         conditions = [ca.dot(UP, self.centre) > 0.0, ca.dot(self.position - self.centre, up) > 0.0]
-        for k, radial in ((0, [ca.SX(v) for v in _RADIAL]), (3, seen)):
+        for k, radial in ((0, [ca.SX(v) for v in RADIAL]), (3, seen)):
             outwards = sum(ca.dot(v, b) for v, b in zip(radial, self.joints, strict=True))
             at_home = is_at_home(self.axes[k : k + 3], self.vectors[k : k + 3], self.balls[k : k + 3])
             conditions += [outwards > 0.0, at_home]
@@ -236,7 +235,7 @@ class State:
 
 
 def is_at_home(axes: Sequence[Any], legs: Sequence[Any], balls: Sequence[Any]) -> Any:
-    """Return whether an upright stage is in the aspect of its home; see `spm_pin.mechanism.branches.physical`."""
+    """Return whether an upright stage is in the aspect of its home; see `spm_pin.mechanism.branch_of_state.physical`."""
     # The axes as tangents of their platform, counterclockwise.
     normals = [parts(ca.cross(sign * a, leg)) for sign, a, leg in zip((1.0, -1.0, -1.0), axes, legs, strict=True)]
     pairs = in_casadi(wrenches.pairs)([parts(b) for b in balls], normals)

@@ -25,7 +25,7 @@ from spm_pin.mechanism import (
     as_rigid_transform,
 )
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, check_instance, choice
-from spm_pin.mechanism.branches import branch_sign, family, physical, tilt_cosine_sum
+from spm_pin.mechanism.branch_of_state import branch_sign, family, physical, tilt_cosine_sum
 from spm_pin.workspace.joint_limits import JointLimits
 from spm_pin.workspace.nearest_real_pose import nearest_real_pose
 from spm_pin.workspace.search import nearest_states

@@ -18,7 +18,7 @@ from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import LEGS, Configuration, Geometry, LegLimits
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, check_instance, first_offender
-from spm_pin.mechanism.branches import FAMILIES, TANGENT_SIGNS, family, physical, stage_coordinates
+from spm_pin.mechanism.branch_of_state import FAMILIES, TANGENT_SIGNS, family, physical, stage_coordinates
 
 CENTRE = np.zeros((1, 3))
 """The platform's centre o in {m}."""

@@ -17,7 +17,7 @@ from numba.extending import register_jitable
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.formulas import branches, joint_values, legs, operations, stages, vectors, wrenches
+from spm_pin.formulas import branches, joint_values, leg_planes, operations, stages, vectors, wrenches
 from spm_pin.formulas.operations import bind
 from spm_pin.kinematics.intervals import Interval
 from spm_pin.mechanism.joint_angles import home_leans, home_lengths, joint_angles, leg_placements
@@ -250,8 +250,10 @@ def plane_coordinates(state: spm.Configuration) -> tuple[list[float], list[float
 def test_legs_are_carried_and_joint_values_turn_the_rods_into_the_platform(machine: spm.Geometry) -> None:
     state = spm.inverse_physical(machine, POSE)
     b, rotation, o = rows(state.middle_joints), rows(state.rotation), tuple(state.translation.tolist())
-    upper = legs.carried(legs.StageLegs(rows(machine.legs.axes[3:]), rows(machine.legs.pivots[3:])), rotation, o)
-    balls = legs.upper_balls(b, rows(upper_ball_weights(machine.legs.balls)))
+    upper = leg_planes.carried(
+        leg_planes.StageLegs(rows(machine.legs.axes[3:]), rows(machine.legs.pivots[3:])), rotation, o
+    )
+    balls = leg_planes.upper_balls(b, rows(upper_ball_weights(machine.legs.balls)))
     np.testing.assert_allclose(np.concatenate([b, balls]), state.balls, atol=4 * EPS)
     np.testing.assert_allclose(upper.pivots, state.leg_bases[3:], atol=4 * EPS)
     np.testing.assert_allclose(upper.axes, state.leg_axes[3:], atol=4 * EPS)
@@ -286,11 +288,11 @@ def test_the_quadrics_of_a_machine_as_built_vanish_at_its_configurations() -> No
     heights[3:] += normals[3:] @ POSE[:3, 3]
     null_space = np.linalg.svd(normals.T)[2][3:]
     planes = [
-        legs.StagePlanes(rows(normals[s]), tuple(heights[s]), rows(MACHINE.legs.balls[s]))
+        leg_planes.StagePlanes(rows(normals[s]), tuple(heights[s]), rows(MACHINE.legs.balls[s]))
         for s in (slice(0, 3), slice(3, 6))
     ]
     for weights in null_space:
-        form = legs.quadric(tuple(weights[:3]), tuple(weights[3:]), *planes)
+        form = leg_planes.quadric(tuple(weights[:3]), tuple(weights[3:]), *planes)
         xx, yy, zz, ww, xy, xz, yz, xw, yw, zw = form
         q = np.array([[xx, xy, xz, xw], [xy, yy, yz, yw], [xz, yz, zz, zw], [xw, yw, zw, ww]])
         for branch in np.flatnonzero(solutions.exists):

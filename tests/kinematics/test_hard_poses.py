@@ -246,7 +246,7 @@ def test_families_are_named_and_nothing_is_picked_from_them(name: str) -> None:
 
 
 def family_of(pose: RigidTransform, joints: np.ndarray) -> str:
-    from spm_pin.mechanism.branches import family
+    from spm_pin.mechanism.branch_of_state import family
 
     return spm.mechanism.FAMILIES[int(family(spm.Configuration(PAPER, pose, joints)))]
 

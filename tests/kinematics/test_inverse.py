@@ -12,8 +12,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
 from spm_pin.kinematics.inverse_displacement import complex_middle_joints, inverse_physical
-from spm_pin.mechanism import branches
-from spm_pin.mechanism.branches import branch_sign, family
+from spm_pin.mechanism import branch_of_state
+from spm_pin.mechanism.branch_of_state import branch_sign, family
 
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()
@@ -187,14 +187,14 @@ def test_the_physical_branch_alone_is_that_of_all(shape: tuple[int, ...], limits
         np.testing.assert_array_equal(getattr(found, name), getattr(chosen, name), err_msg=name)
     if limits is None:
         # The rule itself, on the configurations.
-        np.testing.assert_array_equal(branches.physical(solutions.configurations), solutions.is_physical)
+        np.testing.assert_array_equal(branch_of_state.physical(solutions.configurations), solutions.is_physical)
 
 
 def test_physical_chooses_the_branch_tilted_less() -> None:
     solutions = spm.inverse_displacement(PAPER, in_leg_space(PAPER, 20_000, seed=13).pose)
     both = solutions[np.flatnonzero(solutions.ambiguous)]
     assert len(both.ambiguous) > 10
-    less = branches.tilt_cosine_sum(both.configurations[:, :2]).argmax(axis=-1)
+    less = branch_of_state.tilt_cosine_sum(both.configurations[:, :2]).argmax(axis=-1)
     np.testing.assert_array_equal(both.physical().middle_joints, both.middle_joints[np.arange(len(less)), less])
 
 

@@ -11,7 +11,7 @@ from problems import in_leg_space, random_branches
 
 import spm_pin as spm
 from spm_pin.errors import SelectionError
-from spm_pin.mechanism.branches import tilt_cosine_sum
+from spm_pin.mechanism.branch_of_state import tilt_cosine_sum
 from spm_pin.mechanism.configuration import check_configuration
 
 PAPER = spm.Geometry.paper()

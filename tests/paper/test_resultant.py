@@ -53,7 +53,7 @@ def test_agreement_on_a_hundred_thousand_poses() -> None:
 
 
 def test_the_roots_are_those_of_the_determinant() -> None:
-    lines = resultant.Resultant.of(PAPER, EXAMPLE)
+    lines = resultant.Resultant.from_pose(PAPER, EXAMPLE)
     roots = lines.roots()
     real = np.sort(roots[0, np.abs(roots[0].imag) < 1e-9].real)
     assert len(real) == 6
@@ -65,7 +65,7 @@ def test_the_roots_are_those_of_the_determinant() -> None:
 
 
 def test_the_octic_is_of_degree_eight() -> None:
-    lines = resultant.Resultant.of(PAPER, EXAMPLE)
+    lines = resultant.Resultant.from_pose(PAPER, EXAMPLE)
     nodes = np.cos((np.arange(15) + 0.5) * np.pi / 15)
     series = np.polynomial.chebyshev.chebfit(nodes, lines.determinant(nodes)[0], 14)
     assert np.abs(series[9:]).max() < 1e-12 * np.abs(series).max()
@@ -82,7 +82,7 @@ def test_pure_paper_without_refinement_reaches_eight_digits_at_the_example() -> 
 
 def test_equations_13_are_the_sides_of_the_triangle() -> None:
     """Random points on the lines of Eq. (11): Eq. (13) is the squared side minus d², Eq. (12)."""
-    lines = resultant.Resultant.of(PAPER, EXAMPLE)
+    lines = resultant.Resultant.from_pose(PAPER, EXAMPLE)
     unknowns = np.random.default_rng(0).normal(size=(1, 8, 3)) + 0j
     b = lines.middle_joints(unknowns)[0].real
     sides = [((b[:, i] - b[:, j]) ** 2).sum(axis=-1) - 0.64 for i, j in ((0, 1), (2, 1), (0, 2))]

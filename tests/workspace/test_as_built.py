@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from workspace.intervals import pose_volume
 
 import spm_pin as spm
-from spm_pin.mechanism.branches import physical
+from spm_pin.mechanism.branch_of_state import physical
 from spm_pin.workspace import (
     nearest_reachable_pose,
     orientation_workspace,

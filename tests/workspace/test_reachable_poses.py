@@ -8,7 +8,7 @@ from problems import GEOMETRIES, in_leg_space, random_branches
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.mechanism.branches import physical
+from spm_pin.mechanism.branch_of_state import physical
 from spm_pin.workspace.joint_limits import JointLimits
 from spm_pin.workspace.poses import reachable
 from spm_pin.workspace.sampling import sample_reachable

@@ -7,7 +7,7 @@ import pytest
 from problems import GEOMETRIES
 
 import spm_pin as spm
-from spm_pin.mechanism.branches import FAMILIES, family, physical
+from spm_pin.mechanism.branch_of_state import FAMILIES, family, physical
 from spm_pin.workspace.states import StateSet, free_states, states_within
 
 PAPER = GEOMETRIES["paper"]

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from workspace.intervals import pose_volume
 
 import spm_pin as spm
-from spm_pin.mechanism.branches import physical
+from spm_pin.mechanism.branch_of_state import physical
 from spm_pin.workspace.positions import reachable_position, reachable_volume
 from spm_pin.workspace.search import search_states, start_table
 from spm_pin.workspace.states import states_within

@@ -36,7 +36,7 @@ from spm_pin.mechanism import (
     as_rigid_transform,
 )
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, real_array
-from spm_pin.mechanism.branches import family, physical
+from spm_pin.mechanism.branch_of_state import family, physical
 from spm_pin.mechanism.joint_angles import home_lengths
 from spm_pin.multibody.chain import ClosedChain
 from spm_pin.workspace.poses import nearest_reachable_pose, pose_distance

@@ -29,7 +29,7 @@ from spm_pin.formulas.branches import (
     seen_from_platform,
 )
 from spm_pin.formulas.joint_values import triangle_axes
-from spm_pin.formulas.legs import StageLegs, StagePlanes, carried, quadric
+from spm_pin.formulas.leg_planes import StageLegs, StagePlanes, carried, quadric
 from spm_pin.formulas.stages import cartesian, is_home_aspect
 from spm_pin.formulas.vectors import (
     Rows,

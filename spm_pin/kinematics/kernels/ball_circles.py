@@ -172,9 +172,9 @@ def _solution(stage: Circles, balls: Rows) -> tuple[Rows, bool]:
 
 
 @jit
-def _followed(start: Circles, end: Circles, seed: Rows) -> tuple[Rows, bool]:
+def _followed(start: Circles, end: Circles, first: Rows) -> tuple[Rows, bool]:
     """Return where balls at the start are led, and whether that is the end."""
-    balls, share, length = seed, 0.0, 1.0
+    balls, share, length = first, 0.0, 1.0
     change = largest(minus(end.radii, start.radii))
     for _ in range(_MOST_STEPS):
         target = min(share + length, 1.0)

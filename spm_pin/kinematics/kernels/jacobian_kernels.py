@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.formulas.legs import StageLegs, carried, upper_balls
+from spm_pin.formulas.leg_planes import StageLegs, carried, upper_balls
 from spm_pin.formulas.vectors import Rows, Vector, differences, directions, largest
 from spm_pin.formulas.wrenches import (
     Matrix,

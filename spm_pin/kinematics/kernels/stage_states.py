@@ -39,8 +39,8 @@ from spm_pin.mechanism.arguments import FloatArray
 
 IntArray = npt.NDArray[np.int64]
 
-AXIS, PIVOT, BALL, OFFSET, LEG_NUMBERS = 0, 3, 6, 9, 10
-"""Places of a leg's numbers in a row of `legs`, and how many there are."""
+AXIS, PIVOT, BALL, OFFSET = 0, 3, 6, 9
+"""Places of a leg's numbers in a row of `legs`."""
 ROTATION, CENTRE, READINGS, DETERMINANT, STAGE_NUMBERS = 0, 9, 12, 15, 16
 """Places of a stage's rotation, centre [m], readings [m] and determinant in `values`, and their number."""
 SPIN, VELOCITY, RATES, SLOPE_NUMBERS = 0, 3, 6, 10

@@ -381,7 +381,7 @@ def search_points(
     """
     state, size = _new_state(3), machine[2]
     search = machine, state, _new_state(3), np.empty((6, 6)), np.empty((6, 6))
-    shifts, place, settled = np.zeros(8), np.empty((2, 3)), np.empty(6)
+    shifts, place, nearest_readings = np.zeros(8), np.empty((2, 3)), np.empty(6)
     for n in range(len(targets)):
         least, target, most = np.inf, targets[n], _STEPS[GAUSS_NEWTON]
         coordinates[n], readings[n], outcome[n] = starts[n, 0], np.nan, 0
@@ -394,9 +394,9 @@ def search_points(
             if norm < least:
                 least, coordinates[n] = norm, place
             if norm <= RESOLUTION * size:
-                kept = _settle(search, place, target, shifts, settled)
+                kept = _settle(search, place, target, shifts, nearest_readings)
                 if kept and _norm(state[2][:3]) <= 2.0 * RESOLUTION * size:
-                    coordinates[n], readings[n], outcome[n] = place, settled, 1
+                    coordinates[n], readings[n], outcome[n] = place, nearest_readings, 1
                     break
                 outcome[n] = -1
             elif norm <= _DOUBT * size and not stationary:
@@ -474,7 +474,7 @@ def search_nearest(
     rows, count, size = targets.shape[1], starts.shape[1], machine[2]
     state = _new_state(rows)
     search = machine, state, _new_state(rows), np.empty((6, 6)), np.empty((6, 6))
-    shifts, zeros, place, settled = np.zeros(8), np.zeros(8), np.empty((2, 3)), np.empty(6)
+    shifts, zeros, place, nearest_readings = np.zeros(8), np.zeros(8), np.empty((2, 3)), np.empty(6)
     ends, norms = np.empty((count, 2, 3)), np.empty(count)
     for n in range(len(targets)):
         target, left = targets[n], most
@@ -498,10 +498,10 @@ def search_nearest(
             while chosen >= 0 and left > 0:
                 place[:] = ends[chosen]
                 weight, left = _polish(search, place, target, stiffness, left, shifts)
-                distance, slope = _norm(state[2][:rows]), _put_gradient(state[3], state[2], settled)
-                if _settle(search, place, target, shifts, settled):
+                distance, slope = _norm(state[2][:rows]), _put_gradient(state[3], state[2], nearest_readings)
+                if _settle(search, place, target, shifts, nearest_readings):
                     before, distance = distance, _norm(state[2][:rows])
                     if distance <= min(best, before + _SAME_STATE * size):
-                        best, coordinates[n], readings[n] = distance, place, settled
+                        best, coordinates[n], readings[n] = distance, place, nearest_readings
                         multipliers[n], quality[n, 0], quality[n, 1] = weight * weight * shifts[:6], distance, slope
                 chosen = _next_end(norms, ends, best)
