@@ -362,7 +362,7 @@ def closure_equations(machine: Machine, coordinates: Any, rotation: Any, positio
 
 
 def quadrics(machine: Machine, quaternion: Any, rotation: Any, position: Any) -> tuple[list[Any], Any]:
-    """Return the forms (4, 4) of `leg_planes.quadric`, of norm 1, and the lower balls of a root in their planes (6,)."""
+    """Return the forms (4, 4) of `leg_planes.quadric`, norm 1, and the lower balls of a root in their planes (6,)."""
     normals = ca.horzcat(*machine.axes[:3], *(rotation @ x for x in machine.axes[3:]))
     heights = [ca.dot(f.x, f.pivot) for f in machine.frames]
     heights = ca.vertcat(*heights[:3], *(h + ca.dot(normals[:, 3 + i], position) for i, h in enumerate(heights[3:])))

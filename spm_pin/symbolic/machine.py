@@ -235,7 +235,7 @@ class State:
 
 
 def is_at_home(axes: Sequence[Any], legs: Sequence[Any], balls: Sequence[Any]) -> Any:
-    """Return whether an upright stage is in the aspect of its home; see `spm_pin.mechanism.branch_of_state.physical`."""
+    """Return whether an upright stage is in the aspect of its home; see `mechanism.branch_of_state.physical`."""
     # The axes as tangents of their platform, counterclockwise.
     normals = [parts(ca.cross(sign * a, leg)) for sign, a, leg in zip((1.0, -1.0, -1.0), axes, legs, strict=True)]
     pairs = in_casadi(wrenches.pairs)([parts(b) for b in balls], normals)

@@ -27,14 +27,14 @@ def test_sigma_agrees_with_the_jacobian_of_casadi() -> None:
         np.linalg.svd(np.asarray(closure(s.middle_joints.ravel(), s.rotation, s.translation)[1]), compute_uv=False)[-1]
         for s in sample
     ]
-    np.testing.assert_allclose(Conditioning.of(sample).sigma, expected, rtol=1e-10, atol=1e-14)
+    np.testing.assert_allclose(Conditioning.from_configuration(sample).sigma, expected, rtol=1e-10, atol=1e-14)
 
 
 def test_norm_of_the_inverse_agrees_with_the_inverse_jacobian() -> None:
     sample = states(5)
     rates = spm.inverse_jacobian(sample) / np.repeat([1.0, GEOMETRY.middle_side], 3)
     expected = 1.0 / np.linalg.svd(rates, compute_uv=False)[..., -1]
-    np.testing.assert_allclose(Conditioning.of(sample).inverse, expected, rtol=1e-6)
+    np.testing.assert_allclose(Conditioning.from_configuration(sample).inverse, expected, rtol=1e-6)
 
 
 def test_norm_of_the_inverse_agrees_with_that_of_a_machine_as_built() -> None:
@@ -42,14 +42,14 @@ def test_norm_of_the_inverse_agrees_with_that_of_a_machine_as_built() -> None:
     sample = spm.forward_physical(built, np.random.default_rng(0).uniform(1.15, 1.45, (20, 6)))
     rates = spm.inverse_jacobian(sample) / np.repeat([1.0, GEOMETRY.middle_side], 3)
     expected = 1.0 / np.linalg.svd(rates, compute_uv=False)[..., -1]
-    np.testing.assert_allclose(Conditioning.of(sample).inverse, expected, rtol=1e-9)
+    np.testing.assert_allclose(Conditioning.from_configuration(sample).inverse, expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("size", [1e-9, 1e-7])
 def test_position_bound_holds_for_perturbed_closures(size: float) -> None:
     """The equations are shifted by a residual as large as stated, and solved again by Newton's method."""
     sample = states()
-    conditioning = Conditioning.of(sample)
+    conditioning = Conditioning.from_configuration(sample)
     rounding = np.full(len(sample), size)
     sharp = conditioning.resolves(rounding)
     assert sharp.mean() > 0.5
@@ -71,7 +71,7 @@ def test_position_bound_holds_for_perturbed_closures(size: float) -> None:
 
 def test_rate_bound_holds_for_perturbed_entries() -> None:
     sample = states(20)
-    conditioning = Conditioning.of(sample)
+    conditioning = Conditioning.from_configuration(sample)
     size = 1e-10
     rng = np.random.default_rng(1)
     derivatives = nlp.leg_jacobian(GEOMETRY)
@@ -96,7 +96,7 @@ def test_two_branches_near_a_fold_are_not_resolved() -> None:
     pair = spm.inverse_displacement(GEOMETRY, pose)
     plus, minus = pair["TT+"], pair["TT-"]
     both = spm.Configuration(GEOMETRY, pose.as_matrix(), np.stack([plus.middle_joints, minus.middle_joints]))
-    conditioning = Conditioning.of(both)
+    conditioning = Conditioning.from_configuration(both)
     rounding = np.full(2, 1e-13)
     assert not conditioning.resolves(rounding).any()
     apart = np.linalg.norm(plus.middle_joints - minus.middle_joints)
@@ -106,6 +106,6 @@ def test_two_branches_near_a_fold_are_not_resolved() -> None:
 def test_conditioning_is_nan_where_no_branch_exists() -> None:
     sample = states(1)
     absent = spm.Configuration(GEOMETRY, sample.pose, np.full((4, 3, 3), np.nan))
-    conditioning = Conditioning.of(absent)
+    conditioning = Conditioning.from_configuration(absent)
     assert np.isnan(conditioning.sigma).all()
     assert not conditioning.resolves(np.zeros(4)).any()

@@ -77,7 +77,7 @@ COMPILED: dict[Any, Any] = {}
 def of_numba(formula: Any, *arguments: Any) -> Any:
     """Compile a formula as the kernels do: what it calls is registered with Numba as it stands."""
     if not COMPILED:
-        for module in (operations, vectors, stages, branches, wrenches, legs, joint_values):
+        for module in (operations, vectors, stages, branches, wrenches, leg_planes, joint_values):
             for member in vars(module).values():
                 if (
                     callable(member)
