@@ -147,8 +147,7 @@ def plan(
     if certificate is not None:
         check_instance(certificate, Certificate, "certificate")
         if not certificate.concerns(geometry):
-            cause = "certify takes the machine as built itself" if not geometry.is_nominal else ""
-            raise ArgumentError("certificate", "a certificate of `geometry`", "one of other dimensions", cause)
+            raise ArgumentError("certificate", "a certificate of `geometry`", "one of another machine")
     if not isinstance(via, Sequence | np.ndarray) or isinstance(via, str | bytes):
         raise ArgumentError("via", "a sequence of states to pass", type_and_value(via))
     names = ["start", *(f"via[{k}]" for k in range(len(via))), "goal"]

@@ -88,7 +88,7 @@ def test_states_and_certificates_of_the_machine_with_other_limits_are_of_the_sam
     with pytest.raises(spm.ArgumentError, match="base_radius of `geometry`") as caught:
         spm.plan(PAPER, other, GOAL)
     assert caught.value.argument == "start"
-    with pytest.raises(spm.ArgumentError, match="other dimensions"):
+    with pytest.raises(spm.ArgumentError, match="another machine"):
         spm.plan(spm.Geometry(0.5, 0.5, 0.6), [0.8] * 6, [0.7] * 6, certificate=certificate)
 
 

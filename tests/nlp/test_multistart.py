@@ -68,7 +68,7 @@ def test_results_depend_on_pose_and_seed_not_on_the_batch() -> None:
 def test_requested_number_of_starts_is_made() -> None:
     assert nlp.search(GEOMETRY, EXAMPLE, starts=5).starts == 5
     assert nlp.search(GEOMETRY, EXAMPLE, starts=3).solutions.count <= 3
-    with pytest.raises(spm.GeometryError, match=r"Pass its \.nominal"):
+    with pytest.raises(spm.GeometryError, match=r"pass its \.nominal"):
         nlp.search(GEOMETRY.perturbed(1), EXAMPLE)
 
 
