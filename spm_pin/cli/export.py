@@ -69,14 +69,13 @@ def export(
             return
         for path in write_c(machine, out, prefix="spm_" if prefix is None else prefix):
             outputs.note(f"wrote {path}")
-    elif format_ in ("srdf", "extended-urdf"):
-        if out is not None:
-            outputs.check_output(out)
+        return
+    if out is not None:
+        outputs.check_output(out)
+    if format_ in ("srdf", "extended-urdf"):
         write = description.srdf_text if format_ == "srdf" else description.extended_urdf_text
         outputs.write_text(write(prefix=prefix or ""), out)
     else:
-        if out is not None:
-            outputs.check_output(out)
         writers: dict[str | None, Callable[..., str]] = {
             "urdf": description.urdf_text,
             "mjcf": description.mjcf_text,
