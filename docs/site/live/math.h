@@ -5,6 +5,7 @@
 #define NAN __builtin_nan("")
 #define INFINITY __builtin_inf()
 #define fabs(x) __builtin_fabs(x)
+#define copysign(x, y) __builtin_copysign(x, y)
 #define sqrt(x) __builtin_sqrt(x)
 
 double atan2(double y, double x);
