@@ -20,7 +20,7 @@ from spm_pin.calibration.measurements import MeasurementError, Measurements, pos
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.mechanism import PARAMETERS, Configuration, Geometry
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, choice
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, check_instance, choice
 
 _LOSSES = ("linear", "soft_l1", "huber", "cauchy")
 _UNKNOWN = 0.3
@@ -238,15 +238,22 @@ def _fit(whitened: _Function, jacobian: _Function, first: FloatArray, loss: str)
     robust_fit = _judged(whitened(unknown), unknown, converged, accept_outliers=loss != "linear")
     if loss != "linear" or not robust_fit.outliers.any() or robust_fit.status == "not converged":
         return robust_fit
-    good = np.flatnonzero(~robust_fit.outliers)
-    if whitened(unknown)[good].size <= len(first):
-        return robust_fit
+    outliers = robust_fit.outliers
+    while True:
+        good = np.flatnonzero(~outliers)
+        if whitened(unknown)[good].size <= len(first):
+            return robust_fit
+        unknown, converged = _minimize(_of_rows(whitened, good), _of_rows(jacobian, good), unknown)
+        residuals = whitened(unknown)
+        # Rows that fit the machine of the others were only far off while wrong rows bent the fit.
+        left = outliers & _outliers(residuals, len(unknown))
+        if not converged or not left.any() or np.array_equal(left, outliers):
+            return _judged(residuals, unknown, converged, outliers)
+        outliers = left
 
-    def of_good_rows(values: _Function) -> _Function:
-        return lambda u: values(u)[good]
 
-    unknown, converged = _minimize(of_good_rows(whitened), of_good_rows(jacobian), unknown)
-    return _judged(whitened(unknown), unknown, converged, robust_fit.outliers)
+def _of_rows(values: _Function, rows: IntArray) -> _Function:
+    return lambda unknown: values(unknown)[rows]
 
 
 def _minimize(

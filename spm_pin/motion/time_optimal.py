@@ -41,11 +41,11 @@ class TimedMotion(JointTrajectory):
     """The motion of all joints along a path, found by `time_optimal`."""
 
     error: float = 0.0
-    """Share of the duration by which it may be above the least one: the growth on half as fine a grid, and the
-    slowing down that keeps limits between the points of the grid."""
+    """An estimate of the share of the duration by which it is above the least one, good to some ten percent of itself:
+    the growth on half as fine a grid, and the slowing down that keeps limits between the points of the grid."""
 
     def __repr__(self) -> str:
-        duration = f"{self.times[-1]:.4g} s, at most some {100.0 * self.error:.1g} % above the least"
+        duration = f"{self.times[-1]:.4g} s, about {100.0 * self.error:.1g} % above the least"
         return f"<TimedMotion: {len(self.joint_names)} joints at {self.times.size} times, {duration}>"
 
 

