@@ -47,7 +47,7 @@ def watched(page) -> list[str]:
     return errors
 
 
-def until(holds: Callable[[], object], what: str, seconds: float = 40.0, page=None) -> None:
+def until(holds: Callable[[], object], what: str, seconds: float = 120.0, page=None) -> None:
     """Wait until something holds; with a page, let it work meanwhile."""
     end = time.monotonic() + seconds
     while not holds():
