@@ -57,7 +57,7 @@ def companions(problem: tuple[Geometry, RigidTransform]) -> Prepared:
 
 def _polynomials(geometry: Geometry, poses: RigidTransform) -> tuple[FloatArray, float, FloatArray]:
     """Return coefficients (n, 9), highest first, in b_2y/reach; the reach [m]; and s_21, s_22 of Eq. (10c), (n, 2)."""
-    resultant = Resultant.of(geometry, poses)
+    resultant = Resultant.from_pose(geometry, poses)
     reach = 2.0 * geometry.middle_radius
     nodes = np.cos((np.arange(DEGREE + 1) + 0.5) * np.pi / (DEGREE + 1))
     values = resultant.determinant(reach * nodes)

@@ -311,7 +311,7 @@ def test_physical_agrees_with_forward_displacement(low: float) -> None:
     legs = np.random.default_rng(5).uniform(low, 1.5 if low > 1.0 else 2.0, (150, 6))
     direct = spm.forward_physical(PAPER, legs)
     modes = spm.forward_displacement(PAPER, legs)
-    mode_is_physical = modes.where(spm.mechanism.branches.physical(modes.configurations))
+    mode_is_physical = modes.where(spm.mechanism.branch_of_state.physical(modes.configurations))
     np.testing.assert_array_equal(mode_is_physical.exists.sum(axis=-1), direct.exists)
     chosen = mode_is_physical.where(mode_is_physical.exists)[direct.exists].one()
     np.testing.assert_allclose(chosen.middle_joints, direct.middle_joints[direct.exists], atol=1e-9)

@@ -52,7 +52,9 @@ def test_a_machine_as_built_is_planned_for_by_its_readings() -> None:
     certificate = spm.certify(PAPER, spm.LegLimits(1.1, 1.5), length_error=3e-4, angle_error=3e-4)
     assert spm.plan(near, START, GOAL, certificate=certificate).certified
     assert spm.plan(near, START, GOAL, certificate=spm.certify(near)).certified
-    with pytest.raises(spm.ArgumentError, match="certificate: expected a certificate of `geometry`, got one of other"):
+    with pytest.raises(
+        spm.ArgumentError, match="certificate: expected a certificate of `geometry`, got one of another machine"
+    ):
         spm.plan(machine, START, GOAL, certificate=certificate)
     state = spm.forward_physical(PAPER, START)
     with pytest.raises(spm.GeometryError, match="start: expected the axes of `geometry`, got a machine that differs"):

@@ -134,7 +134,7 @@ def test_isolated_branches_beside_a_continuous_family_are_kept(azimuth: float) -
     pose = spm.pose(offset * axis + np.array([0.0, 0.0, 2.0]), rotation=_rotation(axis, tilt))
     closed = spm.inverse_displacement(GEOMETRY, pose)
     assert closed.status is Status.DEGENERATE
-    isolated = Conditioning.of(closed.configurations).sigma > 1e-7
+    isolated = Conditioning.from_configuration(closed.configurations).sigma > 1e-7
     assert isolated.any()
     found = nlp.search(GEOMETRY, pose)
     assert found.solutions.status is Status.DEGENERATE
