@@ -25,7 +25,7 @@ def main() -> None:
         for name, (size, dark) in PICTURES.items():
             with Viewer(state, port=0, dark=dark) as viewer:
                 page = browser.new_page(viewport=size)
-                page.goto(viewer.url)
+                page.goto(f"{viewer.url}?fixedDpr=1")
                 page.wait_for_selector('[data-spm="branch"]', state="attached", timeout=180_000)
                 until(lambda: viewer.sessions, "a session", seconds=120.0, page=page)
                 notice = page.locator(".mantine-Notification-closeButton")  # of software rendering

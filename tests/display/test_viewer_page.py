@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import io
 import itertools
 import threading
 from contextlib import contextmanager
@@ -14,12 +15,13 @@ from browser import chromium, drained, pixel, until, watched
 from PIL import Image
 
 import spm_pin as spm
-from spm_pin.display.viewer import Recording, Viewer
+from spm_pin.display.viewer import Recording, Viewer, robot_scene
 from spm_pin.display.viewer.robot_scene import VIEWS, robot_points, solid_placements
 
 pytestmark = pytest.mark.slow  # a browser without a graphics card
 
 SIZE = {"width": 1000, "height": 640}
+PIXELS = "?fixedDpr=1"  # else viser draws, and reports, fewer pixels where it is slow
 PICTURES = Path(__file__).parents[2] / ".artifacts"
 
 
@@ -44,7 +46,7 @@ def opened(browser, viewer, **options):
     try:
         page.set_default_timeout(90_000)
         errors = watched(page)
-        page.goto(viewer.url)
+        page.goto(viewer.url + PIXELS)
         page.wait_for_selector('[data-spm="branch"]', state="attached", timeout=60_000)
         until(lambda: len(viewer.sessions) > len(before), "a session of its own", page=page)
         (session,) = [candidate for candidate in viewer.sessions if id(candidate) not in before]
@@ -272,6 +274,20 @@ def test_a_drag_out_of_reach_warns_and_shows_the_nearest(client):
     assert not session.scene._wanted.visible
 
 
+def test_the_platform_is_turned_by_roll_pitch_yaw(client):
+    page, session = client
+    send(session, "angles", "roll, pitch, yaw")
+    assert [slider.label for slider in session.panel.pose_sliders[3:]] == ["roll [°]", "pitch [°]", "yaw [°]"]
+    page.get_by_text("pitch [°]").wait_for()
+    wanted = session.state.target.rotation.as_euler("xyz", degrees=True)
+    wanted[2] += 4.0
+    send(session, "coordinate", (5, float(wanted[2])))
+    np.testing.assert_allclose(session.state.target.rotation.as_euler("xyz", degrees=True), wanted, atol=1e-9)
+    assert "roll, pitch, yaw = (" in page.locator('[data-spm="pose"]').first.inner_text()
+    send(session, "angles", "X-Y-X")
+    assert session.panel.pose_sliders[3].label == "α [°]"
+
+
 def test_camera_presets_and_a_picture(client):
     page, session = client
     for name, view in VIEWS.items():
@@ -292,6 +308,39 @@ def test_camera_presets_and_a_picture(client):
     with Image.open(saved.value.path()) as image:
         assert image.format == "PNG"
         assert np.asarray(image.convert("RGBA"))[..., 3].mean() > 5.0
+    page.get_by_role("tab", name="Pose").click()
+
+
+def test_forces_held_are_drawn_at_the_platform_and_taken_away(client):
+    page, session = client
+    page.get_by_role("tab", name="Show").click()
+    scene, width = session.scene, session.client.camera.image_width
+    settled(page, session)
+
+    def green():
+        """Return the pixels (n, 2) of the forces' colour, right of the notes, which come and go."""
+        with Image.open(io.BytesIO(page.screenshot())) as image:
+            r, g, b = np.moveaxis(np.array(image.convert("RGB"), dtype=int)[:, :width], -1, 0)
+        pixels = np.argwhere((g - r > 30) & (g - b > 8) & (b - r > 15))[:, ::-1]
+        return pixels[pixels[:, 0] >= 320]
+
+    page.get_by_role("checkbox", name="Gizmo").uncheck()  # which has an arrow in a green
+    until(lambda: len(green()) == 0, "a picture without green", page=page)
+    page.get_by_label("Forces held").check()
+    until(lambda: len(green()) > 1000, "forces in the picture", page=page)
+    picture(page, "viewer_forces.png")
+    held = spm.capability.wrench_polytope(session.state.shown, 1.0).section("linear")
+    corners = session.state.shown.translation + robot_scene._HELD * scene.size * held.vertices
+    corners = np.array([pixel(session.client.camera, corner) for corner in corners])
+    expected = corners.clip([320, 0], [width, SIZE["height"]])
+    pixels = green()
+    # Within the polytope's outline, and up to its right end.
+    assert (pixels >= expected.min(axis=0) - 8).all()
+    assert (pixels <= expected.max(axis=0) + 8).all()
+    assert abs(pixels[:, 0].max() - expected[:, 0].max()) <= 8
+    page.get_by_label("Forces held").uncheck()
+    until(lambda: len(green()) == 0, "the picture as before", page=page)
+    page.get_by_role("checkbox", name="Gizmo").check()
     page.get_by_role("tab", name="Pose").click()
 
 
@@ -319,24 +368,30 @@ def test_two_clients_at_once_and_one_that_goes(browser, viewer, client):
     page, session = client
     loop = viewer.server._event_loop
 
+    def own_threads():
+        # Pools start their threads as they need them, and keep them.
+        names = [thread.name for thread in threading.enumerate()]
+        return len([name for name in names if not name.startswith(("asyncio", "ThreadPoolExecutor"))])
+
     def running():
         tasks = [task for task in asyncio.all_tasks(loop) if "spm_pin" in repr(task.get_coro())]
         return len(tasks)
 
     with opened(browser, viewer) as (other_page, other, other_errors):
-        threads = threading.active_count()
+        threads = own_threads()
         assert len(viewer.sessions) == 2
         send(other, "branch", "FF+")
         until(lambda: other_page.inner_text('[data-spm="branch"]') == "FF+", "the other's branch", page=other_page)
         assert session.state.label == "TT+"
         assert page.inner_text('[data-spm="branch"]') == "TT+"
-        send(other, "play")
+        other.player._repeat = True  # a busy machine may take longer than the path's second to look
+        asyncio.run_coroutine_threadsafe(other.report("play", None), other._loop).result(timeout=60.0)
         until(lambda: other.player.playing, "time to run")
         other_page.close()
         until(lambda: viewer.sessions == (session,), "one session less", page=page)
         until(lambda: not running(), "no task of it left", page=page)
         assert not other.player.playing
-        assert threading.active_count() <= threads
+        assert own_threads() <= threads
         assert not other_errors
 
 
@@ -363,7 +418,7 @@ def test_the_demo_moves_until_it_is_touched(browser):
     with Viewer(port=0) as viewer:
         page = browser.new_page(viewport=SIZE)
         errors = watched(page)
-        page.goto(viewer.url, timeout=90_000)
+        page.goto(viewer.url + PIXELS, timeout=90_000)
         until(lambda: viewer.sessions, "a session", page=page)
         (session,) = viewer.sessions
         start = viewer._config.start.translation

@@ -12,21 +12,21 @@ from spm_pin.motion import LegPath, Payload
 from spm_pin.motion.limited_jerk import EasedGrid, limited_jerk
 from spm_pin.motion.path_dynamics import LimitRows
 
-WINDING = LegPath(np.random.default_rng(4).uniform(1.1, 1.5, (7, 6)))
+WINDING = LegPath(np.random.default_rng(4).uniform(1.1, 1.5, (5, 6)))
 POSES = pose_line([3.0, 5.0])
 
 
 @pytest.mark.parametrize(
     ("path", "limits", "jerk", "share"),
     [
-        (LINE, {"leg_forces": 1500.0, "leg_rates": 0.4, "leg_accelerations": 5.0}, 40.0, 0.98),
+        (LINE, {"leg_forces": 1500.0, "leg_rates": 0.4, "leg_accelerations": 5.0, "grid": 1000}, 40.0, 0.98),
         (
             CURVE,
-            {"leg_forces": 1800.0, "leg_rates": 0.6, "payload": Payload(15.0, (0.02, -0.01, 0.1))},
+            {"leg_forces": 1800.0, "leg_rates": 0.6, "payload": Payload(15.0, (0.02, -0.01, 0.1)), "grid": 1000},
             [400.0, 300.0, 200.0, 300.0, 400.0, 500.0],
             0.98,
         ),
-        (POSES, {"leg_forces": 1500.0, "leg_rates": 0.15}, 40.0, 0.98),
+        (POSES, {"leg_forces": 1500.0, "leg_rates": 0.15, "grid": 1000}, 40.0, 0.98),
         # Some thirty polynomials for each stretch between two points: the limits are followed less closely, see below.
         pytest.param(WINDING, {"leg_accelerations": 5.0, "leg_rates": 0.6}, 40.0, 0.8, marks=pytest.mark.slow),
     ],
@@ -64,8 +64,10 @@ def test_twice_as_fine_a_grid_shortens_a_winding_motion_by_less_than_a_hundredth
     assert 0.99 * usual < fine < usual
 
 
-@pytest.mark.parametrize("path", [LINE, CURVE])
-@pytest.mark.parametrize(("jerk", "steps"), [(40.0, 40), pytest.param(400.0, 120, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("path", "jerk", "steps"),
+    [(CURVE, 40.0, 40), *(pytest.param(path, 400.0, 120, marks=pytest.mark.slow) for path in (LINE, CURVE))],
+)
 def test_a_transcription_in_time_finds_the_same_duration(path: LegPath, jerk: float, steps: int) -> None:
     motion = spm.time_optimal(CHAIN, path, leg_rates=0.6, leg_accelerations=3.0, leg_jerks=jerk)
     assert motion.times[-1] == pytest.approx(shooting_duration(path, 0.6, 3.0, jerk, steps), rel=0.005)
@@ -112,16 +114,19 @@ def shooting_duration(path: LegPath, rate: float, acceleration: float, jerk: flo
 @pytest.mark.parametrize("path", [LINE, CURVE, POSES, pytest.param(WINDING, marks=pytest.mark.slow)])
 def test_a_large_jerk_takes_no_longer_than_none(path: object) -> None:
     limits = {"leg_forces": 1500.0, "leg_rates": 0.6, "leg_accelerations": 5.0}
-    fast, smooth = (spm.time_optimal(CHAIN, path, **limits, leg_jerks=jerk, grid=2000) for jerk in (None, 1e6))  # type: ignore[arg-type]
+    # On 500 points the winding path takes 2 % longer with the limit, as its `error` says.
+    fast, smooth = (spm.time_optimal(CHAIN, path, **limits, leg_jerks=jerk, grid=1000) for jerk in (None, 1e6))  # type: ignore[arg-type]
     assert smooth.times[-1] == pytest.approx(fast.times[-1], rel=0.01)
 
 
 def test_a_smaller_jerk_takes_longer_and_the_result_is_the_same_every_time() -> None:
-    limits = {"leg_accelerations": 3.0, "grid": 500}
-    durations = [spm.time_optimal(CHAIN, CURVE, **limits, leg_jerks=jerk).times[-1] for jerk in (20.0, 40.0, 80.0)]
+    motions = [
+        spm.time_optimal(CHAIN, CURVE, leg_accelerations=3.0, leg_jerks=jerk, grid=300)
+        for jerk in (20.0, 40.0, 80.0, 80.0)
+    ]
+    durations = [motion.times[-1] for motion in motions]
     assert durations[0] > 1.1 * durations[1] > 1.1 * durations[2]
-    first, again = (spm.time_optimal(CHAIN, CURVE, **limits, leg_jerks=40.0) for _ in range(2))
-    np.testing.assert_array_equal(first.positions, again.positions)
+    np.testing.assert_array_equal(motions[2].positions, motions[3].positions)
 
 
 def test_a_machine_as_built_is_timed_as_well() -> None:
